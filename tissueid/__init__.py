@@ -1,0 +1,32 @@
+"""Identify the contact mechanics of soft tissue from test-machine recordings, and feel the result.
+
+The public functions are loaded on first use, so that ``import tissueid`` costs next to nothing.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+__all__ = ["__version__", "identify", "load_bundle", "read_trials"]
+
+if TYPE_CHECKING:
+    from tissueid.ingest import read_trials
+    from tissueid.pipeline import identify
+    from tissueid.store.bundle import load_bundle
+
+_LAZY = {
+    "identify": "tissueid.pipeline",
+    "load_bundle": "tissueid.store.bundle",
+    "read_trials": "tissueid.ingest",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _LAZY:
+        from importlib import import_module
+
+        return getattr(import_module(_LAZY[name]), name)
+    msg = f"module 'tissueid' has no attribute {name!r}"
+    raise AttributeError(msg)

@@ -1,0 +1,90 @@
+"""Everything tissueid may say about a recording or a fit, in one table.
+
+A flag is a warning with a stable code, a plain sentence and the numbers behind it.  Codes are listed
+here once; ``schemas/flag.schema.json`` repeats the enumeration and a test holds the two together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+__all__ = ["FLAG_CODES", "Flag"]
+
+#: code -> what it means, for the report and the documentation.
+FLAG_CODES: Mapping[str, str] = MappingProxyType(
+    {
+        # the file
+        "column_choice": "several columns could be the displacement or the force; one was taken by rule",
+        "units_assumed": "the file states no unit for a column; mm, N or s was assumed",
+        "undecoded_text": "some header text could not be decoded; numbers are unaffected",
+        "rows_skipped": "rows without numbers (comments, results) stand among the data and were left out",
+        "cut_row": "the last row is incomplete and was left out",
+        # the samples
+        "zero_dt": "two samples carry the same time",
+        "event_rows": "extra samples stand close beside their neighbours, as written at segment changes",
+        "gap": "the log has a gap in time",
+        "quantised_force": "the force has few distinct levels for its range",
+        "clipped_force": "the force stands at its extreme for several samples: clipped load cell",
+        "too_few_samples": "too few samples to segment or fit",
+        # the segments
+        "no_contact": "no contact between tool and tissue was found",
+        "no_ramp": "no loading ramp was found",
+        "no_hold": "no hold was found: there is nothing to relax",
+        "cyclic": "the recording is cyclic",
+        "several_steps": "the recording has several ramp-and-hold steps",
+        "aborted_ramp": "the recording ends, or unloads, before the ramp is over",
+        "starts_in_contact": "the recording starts in contact or within its noise: no samples in air",
+        "preload": "the force at the start is above its noise: the tissue was preloaded",
+        "contact_uncertain": "the contact point is known only to a large part of the depth",
+        "corner_overshoot": "displacement overshoots or rings where the ramp stops",
+        "sign_assumed": "compression could not be told from tension; the dominant excursion was taken",
+        "tension": "the force grows against the travel or the specimen is pulled",
+        # the fit
+        "not_identified": "the data do not determine this parameter",
+        "interval_open": "the interval of a relaxation time runs into the bound of its range",
+        "tau_below_resolution": "a relaxation time is shorter than two sampling intervals",
+        "amplitude_small": "the relaxing force is below what its noise lets one time",
+        "tau_exceeds_window": "a relaxation time is longer than a third of its window",
+        "window_dependent": "halving the window moves the relaxation time by more than a fifth",
+        "one_tau_inadequate": "one relaxation time does not describe the hold",
+        "residual_correlated": "the residual is correlated in time: intervals for white noise are too narrow",
+        "residual_large": "the largest residual is more than a twentieth of the force range",
+        "bound_active": "a passivity bound is active at the optimum",
+        "optimisers_disagree": "Levenberg-Marquardt and variable projection ended at different optima",
+        "not_converged": "Levenberg-Marquardt did not converge",
+        "single_speed": "one speed and no hold: viscosity can't be told from static stiffness",
+        "compliance_unknown": "frame compliance, force filter and time skew were not stated and are taken as none",
+    }
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Flag:
+    """One remark.
+
+    Attributes
+    ----------
+    code : str
+        Key of :data:`FLAG_CODES`.
+    message : str
+        One plain sentence with its numbers.
+    values : mapping
+        The numbers behind the sentence; they appear beside ``code`` and ``message`` in JSON.
+    """
+
+    code: str
+    message: str
+    values: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.code not in FLAG_CODES:
+            msg = f"unknown flag code {self.code!r}"
+            raise ValueError(msg)
+        object.__setattr__(self, "values", MappingProxyType(dict(self.values)))
+
+    def as_json(self) -> dict[str, Any]:
+        """``{"code", "message", ...values}``."""
+        return {"code": self.code, "message": self.message, **self.values}

@@ -1,0 +1,353 @@
+"""What was found: frozen result types, free of any optimiser's or sampler's objects."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.flags import Flag
+
+__all__ = [
+    "Curve",
+    "Estimate",
+    "Exit",
+    "Identification",
+    "ModelChoice",
+    "Nrmsd",
+    "Refusal",
+    "RelaxationRow",
+    "SpecimenFit",
+    "TrialFit",
+]
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """One parameter.
+
+    Attributes
+    ----------
+    name, symbol, unit : str
+    value : float or None
+        ``None`` where the data do not identify it; the number then stands under ``detail["estimate"]``.
+    stderr : float or None
+        Standard error under white noise [same unit]; ``None`` where a bound is active.
+    identified : bool
+    detail : mapping
+        Numbers behind the verdict (estimate, interval, width in ln tau).
+    """
+
+    name: str
+    symbol: str
+    unit: str
+    value: float | None
+    stderr: float | None
+    identified: bool
+    detail: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "detail", MappingProxyType(dict(self.detail)))
+
+    def as_json(self) -> dict[str, Any]:
+        """The object of ``schemas/identification.schema.json``."""
+        return {
+            "name": self.name,
+            "symbol": self.symbol,
+            "unit": self.unit,
+            "value": self.value,
+            "stderr": self.stderr,
+            "identified": self.identified,
+            "detail": dict(self.detail),
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class ModelChoice:
+    """Which model was fitted."""
+
+    key: str
+    branches: int
+    static_degree: int
+    stiffness_degree: int
+    static_pooling: str
+
+    def as_json(self) -> dict[str, Any]:
+        """The ``model`` object of the schema."""
+        return {
+            "key": self.key,
+            "branches": self.branches,
+            "static_degree": self.static_degree,
+            "stiffness_degree": self.stiffness_degree,
+            "static_pooling": self.static_pooling,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Nrmsd:
+    """Root-mean-square deviation, three ways (fractions, not percent).
+
+    Attributes
+    ----------
+    range : float
+        RMSD over (max - min) of the measured force.
+    mean : float
+        RMSD over the mean measured force.
+    rmse_N : float
+        RMSD [N].
+    """
+
+    range: float
+    mean: float
+    rmse_N: float
+
+    def as_json(self) -> dict[str, float]:
+        """The ``nrmsd`` object of the schema."""
+        return {"range": self.range, "mean": self.mean, "rmse_N": self.rmse_N}
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """A decimated recording with its model, enough for a report (corners and peaks are kept).
+
+    Attributes
+    ----------
+    time_s, depth_mm, force_N, model_N : ndarray, shape (m,)
+        Time from contact [s], depth [mm] and measured and modelled compressive force [N].
+    fitted : ndarray of bool, shape (m,)
+        False where a sample took no part in the likelihood.
+    """
+
+    time_s: FloatArray
+    depth_mm: FloatArray
+    force_N: FloatArray
+    model_N: FloatArray
+    fitted: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class TrialFit:
+    """How well the specimen's model fits one of its trials."""
+
+    path: str
+    sheet: str | None
+    nrmsd: Nrmsd
+    max_residual_fraction: float
+    residual_acf1: float
+    gain: float
+    contact_offset_mm: float
+    speed_mm_s: float
+    depth_mm: float
+    n_samples: int
+    curve: Curve
+    flags: tuple[Flag, ...] = ()
+
+    def as_json(self) -> dict[str, Any]:
+        """The ``trials`` object of the schema (curves are kept in HDF5, not here)."""
+        return {
+            "path": self.path,
+            "sheet": self.sheet,
+            "nrmsd": self.nrmsd.as_json(),
+            "max_residual_fraction": self.max_residual_fraction,
+            "residual_acf1": self.residual_acf1,
+            "gain": self.gain,
+            "contact_offset_mm": self.contact_offset_mm,
+            "speed_mm_s": self.speed_mm_s,
+            "depth_mm": self.depth_mm,
+            "n_samples": self.n_samples,
+            "flags": [flag.as_json() for flag in self.flags],
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class RelaxationRow:
+    """One hold, described by one, two and three exponentials with a free plateau.
+
+    Attributes
+    ----------
+    window_s : tuple of float
+        Recorded times of the force peak and of the end of the hold [s].
+    peak_force_N : float
+        Largest compressive force of the window [N].
+    tau_single_s : float or None
+    nrmsd_single : float
+        Range-NRMSD of the single exponential over its window.
+    tau_double_s, tau_triple_s : tuple of float
+        Ascending [s]; shorter where the data support fewer.
+    """
+
+    path: str
+    sheet: str | None
+    window_s: tuple[float, float]
+    peak_force_N: float
+    tau_single_s: float | None
+    nrmsd_single: float
+    tau_double_s: tuple[float, ...]
+    tau_triple_s: tuple[float, ...]
+    flags: tuple[Flag, ...] = ()
+
+    def as_json(self) -> dict[str, Any]:
+        """The ``relaxation`` object of the schema."""
+        return {
+            "path": self.path,
+            "sheet": self.sheet,
+            "window_s": list(self.window_s),
+            "peak_force_N": self.peak_force_N,
+            "tau_single_s": self.tau_single_s,
+            "nrmsd_single": self.nrmsd_single,
+            "tau_double_s": list(self.tau_double_s),
+            "tau_triple_s": list(self.tau_triple_s),
+            "flags": [flag.as_json() for flag in self.flags],
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class SpecimenFit:
+    """The identified contact model of one specimen.
+
+    Attributes
+    ----------
+    specimen : str
+    model : ModelChoice
+    parameters : tuple of Estimate
+        What is reported: static, dynamic, relaxation times and viscosities.
+    theta_names : tuple of str
+    theta : ndarray, shape (p,)
+        Vector of the contact model (see :class:`tissueid.model.kelvin_voigt.KelvinVoigt`).
+    covariance : ndarray, shape (p, p)
+        Of theta, under white noise; rows of parameters at a bound are zero.
+    depth_mm : float
+        Largest fitted depth: the model is claimed on [0, depth_mm].
+    speeds_mm_s : tuple of float
+        Slowest and fastest fitted loading speed.
+    tip_radius_mm : float or None
+    sigma_N : float
+        Residual standard deviation [N].
+    n_samples : int
+        Samples in the likelihood.
+    nrmsd : Nrmsd
+        Over all fitted samples.
+    trials : tuple of TrialFit
+    relaxation : tuple of RelaxationRow
+    optimisers : mapping
+        What Levenberg-Marquardt and variable projection reached, and whether they agree.
+    selection : tuple of mapping
+        One row a candidate model: branches, stiffness_degree, score, stderr, chosen.
+    flags : tuple of Flag
+    """
+
+    specimen: str
+    model: ModelChoice
+    parameters: tuple[Estimate, ...]
+    theta_names: tuple[str, ...]
+    theta: FloatArray
+    covariance: FloatArray
+    depth_mm: float
+    speeds_mm_s: tuple[float, float]
+    tip_radius_mm: float | None
+    sigma_N: float
+    n_samples: int
+    nrmsd: Nrmsd
+    trials: tuple[TrialFit, ...]
+    relaxation: tuple[RelaxationRow, ...]
+    optimisers: Mapping[str, Any]
+    selection: tuple[Mapping[str, Any], ...]
+    flags: tuple[Flag, ...] = ()
+
+    def parameter(self, name: str) -> Estimate:
+        """The reported parameter of that name (``KeyError`` where there is none)."""
+        for estimate in self.parameters:
+            if estimate.name == name:
+                return estimate
+        raise KeyError(name)
+
+    def as_json(self) -> dict[str, Any]:
+        """The ``specimens`` object of the schema."""
+        return {
+            "specimen": self.specimen,
+            "model": self.model.as_json(),
+            "parameters": [estimate.as_json() for estimate in self.parameters],
+            "nrmsd": self.nrmsd.as_json(),
+            "sigma_N": self.sigma_N,
+            "n_samples": self.n_samples,
+            "validity": {
+                "depth_mm": self.depth_mm,
+                "speeds_mm_s": list(self.speeds_mm_s),
+                "tip_radius_mm": self.tip_radius_mm,
+            },
+            "trials": [trial.as_json() for trial in self.trials],
+            "relaxation": [row.as_json() for row in self.relaxation],
+            "optimisers": dict(self.optimisers),
+            "selection": [dict(row) for row in self.selection],
+            "flags": [flag.as_json() for flag in self.flags],
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """An input that was not used, and why."""
+
+    path: str
+    sheet: str | None
+    code: str
+    message: str
+    line: int | None = None
+    column: int | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """``{path, sheet, error: {code, message, line, column}}``, as ``inspect`` prints it."""
+        return {
+            "path": self.path,
+            "sheet": self.sheet,
+            "error": {"code": self.code, "message": self.message, "line": self.line, "column": self.column},
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Exit:
+    """How a command ended: its exit code and the reasons, in words."""
+
+    code: int
+    reasons: tuple[str, ...] = ()
+
+    def as_json(self) -> dict[str, Any]:
+        """The ``exit`` object of the schema."""
+        return {"code": self.code, "reasons": list(self.reasons)}
+
+
+@dataclass(frozen=True, slots=True)
+class Identification:
+    """Everything ``tissueid fit`` found in one run.
+
+    Attributes
+    ----------
+    specimens : tuple of SpecimenFit
+    refused : tuple of Refusal
+    exit : Exit
+    provenance : mapping
+        Versions, options, seed and the inputs with their hashes.
+    """
+
+    specimens: tuple[SpecimenFit, ...]
+    refused: tuple[Refusal, ...]
+    exit: Exit
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "provenance", MappingProxyType(dict(self.provenance)))
+
+    def as_json(self) -> dict[str, Any]:
+        """The document of ``schemas/identification.schema.json``."""
+        return {
+            "schema": "tissueid/identification/1",
+            "specimens": [specimen.as_json() for specimen in self.specimens],
+            "refused": [refusal.as_json() for refusal in self.refused],
+            "provenance": dict(self.provenance),
+            "exit": self.exit.as_json(),
+        }

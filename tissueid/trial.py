@@ -1,0 +1,258 @@
+"""What was recorded: specimens, protocols, trials, and how a trial was divided into phases.
+
+Units are mm, N and s; conversion happens once, in :mod:`tissueid.ingest`.  A trial keeps the
+recording as it was made: signs and zeros are not touched.  Which way is compression, where the tool
+met the tissue and what the load cell read in air are decisions, and they live in
+:class:`Segmentation`, apart from the data they were made from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.flags import Flag
+
+__all__ = [
+    "Contact",
+    "Phase",
+    "PhaseKind",
+    "Protocol",
+    "Segmentation",
+    "Source",
+    "Trial",
+    "contact_frame",
+    "frozen_array",
+]
+
+FloatArray = NDArray[np.float64]
+
+PhaseKind = str
+#: Phase kinds, in the words of the field.
+PHASE_KINDS = ("approach", "ramp", "hold", "retract", "cycle")
+
+
+def frozen_array(values: Any) -> FloatArray:
+    """A read-only float64 copy of one-dimensional values."""
+    array = np.array(values, dtype=np.float64, copy=True)
+    array.flags.writeable = False
+    return array
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """Where a trial came from.
+
+    Attributes
+    ----------
+    path : str
+        File as the user named it.
+    sheet : str or None
+        Workbook sheet (or block of a several-block file).
+    sha256 : str
+        Hash of the file's bytes.
+    recipe : str
+        Key of the reader that matched.
+    encoding, delimiter, decimal : str or None
+        What the text was read with; ``None`` for binary workbooks.
+    columns : mapping
+        ``{"time": name, "displacement": name, "force": name}`` with the names as printed in the file.
+    metadata : mapping
+        Header entries, ``key -> text``, as printed.
+    """
+
+    path: str
+    sheet: str | None = None
+    sha256: str = ""
+    recipe: str = "array"
+    encoding: str | None = None
+    delimiter: str | None = None
+    decimal: str | None = None
+    columns: Mapping[str, str] = field(default_factory=dict)
+    metadata: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "columns", MappingProxyType(dict(self.columns)))
+        object.__setattr__(self, "metadata", MappingProxyType(dict(self.metadata)))
+
+
+@dataclass(frozen=True, slots=True)
+class Protocol:
+    """What the machine was told to do, as far as the file says so; ``None`` where it does not.
+
+    Attributes
+    ----------
+    kind : str or None
+        Test type in the words of the export (``"comp"``, ``"trelax"``...).
+    speed_mm_s, depth_mm, hold_s : float or None
+        Stated rate [mm/s], depth [mm] and dwell [s].
+    tip_radius_mm : float or None
+        Radius of the tool tip [mm].
+    """
+
+    kind: str | None = None
+    speed_mm_s: float | None = None
+    depth_mm: float | None = None
+    hold_s: float | None = None
+    tip_radius_mm: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """One recording of one push into one specimen.
+
+    Attributes
+    ----------
+    specimen : str
+        Name of the specimen; trials of one name are pooled by the fit.
+    time_s, displacement_mm, force_N : ndarray, shape (n,)
+        As recorded, converted to s, mm and N, read-only, time non-decreasing.
+    protocol : Protocol
+    source : Source
+    flags : tuple of Flag
+        What the reader noticed.
+    """
+
+    specimen: str
+    time_s: FloatArray
+    displacement_mm: FloatArray
+    force_N: FloatArray
+    protocol: Protocol = field(default_factory=Protocol)
+    source: Source = field(default_factory=lambda: Source(path="<array>"))
+    flags: tuple[Flag, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("time_s", "displacement_mm", "force_N"):
+            array = frozen_array(getattr(self, name))
+            if array.ndim != 1 or array.size < 2:
+                msg = f"{name} must be one-dimensional with at least 2 samples, has shape {array.shape}"
+                raise ValueError(msg)
+            if not np.isfinite(array).all():
+                first = int(np.flatnonzero(~np.isfinite(array))[0])
+                msg = f"{name}[{first}] is {array[first]}, every sample must be finite"
+                raise ValueError(msg)
+            object.__setattr__(self, name, array)
+        if not self.time_s.size == self.displacement_mm.size == self.force_N.size:
+            msg = "time_s, displacement_mm and force_N differ in length"
+            raise ValueError(msg)
+        if (np.diff(self.time_s) < 0).any():
+            first = int(np.flatnonzero(np.diff(self.time_s) < 0)[0])
+            msg = f"time_s falls from {self.time_s[first]} to {self.time_s[first + 1]} s at sample {first + 1}"
+            raise ValueError(msg)
+        object.__setattr__(self, "flags", tuple(self.flags))
+
+    @property
+    def name(self) -> str:
+        """Path, and sheet where there is one, for messages."""
+        return self.source.path if self.source.sheet is None else f"{self.source.path} [{self.source.sheet}]"
+
+
+@dataclass(frozen=True, slots=True)
+class Phase:
+    """A stretch of a recording in which the machine did one thing.
+
+    Attributes
+    ----------
+    kind : str
+        ``approach`` (moving in, not yet in contact), ``ramp`` (loading), ``hold``, ``retract``, or
+        ``cycle`` (one load-unload loop of a cyclic test).
+    start, stop : int
+        Sample range ``[start, stop)``; neighbouring phases share their corner sample
+        (``stop - 1`` of one is ``start`` of the next).
+    start_s, end_s : float
+        Times of the first and last sample [s], as recorded.
+    speed_mm_s : float
+        Mean speed in the compression direction [mm/s]; negative while retracting, 0 in a hold.
+    """
+
+    kind: PhaseKind
+    start: int
+    stop: int
+    start_s: float
+    end_s: float
+    speed_mm_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """Where the tool met the tissue.
+
+    Attributes
+    ----------
+    index : int
+        First sample in contact; 0 where the recording starts in contact.
+    displacement_mm : float
+        Displacement of contact as recorded [mm]; may lie before the first sample (preloaded start).
+    sd_mm : float
+        Standard deviation of that displacement [mm].
+    baseline_N : float
+        Load-cell reading in air [N] as recorded; 0 where there are no samples in air.
+    in_record : bool
+        True where the recording shows the tool in air before contact.
+    """
+
+    index: int
+    displacement_mm: float
+    sd_mm: float
+    baseline_N: float = 0.0
+    in_record: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Segmentation:
+    """How a trial was divided; made by :mod:`tissueid.segment`, corrected by the user.
+
+    Attributes
+    ----------
+    compression_sign : int
+        +1 where recorded displacement grows into the tissue, -1 where it falls.
+    force_sign : int
+        +1 where recorded force grows with compression, -1 where it falls.
+    contact : Contact or None
+        ``None`` where no contact was found.
+    phases : tuple of Phase
+        In time order.
+    force_noise_N : float
+        Standard deviation of the force noise [N], from successive differences.
+    flags : tuple of Flag
+    """
+
+    compression_sign: int
+    force_sign: int
+    contact: Contact | None
+    phases: tuple[Phase, ...]
+    force_noise_N: float
+    flags: tuple[Flag, ...] = ()
+
+    def of_kind(self, kind: PhaseKind) -> tuple[Phase, ...]:
+        """The phases of one kind, in time order."""
+        return tuple(phase for phase in self.phases if phase.kind == kind)
+
+
+def contact_frame(trial: Trial, segmentation: Segmentation) -> tuple[FloatArray, FloatArray]:
+    """Indentation depth and compressive force, zero at contact.
+
+    Parameters
+    ----------
+    trial : Trial
+    segmentation : Segmentation
+        Must have a contact.
+
+    Returns
+    -------
+    depth_mm, force_N : ndarray, shape (n,)
+        Depth below the contact point [mm] (negative in air) and compressive force above the reading
+        in air [N].
+    """
+    contact = segmentation.contact
+    if contact is None:
+        msg = f"{trial.name}: no contact point, so there is no contact frame"
+        raise ValueError(msg)
+    depth = segmentation.compression_sign * (trial.displacement_mm - contact.displacement_mm)
+    force = segmentation.force_sign * (trial.force_N - contact.baseline_N)
+    return depth, force
