@@ -1,0 +1,290 @@
+"""Modified Kelvin-Voigt contact model with one to three relaxation branches.
+
+::
+
+    F(t) = F_s(x) + sum_j K_j(x) s_j,      tau_j ds_j/dt + s_j = tau_j dx/dt
+    F_s(x) = a1 x + a2 x^2 + a3 x^3,       K_j(x) = b_j0 + b_j1 x + b_j2 x^2
+
+The stiffness stands **outside** the convolution, K(x(t)) times the state; quasi-linear
+viscoelasticity has it inside, and the two differ as soon as K varies.  Equations (1) to (8) of
+Sadeghnejad et al. (endoscopic sinus surgery), reconstructed from their text because the typeset
+equations are lost; the model goes back to Mahvash & Dupont, doi 10.1109/ROBOT.2009.5152617.
+
+theta = (a1, a2, a3, then for each branch by ascending tau: b_j0 [, b_j1 [, b_j2]], tau_j).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.model.base import ContactPath, ParameterSpec, Stepper, register
+from tissueid.model.kernels import branch_sensitivity, branch_state, tissue_step
+from tissueid.model.polynomial import MAX_DEGREE, minimum_on_unit
+
+__all__ = ["KEY", "STATIC_DEGREE", "KelvinVoigt", "TissueStepper", "constant_speed_force", "ramp_hold_state"]
+
+FloatArray = NDArray[np.float64]
+
+KEY = "kelvin-voigt"
+STATIC_DEGREE = 3
+MAX_BRANCHES = 3
+#: Negative values of F_s/x or K up to this fraction of the largest coefficient are rounding.
+PASSIVE_TOLERANCE = 1e-10
+
+
+def _power(base: str, k: int) -> str:
+    return base if k == 1 else f"{base}{k}"
+
+
+def _static_specs() -> list[ParameterSpec]:
+    return [
+        ParameterSpec(
+            name=f"static_{k}_N_per_{_power('mm', k)}",
+            symbol=f"a{k}",
+            unit="N/mm" if k == 1 else f"N/mm^{k}",
+            lower=-np.inf,
+            upper=np.inf,
+            meaning=f"coefficient of x^{k} in the static force F_s",
+        )
+        for k in range(1, STATIC_DEGREE + 1)
+    ]
+
+
+def _branch_specs(branch: int, degree: int) -> list[ParameterSpec]:
+    suffix = "" if branch == 0 else f"_b{branch + 1}"
+    specs = [
+        ParameterSpec(
+            name=f"stiffness_{k}_N_per_{_power('mm', k + 1)}{suffix}",
+            symbol=f"b{k}" if branch == 0 else f"b{k},{branch + 1}",
+            unit="N/mm" if k == 0 else f"N/mm^{k + 1}",
+            lower=-np.inf,
+            upper=np.inf,
+            meaning=f"coefficient of x^{k} in the dynamic stiffness K of branch {branch + 1}",
+        )
+        for k in range(degree + 1)
+    ]
+    specs.append(
+        ParameterSpec(
+            name=f"relaxation_time_s{suffix}",
+            symbol="tau" if branch == 0 else f"tau{branch + 1}",
+            unit="s",
+            lower=0.0,
+            upper=np.inf,
+            meaning=f"relaxation time of branch {branch + 1}",
+        )
+    )
+    return specs
+
+
+@dataclass(frozen=True, slots=True)
+class KelvinVoigt:
+    """The model for a given number of branches, degree of K and largest depth.
+
+    Attributes
+    ----------
+    branches : int
+        0 (elastic) to 3.
+    stiffness_degree : int
+        Degree of each K_j(x), 0 to 2.
+    depth_mm : float
+        Largest identified depth [mm]: passivity is demanded on [0, depth_mm] and the law is continued
+        beyond it (F_s with its end slope, not below 0; K linearly where it grows, else constant).
+    """
+
+    branches: int
+    stiffness_degree: int
+    depth_mm: float
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.branches <= MAX_BRANCHES:
+            msg = f"{self.branches} branches are not offered, 0 to {MAX_BRANCHES} are"
+            raise ValueError(msg)
+        if not 0 <= self.stiffness_degree <= MAX_DEGREE:
+            msg = f"degree {self.stiffness_degree} of K is not offered, 0 to {MAX_DEGREE} are"
+            raise ValueError(msg)
+        if not self.depth_mm > 0.0:
+            msg = f"depth_mm must be positive, is {self.depth_mm}"
+            raise ValueError(msg)
+
+    @property
+    def key(self) -> str:
+        """Registry key."""
+        return KEY
+
+    @property
+    def parameters(self) -> tuple[ParameterSpec, ...]:
+        """Parameters in the order of theta."""
+        specs = _static_specs()
+        for branch in range(self.branches):
+            specs += _branch_specs(branch, self.stiffness_degree)
+        return tuple(specs)
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names in the order of theta."""
+        return tuple(spec.name for spec in self.parameters)
+
+    @property
+    def block(self) -> int:
+        """Parameters a branch has."""
+        return self.stiffness_degree + 2
+
+    def split(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Static coefficients (3,), stiffness coefficients (branches, degree + 1), tau (branches,)."""
+        theta = np.asarray(theta, dtype=np.float64)
+        expected = STATIC_DEGREE + self.branches * self.block
+        if theta.shape != (expected,):
+            msg = f"theta has shape {theta.shape}, ({expected},) is needed"
+            raise ValueError(msg)
+        branch = theta[STATIC_DEGREE:].reshape(self.branches, self.block)
+        return theta[:STATIC_DEGREE], branch[:, :-1], branch[:, -1]
+
+    def join(self, static: FloatArray, stiffness: FloatArray, tau: FloatArray) -> FloatArray:
+        """theta from its parts, branches sorted by tau; inverse of :meth:`split`."""
+        order = np.argsort(tau, kind="stable")
+        branch = np.column_stack([np.asarray(stiffness)[order], np.asarray(tau)[order]])
+        return np.concatenate([np.asarray(static, dtype=np.float64), branch.ravel()])
+
+    def static_force(self, theta: FloatArray, depth_mm: FloatArray) -> FloatArray:
+        """F_s [N] at depths within the identified range."""
+        static, _, _ = self.split(theta)
+        x = np.asarray(depth_mm)
+        return x * (static[0] + x * (static[1] + x * static[2]))
+
+    def stiffness(self, theta: FloatArray, depth_mm: FloatArray) -> FloatArray:
+        """K_j(x) [N/mm] at depths within the identified range, shape (branches, n)."""
+        _, stiffness, _ = self.split(theta)
+        powers = np.asarray(depth_mm)[None, :] ** np.arange(self.stiffness_degree + 1)[:, None]
+        return stiffness @ powers
+
+    def states(self, tau: FloatArray, path: ContactPath) -> FloatArray:
+        """Branch states [mm] from rest, shape (branches, n)."""
+        if len(tau) == 0:
+            return np.zeros((0, path.time_s.size))
+        return np.stack([branch_state(path.time_s, path.depth_mm, float(value), 0.0) for value in tau])
+
+    def force(self, theta: FloatArray, path: ContactPath) -> FloatArray:
+        """Force [N] along a path in permanent contact, within the identified depth."""
+        _, _, tau = self.split(theta)
+        dynamic = (self.stiffness(theta, path.depth_mm) * self.states(tau, path)).sum(axis=0)
+        return self.static_force(theta, path.depth_mm) + dynamic
+
+    def jacobian(self, theta: FloatArray, path: ContactPath) -> FloatArray:
+        """Derivative of :meth:`force` by theta, shape (n, p)."""
+        _, _, tau = self.split(theta)
+        stiffness = self.stiffness(theta, path.depth_mm)
+        x = path.depth_mm
+        columns = [x, x**2, x**3]
+        for branch in range(self.branches):
+            state, by_tau = branch_sensitivity(path.time_s, x, float(tau[branch]))
+            columns += [state * x**k for k in range(self.stiffness_degree + 1)]
+            columns.append(stiffness[branch] * by_tau)
+        return np.column_stack(columns)
+
+    def linear_basis(self, nonlinear: FloatArray, path: ContactPath) -> FloatArray:
+        """Columns of the linear parameters for given log relaxation times.
+
+        Parameters
+        ----------
+        nonlinear : ndarray, shape (branches,)
+            ln(tau_j / s).
+        path : ContactPath
+
+        Returns
+        -------
+        ndarray, shape (n, 3 + branches * (degree + 1))
+        """
+        x = path.depth_mm
+        columns = [x, x**2, x**3]
+        for state in self.states(np.exp(nonlinear), path):
+            columns += [state * x**k for k in range(self.stiffness_degree + 1)]
+        return np.column_stack(columns)
+
+    def is_passive(self, theta: FloatArray) -> bool:
+        """F_s >= 0 and every K_j >= 0 on [0, depth_mm], and every tau > 0 (exact, see model.md 1.3)."""
+        static, stiffness, tau = self.split(theta)
+        if not np.isfinite(theta).all() or (tau <= 0.0).any():
+            return False
+        for coefficients in (static, *stiffness):
+            q = coefficients * self.depth_mm ** np.arange(coefficients.size)
+            if minimum_on_unit(q) < -PASSIVE_TOLERANCE * np.abs(q).max(initial=0.0):
+                return False
+        return True
+
+    def stepper(self, theta: FloatArray) -> Stepper:
+        """A running copy that starts at rest."""
+        return TissueStepper(self, theta)
+
+
+class TissueStepper:
+    """The tissue under a moving tool: pushes, lets go, recovers, is pushed again.
+
+    Parameters
+    ----------
+    model : KelvinVoigt
+    theta : ndarray, shape (p,)
+        Must be passive.
+    """
+
+    def __init__(self, model: KelvinVoigt, theta: FloatArray) -> None:
+        if not model.is_passive(theta):
+            msg = "theta is not passive (F_s or K negative somewhere): it can't be rendered"
+            raise ValueError(msg)
+        static, stiffness, tau = model.split(theta)
+        self._static = np.concatenate([[0.0], static])
+        self._stiffness = np.ascontiguousarray(stiffness)
+        self._tau = np.ascontiguousarray(tau)
+        self._depth = model.depth_mm
+        self._states = np.zeros(tau.size)
+        self._surface = 0.0
+
+    @property
+    def surface_mm(self) -> float:
+        """Where the tissue surface stands [mm below its rest level]."""
+        return self._surface
+
+    def step(self, depth_mm: float, dt_s: float) -> float:
+        """Force [N], never negative, after ``dt_s`` s of linear motion to ``depth_mm`` (< 0: in air)."""
+        force, self._surface = tissue_step(
+            self._static, self._stiffness, self._tau, self._depth, self._surface, self._states, depth_mm, dt_s
+        )
+        return float(force)
+
+    def reset(self) -> None:
+        """Tissue at rest."""
+        self._states[:] = 0.0
+        self._surface = 0.0
+
+
+def constant_speed_force(
+    model: KelvinVoigt, theta: FloatArray, depth_mm: FloatArray, *, speed_mm_s: float
+) -> FloatArray:
+    """Closed form (7): force at depths reached at constant speed from rest.
+
+    ``F = F_s(x) + sum_j K_j(x) v tau_j (1 - exp(-x / (v tau_j)))``.
+    """
+    _, _, tau = model.split(theta)
+    x = np.asarray(depth_mm)
+    length = speed_mm_s * tau[:, None]
+    states = -length * np.expm1(-x[None, :] / length)
+    return model.static_force(theta, x) + (model.stiffness(theta, x) * states).sum(axis=0)
+
+
+def ramp_hold_state(
+    time_s: FloatArray, *, speed_mm_s: float, depth_mm: float, tau_s: float
+) -> FloatArray:
+    """Closed form of the branch state in a ramp to ``depth_mm`` followed by a hold [mm]."""
+    corner = depth_mm / speed_mm_s
+    time = np.asarray(time_s)
+    rising = -speed_mm_s * tau_s * np.expm1(-np.minimum(time, corner) / tau_s)
+    return rising * np.exp(-np.maximum(time - corner, 0.0) / tau_s)
+
+
+def _build(branches: int, stiffness_degree: int, depth_mm: float) -> KelvinVoigt:
+    return KelvinVoigt(branches=branches, stiffness_degree=stiffness_degree, depth_mm=depth_mm)
+
+
+register(KEY, _build)

@@ -1,0 +1,97 @@
+"""How a tissue's forces are brought into the reach of a hand-held device (model.md 6.5, derived).
+
+``F_device = s_F F(x_device / s_x)``; time is not scaled.  One linear factor for force keeps every
+ratio of stiffness; a factor that depends on force would not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.model.kelvin_voigt import KelvinVoigt, constant_speed_force
+
+__all__ = ["Scaling", "largest_tangent", "scaling_for"]
+
+FloatArray = NDArray[np.float64]
+
+#: Share of the clamp that the deepest static force may use.
+CLAMP_SHARE = 0.9
+DEFAULT_MOTION_SCALE = 5.0
+#: Depths at which a curve is examined.
+GRID = 257
+N_PER_MM_TO_N_PER_M = 1000.0
+
+
+@dataclass(frozen=True, slots=True)
+class Scaling:
+    """Force and motion scale of a rendering.
+
+    Attributes
+    ----------
+    force : float
+        s_F, device force over tissue force.
+    motion : float
+        s_x, device travel over tissue depth.
+    device_stiffness_N_per_m : float
+        Largest tangent stiffness felt at the device.
+    peak_force_N : float
+        Force at the device at full depth, at the fastest identified speed.
+    """
+
+    force: float
+    motion: float
+    device_stiffness_N_per_m: float
+    peak_force_N: float
+
+
+def largest_tangent(model: KelvinVoigt, theta: FloatArray) -> float:
+    """Largest instantaneous stiffness F_s' + sum K_j on [0, depth] [N/mm]."""
+    x = np.linspace(0.0, model.depth_mm, GRID)
+    static, _, _ = model.split(theta)
+    slope = static[0] + x * (2.0 * static[1] + 3.0 * x * static[2])
+    return float((slope + model.stiffness(theta, x).sum(axis=0)).max())
+
+
+def scaling_for(
+    model: KelvinVoigt,
+    theta: FloatArray,
+    *,
+    clamp_N: float,
+    fastest_mm_s: float,
+    motion: float = DEFAULT_MOTION_SCALE,
+) -> Scaling:
+    """The default scale: the force at full depth takes nine tenths of the device's clamp.
+
+    Parameters
+    ----------
+    model, theta
+        The tissue.
+    clamp_N : float
+        The guard's force clamp in force at that moment [N].
+    fastest_mm_s : float
+        Fastest identified speed [mm/s of tissue depth].
+    motion : float
+        Motion scale s_x.
+
+    Raises
+    ------
+    ValueError
+        The tissue gives no force at full depth, so that no scale can be computed.
+    """
+    peak = float(
+        constant_speed_force(model, theta, np.array([model.depth_mm]), speed_mm_s=fastest_mm_s)[0]
+    )
+    if not peak > 0.0:
+        msg = f"the tissue's force at {model.depth_mm:g} mm is {peak:g} N: no force scale can be computed"
+        raise ValueError(msg)
+    force = CLAMP_SHARE * clamp_N / peak
+    tangent = largest_tangent(model, theta) * N_PER_MM_TO_N_PER_M
+    return Scaling(
+        force=force,
+        motion=motion,
+        device_stiffness_N_per_m=tangent * force / motion,
+        peak_force_N=force * peak,
+    )
