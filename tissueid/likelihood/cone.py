@@ -1,0 +1,216 @@
+"""Least squares over passive parameters: a compiled active-set solver on normal equations.
+
+Minimise ``theta' H theta - 2 b' theta`` where blocks of theta are polynomials that must not be
+negative on [0, 1].  Each block is a non-negative combination of generators (see
+:mod:`tissueid.model.polynomial`), so the problem is non-negative least squares (Lawson & Hanson 1974)
+in the generators' weights.  A block of degree 2 has infinitely many generators ``(u - r)^2``; the one
+whose reduced gradient is most negative, found in closed form, is added until none is, which makes
+the result exact and not merely sufficient.
+"""
+
+from __future__ import annotations
+
+import numba as nb
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["cone_least_squares", "support_directions"]
+
+FloatArray = NDArray[np.float64]
+
+#: Generators added at most, and the reduced gradient (relative) that counts as none.
+MAX_ADDED = 24
+DUAL_TOLERANCE = 1e-11
+#: Ridge, relative to the scaled diagonal, that keeps nearly equal generators apart.
+RIDGE = 1e-14
+QUADRATIC = 3
+
+
+@nb.njit(cache=True, nogil=True)
+def _solve_passive(a: FloatArray, b: FloatArray, passive: NDArray[np.bool_]) -> FloatArray:
+    """Solution of the normal equations restricted to the passive set; zero elsewhere."""
+    index = np.flatnonzero(passive)
+    m = index.size
+    low = np.zeros((m, m))
+    z = np.zeros(m)
+    for i in range(m):
+        for j in range(i + 1):
+            value = a[index[i], index[j]]
+            if i == j:
+                value += RIDGE
+            for k in range(j):
+                value -= low[i, k] * low[j, k]
+            if i == j:
+                low[i, i] = np.sqrt(max(value, RIDGE))
+            else:
+                low[i, j] = value / low[j, j]
+    for i in range(m):
+        value = b[index[i]]
+        for k in range(i):
+            value -= low[i, k] * z[k]
+        z[i] = value / low[i, i]
+    for i in range(m - 1, -1, -1):
+        value = z[i]
+        for k in range(i + 1, m):
+            value -= low[k, i] * z[k]
+        z[i] = value / low[i, i]
+    out = np.zeros(b.size)
+    for i in range(m):
+        out[index[i]] = z[i]
+    return out
+
+
+@nb.njit(cache=True, nogil=True)
+def _nnls(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Minimise x'Ax - 2b'x over x >= 0 for a matrix scaled to unit diagonal."""
+    n = b.size
+    x = np.zeros(n)
+    passive = np.zeros(n, dtype=np.bool_)
+    scale = np.abs(b).max() if n else 0.0
+    for _ in range(6 * n + 6):
+        gradient = b - a @ x
+        best = -1
+        largest = DUAL_TOLERANCE * scale
+        for j in range(n):
+            if not passive[j] and gradient[j] > largest:
+                largest = gradient[j]
+                best = j
+        if best < 0:
+            break
+        passive[best] = True
+        for _inner in range(n + 1):
+            z = _solve_passive(a, b, passive)
+            step = 1.0
+            for j in range(n):
+                if passive[j] and z[j] <= 0.0:
+                    ratio = x[j] / (x[j] - z[j]) if x[j] > z[j] else 0.0
+                    step = min(step, ratio)
+            if step >= 1.0:
+                x = z
+                break
+            for j in range(n):
+                if passive[j]:
+                    x[j] += step * (z[j] - x[j])
+                    if z[j] <= 0.0 and x[j] <= 1e-15 * scale:
+                        x[j] = 0.0
+                        passive[j] = False
+            if not passive[best] and x[best] == 0.0:
+                # the new column left at once: rounding; nothing more is to be gained
+                break
+    return x
+
+
+@nb.njit(cache=True, nogil=True)
+def _add_generators(
+    generators: FloatArray, count: int, gradient: FloatArray, blocks: NDArray[np.int64], tolerance: float
+) -> int:
+    """Append, for each quadratic block, the (u - r)^2 of steepest descent, if any; new count."""
+    start = 0
+    for size in blocks:
+        if size == QUADRATIC:
+            g0, g1, g2 = gradient[start], gradient[start + 1], gradient[start + 2]
+            # g . (u - r)^2 = g2 - 2 r g1 + r^2 g0, smallest at r = g1 / g0 where g0 > 0
+            if g0 > 0.0 and 0.0 < g1 < g0 and count < generators.shape[0]:
+                r = g1 / g0
+                if g2 - 2.0 * r * g1 + r * r * g0 < -tolerance:
+                    generators[count, :] = 0.0
+                    generators[count, start] = r * r
+                    generators[count, start + 1] = -2.0 * r
+                    generators[count, start + 2] = 1.0
+                    count += 1
+        start += size
+    return count
+
+
+@nb.njit(cache=True, nogil=True)
+def cone_least_squares(
+    h: FloatArray, b: FloatArray, blocks: NDArray[np.int64], start: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Minimise ``theta' H theta - 2 b' theta`` over passive theta.
+
+    Parameters
+    ----------
+    h : ndarray, shape (p, p)
+        Positive semi-definite.
+    b : ndarray, shape (p,)
+    blocks : ndarray of int
+        Sizes of the polynomial blocks (1, 2 or 3), summing to p.
+    start : ndarray, shape (p, p)
+        The generators every solve begins with, one a row.
+
+    Returns
+    -------
+    theta : ndarray, shape (p,)
+    generators : ndarray, shape (g, p)
+    weights : ndarray, shape (g,)
+        ``theta = weights @ generators``.
+    """
+    p = b.size
+    generators = np.zeros((p + MAX_ADDED, p))
+    generators[:p] = start
+    count = p
+    theta = np.zeros(p)
+    weights = np.zeros(count)
+    norm = np.zeros(p + MAX_ADDED)
+    for _ in range(MAX_ADDED):
+        c = generators[:count]
+        a = c @ h @ np.ascontiguousarray(c.T)
+        for i in range(count):
+            norm[i] = np.sqrt(max(a[i, i], 1e-300))
+        for i in range(count):
+            for j in range(count):
+                a[i, j] /= norm[i] * norm[j]
+        rhs = (c @ b) / norm[:count]
+        weights = _nnls(a, rhs) / norm[:count]
+        theta = weights @ c
+        gradient = h @ theta - b
+        scale = np.abs(b).max()
+        added = _add_generators(generators, count, gradient, blocks, DUAL_TOLERANCE * scale)
+        if added == count:
+            break
+        count = added
+    used = weights.size
+    return theta, generators[:used].copy(), weights
+
+
+def support_directions(
+    generators: FloatArray, weights: FloatArray, blocks: NDArray[np.int64]
+) -> tuple[FloatArray, bool]:
+    """Directions in which theta can move both ways without leaving the passive set, to first order.
+
+    Parameters
+    ----------
+    generators, weights
+        From :func:`cone_least_squares`.
+    blocks : ndarray of int
+
+    Returns
+    -------
+    directions : ndarray, shape (p, d)
+        Orthonormal columns.
+    bounded : bool
+        True where d < p: a passivity bound is active.
+    """
+    p = generators.shape[1]
+    scale = np.abs(generators).max(axis=1, initial=0.0) * weights
+    used = scale > 1e-12 * scale.max(initial=1e-300)
+    rows = [generators[i] for i in np.flatnonzero(used)]
+    start = 0
+    for size in blocks:
+        if size == QUADRATIC:
+            for i in np.flatnonzero(used):
+                g = generators[i, start : start + size]
+                if g[2] > 0.0 and g[0] > 0.0 and g[1] < 0.0 and abs(g[1] ** 2 - 4 * g[0] * g[2]) < 1e-9:
+                    # the touching point r of (u - r)^2 may move: derivative -2 (u - r)
+                    tangent = np.zeros(p)
+                    root = -g[1] / (2.0 * g[2])
+                    if 0.0 < root < 1.0:
+                        tangent[start], tangent[start + 1] = -root, 1.0
+                        rows.append(tangent)
+        start += int(size)
+    if not rows:
+        return np.zeros((p, 0)), True
+    matrix = np.array(rows).T
+    u, s, _ = np.linalg.svd(matrix / np.linalg.norm(matrix, axis=0), full_matrices=False)
+    rank = int((s > 1e-7 * s[0]).sum())
+    return u[:, :rank], rank < p

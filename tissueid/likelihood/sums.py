@@ -1,0 +1,166 @@
+"""Everything the Gaussian likelihood needs of a log, in one matrix, from one pass over its samples.
+
+The model is linear in all but the relaxation times, and the branch state of any relaxation time is a
+weighted sum of the states at the nodes of a :class:`~tissueid.likelihood.basis.KernelBasis`.  The
+Gram matrix of ``[1, x, x^2, x^3, s_k x^p, force]`` therefore holds the sum of squared residuals of
+every candidate model; its size does not depend on the number of samples, and logs are merged by
+adding.  Work: samples x columns^2, done by one matrix product a chunk, memory flat.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.likelihood.basis import KernelBasis
+from tissueid.likelihood.kernels import fill_design
+
+__all__ = ["N_STATIC", "LogData", "LogSums", "log_sums", "reduction"]
+
+FloatArray = NDArray[np.float64]
+
+#: Static columns 1, x, x^2, x^3: the constant is there because a shifted cubic has one.
+N_STATIC = 4
+CHUNK = 2048
+#: More distinct sampling steps than this are not tabulated.
+MAX_STEP_GROUPS = 256
+#: Steps that differ by less than this fraction of the duration are one step printed with rounding.
+STEP_RESOLUTION = 1e-11
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LogData:
+    """One log in the contact frame, from contact to the end of its fitted part.
+
+    Attributes
+    ----------
+    time_s, depth_mm, force_N : ndarray, shape (n,)
+        From contact on [s], depth [mm], compressive force [N].
+    include : ndarray of bool, shape (n,)
+        Samples that take part in the likelihood (the branch state runs through all of them).
+    fold : ndarray of int, shape (n,)
+        Held-out group of every sample; all zero where whole logs are held out.
+    """
+
+    time_s: FloatArray
+    depth_mm: FloatArray
+    force_N: FloatArray
+    include: NDArray[np.bool_]
+    fold: NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LogSums:
+    """Gram matrices of one log.
+
+    Attributes
+    ----------
+    gram : ndarray, shape (folds, m, m)
+        Gram matrix of the design columns and the force, a fold each.
+    count : ndarray of int, shape (folds,)
+        Samples in each.
+    degree : int
+        Highest power of x that multiplies a node state.
+    """
+
+    gram: FloatArray
+    count: NDArray[np.int64]
+    degree: int
+
+
+def _step_tables(
+    step_s: FloatArray, tau_s: FloatArray, duration_s: float
+) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
+    """Group equal sampling steps and tabulate their weights for every node."""
+    resolution = max(duration_s, 1e-300) * STEP_RESOLUTION
+    keys, group = np.unique(np.round(step_s / resolution), return_inverse=True)
+    if keys.size > MAX_STEP_GROUPS:
+        return np.full(step_s.size, -1, dtype=np.int64), np.zeros((0, tau_s.size)), np.zeros((0, tau_s.size))
+    mean = np.bincount(group, weights=step_s) / np.bincount(group)
+    ratio = mean[:, None] / tau_s
+    positive = ratio > 0.0
+    safe = np.where(positive, ratio, 1.0)
+    return (
+        group.astype(np.int64),
+        np.where(positive, np.exp(-safe), 1.0),
+        np.where(positive, -np.expm1(-safe) / safe, 1.0),
+    )
+
+
+def log_sums(data: LogData, basis: KernelBasis, *, degree: int) -> LogSums:
+    """Sum one log over the nodes of a basis.
+
+    Parameters
+    ----------
+    data : LogData
+    basis : KernelBasis
+    degree : int
+        Highest degree of K that will be asked for.
+
+    Returns
+    -------
+    LogSums
+        With ``4 + nodes * (degree + 1) + 1`` columns.
+    """
+    tau = basis.tau_s
+    n = data.time_s.size
+    step = np.diff(data.time_s, prepend=data.time_s[0])
+    group, table_a, table_phi = _step_tables(step, tau, float(data.time_s[-1] - data.time_s[0]))
+    columns = N_STATIC + tau.size * (degree + 1) + 1
+    folds = int(data.fold.max()) + 1
+    gram = np.zeros((folds, columns, columns))
+    count = np.bincount(data.fold[data.include], minlength=folds).astype(np.int64)
+    state = np.zeros(tau.size)
+    chunk = np.empty((CHUNK, columns))
+    for first in range(0, n, CHUNK):
+        last = min(first + CHUNK, n)
+        rows = fill_design(
+            data.depth_mm, step, group, table_a, table_phi, tau, state, first, last,
+            data.include, data.force_N, degree, chunk,
+        )  # fmt: skip
+        block = chunk[:rows]
+        if folds == 1:
+            gram[0] += block.T @ block
+        else:
+            fold = data.fold[first:last][data.include[first:last]]
+            for index in np.unique(fold):
+                part = block[fold == index]
+                gram[index] += part.T @ part
+    return LogSums(gram=gram, count=count, degree=degree)
+
+
+def reduction(basis: KernelBasis, log_tau: FloatArray, *, degree: int, columns_degree: int) -> FloatArray:
+    """Columns of a candidate model as weights of the node columns.
+
+    Parameters
+    ----------
+    basis : KernelBasis
+    log_tau : ndarray, shape (branches,)
+    degree : int
+        Degree of K in the candidate.
+    columns_degree : int
+        Degree for which the sums were made (>= ``degree``).
+
+    Returns
+    -------
+    ndarray, shape (m, 4 + 2 * branches * (degree + 1) + 1)
+        ``W`` such that ``W.T @ gram @ W`` is the Gram matrix of ``1, x, x^2, x^3``, then
+        ``s_j x^p`` branch by branch, then ``(ds_j/dln tau_j) x^p`` branch by branch, then the force.
+    """
+    nodes = basis.tau_s.size
+    branches = log_tau.size
+    size = branches * (degree + 1)
+    weights = np.zeros((N_STATIC + nodes * (columns_degree + 1) + 1, N_STATIC + 2 * size + 1))
+    weights[range(N_STATIC), range(N_STATIC)] = 1.0
+    weights[-1, -1] = 1.0
+    if branches:
+        c, dc = basis.weights(log_tau)
+    for j in range(branches):
+        for p in range(degree + 1):
+            rows = slice(N_STATIC + p * nodes, N_STATIC + (p + 1) * nodes)
+            column = N_STATIC + j * (degree + 1) + p
+            weights[rows, column] = c[:, j]
+            weights[rows, column + size] = dc[:, j]
+    return weights
