@@ -1,0 +1,74 @@
+"""What the user may tell the readers, where a file does not speak for itself."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+from tissueid.errors import UsageError
+from tissueid.ingest.vocabulary import CHANNELS
+from tissueid.units import factor_to
+
+__all__ = ["ReadOptions"]
+
+
+@dataclass(frozen=True)
+class ReadOptions:
+    """Corrections to what a reader would decide by itself.
+
+    Attributes
+    ----------
+    columns : mapping
+        ``{"time" | "displacement" | "force": name}``: the column as printed, with or without its unit,
+        or ``"#2"`` for the second column of a file without names.
+    units : mapping
+        ``{"time" | "displacement" | "force": unit}``, in place of what the file says.
+    specimen_by : str or None
+        Regular expression searched in ``"path"`` or ``"path::sheet"``; its first group, or the whole
+        match, names the specimen.  Wins over the file's header.
+    recipe : str or None
+        Key of the reader to use.
+    delimiter, decimal : str or None
+        One character each, for text that leaves them open.
+
+    Raises
+    ------
+    UsageError
+        Unknown channel, unit, delimiter or decimal mark, or a pattern that does not compile.
+    """
+
+    columns: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    specimen_by: str | None = None
+    recipe: str | None = None
+    delimiter: str | None = None
+    decimal: str | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("columns", "units"):
+            mapping = dict(getattr(self, name))
+            for channel in mapping:
+                if channel not in CHANNELS:
+                    msg = f"{name}: unknown channel {channel!r}, one of {', '.join(CHANNELS)}"
+                    raise UsageError(msg)
+            object.__setattr__(self, name, MappingProxyType(mapping))
+        for channel, unit in self.units.items():
+            try:
+                factor_to(unit, channel)  # type: ignore[arg-type]
+            except ValueError as error:
+                msg = f"units: {error}"
+                raise UsageError(msg) from error
+        if self.specimen_by is not None:
+            try:
+                re.compile(self.specimen_by)
+            except re.error as error:
+                msg = f"specimen_by: {self.specimen_by!r} is not a regular expression: {error}"
+                raise UsageError(msg) from error
+        if self.delimiter is not None and self.delimiter not in {",", ";", "\t", "|"}:
+            msg = f"delimiter: {self.delimiter!r} is none of comma, semicolon, tab, bar"
+            raise UsageError(msg)
+        if self.decimal is not None and self.decimal not in {".", ","}:
+            msg = f"decimal: {self.decimal!r} is neither point nor comma"
+            raise UsageError(msg)

@@ -1,0 +1,71 @@
+"""Why a recording was refused: the closed list of codes, and the place a refusal points at.
+
+A refusal is never a guess avoided in silence: it names file, sheet, line, column, the value as it is
+printed there, and what the user can do.  The codes below are repeated as an enumeration in
+``schemas/inspect.schema.json``; a test holds the two together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from tissueid.errors import InputError
+
+__all__ = ["REFUSAL_CODES", "REFUSAL_MEANINGS", "Place"]
+
+#: code -> what it means, for the documentation.
+REFUSAL_MEANINGS: Mapping[str, str] = MappingProxyType(
+    {
+        # the file as a whole
+        "unreadable_file": "the operating system would not let the file be read",
+        "empty_file": "the file has no bytes, or blank lines only",
+        "not_an_export": "the file is not a table of numbers: an image, a program, prose, JSON",
+        "unreadable_workbook": "the workbook is damaged, protected or unreasonably large inside",
+        "no_trial_sheet": "no sheet of the workbook holds time, displacement and force",
+        "unknown_sheet": "the workbook has no sheet of that name",
+        "no_recording": "the directory holds no file of a known kind",
+        # the columns
+        "no_rows": "there is no row of numbers, or only one",
+        "no_columns": "no column could be told to be the time, the displacement or the force",
+        "column_not_found": "a column named by the user is not in the file",
+        "unknown_unit": "the unit of a column is not known",
+        "wrong_unit": "the unit of a column measures something else",
+        "unit_conflict": "name and units row give different units for one column",
+        # the cells
+        "ambiguous_decimal": "point and comma can't be told apart: decimal mark or thousands separator",
+        "inconsistent_decimal": "a number is printed with another decimal mark than the rest of the file",
+        "damaged_number": "a number has lost or doubled its decimal mark, or its digits are grouped wrongly",
+        "text_in_numbers": "text stands where a number must be",
+        "empty_cell": "a cell of a used column is empty",
+        "not_finite": "a value is NaN, infinite or too large",
+        "ragged_rows": "a row has more or fewer cells than the others",
+        "time_backwards": "the time falls from one row to the next",
+    }
+)
+
+REFUSAL_CODES: tuple[str, ...] = tuple(REFUSAL_MEANINGS)
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A file, and sheet, as the user named it; makes refusals that point there.
+
+    Attributes
+    ----------
+    path : str
+    sheet : str or None
+    """
+
+    path: str
+    sheet: str | None = None
+
+    def refuse(
+        self, code: str, message: str, *, line: int | None = None, column: int | None = None
+    ) -> InputError:
+        """An :class:`~tissueid.errors.InputError` at this place; ``line`` and ``column`` count from 1."""
+        if code not in REFUSAL_MEANINGS:
+            msg = f"unknown refusal code {code!r}"
+            raise ValueError(msg)
+        return InputError(code, message, path=self.path, sheet=self.sheet, line=line, column=column)

@@ -1,0 +1,184 @@
+"""The words test machines print: column names and header keys in nine languages.
+
+One table says which printed name is a time, a displacement or a force, and which of several is taken:
+the lower rank wins, the leftmost column among equals.  It is the written rule behind the
+``column_choice`` flag:
+
+=============  ====  =========================================================================
+quantity       rank  names
+=============  ====  =========================================================================
+time           0     the time of the test (``Time``, ``Temps d'essai``, ``Zeit``, ``时间``)
+..             1     elapsed time of a cycle or step, which starts again
+displacement   0     depth of the tool in the tissue, measured as such (``Indentation``)
+..             1     travel of the machine from its zero (``Extension``, ``Standard travel``,
+                     ``Allongement``, ``Traversenweg``, ``位移``)
+..             2     the same with the sense of the test (``Compressive extension``)
+..             3     absolute position (``Crosshead absolute``, ``Position``, ``Height``)
+..             4     what is left between the tools (``Ecartement entre outils``)
+..             5     another sensor (``Extensometer``, ``Capteur de course``, ``Deflection``)
+force          0     the load cell (``Load``, ``Force standard``, ``Kraft``, ``载荷``, ``Fz``)
+..             1     the same with the sense of the test (``Compressive load``)
+..             2     another channel (``Load cell 2``)
+any            8     none of these names, but a word of them and a unit that agrees
+=============  ====  =========================================================================
+
+A channel number above one (``Load 2``) adds 5.  Single letters are never taken by themselves.
+"""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from functools import cache
+
+__all__ = ["CHANNELS", "is_specimen_key", "plain_words", "rank_of", "specimen_key_rank"]
+
+#: The three channels every recording must have.
+CHANNELS = ("time", "displacement", "force")
+
+_SENSE = r"(?:compressive|compression|flexural|flexure|bending|tensile|tension|druck|biege|zug)"
+_SENSE_AFTER = r"(?: (?:de|en|a|di|w) (?:la )?(?:compression|compresion|compressao|compressione|traction|flexion))"
+
+_NAMES: dict[str, tuple[tuple[int, str], ...]] = {
+    "time": (
+        (
+            0,
+            r"(?:total |test |running |measured )?time(?: measurement)?|zeit|pruf ?zeit|test ?zeit|versuchszeit"
+            r"|temps(?: d essai)?|temps total|tiempo(?: de ensayo| total)?|tempo(?: di prova| (?:de|do) ensaio| total)?"
+            r"|czas(?: testu| proby)?|godzina|(?:测试|试验)?(?:时间|時間)",
+        ),
+        (1, r"(?:cycle |step |segment )?elapsed time|(?:cycle|step|segment) time|temps ecoule|tiempo transcurrido"),
+    ),
+    "displacement": (
+        (
+            0,
+            r"indentation(?: depth)?|depth(?: of indentation)?|penetration(?: depth)?|eindring(?:tiefe|weg)"
+            r"|profondeur(?: d indentation)?|enfoncement|profundidad|profundidade|profondita|glebokosc|压入深度|压痕深度",
+        ),
+        (
+            1,
+            r"(?:primary )?(?:extension|displacement|travel|elongation)(?: measurement)?(?: 1)?|standard travel|disp"
+            r"|standard ?weg|weg|traversenweg|verschiebung|verlangerung|verformung|course standard|allongement"
+            r"|deplacement(?: traverse| de la traverse)?|traverse|crosshead (?:displacement|travel|extension)"
+            r"|desplazamiento|alargamiento|carrera|carrera estandar|extensao|deslocamento|alongamento|curso"
+            r"|estensione|spostamento|allungamento|corsa|corsa standard|przemieszczenie|wydluzenie|droga"
+            r"|位移|伸长|伸長|延伸|拉伸|变形|変位|行程",
+        ),
+        (
+            2,
+            rf"{_SENSE} ?(?:extension|displacement|deflection|weg|verformung)(?: measurement)?"
+            rf"|(?:extension|deplacement|extensao|deslocamento|desplazamiento|estensione|spostamento){_SENSE_AFTER}"
+            r"|压缩位移|压缩伸长",
+        ),
+        (
+            3,
+            r"(?:absolute )?(?:crosshead|traverse|traversen)(?: absolute?| absolut| position)?|traverse absolue"
+            r"|traversen(?:position|weg absolut)|position(?: absolue)?|posicion|posizione|pozycja|stroke|actuator"
+            r"|height(?: measured)?|z(?: position)?|hoehe|hohe|hauteur",
+        ),
+        (
+            4,
+            r"ecartement entre (?:outils|mors)|(?:tool|grip)(?: to (?:tool|grip))? separation|werkzeugabstand"
+            r"|einspannlange|gap",
+        ),
+        (
+            5,
+            r"capteur de course|extensometer(?: 1)?|extensometre|dehnung|wegaufnehmer|deflection|durchbiegung"
+            r"|strain 1|lvdt|displacement strain 1",
+        ),
+    ),
+    "force": (
+        (
+            0,
+            r"(?:standard |primary |axial |normal |vertical )?(?:force|load)(?: measurement)?(?: 1)?|force standard"
+            r"|standard ?kraft|kraft|last|prufkraft|charge|fuerza(?: estandar)?|carga|forca|forza(?: standard)?|carico"
+            r"|sila(?: standardowa)?|obciazenie|力|标准力|载荷|载重|负荷|荷重|试验力|fz|load cell(?: 1)?",
+        ),
+        (
+            1,
+            rf"{_SENSE} ?(?:load|force|kraft|last)(?: measurement)?"
+            rf"|(?:charge|force|fuerza|carga|forca|forza|carico){_SENSE_AFTER}|压缩载荷|压缩力",
+        ),
+        (2, r"capteur de force|kraftaufnehmer|load channel|force channel"),
+    ),
+}
+_CHANNEL_NUMBER = re.compile(r"(.*?) ([2-9])")
+_CHANNEL_PENALTY = 5
+_LOOSE_RANK = 8
+_LOOSE_WORDS = {
+    "time": re.compile(r"\b(?:time|zeit|temps|tiempo|tempo|czas)\b|时间"),
+    "displacement": re.compile(
+        r"\b(?:displacement|extension|indentation|depth|travel|position|height|disp|weg|deplacement"
+        r"|desplazamiento|spostamento|przemieszczenie)\b|位移"
+    ),
+    "force": re.compile(r"\b(?:force|load|kraft|last|charge|fuerza|carga|forza|carico|sila)\b|载荷"),
+}
+#: A name with one of these is a rate, a result or another quantity, never a channel.
+_NOT_A_CHANNEL = re.compile(
+    r"\b(?:stress|strain|rate|speed|velocity|modulus|energy|work|max|maximum|min|minimum|at|per|peak|mean|average"
+    r"|sd|std|error|cycle|cycles|count|point|offset|zero|stiffness|contrainte|spannung)\b"
+)
+
+_SPECIMEN_WORDS = re.compile(
+    r"\b(?:specimen|proben?\w*|eprouvette|probeta|corpo de prova|provino|probk\w+)\b|试样|试件|样品|样本"
+)
+_SPECIMEN_NAMING = (
+    re.compile(r"\blabel\b|bezeichnung|\blibelle\b|\betiquette\b|\bdesignation\b|\betiqueta\b|\brotulo\b|etichetta|etykieta|标签|标识|标记"),
+    re.compile(r"\bid\b|kennung|identifi\w+|identyfik\w+|编号|nummer"),
+    re.compile(r"\bname\b|\w+name\b|\bnom\b|\bnombre\b|\bnome\b|nazwa|oznaczenie|名称"),
+)
+
+
+@cache
+def plain_words(text: str) -> str:
+    """Lower case, without accents and punctuation: ``"Temps d'essai"`` gives ``"temps d essai"``."""
+    folded = unicodedata.normalize("NFKD", text.replace("ł", "l").replace("Ł", "L")).casefold()
+    letters = "".join(c for c in folded if not unicodedata.combining(c))
+    return " ".join(re.sub(r"[\W_]+", " ", letters).split())
+
+
+@cache
+def rank_of(name: str, channel: str, *, loose: bool) -> int | None:
+    """How well a printed name, without its unit, fits a channel.
+
+    Parameters
+    ----------
+    name : str
+    channel : {"time", "displacement", "force"}
+    loose : bool
+        Whether a word inside the name is enough (the unit is known to agree).
+
+    Returns
+    -------
+    int or None
+        Rank of the table above, lower is better; ``None`` where the name is not of this channel.
+    """
+    words = plain_words(name)
+    numbered = _CHANNEL_NUMBER.fullmatch(words)
+    for rank, pattern in _NAMES[channel]:
+        if re.fullmatch(pattern, words):
+            return rank
+        if numbered and re.fullmatch(pattern, numbered[1]):
+            return rank + _CHANNEL_PENALTY
+    if loose and _LOOSE_WORDS[channel].search(words) and not _NOT_A_CHANNEL.search(words):
+        return _LOOSE_RANK
+    return None
+
+
+def specimen_key_rank(key: str) -> int | None:
+    """0 for a specimen label, 1 for its number or ID, 2 for its name, ``None`` for any other header key.
+
+    Only the part after the group prefix counts: ``"Text Inputs : Specimen label"`` is a label.
+    """
+    words = plain_words(key.rsplit(":", 1)[-1] if not key.endswith(":") else key)
+    if not _SPECIMEN_WORDS.search(words):
+        return None
+    for rank, pattern in enumerate(_SPECIMEN_NAMING):
+        if pattern.search(words):
+            return rank
+    return None
+
+
+def is_specimen_key(key: str) -> bool:
+    """Whether a header key names the specimen."""
+    return specimen_key_rank(key) is not None

@@ -1,0 +1,150 @@
+"""Units as laboratories print them, converted once at the boundary to s, mm and N.
+
+Not a unit system of our own: the factors are pint's, and pint is loaded on the first unit that is not
+already the internal one (it costs 0.3 s).  What is ours is the list of spellings that pint does not
+read: ``(sec)``, ``gf``, ``毫米``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from functools import cache
+from types import MappingProxyType
+from typing import Any, Literal, get_args
+
+__all__ = ["INTERNAL_UNITS", "Quantity", "bare_unit", "factor_to", "quantity_of"]
+
+#: What can be converted: the three channels of a recording, and the rate of a protocol.
+Quantity = Literal["time", "displacement", "force", "speed"]
+
+#: The unit used inside, by quantity.
+INTERNAL_UNITS: Mapping[Quantity, str] = MappingProxyType(
+    {"time": "s", "displacement": "mm", "force": "N", "speed": "mm/s"}
+)
+
+#: Spellings seen in exports that pint does not know, or takes for something else.
+_SPELLINGS: Mapping[str, str] = MappingProxyType(
+    {
+        "Sec": "s",
+        "sek": "s",
+        "Sek": "s",
+        "seg": "s",
+        "secs": "s",
+        "mins": "min",
+        "秒": "s",
+        "分": "min",
+        "毫米": "mm",
+        "微米": "um",
+        "牛": "N",
+        "牛顿": "N",
+        "千牛": "kN",
+        "毫牛": "mN",
+        "inches": "inch",
+        "in": "inch",
+        "lbs": "lb",
+        "gf": "gram_force",
+        "cm³": "cm**3",
+        "%": "percent",
+        "MM": "mm",
+        "KN": "kN",
+        "Newton": "newton",
+        "Newtons": "newton",
+    }
+)
+_BRACKETS = re.compile(r"^\s*[(\[]\s*(.*?)\s*[)\]]\s*$", re.DOTALL)
+#: A unit is a short word, perhaps a product of powers: never hand anything else to a parser.
+_UNIT_SHAPED = re.compile(r"[^\W\d_][\w²³]*(?:(?:\s?[/*·]\s?|\^|\*\*|\s)-?[\w²³]+){0,4}|%|µ\w+")
+_LONGEST_UNIT = 24
+
+
+def bare_unit(text: str) -> str:
+    """The unit without brackets, padding or a final full stop: ``"(sec) "`` gives ``"sec"``."""
+    match = _BRACKETS.match(text)
+    return (match[1] if match else text).strip().rstrip(".")
+
+
+@cache
+def _registry() -> Any:
+    """Pint's registry, with the one force that it lacks."""
+    import pint  # 0.3 s: only where a unit is not already the internal one
+
+    registry = pint.UnitRegistry()
+    registry.define("gram_force = 9.80665e-3 newton")
+    return registry
+
+
+@cache
+def _parsed(unit: str) -> Any | None:
+    """What pint makes of a bare unit, or ``None`` where it knows nothing of the name."""
+    if len(unit) > _LONGEST_UNIT or not _UNIT_SHAPED.fullmatch(unit):
+        return None
+    import pint
+
+    try:
+        return _registry().parse_units(_SPELLINGS.get(unit, unit))
+    except (pint.errors.PintError, ValueError, TypeError, AttributeError):
+        return None
+
+
+@cache
+def factor_to(unit_text: str, quantity: Quantity) -> float:
+    """The factor that turns a value in a printed unit into s, mm, N or mm/s.
+
+    Parameters
+    ----------
+    unit_text : str
+        As printed, brackets allowed: ``"(sec)"``, ``"kN"``, ``"[µm]"``, ``"mm/min"``.
+    quantity : {"time", "displacement", "force", "speed"}
+
+    Returns
+    -------
+    float
+        Multiply by this.
+
+    Raises
+    ------
+    ValueError
+        Unknown unit, or a unit of something else; the message names it and what would do.
+    """
+    if quantity not in get_args(Quantity):
+        msg = f"unknown quantity {quantity!r}, one of {', '.join(get_args(Quantity))}"
+        raise ValueError(msg)
+    unit = bare_unit(unit_text)
+    internal = INTERNAL_UNITS[quantity]
+    if unit == internal:
+        return 1.0
+    parsed = _parsed(unit)
+    if parsed is None:
+        msg = f"unknown unit {unit!r} of {quantity}: write a unit such as {_examples(quantity)}"
+        raise ValueError(msg)
+    if parsed.dimensionality != _registry().parse_units(internal).dimensionality:
+        msg = f"unit {unit!r} does not measure {quantity}: write a unit such as {_examples(quantity)}"
+        raise ValueError(msg)
+    # through base units, so that 1 kN is 1000 N and not 999.9999999999999
+    return float(_registry().Quantity(1, parsed).to(internal).magnitude)
+
+
+@cache
+def quantity_of(unit_text: str) -> Quantity | Literal["other"] | None:
+    """What a printed unit measures; ``"other"`` for a known unit of anything else, ``None`` if unknown."""
+    unit = bare_unit(unit_text)
+    for quantity, internal in INTERNAL_UNITS.items():
+        if unit == internal:
+            return quantity
+    parsed = _parsed(unit)
+    if parsed is None:
+        return None
+    for quantity, internal in INTERNAL_UNITS.items():
+        if parsed.dimensionality == _registry().parse_units(internal).dimensionality:
+            return quantity
+    return "other"
+
+
+def _examples(quantity: Quantity) -> str:
+    return {
+        "time": "s, ms, min",
+        "displacement": "mm, um, m, in",
+        "force": "N, kN, mN, kgf, gf, lbf",
+        "speed": "mm/s, mm/min",
+    }[quantity]
