@@ -27,6 +27,8 @@ STATIC_PARAMETERS = 3
 NUISANCES = 2
 #: Outer Gauss-Newton rounds; three to six are usual.
 MAX_ROUNDS = 60
+#: Ridge, relative to the scaled diagonal, for directions the data do not determine.
+RIDGE = 1e-13
 #: Relative fall of the objective that counts as none.
 CONVERGED = 1e-14
 
@@ -270,7 +272,6 @@ def solve(
     return value, theta, gamma, delta, generators, weights
 
 
-@nb.njit(cache=True, nogil=True)
 def marginal_terms(
     q: FloatArray,
     theta: FloatArray,
@@ -299,26 +300,15 @@ def marginal_terms(
     ndarray, shape (k,)
     """
     logs = q.shape[0]
-    p = theta.size
-    out = np.zeros(gain_sd.size)
+    out = np.empty(gain_sd.size)
     weight_offset = sigma2 / offset_sd**2
-    for index in range(gain_sd.size):
-        weight = sigma2 / gain_sd[index] ** 2
-        h, b, c, _, log_det = assemble(
-            q, theta, gamma, delta, weight, weight_offset, scale, degree, branches, PARTIAL
-        )
-        v = p + branches
-        unit = np.zeros(v)
-        for k in range(v):
-            unit[k] = 1.0 / np.sqrt(max(h[k, k], 1e-300))
-        scaled = np.zeros((v, v))
-        for k in range(v):
-            for j in range(v):
-                scaled[k, j] = h[k, j] * unit[k] * unit[j]
-            scaled[k, k] += 1e-13
+    for index, spread in enumerate(gain_sd):
+        weight = sigma2 / spread**2
+        h, b, c, _, log_det = assemble(q, theta, gamma, delta, weight, weight_offset, scale, degree, branches)
+        unit = 1.0 / np.sqrt(np.maximum(np.diag(h), 1e-300))
+        scaled = h * unit[:, None] * unit + RIDGE * np.eye(unit.size)
         solution = np.linalg.solve(scaled, b * unit) * unit
-        # the passive optimum may lie on a bound; theta itself is then the better point
-        free = c - 2.0 * b @ solution + solution @ (h @ solution)
-        out[index] = free / sigma2 + log_det - logs * np.log(weight) - np.log(weight_offset).sum()
+        least = c - 2.0 * b @ solution + solution @ (h @ solution)
+        out[index] = least / sigma2 + log_det - logs * np.log(weight) - np.log(weight_offset).sum()
         out[index] += np.linalg.slogdet(scaled)[1] - 2.0 * np.log(unit).sum()
     return out

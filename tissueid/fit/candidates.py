@@ -1,0 +1,238 @@
+"""One specimen's sums, the candidate models for them, and the fit of one candidate.
+
+For ``partial`` pooling the noise variance and the spread of the gains are part of the fit: they
+maximise the restricted marginal likelihood, alternating with the search over relaxation times.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.fit.search import global_minimum, polish
+from tissueid.likelihood import partial
+from tissueid.likelihood.basis import TAU_ABOVE_LENGTH, TAU_BELOW_STEP, KernelBasis
+from tissueid.likelihood.objective import (
+    Evaluation,
+    PartialObjective,
+    PooledObjective,
+    per_log_gram,
+    shared_gram,
+)
+
+__all__ = ["Candidate", "Noise", "Solution", "SpecimenSums", "fit_candidate", "objective_for"]
+
+FloatArray = NDArray[np.float64]
+
+POOLINGS = ("partial", "shared", "per-log")
+#: Spread of the log gain that is tried: from none to a factor of e.
+GAIN_SD = np.geomspace(1e-4, 1.0, 41)
+START_GAIN_SD = 0.1
+VARIANCE_ROUNDS = 6
+#: Change of the gain's spread, relative, that counts as none.
+VARIANCE_SETTLED = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A model that could describe a specimen.
+
+    Attributes
+    ----------
+    branches : int
+    degree : int
+        Of K(x).
+    pooling : str
+        ``partial``, ``shared`` or ``per-log``.
+    """
+
+    branches: int
+    degree: int
+    pooling: str
+
+    @property
+    def n_parameters(self) -> int:
+        """Shared parameters: static, stiffness, relaxation times."""
+        return 3 + self.branches * (self.degree + 2)
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Noise variance [N^2] and spread of the log gain."""
+
+    sigma2: float
+    gain_sd: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SpecimenSums:
+    """Gram matrices of one specimen.
+
+    Attributes
+    ----------
+    gram : ndarray, shape (units, m, m)
+        One a log; for a specimen with one log, one a held-out group of its samples.
+    count : ndarray of int, shape (units,)
+        Samples in each.
+    offset_sd_mm : ndarray, shape (units,)
+        Standard deviation of each contact point.
+    basis : KernelBasis
+    columns_degree : int
+    depth_mm : float
+        Largest fitted depth.
+    step_s, duration_s : float
+        Finest sampling interval and longest log [s]: relaxation times are sought in
+        [step / 5, 10 duration].
+    single : bool
+        True where the units are parts of one log.
+    """
+
+    gram: FloatArray
+    count: NDArray[np.int64]
+    offset_sd_mm: FloatArray
+    basis: KernelBasis
+    columns_degree: int
+    depth_mm: float
+    step_s: float
+    duration_s: float
+    single: bool
+
+    @property
+    def n(self) -> int:
+        """Samples in the likelihood."""
+        return int(self.count.sum())
+
+    @property
+    def log_tau_bounds(self) -> tuple[float, float]:
+        """Range of ln(tau / s)."""
+        return float(np.log(self.step_s / TAU_BELOW_STEP)), float(np.log(self.duration_s * TAU_ABOVE_LENGTH))
+
+    def without(self, unit: int) -> SpecimenSums:
+        """The same specimen with one unit held out."""
+        keep = np.arange(self.gram.shape[0]) != unit
+        return replace(
+            self, gram=self.gram[keep], count=self.count[keep], offset_sd_mm=self.offset_sd_mm[keep]
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """The fit of one candidate.
+
+    Attributes
+    ----------
+    candidate : Candidate
+    evaluation : Evaluation
+    noise : Noise
+    objective : PooledObjective or PartialObjective
+        With the final weights of the random effects.
+    """
+
+    candidate: Candidate
+    evaluation: Evaluation
+    noise: Noise
+    objective: PooledObjective | PartialObjective
+
+
+def objective_for(
+    sums: SpecimenSums, candidate: Candidate, noise: Noise
+) -> PooledObjective | PartialObjective:
+    """What is minimised for a candidate with given variances."""
+    if candidate.pooling == "partial":
+        return PartialObjective(
+            gram=sums.gram,
+            basis=sums.basis,
+            scale=sums.depth_mm,
+            branches=candidate.branches,
+            degree=candidate.degree,
+            columns_degree=sums.columns_degree,
+            weight_gain=noise.sigma2 / noise.gain_sd**2,
+            weight_offset=noise.sigma2 / sums.offset_sd_mm**2,
+        )
+    shared = candidate.pooling == "shared"
+    gram = sums.gram.sum(axis=0, keepdims=True) if sums.single else sums.gram
+    return PooledObjective(
+        gram=shared_gram(gram) if shared else per_log_gram(gram),
+        basis=sums.basis,
+        scale=sums.depth_mm,
+        branches=candidate.branches,
+        degree=candidate.degree,
+        columns_degree=sums.columns_degree,
+        static=shared,
+    )
+
+
+def _variance(sums: SpecimenSums, candidate: Candidate, value: float) -> float:
+    """Noise variance: the (penalised) sum of squares over its degrees of freedom."""
+    used = candidate.n_parameters
+    if candidate.pooling == "per-log":
+        used += 4 * sums.gram.shape[0] - 3
+    return max(value / max(sums.n - used, 1), 1e-300)
+
+
+def _spread_of_gain(objective: PartialObjective, found: Evaluation, sigma2: float, offset_sd: FloatArray) -> float:
+    """The gain's standard deviation of highest restricted marginal likelihood."""
+    terms = partial.marginal_terms(
+        objective.reduced(found.log_tau),
+        found.theta,
+        found.gamma,
+        found.delta,
+        sigma2,
+        GAIN_SD,
+        offset_sd,
+        objective.scale,
+        objective.degree,
+        objective.branches,
+    )
+    best = int(np.argmin(terms))
+    if 0 < best < GAIN_SD.size - 1:
+        left, here, right = terms[best - 1 : best + 2]
+        bend = left - 2.0 * here + right
+        shift = 0.5 * (left - right) / bend if bend > 0.0 else 0.0
+        return float(GAIN_SD[best] * (GAIN_SD[1] / GAIN_SD[0]) ** np.clip(shift, -0.5, 0.5))
+    return float(GAIN_SD[best])
+
+
+def fit_candidate(
+    sums: SpecimenSums, candidate: Candidate, *, seeds: list[FloatArray] | None = None
+) -> Solution:
+    """The best passive fit of one candidate.
+
+    Parameters
+    ----------
+    sums : SpecimenSums
+    candidate : Candidate
+    seeds : list of ndarray, optional
+        ln tau of solutions with as many branches, or one fewer.
+
+    Returns
+    -------
+    Solution
+    """
+    bounds = sums.log_tau_bounds
+    seeds = seeds or []
+    if candidate.pooling != "partial":
+        noise = Noise(sigma2=1.0, gain_sd=START_GAIN_SD)
+        objective = objective_for(sums, candidate, noise)
+        found = global_minimum(objective, bounds, seeds=seeds)
+        noise = replace(noise, sigma2=_variance(sums, candidate, found.value))
+        return Solution(candidate=candidate, evaluation=found, noise=noise, objective=objective)
+    robust = fit_candidate(sums, replace(candidate, pooling="per-log"), seeds=seeds)
+    noise = robust.noise
+    start = robust.evaluation.log_tau
+    found = objective_for(sums, candidate, noise).evaluate(start)
+    for _ in range(VARIANCE_ROUNDS):
+        objective = objective_for(sums, candidate, noise)
+        found = polish(objective, found.log_tau, bounds, warm=found)
+        sigma2 = _variance(sums, candidate, found.value)
+        gain_sd = _spread_of_gain(objective, found, sigma2, sums.offset_sd_mm)  # type: ignore[arg-type]
+        settled = abs(np.log(gain_sd / noise.gain_sd)) < VARIANCE_SETTLED
+        noise = Noise(sigma2=sigma2, gain_sd=gain_sd)
+        if settled:
+            break
+    objective = objective_for(sums, candidate, noise)
+    shared = objective_for(sums, replace(candidate, pooling="shared"), noise)
+    found = global_minimum(objective, bounds, scan=shared, seeds=[*seeds, start, found.log_tau])
+    return Solution(candidate=candidate, evaluation=found, noise=noise, objective=objective)

@@ -1,0 +1,201 @@
+"""Global search over relaxation times, no starting values needed.
+
+The objective is smooth in ln tau on the scale of one (a property of exponentials, whatever the data),
+so a scan at the basis nodes cannot step over a minimum.  The best minima of the scan are polished by
+L-BFGS with the exact gradient and finished by Gauss-Newton steps.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from tissueid.likelihood.cone import support_directions
+from tissueid.likelihood.objective import Evaluation, Objective
+
+__all__ = ["global_minimum", "polish", "step_in_log_tau", "unbounded_covariance"]
+
+FloatArray = NDArray[np.float64]
+
+#: Spacing of the scan in ln tau, for one branch and for pairs and triples.
+SCAN_SINGLE = 0.25
+SCAN_SEVERAL = 0.6
+#: Minima of a scan that are polished.
+POLISHED = 3
+#: Two branches of one specimen closer than this in ln tau describe one relaxation.
+MIN_SEPARATION = 0.3
+FINISHING_STEPS = 8
+FINISHED = 1e-11
+#: Relative rounding error of an objective from Gram matrices.
+VALUE_ROUNDING = 1e-10
+
+
+def _grid(bounds: tuple[float, float], spacing: float) -> FloatArray:
+    n = max(int(np.ceil((bounds[1] - bounds[0]) / spacing)), 4)
+    return np.linspace(bounds[0], bounds[1], n + 1)
+
+
+def _local_minima(values: FloatArray, count: int) -> list[int]:
+    padded = np.concatenate([[np.inf], values, [np.inf]])
+    minima = np.flatnonzero((padded[1:-1] <= padded[:-2]) & (padded[1:-1] <= padded[2:]))
+    return [int(i) for i in minima[np.argsort(values[minima], kind="stable")][:count]]
+
+
+def _scan_single(objective: Objective, bounds: tuple[float, float]) -> list[FloatArray]:
+    grid = _grid(bounds, SCAN_SINGLE)
+    warm: Evaluation | None = None
+    values = np.empty(grid.size)
+    for i, point in enumerate(grid):
+        warm = objective.evaluate(np.array([point]), warm)
+        values[i] = warm.value
+    return [grid[i : i + 1] for i in _local_minima(values, POLISHED)]
+
+
+def _scan_several(objective: Objective, bounds: tuple[float, float], seeds: list[FloatArray]) -> list[FloatArray]:
+    grid = _grid(bounds, SCAN_SEVERAL)
+    if objective.branches == 2:  # noqa: PLR2004
+        points = [np.array(pair) for pair in combinations(grid, 2)]
+    else:
+        points = [
+            np.sort(np.append(seed, extra))
+            for seed in seeds
+            for extra in grid
+            if np.abs(seed - extra).min() > MIN_SEPARATION
+        ]
+    values = np.array([objective.evaluate(point).value for point in points])
+    chosen: list[FloatArray] = []
+    for i in np.argsort(values, kind="stable"):
+        if all(np.abs(points[i] - other).max() > 2 * SCAN_SEVERAL for other in chosen):
+            chosen.append(points[i])
+        if len(chosen) == POLISHED:
+            break
+    return chosen
+
+
+def unbounded_covariance(evaluation: Evaluation, blocks: NDArray[np.int64]) -> tuple[FloatArray, bool]:
+    """Inverse Gauss-Newton curvature of (theta, ln tau) within the passive set.
+
+    Returns
+    -------
+    inverse : ndarray, shape (p + branches, p + branches)
+        Multiply by the noise variance for a covariance; zero across an active bound.
+    bounded : bool
+        True where a passivity bound is active.
+    """
+    directions, bounded = support_directions(evaluation.generators, evaluation.weights, blocks)
+    p = evaluation.theta.size
+    branches = evaluation.log_tau.size
+    frame = np.zeros((p + branches, directions.shape[1] + branches))
+    frame[:p, : directions.shape[1]] = directions
+    frame[p:, directions.shape[1] :] = np.eye(branches)
+    inner = frame.T @ evaluation.curvature @ frame
+    diagonal = np.diag(inner)
+    used = diagonal > 0.0
+    unit = np.where(used, 1.0 / np.sqrt(np.where(used, diagonal, 1.0)), 0.0)
+    scaled = inner * unit[:, None] * unit
+    inverse = np.linalg.pinv(scaled, rcond=1e-13, hermitian=True) * unit[:, None] * unit
+    inverse[~used, ~used] = np.inf
+    keep = np.where(np.isfinite(inverse), inverse, 0.0)
+    result = frame @ keep @ frame.T
+    for i in np.flatnonzero(~used[directions.shape[1] :]):
+        result[p + i, p + i] = np.inf
+    return result, bounded
+
+
+def step_in_log_tau(evaluation: Evaluation, blocks: NDArray[np.int64]) -> FloatArray:
+    """Gauss-Newton step in ln tau, theta and random effects following; shape (branches,)."""
+    inverse, _ = unbounded_covariance(evaluation, blocks)
+    p = evaluation.theta.size
+    block = inverse[p:, p:]
+    if not np.isfinite(block).all():
+        return np.zeros(evaluation.log_tau.size)
+    return np.asarray(-0.5 * block @ evaluation.gradient)
+
+
+def polish(
+    objective: Objective, start: FloatArray, bounds: tuple[float, float], *, warm: Evaluation | None = None
+) -> Evaluation:
+    """The local minimum that a start leads to.
+
+    Parameters
+    ----------
+    objective : Objective
+    start : ndarray, shape (branches,)
+        ln tau.
+    bounds : tuple of float
+        Range of ln tau.
+    """
+    best = objective.evaluate(start, warm)
+    unit = max(best.value, 1e-300)
+    state = {"last": best}
+
+    def value_and_slope(log_tau: FloatArray) -> tuple[float, FloatArray]:
+        evaluation = objective.evaluate(log_tau, state["last"])
+        state["last"] = evaluation
+        return np.log(max(evaluation.value, 1e-300) / unit), evaluation.gradient / max(evaluation.value, 1e-300)
+
+    found = minimize(
+        value_and_slope,
+        start,
+        jac=True,
+        method="L-BFGS-B",
+        bounds=[bounds] * start.size,
+        options={"ftol": 1e-13, "gtol": 1e-10, "maxiter": 60},
+    )
+    last = objective.evaluate(np.clip(found.x, *bounds), state["last"])
+    best = last if last.value <= best.value else best
+    # the value's own rounding hides the last digits of ln tau; the gradient does not
+    for _ in range(FINISHING_STEPS):
+        step = np.clip(step_in_log_tau(best, objective.blocks), -0.5, 0.5)
+        if np.abs(step).max(initial=0.0) < FINISHED:
+            break
+        trial = objective.evaluate(np.clip(best.log_tau + step, *bounds), best)
+        flatter = np.abs(trial.gradient).max() < np.abs(best.gradient).max()
+        if trial.value > best.value * (1.0 + VALUE_ROUNDING) or not flatter:
+            break
+        best = trial
+    return best
+
+
+def global_minimum(
+    objective: Objective,
+    bounds: tuple[float, float],
+    *,
+    scan: Objective | None = None,
+    seeds: list[FloatArray] | None = None,
+) -> Evaluation:
+    """The best passive fit over all relaxation times in the bounds.
+
+    Parameters
+    ----------
+    objective : Objective
+        What is minimised.
+    bounds : tuple of float
+        Range of ln tau.
+    scan : Objective, optional
+        A cheaper objective to scan with where there are two or three branches.
+    seeds : list of ndarray, optional
+        For three branches: good pairs. For any: further starts of the right length.
+
+    Returns
+    -------
+    Evaluation
+    """
+    seeds = seeds or []
+    if objective.branches == 0:
+        return objective.evaluate(np.zeros(0))
+    if objective.branches == 1:
+        starts = _scan_single(objective, bounds)
+    else:
+        pairs = [seed for seed in seeds if seed.size == objective.branches - 1]
+        starts = _scan_several(scan or objective, bounds, pairs)
+    starts += [seed for seed in seeds if seed.size == objective.branches]
+    results = [polish(objective, start, bounds) for start in starts]
+    best = min(results, key=lambda one: one.value)
+    order = np.argsort(best.log_tau, kind="stable")
+    if (order == np.arange(order.size)).all():
+        return best
+    return objective.evaluate(best.log_tau[order])

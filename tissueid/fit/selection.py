@@ -1,0 +1,204 @@
+"""How many branches, and of what degree K is: chosen by what a model predicts, not by how it fits.
+
+Every candidate predicts each log from the others (leave one log out); a specimen with one log is cut
+into interleaved stretches of its ramp and hold instead.  The score is the log predictive density
+under white noise, the random effects of the held-out log integrated out.  Scores of neighbouring
+candidates differ by less than they scatter, so the simplest candidate within one standard error of
+the best is taken.  A better NRMSD never decides: it always prefers the larger model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.fit.candidates import Candidate, Noise, Solution, SpecimenSums, fit_candidate, objective_for
+from tissueid.fit.search import step_in_log_tau
+from tissueid.likelihood import partial
+from tissueid.likelihood.objective import Evaluation, PartialObjective
+from tissueid.likelihood.sums import N_STATIC, reduction
+
+__all__ = ["Choice", "choose", "held_out_scores"]
+
+FloatArray = NDArray[np.float64]
+
+#: Gauss-Newton rounds for the random effects of a held-out log.
+EFFECT_ROUNDS = 12
+#: Difference of log predictive density that decides nothing, however small its scatter.
+NEGLIGIBLE = 2.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Choice:
+    """A chosen candidate and the table it was chosen from.
+
+    Attributes
+    ----------
+    solution : Solution
+    table : tuple of dict
+        One row a candidate: branches, stiffness_degree, score, stderr, chosen.
+    """
+
+    solution: Solution
+    table: tuple[dict[str, float | int | bool | None], ...]
+
+
+def _held_out_partial(
+    q: FloatArray, theta: FloatArray, objective: PartialObjective, noise: Noise, offset_sd: float
+) -> tuple[float, float]:
+    """Penalised residual of one held-out log and ln det of what integrating its effects costs."""
+    gamma, delta = 0.0, 0.0
+    m = q.shape[0] - 1
+    prior = np.array([noise.sigma2 / noise.gain_sd**2, noise.sigma2 / offset_sd**2])
+    value, curvature = np.inf, np.eye(2)
+    for _ in range(EFFECT_ROUNDS):
+        matrix, shifted = partial.coefficients(
+            gamma, delta, objective.scale, objective.degree, objective.branches
+        )
+        beta = matrix @ theta
+        moves = np.column_stack([beta, shifted @ theta])
+        error = q[:m, -1] - q[:m, :m] @ beta
+        effects = np.array([gamma, delta])
+        new = float(q[-1, -1] - beta @ q[:m, -1] - beta @ error + prior @ effects**2)
+        curvature = moves.T @ q[:m, :m] @ moves + np.diag(prior)
+        if not new < value * (1 - 1e-12):
+            value = min(new, value)
+            break
+        value = new
+        gamma, delta = effects + np.linalg.solve(curvature, moves.T @ error - prior * effects)
+    return value, float(np.linalg.slogdet(curvature)[1] - np.log(prior).sum())
+
+
+def _held_out_pooled(q: FloatArray, evaluation: Evaluation, scale: float, degree: int) -> float:
+    """Residual sum of squares of one held-out unit under one shared static curve."""
+    branches = evaluation.log_tau.size
+    powers = np.concatenate(
+        [scale ** -np.arange(1.0, N_STATIC), np.tile(scale ** -np.arange(degree + 1.0), branches)]
+    )
+    beta = np.concatenate([[0.0], evaluation.theta * powers])
+    return float(q[-1, -1] - 2.0 * beta @ q[:-1, -1] + beta @ q[:-1, :-1] @ beta)
+
+
+def held_out_scores(sums: SpecimenSums, solution: Solution) -> FloatArray:
+    """Log predictive density of every unit, predicted from the others; shape (units,).
+
+    The relaxation times of the remaining units follow by one Gauss-Newton step from those of all; the
+    linear parameters and random effects are solved anew.
+    """
+    candidate, noise = solution.candidate, solution.noise
+    low, high = sums.log_tau_bounds
+    scores = np.empty(sums.gram.shape[0])
+    for unit in range(scores.size):
+        rest = sums.without(unit)
+        objective = objective_for(rest, candidate, noise)
+        warm = solution.evaluation
+        if warm.gamma.size:
+            keep = np.arange(warm.gamma.size) != unit
+            warm = replace(warm, gamma=warm.gamma[keep], delta=warm.delta[keep])
+        there = objective.evaluate(warm.log_tau, warm)
+        step = np.clip(step_in_log_tau(there, objective.blocks), -1.0, 1.0)
+        moved = objective.evaluate(np.clip(there.log_tau + step, low, high), there)
+        there = moved if moved.value < there.value else there
+        weights = reduction(
+            sums.basis, there.log_tau, degree=candidate.degree, columns_degree=sums.columns_degree
+        )
+        used = N_STATIC + candidate.branches * (candidate.degree + 1)
+        columns = np.concatenate([weights[:, :used], weights[:, -1:]], axis=1)
+        q = columns.T @ sums.gram[unit] @ columns
+        cost = 0.0
+        if isinstance(objective, PartialObjective):
+            value, cost = _held_out_partial(q, there.theta, objective, noise, float(sums.offset_sd_mm[unit]))
+        else:
+            value = _held_out_pooled(q, there, sums.depth_mm, candidate.degree)
+        count = float(sums.count[unit])
+        scores[unit] = -0.5 * (count * np.log(2 * np.pi * noise.sigma2) + value / noise.sigma2 + cost)
+    return scores
+
+
+def _table(
+    solutions: list[Solution], scores: list[FloatArray], chosen: int
+) -> tuple[dict[str, float | int | bool | None], ...]:
+    best = int(np.argmax([one.sum() for one in scores]))
+    rows: list[dict[str, float | int | bool | None]] = []
+    for i, (solution, score) in enumerate(zip(solutions, scores, strict=True)):
+        difference = score - scores[best]
+        rows.append(
+            {
+                "branches": solution.candidate.branches,
+                "stiffness_degree": solution.candidate.degree,
+                "score": float(difference.sum()),
+                "stderr": float(difference.std(ddof=1) * np.sqrt(difference.size)),
+                "chosen": i == chosen,
+            }
+        )
+    return tuple(rows)
+
+
+def _as_good(simple: FloatArray, other: FloatArray) -> bool:
+    """True where ``other`` predicts no better than chance would have it."""
+    difference = other - simple
+    scatter = float(difference.std(ddof=1) * np.sqrt(difference.size))
+    return float(difference.sum()) <= max(scatter, NEGLIGIBLE)
+
+
+def _judged(sums: SpecimenSums, solution: Solution) -> Solution:
+    """What predicts a held-out log: under per-log pooling it has no static curve, a shared one does."""
+    if solution.candidate.pooling != "per-log":
+        return solution
+    shared = replace(solution.candidate, pooling="shared")
+    return fit_candidate(sums, shared, seeds=[solution.evaluation.log_tau])
+
+
+def choose(
+    sums: SpecimenSums,
+    *,
+    branches: tuple[int, ...],
+    degrees: tuple[int, ...],
+    pooling: str,
+    progress: Callable[[str], None] | None = None,
+) -> Choice:
+    """Fit every candidate and take the simplest that predicts about as well as the best.
+
+    Parameters
+    ----------
+    sums : SpecimenSums
+        With at least two units where there is more than one candidate.
+    branches, degrees : tuple of int
+        What to try; one value each means there is nothing to choose.
+    pooling : str
+        ``partial``, ``shared`` or ``per-log``.
+    progress : callable, optional
+        Told the name of each candidate before it is fitted.
+
+    Returns
+    -------
+    Choice
+    """
+    solutions: list[Solution] = []
+    scores: list[FloatArray] = []
+    only = len(branches) * len(degrees) == 1
+    for degree in degrees:
+        seeds: list[FloatArray] = []
+        previous: FloatArray | None = None
+        for count in branches:
+            if progress is not None:
+                progress(f"{count} branch{'es' if count > 1 else ''}, K of degree {degree}")
+            candidate = Candidate(branches=count, degree=degree, pooling=pooling)
+            solution = fit_candidate(sums, candidate, seeds=seeds)
+            if only:
+                return Choice(solution=solution, table=())
+            seeds = [solution.evaluation.log_tau]
+            score = held_out_scores(sums, _judged(sums, solution))
+            solutions.append(solution)
+            scores.append(score)
+            if previous is not None and _as_good(previous, score):
+                # one branch more did not predict better; two more will not either
+                break
+            previous = score
+    best = int(np.argmax([one.sum() for one in scores]))
+    order = sorted(range(len(solutions)), key=lambda i: (solutions[i].candidate.n_parameters, i))
+    chosen = next(i for i in order if _as_good(scores[i], scores[best]))
+    return Choice(solution=solutions[chosen], table=_table(solutions, scores, chosen))

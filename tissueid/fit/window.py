@@ -1,0 +1,178 @@
+"""Which samples of a trial are fitted, in the contact frame.
+
+From contact to the end of the last ramp or hold before the tool first turns back.  Near a contact
+point that was estimated within the record, samples shallower than three of its standard deviations
+carry the error of the branch state's start and stay out of the likelihood (model.md 2b); the state is
+integrated through them.  A record that starts in contact starts at rest, and loses nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.likelihood.sums import LogData
+from tissueid.trial import Phase, Segmentation, Trial, contact_frame
+
+__all__ = ["FittedLog", "assign_folds", "fitted_log"]
+
+FloatArray = NDArray[np.float64]
+
+#: Contact standard deviations below contact that stay out of the likelihood.
+GUARD_SD = 3.0
+#: Fewest samples that are worth a fit.
+MIN_SAMPLES = 12
+#: Held-out groups of a specimen with one log, and stretches a phase is cut into for them.
+FOLDS = 6
+STRETCHES = 24
+UNLOADING = ("retract",)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedLog:
+    """The fitted part of a trial and what the fit needs to know about it.
+
+    Attributes
+    ----------
+    data : LogData
+    first : int
+        Trial sample of the first row of ``data`` that was recorded (a contact inserted between two
+        samples comes before it).
+    inserted : bool
+        True where ``data`` begins with a contact point between two samples.
+    contact_sd_mm : float
+    depth_mm : float
+        Largest fitted depth.
+    step_s : float
+        Median sampling interval [s].
+    speeds_mm_s : tuple of float
+        Loading speeds of its ramps.
+    has_hold : bool
+    """
+
+    data: LogData
+    first: int
+    inserted: bool
+    contact_sd_mm: float
+    depth_mm: float
+    step_s: float
+    speeds_mm_s: tuple[float, ...]
+    has_hold: bool
+
+    @property
+    def duration_s(self) -> float:
+        """From contact to the last fitted sample [s]."""
+        return float(self.data.time_s[-1] - self.data.time_s[0])
+
+
+def _last_sample(segmentation: Segmentation, depth: FloatArray, first: int) -> int:
+    """One past the last sample before the tool first turns back."""
+    stop = depth.size
+    last = first
+    for phase in segmentation.phases:
+        if phase.stop <= first + 1:
+            continue
+        if phase.kind == "cycle":
+            peak = phase.start + int(np.argmax(depth[phase.start : phase.stop]))
+            return max(last, peak + 1)
+        if phase.kind in UNLOADING:
+            return max(last, phase.start + 1)
+        last = phase.stop
+    return min(last, stop) if last > first else stop
+
+
+def fitted_log(trial: Trial, segmentation: Segmentation) -> FittedLog | None:
+    """The fitted part of a trial, or ``None`` where there is nothing to fit.
+
+    Parameters
+    ----------
+    trial : Trial
+    segmentation : Segmentation
+    """
+    contact = segmentation.contact
+    if contact is None:
+        return None
+    depth, force = contact_frame(trial, segmentation)
+    first = contact.index
+    last = _last_sample(segmentation, depth, first)
+    time = trial.time_s[first:last]
+    x = depth[first:last]
+    f = force[first:last]
+    include = np.ones(time.size, dtype=np.bool_)
+    inserted = False
+    if contact.in_record:
+        include &= x >= GUARD_SD * contact.sd_mm
+        if 0 < first < depth.size and depth[first] > 0.0 >= depth[first - 1]:
+            share = depth[first] / (depth[first] - depth[first - 1])
+            start = trial.time_s[first] - share * (trial.time_s[first] - trial.time_s[first - 1])
+            time = np.concatenate([[start], time])
+            x = np.concatenate([[0.0], x])
+            f = np.concatenate([[0.0], f])
+            include = np.concatenate([[False], include])
+            inserted = True
+    steps = np.diff(time[1:] if inserted else time)
+    positive = steps[steps > 0.0]
+    depth_mm = float(x.max(initial=0.0))
+    if include.sum() < MIN_SAMPLES or positive.size == 0 or depth_mm <= 0.0:
+        return None
+    ramps = [phase for phase in segmentation.of_kind("ramp") if first < phase.stop <= last + 1]
+    holds = [phase for phase in segmentation.of_kind("hold") if first < phase.stop <= last + 1]
+    data = LogData(
+        time_s=np.ascontiguousarray(time),
+        depth_mm=np.ascontiguousarray(x),
+        force_N=np.ascontiguousarray(f),
+        include=include,
+        fold=np.zeros(time.size, dtype=np.int64),
+    )
+    return FittedLog(
+        data=data,
+        first=first,
+        inserted=inserted,
+        contact_sd_mm=contact.sd_mm,
+        depth_mm=depth_mm,
+        step_s=float(np.median(positive)),
+        speeds_mm_s=tuple(phase.speed_mm_s for phase in ramps) or (_mean_speed(time, x),),
+        has_hold=bool(holds),
+    )
+
+
+def _mean_speed(time_s: FloatArray, depth_mm: FloatArray) -> float:
+    peak = int(np.argmax(depth_mm))
+    span = float(time_s[peak] - time_s[0])
+    return float((depth_mm[peak] - depth_mm[0]) / span) if span > 0.0 else 0.0
+
+
+def assign_folds(log: FittedLog, holds: tuple[Phase, ...]) -> LogData:
+    """Divide the samples of a single log into interleaved held-out groups.
+
+    A ramp is cut into stretches of equal depth, a hold into stretches of equal ln(time), and the
+    stretches are dealt to the groups in turn: every group holds a part of each.
+
+    Parameters
+    ----------
+    log : FittedLog
+    holds : tuple of Phase
+
+    Returns
+    -------
+    LogData
+        The same samples with ``fold`` filled.
+    """
+    data = log.data
+    travelled = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(data.depth_mm)))])
+    progress = travelled / max(travelled[-1], 1e-300)
+    offset = log.first - int(log.inserted)
+    for hold in holds:
+        start, stop = max(hold.start - offset, 0), min(hold.stop - offset, data.time_s.size)
+        if stop - start < 2:  # noqa: PLR2004
+            continue
+        since = data.time_s[start:stop] - data.time_s[start]
+        fraction = np.log1p(since / log.step_s) / max(np.log1p(since[-1] / log.step_s), 1e-300)
+        progress[start:stop] += fraction
+        progress[stop:] += 1.0
+    fold = np.floor(progress * STRETCHES * (1 - 1e-12)).astype(np.int64) % FOLDS
+    return LogData(
+        time_s=data.time_s, depth_mm=data.depth_mm, force_N=data.force_N, include=data.include, fold=fold
+    )
