@@ -60,6 +60,11 @@ class KernelBasis:
     _q: FloatArray
     _r: FloatArray
 
+    def mean_over_step(self, tau_s: FloatArray) -> FloatArray:
+        """Mean of exp(-t / tau) over the step that the kernels are averaged over."""
+        ratio = self._step_s / np.asarray(tau_s)
+        return np.asarray(-np.expm1(-ratio) / ratio)
+
     def weights(self, log_tau: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Weights c and their derivative by ln(tau).
 

@@ -1,0 +1,269 @@
+"""Fit one specimen: sums, model choice, both optimisers, estimates, and what each trial says of it.
+
+Logs are loaded through callables, twice at the most and one at a time, so that memory does not grow
+with a study: once for their sums, once for residuals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.fit.candidates import Solution, SpecimenSums
+from tissueid.fit.estimates import TissueEstimate, estimate_tissue
+from tissueid.fit.lm import levenberg_marquardt
+from tissueid.fit.relaxation import relaxation_rows
+from tissueid.fit.search import polish, unbounded_covariance
+from tissueid.fit.selection import Choice, choose
+from tissueid.fit.trials import Adjustment, ResidualTotals, summarise_trial
+from tissueid.fit.verdict import specimen_flags
+from tissueid.fit.window import FittedLog, assign_folds, fitted_log
+from tissueid.likelihood.basis import kernel_basis
+from tissueid.likelihood.sums import N_STATIC, LogSums, log_sums, reduction
+from tissueid.model.kelvin_voigt import KEY, STATIC_DEGREE
+from tissueid.result import ModelChoice, Nrmsd, RelaxationRow, SpecimenFit, TrialFit
+from tissueid.trial import Segmentation, Trial
+
+__all__ = ["FitOptions", "LogHandle", "fit_specimen"]
+
+FloatArray = NDArray[np.float64]
+
+MAX_BRANCHES = 3
+MAX_DEGREE = 2
+#: Smallest standard deviation of a contact point, as a fraction of the depth.
+OFFSET_SD_FLOOR = 1e-5
+#: Levenberg-Marquardt starts from the optimum moved to this grid in ln tau.
+LM_START_GRID = 0.25
+#: Agreement of the two optimisers: relative sum of squares, and standard errors of ln tau.
+AGREE_VALUE = 1e-7
+AGREE_SD = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class FitOptions:
+    """What a user may ask of a fit.
+
+    Attributes
+    ----------
+    branches : int or None
+        1 to 3, or ``None`` to choose by held-out data.
+    stiffness_degree : int or None
+        0 to 2, or ``None`` to choose.
+    static : str
+        ``partial`` (default), ``shared`` or ``per-log``.
+    """
+
+    branches: int | None = None
+    stiffness_degree: int | None = None
+    static: str = "partial"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LogHandle:
+    """A trial that can be loaded again, with what is known of it.
+
+    Attributes
+    ----------
+    load : callable
+        Returns the trial.
+    segmentation : Segmentation
+    facts : FittedLog
+        Its samples may be empty; the rest is kept.
+    """
+
+    load: Callable[[], Trial]
+    segmentation: Segmentation
+    facts: FittedLog
+
+    def fitted(self) -> tuple[Trial, FittedLog]:
+        """The trial and its fitted part, loaded anew."""
+        trial = self.load()
+        log = fitted_log(trial, self.segmentation)
+        if log is None:
+            msg = f"{trial.name} changed while it was being fitted"
+            raise RuntimeError(msg)
+        return trial, log
+
+
+def _specimen_sums(handles: Sequence[LogHandle], degree: int, tick: Callable[[str], None]) -> SpecimenSums:
+    step = min(handle.facts.step_s for handle in handles)
+    duration = max(handle.facts.duration_s for handle in handles)
+    depth = max(handle.facts.depth_mm for handle in handles)
+    basis = kernel_basis(step_s=step, length_s=duration)
+    single = len(handles) == 1
+    sums: list[LogSums] = []
+    for handle in handles:
+        trial, log = handle.fitted()
+        tick(f"summing {trial.name}")
+        data = assign_folds(log, handle.segmentation.of_kind("hold")) if single else log.data
+        sums.append(log_sums(data, basis, degree=degree))
+    offset_sd = np.array([max(h.facts.contact_sd_mm, OFFSET_SD_FLOOR * depth) for h in handles])
+    gram = np.concatenate([one.gram for one in sums])
+    return SpecimenSums(
+        gram=gram,
+        count=np.concatenate([one.count for one in sums]),
+        offset_sd_mm=np.full(gram.shape[0], offset_sd[0]) if single else offset_sd,
+        basis=basis,
+        columns_degree=degree,
+        depth_mm=depth,
+        step_s=step,
+        duration_s=duration,
+        single=single,
+    )
+
+
+def _both_optimisers(sums: SpecimenSums, solution: Solution) -> tuple[Solution, dict[str, object]]:
+    """Run Levenberg-Marquardt beside the variable projection and keep the better optimum."""
+    bounds = sums.log_tau_bounds
+    found = solution.evaluation
+    rough = np.clip(np.round(found.log_tau / LM_START_GRID) * LM_START_GRID, *bounds)
+    lm = levenberg_marquardt(solution.objective, solution.objective.evaluate(rough, found), bounds)
+    if lm.value < found.value * (1.0 - AGREE_VALUE):
+        better = polish(solution.objective, np.sort(lm.log_tau), bounds, warm=found)
+        if better.value < found.value:
+            found = better
+            solution = replace(solution, evaluation=found)
+    inverse, bounded = unbounded_covariance(found, solution.objective.blocks)
+    variance = np.diag(inverse)[found.theta.size :] * solution.noise.sigma2
+    sd = np.sqrt(np.where(np.isfinite(variance), np.maximum(variance, 1e-24), 1.0))
+    difference = (lm.value - found.value) / found.value if found.value > 0.0 else 0.0
+    apart = float((np.abs(np.sort(lm.log_tau) - found.log_tau) / sd).max(initial=0.0))
+    agree = bool(abs(difference) <= AGREE_VALUE and apart <= AGREE_SD)
+    return solution, {
+        "method": "Levenberg-Marquardt (lmfit) and variable projection",
+        "lm_sum_of_squares_N2": lm.value,
+        "vp_sum_of_squares_N2": found.value,
+        "relative_difference": float(difference),
+        "lm_evaluations": lm.evaluations,
+        "lm_converged": lm.converged,
+        "agree": None if bounded and not agree else agree,
+        "bound_active": bounded,
+        "sigma_gain": solution.noise.gain_sd if solution.candidate.pooling == "partial" else None,
+    }
+
+
+def _adjustments(sums: SpecimenSums, solution: Solution, tissue: TissueEstimate, count: int) -> list[Adjustment]:
+    """Gain, offset or own static curve of every log."""
+    found = solution.evaluation
+    if solution.candidate.pooling == "partial":
+        return [
+            Adjustment(gain=float(np.exp(gamma)), contact_offset_mm=float(delta))
+            for gamma, delta in zip(found.gamma, found.delta, strict=True)
+        ]
+    if solution.candidate.pooling == "shared":
+        return [Adjustment() for _ in range(count)]
+    gram = sums.gram.sum(axis=0, keepdims=True) if sums.single else sums.gram
+    candidate = solution.candidate
+    weights = reduction(sums.basis, found.log_tau, degree=candidate.degree, columns_degree=sums.columns_degree)
+    _, stiffness, _ = tissue.model.split(tissue.theta)
+    used = N_STATIC + stiffness.size
+    out = []
+    for one in gram:
+        q = weights.T @ one @ weights
+        rest = q[:N_STATIC, -1] - q[:N_STATIC, N_STATIC:used] @ stiffness.ravel()
+        unit = 1.0 / np.sqrt(np.maximum(np.diag(q)[:N_STATIC], 1e-300))
+        own = np.linalg.lstsq(q[:N_STATIC, :N_STATIC] * unit[:, None] * unit, rest * unit, rcond=1e-12)[0]
+        out.append(Adjustment(static=own * unit))
+    return out
+
+
+def _second_pass(
+    handles: Sequence[LogHandle],
+    adjustments: Sequence[Adjustment],
+    tissue: TissueEstimate,
+    tick: Callable[[str], None],
+) -> tuple[list[TrialFit], list[RelaxationRow], Nrmsd]:
+    totals = ResidualTotals()
+    trials: list[TrialFit] = []
+    rows: list[RelaxationRow] = []
+    for handle, adjustment in zip(handles, adjustments, strict=True):
+        trial, log = handle.fitted()
+        tick(f"residuals of {trial.name}")
+        trials.append(
+            summarise_trial(
+                trial, handle.segmentation, log,
+                model=tissue.model, theta=tissue.theta, adjustment=adjustment, totals=totals,
+            )  # fmt: skip
+        )
+        rows += relaxation_rows(trial, handle.segmentation)
+    rmse = float(np.sqrt(totals.squares / totals.count))
+    spread, mean = totals.high - totals.low, abs(totals.force / totals.count)
+    overall = Nrmsd(
+        range=rmse / spread if spread > 0.0 else float("inf"),
+        mean=rmse / mean if mean > 0.0 else float("inf"),
+        rmse_N=rmse,
+    )
+    return trials, rows, overall
+
+
+def _pooling(options: FitOptions, logs: int) -> str:
+    """One log has nothing to pool: its gain is the tissue's."""
+    return "shared" if logs == 1 and options.static == "partial" else options.static
+
+
+def fit_specimen(
+    specimen: str,
+    handles: Sequence[LogHandle],
+    *,
+    options: FitOptions | None = None,
+    tick: Callable[[str], None] | None = None,
+) -> SpecimenFit:
+    """Identify the contact model of one specimen from its logs.
+
+    Parameters
+    ----------
+    specimen : str
+    handles : sequence of LogHandle
+        At least one.
+    options : FitOptions, optional
+    tick : callable, optional
+        Told what is being done.
+
+    Returns
+    -------
+    SpecimenFit
+    """
+    options = options or FitOptions()
+    tick = tick or (lambda _: None)
+    branches = (options.branches,) if options.branches else tuple(range(1, MAX_BRANCHES + 1))
+    degrees = tuple(range(MAX_DEGREE + 1)) if options.stiffness_degree is None else (options.stiffness_degree,)
+    sums = _specimen_sums(handles, max(degrees), tick)
+    choice: Choice = choose(
+        sums, branches=branches, degrees=degrees, pooling=_pooling(options, len(handles)), progress=tick
+    )
+    solution, optimisers = _both_optimisers(sums, choice.solution)
+    tissue = estimate_tissue(sums, solution)
+    adjustments = _adjustments(sums, solution, tissue, len(handles))
+    trials, rows, overall = _second_pass(handles, adjustments, tissue, tick)
+    sigma = float(np.sqrt(solution.noise.sigma2))
+    facts = [handle.facts for handle in handles]
+    flags = specimen_flags(tissue, sums, facts, trials, sigma_N=sigma, optimisers=optimisers)
+    speeds = [speed for log in facts for speed in log.speeds_mm_s if speed > 0.0] or [0.0]
+    return SpecimenFit(
+        specimen=specimen,
+        model=ModelChoice(
+            key=KEY,
+            branches=solution.candidate.branches,
+            static_degree=STATIC_DEGREE,
+            stiffness_degree=solution.candidate.degree,
+            static_pooling=solution.candidate.pooling,
+        ),
+        parameters=tissue.parameters,
+        theta_names=tissue.model.parameter_names,
+        theta=tissue.theta,
+        covariance=tissue.covariance,
+        depth_mm=sums.depth_mm,
+        speeds_mm_s=(min(speeds), max(speeds)),
+        tip_radius_mm=None,
+        sigma_N=sigma,
+        n_samples=sums.n,
+        nrmsd=overall,
+        trials=tuple(trials),
+        relaxation=tuple(rows),
+        optimisers=optimisers,
+        selection=choice.table,
+        flags=flags,
+    )

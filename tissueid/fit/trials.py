@@ -1,0 +1,161 @@
+"""The second pass over a log: residual summaries and a decimated curve, after which it is not needed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.fit.metrics import lag_one_correlation, nrmsd
+from tissueid.fit.window import FittedLog
+from tissueid.flags import Flag
+from tissueid.model.base import ContactPath
+from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.result import Curve, TrialFit
+from tissueid.trial import Segmentation, Trial
+
+__all__ = ["Adjustment", "ResidualTotals", "model_force", "summarise_trial"]
+
+FloatArray = NDArray[np.float64]
+
+#: Points a kept curve has at most; the extremes of every bin are kept, so peaks and corners stay.
+CURVE_POINTS = 700
+RESIDUAL_SHARE = 0.05
+CORRELATED = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Adjustment:
+    """How a log differs from its specimen's tissue.
+
+    Attributes
+    ----------
+    gain : float
+    contact_offset_mm : float
+    static : ndarray, shape (4,) or None
+        The log's own static polynomial (constant first) where pooling is per log.
+    """
+
+    gain: float = 1.0
+    contact_offset_mm: float = 0.0
+    static: FloatArray | None = None
+
+
+@dataclass(slots=True)
+class ResidualTotals:
+    """Running totals for the NRMSD over all fitted samples of a specimen."""
+
+    squares: float = 0.0
+    force: float = 0.0
+    count: int = 0
+    low: float = np.inf
+    high: float = -np.inf
+
+    def add(self, force: FloatArray, model: FloatArray) -> None:
+        """Count one trial in."""
+        self.squares += float(((force - model) ** 2).sum())
+        self.force += float(force.sum())
+        self.count += force.size
+        self.low = min(self.low, float(force.min()))
+        self.high = max(self.high, float(force.max()))
+
+
+def model_force(model: KelvinVoigt, theta: FloatArray, log: FittedLog, adjustment: Adjustment) -> FloatArray:
+    """Force of the specimen's model along one log, with the log's own gain and offset [N]."""
+    data = log.data
+    _, _, tau = model.split(theta)
+    states = model.states(tau, ContactPath(data.time_s, data.depth_mm))
+    shifted = data.depth_mm - adjustment.contact_offset_mm
+    dynamic = (model.stiffness(theta, shifted) * states).sum(axis=0)
+    if adjustment.static is not None:
+        return np.asarray(np.polynomial.polynomial.polyval(data.depth_mm, adjustment.static) + dynamic)
+    return np.asarray(adjustment.gain * (model.static_force(theta, shifted) + dynamic))
+
+
+def _kept(force: FloatArray, depth: FloatArray) -> NDArray[np.int64]:
+    """Samples to keep: ends and the extremes of force and depth in every bin."""
+    n = force.size
+    if n <= CURVE_POINTS:
+        return np.arange(n)
+    edges = np.linspace(0, n, CURVE_POINTS // 4 + 1).astype(np.int64)
+    keep = {0, n - 1}
+    for first, last in zip(edges[:-1], edges[1:], strict=True):
+        keep |= {first, first + int(np.argmin(force[first:last])), first + int(np.argmax(force[first:last]))}
+        keep.add(first + int(np.argmax(depth[first:last])))
+    return np.array(sorted(keep))
+
+
+def summarise_trial(
+    trial: Trial,
+    segmentation: Segmentation,
+    log: FittedLog,
+    *,
+    model: KelvinVoigt,
+    theta: FloatArray,
+    adjustment: Adjustment,
+    totals: ResidualTotals,
+) -> TrialFit:
+    """Residuals of one trial under its specimen's model.
+
+    Parameters
+    ----------
+    trial, segmentation, log
+        The recording, its phases and its fitted part.
+    model, theta
+        The specimen's tissue.
+    adjustment : Adjustment
+    totals : ResidualTotals
+        Updated.
+
+    Returns
+    -------
+    TrialFit
+    """
+    data = log.data
+    fitted = model_force(model, theta, log, adjustment)
+    include = data.include
+    force, predicted = data.force_N[include], fitted[include]
+    totals.add(force, predicted)
+    residual = force - predicted
+    spread = float(np.ptp(force))
+    share = float(np.abs(residual).max()) / spread if spread > 0.0 else 0.0
+    acf = lag_one_correlation(residual)
+    flags = [*trial.flags, *segmentation.flags]
+    if share > RESIDUAL_SHARE:
+        flags.append(
+            Flag(
+                "residual_large",
+                f"the largest residual is {100 * share:.1f} % of the force range",
+                {"max_residual_fraction": share},
+            )
+        )
+    if acf > CORRELATED:
+        flags.append(
+            Flag(
+                "residual_correlated",
+                f"neighbouring residuals are correlated ({acf:.2f}): standard errors for white noise are too small",
+                {"residual_acf1": acf},
+            )
+        )
+    keep = _kept(data.force_N, data.depth_mm)
+    return TrialFit(
+        path=trial.source.path,
+        sheet=trial.source.sheet,
+        nrmsd=nrmsd(force, predicted),
+        max_residual_fraction=share,
+        residual_acf1=acf,
+        gain=adjustment.gain,
+        contact_offset_mm=adjustment.contact_offset_mm,
+        speed_mm_s=max(log.speeds_mm_s),
+        depth_mm=log.depth_mm,
+        n_samples=int(include.sum()),
+        curve=Curve(
+            time_s=data.time_s[keep] - data.time_s[0],
+            depth_mm=data.depth_mm[keep],
+            force_N=data.force_N[keep],
+            model_N=fitted[keep],
+            fitted=include[keep],
+        ),
+        flags=tuple(flags),
+    )

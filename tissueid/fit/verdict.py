@@ -1,0 +1,147 @@
+"""Flags of a fitted specimen: what its numbers can't carry, each with the number that says so.
+
+Only two rules make a parameter "not identified" (a profile interval wider than one in ln tau, or open
+at a bound; :mod:`tissueid.likelihood.identifiability`).  Everything here is a warning beside them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tissueid.fit.candidates import SpecimenSums
+from tissueid.fit.estimates import TissueEstimate
+from tissueid.fit.window import FittedLog
+from tissueid.flags import Flag
+from tissueid.result import TrialFit
+
+__all__ = ["specimen_flags"]
+
+#: Relaxation times below this are moved by unstated force filters and time skew [s].
+INSTRUMENT_TAU_S = 0.2
+CORRELATED = 0.5
+#: Ratio of speeds below which a set counts as one speed.
+ONE_SPEED = 1.2
+
+
+def _relaxation_flags(
+    tissue: TissueEstimate, sums: SpecimenSums, facts: Sequence[FittedLog], sigma_N: float
+) -> list[Flag]:
+    flags = []
+    _, _, tau = tissue.model.split(tissue.theta)
+    h = sums.step_s
+    for j, interval in enumerate(tissue.intervals):
+        value = float(tau[j])
+        if interval.open_low or interval.open_high:
+            side = "shortest" if interval.open_low else "longest"
+            flags.append(
+                Flag(
+                    "interval_open",
+                    f"the interval of relaxation time {j + 1} runs into the {side} these logs can show",
+                    {"branch": j + 1, "low_s": float(np.exp(interval.low)), "high_s": float(np.exp(interval.high))},
+                )
+            )
+        if value < 2.0 * h:
+            flags.append(
+                Flag(
+                    "tau_below_resolution",
+                    f"relaxation time {j + 1} is estimated at {value:.3g} s, less than two sampling "
+                    f"intervals of {h:.3g} s",
+                    {"branch": j + 1, "tau_s": value, "step_s": h},
+                )
+            )
+        amplitude = 0.0
+        for log in facts:
+            length = max(log.speeds_mm_s) * value
+            depth = np.array([log.depth_mm])
+            state = length * -np.expm1(-log.depth_mm / length) if length > 0.0 else 0.0
+            amplitude = max(amplitude, float(tissue.model.stiffness(tissue.theta, depth)[j, 0]) * state)
+        need = 3.0 * sigma_N * float(np.sqrt(8.0 * h / value))
+        if amplitude < need:
+            flags.append(
+                Flag(
+                    "amplitude_small",
+                    f"the force that relaxes with time {j + 1} is at most {amplitude:.3g} N; one log "
+                    f"would need {need:.3g} N to time it",
+                    {"branch": j + 1, "amplitude_N": amplitude, "needed_N": need},
+                )
+            )
+    if (tau < INSTRUMENT_TAU_S).any():
+        flags.append(
+            Flag(
+                "compliance_unknown",
+                f"a relaxation time of {float(tau.min()):.3g} s is as short as what load-cell filters, time "
+                "skew and a compliant frame imitate; none was stated, none is assumed",
+                {"tau_s": float(tau.min())},
+            )
+        )
+    return flags
+
+
+def specimen_flags(
+    tissue: TissueEstimate,
+    sums: SpecimenSums,
+    facts: Sequence[FittedLog],
+    trials: Sequence[TrialFit],
+    *,
+    sigma_N: float,
+    optimisers: dict[str, object],
+) -> tuple[Flag, ...]:
+    """Flags of a specimen.
+
+    Parameters
+    ----------
+    tissue : TissueEstimate
+    sums : SpecimenSums
+    facts : sequence of FittedLog
+        Their samples are not looked at.
+    trials : sequence of TrialFit
+    sigma_N : float
+        Noise standard deviation [N].
+    optimisers : dict
+        Outcome of Levenberg-Marquardt beside variable projection.
+    """
+    flags = []
+    missing = [one for one in tissue.parameters if not one.identified]
+    if missing:
+        names = ", ".join(one.symbol for one in missing)
+        flags.append(
+            Flag("not_identified", f"these data do not determine {names}", {"names": [one.name for one in missing]})
+        )
+    flags += _relaxation_flags(tissue, sums, facts, sigma_N)
+    speeds = [speed for log in facts for speed in log.speeds_mm_s if speed > 0.0]
+    if speeds and max(speeds) < ONE_SPEED * min(speeds) and not any(log.has_hold for log in facts):
+        flags.append(
+            Flag(
+                "single_speed",
+                f"all ramps run at about {np.mean(speeds):.3g} mm/s and there is no hold: viscosity can't be "
+                "told from static stiffness",
+                {"speed_mm_s": float(np.mean(speeds))},
+            )
+        )
+    if tissue.bounded:
+        flags.append(
+            Flag("bound_active", "F_s or K touches zero within the fitted depth: the passivity bound is active")
+        )
+    if optimisers["agree"] is False:
+        flags.append(
+            Flag(
+                "optimisers_disagree",
+                "Levenberg-Marquardt and variable projection ended apart; the lower sum of squares was kept",
+                {"relative_difference": optimisers["relative_difference"]},
+            )
+        )
+    if not optimisers["lm_converged"]:
+        flags.append(Flag("not_converged", "Levenberg-Marquardt did not converge"))
+    acf = float(np.median([trial.residual_acf1 for trial in trials]))
+    if acf > CORRELATED:
+        flags.append(
+            Flag(
+                "residual_correlated",
+                f"neighbouring residuals are correlated (median {acf:.2f}): standard errors for white noise "
+                "are too small",
+                {"residual_acf1": acf},
+            )
+        )
+    return tuple(flags)
