@@ -1,0 +1,31 @@
+"""Synthetic recordings with a known truth: the oracle of the reader, the model and the fit.
+
+Shares no code with any of them: closed forms instead of a recursion, its own writer of exports.
+"""
+
+from __future__ import annotations
+
+from tissueid.synth.bluehill import DIALECTS, Dialect, bluehill_csv
+from tissueid.synth.dataset import write_set
+from tissueid.synth.protocols import RECIPES, recipe
+from tissueid.synth.recipe import Branch, Hold, Log, Move, Recipe, dump_recipe, load_recipe
+from tissueid.synth.simulate import SyntheticLog, as_trials, simulate
+
+__all__ = [
+    "DIALECTS",
+    "RECIPES",
+    "Branch",
+    "Dialect",
+    "Hold",
+    "Log",
+    "Move",
+    "Recipe",
+    "SyntheticLog",
+    "as_trials",
+    "bluehill_csv",
+    "dump_recipe",
+    "load_recipe",
+    "recipe",
+    "simulate",
+    "write_set",
+]

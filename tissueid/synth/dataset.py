@@ -1,0 +1,117 @@
+"""A synthetic set on disk: one Bluehill CSV a log, the recipe, the truth, and the hashes of all.
+
+::
+
+    SET/recipe.toml  SET/truth.json  SET/SHA256SUMS  SET/hold-8-1.csv ...
+
+The same recipe, seed and dialect give the same bytes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import secrets
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tissueid.errors import UsageError
+from tissueid.synth.bluehill import DIALECTS, bluehill_csv
+from tissueid.synth.recipe import Recipe, dump_recipe
+from tissueid.synth.simulate import SyntheticLog, simulate
+
+__all__ = ["write_set"]
+
+#: Digits of a number in truth.json: more than any test can see, fewer than differ between machines.
+TRUTH_DIGITS = 12
+
+
+def write_set(recipe: Recipe, directory: str | Path, *, seed: int, dialect: str = "bare") -> list[Path]:
+    """Simulate a recipe and write the set.
+
+    Parameters
+    ----------
+    recipe : Recipe
+    directory : path-like
+        Created where it does not exist.
+    seed : int
+        Seed of ``numpy.random.default_rng``.
+    dialect : str
+        Key of :data:`~tissueid.synth.bluehill.DIALECTS`.
+
+    Returns
+    -------
+    list of Path
+        The files written, CSVs first.
+
+    Raises
+    ------
+    UsageError
+        If the dialect is unknown, or the directory holds files of something else, which a reader of the
+        whole directory would take for part of the set.
+    """
+    if dialect not in DIALECTS:
+        msg = f"no dialect {dialect!r}; there are {', '.join(sorted(DIALECTS))}"
+        raise UsageError(msg)
+    logs = simulate(recipe, rng=np.random.default_rng(seed))
+    contents = {
+        f"{log.name}.csv": bluehill_csv(log, dialect=DIALECTS[dialect], decimals=recipe.decimals)
+        for log in logs
+    }
+    contents["recipe.toml"] = dump_recipe(recipe).encode()
+    contents["truth.json"] = _truth(recipe, logs, seed=seed, dialect=dialect)
+    sums = [f"{hashlib.sha256(data).hexdigest()}  {name}\n" for name, data in sorted(contents.items())]
+    contents["SHA256SUMS"] = "".join(sums).encode()
+
+    directory = Path(directory)
+    directory.mkdir(parents=True, exist_ok=True)
+    foreign = sorted(entry.name for entry in directory.iterdir() if entry.name not in contents)
+    if foreign:
+        msg = f"{directory} already holds {foreign[0]!r}, not part of this set; give an empty directory"
+        raise UsageError(msg)
+    for name, data in contents.items():
+        _write_atomically(directory / name, data)
+    return [directory / name for name in contents]
+
+
+def _truth(recipe: Recipe, logs: list[SyntheticLog], *, seed: int, dialect: str) -> bytes:
+    """truth.json: the law, and what was drawn for each log."""
+    document = {
+        "synthetic": True,
+        "recipe": recipe.name,
+        "seed": seed,
+        "dialect": dialect,
+        "static_N_per_mm_powers": recipe.static,
+        "branches": [asdict(branch) for branch in recipe.branches],
+        "sigma_N": recipe.sigma_N,
+        "n_samples": sum(log.time_s.size for log in logs),
+        "logs": [
+            {"file": f"{log.name}.csv", "specimen": log.specimen, "n_samples": log.time_s.size, **log.truth}
+            for log in logs
+        ],
+    }
+    return (json.dumps(_rounded(document), indent=1, allow_nan=False) + "\n").encode()
+
+
+def _rounded(value: Any) -> Any:
+    """The document with every float cut to :data:`TRUTH_DIGITS` digits."""
+    if isinstance(value, float):
+        return float(f"{value:.{TRUTH_DIGITS}g}")
+    if isinstance(value, dict):
+        return {key: _rounded(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_rounded(item) for item in value]
+    return value
+
+
+def _write_atomically(path: Path, data: bytes) -> None:
+    """Write under a temporary name, then rename."""
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
+    try:
+        temporary.write_bytes(data)
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)

@@ -1,0 +1,83 @@
+"""The named protocols: ramps at six speeds and 30 s holds at four depths.
+
+=================== ====================================================== ============
+name                logs                                                   N at 1 kHz
+=================== ====================================================== ============
+``paper-a-30``      (6 speeds to 8 mm + holds at 2, 4, 6, 8 mm) x 3 = 30   571,614
+``paper-a-22``      6 speeds to 8 mm x 3 + holds at 2, 4, 6, 8 mm = 22     322,014
+=================== ====================================================== ============
+
+Speeds 10, 70, 100, 150, 250, 500 mm/min, holds after 250 mm/min.  ``-k1`` after the name makes the
+stiffness of the branch grow with depth, K = 63.62 N/mm + 10 N/mm2 x.  Source of depths, speeds and
+hold times: Sadeghnejad et al. (sinus tissue, 4 mm indenter); the value 63.62 and tau = 0.021 s are this
+project's reading of their Table 2, sigma and the static cubic are its own choice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from types import MappingProxyType
+
+from tissueid.errors import UsageError
+from tissueid.synth.recipe import Branch, Hold, Log, Move, Recipe
+
+__all__ = ["RECIPES", "recipe"]
+
+SPEEDS_MM_MIN = (10.0, 70.0, 100.0, 150.0, 250.0, 500.0)
+DEPTHS_MM = (2.0, 4.0, 6.0, 8.0)
+HOLD_SPEED_MM_MIN = 250.0
+HOLD_S = 30.0
+RAMP_DEPTH_MM = 8.0
+TAU_S = 0.021
+CONSTANT_STIFFNESS = (63.62,)
+GROWING_STIFFNESS = (63.62, 10.0)
+
+
+def _ramps(repeats: int) -> tuple[Log, ...]:
+    return tuple(
+        Log(f"ramp-{speed:03.0f}", (Move(RAMP_DEPTH_MM, speed),), repeats=repeats) for speed in SPEEDS_MM_MIN
+    )
+
+
+def _holds(repeats: int) -> tuple[Log, ...]:
+    return tuple(
+        Log(f"hold-{depth:.0f}", (Move(depth, HOLD_SPEED_MM_MIN), Hold(HOLD_S)), repeats=repeats)
+        for depth in DEPTHS_MM
+    )
+
+
+def _named() -> dict[str, Recipe]:
+    thirty = Recipe(
+        "paper-a-30", _ramps(3) + _holds(3), specimen="paper-a", branches=(Branch(CONSTANT_STIFFNESS, TAU_S),)
+    )
+    twenty_two = replace(thirty, name="paper-a-22", logs=_ramps(3) + _holds(1))
+    growing = (Branch(GROWING_STIFFNESS, TAU_S),)
+    recipes = [
+        thirty,
+        twenty_two,
+        replace(thirty, name="paper-a-30-k1", branches=growing),
+        replace(twenty_two, name="paper-a-22-k1", branches=growing),
+        # small enough to live in the repository
+        replace(thirty, name="paper-a-30-10Hz", rate_Hz=10.0, decimals=(3, 5, 4)),
+        replace(thirty, name="paper-a-hold-100Hz", rate_Hz=100.0, logs=_holds(1)[-1:], decimals=(3, 5, 4)),
+    ]
+    return {entry.name: entry for entry in recipes}
+
+
+#: Built-in recipes by name.
+RECIPES: Mapping[str, Recipe] = MappingProxyType(_named())
+
+
+def recipe(name: str) -> Recipe:
+    """The built-in recipe of that name.
+
+    Raises
+    ------
+    UsageError
+        If there is none; the message lists the names.
+    """
+    if name not in RECIPES:
+        msg = f"no built-in recipe {name!r}; there are {', '.join(sorted(RECIPES))}, or give a recipe.toml"
+        raise UsageError(msg)
+    return RECIPES[name]

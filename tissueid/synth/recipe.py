@@ -1,0 +1,277 @@
+"""A recipe: everything that decides a synthetic data set, except the random numbers.
+
+::
+
+    name = "ramp-and-hold"
+    rate_Hz = 100.0
+    static = [20.0, -1.2, 0.35]            # F_s = a1 x + a2 x^2 + a3 x^3  [N/mm, N/mm2, N/mm3]
+    sigma_N = 1.0
+    [[branches]]
+    stiffness = [63.62, 10.0]              # K = k0 + k1 x  [N/mm, N/mm2]
+    tau_s = 0.021
+    [[logs]]
+    name = "hold-4"
+    repeats = 3
+    moves = [{to_mm = 4.0, speed_mm_min = 250.0}, {hold_s = 30.0}]
+
+The data follow the modified Kelvin-Voigt law F = F_s(x) + sum_j K_j(x) s_j, tau_j s_j' + s_j = tau_j x'.
+This package shares no code with the reader and the contact models that are tested against it.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from tissueid.errors import InputError
+
+__all__ = ["Branch", "Hold", "Log", "Move", "Recipe", "dump_recipe", "load_recipe"]
+
+SECONDS_PER_MINUTE = 60.0
+NONNEGATIVE = (
+    "sigma_N",
+    "ar1_sigma_N",
+    "sigma_mm",
+    "cv_specimen",
+    "cv_static",
+    "cv_both",
+    "contact_offset_sd_mm",
+    "crosshead_rounding_s",
+    "force_filter_s",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Move:
+    """A constant-speed move of the crosshead to ``to_mm`` of travel at ``speed_mm_min`` (> 0)."""
+
+    to_mm: float
+    speed_mm_min: float
+
+    @property
+    def speed_mm_s(self) -> float:
+        """Speed [mm/s]."""
+        return self.speed_mm_min / SECONDS_PER_MINUTE
+
+
+@dataclass(frozen=True, slots=True)
+class Hold:
+    """The crosshead stands for ``hold_s`` seconds."""
+
+    hold_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Branch:
+    """One spring-damper branch: stiffness polynomial (k0, k1, k2) [N/mm, N/mm2, N/mm3] and tau [s]."""
+
+    stiffness: tuple[float, ...]
+    tau_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Log:
+    """One recording: what the crosshead does from travel 0, and how often it is repeated."""
+
+    name: str
+    moves: tuple[Move | Hold, ...]
+    repeats: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Recipe:
+    """A synthetic data set.
+
+    Attributes
+    ----------
+    name : str
+    logs : tuple of Log
+        The protocol; every log of one specimen, all first repeats before all second ones.
+    rate_Hz : float
+        Sampling rate.
+    static : tuple of float
+        a1, a2, a3 of the static force [N/mm, N/mm2, N/mm3].
+    branches : tuple of Branch
+    sigma_N : float
+        Standard deviation of the white force noise [N].
+    ar1_sigma_N, ar1_phi : float
+        Standard deviation [N] and lag-one correlation of a further, correlated force noise.
+    sigma_mm : float
+        Standard deviation of white noise on the logged displacement [mm].
+    specimen : str
+        Specimen label; ``-01``, ``-02``... is appended where there are several.
+    specimens : int
+        Number of specimens, each with the whole protocol.
+    cv_specimen : float
+        Coefficient of variation of a log-normal gain (median 1) of a whole specimen.
+    cv_static, cv_both : float
+        Coefficient of variation of a log-normal gain (median 1) of each log, on the static force only
+        and on static force and branches together.
+    contact_offset_sd_mm : float
+        Standard deviation of the travel at which the tool meets the tissue [mm].  Positive draws start
+        in air, negative ones preloaded: indented by as much, and relaxed, at t = 0.
+    contact_offset_mm : float
+        Mean of that travel [mm].
+    crosshead_rounding_s : float
+        Time the crosshead takes to slow down to a stop [s]; centred on the nominal corner, so that the
+        stop lies exactly at the nominal travel.  The measured displacement is what is logged.
+    force_filter_s : float
+        Time constant of a first-order low-pass in the load channel [s].
+    compression_sign : int
+        Sign of the recorded displacement and force under compression.
+    decimals : tuple of int
+        Printed decimals of time, displacement and force.
+    """
+
+    name: str
+    logs: tuple[Log, ...]
+    rate_Hz: float = 1000.0
+    static: tuple[float, ...] = (20.0, -1.2, 0.35)
+    branches: tuple[Branch, ...] = (Branch((63.62,), 0.021),)
+    sigma_N: float = 1.0
+    ar1_sigma_N: float = 0.0
+    ar1_phi: float = 0.0
+    sigma_mm: float = 0.0
+    specimen: str = "synthetic"
+    specimens: int = 1
+    cv_specimen: float = 0.0
+    cv_static: float = 0.0
+    cv_both: float = 0.0
+    contact_offset_sd_mm: float = 0.0
+    contact_offset_mm: float = 0.0
+    crosshead_rounding_s: float = 0.0
+    force_filter_s: float = 0.0
+    compression_sign: int = 1
+    decimals: tuple[int, int, int] = (5, 5, 5)
+
+    def __post_init__(self) -> None:
+        problem = _problem(self)
+        if problem is not None:
+            raise ValueError(problem)
+
+
+def _problem(recipe: Recipe) -> str | None:
+    """What is wrong with a recipe, or ``None``."""
+    for name in NONNEGATIVE:
+        if not getattr(recipe, name) >= 0.0:
+            return f"{name} is {getattr(recipe, name)}, must be >= 0"
+    checks = (
+        (recipe.rate_Hz > 0.0, f"rate_Hz is {recipe.rate_Hz}, must be > 0"),
+        (abs(recipe.ar1_phi) < 1.0, f"ar1_phi is {recipe.ar1_phi}, must lie between -1 and 1"),
+        (
+            recipe.compression_sign in (1, -1),
+            f"compression_sign is {recipe.compression_sign}, must be 1 or -1",
+        ),
+        (recipe.specimens >= 1, f"specimens is {recipe.specimens}, must be >= 1"),
+        (len(recipe.logs) >= 1, "a recipe needs at least one log"),
+        (all(b.tau_s > 0.0 for b in recipe.branches), "tau_s must be > 0 in every branch"),
+        (all(d >= 0 for d in recipe.decimals), f"decimals are {recipe.decimals}, must be >= 0"),
+    )
+    for holds, message in checks:
+        if not holds:
+            return message
+    for log in recipe.logs:
+        if log.repeats < 1 or not log.moves:
+            return f"log {log.name!r} needs at least one move and one repeat"
+        for move in log.moves:
+            amount = move.speed_mm_min if isinstance(move, Move) else move.hold_s
+            if not amount > 0.0:
+                return f"log {log.name!r}: {move} must have a speed or duration > 0"
+    return None
+
+
+def load_recipe(path: str | Path) -> Recipe:
+    """Read a recipe from a TOML file.
+
+    Parameters
+    ----------
+    path : path-like
+
+    Returns
+    -------
+    Recipe
+
+    Raises
+    ------
+    InputError
+        If the file can't be read, is not TOML, or does not describe a recipe.
+    """
+    try:
+        table = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        return _from_table(table)
+    except OSError as error:
+        message = f"can't be read ({error.strerror}); give a recipe file or a built-in name"
+        raise InputError(code="unreadable", message=message, path=str(path)) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(code="recipe", message=f"is not TOML: {error}", path=str(path)) from error
+    except (ValueError, TypeError, KeyError) as error:
+        raise InputError(code="recipe", message=f"is not a recipe: {error}", path=str(path)) from error
+
+
+def _from_table(table: Mapping[str, Any]) -> Recipe:
+    """A recipe from the tables of its TOML file."""
+    known = {field.name for field in fields(Recipe)}
+    unknown = sorted(set(table) - known)
+    if unknown:
+        msg = f"unknown key {unknown[0]!r}; known are {', '.join(sorted(known))}"
+        raise ValueError(msg)
+    values = dict(table)
+    values["logs"] = tuple(
+        Log(entry["name"], tuple(_step(move) for move in entry["moves"]), int(entry.get("repeats", 1)))
+        for entry in table["logs"]
+    )
+    if "branches" in table:
+        values["branches"] = tuple(
+            Branch(tuple(float(k) for k in entry["stiffness"]), float(entry["tau_s"]))
+            for entry in table["branches"]
+        )
+    if "static" in table:
+        values["static"] = tuple(float(a) for a in table["static"])
+    if "decimals" in table:
+        time, displacement, force = table["decimals"]
+        values["decimals"] = (int(time), int(displacement), int(force))
+    return Recipe(**values)
+
+
+def _step(table: Mapping[str, float]) -> Move | Hold:
+    """One entry of ``moves``."""
+    return Hold(**table) if "hold_s" in table else Move(**table)
+
+
+def dump_recipe(recipe: Recipe) -> str:
+    """The TOML text of a recipe; :func:`load_recipe` reads it back equal."""
+    tables = ("branches", "logs")
+    lines = [
+        f"{field.name} = {_toml(getattr(recipe, field.name))}"
+        for field in fields(Recipe)
+        if field.name not in tables
+    ]
+    if not recipe.branches:
+        lines.append("branches = []")
+    for branch in recipe.branches:
+        lines += ["", "[[branches]]", *(f"{key} = {_toml(value)}" for key, value in asdict(branch).items())]
+    for log in recipe.logs:
+        moves = ", ".join(
+            "{" + ", ".join(f"{key} = {_toml(value)}" for key, value in asdict(move).items()) + "}"
+            for move in log.moves
+        )
+        lines += [
+            "",
+            "[[logs]]",
+            f"name = {_toml(log.name)}",
+            f"repeats = {log.repeats}",
+            f"moves = [{moves}]",
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def _toml(value: Any) -> str:
+    """A scalar or a list of scalars in TOML."""
+    if isinstance(value, str):
+        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    if isinstance(value, tuple):
+        return "[" + ", ".join(_toml(item) for item in value) + "]"
+    return repr(value)

@@ -1,0 +1,179 @@
+"""Draw the logs of a recipe: scatter, tissue, load channel, noise.
+
+Two things are logged, travel and force, with the sign of the recipe.  Recorded displacement is 0 at t = 0
+whatever the contact offset; samples are taken at ``np.arange(0, T, 1/rate)``, T the length of the program.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import accumulate
+from math import log1p, sqrt
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.synth.path import Path, crosshead_path
+from tissueid.synth.recipe import Hold, Log, Move, Recipe
+from tissueid.synth.response import low_pass, oversampled, tissue_force
+from tissueid.trial import Protocol, Source, Trial, frozen_array
+
+__all__ = ["SyntheticLog", "as_trials", "simulate"]
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class SyntheticLog:
+    """One simulated recording, with what is true of it.
+
+    Attributes
+    ----------
+    name : str
+        ``<log>-<repeat>``, with the specimen before it where there are several.
+    specimen : str
+    time_s, displacement_mm, force_N : ndarray, shape (n,)
+        As recorded (signed, with noise, not rounded), read-only.
+    force_clean_N : ndarray, shape (n,)
+        Force without noise, after the load channel's filter.
+    truth : mapping
+        ``gain`` (of the static force), ``gain_stiffness`` (of the branches), ``contact_offset_mm``,
+        ``speed_mm_s`` and ``depth_mm`` of the first move, ``hold_s`` of the first hold (0 without).
+    """
+
+    name: str
+    specimen: str
+    time_s: FloatArray
+    displacement_mm: FloatArray
+    force_N: FloatArray
+    force_clean_N: FloatArray
+    truth: Mapping[str, float]
+
+    def __post_init__(self) -> None:
+        for name in ("time_s", "displacement_mm", "force_N", "force_clean_N"):
+            object.__setattr__(self, name, frozen_array(getattr(self, name)))
+        object.__setattr__(self, "truth", MappingProxyType(dict(self.truth)))
+
+
+def simulate(recipe: Recipe, *, rng: np.random.Generator) -> list[SyntheticLog]:
+    """Simulate every log of a recipe.
+
+    Parameters
+    ----------
+    recipe : Recipe
+    rng : Generator
+        Source of all scatter and noise.
+
+    Returns
+    -------
+    list of SyntheticLog
+        Specimen by specimen; all first repeats before all second ones.
+    """
+    logs = []
+    for specimen in range(1, recipe.specimens + 1):
+        label = recipe.specimen if recipe.specimens == 1 else f"{recipe.specimen}-{specimen:02d}"
+        gain = _gain(recipe.cv_specimen, rng)
+        for repeat in range(1, max(log.repeats for log in recipe.logs) + 1):
+            for log in recipe.logs:
+                if repeat <= log.repeats:
+                    name = f"{log.name}-{repeat}" if recipe.specimens == 1 else f"{label}-{log.name}-{repeat}"
+                    logs.append(_one_log(recipe, log, name=name, specimen=label, gain=gain, rng=rng))
+    return logs
+
+
+def _gain(cv: float, rng: np.random.Generator) -> float:
+    """A log-normal gain of median 1; draws nothing where there is no scatter."""
+    return float(np.exp(sqrt(log1p(cv * cv)) * rng.standard_normal())) if cv > 0.0 else 1.0
+
+
+def _one_log(
+    recipe: Recipe, log: Log, *, name: str, specimen: str, gain: float, rng: np.random.Generator
+) -> SyntheticLog:
+    both = gain * _gain(recipe.cv_both, rng)
+    truth = {
+        "gain": both * _gain(recipe.cv_static, rng),
+        "gain_stiffness": both,
+        "contact_offset_mm": recipe.contact_offset_mm,
+        **_plan(log),
+    }
+    if recipe.contact_offset_sd_mm > 0.0:
+        truth["contact_offset_mm"] += recipe.contact_offset_sd_mm * float(rng.standard_normal())
+    travel = crosshead_path(log, rounding_s=recipe.crosshead_rounding_s)
+    time_s = np.arange(0.0, travel.time_s[-1], 1.0 / recipe.rate_Hz)
+    clean = _clean_force(recipe, travel, time_s, truth)
+    displacement = travel.at(time_s)
+    if recipe.sigma_mm > 0.0:
+        displacement = displacement + recipe.sigma_mm * rng.standard_normal(time_s.size)
+    sign = float(recipe.compression_sign)
+    return SyntheticLog(
+        name=name,
+        specimen=specimen,
+        time_s=time_s,
+        displacement_mm=sign * displacement,
+        force_N=sign * (clean + _noise(recipe, time_s.size, rng)),
+        force_clean_N=sign * clean,
+        truth=truth,
+    )
+
+
+def _plan(log: Log) -> dict[str, float]:
+    """Speed and depth of the first move and length of the first hold, 0 where there is none."""
+    moves = [move for move in log.moves if isinstance(move, Move)]
+    holds = [hold for hold in log.moves if isinstance(hold, Hold)]
+    return {
+        "speed_mm_s": moves[0].speed_mm_s if moves else 0.0,
+        "depth_mm": moves[0].to_mm if moves else 0.0,
+        "hold_s": holds[0].hold_s if holds else 0.0,
+    }
+
+
+def _clean_force(recipe: Recipe, travel: Path, time_s: FloatArray, truth: Mapping[str, float]) -> FloatArray:
+    """Tissue force behind the load channel's filter, without noise."""
+    static = tuple(truth["gain"] * a for a in recipe.static)
+    branches = tuple(
+        replace(branch, stiffness=tuple(truth["gain_stiffness"] * k for k in branch.stiffness))
+        for branch in recipe.branches
+    )
+    offset_mm = truth["contact_offset_mm"]
+    if recipe.force_filter_s == 0.0:
+        return tissue_force(travel, time_s, offset_mm=offset_mm, static=static, branches=branches)
+    fine = oversampled(time_s)
+    force = tissue_force(travel, fine, offset_mm=offset_mm, static=static, branches=branches)
+    return low_pass(fine, force, recipe.force_filter_s)[:: (fine.size - 1) // (time_s.size - 1)]
+
+
+def _noise(recipe: Recipe, size: int, rng: np.random.Generator) -> FloatArray:
+    """White noise plus stationary first-order autoregressive noise [N]."""
+    noise = recipe.sigma_N * rng.standard_normal(size)
+    if recipe.ar1_sigma_N > 0.0:
+        draws = recipe.ar1_sigma_N * rng.standard_normal(size)
+        draws[1:] *= sqrt(1.0 - recipe.ar1_phi**2)
+        phi = recipe.ar1_phi
+        noise += np.array(list(accumulate(draws.tolist(), lambda last, draw: phi * last + draw)))
+    return noise
+
+
+def as_trials(logs: list[SyntheticLog], *, specimen: str | None = None) -> list[Trial]:
+    """The logs as trials in memory, nothing rounded.
+
+    Parameters
+    ----------
+    logs : list of SyntheticLog
+    specimen : str, optional
+        One name for all; by default each log's own.
+    """
+    trials = []
+    for log in logs:
+        hold_s = log.truth["hold_s"]
+        protocol = Protocol(
+            kind="crelax" if hold_s > 0.0 else "comp",
+            speed_mm_s=log.truth["speed_mm_s"],
+            depth_mm=log.truth["depth_mm"],
+            hold_s=hold_s or None,
+        )
+        source = Source(path=f"{log.name}.csv", recipe="synthetic")
+        label = log.specimen if specimen is None else specimen
+        trials.append(Trial(label, log.time_s, log.displacement_mm, log.force_N, protocol, source))
+    return trials
