@@ -172,7 +172,9 @@ def _variance(sums: SpecimenSums, candidate: Candidate, value: float) -> float:
     return max(value / max(sums.n - used, 1), 1e-300)
 
 
-def _spread_of_gain(objective: PartialObjective, found: Evaluation, sigma2: float, offset_sd: FloatArray) -> float:
+def _spread_of_gain(
+    objective: PartialObjective, found: Evaluation, sigma2: float, offset_sd: FloatArray
+) -> float:
     """The gain's standard deviation of highest restricted marginal likelihood."""
     terms = partial.marginal_terms(
         objective.reduced(found.log_tau),

@@ -111,7 +111,9 @@ def _in_field_units(
     return model, theta, covariance, inverse[found.theta.size :, found.theta.size :], bounded
 
 
-def _estimate(name: str, symbol: str, unit: str, number: float, stderr: float, verdict: tuple[bool, float]) -> Estimate:
+def _estimate(
+    name: str, symbol: str, unit: str, number: float, stderr: float, verdict: tuple[bool, float]
+) -> Estimate:
     identified, width = verdict
     finite = bool(np.isfinite(stderr))
     return Estimate(
@@ -158,7 +160,9 @@ def estimate_tissue(sums: SpecimenSums, solution: Solution) -> TissueEstimate:
         model.static_force(theta, half), static_basis, covariance[:STATIC_DEGREE, :STATIC_DEGREE]
     )
     parameters = [
-        _estimate(specs[k].name, specs[k].symbol, specs[k].unit, float(theta[k]), float(stderr[k]), static_verdict)
+        _estimate(
+            specs[k].name, specs[k].symbol, specs[k].unit, float(theta[k]), float(stderr[k]), static_verdict
+        )
         for k in range(STATIC_DEGREE)
     ]
     intervals = []
@@ -198,8 +202,13 @@ def estimate_tissue(sums: SpecimenSums, solution: Solution) -> TissueEstimate:
         }
         parameters.append(
             Estimate(
-                name=tau_estimate.name, symbol=tau_estimate.symbol, unit="s", value=tau_estimate.value,
-                stderr=tau_estimate.stderr, identified=tau_estimate.identified, detail=detail,
+                name=tau_estimate.name,
+                symbol=tau_estimate.symbol,
+                unit="s",
+                value=tau_estimate.value,
+                stderr=tau_estimate.stderr,
+                identified=tau_estimate.identified,
+                detail=detail,
             )  # fmt: skip
         )
         suffix = "" if j == 0 else f"_b{j + 1}"
@@ -212,8 +221,12 @@ def estimate_tissue(sums: SpecimenSums, solution: Solution) -> TissueEstimate:
         width = width_of(stiffness * tau, eta_stderr)
         parameters.append(
             _estimate(
-                f"viscosity_N_s_per_mm{suffix}", "eta" if j == 0 else f"eta{j + 1}", "N s/mm",
-                stiffness * tau, eta_stderr, (width <= MAX_WIDTH, width),
+                f"viscosity_N_s_per_mm{suffix}",
+                "eta" if j == 0 else f"eta{j + 1}",
+                "N s/mm",
+                stiffness * tau,
+                eta_stderr,
+                (width <= MAX_WIDTH, width),
             )  # fmt: skip
         )
     return TissueEstimate(

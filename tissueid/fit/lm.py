@@ -75,7 +75,7 @@ class _Compressed:
     weight_offset: FloatArray
 
     def polynomials(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """theta and its derivative by the cone coordinates."""
+        """Theta and its derivative by the cone coordinates."""
         theta = np.empty(values.size)
         jacobian = np.zeros((values.size, values.size))
         first = 0
@@ -139,7 +139,9 @@ def _compress(objective: PooledObjective | PartialObjective) -> _Compressed:
 def _column_scale(problem: _Compressed) -> FloatArray:
     """From powers of u to powers of x, for the pooled column weights."""
     static = problem.scale ** -np.arange(1.0, N_STATIC) if problem.static else np.zeros(0)
-    return np.concatenate([static, np.tile(problem.scale ** -np.arange(problem.degree + 1.0), problem.branches)])
+    return np.concatenate(
+        [static, np.tile(problem.scale ** -np.arange(problem.degree + 1.0), problem.branches)]
+    )
 
 
 def _residual_and_jacobian(problem: _Compressed, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -182,9 +184,7 @@ def _residual_and_jacobian(problem: _Compressed, vector: FloatArray) -> tuple[Fl
     return np.concatenate(residuals), np.concatenate(jacobians)
 
 
-def _parameters(
-    problem: _Compressed, start: Evaluation, bounds: tuple[float, float]
-) -> lmfit.Parameters:
+def _parameters(problem: _Compressed, start: Evaluation, bounds: tuple[float, float]) -> lmfit.Parameters:
     parameters = lmfit.Parameters()
     first = 0
     for block, size in enumerate(problem.blocks):

@@ -39,6 +39,6 @@ def lag_one_correlation(residual: FloatArray) -> float:
     """Autocorrelation of a residual at one sample; 0 for fewer than three samples."""
     centred = np.asarray(residual) - np.mean(residual)
     power = float(centred @ centred)
-    if centred.size < 3 or power == 0.0:  # noqa: PLR2004
+    if centred.size < 3 or power == 0.0:
         return 0.0
     return float(centred[1:] @ centred[:-1]) / power

@@ -32,6 +32,8 @@ WINDOW_SHARE = 1.0 / 3.0
 WINDOW_SHIFT = 0.2
 RESIDUAL_SHARE = 0.05
 NRMSD_RATIO = 2.0
+#: A residual below this many standard deviations of the noise says nothing of the model.
+NOISE_FACTOR = 5.0
 
 
 def _gram(time_s: FloatArray, force_N: FloatArray, basis: KernelBasis) -> FloatArray:
@@ -94,8 +96,9 @@ def _window(segmentation: Segmentation, hold: Phase, force: FloatArray) -> tuple
 
 
 def _flags(
-    tau: float, half_tau: float | None, window: float, step: float, share: float, ratio: float
+    tau: float, half_tau: float | None, window: float, step: float, misfit: tuple[float, float, bool]
 ) -> list[Flag]:
+    share, ratio, beyond_noise = misfit
     flags = []
     if tau > WINDOW_SHARE * window:
         flags.append(
@@ -121,7 +124,7 @@ def _flags(
                 {"tau_s": tau, "step_s": step},
             )
         )
-    if share > RESIDUAL_SHARE or ratio > NRMSD_RATIO:
+    if (share > RESIDUAL_SHARE and beyond_noise) or ratio > NRMSD_RATIO:
         flags.append(
             Flag(
                 "one_tau_inadequate",
@@ -149,11 +152,13 @@ def _row(trial: Trial, segmentation: Segmentation, hold: Phase, force: FloatArra
         if half >= MIN_SAMPLES and np.ptp(window_force[:half]) > 0.0:
             found = fit_exponentials(time[:half], window_force[:half], 1)[0]
             half_tau = float(found[0]) if found.size else None
-        share = float(np.abs(window_force - fits[0][1]).max() / np.ptp(window_force))
+        worst = float(np.abs(window_force - fits[0][1]).max())
+        share = worst / float(np.ptp(window_force))
         ratio = one / two if two > 0.0 else 1.0
         steps = np.diff(time)
         step = float(np.median(steps[steps > 0.0]))
-        flags = _flags(single, half_tau, float(time[-1]), step, share, ratio)
+        beyond_noise = worst > NOISE_FACTOR * segmentation.force_noise_N
+        flags = _flags(single, half_tau, float(time[-1]), step, (share, ratio, beyond_noise))
     return RelaxationRow(
         path=trial.source.path,
         sheet=trial.source.sheet,

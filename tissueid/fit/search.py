@@ -54,9 +54,11 @@ def _scan_single(objective: Objective, bounds: tuple[float, float]) -> list[Floa
     return [grid[i : i + 1] for i in _local_minima(values, POLISHED)]
 
 
-def _scan_several(objective: Objective, bounds: tuple[float, float], seeds: list[FloatArray]) -> list[FloatArray]:
+def _scan_several(
+    objective: Objective, bounds: tuple[float, float], seeds: list[FloatArray]
+) -> list[FloatArray]:
     grid = _grid(bounds, SCAN_SEVERAL)
-    if objective.branches == 2:  # noqa: PLR2004
+    if objective.branches == 2:
         points = [np.array(pair) for pair in combinations(grid, 2)]
     else:
         points = [
@@ -135,7 +137,9 @@ def polish(
     def value_and_slope(log_tau: FloatArray) -> tuple[float, FloatArray]:
         evaluation = objective.evaluate(log_tau, state["last"])
         state["last"] = evaluation
-        return np.log(max(evaluation.value, 1e-300) / unit), evaluation.gradient / max(evaluation.value, 1e-300)
+        return np.log(max(evaluation.value, 1e-300) / unit), evaluation.gradient / max(
+            evaluation.value, 1e-300
+        )
 
     found = minimize(
         value_and_slope,

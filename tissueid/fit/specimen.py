@@ -145,7 +145,9 @@ def _both_optimisers(sums: SpecimenSums, solution: Solution) -> tuple[Solution, 
     }
 
 
-def _adjustments(sums: SpecimenSums, solution: Solution, tissue: TissueEstimate, count: int) -> list[Adjustment]:
+def _adjustments(
+    sums: SpecimenSums, solution: Solution, tissue: TissueEstimate, count: int
+) -> list[Adjustment]:
     """Gain, offset or own static curve of every log."""
     found = solution.evaluation
     if solution.candidate.pooling == "partial":
@@ -157,7 +159,9 @@ def _adjustments(sums: SpecimenSums, solution: Solution, tissue: TissueEstimate,
         return [Adjustment() for _ in range(count)]
     gram = sums.gram.sum(axis=0, keepdims=True) if sums.single else sums.gram
     candidate = solution.candidate
-    weights = reduction(sums.basis, found.log_tau, degree=candidate.degree, columns_degree=sums.columns_degree)
+    weights = reduction(
+        sums.basis, found.log_tau, degree=candidate.degree, columns_degree=sums.columns_degree
+    )
     _, stiffness, _ = tissue.model.split(tissue.theta)
     used = N_STATIC + stiffness.size
     out = []
@@ -184,8 +188,13 @@ def _second_pass(
         tick(f"residuals of {trial.name}")
         trials.append(
             summarise_trial(
-                trial, handle.segmentation, log,
-                model=tissue.model, theta=tissue.theta, adjustment=adjustment, totals=totals,
+                trial,
+                handle.segmentation,
+                log,
+                model=tissue.model,
+                theta=tissue.theta,
+                adjustment=adjustment,
+                totals=totals,
             )  # fmt: skip
         )
         rows += relaxation_rows(trial, handle.segmentation)
@@ -229,7 +238,9 @@ def fit_specimen(
     options = options or FitOptions()
     tick = tick or (lambda _: None)
     branches = (options.branches,) if options.branches else tuple(range(1, MAX_BRANCHES + 1))
-    degrees = tuple(range(MAX_DEGREE + 1)) if options.stiffness_degree is None else (options.stiffness_degree,)
+    degrees = (
+        tuple(range(MAX_DEGREE + 1)) if options.stiffness_degree is None else (options.stiffness_degree,)
+    )
     sums = _specimen_sums(handles, max(degrees), tick)
     choice: Choice = choose(
         sums, branches=branches, degrees=degrees, pooling=_pooling(options, len(handles)), progress=tick

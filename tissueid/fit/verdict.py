@@ -39,7 +39,11 @@ def _relaxation_flags(
                 Flag(
                     "interval_open",
                     f"the interval of relaxation time {j + 1} runs into the {side} these logs can show",
-                    {"branch": j + 1, "low_s": float(np.exp(interval.low)), "high_s": float(np.exp(interval.high))},
+                    {
+                        "branch": j + 1,
+                        "low_s": float(np.exp(interval.low)),
+                        "high_s": float(np.exp(interval.high)),
+                    },
                 )
             )
         if value < 2.0 * h:
@@ -107,7 +111,11 @@ def specimen_flags(
     if missing:
         names = ", ".join(one.symbol for one in missing)
         flags.append(
-            Flag("not_identified", f"these data do not determine {names}", {"names": [one.name for one in missing]})
+            Flag(
+                "not_identified",
+                f"these data do not determine {names}",
+                {"names": [one.name for one in missing]},
+            )
         )
     flags += _relaxation_flags(tissue, sums, facts, sigma_N)
     speeds = [speed for log in facts for speed in log.speeds_mm_s if speed > 0.0]
@@ -122,7 +130,9 @@ def specimen_flags(
         )
     if tissue.bounded:
         flags.append(
-            Flag("bound_active", "F_s or K touches zero within the fitted depth: the passivity bound is active")
+            Flag(
+                "bound_active", "F_s or K touches zero within the fitted depth: the passivity bound is active"
+            )
         )
     if optimisers["agree"] is False:
         flags.append(

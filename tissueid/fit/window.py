@@ -166,7 +166,7 @@ def assign_folds(log: FittedLog, holds: tuple[Phase, ...]) -> LogData:
     offset = log.first - int(log.inserted)
     for hold in holds:
         start, stop = max(hold.start - offset, 0), min(hold.stop - offset, data.time_s.size)
-        if stop - start < 2:  # noqa: PLR2004
+        if stop - start < 2:
             continue
         since = data.time_s[start:stop] - data.time_s[start]
         fraction = np.log1p(since / log.step_s) / max(np.log1p(since[-1] / log.step_s), 1e-300)

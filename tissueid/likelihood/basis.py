@@ -77,13 +77,18 @@ class KernelBasis:
         -------
         c, dc : ndarray, shape (n, m)
         """
-        value, slope = _kernel(np.asarray(log_tau, dtype=np.float64), self._time_s, self._step_s)
-        value = value * self._weight[:, None]
-        slope = slope * self._weight[:, None]
-        scale = _norm(np.log(self.tau_s), self._time_s[-1])[:, None]
-        c = solve_triangular(self._r, self._q.T @ value, check_finite=False) / scale
-        dc = solve_triangular(self._r, self._q.T @ slope, check_finite=False) / scale
-        return c, dc
+        columns = [_weights(self, float(value)) for value in log_tau]
+        return np.column_stack([c for c, _ in columns]), np.column_stack([dc for _, dc in columns])
+
+
+@lru_cache(maxsize=8192)
+def _weights(basis: KernelBasis, log_tau: float) -> tuple[FloatArray, FloatArray]:
+    """Weights of one ln(tau); kept, because a scan comes back to the same points for every model."""
+    value, slope = _kernel(np.array([log_tau]), basis._time_s, basis._step_s)  # noqa: SLF001
+    right = np.concatenate([value, slope], axis=1) * basis._weight[:, None]  # noqa: SLF001
+    solved = solve_triangular(basis._r, basis._q.T @ right, check_finite=False)  # noqa: SLF001
+    solved /= _norm(np.log(basis.tau_s), float(basis._time_s[-1]))[:, None]  # noqa: SLF001
+    return solved[:, 0], solved[:, 1]
 
 
 def _kernel(log_tau: FloatArray, time_s: FloatArray, step_s: float) -> tuple[FloatArray, FloatArray]:

@@ -93,7 +93,11 @@ def profile_interval(
     """
     here = optimum.log_tau[branch]
     variance = inverse[branch, branch]
-    ridge = inverse[:, branch] / variance if np.isfinite(variance) and variance > 0.0 else np.zeros(inverse.shape[0])
+    ridge = (
+        inverse[:, branch] / variance
+        if np.isfinite(variance) and variance > 0.0
+        else np.zeros(inverse.shape[0])
+    )
     ridge = np.where(np.isfinite(ridge), ridge, 0.0)
     ridge[branch] = 1.0
     target = LEVEL_95 * sigma2

@@ -143,7 +143,7 @@ class KelvinVoigt:
         return theta[:STATIC_DEGREE], branch[:, :-1], branch[:, -1]
 
     def join(self, static: FloatArray, stiffness: FloatArray, tau: FloatArray) -> FloatArray:
-        """theta from its parts, branches sorted by tau; inverse of :meth:`split`."""
+        """Theta from its parts, branches sorted by tau; inverse of :meth:`split`."""
         order = np.argsort(tau, kind="stable")
         branch = np.column_stack([np.asarray(stiffness)[order], np.asarray(tau)[order]])
         return np.concatenate([np.asarray(static, dtype=np.float64), branch.ravel()])
@@ -273,9 +273,7 @@ def constant_speed_force(
     return model.static_force(theta, x) + (model.stiffness(theta, x) * states).sum(axis=0)
 
 
-def ramp_hold_state(
-    time_s: FloatArray, *, speed_mm_s: float, depth_mm: float, tau_s: float
-) -> FloatArray:
+def ramp_hold_state(time_s: FloatArray, *, speed_mm_s: float, depth_mm: float, tau_s: float) -> FloatArray:
     """Closed form of the branch state in a ramp to ``depth_mm`` followed by a hold [mm]."""
     corner = depth_mm / speed_mm_s
     time = np.asarray(time_s)

@@ -85,7 +85,11 @@ def required_damping(
     factor = scaling.force / scaling.motion * N_PER_MM_TO_N_PER_M
     return max(
         damping_bound(
-            float(slope[i]) * factor, stiffness[:, i] * factor, tau, period_s=period_s, delay_ticks=delay_ticks
+            float(slope[i]) * factor,
+            stiffness[:, i] * factor,
+            tau,
+            period_s=period_s,
+            delay_ticks=delay_ticks,
         )
         for i in range(x.size)
     )

@@ -81,9 +81,7 @@ def scaling_for(
     ValueError
         The tissue gives no force at full depth, so that no scale can be computed.
     """
-    peak = float(
-        constant_speed_force(model, theta, np.array([model.depth_mm]), speed_mm_s=fastest_mm_s)[0]
-    )
+    peak = float(constant_speed_force(model, theta, np.array([model.depth_mm]), speed_mm_s=fastest_mm_s)[0])
     if not peak > 0.0:
         msg = f"the tissue's force at {model.depth_mm:g} mm is {peak:g} N: no force scale can be computed"
         raise ValueError(msg)

@@ -1,0 +1,164 @@
+"""``tissueid fit``."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from tissueid.cli.output import echo_json, note, output_options, progress_bar, with_error
+from tissueid.cli.reading import read_all, read_options, reading_options, segment_options
+
+if TYPE_CHECKING:
+    from tissueid.result import Identification, Refusal, SpecimenFit
+
+__all__ = ["command"]
+
+EPILOG = """\b
+Examples:
+  tissueid fit lab_data/ -o out
+  tissueid fit "session 3/"*.csv --branches 2 --stiffness-degree 1
+  tissueid fit meat.xlsx --json > meat.json
+  tissueid fit odd.csv --columns "time=t,displacement=pos,force=F" --units "force=mN"
+"""
+
+
+def _count(auto: str) -> click.Choice[str]:
+    return click.Choice([*auto, "auto"])
+
+
+@click.command("fit", epilog=EPILOG)
+@click.argument("paths", nargs=-1, required=True, type=click.Path())
+@click.option("-o", "--out", default="tissueid-out", show_default=True, help="Output folder.")
+@click.option(
+    "--branches", type=_count("123"), default="auto", show_default=True,
+    help="Relaxation branches; auto chooses by held-out data.",
+)  # fmt: skip
+@click.option(
+    "--stiffness-degree", type=_count("012"), default="auto", show_default=True,
+    help="Degree of the dynamic stiffness K(x); auto chooses by held-out data.",
+)  # fmt: skip
+@click.option(
+    "--static", type=click.Choice(["partial", "shared", "per-log"]), default="partial", show_default=True,
+    help="Static curve of a specimen's logs: one with a gain and contact offset a log, one, or one each.",
+)  # fmt: skip
+@click.option(
+    "--require", multiple=True, type=click.Choice(["viscosity", "static", "stiffness", "relaxation-time", "none"]),
+    help="What must be identified for exit code 0. [default: viscosity and static]",
+)  # fmt: skip
+@click.option("--seed", type=int, default=0, show_default=True, help="Seed of everything random.")
+@reading_options
+@output_options
+def command(**flags: Any) -> int:
+    """Identify the tissue behind recordings.
+
+    PATHS are exports, workbooks or folders of them. Each file or sheet is its own specimen unless their
+    headers carry the same specimen label, or --specimen-by groups them. Writes identification.json, one
+    bundle a specimen, curves.h5 and report.html to the output folder, all at once or not at all.
+    """
+    from tissueid.fit.compiled import kernels_to_compile
+    from tissueid.fit.specimen import FitOptions
+    from tissueid.ingest import read_one
+    from tissueid.pipeline import DEFAULT_REQUIRED, IdentifyOptions, identify
+    from tissueid.report import render_report
+    from tissueid.store.curves import curves_of_fits
+    from tissueid.store.files import plain_json
+    from tissueid.store.outputs import OutputSet
+    from tissueid.store.results import REPORT, write_results
+
+    quiet: int = flags["quiet"]
+    reading = read_options(
+        columns=flags["columns"],
+        units=flags["units"],
+        specimen_by=flags["specimen_by"],
+        recipe=flags["recipe"],
+    )
+    required = (
+        tuple(name for name in flags["require"] if name != "none") if flags["require"] else DEFAULT_REQUIRED
+    )
+    options = IdentifyOptions(
+        fit=FitOptions(
+            branches=None if flags["branches"] == "auto" else int(flags["branches"]),
+            stiffness_degree=None if flags["stiffness_degree"] == "auto" else int(flags["stiffness_degree"]),
+            static=flags["static"],
+        ),
+        segment=segment_options(compression=flags["compression"], contact=flags["contact"]),
+        required=required,
+        seed=flags["seed"],
+    )
+    missing = kernels_to_compile()
+    if missing:
+        note(
+            f"First run: compiling {len(missing)} kernels ({', '.join(missing)}), once, about half a minute.",
+            quiet=quiet,
+        )
+    refused: list[Refusal] = []
+    with OutputSet(flags["out"]) as run, progress_bar(show=not quiet) as progress:
+        identification = identify(
+            read_all(flags["paths"], reading, refused),
+            options=options,
+            reload=lambda source: read_one(source.path, source.sheet, reading),
+            refused=refused,
+            progress=progress,
+        )
+        document: dict[str, Any] = plain_json(identification.as_json())
+        if identification.specimens:
+            progress("writing the report", 0, 0)
+            document = write_results(run, identification)
+            curves = curves_of_fits(identification.specimens)
+            created = datetime.now(UTC).isoformat(timespec="seconds")
+            run.write(REPORT, render_report(document, curves, created=created).encode("utf-8"))
+            run.commit()
+    if flags["as_json"]:
+        echo_json(document)
+    elif not quiet:
+        _print(identification, flags["out"], verbose=flags["verbose"])
+    return identification.exit.code
+
+
+def _print(identification: Identification, out: str, *, verbose: int) -> None:
+    from rich.console import Console
+
+    console = Console(highlight=False)
+    for fit in identification.specimens:
+        _print_specimen(console, fit, verbose=verbose)
+    for one in identification.refused:
+        where = one.path if one.sheet is None else f"{one.path} [{one.sheet}]"
+        line = "" if one.line is None else f", line {one.line}"
+        console.print(f"refused  {where}{line}: {one.message}", style="red", markup=False)
+    if identification.specimens:
+        console.print(f"\nReport: {out}/report.html", markup=False)
+    for reason in identification.exit.reasons[: 20 if verbose else 5]:
+        note(reason)
+    if len(identification.exit.reasons) > 5 and not verbose:
+        note(f"and {len(identification.exit.reasons) - 5} more reasons (-v prints them)")
+
+
+def _print_specimen(console: Any, fit: SpecimenFit, *, verbose: int) -> None:
+    model = fit.model
+    plural = "es" if model.branches > 1 else ""
+    console.print(
+        f"\n[bold]{_escaped(fit.specimen)}[/bold]  {len(fit.trials)} log{'s' * (len(fit.trials) > 1)}, "
+        f"{model.branches} branch{plural}, K of degree {model.stiffness_degree}, {model.static_pooling} static, "
+        f"NRMSD {100 * fit.nrmsd.range:.2f} % of range",
+    )
+    for one in fit.parameters:
+        if one.value is None:
+            text = "not identified"
+        else:
+            text = f"{with_error(one.value, one.stderr)} {one.unit}"
+        console.print(f"  {one.symbol:<6} {text}", markup=False)
+    for flag in fit.flags:
+        console.print(f"  ! {flag.message}", style="yellow", markup=False)
+    if verbose:
+        for row in fit.relaxation:
+            tau = "none" if row.tau_single_s is None else f"{row.tau_single_s:.4g} s"
+            window = f"{row.window_s[0]:g} to {row.window_s[1]:g} s"
+            console.print(f"  hold {window}: one exponential {tau}", markup=False)
+
+
+def _escaped(text: str) -> str:
+    from rich.markup import escape
+
+    return escape(text)

@@ -1,0 +1,139 @@
+"""``tissueid``: the group of sub-commands, loaded one at a time, and the shell around them.
+
+``tissueid --help`` costs click and nothing else; every sub-command imports what it needs when it runs.
+The shell turns every deliberate failure into one message and its exit code, and never shows a
+traceback unless ``-v`` asks for one.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from importlib import import_module
+
+import click
+
+from tissueid import __version__
+
+__all__ = ["cli", "main"]
+
+#: Sub-command -> what it does; its module is ``tissueid.cli.<name>_command``.
+COMMANDS = {
+    "fit": "Identify the tissue behind recordings: bundle, numbers, report.",
+    "inspect": "Say what a recording holds and how it was read.",
+    "report": "Write the HTML report of a finished fit again.",
+    "export": "Write a finished fit in another format.",
+    "validate": "Check that an output folder is one whole run.",
+    "synth": "Write synthetic recordings with a known truth.",
+}
+
+EPILOG = """\b
+Examples:
+  tissueid inspect lab_data/*.csv
+  tissueid fit lab_data/ -o out
+  tissueid report out
+"""
+
+
+class LazyGroup(click.Group):
+    """A group that imports a sub-command only when it is run or asked for help."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Names in the order of :data:`COMMANDS`."""
+        del ctx
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """The sub-command, imported now."""
+        del ctx
+        if cmd_name not in COMMANDS:
+            return None
+        command = import_module(f"tissueid.cli.{cmd_name}_command").command
+        assert isinstance(command, click.Command)  # noqa: S101
+        return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """As click's, with the nearest name suggested."""
+        name = args[0] if args else ""
+        if name and not name.startswith("-") and name not in COMMANDS:
+            from difflib import get_close_matches
+
+            near = get_close_matches(name, COMMANDS, n=1)
+            hint = f" Did you mean {near[0]!r}?" if near else ""
+            ctx.fail(f"No such command {name!r}.{hint}")
+        return super().resolve_command(ctx, args)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """List the sub-commands without importing them."""
+        del ctx
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
+
+@click.command(cls=LazyGroup, epilog=EPILOG, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, "--version", prog_name="tissueid", message="%(prog)s %(version)s")
+def cli() -> None:
+    """Identify the contact mechanics of soft tissue from test-machine recordings.
+
+    Reads exports of Instron Bluehill, Zwick testXpert, spreadsheets and plain CSV; fits a modified
+    Kelvin-Voigt contact model; writes numbers with intervals, an HTML report, and a bundle that a
+    haptic device can render.
+    """
+
+
+def _verbose(args: list[str]) -> bool:
+    return any(arg == "--verbose" or (arg.startswith("-v") and set(arg[1:]) == {"v"}) for arg in args)
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the command line; the entry point of the console script.
+
+    Returns
+    -------
+    int
+        Exit code, see :mod:`tissueid.errors`.
+    """
+    from tissueid.errors import EXIT_INTERRUPTED, TissueidError
+
+    args = sys.argv[1:] if args is None else args
+    try:
+        outcome = cli.main(args=args, prog_name="tissueid", standalone_mode=False)
+    except click.exceptions.Abort:
+        click.echo("tissueid: interrupted; what was finished is kept", err=True)
+        return EXIT_INTERRUPTED
+    except KeyboardInterrupt:
+        click.echo("tissueid: interrupted; what was finished is kept", err=True)
+        return EXIT_INTERRUPTED
+    except click.ClickException as error:
+        error.show()
+        return error.exit_code
+    except TissueidError as error:
+        click.echo(f"tissueid: {error}", err=True)
+        return error.exit_status
+    except BrokenPipeError:
+        # the reader of a pipe has gone; nothing is left to say to it
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except Exception as error:  # noqa: BLE001 - the outer shell: a bug must still end in one clear line
+        if _verbose(args):
+            import traceback
+
+            traceback.print_exc()
+        click.echo(
+            f"tissueid: internal error ({type(error).__name__}: {error}). This is a bug in tissueid; "
+            "run again with -v for the details to report.",
+            err=True,
+        )
+        return 1
+    return outcome if isinstance(outcome, int) else 0
+
+
+def run() -> None:
+    """Console-script entry: exit with the code of :func:`main`."""
+    sys.exit(main())
+
+
+if __name__ == "__main__":
+    run()

@@ -1,0 +1,115 @@
+"""Options for reading recordings, shared by ``inspect`` and ``fit``, and the loop over their files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from tissueid.errors import UsageError
+
+if TYPE_CHECKING:
+    from tissueid.ingest import ReadOptions
+    from tissueid.result import Refusal
+    from tissueid.segment import SegmentOptions
+    from tissueid.trial import Trial
+
+__all__ = ["read_all", "read_options", "reading_options", "segment_options"]
+
+QUANTITIES = ("time", "displacement", "force")
+
+
+def reading_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the reading options to a sub-command."""
+    options = (
+        click.option(
+            "--columns",
+            metavar="MAP",
+            help='Which column is what: "time=Zeit,displacement=Weg,force=Kraft".',
+        ),
+        click.option(
+            "--units", metavar="MAP", help='Units where the file has none: "displacement=um,force=mN".'
+        ),
+        click.option(
+            "--specimen-by",
+            metavar="PATTERN",
+            help="Regular expression on the path (path::sheet in a workbook) whose first group names the specimen.",
+        ),
+        click.option("--recipe", metavar="KEY", help="Reader to use instead of the detected one."),
+        click.option(
+            "--compression",
+            type=click.Choice(["positive", "negative"]),
+            help="Which direction of displacement is compression, where the guess is wrong.",
+        ),
+        click.option(
+            "--contact",
+            type=float,
+            metavar="MM",
+            help="Displacement at contact as recorded [mm], where the detected one is wrong.",
+        ),
+    )
+    for option in reversed(options):
+        function = option(function)
+    return function
+
+
+def _pairs(text: str | None, flag: str) -> dict[str, str]:
+    if not text:
+        return {}
+    pairs = {}
+    for part in text.split(","):
+        key, separator, value = part.partition("=")
+        if not separator or key.strip() not in QUANTITIES or not value.strip():
+            msg = (
+                f'{flag} takes pairs like "time=Zeit,force=Kraft" with {", ".join(QUANTITIES)} on the left; '
+                f"{part!r} is none"
+            )
+            raise UsageError(msg)
+        pairs[key.strip()] = value.strip()
+    return pairs
+
+
+def read_options(
+    *, columns: str | None, units: str | None, specimen_by: str | None, recipe: str | None
+) -> ReadOptions:
+    """Reading options from flags."""
+    from tissueid.ingest import ReadOptions
+
+    return ReadOptions(
+        columns=_pairs(columns, "--columns"),
+        units=_pairs(units, "--units"),
+        specimen_by=specimen_by,
+        recipe=recipe,
+    )
+
+
+def segment_options(*, compression: str | None, contact: float | None) -> SegmentOptions:
+    """Segmentation options from flags."""
+    from tissueid.segment import SegmentOptions
+
+    sign = {None: None, "positive": 1, "negative": -1}[compression]
+    return SegmentOptions(compression_sign=sign, contact_mm=contact)
+
+
+def read_all(paths: tuple[str, ...], options: ReadOptions, refused: list[Refusal]) -> Iterator[Trial]:
+    """Trials of all paths, one at a time; what is refused goes to ``refused`` and the rest goes on."""
+    from tissueid.errors import InputError
+    from tissueid.ingest import find_inputs, read_each
+    from tissueid.result import Refusal
+
+    for path in find_inputs(paths):
+        for item in read_each(path, options):
+            if isinstance(item, InputError):
+                refused.append(
+                    Refusal(
+                        path=item.path,
+                        sheet=item.sheet,
+                        code=item.code,
+                        message=item.message,
+                        line=item.line,
+                        column=item.column,
+                    )
+                )
+            else:
+                yield item

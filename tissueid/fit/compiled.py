@@ -1,0 +1,33 @@
+"""Which compiled functions of a fit are not in numba's cache yet, so that a first run can say so."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tissueid.likelihood import partial
+from tissueid.likelihood.cone import cone_least_squares
+from tissueid.likelihood.kernels import fill_design
+from tissueid.model.kernels import branch_sensitivity, branch_state
+
+__all__ = ["kernels_to_compile"]
+
+KERNELS = (
+    branch_state,
+    branch_sensitivity,
+    fill_design,
+    cone_least_squares,
+    partial.coefficients,
+    partial.objective,
+    partial.assemble,
+    partial.solve,
+)
+
+
+def kernels_to_compile() -> list[str]:
+    """Names of the kernels that the next call compiles; none where compilation is switched off."""
+    missing = []
+    for kernel in KERNELS:
+        stats = getattr(kernel, "stats", None)
+        if stats is not None and not any(Path(stats.cache_path).glob(f"*.{kernel.__name__}-*.nbi")):
+            missing.append(kernel.__name__)
+    return missing

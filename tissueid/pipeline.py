@@ -1,0 +1,334 @@
+"""The stages in their order: recordings in, an identification out.
+
+No mathematics and no paths here.  Trials come as an iterable; where a ``reload`` is given, samples are
+kept only while they fit in a small cache and are read again when needed, so that the memory of a study
+does not grow with it.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import PurePath
+from typing import Any
+
+import numpy as np
+
+from tissueid import __version__
+from tissueid.errors import exit_code
+from tissueid.fit.specimen import FitOptions, LogHandle, fit_specimen
+from tissueid.fit.window import FittedLog, fitted_log
+from tissueid.flags import Flag
+from tissueid.likelihood.sums import LogData
+from tissueid.result import Exit, Identification, Refusal, SpecimenFit
+from tissueid.segment import SegmentOptions, segment
+from tissueid.trial import Segmentation, Source, Trial
+
+__all__ = [
+    "DEFAULT_REQUIRED",
+    "REQUIRABLE",
+    "IdentifyOptions",
+    "describe_trial",
+    "identify",
+]
+
+#: Samples kept in memory between the passes [bytes].
+CACHE_BYTES = 32 * 2**20
+REQUIRABLE = ("viscosity", "static", "stiffness", "relaxation-time")
+DEFAULT_REQUIRED = ("viscosity", "static")
+_PREFIX = {
+    "viscosity": "viscosity",
+    "static": "static",
+    "stiffness": "stiffness",
+    "relaxation-time": "relaxation_time",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class IdentifyOptions:
+    """Options of a run.
+
+    Attributes
+    ----------
+    fit : FitOptions
+    segment : SegmentOptions
+    required : tuple of str
+        What must be identified for exit code 0, of :data:`REQUIRABLE`.
+    seed : int
+        Seed of everything random; recorded, and without effect where nothing is drawn.
+    """
+
+    fit: FitOptions = field(default_factory=FitOptions)
+    segment: SegmentOptions = field(default_factory=SegmentOptions)
+    required: tuple[str, ...] = DEFAULT_REQUIRED
+    seed: int = 0
+
+
+class _TrialCache:
+    """The most recent trials, up to a number of bytes."""
+
+    def __init__(self, reload: Callable[[Source], Trial] | None) -> None:
+        self._reload = reload
+        self._trials: OrderedDict[tuple[str, str | None], Trial] = OrderedDict()
+        self._bytes = 0
+
+    @staticmethod
+    def _size(trial: Trial) -> int:
+        return trial.time_s.nbytes + trial.displacement_mm.nbytes + trial.force_N.nbytes
+
+    def add(self, key: tuple[str, str | None], trial: Trial) -> None:
+        self._trials[key] = trial
+        self._bytes += self._size(trial)
+        while self._reload is not None and self._bytes > CACHE_BYTES and len(self._trials) > 1:
+            _, oldest = self._trials.popitem(last=False)
+            self._bytes -= self._size(oldest)
+
+    def get(self, key: tuple[str, str | None], source: Source) -> Trial:
+        if key in self._trials:
+            self._trials.move_to_end(key)
+            return self._trials[key]
+        if self._reload is None:
+            raise KeyError(key)
+        trial = self._reload(source)
+        self.add(key, trial)
+        return trial
+
+
+def _without_samples(log: FittedLog) -> FittedLog:
+    none = np.zeros(2)
+    empty = LogData(
+        time_s=log.data.time_s[[0, -1]].copy(),
+        depth_mm=none,
+        force_N=none,
+        include=np.zeros(2, dtype=np.bool_),
+        fold=np.zeros(2, dtype=np.int64),
+    )
+    return replace(log, data=empty)
+
+
+def _refusal_for(trial: Trial, segmentation: Segmentation) -> Refusal:
+    if segmentation.contact is None:
+        code, message = "no_contact", "no contact between tool and tissue was found: there is nothing to fit"
+    else:
+        code = "too_few_samples"
+        message = "fewer than a dozen samples lie between contact and unloading: there is nothing to fit"
+    return Refusal(path=trial.source.path, sheet=trial.source.sheet, code=code, message=message)
+
+
+def _display_names(sources: Sequence[tuple[str, Source]]) -> dict[str, str]:
+    """Specimens named after their file get the shortest ending of the path that tells them apart."""
+    own: dict[str, tuple[str, ...]] = {}
+    names: dict[str, str] = {}
+    for specimen, source in sources:
+        whole = source.path if source.sheet is None else f"{source.path}::{source.sheet}"
+        if specimen == whole:
+            path = PurePath(source.path)
+            own[specimen] = (*path.parts[:-1], path.stem if source.sheet is None else source.sheet)
+            if source.sheet is not None:
+                own[specimen] = (*path.parts[:-1], path.stem, source.sheet)
+        else:
+            names[specimen] = specimen
+    taken = set(names.values())
+    for specimen, parts in own.items():
+        for length in range(1, len(parts) + 1):
+            name = "/".join(parts[-length:])
+            clash = any(
+                other is not specimen and "/".join(their[-length:]) == name for other, their in own.items()
+            )
+            if not clash and name not in taken:
+                break
+        names[specimen] = name
+    return names
+
+
+def _tip_radius(protocol_radii: Iterable[float | None]) -> float | None:
+    radii = set(protocol_radii)
+    return radii.pop() if len(radii) == 1 else None
+
+
+def _reasons(specimens: Sequence[SpecimenFit], required: Sequence[str]) -> list[str]:
+    reasons = []
+    prefixes = tuple(_PREFIX[name] for name in required)
+    for fit in specimens:
+        missing = [one.name for one in fit.parameters if not one.identified and one.name.startswith(prefixes)]
+        if missing:
+            reasons.append(f"{fit.specimen}: not identified: {', '.join(missing)}")
+        if any(flag.code == "not_converged" for flag in fit.flags):
+            reasons.append(f"{fit.specimen}: Levenberg-Marquardt did not converge")
+    return reasons
+
+
+def _exit(specimens: Sequence[SpecimenFit], refused: Sequence[Refusal], required: Sequence[str]) -> Exit:
+    codes, reasons = {0}, []
+    if refused:
+        codes.add(7 if specimens else 3)
+        for one in refused:
+            where = one.path if one.sheet is None else f"{one.path} [{one.sheet}]"
+            line = "" if one.line is None else f", line {one.line}"
+            reasons.append(f"{where}{line}: {one.message}")
+    elif not specimens:
+        codes.add(3)
+        reasons.append("no recording was found")
+    missing = _reasons(specimens, required)
+    if missing:
+        codes.add(4)
+    return Exit(code=exit_code(codes), reasons=tuple(reasons + missing))
+
+
+def identify(
+    trials: Iterable[Trial],
+    *,
+    options: IdentifyOptions | None = None,
+    reload: Callable[[Source], Trial] | None = None,
+    refused: Sequence[Refusal] = (),
+    provenance: Mapping[str, Any] | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> Identification:
+    """Identify the contact model of every specimen among the trials.
+
+    Parameters
+    ----------
+    trials : iterable of Trial
+        Trials of one specimen are fitted together.
+    options : IdentifyOptions, optional
+    reload : callable, optional
+        Reads a trial again from its source; without it all samples stay in memory.
+    refused : sequence of Refusal, optional
+        Inputs refused while ``trials`` was read; looked at after the iteration has ended.
+    provenance : mapping, optional
+        Added to the versions, options and inputs that are recorded anyway.
+    progress : callable, optional
+        ``progress(message, done, total)``; total is 0 while it is not known.
+
+    Returns
+    -------
+    Identification
+        Its ``exit`` says whether something was left out or not identified.
+    """
+    options = options or IdentifyOptions()
+    progress = progress or (lambda _message, _done, _total: None)
+    cache = _TrialCache(reload)
+    groups: dict[str, list[LogHandle]] = {}
+    radii: dict[str, list[float | None]] = {}
+    sources: list[tuple[str, Source]] = []
+    left_out: list[Refusal] = []
+    inputs: list[dict[str, Any]] = []
+    for count, trial in enumerate(trials):
+        progress(f"reading {trial.name}", count, 0)
+        segmentation = segment(trial, options=options.segment)
+        log = fitted_log(trial, segmentation)
+        if log is None:
+            left_out.append(_refusal_for(trial, segmentation))
+            continue
+        key = (trial.source.path, trial.source.sheet) if reload is not None else (str(count), None)
+        cache.add(key, trial)
+        handle = LogHandle(
+            load=lambda key=key, source=trial.source: cache.get(key, source),  # type: ignore[misc]
+            segmentation=segmentation,
+            facts=_without_samples(log),
+        )
+        if trial.specimen not in groups:
+            sources.append((trial.specimen, trial.source))
+        groups.setdefault(trial.specimen, []).append(handle)
+        radii.setdefault(trial.specimen, []).append(trial.protocol.tip_radius_mm)
+        inputs.append(
+            {
+                "path": trial.source.path,
+                "sheet": trial.source.sheet,
+                "sha256": trial.source.sha256,
+                "recipe": trial.source.recipe,
+                "columns": dict(trial.source.columns),
+                "specimen": trial.specimen,
+                "n_samples": int(trial.time_s.size),
+            }
+        )
+    names = _display_names(sources)
+    fits: list[SpecimenFit] = []
+    for done, (specimen, handles) in enumerate(groups.items()):
+        name = names[specimen]
+
+        def tick(message: str, *, name: str = name, done: int = done) -> None:
+            progress(f"{name}: {message}", done, len(groups))
+
+        tick("fitting")
+        fit = fit_specimen(name, handles, options=options.fit, tick=tick)
+        fits.append(replace(fit, tip_radius_mm=_tip_radius(radii[specimen])))
+    progress("fitted", len(groups), len(groups))
+    for entry in inputs:
+        entry["specimen"] = names[entry["specimen"]]
+    everything = [*refused, *left_out]
+    return Identification(
+        specimens=tuple(fits),
+        refused=tuple(everything),
+        exit=_exit(fits, everything, options.required),
+        provenance={
+            "tissueid": __version__,
+            "options": {
+                "branches": options.fit.branches or "auto",
+                "stiffness_degree": (
+                    "auto" if options.fit.stiffness_degree is None else options.fit.stiffness_degree
+                ),
+                "static": options.fit.static,
+                "required": list(options.required),
+                "seed": options.seed,
+            },
+            "inputs": inputs,
+            **(provenance or {}),
+        },
+    )
+
+
+def _point(trial: Trial, index: int) -> dict[str, float]:
+    return {
+        "time_s": float(trial.time_s[index]),
+        "displacement_mm": float(trial.displacement_mm[index]),
+        "force_N": float(trial.force_N[index]),
+    }
+
+
+def describe_trial(trial: Trial, *, options: SegmentOptions | None = None) -> dict[str, Any]:
+    """What ``tissueid inspect`` says of a trial, as recorded: before signs or zeros are changed.
+
+    Returns
+    -------
+    dict
+        The object of ``schemas/inspect.schema.json``.
+    """
+    segmentation = segment(trial, options=options)
+    source = trial.source
+    flags: list[Flag] = [*trial.flags, *segmentation.flags]
+    contact = segmentation.contact
+    return {
+        "path": source.path,
+        "sheet": source.sheet,
+        "specimen": trial.specimen,
+        "recipe": source.recipe,
+        "encoding": source.encoding,
+        "delimiter": source.delimiter,
+        "decimal": source.decimal,
+        "columns": dict(source.columns),
+        "n_samples": int(trial.time_s.size),
+        "first": _point(trial, 0),
+        "last": _point(trial, -1),
+        "peak_force": _point(trial, int(np.argmax(np.abs(trial.force_N)))),
+        "compression_sign": segmentation.compression_sign,
+        "contact": None
+        if contact is None
+        else {
+            "displacement_mm": contact.displacement_mm,
+            "sd_mm": contact.sd_mm,
+            "baseline_N": contact.baseline_N,
+            "in_record": contact.in_record,
+        },
+        "phases": [
+            {
+                "kind": phase.kind,
+                "start_s": phase.start_s,
+                "end_s": phase.end_s,
+                "speed_mm_s": phase.speed_mm_s,
+            }
+            for phase in segmentation.phases
+        ],
+        "flags": [flag.as_json() for flag in flags],
+    }
