@@ -1,0 +1,385 @@
+"""The bundle: one identified tissue in one HDF5 file, everything a renderer or a colleague needs.
+
+Layout (schema version 1)::
+
+    bundle.h5
+    |  attributes: format = "tissueid/bundle", schema_version = 1, content_sha256
+    |-- document     JSON text, schemas/bundle.schema.json
+    |-- theta        (p,)    float64   parameters of the contact model, in the order of theta_names
+    |-- covariance   (p, p)  float64
+    `-- draws        (n, p)  float64   only where a posterior was sampled
+
+Equal contents give equal bytes: no time stamps, no version of the library that wrote it.  The content
+hash covers the document and every number, so that an edited file is told from a written one; it is a
+seal against accidents, not a signature.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.errors import BundleError
+from tissueid.result import Estimate, ModelChoice, SpecimenFit
+from tissueid.store.files import TEMPORARY_PREFIX, json_bytes, plain_json, replace_file
+from tissueid.store.schema import check
+
+if TYPE_CHECKING:
+    from tissueid.model import ContactModel
+
+__all__ = ["BUNDLE_SCHEMA_VERSION", "Bundle", "bundle_from_fit", "load_bundle", "write_bundle"]
+
+FloatArray = NDArray[np.float64]
+
+BUNDLE_SCHEMA_VERSION = 1
+_FORMAT = "tissueid/bundle"
+_DOCUMENT = "document"
+_ARRAYS = ("theta", "covariance", "draws")
+_OPTIONAL = frozenset({"draws"})
+_UNITS = {"length": "mm", "force": "N", "time": "s"}
+
+# A covariance that went through a Cholesky factor and back is positive semi-definite to rounding only
+_COVARIANCE_ROUNDING = 1e-9
+
+#: What libhdf5 and h5py raise on a file that is cut, overwritten or made by hand.
+_HDF5_ERRORS = (
+    OSError,
+    KeyError,
+    ValueError,
+    TypeError,
+    RuntimeError,
+    AttributeError,
+    OverflowError,
+    MemoryError,
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bundle:
+    """One identified tissue.
+
+    Attributes
+    ----------
+    specimen : str
+    model : ModelChoice
+        Key and options of the contact model.
+    theta_names : tuple of str
+    theta : ndarray, shape (p,)
+    covariance : ndarray, shape (p, p)
+    parameters : tuple of Estimate
+        What was reported, in the words of identification.json.
+    depth_mm : float
+        The model is claimed on [0, depth_mm].
+    speeds_mm_s : tuple of float
+        Slowest and fastest loading speed it was fitted to [mm/s].
+    tip_radius_mm : float or None
+    sigma_N : float
+        Residual standard deviation [N].
+    flags : tuple of mapping
+    provenance : mapping
+        Input hashes, versions, options, seed.
+    draws : ndarray, shape (n, p), or None
+        Posterior draws of theta.
+    rupture : None
+        Reserved for a rupture law.
+    units : mapping
+    schema_version : int
+    """
+
+    specimen: str
+    model: ModelChoice
+    theta_names: tuple[str, ...]
+    theta: FloatArray
+    covariance: FloatArray
+    parameters: tuple[Estimate, ...]
+    depth_mm: float
+    speeds_mm_s: tuple[float, float]
+    tip_radius_mm: float | None
+    sigma_N: float
+    flags: tuple[Mapping[str, Any], ...]
+    provenance: Mapping[str, Any]
+    draws: FloatArray | None = None
+    rupture: None = None
+    units: Mapping[str, str] = field(default_factory=lambda: dict(_UNITS))
+    schema_version: int = BUNDLE_SCHEMA_VERSION
+
+    def __post_init__(self) -> None:
+        for name in _ARRAYS:
+            values = getattr(self, name)
+            if values is not None:
+                array = np.array(values, dtype=np.float64, copy=True)
+                array.flags.writeable = False
+                object.__setattr__(self, name, array)
+
+    def contact_model(self) -> ContactModel:
+        """Build the contact model these parameters belong to, as it was fitted."""
+        from tissueid.model import build_model
+
+        return build_model(
+            self.model.key,
+            branches=self.model.branches,
+            stiffness_degree=self.model.stiffness_degree,
+            depth_mm=self.depth_mm,
+        )
+
+    def parameter(self, name: str) -> Estimate:
+        """Return the reported parameter of that name (``KeyError`` where there is none)."""
+        for estimate in self.parameters:
+            if estimate.name == name:
+                return estimate
+        raise KeyError(name)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the document of ``schemas/bundle.schema.json``."""
+        return {
+            "schema": f"{_FORMAT}/{self.schema_version}",
+            "specimen": self.specimen,
+            "model": self.model.as_json(),
+            "theta_names": list(self.theta_names),
+            "parameters": [estimate.as_json() for estimate in self.parameters],
+            "validity": {
+                "depth_mm": self.depth_mm,
+                "speeds_mm_s": list(self.speeds_mm_s),
+                "tip_radius_mm": self.tip_radius_mm,
+            },
+            "sigma_N": self.sigma_N,
+            "units": dict(self.units),
+            "flags": [dict(flag) for flag in self.flags],
+            "provenance": dict(self.provenance),
+            "rupture": self.rupture,
+        }
+
+
+def bundle_from_fit(
+    fit: SpecimenFit, *, provenance: Mapping[str, Any], draws: FloatArray | None = None
+) -> Bundle:
+    """Make the bundle of one specimen's fit.
+
+    Parameters
+    ----------
+    fit : SpecimenFit
+    provenance : mapping
+        Of the run: versions, options, seed, inputs.  Inputs that this specimen did not use are left out.
+    draws : ndarray, shape (n, p), optional
+        Posterior draws of theta.
+    """
+    own = {trial.path for trial in fit.trials}
+    inputs = [dict(entry) for entry in provenance.get("inputs", ()) if entry.get("path") in own]
+    return Bundle(
+        specimen=fit.specimen,
+        model=fit.model,
+        theta_names=fit.theta_names,
+        theta=fit.theta,
+        covariance=fit.covariance,
+        parameters=fit.parameters,
+        depth_mm=float(fit.depth_mm),
+        speeds_mm_s=fit.speeds_mm_s,
+        tip_radius_mm=fit.tip_radius_mm,
+        sigma_N=float(fit.sigma_N),
+        flags=tuple(flag.as_json() for flag in fit.flags),
+        provenance={**provenance, "inputs": inputs},
+        draws=draws,
+    )
+
+
+def write_bundle(bundle: Bundle, path: Path | str) -> None:
+    """Write a bundle, whole or not at all, after the checks that :func:`load_bundle` makes.
+
+    Parameters
+    ----------
+    bundle : Bundle
+    path : Path or str
+        Its folder must exist.
+
+    Raises
+    ------
+    BundleError
+        If the bundle could not be loaded again.
+    """
+    path = Path(path)
+    document = plain_json(bundle.as_json())
+    arrays = {name: getattr(bundle, name) for name in _ARRAYS if getattr(bundle, name) is not None}
+    _check_contents(bundle, document, where=str(path))
+    text = json_bytes(document)
+    temporary = path.with_name(TEMPORARY_PREFIX + path.name)
+    # fixed library version bounds: the bytes must not depend on which HDF5 was installed
+    with h5py.File(temporary, "w", libver=("v110", "v110")) as file:
+        file.attrs["format"] = _FORMAT
+        file.attrs["schema_version"] = np.int64(bundle.schema_version)
+        file.attrs["content_sha256"] = _content_hash(text, arrays)
+        kind = h5py.string_dtype("utf-8", length=len(text))
+        file.create_dataset(_DOCUMENT, data=np.array(text, dtype=kind), track_times=False)
+        for name, array in arrays.items():
+            file.create_dataset(name, data=array, dtype="<f8", track_times=False)
+    replace_file(temporary, path)
+
+
+def load_bundle(path: Path | str) -> Bundle:
+    """Read a bundle and refuse whatever could not have been written by :func:`write_bundle`.
+
+    Parameters
+    ----------
+    path : Path or str
+
+    Returns
+    -------
+    Bundle
+        Whose parameters, and every draw of them, make a passive model.
+
+    Raises
+    ------
+    BundleError
+        Naming the file, what is wrong with it, and the way out.
+    """
+    path = Path(path)
+    if not path.is_file():
+        msg = f"{path}: there is no such file; `tissueid fit` writes bundles into its output folder"
+        raise BundleError(msg)
+    try:
+        text, arrays, attributes = _read(path)
+    except _HDF5_ERRORS as error:
+        msg = (
+            f"{path}: cannot be read as a bundle ({error}); it is damaged, incomplete or another kind of "
+            "file: copy it again or run `tissueid fit` again"
+        )
+        raise BundleError(msg) from error
+    _check_header(path, attributes)
+    if attributes["content_sha256"] != _content_hash(text, arrays):
+        msg = f"{path}: changed since it was written (the content hash differs); run `tissueid fit` again"
+        raise BundleError(msg)
+    try:
+        document = json.loads(text)
+    except ValueError as error:
+        msg = f"{path}: its document is not JSON ({error}); run `tissueid fit` again"
+        raise BundleError(msg) from error
+    check(document, "bundle", where=str(path))
+    bundle = _from_document(document, arrays)
+    _check_contents(bundle, document, where=str(path))
+    return bundle
+
+
+def _content_hash(text: bytes, arrays: Mapping[str, FloatArray]) -> str:
+    digest = hashlib.sha256(f"{_FORMAT}/{BUNDLE_SCHEMA_VERSION}".encode())
+    digest.update(len(text).to_bytes(8, "little") + text)
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name], dtype="<f8")
+        digest.update(f"{name}{array.shape}".encode() + array.tobytes())
+    return digest.hexdigest()
+
+
+def _read(path: Path) -> tuple[bytes, dict[str, FloatArray], dict[str, Any]]:
+    with h5py.File(path, "r") as file:
+        attributes = dict(file.attrs)
+        names = set(file)
+        if attributes.get("format") != _FORMAT:
+            msg = f"its format is {attributes.get('format')!r}, not {_FORMAT!r}"
+            raise ValueError(msg)
+        missing = {_DOCUMENT, *_ARRAYS} - _OPTIONAL - names
+        unknown = names - {_DOCUMENT, *_ARRAYS}
+        if missing or unknown:
+            msg = f"data sets missing: {sorted(missing)}, unknown: {sorted(unknown)}"
+            raise ValueError(msg)
+        text = bytes(file[_DOCUMENT][()])
+        arrays = {}
+        for name in names - {_DOCUMENT}:
+            dataset = file[name]
+            if dataset.dtype != np.dtype("<f8"):
+                msg = f"data set {name} holds {dataset.dtype}, not 64-bit floats"
+                raise ValueError(msg)
+            arrays[name] = np.asarray(dataset[()])
+    return text, arrays, attributes
+
+
+def _check_header(path: Path, attributes: Mapping[str, Any]) -> None:
+    version = attributes.get("schema_version")
+    if version != BUNDLE_SCHEMA_VERSION:
+        msg = (
+            f"{path}: schema version {version}, this tissueid reads version {BUNDLE_SCHEMA_VERSION}; "
+            "use the tissueid that wrote it, or fit again"
+        )
+        raise BundleError(msg)
+    if "content_sha256" not in attributes:
+        msg = f"{path}: carries no content hash, so it was not written by tissueid; run `tissueid fit` again"
+        raise BundleError(msg)
+
+
+def _from_document(document: Mapping[str, Any], arrays: Mapping[str, FloatArray]) -> Bundle:
+    validity = document["validity"]
+    slowest, fastest = validity["speeds_mm_s"]
+    return Bundle(
+        specimen=document["specimen"],
+        model=ModelChoice(**document["model"]),
+        theta_names=tuple(document["theta_names"]),
+        theta=arrays["theta"],
+        covariance=arrays["covariance"],
+        parameters=tuple(Estimate(**estimate) for estimate in document["parameters"]),
+        depth_mm=validity["depth_mm"],
+        speeds_mm_s=(slowest, fastest),
+        tip_radius_mm=validity["tip_radius_mm"],
+        sigma_N=document["sigma_N"],
+        flags=tuple(document["flags"]),
+        provenance=document["provenance"],
+        draws=arrays.get("draws"),
+        units=document["units"],
+    )
+
+
+def _check_contents(bundle: Bundle, document: Mapping[str, Any], *, where: str) -> None:
+    check(document, "bundle", where=where)
+    problem = _array_problem(bundle) or _model_problem(bundle)
+    if problem is not None:
+        msg = f"{where}: {problem}; such a bundle can't be rendered safely, run `tissueid fit` again"
+        raise BundleError(msg)
+
+
+def _array_problem(bundle: Bundle) -> str | None:
+    size = len(bundle.theta_names)
+    shapes: Sequence[tuple[str, FloatArray | None, tuple[int, ...]]] = (
+        ("theta", bundle.theta, (size,)),
+        ("covariance", bundle.covariance, (size, size)),
+        ("draws", bundle.draws, (-1 if bundle.draws is None else len(bundle.draws), size)),
+    )
+    for name, array, shape in shapes:
+        if array is None:
+            continue
+        if array.shape != shape:
+            return f"{name} has shape {array.shape}, the {size} parameters need {shape}"
+        if not np.isfinite(array).all():
+            return f"{name} holds {int((~np.isfinite(array)).sum())} numbers that are not finite"
+    covariance = bundle.covariance
+    scale = np.sqrt(np.abs(np.diag(covariance)))
+    scale[scale == 0] = 1.0
+    # judged on the correlations, so that units (N/mm beside s) do not hide a wrong small entry
+    correlation = covariance / np.outer(scale, scale)
+    if np.abs(correlation - correlation.T).max(initial=0.0) > _COVARIANCE_ROUNDING:
+        return "the covariance is not symmetric"
+    smallest = float(np.linalg.eigvalsh(correlation).min(initial=0.0))
+    if smallest < -_COVARIANCE_ROUNDING * max(size, 1):
+        return f"the covariance is not positive semi-definite (eigenvalue {smallest:.3g} of the correlations)"
+    return None
+
+
+def _model_problem(bundle: Bundle) -> str | None:
+    try:
+        model = bundle.contact_model()
+    except (KeyError, ValueError) as error:
+        return f"the contact model can't be built ({error})"
+    if tuple(model.parameter_names) != bundle.theta_names:
+        return (
+            f"theta is {bundle.theta_names}, the model {bundle.model.key} has {tuple(model.parameter_names)}"
+        )
+    if not model.is_passive(bundle.theta):
+        return "theta is not passive: it would put out more energy than was put in"
+    if bundle.draws is not None:
+        for row, draw in enumerate(bundle.draws):
+            if not model.is_passive(draw):
+                return f"draw {row} is not passive: it would put out more energy than was put in"
+    return None

@@ -1,0 +1,135 @@
+"""The decimated curves of every trial in one file, so that a report never needs the raw logs again.
+
+Layout: the samples of all trials stand end to end in one data set a quantity; ``index`` (JSON text)
+names the trials and ``offsets`` says where each begins and ends.  Thousands of trials then cost no
+more than their numbers.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from tissueid.errors import BundleError
+from tissueid.result import Curve, SpecimenFit
+from tissueid.store.files import TEMPORARY_PREFIX, json_bytes, replace_file
+
+__all__ = ["TrialCurve", "curves_of_fits", "load_curves", "write_curves"]
+
+_FORMAT = "tissueid/curves/1"
+_QUANTITIES = ("time_s", "depth_mm", "force_N", "model_N")
+
+
+@dataclass(frozen=True, slots=True)
+class TrialCurve:
+    """The curve of one trial.
+
+    Attributes
+    ----------
+    specimen : str
+    path : str
+    sheet : str or None
+    curve : Curve
+    """
+
+    specimen: str
+    path: str
+    sheet: str | None
+    curve: Curve
+
+
+def curves_of_fits(fits: Iterable[SpecimenFit]) -> tuple[TrialCurve, ...]:
+    """Collect the curves of every trial, in the order of the fits."""
+    return tuple(
+        TrialCurve(fit.specimen, trial.path, trial.sheet, trial.curve) for fit in fits for trial in fit.trials
+    )
+
+
+def write_curves(curves: Sequence[TrialCurve], path: Path | str) -> None:
+    """Write curves, whole or not at all; equal curves give equal bytes.
+
+    Parameters
+    ----------
+    curves : sequence of TrialCurve
+        At least one.
+    path : Path or str
+        Its folder must exist.
+    """
+    path = Path(path)
+    sizes = [entry.curve.time_s.size for entry in curves]
+    index = [{"specimen": entry.specimen, "path": entry.path, "sheet": entry.sheet} for entry in curves]
+    text = json_bytes(index)
+    temporary = path.with_name(TEMPORARY_PREFIX + path.name)
+    with h5py.File(temporary, "w", libver=("v110", "v110")) as file:
+        file.attrs["format"] = _FORMAT
+        kind = h5py.string_dtype("utf-8", length=len(text))
+        file.create_dataset("index", data=np.array(text, dtype=kind), track_times=False)
+        offsets = np.concatenate([[0], np.cumsum(sizes)]).astype("<i8")
+        file.create_dataset("offsets", data=offsets, track_times=False)
+        for name in (*_QUANTITIES, "fitted"):
+            parts = [np.asarray(getattr(entry.curve, name)) for entry in curves]
+            values = np.concatenate(parts) if parts else np.empty(0)
+            _write_column(file, name, values.astype("u1" if name == "fitted" else "<f8"))
+    replace_file(temporary, path)
+
+
+def _write_column(file: Any, name: str, values: Any) -> None:
+    if values.size:
+        file.create_dataset(
+            name, data=values, track_times=False, compression="gzip", shuffle=True, chunks=True
+        )
+    else:
+        file.create_dataset(name, data=values, track_times=False)
+
+
+def load_curves(path: Path | str) -> tuple[TrialCurve, ...]:
+    """Read what :func:`write_curves` wrote.
+
+    Raises
+    ------
+    BundleError
+        If the file is damaged or another kind of file.
+    """
+    path = Path(path)
+    if not path.is_file():
+        msg = f"{path}: there is no such file; `tissueid fit` writes it into its output folder"
+        raise BundleError(msg)
+    try:
+        return _read(path)
+    except (OSError, KeyError, ValueError, TypeError, RuntimeError, AttributeError) as error:
+        msg = f"{path}: cannot be read as curves ({error}); copy it again or run `tissueid fit` again"
+        raise BundleError(msg) from error
+
+
+def _read(path: Path) -> tuple[TrialCurve, ...]:
+    with h5py.File(path, "r") as file:
+        if file.attrs.get("format") != _FORMAT:
+            msg = f"its format is {file.attrs.get('format')!r}, not {_FORMAT!r}"
+            raise ValueError(msg)
+        index = json.loads(bytes(file["index"][()]))
+        offsets = np.asarray(file["offsets"][()])
+        columns = {name: np.asarray(file[name][()]) for name in (*_QUANTITIES, "fitted")}
+    if offsets.size != len(index) + 1 or any(column.shape != (offsets[-1],) for column in columns.values()):
+        msg = "its index does not match its numbers"
+        raise ValueError(msg)
+    return tuple(
+        TrialCurve(
+            entry["specimen"],
+            entry["path"],
+            entry["sheet"],
+            Curve(
+                time_s=columns["time_s"][start:stop],
+                depth_mm=columns["depth_mm"][start:stop],
+                force_N=columns["force_N"][start:stop],
+                model_N=columns["model_N"][start:stop],
+                fitted=columns["fitted"][start:stop].astype(bool),
+            ),
+        )
+        for entry, start, stop in zip(index, offsets[:-1], offsets[1:], strict=True)
+    )

@@ -1,0 +1,273 @@
+"""The output folder: a run's files appear together or not at all, whenever the process is killed.
+
+::
+
+    OUT/
+    |-- .lock               one writer at a time
+    |-- .runs/000007/       the files of one run, and manifest.json with their hashes
+    |-- .current            "000007": renaming this one file commits the run
+    |-- identification.json, bundle-*.h5, report.html, ...   public copies of the current run
+
+A run is written into its own folder.  Renaming ``.current`` commits it.  The public names are then
+refreshed one by one; a kill in between leaves a mixture for as long as no command looks, because every
+command calls :func:`complete_refresh` first, which finishes the work from the committed run.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from tissueid.errors import BundleError
+from tissueid.store.files import TEMPORARY_PREFIX, json_bytes, replace_file, sha256_of, write_file
+from tissueid.store.lock import FolderLock
+from tissueid.store.schema import check
+
+__all__ = ["CommittedRun", "OutputSet", "complete_refresh", "current_run"]
+
+_RUNS = ".runs"
+_CURRENT = ".current"
+_MANIFEST = "manifest.json"
+_REFRESHED = ".refreshed"
+_SCHEMA = "tissueid/outputs/1"
+
+# A refresh copies a few megabytes: a second command waits this long for it
+_REFRESH_WAIT_S = 20.0
+
+
+@dataclass(frozen=True, slots=True)
+class CommittedRun:
+    """The run that an output folder shows.
+
+    Attributes
+    ----------
+    folder : Path
+        Where its files were written.
+    files : dict
+        ``name -> {"sha256", "bytes"}``.
+    replaces : tuple of str
+        Public names of the set before it.
+    """
+
+    folder: Path
+    files: dict[str, dict[str, Any]]
+    replaces: tuple[str, ...]
+
+
+def current_run(out: Path | str) -> CommittedRun | None:
+    """Find the committed run of an output folder, or ``None`` where there is none.
+
+    Raises
+    ------
+    BundleError
+        If the folder names a run that is not there or whose manifest is damaged.
+    """
+    out = Path(out)
+    try:
+        run_id = (out / _CURRENT).read_text(encoding="ascii").strip()
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except ValueError:
+        run_id = ""
+    folder = out / _RUNS / run_id
+    if not run_id.isdigit() or not (folder / _MANIFEST).is_file():
+        msg = f"{out}: its current run {run_id!r} is missing; restore the folder or run `tissueid fit` again"
+        raise BundleError(msg)
+    try:
+        document = json.loads((folder / _MANIFEST).read_text(encoding="utf-8"))
+    except ValueError as error:
+        msg = f"{folder / _MANIFEST}: not JSON ({error}); run `tissueid fit` again"
+        raise BundleError(msg) from error
+    check(document, "outputs", where=str(folder / _MANIFEST))
+    return CommittedRun(folder, document["files"], tuple(document["replaces"]))
+
+
+def _is_refreshed(out: Path) -> bool:
+    """Whether there is nothing to finish: two small reads, so that every command can afford it."""
+    try:
+        run_id = (out / _CURRENT).read_text(encoding="ascii").strip()
+    except (FileNotFoundError, NotADirectoryError):
+        return True
+    except ValueError:
+        return False
+    return (out / _RUNS / run_id / _REFRESHED).exists()
+
+
+def complete_refresh(out: Path | str) -> None:
+    """Finish a refresh that a kill interrupted; cheap where there is nothing to do.
+
+    Parameters
+    ----------
+    out : Path or str
+        An output folder; need not exist.
+
+    Raises
+    ------
+    BundleError
+        If another process is writing, a public file is held open elsewhere, or the run is damaged.
+    """
+    out = Path(out)
+    if _is_refreshed(out):
+        return
+    with FolderLock(out, wait_s=_REFRESH_WAIT_S):
+        if not _is_refreshed(out):
+            _refresh(out)
+
+
+def _refresh(out: Path) -> None:
+    run = current_run(out)
+    if run is None:
+        return
+    for leftover in out.glob(f"{TEMPORARY_PREFIX}*"):
+        leftover.unlink(missing_ok=True)
+    for name, entry in run.files.items():
+        temporary = out / f"{TEMPORARY_PREFIX}{name}"
+        try:
+            shutil.copyfile(run.folder / name, temporary)
+            if sha256_of(temporary) != entry["sha256"]:
+                msg = f"{run.folder / name}: damaged since it was written; run `tissueid fit` again"
+                raise BundleError(msg)
+            replace_file(temporary, out / name)
+        except FileNotFoundError as error:
+            msg = f"{run.folder / name}: missing from its run; run `tissueid fit` again"
+            raise BundleError(msg) from error
+        except PermissionError as error:
+            raise BundleError(_held_open(out / name)) from error
+    for name in set(run.replaces) - set(run.files):
+        try:
+            (out / name).unlink(missing_ok=True)
+        except PermissionError as error:
+            raise BundleError(_held_open(out / name)) from error
+    write_file(run.folder / _REFRESHED, b"")
+    _prune(out, keep=run.folder.name)
+
+
+def _held_open(path: Path) -> str:
+    return (
+        f"{path}: can't be replaced, another program holds it open; close it there and run "
+        f"`tissueid validate {path.parent}`, which finishes what was begun (the run itself is safe)"
+    )
+
+
+def _prune(out: Path, *, keep: str | None) -> None:
+    for folder in (out / _RUNS).iterdir():
+        if folder.name != keep:
+            # a file held open elsewhere stays until the next writer comes by
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+class OutputSet:
+    """One run's files on their way into an output folder.
+
+    >>> with OutputSet("out") as run:                                       # doctest: +SKIP
+    ...     run.write("identification.json", json_bytes(document))
+    ...     write_bundle(bundle, run.path("bundle-kidney.h5"))
+    ...     run.commit()
+
+    Leaving the context without :meth:`commit` leaves the folder as it was.
+
+    Parameters
+    ----------
+    out : Path or str
+        Output folder; made where it does not exist.
+
+    Raises
+    ------
+    BundleError
+        On entering, where another process writes into the folder or an earlier run is damaged.
+    """
+
+    def __init__(self, out: Path | str) -> None:
+        self.out = Path(out)
+        self._lock: FolderLock | None = None
+        self._folder: Path | None = None
+        self._previous: CommittedRun | None = None
+
+    def __enter__(self) -> Self:
+        try:
+            self.out.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            msg = f"{self.out}: can't be made a folder ({error.strerror}); choose another output folder"
+            raise BundleError(msg) from error
+        lock = FolderLock(self.out)
+        lock.__enter__()
+        try:
+            if not _is_refreshed(self.out):
+                _refresh(self.out)
+            self._previous = current_run(self.out)
+            self._folder = self._new_folder()
+        except BaseException:
+            lock.__exit__(None, None, None)
+            raise
+        self._lock = lock
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._folder is not None:
+            shutil.rmtree(self._folder, ignore_errors=True)
+            self._folder = None
+        if self._lock is not None:
+            self._lock.__exit__(kind, error, trace)
+            self._lock = None
+
+    def path(self, name: str) -> Path:
+        """Where to write the file that will be public as ``name`` (a plain file name)."""
+        folder = self._open_folder()
+        if Path(name).name != name or name.startswith(".") or name == _MANIFEST:
+            msg = f"{name!r} can't be a public name of an output set"
+            raise ValueError(msg)
+        return folder / name
+
+    def write(self, name: str, content: bytes) -> None:
+        """Write one file of the set."""
+        write_file(self.path(name), content)
+
+    def carry_over(self, names: Iterable[str] | None = None) -> None:
+        """Take files of the current set into this one as they are (all of them by default)."""
+        if self._previous is None:
+            return
+        for name in self._previous.files if names is None else names:
+            shutil.copyfile(self._previous.folder / name, self.path(name))
+
+    def commit(self) -> None:
+        """Make this run the current one and refresh the public names."""
+        folder = self._open_folder()
+        for leftover in folder.glob(f"{TEMPORARY_PREFIX}*"):
+            leftover.unlink()
+        files = {path.name: path for path in sorted(folder.iterdir())}
+        manifest = {
+            "schema": _SCHEMA,
+            "run": folder.name,
+            "files": {
+                name: {"sha256": sha256_of(path), "bytes": path.stat().st_size}
+                for name, path in files.items()
+            },
+            "replaces": sorted(self._previous.files) if self._previous else [],
+        }
+        write_file(folder / _MANIFEST, json_bytes(manifest))
+        write_file(self.out / _CURRENT, f"{folder.name}\n".encode("ascii"))
+        self._folder = None
+        _refresh(self.out)
+
+    def _open_folder(self) -> Path:
+        if self._folder is None:
+            msg = "the output set is not open: use it inside `with`, before commit"
+            raise RuntimeError(msg)
+        return self._folder
+
+    def _new_folder(self) -> Path:
+        runs = self.out / _RUNS
+        runs.mkdir(exist_ok=True)
+        keep = self._previous.folder.name if self._previous else None
+        _prune(self.out, keep=keep)
+        taken = [int(folder.name) for folder in runs.iterdir() if folder.name.isdigit()]
+        folder = runs / f"{max(taken, default=0) + 1:06d}"
+        folder.mkdir()
+        return folder

@@ -1,0 +1,187 @@
+"""What a fit leaves in its output folder, by name, and how it is read back and checked.
+
+``identification.json`` (the numbers), ``bundle-<specimen>.h5`` (the models), ``bundle.h5`` where there is
+one specimen, ``curves.h5`` (what a report draws).  A report is written into the same set by whoever
+made it.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from tissueid.errors import BundleError
+from tissueid.result import Identification
+from tissueid.store.bundle import bundle_from_fit, load_bundle, write_bundle
+from tissueid.store.curves import TrialCurve, curves_of_fits, load_curves, write_curves
+from tissueid.store.files import json_bytes, plain_json, sha256_of
+from tissueid.store.names import bundle_names
+from tissueid.store.outputs import CommittedRun, OutputSet, complete_refresh, current_run
+from tissueid.store.schema import check
+
+__all__ = [
+    "CURVES",
+    "IDENTIFICATION",
+    "ONLY_BUNDLE",
+    "REPORT",
+    "output_problems",
+    "read_results",
+    "validate_outputs",
+    "write_results",
+]
+
+IDENTIFICATION = "identification.json"
+CURVES = "curves.h5"
+REPORT = "report.html"
+ONLY_BUNDLE = "bundle.h5"
+
+_LONGEST_LIST = 8
+
+
+def write_results(run: OutputSet, identification: Identification) -> dict[str, Any]:
+    """Write the numbers, bundles and curves of a fit into an output set.
+
+    Parameters
+    ----------
+    run : OutputSet
+        Open, not yet committed.
+    identification : Identification
+
+    Returns
+    -------
+    dict
+        The document of identification.json, for the report.
+
+    Raises
+    ------
+    BundleError
+        If the result breaks its schema or a bundle would not load again.
+    """
+    document: dict[str, Any] = plain_json(identification.as_json())
+    check(document, "identification", where=IDENTIFICATION)
+    run.write(IDENTIFICATION, json_bytes(document))
+    names = bundle_names(fit.specimen for fit in identification.specimens)
+    for fit in identification.specimens:
+        bundle = bundle_from_fit(fit, provenance=identification.provenance)
+        write_bundle(bundle, run.path(names[fit.specimen]))
+        if len(names) == 1:
+            write_bundle(bundle, run.path(ONLY_BUNDLE))
+    write_curves(curves_of_fits(identification.specimens), run.path(CURVES))
+    return document
+
+
+def read_results(out: Path | str) -> tuple[dict[str, Any], tuple[TrialCurve, ...]]:
+    """Read the identification document and the curves of an output folder.
+
+    Raises
+    ------
+    BundleError
+        If there is no committed set or it is damaged.
+    """
+    run = _committed(Path(out))
+    return _identification(run.folder / IDENTIFICATION), load_curves(run.folder / CURVES)
+
+
+def validate_outputs(out: Path | str) -> None:
+    """Refuse an output folder that is not wholly one run's.
+
+    Finishes an interrupted refresh, then checks hashes, schemas, bundles and that they belong together.
+
+    Parameters
+    ----------
+    out : Path or str
+
+    Raises
+    ------
+    BundleError
+        Naming every problem found.
+    """
+    problems = output_problems(out)
+    if problems:
+        shown = problems[:_LONGEST_LIST]
+        if len(problems) > len(shown):
+            shown.append(f"and {len(problems) - len(shown)} more")
+        msg = f"{out}: the output set is not whole: {'; '.join(shown)}. Run `tissueid fit` again"
+        raise BundleError(msg)
+
+
+def output_problems(out: Path | str) -> list[str]:
+    """Everything that is wrong with an output folder, in words; empty for a whole set."""
+    out = Path(out)
+    try:
+        run = _committed(out)
+    except BundleError as error:
+        return [error.message]
+    problems = list(_hash_problems(out, run))
+    if problems:
+        return problems
+    try:
+        document = _identification(out / IDENTIFICATION)
+        curves = load_curves(out / CURVES)
+    except BundleError as error:
+        return [error.message]
+    return [*_bundle_problems(out, run, document), *_curve_problems(document, curves)]
+
+
+def _committed(out: Path) -> CommittedRun:
+    complete_refresh(out)
+    run = current_run(out)
+    if run is None:
+        msg = f"{out}: holds no finished run; `tissueid fit ... -o {out}` makes one"
+        raise BundleError(msg)
+    return run
+
+
+def _identification(path: Path) -> dict[str, Any]:
+    try:
+        document: dict[str, Any] = json.loads(path.read_bytes())
+    except (OSError, ValueError) as error:
+        msg = f"{path}: cannot be read as JSON ({error}); run `tissueid fit` again"
+        raise BundleError(msg) from error
+    check(document, "identification", where=str(path))
+    return document
+
+
+def _hash_problems(out: Path, run: CommittedRun) -> Iterable[str]:
+    for name, entry in run.files.items():
+        path = out / name
+        if not path.is_file():
+            yield f"{name} is missing (a copy is in {run.folder})"
+        elif path.stat().st_size != entry["bytes"] or sha256_of(path) != entry["sha256"]:
+            yield f"{name} is not the one this run wrote (a copy is in {run.folder})"
+    for name in (IDENTIFICATION, CURVES):
+        if name not in run.files:
+            yield f"{name} was never part of the set"
+
+
+def _bundle_problems(out: Path, run: CommittedRun, document: dict[str, Any]) -> Iterable[str]:
+    specimens = {entry["specimen"]: entry for entry in document["specimens"]}
+    expected = dict(bundle_names(specimens))
+    owner = {name: specimen for specimen, name in expected.items()}
+    if len(specimens) == 1:
+        owner[ONLY_BUNDLE] = next(iter(specimens))
+    for name in sorted(set(owner) - set(run.files)):
+        yield f"{name} is missing from the set"
+    for path in sorted(out.glob("bundle*.h5")):
+        if path.name not in owner:
+            yield f"{path.name} belongs to no specimen of {IDENTIFICATION}"
+    for name in sorted(set(owner) & set(run.files)):
+        try:
+            bundle = load_bundle(out / name)
+        except BundleError as error:
+            yield error.message
+            continue
+        entry = specimens[owner[name]]
+        if bundle.specimen != entry["specimen"]:
+            yield f"{name} is of specimen {bundle.specimen!r}, not {entry['specimen']!r}"
+        for key in ("model", "parameters", "validity", "sigma_N"):
+            if bundle.as_json()[key] != entry[key]:
+                yield f"{name} and {IDENTIFICATION} differ in {key}"
+
+
+def _curve_problems(document: dict[str, Any], curves: tuple[TrialCurve, ...]) -> Iterable[str]:
+    fitted = [(s["specimen"], t["path"], t["sheet"]) for s in document["specimens"] for t in s["trials"]]
+    if fitted != [(entry.specimen, entry.path, entry.sheet) for entry in curves]:
+        yield f"{CURVES} and {IDENTIFICATION} name different trials"

@@ -1,0 +1,160 @@
+"""The JSON Schemas: where they are found, and the one check every document goes through.
+
+The schemas are the source of truth for what ``--json`` prints and for what is stored.  They live in
+``schemas/`` of the repository and travel in the wheel as ``tissueid/schemas``; an editable install has
+no copy in the package, so the checkout beside it is asked second.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tissueid.errors import BundleError
+
+if TYPE_CHECKING:
+    from jsonschema.protocols import Validator
+
+__all__ = ["SCHEMA_NAMES", "SchemaProblem", "check", "first_problem", "load_schema", "schema_folder"]
+
+#: Every schema, by the name :func:`load_schema` takes.
+SCHEMA_NAMES = ("bundle", "flag", "identification", "inspect", "outputs")
+
+_LONGEST_MESSAGE = 300
+
+
+@dataclass(frozen=True, slots=True)
+class SchemaProblem:
+    """The first thing a document gets wrong.
+
+    Attributes
+    ----------
+    pointer : str
+        JSON pointer (RFC 6901) of the offending value; empty for the document itself.
+    message : str
+        What is wrong with it.
+    """
+
+    pointer: str
+    message: str
+
+    def __str__(self) -> str:
+        return f"{self.pointer or '(document)'}: {self.message}"
+
+
+def schema_folder() -> Traversable:
+    """Find the folder that holds the schemas: the installed package's, else the checkout's.
+
+    Raises
+    ------
+    BundleError
+        Where neither exists: the installation is damaged.
+    """
+    packaged = resources.files("tissueid") / "schemas"
+    checkout = Path(__file__).resolve().parents[2] / "schemas"
+    for folder in (packaged, checkout):
+        if (folder / "flag.schema.json").is_file():
+            return folder
+    msg = f"no schemas in {packaged} nor in {checkout}: the installation is damaged, install tissueid again"
+    raise BundleError(msg)
+
+
+@cache
+def load_schema(name: str) -> Mapping[str, Any]:
+    """Load one schema as parsed JSON.
+
+    Parameters
+    ----------
+    name : str
+        One of :data:`SCHEMA_NAMES`.
+    """
+    if name not in SCHEMA_NAMES:
+        msg = f"there is no schema {name!r}; there are {', '.join(SCHEMA_NAMES)}"
+        raise KeyError(msg)
+    text = (schema_folder() / f"{name}.schema.json").read_text(encoding="utf-8")
+    schema: dict[str, Any] = json.loads(text)
+    return schema
+
+
+@cache
+def _validator(name: str) -> Validator:
+    # jsonschema costs some 0.1 s to import: only commands that check something pay for it
+    from jsonschema import Draft202012Validator
+    from referencing import Registry, Resource
+
+    every = {f"{key}.schema.json": Resource.from_contents(load_schema(key)) for key in SCHEMA_NAMES}
+    registry: Any = Registry().with_resources(every.items())
+    return Draft202012Validator(load_schema(name), registry=registry)
+
+
+def _pointer(path: tuple[str | int, ...]) -> str:
+    return "".join("/" + str(part).replace("~", "~0").replace("/", "~1") for part in path)
+
+
+def _non_finite(value: Any, path: tuple[str | int, ...] = ()) -> SchemaProblem | None:
+    # JSON Schema's "number" lets NaN and infinity through, JSON itself does not
+    if isinstance(value, float):
+        return (
+            None if math.isfinite(value) else SchemaProblem(_pointer(path), f"{value} is not a finite number")
+        )
+    children: Any = ()
+    if isinstance(value, dict):
+        children = value.items()
+    elif isinstance(value, list):
+        children = enumerate(value)
+    for key, child in children:
+        problem = _non_finite(child, (*path, key))
+        if problem is not None:
+            return problem
+    return None
+
+
+def first_problem(document: Any, name: str) -> SchemaProblem | None:
+    """Find the most telling way in which a document breaks a schema, or ``None``.
+
+    Parameters
+    ----------
+    document : JSON value
+        Plain dicts, lists, strings, numbers, booleans and ``None``.
+    name : str
+        One of :data:`SCHEMA_NAMES`.
+    """
+    from jsonschema.exceptions import best_match
+
+    error = best_match(_validator(name).iter_errors(document))
+    if error is None:
+        return _non_finite(document)
+    message = error.message
+    if len(message) > _LONGEST_MESSAGE:
+        message = message[:_LONGEST_MESSAGE] + " ..."
+    return SchemaProblem(_pointer(tuple(error.absolute_path)), message)
+
+
+def check(document: Any, name: str, *, where: str = "") -> None:
+    """Refuse a document that breaks its schema.
+
+    Parameters
+    ----------
+    document : JSON value
+    name : str
+        One of :data:`SCHEMA_NAMES`.
+    where : str
+        File or stage the document came from, for the message.
+
+    Raises
+    ------
+    BundleError
+        Naming the JSON pointer of the first problem.
+    """
+    problem = first_problem(document, name)
+    if problem is not None:
+        prefix = f"{where}: " if where else ""
+        msg = f"{prefix}not a valid {name} document at {problem}"
+        raise BundleError(msg)
