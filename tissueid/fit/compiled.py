@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from tissueid.likelihood import partial
 from tissueid.likelihood.cone import cone_least_squares
@@ -11,7 +12,7 @@ from tissueid.model.kernels import branch_sensitivity, branch_state
 
 __all__ = ["kernels_to_compile"]
 
-KERNELS = (
+KERNELS: tuple[Any, ...] = (
     branch_state,
     branch_sensitivity,
     fill_design,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,7 +81,7 @@ def _kept(force: FloatArray, depth: FloatArray) -> NDArray[np.int64]:
         return np.arange(n)
     edges = np.linspace(0, n, CURVE_POINTS // 4 + 1).astype(np.int64)
     keep = {0, n - 1}
-    for first, last in zip(edges[:-1], edges[1:], strict=True):
+    for first, last in pairwise(edges.tolist()):
         keep |= {first, first + int(np.argmin(force[first:last])), first + int(np.argmax(force[first:last]))}
         keep.add(first + int(np.argmax(depth[first:last])))
     return np.array(sorted(keep))
@@ -134,7 +135,8 @@ def summarise_trial(
         flags.append(
             Flag(
                 "residual_correlated",
-                f"neighbouring residuals are correlated ({acf:.2f}): standard errors for white noise are too small",
+                f"neighbouring residuals are correlated ({acf:.2f}): standard errors for white noise "
+                "are too small",
                 {"residual_acf1": acf},
             )
         )

@@ -256,15 +256,15 @@ class PartialObjective:
         blocks = self.blocks
         p = int(blocks.sum())
         logs = q.shape[0]
-        rest = (self.scale, self.degree, self.branches)
-        prior = (self.weight_gain, self.weight_offset)
+        gain, offset = self.weight_gain, self.weight_offset
+        scale, degree, branches = self.scale, self.degree, self.branches
         start = (np.zeros(p), np.zeros(logs), np.zeros(logs))
         if warm is not None and warm.theta.size == p and warm.gamma.size == logs:
             start = (warm.theta, warm.gamma, warm.delta)
         value, theta, gamma, delta, support, weights = partial.solve(
-            q, *start, *prior, *rest, blocks, cone_start(blocks)
+            q, *start, gain, offset, scale, degree, branches, blocks, cone_start(blocks)
         )
-        h, b, _, _, _ = partial.assemble(q, theta, gamma, delta, *prior, *rest)
+        h, b, _, _, _ = partial.assemble(q, theta, gamma, delta, gain, offset, scale, degree, branches)
         return Evaluation(
             value=float(value),
             log_tau=np.array(log_tau, dtype=np.float64),

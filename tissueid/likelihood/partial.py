@@ -236,7 +236,7 @@ def solve(
     if np.abs(theta).max() > 0.0:
         value = objective(q, theta, gamma, delta, weight_gain, weight_offset, scale, degree, branches)
     for _ in range(MAX_ROUNDS):
-        h, b, c, back, _ = assemble(
+        h, b, _, back, _ = assemble(
             q, theta, gamma, delta, weight_gain, weight_offset, scale, degree, branches
         )
         hp = np.ascontiguousarray(h[:p, :p])

@@ -138,16 +138,14 @@ def _continued(coefficients: FloatArray, x: float, depth: float, monotone: bool)
 @nb.njit(cache=True, nogil=True)
 def _force(
     static: FloatArray, stiffness: FloatArray, depth: float, y: float, states: FloatArray
-) -> tuple[float, float, float]:
-    """Force, its slope by y at fixed states, and the sum of branch stiffnesses."""
+) -> tuple[float, float]:
+    """Force and its slope by y at fixed states."""
     force, slope = _continued(static, y, depth, True)
-    total = 0.0
     for j in range(states.size):
         k, dk = _continued(stiffness[j], y, depth, False)
         force += k * states[j]
         slope += dk * states[j]
-        total += k
-    return force, slope, total
+    return force, slope
 
 
 @nb.njit(cache=True, nogil=True)
@@ -204,7 +202,7 @@ def tissue_step(
         trial[j] = decayed[j] + phi * (target - surface)
         if abs(trial[j]) < FLUSH_MM:
             trial[j] = 0.0
-    force, slope, total = _force(static, stiffness, depth, target, trial)
+    force, slope = _force(static, stiffness, depth, target, trial)
     if force >= 0.0 or n == 0:
         for j in range(n):
             states[j] = trial[j]
@@ -222,7 +220,7 @@ def tissue_step(
             trial[j] = decayed[j] + gain[j] * (y - surface)
             k, _dk = _continued(stiffness[j], y, depth, False)
             rate += k * gain[j]
-        force, slope, total = _force(static, stiffness, depth, y, trial)
+        force, slope = _force(static, stiffness, depth, y, trial)
         if force > 0.0:
             high = y
         else:
