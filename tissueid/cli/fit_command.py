@@ -24,6 +24,9 @@ Examples:
 """
 
 
+REQUIRED = ["viscosity", "static", "stiffness", "relaxation-time", "none"]
+
+
 def _count(auto: str) -> click.Choice[str]:
     return click.Choice([*auto, "auto"])
 
@@ -44,7 +47,7 @@ def _count(auto: str) -> click.Choice[str]:
     help="Static curve of a specimen's logs: one with a gain and contact offset a log, one, or one each.",
 )  # fmt: skip
 @click.option(
-    "--require", multiple=True, type=click.Choice(["viscosity", "static", "stiffness", "relaxation-time", "none"]),
+    "--require", multiple=True, type=click.Choice(REQUIRED),
     help="What must be identified for exit code 0. [default: viscosity and static]",
 )  # fmt: skip
 @click.option("--seed", type=int, default=0, show_default=True, help="Seed of everything random.")
@@ -90,7 +93,7 @@ def command(**flags: Any) -> int:
     missing = kernels_to_compile()
     if missing:
         note(
-            f"First run: compiling {len(missing)} kernels ({', '.join(missing)}), once, about half a minute.",
+            f"First run: compiling {len(missing)} kernels, about half a minute: {', '.join(missing)}",
             quiet=quiet,
         )
     refused: list[Refusal] = []
@@ -140,14 +143,12 @@ def _print_specimen(console: Any, fit: SpecimenFit, *, verbose: int) -> None:
     plural = "es" if model.branches > 1 else ""
     console.print(
         f"\n[bold]{_escaped(fit.specimen)}[/bold]  {len(fit.trials)} log{'s' * (len(fit.trials) > 1)}, "
-        f"{model.branches} branch{plural}, K of degree {model.stiffness_degree}, {model.static_pooling} static, "
-        f"NRMSD {100 * fit.nrmsd.range:.2f} % of range",
+        f"{model.branches} branch{plural}, K of degree {model.stiffness_degree}, "
+        f"{model.static_pooling} static, NRMSD {100 * fit.nrmsd.range:.2f} % of range",
     )
     for one in fit.parameters:
-        if one.value is None:
-            text = "not identified"
-        else:
-            text = f"{with_error(one.value, one.stderr)} {one.unit}"
+        known = one.value is not None
+        text = f"{with_error(one.value, one.stderr)} {one.unit}" if known else "not identified"
         console.print(f"  {one.symbol:<6} {text}", markup=False)
     for flag in fit.flags:
         console.print(f"  ! {flag.message}", style="yellow", markup=False)

@@ -58,9 +58,8 @@ def command(**flags: Any) -> int:
             where = refusal.path if refusal.sheet is None else f"{refusal.path} [{refusal.sheet}]"
             line = "" if refusal.line is None else f", line {refusal.line}"
             column = "" if refusal.column is None else f", column {refusal.column}"
-            click.secho(
-                f"{where}{line}{column}: refused ({refusal.code}): {refusal.message}", fg="red", err=True
-            )
+            text = f"{where}{line}{column}: refused ({refusal.code}): {refusal.message}"
+            click.secho(text, fg="red", err=True)
     if refused:
         return exit_code({7 if described else 3})
     return 0
@@ -76,9 +75,8 @@ def _print(one: dict[str, Any]) -> None:
     click.echo(f"  samples     {one['n_samples']}, compression is {sign} displacement")
     for key, label in (("first", "first"), ("peak_force", "peak force"), ("last", "last")):
         point = one[key]
-        click.echo(
-            f"  {label:<11} {point['time_s']:.6g} s, {point['displacement_mm']:.6g} mm, {point['force_N']:.6g} N"
-        )
+        values = f"{point['time_s']:.6g} s, {point['displacement_mm']:.6g} mm, {point['force_N']:.6g} N"
+        click.echo(f"  {label:<11} {values}")
     contact = one["contact"]
     if contact is not None:
         click.echo(f"  contact     {contact['displacement_mm']:.4f} ± {contact['sd_mm']:.4f} mm")

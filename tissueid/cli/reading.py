@@ -34,7 +34,7 @@ def reading_options(function: Callable[..., Any]) -> Callable[..., Any]:
         click.option(
             "--specimen-by",
             metavar="PATTERN",
-            help="Regular expression on the path (path::sheet in a workbook) whose first group names the specimen.",
+            help="Regular expression on the path (path::sheet in a workbook) that names the specimen.",
         ),
         click.option("--recipe", metavar="KEY", help="Reader to use instead of the detected one."),
         click.option(

@@ -192,9 +192,13 @@ def estimate_tissue(sums: SpecimenSums, solution: Solution) -> TissueEstimate:
         tau_index = first + size
         tau = float(theta[tau_index])
         tau_estimate = _estimate(
-            specs[tau_index].name, specs[tau_index].symbol, "s", tau, float(stderr[tau_index]),
+            specs[tau_index].name,
+            specs[tau_index].symbol,
+            "s",
+            tau,
+            float(stderr[tau_index]),
             (interval.identified, interval.width),
-        )  # fmt: skip
+        )
         detail = dict(tau_estimate.detail) | {
             "profile_ci95": [float(np.exp(interval.low)), float(np.exp(interval.high))],
             "open_low": interval.open_low,
@@ -209,7 +213,7 @@ def estimate_tissue(sums: SpecimenSums, solution: Solution) -> TissueEstimate:
                 stderr=tau_estimate.stderr,
                 identified=tau_estimate.identified,
                 detail=detail,
-            )  # fmt: skip
+            )
         )
         suffix = "" if j == 0 else f"_b{j + 1}"
         slope = np.zeros(theta.size)
@@ -227,7 +231,7 @@ def estimate_tissue(sums: SpecimenSums, solution: Solution) -> TissueEstimate:
                 stiffness * tau,
                 eta_stderr,
                 (width <= MAX_WIDTH, width),
-            )  # fmt: skip
+            )
         )
     return TissueEstimate(
         model=model,

@@ -195,7 +195,7 @@ def _second_pass(
                 theta=tissue.theta,
                 adjustment=adjustment,
                 totals=totals,
-            )  # fmt: skip
+            )
         )
         rows += relaxation_rows(trial, handle.segmentation)
     rmse = float(np.sqrt(totals.squares / totals.count))

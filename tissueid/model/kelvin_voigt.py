@@ -152,13 +152,13 @@ class KelvinVoigt:
         """F_s [N] at depths within the identified range."""
         static, _, _ = self.split(theta)
         x = np.asarray(depth_mm)
-        return x * (static[0] + x * (static[1] + x * static[2]))
+        return np.asarray(x * (static[0] + x * (static[1] + x * static[2])))
 
     def stiffness(self, theta: FloatArray, depth_mm: FloatArray) -> FloatArray:
         """K_j(x) [N/mm] at depths within the identified range, shape (branches, n)."""
         _, stiffness, _ = self.split(theta)
         powers = np.asarray(depth_mm)[None, :] ** np.arange(self.stiffness_degree + 1)[:, None]
-        return stiffness @ powers
+        return np.asarray(stiffness @ powers)
 
     def states(self, tau: FloatArray, path: ContactPath) -> FloatArray:
         """Branch states [mm] from rest, shape (branches, n)."""
@@ -270,7 +270,7 @@ def constant_speed_force(
     x = np.asarray(depth_mm)
     length = speed_mm_s * tau[:, None]
     states = -length * np.expm1(-x[None, :] / length)
-    return model.static_force(theta, x) + (model.stiffness(theta, x) * states).sum(axis=0)
+    return np.asarray(model.static_force(theta, x) + (model.stiffness(theta, x) * states).sum(axis=0))
 
 
 def ramp_hold_state(time_s: FloatArray, *, speed_mm_s: float, depth_mm: float, tau_s: float) -> FloatArray:

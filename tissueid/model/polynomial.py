@@ -115,7 +115,7 @@ def coordinates_jacobian(p: FloatArray) -> FloatArray:
         return np.array([[2.0 * p[0], 0.0], [-2.0 * p[0], 2.0 * p[1]]])
     bernstein = np.array([[2.0 * p[0], 0.0, 0.0], [-p[2], 1.0, -p[0]], [0.0, 0.0, 2.0 * p[2]]])
     power = np.array([[1.0, 0.0, 0.0], [-2.0, 2.0, 0.0], [1.0, -2.0, 1.0]])
-    return power @ bernstein
+    return np.asarray(power @ bernstein)
 
 
 def n_bounded(degree: int) -> tuple[int, ...]:
