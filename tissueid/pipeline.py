@@ -34,7 +34,7 @@ __all__ = [
 ]
 
 #: Samples kept in memory between the passes [bytes].
-CACHE_BYTES = 32 * 2**20
+CACHE_BYTES = 16 * 2**20
 REQUIRABLE = ("viscosity", "static", "stiffness", "relaxation-time")
 DEFAULT_REQUIRED = ("viscosity", "static")
 _PREFIX = {

@@ -18,11 +18,13 @@ from tissueid.likelihood.objective import (
     Evaluation,
     PartialObjective,
     PooledObjective,
+    eliminate_static,
     per_log_gram,
     shared_gram,
 )
+from tissueid.likelihood.sums import N_STATIC
 
-__all__ = ["Candidate", "Noise", "Solution", "SpecimenSums", "fit_candidate", "objective_for"]
+__all__ = ["Candidate", "Noise", "Solution", "SpecimenSums", "fit_candidate", "objective_for", "sum_of_logs"]
 
 FloatArray = NDArray[np.float64]
 
@@ -30,6 +32,8 @@ POOLINGS = ("partial", "shared", "per-log")
 #: Spread of the log gain that is tried: from none to a factor of e.
 GAIN_SD = np.geomspace(1e-4, 1.0, 41)
 START_GAIN_SD = 0.1
+#: Groups of logs held out in turn at most.
+MAX_GROUPS = 30
 VARIANCE_ROUNDS = 6
 #: Change of the gain's spread, relative, that counts as none.
 VARIANCE_SETTLED = 0.02
@@ -87,6 +91,8 @@ class SpecimenSums:
         [step / 5, 10 duration].
     single : bool
         True where the units are parts of one log.
+    logs : ndarray of int
+        Units that take part; the rest is held out.
     """
 
     gram: FloatArray
@@ -98,23 +104,25 @@ class SpecimenSums:
     step_s: float
     duration_s: float
     single: bool
+    logs: NDArray[np.int64]
 
     @property
     def n(self) -> int:
         """Samples in the likelihood."""
-        return int(self.count.sum())
+        return int(self.count[self.logs].sum())
 
     @property
     def log_tau_bounds(self) -> tuple[float, float]:
         """Range of ln(tau / s)."""
         return float(np.log(self.step_s / TAU_BELOW_STEP)), float(np.log(self.duration_s * TAU_ABOVE_LENGTH))
 
-    def without(self, unit: int) -> SpecimenSums:
-        """The same specimen with one unit held out."""
-        keep = np.arange(self.gram.shape[0]) != unit
-        return replace(
-            self, gram=self.gram[keep], count=self.count[keep], offset_sd_mm=self.offset_sd_mm[keep]
-        )
+    def without(self, units: NDArray[np.int64]) -> SpecimenSums:
+        """The same specimen with some units held out (nothing is copied)."""
+        return replace(self, logs=np.setdiff1d(self.logs, units))
+
+    def held_out_groups(self) -> list[NDArray[np.int64]]:
+        """What is held out in turn: every log, or thirty groups of logs where there are more."""
+        return [group for group in np.array_split(self.logs, min(self.logs.size, MAX_GROUPS)) if group.size]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,6 +144,14 @@ class Solution:
     objective: PooledObjective | PartialObjective
 
 
+def sum_of_logs(sums: SpecimenSums) -> FloatArray:
+    """Gram matrix of all units that take part."""
+    total = np.zeros(sums.gram.shape[1:])
+    for i in sums.logs:
+        total += sums.gram[i]
+    return total
+
+
 def objective_for(
     sums: SpecimenSums, candidate: Candidate, noise: Noise
 ) -> PooledObjective | PartialObjective:
@@ -149,12 +165,17 @@ def objective_for(
             degree=candidate.degree,
             columns_degree=sums.columns_degree,
             weight_gain=noise.sigma2 / noise.gain_sd**2,
-            weight_offset=noise.sigma2 / sums.offset_sd_mm**2,
+            weight_offset=noise.sigma2 / sums.offset_sd_mm[sums.logs] ** 2,
+            logs=sums.logs,
         )
     shared = candidate.pooling == "shared"
-    gram = sums.gram.sum(axis=0, keepdims=True) if sums.single else sums.gram
+    if shared or sums.single:
+        gram = sum_of_logs(sums)
+        pooled = shared_gram(gram) if shared else eliminate_static(gram, N_STATIC)
+    else:
+        pooled = per_log_gram(sums.gram, sums.logs)
     return PooledObjective(
-        gram=shared_gram(gram) if shared else per_log_gram(gram),
+        gram=pooled,
         basis=sums.basis,
         scale=sums.depth_mm,
         branches=candidate.branches,
@@ -168,7 +189,7 @@ def _variance(sums: SpecimenSums, candidate: Candidate, value: float) -> float:
     """Noise variance: the (penalised) sum of squares over its degrees of freedom."""
     used = candidate.n_parameters
     if candidate.pooling == "per-log":
-        used += 4 * sums.gram.shape[0] - 3
+        used += 4 * sums.logs.size - 3
     return max(value / max(sums.n - used, 1), 1e-300)
 
 
@@ -183,7 +204,7 @@ def _spread_of_gain(
         found.delta,
         sigma2,
         GAIN_SD,
-        offset_sd,
+        offset_sd[objective.logs],
         objective.scale,
         objective.degree,
         objective.branches,

@@ -114,7 +114,7 @@ def _factor(gram: FloatArray) -> FloatArray:
 
 def _compress(objective: PooledObjective | PartialObjective) -> _Compressed:
     if isinstance(objective, PartialObjective):
-        factors = tuple(_factor(one) for one in objective.gram)
+        factors = tuple(_factor(objective.gram[i]) for i in objective.logs)
         static, random_effects = N_STATIC, True
         weight_gain, weight_offset = objective.weight_gain, objective.weight_offset
     else:

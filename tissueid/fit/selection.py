@@ -83,20 +83,21 @@ def _held_out_pooled(q: FloatArray, evaluation: Evaluation, scale: float, degree
 
 
 def held_out_scores(sums: SpecimenSums, solution: Solution) -> FloatArray:
-    """Log predictive density of every unit, predicted from the others; shape (units,).
+    """Log predictive density of every held-out group, predicted from the others; shape (groups,).
 
     The relaxation times of the remaining units follow by one Gauss-Newton step from those of all; the
     linear parameters and random effects are solved anew.
     """
     candidate, noise = solution.candidate, solution.noise
     low, high = sums.log_tau_bounds
-    scores = np.empty(sums.gram.shape[0])
-    for unit in range(scores.size):
-        rest = sums.without(unit)
+    groups = sums.held_out_groups()
+    scores = np.empty(len(groups))
+    for index, group in enumerate(groups):
+        rest = sums.without(group)
         objective = objective_for(rest, candidate, noise)
         warm = solution.evaluation
         if warm.gamma.size:
-            keep = np.arange(warm.gamma.size) != unit
+            keep = np.isin(sums.logs, rest.logs)
             warm = replace(warm, gamma=warm.gamma[keep], delta=warm.delta[keep])
         there = objective.evaluate(warm.log_tau, warm)
         step = np.clip(step_in_log_tau(there, objective.blocks), -1.0, 1.0)
@@ -107,14 +108,18 @@ def held_out_scores(sums: SpecimenSums, solution: Solution) -> FloatArray:
         )
         used = N_STATIC + candidate.branches * (candidate.degree + 1)
         columns = np.concatenate([weights[:, :used], weights[:, -1:]], axis=1)
-        q = columns.T @ sums.gram[unit] @ columns
-        cost = 0.0
-        if isinstance(objective, PartialObjective):
-            value, cost = _held_out_partial(q, there.theta, objective, noise, float(sums.offset_sd_mm[unit]))
-        else:
-            value = _held_out_pooled(q, there, sums.depth_mm, candidate.degree)
-        count = float(sums.count[unit])
-        scores[unit] = -0.5 * (count * np.log(2 * np.pi * noise.sigma2) + value / noise.sigma2 + cost)
+        value, cost = 0.0, 0.0
+        for unit in group:
+            q = columns.T @ sums.gram[unit] @ columns
+            if isinstance(objective, PartialObjective):
+                residual, extra = _held_out_partial(
+                    q, there.theta, objective, noise, float(sums.offset_sd_mm[unit])
+                )
+                value, cost = value + residual, cost + extra
+            else:
+                value += _held_out_pooled(q, there, sums.depth_mm, candidate.degree)
+        count = float(sums.count[group].sum())
+        scores[index] = -0.5 * (count * np.log(2 * np.pi * noise.sigma2) + value / noise.sigma2 + cost)
     return scores
 
 

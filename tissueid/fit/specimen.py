@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.fit.candidates import Solution, SpecimenSums
+from tissueid.fit.candidates import Solution, SpecimenSums, sum_of_logs
 from tissueid.fit.estimates import TissueEstimate, estimate_tissue
 from tissueid.fit.lm import levenberg_marquardt
 from tissueid.fit.relaxation import relaxation_rows
@@ -112,6 +112,7 @@ def _specimen_sums(handles: Sequence[LogHandle], degree: int, tick: Callable[[st
         step_s=step,
         duration_s=duration,
         single=single,
+        logs=np.arange(gram.shape[0]),
     )
 
 
@@ -157,7 +158,7 @@ def _adjustments(
         ]
     if solution.candidate.pooling == "shared":
         return [Adjustment() for _ in range(count)]
-    gram = sums.gram.sum(axis=0, keepdims=True) if sums.single else sums.gram
+    gram = sum_of_logs(sums)[None] if sums.single else sums.gram
     candidate = solution.candidate
     weights = reduction(
         sums.basis, found.log_tau, degree=candidate.degree, columns_degree=sums.columns_degree

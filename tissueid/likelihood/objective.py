@@ -105,17 +105,18 @@ def cone_start(blocks: NDArray[np.int64]) -> FloatArray:
 
 
 def shared_gram(gram: FloatArray) -> FloatArray:
-    """One static curve for all logs: sum over logs, the constant dropped (F_s(0) = 0).
+    """One static curve for all logs: the constant dropped, because F_s(0) = 0.
 
     Parameters
     ----------
-    gram : ndarray, shape (logs, m, m)
+    gram : ndarray, shape (m, m)
+        Sum over logs.
 
     Returns
     -------
     ndarray, shape (m - 1, m - 1)
     """
-    return np.asarray(gram.sum(axis=0)[1:, 1:])
+    return np.ascontiguousarray(gram[1:, 1:])
 
 
 def eliminate_static(gram: FloatArray, n_static: int) -> FloatArray:
@@ -127,9 +128,9 @@ def eliminate_static(gram: FloatArray, n_static: int) -> FloatArray:
     return np.asarray(gram[n_static:, n_static:] - cross.T @ np.linalg.solve(scaled, cross))
 
 
-def per_log_gram(gram: FloatArray) -> FloatArray:
+def per_log_gram(gram: FloatArray, logs: NDArray[np.int64]) -> FloatArray:
     """A free cubic and constant for every log, eliminated; shape (m - 4, m - 4)."""
-    return np.asarray(sum(eliminate_static(one, N_STATIC) for one in gram))
+    return np.asarray(sum(eliminate_static(gram[i], N_STATIC) for i in logs))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -221,8 +222,10 @@ class PartialObjective:
 
     Attributes
     ----------
-    gram : ndarray, shape (logs, m, m)
+    gram : ndarray, shape (units, m, m)
         Columns 1, x, x^2, x^3, node states by power of x, force.
+    logs : ndarray of int, shape (logs,)
+        Units that take part; the others are held out, without a copy.
     weight_gain : float
         (sigma / sigma_g)^2 [N^2].
     weight_offset : ndarray, shape (logs,)
@@ -239,6 +242,7 @@ class PartialObjective:
     columns_degree: int
     weight_gain: float
     weight_offset: FloatArray
+    logs: NDArray[np.int64]
 
     @property
     def blocks(self) -> NDArray[np.int64]:
@@ -248,7 +252,7 @@ class PartialObjective:
     def reduced(self, log_tau: FloatArray) -> FloatArray:
         """Reduced Gram matrices, shape (logs, r, r)."""
         weights = reduction(self.basis, log_tau, degree=self.degree, columns_degree=self.columns_degree)
-        return np.ascontiguousarray(weights.T @ self.gram @ weights)
+        return np.ascontiguousarray(np.stack([weights.T @ (self.gram[i] @ weights) for i in self.logs]))
 
     def evaluate(self, log_tau: FloatArray, warm: Evaluation | None = None) -> Evaluation:
         """The optimum at these relaxation times, started from ``warm`` where given."""
