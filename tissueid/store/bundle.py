@@ -171,8 +171,12 @@ def bundle_from_fit(
     draws : ndarray, shape (n, p), optional
         Posterior draws of theta.
     """
-    own = {trial.path for trial in fit.trials}
-    inputs = [dict(entry) for entry in provenance.get("inputs", ()) if entry.get("path") in own]
+    own = {(trial.path, trial.sheet) for trial in fit.trials}
+    inputs = [
+        dict(entry)
+        for entry in provenance.get("inputs", ())
+        if (entry.get("path"), entry.get("sheet")) in own and entry.get("specimen") == fit.specimen
+    ]
     return Bundle(
         specimen=fit.specimen,
         model=fit.model,

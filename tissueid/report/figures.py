@@ -1,0 +1,99 @@
+"""The numbers behind the figures, packed for the page.
+
+A page carries each curve once, as base64 of little-endian 32-bit floats; one script on the page makes
+every figure from it when it comes into view.  Thirty full figure specifications would be ten times
+larger and would be drawn whether or not anybody looks.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.report.wording import trial_label
+from tissueid.result import Curve
+from tissueid.store.curves import TrialCurve
+
+__all__ = ["MOST_SAMPLES", "curve_payload", "thinned"]
+
+#: Samples a page may carry in all: 22 bytes each, so that the page stays below 7 MB with its script.
+MOST_SAMPLES = 80_000
+_FEWEST_A_TRIAL = 40
+_KEPT_A_BUCKET = 4
+
+
+def thinned(curve: Curve, most: int) -> NDArray[np.intp]:
+    """Indices that keep the shape: in every stretch the extremes of force and of residual, and the ends.
+
+    Parameters
+    ----------
+    curve : Curve
+    most : int
+        Samples to keep at the most (at least 6).
+
+    Returns
+    -------
+    ndarray of int
+        Ascending.
+    """
+    size = curve.time_s.size
+    if size <= most:
+        return np.arange(size)
+    edges = np.linspace(0, size, max((most - 2) // _KEPT_A_BUCKET, 1) + 1).astype(int)
+    residual = curve.force_N - curve.model_N
+    keep = {0, size - 1}
+    for start, stop in zip(edges[:-1], edges[1:], strict=True):
+        for values in (curve.force_N[start:stop], residual[start:stop]):
+            keep.update((int(start + values.argmin()), int(start + values.argmax())))
+    return np.array(sorted(keep))
+
+
+def _packed(values: NDArray[Any], kind: str) -> str:
+    return base64.b64encode(np.ascontiguousarray(values, dtype=kind).tobytes()).decode("ascii")
+
+
+def curve_payload(
+    specimens: Sequence[Mapping[str, Any]], curves: Sequence[TrialCurve]
+) -> list[list[dict[str, Any]]]:
+    """Curves of every specimen, in the order of its trials, packed.
+
+    Parameters
+    ----------
+    specimens : sequence of mapping
+        ``specimens`` of identification.json.
+    curves : sequence of TrialCurve
+        Trials without a curve are left out.
+
+    Returns
+    -------
+    list of list of dict
+        Per specimen and trial: ``label`` and base64 ``t, x, f, m`` (float32: s, mm, N, N) and ``on`` (uint8).
+    """
+    waiting: dict[tuple[str, str, str | None], list[Curve]] = {}
+    for entry in curves:
+        waiting.setdefault((entry.specimen, entry.path, entry.sheet), []).append(entry.curve)
+    share = max(MOST_SAMPLES // max(len(curves), 1), _FEWEST_A_TRIAL)
+    payload = []
+    for specimen in specimens:
+        trials = []
+        for trial in specimen["trials"]:
+            own = waiting.get((specimen["specimen"], trial["path"], trial["sheet"]))
+            if own:
+                trials.append({"label": trial_label(trial), **_columns(own.pop(0), share)})
+        payload.append(trials)
+    return payload
+
+
+def _columns(curve: Curve, most: int) -> dict[str, str]:
+    index = thinned(curve, most)
+    return {
+        "t": _packed(curve.time_s[index], "<f4"),
+        "x": _packed(curve.depth_mm[index], "<f4"),
+        "f": _packed(curve.force_N[index], "<f4"),
+        "m": _packed(curve.model_N[index], "<f4"),
+        "on": _packed(curve.fitted[index], "u1"),
+    }

@@ -1,0 +1,125 @@
+"""Put a report together: words and numbers from :mod:`wording`, curves from :mod:`figures`, one template.
+
+The page is self-contained (style, script and plotly inline) and asks the network for nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from tissueid.report.figures import curve_payload
+from tissueid.report.wording import (
+    NOT_IDENTIFIED,
+    number,
+    parameter_words,
+    remarks,
+    tissue_sentence,
+    trial_label,
+    verdict,
+    with_error,
+)
+from tissueid.store.curves import TrialCurve
+
+__all__ = ["page_environment", "render_report"]
+
+_SUMMARY = ("static_1_N_per_mm", "relaxation_time_s", "viscosity_N_s_per_mm")
+
+
+def page_environment() -> Environment:
+    """Make the template environment that every page shares: base layout, macros, style and script."""
+    environment = Environment(
+        loader=PackageLoader("tissueid.report", "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["number"] = number
+    environment.globals["with_error"] = with_error
+    environment.globals["parameter_words"] = parameter_words
+    environment.globals["trial_label"] = trial_label
+    environment.globals["NOT_IDENTIFIED"] = NOT_IDENTIFIED
+    return environment
+
+
+def _asset(name: str) -> Markup:
+    # files of this package, written by us: nothing in them comes from a recording
+    text = (resources.files("tissueid.report") / "templates" / name).read_text(encoding="utf-8")
+    return Markup(text)  # noqa: S704
+
+
+def _plotly_script() -> Markup:
+    from plotly.offline import get_plotlyjs
+
+    return Markup(get_plotlyjs())  # noqa: S704 -- the library's own file
+
+
+def _view(position: int, specimen: Mapping[str, Any]) -> dict[str, Any]:
+    parameters = {entry["name"]: entry for entry in specimen["parameters"]}
+    return {
+        "id": f"specimen-{position + 1}",
+        "position": position,
+        "data": specimen,
+        "sentence": tissue_sentence(specimen),
+        "verdict": verdict(specimen),
+        "remarks": remarks(specimen),
+        "summary": [parameters.get(name) for name in _SUMMARY],
+    }
+
+
+def _overview(specimens: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Points of the overview figure: one a specimen whose viscosity is identified."""
+    points = []
+    for specimen in specimens:
+        for entry in specimen["parameters"]:
+            if entry["name"] == "viscosity_N_s_per_mm" and entry["value"] is not None:
+                points.append(
+                    {"name": specimen["specimen"], "value": entry["value"], "stderr": entry["stderr"]}
+                )
+    return points
+
+
+def render_report(
+    identification: Mapping[str, Any], curves: Sequence[TrialCurve], *, created: str | None = None
+) -> str:
+    """Write the report of one run as one self-contained HTML page.
+
+    Parameters
+    ----------
+    identification : mapping
+        The document of identification.json.
+    curves : sequence of TrialCurve
+        From ``curves.h5``; trials without a curve are listed but not drawn.
+    created : str, optional
+        Time stamp to print; without it equal input gives an equal page.
+
+    Returns
+    -------
+    str
+        HTML, UTF-8.
+    """
+    specimens = identification["specimens"]
+    views = [_view(position, specimen) for position, specimen in enumerate(specimens)]
+    payload = {"specimens": curve_payload(specimens, curves), "overview": _overview(specimens)}
+    template = page_environment().get_template("report.html.j2")
+    return template.render(
+        title=_title(specimens),
+        run=identification,
+        views=views,
+        payload=payload,
+        created=created,
+        style=_asset("page.css"),
+        script=_asset("figures.js"),
+        plotly=_plotly_script(),
+    )
+
+
+def _title(specimens: Sequence[Mapping[str, Any]]) -> str:
+    if len(specimens) == 1:
+        return f"Contact mechanics of {specimens[0]['specimen']}"
+    return f"Contact mechanics of {len(specimens)} specimens" if specimens else "No specimen was fitted"

@@ -1,0 +1,91 @@
+"use strict";
+// Every figure of the page, made from the packed curves when it comes into view.
+(() => {
+  const payload = JSON.parse(document.getElementById("curves").textContent);
+  const bytes = (text) => Uint8Array.from(atob(text), (char) => char.charCodeAt(0));
+  const floats = (text) => new Float32Array(bytes(text).buffer);
+  const opened = new Map();
+  const curves = (specimen) => {
+    if (!opened.has(specimen)) {
+      opened.set(specimen, payload.specimens[specimen].map((trial) => ({
+        label: trial.label, t: floats(trial.t), x: floats(trial.x), f: floats(trial.f), m: floats(trial.m), on: bytes(trial.on),
+      })));
+    }
+    return opened.get(specimen);
+  };
+  const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
+  const chosen = (specimen) => {
+    const choice = document.querySelector(`select[data-choice="${specimen}"]`);
+    const all = curves(specimen);
+    return !choice || choice.value === "all" ? all : [all[Number(choice.value)]];
+  };
+  const masked = (values, on, keep) => Array.from(values, (value, i) => (Boolean(on[i]) === keep ? value : null));
+
+  const pairs = (specimen, abscissa) => chosen(specimen).flatMap((trial, i) => [
+    { x: trial[abscissa], y: trial.f, mode: "lines", line: { color: colour("data"), width: 4 }, opacity: 0.6,
+      name: "recorded", legendgroup: "recorded", showlegend: i === 0, text: trial.label, hovertemplate: "%{x:.4g}, %{y:.4g} N<br>%{text}<extra>recorded</extra>" },
+    { x: trial[abscissa], y: trial.m, mode: "lines", line: { color: colour("model"), width: 1.6 },
+      name: "model", legendgroup: "model", showlegend: i === 0, text: trial.label, hovertemplate: "%{x:.4g}, %{y:.4g} N<br>%{text}<extra>model</extra>" },
+  ]).sort((a, b) => (a.name === b.name ? 0 : a.name === "recorded" ? -1 : 1));
+
+  const residuals = (specimen) => chosen(specimen).flatMap((trial, i) => {
+    const residual = trial.f.map((value, k) => value - trial.m[k]);
+    const trace = (keep, name, ink) => ({ x: trial.t, y: masked(residual, trial.on, keep), mode: "lines", line: { color: colour(ink), width: 1 },
+      name, legendgroup: name, showlegend: i === 0, text: trial.label, hovertemplate: "%{x:.4g} s, %{y:.3g} N<br>%{text}<extra></extra>" });
+    const traces = [trace(true, "fitted", "model")];
+    if (trial.on.includes(0)) traces.unshift(trace(false, "not fitted", "aside"));
+    return traces;
+  });
+
+  const overview = () => {
+    const points = payload.overview;
+    return [{ x: points.map((p) => p.name), y: points.map((p) => p.value), mode: "markers", marker: { color: colour("model"), size: 8 },
+      error_y: { type: "data", array: points.map((p) => p.stderr || 0), color: colour("data"), thickness: 2 },
+      name: "viscosity", hovertemplate: "%{x}: %{y:.4g} N·s/mm<extra></extra>", showlegend: false }];
+  };
+
+  const kinds = {
+    "force-depth": { traces: (s) => pairs(s, "x"), x: "Depth [mm]", y: "Force [N]" },
+    "force-time": { traces: (s) => pairs(s, "t"), x: "Time from contact [s]", y: "Force [N]" },
+    residual: { traces: residuals, x: "Time from contact [s]", y: "Residual [N]" },
+    overview: { traces: overview, x: "", y: "Viscosity [N·s/mm]" },
+  };
+
+  const axis = (title) => ({ title: { text: title }, gridcolor: colour("line"), zerolinecolor: colour("soft"), linecolor: colour("line"), automargin: true });
+  const draw = (box) => {
+    const kind = kinds[box.dataset.figure];
+    const layout = {
+      margin: { l: 56, r: 12, t: 28, b: 48 }, paper_bgcolor: colour("paper"), plot_bgcolor: colour("paper"),
+      font: { color: colour("ink"), family: "system-ui, sans-serif", size: 13 }, xaxis: axis(kind.x), yaxis: axis(kind.y),
+      legend: { orientation: "h", x: 0, y: 1.02, yanchor: "bottom" }, hovermode: "closest",
+    };
+    box.dataset.drawn = "yes";
+    return Plotly.react(box, kind.traces(Number(box.dataset.specimen)), layout, { responsive: true, displaylogo: false, displayModeBar: "hover", modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"] });
+  };
+  const boxes = [...document.querySelectorAll("[data-figure]")];
+  const redraw = (wanted) => boxes.filter((box) => box.dataset.drawn && wanted(box)).forEach(draw);
+
+  const seen = new IntersectionObserver((entries) => {
+    for (const entry of entries) {
+      if (entry.isIntersecting && !entry.target.dataset.drawn) draw(entry.target);
+    }
+  }, { rootMargin: "300px" });
+  boxes.forEach((box) => seen.observe(box));
+
+  document.querySelectorAll("select[data-choice]").forEach((choice) => {
+    choice.addEventListener("change", () => redraw((box) => box.dataset.specimen === choice.dataset.choice && box.dataset.figure !== "overview"));
+  });
+  const follow = () => {
+    const target = location.hash && document.getElementById(decodeURIComponent(location.hash.slice(1)));
+    if (target && target.tagName === "DETAILS") { target.open = true; target.scrollIntoView(); }
+  };
+  addEventListener("hashchange", follow);
+  follow();
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => redraw(() => true));
+  // a printed page shows everything, in the colours of paper
+  matchMedia("print").addEventListener("change", () => redraw(() => true));
+  addEventListener("beforeprint", () => {
+    document.querySelectorAll("details").forEach((details) => { details.open = true; });
+    boxes.forEach(draw);
+  });
+})();

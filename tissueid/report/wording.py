@@ -1,0 +1,243 @@
+"""What the report says in words: the tissue in one sentence, the verdict, numbers with their errors.
+
+A number that the data do not determine is never printed as a value: it is "not identified".
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from tissueid.flags import FLAG_CODES
+
+__all__ = [
+    "NOT_IDENTIFIED",
+    "PARAMETER_WORDS",
+    "Remark",
+    "Verdict",
+    "number",
+    "parameter_words",
+    "remarks",
+    "tissue_sentence",
+    "verdict",
+    "with_error",
+]
+
+NOT_IDENTIFIED = "not identified"
+
+PARAMETER_WORDS: Mapping[str, str] = {
+    "static_1_N_per_mm": "Static force, linear term",
+    "static_2_N_per_mm2": "Static force, square term",
+    "static_3_N_per_mm3": "Static force, cubic term",
+    "stiffness_0_N_per_mm": "Dynamic stiffness at contact",
+    "stiffness_1_N_per_mm2": "Dynamic stiffness, growth with depth",
+    "stiffness_2_N_per_mm3": "Dynamic stiffness, curvature with depth",
+    "relaxation_time_s": "Relaxation time",
+    "viscosity_N_s_per_mm": "Viscosity (stiffness times relaxation time)",
+}
+
+#: Flags that put the result itself in doubt; the others ask for a look.
+_SERIOUS = frozenset(
+    {"not_identified", "not_converged", "optimisers_disagree", "single_speed", "no_contact", "clipped_force"}
+)
+#: Flags that only state what was assumed.
+_REMARKS = frozenset(
+    {"column_choice", "units_assumed", "undecoded_text", "rows_skipped", "cut_row", "event_rows"}
+    | {"compliance_unknown", "cyclic", "several_steps"}
+)
+_LEVELS = ("ok", "note", "caution", "serious")
+_S_PER_MIN = 60.0
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """A number to so many significant digits, in the way a person writes it."""
+    if value is None:
+        return "–"
+    if value == 0:
+        return "0"
+    exponent = math.floor(math.log10(abs(value)))
+    if -4 <= exponent < 6:
+        places = max(digits - 1 - exponent, 0)
+        text = f"{value:.{places}f}"
+    else:
+        mantissa, power = f"{value:.{digits - 1}e}".split("e")
+        text = f"{mantissa}×10^{int(power)}"
+    return text.replace("-", "−")
+
+
+def with_error(value: float | None, stderr: float | None) -> str:
+    """``63.62 ± 0.89``: the error to two digits, the value to the same place."""
+    if value is None:
+        return NOT_IDENTIFIED
+    if stderr is None or stderr <= 0 or not math.isfinite(stderr):
+        return number(value)
+    places = 1 - math.floor(math.log10(stderr))
+    if places < 0 or places > 9:
+        return f"{number(value)} ± {number(stderr, 2)}"
+    return f"{value:.{places}f} ± {stderr:.{places}f}".replace("-", "−")
+
+
+def parameter_words(name: str) -> str:
+    """Name of a parameter in plain words, with its branch."""
+    for branch in (2, 3):
+        suffix = f"_b{branch}"
+        if name.endswith(suffix):
+            return f"{PARAMETER_WORDS.get(name.removesuffix(suffix), name)}, branch {branch}"
+    return PARAMETER_WORDS.get(name, name)
+
+
+@dataclass(frozen=True, slots=True)
+class Remark:
+    """One flag for a reader, gathered over a specimen's trials.
+
+    Attributes
+    ----------
+    code : str
+    level : str
+        ``note``, ``caution`` or ``serious``.
+    meaning : str
+        What the flag means in general.
+    message : str
+        Its first message, with numbers.
+    where : tuple of str
+        Trials that carry it; empty for the specimen as a whole.
+    """
+
+    code: str
+    level: str
+    meaning: str
+    message: str
+    where: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What to think of a result at first sight.
+
+    Attributes
+    ----------
+    level : str
+        ``ok``, ``note``, ``caution`` or ``serious``; chooses colour and icon.
+    title : str
+    text : str
+    """
+
+    level: str
+    title: str
+    text: str
+
+
+def _level(code: str) -> str:
+    if code in _SERIOUS:
+        return "serious"
+    return "note" if code in _REMARKS else "caution"
+
+
+def trial_label(trial: Mapping[str, Any]) -> str:
+    """Short name of a trial: its sheet, else its file."""
+    name = str(trial["path"]).replace("\\", "/").rsplit("/", 1)[-1]
+    return name if trial["sheet"] is None else f"{name} [{trial['sheet']}]"
+
+
+def remarks(specimen: Mapping[str, Any]) -> tuple[Remark, ...]:
+    """Every flag of a specimen, its trials and its holds, once a code, the gravest first.
+
+    Parameters
+    ----------
+    specimen : mapping
+        One of ``specimens`` of identification.json.
+    """
+    messages: dict[str, str] = {}
+    where: dict[str, list[str]] = {}
+    for flag in specimen["flags"]:
+        known = messages.get(flag["code"])
+        # several parameters may carry one code: each sentence is kept
+        messages[flag["code"]] = flag["message"] if known is None else f"{known} {flag['message']}"
+        where.setdefault(flag["code"], [])
+    for part in (*specimen["trials"], *specimen["relaxation"]):
+        for flag in part["flags"]:
+            messages.setdefault(flag["code"], flag["message"])
+            places = where.setdefault(flag["code"], [])
+            if trial_label(part) not in places:
+                places.append(trial_label(part))
+    found = [
+        Remark(code, _level(code), FLAG_CODES.get(code, code), text, tuple(where[code]))
+        for code, text in messages.items()
+    ]
+    return tuple(sorted(found, key=lambda remark: -_LEVELS.index(remark.level)))
+
+
+def verdict(specimen: Mapping[str, Any]) -> Verdict:
+    """Sum up a specimen: what is identified, how well it fits, and whether something is in the way."""
+    unknown = [entry for entry in specimen["parameters"] if not entry["identified"]]
+    found = remarks(specimen)
+    level = found[0].level if found else "ok"
+    if any(entry["name"].startswith(("viscosity", "static_1")) for entry in unknown):
+        level = "serious"
+    elif unknown and level in {"ok", "note"}:
+        level = "caution"
+    total = len(specimen["parameters"])
+    fit = f"The model follows the force to {100 * specimen['nrmsd']['range']:.2f} % of its range"
+    share = (
+        "every parameter is identified"
+        if not unknown
+        else f"{total - len(unknown)} of {total} parameters are"
+    )
+    text = f"{fit}; {share}." if not unknown else f"{fit}; {share} identified."
+    titles = {
+        "ok": "Identified, nothing stands out",
+        "note": "Identified, with assumptions to know of",
+        "caution": "Usable with care",
+        "serious": "Not to be relied on as it stands",
+    }
+    return Verdict(level, titles[level], text)
+
+
+def _by_name(parameters: Sequence[Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
+    return {entry["name"]: entry for entry in parameters}
+
+
+def _static_words(known: Mapping[str, Mapping[str, Any]], depth_mm: float) -> str:
+    names = ("static_1_N_per_mm", "static_2_N_per_mm2", "static_3_N_per_mm3")
+    values = [known[name]["value"] for name in names if name in known]
+    if not values or values[0] is None:
+        return "its static stiffness is not identified"
+    first = known[names[0]]
+    words = f"its static stiffness is {with_error(first['value'], first['stderr'])} N/mm at contact"
+    if None not in values and depth_mm > 0:
+        secant = sum(value * depth_mm**power for power, value in enumerate(values))
+        words += f" ({number(secant, 3)} N/mm on average over {number(depth_mm, 3)} mm)"
+    return words
+
+
+def tissue_sentence(specimen: Mapping[str, Any]) -> str:
+    """The tissue in one sentence: stiffness, relaxation, viscosity, tip, and where it is valid."""
+    known = _by_name(specimen["parameters"])
+    validity = specimen["validity"]
+    parts = [_static_words(known, validity["depth_mm"])]
+    for name, words in (("relaxation_time_s", "it relaxes in"), ("viscosity_N_s_per_mm", "its viscosity is")):
+        entry = known.get(name)
+        unit = "s" if name.startswith("relax") else "N·s/mm"
+        if entry is None:
+            continue
+        if entry["value"] is None:
+            lost = "its relaxation time" if name.startswith("relax") else "its viscosity"
+            parts.append(f"{lost} is not identified")
+        else:
+            parts.append(f"{words} {with_error(entry['value'], entry['stderr'])} {unit}")
+    slow, fast = validity["speeds_mm_s"]
+    speeds = f"{number(slow, 3)} to {number(fast, 3)} mm/s" if slow != fast else f"{number(slow, 3)} mm/s"
+    minutes = (
+        f"{number(slow * _S_PER_MIN, 3)} to {number(fast * _S_PER_MIN, 3)} mm/min"
+        if slow != fast
+        else f"{number(slow * _S_PER_MIN, 3)} mm/min"
+    )
+    tip = validity["tip_radius_mm"]
+    tool = "a tool tip of unstated radius" if tip is None else f"a tool tip of radius {number(tip, 3)} mm"
+    listed = f"{', '.join(parts[:-1])} and {parts[-1]}" if len(parts) > 1 else parts[0]
+    return (
+        f"{listed[0].upper()}{listed[1:]}; found with {tool}, valid to {number(validity['depth_mm'], 3)} mm deep "
+        f"and for loading at {speeds} ({minutes})."
+    )
