@@ -30,9 +30,9 @@ MAX_DETACHED_ITERATIONS = 40
 @nb.njit(cache=True, nogil=True)
 def step_weights(h: float, tau: float) -> tuple[float, float]:
     """Weights ``(a, phi)`` of one step of ``h`` seconds."""
-    if h <= 0.0:
-        return 1.0, 1.0
     ratio = h / tau
+    if ratio <= 0.0:
+        return 1.0, 1.0
     return math.exp(-ratio), -math.expm1(-ratio) / ratio
 
 
@@ -96,7 +96,7 @@ def branch_sensitivity(time_s: FloatArray, depth_mm: FloatArray, tau: float) -> 
             ratio = h / tau
             # (1 - a)/h - a/tau loses all digits for h << tau; the series takes over
             if ratio < 1e-4:
-                dphi = (ratio / 2.0 - ratio * ratio / 3.0) / tau
+                dphi = ratio * (0.5 - ratio * (1.0 / 3.0 - ratio / 8.0)) / tau
             else:
                 dphi = -math.expm1(-ratio) / h - a / tau
         else:
@@ -114,11 +114,10 @@ def branch_sensitivity(time_s: FloatArray, depth_mm: FloatArray, tau: float) -> 
 
 
 @nb.njit(cache=True, nogil=True)
-def _continued(coefficients: FloatArray, x: float, depth: float, monotone: bool) -> tuple[float, float]:
-    """Value and slope of a polynomial in x, continued linearly beyond ``depth`` with a slope >= 0.
+def _continued(coefficients: FloatArray, x: float, depth: float) -> tuple[float, float]:
+    """Value and slope of a polynomial in x, continued beyond ``depth`` with its end slope, not below 0.
 
-    ``monotone`` False keeps the value constant beyond ``depth`` where the slope there is negative
-    and linear where it is positive; for the static curve the continued slope is clamped at 0.
+    Below 0 the value at 0 is kept, and the slope there is returned.
     """
     inside = min(max(x, 0.0), depth)
     value = 0.0
@@ -127,25 +126,72 @@ def _continued(coefficients: FloatArray, x: float, depth: float, monotone: bool)
         slope = slope * inside + value
         value = value * inside + coefficients[k]
     if x > depth:
-        if monotone or slope > 0.0:
-            slope = max(slope, 0.0)
-            value += slope * (x - depth)
-        else:
-            slope = 0.0
+        slope = max(slope, 0.0)
+        value += slope * (x - depth)
     return value, slope
 
 
 @nb.njit(cache=True, nogil=True)
-def _force(
-    static: FloatArray, stiffness: FloatArray, depth: float, y: float, states: FloatArray
+def _following_force(
+    static: FloatArray,
+    stiffness: FloatArray,
+    depth: float,
+    surface: float,
+    decayed: FloatArray,
+    gain: FloatArray,
+    y: float,
 ) -> tuple[float, float]:
-    """Force and its slope by y at fixed states."""
-    force, slope = _continued(static, y, depth, True)
-    for j in range(states.size):
-        k, dk = _continued(stiffness[j], y, depth, False)
-        force += k * states[j]
-        slope += dk * states[j]
+    """Force on a surface that moves linearly from ``surface`` to ``y`` in this step, and its slope by y."""
+    force, slope = _continued(static, y, depth)
+    for j in range(decayed.size):
+        state = decayed[j] + gain[j] * (y - surface)
+        k, dk = _continued(stiffness[j], y, depth)
+        force += k * state
+        slope += dk * state + k * gain[j]
     return force, slope
+
+
+@nb.njit(cache=True, nogil=True)
+def _force_free_surface(
+    static: FloatArray,
+    stiffness: FloatArray,
+    depth: float,
+    surface: float,
+    target: float,
+    decayed: FloatArray,
+    gain: FloatArray,
+) -> float:
+    """Position deeper than ``target`` at which a free surface ends this step: bracketed Newton.
+
+    The force at ``target`` is negative.  Where a fast branch still pushes while a slow one pulls, or
+    where the force falls with depth, the surface may even have to end deeper than it started.
+    """
+    low = target
+    high = max(surface, target)
+    width = 1e-3 * depth
+    force, slope = _following_force(static, stiffness, depth, surface, decayed, gain, high)
+    for _ in range(MAX_DETACHED_ITERATIONS):
+        if force >= 0.0:
+            break
+        low = high
+        high += width
+        width *= 2.0
+        force, slope = _following_force(static, stiffness, depth, surface, decayed, gain, high)
+    y = high
+    for _ in range(MAX_DETACHED_ITERATIONS):
+        if force > 0.0:
+            high = y
+        else:
+            low = y
+        candidate = y - force / slope if slope > 0.0 else low
+        if not low < candidate < high:
+            candidate = 0.5 * (low + high)
+        moved = abs(candidate - y)
+        y = candidate
+        if moved <= 1e-14 * depth:
+            break
+        force, slope = _following_force(static, stiffness, depth, surface, decayed, gain, y)
+    return y
 
 
 @nb.njit(cache=True, nogil=True)
@@ -194,50 +240,17 @@ def tissue_step(
     target = max(x, 0.0)
     decayed = np.empty(n)
     gain = np.empty(n)
-    trial = np.empty(n)
     for j in range(n):
         a, phi = step_weights(h, tau[j])
         decayed[j] = a * states[j]
         gain[j] = phi
-        trial[j] = decayed[j] + phi * (target - surface)
-        if abs(trial[j]) < FLUSH_MM:
-            trial[j] = 0.0
-    force, slope = _force(static, stiffness, depth, target, trial)
-    if force >= 0.0 or n == 0:
-        for j in range(n):
-            states[j] = trial[j]
-        if x < 0.0:
-            # tool in air and surface at rest level: nothing to push
-            return 0.0, target
-        return max(force, 0.0), target
-    # detached: the surface stands above the tool where the force on it is zero
-    low = target
-    high = max(surface, target)
-    y = high
-    for _ in range(MAX_DETACHED_ITERATIONS):
-        rate = 0.0
-        for j in range(n):
-            trial[j] = decayed[j] + gain[j] * (y - surface)
-            k, _dk = _continued(stiffness[j], y, depth, False)
-            rate += k * gain[j]
-        force, slope = _force(static, stiffness, depth, y, trial)
-        if force > 0.0:
-            high = y
-        else:
-            low = y
-            if y >= high:
-                high = y + 1e-3 * depth
-        slope += rate
-        step = -force / slope if slope > 0.0 else 0.5 * (low + high) - y
-        candidate = y + step
-        if candidate <= low or candidate >= high:
-            candidate = 0.5 * (low + high)
-        if abs(candidate - y) <= 1e-14 * depth:
-            y = candidate
-            break
-        y = candidate
+    force, _slope = _following_force(static, stiffness, depth, surface, decayed, gain, target)
+    y = target
+    if force < 0.0 and n > 0:
+        y = _force_free_surface(static, stiffness, depth, surface, target, decayed, gain)
     for j in range(n):
         states[j] = decayed[j] + gain[j] * (y - surface)
         if abs(states[j]) < FLUSH_MM:
             states[j] = 0.0
-    return 0.0, y
+    # a tool in air touches nothing, even where rounding leaves a force at the rest level
+    return (max(force, 0.0) if x >= 0.0 else 0.0), y
