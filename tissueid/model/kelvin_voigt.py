@@ -170,7 +170,7 @@ class KelvinVoigt:
         """Force [N] along a path in permanent contact, within the identified depth."""
         _, _, tau = self.split(theta)
         dynamic = (self.stiffness(theta, path.depth_mm) * self.states(tau, path)).sum(axis=0)
-        return self.static_force(theta, path.depth_mm) + dynamic
+        return np.asarray(self.static_force(theta, path.depth_mm) + dynamic)
 
     def jacobian(self, theta: FloatArray, path: ContactPath) -> FloatArray:
         """Derivative of :meth:`force` by theta, shape (n, p)."""

@@ -1,12 +1,16 @@
 """How much damping a device needs to render a tissue without adding energy (model.md 6.4, derived).
 
 Sampled-data passivity after Colgate & Schenkel (doi 10.1002/rob.4620140110): a law rendered at step
-T through a zero-order hold, with ``delay`` ticks between encoder and motor, needs a device damping
+T through a zero-order hold, its force arriving ``m`` whole ticks late, needs a device damping
 
-    b > (T / 2) sup_w  Re{ (1 - exp(-i w T)) H(exp(i w T)) } / (1 - cos w T),   0 <= w <= pi / T
+    b > sup_w B(w),   B = (T / 2) Re{ (1 - exp(-i w T)) exp(-i w m T) H } / (1 - cos w T)
 
-where H is the linearised law from sampled position to force.  For the Kelvin-Voigt tissue
-``H(z) = k0 + sum_j K_j phi_j (z - 1) / (z - a_j)``, times ``z^-delay``.
+with ``0 < w <= pi / T`` and H the linearised law from sampled position to force; for the Kelvin-Voigt
+tissue ``H(z) = k0 + sum_j K_j phi_j (z - 1) / (z - a_j)``, ``z = exp(i w T)``.
+
+With a fraction f of a tick on top, the force changes inside a servo period: the delay in B becomes the
+mean ``(1 - f) z^-m + f z^-(m+1)``, and the worst motion is uneven inside the period, which needs
+``b = (B + sqrt(B^2 + f (1 - f) T^2 |H|^2)) / 2`` (derived: least work over the two parts of a period).
 """
 
 from __future__ import annotations
@@ -54,16 +58,19 @@ def damping_bound(
         Smallest damping, in the unit of ``static_slope`` times seconds; never negative.
     """
     angle = np.concatenate([np.geomspace(1e-6, np.pi, FREQUENCIES), np.linspace(1e-3, np.pi, FREQUENCIES)])
-    z = np.exp(1j * angle)
-    a = np.exp(-period_s / tau)
-    phi = -np.expm1(-period_s / tau) * tau / period_s
+    # z - 1 by expm1, and below (1 - 1/z) / (1 - cos) as i exp(-i angle/2) / sin(angle/2): the plain
+    # differences lose their digits near zero
+    z_less_1 = np.expm1(1j * angle)
     law = np.full(angle.size, complex(static_slope))
-    for weight, decay, gain in zip(stiffness, a, phi, strict=True):
-        law += weight * gain * (z - 1.0) / (z - decay)
-    law = law * z ** (-delay_ticks)
-    # 1 - cos is computed as 2 sin^2 of the half angle: the difference loses its digits near zero
-    need = ((1.0 - 1.0 / z) * law).real / (2.0 * np.sin(angle / 2.0) ** 2)
-    return float(max(period_s / 2.0 * need.max(), 0.0))
+    for weight, relaxation in zip(stiffness, tau, strict=True):
+        loss = -np.expm1(-period_s / relaxation)
+        law += weight * (loss * relaxation / period_s) * z_less_1 / (z_less_1 + loss)
+    whole = np.floor(delay_ticks)
+    part = delay_ticks - whole
+    delay = np.exp(-1j * angle * whole) * ((1.0 - part) + part * np.exp(-1j * angle))
+    need = period_s / 2.0 * (1j * np.exp(-0.5j * angle) * delay * law).real / np.sin(angle / 2.0)
+    need = (need + np.sqrt(need**2 + part * (1.0 - part) * (period_s * np.abs(law)) ** 2)) / 2.0
+    return float(need.max())
 
 
 def required_damping(
