@@ -1,0 +1,161 @@
+"""The contact point of a recording: in the record, before its first sample, or given by the user."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.flags import Flag
+from tissueid.segment.hinge import HingeFit, fit_contact
+from tissueid.segment.motion import Piece
+from tissueid.segment.options import SegmentOptions
+from tissueid.trial import Contact
+
+__all__ = ["find_contact"]
+
+FloatArray = NDArray[np.float64]
+
+#: Fewest samples in air, while moving, that show the tool in air.
+FEWEST_AIR_SAMPLES = 5
+#: Air is believed where contact lies this many sd behind the start of the motion.
+AIR_SD = 5.0
+#: Noise sd added to the starting force when looking how far back the contact may lie.
+REACH_SD = 3.0
+#: A start is preloaded where the contact lies this many sd before it.
+PRELOAD_SD = 2.5
+#: Force that rises by less than this many noise sd over a ramp never met anything.
+CONTACT_SD = 6.0
+#: Contact sd above this share of the depth is said.
+UNCERTAIN_SHARE = 0.05
+#: Fewest samples of a ramp from which a contact can be found.
+FEWEST_SAMPLES = 6
+
+
+def find_contact(
+    depth_mm: FloatArray,
+    force_N: FloatArray,
+    loading: list[Piece],
+    *,
+    noise_N: float,
+    signs: tuple[int, int],
+    options: SegmentOptions,
+) -> tuple[Contact | None, list[Flag]]:
+    """Find the contact on the first loading move that shows it.
+
+    Parameters
+    ----------
+    depth_mm, force_N : ndarray, shape (n,)
+        Growing into the tissue, zeros as recorded.
+    loading : list of Piece
+        Moves into the tissue, in time order.
+    noise_N : float
+    signs : tuple of int
+        Compression and force sign, to say results as recorded.
+    options : SegmentOptions
+
+    Returns
+    -------
+    contact : Contact or None
+    flags : list of Flag
+    """
+    compression, force_sign = signs
+    if options.contact_displacement_mm is not None:
+        return _given(depth_mm, force_N, signs, options), []
+    move = next((piece for piece in loading if _meets(force_N, piece, noise_N)), None)
+    if move is None:
+        reach = float(np.ptp(force_N))
+        message = f"force stays within {reach:.3g} N (noise {noise_N:.3g} N) on every move into the tissue"
+        return None, [Flag("no_contact", message, {"force_range_N": reach, "noise_N": noise_N})]
+    # rest before the move tells the reading in air as well, an earlier move in air too
+    first = 0 if move == loading[0] else move.start
+    u, f = depth_mm[first : move.stop + 1], force_N[first : move.stop + 1]
+    noise = max(noise_N, 1e-6 * float(np.ptp(f)))
+    start_mm = float(np.median(depth_mm[first : move.start + 1]))
+    air = fit_contact(u, f, noise_N=noise, baseline=True, reach_back_mm=0.0)
+    in_air = (u < air.contact_mm) & (np.arange(first, move.stop + 1) >= move.start)
+    if air.contact_mm - start_mm > AIR_SD * air.sd_mm and int(in_air.sum()) >= FEWEST_AIR_SAMPLES:
+        at = first + int(np.argmax((u >= air.contact_mm) & (np.arange(u.size) >= move.start - first)))
+        contact = Contact(
+            index=at,
+            displacement_mm=compression * air.contact_mm,
+            sd_mm=air.sd_mm,
+            baseline_N=force_sign * air.baseline_N,
+            in_record=True,
+        )
+        return contact, _uncertain(contact, u)
+    return _start_in_contact(u, f, air, noise_N=noise, compression=compression)
+
+
+def _meets(force_N: FloatArray, piece: Piece, noise_N: float) -> bool:
+    """Whether force rises significantly during a move."""
+    force = force_N[piece.start : piece.stop + 1]
+    if force.size < FEWEST_SAMPLES:
+        return force.size > 1 and bool(force[-1] - force[0] > CONTACT_SD * noise_N)
+    edge = max(1, force.size // 10)
+    rise = float(force[-edge:].mean() - force[:edge].mean())
+    return rise > CONTACT_SD * noise_N / np.sqrt(edge) and rise > 0.05 * float(np.ptp(force_N))
+
+
+def _given(
+    depth_mm: FloatArray, force_N: FloatArray, signs: tuple[int, int], options: SegmentOptions
+) -> Contact:
+    """The user's contact, with the reading in air where there is any."""
+    given = options.contact_displacement_mm
+    assert given is not None  # noqa: S101  (the caller has looked)
+    inside = depth_mm >= signs[0] * given
+    index = int(np.argmax(inside)) if inside.any() else depth_mm.size - 1
+    in_record = index >= FEWEST_AIR_SAMPLES
+    return Contact(
+        index=index,
+        displacement_mm=given,
+        sd_mm=options.contact_sd_mm,
+        baseline_N=signs[1] * float(np.mean(force_N[:index])) if in_record else 0.0,
+        in_record=in_record,
+    )
+
+
+def _start_in_contact(
+    u: FloatArray, f: FloatArray, air: HingeFit, *, noise_N: float, compression: int
+) -> tuple[Contact, list[Flag]]:
+    """No air in the record: the contact is the first sample, or lies before it."""
+    start = float(u[0])
+    few = max(1, min(5, u.size // 4))
+    ahead = float(f[:few].mean())
+    back = 0.0
+    if u.size >= FEWEST_SAMPLES:
+        back = 2.0 * (max(ahead, 0.0) + REACH_SD * noise_N) / max(air.slope_N_per_mm, 1e-300)
+        back = min(back, 2.0 * float(u.max() - start)) + 1e-9
+        fit = fit_contact(u, f, noise_N=noise_N, baseline=False, reach_back_mm=back)
+        contact_mm, sd = fit.contact_mm, fit.sd_mm
+    else:
+        slope = max(float(f[-1] - f[0]) / max(float(u.max() - start), 1e-300), 1e-300)
+        contact_mm, sd = start - ahead / slope, max(noise_N / slope, 0.3 * float(np.ptp(u)) / u.size)
+    flags: list[Flag] = []
+    if start - contact_mm > PRELOAD_SD * sd and ahead > PRELOAD_SD * noise_N / np.sqrt(few):
+        contact = Contact(index=0, displacement_mm=compression * contact_mm, sd_mm=sd)
+        flags.append(
+            Flag(
+                "preload",
+                f"the record starts under {ahead:.3g} N; contact is extrapolated {start - contact_mm:.3g} mm back, "
+                f"sd {sd:.2g} mm",
+                {"force_N": ahead, "before_mm": start - contact_mm, "sd_mm": sd},
+            )
+        )
+    else:
+        # the first sample is quoted, so its distance from what the force says is part of its sd
+        sd = float(np.hypot(sd, contact_mm - start))
+        contact = Contact(index=0, displacement_mm=compression * start, sd_mm=sd)
+    flags.append(
+        Flag(
+            "starts_in_contact", "the record shows no samples in air before contact", {"sd_mm": contact.sd_mm}
+        )
+    )
+    return contact, flags + _uncertain(contact, u)
+
+
+def _uncertain(contact: Contact, u: FloatArray) -> list[Flag]:
+    depth = float(u.max()) - float(u.min())
+    if contact.sd_mm <= UNCERTAIN_SHARE * depth:
+        return []
+    message = f"contact is known to {contact.sd_mm:.3g} mm only, in {depth:.3g} mm of travel"
+    return [Flag("contact_uncertain", message, {"sd_mm": contact.sd_mm, "travel_mm": depth})]

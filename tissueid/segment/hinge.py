@@ -1,0 +1,272 @@
+"""Where a force begins to grow: the posterior of the contact point on one loading ramp.
+
+The force at displacement u of a tool that meets relaxed tissue at c and moves on at constant speed is
+
+    F = b + p1 z + p2 z^2 + p3 z^3 + A (1 - exp(-w/l)),   z = max(0, u - c),  w = max(0, u - max(c, u0)),
+
+a cubic static curve and one relaxing branch (l = speed x relaxation time); u0 is where the record starts.
+That branch is why the slope right at contact depends on the rate, and why no threshold and no straight line
+finds the contact at all speeds.  b, p and A are linear: they are integrated out in closed form for
+each (c, l) of a grid, l is averaged over evenly in log, and what is left is the posterior of c; its mean
+and standard deviation carry what the unknown shape adds.  Stiffness at contact and of the branch are taken
+as positive.  Samples are averaged in bins that are fine near the contact.  The ramp is shortened until the shape describes it within its noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["HingeFit", "fit_contact"]
+
+FloatArray = NDArray[np.float64]
+
+#: Prior standard deviation of the shape's coefficients, in force ranges of the window.
+SHAPE_PRIOR = 3.0
+#: Branch lengths on the grid, and their range as shares of the window; the shortest is no branch at all.
+BRANCH_GRID = 7
+BRANCH_RANGE = (1e-4, 0.5)
+#: Grid of contact points: number, and half width in standard deviations once one is known.
+CONTACT_GRID = 31
+GRID_REACH = 5.0
+#: Passes that centre the grid on the posterior.
+MAX_PASSES = 7
+#: Bins of equal width next to the contact, on each side, and the growth of those further out.
+NEAR_BINS = 24
+BIN_GROWTH = 1.25
+#: A window is accepted where chi-square exceeds its degrees of freedom by at most so many of its sd.
+ADEQUATE_SD = 3.0
+#: A window is given up early where chi-square per degree of freedom is above this after so many passes.
+HOPELESS_EXCESS = 4.0
+HOPELESS_PASSES = 2
+#: Shares of the ramp tried, longest first.
+WINDOWS = (1.0, 0.5, 0.25, 0.12, 0.06)
+#: Fewest bins with tissue in a window.
+FEWEST_BINS = 8
+
+
+@dataclass(frozen=True, slots=True)
+class HingeFit:
+    """Posterior of a contact point.
+
+    Attributes
+    ----------
+    contact_mm, sd_mm : float
+        Mean and standard deviation [mm].
+    baseline_N, baseline_sd_N : float
+        Force in air and its standard deviation [N]; 0 where it was held at 0.
+    slope_N_per_mm : float
+        Stiffness over the first part of the window [N/mm].
+    adequate : bool
+        Whether the shape describes the window within its noise.
+    excess : float
+        Chi-square of the best shape over its degrees of freedom.
+    """
+
+    contact_mm: float
+    sd_mm: float
+    baseline_N: float
+    baseline_sd_N: float
+    slope_N_per_mm: float
+    adequate: bool
+    excess: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Binned:
+    depth_mm: FloatArray
+    force_N: FloatArray
+    count: FloatArray
+
+
+def fit_contact(
+    depth_mm: FloatArray, force_N: FloatArray, *, noise_N: float, baseline: bool, reach_back_mm: float
+) -> HingeFit:
+    """Posterior mean and standard deviation of the contact point.
+
+    Parameters
+    ----------
+    depth_mm, force_N : ndarray, shape (n,)
+        One loading ramp from its start, with what stands before it; both grow into the tissue.
+    noise_N : float
+        Standard deviation of the force noise, > 0.
+    baseline : bool
+        Whether the load cell may read something in air.  ``False`` (a record that starts in contact)
+        takes it as tared.
+    reach_back_mm : float
+        How far before the first sample the contact may lie [mm]; 0 with a baseline.
+
+    Returns
+    -------
+    HingeFit
+    """
+    start, end = float(depth_mm[0]), float(depth_mm.max())
+    low, high = start - reach_back_mm, end
+    guess, slope = _rough(depth_mm, force_N, noise_N)
+    guess = min(max(guess, low), high)
+    best: HingeFit | None = None
+    for share in WINDOWS:
+        window = share * (end - max(guess, start))
+        inside = depth_mm <= max(guess, start) + window
+        near = (noise_N / max(slope, 1e-300)) ** (2.0 / 3.0)
+        binned = _bin(depth_mm[inside], force_N[inside], centre=guess, near_mm=near)
+        if int((binned.depth_mm > guess).sum()) < FEWEST_BINS and best is not None:
+            break
+        fit = _centre(binned, noise_N, (low, high), (guess, window), start=start, baseline=baseline)
+        best = fit
+        guess, slope = fit.contact_mm, fit.slope_N_per_mm
+        if fit.adequate:
+            break
+    assert best is not None  # noqa: S101  (the first window always fits)
+    return best
+
+
+def _rough(depth_mm: FloatArray, force_N: FloatArray, noise_N: float) -> tuple[float, float]:
+    """First guess of contact and slope: where the last of the falling stretch of the averaged force ends."""
+    size = max(1, depth_mm.size // 256)
+    whole = depth_mm.size // size * size
+    u = depth_mm[:whole].reshape(-1, size).mean(axis=1)
+    f = force_N[:whole].reshape(-1, size).mean(axis=1)
+    first = f[: max(1, f.size // 20)].mean()
+    above = f - first > 4.0 * noise_N / np.sqrt(size) + 0.01 * float(np.ptp(f))
+    below = np.flatnonzero(~above)
+    at = min(int(below[-1]) if below.size else 0, u.size - 2) if u.size > 1 else 0
+    rest = max(float(u[-1] - u[at]), 1e-300)
+    slope = max(float(f[-1] - f[at]) / rest, noise_N / rest)
+    return float(u[at]), slope
+
+
+def _bin(depth_mm: FloatArray, force_N: FloatArray, *, centre: float, near_mm: float) -> _Binned:
+    """Average samples in bins along the record: narrow around the contact, growing away from it."""
+    n = depth_mm.size
+    at = int(np.searchsorted(np.maximum.accumulate(depth_mm), centre))
+    step = max(float(np.ptp(depth_mm)) / max(n - 1, 1), 1e-300)
+    # sd of a bin mean falls as 1/sqrt(m), what it blurs grows as m: balance at m^(3/2) = noise/(slope step)
+    width = max(1, int(near_mm / step ** (2.0 / 3.0)))
+    width = min(width, max(1, n // (4 * NEAR_BINS)))
+    growing = np.full(NEAR_BINS, float(width))
+    while growing.sum() < n:
+        growing = np.append(growing, growing[-1] * BIN_GROWTH)
+    side = np.unique(np.concatenate([[0.0], np.cumsum(growing)]).round()).astype(int)
+    edges = np.unique(np.clip(np.concatenate([at - side, at + side, [0, n]]), 0, n))[:-1]
+    count = np.diff(np.append(edges, n)).astype(float)
+    return _Binned(np.add.reduceat(depth_mm, edges) / count, np.add.reduceat(force_N, edges) / count, count)
+
+
+def _centre(
+    binned: _Binned,
+    noise_N: float,
+    bounds: tuple[float, float],
+    guess: tuple[float, float],
+    *,
+    start: float,
+    baseline: bool,
+) -> HingeFit:
+    """Move and narrow the grid of contact points until it covers the posterior and little else."""
+    (low, high), (centre, window) = bounds, guess
+    half = max(high - centre, centre - low, 1e-12)
+    fit: HingeFit | None = None
+    shortest, longest = (np.log(share * window) for share in BRANCH_RANGE)
+    log_lengths = np.linspace(shortest, longest, BRANCH_GRID)
+    for passes in range(MAX_PASSES):
+        left, right = max(low, centre - half), min(high - 0.02 * (high - low), centre + half)
+        grid = np.linspace(left, max(right, left + 1e-12), CONTACT_GRID)
+        fit, (middle, spread) = _posterior(
+            binned, noise_N, grid, np.exp(log_lengths), window=window, start=start, baseline=baseline
+        )
+        spacing = grid[1] - grid[0]
+        wide = 2.0 * GRID_REACH * max(fit.sd_mm, 0.5 * spacing)
+        clipped = (
+            min(fit.contact_mm - left if left > low else np.inf, right - fit.contact_mm) < 3.0 * fit.sd_mm
+        )
+        spread = max(spread, 0.5 * (log_lengths[1] - log_lengths[0]))
+        settled = 2.0 * GRID_REACH * spread > 0.6 * (log_lengths[-1] - log_lengths[0])
+        log_lengths = np.linspace(
+            max(shortest, middle - 0.5 * GRID_REACH * spread),
+            min(longest, middle + 0.5 * GRID_REACH * spread),
+            BRANCH_GRID,
+        )
+        if passes >= HOPELESS_PASSES and fit.excess > HOPELESS_EXCESS:
+            break
+        if settled and wide > 0.6 * (right - left) and not clipped:
+            break
+        centre, half = fit.contact_mm, 0.5 * wide * (1.5 if clipped else 1.0)
+    assert fit is not None  # noqa: S101
+    return fit
+
+
+def _posterior(
+    binned: _Binned,
+    noise_N: float,
+    grid: FloatArray,
+    branch_mm: FloatArray,
+    *,
+    window: float,
+    start: float,
+    baseline: bool,
+) -> tuple[HingeFit, tuple[float, float]]:
+    """Posterior of the contact over a grid, everything else integrated out; mean and sd of log length."""
+    lengths = branch_mm[None, :, None]
+    contact = grid[:, None, None]
+    u = binned.depth_mm[None, None, :]
+    z = np.maximum(u - contact, 0.0) / window
+    w = np.maximum(u - np.maximum(contact, start), 0.0)
+    # A = K l: the prior is on the stiffness K of the branch, of the size of the static one
+    rise = -np.expm1(-w / lengths) * (lengths / window)
+    z = np.broadcast_to(z, rise.shape)
+    columns = [z, z * z, z**3, rise]
+    scale = SHAPE_PRIOR * max(float(np.ptp(binned.force_N)), noise_N)
+    prior = [scale] * 4
+    if baseline:
+        columns.append(np.ones_like(z))
+        prior.append(1e3 * scale)
+    weight = np.sqrt(binned.count) / noise_N
+    design = np.stack(columns, axis=-1) * (weight[:, None] * np.array(prior))
+    target = binned.force_N * weight
+    gram = design.swapaxes(-1, -2) @ design + np.eye(len(prior))
+    moment = np.einsum("cljk,j->clk", design, target)
+    covariance = np.linalg.inv(gram)
+    solved = np.einsum("cljk,clk->clj", covariance, moment)
+    log_density = 0.5 * np.einsum("clk,clk->cl", solved, moment) - 0.5 * np.linalg.slogdet(gram)[1]
+    coefficients = solved * np.array(prior)
+    first_step = 0.02
+    early = (coefficients[..., 0] + first_step * coefficients[..., 1]) * first_step
+    early -= coefficients[..., 3] * (np.expm1(-first_step * window / lengths) * lengths / window)[..., 0]
+    # stiffness at contact and of the branch are positive: the mass of the half spaces
+    for positive in (0, 3):
+        log_density += _log_normal_mass(solved[..., positive] / np.sqrt(covariance[..., positive, positive]))
+    mass = np.exp(log_density - log_density.max())
+    mass /= mass.sum()
+    at_contact = mass.sum(axis=1)
+    mean = float(at_contact @ grid)
+    spread = float(np.sqrt(max(at_contact @ (grid - mean) ** 2, 0.0)))
+    best = np.unravel_index(int(mass.argmax()), mass.shape)
+    residual = target - design[best] @ solved[best]
+    freedom = max(target.size - len(prior) - 2, 1)
+    excess = float(residual @ residual) / freedom
+    level = float((mass * coefficients[..., -1]).sum()) if baseline else 0.0
+    slope = float((mass * early).sum()) / (first_step * window)
+    branch = mass.sum(axis=0)
+    middle = float(branch @ np.log(branch_mm))
+    length_sd = float(np.sqrt(branch @ (np.log(branch_mm) - middle) ** 2))
+    fit = HingeFit(
+        contact_mm=mean,
+        sd_mm=float(np.hypot(spread * np.sqrt(max(excess, 1.0)), 0.3 * (grid[1] - grid[0]))),
+        baseline_N=level,
+        baseline_sd_N=noise_N / np.sqrt(max(float(binned.count[binned.depth_mm < mean].sum()), 1.0))
+        if baseline
+        else 0.0,
+        slope_N_per_mm=max(slope, 1e-3 * float(np.ptp(binned.force_N)) / window),
+        adequate=excess <= 1.0 + ADEQUATE_SD * np.sqrt(2.0 / freedom),
+        excess=excess,
+    )
+    return fit, (middle, length_sd)
+
+
+def _log_normal_mass(x: FloatArray) -> FloatArray:
+    """Logarithm of the standard normal distribution function (tanh form, error of the function 3e-4)."""
+    x = np.maximum(x, -8.0)
+    argument: FloatArray = -2.0 * np.sqrt(2.0 / np.pi) * (x + 0.044715 * x**3)
+    return -np.log1p(np.exp(argument))

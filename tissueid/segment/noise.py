@@ -1,0 +1,73 @@
+"""Noise of a signal from its successive differences, whatever the signal does slowly.
+
+A sample is compared with the straight line between its neighbours; for white noise of standard deviation
+sigma and neighbours at the shares w and 1 - w the difference has sigma sqrt(1 + w^2 + (1 - w)^2).  The
+median makes corners, event rows and steps harmless; a quantised signal has at least step/sqrt(12).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["quantum", "white_noise_sd"]
+
+FloatArray = NDArray[np.float64]
+
+#: Standard deviation of a normal variable over its median absolute value.
+NORMAL_SD_OVER_MEDIAN = 1.482602218505602
+#: Weights of the fourth difference have this sum of squares: 1 + 16 + 36 + 16 + 1.
+FOURTH_DIFFERENCE_VARIANCE = 70.0
+#: Share of repeated values above which a signal is taken for quantised.
+QUANTISED_SHARE = 0.2
+#: Time steps that differ by less than this share of their median count as equal.
+EQUAL_STEP = 0.01
+
+
+def quantum(values: FloatArray) -> float:
+    """Step of a quantised signal, 0 where values hardly repeat.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n,)
+
+    Returns
+    -------
+    float
+        Median of the smallest tenth of the non-zero changes, in the unit of the values.
+    """
+    steps = np.abs(np.diff(values))
+    moved = steps[steps > 0.0]
+    if moved.size == 0 or moved.size > (1.0 - QUANTISED_SHARE) * steps.size:
+        return 0.0
+    count = max(1, moved.size // 10)
+    return float(np.median(np.partition(moved, count - 1)[:count]))
+
+
+def white_noise_sd(time_s: FloatArray, values: FloatArray) -> float:
+    """Standard deviation of the white part of a signal's noise.
+
+    Parameters
+    ----------
+    time_s, values : ndarray, shape (n,)
+        Non-decreasing times; n >= 3 for an answer above 0.
+
+    Returns
+    -------
+    float
+        In the unit of the values.
+    """
+    if values.size < 3:
+        return 0.0
+    step = np.diff(time_s)
+    span = step[:-1] + step[1:]
+    share = np.divide(step[:-1], span, out=np.full(span.size, 0.5), where=span > 0.0)
+    off = values[1:-1] - values[:-2] * (1.0 - share) - values[2:] * share
+    off /= np.sqrt(1.0 + share**2 + (1.0 - share) ** 2)
+    estimates = [NORMAL_SD_OVER_MEDIAN * float(np.median(np.abs(off)))]
+    typical = np.median(step)
+    if values.size >= 12 and float(np.mean(np.abs(step - typical) <= EQUAL_STEP * typical)) > 0.9:
+        # few samples on a curved ramp: the fourth difference is blind to a cubic
+        fourth = np.diff(values, n=4) / np.sqrt(FOURTH_DIFFERENCE_VARIANCE)
+        estimates.append(NORMAL_SD_OVER_MEDIAN * float(np.median(np.abs(fourth))))
+    return max(min(estimates), quantum(values) / float(np.sqrt(12.0)))
