@@ -14,6 +14,8 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.model.polynomial import MAX_DEGREE, minimum_on_unit
+
 __all__ = ["cone_least_squares", "support_directions"]
 
 FloatArray = NDArray[np.float64]
@@ -24,6 +26,9 @@ DUAL_TOLERANCE = 1e-11
 #: Ridge, relative to the scaled diagonal, that keeps nearly equal generators apart.
 RIDGE = 1e-14
 QUADRATIC = 3
+#: A block below this fraction of theta is zero; a polynomial below this fraction of itself touches zero.
+VANISHED = 1e-12
+TOUCHES = 1e-7
 
 
 @nb.njit(cache=True, nogil=True)
@@ -173,6 +178,31 @@ def cone_least_squares(
     return theta, generators[:used].copy(), weights
 
 
+def _active_normals(q: FloatArray, size: float) -> FloatArray:
+    """Normals of the passive set at one polynomial, one a row; none where it is positive throughout.
+
+    Judged by the polynomial itself: the generators that sum up to a touching one need not touch.
+    """
+    degree = q.size - 1
+    powers = np.arange(degree + 1)
+    if np.abs(q).max() <= VANISHED * size:
+        return np.eye(degree + 1)
+    limit = TOUCHES * float(np.abs(q).max())
+    slope = np.where(powers == 1, 1.0, 0.0)
+    rows = []
+    if q[0] <= limit:
+        rows.append(np.where(powers == 0, 1.0, 0.0))
+        if degree == MAX_DEGREE and q[1] <= limit:
+            rows.append(slope)
+    if q.sum() <= limit and degree > 0:
+        rows.append(np.ones(degree + 1))
+        if degree == MAX_DEGREE and -(q[1] + 2.0 * q[2]) <= limit:
+            rows.append(powers.astype(np.float64))
+    if not rows and degree == MAX_DEGREE and minimum_on_unit(q) <= limit:
+        rows.append((-q[1] / (2.0 * q[2])) ** powers)
+    return np.array(rows).reshape(-1, degree + 1)
+
+
 def support_directions(
     generators: FloatArray, weights: FloatArray, blocks: NDArray[np.int64]
 ) -> tuple[FloatArray, bool]:
@@ -191,26 +221,19 @@ def support_directions(
     bounded : bool
         True where d < p: a passivity bound is active.
     """
-    p = generators.shape[1]
-    scale = np.abs(generators).max(axis=1, initial=0.0) * weights
-    used = scale > 1e-12 * scale.max(initial=1e-300)
-    rows = [generators[i] for i in np.flatnonzero(used)]
-    start = 0
-    for size in blocks:
-        if size == QUADRATIC:
-            for i in np.flatnonzero(used):
-                g = generators[i, start : start + size]
-                if g[2] > 0.0 and g[0] > 0.0 and g[1] < 0.0 and abs(g[1] ** 2 - 4 * g[0] * g[2]) < 1e-9:
-                    # the touching point r of (u - r)^2 may move: derivative -2 (u - r)
-                    tangent = np.zeros(p)
-                    root = -g[1] / (2.0 * g[2])
-                    if 0.0 < root < 1.0:
-                        tangent[start], tangent[start + 1] = -root, 1.0
-                        rows.append(tangent)
-        start += int(size)
-    if not rows:
-        return np.zeros((p, 0)), True
-    matrix = np.array(rows).T
-    u, s, _ = np.linalg.svd(matrix / np.linalg.norm(matrix, axis=0), full_matrices=False)
-    rank = int((s > 1e-7 * s[0]).sum())
-    return u[:, :rank], rank < p
+    theta = weights @ generators
+    size = max(float(np.abs(theta).max(initial=0.0)), 1e-300)
+    p = theta.size
+    normals = np.zeros((0, p))
+    first = 0
+    for width in blocks:
+        rows = _active_normals(theta[first : first + width], size)
+        placed = np.zeros((rows.shape[0], p))
+        placed[:, first : first + width] = rows
+        normals = np.concatenate([normals, placed])
+        first += int(width)
+    if normals.shape[0] == 0:
+        return np.eye(p), False
+    _, singular, right = np.linalg.svd(normals)
+    rank = int((singular > 1e-7 * singular[0]).sum())
+    return np.ascontiguousarray(right[rank:].T), True
