@@ -1,0 +1,68 @@
+"""Random passive tissues and tool paths for the model tests."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import settings
+from hypothesis import strategies as st
+
+from tissueid.model import KelvinVoigt
+from tissueid.model.polynomial import from_coordinates
+
+DEPTH_MM = 8.0
+#: Same examples in every run, none stored: a failure is reproduced by running the test again.
+settings.register_profile("model", deadline=None, derandomize=True, database=None)
+MODEL_SETTINGS = settings.get_profile("model")
+
+#: Tissue of model.md 1.4: Table 2 and the cubic through the peaks of Table 1.
+SEED_MODEL = KelvinVoigt(branches=1, stiffness_degree=0, depth_mm=DEPTH_MM)
+SEED_THETA = np.array([47.42, -5.577, 0.3804, 63.62, 0.021])
+
+#: One passive tissue for every number of branches and degree of K, K positive so that (5) may be divided by it.
+STATIC = np.array([12.0, -1.5, 0.35])
+STIFFNESS = np.array([[20.0, 3.0, 0.4], [9.0, -0.8, 0.05], [4.0, 0.5, -0.03]])
+TAU = np.array([0.021, 0.4, 6.0])
+
+
+def tissue(branches: int, degree: int) -> tuple[KelvinVoigt, np.ndarray]:
+    model = KelvinVoigt(branches=branches, stiffness_degree=degree, depth_mm=DEPTH_MM)
+    return model, model.join(STATIC, STIFFNESS[:branches, : degree + 1], TAU[:branches])
+
+
+def _coordinate(bounded: bool) -> st.SearchStrategy[float]:
+    return st.floats(0.0 if bounded else -2.0, 2.0, width=32)
+
+
+def cone_coordinates(degree: int) -> st.SearchStrategy[np.ndarray]:
+    """Cone coordinates of a polynomial of that degree, the boundary of the cone included."""
+    return st.tuples(*(_coordinate(degree == 2 and i == 1) for i in range(degree + 1))).map(np.array)
+
+
+@st.composite
+def passive_tissues(draw: st.DrawFn, min_branches: int = 1) -> tuple[KelvinVoigt, np.ndarray]:
+    branches = draw(st.integers(min_branches, 3))
+    degree = draw(st.integers(0, 2))
+    model = KelvinVoigt(branches=branches, stiffness_degree=degree, depth_mm=DEPTH_MM)
+    static = 10.0 * from_coordinates(draw(cone_coordinates(2))) / DEPTH_MM ** np.arange(3)
+    stiffness = [
+        10.0 * from_coordinates(draw(cone_coordinates(degree))) / DEPTH_MM ** np.arange(degree + 1)
+        for _ in range(branches)
+    ]
+    tau = 10.0 ** np.array([draw(st.floats(-2.0, 1.0)) for _ in range(branches)])
+    return model, model.join(static, np.array(stiffness).reshape(branches, degree + 1), tau)
+
+
+def legs(lowest_mm: float, deepest_mm: float) -> st.SearchStrategy[list[tuple[float, float]]]:
+    """Corners of a piecewise linear path: depth reached [mm] and time taken [s]."""
+    leg = st.tuples(st.floats(lowest_mm, deepest_mm), st.floats(-2.5, 1.5).map(lambda e: 10.0**e))
+    return st.lists(leg, min_size=1, max_size=5)
+
+
+def sampled(corners: list[tuple[float, float]], per_leg: int) -> tuple[np.ndarray, np.ndarray]:
+    """Times and depths of a path from rest, ``per_leg`` equal steps in every leg."""
+    time, depth = [0.0], [0.0]
+    fraction = np.arange(1, per_leg + 1) / per_leg
+    for x, duration in corners:
+        time.extend(time[-1] + duration * fraction)
+        depth.extend(depth[-1] + (x - depth[-1]) * fraction)
+    return np.array(time), np.array(depth)
