@@ -123,7 +123,7 @@ def command(**flags: Any) -> int:
 def _print(identification: Identification, out: str, *, verbose: int) -> None:
     from rich.console import Console
 
-    console = Console(highlight=False)
+    console = Console(highlight=False, soft_wrap=True)
     for fit in identification.specimens:
         _print_specimen(console, fit, verbose=verbose)
     for one in identification.refused:

@@ -89,7 +89,7 @@ def segment_options(*, compression: str | None, contact: float | None) -> Segmen
     from tissueid.segment import SegmentOptions
 
     sign = {None: None, "positive": 1, "negative": -1}[compression]
-    return SegmentOptions(compression_sign=sign, contact_mm=contact)
+    return SegmentOptions(compression_sign=sign, contact_displacement_mm=contact)
 
 
 def read_all(paths: tuple[str, ...], options: ReadOptions, refused: list[Refusal]) -> Iterator[Trial]:

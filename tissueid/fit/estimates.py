@@ -7,22 +7,28 @@ fitted depth.  Standard errors are those of white noise.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.fit.candidates import Candidate, Noise, Solution, SpecimenSums, objective_for
+from tissueid.fit.candidates import Candidate, Solution, SpecimenSums, objective_for
 from tissueid.fit.search import unbounded_covariance
 from tissueid.likelihood.cone import cone_least_squares
 from tissueid.likelihood.identifiability import MAX_WIDTH, ProfileInterval, profile_interval, width_of
 from tissueid.likelihood.objective import PooledObjective, cone_start
-from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
+from tissueid.model.base import ParameterSpec
+from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt, branch_suffix
 from tissueid.result import Estimate
 
 __all__ = ["TissueEstimate", "estimate_tissue"]
 
 FloatArray = NDArray[np.float64]
+
+#: Depth, as a fraction of the fitted one, at which viscosity is quoted where K varies.
+REFERENCE_DEPTH = 0.5
+#: Depths, as fractions of the fitted one, at which a curve is judged.
+CURVE_DEPTHS = (0.25, 0.5, 0.75, 1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,11 +137,79 @@ def _estimate(
     )
 
 
-def _curve_verdict(values: FloatArray, basis: FloatArray, covariance: FloatArray) -> tuple[bool, float]:
-    """Whether a curve is known to within a factor e, and its widest relative interval."""
+def _curve_verdict(coefficients: FloatArray, basis: FloatArray, covariance: FloatArray) -> tuple[bool, float]:
+    """Whether a curve's widest 95 % interval is narrower than the curve is high.
+
+    A curve may start soft: an interval relative to its own height at each depth would condemn it there.
+
+    Parameters
+    ----------
+    coefficients : ndarray, shape (p,)
+    basis : ndarray, shape (n, p)
+        Powers of the depths at which it is looked at.
+    covariance : ndarray, shape (p, p)
+    """
     spread = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", basis, covariance, basis), 0.0))
-    width = max(width_of(float(v), float(s)) for v, s in zip(values, spread, strict=True))
+    width = width_of(float((basis @ coefficients).max()), float(spread.max()))
     return width <= MAX_WIDTH, width
+
+
+def _static_estimates(model: KelvinVoigt, theta: FloatArray, covariance: FloatArray) -> list[Estimate]:
+    """a1, a2, a3, with one verdict on the curve."""
+    depths = np.array(CURVE_DEPTHS) * model.depth_mm
+    basis = depths[:, None] ** np.arange(1.0, STATIC_DEGREE + 1)
+    block = covariance[:STATIC_DEGREE, :STATIC_DEGREE]
+    verdict = _curve_verdict(theta[:STATIC_DEGREE], basis, block)
+    return [
+        _estimate(spec.name, spec.symbol, spec.unit, float(theta[k]), float(np.sqrt(block[k, k])), verdict)
+        for k, spec in enumerate(model.parameters[:STATIC_DEGREE])
+    ]
+
+
+def _time_estimate(spec: ParameterSpec, tau: float, stderr: float, interval: ProfileInterval) -> Estimate:
+    """tau, with its profile interval."""
+    plain = _estimate(spec.name, spec.symbol, spec.unit, tau, stderr, (interval.identified, interval.width))
+    detail = dict(plain.detail) | {
+        "profile_ci95": [float(np.exp(interval.low)), float(np.exp(interval.high))],
+        "open_low": interval.open_low,
+        "open_high": interval.open_high,
+    }
+    return replace(plain, detail=detail)
+
+
+def _branch_estimates(
+    model: KelvinVoigt, theta: FloatArray, covariance: FloatArray, branch: int, interval: ProfileInterval
+) -> list[Estimate]:
+    """Stiffness coefficients, relaxation time and viscosity of one branch."""
+    size = model.stiffness_degree + 1
+    first = STATIC_DEGREE + branch * model.block
+    span, last = slice(first, first + size), first + size
+    specs = model.parameters[first : last + 1]
+    powers = np.arange(float(size))
+    curve = (np.array(CURVE_DEPTHS) * model.depth_mm)[:, None] ** powers
+    stderr = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    verdict = _curve_verdict(theta[span], curve, covariance[span, span])
+    tau = float(theta[last])
+    estimates = [
+        _estimate(
+            spec.name, spec.symbol, spec.unit, float(theta[first + k]), float(stderr[first + k]), verdict
+        )
+        for k, spec in enumerate(specs[:-1])
+    ]
+    estimates.append(_time_estimate(specs[-1], tau, float(stderr[last]), interval))
+    reference = (REFERENCE_DEPTH * model.depth_mm) ** powers if model.stiffness_degree else np.ones(1)
+    stiffness = float(theta[span] @ reference)
+    slope = np.concatenate([reference * tau, [stiffness]])
+    block = covariance[first : last + 1, first : last + 1]
+    used = np.where(np.outer(slope, slope) != 0.0, block, 0.0)
+    eta, eta_stderr = stiffness * tau, float(np.sqrt(max(slope @ used @ slope, 0.0)))
+    width = width_of(eta, eta_stderr)
+    name, symbol = (
+        f"viscosity_N_s_per_mm{branch_suffix(branch)}",
+        "eta" if branch == 0 else f"eta{branch + 1}",
+    )
+    estimates.append(_estimate(name, symbol, "N s/mm", eta, eta_stderr, (width <= MAX_WIDTH, width)))
+    return estimates
 
 
 def estimate_tissue(sums: SpecimenSums, solution: Solution) -> TissueEstimate:
@@ -151,88 +225,19 @@ def estimate_tissue(sums: SpecimenSums, solution: Solution) -> TissueEstimate:
     TissueEstimate
     """
     model, theta, covariance, inverse, bounded = _in_field_units(sums, solution)
-    noise: Noise = solution.noise
-    stderr = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    specs = model.parameters
-    half = np.array([0.5, 1.0]) * sums.depth_mm
-    static_basis = half[:, None] ** np.arange(1.0, STATIC_DEGREE + 1)
-    static_verdict = _curve_verdict(
-        model.static_force(theta, half), static_basis, covariance[:STATIC_DEGREE, :STATIC_DEGREE]
-    )
-    parameters = [
-        _estimate(
-            specs[k].name, specs[k].symbol, specs[k].unit, float(theta[k]), float(stderr[k]), static_verdict
-        )
-        for k in range(STATIC_DEGREE)
-    ]
+    parameters = _static_estimates(model, theta, covariance)
     intervals = []
-    size = model.stiffness_degree + 1
-    reference = 0.5 * sums.depth_mm if model.stiffness_degree else 0.0
-    at_reference = reference ** np.arange(float(size))
-    for j in range(model.branches):
+    for branch in range(model.branches):
         interval = profile_interval(
             solution.objective,
             solution.evaluation,
-            j,
-            sigma2=noise.sigma2,
+            branch,
+            sigma2=solution.noise.sigma2,
             inverse=inverse,
             bounds=sums.log_tau_bounds,
         )
         intervals.append(interval)
-        first = STATIC_DEGREE + j * (size + 1)
-        span = slice(first, first + size)
-        stiffness = float(theta[span] @ at_reference)
-        k_verdict = _curve_verdict(np.array([stiffness]), at_reference[None], covariance[span, span])
-        parameters += [
-            _estimate(
-                specs[i].name, specs[i].symbol, specs[i].unit, float(theta[i]), float(stderr[i]), k_verdict
-            )
-            for i in range(first, first + size)
-        ]
-        tau_index = first + size
-        tau = float(theta[tau_index])
-        tau_estimate = _estimate(
-            specs[tau_index].name,
-            specs[tau_index].symbol,
-            "s",
-            tau,
-            float(stderr[tau_index]),
-            (interval.identified, interval.width),
-        )
-        detail = dict(tau_estimate.detail) | {
-            "profile_ci95": [float(np.exp(interval.low)), float(np.exp(interval.high))],
-            "open_low": interval.open_low,
-            "open_high": interval.open_high,
-        }
-        parameters.append(
-            Estimate(
-                name=tau_estimate.name,
-                symbol=tau_estimate.symbol,
-                unit="s",
-                value=tau_estimate.value,
-                stderr=tau_estimate.stderr,
-                identified=tau_estimate.identified,
-                detail=detail,
-            )
-        )
-        suffix = "" if j == 0 else f"_b{j + 1}"
-        slope = np.zeros(theta.size)
-        slope[span] = at_reference * tau
-        slope[tau_index] = stiffness
-        with np.errstate(invalid="ignore"):
-            variance = float(slope @ np.where(slope[:, None] * slope != 0.0, covariance, 0.0) @ slope)
-        eta_stderr = float(np.sqrt(max(variance, 0.0)))
-        width = width_of(stiffness * tau, eta_stderr)
-        parameters.append(
-            _estimate(
-                f"viscosity_N_s_per_mm{suffix}",
-                "eta" if j == 0 else f"eta{j + 1}",
-                "N s/mm",
-                stiffness * tau,
-                eta_stderr,
-                (width <= MAX_WIDTH, width),
-            )
-        )
+        parameters += _branch_estimates(model, theta, covariance, branch, interval)
     return TissueEstimate(
         model=model,
         theta=theta,

@@ -26,10 +26,11 @@ __all__ = ["LmResult", "levenberg_marquardt"]
 
 FloatArray = NDArray[np.float64]
 
-#: Relative change of the parameters that ends the iteration; a test on the sum of squares would stop
-#: at half the digits.
+#: Relative change of the parameters, and of the sum of squares, that ends the iteration; the latter is
+#: quadratic in the former and must be near rounding not to stop at half the digits.
 TOLERANCE = 1e-11
-MAX_EVALUATIONS = 200
+VALUE_TOLERANCE = 1e-15
+MAX_EVALUATIONS = 400
 #: A cone coordinate at zero has no slope; the start is moved off it by this fraction.
 START_LIFT = 1e-3
 
@@ -235,7 +236,7 @@ def levenberg_marquardt(
         _parameters(problem, start, bounds),
         method="leastsq",
         Dfun=jacobian,
-        ftol=0.0,
+        ftol=VALUE_TOLERANCE,
         xtol=TOLERANCE,
         gtol=0.0,
         max_nfev=MAX_EVALUATIONS,

@@ -142,7 +142,7 @@ def specimen_flags(
                 {"relative_difference": optimisers["relative_difference"]},
             )
         )
-    if not optimisers["lm_converged"]:
+    if not optimisers["lm_converged"] and not tissue.bounded:
         flags.append(Flag("not_converged", "Levenberg-Marquardt did not converge"))
     acf = float(np.median([trial.residual_acf1 for trial in trials]))
     if acf > CORRELATED:

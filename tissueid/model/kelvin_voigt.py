@@ -53,8 +53,13 @@ def _static_specs() -> list[ParameterSpec]:
     ]
 
 
+def branch_suffix(branch: int) -> str:
+    """Ending of the parameter names of a branch: none for the first, then ``_b2``, ``_b3``."""
+    return "" if branch == 0 else f"_b{branch + 1}"
+
+
 def _branch_specs(branch: int, degree: int) -> list[ParameterSpec]:
-    suffix = "" if branch == 0 else f"_b{branch + 1}"
+    suffix = branch_suffix(branch)
     specs = [
         ParameterSpec(
             name=f"stiffness_{k}_N_per_{_power('mm', k + 1)}{suffix}",
