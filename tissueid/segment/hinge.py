@@ -7,7 +7,7 @@ The force at displacement u of a tool that meets relaxed tissue at c and moves o
 a cubic static curve and one relaxing branch (l = speed x relaxation time); u0 is where the record starts.
 That branch is why the slope right at contact depends on the rate, and why no threshold and no straight line
 finds the contact at all speeds.  b, p and A are linear: they are integrated out in closed form for
-each (c, l) of a grid, l is averaged over evenly in log, and what is left is the posterior of c; its mean
+each (c, l) of a lattice, l is averaged over evenly in log, and what is left is the posterior of c; its mean
 and standard deviation carry what the unknown shape adds.  Stiffness at contact and of the branch are taken
 as positive.  Samples are averaged in bins that are fine near the contact.  The ramp is shortened until the shape describes it within its noise.
 """
@@ -25,14 +25,15 @@ FloatArray = NDArray[np.float64]
 
 #: Prior standard deviation of the shape's coefficients, in force ranges of the window.
 SHAPE_PRIOR = 3.0
-#: Branch lengths on the grid, and their range as shares of the window; the shortest is no branch at all.
-BRANCH_GRID = 7
+#: Range of branch lengths, as shares of the window; the shortest is no branch at all.
 BRANCH_RANGE = (1e-4, 0.5)
-#: Grid of contact points: number, and half width in standard deviations once one is known.
-CONTACT_GRID = 31
-GRID_REACH = 5.0
-#: Passes that centre the grid on the posterior.
-MAX_PASSES = 7
+#: Nodes of the lattice along each axis, and its half width in posterior standard deviations.
+LATTICE = 13
+LATTICE_REACH = 3.5
+#: Passes that fit the lattice to the posterior.
+MAX_PASSES = 16
+#: Part of the window over which the stiffness at contact is quoted.
+EARLY_SHARE = 0.02
 #: Bins of equal width next to the contact, on each side, and the growth of those further out.
 NEAR_BINS = 24
 BIN_GROWTH = 1.25
@@ -40,7 +41,7 @@ BIN_GROWTH = 1.25
 ADEQUATE_SD = 3.0
 #: A window is given up early where chi-square per degree of freedom is above this after so many passes.
 HOPELESS_EXCESS = 4.0
-HOPELESS_PASSES = 2
+HOPELESS_PASSES = 5
 #: Shares of the ramp tried, longest first.
 WINDOWS = (1.0, 0.5, 0.25, 0.12, 0.06)
 #: Fewest bins with tissue in a window.
@@ -164,58 +165,58 @@ def _centre(
     start: float,
     baseline: bool,
 ) -> HingeFit:
-    """Move and narrow the grid of contact points until it covers the posterior and little else."""
-    (low, high), (centre, window) = bounds, guess
-    half = max(high - centre, centre - low, 1e-12)
+    """Fit a lattice over (contact, log length) to the posterior: mean, spread and tilt, pass by pass.
+
+    Contact and branch length make up for each other, so the posterior is a narrow ridge; the lattice is laid
+    along its axes.
+    """
+    (low, high), (contact, window) = bounds, guess
+    shortest, longest = (float(np.log(share * window)) for share in BRANCH_RANGE)
+    limits = (low, high - 0.02 * (high - low)), (shortest, longest)
+    axis = np.linspace(-LATTICE_REACH, LATTICE_REACH, LATTICE)
+    unit = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
+    centre = np.array([contact, 0.5 * (shortest + longest)])
+    shape = np.diag([max(0.5 * window, 1e-12), 0.5 * (longest - shortest)]) / LATTICE_REACH
     fit: HingeFit | None = None
-    shortest, longest = (np.log(share * window) for share in BRANCH_RANGE)
-    log_lengths = np.linspace(shortest, longest, BRANCH_GRID)
     for passes in range(MAX_PASSES):
-        left, right = max(low, centre - half), min(high - 0.02 * (high - low), centre + half)
-        grid = np.linspace(left, max(right, left + 1e-12), CONTACT_GRID)
-        fit, (middle, spread) = _posterior(
-            binned, noise_N, grid, np.exp(log_lengths), window=window, start=start, baseline=baseline
+        nodes = centre + unit @ shape.T
+        inside = ((nodes[:, 0] >= limits[0][0]) & (nodes[:, 0] <= limits[0][1])) & (
+            (nodes[:, 1] >= limits[1][0]) & (nodes[:, 1] <= limits[1][1])
         )
-        spacing = grid[1] - grid[0]
-        wide = 2.0 * GRID_REACH * max(fit.sd_mm, 0.5 * spacing)
-        clipped = (
-            min(fit.contact_mm - left if left > low else np.inf, right - fit.contact_mm) < 3.0 * fit.sd_mm
-        )
-        spread = max(spread, 0.5 * (log_lengths[1] - log_lengths[0]))
-        settled = 2.0 * GRID_REACH * spread > 0.6 * (log_lengths[-1] - log_lengths[0])
-        log_lengths = np.linspace(
-            max(shortest, middle - 0.5 * GRID_REACH * spread),
-            min(longest, middle + 0.5 * GRID_REACH * spread),
-            BRANCH_GRID,
-        )
+        if not inside.any():
+            break
+        fit, mass = _posterior(binned, noise_N, nodes[inside], window=window, start=start, baseline=baseline)
+        kept = unit[inside]
+        middle = mass @ kept
+        covariance = (kept - middle).T @ ((kept - middle) * mass[:, None])
+        spread = np.sqrt(np.diag(covariance))
+        if (np.abs(middle) < 0.7).all() and (spread > 0.6).all() and (spread < 1.5).all():
+            break
         if passes >= HOPELESS_PASSES and fit.excess > HOPELESS_EXCESS:
             break
-        if settled and wide > 0.6 * (right - left) and not clipped:
-            break
-        centre, half = fit.contact_mm, 0.5 * wide * (1.5 if clipped else 1.0)
-    assert fit is not None  # noqa: S101
+        centre = centre + shape @ middle
+        covariance += np.diag(np.full(2, (0.6 * (axis[1] - axis[0])) ** 2))
+        shape = shape @ np.linalg.cholesky(covariance)
+    assert fit is not None  # noqa: S101  (the guess lies inside)
     return fit
 
 
 def _posterior(
     binned: _Binned,
     noise_N: float,
-    grid: FloatArray,
-    branch_mm: FloatArray,
+    nodes: FloatArray,
     *,
     window: float,
     start: float,
     baseline: bool,
-) -> tuple[HingeFit, tuple[float, float]]:
-    """Posterior of the contact over a grid, everything else integrated out; mean and sd of log length."""
-    lengths = branch_mm[None, :, None]
-    contact = grid[:, None, None]
-    u = binned.depth_mm[None, None, :]
+) -> tuple[HingeFit, FloatArray]:
+    """Posterior over nodes (contact, log length), everything else integrated out, and its mass at each."""
+    contact, lengths = nodes[:, :1], np.exp(nodes[:, 1:])
+    u = binned.depth_mm
     z = np.maximum(u - contact, 0.0) / window
     w = np.maximum(u - np.maximum(contact, start), 0.0)
     # A = K l: the prior is on the stiffness K of the branch, of the size of the static one
     rise = -np.expm1(-w / lengths) * (lengths / window)
-    z = np.broadcast_to(z, rise.shape)
     columns = [z, z * z, z**3, rise]
     scale = SHAPE_PRIOR * max(float(np.ptp(binned.force_N)), noise_N)
     prior = [scale] * 4
@@ -226,43 +227,36 @@ def _posterior(
     design = np.stack(columns, axis=-1) * (weight[:, None] * np.array(prior))
     target = binned.force_N * weight
     gram = design.swapaxes(-1, -2) @ design + np.eye(len(prior))
-    moment = np.einsum("cljk,j->clk", design, target)
+    moment = target @ design
     covariance = np.linalg.inv(gram)
-    solved = np.einsum("cljk,clk->clj", covariance, moment)
-    log_density = 0.5 * np.einsum("clk,clk->cl", solved, moment) - 0.5 * np.linalg.slogdet(gram)[1]
-    coefficients = solved * np.array(prior)
-    first_step = 0.02
-    early = (coefficients[..., 0] + first_step * coefficients[..., 1]) * first_step
-    early -= coefficients[..., 3] * (np.expm1(-first_step * window / lengths) * lengths / window)[..., 0]
+    solved = np.einsum("njk,nk->nj", covariance, moment)
+    log_density = 0.5 * np.einsum("nk,nk->n", solved, moment) - 0.5 * np.linalg.slogdet(gram)[1]
     # stiffness at contact and of the branch are positive: the mass of the half spaces
     for positive in (0, 3):
-        log_density += _log_normal_mass(solved[..., positive] / np.sqrt(covariance[..., positive, positive]))
+        log_density += _log_normal_mass(solved[:, positive] / np.sqrt(covariance[:, positive, positive]))
     mass = np.exp(log_density - log_density.max())
     mass /= mass.sum()
-    at_contact = mass.sum(axis=1)
-    mean = float(at_contact @ grid)
-    spread = float(np.sqrt(max(at_contact @ (grid - mean) ** 2, 0.0)))
-    best = np.unravel_index(int(mass.argmax()), mass.shape)
+    mean = float(mass @ nodes[:, 0])
+    spread = float(np.sqrt(mass @ (nodes[:, 0] - mean) ** 2))
+    best = int(mass.argmax())
     residual = target - design[best] @ solved[best]
     freedom = max(target.size - len(prior) - 2, 1)
     excess = float(residual @ residual) / freedom
-    level = float((mass * coefficients[..., -1]).sum()) if baseline else 0.0
-    slope = float((mass * early).sum()) / (first_step * window)
-    branch = mass.sum(axis=0)
-    middle = float(branch @ np.log(branch_mm))
-    length_sd = float(np.sqrt(branch @ (np.log(branch_mm) - middle) ** 2))
+    coefficients = mass @ (solved * np.array(prior))
+    early = min(EARLY_SHARE * window, float(np.ptp(u)))
+    length = float(np.exp(mass @ nodes[:, 1]))
+    slope = coefficients[0] / window + coefficients[3] * -np.expm1(-early / length) * length / window / early
+    air = max(float(binned.count[u < mean].sum()), 1.0)
     fit = HingeFit(
         contact_mm=mean,
-        sd_mm=float(np.hypot(spread * np.sqrt(max(excess, 1.0)), 0.3 * (grid[1] - grid[0]))),
-        baseline_N=level,
-        baseline_sd_N=noise_N / np.sqrt(max(float(binned.count[binned.depth_mm < mean].sum()), 1.0))
-        if baseline
-        else 0.0,
-        slope_N_per_mm=max(slope, 1e-3 * float(np.ptp(binned.force_N)) / window),
+        sd_mm=spread * float(np.sqrt(max(excess, 1.0))),
+        baseline_N=float(coefficients[-1]) if baseline else 0.0,
+        baseline_sd_N=noise_N / float(np.sqrt(air)) if baseline else 0.0,
+        slope_N_per_mm=max(float(slope), 1e-3 * float(np.ptp(binned.force_N)) / window),
         adequate=excess <= 1.0 + ADEQUATE_SD * np.sqrt(2.0 / freedom),
         excess=excess,
     )
-    return fit, (middle, length_sd)
+    return fit, mass
 
 
 def _log_normal_mass(x: FloatArray) -> FloatArray:
