@@ -18,11 +18,17 @@ FloatArray = NDArray[np.float64]
 #: Fewest samples in air, while moving, that show the tool in air.
 FEWEST_AIR_SAMPLES = 5
 #: Air is believed where contact lies this many sd behind the start of the motion.
-AIR_SD = 5.0
+AIR_SD = 4.0
+#: ... and where contact all along would have raised the force by so many sd of its mean in air.
+MISSING_RISE_SD = 8.0
+#: How far back the contact may lie, in starting forces over stiffness: tissue may soften towards contact.
+REACH = 4.0
 #: Noise sd added to the starting force when looking how far back the contact may lie.
 REACH_SD = 3.0
-#: A start is preloaded where the contact lies this many sd before it.
-PRELOAD_SD = 2.5
+#: A start is preloaded where the force before the tool moves exceeds its noise by so many sd.
+PRELOAD_SD = 4.0
+#: ... and by more than this share of the force range, below which it may be the load cell's zero.
+PRELOAD_SHARE = 0.01
 #: Force that rises by less than this many noise sd over a ramp never met anything.
 CONTACT_SD = 6.0
 #: Contact sd above this share of the depth is said.
@@ -73,7 +79,11 @@ def find_contact(
     start_mm = float(np.median(depth_mm[first : move.start + 1]))
     air = fit_contact(u, f, noise_N=noise, baseline=True, reach_back_mm=0.0)
     in_air = (u < air.contact_mm) & (np.arange(first, move.stop + 1) >= move.start)
-    if air.contact_mm - start_mm > AIR_SD * air.sd_mm and int(in_air.sum()) >= FEWEST_AIR_SAMPLES:
+    count = int(in_air.sum())
+    # what the force would have risen by, had the tool been in contact all along, against its noise
+    missing = _least_slope(u, f, air) * (air.contact_mm - start_mm) * np.sqrt(count) / noise
+    far = air.contact_mm - start_mm > AIR_SD * air.sd_mm
+    if far and count >= FEWEST_AIR_SAMPLES and missing > MISSING_RISE_SD:
         at = first + int(np.argmax((u >= air.contact_mm) & (np.arange(u.size) >= move.start - first)))
         contact = Contact(
             index=at,
@@ -94,6 +104,15 @@ def _meets(force_N: FloatArray, piece: Piece, noise_N: float) -> bool:
     edge = max(1, force.size // 10)
     rise = float(force[-edge:].mean() - force[:edge].mean())
     return rise > CONTACT_SD * noise_N / np.sqrt(edge) and rise > 0.05 * float(np.ptp(force_N))
+
+
+def _least_slope(u: FloatArray, f: FloatArray, air: HingeFit) -> float:
+    """The smaller of the stiffness at contact and that of the whole ramp [N/mm], > 0.
+
+    At contact the branch adds to the static stiffness, further in the static curve may harden.
+    """
+    whole = float(np.ptp(f)) / max(float(u.max()) - air.contact_mm, 1e-3 * float(np.ptp(u)))
+    return max(min(air.slope_N_per_mm, whole), 1e-3 * whole)
 
 
 def _given(
@@ -119,25 +138,27 @@ def _start_in_contact(
 ) -> tuple[Contact, list[Flag]]:
     """No air in the record: the contact is the first sample, or lies before it."""
     start = float(u[0])
-    few = max(1, min(5, u.size // 4))
+    resting = u <= start + 1e-3 * float(u.max() - start)
+    few = max(1, int(np.argmin(resting)))
     ahead = float(f[:few].mean())
     back = 0.0
     if u.size >= FEWEST_SAMPLES:
-        back = 2.0 * (max(ahead, 0.0) + REACH_SD * noise_N) / max(air.slope_N_per_mm, 1e-300)
-        back = min(back, 2.0 * float(u.max() - start)) + 1e-9
+        back = REACH * (max(ahead, 0.0) + REACH_SD * noise_N) / _least_slope(u, f, air)
+        back = min(back, 2.0 * float(u.max() - start))
         fit = fit_contact(u, f, noise_N=noise_N, baseline=False, reach_back_mm=back)
         contact_mm, sd = fit.contact_mm, fit.sd_mm
     else:
         slope = max(float(f[-1] - f[0]) / max(float(u.max() - start), 1e-300), 1e-300)
         contact_mm, sd = start - ahead / slope, max(noise_N / slope, 0.3 * float(np.ptp(u)) / u.size)
     flags: list[Flag] = []
-    if start - contact_mm > PRELOAD_SD * sd and ahead > PRELOAD_SD * noise_N / np.sqrt(few):
+    significant = max(PRELOAD_SD * noise_N / np.sqrt(few), PRELOAD_SHARE * float(np.ptp(f)))
+    if ahead > significant and contact_mm < start:
         contact = Contact(index=0, displacement_mm=compression * contact_mm, sd_mm=sd)
         flags.append(
             Flag(
                 "preload",
-                f"the record starts under {ahead:.3g} N; contact is extrapolated {start - contact_mm:.3g} mm back, "
-                f"sd {sd:.2g} mm",
+                f"the record starts under {ahead:.3g} N; contact is extrapolated "
+                f"{start - contact_mm:.3g} mm back, sd {sd:.2g} mm",
                 {"force_N": ahead, "before_mm": start - contact_mm, "sd_mm": sd},
             )
         )

@@ -6,10 +6,11 @@ The force at displacement u of a tool that meets relaxed tissue at c and moves o
 
 a cubic static curve and one relaxing branch (l = speed x relaxation time); u0 is where the record starts.
 That branch is why the slope right at contact depends on the rate, and why no threshold and no straight line
-finds the contact at all speeds.  b, p and A are linear: they are integrated out in closed form for
-each (c, l) of a lattice, l is averaged over evenly in log, and what is left is the posterior of c; its mean
-and standard deviation carry what the unknown shape adds.  Stiffness at contact and of the branch are taken
-as positive.  Samples are averaged in bins that are fine near the contact.  The ramp is shortened until the shape describes it within its noise.
+finds the contact at all speeds.  b, p and A are linear: they are integrated out in closed form for each
+(c, l) of a lattice, l is averaged over evenly in log, and what is left is the posterior of c; its mean and
+standard deviation carry what the unknown shape adds.  Stiffness at contact and of the branch are taken as
+positive.  Samples are averaged in bins that are fine near the contact.  The ramp is shortened until the
+shape describes it within its noise.
 """
 
 from __future__ import annotations
@@ -24,9 +25,9 @@ __all__ = ["HingeFit", "fit_contact"]
 FloatArray = NDArray[np.float64]
 
 #: Prior standard deviation of the shape's coefficients, in force ranges of the window.
-SHAPE_PRIOR = 3.0
+SHAPE_PRIOR = 10.0
 #: Range of branch lengths, as shares of the window; the shortest is no branch at all.
-BRANCH_RANGE = (1e-4, 0.5)
+BRANCH_RANGE = (3e-4, 0.5)
 #: Nodes of the lattice along each axis, and its half width in posterior standard deviations.
 LATTICE = 13
 LATTICE_REACH = 3.5

@@ -36,6 +36,8 @@ SPEED_RATIO = 2.0
 MOVE_SAMPLES = 5
 #: Samples on each side of a corner that place it.
 CORNER_SAMPLES = 200
+#: Passes that place a corner.
+CORNER_PASSES = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,23 +205,25 @@ def _corner(
     tolerance: float,
 ) -> int:
     """The corner sample near ``at``, within ``[low, high]``."""
-    left = slice(max(low, at - CORNER_SAMPLES), at + 1)
-    right = slice(at, min(high, at + CORNER_SAMPLES) + 1)
-    lines = [
-        _line(time_s[side], depth_mm[side], flat=flat)
-        for side, flat in zip((left, right), stands, strict=True)
-    ]
-    (slope_1, level_1), (slope_2, level_2) = lines
-    both = slice(left.start, right.stop)
-    if slope_1 != slope_2:
+    reach = 1e-9 * (time_s[high] - time_s[low])
+    guess = at
+    for _ in range(CORNER_PASSES):  # a corner a few samples off tilts its lines; the next pass has it nearer
+        left = slice(max(low, guess - CORNER_SAMPLES), guess + 1)
+        right = slice(guess, min(high, guess + CORNER_SAMPLES) + 1)
+        slope_1, level_1 = _line(time_s[left], depth_mm[left], flat=stands[0])
+        slope_2, level_2 = _line(time_s[right], depth_mm[right], flat=stands[1])
+        if slope_1 == slope_2:
+            break
         meet = (level_2 - level_1) / (slope_1 - slope_2)
+        if not time_s[low] <= meet <= time_s[high]:
+            break
+        both = slice(left.start, right.stop)
         t = time_s[both]
         fitted = np.where(t <= meet, level_1 + slope_1 * t, level_2 + slope_2 * t)
-        sharp = np.abs(depth_mm[both] - fitted).max() <= tolerance
-        if sharp and time_s[low] <= meet <= time_s[high]:
-            return int(
-                np.clip(np.searchsorted(time_s, meet - 1e-9 * (time_s[high] - time_s[low])), low, high)
-            )
+        moved = int(np.clip(np.searchsorted(time_s, meet - reach), low + 1, high - 1))
+        if np.abs(depth_mm[both] - fitted).max() <= tolerance and abs(moved - guess) <= 1:
+            return moved
+        guess = moved
     if stands[1]:  # a rounded stop: the hold begins where the plateau is reached for good
         plateau = float(np.median(depth_mm[at : high + 1]))
         outside = np.flatnonzero(np.abs(depth_mm[low : high + 1] - plateau) > tolerance)

@@ -26,7 +26,7 @@ FEWEST_SAMPLES = 5
 HOLD_SAMPLES = 8
 #: A hold lasts at least this share of its ramp: a crosshead takes 50-300 ms to stop or to turn, and that
 #: dwell, seen after a ramp of 10-60 s, is no relaxation test.
-HOLD_SHARE_OF_RAMP = 0.02
+HOLD_SHARE_OF_RAMP = 0.05
 #: A way back this small against its ramp, ended by a standstill, is overshoot of the stop, not a retract.
 OVERSHOOT_SHARE = 0.1
 #: A loop returns at least this share of its way in.

@@ -1,0 +1,139 @@
+"""The contact point against the truth: bias and coverage of its stated sd, preload, air, overrides."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tissueid.segment import SegmentOptions, segment
+from tissueid.segment.noise import quantum, white_noise_sd
+from tissueid.synth import Hold, Log, Move, Recipe, as_trials, recipe, simulate
+from tissueid.trial import Trial, contact_frame
+
+SPEEDS_MM_MIN = (10.0, 70.0, 100.0, 150.0, 250.0, 500.0)
+
+
+def codes(segmentation) -> set[str]:
+    return {flag.code for flag in segmentation.flags}
+
+
+@pytest.mark.parametrize("sigma_N", [0.02, 0.3, 3.0])
+@pytest.mark.parametrize("rate_Hz", [100.0, 1000.0])
+def test_contact_in_the_record_is_covered_by_its_interval(rate_Hz, sigma_N):
+    rng = np.random.default_rng(21)
+    scores = []
+    for speed in SPEEDS_MM_MIN:
+        for _ in range(6):
+            offset = float(rng.uniform(0.6, 1.6))
+            log = Log("ramp", (Move(8.0, speed),))
+            settings = Recipe("c", (log,), rate_Hz=rate_Hz, sigma_N=sigma_N, contact_offset_mm=offset)
+            trial = as_trials(simulate(settings, rng=rng))[0]
+            shifted = Trial("air", trial.time_s, trial.displacement_mm - 2.0, trial.force_N + 5.0)
+            contact = segment(shifted).contact
+            assert contact is not None
+            assert contact.in_record
+            assert contact.baseline_N == pytest.approx(5.0, abs=5.0 * sigma_N)
+            scores.append((contact.displacement_mm + 2.0 - offset) / contact.sd_mm)
+    scores = np.array(scores)
+    # 36 draws: 95 % coverage gives 30 or more inside with probability 0.99
+    assert (np.abs(scores) < 1.96).sum() >= 30
+    # a mean of 36 unit scores has sd 0.17
+    assert abs(scores.mean()) < 0.3 + 3.0 * 0.17
+
+
+@pytest.mark.parametrize("rate_Hz", [10.0, 100.0, 1000.0])
+def test_logs_that_start_at_contact_are_consistent_with_it(rate_Hz):
+    logs = simulate(replace(recipe("paper-a-30"), rate_Hz=rate_Hz), rng=np.random.default_rng(3))
+    for log, trial in zip(logs[:10], as_trials(logs)[:10], strict=True):
+        found = segment(trial)
+        contact = found.contact
+        assert contact is not None
+        assert not contact.in_record, log.name
+        assert contact.index == 0
+        assert contact.baseline_N == 0.0
+        assert contact.displacement_mm == 0.0
+        assert 0.0 < contact.sd_mm < 0.4
+        assert "starts_in_contact" in codes(found)
+        assert "preload" not in codes(found)
+
+
+@pytest.mark.parametrize("preload_mm", [0.3, 0.8])
+def test_preloaded_start_is_extrapolated_back(preload_mm):
+    scores = []
+    rng = np.random.default_rng(4)
+    for _ in range(12):
+        log = Log("hold", (Move(6.0, 250.0), Hold(2.0)))
+        settings = Recipe("p", (log,), rate_Hz=1000.0, sigma_N=0.3, contact_offset_mm=-preload_mm)
+        found = segment(as_trials(simulate(settings, rng=rng))[0])
+        assert "preload" in codes(found)
+        assert found.contact is not None
+        scores.append((found.contact.displacement_mm + preload_mm) / found.contact.sd_mm)
+    # extrapolation of a curve by 5-13 % of its length: within three of its own sd
+    assert np.abs(scores).max() < 3.0
+
+
+def test_contact_frame_is_zero_at_contact():
+    settings = Recipe(
+        "f", (Log("ramp", (Move(8.0, 250.0),)),), sigma_N=0.05, contact_offset_mm=1.0, compression_sign=-1
+    )
+    trial = as_trials(simulate(settings, rng=np.random.default_rng(5)))[0]
+    found = segment(trial)
+    depth, force = contact_frame(trial, found)
+    assert found.contact is not None
+    assert [phase.kind for phase in found.phases] == ["approach", "ramp"]
+    assert found.phases[1].start == found.contact.index
+    assert abs(depth[found.contact.index]) < 0.02
+    assert np.abs(force[: found.contact.index].mean()) < 0.01
+    assert force[-1] > 100.0
+
+
+def test_force_that_never_rises_is_no_contact():
+    rng = np.random.default_rng(6)
+    time_s = np.arange(0.0, 4.0, 0.01)
+    air = Trial("air", time_s, 2.0 * time_s, 0.3 * rng.standard_normal(time_s.size))
+    found = segment(air)
+    assert found.contact is None
+    assert "no_contact" in codes(found)
+    assert [phase.kind for phase in found.phases] == ["approach"]
+
+
+def test_user_contact_wins():
+    settings = Recipe("u", (Log("ramp", (Move(8.0, 250.0),)),), contact_offset_mm=1.0)
+    trial = as_trials(simulate(settings, rng=np.random.default_rng(7)))[0]
+    options = SegmentOptions(contact_displacement_mm=1.25, contact_sd_mm=0.01)
+    contact = segment(trial, options=options).contact
+    assert contact is not None
+    assert (contact.displacement_mm, contact.sd_mm, contact.in_record) == (1.25, 0.01, True)
+    assert trial.displacement_mm[contact.index] >= 1.25 > trial.displacement_mm[contact.index - 1]
+
+
+def test_scaling_lengths_forces_and_times_scales_the_contact():
+    settings = Recipe("s", (Log("ramp", (Move(8.0, 250.0),)),), rate_Hz=200.0, contact_offset_mm=1.0)
+    trial = as_trials(simulate(settings, rng=np.random.default_rng(8)))[0]
+    plain = segment(trial).contact
+    small = segment(
+        Trial("s", trial.time_s * 1e-3, trial.displacement_mm * 1e-4, trial.force_N * 1e-6)
+    ).contact
+    assert plain is not None
+    assert small is not None
+    # the same arithmetic up to rounding and the last pass of the lattice
+    assert small.displacement_mm == pytest.approx(plain.displacement_mm * 1e-4, abs=0.2 * plain.sd_mm * 1e-4)
+    assert small.sd_mm == pytest.approx(plain.sd_mm * 1e-4, rel=0.2)
+
+
+@pytest.mark.parametrize("n", [30, 500, 20_000])
+def test_white_noise_is_measured_on_a_curved_ramp_and_a_hold(n):
+    rng = np.random.default_rng(9)
+    time_s = np.linspace(0.0, 10.0, n)
+    clean = np.where(time_s < 5.0, 3.0 * time_s**2, 75.0)
+    sd = [white_noise_sd(time_s, clean + 0.7 * rng.standard_normal(n)) for _ in range(40)]
+    # the smaller of two estimates leans low where samples are few
+    assert np.mean(sd) == pytest.approx(0.7, rel=0.05 + 1.5 / np.sqrt(n))
+
+
+def test_quantised_force_has_at_least_the_noise_of_its_step():
+    time_s = np.linspace(0.0, 10.0, 2000)
+    coarse = np.round(4.0 * np.minimum(time_s, 5.0) / 0.5) * 0.5
+    assert quantum(coarse) == pytest.approx(0.5)
+    assert white_noise_sd(time_s, coarse) == pytest.approx(0.5 / np.sqrt(12.0))
+    assert quantum(np.random.default_rng(1).standard_normal(100)) == 0.0

@@ -1,0 +1,77 @@
+"""Real recordings, read here by the plainest means: what a person sees in them must be found."""
+
+import csv
+
+import numpy as np
+import pytest
+
+from tissueid.segment import segment
+from tissueid.trial import Trial
+
+calamine = pytest.importorskip("python_calamine")
+
+
+def kinds(segmentation) -> list[str]:
+    return [phase.kind for phase in segmentation.phases]
+
+
+def codes(segmentation) -> set[str]:
+    return {flag.code for flag in segmentation.flags}
+
+
+def numbers(path, skip: int) -> np.ndarray:
+    with path.open(encoding="latin-1", newline="") as file:
+        rows = list(csv.reader(file))[skip:]
+    return np.array([[float(cell) for cell in row[:3]] for row in rows if row])
+
+
+def test_every_meat_sheet_has_a_ramp_and_a_hold(shared_data):
+    path = next((shared_data / "zwick-meat-gpl3").glob("*.xlsx"))
+    book = calamine.CalamineWorkbook.from_path(str(path))
+    seen = 0
+    for name in book.sheet_names:
+        rows = book.get_sheet_by_name(name).to_python()[3:]
+        if len(rows) < 50 or not all(isinstance(cell, float) for cell in rows[0][:3]):
+            continue
+        time_s, force, depth = np.array([row[:3] for row in rows], dtype=float).T
+        found = segment(Trial(name, time_s, depth, force))
+        seen += 1
+        tests = [kind for kind in kinds(found) if kind != "approach"]
+        assert tests == ["ramp", "hold"], name
+        hold = found.of_kind("hold")[0]
+        # the machine dwells 10 s after the force limit
+        assert 9.5 <= hold.end_s - hold.start_s <= 11.0, name
+        assert 0.5 <= found.of_kind("ramp")[0].speed_mm_s <= 2.5, name
+        assert (found.compression_sign, found.force_sign) == (1, 1)
+        assert found.contact is not None
+    assert seen == 29
+
+
+def test_cyclic_bluehill_file_is_cyclic_without_a_hold(shared_data):
+    data = numbers(shared_data / "instron-bluehill-cyclic-cc0" / "Specimen_RawData_6.csv", 5)
+    found = segment(Trial("cyclic", *data.T))
+    assert (found.compression_sign, found.force_sign) == (-1, -1)
+    assert kinds(found) == ["cycle"] * 3
+    assert {"cyclic", "no_hold", "preload"} <= codes(found)
+    assert found.contact is not None
+    # -4.3 N of preload at some 5-8 N/mm: contact 0.5-0.9 mm before the start at -2.047 mm
+    assert -1.6 < found.contact.displacement_mm < -1.1
+
+
+@pytest.mark.parametrize("state", ["Relaxed", "pCa4.4"])
+@pytest.mark.parametrize("ramp_s", ["0.1", "1", "10", "100"])
+def test_muscle_stretch_is_a_ramp_of_its_named_time_and_a_hold(shared_data, state, ramp_s):
+    data = numbers(shared_data / "muscle-ramp-hold-mit" / f"Avg{state}_{ramp_s}s.csv", 1)
+    found = segment(Trial("muscle", *data.T))
+    assert kinds(found)[-2:] == ["ramp", "hold"]
+    ends = found.of_kind("ramp")[0].end_s - data[0, 0]
+    assert ends == pytest.approx(float(ramp_s), rel=0.12)
+
+
+def test_oocyte_dwell_is_found_between_approach_and_retract(shared_data):
+    data = numbers(shared_data / "oocyte-afm-mit" / "cell1-0008_full.csv", 1)
+    found = segment(Trial("cell", data[:, 0], 1e3 * data[:, 2], data[:, 1]))
+    assert kinds(found)[-3:] == ["ramp", "hold", "retract"]
+    hold = found.of_kind("hold")[0]
+    # 30 s of dwell as named by its source
+    assert hold.end_s - hold.start_s == pytest.approx(30.0, abs=0.2)
