@@ -18,7 +18,7 @@ MODEL_SETTINGS = settings.get_profile("model")
 SEED_MODEL = KelvinVoigt(branches=1, stiffness_degree=0, depth_mm=DEPTH_MM)
 SEED_THETA = np.array([47.42, -5.577, 0.3804, 63.62, 0.021])
 
-#: One passive tissue for every number of branches and degree of K, K positive so that (5) may be divided by it.
+#: One passive tissue for every number of branches and degree of K; K > 0, so that (5) may divide by it.
 STATIC = np.array([12.0, -1.5, 0.35])
 STIFFNESS = np.array([[20.0, 3.0, 0.4], [9.0, -0.8, 0.05], [4.0, 0.5, -0.03]])
 TAU = np.array([0.021, 0.4, 6.0])

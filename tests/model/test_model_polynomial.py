@@ -81,7 +81,7 @@ def test_values_negative_by_rounding_count_as_zero() -> None:
 
 
 @pytest.mark.parametrize("degree", DEGREES)
-def test_coordinates_jacobian_matches_a_complex_step(degree: int) -> None:
+def test_coordinates_jacobian_matches_differences(degree: int) -> None:
     p = np.array([0.7, 0.4, -1.3])[: degree + 1]
     expected = np.empty((degree + 1, degree + 1))
     for k in range(degree + 1):

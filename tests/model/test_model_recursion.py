@@ -138,7 +138,7 @@ def test_sensitivity_matches_central_differences(tau: float) -> None:
     d = 1e-4 * tau
     f = [branch_state(time, depth, tau + k * d, 0.0) for k in (-2, -1, 1, 2)]
     expected = (f[0] - 8.0 * f[1] + 8.0 * f[2] - f[3]) / (12.0 * d)
-    # fourth order in 1e-4: truncation 1e-16, rounding of the states (up to 2 mm) 2e-16 * 2 / 1e-4 = 5e-12 / tau
+    # fourth order in 1e-4: truncation 1e-16, rounding of states up to 2 mm 2e-16 * 2 / 1e-4 = 5e-12 / tau
     np.testing.assert_allclose(derivative, expected, rtol=1e-7, atol=2e-11 / tau)
 
 

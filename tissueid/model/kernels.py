@@ -23,8 +23,8 @@ FloatArray = NDArray[np.float64]
 
 #: Magnitude below which a branch state counts as zero [mm]; far above the denormal range.
 FLUSH_MM = 1e-200
-#: Newton steps allowed for the detached surface; it converges in 3 or 4.
-MAX_DETACHED_ITERATIONS = 40
+#: Newton steps allowed for the detached surface; it converges in 3 or 4, bisection alone in 50.
+MAX_DETACHED_ITERATIONS = 60
 
 
 @nb.njit(cache=True, nogil=True)
@@ -178,7 +178,10 @@ def _force_free_surface(
         width *= 2.0
         force, slope = _following_force(static, stiffness, depth, surface, decayed, gain, high)
     y = high
+    resolution = 1e-14 * depth
     for _ in range(MAX_DETACHED_ITERATIONS):
+        if abs(force) <= resolution * slope or high - low <= resolution:
+            break
         if force > 0.0:
             high = y
         else:
@@ -186,10 +189,7 @@ def _force_free_surface(
         candidate = y - force / slope if slope > 0.0 else low
         if not low < candidate < high:
             candidate = 0.5 * (low + high)
-        moved = abs(candidate - y)
         y = candidate
-        if moved <= 1e-14 * depth:
-            break
         force, slope = _following_force(static, stiffness, depth, surface, decayed, gain, y)
     return y
 

@@ -1,0 +1,229 @@
+"""The tissue under a tool that can push but not pull (model.md 1.2), and beyond the identified depth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given
+from passive_tissues import DEPTH_MM, MODEL_SETTINGS, SEED_MODEL, SEED_THETA, legs, passive_tissues, tissue
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+
+from tissueid.model import ContactPath, KelvinVoigt
+from tissueid.model.kelvin_voigt import TissueStepper
+from tissueid.model.kernels import tissue_step
+
+IN_AIR_MM = -1.0
+A1, K0, TAU_S = 12.0, 20.0, 0.05
+
+
+def linear_tissue() -> TissueStepper:
+    """F_s = a1 x and one branch of constant K: everything has a closed form."""
+    model = KelvinVoigt(branches=1, stiffness_degree=0, depth_mm=DEPTH_MM)
+    return TissueStepper(model, np.array([A1, 0.0, 0.0, K0, TAU_S]))
+
+
+def settled(theta_model: tuple[KelvinVoigt, np.ndarray], depth_mm: float) -> TissueStepper:
+    """A tissue that was pushed to a depth and has forgotten how."""
+    model, theta = theta_model
+    stepper = TissueStepper(model, theta)
+    stepper.step(depth_mm, 1e9)
+    stepper.step(depth_mm, 1e9)
+    return stepper
+
+
+def test_sudden_release_leaves_the_surface_where_spring_and_branch_balance() -> None:
+    stepper = linear_tissue()
+    stepper.step(4.0, 0.1)
+    state = 4.0 / 0.1 * TAU_S * -np.expm1(-0.1 / TAU_S)
+    assert stepper.step(IN_AIR_MM, 0.0) == 0.0
+    # a1 y + K (s + y - 4) = 0, an elastic jump
+    assert stepper.surface_mm == pytest.approx(K0 * (4.0 - state) / (A1 + K0), rel=1e-12)
+
+
+def test_free_surface_recovers_with_the_time_constant_of_the_design() -> None:
+    stepper = linear_tissue()
+    stepper.step(4.0, 10.0)
+    stepper.step(IN_AIR_MM, 0.0)
+    start = stepper.surface_mm
+    time_constant = TAU_S * (K0 + A1) / A1
+    h = time_constant / 200.0
+    surface = []
+    for _ in range(400):
+        assert stepper.step(IN_AIR_MM, h) == 0.0
+        surface.append(stepper.surface_mm)
+    expected = start * np.exp(-h * np.arange(1, 401) / time_constant)
+    # the surface moves linearly inside a step: second order, (1 + a1/K)^2 (h/T)^2 / 12 a time constant
+    np.testing.assert_allclose(surface, expected, rtol=2.0 * (1.0 + A1 / K0) ** 2 * (1.0 / 200.0) ** 2 / 12.0)
+
+
+def test_recovery_of_a_nonlinear_tissue_follows_its_differential_equation() -> None:
+    model, theta = tissue(1, 2)
+    static, stiffness, tau = model.split(theta)
+    fs = np.polynomial.Polynomial([0.0, *static])
+    k = np.polynomial.Polynomial(stiffness[0])
+
+    def recovery(_t: float, y: np.ndarray) -> np.ndarray:
+        g = fs(y) / k(y)
+        slope = (fs.deriv()(y) - g * k.deriv()(y)) / k(y)
+        return -g / (tau[0] * (1.0 + slope))
+
+    stepper = settled((model, theta), 7.0)
+    stepper.step(IN_AIR_MM, 0.0)
+    start = stepper.surface_mm
+    duration, n = 2.0 * tau[0], 400
+    for _ in range(n):
+        stepper.step(IN_AIR_MM, duration / n)
+    expected = solve_ivp(recovery, (0.0, duration), [start], method="DOP853", rtol=1e-11, atol=1e-12).y[0, -1]
+    # second order in h = tau / 200
+    assert stepper.surface_mm == pytest.approx(expected, rel=1e-5)
+    assert expected < 0.7 * start
+
+
+def test_contact_resumes_at_the_surface_with_the_slope_of_an_elastic_jump() -> None:
+    stepper = linear_tissue()
+    stepper.step(4.0, 10.0)
+    stepper.step(IN_AIR_MM, 0.01)
+    surface = stepper.surface_mm
+    assert surface > 0.5
+    assert stepper.step(surface - 0.3, 0.0) == 0.0
+    assert stepper.surface_mm == pytest.approx(surface, rel=1e-12)
+    # with the state left at -g(y), the force is that of the push beyond the surface
+    assert stepper.step(surface + 0.3, 0.0) == pytest.approx((A1 + K0) * 0.3, rel=1e-11)
+    assert stepper.surface_mm == surface + 0.3
+
+
+def test_slow_withdrawal_keeps_contact_and_a_fast_one_loses_it() -> None:
+    for speed, in_contact in ((0.5, True), (500.0, False)):
+        stepper = settled((SEED_MODEL, SEED_THETA), 4.0)
+        force = stepper.step(2.0, 2.0 / speed)
+        assert (force > 0.0) is in_contact
+        assert (stepper.surface_mm == 2.0) is in_contact
+
+
+def test_force_is_clipped_exactly_where_the_law_would_pull() -> None:
+    # until the first loss of contact the stepper and the law of permanent contact are the same
+    model, theta = tissue(2, 1)
+    depth = np.concatenate([np.linspace(0.0, 5.0, 40), np.full(10, 5.0), np.linspace(5.0, 0.0, 60)])
+    time = 0.01 * np.arange(depth.size)
+    stepper = model.stepper(theta)
+    stepped = np.array([stepper.step(x, 0.01 if i else 0.0) for i, x in enumerate(depth)])
+    permanent = model.force(theta, ContactPath(time, depth))
+    lost = int(np.argmax(permanent < 0.0))
+    assert lost > 50
+    np.testing.assert_allclose(stepped[:lost], permanent[:lost], rtol=1e-9, atol=1e-12)
+    assert np.all(stepped[lost:] == 0.0)
+    assert permanent.min() < -1.0
+
+
+@given(tissue_=passive_tissues(), corners=legs(-1.0, 9.0))
+@MODEL_SETTINGS
+def test_contact_is_unilateral(
+    tissue_: tuple[KelvinVoigt, np.ndarray], corners: list[tuple[float, float]]
+) -> None:
+    """Force never negative, surface never above tool or rest level, a detached surface free of force."""
+    model, theta = tissue_
+    stepper = TissueStepper(model, theta)
+    scale = model.static_force(theta, np.array([DEPTH_MM]))[0] + DEPTH_MM * np.abs(theta).max()
+    for x, duration in corners:
+        for fraction in (0.0, 0.01, 1.0):
+            force = stepper.step(x, fraction * duration)
+            surface = stepper.surface_mm
+            assert force >= 0.0
+            assert surface >= max(x, 0.0)
+            if surface > max(x, 0.0):
+                assert force == 0.0
+                # touching it without moving it: the root is found to 1e-14 of the depth
+                assert stepper.step(surface, 0.0) <= 1e-11 * scale
+
+
+def test_surface_ends_deeper_than_it_started_where_a_slow_branch_pulls_on() -> None:
+    # in balance at 3 mm: spring 3 N, fast branch pushes 15 N, slow branch pulls 18 N; the push dies first
+    a1, k, tau, depth = 1.0, np.array([30.0, 30.0]), np.array([0.01, 10.0]), 8.0
+    states, surface, h = np.array([0.5, -0.6]), 3.0, 0.03
+    a = np.exp(-h / tau)
+    phi = (1.0 - a) * tau / h
+    expected = brentq(lambda y: a1 * y + k @ (a * states + phi * (y - surface)), 0.0, 20.0, xtol=1e-13)
+    static = np.array([0.0, a1, 0.0, 0.0])
+    force, actual = tissue_step(static, k[:, None], tau, depth, surface, states, IN_AIR_MM, h)
+    assert force == 0.0
+    assert actual == pytest.approx(expected, rel=1e-12)
+    assert actual > surface + 0.01
+
+
+def test_tool_in_air_feels_nothing_and_leaves_a_resting_tissue_at_rest() -> None:
+    stepper = linear_tissue()
+    for x in (-3.0, -0.001, 0.0, -2.0):
+        assert stepper.step(x, 0.01) == 0.0
+        assert stepper.surface_mm == 0.0
+    fresh = linear_tissue()
+    assert stepper.step(1.0, 0.01) == fresh.step(1.0, 0.01)
+
+
+def test_path_above_the_surface_counts_as_its_clipped_one() -> None:
+    model, theta = tissue(2, 1)
+    depth = np.concatenate([np.linspace(-2.0, -0.1, 20), np.linspace(0.0, 3.0, 30)])
+    stepper = model.stepper(theta)
+    stepped = [stepper.step(x, 0.01) for x in depth]
+    clipped = ContactPath(0.01 * np.arange(depth.size), np.maximum(depth, 0.0))
+    np.testing.assert_allclose(stepped, model.force(theta, clipped), rtol=1e-10, atol=1e-13)
+
+
+def test_elastic_tissue_without_branches_never_detaches() -> None:
+    model = KelvinVoigt(branches=0, stiffness_degree=0, depth_mm=DEPTH_MM)
+    stepper = TissueStepper(model, np.array([12.0, -1.5, 0.35]))
+    for x in (3.0, 1.0, -1.0, 2.0):
+        at = max(x, 0.0)
+        assert stepper.step(x, 0.001) == pytest.approx(12.0 * at - 1.5 * at**2 + 0.35 * at**3, rel=1e-13)
+        assert stepper.surface_mm == at
+
+
+def test_reset_returns_the_tissue_to_rest() -> None:
+    stepper = linear_tissue()
+    first = [stepper.step(x, 0.02) for x in (1.0, 3.0, 0.5)]
+    stepper.reset()
+    assert stepper.surface_mm == 0.0
+    assert [stepper.step(x, 0.02) for x in (1.0, 3.0, 0.5)] == first
+
+
+def test_tissue_that_is_not_passive_is_not_rendered() -> None:
+    theta = SEED_THETA.copy()
+    theta[3] = -1.0
+    with pytest.raises(ValueError, match="not passive"):
+        SEED_MODEL.stepper(theta)
+
+
+def static_law(a: tuple[float, float, float], x: float) -> float:
+    model = KelvinVoigt(branches=0, stiffness_degree=0, depth_mm=4.0)
+    return TissueStepper(model, np.array(a)).step(x, 0.0)
+
+
+def stiffness_law(b: tuple[float, float, float], x: float) -> float:
+    """K(x) from an elastic jump of a tissue with next to no static force: F = K(x) x."""
+    model = KelvinVoigt(branches=1, stiffness_degree=2, depth_mm=4.0)
+    return TissueStepper(model, np.array([0.0, 0.0, 0.0, *b, 1.0])).step(x, 0.0) / x
+
+
+Law = Callable[[tuple[float, float, float], float], float]
+RISING, FALLING = (2.0, 0.5, 0.3), (10.0, 0.0, -0.4)
+
+
+@pytest.mark.parametrize("law", [static_law, stiffness_law])
+def test_growing_law_is_continued_along_its_end_tangent(law: Law) -> None:
+    d = 1e-5
+    end = law(RISING, 4.0)
+    tangent = (end - law(RISING, 4.0 - d)) / d
+    # C0 and C1 at the end, and straight from there on
+    assert law(RISING, 4.0 + d) == pytest.approx(end, abs=2.0 * tangent * d)
+    assert (law(RISING, 4.0 + d) - end) / d == pytest.approx(tangent, rel=1e-4)
+    assert law(RISING, 9.0) == pytest.approx(end + 5.0 * tangent, rel=1e-4)
+
+
+@pytest.mark.parametrize("law", [static_law, stiffness_law])
+def test_falling_law_is_continued_as_a_constant(law: Law) -> None:
+    end = law(FALLING, 4.0)
+    assert law(FALLING, 3.9) > end > 0.0
+    for x in (4.0001, 6.0, 400.0):
+        assert law(FALLING, x) == pytest.approx(end, rel=1e-13)

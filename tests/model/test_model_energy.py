@@ -1,0 +1,99 @@
+"""No motion of the tool gets more energy out of a passive tissue than was put in (model.md 1.3)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from passive_tissues import DEPTH_MM, MODEL_SETTINGS, cone_coordinates, legs, passive_tissues, sampled, tissue
+from scipy.integrate import cumulative_trapezoid
+
+from tissueid.model import ContactPath, KelvinVoigt
+from tissueid.model.kelvin_voigt import TissueStepper
+from tissueid.model.polynomial import from_coordinates
+
+PER_LEG = 40
+#: Work is summed by the trapezoidal rule, whose error is 1 / PER_LEG^2 of what a leg moves.
+TOLERANCE = 1.0 / PER_LEG**2
+
+
+def work(force: np.ndarray, depth: np.ndarray) -> tuple[np.ndarray, float]:
+    """Work done on the tissue up to every sample, and all that was put in."""
+    done = 0.5 * (force[1:] + force[:-1]) * np.diff(depth)
+    return np.concatenate([[0.0], np.cumsum(done)]), float(np.abs(done).sum())
+
+
+def stepped(model: KelvinVoigt, theta: np.ndarray, time: np.ndarray, depth: np.ndarray) -> np.ndarray:
+    stepper = TissueStepper(model, theta)
+    return np.array([0.0, *(stepper.step(x, h) for x, h in zip(depth[1:], np.diff(time), strict=True))])
+
+
+@given(tissue_=passive_tissues(), corners=legs(0.0, DEPTH_MM), back=st.floats(-2.5, 1.5))
+@MODEL_SETTINGS
+def test_permanent_contact_never_returns_more_than_was_put_in(
+    tissue_: tuple[KelvinVoigt, np.ndarray], corners: list[tuple[float, float]], back: float
+) -> None:
+    model, theta = tissue_
+    time, depth = sampled([*corners, (0.0, 10.0**back)], PER_LEG)
+    balance, moved = work(model.force(theta, ContactPath(time, depth)), depth)
+    assert balance.min() >= -TOLERANCE * moved
+
+
+@given(tissue_=passive_tissues(), corners=legs(-1.0, DEPTH_MM + 1.0), back=st.floats(-2.5, 1.5))
+@MODEL_SETTINGS
+def test_contact_that_is_lost_and_found_never_returns_more_than_was_put_in(
+    tissue_: tuple[KelvinVoigt, np.ndarray], corners: list[tuple[float, float]], back: float
+) -> None:
+    model, theta = tissue_
+    time, depth = sampled([*corners, (-0.5, 10.0**back)], PER_LEG)
+    force = stepped(model, theta, time, depth)
+    assert force[-1] == 0.0
+    balance, moved = work(force, depth)
+    assert balance.min() >= -TOLERANCE * moved
+
+
+@given(data=st.data(), tau=st.floats(-2.0, 1.0).map(lambda e: 10.0**e))
+@MODEL_SETTINGS
+def test_every_draw_in_cone_coordinates_is_a_passive_tissue(data: st.DataObject, tau: float) -> None:
+    degree = data.draw(st.integers(0, 2))
+    model = KelvinVoigt(branches=1, stiffness_degree=degree, depth_mm=DEPTH_MM)
+    static = from_coordinates(data.draw(cone_coordinates(2))) / DEPTH_MM ** np.arange(3)
+    stiffness = from_coordinates(data.draw(cone_coordinates(degree))) / DEPTH_MM ** np.arange(degree + 1)
+    assert model.is_passive(model.join(static, stiffness[None, :], np.array([tau])))
+
+
+def test_measure_of_passivity_sees_a_law_that_is_not() -> None:
+    # K(x) = 20 - 5 x turns negative at 4 mm: a fast cycle deep down gains energy, and is_passive says no
+    model = KelvinVoigt(branches=1, stiffness_degree=1, depth_mm=DEPTH_MM)
+    theta = np.array([1.0, 0.0, 0.0, 20.0, -5.0, 0.5])
+    assert not model.is_passive(theta)
+    corners = [(6.0, 50.0), *[(8.0, 1.0), (6.0, 1.0)] * 6, (0.0, 50.0)]
+    time, depth = sampled(corners, PER_LEG)
+    balance, moved = work(model.force(theta, ContactPath(time, depth)), depth)
+    assert balance.min() < -10.0 * TOLERANCE * moved
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2])
+@pytest.mark.parametrize("branches", [1, 2, 3])
+def test_work_is_storage_plus_dissipation(branches: int, degree: int) -> None:
+    # storage int F_s + int_{x_d}^{x} K(y) (y - x_d) dy, loss (s / tau) int_{x_d}^{x} K dy, x_d = x - s
+    model, theta = tissue(branches, degree)
+    time = np.linspace(0.0, 1.6, 3001)
+    depth = 2.5 * (1.0 - np.cos(5.0 * time)) + 1.0 - np.cos(11.0 * time)
+    path = ContactPath(time, depth)
+    balance, moved = work(model.force(theta, path), depth)
+    static, stiffness, tau = model.split(theta)
+    fs = np.polynomial.Polynomial([0.0, *static])
+    expected = fs.integ()(depth)
+    for coefficients, relaxation, state in zip(stiffness, tau, model.states(tau, path), strict=True):
+        k = np.polynomial.Polynomial(coefficients)
+        damper = depth - state
+        first = (k * np.polynomial.Polynomial([0.0, 1.0])).integ()
+        stored = first(depth) - first(damper) - damper * (k.integ()(depth) - k.integ()(damper))
+        lost = state / relaxation * (k.integ()(depth) - k.integ()(damper))
+        assert stored.min() >= 0.0
+        assert lost.min() >= 0.0
+        expected = expected + stored + cumulative_trapezoid(lost, time, initial=0.0)
+    # trapezoidal rule over a 0.6 s period with steps of 0.5 ms: (2 pi 5e-4 / 0.6)^2 / 12 = 2e-6
+    np.testing.assert_allclose(balance, expected, rtol=0.0, atol=3e-6 * moved)

@@ -1,0 +1,280 @@
+"""Modified Kelvin-Voigt law: closed forms, equation (5), sensitivities, the linear basis, its errors."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from passive_tissues import DEPTH_MM, SEED_MODEL, SEED_THETA, TAU, tissue
+from scipy.integrate import solve_ivp
+
+from tissueid.model import ContactPath, KelvinVoigt, build_model, model_keys
+from tissueid.model.base import register
+from tissueid.model.kelvin_voigt import KEY, constant_speed_force, ramp_hold_state
+
+BRANCHES_AND_DEGREES = [(b, d) for b in (1, 2, 3) for d in (0, 1, 2)]
+every_tissue = pytest.mark.parametrize(("branches", "degree"), BRANCHES_AND_DEGREES)
+
+
+def wavy_path(n: int) -> ContactPath:
+    """Smooth loading and unloading between 0 and 7 mm in 1.6 s, unevenly sampled, at rest at the start."""
+    time = 1.6 * np.linspace(0.0, 1.0, n) ** 1.5
+    return ContactPath(time, smooth_depth(time))
+
+
+def smooth_depth(time: np.ndarray) -> np.ndarray:
+    return 2.5 * (1.0 - np.cos(5.0 * time)) + 1.0 - np.cos(11.0 * time)
+
+
+def smooth_speed(time: float) -> float:
+    return float(12.5 * np.sin(5.0 * time) + 11.0 * np.sin(11.0 * time))
+
+
+@every_tissue
+@pytest.mark.parametrize("speed", [10.0 / 60.0, 500.0 / 60.0])
+def test_constant_speed_from_rest_matches_closed_form(branches: int, degree: int, speed: float) -> None:
+    model, theta = tissue(branches, degree)
+    depth = np.linspace(0.0, DEPTH_MM, 300) ** 1.3 / DEPTH_MM**0.3
+    expected = constant_speed_force(model, theta, depth, speed_mm_s=speed)
+    # both are exact; rounding of time steps over 300 samples
+    np.testing.assert_allclose(model.force(theta, ContactPath(depth / speed, depth)), expected, rtol=1e-11)
+
+
+def test_closed_form_has_the_increments_of_figure_3() -> None:
+    # model.md 7: force over that at 10 mm/min for 70, 100, 150, 250, 500 mm/min, printed to 0.01 N
+    at = np.array([DEPTH_MM])
+    force = [
+        constant_speed_force(SEED_MODEL, SEED_THETA, at, speed_mm_s=v / 60.0)[0]
+        for v in (10, 70, 100, 150, 250, 500)
+    ]
+    np.testing.assert_allclose(np.subtract(force[1:], force[0]), [1.34, 2.00, 3.12, 5.34, 10.91], atol=0.006)
+
+
+@every_tissue
+def test_ramp_and_hold_with_the_corner_on_the_grid_matches_closed_form(branches: int, degree: int) -> None:
+    model, theta = tissue(branches, degree)
+    speed, deepest = 4.0, 6.0
+    time = np.concatenate([np.linspace(0.0, 1.5, 200), 1.5 + np.geomspace(1e-3, 40.0, 200)])
+    depth = np.minimum(speed * time, deepest)
+    states = [ramp_hold_state(time, speed_mm_s=speed, depth_mm=deepest, tau_s=t) for t in TAU[:branches]]
+    expected = model.static_force(theta, depth) + np.sum(model.stiffness(theta, depth) * states, axis=0)
+    np.testing.assert_allclose(model.force(theta, ContactPath(time, depth)), expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2])
+def test_linear_legs_match_a_solver_of_equation_5(degree: int) -> None:
+    # the same piecewise linear path for both: no error of sampling, only that of the solver
+    model, theta = tissue(1, degree)
+    path = wavy_path(24)
+    static, stiffness, tau = model.split(theta)
+    fs = np.polynomial.Polynomial([0.0, *static])
+    k = np.polynomial.Polynomial(stiffness[0])
+
+    force = np.zeros(path.time_s.size)
+    for i in range(1, force.size):
+        start, x0 = path.time_s[i - 1], path.depth_mm[i - 1]
+        v = (path.depth_mm[i] - x0) / (path.time_s[i] - start)
+
+        def slope(t: float, f: np.ndarray, v: float = v, start: float = start, x0: float = x0) -> np.ndarray:
+            x = x0 + v * (t - start)
+            return (fs.deriv()(x) + k(x)) * v + (k.deriv()(x) / k(x) * v - 1.0 / tau[0]) * (f - fs(x))
+
+        leg = (start, path.time_s[i])
+        force[i] = solve_ivp(slope, leg, force[i - 1 : i], method="DOP853", rtol=1e-12, atol=1e-12).y[0, -1]
+    # DOP853 at 1e-12 per step, some tens of steps a leg: 1e-10 of the 100 N peak is left to it
+    np.testing.assert_allclose(model.force(theta, path), force, rtol=1e-9, atol=1e-8)
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2])
+def test_smooth_load_and_unload_converge_to_equation_5_with_the_square_of_the_step(degree: int) -> None:
+    model, theta = tissue(1, degree)
+    static, stiffness, tau = model.split(theta)
+    fs = np.polynomial.Polynomial([0.0, *static])
+    k = np.polynomial.Polynomial(stiffness[0])
+
+    def slope(t: float, f: np.ndarray) -> np.ndarray:
+        x, v = smooth_depth(np.array(t)), smooth_speed(t)
+        return (fs.deriv()(x) + k(x)) * v + (k.deriv()(x) / k(x) * v - 1.0 / tau[0]) * (f - fs(x))
+
+    expected = solve_ivp(slope, (0.0, 1.6), [0.0], method="DOP853", rtol=1e-12, atol=1e-12).y[0, -1]
+    coarse, fine = (model.force(theta, wavy_path(n))[-1] for n in (1001, 2001))
+    # one Richardson step removes h^2; the next term is h^4 of a path whose step is tau / 10 or less
+    assert fine + (fine - coarse) / 3.0 == pytest.approx(expected, rel=1e-7)
+    assert abs(fine - expected) < 0.3 * abs(coarse - expected)
+
+
+def test_stiffness_stands_outside_the_convolution() -> None:
+    # a hold after a jump: K(x) is that of the depth now, times the decaying state
+    model, theta = tissue(1, 2)
+    path = ContactPath(np.array([0.0, 0.0, 0.02, 0.02]), np.array([0.0, 2.0, 2.0, 5.0]))
+    _, stiffness, tau = model.split(theta)
+    state = 2.0 * np.exp(-0.02 / tau[0]) + 3.0
+    k_at_5 = np.polynomial.Polynomial(stiffness[0])(5.0)
+    fs_at_5 = model.static_force(theta, np.array([5.0]))[0]
+    assert model.force(theta, path)[-1] == pytest.approx(fs_at_5 + k_at_5 * state, rel=1e-13)
+
+
+@every_tissue
+def test_jacobian_matches_central_differences(branches: int, degree: int) -> None:
+    model, theta = tissue(branches, degree)
+    path = wavy_path(80)
+    actual = model.jacobian(theta, path)
+    assert actual.shape == (80, theta.size)
+    for p in range(theta.size):
+        d = 1e-4 * abs(theta[p])
+        f = []
+        for k in (-2, -1, 1, 2):
+            moved = theta.copy()
+            moved[p] += k * d
+            f.append(model.force(moved, path))
+        expected = (f[0] - 8.0 * f[1] + 8.0 * f[2] - f[3]) / (12.0 * d)
+        # truncation 1e-16; rounding of forces up to 300 N: 300 * 2e-16 / d
+        np.testing.assert_allclose(actual[:, p], expected, rtol=1e-7, atol=3e-13 / d)
+
+
+@every_tissue
+def test_linear_basis_weighs_up_to_the_force(branches: int, degree: int) -> None:
+    model, theta = tissue(branches, degree)
+    path = wavy_path(80)
+    static, stiffness, tau = model.split(theta)
+    basis = model.linear_basis(np.log(tau), path)
+    np.testing.assert_allclose(
+        basis @ np.concatenate([static, stiffness.ravel()]), model.force(theta, path), rtol=1e-12, atol=1e-11
+    )
+
+
+def test_linear_basis_holds_the_columns_of_the_jacobian() -> None:
+    model, theta = tissue(2, 1)
+    path = wavy_path(40)
+    linear = [i for i, name in enumerate(model.parameter_names) if not name.startswith("relaxation")]
+    _, _, tau = model.split(theta)
+    np.testing.assert_allclose(
+        model.linear_basis(np.log(tau), path), model.jacobian(theta, path)[:, linear], rtol=1e-12, atol=1e-13
+    )
+
+
+def test_model_without_branches_is_its_static_curve() -> None:
+    model = KelvinVoigt(branches=0, stiffness_degree=0, depth_mm=DEPTH_MM)
+    theta = np.array([12.0, -1.5, 0.35])
+    path = wavy_path(30)
+    x = path.depth_mm
+    expected = 12.0 * x - 1.5 * x**2 + 0.35 * x**3
+    np.testing.assert_allclose(model.force(theta, path), expected, rtol=1e-13, atol=1e-13)
+    np.testing.assert_allclose(
+        model.linear_basis(np.zeros(0), path) @ theta, expected, rtol=1e-13, atol=1e-13
+    )
+    assert model.is_passive(theta)
+
+
+def test_split_inverts_join_and_branches_are_ordered_by_relaxation_time() -> None:
+    model = KelvinVoigt(branches=2, stiffness_degree=1, depth_mm=DEPTH_MM)
+    theta = model.join(
+        np.array([1.0, 2.0, 3.0]), np.array([[10.0, 11.0], [20.0, 21.0]]), np.array([5.0, 0.1])
+    )
+    np.testing.assert_array_equal(theta, [1.0, 2.0, 3.0, 20.0, 21.0, 0.1, 10.0, 11.0, 5.0])
+    static, stiffness, tau = model.split(theta)
+    np.testing.assert_array_equal(model.join(static, stiffness, tau), theta)
+
+
+def test_parameter_names_and_units_are_those_of_the_contract() -> None:
+    model = KelvinVoigt(branches=2, stiffness_degree=2, depth_mm=DEPTH_MM)
+    assert model.parameter_names == (
+        "static_1_N_per_mm",
+        "static_2_N_per_mm2",
+        "static_3_N_per_mm3",
+        "stiffness_0_N_per_mm",
+        "stiffness_1_N_per_mm2",
+        "stiffness_2_N_per_mm3",
+        "relaxation_time_s",
+        "stiffness_0_N_per_mm_b2",
+        "stiffness_1_N_per_mm2_b2",
+        "stiffness_2_N_per_mm3_b2",
+        "relaxation_time_s_b2",
+    )
+    assert [spec.unit for spec in model.parameters][:7] == [
+        "N/mm",
+        "N/mm^2",
+        "N/mm^3",
+        "N/mm",
+        "N/mm^2",
+        "N/mm^3",
+        "s",
+    ]
+    symbols = [spec.symbol for spec in model.parameters]
+    assert len(set(symbols)) == len(symbols)
+
+
+@pytest.mark.parametrize(
+    ("change", "passive"),
+    [
+        ({}, True),
+        ({0: -1e-3}, False),  # F_s < 0 just after contact
+        ({2: -1.0}, False),  # F_s < 0 at full depth
+        ({3: -1e-6}, False),  # K < 0 throughout
+        ({3: 0.0}, True),
+        ({4: 0.0}, False),  # tau
+        ({4: -0.1}, False),
+        ({4: np.nan}, False),
+        ({1: np.inf}, False),
+    ],
+)
+def test_passive_means_static_force_and_stiffness_are_not_negative(
+    change: dict[int, float], passive: bool
+) -> None:
+    theta = SEED_THETA.copy()
+    for i, value in change.items():
+        theta[i] = value
+    assert SEED_MODEL.is_passive(theta) is passive
+
+
+def test_passivity_is_demanded_up_to_the_identified_depth_only() -> None:
+    theta = np.array([10.0, 0.0, 0.0, 5.0, -1.0, 0.1])  # K = 5 - x
+    verdicts = {
+        depth: KelvinVoigt(branches=1, stiffness_degree=1, depth_mm=depth).is_passive(theta)
+        for depth in (4.999, 5.0, 5.001)
+    }
+    assert verdicts == {4.999: True, 5.0: True, 5.001: False}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((4, 0, 8.0), "4 branches are not offered, 0 to 3 are"),
+        ((-1, 0, 8.0), "-1 branches are not offered"),
+        ((1, 3, 8.0), "degree 3 of K is not offered, 0 to 2 are"),
+        ((1, -1, 8.0), "degree -1 of K is not offered"),
+        ((1, 0, 0.0), "depth_mm must be positive, is 0.0"),
+        ((1, 0, float("nan")), "depth_mm must be positive, is nan"),
+    ],
+)
+def test_model_refuses_what_it_does_not_offer(arguments: tuple[int, int, float], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        KelvinVoigt(*arguments)
+
+
+def test_theta_of_the_wrong_length_is_refused_with_the_length_needed() -> None:
+    path = wavy_path(3)
+    for use in (
+        lambda theta: SEED_MODEL.force(theta, path),
+        lambda theta: SEED_MODEL.jacobian(theta, path),
+        SEED_MODEL.is_passive,
+        SEED_MODEL.stepper,
+    ):
+        with pytest.raises(ValueError, match=r"theta has shape \(4,\), \(5,\) is needed"):
+            use(SEED_THETA[:-1])
+
+
+def test_registry_builds_the_model_by_its_key() -> None:
+    assert KEY in model_keys()
+    model = build_model(KEY, branches=2, stiffness_degree=1, depth_mm=3.5)
+    assert model == KelvinVoigt(branches=2, stiffness_degree=1, depth_mm=3.5)
+    assert model.key == KEY
+
+
+def test_unknown_key_lists_the_keys_there_are() -> None:
+    with pytest.raises(KeyError, match=r"no contact model 'maxwell'; there are .*kelvin-voigt"):
+        build_model("maxwell", branches=1, stiffness_degree=0, depth_mm=8.0)
+
+
+def test_a_key_is_registered_once() -> None:
+    with pytest.raises(ValueError, match="'kelvin-voigt' is registered already"):
+        register(KEY, KelvinVoigt)
