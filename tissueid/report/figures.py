@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -46,7 +47,7 @@ def thinned(curve: Curve, most: int) -> NDArray[np.intp]:
     edges = np.linspace(0, size, max((most - 2) // _KEPT_A_BUCKET, 1) + 1).astype(int)
     residual = curve.force_N - curve.model_N
     keep = {0, size - 1}
-    for start, stop in zip(edges[:-1], edges[1:], strict=True):
+    for start, stop in pairwise(edges):
         for values in (curve.force_N[start:stop], residual[start:stop]):
             keep.update((int(start + values.argmin()), int(start + values.argmax())))
     return np.array(sorted(keep))

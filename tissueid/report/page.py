@@ -5,6 +5,7 @@ The page is self-contained (style, script and plotly inline) and asks the networ
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from typing import Any
@@ -16,10 +17,12 @@ from tissueid.report.figures import curve_payload
 from tissueid.report.wording import (
     NOT_IDENTIFIED,
     number,
+    overview_sentence,
     parameter_words,
     remarks,
     tissue_sentence,
     trial_label,
+    unit_words,
     verdict,
     with_error,
 )
@@ -40,6 +43,7 @@ def page_environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters["number"] = number
+    environment.filters["unit"] = unit_words
     environment.globals["with_error"] = with_error
     environment.globals["parameter_words"] = parameter_words
     environment.globals["trial_label"] = trial_label
@@ -74,14 +78,18 @@ def _view(position: int, specimen: Mapping[str, Any]) -> dict[str, Any]:
 
 def _overview(specimens: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Points of the overview figure: one a specimen whose viscosity is identified."""
-    points = []
-    for specimen in specimens:
-        for entry in specimen["parameters"]:
-            if entry["name"] == "viscosity_N_s_per_mm" and entry["value"] is not None:
-                points.append(
-                    {"name": specimen["specimen"], "value": entry["value"], "stderr": entry["stderr"]}
-                )
-    return points
+    return [
+        {"name": specimen["specimen"], "value": entry["value"], "stderr": entry["stderr"]}
+        for specimen in specimens
+        for entry in specimen["parameters"]
+        if entry["name"] == "viscosity_N_s_per_mm" and entry["value"] is not None
+    ]
+
+
+def _counts(views: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, int]]:
+    """How many specimens have each verdict, the commonest first."""
+    tally = Counter((view["verdict"].level, view["verdict"].title) for view in views)
+    return [(level, title, count) for (level, title), count in tally.most_common()]
 
 
 def render_report(
@@ -112,6 +120,8 @@ def render_report(
         run=identification,
         views=views,
         payload=payload,
+        overview_sentence=overview_sentence(specimens),
+        counts=_counts(views),
         created=created,
         style=_asset("page.css"),
         script=_asset("figures.js"),

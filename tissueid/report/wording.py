@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from statistics import median
 from typing import Any
 
 from tissueid.flags import FLAG_CODES
@@ -18,9 +19,12 @@ __all__ = [
     "Remark",
     "Verdict",
     "number",
+    "overview_sentence",
     "parameter_words",
     "remarks",
     "tissue_sentence",
+    "trial_label",
+    "unit_words",
     "verdict",
     "with_error",
 ]
@@ -39,9 +43,7 @@ PARAMETER_WORDS: Mapping[str, str] = {
 }
 
 #: Flags that put the result itself in doubt; the others ask for a look.
-_SERIOUS = frozenset(
-    {"not_identified", "not_converged", "optimisers_disagree", "single_speed", "no_contact", "clipped_force"}
-)
+_SERIOUS = frozenset({"not_converged", "optimisers_disagree", "single_speed", "no_contact", "clipped_force"})
 #: Flags that only state what was assumed.
 _REMARKS = frozenset(
     {"column_choice", "units_assumed", "undecoded_text", "rows_skipped", "cut_row", "event_rows"}
@@ -237,7 +239,32 @@ def tissue_sentence(specimen: Mapping[str, Any]) -> str:
     tip = validity["tip_radius_mm"]
     tool = "a tool tip of unstated radius" if tip is None else f"a tool tip of radius {number(tip, 3)} mm"
     listed = f"{', '.join(parts[:-1])} and {parts[-1]}" if len(parts) > 1 else parts[0]
+    deep = number(validity["depth_mm"], 3)
     return (
-        f"{listed[0].upper()}{listed[1:]}; found with {tool}, valid to {number(validity['depth_mm'], 3)} mm deep "
-        f"and for loading at {speeds} ({minutes})."
+        f"{listed[0].upper()}{listed[1:]}; found with {tool}, "
+        f"valid to {deep} mm deep and for loading at {speeds} ({minutes})."
     )
+
+
+def overview_sentence(specimens: Sequence[Mapping[str, Any]]) -> str:
+    """Several specimens in one sentence: medians and ranges of what is identified."""
+    parts = []
+    for name, words, unit in (
+        ("static_1_N_per_mm", "static stiffness at contact", "N/mm"),
+        ("relaxation_time_s", "relaxation time", "s"),
+        ("viscosity_N_s_per_mm", "viscosity", "N·s/mm"),
+    ):
+        entries = [_by_name(specimen["parameters"]).get(name) for specimen in specimens]
+        values = [entry["value"] for entry in entries if entry is not None and entry["value"] is not None]
+        if values:
+            low, middle, high = (number(value, 3) for value in (min(values), median(values), max(values)))
+            known = "" if len(values) == len(specimens) else f", identified in {len(values)}"
+            parts.append(f"{words} {middle} {unit} ({low} to {high}{known})")
+        else:
+            parts.append(f"{words} not identified in any")
+    return f"{len(specimens)} specimens; median and range of each quantity: {'; '.join(parts)}."
+
+
+def unit_words(unit: str) -> str:
+    """``N s/mm^2`` as it is printed: ``N·s/mm²``."""
+    return unit.replace("^2", "²").replace("^3", "³").replace("N s", "N·s").replace("N*s", "N·s")

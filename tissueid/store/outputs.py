@@ -220,7 +220,7 @@ class OutputSet:
     def path(self, name: str) -> Path:
         """Where to write the file that will be public as ``name`` (a plain file name)."""
         folder = self._open_folder()
-        if Path(name).name != name or name.startswith(".") or name == _MANIFEST:
+        if not name or Path(name).name != name or name.startswith(".") or name == _MANIFEST:
             msg = f"{name!r} can't be a public name of an output set"
             raise ValueError(msg)
         return folder / name

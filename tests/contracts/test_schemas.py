@@ -1,0 +1,157 @@
+"""The schemas are valid, closed, and say what the code says."""
+
+from __future__ import annotations
+
+import copy
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from fit_factory import identification, specimen_fit
+from jsonschema import Draft202012Validator
+
+from tissueid.errors import BundleError
+from tissueid.flags import FLAG_CODES, Flag
+from tissueid.store import schema as schema_module
+from tissueid.store.files import plain_json
+from tissueid.store.schema import SCHEMA_NAMES, check, first_problem, load_schema, schema_folder
+
+
+def run_document() -> dict[str, Any]:
+    document: dict[str, Any] = plain_json(identification([specimen_fit()], refused=True).as_json())
+    return document
+
+
+def objects_of(node: Any) -> list[dict[str, Any]]:
+    found = []
+    if isinstance(node, dict):
+        if "properties" in node and node.get("type") == "object":
+            found.append(node)
+        for child in node.values():
+            found += objects_of(child)
+    elif isinstance(node, list):
+        for child in node:
+            found += objects_of(child)
+    return found
+
+
+@pytest.mark.parametrize("name", SCHEMA_NAMES)
+def test_schema_is_itself_valid_and_named_after_its_file(name: str) -> None:
+    schema = load_schema(name)
+    Draft202012Validator.check_schema(schema)
+    assert schema["$id"] == f"{name}.schema.json"
+
+
+@pytest.mark.parametrize("name", SCHEMA_NAMES)
+def test_every_object_says_what_else_it_may_hold(name: str) -> None:
+    open_on_purpose = {"optimisers"}
+    schema = copy.deepcopy(dict(load_schema(name)))
+    for definition in schema.get("$defs", {}).values():
+        for key in open_on_purpose & set(definition.get("properties", {})):
+            del definition["properties"][key]
+    for node in objects_of(schema):
+        assert "additionalProperties" in node, node.get("description", node)
+
+
+def test_every_schema_file_is_known_by_name() -> None:
+    files = {entry.name.removesuffix(".schema.json") for entry in schema_folder().iterdir()}
+    assert files == set(SCHEMA_NAMES)
+
+
+def test_flag_codes_are_those_of_the_code() -> None:
+    assert sorted(load_schema("flag")["properties"]["code"]["enum"]) == sorted(FLAG_CODES)
+
+
+def test_refusal_codes_are_those_of_ingest_and_the_two_a_fit_adds() -> None:
+    refusals = pytest.importorskip("tissueid.ingest.refusals")
+    known = set(load_schema("inspect")["$defs"]["refusal_code"]["enum"])
+    assert known == {*refusals.REFUSAL_CODES, "no_contact", "too_few_samples"}
+
+
+def test_identification_of_a_run_is_valid() -> None:
+    assert first_problem(run_document(), "identification") is None
+
+
+@pytest.mark.parametrize(
+    ("pointer", "value"),
+    [
+        ("/specimens/0/parameters/0/name", "stiffness"),
+        ("/specimens/0/parameters/0/stderr", -1.0),
+        ("/specimens/0/model/static_pooling", "none"),
+        ("/specimens/0/trials/0/residual_acf1", 1.5),
+        ("/specimens/0/relaxation/0/window_s", [1.0]),
+        ("/specimens/0/flags/0/code", "made_up"),
+        ("/specimens/0/sigma_N", float("nan")),
+        ("/refused/0/error/code", "made_up"),
+        ("/refused/0/error/line", 0),
+        ("/provenance/inputs/0/sha256", "xyz"),
+        ("/exit/code", 8),
+        ("/schema", "tissueid/identification/2"),
+    ],
+)
+def test_a_wrong_value_is_refused_with_its_pointer(pointer: str, value: Any) -> None:
+    document = run_document()
+    *parents, last = [int(part) if part.isdigit() else part for part in pointer.split("/")[1:]]
+    node: Any = document
+    for part in parents:
+        node = node[part]
+    node[last] = value
+    with pytest.raises(BundleError, match=pointer):
+        check(document, "identification", where="identification.json")
+
+
+def test_an_unknown_member_is_refused() -> None:
+    document = run_document()
+    document["specimens"][0]["surprise"] = 1
+    problem = first_problem(document, "identification")
+    assert problem is not None
+    assert problem.pointer == "/specimens/0"
+    assert "surprise" in problem.message
+
+
+def test_a_parameter_that_is_not_identified_may_carry_no_value() -> None:
+    document = run_document()
+    document["specimens"][0]["parameters"][0]["identified"] = False
+    problem = first_problem(document, "identification")
+    assert problem is not None
+    assert problem.pointer == "/specimens/0/parameters/0/value"
+
+
+def test_a_flag_carries_numbers_beside_its_message() -> None:
+    assert (
+        first_problem(Flag("gap", "a gap of 2 s", {"gap_s": 2.0, "rows": [3, 4]}).as_json(), "flag") is None
+    )
+    assert first_problem({"code": "gap", "message": "m", "deep": {"a": 1}}, "flag") is not None
+
+
+def inspected() -> dict[str, Any]:
+    point = {"time_s": 0.0, "displacement_mm": 0.0, "force_N": -0.1}
+    return {
+        "path": "a.csv", "sheet": None, "specimen": "a", "recipe": "bluehill", "encoding": "utf-8",
+        "delimiter": ",", "decimal": ".",
+        "columns": {"time": "Time", "displacement": "Extension", "force": "Load"},
+        "n_samples": 3, "first": point, "last": point, "peak_force": point, "compression_sign": -1,
+        "contact": None, "phases": [{"kind": "hold", "start_s": 0.0, "end_s": 1.0, "speed_mm_s": 0.0}],
+        "flags": [],
+    }  # fmt: skip
+
+
+def test_inspect_lists_trials_and_refusals_and_nothing_between() -> None:
+    refused = run_document()["refused"][0]
+    assert first_problem([inspected(), refused], "inspect") is None
+    for key in inspected():
+        cut = inspected()
+        del cut[key]
+        assert first_problem([cut], "inspect") is not None, key
+    assert first_problem([inspected() | {"compression_sign": 0}], "inspect") is not None
+
+
+def test_schemas_are_found_in_an_installed_package_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    packaged = tmp_path / "schemas"
+    packaged.mkdir()
+    (packaged / "flag.schema.json").write_text(json.dumps({"title": "packaged"}), encoding="utf-8")
+    monkeypatch.setattr(schema_module.resources, "files", lambda _package: tmp_path)
+    assert schema_folder() == packaged

@@ -1,0 +1,242 @@
+"""The page: complete, self-contained, escaped, small; and what a browser shows equals the curves."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from fit_factory import identification, specimen_fit
+
+from tissueid.report import render_report
+from tissueid.report.figures import MOST_SAMPLES, thinned
+from tissueid.result import SpecimenFit
+from tissueid.store.curves import curves_of_fits
+from tissueid.store.files import plain_json
+
+CHROMIUM = Path("/usr/bin/chromium")
+LARGEST_PAGE_BYTES = 7_000_000
+
+
+def page(fits: Sequence[SpecimenFit], *, refused: bool = False) -> str:
+    document = plain_json(identification(fits, refused=refused).as_json())
+    return render_report(document, curves_of_fits(fits))
+
+
+class Outline(HTMLParser):
+    """Collects headings, ids, outside references and unlabelled parts."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.levels: list[int] = []
+        self.ids: list[str] = []
+        self.outside: list[str] = []
+        self.bare_headers = 0
+        self.unlabelled = 0
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        given = dict(attrs)
+        if re.fullmatch(r"h[1-6]", tag):
+            self.levels.append(int(tag[1]))
+        if given.get("id"):
+            self.ids.append(str(given["id"]))
+        for name in ("src", "href"):
+            value = given.get(name) or ""
+            if value and not value.startswith(("#", "data:")):
+                self.outside.append(value)
+        self.bare_headers += tag == "th" and "scope" not in given
+        self.unlabelled += given.get("role") in {"img", "region"} and not given.get("aria-label")
+
+
+def outline(html: str) -> Outline:
+    parsed = Outline()
+    parsed.feed(html)
+    return parsed
+
+
+CASES = {
+    "one": lambda: page([specimen_fit(samples=60)]),
+    "refused": lambda: page([specimen_fit(samples=60, identified=False)], refused=True),
+    "several": lambda: page([specimen_fit(name, trials=1, samples=60) for name in "abc"], refused=True),
+    "none": lambda: page([], refused=True),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_structure_is_sound(case: str) -> None:
+    parsed = outline(CASES[case]())
+    assert parsed.outside == []
+    assert parsed.bare_headers == 0
+    assert parsed.unlabelled == 0
+    assert len(parsed.ids) == len(set(parsed.ids))
+    assert parsed.levels[0] == 1
+    assert parsed.levels.count(1) == 1
+    assert max(np.diff(parsed.levels), default=0) <= 1
+
+
+def test_what_is_not_identified_is_said_in_words() -> None:
+    html = page([specimen_fit(samples=60, identified=False)])
+    row = html.split("<code>relaxation_time_s</code>")[1].split("</tr>")[0]
+    assert "not identified" in row
+    assert "1.5" not in row
+
+
+def test_names_from_files_are_escaped() -> None:
+    html = page([specimen_fit("<script>alert(1)</script>", trials=1, samples=60)], refused=True)
+    assert "<script>alert(1)" not in html
+    assert "&lt;script&gt;alert(1)" in html
+    assert "<b>notes</b>" not in html
+
+
+def test_equal_input_gives_an_equal_page_and_a_time_stamp_only_on_demand() -> None:
+    fits = [specimen_fit(samples=60)]
+    assert page(fits) == page(fits)
+    document = plain_json(identification(fits).as_json())
+    assert "Written 2026-01-01." in render_report(document, curves_of_fits(fits), created="2026-01-01")
+
+
+@pytest.mark.parametrize("specimens", [1, 29])
+def test_page_stays_below_seven_megabytes(specimens: int) -> None:
+    trials = 30 if specimens == 1 else 1
+    html = page([specimen_fit(f"s{i}", trials=trials, samples=20_000, seed=i) for i in range(specimens)])
+    assert len(html.encode()) <= LARGEST_PAGE_BYTES
+
+
+def test_thinning_keeps_ends_peak_and_largest_residual() -> None:
+    curve = specimen_fit(samples=20_000, trials=1).trials[0].curve
+    index = thinned(curve, 500)
+    residual = np.abs(curve.force_N - curve.model_N)
+    assert index.size <= 500
+    assert {0, 19_999, int(curve.force_N.argmax()), int(residual.argmax())} <= set(index.tolist())
+    assert (np.diff(index) > 0).all()
+
+
+def test_a_curve_within_its_share_is_not_thinned() -> None:
+    curve = specimen_fit(samples=300, trials=1).trials[0].curve
+    assert thinned(curve, MOST_SAMPLES).size == 300
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    if not CHROMIUM.exists():
+        pytest.skip(f"no browser at {CHROMIUM}: install chromium to run this test")
+    playwright = pytest.importorskip("playwright.sync_api")
+    with playwright.sync_playwright() as engine:
+        quiet = (
+            "--no-sandbox",
+            "--disable-background-networking",
+            "--disable-component-update",
+            "--disable-sync",
+        )
+        running = engine.chromium.launch(executable_path=str(CHROMIUM), args=[*quiet, "--no-first-run"])
+        yield running
+        running.close()
+
+
+def visit(browser: Any, path: Path, *, width: int = 1400, **context: Any) -> tuple[Any, list[str], list[str]]:
+    tab = browser.new_context(viewport={"width": width, "height": 900}, **context).new_page()
+    errors: list[str] = []
+    requests: list[str] = []
+    tab.on(
+        "console",
+        lambda message: errors.append(message.text) if message.type in {"error", "warning"} else None,
+    )
+    tab.on("pageerror", lambda error: errors.append(str(error)))
+    tab.on("request", lambda request: requests.append(request.url))
+    tab.goto(path.as_uri())
+    return tab, errors, requests
+
+
+def drawn(tab: Any, kind: str, specimen: int = 0) -> list[dict[str, Any]]:
+    """Traces of a figure as plotly holds them."""
+    box = f'[data-figure="{kind}"][data-specimen="{specimen}"]'
+    tab.locator(box).scroll_into_view_if_needed()
+    tab.wait_for_function(
+        "box => document.querySelector(box).dataset.drawn && document.querySelector(box).data", arg=box
+    )
+    traces: list[dict[str, Any]] = tab.evaluate(
+        "box => document.querySelector(box).data.map(t => ({name: t.name, x: Array.from(t.x), y: Array.from(t.y)}))",
+        box,
+    )
+    return traces
+
+
+@pytest.mark.browser
+def test_figures_show_the_curves_and_the_page_is_silent(browser: Any, tmp_path: Path) -> None:
+    fit = specimen_fit(trials=3, samples=400)
+    path = tmp_path / "report.html"
+    path.write_text(page([fit]), encoding="utf-8")
+    tab, errors, requests = visit(browser, path)
+    for kind, abscissa in (("force-depth", "depth_mm"), ("force-time", "time_s")):
+        traces = drawn(tab, kind)
+        recorded = [trace for trace in traces if trace["name"] == "recorded"]
+        modelled = [trace for trace in traces if trace["name"] == "model"]
+        assert len(recorded) == len(modelled) == 3
+        for trial, data, model in zip(fit.trials, recorded, modelled, strict=True):
+            # the page carries 32-bit floats: 24 bits of mantissa
+            assert data["x"] == pytest.approx(getattr(trial.curve, abscissa), rel=1e-7, abs=1e-9)
+            assert data["y"] == pytest.approx(trial.curve.force_N, rel=1e-7, abs=1e-9)
+            assert model["y"] == pytest.approx(trial.curve.model_N, rel=1e-7, abs=1e-9)
+    residual = {trace["name"]: trace["y"] for trace in drawn(tab, "residual")[:2]}
+    curve = fit.trials[0].curve
+    expected = curve.force_N - curve.model_N
+    assert [value is not None for value in residual["fitted"]] == curve.fitted.tolist()
+    # a difference of two numbers near 100 N, each with 24 bits: 1e-5 N
+    assert [v for v in residual["fitted"] if v is not None] == pytest.approx(expected[curve.fitted], abs=2e-5)
+    tab.select_option("select[data-choice]", "1")
+    (data, _model) = drawn(tab, "force-time")
+    assert data["y"] == pytest.approx(fit.trials[1].curve.force_N, rel=1e-7, abs=1e-9)
+    assert errors == []
+    assert requests == [path.as_uri()]
+
+
+@pytest.mark.browser
+@pytest.mark.parametrize("width", [1400, 800, 400])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_page_fits_the_screen_in_both_colour_schemes(
+    browser: Any, tmp_path: Path, width: int, scheme: str
+) -> None:
+    path = tmp_path / "report.html"
+    path.write_text(
+        page([specimen_fit("x" * 60, samples=100, identified=False)], refused=True), encoding="utf-8"
+    )
+    tab, errors, _ = visit(browser, path, width=width, color_scheme=scheme)
+    drawn(tab, "force-depth")
+    assert tab.evaluate("document.documentElement.scrollWidth") == width
+    paper = tab.evaluate("getComputedStyle(document.body).backgroundColor")
+    assert (paper == "rgb(255, 255, 255)") is (scheme == "light")
+    # the picture of the result begins on the first screen of a desk
+    if width == 1400:
+        assert tab.locator('[data-figure="force-depth"]').bounding_box()["y"] < 900
+    assert errors == []
+
+
+@pytest.mark.browser
+def test_a_link_of_the_overview_opens_its_specimen(browser: Any, tmp_path: Path) -> None:
+    fits = [specimen_fit(f"s {i}", trials=1, samples=100, seed=i) for i in range(4)]
+    path = tmp_path / "report.html"
+    path.write_text(page(fits), encoding="utf-8")
+    tab, errors, requests = visit(browser, path)
+    assert len(drawn(tab, "overview")[0]["y"]) == 4
+    tab.click("a[href='#specimen-3']")
+    assert drawn(tab, "force-depth", 2)[0]["y"] == pytest.approx(
+        fits[2].trials[0].curve.force_N, rel=1e-7, abs=1e-9
+    )
+    assert errors == []
+    assert requests[0] == path.as_uri()
+    assert all(url.startswith("file:") for url in requests)
+
+
+@pytest.mark.browser
+def test_a_printed_report_shows_every_specimen(browser: Any, tmp_path: Path) -> None:
+    path = tmp_path / "report.html"
+    path.write_text(page([specimen_fit(f"s{i}", trials=1, samples=100) for i in range(2)]), encoding="utf-8")
+    tab, errors, _ = visit(browser, path)
+    assert tab.pdf().startswith(b"%PDF")
+    assert tab.evaluate("[...document.querySelectorAll('details')].every(d => d.open)")
+    assert tab.evaluate("[...document.querySelectorAll('[data-figure]')].every(b => b.dataset.drawn)")
+    assert errors == []

@@ -1,0 +1,108 @@
+"""Words and numbers of the report."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from fit_factory import specimen_fit
+
+from tissueid.report.wording import (
+    number,
+    overview_sentence,
+    parameter_words,
+    remarks,
+    tissue_sentence,
+    unit_words,
+    verdict,
+    with_error,
+)
+from tissueid.store.files import plain_json
+
+
+def document(**options: Any) -> dict[str, Any]:
+    entry: dict[str, Any] = plain_json(specimen_fit(**options).as_json())
+    return entry
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "expected"),
+    [
+        (63.6249, 4, "63.62"),
+        (0.021, 3, "0.0210"),
+        (-5.5, 2, "−5.5"),
+        (0.0, 4, "0"),
+        (571614.0, 3, "571614"),
+        (1.25e-7, 3, "1.25×10^−7"),
+        (None, 4, "–"),
+    ],
+)
+def test_numbers_are_written_as_people_write_them(value: float | None, digits: int, expected: str) -> None:
+    assert number(value, digits) == expected
+
+
+@pytest.mark.parametrize(
+    ("value", "stderr", "expected"),
+    [
+        (63.6212, 0.891, "63.62 ± 0.89"),
+        (0.0210041, 0.000312, "0.02100 ± 0.00031"),
+        (1234.0, 56.0, "1234 ± 56"),
+        (12340.0, 560.0, "12340 ± 560"),
+        (5.0, None, "5.000"),
+        (None, 0.1, "not identified"),
+    ],
+)
+def test_a_value_ends_where_its_error_ends(value: float | None, stderr: float | None, expected: str) -> None:
+    assert with_error(value, stderr) == expected
+
+
+def test_the_sentence_names_stiffness_relaxation_viscosity_tip_and_validity() -> None:
+    # secant at 6 mm: 4 + 0.8 * 6 + 0.05 * 36 = 10.6 N/mm
+    assert tissue_sentence(document()) == (
+        "Its static stiffness is 4.000 ± 0.050 N/mm at contact (10.6 N/mm on average over 6.00 mm), "
+        "it relaxes in 1.500 ± 0.030 s and its viscosity is 9.00 ± 0.11 N·s/mm; found with a tool tip of "
+        "radius 3.00 mm, valid to 6.00 mm deep and for loading at 0.500 to 4.00 mm/s (30.0 to 240 mm/min)."
+    )
+
+
+def test_what_is_not_identified_is_never_a_number() -> None:
+    sentence = tissue_sentence(document(identified=False))
+    assert "its relaxation time is not identified" in sentence
+    assert "1.5" not in sentence
+
+
+def test_the_verdict_falls_with_what_is_missing() -> None:
+    clean = document() | {"flags": [], "relaxation": [], "trials": []}
+    assert verdict(clean).level == "ok"
+    assert verdict(document()).level == "caution"
+    assert "5 of 6 parameters are identified" in verdict(document(identified=False)).text
+    lost = document()
+    lost["parameters"][-1] |= {"identified": False, "value": None}
+    assert verdict(lost).level == "serious"
+    stopped = clean | {"flags": [{"code": "not_converged", "message": "m"}]}
+    assert verdict(stopped).level == "serious"
+
+
+def test_a_flag_of_many_trials_is_one_remark_that_names_them() -> None:
+    (same_time,) = [remark for remark in remarks(document(trials=3)) if remark.code == "zero_dt"]
+    assert same_time.where == ("run_1.csv", "run_2.csv", "run_3.csv")
+
+
+def test_remarks_come_gravest_first() -> None:
+    order = ["serious", "caution", "note"]
+    levels = [order.index(remark.level) for remark in remarks(document(identified=False))]
+    assert levels == sorted(levels)
+
+
+def test_several_specimens_are_summed_up_by_median_and_range() -> None:
+    entries = [document(specimen="a"), document(specimen="b"), document(specimen="c", identified=False)]
+    entries[0]["parameters"][-1]["value"] = 12.0
+    sentence = overview_sentence(entries)
+    assert "viscosity 9.00 N·s/mm (9.00 to 12.0)" in sentence
+    assert "relaxation time 1.50 s (1.50 to 1.50, identified in 2)" in sentence
+
+
+def test_branches_and_units_are_put_in_words() -> None:
+    assert parameter_words("relaxation_time_s_b2") == "Relaxation time, branch 2"
+    assert unit_words("N s/mm") == "N·s/mm"
+    assert unit_words("N/mm^2") == "N/mm²"

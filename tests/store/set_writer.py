@@ -1,0 +1,32 @@
+"""Write output sets into a folder for ever, each with its own number, until killed.
+
+Run as a script by the kill test: ``set_writer.py OUT FIRST``.  Every file of set ``n`` says ``n``.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from fit_factory import identification, specimen_fit
+
+from tissueid.store.outputs import OutputSet
+from tissueid.store.results import REPORT, write_results
+
+
+def write_set(out: Path, number: int) -> None:
+    """One set whose specimens change in number and name, so that public names come and go."""
+    names = [f"s{number}-{i}" for i in range(1 + number % 3)]
+    run = identification([specimen_fit(name, trials=1, samples=40, seed=number) for name in names])
+    with OutputSet(out) as outputs:
+        write_results(outputs, run)
+        outputs.write(REPORT, f"<p>set {number}</p>".encode())
+        outputs.commit()
+
+
+if __name__ == "__main__":
+    target, count = Path(sys.argv[1]), int(sys.argv[2])
+    while True:
+        write_set(target, count)
+        print(count, flush=True)  # noqa: T201 -- the test counts the sets
+        count += 1

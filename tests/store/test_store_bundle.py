@@ -1,0 +1,238 @@
+"""A bundle comes back as it was written, or is refused with the reason."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from fit_factory import STATIC, STIFFNESS, TAU_S, identification, specimen_fit
+
+from tissueid.errors import BundleError
+from tissueid.model import ContactPath
+from tissueid.store.bundle import Bundle, bundle_from_fit, load_bundle, write_bundle
+
+PROVENANCE = identification([specimen_fit()]).provenance
+
+
+def a_bundle(draws: int = 0) -> Bundle:
+    fit = specimen_fit()
+    spread = np.random.default_rng(3).normal(0.0, 1e-3, (draws, fit.theta.size))
+    return bundle_from_fit(fit, provenance=PROVENANCE, draws=fit.theta + spread if draws else None)
+
+
+@pytest.fixture
+def written(tmp_path: Path) -> Path:
+    path = tmp_path / "bundle.h5"
+    write_bundle(a_bundle(draws=5), path)
+    return path
+
+
+def test_everything_comes_back_exactly(written: Path) -> None:
+    expected, actual = a_bundle(draws=5), load_bundle(written)
+    assert actual.as_json() == json.loads(json.dumps(expected.as_json()))
+    assert np.array_equal(actual.theta, expected.theta)
+    assert np.array_equal(actual.covariance, expected.covariance)
+    assert actual.draws is not None
+    assert expected.draws is not None
+    assert np.array_equal(actual.draws, expected.draws)
+    assert actual.parameter("relaxation_time_s").value == TAU_S
+    assert not actual.theta.flags.writeable
+
+
+def test_a_bundle_without_draws_comes_back_without(tmp_path: Path) -> None:
+    write_bundle(a_bundle(), tmp_path / "b.h5")
+    assert load_bundle(tmp_path / "b.h5").draws is None
+
+
+def test_the_same_fit_gives_the_same_bytes(tmp_path: Path) -> None:
+    for name in ("a.h5", "b.h5"):
+        write_bundle(a_bundle(draws=5), tmp_path / name)
+    assert (tmp_path / "a.h5").read_bytes() == (tmp_path / "b.h5").read_bytes()
+
+
+def test_the_model_in_the_bundle_gives_the_closed_form_force(written: Path) -> None:
+    bundle = load_bundle(written)
+    speed, time = 2.0, np.linspace(0.0, 3.0, 301)
+    depth = speed * time
+    expected = STATIC[0] * depth + STATIC[1] * depth**2 + STATIC[2] * depth**3
+    expected = expected - STIFFNESS * speed * TAU_S * np.expm1(-time / TAU_S)
+    actual = bundle.contact_model().force(bundle.theta, ContactPath(time, depth))
+    # the recursion is exact on a constant-speed ramp: rounding only
+    assert actual == pytest.approx(expected, rel=1e-12, abs=1e-12)
+
+
+def test_provenance_keeps_only_the_specimens_own_inputs() -> None:
+    fits = [specimen_fit("a"), specimen_fit("b")]
+    bundle = bundle_from_fit(fits[1], provenance=identification(fits).provenance)
+    assert {entry["specimen"] for entry in bundle.provenance["inputs"]} == {"b"}
+    assert len(bundle.provenance["inputs"]) == 3
+
+
+def edit_number(file: Any) -> None:
+    file["theta"][0] = 4.1
+
+
+def edit_document(file: Any) -> None:
+    text = bytes(file["document"][()]).replace(b'"tip_radius_mm": 3.0', b'"tip_radius_mm": 9.0')
+    file["document"][()] = np.array(text, dtype=file["document"].dtype)
+
+
+def edit_version(file: Any) -> None:
+    file.attrs["schema_version"] = 99
+
+
+def edit_format(file: Any) -> None:
+    file.attrs["format"] = "other"
+
+
+def drop_covariance(file: Any) -> None:
+    del file["covariance"]
+
+
+def drop_hash(file: Any) -> None:
+    del file.attrs["content_sha256"]
+
+
+def add_dataset(file: Any) -> None:
+    file["extra"] = 1.0
+
+
+def narrow_theta(file: Any) -> None:
+    values = file["theta"][()].astype("f4")
+    del file["theta"]
+    file["theta"] = values
+
+
+@pytest.mark.parametrize(
+    ("edit", "reason"),
+    [
+        (edit_number, "changed since it was written"),
+        (edit_document, "changed since it was written"),
+        (edit_version, "schema version 99"),
+        (edit_format, "not 'tissueid/bundle'"),
+        (drop_covariance, "missing"),
+        (drop_hash, "no content hash"),
+        (add_dataset, "unknown"),
+        (narrow_theta, "float32"),
+    ],
+)
+def test_a_hand_edited_file_is_refused(written: Path, edit: Any, reason: str) -> None:
+    with h5py.File(written, "r+") as file:
+        edit(file)
+    with pytest.raises(BundleError, match=reason) as caught:
+        load_bundle(written)
+    assert str(written) in caught.value.message
+
+
+def not_passive(bundle: Bundle) -> Bundle:
+    theta = bundle.theta.copy()
+    theta[3] = -1.0
+    return replace(bundle, theta=theta)
+
+
+def draw_not_passive(bundle: Bundle) -> Bundle:
+    assert bundle.draws is not None
+    draws = bundle.draws.copy()
+    draws[2, 4] = -0.5
+    return replace(bundle, draws=draws)
+
+
+def asymmetric(bundle: Bundle) -> Bundle:
+    covariance = bundle.covariance.copy()
+    covariance[0, 1] = 1e-4
+    return replace(bundle, covariance=covariance)
+
+
+def indefinite(bundle: Bundle) -> Bundle:
+    covariance = bundle.covariance.copy()
+    covariance[0, 1] = covariance[1, 0] = 2.0 * np.sqrt(covariance[0, 0] * covariance[1, 1])
+    return replace(bundle, covariance=covariance)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "reason"),
+    [
+        (not_passive, "theta is not passive"),
+        (draw_not_passive, "draw 2 is not passive"),
+        (asymmetric, "not symmetric"),
+        (indefinite, "not positive semi-definite"),
+        (lambda b: replace(b, theta=np.append(b.theta[:-1], np.nan)), "not finite"),
+        (lambda b: replace(b, theta=b.theta[:-1]), "has shape"),
+        (lambda b: replace(b, sigma_N=float("inf")), "/sigma_N"),
+        (lambda b: replace(b, theta_names=(*b.theta_names[:-1], "tau")), "theta is"),
+        (lambda b: replace(b, model=replace(b.model, key="springs")), "springs"),
+    ],
+)
+def test_what_could_not_be_rendered_safely_is_never_written(tmp_path: Path, spoil: Any, reason: str) -> None:
+    with pytest.raises(BundleError, match=reason):
+        write_bundle(spoil(a_bundle(draws=5)), tmp_path / "b.h5")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_every_truncation_is_refused(written: Path, tmp_path: Path) -> None:
+    content = written.read_bytes()
+    cut = tmp_path / "cut.h5"
+    for size in np.linspace(0, len(content) - 1, 60).astype(int):
+        cut.write_bytes(content[:size])
+        with pytest.raises(BundleError, match=re.escape(str(cut))):
+            load_bundle(cut)
+
+
+def test_a_flipped_byte_is_refused_or_harmless(written: Path, tmp_path: Path) -> None:
+    content = written.read_bytes()
+    expected = load_bundle(written)
+    rng = np.random.default_rng(7)
+    flipped = tmp_path / "flipped.h5"
+    refused = 0
+    for position in rng.integers(0, len(content), 300):
+        changed = bytearray(content)
+        changed[position] ^= int(rng.integers(1, 256))
+        flipped.write_bytes(bytes(changed))
+        try:
+            actual = load_bundle(flipped)
+        except BundleError:
+            refused += 1
+        else:
+            assert actual.as_json() == expected.as_json()
+            assert np.array_equal(actual.theta, expected.theta)
+            assert np.array_equal(actual.covariance, expected.covariance)
+    # most of the file is the document and the numbers, which the hash covers
+    assert refused > 150
+
+
+@pytest.mark.parametrize("content", [b"", b"Time,Load\n0,1\n", b"\x89HDF\r\n\x1a\n" + b"\0" * 64])
+def test_another_kind_of_file_is_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "bundle.h5"
+    path.write_bytes(content)
+    with pytest.raises(BundleError, match="cannot be read as a bundle"):
+        load_bundle(path)
+
+
+def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
+    for path in (tmp_path / "none.h5", tmp_path):
+        with pytest.raises(BundleError, match="no such file"):
+            load_bundle(path)
+
+
+def test_loading_a_bundle_costs_no_fitting_library(written: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "b.h5"
+    shutil.copy(written, copy)
+    code = (
+        # numba looks at the top of scipy by itself: what counts is what comes beyond that
+        "import sys, numba; before = set(sys.modules);"
+        "from tissueid.store.bundle import load_bundle; load_bundle(sys.argv[1]);"
+        "import tissueid.store.results, tissueid.store.curves;"
+        "heavy = ('pandas', 'scipy', 'lmfit', 'emcee', 'click', 'plotly');"
+        "print([m for m in set(sys.modules) - before if m.split('.')[0] in heavy])"
+    )
+    done = subprocess.run([sys.executable, "-c", code, str(copy)], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

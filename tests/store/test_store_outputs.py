@@ -1,0 +1,284 @@
+"""An output folder shows the old set or the new one, whatever happens while it is written."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fit_factory import identification, specimen_fit
+
+from tissueid.errors import BundleError
+from tissueid.result import Identification
+from tissueid.store import outputs as outputs_module
+from tissueid.store.bundle import load_bundle
+from tissueid.store.outputs import OutputSet, complete_refresh, current_run
+from tissueid.store.results import REPORT, output_problems, read_results, validate_outputs, write_results
+
+WRITER = Path(__file__).with_name("set_writer.py")
+
+
+def write(out: Path, *specimens: str, report: str = "<p>report</p>") -> Identification:
+    run = identification([specimen_fit(name, trials=1, samples=40) for name in specimens])
+    with OutputSet(out) as outputs:
+        write_results(outputs, run)
+        outputs.write(REPORT, report.encode())
+        outputs.commit()
+    return run
+
+
+def public(out: Path) -> set[str]:
+    return {path.name for path in out.iterdir() if not path.name.startswith(".")}
+
+
+def test_a_committed_set_is_public_whole_and_valid(tmp_path: Path) -> None:
+    out = tmp_path / "new" / "out"
+    write(out, "kidney 3")
+    expected = {"identification.json", "bundle-kidney_3.h5", "bundle.h5", "curves.h5", "report.html"}
+    assert public(out) == expected
+    validate_outputs(out)
+
+
+def test_results_are_read_back_from_the_folder_alone(tmp_path: Path) -> None:
+    run = write(tmp_path, "a", "b")
+    document, curves = read_results(tmp_path)
+    assert [entry["specimen"] for entry in document["specimens"]] == ["a", "b"]
+    for entry, fit in zip(curves, run.specimens, strict=True):
+        expected = fit.trials[0].curve
+        for name in ("time_s", "depth_mm", "force_N", "model_N", "fitted"):
+            assert np.array_equal(getattr(entry.curve, name), getattr(expected, name)), name
+
+
+def test_the_same_run_gives_the_same_bytes(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        write(tmp_path / name, "x", "y")
+    for path in (tmp_path / "a").glob("[!.]*"):
+        assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes(), path.name
+
+
+def test_names_of_the_old_set_disappear_and_files_of_others_stay(tmp_path: Path) -> None:
+    write(tmp_path, "only")
+    (tmp_path / "notes.txt").write_text("mine")
+    (tmp_path / "sums.h5").write_text("checkpoint")
+    write(tmp_path, "p", "q")
+    of_the_run = {"identification.json", "curves.h5", "report.html", "bundle-p.h5", "bundle-q.h5"}
+    assert public(tmp_path) == of_the_run | {"notes.txt", "sums.h5"}
+    assert len(list((tmp_path / ".runs").iterdir())) == 1
+
+
+def test_a_run_that_fails_leaves_the_old_set(tmp_path: Path) -> None:
+    write(tmp_path, "old")
+
+    def stop_half_way() -> None:
+        with OutputSet(tmp_path) as outputs:
+            outputs.write("identification.json", b"{}")
+            raise RuntimeError("stopped")
+
+    with pytest.raises(RuntimeError, match="stopped"):
+        stop_half_way()
+    validate_outputs(tmp_path)
+    assert read_results(tmp_path)[0]["specimens"][0]["specimen"] == "old"
+
+
+def test_an_interrupted_refresh_is_finished_by_the_next_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write(tmp_path, "old")
+    real, calls = outputs_module.replace_file, []
+
+    def failing(temporary: Path, target: Path) -> None:
+        calls.append(target)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        real(temporary, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(outputs_module, "replace_file", failing)
+        with pytest.raises(KeyboardInterrupt):
+            write(tmp_path, "new")
+    assert (tmp_path / "bundle-old.h5").exists()
+    complete_refresh(tmp_path)
+    assert public(tmp_path) == {
+        "identification.json",
+        "curves.h5",
+        "report.html",
+        "bundle-new.h5",
+        "bundle.h5",
+    }
+    validate_outputs(tmp_path)
+
+
+def test_a_finished_refresh_touches_nothing(tmp_path: Path) -> None:
+    write(tmp_path, "a")
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
+    complete_refresh(tmp_path)
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")} == before
+
+
+def test_carrying_over_replaces_the_report_alone(tmp_path: Path) -> None:
+    write(tmp_path, "a")
+    numbers = (tmp_path / "identification.json").read_bytes()
+    with OutputSet(tmp_path) as outputs:
+        outputs.carry_over()
+        outputs.write(REPORT, b"<p>again</p>")
+        outputs.commit()
+    validate_outputs(tmp_path)
+    assert (tmp_path / "identification.json").read_bytes() == numbers
+    assert (tmp_path / REPORT).read_bytes() == b"<p>again</p>"
+
+
+@pytest.mark.parametrize("name", ["../x", "a/b", ".hidden", "manifest.json", ""])
+def test_a_file_cannot_leave_its_set(tmp_path: Path, name: str) -> None:
+    with OutputSet(tmp_path) as outputs, pytest.raises(ValueError, match="public name"):
+        outputs.path(name)
+
+
+def test_a_second_writer_is_refused_with_the_name_of_the_first(tmp_path: Path) -> None:
+    with OutputSet(tmp_path):
+        with (
+            pytest.raises(BundleError, match=f"process {os.getpid()} on .* is writing here"),
+            OutputSet(tmp_path),
+        ):
+            pass
+        # a reader is not kept out
+        complete_refresh(tmp_path)
+    write(tmp_path, "after")
+    validate_outputs(tmp_path)
+
+
+def test_the_lock_of_a_dead_process_is_no_lock(tmp_path: Path) -> None:
+    (tmp_path / ".lock").write_text(json.dumps({"pid": os.getpid(), "host": "elsewhere"}))
+    write(tmp_path, "a")
+    validate_outputs(tmp_path)
+
+
+def test_a_folder_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(BundleError, match="can't be made a folder"), OutputSet(tmp_path / "file"):
+        pass
+
+
+def test_an_empty_folder_holds_no_run(tmp_path: Path) -> None:
+    with pytest.raises(BundleError, match="holds no finished run"):
+        validate_outputs(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["identification.json", "bundle-a.h5", "curves.h5", "report.html"])
+def test_a_mixed_set_is_refused(tmp_path: Path, name: str) -> None:
+    write(tmp_path / "one", "a")
+    run = identification([specimen_fit("a", trials=2, samples=50, identified=False, seed=9)])
+    with OutputSet(tmp_path / "two") as outputs:
+        write_results(outputs, run)
+        outputs.write(REPORT, b"<p>other</p>")
+        outputs.commit()
+    (tmp_path / "one" / name).write_bytes((tmp_path / "two" / name).read_bytes())
+    with pytest.raises(BundleError, match=f"{name} is not the one this run wrote"):
+        validate_outputs(tmp_path / "one")
+
+
+def test_a_bundle_of_other_numbers_is_told_even_where_the_manifest_agrees(tmp_path: Path) -> None:
+    run = identification([specimen_fit("a", trials=1, samples=40)])
+    with OutputSet(tmp_path) as outputs:
+        document = write_results(outputs, run)
+        document["specimens"][0]["sigma_N"] = 0.7
+        outputs.write("identification.json", json.dumps(document).encode())
+        outputs.commit()
+    assert output_problems(tmp_path) == [
+        "bundle-a.h5 and identification.json differ in sigma_N",
+        "bundle.h5 and identification.json differ in sigma_N",
+    ]
+
+
+def test_a_missing_and_a_foreign_bundle_are_told(tmp_path: Path) -> None:
+    write(tmp_path, "a", "b")
+    (tmp_path / "bundle-c.h5").write_bytes((tmp_path / "bundle-a.h5").read_bytes())
+    assert output_problems(tmp_path) == ["bundle-c.h5 belongs to no specimen of identification.json"]
+    (tmp_path / "bundle-a.h5").unlink()
+    assert any("bundle-a.h5 is missing" in problem for problem in output_problems(tmp_path))
+
+
+@pytest.mark.parametrize("content", ["", "000099\n", "../..\n", "é"])
+def test_a_damaged_commit_mark_is_refused(tmp_path: Path, content: str) -> None:
+    write(tmp_path, "a")
+    (tmp_path / ".current").write_bytes(content.encode())
+    with pytest.raises(BundleError, match="current run"):
+        validate_outputs(tmp_path)
+
+
+def kill_and_check(out: Path, delays: list[float]) -> None:
+    """Kill the writer after each delay; every time the folder must hold one whole set, never an older one."""
+    number, last = 1, 0
+    environment = os.environ | {"PYTHONPATH": str(WRITER.parents[1])}
+    for delay in delays:
+        writer = subprocess.Popen(
+            [sys.executable, str(WRITER), str(out), str(number)],
+            stdout=subprocess.PIPE,
+            text=True,
+            env=environment,
+        )
+        assert writer.stdout is not None
+        finished = int(writer.stdout.readline())
+        time.sleep(delay)
+        writer.kill()
+        finished = max([finished, *(int(line) for line in writer.stdout.read().split("\n") if line)])
+        writer.stdout.close()
+        writer.wait()
+        validate_outputs(out)
+        document, _ = read_results(out)
+        shown = {int(entry["specimen"].split("-")[0][1:]) for entry in document["specimens"]}
+        assert len(shown) == 1
+        (seen,) = shown
+        # committed sets are never lost; the set being written may have been committed before it was counted
+        assert finished <= seen <= finished + 1
+        assert seen >= last
+        assert (out / REPORT).read_text() == f"<p>set {seen}</p>"
+        assert {load_bundle(path).specimen.split("-")[0] for path in out.glob("bundle*.h5")} == {f"s{seen}"}
+        assert not list(out.glob(".tmp-*"))
+        number, last = seen + 1, seen
+
+
+def delays(count: int, seed: int) -> list[float]:
+    # one set takes some 50 ms to write: the delays cover several
+    return [float(delay) for delay in np.random.default_rng(seed).uniform(0.0, 0.25, count)]
+
+
+def test_a_kill_at_any_moment_leaves_a_whole_set(tmp_path: Path) -> None:
+    kill_and_check(tmp_path, delays(6, seed=1))
+
+
+@pytest.mark.slow
+def test_twenty_kills_leave_a_whole_set_each(tmp_path: Path) -> None:
+    kill_and_check(tmp_path, delays(20, seed=2))
+
+
+def test_every_step_of_a_commit_may_be_the_last(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Stop before each rename of a commit in turn: the systematic form of the kill test."""
+    real = outputs_module.replace_file
+    for stop in range(12):
+        out = tmp_path / str(stop)
+        write(out, "old")
+        done: list[Path] = []
+
+        def failing(temporary: Path, target: Path, *, done: list[Path] = done, stop: int = stop) -> None:
+            if len(done) == stop:
+                raise KeyboardInterrupt
+            done.append(target)
+            real(temporary, target)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(outputs_module, "replace_file", failing)
+            patch.setattr("tissueid.store.files.replace_file", failing)
+            with contextlib.suppress(KeyboardInterrupt):
+                write(out, "new")
+        committed = (out / ".current") in done
+        validate_outputs(out)
+        assert read_results(out)[0]["specimens"][0]["specimen"] == ("new" if committed else "old")
+    run = current_run(out)
+    assert run is not None
+    assert committed, "the last stop must lie behind the commit"
