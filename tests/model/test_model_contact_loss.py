@@ -99,8 +99,8 @@ def test_slow_withdrawal_keeps_contact_and_a_fast_one_loses_it() -> None:
     for speed, in_contact in ((0.5, True), (500.0, False)):
         stepper = settled((SEED_MODEL, SEED_THETA), 4.0)
         force = stepper.step(2.0, 2.0 / speed)
-        assert (force > 0.0) is in_contact
-        assert (stepper.surface_mm == 2.0) is in_contact
+        assert bool(force > 0.0) == in_contact
+        assert bool(stepper.surface_mm == 2.0) == in_contact
 
 
 def test_force_is_clipped_exactly_where_the_law_would_pull() -> None:

@@ -113,9 +113,9 @@ def test_bound_is_what_the_worst_motion_needs(
 ) -> None:
     bound = damping_bound(slope, np.array(stiffness), np.array(tau), period_s=PERIOD_S, delay_ticks=delay)
     needed = least_damping(slope, stiffness, tau, delay)
-    # 60 periods come within 2 % of the supremum (1/n^2), never above it
+    # 40 periods come within 3 % of the supremum (1/n^2), never above it
     assert needed <= bound * (1.0 + 1e-9)
-    assert needed >= 0.98 * bound
+    assert needed >= 0.97 * bound
 
 
 @pytest.mark.parametrize(("delay", "expected"), [(0, 1.5), (1, 4.5), (2, 7.5)])
