@@ -27,12 +27,15 @@ FloatArray = NDArray[np.float64]
 #: Prior standard deviation of the shape's coefficients, in force ranges of the window.
 SHAPE_PRIOR = 10.0
 #: Range of branch lengths, as shares of the window; the shortest is no branch at all.
-BRANCH_RANGE = (3e-4, 0.5)
+BRANCH_RANGE = (1e-4, 0.5)
 #: Nodes of the lattice along each axis, and its half width in posterior standard deviations.
 LATTICE = 13
 LATTICE_REACH = 3.5
 #: Passes that fit the lattice to the posterior.
-MAX_PASSES = 16
+MAX_PASSES = 24
+#: A mean this far out on the lattice lies at its edge; the axis is widened by this factor then.
+EDGE = 2.0
+EDGE_ROOM = 6.0
 #: Part of the window over which the stiffness at contact is quoted.
 EARLY_SHARE = 0.02
 #: Bins of equal width next to the contact, on each side, and the growth of those further out.
@@ -78,7 +81,10 @@ class HingeFit:
 
 @dataclass(frozen=True, slots=True)
 class _Binned:
+    """Bin means, the variance of depth within each bin [mm2], and the samples in it."""
+
     depth_mm: FloatArray
+    variance_mm2: FloatArray
     force_N: FloatArray
     count: FloatArray
 
@@ -154,7 +160,10 @@ def _bin(depth_mm: FloatArray, force_N: FloatArray, *, centre: float, near_mm: f
     side = np.unique(np.concatenate([[0.0], np.cumsum(growing)]).round()).astype(int)
     edges = np.unique(np.clip(np.concatenate([at - side, at + side, [0, n]]), 0, n))[:-1]
     count = np.diff(np.append(edges, n)).astype(float)
-    return _Binned(np.add.reduceat(depth_mm, edges) / count, np.add.reduceat(force_N, edges) / count, count)
+    mean = np.add.reduceat(depth_mm, edges) / count
+    off = depth_mm - np.repeat(mean, count.astype(int))
+    variance = np.add.reduceat(off * off, edges) / count
+    return _Binned(mean, variance, np.add.reduceat(force_N, edges) / count, count)
 
 
 def _centre(
@@ -196,8 +205,10 @@ def _centre(
         if passes >= HOPELESS_PASSES and fit.excess > HOPELESS_EXCESS:
             break
         centre = centre + shape @ middle
+        # one lattice spacing at least is kept, and a posterior that lies at the edge is given room
         covariance += np.diag(np.full(2, (0.6 * (axis[1] - axis[0])) ** 2))
-        shape = shape @ np.linalg.cholesky(covariance)
+        room = np.where(np.abs(middle) > EDGE, EDGE_ROOM, 1.0)
+        shape = shape @ np.linalg.cholesky(covariance * np.outer(room, room))
     assert fit is not None  # noqa: S101  (the guess lies inside)
     return fit
 
@@ -215,10 +226,13 @@ def _posterior(
     contact, lengths = nodes[:, :1], np.exp(nodes[:, 1:])
     u = binned.depth_mm
     z = np.maximum(u - contact, 0.0) / window
+    # means over a bin of z^2, z^3 and the exponential, from the mean and variance of depth in it
+    within = np.where(z > 0.0, binned.variance_mm2 / window**2, 0.0)
     w = np.maximum(u - np.maximum(contact, start), 0.0)
     # A = K l: the prior is on the stiffness K of the branch, of the size of the static one
-    rise = -np.expm1(-w / lengths) * (lengths / window)
-    columns = [z, z * z, z**3, rise]
+    blur = np.where(w > 0.0, np.minimum(0.5 * binned.variance_mm2 / lengths**2, 1.0), 0.0)
+    rise = -(np.expm1(-w / lengths) + blur * np.exp(-w / lengths)) * (lengths / window)
+    columns = [z, z * z + within, z**3 + 3.0 * z * within, rise]
     scale = SHAPE_PRIOR * max(float(np.ptp(binned.force_N)), noise_N)
     prior = [scale] * 4
     if baseline:
