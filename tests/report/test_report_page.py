@@ -159,7 +159,8 @@ def drawn(tab: Any, kind: str, specimen: int = 0) -> list[dict[str, Any]]:
         "box => document.querySelector(box).dataset.drawn && document.querySelector(box).data", arg=box
     )
     traces: list[dict[str, Any]] = tab.evaluate(
-        "box => document.querySelector(box).data.map(t => ({name: t.name, x: Array.from(t.x), y: Array.from(t.y)}))",
+        """box => document.querySelector(box).data.map(
+            trace => ({name: trace.name, x: Array.from(trace.x), y: Array.from(trace.y)}))""",
         box,
     )
     return traces

@@ -47,7 +47,7 @@ _SERIOUS = frozenset({"not_converged", "optimisers_disagree", "single_speed", "n
 #: Flags that only state what was assumed.
 _REMARKS = frozenset(
     {"column_choice", "units_assumed", "undecoded_text", "rows_skipped", "cut_row", "event_rows"}
-    | {"compliance_unknown", "cyclic", "several_steps"}
+    | {"compliance_unknown", "no_hold", "cyclic", "several_steps"}
 )
 _LEVELS = ("ok", "note", "caution", "serious")
 _S_PER_MIN = 60.0
