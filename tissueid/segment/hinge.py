@@ -15,7 +15,7 @@ shape describes it within its noise.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +36,9 @@ MAX_PASSES = 24
 #: A mean this far out on the lattice lies at its edge; the axis is widened by this factor then.
 EDGE = 2.0
 EDGE_ROOM = 6.0
+#: Where another mode is looked for, in posterior sd of the contact, and by how much it must be higher.
+PROBE = np.sinh(np.linspace(-5.3, 5.3, 15))
+PROBE_GAIN = 2.0
 #: Part of the window over which the stiffness at contact is quoted.
 EARLY_SHARE = 0.02
 #: Bins of equal width next to the contact, on each side, and the growth of those further out.
@@ -48,6 +51,10 @@ HOPELESS_EXCESS = 4.0
 HOPELESS_PASSES = 5
 #: Shares of the ramp tried, longest first.
 WINDOWS = (1.0, 0.5, 0.25, 0.12, 0.06)
+#: Fewer samples in contact do not say where between two samples it was.
+FEW_SAMPLES = 20
+#: Times the bins are laid anew around a better contact.
+MAX_BINNINGS = 3
 #: Fewest bins with tissue in a window.
 FEWEST_BINS = 8
 
@@ -118,16 +125,24 @@ def fit_contact(
     for share in WINDOWS:
         window = share * (end - max(guess, start))
         inside = depth_mm <= max(guess, start) + window
-        near = (noise_N / max(slope, 1e-300)) ** (2.0 / 3.0)
-        binned = _bin(depth_mm[inside], force_N[inside], centre=guess, near_mm=near)
-        if int((binned.depth_mm > guess).sum()) < FEWEST_BINS and best is not None:
-            break
-        fit = _centre(binned, noise_N, (low, high), (guess, window), start=start, baseline=baseline)
-        best = fit
-        guess, slope = fit.contact_mm, fit.slope_N_per_mm
-        if fit.adequate:
+        u, f = depth_mm[inside], force_N[inside]
+        for _ in range(MAX_BINNINGS):
+            binned, fine_mm = _bin(u, f, centre=guess, balance=(noise_N / slope) ** (2.0 / 3.0))
+            if int((binned.depth_mm > guess).sum()) < FEWEST_BINS and best is not None:
+                return best
+            best = _centre(binned, noise_N, (low, high), (guess, window), start=start, baseline=baseline)
+            off = abs(best.contact_mm - guess)
+            guess, slope = best.contact_mm, best.slope_N_per_mm
+            if off <= 0.5 * fine_mm:
+                break
+        if best is not None and best.adequate:
             break
     assert best is not None  # noqa: S101  (the first window always fits)
+    touching = depth_mm[depth_mm > best.contact_mm]
+    if touching.size < FEW_SAMPLES:
+        # hardly more samples than coefficients: the shape between two samples is anyone's guess
+        spacing = float(np.ptp(depth_mm)) / max(depth_mm.size - 1, 1)
+        best = replace(best, sd_mm=float(np.hypot(best.sd_mm, spacing / np.sqrt(12.0))))
     return best
 
 
@@ -146,13 +161,18 @@ def _rough(depth_mm: FloatArray, force_N: FloatArray, noise_N: float) -> tuple[f
     return float(u[at]), slope
 
 
-def _bin(depth_mm: FloatArray, force_N: FloatArray, *, centre: float, near_mm: float) -> _Binned:
-    """Average samples in bins along the record: narrow around the contact, growing away from it."""
+def _bin(
+    depth_mm: FloatArray, force_N: FloatArray, *, centre: float, balance: float
+) -> tuple[_Binned, float]:
+    """Average samples in bins along the record: narrow around a centre, growing away from it.
+
+    Returns the bins, and how far from the centre they are narrow [mm].
+    """
     n = depth_mm.size
     at = int(np.searchsorted(np.maximum.accumulate(depth_mm), centre))
     step = max(float(np.ptp(depth_mm)) / max(n - 1, 1), 1e-300)
     # sd of a bin mean falls as 1/sqrt(m), what it blurs grows as m: balance at m^(3/2) = noise/(slope step)
-    width = max(1, int(near_mm / step ** (2.0 / 3.0)))
+    width = max(1, int(balance / step ** (2.0 / 3.0)))
     width = min(width, max(1, n // (4 * NEAR_BINS)))
     growing = np.full(NEAR_BINS, float(width))
     while growing.sum() < n:
@@ -163,7 +183,8 @@ def _bin(depth_mm: FloatArray, force_N: FloatArray, *, centre: float, near_mm: f
     mean = np.add.reduceat(depth_mm, edges) / count
     off = depth_mm - np.repeat(mean, count.astype(int))
     variance = np.add.reduceat(off * off, edges) / count
-    return _Binned(mean, variance, np.add.reduceat(force_N, edges) / count, count)
+    binned = _Binned(mean, variance, np.add.reduceat(force_N, edges) / count, count)
+    return binned, NEAR_BINS * width * step
 
 
 def _centre(
@@ -195,13 +216,28 @@ def _centre(
         )
         if not inside.any():
             break
-        fit, mass = _posterior(binned, noise_N, nodes[inside], window=window, start=start, baseline=baseline)
+        fit, mass, peak = _posterior(
+            binned, noise_N, nodes[inside], window=window, start=start, baseline=baseline
+        )
         kept = unit[inside]
         middle = mass @ kept
         covariance = (kept - middle).T @ ((kept - middle) * mass[:, None])
         spread = np.sqrt(np.diag(covariance))
         if (np.abs(middle) < 0.7).all() and (spread > 0.6).all() and (spread < 1.5).all():
-            break
+            # another mode, far off on the ridge?  Look along both axes before believing this one
+            around = fit.contact_mm + fit.sd_mm * PROBE
+            lengths = np.linspace(shortest, longest, LATTICE)
+            probe = np.stack(np.meshgrid(around, lengths, indexing="ij"), axis=-1).reshape(-1, 2)
+            probe = probe[(probe[:, 0] >= limits[0][0]) & (probe[:, 0] <= limits[0][1])]
+            _, other, height = _posterior(
+                binned, noise_N, probe, window=window, start=start, baseline=baseline
+            )
+            if height <= peak + PROBE_GAIN:
+                break
+            centre = probe[int(other.argmax())]
+            reach = max(abs(centre[0] - fit.contact_mm), fit.sd_mm)
+            shape = np.diag([reach, lengths[1] - lengths[0]]) / LATTICE_REACH
+            continue
         if passes >= HOPELESS_PASSES and fit.excess > HOPELESS_EXCESS:
             break
         centre = centre + shape @ middle
@@ -221,8 +257,8 @@ def _posterior(
     window: float,
     start: float,
     baseline: bool,
-) -> tuple[HingeFit, FloatArray]:
-    """Posterior over nodes (contact, log length), everything else integrated out, and its mass at each."""
+) -> tuple[HingeFit, FloatArray, float]:
+    """Posterior over nodes (contact, log length), its mass at each, and the highest log density."""
     contact, lengths = nodes[:, :1], np.exp(nodes[:, 1:])
     u = binned.depth_mm
     z = np.maximum(u - contact, 0.0) / window
@@ -249,7 +285,8 @@ def _posterior(
     # stiffness at contact and of the branch are positive: the mass of the half spaces
     for positive in (0, 3):
         log_density += _log_normal_mass(solved[:, positive] / np.sqrt(covariance[:, positive, positive]))
-    mass = np.exp(log_density - log_density.max())
+    peak = float(log_density.max())
+    mass = np.exp(log_density - peak)
     mass /= mass.sum()
     mean = float(mass @ nodes[:, 0])
     spread = float(np.sqrt(mass @ (nodes[:, 0] - mean) ** 2))
@@ -271,7 +308,7 @@ def _posterior(
         adequate=excess <= 1.0 + ADEQUATE_SD * np.sqrt(2.0 / freedom),
         excess=excess,
     )
-    return fit, mass
+    return fit, mass, peak
 
 
 def _log_normal_mass(x: FloatArray) -> FloatArray:
