@@ -153,6 +153,30 @@ def test_surface_ends_deeper_than_it_started_where_a_slow_branch_pulls_on() -> N
     assert actual > surface + 0.01
 
 
+def test_fast_release_stops_at_the_first_balance_on_the_way_out() -> None:
+    # F_s = x (x - 5)^2 is soft at 5 mm; let go from 8 mm the law is free of force at three depths
+    model = KelvinVoigt(branches=1, stiffness_degree=0, depth_mm=DEPTH_MM)
+    theta = np.array([25.0, -10.0, 1.0, 2.5, 1.0])
+    roots = np.sort(np.polynomial.Polynomial([-20.0, 27.5, -10.0, 1.0]).roots().real)
+    assert roots[0] > 1.0
+    stepper = settled((model, theta), 8.0)
+    assert stepper.step(1.0, 0.0) == 0.0
+    assert stepper.surface_mm == pytest.approx(roots[2], rel=1e-10)
+
+
+def test_states_of_a_long_hold_end_in_zero_without_denormals() -> None:
+    n, tau = 2, np.array([0.02, 0.03])
+    static, stiffness = np.array([0.0, A1, 0.0, 0.0]), np.full((n, 1), K0)
+    states = np.zeros(n)
+    _, surface = tissue_step(static, stiffness, tau, DEPTH_MM, 0.0, states, 3.0, 0.01)
+    assert states.min() > 0.5
+    for _ in range(500):
+        force, surface = tissue_step(static, stiffness, tau, DEPTH_MM, surface, states, 3.0, 0.05)
+        assert not np.any((states != 0.0) & (states < np.finfo(np.float64).tiny))
+    assert np.all(states == 0.0)
+    assert force == pytest.approx(3.0 * A1, rel=1e-14)
+
+
 def test_tool_in_air_feels_nothing_and_leaves_a_resting_tissue_at_rest() -> None:
     stepper = linear_tissue()
     for x in (-3.0, -0.001, 0.0, -2.0):

@@ -148,7 +148,7 @@ def test_sensitivity_of_a_short_step_keeps_its_digits(ratio: float) -> None:
     expected = ratio * (1 / 2 - ratio * (1 / 3 - ratio * (1 / 8 - ratio * (1 / 30 - ratio / 144))))
     _, derivative = branch_sensitivity(np.array([0.0, ratio]), np.array([0.0, 1.0]), 1.0)
     # beyond 1e-4 the difference of two numbers near 1 leaves 1e-16 / (r/2) = 4e-12
-    assert derivative[1] == pytest.approx(expected, rel=2e-11)
+    assert derivative[1] == pytest.approx(expected, rel=2e-11, abs=0.0)
 
 
 @given(corners=legs(0.0, 8.0), tau=st.floats(-2.0, 1.0).map(lambda e: 10.0**e))
