@@ -18,9 +18,8 @@ import numpy as np
 from tissueid import __version__
 from tissueid.errors import exit_code
 from tissueid.fit.specimen import FitOptions, LogHandle, fit_specimen
-from tissueid.fit.window import FittedLog, fitted_log
+from tissueid.fit.window import fitted_log
 from tissueid.flags import Flag
-from tissueid.likelihood.sums import LogData
 from tissueid.result import Exit, Identification, Refusal, SpecimenFit
 from tissueid.segment import SegmentOptions, segment
 from tissueid.trial import Segmentation, Source, Trial
@@ -95,24 +94,12 @@ class _TrialCache:
         return trial
 
 
-def _without_samples(log: FittedLog) -> FittedLog:
-    none = np.zeros(2)
-    empty = LogData(
-        time_s=log.data.time_s[[0, -1]].copy(),
-        depth_mm=none,
-        force_N=none,
-        include=np.zeros(2, dtype=np.bool_),
-        fold=np.zeros(2, dtype=np.int64),
-    )
-    return replace(log, data=empty)
-
-
 def _refusal_for(trial: Trial, segmentation: Segmentation) -> Refusal:
     if segmentation.contact is None:
         code, message = "no_contact", "no contact between tool and tissue was found: there is nothing to fit"
     else:
         code = "too_few_samples"
-        message = "fewer than a dozen samples lie between contact and unloading: there is nothing to fit"
+        message = "fewer than six samples lie between contact and unloading: there is nothing to fit"
     return Refusal(path=trial.source.path, sheet=trial.source.sheet, code=code, message=message)
 
 
@@ -226,7 +213,8 @@ def identify(
         handle = LogHandle(
             load=lambda key=key, source=trial.source: cache.get(key, source),  # type: ignore[misc]
             segmentation=segmentation,
-            facts=_without_samples(log),
+            facts=log.without_samples(),
+            contact_sd_mm=log.contact_sd_mm,
         )
         if trial.specimen not in groups:
             sources.append((trial.specimen, trial.source))

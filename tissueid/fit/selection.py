@@ -28,7 +28,7 @@ FloatArray = NDArray[np.float64]
 #: Gauss-Newton rounds for the random effects of a held-out log.
 EFFECT_ROUNDS = 12
 #: Difference of log predictive density that decides nothing, however small its scatter.
-NEGLIGIBLE = 2.0
+NEGLIGIBLE = 4.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

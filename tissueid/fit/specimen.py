@@ -12,20 +12,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.fit.candidates import Solution, SpecimenSums, sum_of_logs
+from tissueid.fit.candidates import Candidate, Solution, SpecimenSums, sum_of_logs
 from tissueid.fit.estimates import TissueEstimate, estimate_tissue
 from tissueid.fit.lm import levenberg_marquardt
+from tissueid.fit.logs import LogHandle, refine_contacts, specimen_sums
 from tissueid.fit.relaxation import relaxation_rows
 from tissueid.fit.search import polish, unbounded_covariance
-from tissueid.fit.selection import Choice, choose
+from tissueid.fit.selection import choose
 from tissueid.fit.trials import Adjustment, ResidualTotals, summarise_trial
 from tissueid.fit.verdict import specimen_flags
-from tissueid.fit.window import FittedLog, assign_folds, fitted_log
-from tissueid.likelihood.basis import kernel_basis
-from tissueid.likelihood.sums import N_STATIC, LogSums, log_sums, reduction
+from tissueid.likelihood.sums import N_STATIC, reduction
 from tissueid.model.kelvin_voigt import KEY, STATIC_DEGREE
 from tissueid.result import ModelChoice, Nrmsd, RelaxationRow, SpecimenFit, TrialFit
-from tissueid.trial import Segmentation, Trial
 
 __all__ = ["FitOptions", "LogHandle", "fit_specimen"]
 
@@ -33,8 +31,8 @@ FloatArray = NDArray[np.float64]
 
 MAX_BRANCHES = 3
 MAX_DEGREE = 2
-#: Smallest standard deviation of a contact point, as a fraction of the depth.
-OFFSET_SD_FLOOR = 1e-5
+#: Branches of the model that contact points are refined with, where more than one may be chosen.
+REFINING_BRANCHES = 2
 #: Levenberg-Marquardt starts from the optimum moved to this grid in ln tau.
 LM_START_GRID = 0.25
 #: Agreement of the two optimisers: relative sum of squares, and standard errors of ln tau.
@@ -59,61 +57,6 @@ class FitOptions:
     branches: int | None = None
     stiffness_degree: int | None = None
     static: str = "partial"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LogHandle:
-    """A trial that can be loaded again, with what is known of it.
-
-    Attributes
-    ----------
-    load : callable
-        Returns the trial.
-    segmentation : Segmentation
-    facts : FittedLog
-        Its samples may be empty; the rest is kept.
-    """
-
-    load: Callable[[], Trial]
-    segmentation: Segmentation
-    facts: FittedLog
-
-    def fitted(self) -> tuple[Trial, FittedLog]:
-        """The trial and its fitted part, loaded anew."""
-        trial = self.load()
-        log = fitted_log(trial, self.segmentation)
-        if log is None:
-            msg = f"{trial.name} changed while it was being fitted"
-            raise RuntimeError(msg)
-        return trial, log
-
-
-def _specimen_sums(handles: Sequence[LogHandle], degree: int, tick: Callable[[str], None]) -> SpecimenSums:
-    step = min(handle.facts.step_s for handle in handles)
-    duration = max(handle.facts.duration_s for handle in handles)
-    depth = max(handle.facts.depth_mm for handle in handles)
-    basis = kernel_basis(step_s=step, length_s=duration)
-    single = len(handles) == 1
-    sums: list[LogSums] = []
-    for handle in handles:
-        trial, log = handle.fitted()
-        tick(f"summing {trial.name}")
-        data = assign_folds(log, handle.segmentation.of_kind("hold")) if single else log.data
-        sums.append(log_sums(data, basis, degree=degree))
-    offset_sd = np.array([max(h.facts.contact_sd_mm, OFFSET_SD_FLOOR * depth) for h in handles])
-    gram = np.concatenate([one.gram for one in sums])
-    return SpecimenSums(
-        gram=gram,
-        count=np.concatenate([one.count for one in sums]),
-        offset_sd_mm=np.full(gram.shape[0], offset_sd[0]) if single else offset_sd,
-        basis=basis,
-        columns_degree=degree,
-        depth_mm=depth,
-        step_s=step,
-        duration_s=duration,
-        single=single,
-        logs=np.arange(gram.shape[0]),
-    )
 
 
 def _both_optimisers(sums: SpecimenSums, solution: Solution) -> tuple[Solution, dict[str, object]]:
@@ -147,17 +90,21 @@ def _both_optimisers(sums: SpecimenSums, solution: Solution) -> tuple[Solution, 
 
 
 def _adjustments(
-    sums: SpecimenSums, solution: Solution, tissue: TissueEstimate, count: int
+    sums: SpecimenSums, solution: Solution, tissue: TissueEstimate, handles: Sequence[LogHandle]
 ) -> list[Adjustment]:
     """Gain, offset or own static curve of every log."""
     found = solution.evaluation
     if solution.candidate.pooling == "partial":
         return [
-            Adjustment(gain=float(np.exp(gamma)), contact_offset_mm=float(delta))
-            for gamma, delta in zip(found.gamma, found.delta, strict=True)
+            Adjustment(
+                gain=float(np.exp(gamma)),
+                contact_offset_mm=float(delta),
+                contact_shift_mm=handle.contact_shift_mm,
+            )
+            for gamma, delta, handle in zip(found.gamma, found.delta, handles, strict=True)
         ]
     if solution.candidate.pooling == "shared":
-        return [Adjustment() for _ in range(count)]
+        return [Adjustment() for _ in handles]
     gram = sum_of_logs(sums)[None] if sums.single else sums.gram
     candidate = solution.candidate
     weights = reduction(
@@ -242,13 +189,17 @@ def fit_specimen(
     degrees = (
         tuple(range(MAX_DEGREE + 1)) if options.stiffness_degree is None else (options.stiffness_degree,)
     )
-    sums = _specimen_sums(handles, max(degrees), tick)
-    choice: Choice = choose(
-        sums, branches=branches, degrees=degrees, pooling=_pooling(options, len(handles)), progress=tick
-    )
+    pooling = _pooling(options, len(handles))
+    if pooling == "partial":
+        flexible = Candidate(
+            branches=min(REFINING_BRANCHES, max(branches)), degree=min(1, max(degrees)), pooling="partial"
+        )
+        handles = refine_contacts(handles, flexible, tick)
+    sums = specimen_sums(handles, max(degrees), tick)
+    choice = choose(sums, branches=branches, degrees=degrees, pooling=pooling, progress=tick)
     solution, optimisers = _both_optimisers(sums, choice.solution)
     tissue = estimate_tissue(sums, solution)
-    adjustments = _adjustments(sums, solution, tissue, len(handles))
+    adjustments = _adjustments(sums, solution, tissue, handles)
     trials, rows, overall = _second_pass(handles, adjustments, tissue, tick)
     sigma = float(np.sqrt(solution.noise.sigma2))
     facts = [handle.facts for handle in handles]

@@ -34,12 +34,16 @@ class Adjustment:
     ----------
     gain : float
     contact_offset_mm : float
+        Against the contact point its depths are counted from.
+    contact_shift_mm : float
+        How far that contact point was moved since it was segmented.
     static : ndarray, shape (4,) or None
         The log's own static polynomial (constant first) where pooling is per log.
     """
 
     gain: float = 1.0
     contact_offset_mm: float = 0.0
+    contact_shift_mm: float = 0.0
     static: FloatArray | None = None
 
 
@@ -148,7 +152,7 @@ def summarise_trial(
         max_residual_fraction=share,
         residual_acf1=acf,
         gain=adjustment.gain,
-        contact_offset_mm=adjustment.contact_offset_mm,
+        contact_offset_mm=adjustment.contact_offset_mm + adjustment.contact_shift_mm,
         speed_mm_s=max(log.speeds_mm_s),
         depth_mm=log.depth_mm,
         n_samples=int(include.sum()),

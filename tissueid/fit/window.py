@@ -8,7 +8,7 @@ integrated through them.  A record that starts in contact starts at rest, and lo
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 from tissueid.likelihood.sums import LogData
 from tissueid.trial import Phase, Segmentation, Trial, contact_frame
 
-__all__ = ["FittedLog", "assign_folds", "fitted_log"]
+__all__ = ["FittedLog", "assign_folds", "fitted_log", "with_contact"]
 
 FloatArray = NDArray[np.float64]
 
 #: Contact standard deviations below contact that stay out of the likelihood.
 GUARD_SD = 3.0
 #: Fewest samples that are worth a fit.
-MIN_SAMPLES = 12
+MIN_SAMPLES = 6
 #: Held-out groups of a specimen with one log, and stretches a phase is cut into for them.
 FOLDS = 6
 STRETCHES = 24
@@ -61,6 +61,15 @@ class FittedLog:
     speeds_mm_s: tuple[float, ...]
     has_hold: bool
 
+    def without_samples(self) -> FittedLog:
+        """The facts alone: the first and last sample stand for all."""
+        ends = np.array([0, -1])
+        data = self.data
+        kept = LogData(
+            data.time_s[ends], data.depth_mm[ends], data.force_N[ends], data.include[ends], data.fold[ends]
+        )
+        return replace(self, data=kept)
+
     @property
     def duration_s(self) -> float:
         """From contact to the last fitted sample [s]."""
@@ -83,13 +92,16 @@ def _last_sample(segmentation: Segmentation, depth: FloatArray, first: int) -> i
     return min(last, stop) if last > first else stop
 
 
-def fitted_log(trial: Trial, segmentation: Segmentation) -> FittedLog | None:
+def fitted_log(trial: Trial, segmentation: Segmentation, *, guard: bool = False) -> FittedLog | None:
     """The fitted part of a trial, or ``None`` where there is nothing to fit.
 
     Parameters
     ----------
     trial : Trial
     segmentation : Segmentation
+    guard : bool
+        Leave the neighbourhood of contact out even where the record seems to start in contact: tool and
+        tissue may have met after its first sample, within the contact point's standard deviation.
     """
     contact = segmentation.contact
     if contact is None:
@@ -102,16 +114,16 @@ def fitted_log(trial: Trial, segmentation: Segmentation) -> FittedLog | None:
     f = force[first:last]
     include = np.ones(time.size, dtype=np.bool_)
     inserted = False
-    if contact.in_record:
+    if contact.in_record or guard:
         include &= x >= GUARD_SD * contact.sd_mm
-        if 0 < first < depth.size and depth[first] > 0.0 >= depth[first - 1]:
-            share = depth[first] / (depth[first] - depth[first - 1])
-            start = trial.time_s[first] - share * (trial.time_s[first] - trial.time_s[first - 1])
-            time = np.concatenate([[start], time])
-            x = np.concatenate([[0.0], x])
-            f = np.concatenate([[0.0], f])
-            include = np.concatenate([[False], include])
-            inserted = True
+    if contact.in_record and 0 < first < depth.size and depth[first] > 0.0 >= depth[first - 1]:
+        share = depth[first] / (depth[first] - depth[first - 1])
+        start = trial.time_s[first] - share * (trial.time_s[first] - trial.time_s[first - 1])
+        time = np.concatenate([[start], time])
+        x = np.concatenate([[0.0], x])
+        f = np.concatenate([[0.0], f])
+        include = np.concatenate([[False], include])
+        inserted = True
     steps = np.diff(time[1:] if inserted else time)
     positive = steps[steps > 0.0]
     depth_mm = float(x.max(initial=0.0))
@@ -136,6 +148,30 @@ def fitted_log(trial: Trial, segmentation: Segmentation) -> FittedLog | None:
         speeds_mm_s=tuple(phase.speed_mm_s for phase in ramps) or (_mean_speed(time, x),),
         has_hold=bool(holds),
     )
+
+
+def with_contact(trial: Trial, segmentation: Segmentation, *, shift_mm: float, sd_mm: float) -> Segmentation:
+    """The same segmentation with its contact point moved deeper by ``shift_mm``, known to ``sd_mm``.
+
+    The record counts as starting in contact only where that is so beyond :data:`GUARD_SD` standard
+    deviations; otherwise contact is where the depth last rises through zero before its largest value.
+    """
+    contact = segmentation.contact
+    if contact is None:
+        return segmentation
+    moved = replace(
+        contact,
+        displacement_mm=contact.displacement_mm + segmentation.compression_sign * shift_mm,
+        sd_mm=sd_mm,
+    )
+    depth, _ = contact_frame(trial, replace(segmentation, contact=moved))
+    before = np.flatnonzero(depth[: int(np.argmax(depth))] <= 0.0)
+    moved = replace(
+        moved,
+        index=int(before[-1]) + 1 if before.size else 0,
+        in_record=bool(depth[0] < GUARD_SD * sd_mm),
+    )
+    return replace(segmentation, contact=moved)
 
 
 def _mean_speed(time_s: FloatArray, depth_mm: FloatArray) -> float:
