@@ -59,10 +59,16 @@ def legs(lowest_mm: float, deepest_mm: float) -> st.SearchStrategy[list[tuple[fl
 
 
 def sampled(corners: list[tuple[float, float]], per_leg: int) -> tuple[np.ndarray, np.ndarray]:
-    """Times and depths of a path from rest, ``per_leg`` equal steps in every leg."""
+    """Times and depths of a path from rest: ``per_leg`` equal steps in every leg, cut at the rest level."""
     time, depth = [0.0], [0.0]
     fraction = np.arange(1, per_leg + 1) / per_leg
     for x, duration in corners:
-        time.extend(time[-1] + duration * fraction)
-        depth.extend(depth[-1] + (x - depth[-1]) * fraction)
+        start = depth[-1]
+        share = start / (start - x) if start * x < 0.0 else 1.0
+        legs_of_corner = (
+            [(x, duration)] if share == 1.0 else [(0.0, share * duration), (x, (1.0 - share) * duration)]
+        )
+        for end, lasting in legs_of_corner:
+            time.extend(time[-1] + lasting * fraction)
+            depth.extend(depth[-1] + (end - depth[-1]) * fraction)
     return np.array(time), np.array(depth)
