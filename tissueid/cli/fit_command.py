@@ -147,8 +147,7 @@ def _print_specimen(console: Any, fit: SpecimenFit, *, verbose: int) -> None:
         f"{model.static_pooling} static, NRMSD {100 * fit.nrmsd.range:.2f} % of range",
     )
     for one in fit.parameters:
-        known = one.value is not None
-        text = f"{with_error(one.value, one.stderr)} {one.unit}" if known else "not identified"
+        text = "not identified" if one.value is None else f"{with_error(one.value, one.stderr)} {one.unit}"
         console.print(f"  {one.symbol:<6} {text}", markup=False)
     for flag in fit.flags:
         console.print(f"  ! {flag.message}", style="yellow", markup=False)
