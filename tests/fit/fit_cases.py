@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from tissueid.fit.candidates import SpecimenSums
-from tissueid.fit.specimen import LogHandle
+from tissueid.fit.logs import LogHandle
 from tissueid.fit.window import FittedLog, fitted_log
 from tissueid.likelihood.basis import kernel_basis
 from tissueid.likelihood.sums import LogData, log_sums
@@ -73,7 +73,12 @@ def true_segmentation(trial: Trial, *, sd_mm: float = KNOWN_CONTACT_MM, noise_N:
 def handle_for(trial: Trial, segmentation: Segmentation) -> LogHandle:
     facts = fitted_log(trial, segmentation)
     assert isinstance(facts, FittedLog)
-    return LogHandle(load=lambda: trial, segmentation=segmentation, facts=facts)
+    return LogHandle(
+        load=lambda: trial,
+        segmentation=segmentation,
+        facts=facts.without_samples(),
+        contact_sd_mm=facts.contact_sd_mm,
+    )
 
 
 def handles_for(logs: Sequence[SyntheticLog], *, sd_mm: float = KNOWN_CONTACT_MM) -> list[LogHandle]:
