@@ -55,10 +55,12 @@ class TissueEstimate:
     bounded: bool
 
 
-def _second_stage_static(sums: SpecimenSums, solution: Solution) -> tuple[FloatArray, FloatArray]:
+def _second_stage_static(sums: SpecimenSums, solution: Solution) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Static curve of a per-log fit: one passive curve for all logs, K and tau as identified.
 
-    Returns its coefficients by powers of u (3,) and their covariance (3, 3).
+    Returns its coefficients by powers of u (3,), their covariance for given K and tau (3, 3), and how
+    they follow K and ln tau (3, p + branches).  The two parts of their error are independent: K and tau
+    come from what every log's own static block leaves, this curve from that block.
     """
     candidate = Candidate(
         branches=solution.candidate.branches, degree=solution.candidate.degree, pooling="shared"
@@ -70,11 +72,15 @@ def _second_stage_static(sums: SpecimenSums, solution: Solution) -> tuple[FloatA
     q = objective.quadratic(solution.evaluation.log_tau)
     p = STATIC_DEGREE + k.size
     h = q[:STATIC_DEGREE, :STATIC_DEGREE]
-    b = q[:STATIC_DEGREE, -1] - q[:STATIC_DEGREE, STATIC_DEGREE:p] @ k
+    cross = q[:STATIC_DEGREE, STATIC_DEGREE:p]
+    b = q[:STATIC_DEGREE, -1] - cross @ k
     theta, _, _ = cone_least_squares(np.ascontiguousarray(h), b, blocks, cone_start(blocks))
     full = np.concatenate([theta, k])
     value = q[-1, -1] - 2.0 * q[:p, -1] @ full + full @ q[:p, :p] @ full
-    return theta, np.linalg.pinv(h, hermitian=True) * float(value) / max(sums.n - STATIC_DEGREE, 1)
+    by_tau = (q[:STATIC_DEGREE, p:-1] * k).reshape(STATIC_DEGREE, candidate.branches, -1).sum(axis=2)
+    inverse = np.linalg.pinv(h, hermitian=True)
+    follows = -inverse @ np.concatenate([cross, by_tau], axis=1)
+    return theta, inverse * float(value) / max(sums.n - STATIC_DEGREE, 1), follows
 
 
 def _in_field_units(
@@ -85,8 +91,8 @@ def _in_field_units(
     inverse, bounded = unbounded_covariance(found, solution.objective.blocks)
     branches, size = candidate.branches, candidate.degree + 1
     offset = found.theta.size - branches * size
-    static, static_covariance = (
-        (found.theta[:offset], inverse[:offset, :offset] * solution.noise.sigma2)
+    static, own, follows = (
+        (found.theta[:offset], np.zeros((STATIC_DEGREE, STATIC_DEGREE)), np.eye(STATIC_DEGREE, len(inverse)))
         if offset
         else _second_stage_static(sums, solution)
     )
@@ -98,8 +104,8 @@ def _in_field_units(
     # d theta / d (u coefficients, ln tau)
     p = theta.size
     change = np.zeros((p, inverse.shape[0]))
-    if offset:
-        change[:STATIC_DEGREE, :STATIC_DEGREE] = np.diag(sums.depth_mm ** -np.arange(1.0, STATIC_DEGREE + 1))
+    scale = np.diag(sums.depth_mm ** -np.arange(1.0, STATIC_DEGREE + 1))
+    change[:STATIC_DEGREE] = scale @ follows
     for j in range(branches):
         row = STATIC_DEGREE + j * (size + 1)
         for k in range(size):
@@ -107,9 +113,7 @@ def _in_field_units(
         change[row + size, found.theta.size + j] = tau[j]
     finite = np.where(np.isfinite(inverse), inverse, 0.0)
     covariance = change @ finite @ change.T * solution.noise.sigma2
-    if not offset:
-        scale = np.diag(sums.depth_mm ** -np.arange(1.0, STATIC_DEGREE + 1))
-        covariance[:STATIC_DEGREE, :STATIC_DEGREE] = scale @ static_covariance @ scale
+    covariance[:STATIC_DEGREE, :STATIC_DEGREE] += scale @ own @ scale
     for j in range(branches):
         if not np.isfinite(inverse[found.theta.size + j, found.theta.size + j]):
             at = STATIC_DEGREE + j * (size + 1) + size
