@@ -69,7 +69,7 @@ def _registry() -> Any:
     """Pint's registry, with the one force that it lacks."""
     import pint  # 0.3 s: only where a unit is not already the internal one
 
-    registry = pint.UnitRegistry()
+    registry: Any = pint.UnitRegistry()
     registry.define("gram_force = 9.80665e-3 newton")
     return registry
 

@@ -6,10 +6,11 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
+from typing import cast
 
 from tissueid.errors import UsageError
 from tissueid.ingest.vocabulary import CHANNELS
-from tissueid.units import factor_to
+from tissueid.units import Quantity, factor_to
 
 __all__ = ["ReadOptions"]
 
@@ -56,7 +57,7 @@ class ReadOptions:
             object.__setattr__(self, name, MappingProxyType(mapping))
         for channel, unit in self.units.items():
             try:
-                factor_to(unit, channel)  # type: ignore[arg-type]
+                factor_to(unit, cast("Quantity", channel))
             except ValueError as error:
                 msg = f"units: {error}"
                 raise UsageError(msg) from error

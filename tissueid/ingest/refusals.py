@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import NoReturn
 
 from tissueid.errors import InputError
 
@@ -61,7 +62,7 @@ class Place:
     path: str
     sheet: str | None = None
 
-    def refuse(
+    def refusal(
         self, code: str, message: str, *, line: int | None = None, column: int | None = None
     ) -> InputError:
         """An :class:`~tissueid.errors.InputError` at this place; ``line`` and ``column`` count from 1."""
@@ -69,3 +70,9 @@ class Place:
             msg = f"unknown refusal code {code!r}"
             raise ValueError(msg)
         return InputError(code, message, path=self.path, sheet=self.sheet, line=line, column=column)
+
+    def refuse(
+        self, code: str, message: str, *, line: int | None = None, column: int | None = None
+    ) -> NoReturn:
+        """Raise the refusal."""
+        raise self.refusal(code, message, line=line, column=column)

@@ -30,74 +30,112 @@ from __future__ import annotations
 import re
 import unicodedata
 from functools import cache
+from typing import Literal
 
-__all__ = ["CHANNELS", "is_specimen_key", "plain_words", "rank_of", "specimen_key_rank"]
+__all__ = ["CHANNELS", "Channel", "is_specimen_key", "plain_words", "rank_of", "specimen_key_rank"]
 
 #: The three channels every recording must have.
-CHANNELS = ("time", "displacement", "force")
+Channel = Literal["time", "displacement", "force"]
+
+CHANNELS: tuple[Channel, ...] = ("time", "displacement", "force")
 
 _SENSE = r"(?:compressive|compression|flexural|flexure|bending|tensile|tension|druck|biege|zug)"
-_SENSE_AFTER = r"(?: (?:de|en|a|di|w) (?:la )?(?:compression|compresion|compressao|compressione|traction|flexion))"
+_SENSE_AFTER = (
+    r"(?: (?:de|en|a|di|w) (?:la )?(?:compression|compresion|compressao|compressione|traction|flexion))"
+)
 
-_NAMES: dict[str, tuple[tuple[int, str], ...]] = {
+_NAMES: dict[Channel, tuple[tuple[int, str], ...]] = {
     "time": (
         (
             0,
-            r"(?:total |test |running |measured )?time(?: measurement)?|zeit|pruf ?zeit|test ?zeit|versuchszeit"
-            r"|temps(?: d essai)?|temps total|tiempo(?: de ensayo| total)?|tempo(?: di prova| (?:de|do) ensaio| total)?"
-            r"|czas(?: testu| proby)?|godzina|(?:测试|试验)?(?:时间|時間)",
+            (
+                r"(?:total |test |running |measured )?time(?: measurement)?|zeit|pruf ?zeit|test ?zeit"
+                r"|versuchszeit"
+                r"|temps(?: d essai)?|temps total|tiempo(?: de ensayo| total)?|tempo(?: di prova| (?:de"
+                r"|do) ensaio| total)?"
+                r"|czas(?: testu| proby)?|godzina|(?:测试|试验)?(?:时间|時間)"
+            ),
         ),
-        (1, r"(?:cycle |step |segment )?elapsed time|(?:cycle|step|segment) time|temps ecoule|tiempo transcurrido"),
+        (
+            1,
+            (
+                r"(?:cycle |step |segment )?elapsed time|(?:cycle|step|segment) time|temps ecoule"
+                r"|tiempo transcurrido"
+            ),
+        ),
     ),
     "displacement": (
         (
             0,
-            r"indentation(?: depth)?|depth(?: of indentation)?|penetration(?: depth)?|eindring(?:tiefe|weg)"
-            r"|profondeur(?: d indentation)?|enfoncement|profundidad|profundidade|profondita|glebokosc|压入深度|压痕深度",
+            (
+                r"indentation(?: depth)?|depth(?: of indentation)?|penetration(?: depth)?|eindring(?:tiefe|weg)"
+                r"|profondeur(?: d indentation)?|enfoncement|profundidad|profundidade|profondita|glebokosc"
+                r"|压入深度|压痕深度"
+            ),
         ),
         (
             1,
-            r"(?:primary )?(?:extension|displacement|travel|elongation)(?: measurement)?(?: 1)?|standard travel|disp"
-            r"|standard ?weg|weg|traversenweg|verschiebung|verlangerung|verformung|course standard|allongement"
-            r"|deplacement(?: traverse| de la traverse)?|traverse|crosshead (?:displacement|travel|extension)"
-            r"|desplazamiento|alargamiento|carrera|carrera estandar|extensao|deslocamento|alongamento|curso"
-            r"|estensione|spostamento|allungamento|corsa|corsa standard|przemieszczenie|wydluzenie|droga"
-            r"|位移|伸长|伸長|延伸|拉伸|变形|変位|行程",
+            (
+                r"(?:primary )?(?:extension|displacement|travel|elongation)(?: measurement)?(?: 1)?"
+                r"|standard travel|disp"
+                r"|standard ?weg|weg|traversenweg|verschiebung|verlangerung|verformung|course standard"
+                r"|allongement"
+                r"|deplacement(?: traverse| de la traverse)?|traverse|crosshead (?:displacement|travel|extension)"
+                r"|desplazamiento|alargamiento|carrera|carrera estandar|extensao|deslocamento|alongamento|curso"
+                r"|estensione|spostamento|allungamento|corsa|corsa standard|przemieszczenie|wydluzenie|droga"
+                r"|位移|伸长|伸長|延伸|拉伸|变形|変位|行程"
+            ),
         ),
         (
             2,
-            rf"{_SENSE} ?(?:extension|displacement|deflection|weg|verformung)(?: measurement)?"
-            rf"|(?:extension|deplacement|extensao|deslocamento|desplazamiento|estensione|spostamento){_SENSE_AFTER}"
-            r"|压缩位移|压缩伸长",
+            (
+                rf"{_SENSE} ?(?:extension|displacement|deflection|weg|verformung)(?: measurement)?"
+                rf"|(?:extension|deplacement|extensao|deslocamento|desplazamiento|estensione|spostamento){_SENSE_AFTER}"
+                r"|压缩位移|压缩伸长"
+            ),
         ),
         (
             3,
-            r"(?:absolute )?(?:crosshead|traverse|traversen)(?: absolute?| absolut| position)?|traverse absolue"
-            r"|traversen(?:position|weg absolut)|position(?: absolue)?|posicion|posizione|pozycja|stroke|actuator"
-            r"|height(?: measured)?|z(?: position)?|hoehe|hohe|hauteur",
+            (
+                r"(?:absolute )?(?:crosshead|traverse|traversen)(?: absolute?| absolut| position)?"
+                r"|traverse absolue"
+                r"|traversen(?:position|weg absolut)|position(?: absolue)?|posicion|posizione|pozycja|stroke"
+                r"|actuator"
+                r"|height(?: measured)?|z(?: position)?|hoehe|hohe|hauteur"
+            ),
         ),
         (
             4,
-            r"ecartement entre (?:outils|mors)|(?:tool|grip)(?: to (?:tool|grip))? separation|werkzeugabstand"
-            r"|einspannlange|gap",
+            (
+                r"ecartement entre (?:outils|mors)|(?:tool|grip)(?: to (?:tool|grip))? separation|werkzeugabstand"
+                r"|einspannlange|gap"
+            ),
         ),
         (
             5,
-            r"capteur de course|extensometer(?: 1)?|extensometre|dehnung|wegaufnehmer|deflection|durchbiegung"
-            r"|strain 1|lvdt|displacement strain 1",
+            (
+                r"capteur de course|extensometer(?: 1)?|extensometre|dehnung|wegaufnehmer|deflection|durchbiegung"
+                r"|strain 1|lvdt|displacement strain 1"
+            ),
         ),
     ),
     "force": (
         (
             0,
-            r"(?:standard |primary |axial |normal |vertical )?(?:force|load)(?: measurement)?(?: 1)?|force standard"
-            r"|standard ?kraft|kraft|last|prufkraft|charge|fuerza(?: estandar)?|carga|forca|forza(?: standard)?|carico"
-            r"|sila(?: standardowa)?|obciazenie|力|标准力|载荷|载重|负荷|荷重|试验力|fz|load cell(?: 1)?",
+            (
+                r"(?:standard |primary |axial |normal |vertical )?(?:force|load)(?: measurement)?(?: 1)?"
+                r"|force standard"
+                r"|standard ?kraft|kraft|last|prufkraft|charge|fuerza(?: estandar)?|carga|forca"
+                r"|forza(?: standard)?|carico"
+                r"|sila(?: standardowa)?|obciazenie|力|标准力|载荷|载重|负荷|荷重|试验力|fz|load cell(?: 1)?"
+            ),
         ),
         (
             1,
-            rf"{_SENSE} ?(?:load|force|kraft|last)(?: measurement)?"
-            rf"|(?:charge|force|fuerza|carga|forca|forza|carico){_SENSE_AFTER}|压缩载荷|压缩力",
+            (
+                rf"{_SENSE} ?(?:load|force|kraft|last)(?: measurement)?"
+                rf"|(?:charge|force|fuerza|carga|forca|forza|carico){_SENSE_AFTER}|压缩载荷|压缩力"
+            ),
         ),
         (2, r"capteur de force|kraftaufnehmer|load channel|force channel"),
     ),
@@ -115,7 +153,8 @@ _LOOSE_WORDS = {
 }
 #: A name with one of these is a rate, a result or another quantity, never a channel.
 _NOT_A_CHANNEL = re.compile(
-    r"\b(?:stress|strain|rate|speed|velocity|modulus|energy|work|max|maximum|min|minimum|at|per|peak|mean|average"
+    r"\b(?:stress|strain|rate|speed|velocity|modulus|energy|work|max|maximum|min|minimum|at|per|peak|mean"
+    r"|average"
     r"|sd|std|error|cycle|cycles|count|point|offset|zero|stiffness|contrainte|spannung)\b"
 )
 
@@ -123,7 +162,10 @@ _SPECIMEN_WORDS = re.compile(
     r"\b(?:specimen|proben?\w*|eprouvette|probeta|corpo de prova|provino|probk\w+)\b|试样|试件|样品|样本"
 )
 _SPECIMEN_NAMING = (
-    re.compile(r"\blabel\b|bezeichnung|\blibelle\b|\betiquette\b|\bdesignation\b|\betiqueta\b|\brotulo\b|etichetta|etykieta|标签|标识|标记"),
+    re.compile(
+        r"\blabel\b|bezeichnung|\blibelle\b|\betiquette\b|\bdesignation\b|\betiqueta\b|\brotulo\b"
+        r"|etichetta|etykieta|标签|标识|标记"
+    ),
     re.compile(r"\bid\b|kennung|identifi\w+|identyfik\w+|编号|nummer"),
     re.compile(r"\bname\b|\w+name\b|\bnom\b|\bnombre\b|\bnome\b|nazwa|oznaczenie|名称"),
 )
@@ -138,7 +180,7 @@ def plain_words(text: str) -> str:
 
 
 @cache
-def rank_of(name: str, channel: str, *, loose: bool) -> int | None:
+def rank_of(name: str, channel: Channel, *, loose: bool) -> int | None:
     """How well a printed name, without its unit, fits a channel.
 
     Parameters

@@ -1,0 +1,26 @@
+"""Recordings in: files that test machines write become :class:`~tissueid.trial.Trial`.
+
+A reader is a recipe in :data:`RECIPES`; the surest one reads a file, and what can't be trusted is
+refused with line and column (:data:`REFUSAL_CODES`), never repaired.
+"""
+
+from tissueid.ingest.discovery import find_inputs
+from tissueid.ingest.options import ReadOptions
+from tissueid.ingest.reading import match_of, read_each, read_one, read_trials
+from tissueid.ingest.recipe import Match, Recipe
+from tissueid.ingest.refusals import REFUSAL_CODES, REFUSAL_MEANINGS
+from tissueid.ingest.registry import RECIPES
+
+__all__ = [
+    "RECIPES",
+    "REFUSAL_CODES",
+    "REFUSAL_MEANINGS",
+    "Match",
+    "ReadOptions",
+    "Recipe",
+    "find_inputs",
+    "match_of",
+    "read_each",
+    "read_one",
+    "read_trials",
+]

@@ -1,0 +1,194 @@
+"""The fast path through the rows: pieces of a megabyte, made plain, through pandas' C parser.
+
+Passes over the bytes: one to hash, one to parse; where quotes or thousands separators occur also the
+vector operations of :mod:`tissueid.ingest.plain`.  The parser is given the strictest settings it has
+(no quotes, no missing values, no thousands), so that every short, long or odd row is an error; then,
+and only then, the slow reader takes over, reads what may be read and names the line of what may not.
+Pieces are independent, so they are parsed by as many threads as there are processors; memory is that
+of the file plus the three columns.
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+
+from tissueid.flags import Flag
+from tissueid.ingest.columns import ColumnChoice
+from tissueid.ingest.layout import Layout
+from tissueid.ingest.plain import make_plain
+from tissueid.ingest.refusals import Place
+from tissueid.ingest.rows import RowReader
+from tissueid.ingest.text import Text
+from tissueid.ingest.vocabulary import CHANNELS
+from tissueid.trial import FloatArray
+
+__all__ = ["Body", "read_body"]
+
+_PIECE_BYTES = 1 << 20
+_MOST_THREADS = 6
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """The three channels in s, mm and N, and what the reader noticed."""
+
+    time_s: FloatArray
+    displacement_mm: FloatArray
+    force_N: FloatArray
+    flags: tuple[Flag, ...]
+
+
+class _Piece:
+    """The least file that pandas reads from: one string of bytes, given once."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data = data
+
+    def read(self, _size: int = -1) -> bytes:
+        data, self._data = self._data, b""
+        return data
+
+    def __iter__(self) -> Iterator[bytes]:
+        return iter(())
+
+
+@dataclass(frozen=True, slots=True)
+class _Plan:
+    """How every piece is parsed."""
+
+    data: bytes
+    layout: Layout
+    wanted: tuple[int, ...]
+
+    def parse(self, span: tuple[int, int]) -> list[FloatArray] | None:
+        """The wanted columns of whole lines, ``None`` where they are not all plain rows."""
+        import pandas as pd  # 0.4 s: not for `tissueid --help`
+
+        layout = self.layout
+        plain = make_plain(self.data[span[0] : span[1]], delimiter=layout.delimiter, decimal=layout.decimal)
+        if plain is None or b"\0" in plain:
+            return None
+        both = layout.delimiter == layout.decimal
+        separator = "\t" if both else layout.delimiter
+        if not plain.strip():
+            return [np.empty(0) for _ in self.wanted]
+        dtypes = {
+            index: np.float64 if numeric or index in self.wanted else object
+            for index, numeric in enumerate(layout.numeric)
+        }
+        try:
+            frame = pd.read_csv(
+                cast("Any", _Piece(plain)),
+                sep=separator,
+                decimal=layout.decimal,
+                header=None,
+                dtype=cast("Any", dtypes),
+                na_filter=False,
+                quoting=csv.QUOTE_NONE,
+                engine="c",
+                low_memory=False,
+                encoding_errors="replace",
+            )
+        except (ValueError, OverflowError, KeyError):
+            return None
+        if frame.shape[1] != layout.n_columns or not self._rows_whole(plain, separator, len(frame)):
+            return None
+        return [frame[index].to_numpy() for index in self.wanted]
+
+    def _rows_whole(self, plain: bytes, separator: str, n_rows: int) -> bool:
+        """No row is short: proved by the parser where all cells are numbers, else by counting delimiters.
+
+        The parser refuses a long row, so that the right sum means that each row is right.
+        """
+        if all(numeric or i in self.wanted for i, numeric in enumerate(self.layout.numeric)):
+            return True
+        delimiters = np.count_nonzero(np.frombuffer(plain, dtype=np.uint8) == ord(separator))
+        return int(delimiters) == n_rows * (self.layout.n_columns - 1)
+
+
+def _spans(data: bytes, start: int, end: int) -> list[tuple[int, int]]:
+    """Whole lines of about a piece each."""
+    spans = []
+    while start < end:
+        stop = data.find(b"\n", min(start + _PIECE_BYTES, end) - 1, end) + 1 or end
+        spans.append((start, stop))
+        start = stop
+    return spans
+
+
+def _read_fast(reader: RowReader) -> list[FloatArray] | None:
+    plan = _Plan(reader.text.data, reader.layout, reader.wanted)
+    spans = _spans(plan.data, reader.layout.offset, reader.end)
+    threads = min(_MOST_THREADS, os.cpu_count() or 1, len(spans))
+    pieces: list[list[FloatArray] | None]
+    if threads > 1:
+        with ThreadPoolExecutor(threads) as pool:
+            pieces = list(pool.map(plan.parse, spans))
+    else:
+        pieces = [plan.parse(span) for span in spans]
+    if any(piece is None for piece in pieces):
+        return None
+    whole = cast("list[list[FloatArray]]", pieces)
+    if not whole:
+        return [np.empty(0) for _ in reader.wanted]
+    columns = [np.concatenate([piece[k] for piece in whole]) for k in range(len(reader.wanted))]
+    return columns if all(np.isfinite(column).all() for column in columns) else None
+
+
+def read_body(text: Text, layout: Layout, choice: ColumnChoice, place: Place) -> Body:
+    """Read all rows of a laid-out text.
+
+    Parameters
+    ----------
+    text : Text
+    layout : Layout
+    choice : ColumnChoice
+    place : Place
+
+    Raises
+    ------
+    InputError
+        The codes of :class:`~tissueid.ingest.rows.RowReader`, ``no_rows`` or ``time_backwards``.
+    """
+    reader = RowReader(text, layout, tuple(choice.index[channel] for channel in CHANNELS), place)
+    flags: list[Flag] = []
+    columns = _read_fast(reader)
+    if columns is None:
+        columns, flags = reader.read()
+    row, said = reader.tail()
+    flags += said
+    if row is not None:
+        columns = [np.append(column, value) for column, value in zip(columns, row, strict=True)]
+    if columns[0].size < 2:
+        place.refuse(
+            "no_rows",
+            f"the table has {columns[0].size} rows of numbers, a recording needs two; export the raw data"
+            f" again",
+            line=layout.first_line,
+        )
+    falls = np.flatnonzero(np.diff(columns[0]) < 0)
+    if falls.size:
+        raise _backwards(reader, columns[0], int(falls[0]) + 1)
+    scaled = [
+        column if choice.factors[channel] == 1.0 else column * choice.factors[channel]
+        for channel, column in zip(CHANNELS, columns, strict=True)
+    ]
+    return Body(scaled[0], scaled[1], scaled[2], tuple(flags))
+
+
+def _backwards(reader: RowReader, time: FloatArray, row: int) -> Exception:
+    return reader.place.refusal(
+        "time_backwards",
+        f"the time falls from {time[row - 1]:.10g} to {time[row]:.10g}: two recordings in one file, or a"
+        f" damaged"
+        " row; split the file, or name another time column with --columns time=NAME",
+        line=reader.line_of_row(row),
+        column=reader.wanted[0] + 1,
+    )

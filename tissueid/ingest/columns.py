@@ -1,0 +1,260 @@
+"""Which columns are the time, the displacement and the force, and what turns them into s, mm and N.
+
+The rule is the ranked table of :mod:`tissueid.ingest.vocabulary`; a column whose unit measures
+something else is no candidate; the user's map wins over everything.  Where there was a choice the flag
+``column_choice`` names what was left.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from tissueid.errors import InputError
+from tissueid.flags import Flag
+from tissueid.ingest.options import ReadOptions
+from tissueid.ingest.refusals import Place
+from tissueid.ingest.vocabulary import CHANNELS, Channel, plain_words, rank_of
+from tissueid.units import INTERNAL_UNITS, bare_unit, factor_to, quantity_of
+
+__all__ = ["ColumnChoice", "choose_columns", "has_channels", "split_name"]
+
+_BRACKETED = re.compile(r"(.*?)\s*[(\[]\s*([^()\[\]]*?)\s*[)\]]\s*", re.DOTALL)
+_AFTER_COMMA = re.compile(r"(.*\S)\s*[,/]\s*(\S+)\s*", re.DOTALL)
+_AFTER_UNDERSCORE = re.compile(r"(.*[^_])_([^_\s]+)")
+_UNIT_LIKE = re.compile(r"[^\W\d_]{1,8}")
+_WAY_OUT = "name it with --columns time=NAME,displacement=NAME,force=NAME (or #2 for the second column)"
+
+
+@dataclass(frozen=True, slots=True)
+class ColumnChoice:
+    """The three columns taken.
+
+    Attributes
+    ----------
+    index : mapping of str to int
+        Channel -> column, counted from 0.
+    names : mapping of str to str
+        Channel -> name as printed.
+    factors : mapping of str to float
+        Channel -> what turns the printed value into s, mm or N.
+    flags : tuple of Flag
+    """
+
+    index: Mapping[Channel, int]
+    names: Mapping[Channel, str]
+    factors: Mapping[Channel, float]
+    flags: tuple[Flag, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Column:
+    index: int
+    name: str
+    base: str
+    units: tuple[str, ...]  # as printed: of the units row, then of the name
+
+    @property
+    def unit(self) -> str | None:
+        return self.units[0] if self.units else None
+
+
+def split_name(name: str) -> tuple[str, str | None]:
+    """A printed name without its unit, and the unit: ``"Force (kN)"``, ``"Fz, gf"``, ``"time_s"``."""
+    if match := _BRACKETED.fullmatch(name):
+        inside = match[2]
+        if match[1] and inside and (quantity_of(inside) is not None or _UNIT_LIKE.fullmatch(inside)):
+            return match[1], inside
+        return name, None
+    for pattern in (_AFTER_COMMA, _AFTER_UNDERSCORE):
+        if (match := pattern.fullmatch(name)) and quantity_of(match[2]) in CHANNELS:
+            return match[1], match[2]
+    return name, None
+
+
+def _describe(names: Sequence[str], units: Sequence[str]) -> list[_Column]:
+    columns = []
+    for index, name in enumerate(names):
+        base, inside = split_name(name.strip())
+        row_unit = bare_unit(units[index]) if index < len(units) else ""
+        columns.append(_Column(index, name.strip(), base, tuple(u for u in (row_unit, inside) if u)))
+    return columns
+
+
+def _candidates(columns: Sequence[_Column], channel: Channel) -> list[tuple[int, _Column]]:
+    """Columns that may be this channel, best first; a known unit of something else rules one out."""
+    found = []
+    for column in columns:
+        measured = quantity_of(column.unit) if column.unit and _may_be(column, channel) else None
+        if measured is not None and measured != channel:
+            continue
+        rank = rank_of(column.base, channel, loose=measured == channel)
+        if rank is not None:
+            found.append((rank, column))
+    return sorted(found, key=lambda item: (item[0], item[1].index))
+
+
+def _may_be(column: _Column, channel: Channel) -> bool:
+    return rank_of(column.base, channel, loose=True) is not None
+
+
+def has_channels(names: Sequence[str], units: Sequence[str], options: ReadOptions) -> bool:
+    """Whether time, displacement and force can all be found (their units may still be wrong)."""
+    columns = _describe(names, units)
+    return all(
+        _named(columns, options.columns[channel]) if channel in options.columns
+        else any(_may_be(column, channel) for column in columns)
+        for channel in CHANNELS
+    )  # fmt: skip
+
+
+def _named(columns: Sequence[_Column], wanted: str) -> list[_Column]:
+    """The columns a user's name means: by number, as printed, or but for case, accents and unit."""
+    if number := re.fullmatch(r"#(\d+)", wanted.strip()):
+        return [column for column in columns if column.index == int(number[1]) - 1]
+    exact = [column for column in columns if column.name == wanted.strip()]
+    if exact:
+        return exact
+    plain = plain_words(wanted)
+    return [
+        column
+        for column in columns
+        if plain and plain in (plain_words(column.name), plain_words(column.base))
+    ]
+
+
+def choose_columns(
+    names: Sequence[str], units: Sequence[str], *, options: ReadOptions, place: Place, line: int | None
+) -> ColumnChoice:
+    """Find the three channels among the printed names.
+
+    Parameters
+    ----------
+    names, units : sequence of str
+        The names row and the units row (or empty texts); the longer names row counts.
+    options : ReadOptions
+    place : Place
+        Where to point a refusal.
+    line : int or None
+        One-based line of the names row.
+
+    Raises
+    ------
+    InputError
+        ``no_columns``, ``column_not_found``, ``unknown_unit``, ``wrong_unit`` or ``unit_conflict``.
+    """
+    columns = _describe(names, units)
+    taken: dict[Channel, _Column] = {}
+    flags: list[Flag] = []
+    for channel in CHANNELS:
+        if channel in options.columns:
+            taken[channel] = _user_column(columns, channel, options=options, place=place, line=line)
+            continue
+        found = _candidates(columns, channel)
+        if not found:
+            raise _none_found(columns, channel, place=place, line=line)
+        taken[channel] = found[0][1]
+        if len(found) > 1:
+            others = [column.name for _, column in found[1:]]
+            flags.append(
+                Flag(
+                    "column_choice",
+                    f"{channel} was taken from {taken[channel].name!r}, not from"
+                    f" {', '.join(map(repr, others))}",
+                    {"quantity": channel, "taken": taken[channel].name, "alternatives": others},
+                )
+            )
+    factors = {
+        channel: _factor(column, channel, options=options, place=place, line=line, flags=flags)
+        for channel, column in taken.items()
+    }
+    return ColumnChoice(
+        {channel: column.index for channel, column in taken.items()},
+        {channel: column.name for channel, column in taken.items()},
+        factors,
+        tuple(flags),
+    )
+
+
+def _user_column(
+    columns: Sequence[_Column], channel: Channel, *, options: ReadOptions, place: Place, line: int | None
+) -> _Column:
+    wanted = options.columns[channel]
+    found = _named(columns, wanted)
+    if len(found) == 1:
+        return found[0]
+    if not found:
+        message = f"there is no column {wanted!r} for the {channel}; {_seen(columns)}"
+    else:
+        numbers = ", ".join(f"#{column.index + 1}" for column in found)
+        message = f"{len(found)} columns are named {wanted!r}: name one of them by its number, {numbers}"
+    place.refuse("column_not_found", message, line=line)
+
+
+def _none_found(
+    columns: Sequence[_Column], channel: Channel, *, place: Place, line: int | None
+) -> InputError:
+    for column in columns:
+        if column.unit and _may_be(column, channel):
+            return place.refusal(
+                "wrong_unit",
+                f"column {column.name!r} is in {column.unit!r}, which does not measure {channel}, and"
+                f" there is"
+                f" no other; {_WAY_OUT}, or state the unit with --units {channel}={INTERNAL_UNITS[channel]}",
+                line=line,
+                column=column.index + 1,
+            )
+    return place.refusal("no_columns", f"no column is the {channel}; {_seen(columns)}; {_WAY_OUT}", line=line)
+
+
+def _seen(columns: Sequence[_Column]) -> str:
+    names = [column.name for column in columns if column.name]
+    if not names:
+        return f"the {len(columns)} columns have no names"
+    shown = ", ".join(repr(name[:40]) for name in names[:20])
+    return f"the columns are {shown}{' ...' if len(names) > 20 else ''}"
+
+
+def _factor(
+    column: _Column,
+    channel: Channel,
+    *,
+    options: ReadOptions,
+    place: Place,
+    line: int | None,
+    flags: list[Flag],
+) -> float:
+    """What turns the column into s, mm or N."""
+    if channel in options.units:
+        return factor_to(options.units[channel], channel)
+    internal = INTERNAL_UNITS[channel]
+    if column.unit is None:
+        flags.append(
+            Flag(
+                "units_assumed",
+                f"column {column.name!r} has no unit; {internal} was assumed",
+                {"quantity": channel, "column": column.name, "unit": internal},
+            )
+        )
+        return 1.0
+    try:
+        factors = [factor_to(unit, channel) for unit in column.units]
+    except ValueError as error:
+        known = any(quantity_of(unit) not in (None, channel) for unit in column.units)
+        place.refuse(
+            "wrong_unit" if known else "unknown_unit",
+            f"column {column.name!r}: {error}; or state it with --units {channel}={internal}",
+            line=line,
+            column=column.index + 1,
+        )
+    if len(set(factors)) > 1:
+        place.refuse(
+            "unit_conflict",
+            f"column {column.name!r} is in {column.units[0]!r} by its units row and in"
+            f" {column.units[1]!r} by its"
+            f" name; state the right one with --units {channel}={column.units[0]}",
+            line=line,
+            column=column.index + 1,
+        )
+    return factors[0]

@@ -1,0 +1,141 @@
+"""Recipes for delimited text: Bluehill raw CSV, testXpert TRA, and any table with a column map.
+
+They differ in how they are recognised; all are read by the same layout, columns and rows::
+
+    Text Inputs : Specimen label,"22L.3"           "Specimen thickness",1.5,"mm"
+                                                   "v1",1,"mm/min"
+    Time,Extension,Load,Segment ID                 "Time","Standard travel","Standard force"
+    (sec),(mm),(N),                                "s","mm","N"
+    0.00000,-2.04726,-4.31900,22476                2.63805,0,103.053
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+from tissueid.errors import InputError
+from tissueid.ingest.body import read_body
+from tissueid.ingest.columns import choose_columns, has_channels, split_name
+from tissueid.ingest.header import header_entries, specimen_in
+from tissueid.ingest.layout import Layout
+from tissueid.ingest.recipe import Detection, InputFile, Recipe, Table
+from tissueid.ingest.refusals import Place
+from tissueid.ingest.vocabulary import plain_words, specimen_key_rank
+
+__all__ = ["BLUEHILL_CSV", "COLUMNS_TEXT", "TESTXPERT_TRA"]
+
+_GROUPED_KEY = re.compile(r"[^:]{1,40} : \S.*")
+_BLUEHILL_PATH = re.compile(r"\.is_[a-z]+(?:_RawData|_Exports)?(?:[/\\.]|$)|RawData", re.IGNORECASE)
+_TESTXPERT_WORDS = re.compile(r"standard (?:force|travel)|(?:force|course) standard|standard(?:kraft|weg)")
+
+
+def _units_bracketed(layout: Layout) -> bool:
+    filled = [unit.strip() for unit in layout.units if unit.strip()]
+    return layout.units_in_row and all(unit[0] in "([" for unit in filled)
+
+
+def _is_testxpert(file: InputFile, layout: Layout) -> str | None:
+    """Why the file is testXpert's, or ``None``."""
+    if file.suffix == ".tra":
+        return "the suffix is .TRA"
+    words = [name for name in layout.names if _TESTXPERT_WORDS.fullmatch(plain_words(name))]
+    if words and layout.units_in_row and not _units_bracketed(layout):
+        return f"the column {words[0]!r} is named as testXpert does and its unit has no brackets"
+    return None
+
+
+def detect_bluehill(file: InputFile) -> Detection:
+    """Grouped header keys, a specimen key, a units row in brackets, or names with units in brackets."""
+    layout = file.layout
+    if layout is None or not has_channels(layout.names, layout.units, file.options):
+        return 0.0, "no table with time, displacement and force"
+    if _is_testxpert(file, layout):
+        return 0.1, "testXpert's names"
+    for row in layout.header:
+        if _GROUPED_KEY.fullmatch(row[0]):
+            return 0.95, f"the header has keys such as {row[0]!r}"
+        if specimen_key_rank(row[0]) is not None:
+            return 0.9, f"the header has the key {row[0]!r}"
+    if _units_bracketed(layout):
+        return 0.9, "a row of units in brackets stands under the names"
+    bracketed = [name for name in layout.names if split_name(name)[1] and name.rstrip().endswith(")")]
+    if len(bracketed) >= 3:
+        return 0.8, f"the names carry units in brackets, such as {bracketed[0]!r}"
+    if _BLUEHILL_PATH.search(file.path):
+        return 0.7, "the file or folder is named as Bluehill does"
+    return 0.3, "the names are those of a test machine"
+
+
+def detect_testxpert(file: InputFile) -> Detection:
+    """The suffix, or testXpert's names over units without brackets."""
+    if file.layout is None:
+        return 0.0, "no table of numbers"
+    reason = _is_testxpert(file, file.layout)
+    return (0.97, reason) if reason else (0.0, "no testXpert names")
+
+
+def detect_columns(file: InputFile) -> Detection:
+    """Any table of numbers."""
+    if file.layout is None:
+        return 0.0, "no table of numbers"
+    if file.options.columns:
+        return 0.6, "the user named the columns"
+    return 0.5, f"a table of numbers in {file.layout.n_columns} columns"
+
+
+def read_delimited(file: InputFile) -> Iterator[Table | InputError]:
+    """The one table of a text file."""
+    try:
+        yield _read_table(file)
+    except InputError as error:
+        yield error
+
+
+def _read_table(file: InputFile) -> Table:
+    place = Place(file.path)
+    if file.fault is not None:
+        raise file.fault
+    text, layout = file.text, file.layout
+    if text is None or layout is None:
+        place.refuse("not_an_export", "this is no text; give the raw data export of the test machine")
+    if len(layout.names) > layout.n_columns:
+        place.refuse(
+            "ragged_rows",
+            f"the names row has {len(layout.names)} cells, the rows {layout.n_columns}; export the file"
+            f" again",
+            line=layout.first_line,
+            column=layout.n_columns + 1,
+        )
+    choice = choose_columns(
+        layout.names,
+        layout.units,
+        options=file.options,
+        place=place,
+        line=layout.names_line or layout.first_line,
+    )
+    body = read_body(text, layout, choice, place)
+    metadata = header_entries(layout.header)
+    return Table(
+        body.time_s,
+        body.displacement_mm,
+        body.force_N,
+        choice.names,
+        encoding=text.encoding,
+        delimiter=layout.delimiter,
+        decimal=layout.decimal,
+        metadata=metadata,
+        specimen=specimen_in(metadata),
+        flags=(*text.flags, *choice.flags, *body.flags),
+    )
+
+
+BLUEHILL_CSV = Recipe(
+    "bluehill-csv", "Instron Bluehill raw data, CSV in any locale", detect_bluehill, read_delimited
+)
+TESTXPERT_TRA = Recipe(
+    "testxpert-tra", "ZwickRoell testXpert text export (.TRA)", detect_testxpert, read_delimited
+)
+COLUMNS_TEXT = Recipe(
+    "columns", "any delimited text, by known names or the user's column map", detect_columns, read_delimited
+)

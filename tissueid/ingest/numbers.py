@@ -1,0 +1,153 @@
+"""How numbers are printed: the grammar of a cell, and which mark is the decimal one.
+
+::
+
+    number  := [sign] digits [D [digits]] [exponent]  |  [sign] D digits [exponent]
+    grouped := [sign] 1-3 digits, not 0 first {M 3 digits} D [digits] [exponent]
+
+``D`` is the decimal mark of the file, ``M`` one thousands separator.  A grouped number must carry its
+decimal mark: exports print fixed decimals, and ``361.639.800`` is a number whose decimal point a
+spreadsheet destroyed, not 361 million.  Nothing is ever repaired.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cache
+
+__all__ = ["MARKS", "CellFault", "decimal_evidence", "looks_numeric", "parse_number", "shortest_fault"]
+
+#: Thousands separators seen inside cells, besides the mark that is not the decimal one.
+MARKS = "\u00a0\u202f '\u2019"
+
+_EXPONENT = r"(?:[eE][+-]?\d+)?"
+#: Anything meant as a number, sound or damaged.
+_NUMERIC_LOOK = re.compile(rf"[+-]?(?:\d[\d.,{MARKS}]*|[.,]\d+){_EXPONENT}", re.ASCII)
+_NOT_FINITE = re.compile(
+    r"[+-]?(?:nan|inf|infinity|1\.#(?:inf|ind|qnan)\d*|#n/a|#div/0!|n/?a)", re.IGNORECASE
+)
+
+
+@dataclass(frozen=True, slots=True)
+class CellFault:
+    """Why a cell is no number: a refusal code and a sentence with the text as printed."""
+
+    code: str
+    message: str
+
+
+def looks_numeric(text: str) -> bool:
+    """Whether a cell is meant as a number, be it sound or damaged."""
+    return _NUMERIC_LOOK.fullmatch(text.strip()) is not None
+
+
+@cache
+def _grammar(decimal: str) -> tuple[re.Pattern[str], re.Pattern[str]]:
+    point = re.escape(decimal)
+    marks = MARKS + (",.".replace(decimal, ""))
+    plain = re.compile(rf"[+-]?(?:\d+(?:{point}\d*)?|{point}\d+){_EXPONENT}", re.ASCII)
+    grouped = re.compile(
+        rf"[+-]?[1-9]\d{{0,2}}(?P<mark>[{re.escape(marks)}])\d{{3}}(?:(?P=mark)\d{{3}})*{point}\d*{_EXPONENT}",
+        re.ASCII,
+    )
+    return plain, grouped
+
+
+def parse_number(text: str, decimal: str) -> float | CellFault:
+    """The value of a cell, or why it has none.
+
+    Parameters
+    ----------
+    text : str
+        The cell without its quotes; padding is allowed.
+    decimal : str
+        ``"."`` or ``","``.
+
+    Returns
+    -------
+    float or CellFault
+    """
+    stripped = text.strip()
+    plain, grouped = _grammar(decimal)
+    if plain.fullmatch(stripped):
+        value = float(stripped.replace(decimal, "."))
+    elif match := grouped.fullmatch(stripped):
+        value = float(stripped.replace(match["mark"], "").replace(decimal, "."))
+    else:
+        return _fault(text, stripped, decimal)
+    if not math.isfinite(value):
+        return CellFault("not_finite", f"{text!r} is too large for a number; correct or remove the row")
+    return value
+
+
+def _fault(text: str, stripped: str, decimal: str) -> CellFault:
+    shown = repr(text if len(text) <= 40 else text[:37] + "...")
+    other = "." if decimal == "," else ","
+    if not stripped:
+        return CellFault("empty_cell", "the cell is empty; fill or remove the row, or export the file again")
+    if _NOT_FINITE.fullmatch(stripped):
+        return CellFault("not_finite", f"{shown} is not a finite number; correct or remove the row")
+    if not looks_numeric(stripped):
+        return CellFault(
+            "text_in_numbers", f"{shown} stands where a number must be; correct or remove the row"
+        )
+    if _grammar(other)[0].fullmatch(stripped) and decimal not in stripped:
+        if re.fullmatch(rf"[+-]?[1-9]\d{{0,2}}{re.escape(other)}\d{{3}}", stripped):
+            return CellFault(
+                "ambiguous_decimal",
+                f"{shown} may be a decimal number or a thousand and more: the decimal mark of this file is"
+                f" {decimal!r}; export the file again with one decimal mark",
+            )
+        return CellFault(
+            "inconsistent_decimal",
+            f"{shown} has the decimal mark {other!r}, the rows before it have {decimal!r};"
+            " export the file again with one decimal mark",
+        )
+    return CellFault(
+        "damaged_number",
+        f"{shown} is no number with decimal mark {decimal!r}: its marks were lost or doubled, as by a"
+        f" spreadsheet"
+        " of another language; go back to the original export",
+    )
+
+
+def decimal_evidence(cells: Iterable[str]) -> tuple[int, int, int]:
+    """How many cells speak for the point, for the comma, and for neither though they have a mark.
+
+    A mark is decimal for certain where it stands once and what follows it is not a group of three, or
+    what precedes it can't be a leading group (``0.500``); or where it is the last of two kinds.
+
+    Parameters
+    ----------
+    cells : iterable of str
+        Cells that look numeric.
+
+    Returns
+    -------
+    point, comma, ambiguous : int
+    """
+    votes = {".": 0, ",": 0, "": 0}
+    for cell in cells:
+        text = re.split(r"[eE]", cell.strip().lstrip("+-"))[0]
+        points, commas = text.count("."), text.count(",")
+        if not points and not commas:
+            continue
+        last = "." if text.rfind(".") > text.rfind(",") else ","
+        if points and commas:
+            votes[last if text.count(last) == 1 else ""] += 1
+        elif points + commas > 1:
+            votes[""] += 1
+        else:
+            before, after = text.split(last)
+            grouping = len(after) == 3 and re.fullmatch(r"[1-9]\d{0,2}", before)
+            votes["" if grouping else last] += 1
+    return votes["."], votes[","], votes[""]
+
+
+def shortest_fault(text: str, decimal: str) -> CellFault | None:
+    """The fault of a cell, ``None`` where it is a number."""
+    result = parse_number(text, decimal)
+    return result if isinstance(result, CellFault) else None

@@ -1,0 +1,150 @@
+"""From a path to trials: the shell around the recipes."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from tissueid.errors import InputError
+from tissueid.ingest.discovery import find_inputs
+from tissueid.ingest.header import protocol_of
+from tissueid.ingest.options import ReadOptions
+from tissueid.ingest.quality import quality_flags
+from tissueid.ingest.recipe import InputFile, Match, Table, open_input
+from tissueid.ingest.refusals import Place
+from tissueid.ingest.registry import match_recipe
+from tissueid.trial import Source, Trial
+
+__all__ = ["match_of", "read_each", "read_one", "read_trials"]
+
+
+def match_of(path: str | Path, options: ReadOptions | None = None) -> Match:
+    """Which recipe reads a file, how sure it is, and why.
+
+    Raises
+    ------
+    InputError
+        The file can't be read, or no recipe knows it.
+    """
+    return match_recipe(open_input(path, options or ReadOptions()))
+
+
+def read_each(path: str | Path, options: ReadOptions | None = None) -> Iterator[Trial | InputError]:
+    """Every trial of one file, or the refusal in its place; a bad sheet never stops the others.
+
+    Parameters
+    ----------
+    path : str or Path
+        A file.
+    options : ReadOptions, optional
+
+    Yields
+    ------
+    Trial or InputError
+
+    Raises
+    ------
+    UsageError
+        The options ask for a recipe that does not exist.
+    """
+    try:
+        file = open_input(path, options or ReadOptions())
+        match = match_recipe(file)
+    except InputError as error:
+        yield error
+        return
+    for table in match.recipe.read(file):
+        yield table if isinstance(table, InputError) else _trial(file, match, table)
+
+
+def read_trials(path: str | Path, options: ReadOptions | None = None) -> list[Trial]:
+    """All trials of a file, or of all recordings under a directory.
+
+    Parameters
+    ----------
+    path : str or Path
+    options : ReadOptions, optional
+
+    Returns
+    -------
+    list of Trial
+
+    Raises
+    ------
+    InputError
+        The first refusal.
+    UsageError
+        There is no such path.
+
+    Examples
+    --------
+    >>> trials = read_trials("lab_data/")  # doctest: +SKIP
+    >>> trials[0].force_N.max()  # doctest: +SKIP
+    """
+    trials = []
+    for file in find_inputs([path]):
+        for trial in read_each(file, options):
+            if isinstance(trial, InputError):
+                raise trial
+            trials.append(trial)
+    return trials
+
+
+def read_one(path: str | Path, sheet: str | None, options: ReadOptions | None = None) -> Trial:
+    """One trial: of a text file (``sheet=None``), or one sheet of a workbook.
+
+    Raises
+    ------
+    InputError
+        The trial was refused, or there is no such sheet (``unknown_sheet``).
+    """
+    seen = []
+    for trial in read_each(path, options):
+        found = trial.sheet if isinstance(trial, InputError) else trial.source.sheet
+        if found == sheet or (isinstance(trial, InputError) and found is None):
+            if isinstance(trial, InputError):
+                raise trial
+            return trial
+        seen.append(found)
+    trials = ", ".join(repr(name) for name in seen)
+    raise Place(str(path), sheet).refusal(
+        "unknown_sheet", f"there is no trial {sheet!r}; the trials are {trials}"
+    )
+
+
+def _trial(file: InputFile, match: Match, table: Table) -> Trial:
+    source = Source(
+        path=file.path,
+        sheet=table.sheet,
+        sha256=file.sha256,
+        recipe=match.recipe.key,
+        encoding=table.encoding,
+        delimiter=table.delimiter,
+        decimal=table.decimal,
+        columns={str(channel): name for channel, name in table.columns.items()},
+        metadata=table.metadata,
+    )
+    flags = (*table.flags, *quality_flags(table.time_s, table.displacement_mm, table.force_N))
+    return Trial(
+        specimen=_specimen(file, table),
+        time_s=table.time_s,
+        displacement_mm=table.displacement_mm,
+        force_N=table.force_N,
+        protocol=protocol_of(table.metadata, file.path, decimal=table.decimal),
+        source=source,
+        flags=flags,
+    )
+
+
+def _specimen(file: InputFile, table: Table) -> str:
+    """The user's pattern, else the file's own word, else a name that nothing else has."""
+    name = file.path if table.sheet is None else f"{file.path}::{table.sheet}"
+    if file.options.specimen_by is not None:
+        match = re.search(file.options.specimen_by, name)
+        if match is not None:
+            found = match[1] if match.re.groups else match[0]
+            if found:
+                return str(found)
+        return name
+    return table.specimen or name

@@ -1,0 +1,170 @@
+"""What a reader is: a recipe that says how sure it is of a file, and reads it into tables.
+
+A recipe looks at an :class:`InputFile`, which was opened, hashed and laid out once for all of them,
+and gives a confidence from 0 (not mine) to 1 (certainly mine) with its reason.  The surest recipe
+reads; ``tissueid inspect`` prints which it was and why.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from tissueid.errors import InputError
+from tissueid.flags import Flag
+from tissueid.ingest.layout import Layout, find_layout
+from tissueid.ingest.options import ReadOptions
+from tissueid.ingest.refusals import Place
+from tissueid.ingest.text import Text, decode_text
+from tissueid.ingest.vocabulary import Channel
+from tissueid.trial import FloatArray
+
+__all__ = ["Detection", "InputFile", "Match", "Recipe", "Table", "is_workbook", "open_input"]
+
+_WORKBOOK_MAGIC = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1")
+#: Below this a hash is faster than a thread.
+_THREAD_FROM_BYTES = 1 << 20
+
+Detection = tuple[float, str]
+
+
+@dataclass(frozen=True, slots=True)
+class InputFile:
+    """A file in memory, with what every recipe needs to know of it.
+
+    Attributes
+    ----------
+    path : str
+        As the user named it.
+    data : bytes
+    options : ReadOptions
+    text : Text or None
+        The decoded file; ``None`` for a workbook and for what is no text.
+    layout : Layout or None
+        Where the table stands in the text.
+    fault : InputError or None
+        Why there is no layout.
+    """
+
+    path: str
+    data: bytes
+    options: ReadOptions
+    digest: Future[str] | str
+    text: Text | None = None
+    layout: Layout | None = None
+    fault: InputError | None = None
+
+    @property
+    def sha256(self) -> str:
+        """Hash of the bytes; waits for it where it is still being computed."""
+        return self.digest if isinstance(self.digest, str) else self.digest.result()
+
+    @property
+    def suffix(self) -> str:
+        """Lower-case suffix of the file's name."""
+        return Path(self.path).suffix.lower()
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """One recording as read: channels in s, mm, N and what stood around them.
+
+    Attributes
+    ----------
+    time_s, displacement_mm, force_N : ndarray, shape (n,)
+    columns : mapping
+        Channel -> name as printed.
+    sheet, encoding, delimiter, decimal : str or None
+    metadata : mapping
+        Header entries.
+    specimen : str or None
+        What the file itself calls the specimen.
+    flags : tuple of Flag
+    """
+
+    time_s: FloatArray
+    displacement_mm: FloatArray
+    force_N: FloatArray
+    columns: Mapping[Channel, str]
+    sheet: str | None = None
+    encoding: str | None = None
+    delimiter: str | None = None
+    decimal: str | None = None
+    metadata: Mapping[str, str] = field(default_factory=dict)
+    specimen: str | None = None
+    flags: tuple[Flag, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Recipe:
+    """A reader.
+
+    Attributes
+    ----------
+    key : str
+        Stable name, as in ``Source.recipe``.
+    description : str
+    detect : callable
+        ``detect(file) -> (confidence, reason)``.
+    read : callable
+        ``read(file) -> iterator`` of a :class:`Table`, or the ``InputError`` in its place, for each trial.
+    """
+
+    key: str
+    description: str
+    detect: Callable[[InputFile], Detection]
+    read: Callable[[InputFile], Iterator[Table | InputError]]
+
+
+@dataclass(frozen=True, slots=True)
+class Match:
+    """Which recipe reads a file, how sure it is, and why."""
+
+    recipe: Recipe
+    confidence: float
+    reason: str
+
+
+def is_workbook(data: bytes) -> bool:
+    """Whether the bytes start as those of .xlsx, .xlsb, .ods or .xls do."""
+    return data.startswith(_WORKBOOK_MAGIC)
+
+
+def open_input(path: str | Path, options: ReadOptions) -> InputFile:
+    """Read a file, start its hash beside the parsing, and lay out its text.
+
+    Raises
+    ------
+    InputError
+        ``unreadable_file``.
+    """
+    name = str(path)
+    try:
+        data = Path(path).read_bytes()
+    except OSError as error:
+        reason = error.strerror or type(error).__name__
+        Place(name).refuse("unreadable_file", f"the file can't be read: {reason}; check its name and rights")
+    digest = _start_digest(data)
+    if is_workbook(data):
+        return InputFile(name, data, options, digest)
+    place = Place(name)
+    text = None
+    try:
+        text = decode_text(data, place)
+        return InputFile(name, data, options, digest, text, find_layout(text, options, place))
+    except InputError as error:
+        return InputFile(name, data, options, digest, text, None, error)
+
+
+def _start_digest(data: bytes) -> Future[str] | str:
+    """SHA-256 of the bytes; hashlib releases the interpreter, so a large file is hashed while it is parsed."""
+    if len(data) < _THREAD_FROM_BYTES:
+        return hashlib.sha256(data).hexdigest()
+    pool = ThreadPoolExecutor(1, thread_name_prefix="sha256")
+    try:
+        return pool.submit(lambda: hashlib.sha256(data).hexdigest())
+    finally:
+        pool.shutdown(wait=False)

@@ -1,0 +1,226 @@
+"""The slow, exact reader of rows: the grammar, and the finger on the first bad cell.
+
+It is used where the C parser met anything but whole rows of plain numbers, and it defines what a row
+is; the fast path reads a subset of this grammar to the same values.
+
+- A blank line, or one of empty cells, is nothing.
+- A line without any number (a comment, a title) is left out and flagged.
+- A last line with too few cells, or broken off inside a number, is left out and flagged.
+- Everything else must have the cells of its neighbours and numbers in the three columns.
+"""
+
+from __future__ import annotations
+
+import re
+from array import array
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from tissueid.flags import Flag
+from tissueid.ingest.layout import Layout
+from tissueid.ingest.numbers import CellFault, looks_numeric, parse_number
+from tissueid.ingest.refusals import Place
+from tissueid.ingest.text import Text
+from tissueid.trial import FloatArray
+
+__all__ = ["RowReader", "strict_cells"]
+
+_CELL = r'"((?:[^"]|"")*)"|([^"{d}]*)'
+#: Lines before the last one that say whether a column has fixed decimals.
+_LOOK_BACK = 5
+
+
+def strict_cells(line: str, delimiter: str) -> list[str] | None:
+    """The cells of a row, or ``None`` where a quote is torn."""
+    if '"' not in line:
+        return line.split(delimiter)
+    pattern = re.compile(_CELL.format(d=re.escape(delimiter)))
+    cells, at = [], 0
+    while True:
+        match = pattern.match(line, at)
+        if match is None:
+            return None
+        cells.append(match[2] if match[1] is None else match[1].replace('""', '"'))
+        at = match.end()
+        if at == len(line):
+            return cells
+        if line[at] != delimiter:
+            return None
+        at += 1
+
+
+def _decimals(cell: str) -> int:
+    """Digits after the last mark, -1 without a mark: equal for all cells of a fixed-decimals column."""
+    match = re.search(r"[.,](\d*)$", cell.strip())
+    return len(match[1]) if match else -1
+
+
+@dataclass(frozen=True, slots=True)
+class RowReader:
+    """Reads the rows of one laid-out text.
+
+    Attributes
+    ----------
+    text : Text
+    layout : Layout
+    wanted : tuple of int
+        The columns of time, displacement and force, counted from 0.
+    place : Place
+    """
+
+    text: Text
+    layout: Layout
+    wanted: tuple[int, ...]
+    place: Place
+
+    @property
+    def end(self) -> int:
+        """Where the last line that has its line end stops."""
+        return max(self.text.data.rfind(b"\n") + 1, self.layout.offset)
+
+    def lines(self) -> Iterator[tuple[int, str]]:
+        """One-based numbers and texts of the terminated lines that are not blank."""
+        blank = f' \t"{self.layout.delimiter}'
+        raw = self.text.data[self.layout.offset : self.end].splitlines()
+        for number, line in enumerate(raw, start=self.layout.first_line):
+            decoded = self.text.decode(line)
+            if decoded.strip(blank):
+                yield number, decoded
+
+    def cells(self, line: str) -> list[str] | None:
+        """The cells of a row, ``None`` where a quote is torn."""
+        return strict_cells(line, self.layout.delimiter)
+
+    def read(self) -> tuple[list[FloatArray], list[Flag]]:
+        """Every terminated row, or a refusal of the first that can't be trusted.
+
+        Returns
+        -------
+        columns : list of ndarray
+            Time, displacement, force as printed, before units.
+        flags : list of Flag
+
+        Raises
+        ------
+        InputError
+            With line and column; ``ragged_rows``, ``damaged_number``, ``inconsistent_decimal``,
+            ``ambiguous_decimal``, ``text_in_numbers``, ``empty_cell``, ``not_finite``.
+        """
+        values = [array("d") for _ in self.wanted]
+        skipped: list[int] = []
+        flags: list[Flag] = []
+        lines = list(self.lines())
+        has_tail = bool(self.text.data[self.end :].strip())
+        for number, line in lines:
+            cells = self.cells(line)
+            if cells is not None and not any(map(looks_numeric, cells)):
+                skipped.append(number)
+            elif number == lines[-1][0] and not has_tail and cells and 1 < len(cells) < self.layout.n_columns:
+                flags.append(cut_flag(number, line))
+            else:
+                for store, value in zip(values, self.row(cells, line, number), strict=True):
+                    store.append(value)
+        if skipped:
+            flags.append(_skipped_flag(skipped))
+        return [np.array(store, dtype=np.float64) for store in values], flags
+
+    def row(self, cells: list[str] | None, line: str, number: int) -> list[float]:
+        """The three values of a row; refuses anything else."""
+        shown = repr(line if len(line) <= 60 else line[:57] + "...")
+        if cells is None:
+            self.place.refuse(
+                "damaged_number", f"a quote is torn in {shown}; export the file again", line=number, column=1
+            )
+        expected = self.layout.n_columns
+        if len(cells) != expected:
+            commas = self.layout.delimiter == "," and len(cells) == 2 * expected
+            hint = " (a decimal comma can't be told from the delimiter)" if commas else ""
+            self.place.refuse(
+                "ragged_rows",
+                f"{len(cells)} cells where the other rows have {expected}: {shown}{hint};"
+                " correct or remove the row, or export the file again",
+                line=number,
+                column=min(len(cells), expected) + 1,
+            )
+        found = []
+        for index in self.wanted:
+            value = parse_number(cells[index], self.layout.decimal)
+            if isinstance(value, CellFault):
+                self.place.refuse(value.code, value.message, line=number, column=index + 1)
+            found.append(value)
+        return found
+
+    def line_of_row(self, row: int) -> int:
+        """One-based line of a row that was read, counted from 0."""
+        numbered = (
+            number for number, line in self.lines() if any(map(looks_numeric, self.cells(line) or ()))
+        )
+        for position, number in enumerate(numbered):
+            if position == row:
+                return number
+        return self.text.data.count(b"\n") + 1
+
+    def tail(self) -> tuple[list[float] | None, list[Flag]]:
+        """The last line where it has no line end: its values if it is whole, and what to say of it.
+
+        A number that was cut short is still a number.  In a column of fixed decimals it shows; elsewhere
+        the row is kept and the doubt is flagged.
+        """
+        line = self.text.decode(self.text.data[self.end :])
+        if not line.strip(f' \t"{self.layout.delimiter}'):
+            return None, []
+        number = self.text.data.count(b"\n") + 1
+        cells = self.cells(line)
+        verdict = self._tail_verdict(cells, line)
+        if verdict == "cut":
+            return None, [cut_flag(number, line)]
+        row = self.row(cells, line, number)
+        if verdict == "whole":
+            return row, []
+        message = f"line {number} is the last and has no line end: its last number may be cut short"
+        return row, [Flag("cut_row", message, {"line": number, "kept": True})]
+
+    def _tail_verdict(self, cells: list[str] | None, line: str) -> Literal["whole", "cut", "doubtful"]:
+        if cells is None or len(cells) < self.layout.n_columns:
+            return "cut"
+        if len(cells) > self.layout.n_columns or line.rstrip().endswith('"'):
+            return "whole"
+        if isinstance(parse_number(cells[-1], self.layout.decimal), CellFault):
+            return "cut" if len(cells) - 1 in self.wanted else "whole"
+        if len(cells) - 1 not in self.wanted:
+            return "whole"
+        before = {_decimals(row[-1]) for row in self._rows_before_tail()}
+        if len(before) != 1 or before == {-1}:
+            return "doubtful"
+        return "cut" if _decimals(cells[-1]) < before.pop() else "whole"
+
+    def _rows_before_tail(self) -> Sequence[list[str]]:
+        start = self.end
+        for _ in range(_LOOK_BACK + 1):
+            start = max(
+                self.text.data.rfind(b"\n", self.layout.offset, max(start - 1, 0)), self.layout.offset
+            )
+        lines = self.text.data[start : self.end].splitlines()
+        rows = (self.cells(self.text.decode(line)) for line in lines)
+        return [row for row in rows if row is not None and len(row) == self.layout.n_columns]
+
+
+def cut_flag(number: int, line: str) -> Flag:
+    """The last row is incomplete and was left out."""
+    return Flag(
+        "cut_row",
+        f"line {number} is the last and is incomplete: {line.strip()[:60]!r} was left out",
+        {"line": number, "kept": False},
+    )
+
+
+def _skipped_flag(skipped: Sequence[int]) -> Flag:
+    shown = ", ".join(map(str, skipped[:5])) + (" ..." if len(skipped) > 5 else "")
+    return Flag(
+        "rows_skipped",
+        f"{len(skipped)} lines without numbers were left out: {shown}",
+        {"count": len(skipped), "lines": list(skipped[:20])},
+    )

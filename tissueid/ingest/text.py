@@ -1,0 +1,216 @@
+"""From the bytes of a text export to ASCII-compatible lines: byte order marks, encodings, line ends.
+
+Numbers are ASCII in every encoding seen; what must be decoded is the header and the names.  Where the
+bytes are not UTF-8, the code page is the one in which the most column names and header keys are words
+that test machines print; charset-normalizer decides what that leaves open.
+"""
+
+from __future__ import annotations
+
+import codecs
+import re
+from dataclasses import dataclass
+
+import charset_normalizer
+
+from tissueid.flags import Flag
+from tissueid.ingest.refusals import Place
+from tissueid.ingest.vocabulary import CHANNELS, is_specimen_key, rank_of
+
+__all__ = ["HEAD_BYTES", "Text", "decode_text", "foreign_kind"]
+
+#: What is looked at to recognise a file: 48 header lines and several hundred rows.
+HEAD_BYTES = 1 << 16
+_PIECE_BYTES = 1 << 20
+_CODE_PAGES = ("latin-1", "cp1252", "cp1250", "gbk")
+_MAGIC = (
+    (b"\x89PNG", "a PNG image"),
+    (b"\xff\xd8\xff", "a JPEG image"),
+    (b"GIF8", "a GIF image"),
+    (b"BM", "a bitmap image"),
+    (b"%PDF", "a PDF document"),
+    (b"\x1f\x8b", "gzip-compressed"),
+    (b"7z\xbc\xaf", "a 7z archive"),
+    (b"\x89HDF", "an HDF5 file"),
+    (b"\x7fELF", "a program"),
+    (b"MZ", "a program"),
+    (b"PK\x03\x04", "a zip archive or workbook"),
+    (b"\xd0\xcf\x11\xe0", "a workbook or another compound document"),
+)
+_CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f]")
+_CONTROL_FRACTION = 0.002
+
+
+@dataclass(frozen=True, slots=True)
+class Text:
+    """A text file, ready to be cut into lines.
+
+    Attributes
+    ----------
+    data : bytes
+        Lines ended by LF or CRLF, ASCII-compatible, without byte order mark.
+    codec : str
+        What decodes ``data``.
+    encoding : str
+        What the file was written in, for the record.
+    flags : tuple of Flag
+    """
+
+    data: bytes
+    codec: str
+    encoding: str
+    flags: tuple[Flag, ...] = ()
+
+    def decode(self, line: bytes) -> str:
+        """One line or the head as text; what can't be decoded is shown as such."""
+        return line.decode(self.codec, errors="replace")
+
+
+def foreign_kind(head: bytes) -> str | None:
+    """What a file is that is no text table: ``"a PNG image"``; ``None`` where it may be one."""
+    for magic, kind in _MAGIC:
+        if head.startswith(magic):
+            # two-letter magics are words too: believe them only among control bytes
+            if len(magic) > 2 or len(_CONTROL.findall(head)) > 1:
+                return kind
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) or _looks_utf16(head):
+        return None
+    if b"\0" in head or len(_CONTROL.findall(head)) > _CONTROL_FRACTION * len(head):
+        return "binary data"
+    start = head.lstrip(b"\xef\xbb\xbf \t\r\n")
+    if re.match(rb"[\[{]\s*[\"{\[\]}]", start):
+        return "JSON"
+    if re.match(rb"<(?:\?xml|!doctype|html)", start, re.IGNORECASE):
+        return "XML or HTML"
+    return None
+
+
+def _looks_utf16(head: bytes) -> bool:
+    """UTF-16 without a byte order mark: every second byte of the first line is NUL."""
+    sample = head[:64]
+    return len(sample) >= 16 and (not any(sample[1::2]) or not any(sample[0::2])) and any(sample)
+
+
+def decode_text(data: bytes, place: Place) -> Text:
+    """Find the encoding and unify byte order marks and line ends.
+
+    Raises
+    ------
+    InputError
+        ``not_an_export`` where the bytes are no text, ``empty_file`` where there are none.
+    """
+    if not data.strip(b" \t\r\n\0"):
+        place.refuse("empty_file", "the file is empty; export the test again")
+    head = data[:HEAD_BYTES]
+    kind = foreign_kind(head)
+    if kind is not None:
+        place.refuse(
+            "not_an_export",
+            f"this is {kind}, not the raw data of a test; give the export of the test machine",
+        )
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) or _looks_utf16(head):
+        return _from_utf16(data, place)
+    if head.startswith(codecs.BOM_UTF8):
+        text = Text(_line_ends(data[3:]), "utf-8", "utf-8-sig")
+    elif data.isascii():
+        text = Text(_line_ends(data), "ascii", "ascii")
+    elif _is_utf8(data):
+        text = Text(_line_ends(data), "utf-8", "utf-8")
+    else:
+        codec, sure = _code_page(head)
+        flags = () if sure else (
+            Flag("undecoded_text", f"the encoding of the header is not certain, {codec} was taken", {"encoding": codec}),
+        )  # fmt: skip
+        text = Text(_line_ends(data), codec, codec, flags)
+    return _unwrapped(text)
+
+
+def _from_utf16(data: bytes, place: Place) -> Text:
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        codec = "utf-16"
+    else:
+        codec = "utf-16-be" if not any(data[0:64:2]) else "utf-16-le"
+    try:
+        decoded = data.decode(codec)
+    except UnicodeDecodeError as error:
+        place.refuse(
+            "not_an_export",
+            f"the file starts as UTF-16 text but is damaged at byte {error.start}; export it again",
+        )
+    return _unwrapped(Text(_line_ends(decoded.encode()), "utf-8", "utf-16"))
+
+
+def _line_ends(data: bytes) -> bytes:
+    """Lone CR, of an old or hand-made file, becomes LF; anything with an LF stays as it is."""
+    return data if b"\n" in data else data.replace(b"\r", b"\n")
+
+
+def _is_utf8(data: bytes) -> bool:
+    decoder = codecs.getincrementaldecoder("utf-8")()
+    try:
+        for start in range(0, len(data), _PIECE_BYTES):
+            decoder.decode(data[start : start + _PIECE_BYTES])
+        decoder.decode(b"", final=True)
+    except UnicodeDecodeError:
+        return False
+    return True
+
+
+def _code_page(head: bytes) -> tuple[str, bool]:
+    """The code page in which most names are known words, and whether that is certain."""
+    scores = {}
+    for codec in _CODE_PAGES:
+        try:
+            decoded = head.decode(codec)
+        except UnicodeDecodeError as error:
+            if error.start < len(head) - 2:  # a character cut at the end of the head is no evidence
+                continue
+            decoded = head.decode(codec, errors="replace")
+        if not re.search("[\x80-\x9f]", decoded):
+            scores[codec] = _known_words(decoded)
+    if not scores:
+        return "latin-1", False
+    plain = _known_words(head.decode("ascii", errors="replace"))
+    best = max(scores, key=lambda codec: scores[codec])
+    alike = len({head.decode(codec, errors="replace") for codec in scores if codec != "gbk"}) <= 1
+    if scores[best] > plain or (alike and best != "gbk"):
+        return best, True
+    guess = charset_normalizer.from_bytes(head, cp_isolation=list(scores)).best()
+    if guess is not None:
+        found = {"latin_1": "latin-1", "gb2312": "gbk", "gb18030": "gbk"}.get(guess.encoding, guess.encoding)
+        return (found, True) if found in scores else (best, False)
+    return best, False
+
+
+def _known_words(decoded: str) -> int:
+    lines = (line for line in decoded.splitlines()[:100] if not line.isascii())
+    pieces = {piece for line in lines for piece in re.split(r'[,;\t"()\[\]]', line) if not piece.isascii()}
+    return sum(
+        is_specimen_key(piece)
+        or any(rank_of(piece, channel, loose=False) is not None for channel in CHANNELS)
+        for piece in pieces
+        if len(piece) <= 80
+    )
+
+
+def _unwrapped(text: Text) -> Text:
+    """Undo a spreadsheet that quoted whole lines: ``"0.1,""1,367.90"",3"`` becomes ``0.1,"1,367.90",3``."""
+    lines = [line for line in text.data[:HEAD_BYTES].split(b"\n")[:-1] if line.strip()][:200]
+    wrapped = sum(_is_wrapped(line.strip()) for line in lines)
+    if not lines or wrapped < 0.8 * len(lines):
+        return text
+    whole = (line.rstrip(b"\r") for line in text.data.split(b"\n"))
+    data = b"\n".join(line[1:-1].replace(b'""', b'"') if _is_wrapped(line) else line for line in whole)
+    return Text(data, text.codec, text.encoding, text.flags)
+
+
+def _is_wrapped(line: bytes) -> bool:
+    """One quoted cell that holds a whole line: delimiters inside, no lone quote."""
+    inner = line[1:-1]
+    return (
+        len(line) > 2
+        and line[:1] == line[-1:] == b'"'
+        and re.search(rb"[,;\t]", inner) is not None
+        and b'"' not in inner.replace(b'""', b"")
+        and not re.fullmatch(rb"[\d.,+-]+", inner)
+    )

@@ -1,0 +1,303 @@
+"""Recipes for workbooks: one trial a sheet, .xlsx, .xls, .xlsb and .ods by python-calamine.
+
+testXpert writes three head rows, and sheets of parameters, results and statistics beside the trials::
+
+    230403-FF1A     230403-FF1A     230403-FF1A    230403-FF1A
+    Temps d'essai   Force standard  Allongement    Ecartement entre outils
+    s               N               mm             mm
+
+Any other workbook may hold the same table as a CSV would, header included.  A sheet without time,
+displacement and force is no trial and is passed over; a workbook without any trial is refused.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import zipfile
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+import python_calamine
+
+from tissueid.errors import InputError
+from tissueid.flags import Flag
+from tissueid.ingest.columns import ColumnChoice, choose_columns, has_channels
+from tissueid.ingest.header import header_entries, specimen_in
+from tissueid.ingest.layout import Anchor, Row, anchor
+from tissueid.ingest.recipe import Detection, InputFile, Recipe, Table, is_workbook
+from tissueid.ingest.refusals import Place
+from tissueid.ingest.vocabulary import CHANNELS
+from tissueid.trial import FloatArray
+
+__all__ = ["TESTXPERT_WORKBOOK", "WORKBOOK", "sheet_names"]
+
+#: Rows looked at for names and units.
+_HEAD_ROWS = 200
+#: No honest workbook unpacks to more; a bomb does.
+_UNPACKED_BYTES = 1 << 30
+#: Names that a test program gives by itself: two workbooks may both have a "Specimen 1".
+_DEFAULT_NAME = re.compile(
+    r"(?:probe|specimen|eprouvette|éprouvette|probeta|provino|sample|test|essai|sheet|tabelle|feuil"
+    r"|hoja)?[\s_#-]*\d*",
+    re.IGNORECASE,
+)
+
+Cells = Sequence[Sequence[Any]]
+
+
+def _open(data: bytes, place: Place) -> Any:
+    try:
+        if data.startswith(b"PK"):
+            with zipfile.ZipFile(io.BytesIO(data)) as archive:
+                unpacked = sum(entry.file_size for entry in archive.infolist())
+            if unpacked > _UNPACKED_BYTES:
+                place.refuse(
+                    "unreadable_workbook",
+                    f"the workbook would unpack to {unpacked / 2**30:.1f} GiB; export the tests as text",
+                )
+        return python_calamine.CalamineWorkbook.from_filelike(io.BytesIO(data))
+    except (python_calamine.CalamineError, zipfile.BadZipFile, OSError, ValueError) as error:
+        place.refuse(
+            "unreadable_workbook",
+            f"the file starts as a workbook but can't be opened ({str(error)[:120]}); save it again"
+            f" without password,"
+            " or export the tests as text",
+        )
+
+
+def _cells(workbook: Any, sheet: str, place: Place) -> Cells:
+    try:
+        rows: Cells = workbook.get_sheet_by_name(sheet).to_python(skip_empty_area=False)
+    except (python_calamine.CalamineError, ValueError) as error:
+        place.refuse("unreadable_workbook", f"the sheet can't be read ({str(error)[:120]})")
+    return rows
+
+
+def sheet_names(data: bytes, path: str) -> list[str]:
+    """Every sheet of a workbook, trial or not."""
+    return [str(name) for name in _open(data, Place(path)).sheet_names]
+
+
+def _head(cells: Cells) -> list[Row]:
+    return [tuple(_shown(cell) for cell in row) for row in cells[:_HEAD_ROWS]]
+
+
+def _shown(cell: Any) -> str:
+    """A cell as text; numbers in the form that looks numeric."""
+    return str(cell).strip() if not isinstance(cell, float) else repr(cell)
+
+
+def _trial_anchor(cells: Cells, file: InputFile) -> Anchor | None:
+    """Where the table of a trial stands in a sheet, ``None`` where the sheet is no trial."""
+    head = _head(cells)
+    found = anchor(head, file.options)
+    if found is not None and found.names is not None:
+        units = head[found.units] if found.units is not None else ()
+        if has_channels(head[found.names], units, file.options):
+            return found
+    for index, row in enumerate(head[:5]):
+        if has_channels(row, (), file.options):
+            return Anchor(index, None, index + 1)
+    return None
+
+
+def _test_name(cells: Cells, found: Anchor) -> str | None:
+    """The name that testXpert repeats above every column."""
+    if not found.names:
+        return None
+    filled = [_shown(cell) for cell in cells[found.names - 1] if _shown(cell)]
+    named = [_shown(cell) for cell in cells[found.names] if _shown(cell)]
+    return filled[0] if len(filled) >= 2 and len(set(filled)) == 1 and len(filled) == len(named) else None
+
+
+def detect_testxpert_workbook(file: InputFile) -> Detection:
+    """One test name repeated over the columns of the first trial."""
+    if not is_workbook(file.data):
+        return 0.0, "no workbook"
+    try:
+        workbook = _open(file.data, Place(file.path))
+        for sheet in workbook.sheet_names:
+            cells = _cells(workbook, sheet, Place(file.path, sheet))
+            found = _trial_anchor(cells, file)
+            if found is not None:
+                name = _test_name(cells, found)
+                if name is None:
+                    return 0.2, "no test name above the columns"
+                return 0.95, f"the test name {name!r} stands above every column"
+    except InputError as error:
+        return 0.0, error.message
+    return 0.2, "no sheet with time, displacement and force"
+
+
+def detect_workbook(file: InputFile) -> Detection:
+    """Any workbook."""
+    return (0.6, "a workbook") if is_workbook(file.data) else (0.0, "no workbook")
+
+
+def read_workbook(file: InputFile) -> Iterator[Table | InputError]:
+    """Every trial of a workbook, in the order of its sheets."""
+    try:
+        workbook = _open(file.data, Place(file.path))
+    except InputError as error:
+        yield error
+        return
+    trials: list[tuple[str, Cells, Anchor]] = []
+    faults: dict[str, InputError] = {}
+    for sheet in workbook.sheet_names:
+        try:
+            cells = _cells(workbook, sheet, Place(file.path, sheet))
+        except InputError as error:
+            faults[sheet] = error
+            continue
+        found = _trial_anchor(cells, file)
+        if found is not None:
+            trials.append((sheet, cells, found))
+    yield from faults.values()
+    names = Counter(name for _, cells, found in trials if (name := _test_name(cells, found)) is not None)
+    for sheet, cells, found in trials:
+        try:
+            yield _read_sheet(file, sheet, cells, found, names=names)
+        except InputError as error:
+            yield error
+    if not trials and not faults:
+        yield _no_trial(file, workbook)
+
+
+def _no_trial(file: InputFile, workbook: Any) -> InputError:
+    sheets = [str(name) for name in workbook.sheet_names]
+    seen = ""
+    for sheet in sheets:
+        head = _head(_cells(workbook, sheet, Place(file.path, sheet)))
+        found = anchor(head, file.options)
+        if found is not None and found.names is not None:
+            columns = ", ".join(repr(cell[:40]) for cell in head[found.names][:20] if cell)
+            seen = f"; the columns of {sheet!r} are {columns}"
+            break
+    return Place(file.path).refusal(
+        "no_trial_sheet",
+        f"none of the sheets {', '.join(map(repr, sheets[:10]))}{' ...' if len(sheets) > 10 else ''}"
+        f" holds time,"
+        f" displacement and force{seen}; name them with --columns time=NAME,displacement=NAME,force=NAME",
+    )
+
+
+def _read_sheet(file: InputFile, sheet: str, cells: Cells, found: Anchor, *, names: Counter[str]) -> Table:
+    place = Place(file.path, sheet)
+    head = _head(cells[: found.first])
+    printed = head[found.names] if found.names is not None else ()
+    units = head[found.units] if found.units is not None else ()
+    line = None if found.names is None else found.names + 1
+    choice = choose_columns(printed, units, options=file.options, place=place, line=line)
+    columns, flags = _read_columns(cells, found.first, choice, place)
+    metadata = header_entries([row for row in head[: found.names] if any(row)])
+    test = _test_name(cells, found)
+    if test is not None:
+        metadata = {"Test name": test}
+    specimen = specimen_in(metadata)
+    if specimen is None and test is not None and names[test] == 1 and not _DEFAULT_NAME.fullmatch(test):
+        specimen = test
+    time_s, displacement_mm, force_N = columns
+    return Table(
+        time_s,
+        displacement_mm,
+        force_N,
+        choice.names,
+        sheet=sheet,
+        metadata=metadata,
+        specimen=specimen,
+        flags=(*choice.flags, *flags),
+    )
+
+
+def _read_columns(
+    cells: Cells, first: int, choice: ColumnChoice, place: Place
+) -> tuple[list[FloatArray], list[Flag]]:
+    """The three channels in s, mm, N; every cell must be stored as a number."""
+    wanted = [choice.index[channel] for channel in CHANNELS]
+    kept: list[tuple[int, list[Any]]] = []
+    skipped: list[int] = []
+    flags: list[Flag] = []
+    for number, row in enumerate(cells[first:], start=first + 1):
+        values = [row[index] if index < len(row) else "" for index in wanted]
+        if all(type(value) is float or type(value) is int for value in values):
+            kept.append((number, values))
+        elif not any(_shown(value) for value in values):
+            continue
+        elif not any(isinstance(cell, float | int) for cell in row):
+            skipped.append(number)
+        elif number == len(cells) and any(_shown(value) == "" for value in values):
+            flags.append(
+                Flag(
+                    "cut_row",
+                    f"row {number} is the last and is incomplete: it was left out",
+                    {"line": number, "kept": False},
+                )
+            )
+        else:
+            raise _bad_cell(values, wanted, number, place)
+    if len(kept) < 2:
+        message = f"the sheet has {len(kept)} rows of numbers, a recording needs two; export the test again"
+        place.refuse("no_rows", message, line=first + 1)
+    if skipped:
+        shown = ", ".join(map(str, skipped[:5]))
+        flags.append(
+            Flag(
+                "rows_skipped",
+                f"{len(skipped)} rows without numbers were left out: {shown}",
+                {"count": len(skipped), "lines": skipped[:20]},
+            )
+        )
+    table = np.array([values for _, values in kept], dtype=np.float64)
+    _check(table, [number for number, _ in kept], wanted, place)
+    return [table[:, k] * choice.factors[channel] for k, channel in enumerate(CHANNELS)], flags
+
+
+def _bad_cell(values: Sequence[Any], wanted: Sequence[int], number: int, place: Place) -> InputError:
+    for value, index in zip(values, wanted, strict=True):
+        if type(value) is float or type(value) is int:
+            continue
+        if _shown(value) == "":
+            return place.refusal(
+                "empty_cell", "the cell is empty; fill or remove the row", line=number, column=index + 1
+            )
+        return place.refusal(
+            "text_in_numbers",
+            f"{_shown(value)[:40]!r} is stored as text or date, not as a number; go back to the original"
+            f" export",
+            line=number,
+            column=index + 1,
+        )
+    raise AssertionError  # called only where one value is no number
+
+
+def _check(table: FloatArray, lines: Sequence[int], wanted: Sequence[int], place: Place) -> None:
+    bad = np.argwhere(~np.isfinite(table))
+    if bad.size:
+        row, column = int(bad[0, 0]), int(bad[0, 1])
+        message = f"{table[row, column]} is not a finite number; correct or remove the row"
+        place.refuse("not_finite", message, line=lines[row], column=wanted[column] + 1)
+    falls = np.flatnonzero(np.diff(table[:, 0]) < 0)
+    if falls.size:
+        row = int(falls[0]) + 1
+        place.refuse(
+            "time_backwards",
+            f"the time falls from {table[row - 1, 0]:.10g} to {table[row, 0]:.10g}; split the sheet, or"
+            f" name another"
+            " time column with --columns time=NAME",
+            line=lines[row],
+            column=wanted[0] + 1,
+        )
+
+
+TESTXPERT_WORKBOOK = Recipe(
+    "testxpert-workbook",
+    "ZwickRoell testXpert workbook, one sheet a test",
+    detect_testxpert_workbook,
+    read_workbook,
+)
+WORKBOOK = Recipe(
+    "workbook", "any workbook (.xlsx, .xls, .xlsb, .ods), one trial a sheet", detect_workbook, read_workbook
+)
