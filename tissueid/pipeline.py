@@ -7,16 +7,17 @@ does not grow with it.
 
 from __future__ import annotations
 
-from collections import OrderedDict
+from collections import Counter, OrderedDict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from importlib.metadata import version
 from pathlib import PurePath
 from typing import Any
 
 import numpy as np
 
 from tissueid import __version__
-from tissueid.errors import exit_code
+from tissueid.errors import InputError, exit_code
 from tissueid.fit.specimen import FitOptions, LogHandle, fit_specimen
 from tissueid.fit.window import fitted_log
 from tissueid.flags import Flag
@@ -34,6 +35,8 @@ __all__ = [
 
 #: Samples kept in memory between the passes [bytes].
 CACHE_BYTES = 16 * 2**20
+#: Libraries whose version may change a number.
+LIBRARIES = ("lmfit", "numba", "numpy", "scipy")
 REQUIRABLE = ("viscosity", "static", "stiffness", "relaxation-time")
 DEFAULT_REQUIRED = ("viscosity", "static")
 _PREFIX = {
@@ -90,6 +93,9 @@ class _TrialCache:
         if self._reload is None:
             raise KeyError(key)
         trial = self._reload(source)
+        if trial.source.sha256 != source.sha256:
+            msg = "the file changed while it was being fitted; run again when it is whole"
+            raise InputError(code="unreadable_file", message=msg, path=source.path, sheet=source.sheet)
         self.add(key, trial)
         return trial
 
@@ -105,28 +111,28 @@ def _refusal_for(trial: Trial, segmentation: Segmentation) -> Refusal:
 
 def _display_names(sources: Sequence[tuple[str, Source]]) -> dict[str, str]:
     """Specimens named after their file get the shortest ending of the path that tells them apart."""
-    own: dict[str, tuple[str, ...]] = {}
     names: dict[str, str] = {}
+    own: dict[str, tuple[str, ...]] = {}
     for specimen, source in sources:
         whole = source.path if source.sheet is None else f"{source.path}::{source.sheet}"
         if specimen == whole:
             path = PurePath(source.path)
-            own[specimen] = (*path.parts[:-1], path.stem if source.sheet is None else source.sheet)
-            if source.sheet is not None:
-                own[specimen] = (*path.parts[:-1], path.stem, source.sheet)
+            sheet = () if source.sheet is None else (source.sheet,)
+            own[specimen] = (*path.parts[:-1], path.stem, *sheet)
         else:
             names[specimen] = specimen
     taken = set(names.values())
-    for specimen, parts in own.items():
-        for length in range(1, len(parts) + 1):
-            name = "/".join(parts[-length:])
-            clash = any(
-                other is not specimen and "/".join(their[-length:]) == name for other, their in own.items()
-            )
-            if not clash and name not in taken:
-                break
-        names[specimen] = name
-    return names
+    waiting = dict(own)
+    for length in range(1, max(map(len, own.values()), default=0) + 1):
+        endings = {specimen: "/".join(parts[-length:]) for specimen, parts in own.items()}
+        count = Counter(endings.values())
+        for specimen in list(waiting):
+            if count[endings[specimen]] == 1 and endings[specimen] not in taken:
+                names[specimen] = endings[specimen]
+                del waiting[specimen]
+        taken.update(names.values())
+    # files that differ in nothing but their suffix keep their whole path
+    return names | {specimen: specimen for specimen in waiting}
 
 
 def _tip_radius(protocol_radii: Iterable[float | None]) -> float | None:
@@ -150,10 +156,7 @@ def _exit(specimens: Sequence[SpecimenFit], refused: Sequence[Refusal], required
     codes, reasons = {0}, []
     if refused:
         codes.add(7 if specimens else 3)
-        for one in refused:
-            where = one.path if one.sheet is None else f"{one.path} [{one.sheet}]"
-            line = "" if one.line is None else f", line {one.line}"
-            reasons.append(f"{where}{line}: {one.message}")
+        reasons += map(str, refused)
     elif not specimens:
         codes.add(3)
         reasons.append("no recording was found")
@@ -252,12 +255,15 @@ def identify(
         exit=_exit(fits, everything, options.required),
         provenance={
             "tissueid": __version__,
+            "versions": {name: version(name) for name in LIBRARIES},
             "options": {
                 "branches": options.fit.branches or "auto",
                 "stiffness_degree": (
                     "auto" if options.fit.stiffness_degree is None else options.fit.stiffness_degree
                 ),
                 "static": options.fit.static,
+                "compression_sign": options.segment.compression_sign,
+                "contact_displacement_mm": options.segment.contact_displacement_mm,
                 "required": list(options.required),
                 "seed": options.seed,
             },

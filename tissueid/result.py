@@ -300,6 +300,12 @@ class Refusal:
     line: int | None = None
     column: int | None = None
 
+    def __str__(self) -> str:
+        where = self.path if self.sheet is None else f"{self.path} [{self.sheet}]"
+        line = "" if self.line is None else f", line {self.line}"
+        column = "" if self.column is None else f", column {self.column}"
+        return f"{where}{line}{column}: {self.message}"
+
     def as_json(self) -> dict[str, Any]:
         """``{path, sheet, error: {code, message, line, column}}``, as ``inspect`` prints it."""
         return {

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tissueid.cli.output import echo_json, note, output_options, progress_bar, with_error
-from tissueid.cli.reading import read_all, read_options, reading_options, segment_options
+from tissueid.cli.reading import read_all, read_in_order, read_options, reading_options, segment_options
 
 if TYPE_CHECKING:
     from tissueid.result import Identification, Refusal, SpecimenFit
@@ -24,6 +24,8 @@ Examples:
 """
 
 
+#: Reasons printed without -v; identification.json has them all.
+FEW_REASONS = 5
 REQUIRED = ["viscosity", "static", "stiffness", "relaxation-time", "none"]
 
 
@@ -33,7 +35,10 @@ def _count(auto: str) -> click.Choice[str]:
 
 @click.command("fit", epilog=EPILOG)
 @click.argument("paths", nargs=-1, required=True, type=click.Path())
-@click.option("-o", "--out", default="tissueid-out", show_default=True, help="Output folder.")
+@click.option(
+    "-o", "--out", type=click.Path(file_okay=False), default="tissueid-out", show_default=True,
+    help="Output folder.",
+)  # fmt: skip
 @click.option(
     "--branches", type=_count("123"), default="auto", show_default=True,
     help="Relaxation branches; auto chooses by held-out data.",
@@ -50,7 +55,9 @@ def _count(auto: str) -> click.Choice[str]:
     "--require", multiple=True, type=click.Choice(REQUIRED),
     help="What must be identified for exit code 0. [default: viscosity and static]",
 )  # fmt: skip
-@click.option("--seed", type=int, default=0, show_default=True, help="Seed of everything random.")
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of everything random."
+)
 @reading_options
 @output_options
 def command(**flags: Any) -> int:
@@ -90,6 +97,7 @@ def command(**flags: Any) -> int:
         required=required,
         seed=flags["seed"],
     )
+    items = read_in_order(flags["paths"], reading)
     missing = kernels_to_compile()
     if missing:
         note(
@@ -99,7 +107,7 @@ def command(**flags: Any) -> int:
     refused: list[Refusal] = []
     with OutputSet(flags["out"]) as run, progress_bar(show=not quiet) as progress:
         identification = identify(
-            read_all(flags["paths"], reading, refused),
+            read_all(items, refused),
             options=options,
             reload=lambda source: read_one(source.path, source.sheet, reading),
             refused=refused,
@@ -115,8 +123,10 @@ def command(**flags: Any) -> int:
             run.commit()
     if flags["as_json"]:
         echo_json(document)
-    elif not quiet:
-        _print(identification, flags["out"], verbose=flags["verbose"])
+    else:
+        if not quiet:
+            _print(identification, flags["out"], verbose=flags["verbose"])
+        _print_reasons(identification, verbose=flags["verbose"], quiet=quiet)
     return identification.exit.code
 
 
@@ -126,16 +136,21 @@ def _print(identification: Identification, out: str, *, verbose: int) -> None:
     console = Console(highlight=False, soft_wrap=True)
     for fit in identification.specimens:
         _print_specimen(console, fit, verbose=verbose)
-    for one in identification.refused:
-        where = one.path if one.sheet is None else f"{one.path} [{one.sheet}]"
-        line = "" if one.line is None else f", line {one.line}"
-        console.print(f"refused  {where}{line}: {one.message}", style="red", markup=False)
     if identification.specimens:
         console.print(f"\nReport: {out}/report.html", markup=False)
-    for reason in identification.exit.reasons[: 20 if verbose else 5]:
-        note(reason)
-    if len(identification.exit.reasons) > 5 and not verbose:
-        note(f"and {len(identification.exit.reasons) - 5} more reasons (-v prints them)")
+
+
+def _print_reasons(identification: Identification, *, verbose: int, quiet: int) -> None:
+    """On stderr: every refused input, and why else the exit code is not 0."""
+    for one in identification.refused:
+        click.secho(f"refused ({one.code})  {one}", fg="red", err=True)
+    told = {str(one) for one in identification.refused}
+    others = [reason for reason in identification.exit.reasons if reason not in told]
+    shown = others if verbose else others[:FEW_REASONS]
+    for reason in shown:
+        note(reason, quiet=quiet)
+    if len(shown) < len(others):
+        note(f"and {len(others) - len(shown)} more reasons (-v prints them)", quiet=quiet)
 
 
 def _print_specimen(console: Any, fit: SpecimenFit, *, verbose: int) -> None:

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from tissueid.cli.output import echo_json, output_options, progress_bar
-from tissueid.cli.reading import read_all, read_options, reading_options, segment_options
-
-if TYPE_CHECKING:
-    from tissueid.result import Refusal
+from tissueid.cli.reading import read_in_order, read_options, reading_options, segment_options
 
 __all__ = ["command"]
 
@@ -34,6 +31,7 @@ def command(**flags: Any) -> int:
     """
     from tissueid.errors import exit_code
     from tissueid.pipeline import describe_trial
+    from tissueid.result import Refusal
 
     reading = read_options(
         columns=flags["columns"],
@@ -42,27 +40,21 @@ def command(**flags: Any) -> int:
         recipe=flags["recipe"],
     )
     segmenting = segment_options(compression=flags["compression"], contact=flags["contact"])
-    refused: list[Refusal] = []
-    described: list[dict[str, Any]] = []
+    described: list[dict[str, Any] | Refusal] = []
     with progress_bar(show=not flags["quiet"] and not flags["as_json"]) as progress:
-        for trial in read_all(flags["paths"], reading, refused):
-            progress(trial.name, len(described), 0)
-            described.append(describe_trial(trial, options=segmenting))
+        for item in read_in_order(flags["paths"], reading):
+            progress(item.path if isinstance(item, Refusal) else item.name, len(described), 0)
+            described.append(item if isinstance(item, Refusal) else describe_trial(item, options=segmenting))
+    refused = [one for one in described if isinstance(one, Refusal)]
     if flags["as_json"]:
-        echo_json([*described, *(one.as_json() for one in refused)])
+        echo_json([one.as_json() if isinstance(one, Refusal) else one for one in described])
     else:
-        if not flags["quiet"]:
-            for one in described:
+        for one in described:
+            if isinstance(one, Refusal):
+                click.secho(f"refused ({one.code})  {one}", fg="red", err=True)
+            elif not flags["quiet"]:
                 _print(one)
-        for refusal in refused:
-            where = refusal.path if refusal.sheet is None else f"{refusal.path} [{refusal.sheet}]"
-            line = "" if refusal.line is None else f", line {refusal.line}"
-            column = "" if refusal.column is None else f", column {refusal.column}"
-            text = f"{where}{line}{column}: refused ({refusal.code}): {refusal.message}"
-            click.secho(text, fg="red", err=True)
-    if refused:
-        return exit_code({7 if described else 3})
-    return 0
+    return exit_code({7 if len(refused) < len(described) else 3}) if refused else 0
 
 
 def _print(one: dict[str, Any]) -> None:

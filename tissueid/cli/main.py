@@ -7,6 +7,7 @@ traceback unless ``-v`` asks for one.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 from importlib import import_module
@@ -26,6 +27,9 @@ COMMANDS = {
     "validate": "Check that an output folder is one whole run.",
     "synth": "Write synthetic recordings with a known truth.",
 }
+
+#: Exit code where the output could not be written.
+EXIT_OUTPUT = 6
 
 EPILOG = """\b
 Examples:
@@ -87,6 +91,13 @@ def _verbose(args: list[str]) -> bool:
     return any(arg == "--verbose" or (arg.startswith("-v") and set(arg[1:]) == {"v"}) for arg in args)
 
 
+def _pipe_closed() -> int:
+    """The reader of a pipe has gone: nothing is left to say to it, and what was asked for is done."""
+    with contextlib.suppress(OSError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return 0
+
+
 def main(args: list[str] | None = None) -> int:
     """Run the command line; the entry point of the console script.
 
@@ -100,6 +111,7 @@ def main(args: list[str] | None = None) -> int:
     args = sys.argv[1:] if args is None else args
     try:
         outcome = cli.main(args=args, prog_name="tissueid", standalone_mode=False)
+        sys.stdout.flush()
     except click.exceptions.Abort:
         click.echo("tissueid: interrupted; what was finished is kept", err=True)
         return EXIT_INTERRUPTED
@@ -112,10 +124,13 @@ def main(args: list[str] | None = None) -> int:
     except TissueidError as error:
         click.echo(f"tissueid: {error}", err=True)
         return error.exit_status
-    except BrokenPipeError:
-        # the reader of a pipe has gone; nothing is left to say to it
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+    except (SystemExit, BrokenPipeError):
+        # click and rich raise SystemExit for a pipe whose reader has gone, and for nothing else here
+        return _pipe_closed()
+    except OSError as error:
+        # reading is guarded in ingest: what is left is a full disk or a folder taken away
+        click.echo(f"tissueid: {error.filename or 'output'}: {error.strerror or error}", err=True)
+        return EXIT_OUTPUT
     except Exception as error:  # noqa: BLE001 - the outer shell: a bug must still end in one clear line
         if _verbose(args):
             import traceback

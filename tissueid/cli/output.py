@@ -11,7 +11,7 @@ from typing import Any
 
 import click
 
-__all__ = ["echo_json", "note", "output_options", "progress_bar", "with_error"]
+__all__ = ["echo_json", "note", "output_options", "progress_bar", "with_error", "write_output"]
 
 #: Significant digits of a standard error in print.
 ERROR_DIGITS = 2
@@ -44,6 +44,26 @@ def note(message: str, *, quiet: int = 0) -> None:
     """A line on stderr."""
     if not quiet:
         click.echo(message, err=True)
+
+
+def write_output(path: str, content: bytes) -> None:
+    """Write a file the user named, whole or not at all.
+
+    Raises
+    ------
+    UsageError
+        If it can't be written there.
+    """
+    from pathlib import Path
+
+    from tissueid.errors import UsageError
+    from tissueid.store.files import write_file
+
+    try:
+        write_file(Path(path), content)
+    except OSError as error:
+        msg = f"{path}: can't be written ({error.strerror}); choose another place"
+        raise UsageError(msg) from error
 
 
 def with_error(value: float, stderr: float | None) -> str:

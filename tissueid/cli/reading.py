@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
@@ -10,12 +11,15 @@ import click
 from tissueid.errors import UsageError
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
+    from tissueid.errors import InputError
     from tissueid.ingest import ReadOptions
     from tissueid.result import Refusal
     from tissueid.segment import SegmentOptions
     from tissueid.trial import Trial
 
-__all__ = ["read_all", "read_options", "reading_options", "segment_options"]
+__all__ = ["read_all", "read_in_order", "read_options", "reading_options", "segment_options"]
 
 QUANTITIES = ("time", "displacement", "force")
 
@@ -88,28 +92,66 @@ def segment_options(*, compression: str | None, contact: float | None) -> Segmen
     """Segmentation options from flags."""
     from tissueid.segment import SegmentOptions
 
+    if contact is not None and not math.isfinite(contact):
+        msg = f"--contact is {contact}; give a displacement in mm as recorded"
+        raise UsageError(msg)
     sign = {None: None, "positive": 1, "negative": -1}[compression]
     return SegmentOptions(compression_sign=sign, contact_displacement_mm=contact)
 
 
-def read_all(paths: tuple[str, ...], options: ReadOptions, refused: list[Refusal]) -> Iterator[Trial]:
-    """Trials of all paths, one at a time; what is refused goes to ``refused`` and the rest goes on."""
-    from tissueid.errors import InputError
-    from tissueid.ingest import find_inputs, read_each
+def _refusal(error: InputError) -> Refusal:
     from tissueid.result import Refusal
 
-    for path in find_inputs(paths):
-        for item in read_each(path, options):
-            if isinstance(item, InputError):
-                refused.append(
-                    Refusal(
-                        path=item.path,
-                        sheet=item.sheet,
-                        code=item.code,
-                        message=item.message,
-                        line=item.line,
-                        column=item.column,
-                    )
-                )
-            else:
-                yield item
+    return Refusal(
+        path=error.path,
+        sheet=error.sheet,
+        code=error.code,
+        message=error.message,
+        line=error.line,
+        column=error.column,
+    )
+
+
+def read_in_order(paths: tuple[str, ...], options: ReadOptions) -> Iterator[Trial | Refusal]:
+    """Trials of all paths, one at a time; a refusal stands in the place of what was refused.
+
+    Raises
+    ------
+    UsageError
+        At once, where a path does not exist.
+    """
+    from tissueid.errors import InputError
+    from tissueid.ingest import find_inputs
+
+    found: dict[Path | Refusal, None] = {}
+    for path in paths:
+        try:
+            found.update(dict.fromkeys(find_inputs([path])))
+        except InputError as error:
+            # a folder without recordings does not stop the others
+            found[_refusal(error)] = None
+    return _read(list(found), options)
+
+
+def _read(found: list[Path | Refusal], options: ReadOptions) -> Iterator[Trial | Refusal]:
+    from tissueid.errors import InputError
+    from tissueid.ingest import read_each
+    from tissueid.result import Refusal
+
+    for one in found:
+        if isinstance(one, Refusal):
+            yield one
+            continue
+        for item in read_each(one, options):
+            yield _refusal(item) if isinstance(item, InputError) else item
+
+
+def read_all(items: Iterator[Trial | Refusal], refused: list[Refusal]) -> Iterator[Trial]:
+    """The trials among some items; refusals go to ``refused``."""
+    from tissueid.result import Refusal
+
+    for item in items:
+        if isinstance(item, Refusal):
+            refused.append(item)
+        else:
+            yield item

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from tissueid.cli.output import echo_json, note, output_options
+from tissueid.cli.output import echo_json, note, output_options, write_output
 
 __all__ = ["command"]
 
@@ -19,7 +19,7 @@ Examples:
 
 
 @click.command("report", epilog=EPILOG)
-@click.argument("out", type=click.Path())
+@click.argument("out", type=click.Path(exists=True))
 @click.option("-o", "--output", type=click.Path(), help="File to write instead of OUT/report.html.")
 @output_options
 def command(**flags: Any) -> int:
@@ -27,7 +27,6 @@ def command(**flags: Any) -> int:
     from pathlib import Path
 
     from tissueid.report import render_report
-    from tissueid.store.files import write_file
     from tissueid.store.outputs import OutputSet
     from tissueid.store.results import REPORT, read_results
 
@@ -36,7 +35,7 @@ def command(**flags: Any) -> int:
     page = render_report(document, curves, created=created).encode("utf-8")
     target = flags["output"]
     if target is not None:
-        write_file(Path(target), page)
+        write_output(target, page)
     else:
         with OutputSet(flags["out"]) as run:
             run.carry_over()

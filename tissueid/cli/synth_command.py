@@ -17,10 +17,17 @@ Examples:
 """
 
 
+#: No test machine logs faster; a slip of the keyboard must not fill the memory.
+HIGHEST_RATE_HZ = 1e5
+
+
 @click.command("synth", epilog=EPILOG)
 @click.argument("recipe")
-@click.option("-o", "--out", required=True, type=click.Path(), help="Folder to write to.")
-@click.option("--seed", type=int, default=0, show_default=True, help="Seed of the noise and the scatter.")
+@click.option("-o", "--out", required=True, type=click.Path(file_okay=False), help="Folder to write to.")
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True,
+    help="Seed of the noise and the scatter.",
+)  # fmt: skip
 @click.option("--rate", type=float, metavar="HZ", help="Sampling rate, where not the recipe's.")
 @click.option("--dialect", default="bare", show_default=True, help="How the CSV is written.")
 @output_options
@@ -32,13 +39,25 @@ def command(**flags: Any) -> int:
     from dataclasses import replace
     from pathlib import Path
 
+    from tissueid.errors import UsageError
     from tissueid.synth import RECIPES, load_recipe, recipe, write_set
 
     named = flags["recipe"]
-    plan = load_recipe(named) if named not in RECIPES and Path(named).suffix == ".toml" else recipe(named)
+    is_file = named not in RECIPES and Path(named).suffix == ".toml"
+    if is_file and not Path(named).exists():
+        msg = f"{named}: no such file"
+        raise UsageError(msg)
+    plan = load_recipe(named) if is_file else recipe(named)
     if flags["rate"] is not None:
+        if not 0.0 < flags["rate"] <= HIGHEST_RATE_HZ:
+            msg = f"--rate is {flags['rate']}, must be above 0 and at most {HIGHEST_RATE_HZ:g} Hz"
+            raise UsageError(msg)
         plan = replace(plan, rate_Hz=flags["rate"])
-    files = write_set(plan, flags["out"], seed=flags["seed"], dialect=flags["dialect"])
+    try:
+        files = write_set(plan, flags["out"], seed=flags["seed"], dialect=flags["dialect"])
+    except OSError as error:
+        msg = f"{flags['out']}: can't be written to ({error.strerror}); choose another folder"
+        raise UsageError(msg) from error
     if flags["as_json"]:
         echo_json([str(path) for path in files])
     else:
