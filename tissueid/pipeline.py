@@ -153,7 +153,8 @@ def _reasons(specimens: Sequence[SpecimenFit], required: Sequence[str]) -> list[
 
 
 def _exit(specimens: Sequence[SpecimenFit], refused: Sequence[Refusal], required: Sequence[str]) -> Exit:
-    codes, reasons = {0}, []
+    codes: set[int] = {0}
+    reasons: list[str] = []
     if refused:
         codes.add(7 if specimens else 3)
         reasons += map(str, refused)
