@@ -41,10 +41,26 @@ def test_a_second_branch_and_a_growing_stiffness_are_not_made_up(pooling):
 @needs_jit
 @pytest.mark.parametrize("pooling", ["shared", "partial"])
 def test_a_second_branch_is_found_where_there_is_one(pooling):
-    for seed in range(3):
-        choice = chosen(small_recipe(logs=MANY, branches=(ONE, SLOW)), seed, pooling, degrees=(0,))
-        assert choice.solution.candidate.branches == 2
-        np.testing.assert_allclose(np.exp(choice.solution.evaluation.log_tau), [0.1, 1.5], rtol=0.15)
+    counts = []
+    for seed in range(4):
+        recipe = small_recipe(logs=MANY, branches=(ONE, SLOW))
+        choice = chosen(recipe, seed, pooling, degrees=(0,))
+        counts.append(choice.solution.candidate.branches)
+        slowest = np.exp(choice.solution.evaluation.log_tau[-1])
+        assert slowest == pytest.approx(1.5, rel=0.15)
+    # one standard error decides: now and then a third branch is let in, the second never missed
+    assert min(counts) == 2
+    assert counts.count(2) >= 3
+
+
+@needs_jit
+def test_a_branch_without_stiffness_is_not_a_branch():
+    # seed 1 draws noise in which a third branch ends at zero stiffness and yet predicts a little better
+    for seed in range(4):
+        solution = chosen(
+            small_recipe(logs=MANY, branches=(ONE, SLOW)), seed, "shared", degrees=(0,)
+        ).solution
+        assert (solution.evaluation.theta[3:] > 1e-3).all()
 
 
 @needs_jit

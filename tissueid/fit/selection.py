@@ -29,6 +29,8 @@ FloatArray = NDArray[np.float64]
 EFFECT_ROUNDS = 12
 #: Difference of log predictive density that decides nothing, however small its scatter.
 NEGLIGIBLE = 4.0
+#: Stiffness of a branch, relative to the stiffest, that counts as none.
+IDLE = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -157,6 +159,14 @@ def _judged(sums: SpecimenSums, solution: Solution) -> Solution:
     return fit_candidate(sums, shared, seeds=[solution.evaluation.log_tau])
 
 
+def _has_idle_branch(solution: Solution) -> bool:
+    """True where a branch came out without stiffness: the model with one branch fewer, named otherwise."""
+    shape = (solution.candidate.branches, solution.candidate.degree + 1)
+    dynamic = solution.evaluation.theta[-shape[0] * shape[1] :].reshape(shape)
+    stiffness = np.abs(dynamic).max(axis=1)
+    return bool(stiffness.min() <= IDLE * stiffness.max())
+
+
 def choose(
     sums: SpecimenSums,
     *,
@@ -195,6 +205,8 @@ def choose(
             solution = fit_candidate(sums, candidate, seeds=seeds)
             if only:
                 return Choice(solution=solution, table=())
+            if previous is not None and _has_idle_branch(solution):
+                break
             seeds = [solution.evaluation.log_tau]
             score = held_out_scores(sums, _judged(sums, solution))
             solutions.append(solution)
