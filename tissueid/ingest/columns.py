@@ -189,7 +189,8 @@ def _user_column(
     else:
         numbers = ", ".join(f"#{column.index + 1}" for column in found)
         message = f"{len(found)} columns are named {wanted!r}: name one of them by its number, {numbers}"
-    place.refuse("column_not_found", message, line=line)
+    refusal = place.refusal("column_not_found", message, line=line)
+    raise refusal
 
 
 def _none_found(
@@ -200,8 +201,8 @@ def _none_found(
             return place.refusal(
                 "wrong_unit",
                 f"column {column.name!r} is in {column.unit!r}, which does not measure {channel}, and"
-                f" there is"
-                f" no other; {_WAY_OUT}, or state the unit with --units {channel}={INTERNAL_UNITS[channel]}",
+                f" there is no other; {_WAY_OUT}, or state the unit with"
+                f" --units {channel}={INTERNAL_UNITS[channel]}",
                 line=line,
                 column=column.index + 1,
             )

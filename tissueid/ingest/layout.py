@@ -25,8 +25,6 @@ __all__ = ["Anchor", "Layout", "Row", "anchor", "find_layout", "is_units_row", "
 Row = tuple[str, ...]
 
 _DELIMITERS = (";", "\t", "|", ",")
-#: How far above the first row of numbers the names may stand, in lines that are not blank.
-_NAMES_REACH = 4
 _TAIL_BYTES = 1 << 13
 _BRACKETED = re.compile(r"\s*[(\[].*[)\]]\s*")
 
@@ -134,9 +132,9 @@ def anchor(rows: Sequence[Row], options: ReadOptions) -> Anchor | None:
             length = 0
     if best < 0:
         return None
-    above = [i for i in range(best - 1, -1, -1) if any(cell.strip() for cell in rows[i])][:_NAMES_REACH]
+    above = [i for i in range(best - 1, -1, -1) if any(cell.strip() for cell in rows[i])]
     for index in above:
-        if is_units_row(rows[index]) or not any(cell.strip() for cell in rows[index]):
+        if _numeric_share(rows[index]) > 0.0 or is_units_row(rows[index]):
             continue
         following = [i for i in range(index + 1, best) if any(cell.strip() for cell in rows[i])]
         units = following[0] if following and is_units_row(rows[following[0]]) else None
@@ -202,7 +200,7 @@ def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
 
 
 def _padded(row: Row, n_columns: int) -> Row:
-    """Empty cells at the end are added or dropped; a filled one beyond the rows stays and is refused later."""
+    """Empty cells at the end are added or dropped; a filled one stays and is refused later."""
     cells = list(row)
     while len(cells) > n_columns and not cells[-1].strip():
         cells.pop()

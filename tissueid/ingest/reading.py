@@ -12,7 +12,6 @@ from tissueid.ingest.header import protocol_of
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.quality import quality_flags
 from tissueid.ingest.recipe import InputFile, Match, Table, open_input
-from tissueid.ingest.refusals import Place
 from tissueid.ingest.registry import match_recipe
 from tissueid.trial import Source, Trial
 
@@ -108,9 +107,9 @@ def read_one(path: str | Path, sheet: str | None, options: ReadOptions | None = 
             return trial
         seen.append(found)
     trials = ", ".join(repr(name) for name in seen)
-    raise Place(str(path), sheet).refusal(
-        "unknown_sheet", f"there is no trial {sheet!r}; the trials are {trials}"
-    )
+    message = f"there is no trial {sheet!r}; the trials are {trials}"
+    refusal = InputError("unknown_sheet", message, path=str(path), sheet=sheet)
+    raise refusal
 
 
 def _trial(file: InputFile, match: Match, table: Table) -> Trial:

@@ -160,7 +160,7 @@ def open_input(path: str | Path, options: ReadOptions) -> InputFile:
 
 
 def _start_digest(data: bytes) -> Future[str] | str:
-    """SHA-256 of the bytes; hashlib releases the interpreter, so a large file is hashed while it is parsed."""
+    """SHA-256 of the bytes; hashlib releases the interpreter: a large file is hashed while parsed."""
     if len(data) < _THREAD_FROM_BYTES:
         return hashlib.sha256(data).hexdigest()
     pool = ThreadPoolExecutor(1, thread_name_prefix="sha256")

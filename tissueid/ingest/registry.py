@@ -45,4 +45,5 @@ def match_recipe(file: InputFile) -> Match:
     if isinstance(file.fault, InputError):
         raise file.fault
     message = "no reader knows this file; give the raw data export of the test machine"
-    raise Place(file.path).refusal("not_an_export", message)
+    refusal = Place(file.path).refusal("not_an_export", message)
+    raise refusal

@@ -39,6 +39,8 @@ _MAGIC = (
 )
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f]")
 _CONTROL_FRACTION = 0.002
+#: ``mm²`` in latin-1 is ``mm˛`` in cp1250.
+_POWER_UNIT = re.compile(r"[kcm]?m[²³]")
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,10 +71,9 @@ class Text:
 def foreign_kind(head: bytes) -> str | None:
     """What a file is that is no text table: ``"a PNG image"``; ``None`` where it may be one."""
     for magic, kind in _MAGIC:
-        if head.startswith(magic):
-            # two-letter magics are words too: believe them only among control bytes
-            if len(magic) > 2 or len(_CONTROL.findall(head)) > 1:
-                return kind
+        # two-letter magics are words too: believe them only among control bytes
+        if head.startswith(magic) and (len(magic) > 2 or len(_CONTROL.findall(head)) > 1):
+            return kind
     if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) or _looks_utf16(head):
         return None
     if b"\0" in head or len(_CONTROL.findall(head)) > _CONTROL_FRACTION * len(head):
@@ -118,10 +119,9 @@ def decode_text(data: bytes, place: Place) -> Text:
         text = Text(_line_ends(data), "utf-8", "utf-8")
     else:
         codec, sure = _code_page(head)
-        flags = () if sure else (
-            Flag("undecoded_text", f"the encoding of the header is not certain, {codec} was taken", {"encoding": codec}),
-        )  # fmt: skip
-        text = Text(_line_ends(data), codec, codec, flags)
+        message = f"the encoding of the header is not certain, {codec} was taken"
+        doubt = () if sure else (Flag("undecoded_text", message, {"encoding": codec}),)
+        text = Text(_line_ends(data), codec, codec, doubt)
     return _unwrapped(text)
 
 
@@ -172,8 +172,7 @@ def _code_page(head: bytes) -> tuple[str, bool]:
         return "latin-1", False
     plain = _known_words(head.decode("ascii", errors="replace"))
     best = max(scores, key=lambda codec: scores[codec])
-    alike = len({head.decode(codec, errors="replace") for codec in scores if codec != "gbk"}) <= 1
-    if scores[best] > plain or (alike and best != "gbk"):
+    if scores[best] > plain:
         return best, True
     guess = charset_normalizer.from_bytes(head, cp_isolation=list(scores)).best()
     if guess is not None:
@@ -187,6 +186,7 @@ def _known_words(decoded: str) -> int:
     pieces = {piece for line in lines for piece in re.split(r'[,;\t"()\[\]]', line) if not piece.isascii()}
     return sum(
         is_specimen_key(piece)
+        or _POWER_UNIT.fullmatch(piece.strip()) is not None
         or any(rank_of(piece, channel, loose=False) is not None for channel in CHANNELS)
         for piece in pieces
         if len(piece) <= 80

@@ -68,8 +68,9 @@ _NAMES: dict[Channel, tuple[tuple[int, str], ...]] = {
         (
             0,
             (
-                r"indentation(?: depth)?|depth(?: of indentation)?|penetration(?: depth)?|eindring(?:tiefe|weg)"
-                r"|profondeur(?: d indentation)?|enfoncement|profundidad|profundidade|profondita|glebokosc"
+                r"indentation(?: depth)?|depth(?: of indentation)?|penetration(?: depth)?"
+                r"|eindring(?:tiefe|weg)|profondeur(?: d indentation)?|enfoncement|profundidad|profundidade"
+                r"|profondita|glebokosc"
                 r"|压入深度|压痕深度"
             ),
         ),
@@ -80,9 +81,12 @@ _NAMES: dict[Channel, tuple[tuple[int, str], ...]] = {
                 r"|standard travel|disp"
                 r"|standard ?weg|weg|traversenweg|verschiebung|verlangerung|verformung|course standard"
                 r"|allongement"
-                r"|deplacement(?: traverse| de la traverse)?|traverse|crosshead (?:displacement|travel|extension)"
-                r"|desplazamiento|alargamiento|carrera|carrera estandar|extensao|deslocamento|alongamento|curso"
-                r"|estensione|spostamento|allungamento|corsa|corsa standard|przemieszczenie|wydluzenie|droga"
+                r"|deplacement(?: traverse| de la traverse)?|traverse"
+                r"|crosshead (?:displacement|travel|extension)"
+                r"|desplazamiento|alargamiento|carrera|carrera estandar|extensao|deslocamento"
+                r"|alongamento"
+                r"|curso|estensione|spostamento|allungamento"
+                r"|corsa|corsa standard|przemieszczenie|wydluzenie|droga"
                 r"|位移|伸长|伸長|延伸|拉伸|变形|変位|行程"
             ),
         ),
@@ -107,15 +111,15 @@ _NAMES: dict[Channel, tuple[tuple[int, str], ...]] = {
         (
             4,
             (
-                r"ecartement entre (?:outils|mors)|(?:tool|grip)(?: to (?:tool|grip))? separation|werkzeugabstand"
-                r"|einspannlange|gap"
+                r"ecartement entre (?:outils|mors)|(?:tool|grip)(?: to (?:tool|grip))? separation"
+                r"|werkzeugabstand|einspannlange|gap"
             ),
         ),
         (
             5,
             (
-                r"capteur de course|extensometer(?: 1)?|extensometre|dehnung|wegaufnehmer|deflection|durchbiegung"
-                r"|strain 1|lvdt|displacement strain 1"
+                r"capteur de course|extensometer(?: 1)?|extensometre|dehnung|wegaufnehmer|deflection"
+                r"|durchbiegung|strain 1|lvdt|displacement strain 1"
             ),
         ),
     ),

@@ -1,0 +1,115 @@
+"""Every readable real recording, against an independent plain-Python parse of the same file."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+from pathlib import Path
+
+import openpyxl
+import pytest
+
+from tissueid.ingest import ReadOptions, find_inputs, read_each, read_one, read_trials
+from tissueid.trial import Trial
+
+Rows = list[tuple[float, float, float]]
+
+
+def plain_rows(path: Path, columns: tuple[int, int, int], *, skip: int, encoding: str = "utf-8") -> Rows:
+    """Time, displacement, force of the lines after the first ``skip``, by the standard library."""
+    with path.open(encoding=encoding, newline="") as stream:
+        lines = list(csv.reader(stream))[skip:]
+    return [tuple(float(line[i]) for i in columns) for line in lines if line]
+
+
+def assert_same(trial: Trial, rows: Rows, factors: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> None:
+    """Count, every sample, and so first, last and peak; one rounding each for parse and unit."""
+    assert trial.time_s.size == len(rows)
+    for channel, recorded in enumerate((trial.time_s, trial.displacement_mm, trial.force_N)):
+        expected = [row[channel] * factors[channel] for row in rows]
+        assert recorded.tolist() == pytest.approx(expected, rel=4e-16, abs=0.0)
+
+
+def test_bluehill_cyclic(shared_data):
+    path = shared_data / "instron-bluehill-cyclic-cc0" / "Specimen_RawData_6.csv"
+    (trial,) = read_trials(path)
+    assert_same(trial, plain_rows(path, (0, 1, 2), skip=5))
+    assert trial.specimen == "22L.3"
+    assert trial.source.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert (trial.source.recipe, trial.source.path) == ("bluehill-csv", str(path))
+    assert [flag.code for flag in trial.flags] == ["event_rows"]
+
+
+def test_bluehill_universal_sample_in_kilonewtons(shared_data):
+    path = shared_data / "bluehill-universal-sample-mit" / "sample_bluehill.csv"
+    (trial,) = read_trials(path)
+    assert_same(trial, plain_rows(path, (0, 1, 2), skip=1), (1.0, 1.0, 1000.0))
+    assert trial.specimen == str(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "columns"),
+    [("Allong 1.TRA", (0, 3, 2)), ("Invar_LT_05_01.TRA", (0, 2, 3)), ("mDB1pct.TRA", (0, 3, 2))],
+)
+def test_testxpert_tra(shared_data, name, columns):
+    path = shared_data / "zwick-tra-mit" / name
+    if not path.exists():
+        pytest.skip(f"no {path}")
+    (trial,) = read_trials(path)
+    assert_same(trial, plain_rows(path, columns, skip=12, encoding="latin-1"))
+    assert (trial.source.recipe, trial.source.encoding) == ("testxpert-tra", "latin-1")
+    assert trial.protocol.speed_mm_s == pytest.approx(1 / 60, rel=1e-15)
+    assert "column_choice" in [flag.code for flag in trial.flags]
+
+
+def test_testxpert_workbook_every_sheet(shared_data):
+    (path,) = (shared_data / "zwick-meat-gpl3").glob("*.xlsx")
+    book = openpyxl.load_workbook(path, read_only=True)
+    tables = {}
+    for sheet in book.worksheets:
+        rows = list(sheet.iter_rows(values_only=True))
+        if len(rows) > 3 and rows[1] and rows[1][0] == "Temps d'essai":
+            tables[sheet.title] = [(row[0], row[2], row[1]) for row in rows[3:] if row[0] is not None]
+    trials = read_trials(path)
+    assert [trial.source.sheet for trial in trials] == list(tables)
+    assert len(trials) == 29
+    for trial in trials:
+        assert_same(trial, tables[trial.source.sheet])
+        assert trial.source.recipe == "testxpert-workbook"
+        assert trial.source.columns["displacement"] == "Allongement"
+        assert trial.specimen == trial.source.sheet
+        choice = [flag for flag in trial.flags if flag.code == "column_choice"]
+        assert choice[0].values["alternatives"] == ["Ecartement entre outils"]
+    assert len({trial.specimen for trial in trials}) == 29
+
+
+def test_workbook_one_sheet_and_its_other_displacement(shared_data):
+    (path,) = (shared_data / "zwick-meat-gpl3").glob("*.xlsx")
+    trial = read_one(path, "230403-FF1C", ReadOptions(columns={"displacement": "Ecartement entre outils"}))
+    assert trial.displacement_mm[0] == 14.391552164525592
+    assert [flag.code for flag in trial.flags if flag.code == "column_choice"] == []
+
+
+def test_muscle_with_a_column_map(shared_data):
+    options = ReadOptions(columns={"displacement": "L", "force": "F"})
+    for path in sorted((shared_data / "muscle-ramp-hold-mit").glob("*.csv")):
+        (trial,) = read_trials(path, options)
+        assert_same(trial, plain_rows(path, (0, 1, 2), skip=1))
+        assert [flag.code for flag in trial.flags].count("units_assumed") == 3
+
+
+def test_afm_columns_carry_their_units(shared_data):
+    path = shared_data / "oocyte-afm-mit" / "cell1-0008_full.csv"
+    (trial,) = read_trials(path)
+    assert_same(trial, plain_rows(path, (0, 2, 1), skip=1), (1.0, 1000.0, 1.0))
+    assert dict(trial.source.columns)["displacement"] == "height_measured_m"
+
+
+def test_folders_are_searched_for_recordings_and_nothing_else(shared_data):
+    names = [
+        path.name for path in find_inputs([shared_data / "zwick-meat-gpl3", shared_data / "zwick-tra-mit"])
+    ]
+    assert not {"SOURCE.txt", "LICENSE.txt"} & set(names)
+    assert all(
+        isinstance(t, Trial) for p in find_inputs([shared_data / "zwick-tra-mit"]) for t in read_each(p)
+    )
