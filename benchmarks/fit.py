@@ -4,11 +4,11 @@ The peer is what a careful notebook does: ``lmfit.minimize(leastsq)`` with numer
 vectorised numpy model (recursion by ``scipy.signal.lfilter``).  Same data (paper-a-30-k1 at 1 kHz,
 N = 571,614), same model (one branch, K of degree 1), same start, same tolerance; both must end at the
 same sum of squares to 1e-6.  Ours is timed from the samples: one pass for the sums, then lmfit on the
-compressed residual.
+compressed residual (twice: a thinned pass to find tau, all samples near it).
 
     python benchmarks/fit.py [--pairs 3] [--json]
 
-Work: the pass is samples x columns^2 multiply-adds (about 130 columns: 10 Gflop at N = 571,614); the
+Work: a pass is samples x columns^2 multiply-adds (31 columns near tau: 0.5 Gflop at N = 571,614); the
 peer's is (parameters + 1) evaluations of the model an iteration, each several passes over the samples.
 Ratios count; seconds belong to one machine.
 """
@@ -18,7 +18,6 @@ from __future__ import annotations
 import argparse
 import json
 import multiprocessing
-import resource
 import statistics
 import sys
 import tempfile
@@ -29,15 +28,16 @@ from pathlib import Path
 import lmfit
 import numpy as np
 from scipy.signal import lfilter
+from threadpoolctl import threadpool_limits
 
+from tissueid.fit.candidates import Candidate, Noise, objective_for
 from tissueid.fit.lm import levenberg_marquardt
-from tissueid.fit.specimen import FitOptions
-from tissueid.likelihood.basis import kernel_basis
-from tissueid.likelihood.objective import PooledObjective, per_log_gram, shared_gram
-from tissueid.likelihood.sums import LogData, log_sums
+from tissueid.fit.logs import LogHandle, specimen_sums
+from tissueid.fit.specimen import FOCUS, THINNED_TO, FitOptions
+from tissueid.fit.window import fitted_log
 from tissueid.pipeline import IdentifyOptions, identify
 from tissueid.synth import as_trials, recipe, simulate
-from tissueid.trial import Source, Trial
+from tissueid.trial import Contact, Phase, Segmentation, Source, Trial
 
 SEED = 20260101
 START_TAU = 0.04
@@ -53,28 +53,45 @@ def logs() -> list[Trial]:
     return as_trials(simulate(recipe("paper-a-30-k1"), rng=np.random.default_rng(SEED)), specimen="bench")
 
 
-def ours(trials: list[Trial], *, static: bool) -> float:
-    """Sum of squares reached by the compressed fit."""
-    step = 1e-3
-    basis = kernel_basis(step_s=step, length_s=max(float(t.time_s[-1]) for t in trials))
-    sums = []
+def handles(trials: list[Trial]) -> list[LogHandle]:
+    """The logs as the fit takes them; contact at the first sample, as simulated."""
+    out = []
     for trial in trials:
-        n = trial.time_s.size
-        data = LogData(
-            trial.time_s, trial.displacement_mm, trial.force_N, np.ones(n, bool), np.zeros(n, np.int64)
+        stop = trial.time_s.size
+        ramp = Phase("ramp", 0, stop, float(trial.time_s[0]), float(trial.time_s[-1]), 1.0)
+        segmentation = Segmentation(1, 1, Contact(0, 0.0, 0.02), (ramp,), 1.0)
+        log = fitted_log(trial, segmentation)
+        out.append(
+            LogHandle(
+                load=lambda trial=trial: trial,
+                segmentation=segmentation,
+                facts=log.without_samples(),
+                contact_sd_mm=0.02,
+            )
         )
-        sums.append(log_sums(data, basis, degree=1).gram[0])
-    gram = np.stack(sums)
-    pooled = shared_gram(gram.sum(axis=0)) if static else per_log_gram(gram, np.arange(len(gram)))
-    objective = PooledObjective(
-        gram=pooled, basis=basis, scale=DEPTH, branches=1, degree=1, columns_degree=1, static=static
-    )
-    bounds = (float(np.log(step / 5)), float(np.log(480.0)))
-    start = objective.evaluate(np.array([np.log(START_TAU)]))
+    return out
+
+
+def ours(trials: list[Trial], *, static: bool) -> float:
+    """Sum of squares reached by the compressed fit: a thinned pass, a pass near tau, lmfit on both."""
+    candidate = Candidate(branches=1, degree=1, pooling="shared" if static else "per-log")
+    logs_ = handles(trials)
+    samples = sum(handle.facts.n_samples for handle in logs_)
+    noise = Noise(sigma2=1.0, gain_sd=0.1)
     static_u = np.array(STATIC_START) * DEPTH ** np.arange(1, 4)
     stiffness_u = np.array(STIFFNESS_START) * DEPTH ** np.arange(2)
     theta = np.concatenate([static_u, stiffness_u]) if static else stiffness_u
-    return levenberg_marquardt(objective, replace(start, theta=theta), bounds).value
+    start = np.array([np.log(START_TAU)])
+    with threadpool_limits(limits=1, user_api="blas"):
+        rough = specimen_sums(logs_, 1, lambda _: None, thin=max(samples // THINNED_TO, 1))
+        objective = objective_for(rough, candidate, noise)
+        first = replace(objective.evaluate(start), theta=theta)
+        found = levenberg_marquardt(objective, first, rough.log_tau_bounds)
+        at = float(found.log_tau[0])
+        sums = specimen_sums(logs_, 1, lambda _: None, log_range=(at - FOCUS, at + FOCUS))
+        objective = objective_for(sums, candidate, noise)
+        second = replace(objective.evaluate(found.log_tau), theta=found.theta)
+        return levenberg_marquardt(objective, second, sums.log_tau_bounds).value
 
 
 def peer(trials: list[Trial], *, static: bool) -> float:
@@ -138,6 +155,17 @@ def compare(trials: list[Trial], *, static: bool, pairs: int) -> dict[str, float
     }
 
 
+def peak_bytes() -> int:
+    """Largest resident memory of this process alone (getrusage carries the parent's over an exec)."""
+    status = Path("/proc/self/status")
+    if status.exists():
+        line = next(line for line in status.read_text().splitlines() if line.startswith("VmHWM"))
+        return int(line.split()[1]) * 1024
+    import resource
+
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+
+
 def _peak(folder: str, count: int, queue: multiprocessing.Queue) -> None:
     """Fit ``count`` logs of a folder, each loaded when needed; report the peak memory."""
     names = [str(Path(folder) / f"{i:03d}.npy") for i in range(count)]
@@ -150,7 +178,7 @@ def _peak(folder: str, count: int, queue: multiprocessing.Queue) -> None:
 
     options = IdentifyOptions(fit=FitOptions(branches=1, stiffness_degree=1))
     found = identify((load(Source(path=name)) for name in names), options=options, reload=load)
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    peak = peak_bytes()
     queue.put((peak, found.specimens[0].n_samples))
 
 

@@ -93,6 +93,8 @@ class SpecimenSums:
         True where the units are parts of one log.
     logs : ndarray of int
         Units that take part; the rest is held out.
+    log_range : tuple of float or None
+        Part of that range that the sums cover, where not all of it.
     """
 
     gram: FloatArray
@@ -105,6 +107,7 @@ class SpecimenSums:
     duration_s: float
     single: bool
     logs: NDArray[np.int64]
+    log_range: tuple[float, float] | None = None
 
     @property
     def n(self) -> int:
@@ -113,7 +116,9 @@ class SpecimenSums:
 
     @property
     def log_tau_bounds(self) -> tuple[float, float]:
-        """Range of ln(tau / s)."""
+        """Range of ln(tau / s) that is searched."""
+        if self.log_range is not None:
+            return self.log_range
         return float(np.log(self.step_s / TAU_BELOW_STEP)), float(np.log(self.duration_s * TAU_ABOVE_LENGTH))
 
     def without(self, units: NDArray[np.int64]) -> SpecimenSums:

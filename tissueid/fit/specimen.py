@@ -11,14 +11,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
-from tissueid.fit.candidates import Candidate, Solution, SpecimenSums, sum_of_logs
+from tissueid.fit.candidates import Candidate, Solution, SpecimenSums, fit_candidate, sum_of_logs
 from tissueid.fit.estimates import TissueEstimate, estimate_tissue
 from tissueid.fit.lm import levenberg_marquardt
 from tissueid.fit.logs import LogHandle, refine_contacts, specimen_sums
 from tissueid.fit.relaxation import relaxation_rows
 from tissueid.fit.search import polish, unbounded_covariance
-from tissueid.fit.selection import choose
+from tissueid.fit.selection import Choice, choose
 from tissueid.fit.trials import Adjustment, ResidualTotals, summarise_trial
 from tissueid.fit.verdict import specimen_flags
 from tissueid.likelihood.sums import N_STATIC, reduction
@@ -33,6 +34,12 @@ MAX_BRANCHES = 3
 MAX_DEGREE = 2
 #: Branches of the model that contact points are refined with, where more than one may be chosen.
 REFINING_BRANCHES = 2
+#: Samples from which one branch is fitted in two passes, samples of the first, half width of the range
+#: of ln tau in the second, and the standard errors of ln tau that must fit into it.
+FOCUS_FROM = 100_000
+THINNED_TO = 50_000
+FOCUS = 0.75
+FOCUS_SD = 6.0
 #: Levenberg-Marquardt starts from the optimum moved to this grid in ln tau.
 LM_START_GRID = 0.25
 #: Agreement of the two optimisers: relative sum of squares, and standard errors of ln tau.
@@ -161,6 +168,44 @@ def _pooling(options: FitOptions, logs: int) -> str:
     return "shared" if logs == 1 and options.static == "partial" else options.static
 
 
+def _focused(
+    handles: Sequence[LogHandle], candidate: Candidate, tick: Callable[[str], None]
+) -> tuple[SpecimenSums, Choice] | None:
+    """Many samples, one branch: a thinned pass finds tau, a second sums all samples near it only.
+
+    ``None`` where the samples are few, or where the interval of tau is not well inside that range.
+    """
+    samples = sum(handle.facts.n_samples for handle in handles)
+    if candidate.branches != 1 or samples < FOCUS_FROM or len(handles) == 1:
+        return None
+    rough = specimen_sums(handles, candidate.degree, tick, thin=samples // THINNED_TO)
+    at = float(fit_candidate(rough, candidate).evaluation.log_tau[0])
+    low, high = rough.log_tau_bounds
+    near = max(at - FOCUS, low), min(at + FOCUS, high)
+    sums = specimen_sums(handles, candidate.degree, tick, log_range=near)
+    solution = fit_candidate(sums, candidate, seeds=[np.array([at])])
+    found = solution.evaluation
+    inverse, _ = unbounded_covariance(found, solution.objective.blocks)
+    margin = FOCUS_SD * float(np.sqrt(inverse[-1, -1] * solution.noise.sigma2))
+    inside = near[0] + margin < found.log_tau[0] < near[1] - margin
+    return (sums, Choice(solution=solution, table=())) if inside else None
+
+
+def _sums_and_choice(
+    handles: Sequence[LogHandle],
+    branches: tuple[int, ...],
+    degrees: tuple[int, ...],
+    pooling: str,
+    tick: Callable[[str], None],
+) -> tuple[SpecimenSums, Choice]:
+    if len(branches) == len(degrees) == 1:
+        focused = _focused(handles, Candidate(branches[0], degrees[0], pooling), tick)
+        if focused is not None:
+            return focused
+    sums = specimen_sums(handles, max(degrees), tick)
+    return sums, choose(sums, branches=branches, degrees=degrees, pooling=pooling, progress=tick)
+
+
 def fit_specimen(
     specimen: str,
     handles: Sequence[LogHandle],
@@ -185,6 +230,14 @@ def fit_specimen(
     """
     options = options or FitOptions()
     tick = tick or (lambda _: None)
+    # small matrices gain nothing from BLAS threads, and on a busy machine lose tenfold by them
+    with threadpool_limits(limits=1, user_api="blas"):
+        return _fit(specimen, list(handles), options, tick)
+
+
+def _fit(
+    specimen: str, handles: list[LogHandle], options: FitOptions, tick: Callable[[str], None]
+) -> SpecimenFit:
     branches = (options.branches,) if options.branches else tuple(range(1, MAX_BRANCHES + 1))
     degrees = (
         tuple(range(MAX_DEGREE + 1)) if options.stiffness_degree is None else (options.stiffness_degree,)
@@ -195,8 +248,7 @@ def fit_specimen(
             branches=min(REFINING_BRANCHES, max(branches)), degree=min(1, max(degrees)), pooling="partial"
         )
         handles = refine_contacts(handles, flexible, tick)
-    sums = specimen_sums(handles, max(degrees), tick)
-    choice = choose(sums, branches=branches, degrees=degrees, pooling=pooling, progress=tick)
+    sums, choice = _sums_and_choice(handles, branches, degrees, pooling, tick)
     solution, optimisers = _both_optimisers(sums, choice.solution)
     tissue = estimate_tissue(sums, solution)
     adjustments = _adjustments(sums, solution, tissue, handles)

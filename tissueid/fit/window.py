@@ -50,6 +50,8 @@ class FittedLog:
     speeds_mm_s : tuple of float
         Loading speeds of its ramps.
     has_hold : bool
+    n_samples : int
+        Samples that take part in the likelihood.
     """
 
     data: LogData
@@ -60,6 +62,7 @@ class FittedLog:
     step_s: float
     speeds_mm_s: tuple[float, ...]
     has_hold: bool
+    n_samples: int
 
     def without_samples(self) -> FittedLog:
         """The facts alone: the first and last sample stand for all."""
@@ -147,6 +150,7 @@ def fitted_log(trial: Trial, segmentation: Segmentation, *, guard: bool = False)
         step_s=float(np.median(positive)),
         speeds_mm_s=tuple(phase.speed_mm_s for phase in ramps) or (_mean_speed(time, x),),
         has_hold=bool(holds),
+        n_samples=int(include.sum()),
     )
 
 

@@ -110,10 +110,13 @@ def _norm(log_tau: FloatArray, length_s: float) -> FloatArray:
 
 
 @lru_cache(maxsize=64)
-def _build(step_key: int, length_key: int) -> KernelBasis:
+def _build(step_key: int, length_key: int, range_keys: tuple[int, int] | None) -> KernelBasis:
     step = math.exp(step_key * QUANTUM)
     length = math.exp(length_key * QUANTUM)
-    low, high = math.log(step / TAU_BELOW_STEP), math.log(length * TAU_ABOVE_LENGTH)
+    if range_keys is None:
+        low, high = math.log(step / TAU_BELOW_STEP), math.log(length * TAU_ABOVE_LENGTH)
+    else:
+        low, high = range_keys[0] * QUANTUM, range_keys[1] * QUANTUM
     half = step / 2.0
     time = np.concatenate([[0.0], np.geomspace(half / 4.0, length, TIMES)])
     weight = np.sqrt(np.gradient(time))
@@ -130,13 +133,17 @@ def _build(step_key: int, length_key: int) -> KernelBasis:
     )
 
 
-def kernel_basis(*, step_s: float, length_s: float) -> KernelBasis:
+def kernel_basis(
+    *, step_s: float, length_s: float, log_range: tuple[float, float] | None = None
+) -> KernelBasis:
     """The basis for recordings whose finest step is ``step_s`` and longest duration ``length_s``.
 
     Parameters
     ----------
     step_s, length_s : float
         Both positive, ``length_s > step_s`` [s].
+    log_range : tuple of float, optional
+        Part of the range of ln(tau / s) that is needed; a factor of five takes some fifteen nodes.
 
     Raises
     ------
@@ -146,4 +153,7 @@ def kernel_basis(*, step_s: float, length_s: float) -> KernelBasis:
     if not 0.0 < step_s < length_s < math.inf:
         msg = f"a basis needs 0 < step < length, got step {step_s} s and length {length_s} s"
         raise ValueError(msg)
-    return _build(math.floor(math.log(step_s) / QUANTUM), math.ceil(math.log(length_s) / QUANTUM))
+    keys = None
+    if log_range is not None:
+        keys = math.floor(log_range[0] / QUANTUM), math.ceil(log_range[1] / QUANTUM)
+    return _build(math.floor(math.log(step_s) / QUANTUM), math.ceil(math.log(length_s) / QUANTUM), keys)
