@@ -7,6 +7,9 @@ from pathlib import Path
 
 import pytest
 
+# as the command does: threads of the linear algebra library make small matrices ten times slower
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 REPOSITORY = Path(__file__).resolve().parent.parent
 
 

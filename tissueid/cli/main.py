@@ -28,6 +28,9 @@ COMMANDS = {
     "synth": "Write synthetic recordings with a known truth.",
 }
 
+#: The matrices of a fit are small: threads of the linear algebra library make it ten times slower by
+#: waiting for each other.  Read when numpy is loaded, which is after this.
+BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 #: Exit code where the output could not be written.
 EXIT_OUTPUT = 6
 
@@ -147,6 +150,8 @@ def main(args: list[str] | None = None) -> int:
 
 def run() -> None:
     """Console-script entry: exit with the code of :func:`main`."""
+    for name in BLAS_THREADS:
+        os.environ.setdefault(name, "1")
     sys.exit(main())
 
 
