@@ -56,7 +56,7 @@ FLAG_CODES: Mapping[str, str] = MappingProxyType(
         "optimisers_disagree": "Levenberg-Marquardt and variable projection ended at different optima",
         "not_converged": "Levenberg-Marquardt did not converge",
         "single_speed": "one speed and no hold: viscosity can't be told from static stiffness",
-        "compliance_unknown": "frame compliance, force filter and time skew were not stated and are taken as none",
+        "compliance_unknown": "frame compliance, force filter and time skew were not stated; taken as none",
     }
 )
 

@@ -142,7 +142,8 @@ class Trial:
             raise ValueError(msg)
         if (np.diff(self.time_s) < 0).any():
             first = int(np.flatnonzero(np.diff(self.time_s) < 0)[0])
-            msg = f"time_s falls from {self.time_s[first]} to {self.time_s[first + 1]} s at sample {first + 1}"
+            here, then = self.time_s[first : first + 2]
+            msg = f"time_s falls from {here} to {then} s at sample {first + 1}"
             raise ValueError(msg)
         object.__setattr__(self, "flags", tuple(self.flags))
 

@@ -23,7 +23,7 @@ FloatArray = NDArray[np.float64]
 
 #: Static columns 1, x, x^2, x^3: the constant is there because a shifted cubic has one.
 N_STATIC = 4
-CHUNK = 2048
+CHUNK = 1024
 #: More distinct sampling steps than this are not tabulated.
 MAX_STEP_GROUPS = 256
 #: Steps that differ by less than this fraction of the duration are one step printed with rounding.
@@ -75,7 +75,12 @@ def _step_tables(
 ) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
     """Group equal sampling steps and tabulate their weights for every node."""
     resolution = max(duration_s, 1e-300) * STEP_RESOLUTION
-    keys, group = np.unique(np.round(step_s / resolution), return_inverse=True)
+    if np.ptp(step_s[1:]) <= resolution:
+        keys, group = np.zeros(1), np.zeros(step_s.size, dtype=np.int64)
+        step_s = step_s.copy()
+        step_s[0] = step_s[1]
+    else:
+        keys, group = np.unique(np.round(step_s / resolution), return_inverse=True)
     if keys.size > MAX_STEP_GROUPS:
         return np.full(step_s.size, -1, dtype=np.int64), np.zeros((0, tau_s.size)), np.zeros((0, tau_s.size))
     mean = np.bincount(group, weights=step_s) / np.bincount(group)
