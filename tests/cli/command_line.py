@@ -1,0 +1,71 @@
+"""Run the command line, in this process or in its own, and make small folders of recordings."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tissueid.cli.main import main
+
+#: One branch and constant K: the quickest fit.
+QUICK = ("--branches", "1", "--stiffness-degree", "0")
+REPOSITORY = Path(__file__).resolve().parents[2]
+LOG = REPOSITORY / "datasets_synthetic" / "paper-a-hold-100Hz" / "hold-8-1.csv"
+HEADER_LINES = 6
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a command ended."""
+
+    code: int
+    stdout: str
+    stderr: str
+
+    def json(self) -> Any:
+        return json.loads(self.stdout)
+
+
+def run(*args: str | Path) -> Ended:
+    """``tissueid ARGS`` in this process; whatever happens, no traceback may be shown."""
+    streams = [io.TextIOWrapper(io.BytesIO(), encoding="utf-8", write_through=True) for _ in range(2)]
+    with contextlib.redirect_stdout(streams[0]), contextlib.redirect_stderr(streams[1]):
+        code = main([str(arg) for arg in args])
+    out, err = (stream.buffer.getvalue().decode("utf-8") for stream in streams)  # type: ignore[attr-defined]
+    assert "Traceback" not in err
+    return Ended(code, out, err)
+
+
+def start(*args: str | Path, **options: Any) -> subprocess.Popen[str]:
+    """``python -m tissueid ARGS`` in a process of its own."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "tissueid", *map(str, args)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONPATH": str(REPOSITORY)},
+        **options,
+    )
+
+
+def log_text(*, label: str | None = "tissue", stride: int = 4, force_times: float = 1.0) -> str:
+    """The 100 Hz ramp and hold, every ``stride``-th row of it, under another specimen label (or none)."""
+    lines = LOG.read_text(encoding="ascii").splitlines()
+    body = [line.split(",") for line in lines[HEADER_LINES : HEADER_LINES + 1600 : stride]]
+    rows = [f"{t},{x},{float(f) * force_times:.4f}" for t, x, f in body]
+    head = [] if label is None else [f'Text Inputs : Specimen label,"{label}"']
+    return "\n".join([*head, "", "Time,Extension,Load", "(sec),(mm),(N)", *rows, ""])
+
+
+def write_log(path: Path, **options: Any) -> Path:
+    """Write :func:`log_text` to a file; folders are made."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(log_text(**options), encoding="ascii")
+    return path

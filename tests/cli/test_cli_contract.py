@@ -1,0 +1,201 @@
+"""What ``inspect --json`` and ``fit --json`` print is what the schemas and the contracts say."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from command_line import HEADER_LINES, LOG, QUICK, Ended, run, write_log
+
+from tissueid.store.schema import first_problem
+
+UNITS = {
+    "static_1_N_per_mm": "N/mm",
+    "static_2_N_per_mm2": "N/mm^2",
+    "static_3_N_per_mm3": "N/mm^3",
+    "stiffness_0_N_per_mm": "N/mm",
+    "relaxation_time_s": "s",
+    "viscosity_N_s_per_mm": "N s/mm",
+}
+
+
+@pytest.fixture(scope="module")
+def rows() -> list[tuple[float, float, float]]:
+    """The numbers of the committed log, read by nothing of tissueid."""
+    with LOG.open(encoding="ascii", newline="") as stream:
+        body = list(csv.reader(stream))[HEADER_LINES:]
+    return [(float(t), float(x), float(f)) for t, x, f in body]
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory: pytest.TempPathFactory) -> tuple[Ended, Path]:
+    out = tmp_path_factory.mktemp("contract") / "out"
+    return run("fit", LOG, "-o", out, "--json", *QUICK), out
+
+
+def test_inspect_gives_first_last_and_peak_as_recorded(rows: list[tuple[float, float, float]]) -> None:
+    ended = run("inspect", LOG, "--json")
+    assert ended.code == 0
+    (one,) = ended.json()
+    peak = max(rows, key=lambda row: abs(row[2]))
+    for key, expected in (("first", rows[0]), ("last", rows[-1]), ("peak_force", peak)):
+        # the same decimal text gives the same double: no tolerance
+        assert tuple(one[key].values()) == expected, key
+        assert list(one[key]) == ["time_s", "displacement_mm", "force_N"]
+    assert one["n_samples"] == len(rows)
+    assert one["compression_sign"] == 1
+    assert {phase["kind"] for phase in one["phases"]} >= {"ramp", "hold"}
+    assert [one[key] for key in ("path", "sheet", "recipe", "delimiter", "decimal")] == [
+        str(LOG), None, "bluehill-csv", ",", ".",
+    ]  # fmt: skip
+
+
+def test_recorded_signs_stay_where_compression_is_negative(tmp_path: Path) -> None:
+    text = LOG.read_text(encoding="ascii").splitlines()
+    head, body = text[:HEADER_LINES], [line.split(",") for line in text[HEADER_LINES:]]
+    flipped = [f"{t},{-float(x)},{-float(f)}" for t, x, f in body]
+    (tmp_path / "negative.csv").write_text("\n".join([*head, *flipped]), encoding="ascii")
+    (one,) = run("inspect", tmp_path / "negative.csv", "--json").json()
+    assert one["compression_sign"] == -1
+    peak = max(body, key=lambda row: abs(float(row[2])))
+    assert one["peak_force"]["force_N"] == -float(peak[2])
+    assert one["last"]["displacement_mm"] == -float(body[-1][1])
+
+
+def test_numbers_are_converted_to_mm_and_newton(tmp_path: Path) -> None:
+    text = LOG.read_text(encoding="ascii").replace("(mm),(N)", "(m),(kN)")
+    (tmp_path / "si.csv").write_text(text, encoding="ascii")
+    (here,), (there,) = (run("inspect", path, "--json").json() for path in (LOG, tmp_path / "si.csv"))
+    for key in ("first", "last", "peak_force"):
+        # one multiplication by 1000 rounds once
+        assert there[key]["force_N"] == pytest.approx(1e3 * here[key]["force_N"], rel=1e-15)
+        assert there[key]["displacement_mm"] == pytest.approx(1e3 * here[key]["displacement_mm"], rel=1e-15)
+
+
+def test_every_numeric_row_counts_with_those_before_contact(tmp_path: Path) -> None:
+    text = write_log(tmp_path / "log.csv").read_text(encoding="ascii")
+    (one,) = run("inspect", tmp_path / "log.csv", "--json").json()
+    numeric = [line for line in text.splitlines() if line[:1].isdigit()]
+    assert one["n_samples"] == len(numeric)
+
+
+def test_inspect_is_valid_with_refusals_in_their_place(tmp_path: Path) -> None:
+    junk, empty = tmp_path / "junk.csv", tmp_path / "a folder"
+    junk.write_bytes(bytes(range(256)) * 8)
+    empty.mkdir()
+    ended = run("inspect", junk, LOG, empty, "--json")
+    document = ended.json()
+    assert ended.code == 7
+    assert first_problem(document, "inspect") is None
+    assert [one["path"] for one in document] == [str(junk), str(LOG), str(empty)]
+    assert [one.get("error", {}).get("code") for one in document] == ["not_an_export", None, "no_recording"]
+
+
+def test_inspect_for_people_says_the_same(rows: list[tuple[float, float, float]]) -> None:
+    ended = run("inspect", LOG)
+    assert f"{len(rows)}, compression is positive displacement" in ended.stdout
+    for word in ("ramp", "hold", "bluehill-csv", "Extension", "paper-a"):
+        assert word in ended.stdout
+    assert run("inspect", LOG, "-q").stdout == ""
+
+
+def test_fit_prints_identification_json_and_it_is_valid(fitted: tuple[Ended, Path]) -> None:
+    ended, out = fitted
+    assert ended.code == 0
+    assert first_problem(ended.json(), "identification") is None
+    assert ended.json() == json.loads((out / "identification.json").read_bytes())
+    assert ended.json()["exit"] == {"code": 0, "reasons": []}
+    public = {path.name for path in out.iterdir() if not path.name.startswith(".")}
+    assert public == {"identification.json", "bundle-paper-a.h5", "bundle.h5", "curves.h5", "report.html"}
+
+
+def test_parameters_have_the_contracts_names_and_units(fitted: tuple[Ended, Path]) -> None:
+    (one,) = fitted[0].json()["specimens"]
+    assert {entry["name"]: entry["unit"] for entry in one["parameters"]} == UNITS
+
+
+def test_viscosity_is_stiffness_times_relaxation_time(fitted: tuple[Ended, Path]) -> None:
+    (one,) = fitted[0].json()["specimens"]
+    value = {entry["name"]: entry["value"] for entry in one["parameters"]}
+    product = value["stiffness_0_N_per_mm"] * value["relaxation_time_s"]
+    assert value["viscosity_N_s_per_mm"] == pytest.approx(product, rel=1e-9)
+
+
+def test_fractions_and_windows_are_in_range(fitted: tuple[Ended, Path]) -> None:
+    (one,) = fitted[0].json()["specimens"]
+    (trial,) = one["trials"]
+    # noise of 1 N on a range of 270 N
+    assert trial["nrmsd"]["range"] == pytest.approx(1.0 / 270.0, rel=0.1)
+    assert trial["nrmsd"]["rmse_N"] == pytest.approx(1.0, rel=0.05)
+    assert 0.0 < trial["max_residual_fraction"] < 0.05
+    assert abs(trial["residual_acf1"]) < 0.1
+    (row,) = one["relaxation"]
+    # 8 mm at 250 mm/min are 1.92 s, and the log ends with its hold at 31.92 s; one sample is 0.01 s
+    assert row["window_s"] == pytest.approx([1.92, 31.92], abs=0.03)
+    assert isinstance(row["tau_double_s"], list)
+    assert isinstance(row["tau_triple_s"], list)
+    assert {"tau_single_s", "nrmsd_single", "peak_force_N", "flags", "path", "sheet"} <= set(row)
+
+
+def test_refused_files_stand_in_identification_json(tmp_path: Path) -> None:
+    good = write_log(tmp_path / "good.csv")
+    bad = write_log(tmp_path / "bad.csv")
+    lines = bad.read_text(encoding="ascii").splitlines()
+    lines[9] = lines[9].rsplit(",", 1)[0] + ",NaN"
+    bad.write_text("\n".join(lines), encoding="ascii")
+    ended = run("fit", good, bad, "-o", tmp_path / "out", "--json", *QUICK)
+    document = ended.json()
+    assert ended.code == 7
+    assert document["exit"]["code"] == 7
+    assert first_problem(document, "identification") is None
+    (refused,) = document["refused"]
+    assert refused["path"] == str(bad)
+    assert (refused["error"]["code"], refused["error"]["line"], refused["error"]["column"]) == (
+        "not_finite", 10, 3,
+    )  # fmt: skip
+    assert any(str(bad) in reason and "line 10" in reason for reason in document["exit"]["reasons"])
+
+
+def parameters_of(document: dict[str, Any]) -> list[dict[str, Any]]:
+    return [entry for one in document["specimens"] for entry in one["parameters"]]
+
+
+def test_a_value_is_null_exactly_where_it_is_not_identified(datasets: Path, tmp_path: Path) -> None:
+    logs = sorted((datasets / "paper-a-30-10Hz").glob("hold-8-*.csv"))
+    found = parameters_of(run("fit", *logs, "-o", tmp_path / "out", "--json", *QUICK).json())
+    assert {entry["identified"] for entry in found} == {True, False}
+    for entry in found:
+        assert (entry["value"] is None) == (not entry["identified"]), entry["name"]
+        if not entry["identified"]:
+            assert "estimate" in entry["detail"], entry["name"]
+
+
+def test_provenance_has_hashes_versions_options_and_no_time_stamp(fitted: tuple[Ended, Path]) -> None:
+    import hashlib
+
+    provenance = fitted[0].json()["provenance"]
+    assert provenance["inputs"][0]["sha256"] == hashlib.sha256(LOG.read_bytes()).hexdigest()
+    assert set(provenance["versions"]) == {"lmfit", "numba", "numpy", "scipy"}
+    assert provenance["options"]["branches"] == 1
+    assert provenance["options"]["seed"] == 0
+
+
+def test_same_inputs_options_and_seed_give_the_same_bytes(fitted: tuple[Ended, Path], tmp_path: Path) -> None:
+    run("fit", LOG, "-o", tmp_path / "again", *QUICK)
+    again = (tmp_path / "again" / "identification.json").read_bytes()
+    assert again == (fitted[1] / "identification.json").read_bytes()
+
+
+def test_export_and_report_need_the_output_folder_alone(fitted: tuple[Ended, Path], tmp_path: Path) -> None:
+    _, out = fitted
+    assert run("export", out).json() == json.loads((out / "identification.json").read_bytes())
+    run("export", out, "-o", tmp_path / "copy.json")
+    assert json.loads((tmp_path / "copy.json").read_bytes()) == run("export", out).json()
+    assert run("report", out, "-o", tmp_path / "page.html").code == 0
+    assert (tmp_path / "page.html").read_text(encoding="utf-8").lstrip().lower().startswith("<!doctype html")
+    # written anew in its folder, the set stays whole
+    assert run("report", out).code == 0
+    assert run("validate", out, "--json").json() == [{"path": str(out), "valid": True, "problem": None}]

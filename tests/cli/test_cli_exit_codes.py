@@ -1,0 +1,222 @@
+"""Every exit code of the table, end to end, and which one wins."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+from command_line import QUICK, Ended, run, write_log
+
+
+@pytest.fixture(scope="module")
+def two_outs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Two finished fits of two different logs."""
+    folder = tmp_path_factory.mktemp("outs")
+    for name, times in (("one", 1.0), ("two", 1.3)):
+        log = write_log(folder / f"{name}.csv", force_times=times)
+        assert run("fit", log, "-o", folder / name, *QUICK).code in (0, 4)
+    return folder / "one", folder / "two"
+
+
+@pytest.fixture(scope="module")
+def logs_10Hz(datasets: Path) -> list[Path]:
+    return sorted((datasets / "paper-a-30-10Hz").glob("hold-[48]-*.csv"))
+
+
+@pytest.fixture
+def junk(tmp_path: Path) -> Path:
+    path = tmp_path / "junk.csv"
+    path.write_bytes(bytes(range(256)) * 8)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("args", "said"),
+    [
+        (["fit", "--no-such-flag", "x"], "No such option"),
+        (["inspcet", "x"], "Did you mean 'inspect'?"),
+        (["zzzz"], "No such command"),
+        (["inspect", "nowhere.csv"], "nowhere.csv"),
+        (["fit", "nowhere/", "-o", "out"], "nowhere"),
+        (["fit"], "Missing argument"),
+        (["validate", "nowhere"], "nowhere"),
+        (["report", "nowhere"], "nowhere"),
+        (["export", "nowhere"], "nowhere"),
+        (["synth", "no-such-recipe", "-o", "out"], "paper-a-30"),
+        (["synth", "no-such-recipe.toml", "-o", "out"], "no-such-recipe.toml"),
+        (["synth", "paper-a-22", "-o", "out", "--rate", "0"], "--rate"),
+        (["synth", "paper-a-22", "-o", "out", "--rate", "nan"], "--rate"),
+        (["synth", "paper-a-22", "-o", "out", "--seed", "-1"], "--seed"),
+        (["synth", "paper-a-22", "-o", "out", "--dialect", "klingon"], "klingon"),
+        (["fit", "x", "--branches", "4"], "--branches"),
+    ],
+)
+def test_wrong_usage_is_2(
+    args: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    ended = run(*args)
+    assert ended.code == 2
+    assert said in ended.stderr
+    # nothing is made for nothing
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("args", "said"),
+    [
+        (["--columns", "zeit=t"], "--columns"),
+        (["--columns", "time"], "--columns"),
+        (["--units", "force=blorb"], "blorb"),
+        (["--specimen-by", "("], "not a regular expression"),
+        (["--recipe", "nope"], "nope"),
+        (["--contact", "nan"], "--contact"),
+        (["--contact", "deep"], "--contact"),
+        (["--compression", "up"], "--compression"),
+    ],
+)
+@pytest.mark.parametrize("command", ["inspect", "fit"])
+def test_a_wrong_reading_option_is_2(tmp_path: Path, command: str, args: list[str], said: str) -> None:
+    log = write_log(tmp_path / "log.csv")
+    out = ["-o", str(tmp_path / "out")] if command == "fit" else []
+    ended = run(command, log, *args, *out)
+    assert ended.code == 2
+    assert said in ended.stderr
+
+
+def test_all_inputs_refused_is_3_and_the_old_set_stays(two_outs: tuple[Path, Path], junk: Path) -> None:
+    before = (two_outs[0] / "identification.json").read_bytes()
+    ended = run("fit", junk, "-o", two_outs[0], "--json")
+    assert (ended.code, ended.json()["exit"]["code"]) == (3, 3)
+    assert ended.json()["specimens"] == []
+    assert (two_outs[0] / "identification.json").read_bytes() == before
+    assert run("validate", two_outs[0]).code == 0
+    assert run("inspect", junk).code == 3
+
+
+def test_a_recipe_that_is_none_is_3(tmp_path: Path) -> None:
+    (tmp_path / "r.toml").write_text("rate_Hz = 'fast'", encoding="utf-8")
+    ended = run("synth", tmp_path / "r.toml", "-o", tmp_path / "out")
+    assert ended.code == 3
+    assert "r.toml" in ended.stderr
+
+
+def test_a_required_parameter_that_is_not_identified_is_4(logs_10Hz: list[Path], tmp_path: Path) -> None:
+    asked = run("fit", *logs_10Hz, "-o", tmp_path, "--json", *QUICK, "--require", "relaxation-time")
+    assert asked.code == 4
+    (reason,) = asked.json()["exit"]["reasons"]
+    assert reason.endswith("not identified: relaxation_time_s")
+    # viscosity and static curve are identified at 10 Hz, and they are what is required by default
+    assert run("fit", *logs_10Hz, "-o", tmp_path, "-q", *QUICK).code == 0
+    assert run("fit", *logs_10Hz, "-o", tmp_path, "-q", *QUICK, "--require", "none").code == 0
+
+
+def damaged(out: Path, to: Path) -> Path:
+    shutil.copytree(out, to)
+    return to
+
+
+def test_a_damaged_bundle_is_6(two_outs: tuple[Path, Path], tmp_path: Path) -> None:
+    whole = (two_outs[0] / "bundle.h5").read_bytes()
+    broken = tmp_path / "broken.h5"
+    broken.write_bytes(whole[: len(whole) // 2])
+    ended = run("validate", broken)
+    assert ended.code == 6
+    assert "broken.h5" in ended.stderr
+    out = damaged(two_outs[0], tmp_path / "out")
+    (out / "bundle.h5").write_bytes(whole[:-1] + bytes([whole[-1] ^ 1]))
+    assert run("validate", out).code == 6
+
+
+def test_a_mixed_set_is_6(two_outs: tuple[Path, Path], tmp_path: Path) -> None:
+    out = damaged(two_outs[0], tmp_path / "out")
+    (out / "report.html").write_bytes((two_outs[1] / "report.html").read_bytes())
+    ended = run("validate", two_outs[1], out)
+    assert ended.code == 6
+    assert "report.html" in ended.stderr
+    assert f"{two_outs[1]}: valid" in ended.stdout
+
+
+@pytest.mark.parametrize("command", ["validate", "report", "export"])
+def test_a_folder_without_a_run_is_6(tmp_path: Path, command: str) -> None:
+    ended = run(command, tmp_path)
+    assert ended.code == 6
+    assert "no finished run" in ended.stderr
+
+
+def test_a_second_writer_is_6(two_outs: tuple[Path, Path], tmp_path: Path) -> None:
+    from tissueid.store.outputs import OutputSet
+
+    with OutputSet(tmp_path):
+        ended = run("fit", write_log(tmp_path / "log.csv"), "-o", tmp_path, *QUICK)
+    assert ended.code == 6
+    assert "is writing here" in ended.stderr
+
+
+def test_some_inputs_refused_is_7_and_all_are_named(tmp_path: Path, junk: Path) -> None:
+    good = write_log(tmp_path / "good.csv")
+    bad = []
+    for number in range(8):
+        path = write_log(tmp_path / f"bad-{number}.csv")
+        lines = path.read_text(encoding="ascii").splitlines()
+        lines[20 + number] = lines[20 + number].replace(",", ",x", 1)
+        path.write_text("\n".join(lines), encoding="ascii")
+        bad.append(path)
+    ended = run("fit", good, junk, *bad, "-o", tmp_path / "out", *QUICK)
+    assert ended.code == 7
+    assert str(junk) in ended.stderr
+    for number, path in enumerate(bad):
+        assert f"{path}, line {21 + number}" in ended.stderr
+    assert str(tmp_path / "out") in ended.stdout
+
+
+def test_quiet_still_names_what_was_refused(tmp_path: Path, junk: Path) -> None:
+    ended = run("fit", junk, write_log(tmp_path / "good.csv"), "-o", tmp_path / "out", "-q", *QUICK)
+    assert (ended.code, ended.stdout) == (7, "")
+    assert ended.stderr.count(str(junk)) == 1
+
+
+def test_left_out_comes_before_not_identified(logs_10Hz: list[Path], junk: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    ended = run("fit", junk, *logs_10Hz, "-o", out, "--json", *QUICK, "--require", "relaxation-time")
+    assert ended.code == 7
+    reasons = ended.json()["exit"]["reasons"]
+    assert len(reasons) == 2
+    assert str(junk) in reasons[0]
+    assert "relaxation_time_s" in reasons[1]
+
+
+def test_precedence_of_codes_is_that_of_the_table() -> None:
+    from tissueid.errors import exit_code
+
+    order = [1, 2, 3, 6, 5, 7, 4, 0]
+    for index, first in enumerate(order):
+        assert exit_code(set(order[index:])) == first
+
+
+def test_an_internal_error_is_1_in_one_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    import tissueid.pipeline
+
+    def broken(*args: object, **kwargs: object) -> None:
+        raise ZeroDivisionError("for the test")
+
+    monkeypatch.setattr(tissueid.pipeline, "describe_trial", broken)
+    ended: Ended = run("inspect", write_log(tmp_path / "log.csv"))
+    assert ended.code == 1
+    assert ended.stderr.startswith("tissueid: internal error (ZeroDivisionError: for the test)")
+
+
+def test_a_full_disk_is_6_and_no_bug(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    import errno
+    import os
+
+    from tissueid.store import files
+
+    def full(path: Path, content: bytes) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+
+    monkeypatch.setattr(files.Path, "write_bytes", full)
+    ended = run("fit", write_log(tmp_path / "log.csv"), "-o", tmp_path / "out", *QUICK)
+    assert ended.code == 6
+    assert os.strerror(errno.ENOSPC) in ended.stderr
