@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +20,8 @@ if TYPE_CHECKING:
 
 __all__ = ["read_all", "read_in_order", "read_options", "reading_options", "segment_options"]
 
+#: No test machine travels ten metres.
+LONGEST_TRAVEL_MM = 1e4
 QUANTITIES = ("time", "displacement", "force")
 
 
@@ -92,7 +93,7 @@ def segment_options(*, compression: str | None, contact: float | None) -> Segmen
     """Segmentation options from flags."""
     from tissueid.segment import SegmentOptions
 
-    if contact is not None and not math.isfinite(contact):
+    if contact is not None and not abs(contact) <= LONGEST_TRAVEL_MM:
         msg = f"--contact is {contact}; give a displacement in mm as recorded"
         raise UsageError(msg)
     sign = {None: None, "positive": 1, "negative": -1}[compression]

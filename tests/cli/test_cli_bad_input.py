@@ -1,0 +1,205 @@
+"""Whatever is handed in, the answer is one clear message and the right code: never a traceback, never a bug."""
+
+from __future__ import annotations
+
+import os
+import stat
+import sys
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from command_line import QUICK, log_text, run, start, write_log
+
+
+def rows_with(change: Callable[[int, str], str]) -> bytes:
+    lines = log_text().splitlines()
+    return "\n".join(change(number, line) for number, line in enumerate(lines, 1)).encode()
+
+
+BAD_FILES: dict[str, bytes] = {
+    "binary.csv": bytes(range(256)) * 40,
+    "empty.csv": b"",
+    "blank.csv": b"\n\n \n",
+    "bom-only.csv": b"\xef\xbb\xbf",
+    "nulls.csv": bytes(4000),
+    "prose.csv": b"Dear colleague,\nthe data are on the other disk.\n",
+    "header-only.csv": log_text().encode()[:80],
+    "one-row.csv": b"Time,Extension,Load\n(sec),(mm),(N)\n0.0,0.0,0.0\n",
+    "nan.csv": rows_with(lambda n, line: line.rsplit(",", 1)[0] + ",NaN" if n == 40 else line),
+    "infinite.csv": rows_with(lambda n, line: line.rsplit(",", 1)[0] + ",1e999" if n == 40 else line),
+    "text.csv": rows_with(lambda n, line: line.rsplit(",", 1)[0] + ",oops" if n == 40 else line),
+    "ragged.csv": rows_with(lambda n, line: line.rsplit(",", 1)[0] if n == 40 else line),
+    "backwards.csv": rows_with(lambda n, line: "0.0" + line[line.index(",") :] if n == 40 else line),
+    "unknown-unit.csv": log_text().replace("(N)", "(zorkmid)").encode(),
+    "wrong-unit.csv": log_text().replace("(N)", "(mm)").encode(),
+    "html.csv": b"<html><body><table><tr><td>1</td></tr></table></body></html>",
+    "image.png": b"\x89PNG\r\n\x1a\n" + bytes(500),
+    "not-a-workbook.xlsx": b"PK\x03\x04" + bytes(200),
+    "text-as.xlsx": log_text().encode()[:60],
+    "no-motion.csv": b"Time,Extension,Load\n(sec),(mm),(N)\n"
+    + b"".join(b"%.2f,1.0,2.0\n" % (0.01 * i) for i in range(300)),
+    "three-rows.csv": b"Time,Extension,Load\n(sec),(mm),(N)\n0.0,0.0,0.0\n0.1,0.1,0.1\n0.2,0.2,0.3\n",
+    "zeros.csv": b"Time,Extension,Load\n(sec),(mm),(N)\n" + b"0.0,0.0,0.0\n" * 50,
+    "one-time.csv": b"Time,Extension,Load\n(sec),(mm),(N)\n"
+    + b"".join(b"1.0,%.2f,%.2f\n" % (0.01 * i, 0.02 * i) for i in range(50)),
+}
+
+
+@pytest.mark.parametrize("name", BAD_FILES)
+def test_a_bad_file_is_told_and_is_no_bug(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    path.write_bytes(BAD_FILES[name])
+    inspected = run("inspect", path)
+    # what can be read but not fitted is described by inspect and refused by fit
+    assert inspected.code in (0, 3)
+    fitted = run("fit", path, "-o", tmp_path / "out", *QUICK)
+    assert fitted.code in (3, 4)
+    assert name in fitted.stderr
+    assert not (tmp_path / "out" / "identification.json").exists() or fitted.code == 4
+
+
+@pytest.mark.parametrize("name", ["nan.csv", "infinite.csv", "text.csv", "ragged.csv", "backwards.csv"])
+def test_a_bad_cell_is_refused_with_its_line(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    path.write_bytes(BAD_FILES[name])
+    ended = run("inspect", path, "--json")
+    assert ended.code == 3
+    (one,) = ended.json()
+    assert one["error"]["line"] == 40
+
+
+def test_an_empty_workbook_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "empty.xlsx"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("readme.txt", "nothing")
+    assert run("fit", path, "-o", tmp_path / "out").code == 3
+
+
+@pytest.mark.parametrize(
+    ("args", "codes"),
+    [
+        (["--columns", "force=Druck"], {3}),
+        (["--columns", "force=#9"], {3}),
+        (["--columns", "time=Load,force=Time"], {3}),
+        (["--units", "time=mm"], {2}),
+        (["--contact", "500"], {3}),
+        (["--contact", "-500"], {0, 3, 4}),
+        (["--contact", "1e300"], {2}),
+        (["--contact", "-1e300"], {2}),
+        (["--contact", "-9999"], {0, 3, 4}),
+        (["--compression", "negative"], {0, 3, 4}),
+        (["--recipe", "testxpert-workbook"], {3}),
+        (["--specimen-by", "zzz"], {0, 4}),
+    ],
+)
+def test_a_doubtful_option_ends_cleanly(tmp_path: Path, args: list[str], codes: set[int]) -> None:
+    log = write_log(tmp_path / "log.csv")
+    ended = run("fit", log, *args, "-o", tmp_path / "out", *QUICK)
+    assert ended.code in codes
+    assert ended.stderr.strip() or ended.code == 0
+
+
+def test_an_output_folder_that_is_a_file_is_refused_before_work(tmp_path: Path) -> None:
+    log = write_log(tmp_path / "log.csv")
+    for args in (["fit", log], ["synth", "paper-a-hold-100Hz"]):
+        ended = run(*args, "-o", log)
+        assert ended.code == 2
+        assert "is a file" in ended.stderr
+    assert log.read_text(encoding="ascii") == log_text()
+
+
+def test_an_output_folder_below_a_file_is_refused(tmp_path: Path) -> None:
+    log = write_log(tmp_path / "log.csv")
+    assert run("fit", log, "-o", log / "out", *QUICK).code == 6
+    assert run("synth", "paper-a-hold-100Hz", "-o", log / "out").code == 2
+
+
+@pytest.mark.skipif(
+    sys.platform == "win32" or os.geteuid() == 0, reason="rights do not bind the superuser, or this system"
+)
+def test_rights_that_are_missing_are_told(tmp_path: Path) -> None:
+    log, out = write_log(tmp_path / "log.csv"), tmp_path / "out"
+    out.mkdir()
+    out.chmod(stat.S_IRUSR | stat.S_IXUSR)
+    assert run("fit", log, "-o", out, *QUICK).code == 6
+    log.chmod(0)
+    ended = run("fit", log, "-o", tmp_path / "other")
+    assert ended.code == 3
+    assert "log.csv" in ended.stderr
+
+
+def test_results_can_only_be_written_where_there_is_a_folder(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    run("fit", write_log(tmp_path / "log.csv"), "-o", out, *QUICK)
+    for command in ("export", "report"):
+        ended = run(command, out, "-o", tmp_path / "none" / "file")
+        assert ended.code == 2
+        assert "can't be written" in ended.stderr
+
+
+@pytest.mark.parametrize("content", ["", "{", "[]", "null", '{"schema": "tissueid/identification/1"}'])
+def test_a_spoilt_set_is_refused_by_every_command(tmp_path: Path, content: str) -> None:
+    out = tmp_path / "out"
+    run("fit", write_log(tmp_path / "log.csv"), "-o", out, *QUICK)
+    for path in (out / "identification.json", *out.glob(".runs/*/identification.json")):
+        path.write_text(content, encoding="utf-8")
+    for command in ("validate", "report", "export"):
+        assert run(command, out).code == 6, command
+
+
+def test_a_second_fit_repairs_a_spoilt_set(tmp_path: Path) -> None:
+    out, log = tmp_path / "out", write_log(tmp_path / "log.csv")
+    run("fit", log, "-o", out, *QUICK)
+    (out / "bundle.h5").write_bytes(b"spoilt")
+    assert run("validate", out).code == 6
+    run("fit", log, "-o", out, *QUICK)
+    assert run("validate", out).code == 0
+
+
+def test_an_output_inside_the_data_folder_is_not_read_as_data(tmp_path: Path) -> None:
+    write_log(tmp_path / "lab" / "log.csv")
+    for _ in range(2):
+        ended = run("fit", tmp_path / "lab", "-o", tmp_path / "lab" / "out", "--json", *QUICK)
+        assert ended.code in (0, 4)
+        assert len(ended.json()["provenance"]["inputs"]) == 1
+
+
+def test_a_file_named_twice_is_read_once(tmp_path: Path) -> None:
+    log = write_log(tmp_path / "lab" / "log.csv")
+    assert len(run("inspect", log, tmp_path / "lab", log, "--json").json()) == 1
+
+
+def test_a_file_that_changes_between_the_passes_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from tissueid import pipeline
+
+    monkeypatch.setattr(pipeline, "CACHE_BYTES", 0)
+    first = write_log(tmp_path / "a.csv")
+    write_log(tmp_path / "b.csv", force_times=1.1)
+    real = pipeline.fit_specimen
+
+    def changing(*args: object, **options: object) -> object:
+        write_log(first, force_times=2.0)
+        return real(*args, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(pipeline, "fit_specimen", changing)
+    ended = run("fit", first, tmp_path / "b.csv", "-o", tmp_path / "out", *QUICK)
+    assert ended.code == 3
+    assert "a.csv" in ended.stderr
+    assert "changed while it was being fitted" in ended.stderr
+
+
+@pytest.mark.parametrize("args", [["--help"], ["inspect", "LOG"], ["inspect", "LOG", "--json"]])
+def test_a_closed_pipe_is_no_error(tmp_path: Path, args: list[str]) -> None:
+    log = write_log(tmp_path / "log.csv")
+    process = start(*[str(log) if arg == "LOG" else arg for arg in args])
+    assert process.stdout is not None
+    assert process.stderr is not None
+    # closed before a byte is written, as by a reader that has seen enough
+    process.stdout.close()
+    with process.stderr as stream:
+        said = stream.read()
+    assert (process.wait(timeout=60), said) == (0, "")

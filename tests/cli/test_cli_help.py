@@ -1,0 +1,141 @@
+"""Help costs nothing, explains everything, and the documentation does what it says."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from command_line import REPOSITORY, run
+
+from tissueid import __version__
+from tissueid.cli.main import COMMANDS
+
+README = (REPOSITORY / "README.md").read_text(encoding="utf-8")
+HEAVY = ("numpy", "pandas", "lmfit", "rich", "scipy", "numba", "h5py", "plotly", "jinja2", "pint")
+LISTING = "import sys, json; print(json.dumps(sorted({name.split('.')[0] for name in sys.modules})))"
+
+
+def modules_after(code: str) -> set[str]:
+    """Top-level modules loaded in a new process after some code."""
+    done = subprocess.run(
+        [sys.executable, "-c", f"{code}\n{LISTING}"], capture_output=True, text=True, check=True
+    )
+    return set(json.loads(done.stdout.splitlines()[-1]))
+
+
+def test_help_loads_click_and_nothing_heavy() -> None:
+    loaded = modules_after("from tissueid.cli.main import main; assert main(['--help']) == 0")
+    assert "click" in loaded
+    assert loaded.isdisjoint(HEAVY)
+
+
+def test_importing_tissueid_loads_nothing() -> None:
+    assert modules_after("import tissueid; tissueid.__version__").isdisjoint({*HEAVY, "click"})
+
+
+def test_a_public_function_is_loaded_on_first_use() -> None:
+    loaded = modules_after("import tissueid; tissueid.read_trials")
+    assert "numpy" in loaded
+    assert loaded.isdisjoint({"lmfit", "numba", "plotly"})
+
+
+def test_an_unknown_attribute_is_an_attribute_error() -> None:
+    import tissueid
+
+    with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
+        _ = tissueid.nonsense
+
+
+def test_help_lists_every_command_with_what_it_does() -> None:
+    ended = run("--help")
+    assert ended.code == 0
+    text = " ".join(ended.stdout.split())
+    for name, meaning in COMMANDS.items():
+        assert f"{name} {meaning}" in text
+    assert "Examples:" in ended.stdout
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_explains_itself_with_examples(name: str) -> None:
+    ended = run(name, "--help")
+    assert ended.code == 0
+    _, _, examples = ended.stdout.partition("Examples:")
+    lines = [line.strip() for line in examples.strip().splitlines()]
+    assert lines
+    assert all(line.startswith(f"tissueid {name} ") for line in lines)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_option_of_an_example_exists(name: str) -> None:
+    text = run(name, "--help").stdout
+    usage, _, examples = text.partition("Examples:")
+    for option in re.findall(r"(?<= )--?[a-z][a-z-]*", examples):
+        assert re.search(rf"(?<![\w-]){option}(?![\w-])", usage), option
+
+
+def test_version_is_that_of_the_package() -> None:
+    assert run("--version").stdout == f"tissueid {__version__}\n"
+
+
+@pytest.mark.parametrize(
+    ("typed", "meant"),
+    [("inspcet", "inspect"), ("fti", "fit"), ("reports", "report"), ("valdate", "validate")],
+)
+def test_a_slip_is_answered_with_the_nearest_command(typed: str, meant: str) -> None:
+    assert f"Did you mean '{meant}'?" in run(typed).stderr
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_is_named_in_the_documentation(name: str) -> None:
+    pages = [README, *(path.read_text(encoding="utf-8") for path in (REPOSITORY / "docs").rglob("*.md"))]
+    assert any(f"tissueid {name}" in page for page in pages)
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```$", README, flags=re.MULTILINE | re.DOTALL)
+
+
+def readme_commands() -> list[list[str]]:
+    """The command lines of README that start with tissueid, comments removed."""
+    lines = [line for block in blocks("") for line in block.splitlines()]
+    split = [shlex.split(line, comments=True) for line in lines]
+    return [words[1:] for words in split if words and words[0] == "tissueid"]
+
+
+@pytest.fixture
+def reader_folder(tmp_path: Path, datasets: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder with a few recordings where README says they are."""
+    for target in ("lab_data", "datasets_synthetic/paper-a-hold-100Hz"):
+        (tmp_path / target).mkdir(parents=True)
+        source = datasets / "paper-a-hold-100Hz" / "hold-8-1.csv"
+        (tmp_path / target / source.name).write_bytes(source.read_bytes())
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_readme_runs_as_printed(reader_folder: Path) -> None:
+    commands = readme_commands()
+    assert [words[0] for words in commands] == ["inspect", "fit", "validate", "report", "export", "synth"]
+    for words in commands:
+        ended = run(*words)
+        assert ended.code == 0, (words, ended.stderr)
+    table = re.findall(r"^\| `([^`]+)` \|", README, flags=re.MULTILINE)
+    for name in table:
+        assert list((reader_folder / "out").glob(name.replace("<specimen>", "*"))), name
+    (block,) = blocks("python")
+    found: dict[str, object] = {}
+    exec(compile(block, "README.md", "exec"), found)
+    assert found["bundle"].specimen == "paper-a"  # type: ignore[attr-defined]
+    estimate = found["found"].specimens[0].parameter("viscosity_N_s_per_mm")  # type: ignore[attr-defined]
+    # truth: 63.62 N/mm times 0.021 s
+    assert abs(estimate.value - 63.62 * 0.021) <= 3.0 * estimate.stderr
+
+
+def test_readme_names_every_exit_code_a_command_can_end_with() -> None:
+    (text,) = re.findall(r"^Exit codes: (.*?)\n\n", README, flags=re.MULTILINE | re.DOTALL)
+    assert {int(code) for code in re.findall(r"\b(\d+) ", text)} == {0, 1, 2, 3, 4, 6, 7, 130}
