@@ -25,7 +25,10 @@ __all__ = ["Anchor", "Layout", "Row", "anchor", "find_layout", "is_units_row", "
 Row = tuple[str, ...]
 
 _DELIMITERS = (";", "\t", "|", ",")
-_TAIL_BYTES = 1 << 13
+_TAIL_BYTES = 1 << 12
+#: Lines in which the table is sought, and how many of the last of them vote on the delimiter.
+_HEAD_LINES = 200
+_SCORED_LINES = 100
 _BRACKETED = re.compile(r"\s*[(\[].*[)\]]\s*")
 
 
@@ -172,7 +175,7 @@ def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
         raw = raw[:-1]
     if not raw:
         place.refuse("not_an_export", f"the first line is longer than {HEAD_BYTES} bytes: this is no table")
-    lines = [text.decode(line) for line in raw]
+    lines = [text.decode(line) for line in raw[:_HEAD_LINES]]
     delimiter = options.delimiter or _find_delimiter(lines)
     rows = [split_line(line, delimiter) for line in lines]
     found = anchor(rows, options)
@@ -211,7 +214,7 @@ def _find_delimiter(lines: Sequence[str]) -> str:
     """The delimiter with which most cells of most lines are numbers; the first of equals."""
 
     def score(delimiter: str) -> float:
-        return sum(_numeric_share(split_line(line, delimiter)) for line in lines[:400])
+        return sum(_numeric_share(split_line(line, delimiter)) for line in lines[-_SCORED_LINES:])
 
     return max(_DELIMITERS, key=score)
 

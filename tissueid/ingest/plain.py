@@ -24,7 +24,7 @@ __all__ = ["make_plain"]
 Bytes = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 
-_QUOTE, _TAB, _LF, _CR, _ZERO = 0x22, 0x09, 0x0A, 0x0D, 0x30
+_QUOTE, _TAB, _LF, _CR, _SPACE, _ZERO = 0x22, 0x09, 0x0A, 0x0D, 0x20, 0x30
 _PAD = b"\n" * 8
 #: Thousands separators as single bytes; the no-break spaces of UTF-8 are first made 0xA0.
 _MARKS = (b",", b".", b"\xa0", b"'", b" ")
@@ -47,9 +47,11 @@ def _inside_quotes(quote: Mask) -> Mask:
 
 def _quotes_sound(quote: Mask, inside: Mask, newline: Mask, edge: Mask) -> bool:
     """Whether every quote opens or closes a whole cell."""
-    opening, closing = quote & inside, quote & ~inside
+    opening = quote & inside
+    closing = quote ^ opening
     torn = bool((newline & inside).any()) or bool(inside[-1])
-    return not (torn or (opening[1:] & ~edge[:-1]).any() or (closing[:-1] & ~edge[1:]).any())
+    # of two truth values, a > b says a and not b
+    return not (torn or (opening[1:] > edge[:-1]).any() or (closing[:-1] > edge[1:]).any())
 
 
 def _groups_sound(
@@ -99,7 +101,7 @@ def make_plain(piece: bytes, *, delimiter: str, decimal: str) -> bytes | None:
     inside = None
     if quoted:
         quote = b == _QUOTE
-        newline = (b == _LF) | (b == _CR)
+        newline = b < _SPACE  # or another control character: inside a number it is as bad
         inside = _inside_quotes(quote)
         if not _quotes_sound(quote, inside, newline, newline | (b == ord(delimiter))):
             return None
