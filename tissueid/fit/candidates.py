@@ -242,6 +242,10 @@ def fit_candidate(
     bounds = sums.log_tau_bounds
     seeds = seeds or []
     if candidate.pooling != "partial":
+        if candidate.branches > 2 and not any(seed.size == candidate.branches - 1 for seed in seeds):
+            # three branches are searched for beside the best pair
+            fewer = fit_candidate(sums, replace(candidate, branches=candidate.branches - 1))
+            seeds = [*seeds, fewer.evaluation.log_tau]
         noise = Noise(sigma2=1.0, gain_sd=START_GAIN_SD)
         objective = objective_for(sums, candidate, noise)
         found = global_minimum(objective, bounds, seeds=seeds)
