@@ -1,4 +1,4 @@
-"""Whatever is handed in, the answer is one clear message and the right code: never a traceback, never a bug."""
+"""Whatever is handed in, the answer is one clear message and the right code: never a traceback."""
 
 from __future__ import annotations
 

@@ -1,0 +1,110 @@
+"""Killed or interrupted at any moment, an output folder shows the old run or the new one, whole."""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import QUICK, run, start, write_log
+
+#: Options of two runs over the same logs, which give different numbers.
+RUNS = (QUICK, ("--branches", "2", "--stiffness-degree", "0"))
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A log, what either run writes, and how long one takes in a process of its own [s]."""
+
+    log: Path
+    numbers: tuple[bytes, bytes]
+    seconds: float
+
+
+@pytest.fixture(scope="module")
+def prepared(tmp_path_factory: pytest.TempPathFactory) -> Prepared:
+    folder = tmp_path_factory.mktemp("kill")
+    log = write_log(folder / "log.csv")
+    numbers = []
+    for number, options in enumerate(RUNS):
+        begin = time.monotonic()
+        with start("fit", log, "-o", folder / str(number), "-q", *options) as process:
+            assert process.wait(timeout=120) in (0, 4)
+        seconds = time.monotonic() - begin
+        numbers.append((folder / str(number) / "identification.json").read_bytes())
+    assert numbers[0] != numbers[1]
+    return Prepared(log, (numbers[0], numbers[1]), seconds)
+
+
+def kill_and_check(prepared: Prepared, out: Path, *, kills: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    assert run("fit", prepared.log, "-o", out, "-q", *RUNS[0]).code in (0, 4)
+    shown = 0
+    for kill in range(kills):
+        # half of the kills anywhere, half in the last third, where the files are written
+        begin = 0.0 if kill % 2 else 0.67
+        other = 1 - shown
+        with start("fit", prepared.log, "-o", out, "-q", *RUNS[other]) as process:
+            time.sleep(prepared.seconds * float(rng.uniform(begin, 1.05)))
+            process.kill()
+        ended = run("validate", out)
+        assert ended.code == 0, ended.stderr
+        numbers = (out / "identification.json").read_bytes()
+        assert numbers in prepared.numbers
+        shown = prepared.numbers.index(numbers)
+        bundle = run("export", out).json()["specimens"][0]["model"]["branches"]
+        assert bundle == shown + 1
+        assert not list(out.glob(".tmp-*"))
+    # the folder is of use afterwards
+    assert run("fit", prepared.log, "-o", out, "-q", *RUNS[0]).code in (0, 4)
+    assert (out / "identification.json").read_bytes() == prepared.numbers[0]
+    assert len(list((out / ".runs").iterdir())) == 1
+
+
+def test_a_killed_fit_leaves_the_old_run_or_the_new(prepared: Prepared, tmp_path: Path) -> None:
+    kill_and_check(prepared, tmp_path, kills=3, seed=20)
+
+
+@pytest.mark.slow
+def test_twenty_killed_fits_leave_the_old_run_or_the_new(prepared: Prepared, tmp_path: Path) -> None:
+    kill_and_check(prepared, tmp_path, kills=20, seed=21)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a process can't be sent SIGINT here")
+def test_ctrl_c_ends_with_130_and_leaves_the_old_run(datasets: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    run("fit", write_log(tmp_path / "log.csv"), "-o", out, "-q", *QUICK)
+    before = (out / "identification.json").read_bytes()
+    runs = set((out / ".runs").iterdir())
+    with start("fit", datasets / "paper-a-30-10Hz", "-o", out) as process:
+        # the new run's folder appears when the work begins, and fitting 30 logs takes seconds from there
+        deadline = time.monotonic() + 60.0
+        while set((out / ".runs").iterdir()) == runs and time.monotonic() < deadline:
+            time.sleep(0.02)
+        assert process.poll() is None
+        process.send_signal(signal.SIGINT)
+        _, stderr = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "interrupted" in stderr
+    assert "Traceback" not in stderr
+    assert run("validate", out).code == 0
+    assert (out / "identification.json").read_bytes() == before
+    assert set((out / ".runs").iterdir()) == runs
+
+
+def test_a_killed_fit_into_a_new_folder_leaves_no_half_result(prepared: Prepared, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with start("fit", prepared.log, "-o", out, "-q", *RUNS[1]) as process:
+        deadline = time.monotonic() + 60.0
+        while not (out / ".runs").exists() and time.monotonic() < deadline:
+            time.sleep(0.01)
+        process.kill()
+    assert run("validate", out).code == 6
+    assert not (out / "identification.json").exists()
+    assert run("fit", prepared.log, "-o", out, "-q", *RUNS[1]).code in (0, 4)
+    assert json.loads((out / "identification.json").read_bytes()) == json.loads(prepared.numbers[1])
