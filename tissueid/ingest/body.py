@@ -81,7 +81,7 @@ class _Plan:
             return None
         both = layout.delimiter == layout.decimal
         separator = "\t" if both else layout.delimiter
-        if not plain.strip():
+        if not plain or plain.isspace():
             return [np.empty(0) for _ in self.wanted]
         dtypes = {
             index: np.float64 if numeric or index in self.wanted else object

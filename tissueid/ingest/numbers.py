@@ -18,7 +18,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
 
-__all__ = ["MARKS", "CellFault", "decimal_evidence", "looks_numeric", "parse_number", "shortest_fault"]
+__all__ = ["MARKS", "CellFault", "decimal_evidence", "looks_numeric", "parse_number"]
 
 #: Thousands separators seen inside cells, besides the mark that is not the decimal one.
 MARKS = "\u00a0\u202f '\u2019"
@@ -145,9 +145,3 @@ def decimal_evidence(cells: Iterable[str]) -> tuple[int, int, int]:
             grouping = len(after) == 3 and re.fullmatch(r"[1-9]\d{0,2}", before)
             votes["" if grouping else last] += 1
     return votes["."], votes[","], votes[""]
-
-
-def shortest_fault(text: str, decimal: str) -> CellFault | None:
-    """The fault of a cell, ``None`` where it is a number."""
-    result = parse_number(text, decimal)
-    return result if isinstance(result, CellFault) else None
