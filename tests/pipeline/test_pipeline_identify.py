@@ -1,0 +1,230 @@
+"""The stages in their order: caching, refusals, names, and the Python interface."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import tissueid
+from tissueid import pipeline
+from tissueid.errors import InputError
+from tissueid.fit.specimen import FitOptions
+from tissueid.pipeline import DEFAULT_REQUIRED, REQUIRABLE, IdentifyOptions, describe_trial, identify
+from tissueid.result import Refusal
+from tissueid.segment import SegmentOptions
+from tissueid.store.files import json_bytes
+from tissueid.store.schema import first_problem
+from tissueid.synth import as_trials, recipe, simulate
+from tissueid.trial import Source, Trial
+
+QUICK = IdentifyOptions(fit=FitOptions(branches=1, stiffness_degree=0))
+
+
+@pytest.fixture(scope="module")
+def holds() -> list[Trial]:
+    """Four ramps and holds of one specimen at 20 Hz."""
+    plan = recipe("paper-a-30")
+    logs = tuple(replace(log, repeats=1) for log in plan.logs if log.name.startswith("hold"))
+    return as_trials(simulate(replace(plan, logs=logs, rate_Hz=20.0), rng=np.random.default_rng(4)))
+
+
+def in_air() -> Trial:
+    """A tool that moves and never touches."""
+    time = np.arange(200) * 0.05
+    force = np.random.default_rng(5).normal(0.0, 0.1, 200)
+    return Trial("air", time, 0.5 * time, force, source=Source(path="air.csv"))
+
+
+def test_reloaded_samples_give_the_bytes_of_kept_samples(
+    holds: list[Trial], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    of_path = {trial.source.path: trial for trial in holds}
+    loads: list[str] = []
+
+    def reload(source: Source) -> Trial:
+        loads.append(source.path)
+        return of_path[source.path]
+
+    kept = identify(holds, options=QUICK)
+    monkeypatch.setattr(pipeline, "CACHE_BYTES", 0)
+    reloaded = identify(holds, options=QUICK, reload=reload)
+    assert json_bytes(reloaded.as_json()) == json_bytes(kept.as_json())
+    assert set(loads) == set(of_path)
+
+
+def test_the_cache_keeps_to_its_bytes(holds: list[Trial], monkeypatch: pytest.MonkeyPatch) -> None:
+    one = sum(array.nbytes for array in (holds[-1].time_s, holds[-1].displacement_mm, holds[-1].force_N))
+    monkeypatch.setattr(pipeline, "CACHE_BYTES", 2 * one)
+    of_path = {trial.source.path: trial for trial in holds}
+    cache = pipeline._TrialCache(lambda source: of_path[source.path])
+    for trial in [*holds, *holds[::-1]]:
+        key = (trial.source.path, None)
+        if key not in cache._trials:
+            cache.add(key, trial)
+        held = sum(cache._size(kept) for kept in cache._trials.values())
+        assert held == cache._bytes <= 2 * one
+    # what has gone comes back
+    for trial in holds:
+        assert cache.get((trial.source.path, None), trial.source) is trial
+
+
+def test_without_reload_nothing_is_thrown_away(holds: list[Trial], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pipeline, "CACHE_BYTES", 0)
+    assert identify(holds, options=QUICK).exit.code == 0
+
+
+def test_a_reloaded_file_must_be_the_one_that_was_read(
+    holds: list[Trial], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pipeline, "CACHE_BYTES", 0)
+
+    def other(source: Source) -> Trial:
+        return replace(holds[0], source=replace(source, sha256="0" * 64))
+
+    with pytest.raises(InputError, match="changed while it was being fitted"):
+        identify(holds, options=QUICK, reload=other)
+
+
+def test_a_generator_is_consumed_once_and_refusals_are_read_after_it(holds: list[Trial]) -> None:
+    refused: list[Refusal] = []
+    passes = []
+
+    def trials() -> Iterator[Trial]:
+        passes.append(1)
+        yield from holds
+        refused.append(Refusal("late.csv", None, "empty_file", "the file is empty"))
+
+    found = identify(trials(), options=QUICK, refused=refused)
+    assert len(passes) == 1
+    assert [one.path for one in found.refused] == ["late.csv"]
+    assert (found.exit.code, found.exit.reasons) == (7, ("late.csv: the file is empty",))
+
+
+def test_a_trial_without_contact_is_refused_and_the_others_are_fitted(holds: list[Trial]) -> None:
+    found = identify([in_air(), *holds], options=QUICK)
+    assert [(one.path, one.code) for one in found.refused] == [("air.csv", "no_contact")]
+    assert [len(one.trials) for one in found.specimens] == [len(holds)]
+    assert found.exit.code == 7
+    assert first_problem(found.as_json() | {"provenance": dict(found.provenance)}, "identification") is None
+
+
+def test_nothing_to_fit_is_3() -> None:
+    assert identify([], options=QUICK).exit.code == 3
+    assert identify([], options=QUICK).exit.reasons == ("no recording was found",)
+    assert identify([in_air()], options=QUICK).exit.code == 3
+
+
+def test_too_few_samples_after_contact_are_refused_by_that_name(holds: list[Trial]) -> None:
+    options = replace(QUICK, segment=SegmentOptions(contact_displacement_mm=500.0))
+    found = identify(holds[:1], options=options)
+    assert [one.code for one in found.refused] == ["too_few_samples"]
+
+
+def test_arrays_of_ones_own_are_fitted(holds: list[Trial]) -> None:
+    one = holds[-1]
+    own = Trial("mine", one.time_s, one.displacement_mm, one.force_N)
+    (fit,) = tissueid.identify([own], options=QUICK).specimens
+    assert fit.specimen == "mine"
+
+
+def test_specimens_keep_the_order_of_their_first_trial(holds: list[Trial]) -> None:
+    named = [replace(trial, specimen=name) for trial, name in zip(holds, "baba", strict=True)]
+    found = identify(named, options=QUICK)
+    assert [fit.specimen for fit in found.specimens] == ["b", "a"]
+    assert [[trial.path for trial in fit.trials] for fit in found.specimens] == [
+        [named[0].source.path, named[2].source.path],
+        [named[1].source.path, named[3].source.path],
+    ]
+
+
+def test_the_radius_of_the_tip_is_kept_where_all_trials_agree(holds: list[Trial]) -> None:
+    def with_radii(*radii: float | None) -> list[Trial]:
+        return [
+            replace(trial, protocol=replace(trial.protocol, tip_radius_mm=radius))
+            for trial, radius in zip(holds, radii, strict=False)
+        ]
+
+    assert identify(with_radii(2.0, 2.0), options=QUICK).specimens[0].tip_radius_mm == 2.0
+    assert identify(with_radii(2.0, 3.0), options=QUICK).specimens[0].tip_radius_mm is None
+    assert identify(with_radii(2.0, None), options=QUICK).specimens[0].tip_radius_mm is None
+
+
+def test_what_is_required_decides_between_0_and_4(holds: list[Trial]) -> None:
+    everything = identify(holds, options=replace(QUICK, required=REQUIRABLE))
+    missing = {one.name for one in everything.specimens[0].parameters if not one.identified}
+    assert (everything.exit.code == 4) == bool(missing)
+    (reason,) = everything.exit.reasons
+    assert set(reason.partition("not identified: ")[2].split(", ")) == missing
+    assert identify(holds, options=replace(QUICK, required=())).exit.code == 0
+    assert DEFAULT_REQUIRED == ("viscosity", "static")
+
+
+def test_progress_counts_up_to_its_total(holds: list[Trial]) -> None:
+    told: list[tuple[str, int, int]] = []
+    identify(holds, options=QUICK, progress=lambda message, done, total: told.append((message, done, total)))
+    assert [message for message, _, total in told if total == 0] == [f"reading {one.name}" for one in holds]
+    assert told[-1][1:] == (1, 1)
+
+
+def test_a_description_is_that_of_the_schema_and_leaves_the_trial_alone(holds: list[Trial]) -> None:
+    one = holds[-1]
+    flipped = replace(one, displacement_mm=-one.displacement_mm, force_N=-one.force_N)
+    described = describe_trial(flipped)
+    assert first_problem([described], "inspect") is None
+    assert described["compression_sign"] == -1
+    assert described["peak_force"]["force_N"] == flipped.force_N[np.argmax(np.abs(flipped.force_N))]
+
+
+def names(*entries: tuple[str, str | None, str | None]) -> list[str]:
+    """Display names of specimens, each given as (path, sheet, label or None)."""
+    sources = [
+        (label or (path if sheet is None else f"{path}::{sheet}"), Source(path=path, sheet=sheet))
+        for path, sheet, label in entries
+    ]
+    shown = pipeline._display_names(sources)
+    return [shown[specimen] for specimen, _ in sources]
+
+
+@pytest.mark.parametrize(
+    ("entries", "expected"),
+    [
+        ([("lab/day/a.csv", None, None)], ["a"]),
+        ([("lab/x/a.csv", None, None), ("lab/y/a.csv", None, None)], ["x/a", "y/a"]),
+        ([("lab/x/a.csv", None, None), ("lab/y/b.csv", None, None)], ["a", "b"]),
+        ([("p/x/a.csv", None, None), ("q/x/a.csv", None, None)], ["p/x/a", "q/x/a"]),
+        ([("a.csv", None, None), ("sub/a.csv", None, None)], ["a", "sub/a"]),
+        ([("a.csv", None, None), ("a.txt", None, None)], ["a.csv", "a.txt"]),
+        ([("b.xlsx", "S1", None), ("b.xlsx", "S2", None)], ["S1", "S2"]),
+        ([("b.xlsx", "S1", None), ("c.xlsx", "S1", None)], ["b/S1", "c/S1"]),
+        ([("a.csv", None, "kidney"), ("lab/kidney.csv", None, None)], ["kidney", "lab/kidney"]),
+        ([("a.csv", None, "kidney"), ("kidney.csv", None, None)], ["kidney", "kidney.csv"]),
+    ],
+)
+def test_display_names_are_short_and_tell_specimens_apart(
+    entries: list[tuple[str, str | None, str | None]], expected: list[str]
+) -> None:
+    assert names(*entries) == expected
+
+
+def test_ten_thousand_names_are_found_at_once() -> None:
+    import time
+
+    begin = time.process_time()
+    shown = names(*((f"lab/{i % 100}/{i // 100}.csv", None, None) for i in range(10_000)))
+    # comparing each with each would take minutes
+    assert time.process_time() - begin < 2.0
+    assert len(set(shown)) == 10_000
+
+
+def test_the_readme_interface_reads_and_fits(datasets: Path) -> None:
+    trials = tissueid.read_trials(datasets / "paper-a-hold-100Hz")
+    found = tissueid.identify(trials)
+    estimate = found.specimens[0].parameter("viscosity_N_s_per_mm")
+    assert estimate.value is not None
+    assert estimate.stderr is not None
+    # truth: 63.62 N/mm times 0.021 s
+    assert abs(estimate.value - 63.62 * 0.021) <= 3.0 * estimate.stderr
