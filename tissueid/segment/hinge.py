@@ -55,6 +55,9 @@ WINDOWS = (1.0, 0.5, 0.25, 0.12, 0.06)
 FEW_SAMPLES = 20
 #: Times the bins are laid anew around a better contact.
 MAX_BINNINGS = 3
+#: Contact is looked for, and first guessed, up to so much before the end of the ramp, in shares of it.
+LAST_CONTACT = 0.02
+LEAST_WINDOW = 0.04
 #: Fewest bins with tissue in a window.
 FEWEST_BINS = 8
 
@@ -120,7 +123,8 @@ def fit_contact(
     start, end = float(depth_mm[0]), float(depth_mm.max())
     low, high = start - reach_back_mm, end
     guess, slope = _rough(depth_mm, force_N, noise_N)
-    guess = min(max(guess, low), high)
+    # a force that rises at the very end only must still leave the shape a window
+    guess = min(max(guess, low), high - LEAST_WINDOW * (high - low))
     best: HingeFit | None = None
     for share in WINDOWS:
         window = share * (end - max(guess, start))
@@ -203,7 +207,7 @@ def _centre(
     """
     (low, high), (contact, window) = bounds, guess
     shortest, longest = (float(np.log(share * window)) for share in BRANCH_RANGE)
-    limits = (low, high - 0.02 * (high - low)), (shortest, longest)
+    limits = (low, high - LAST_CONTACT * (high - low)), (shortest, longest)
     axis = np.linspace(-LATTICE_REACH, LATTICE_REACH, LATTICE)
     unit = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
     centre = np.array([contact, 0.5 * (shortest + longest)])
