@@ -15,11 +15,11 @@ from tissueid.fit.metrics import nrmsd
 from tissueid.fit.search import global_minimum
 from tissueid.flags import Flag
 from tissueid.likelihood.basis import TAU_ABOVE_LENGTH, TAU_BELOW_STEP, KernelBasis, kernel_basis
-from tissueid.likelihood.objective import Evaluation, PooledObjective, eliminate_static
+from tissueid.likelihood.objective import PooledObjective, eliminate_static
 from tissueid.result import RelaxationRow
 from tissueid.trial import Phase, Segmentation, Trial, contact_frame
 
-__all__ = ["fit_exponentials", "relaxation_rows"]
+__all__ = ["exponential_ladder", "fit_exponentials", "relaxation_rows"]
 
 FloatArray = NDArray[np.float64]
 
@@ -47,6 +47,38 @@ def _gram(time_s: FloatArray, force_N: FloatArray, basis: KernelBasis) -> FloatA
     return eliminate_static(columns.T @ columns, 1)
 
 
+def exponential_ladder(
+    time_s: FloatArray, force_N: FloatArray, count: int
+) -> list[tuple[FloatArray, FloatArray]]:
+    """Fits with 1, 2, ... ``count`` exponentials, each started from the one before.
+
+    Returns
+    -------
+    list of (tau_s, model_N)
+        As :func:`fit_exponentials` gives them.
+    """
+    steps = np.diff(time_s)
+    step = float(np.median(steps[steps > 0.0]))
+    length = float(time_s[-1])
+    basis = kernel_basis(step_s=step, length_s=length)
+    bounds = (np.log(step / TAU_BELOW_STEP), np.log(length * TAU_ABOVE_LENGTH))
+    gram = _gram(time_s, force_N, basis)
+    fits: list[tuple[FloatArray, FloatArray]] = []
+    seeds: list[FloatArray] = []
+    for branches in range(1, count + 1):
+        objective = PooledObjective(
+            gram=gram, basis=basis, scale=1.0, branches=branches, degree=0, columns_degree=0, static=False
+        )
+        best = global_minimum(objective, bounds, seeds=seeds)
+        seeds = [best.log_tau]
+        used = best.theta > MIN_AMPLITUDE * max(float(np.ptp(force_N)), 1e-300)
+        tau = np.exp(best.log_tau[used])
+        design = np.column_stack([np.ones(time_s.size), *(np.exp(-time_s / value) for value in tau)])
+        weights = np.linalg.lstsq(design, force_N, rcond=None)[0]
+        fits.append((tau, design @ weights))
+    return fits
+
+
 def fit_exponentials(time_s: FloatArray, force_N: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
     """Least squares of a plateau and ``count`` decaying exponentials with amplitudes >= 0.
 
@@ -64,27 +96,7 @@ def fit_exponentials(time_s: FloatArray, force_N: FloatArray, count: int) -> tup
         Ascending; shorter than ``count`` where an amplitude is zero.
     model_N : ndarray, shape (n,)
     """
-    steps = np.diff(time_s)
-    step = float(np.median(steps[steps > 0.0]))
-    length = float(time_s[-1])
-    basis = kernel_basis(step_s=step, length_s=length)
-    bounds = (np.log(step / TAU_BELOW_STEP), np.log(length * TAU_ABOVE_LENGTH))
-    gram = _gram(time_s, force_N, basis)
-    best: Evaluation | None = None
-    seeds: list[FloatArray] = []
-    for branches in range(1, count + 1):
-        objective = PooledObjective(
-            gram=gram, basis=basis, scale=1.0, branches=branches, degree=0, columns_degree=0, static=False
-        )
-        best = global_minimum(objective, bounds, seeds=seeds)
-        seeds = [best.log_tau]
-    if best is None:
-        return np.zeros(0), np.full(time_s.size, force_N.mean())
-    used = best.theta > MIN_AMPLITUDE * max(float(np.ptp(force_N)), 1e-300)
-    tau = np.exp(best.log_tau[used])
-    design = np.column_stack([np.ones(time_s.size), *(np.exp(-time_s / value) for value in tau)])
-    weights = np.linalg.lstsq(design, force_N, rcond=None)[0]
-    return tau, design @ weights
+    return exponential_ladder(time_s, force_N, count)[-1]
 
 
 def _window(segmentation: Segmentation, hold: Phase, force: FloatArray) -> tuple[int, int]:
@@ -142,7 +154,7 @@ def _row(trial: Trial, segmentation: Segmentation, hold: Phase, force: FloatArra
     window_force = force[start:stop]
     if time.size < MIN_SAMPLES or time[-1] <= 0.0 or np.ptp(window_force) == 0.0:
         return None
-    fits = [fit_exponentials(time, window_force, count) for count in range(1, MAX_EXPONENTIALS + 1)]
+    fits = exponential_ladder(time, window_force, MAX_EXPONENTIALS)
     single = float(fits[0][0][0]) if fits[0][0].size else None
     one, two = (nrmsd(window_force, fit[1]).range for fit in fits[:2])
     flags: list[Flag] = []

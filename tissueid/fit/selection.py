@@ -3,7 +3,7 @@
 Every candidate predicts each log from the others (leave one log out); a specimen with one log is cut
 into interleaved stretches of its ramp and hold instead.  The score is the log predictive density
 under white noise, the random effects of the held-out log integrated out.  Scores of neighbouring
-candidates differ by less than they scatter, so the simplest candidate within one standard error of
+candidates differ by less than they scatter, so the simplest candidate within two standard errors of
 the best is taken.  A better NRMSD never decides: it always prefers the larger model.
 """
 
@@ -29,6 +29,7 @@ FloatArray = NDArray[np.float64]
 EFFECT_ROUNDS = 12
 #: Difference of log predictive density that decides nothing, however small its scatter.
 NEGLIGIBLE = 4.0
+STANDARD_ERRORS = 2.0
 #: Stiffness of a branch, relative to the stiffest, that counts as none.
 IDLE = 1e-9
 
@@ -145,10 +146,15 @@ def _table(
 
 
 def _as_good(simple: FloatArray, other: FloatArray) -> bool:
-    """True where ``other`` predicts no better than chance would have it."""
+    """True where ``other`` predicts no better than chance would have it.
+
+    It does better where its advantage exceeds two standard errors, or where every unit that was held
+    out is predicted better by more than :data:`NEGLIGIBLE` (of two logs, two standard errors say little).
+    """
     difference = other - simple
     scatter = float(difference.std(ddof=1) * np.sqrt(difference.size))
-    return float(difference.sum()) <= max(scatter, NEGLIGIBLE)
+    by_chance = float(difference.sum()) <= max(STANDARD_ERRORS * scatter, NEGLIGIBLE)
+    return by_chance and not float(difference.min()) > NEGLIGIBLE
 
 
 def _judged(sums: SpecimenSums, solution: Solution) -> Solution:

@@ -168,7 +168,6 @@ class PooledObjective:
     def quadratic(self, log_tau: FloatArray) -> FloatArray:
         """Gram matrix of (theta columns, their derivatives by ln tau, force), in powers of u."""
         full = reduction(self.basis, log_tau, degree=self.degree, columns_degree=self.columns_degree)
-        size = self.branches * (self.degree + 1)
         powers = np.tile(self.scale ** -np.arange(self.degree + 1.0), self.branches)
         column = np.concatenate([np.ones(N_STATIC), powers, powers, [1.0]])
         if self.static:
@@ -176,9 +175,7 @@ class PooledObjective:
             weights = (full * column)[1:, 1:]
         else:
             weights = (full * column)[N_STATIC:, N_STATIC:]
-        dynamic = weights[:, -1 - 2 * size : -1]
-        used = np.concatenate([weights[:, : -1 - 2 * size], dynamic, weights[:, -1:]], axis=1)
-        return np.asarray(used.T @ self.gram @ used)
+        return np.asarray(weights.T @ self.gram @ weights)
 
     def evaluate(self, log_tau: FloatArray, warm: Evaluation | None = None) -> Evaluation:
         """The optimum at these relaxation times (``warm`` is not needed: one linear problem)."""
