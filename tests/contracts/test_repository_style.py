@@ -1,0 +1,72 @@
+"""The repository keeps its own rules: nothing here looks at a number."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from tissueid.flags import FLAG_CODES, Flag
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+BANNED_NAMES = {"utils", "helpers", "manager", "process", "data2"}
+MAX_MODULE_LINES = 400
+
+
+def _python_files() -> list[Path]:
+    return sorted((REPOSITORY / "tissueid").rglob("*.py"))
+
+
+def test_every_module_says_what_it_is_and_is_of_a_readable_length() -> None:
+    for path in _python_files():
+        text = path.read_text(encoding="utf-8")
+        assert text.lstrip().startswith(('"""', 'r"""')), path
+        assert text.count("\n") <= MAX_MODULE_LINES, path
+        assert path.stem not in BANNED_NAMES, path
+
+
+def test_every_public_list_names_what_the_module_has() -> None:
+    import importlib
+
+    for path in _python_files():
+        if path.name == "__main__.py":
+            continue
+        parts = path.relative_to(REPOSITORY).with_suffix("").parts
+        name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+        module = importlib.import_module(name)
+        for public in getattr(module, "__all__", ()):
+            assert hasattr(module, public), f"{name}.{public}"
+
+
+def test_schemas_are_json_and_name_every_flag() -> None:
+    for path in sorted((REPOSITORY / "schemas").glob("*.json")):
+        assert json.loads(path.read_text(encoding="utf-8"))["$schema"].endswith("2020-12/schema"), path
+    listed = json.loads((REPOSITORY / "schemas" / "flag.schema.json").read_text(encoding="utf-8"))
+    assert set(FLAG_CODES) <= set(re.findall(r'"([a-z_]+)"', json.dumps(listed)))
+
+
+def test_unknown_flag_is_refused() -> None:
+    with pytest.raises(ValueError, match="unknown flag code 'nonsense'"):
+        Flag("nonsense", "no such thing")
+
+
+def test_no_tracked_file_carries_an_address_of_a_registry_or_a_path_of_one_machine() -> None:
+    try:
+        listed = subprocess.run(
+            ["git", "ls-files"], cwd=REPOSITORY, capture_output=True, text=True, check=True
+        )
+    except (OSError, subprocess.CalledProcessError):
+        pytest.skip("not a git checkout")
+    pattern = re.compile(r"(?<![\w.])/(work|farm)/|pypi\.org|files\.pythonhosted|registry\.npmjs")
+    for name in listed.stdout.splitlines():
+        path = REPOSITORY / name
+        if path == Path(__file__).resolve() or not path.is_file() or path.stat().st_size > 2_000_000:
+            continue
+        try:
+            text = path.read_text(encoding="utf-8")
+        except UnicodeDecodeError:
+            continue
+        assert not pattern.search(text), name
