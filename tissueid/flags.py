@@ -53,6 +53,7 @@ FLAG_CODES: Mapping[str, str] = MappingProxyType(
         "residual_correlated": "the residual is correlated in time: intervals for white noise are too narrow",
         "residual_large": "the largest residual is more than a twentieth of the force range",
         "bound_active": "a passivity bound is active at the optimum",
+        "contact_loss_ambiguous": "after the tool lets go the surface has several force-free positions",
         "optimisers_disagree": "Levenberg-Marquardt and variable projection ended at different optima",
         "not_converged": "Levenberg-Marquardt did not converge",
         "single_speed": "one speed and no hold: viscosity can't be told from static stiffness",

@@ -206,6 +206,12 @@ def _parameters(problem: _Compressed, start: Evaluation, bounds: tuple[float, fl
     return parameters
 
 
+def _at_least(rows: FloatArray, count: int) -> FloatArray:
+    """Rows of zeros appended up to a count: leastsq wants as many residuals as parameters."""
+    short = max(count - rows.shape[0], 0)
+    return np.concatenate([rows, np.zeros((short, *rows.shape[1:]))])
+
+
 def levenberg_marquardt(
     objective: PooledObjective | PartialObjective, start: Evaluation, bounds: tuple[float, float]
 ) -> LmResult:
@@ -224,16 +230,19 @@ def levenberg_marquardt(
     LmResult
     """
     problem = _compress(objective)
+    initial = _parameters(problem, start, bounds)
 
     def residual(parameters: lmfit.Parameters) -> FloatArray:
-        return _residual_and_jacobian(problem, np.array([p.value for p in parameters.values()]))[0]
+        rows = _residual_and_jacobian(problem, np.array([p.value for p in parameters.values()]))[0]
+        return _at_least(rows, len(initial))
 
     def jacobian(parameters: lmfit.Parameters) -> FloatArray:
-        return _residual_and_jacobian(problem, np.array([p.value for p in parameters.values()]))[1]
+        rows = _residual_and_jacobian(problem, np.array([p.value for p in parameters.values()]))[1]
+        return _at_least(rows, len(initial))
 
     found = lmfit.minimize(
         residual,
-        _parameters(problem, start, bounds),
+        initial,
         method="leastsq",
         Dfun=jacobian,
         ftol=VALUE_TOLERANCE,

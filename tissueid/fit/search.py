@@ -67,6 +67,9 @@ def _scan_several(
             for extra in grid
             if np.abs(seed - extra).min() > MIN_SEPARATION
         ]
+    if not points:
+        # a range too narrow for two nodes: one start, spread over it
+        return [np.linspace(*bounds, objective.branches)]
     values = np.array([objective.evaluate(point).value for point in points])
     chosen: list[FloatArray] = []
     for i in np.argsort(values, kind="stable"):

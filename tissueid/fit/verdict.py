@@ -134,6 +134,14 @@ def specimen_flags(
                 "bound_active", "F_s or K touches zero within the fitted depth: the passivity bound is active"
             )
         )
+    if not tissue.model.contact_loss_is_unique(tissue.theta):
+        flags.append(
+            Flag(
+                "contact_loss_ambiguous",
+                "after the tool lets go the surface of this tissue has several force-free positions: "
+                "unloading is passive but not unique",
+            )
+        )
     if optimisers["agree"] is False:
         flags.append(
             Flag(

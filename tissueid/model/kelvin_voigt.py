@@ -31,6 +31,8 @@ FloatArray = NDArray[np.float64]
 KEY = "kelvin-voigt"
 STATIC_DEGREE = 3
 MAX_BRANCHES = 3
+#: Depths at which uniqueness of the free surface is examined.
+CONTACT_LOSS_GRID = 257
 #: Negative values of F_s/x or K up to this fraction of the largest coefficient are rounding.
 PASSIVE_TOLERANCE = 1e-10
 
@@ -218,6 +220,20 @@ class KelvinVoigt:
             if minimum_on_unit(q) < -PASSIVE_TOLERANCE * np.abs(q).max(initial=0.0):
                 return False
         return True
+
+    def contact_loss_is_unique(self, theta: FloatArray) -> bool:
+        """True where a tissue that was let go has one force-free surface at every state.
+
+        Demands ``(F_s / K)' > -1`` on [0, depth_mm] with K the sum over branches (model.md 1.2, derived
+        for one branch); otherwise the surface may jump while it recovers, although it stays passive.
+        """
+        static, stiffness, _ = self.split(theta)
+        x = np.linspace(0.0, self.depth_mm, CONTACT_LOSS_GRID)
+        slope = static[0] + x * (2.0 * static[1] + 3.0 * x * static[2])
+        powers = np.arange(1.0, self.stiffness_degree + 1)
+        total = self.stiffness(theta, x).sum(axis=0)
+        rate = (stiffness[:, 1:].sum(axis=0) * powers) @ (x[None, :] ** (powers[:, None] - 1.0))
+        return bool((slope * total - self.static_force(theta, x) * rate + total**2 >= 0.0).all())
 
     def stepper(self, theta: FloatArray) -> Stepper:
         """A running copy that starts at rest."""
