@@ -116,3 +116,11 @@ def test_no_real_file_ends_in_a_bug(shared_data: Path, tmp_path: Path) -> None:
     for one in ended.json():
         if "error" in one:
             assert one["error"]["message"], one["path"]
+    small = [path for path in files if "meat" not in path.parent.name]
+    fitted = run("fit", *small, "-o", tmp_path, "--json", "--branches", "1", "--stiffness-degree", "0")
+    assert fitted.code == 7
+    refused = {one["path"] for one in fitted.json()["refused"]}
+    read = {trial["path"] for one in fitted.json()["specimens"] for trial in one["trials"]}
+    # every file is either fitted or named with its reason
+    assert refused | read == {str(path) for path in small}
+    assert run("validate", tmp_path).code == 0

@@ -15,6 +15,7 @@ from importlib import import_module
 import click
 
 from tissueid import __version__
+from tissueid.errors import EXIT_INTERRUPTED
 
 __all__ = ["cli", "main"]
 
@@ -109,7 +110,7 @@ def main(args: list[str] | None = None) -> int:
     int
         Exit code, see :mod:`tissueid.errors`.
     """
-    from tissueid.errors import EXIT_INTERRUPTED, TissueidError
+    from tissueid.errors import TissueidError
 
     args = sys.argv[1:] if args is None else args
     try:
@@ -152,7 +153,14 @@ def run() -> None:
     """Console-script entry: exit with the code of :func:`main`."""
     for name in BLAS_THREADS:
         os.environ.setdefault(name, "1")
-    sys.exit(main())
+    code = main()
+    if code == EXIT_INTERRUPTED:
+        # an interrupt that passed through exec() of a string would make Python die of the signal instead
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(OSError):
+                stream.flush()
+        os._exit(code)
+    sys.exit(code)
 
 
 if __name__ == "__main__":
