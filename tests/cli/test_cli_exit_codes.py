@@ -220,3 +220,20 @@ def test_a_full_disk_is_6_and_no_bug(monkeypatch: pytest.MonkeyPatch, tmp_path: 
     ended = run("fit", write_log(tmp_path / "log.csv"), "-o", tmp_path / "out", *QUICK)
     assert ended.code == 6
     assert os.strerror(errno.ENOSPC) in ended.stderr
+
+
+@pytest.mark.parametrize("wrapped", [False, True])
+def test_an_interrupt_is_130_also_where_a_compiled_kernel_wraps_it(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, wrapped: bool
+) -> None:
+    import tissueid.pipeline
+
+    def interrupted(*args: object, **kwargs: object) -> None:
+        if wrapped:
+            raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(tissueid.pipeline, "describe_trial", interrupted)
+    ended = run("inspect", write_log(tmp_path / "log.csv"))
+    assert (ended.code, ended.stdout) == (130, "")
+    assert ended.stderr.strip() == "tissueid: interrupted; what was finished is kept"

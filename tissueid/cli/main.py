@@ -95,6 +95,11 @@ def _verbose(args: list[str]) -> bool:
     return any(arg == "--verbose" or (arg.startswith("-v") and set(arg[1:]) == {"v"}) for arg in args)
 
 
+def _interrupted() -> int:
+    click.echo("tissueid: interrupted; what was finished is kept", err=True)
+    return EXIT_INTERRUPTED
+
+
 def _pipe_closed() -> int:
     """The reader of a pipe has gone: nothing is left to say to it, and what was asked for is done."""
     with contextlib.suppress(OSError):
@@ -116,12 +121,8 @@ def main(args: list[str] | None = None) -> int:
     try:
         outcome = cli.main(args=args, prog_name="tissueid", standalone_mode=False)
         sys.stdout.flush()
-    except click.exceptions.Abort:
-        click.echo("tissueid: interrupted; what was finished is kept", err=True)
-        return EXIT_INTERRUPTED
-    except KeyboardInterrupt:
-        click.echo("tissueid: interrupted; what was finished is kept", err=True)
-        return EXIT_INTERRUPTED
+    except (click.exceptions.Abort, KeyboardInterrupt):
+        return _interrupted()
     except click.ClickException as error:
         error.show()
         return error.exit_code
@@ -136,6 +137,9 @@ def main(args: list[str] | None = None) -> int:
         click.echo(f"tissueid: {error.filename or 'output'}: {error.strerror or error}", err=True)
         return EXIT_OUTPUT
     except Exception as error:  # noqa: BLE001 - the outer shell: a bug must still end in one clear line
+        if isinstance(error.__cause__, KeyboardInterrupt):
+            # a compiled kernel wraps the interrupt that arrives within it
+            return _interrupted()
         if _verbose(args):
             import traceback
 
