@@ -95,6 +95,13 @@ def _verbose(args: list[str]) -> bool:
     return any(arg == "--verbose" or (arg.startswith("-v") and set(arg[1:]) == {"v"}) for arg in args)
 
 
+def _was_interrupted(error: BaseException | None) -> bool:
+    """Whether an interrupt is behind an error: a compiled kernel wraps one that arrives within it."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
+
+
 def _interrupted() -> int:
     click.echo("tissueid: interrupted; what was finished is kept", err=True)
     return EXIT_INTERRUPTED
@@ -137,8 +144,7 @@ def main(args: list[str] | None = None) -> int:
         click.echo(f"tissueid: {error.filename or 'output'}: {error.strerror or error}", err=True)
         return EXIT_OUTPUT
     except Exception as error:  # noqa: BLE001 - the outer shell: a bug must still end in one clear line
-        if isinstance(error.__cause__, KeyboardInterrupt):
-            # a compiled kernel wraps the interrupt that arrives within it
+        if _was_interrupted(error):
             return _interrupted()
         if _verbose(args):
             import traceback
