@@ -67,6 +67,9 @@ class IdentifyOptions:
     seed: int = 0
 
 
+_Progress = Callable[[str, int, int], None]
+
+
 class _TrialCache:
     """The most recent trials, up to a number of bytes."""
 
@@ -74,6 +77,11 @@ class _TrialCache:
         self._reload = reload
         self._trials: OrderedDict[tuple[str, str | None], Trial] = OrderedDict()
         self._bytes = 0
+
+    @property
+    def reloads(self) -> bool:
+        """True where a trial that was dropped can be read again."""
+        return self._reload is not None
 
     @staticmethod
     def _size(trial: Trial) -> int:
@@ -167,6 +175,90 @@ def _exit(specimens: Sequence[SpecimenFit], refused: Sequence[Refusal], required
     return Exit(code=exit_code(codes), reasons=tuple(reasons + missing))
 
 
+@dataclass(slots=True)
+class _Collected:
+    """Trials by specimen, before anything is fitted."""
+
+    groups: dict[str, list[LogHandle]] = field(default_factory=dict)
+    radii: dict[str, list[float | None]] = field(default_factory=dict)
+    sources: list[tuple[str, Source]] = field(default_factory=list)
+    inputs: list[dict[str, Any]] = field(default_factory=list)
+    left_out: list[Refusal] = field(default_factory=list)
+
+    def add(self, trial: Trial, handle: LogHandle) -> None:
+        """Count one trial in."""
+        if trial.specimen not in self.groups:
+            self.sources.append((trial.specimen, trial.source))
+        self.groups.setdefault(trial.specimen, []).append(handle)
+        self.radii.setdefault(trial.specimen, []).append(trial.protocol.tip_radius_mm)
+        self.inputs.append(
+            {
+                "path": trial.source.path,
+                "sheet": trial.source.sheet,
+                "sha256": trial.source.sha256,
+                "recipe": trial.source.recipe,
+                "columns": dict(trial.source.columns),
+                "specimen": trial.specimen,
+                "n_samples": int(trial.time_s.size),
+            }
+        )
+
+
+def _collect(
+    trials: Iterable[Trial], options: IdentifyOptions, cache: _TrialCache, progress: _Progress
+) -> _Collected:
+    """Read and segment every trial; its samples stay only in the cache."""
+    collected = _Collected()
+    for count, trial in enumerate(trials):
+        progress(f"reading {trial.name}", count, 0)
+        segmentation = segment(trial, options=options.segment)
+        log = fitted_log(trial, segmentation)
+        if log is None:
+            collected.left_out.append(_refusal_for(trial, segmentation))
+            continue
+        key = (trial.source.path, trial.source.sheet) if cache.reloads else (str(count), None)
+        cache.add(key, trial)
+        handle = LogHandle(
+            load=lambda key=key, source=trial.source: cache.get(key, source),  # type: ignore[misc]
+            segmentation=segmentation,
+            facts=log.without_samples(),
+            contact_sd_mm=log.contact_sd_mm,
+        )
+        collected.add(trial, handle)
+    return collected
+
+
+def _fit_all(
+    collected: _Collected, names: Mapping[str, str], options: IdentifyOptions, progress: _Progress
+) -> list[SpecimenFit]:
+    """Fit every specimen; one whose numbers defeat the arithmetic is refused, and the rest goes on."""
+    fits: list[SpecimenFit] = []
+    total = len(collected.groups)
+    for done, (specimen, handles) in enumerate(collected.groups.items()):
+        name = names[specimen]
+
+        def tick(message: str, *, name: str = name, done: int = done) -> None:
+            progress(f"{name}: {message}", done, total)
+
+        tick("fitting")
+        try:
+            fit = fit_specimen(name, handles, options=options.fit, tick=tick)
+        except (ArithmeticError, np.linalg.LinAlgError) as error:
+            message = (
+                f"specimen {name} could not be fitted ({type(error).__name__}: {error}); look at its samples "
+                "with `tissueid inspect`"
+            )
+            collected.left_out += [
+                Refusal(path=entry["path"], sheet=entry["sheet"], code="fit_failed", message=message)
+                for entry in collected.inputs
+                if entry["specimen"] == specimen
+            ]
+            continue
+        fits.append(replace(fit, tip_radius_mm=_tip_radius(collected.radii[specimen])))
+    progress("fitted", total, total)
+    return fits
+
+
 def identify(
     trials: Iterable[Trial],
     *,
@@ -199,57 +291,11 @@ def identify(
     """
     options = options or IdentifyOptions()
     progress = progress or (lambda _message, _done, _total: None)
-    cache = _TrialCache(reload)
-    groups: dict[str, list[LogHandle]] = {}
-    radii: dict[str, list[float | None]] = {}
-    sources: list[tuple[str, Source]] = []
-    left_out: list[Refusal] = []
-    inputs: list[dict[str, Any]] = []
-    for count, trial in enumerate(trials):
-        progress(f"reading {trial.name}", count, 0)
-        segmentation = segment(trial, options=options.segment)
-        log = fitted_log(trial, segmentation)
-        if log is None:
-            left_out.append(_refusal_for(trial, segmentation))
-            continue
-        key = (trial.source.path, trial.source.sheet) if reload is not None else (str(count), None)
-        cache.add(key, trial)
-        handle = LogHandle(
-            load=lambda key=key, source=trial.source: cache.get(key, source),  # type: ignore[misc]
-            segmentation=segmentation,
-            facts=log.without_samples(),
-            contact_sd_mm=log.contact_sd_mm,
-        )
-        if trial.specimen not in groups:
-            sources.append((trial.specimen, trial.source))
-        groups.setdefault(trial.specimen, []).append(handle)
-        radii.setdefault(trial.specimen, []).append(trial.protocol.tip_radius_mm)
-        inputs.append(
-            {
-                "path": trial.source.path,
-                "sheet": trial.source.sheet,
-                "sha256": trial.source.sha256,
-                "recipe": trial.source.recipe,
-                "columns": dict(trial.source.columns),
-                "specimen": trial.specimen,
-                "n_samples": int(trial.time_s.size),
-            }
-        )
-    names = _display_names(sources)
-    fits: list[SpecimenFit] = []
-    for done, (specimen, handles) in enumerate(groups.items()):
-        name = names[specimen]
-
-        def tick(message: str, *, name: str = name, done: int = done) -> None:
-            progress(f"{name}: {message}", done, len(groups))
-
-        tick("fitting")
-        fit = fit_specimen(name, handles, options=options.fit, tick=tick)
-        fits.append(replace(fit, tip_radius_mm=_tip_radius(radii[specimen])))
-    progress("fitted", len(groups), len(groups))
-    for entry in inputs:
-        entry["specimen"] = names[entry["specimen"]]
-    everything = [*refused, *left_out]
+    collected = _collect(trials, options, _TrialCache(reload), progress)
+    names = _display_names(collected.sources)
+    fits = _fit_all(collected, names, options, progress)
+    inputs = [entry | {"specimen": names[entry["specimen"]]} for entry in collected.inputs]
+    everything = [*refused, *collected.left_out]
     return Identification(
         specimens=tuple(fits),
         refused=tuple(everything),

@@ -32,6 +32,10 @@ POOLINGS = ("partial", "shared", "per-log")
 #: Spread of the log gain that is tried: from none to a factor of e.
 GAIN_SD = np.geomspace(1e-4, 1.0, 41)
 START_GAIN_SD = 0.1
+#: A sum of squares from a Gram matrix is known to this fraction of the sum of squared forces: noise below
+#: it can't be told from none.
+VALUE_RESOLUTION = 1e-15
+TINY_N2 = 1e-60
 #: Groups of logs held out in turn at most.
 MAX_GROUPS = 30
 VARIANCE_ROUNDS = 6
@@ -115,6 +119,11 @@ class SpecimenSums:
         return int(self.count[self.logs].sum())
 
     @property
+    def power(self) -> float:
+        """Sum of squared forces [N^2]."""
+        return float(self.gram[self.logs, -1, -1].sum())
+
+    @property
     def log_tau_bounds(self) -> tuple[float, float]:
         """Range of ln(tau / s) that is searched."""
         if self.log_range is not None:
@@ -195,7 +204,8 @@ def _variance(sums: SpecimenSums, candidate: Candidate, value: float) -> float:
     used = candidate.n_parameters
     if candidate.pooling == "per-log":
         used += 4 * sums.logs.size - 3
-    return max(value / max(sums.n - used, 1), 1e-300)
+    floor = VALUE_RESOLUTION * sums.power / max(sums.n, 1) + TINY_N2
+    return max(value / max(sums.n - used, 1), floor)
 
 
 def _spread_of_gain(

@@ -97,6 +97,9 @@ def unbounded_covariance(evaluation: Evaluation, blocks: NDArray[np.int64]) -> t
     frame[:p, : directions.shape[1]] = directions
     frame[p:, directions.shape[1] :] = np.eye(branches)
     inner = frame.T @ evaluation.curvature @ frame
+    if not np.isfinite(inner).all():
+        msg = "the curvature of the objective is not finite: the samples span too many decades"
+        raise FloatingPointError(msg)
     diagonal = np.diag(inner)
     used = diagonal > 0.0
     unit = np.where(used, 1.0 / np.sqrt(np.where(used, diagonal, 1.0)), 0.0)

@@ -66,7 +66,7 @@ def find_inputs(paths: Iterable[str | Path]) -> list[Path]:
         else:
             msg = f"{path}: there is no such file or directory"
             raise UsageError(msg)
-    return list(found)
+    return list({path.resolve(): path for path in reversed(found)}.values())[::-1]
 
 
 def _recordings(directory: Path) -> Iterator[Path]:

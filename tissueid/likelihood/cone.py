@@ -31,7 +31,7 @@ VANISHED = 1e-12
 TOUCHES = 1e-7
 
 
-@nb.njit(cache=True, nogil=True)
+@nb.njit(cache=True, nogil=True, error_model="numpy")
 def _solve_passive(a: FloatArray, b: FloatArray, passive: NDArray[np.bool_]) -> FloatArray:
     """Solution of the normal equations restricted to the passive set; zero elsewhere."""
     index = np.flatnonzero(passive)
@@ -65,7 +65,7 @@ def _solve_passive(a: FloatArray, b: FloatArray, passive: NDArray[np.bool_]) -> 
     return out
 
 
-@nb.njit(cache=True, nogil=True)
+@nb.njit(cache=True, nogil=True, error_model="numpy")
 def _nnls(a: FloatArray, b: FloatArray) -> FloatArray:
     """Minimise x'Ax - 2b'x over x >= 0 for a matrix scaled to unit diagonal."""
     n = b.size
@@ -105,7 +105,7 @@ def _nnls(a: FloatArray, b: FloatArray) -> FloatArray:
     return x
 
 
-@nb.njit(cache=True, nogil=True)
+@nb.njit(cache=True, nogil=True, error_model="numpy")
 def _add_generators(
     generators: FloatArray, count: int, gradient: FloatArray, blocks: NDArray[np.int64], tolerance: float
 ) -> int:
@@ -127,7 +127,7 @@ def _add_generators(
     return count
 
 
-@nb.njit(cache=True, nogil=True)
+@nb.njit(cache=True, nogil=True, error_model="numpy")
 def cone_least_squares(
     h: FloatArray, b: FloatArray, blocks: NDArray[np.int64], start: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:

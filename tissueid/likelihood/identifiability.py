@@ -120,6 +120,9 @@ def profile_interval(
             reached = direction * (outside - bound) >= 0.0
             outside = bound if reached else outside
             if rise(outside) > 0.0:
+                if rise(inside) > 0.0:
+                    # the objective is flat to its rounding: the step itself is the interval's end
+                    return outside, False
                 return float(brentq(rise, inside, outside, xtol=1e-4 * max(step, 1e-3), rtol=1e-6)), False
             if reached:
                 return bound, True

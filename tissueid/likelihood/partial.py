@@ -33,7 +33,7 @@ RIDGE = 1e-13
 CONVERGED = 1e-14
 
 
-@nb.njit(cache=True, nogil=True)
+@nb.njit(cache=True, nogil=True, error_model="numpy")
 def coefficients(
     gamma: float, delta: float, scale: float, degree: int, branches: int
 ) -> tuple[FloatArray, FloatArray]:
@@ -82,7 +82,7 @@ def coefficients(
     return matrix, shifted
 
 
-@nb.njit(cache=True, nogil=True)
+@nb.njit(cache=True, nogil=True, error_model="numpy")
 def objective(
     q: FloatArray,
     theta: FloatArray,
@@ -117,7 +117,7 @@ def objective(
     return total
 
 
-@nb.njit(cache=True, nogil=True)
+@nb.njit(cache=True, nogil=True, error_model="numpy")
 def assemble(
     q: FloatArray,
     theta: FloatArray,
@@ -201,7 +201,7 @@ def assemble(
     return h, b, c, back, log_det
 
 
-@nb.njit(cache=True, nogil=True)
+@nb.njit(cache=True, nogil=True, error_model="numpy")
 def solve(
     q: FloatArray,
     theta: FloatArray,
