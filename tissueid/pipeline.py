@@ -108,12 +108,23 @@ class _TrialCache:
         return trial
 
 
+def _failure(path: str, sheet: str | None, done: str, error: Exception) -> Refusal:
+    message = (
+        f"the samples defeat the arithmetic and could not be {done} ({type(error).__name__}: {error}); are "
+        "their units and magnitudes right? `tissueid inspect` shows them"
+    )
+    return Refusal(path=path, sheet=sheet, code="fit_failed", message=message)
+
+
 def _refusal_for(trial: Trial, segmentation: Segmentation) -> Refusal:
     if segmentation.contact is None:
         code, message = "no_contact", "no contact between tool and tissue was found: there is nothing to fit"
     else:
         code = "too_few_samples"
-        message = "fewer than six samples lie between contact and unloading: there is nothing to fit"
+        message = (
+            "fewer than six samples, or samples of one and the same force, lie between contact and "
+            "unloading: there is nothing to fit"
+        )
     return Refusal(path=trial.source.path, sheet=trial.source.sheet, code=code, message=message)
 
 
@@ -211,7 +222,11 @@ def _collect(
     collected = _Collected()
     for count, trial in enumerate(trials):
         progress(f"reading {trial.name}", count, 0)
-        segmentation = segment(trial, options=options.segment)
+        try:
+            segmentation = segment(trial, options=options.segment)
+        except (ArithmeticError, np.linalg.LinAlgError) as error:
+            collected.left_out.append(_failure(trial.source.path, trial.source.sheet, "segmented", error))
+            continue
         log = fitted_log(trial, segmentation)
         if log is None:
             collected.left_out.append(_refusal_for(trial, segmentation))
@@ -244,12 +259,8 @@ def _fit_all(
         try:
             fit = fit_specimen(name, handles, options=options.fit, tick=tick)
         except (ArithmeticError, np.linalg.LinAlgError) as error:
-            message = (
-                f"specimen {name} could not be fitted ({type(error).__name__}: {error}); look at its samples "
-                "with `tissueid inspect`"
-            )
             collected.left_out += [
-                Refusal(path=entry["path"], sheet=entry["sheet"], code="fit_failed", message=message)
+                _failure(entry["path"], entry["sheet"], "fitted", error)
                 for entry in collected.inputs
                 if entry["specimen"] == specimen
             ]
@@ -328,15 +339,18 @@ def _point(trial: Trial, index: int) -> dict[str, float]:
     }
 
 
-def describe_trial(trial: Trial, *, options: SegmentOptions | None = None) -> dict[str, Any]:
+def describe_trial(trial: Trial, *, options: SegmentOptions | None = None) -> dict[str, Any] | Refusal:
     """What ``tissueid inspect`` says of a trial, as recorded: before signs or zeros are changed.
 
     Returns
     -------
-    dict
+    dict or Refusal
         The object of ``schemas/inspect.schema.json``.
     """
-    segmentation = segment(trial, options=options)
+    try:
+        segmentation = segment(trial, options=options)
+    except (ArithmeticError, np.linalg.LinAlgError) as error:
+        return _failure(trial.source.path, trial.source.sheet, "segmented", error)
     source = trial.source
     flags: list[Flag] = [*trial.flags, *segmentation.flags]
     contact = segmentation.contact

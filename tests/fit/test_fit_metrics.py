@@ -30,8 +30,9 @@ def test_constant_force_has_no_range():
     assert nrmsd(np.full(4, 5.0), np.full(4, 6.0)).range == np.inf
 
 
-def test_force_of_zero_mean_has_no_mean_deviation():
-    assert nrmsd(np.array([-1.0, 1.0]), np.array([-1.0, 2.0])).mean == np.inf
+def test_mean_deviation_of_a_force_of_both_signs_is_against_its_mean_size() -> None:
+    # residuals 0 and 1: RMSE 1/sqrt(2); mean of |force| is 1
+    assert nrmsd(np.array([-1.0, 1.0]), np.array([-1.0, 2.0])).mean == pytest.approx(np.sqrt(0.5))
 
 
 def test_correlation_of_alternating_and_of_slow_residuals():

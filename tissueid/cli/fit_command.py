@@ -11,6 +11,7 @@ from tissueid.cli.output import echo_json, note, output_options, progress_bar, w
 from tissueid.cli.reading import read_all, read_in_order, read_options, reading_options, segment_options
 
 if TYPE_CHECKING:
+    from tissueid.pipeline import IdentifyOptions
     from tissueid.result import Identification, Refusal, SpecimenFit
 
 __all__ = ["command"]
@@ -26,6 +27,7 @@ Examples:
 
 #: Reasons printed without -v; identification.json has them all.
 FEW_REASONS = 5
+READING = ("columns", "units", "specimen_by", "recipe")
 REQUIRED = ["viscosity", "static", "stiffness", "relaxation-time", "none"]
 
 
@@ -68,9 +70,8 @@ def command(**flags: Any) -> int:
     bundle a specimen, curves.h5 and report.html to the output folder, all at once or not at all.
     """
     from tissueid.fit.compiled import kernels_to_compile
-    from tissueid.fit.specimen import FitOptions
     from tissueid.ingest import read_one
-    from tissueid.pipeline import DEFAULT_REQUIRED, IdentifyOptions, identify
+    from tissueid.pipeline import identify
     from tissueid.report import render_report
     from tissueid.store.curves import curves_of_fits
     from tissueid.store.files import plain_json
@@ -84,19 +85,7 @@ def command(**flags: Any) -> int:
         specimen_by=flags["specimen_by"],
         recipe=flags["recipe"],
     )
-    required = (
-        tuple(name for name in flags["require"] if name != "none") if flags["require"] else DEFAULT_REQUIRED
-    )
-    options = IdentifyOptions(
-        fit=FitOptions(
-            branches=None if flags["branches"] == "auto" else int(flags["branches"]),
-            stiffness_degree=None if flags["stiffness_degree"] == "auto" else int(flags["stiffness_degree"]),
-            static=flags["static"],
-        ),
-        segment=segment_options(compression=flags["compression"], contact=flags["contact"]),
-        required=required,
-        seed=flags["seed"],
-    )
+    options = _identify_options(flags)
     items = read_in_order(flags["paths"], reading)
     missing = kernels_to_compile()
     if missing:
@@ -111,6 +100,7 @@ def command(**flags: Any) -> int:
             options=options,
             reload=lambda source: read_one(source.path, source.sheet, reading),
             refused=refused,
+            provenance={"reading": {key: flags[key] for key in READING}},
             progress=progress,
         )
         document: dict[str, Any] = plain_json(identification.as_json())
@@ -128,6 +118,23 @@ def command(**flags: Any) -> int:
             _print(identification, flags["out"], verbose=flags["verbose"])
         _print_reasons(identification, verbose=flags["verbose"], quiet=quiet)
     return identification.exit.code
+
+
+def _identify_options(flags: dict[str, Any]) -> IdentifyOptions:
+    from tissueid.fit.specimen import FitOptions
+    from tissueid.pipeline import DEFAULT_REQUIRED, IdentifyOptions
+
+    required = tuple(name for name in flags["require"] if name != "none")
+    return IdentifyOptions(
+        fit=FitOptions(
+            branches=None if flags["branches"] == "auto" else int(flags["branches"]),
+            stiffness_degree=None if flags["stiffness_degree"] == "auto" else int(flags["stiffness_degree"]),
+            static=flags["static"],
+        ),
+        segment=segment_options(compression=flags["compression"], contact=flags["contact"]),
+        required=required if flags["require"] else DEFAULT_REQUIRED,
+        seed=flags["seed"],
+    )
 
 
 def _print(identification: Identification, out: str, *, verbose: int) -> None:

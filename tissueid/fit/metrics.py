@@ -19,13 +19,13 @@ FloatArray = NDArray[np.float64]
 def nrmsd(force_N: FloatArray, model_N: FloatArray) -> Nrmsd:
     """NRMSD by range and by mean, and RMSE [N], as fractions.
 
-    A constant force has no range and a force of zero mean no mean: the fraction is then ``inf``
-    unless the model is exact.
+    The mean is that of the absolute force, which is the mean of a compressive one.  A constant force has
+    no range: the fraction is then ``inf`` unless the model is exact.
     """
     force = np.asarray(force_N)
     rmse = float(np.sqrt(np.mean((force - model_N) ** 2)))
     spread = float(np.ptp(force))
-    mean = abs(float(force.mean()))
+    mean = float(np.abs(force).mean())
 
     def over(denominator: float) -> float:
         if denominator > 0.0:

@@ -60,7 +60,7 @@ class ResidualTotals:
     def add(self, force: FloatArray, model: FloatArray) -> None:
         """Count one trial in."""
         self.squares += float(((force - model) ** 2).sum())
-        self.force += float(force.sum())
+        self.force += float(np.abs(force).sum())
         self.count += force.size
         self.low = min(self.low, float(force.min()))
         self.high = max(self.high, float(force.max()))

@@ -130,7 +130,7 @@ def fitted_log(trial: Trial, segmentation: Segmentation, *, guard: bool = False)
     steps = np.diff(time[1:] if inserted else time)
     positive = steps[steps > 0.0]
     depth_mm = float(x.max(initial=0.0))
-    if include.sum() < MIN_SAMPLES or positive.size == 0 or depth_mm <= 0.0:
+    if include.sum() < MIN_SAMPLES or positive.size == 0 or depth_mm <= 0.0 or np.ptp(f[include]) == 0.0:
         return None
     ramps = [phase for phase in segmentation.of_kind("ramp") if first < phase.stop <= last + 1]
     holds = [phase for phase in segmentation.of_kind("hold") if first < phase.stop <= last + 1]

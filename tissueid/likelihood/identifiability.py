@@ -123,7 +123,12 @@ def profile_interval(
                 if rise(inside) > 0.0:
                     # the objective is flat to its rounding: the step itself is the interval's end
                     return outside, False
-                return float(brentq(rise, inside, outside, xtol=1e-4 * max(step, 1e-3), rtol=1e-6)), False
+                try:
+                    found = brentq(rise, inside, outside, xtol=1e-4 * max(step, 1e-3), rtol=1e-6)
+                except ValueError:
+                    # started elsewhere, the same point came out below the level: rounding again
+                    return outside, False
+                return float(found), False
             if reached:
                 return bound, True
             inside, step = outside, step * GROWTH
