@@ -20,6 +20,7 @@ from tissueid.report.wording import (
     overview_sentence,
     parameter_words,
     remarks,
+    rounded_to,
     tissue_sentence,
     trial_label,
     unit_words,
@@ -43,6 +44,7 @@ def page_environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters["number"] = number
+    environment.filters["rounded_to"] = rounded_to
     environment.filters["unit"] = unit_words
     environment.globals["with_error"] = with_error
     environment.globals["parameter_words"] = parameter_words

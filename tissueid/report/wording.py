@@ -81,6 +81,11 @@ def with_error(value: float | None, stderr: float | None) -> str:
     return f"{value:.{places}f} ± {stderr:.{places}f}".replace("-", "−")
 
 
+def rounded_to(value: float | None, stderr: float | None) -> str:
+    """The value as :func:`with_error` prints it, for a column of its own."""
+    return with_error(value, stderr).split(" ± ")[0]
+
+
 def parameter_words(name: str) -> str:
     """Name of a parameter in plain words, with its branch."""
     for branch in (2, 3):
