@@ -27,6 +27,8 @@ FLAG_CODES: Mapping[str, str] = MappingProxyType(
         "event_rows": "extra samples stand close beside their neighbours, as written at segment changes",
         "gap": "the log has a gap in time",
         "quantised_force": "the force has few distinct levels for its range",
+        "no_decimals": "no number of the recording has decimals: were decimal marks lost?",
+        "unit_overridden": "the file states another unit than the user did; the user's was taken",
         "clipped_force": "the force stands at its extreme for several samples: clipped load cell",
         "too_few_samples": "too few samples to segment or fit",
         # the segments
@@ -56,7 +58,8 @@ FLAG_CODES: Mapping[str, str] = MappingProxyType(
         "contact_loss_ambiguous": "after the tool lets go the surface has several force-free positions",
         "optimisers_disagree": "Levenberg-Marquardt and variable projection ended at different optima",
         "not_converged": "Levenberg-Marquardt did not converge",
-        "single_speed": "one speed and no hold: viscosity can't be told from static stiffness",
+        "single_speed": "one speed and no hold: only the ramp's shape tells viscosity from static stiffness",
+        "unloading_left_out": "samples after the tool first turned back took no part in the fit",
         "compliance_unknown": "frame compliance, force filter and time skew were not stated; taken as none",
     }
 )

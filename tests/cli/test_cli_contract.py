@@ -66,13 +66,13 @@ def test_recorded_signs_stay_where_compression_is_negative(tmp_path: Path) -> No
 
 
 def test_numbers_are_converted_to_mm_and_newton(tmp_path: Path) -> None:
-    text = LOG.read_text(encoding="ascii").replace("(mm),(N)", "(m),(kN)")
+    text = LOG.read_text(encoding="ascii").replace("(mm),(N)", "(cm),(kN)")
     (tmp_path / "si.csv").write_text(text, encoding="ascii")
     (here,), (there,) = (run("inspect", path, "--json").json() for path in (LOG, tmp_path / "si.csv"))
     for key in ("first", "last", "peak_force"):
-        # one multiplication by 1000 rounds once
+        # one multiplication by the factor rounds once
         assert there[key]["force_N"] == pytest.approx(1e3 * here[key]["force_N"], rel=1e-15)
-        assert there[key]["displacement_mm"] == pytest.approx(1e3 * here[key]["displacement_mm"], rel=1e-15)
+        assert there[key]["displacement_mm"] == pytest.approx(10.0 * here[key]["displacement_mm"], rel=1e-15)
 
 
 def test_every_numeric_row_counts_with_those_before_contact(tmp_path: Path) -> None:

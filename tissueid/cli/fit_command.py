@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from tissueid.cli.output import echo_json, note, output_options, progress_bar, with_error
 from tissueid.cli.reading import read_all, read_in_order, read_options, reading_options, segment_options
+from tissueid.errors import UsageError
 
 if TYPE_CHECKING:
     from tissueid.pipeline import IdentifyOptions
@@ -27,6 +29,15 @@ Examples:
 
 #: Reasons printed without -v; identification.json has them all.
 FEW_REASONS = 5
+#: Remarks on trials that every other recording has; ``inspect`` and the report show them.
+UNREMARKABLE = {
+    "starts_in_contact",
+    "no_hold",
+    "several_steps",
+    "event_rows",
+    "column_choice",
+    "undecoded_text",
+}
 READING = ("columns", "units", "specimen_by", "recipe")
 REQUIRED = ["viscosity", "static", "stiffness", "relaxation-time", "none"]
 
@@ -87,6 +98,7 @@ def command(**flags: Any) -> int:
     )
     options = _identify_options(flags)
     items = read_in_order(flags["paths"], reading)
+    _refuse_foreign(Path(flags["out"]))
     missing = kernels_to_compile()
     if missing:
         note(
@@ -118,6 +130,20 @@ def command(**flags: Any) -> int:
             _print(identification, flags["out"], verbose=flags["verbose"])
         _print_reasons(identification, verbose=flags["verbose"], quiet=quiet)
     return identification.exit.code
+
+
+def _refuse_foreign(out: Path) -> None:
+    """Files of our names in a folder that no run of ours made are somebody's: they stay."""
+    if (out / ".current").exists() or not out.is_dir():
+        return
+    names = ("identification.json", "report.html", "curves.h5", "bundle*.h5")
+    foreign = sorted(path.name for name in names for path in out.glob(name))
+    if foreign:
+        msg = (
+            f"{out} holds {', '.join(foreign)} that tissueid did not write there: choose another folder "
+            "with -o, or move them away"
+        )
+        raise UsageError(msg)
 
 
 def _identify_options(flags: dict[str, Any]) -> IdentifyOptions:
@@ -170,9 +196,18 @@ def _print_specimen(console: Any, fit: SpecimenFit, *, verbose: int) -> None:
     )
     for one in fit.parameters:
         text = "not identified" if one.value is None else f"{with_error(one.value, one.stderr)} {one.unit}"
-        console.print(f"  {one.symbol:<6} {text}", markup=False)
+        bound = "  (at the passivity bound)" if one.value is not None and one.detail.get("at_bound") else ""
+        console.print(f"  {one.symbol:<6} {text}{bound}", markup=False)
     for flag in fit.flags:
         console.print(f"  ! {flag.message}", style="yellow", markup=False)
+    said = {flag.code for flag in fit.flags} | UNREMARKABLE
+    for code in dict.fromkeys(flag.code for trial in fit.trials for flag in trial.flags):
+        if code in said:
+            continue
+        of_code = [(trial, flag) for trial in fit.trials for flag in trial.flags if flag.code == code]
+        trial, flag = of_code[0]
+        more = f" (and {len(of_code) - 1} more logs)" if len(of_code) > 1 else ""
+        console.print(f"  ! {trial.path}: {flag.message}{more}", style="yellow", markup=False)
     if verbose:
         for row in fit.relaxation:
             tau = "none" if row.tau_single_s is None else f"{row.tau_single_s:.4g} s"

@@ -34,7 +34,9 @@ def reading_options(function: Callable[..., Any]) -> Callable[..., Any]:
             help='Which column is what: "time=Zeit,displacement=Weg,force=Kraft".',
         ),
         click.option(
-            "--units", metavar="MAP", help='Units where the file has none: "displacement=um,force=mN".'
+            "--units",
+            metavar="MAP",
+            help='Units, where the file has none or wrong ones: "displacement=um".',
         ),
         click.option(
             "--specimen-by",

@@ -25,6 +25,8 @@ __all__ = ["TissueEstimate", "estimate_tissue"]
 
 FloatArray = NDArray[np.float64]
 
+#: A standard error below this is the rounding of none.
+BOUND_ROUNDING = 1e-12
 #: Depth, as a fraction of the fitted one, at which viscosity is quoted where K varies.
 REFERENCE_DEPTH = 0.5
 #: Depths, as fractions of the fitted one, at which a curve is judged.
@@ -125,7 +127,9 @@ def _estimate(
     name: str, symbol: str, unit: str, number: float, stderr: float, verdict: tuple[bool, float]
 ) -> Estimate:
     identified, width = verdict
-    finite = bool(np.isfinite(stderr))
+    # across an active bound the covariance is zero: that is no knowledge of the parameter
+    at_bound = stderr <= BOUND_ROUNDING * max(abs(number), 1.0)
+    finite = bool(np.isfinite(stderr)) and not at_bound
     return Estimate(
         name=name,
         symbol=symbol,
@@ -137,6 +141,7 @@ def _estimate(
             "estimate": number,
             "estimate_stderr": stderr if finite else None,
             "width_ln": width if np.isfinite(width) else None,
+            "at_bound": at_bound,
         },
     )
 
@@ -170,9 +175,17 @@ def _static_estimates(model: KelvinVoigt, theta: FloatArray, covariance: FloatAr
     ]
 
 
-def _time_estimate(spec: ParameterSpec, tau: float, stderr: float, interval: ProfileInterval) -> Estimate:
-    """tau, with its profile interval."""
-    plain = _estimate(spec.name, spec.symbol, spec.unit, tau, stderr, (interval.identified, interval.width))
+def _time_estimate(
+    spec: ParameterSpec, tau: float, stderr: float, interval: ProfileInterval, *, several: bool
+) -> Estimate:
+    """tau, with its profile interval.
+
+    With several branches the profile runs along the ridge of the curvature only, which may be too short
+    a cut: the wider of it and the interval from the standard error decides.
+    """
+    width = max(interval.width, width_of(tau, stderr)) if several else interval.width
+    verdict = (interval.identified and width <= MAX_WIDTH, width)
+    plain = _estimate(spec.name, spec.symbol, spec.unit, tau, stderr, verdict)
     detail = dict(plain.detail) | {
         "profile_ci95": [float(np.exp(interval.low)), float(np.exp(interval.high))],
         "open_low": interval.open_low,
@@ -200,7 +213,9 @@ def _branch_estimates(
         )
         for k, spec in enumerate(specs[:-1])
     ]
-    estimates.append(_time_estimate(specs[-1], tau, float(stderr[last]), interval))
+    estimates.append(
+        _time_estimate(specs[-1], tau, float(stderr[last]), interval, several=model.branches > 1)
+    )
     reference = (REFERENCE_DEPTH * model.depth_mm) ** powers if model.stiffness_degree else np.ones(1)
     stiffness = float(theta[span] @ reference)
     slope = np.concatenate([reference * tau, [stiffness]])

@@ -91,6 +91,41 @@ def _kept(force: FloatArray, depth: FloatArray) -> NDArray[np.int64]:
     return np.array(sorted(keep))
 
 
+def _trial_flags(
+    trial: Trial, segmentation: Segmentation, log: FittedLog, *, share: float, acf: float
+) -> tuple[Flag, ...]:
+    """Remarks on one trial: of its reader, its segmenter and its residual."""
+    flags = [*trial.flags, *segmentation.flags]
+    behind = trial.time_s.size - (log.first + log.data.time_s.size - int(log.inserted))
+    if behind > 0:
+        flags.append(
+            Flag(
+                "unloading_left_out",
+                f"{behind} of {trial.time_s.size} samples come after the tool first turned back and "
+                "took no part in the fit",
+                {"left_out": behind, "n_samples": int(trial.time_s.size)},
+            )
+        )
+    if share > RESIDUAL_SHARE:
+        flags.append(
+            Flag(
+                "residual_large",
+                f"the largest residual is {100 * share:.1f} % of the force range",
+                {"max_residual_fraction": share},
+            )
+        )
+    if acf > CORRELATED:
+        flags.append(
+            Flag(
+                "residual_correlated",
+                f"neighbouring residuals are correlated ({acf:.2f}): standard errors for white noise "
+                "are too small",
+                {"residual_acf1": acf},
+            )
+        )
+    return tuple(flags)
+
+
 def summarise_trial(
     trial: Trial,
     segmentation: Segmentation,
@@ -126,24 +161,6 @@ def summarise_trial(
     spread = float(np.ptp(force))
     share = float(np.abs(residual).max()) / spread if spread > 0.0 else 0.0
     acf = lag_one_correlation(residual)
-    flags = [*trial.flags, *segmentation.flags]
-    if share > RESIDUAL_SHARE:
-        flags.append(
-            Flag(
-                "residual_large",
-                f"the largest residual is {100 * share:.1f} % of the force range",
-                {"max_residual_fraction": share},
-            )
-        )
-    if acf > CORRELATED:
-        flags.append(
-            Flag(
-                "residual_correlated",
-                f"neighbouring residuals are correlated ({acf:.2f}): standard errors for white noise "
-                "are too small",
-                {"residual_acf1": acf},
-            )
-        )
     keep = _kept(data.force_N, data.depth_mm)
     return TrialFit(
         path=trial.source.path,
@@ -163,5 +180,5 @@ def summarise_trial(
             model_N=fitted[keep],
             fitted=include[keep],
         ),
-        flags=tuple(flags),
+        flags=_trial_flags(trial, segmentation, log, share=share, acf=acf),
     )

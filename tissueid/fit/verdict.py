@@ -123,8 +123,8 @@ def specimen_flags(
         flags.append(
             Flag(
                 "single_speed",
-                f"all ramps run at about {np.mean(speeds):.3g} mm/s and there is no hold: viscosity can't be "
-                "told from static stiffness",
+                f"all ramps run at about {np.mean(speeds):.3g} mm/s and there is no hold: viscosity is told "
+                "from static stiffness by the shape of the ramp alone",
                 {"speed_mm_s": float(np.mean(speeds))},
             )
         )

@@ -217,6 +217,13 @@ def _seen(columns: Sequence[_Column]) -> str:
     return f"the columns are {shown}{' ...' if len(names) > 20 else ''}"
 
 
+def _agrees(unit: str, channel: Channel, factor: float) -> bool:
+    try:
+        return factor_to(unit, channel) == factor
+    except ValueError:
+        return False
+
+
 def _factor(
     column: _Column,
     channel: Channel,
@@ -228,7 +235,17 @@ def _factor(
 ) -> float:
     """What turns the column into s, mm or N."""
     if channel in options.units:
-        return factor_to(options.units[channel], channel)
+        factor = factor_to(options.units[channel], channel)
+        if column.unit is not None and not _agrees(column.unit, channel, factor):
+            flags.append(
+                Flag(
+                    "unit_overridden",
+                    f"column {column.name!r} is in {column.unit!r} by the file and in"
+                    f" {options.units[channel]!r} by --units, which was taken",
+                    {"quantity": channel, "column": column.name, "unit": options.units[channel]},
+                )
+            )
+        return factor
     internal = INTERNAL_UNITS[channel]
     if column.unit is None:
         flags.append(

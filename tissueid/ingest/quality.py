@@ -26,10 +26,12 @@ _FEW_LEVELS = 64
 _SAMPLES_PER_LEVEL = 10
 _REPEATED_SHARE = 0.8
 _CLIPPED_RUN = 5
+#: Rows from which whole numbers alone are worth a remark.
+_WHOLE_FROM = 20
 
 
 def quality_flags(time_s: FloatArray, displacement_mm: FloatArray, force_N: FloatArray) -> tuple[Flag, ...]:
-    """Flags ``zero_dt``, ``event_rows``, ``gap``, ``quantised_force`` and ``clipped_force``.
+    """Flags ``zero_dt``, ``event_rows``, ``gap``, ``quantised_force``, ``clipped_force``, ``no_decimals``.
 
     Parameters
     ----------
@@ -42,8 +44,22 @@ def quality_flags(time_s: FloatArray, displacement_mm: FloatArray, force_N: Floa
         _event_rows(time_s, dt),
         _gap(time_s, dt),
         *_force_levels(displacement_mm, force_N),
+        _no_decimals(time_s, displacement_mm, force_N),
     )
     return tuple(flag for flag in found if flag is not None)
+
+
+def _no_decimals(*channels: FloatArray) -> Flag | None:
+    if channels[0].size < _WHOLE_FROM or any((values[:_WHOLE_FROM] % 1.0).any() for values in channels):
+        return None
+    if any((values % 1.0).any() for values in channels):
+        return None
+    return Flag(
+        "no_decimals",
+        "time, displacement and force are whole numbers in every row: if decimal marks were lost on the way,"
+        " every number here is wrong",
+        {"count": int(channels[0].size)},
+    )
 
 
 def _zero_dt(time_s: FloatArray, dt: FloatArray) -> Flag | None:

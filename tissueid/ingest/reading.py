@@ -6,14 +6,22 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+
 from tissueid.errors import InputError
 from tissueid.ingest.discovery import find_inputs
 from tissueid.ingest.header import protocol_of
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.quality import quality_flags
 from tissueid.ingest.recipe import InputFile, Match, Table, open_input
+from tissueid.ingest.refusals import Place
 from tissueid.ingest.registry import match_recipe
+from tissueid.ingest.vocabulary import Channel
 from tissueid.trial import Source, Trial
+
+#: Longest travel [mm] and largest force [N] of a materials testing machine, with room to spare.
+TRAVEL_LIMIT_MM = 5_000.0
+FORCE_LIMIT_N = 5e6
 
 __all__ = ["match_of", "read_each", "read_one", "read_trials"]
 
@@ -112,7 +120,28 @@ def read_one(path: str | Path, sheet: str | None, options: ReadOptions | None = 
     raise refusal
 
 
-def _trial(file: InputFile, match: Match, table: Table) -> Trial:
+def _beyond_machines(file: InputFile, table: Table) -> InputError | None:
+    """Refuse what no test machine travels or bears: lost decimal marks, or a wrong unit."""
+    place = Place(file.path, table.sheet)
+    reaches: tuple[tuple[Channel, float, float, str], ...] = (
+        ("displacement", float(np.ptp(table.displacement_mm)), TRAVEL_LIMIT_MM, "mm"),
+        ("force", float(np.abs(table.force_N).max()), FORCE_LIMIT_N, "N"),
+    )
+    for channel, reach, limit, unit in reaches:
+        if reach > limit:
+            return place.refusal(
+                "implausible_range",
+                f"the {channel} in column {table.columns[channel]!r} reaches {reach:g} {unit}, more than any "
+                f"test machine ({limit:g} {unit}): were decimal marks lost, or is the unit wrong? State it "
+                f"with --units {channel}=UNIT, or export again",
+            )
+    return None
+
+
+def _trial(file: InputFile, match: Match, table: Table) -> Trial | InputError:
+    refusal = _beyond_machines(file, table)
+    if refusal is not None:
+        return refusal
     source = Source(
         path=file.path,
         sheet=table.sheet,

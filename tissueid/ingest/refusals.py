@@ -43,6 +43,7 @@ REFUSAL_MEANINGS: Mapping[str, str] = MappingProxyType(
         "not_finite": "a value is NaN, infinite or too large",
         "ragged_rows": "a row has more or fewer cells than the others",
         "time_backwards": "the time falls from one row to the next",
+        "implausible_range": "travel or force is beyond any test machine: decimal marks or units are wrong",
     }
 )
 

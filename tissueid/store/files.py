@@ -60,8 +60,11 @@ def write_file(path: Path, content: bytes) -> None:
     content : bytes
     """
     temporary = path.with_name(TEMPORARY_PREFIX + path.name)
-    temporary.write_bytes(content)
-    replace_file(temporary, path)
+    try:
+        temporary.write_bytes(content)
+        replace_file(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 def plain_json(value: Any) -> Any:
