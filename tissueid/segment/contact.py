@@ -93,7 +93,7 @@ def find_contact(
             in_record=True,
         )
         return contact, _uncertain(contact, u)
-    return _start_in_contact(u, f, air, noise_N=noise, compression=compression)
+    return _start_in_contact(u, f, air, noise_N=noise, signs=signs)
 
 
 def _meets(force_N: FloatArray, piece: Piece, noise_N: float) -> bool:
@@ -134,13 +134,18 @@ def _given(
 
 
 def _start_in_contact(
-    u: FloatArray, f: FloatArray, air: HingeFit, *, noise_N: float, compression: int
+    u: FloatArray, f: FloatArray, air: HingeFit, *, noise_N: float, signs: tuple[int, int]
 ) -> tuple[Contact, list[Flag]]:
     """No air in the record: the contact is the first sample, or lies before it."""
+    compression, force_sign = signs
     start = float(u[0])
     resting = u <= start + 1e-3 * float(u.max() - start)
     few = max(1, int(np.argmin(resting)))
     ahead = float(f[:few].mean())
+    zero = 0.0
+    if few >= FEWEST_AIR_SAMPLES and ahead < -PRELOAD_SD * noise_N / np.sqrt(few):
+        # a tool at rest cannot be pulled by the tissue: this is where the load cell's zero lies
+        zero, ahead, f = ahead, 0.0, f - ahead
     back = 0.0
     if u.size >= FEWEST_SAMPLES:
         back = REACH * (max(ahead, 0.0) + REACH_SD * noise_N) / _least_slope(u, f, air)
@@ -165,7 +170,9 @@ def _start_in_contact(
     else:
         # the first sample is quoted, so its distance from what the force says is part of its sd
         sd = float(np.hypot(sd, contact_mm - start))
-        contact = Contact(index=0, displacement_mm=compression * start, sd_mm=sd)
+        contact = Contact(
+            index=0, displacement_mm=compression * start, sd_mm=sd, baseline_N=force_sign * zero
+        )
     flags.append(
         Flag(
             "starts_in_contact", "the record shows no samples in air before contact", {"sd_mm": contact.sd_mm}
