@@ -165,8 +165,14 @@ def _judged(sums: SpecimenSums, solution: Solution) -> Solution:
     return fit_candidate(sums, shared, seeds=[solution.evaluation.log_tau])
 
 
-def _has_idle_branch(solution: Solution) -> bool:
-    """True where a branch came out without stiffness: the model with one branch fewer, named otherwise."""
+def _has_idle_branch(sums: SpecimenSums, solution: Solution) -> bool:
+    """True where an added branch says nothing of the tissue.
+
+    It came out without stiffness (the model with one branch fewer, named otherwise), or it is over
+    between two samples, where it can only describe noise and corners that the log does not show.
+    """
+    if float(np.exp(solution.evaluation.log_tau.min())) < sums.step_s:
+        return True
     shape = (solution.candidate.branches, solution.candidate.degree + 1)
     dynamic = solution.evaluation.theta[-shape[0] * shape[1] :].reshape(shape)
     stiffness = np.abs(dynamic).max(axis=1)
@@ -211,7 +217,7 @@ def choose(
             solution = fit_candidate(sums, candidate, seeds=seeds)
             if only:
                 return Choice(solution=solution, table=())
-            if previous is not None and _has_idle_branch(solution):
+            if previous is not None and _has_idle_branch(sums, solution):
                 break
             seeds = [solution.evaluation.log_tau]
             score = held_out_scores(sums, _judged(sums, solution))
