@@ -149,11 +149,13 @@ class TrialFit:
     flags: tuple[Flag, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
-        """The ``trials`` object of the schema (curves are kept in HDF5, not here)."""
+        """The ``trials`` object of the schema: ``nrmsd`` is by range (curves are kept in HDF5, not here)."""
         return {
             "path": self.path,
             "sheet": self.sheet,
-            "nrmsd": self.nrmsd.as_json(),
+            "nrmsd": self.nrmsd.range,
+            "nrmsd_mean": self.nrmsd.mean,
+            "rmse_N": self.nrmsd.rmse_N,
             "max_residual_fraction": self.max_residual_fraction,
             "residual_acf1": self.residual_acf1,
             "gain": self.gain,
