@@ -261,11 +261,12 @@ def solve(
             if best <= value or value == np.inf:
                 break
             fraction *= 0.5
-        generators, weights = new_generators, new_weights
-        if best > value:
+        if not best <= value:
+            # no fall along the step, or numbers that are none: the last point stands
             break
         fall = value - best
         theta, gamma, delta = trial_theta, trial_gamma, trial_delta
+        generators, weights = new_generators, new_weights
         value = best
         if fall <= CONVERGED * abs(best):
             break
