@@ -38,7 +38,7 @@ REFINING_BRANCHES = 2
 #: of ln tau in the second, and the standard errors of ln tau that must fit into it.
 FOCUS_FROM = 100_000
 THINNED_TO = 50_000
-FOCUS = 0.6
+FOCUS = 0.4
 FOCUS_SD = 6.0
 #: Levenberg-Marquardt starts from the optimum moved to this grid in ln tau.
 LM_START_GRID = 0.25
