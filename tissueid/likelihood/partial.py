@@ -258,10 +258,11 @@ def solve(
                 q, trial_theta, trial_gamma, trial_delta, weight_gain, weight_offset, scale, degree,
                 branches,
             )  # fmt: skip
-            if best <= value or value == np.inf:
+            # a sum of squares below zero is rounding of numbers too large to subtract
+            if 0.0 <= best <= value and np.isfinite(best):
                 break
             fraction *= 0.5
-        if not best <= value:
+        if not (0.0 <= best <= value and np.isfinite(best)):
             # no fall along the step, or numbers that are none: the last point stands
             break
         fall = value - best
