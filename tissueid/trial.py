@@ -8,6 +8,7 @@ met the tissue and what the load cell read in air are decisions, and they live i
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -19,7 +20,10 @@ from numpy.typing import NDArray
 from tissueid.flags import Flag
 
 __all__ = [
+    "Axes",
     "Contact",
+    "Corner",
+    "Event",
     "Phase",
     "PhaseKind",
     "Protocol",
@@ -34,7 +38,9 @@ FloatArray = NDArray[np.float64]
 
 PhaseKind = str
 #: Phase kinds, in the words of the field.
-PHASE_KINDS = ("approach", "ramp", "hold", "retract", "cycle")
+PHASE_KINDS = ("approach", "ramp", "hold", "creep", "retract", "rest", "cycle")
+#: What may happen in a recording beside its phases.
+EVENT_KINDS = ("rupture", "abort", "load_limit")
 
 
 def frozen_array(values: Any) -> FloatArray:
@@ -42,6 +48,50 @@ def frozen_array(values: Any) -> FloatArray:
     array = np.array(values, dtype=np.float64, copy=True)
     array.flags.writeable = False
     return array
+
+
+@dataclass(frozen=True, slots=True)
+class Axes:
+    """What the displacement and the force of a recording are.
+
+    A normalised recording holds a length over a length (strain, stretch) or a force over an area (stress).
+    All mathematics is the same; only the units of what comes out differ, and such a result can't be
+    rendered: a device moves millimetres and pushes newtons.
+
+    Attributes
+    ----------
+    length : {"mm", "1"}
+        Unit of ``Trial.displacement_mm``.
+    force : {"N", "MPa"}
+        Unit of ``Trial.force_N``.
+    """
+
+    length: str = "mm"
+    force: str = "N"
+
+    def __post_init__(self) -> None:
+        if self.length not in {"mm", "1"} or self.force not in {"N", "MPa"}:
+            msg = f"axes are {self.length!r} and {self.force!r}, must be 'mm' or '1', and 'N' or 'MPa'"
+            raise ValueError(msg)
+
+    @property
+    def normalised(self) -> bool:
+        """Whether displacement is no length or force is no force."""
+        return (self.length, self.force) != ("mm", "N")
+
+    def unit(self, text: str) -> str:
+        """A unit written in mm and N, in the units of these axes.
+
+        >>> Axes("1", "MPa").unit("N s/mm^2")
+        'MPa s'
+        """
+        if not self.normalised:
+            return text
+        text = re.sub(r"\bN\b", self.force, text.replace("mJ", "N mm"))
+        if self.length == "1":
+            text = re.sub(r"/mm(\^\d+)?\b", "", text)
+            text = re.sub(r"\s?\bmm\b(\^\d+)?", "", text).strip()
+        return f"1{text}" if text == "" or text.startswith("/") else text
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +166,8 @@ class Trial:
     source : Source
     flags : tuple of Flag
         What the reader noticed.
+    axes : Axes
+        Whether displacement and force are lengths and forces, or normalised.
     """
 
     specimen: str
@@ -125,6 +177,7 @@ class Trial:
     protocol: Protocol = field(default_factory=Protocol)
     source: Source = field(default_factory=lambda: Source(path="<array>"))
     flags: tuple[Flag, ...] = ()
+    axes: Axes = Axes()
 
     def __post_init__(self) -> None:
         for name in ("time_s", "displacement_mm", "force_N"):
@@ -160,15 +213,19 @@ class Phase:
     Attributes
     ----------
     kind : str
-        ``approach`` (moving in, not yet in contact), ``ramp`` (loading), ``hold``, ``retract``, or
-        ``cycle`` (one load-unload loop of a cyclic test).
+        ``approach`` (moving in, not yet in contact), ``ramp`` (loading), ``hold``, ``creep`` (the load
+        is held and the tool sinks in: no relaxation hold), ``retract``, ``rest`` (standing out of contact
+        after a retract), or ``cycle`` (one load-unload loop of a cyclic test).
     start, stop : int
         Sample range ``[start, stop)``; neighbouring phases share their corner sample
         (``stop - 1`` of one is ``start`` of the next).
     start_s, end_s : float
         Times of the first and last sample [s], as recorded.
     speed_mm_s : float
-        Mean speed in the compression direction [mm/s]; negative while retracting, 0 in a hold.
+        Mean speed in the compression direction [mm/s]; negative while retracting, 0 in a hold, of a cycle
+        the mean speed of its loading.
+    peak : int or None
+        Deepest sample of a cycle, where loading turns to unloading; ``None`` in other phases.
     """
 
     kind: PhaseKind
@@ -177,6 +234,68 @@ class Phase:
     start_s: float
     end_s: float
     speed_mm_s: float
+    peak: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Corner:
+    """How a ramp came to its stop or turned.
+
+    Attributes
+    ----------
+    phase : int
+        The ramp, as an index into :attr:`Segmentation.phases`; the phase after it is what it ends in.
+    index : int
+        Sample nearest to ``time_s``.
+    time_s : float
+        Nominal end of the ramp: where its line meets that of the next phase [s].
+    duration_s : float
+        From the last sample on the ramp's line to the first from which the displacement stays on the next
+        phase's line, within noise and resolution [s]; ringing is part of it.
+    overshoot_mm : float
+        Farthest excursion beyond the plateau [mm], 0 where it is within noise and resolution.
+    ringing_swings : int
+        Excursions to alternate sides of the plateau that exceed noise and resolution; 0 or 1 is no ringing.
+    ringing_period_s : float or None
+        Mean period of the ringing [s]; ``None`` where it does not ring.
+    """
+
+    phase: int
+    index: int
+    time_s: float
+    duration_s: float
+    overshoot_mm: float
+    ringing_swings: int
+    ringing_period_s: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something that happened at one moment of a recording.
+
+    Attributes
+    ----------
+    kind : str
+        ``rupture`` (force collapses while the tool moves on), ``abort`` (the test ended before it was
+        over) or ``load_limit`` (the move ended at a force, not at a depth).
+    index : int
+        Last sample before it.
+    time_s : float
+        Its time [s], as recorded.
+    values : mapping
+        ``name_unit -> number``.  Rupture: ``force_before_N``, ``drop_N``, ``drop_fraction``, ``depth_mm``
+        (below contact), ``work_N_mm`` (from contact).  Abort: ``reached_mm`` and what was asked for, as far
+        as it is known (``stated_mm``, ``stated_hold_s``, ``earlier_mm``).  Load limit: ``force_N``,
+        ``depth_mm`` and ``creep_mm`` or ``turns``.
+    """
+
+    kind: str
+    index: int
+    time_s: float
+    values: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", MappingProxyType(dict(self.values)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,6 +340,10 @@ class Segmentation:
     force_noise_N : float
         Standard deviation of the force noise [N], from successive differences.
     flags : tuple of Flag
+    corners : tuple of Corner
+        One for each ramp that another phase follows, in time order.
+    events : tuple of Event
+        In time order.
     """
 
     compression_sign: int
@@ -229,6 +352,8 @@ class Segmentation:
     phases: tuple[Phase, ...]
     force_noise_N: float
     flags: tuple[Flag, ...] = ()
+    corners: tuple[Corner, ...] = ()
+    events: tuple[Event, ...] = ()
 
     def of_kind(self, kind: PhaseKind) -> tuple[Phase, ...]:
         """The phases of one kind, in time order."""

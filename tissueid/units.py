@@ -15,12 +15,20 @@ from typing import Any, Literal, get_args
 
 __all__ = ["INTERNAL_UNITS", "Quantity", "bare_unit", "factor_to", "quantity_of"]
 
-#: What can be converted: the three channels of a recording, and the rate of a protocol.
-Quantity = Literal["time", "displacement", "force", "speed"]
+#: What can be converted: the three channels of a recording, the rate of a protocol, and the channels of a
+#: normalised recording.
+Quantity = Literal["time", "displacement", "force", "speed", "strain", "stress"]
 
 #: The unit used inside, by quantity.
 INTERNAL_UNITS: Mapping[Quantity, str] = MappingProxyType(
-    {"time": "s", "displacement": "mm", "force": "N", "speed": "mm/s"}
+    {
+        "time": "s",
+        "displacement": "mm",
+        "force": "N",
+        "speed": "mm/s",
+        "strain": "mm/mm",
+        "stress": "MPa",
+    }
 )
 
 #: Spellings seen in exports that pint does not know, or takes for something else.
@@ -89,13 +97,13 @@ def _parsed(unit: str) -> Any | None:
 
 @cache
 def factor_to(unit_text: str, quantity: Quantity) -> float:
-    """The factor that turns a value in a printed unit into s, mm, N or mm/s.
+    """The factor that turns a value in a printed unit into s, mm, N or mm/s (strain: 1, stress: MPa).
 
     Parameters
     ----------
     unit_text : str
         As printed, brackets allowed: ``"(sec)"``, ``"kN"``, ``"[µm]"``, ``"mm/min"``.
-    quantity : {"time", "displacement", "force", "speed"}
+    quantity : {"time", "displacement", "force", "speed", "strain", "stress"}
 
     Returns
     -------
@@ -147,4 +155,6 @@ def _examples(quantity: Quantity) -> str:
         "displacement": "mm, um, m, in",
         "force": "N, kN, mN, kgf, gf, lbf",
         "speed": "mm/s, mm/min",
+        "strain": "%, mm/mm",
+        "stress": "Pa, kPa, MPa, psi",
     }[quantity]

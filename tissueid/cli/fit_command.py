@@ -38,7 +38,7 @@ UNREMARKABLE = {
     "column_choice",
     "undecoded_text",
 }
-READING = ("columns", "units", "specimen_by", "recipe")
+READING = ("columns", "units", "axes", "specimen_by", "recipe")
 REQUIRED = ["viscosity", "static", "stiffness", "relaxation-time", "none"]
 
 
@@ -93,6 +93,7 @@ def command(**flags: Any) -> int:
     reading = read_options(
         columns=flags["columns"],
         units=flags["units"],
+        axes=flags["axes"],
         specimen_by=flags["specimen_by"],
         recipe=flags["recipe"],
     )

@@ -30,12 +30,13 @@ def command(**flags: Any) -> int:
     all were.
     """
     from tissueid.errors import exit_code
-    from tissueid.pipeline import describe_trial
+    from tissueid.inspection import describe_trial
     from tissueid.result import Refusal
 
     reading = read_options(
         columns=flags["columns"],
         units=flags["units"],
+        axes=flags["axes"],
         specimen_by=flags["specimen_by"],
         recipe=flags["recipe"],
     )

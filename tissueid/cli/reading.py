@@ -39,6 +39,11 @@ def reading_options(function: Callable[..., Any]) -> Callable[..., Any]:
             help='Units, where the file has none or wrong ones: "displacement=um".',
         ),
         click.option(
+            "--axes",
+            metavar="MAP",
+            help='Normalised channels: "displacement=strain,force=stress".',
+        ),
+        click.option(
             "--specimen-by",
             metavar="PATTERN",
             help="Regular expression on the path (path::sheet in a workbook) that names the specimen.",
@@ -78,7 +83,7 @@ def _pairs(text: str | None, flag: str) -> dict[str, str]:
 
 
 def read_options(
-    *, columns: str | None, units: str | None, specimen_by: str | None, recipe: str | None
+    *, columns: str | None, units: str | None, axes: str | None, specimen_by: str | None, recipe: str | None
 ) -> ReadOptions:
     """Reading options from flags."""
     from tissueid.ingest import ReadOptions
@@ -86,6 +91,7 @@ def read_options(
     return ReadOptions(
         columns=_pairs(columns, "--columns"),
         units=_pairs(units, "--units"),
+        axes=_pairs(axes, "--axes"),
         specimen_by=specimen_by,
         recipe=recipe,
     )

@@ -13,17 +13,28 @@ from dataclasses import dataclass
 
 from tissueid.errors import InputError
 from tissueid.flags import Flag
-from tissueid.ingest.options import ReadOptions
+from tissueid.ingest.options import AXES, ReadOptions
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.vocabulary import CHANNELS, Channel, plain_words, rank_of
-from tissueid.units import INTERNAL_UNITS, bare_unit, factor_to, quantity_of
+from tissueid.units import INTERNAL_UNITS, Quantity, bare_unit, factor_to, quantity_of
 
 __all__ = ["ColumnChoice", "choose_columns", "has_channels", "split_name"]
 
 _BRACKETED = re.compile(r"(.*?)\s*[(\[]\s*([^()\[\]]*?)\s*[)\]]\s*", re.DOTALL)
 _AFTER_COMMA = re.compile(r"(.*\S)\s*[,/]\s*(\S+)\s*", re.DOTALL)
 _AFTER_UNDERSCORE = re.compile(r"(.*[^_])_([^_\s]+)")
+#: Units that may end a name without brackets: ``Fz, gf``, ``stress_kPa``.
+_SPLIT_UNITS = (*CHANNELS, "stress")
 _UNIT_LIKE = re.compile(r"[^\W\d_]{1,8}")
+#: Words of strain and stress in the nine languages, accents stripped.
+_NORMALISED: Mapping[Quantity, re.Pattern[str]] = {
+    "strain": re.compile(
+        r"strain|stretch|dehnung|stauchung|deformation|deformacion|deformacao|deformazione|odksztalcenie|应变"
+    ),
+    "stress": re.compile(
+        r"stress|spannung|contrainte|tension de|esfuerzo|tensao|tensione|sforzo|naprezenie|应力"
+    ),
+}
 _WAY_OUT = "name it with --columns time=NAME,displacement=NAME,force=NAME (or #2 for the second column)"
 
 
@@ -68,7 +79,7 @@ def split_name(name: str) -> tuple[str, str | None]:
             return match[1], inside
         return name, None
     for pattern in (_AFTER_COMMA, _AFTER_UNDERSCORE):
-        if (match := pattern.fullmatch(name)) and quantity_of(match[2]) in CHANNELS:
+        if (match := pattern.fullmatch(name)) and quantity_of(match[2]) in _SPLIT_UNITS:
             return match[1], match[2]
     return name, None
 
@@ -82,21 +93,32 @@ def _describe(names: Sequence[str], units: Sequence[str]) -> list[_Column]:
     return columns
 
 
-def _candidates(columns: Sequence[_Column], channel: Channel) -> list[tuple[int, _Column]]:
+def _candidates(
+    columns: Sequence[_Column], channel: Channel, options: ReadOptions
+) -> list[tuple[int, _Column]]:
     """Columns that may be this channel, best first; a known unit of something else rules one out."""
     found = []
+    wanted = options.quantity(channel)
     for column in columns:
-        measured = quantity_of(column.unit) if column.unit and _may_be(column, channel) else None
-        if measured is not None and measured != channel:
+        measured = quantity_of(column.unit) if column.unit and _may_be(column, channel, options) else None
+        if measured is not None and measured != wanted:
             continue
-        rank = rank_of(column.base, channel, loose=measured == channel)
+        rank = _rank(column, channel, options, loose=measured == wanted)
         if rank is not None:
             found.append((rank, column))
     return sorted(found, key=lambda item: (item[0], item[1].index))
 
 
-def _may_be(column: _Column, channel: Channel) -> bool:
-    return rank_of(column.base, channel, loose=True) is not None
+def _rank(column: _Column, channel: Channel, options: ReadOptions, *, loose: bool) -> int | None:
+    """Rank among the names of a channel; a declared strain or stress is sought under its own name first."""
+    words = _NORMALISED.get(options.quantity(channel))
+    if words is not None and words.search(plain_words(column.base)):
+        return 0
+    return rank_of(column.base, channel, loose=loose)
+
+
+def _may_be(column: _Column, channel: Channel, options: ReadOptions) -> bool:
+    return _rank(column, channel, options, loose=True) is not None
 
 
 def has_channels(names: Sequence[str], units: Sequence[str], options: ReadOptions) -> bool:
@@ -104,7 +126,7 @@ def has_channels(names: Sequence[str], units: Sequence[str], options: ReadOption
     columns = _describe(names, units)
     return all(
         _named(columns, options.columns[channel]) if channel in options.columns
-        else any(_may_be(column, channel) for column in columns)
+        else any(_may_be(column, channel, options) for column in columns)
         for channel in CHANNELS
     )  # fmt: skip
 
@@ -151,9 +173,9 @@ def choose_columns(
         if channel in options.columns:
             taken[channel] = _user_column(columns, channel, options=options, place=place, line=line)
             continue
-        found = _candidates(columns, channel)
+        found = _candidates(columns, channel, options)
         if not found:
-            raise _none_found(columns, channel, place=place, line=line)
+            raise _none_found(columns, channel, options=options, place=place, line=line)
         taken[channel] = found[0][1]
         if len(found) > 1:
             others = [column.name for _, column in found[1:]]
@@ -194,19 +216,28 @@ def _user_column(
 
 
 def _none_found(
-    columns: Sequence[_Column], channel: Channel, *, place: Place, line: int | None
+    columns: Sequence[_Column], channel: Channel, *, options: ReadOptions, place: Place, line: int | None
 ) -> InputError:
+    wanted = options.quantity(channel)
     for column in columns:
-        if column.unit and _may_be(column, channel):
+        if column.unit and _may_be(column, channel, options):
             return place.refusal(
                 "wrong_unit",
-                f"column {column.name!r} is in {column.unit!r}, which does not measure {channel}, and"
+                f"column {column.name!r} is in {column.unit!r}, which does not measure {wanted}, and"
                 f" there is no other; {_WAY_OUT}, or state the unit with"
-                f" --units {channel}={INTERNAL_UNITS[channel]}",
+                f" --units {channel}={INTERNAL_UNITS[wanted]}{_declare(column, channel)}",
                 line=line,
                 column=column.index + 1,
             )
     return place.refusal("no_columns", f"no column is the {channel}; {_seen(columns)}; {_WAY_OUT}", line=line)
+
+
+def _declare(column: _Column, channel: Channel) -> str:
+    """How a strain or stress is declared, where the column's unit is one."""
+    measured = quantity_of(column.unit or "")
+    if measured in AXES.get(channel, ())[1:]:
+        return f", or declare the axis with --axes {channel}={measured}"
+    return ""
 
 
 def _seen(columns: Sequence[_Column]) -> str:
@@ -217,9 +248,9 @@ def _seen(columns: Sequence[_Column]) -> str:
     return f"the columns are {shown}{' ...' if len(names) > 20 else ''}"
 
 
-def _agrees(unit: str, channel: Channel, factor: float) -> bool:
+def _agrees(unit: str, quantity: Quantity, factor: float) -> bool:
     try:
-        return factor_to(unit, channel) == factor
+        return factor_to(unit, quantity) == factor
     except ValueError:
         return False
 
@@ -233,10 +264,11 @@ def _factor(
     line: int | None,
     flags: list[Flag],
 ) -> float:
-    """What turns the column into s, mm or N."""
+    """What turns the column into s, mm or N (or a strain, or MPa, where that was declared)."""
+    quantity = options.quantity(channel)
     if channel in options.units:
-        factor = factor_to(options.units[channel], channel)
-        if column.unit is not None and not _agrees(column.unit, channel, factor):
+        factor = factor_to(options.units[channel], quantity)
+        if column.unit is not None and not _agrees(column.unit, quantity, factor):
             flags.append(
                 Flag(
                     "unit_overridden",
@@ -246,7 +278,7 @@ def _factor(
                 )
             )
         return factor
-    internal = INTERNAL_UNITS[channel]
+    internal = INTERNAL_UNITS[quantity]
     if column.unit is None:
         flags.append(
             Flag(
@@ -257,12 +289,13 @@ def _factor(
         )
         return 1.0
     try:
-        factors = [factor_to(unit, channel) for unit in column.units]
+        factors = [factor_to(unit, quantity) for unit in column.units]
     except ValueError as error:
-        known = any(quantity_of(unit) not in (None, channel) for unit in column.units)
+        known = any(quantity_of(unit) not in (None, quantity) for unit in column.units)
         place.refuse(
             "wrong_unit" if known else "unknown_unit",
-            f"column {column.name!r}: {error}; or state it with --units {channel}={internal}",
+            f"column {column.name!r}: {error}; or state it with --units {channel}={internal}"
+            f"{_declare(column, channel)}",
             line=line,
             column=column.index + 1,
         )

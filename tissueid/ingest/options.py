@@ -9,10 +9,16 @@ from types import MappingProxyType
 from typing import cast
 
 from tissueid.errors import UsageError
-from tissueid.ingest.vocabulary import CHANNELS
+from tissueid.ingest.vocabulary import CHANNELS, Channel
+from tissueid.trial import Axes
 from tissueid.units import Quantity, factor_to
 
-__all__ = ["ReadOptions"]
+__all__ = ["AXES", "ReadOptions"]
+
+#: What a channel may be declared to hold, the usual first.
+AXES: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {"displacement": ("displacement", "strain"), "force": ("force", "stress")}
+)
 
 
 @dataclass(frozen=True)
@@ -26,6 +32,9 @@ class ReadOptions:
         or ``"#2"`` for the second column of a file without names.
     units : mapping
         ``{"time" | "displacement" | "force": unit}``, in place of what the file says.
+    axes : mapping
+        ``{"displacement": "strain"}`` (or stretch: a length over a length), ``{"force": "stress"}``: the
+        channel is normalised; units are then those of a strain or stress, and results carry them.
     specimen_by : str or None
         Regular expression searched in ``"path"`` or ``"path::sheet"``; its first group, or the whole
         match, names the specimen.  Wins over the file's header.
@@ -42,22 +51,28 @@ class ReadOptions:
 
     columns: Mapping[str, str] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
+    axes: Mapping[str, str] = field(default_factory=dict)
     specimen_by: str | None = None
     recipe: str | None = None
     delimiter: str | None = None
     decimal: str | None = None
 
     def __post_init__(self) -> None:
-        for name in ("columns", "units"):
+        for name in ("columns", "units", "axes"):
             mapping = dict(getattr(self, name))
             for channel in mapping:
                 if channel not in CHANNELS:
                     msg = f"{name}: unknown channel {channel!r}, one of {', '.join(CHANNELS)}"
                     raise UsageError(msg)
             object.__setattr__(self, name, MappingProxyType(mapping))
+        for channel, axis in self.axes.items():
+            allowed = AXES.get(channel, ())
+            if axis not in allowed:
+                msg = f"axes: {channel} can't be {axis!r}; displacement=strain and force=stress are possible"
+                raise UsageError(msg)
         for channel, unit in self.units.items():
             try:
-                factor_to(unit, cast("Quantity", channel))
+                factor_to(unit, self.quantity(cast("Channel", channel)))
             except ValueError as error:
                 msg = f"units: {error}"
                 raise UsageError(msg) from error
@@ -73,3 +88,15 @@ class ReadOptions:
         if self.decimal is not None and self.decimal not in {".", ","}:
             msg = f"decimal: {self.decimal!r} is neither point nor comma"
             raise UsageError(msg)
+
+    def quantity(self, channel: Channel) -> Quantity:
+        """What a channel measures: itself, or a strain or stress where the user declared it."""
+        return cast("Quantity", self.axes.get(channel, channel))
+
+    @property
+    def trial_axes(self) -> Axes:
+        """The declared axes, as a trial carries them."""
+        return Axes(
+            length="1" if self.axes.get("displacement") == "strain" else "mm",
+            force="MPa" if self.axes.get("force") == "stress" else "N",
+        )

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from tissueid.errors import InputError
+from tissueid.flags import Flag
 from tissueid.ingest.discovery import find_inputs
 from tissueid.ingest.header import protocol_of
 from tissueid.ingest.options import ReadOptions
@@ -17,7 +18,7 @@ from tissueid.ingest.recipe import InputFile, Match, Table, open_input
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.registry import match_recipe
 from tissueid.ingest.vocabulary import Channel
-from tissueid.trial import Source, Trial
+from tissueid.trial import Axes, Source, Trial
 
 #: Longest travel [mm] and largest force [N] of a materials testing machine, with room to spare.
 TRAVEL_LIMIT_MM = 5_000.0
@@ -128,6 +129,8 @@ def _beyond_machines(file: InputFile, table: Table) -> InputError | None:
         ("force", float(np.abs(table.force_N).max()), FORCE_LIMIT_N, "N"),
     )
     for channel, reach, limit, unit in reaches:
+        if channel in file.options.axes:
+            continue
         if reach > limit:
             return place.refusal(
                 "implausible_range",
@@ -153,7 +156,12 @@ def _trial(file: InputFile, match: Match, table: Table) -> Trial | InputError:
         columns={str(channel): name for channel, name in table.columns.items()},
         metadata=table.metadata,
     )
-    flags = (*table.flags, *quality_flags(table.time_s, table.displacement_mm, table.force_N))
+    axes = file.options.trial_axes
+    flags = (
+        *table.flags,
+        *_normalised(axes),
+        *quality_flags(table.time_s, table.displacement_mm, table.force_N),
+    )
     return Trial(
         specimen=_specimen(file, table),
         time_s=table.time_s,
@@ -162,6 +170,20 @@ def _trial(file: InputFile, match: Match, table: Table) -> Trial | InputError:
         protocol=protocol_of(table.metadata, file.path, decimal=table.decimal),
         source=source,
         flags=flags,
+        axes=axes,
+    )
+
+
+def _normalised(axes: Axes) -> tuple[Flag, ...]:
+    if not axes.normalised:
+        return ()
+    return (
+        Flag(
+            "normalised_axes",
+            f"declared as normalised: wherever a sentence or key says mm, read {axes.length}, and for N read"
+            f" {axes.force}; such a result can't be rendered",
+            {"length": axes.length, "force": axes.force},
+        ),
     )
 
 
