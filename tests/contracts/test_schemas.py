@@ -132,8 +132,9 @@ def inspected() -> dict[str, Any]:
         "delimiter": ",", "decimal": ".",
         "columns": {"time": "Time", "displacement": "Extension", "force": "Load"},
         "n_samples": 3, "first": point, "last": point, "peak_force": point, "compression_sign": -1,
-        "contact": None, "phases": [{"kind": "hold", "start_s": 0.0, "end_s": 1.0, "speed_mm_s": 0.0}],
-        "flags": [],
+        "contact": None,
+        "phases": [{"kind": "hold", "start_s": 0.0, "end_s": 1.0, "speed_mm_s": 0.0, "peak_s": None}],
+        "corners": [], "events": [], "flags": [],
     }  # fmt: skip
 
 

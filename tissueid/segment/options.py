@@ -21,6 +21,10 @@ class SegmentOptions:
         Its standard deviation [mm]; used with ``contact_displacement_mm`` only.
     minimum_hold_s : float or None
         Shortest standstill after a ramp that is a hold [s].
+    start_s, end_s : float or None
+        First and last time that count, as recorded [s]; what lies outside is in no phase and is not fitted.
+    rupture : bool
+        ``False``: no force drop is a rupture.
     """
 
     compression_sign: int | None = None
@@ -28,12 +32,18 @@ class SegmentOptions:
     contact_displacement_mm: float | None = None
     contact_sd_mm: float = 0.0
     minimum_hold_s: float | None = None
+    start_s: float | None = None
+    end_s: float | None = None
+    rupture: bool = True
 
     def __post_init__(self) -> None:
         for name in ("compression_sign", "force_sign"):
             if getattr(self, name) not in (None, 1, -1):
                 msg = f"{name} is {getattr(self, name)}, must be 1, -1 or None"
                 raise ValueError(msg)
+        if self.start_s is not None and self.end_s is not None and not self.start_s < self.end_s:
+            msg = f"start_s is {self.start_s} and end_s {self.end_s}: the window must end after it starts"
+            raise ValueError(msg)
         if not self.contact_sd_mm >= 0.0:
             msg = f"contact_sd_mm is {self.contact_sd_mm}, must be >= 0"
             raise ValueError(msg)
