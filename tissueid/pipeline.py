@@ -20,16 +20,15 @@ from tissueid import __version__
 from tissueid.errors import InputError, exit_code
 from tissueid.fit.specimen import FitOptions, LogHandle, fit_specimen
 from tissueid.fit.window import fitted_log
-from tissueid.flags import Flag
 from tissueid.result import Exit, Identification, Refusal, SpecimenFit
 from tissueid.segment import SegmentOptions, segment
-from tissueid.trial import Segmentation, Source, Trial
+from tissueid.trial import Axes, Segmentation, Source, Trial
 
 __all__ = [
     "DEFAULT_REQUIRED",
     "REQUIRABLE",
     "IdentifyOptions",
-    "describe_trial",
+    "arithmetic_refusal",
     "identify",
 ]
 
@@ -108,12 +107,21 @@ class _TrialCache:
         return trial
 
 
-def _failure(path: str, sheet: str | None, done: str, error: Exception) -> Refusal:
+def arithmetic_refusal(path: str, sheet: str | None, done: str, error: Exception) -> Refusal:
+    """The refusal of a trial whose numbers defeat the arithmetic while it is ``done``."""
     message = (
         f"the samples defeat the arithmetic and could not be {done} ({type(error).__name__}: {error}); are "
         "their units and magnitudes right? `tissueid inspect` shows them"
     )
     return Refusal(path=path, sheet=sheet, code="fit_failed", message=message)
+
+
+def _mixed_axes(trial: Trial) -> Refusal:
+    message = (
+        f"its displacement is in {trial.axes.length} and its force in {trial.axes.force}, unlike the other"
+        f" recordings of {trial.specimen}: give it a specimen of its own, or declare the same axes"
+    )
+    return Refusal(path=trial.source.path, sheet=trial.source.sheet, code="mixed_axes", message=message)
 
 
 def _refusal_for(trial: Trial, segmentation: Segmentation) -> Refusal:
@@ -192,12 +200,14 @@ class _Collected:
 
     groups: dict[str, list[LogHandle]] = field(default_factory=dict)
     radii: dict[str, list[float | None]] = field(default_factory=dict)
+    axes: dict[str, Axes] = field(default_factory=dict)
     sources: list[tuple[str, Source]] = field(default_factory=list)
     inputs: list[dict[str, Any]] = field(default_factory=list)
     left_out: list[Refusal] = field(default_factory=list)
 
     def add(self, trial: Trial, handle: LogHandle) -> None:
         """Count one trial in."""
+        self.axes.setdefault(trial.specimen, trial.axes)
         if trial.specimen not in self.groups:
             self.sources.append((trial.specimen, trial.source))
         self.groups.setdefault(trial.specimen, []).append(handle)
@@ -225,7 +235,12 @@ def _collect(
         try:
             segmentation = segment(trial, options=options.segment)
         except (ArithmeticError, np.linalg.LinAlgError) as error:
-            collected.left_out.append(_failure(trial.source.path, trial.source.sheet, "segmented", error))
+            collected.left_out.append(
+                arithmetic_refusal(trial.source.path, trial.source.sheet, "segmented", error)
+            )
+            continue
+        if trial.axes != collected.axes.get(trial.specimen, trial.axes):
+            collected.left_out.append(_mixed_axes(trial))
             continue
         log = fitted_log(trial, segmentation)
         if log is None:
@@ -260,12 +275,13 @@ def _fit_all(
             fit = fit_specimen(name, handles, options=options.fit, tick=tick)
         except (ArithmeticError, np.linalg.LinAlgError) as error:
             collected.left_out += [
-                _failure(entry["path"], entry["sheet"], "fitted", error)
+                arithmetic_refusal(entry["path"], entry["sheet"], "fitted", error)
                 for entry in collected.inputs
                 if entry["specimen"] == specimen
             ]
             continue
-        fits.append(replace(fit, tip_radius_mm=_tip_radius(collected.radii[specimen])))
+        radius_mm = _tip_radius(collected.radii[specimen])
+        fits.append(replace(fit, tip_radius_mm=radius_mm, axes=collected.axes[specimen]))
     progress("fitted", total, total)
     return fits
 
@@ -329,61 +345,3 @@ def identify(
             **(provenance or {}),
         },
     )
-
-
-def _point(trial: Trial, index: int) -> dict[str, float]:
-    return {
-        "time_s": float(trial.time_s[index]),
-        "displacement_mm": float(trial.displacement_mm[index]),
-        "force_N": float(trial.force_N[index]),
-    }
-
-
-def describe_trial(trial: Trial, *, options: SegmentOptions | None = None) -> dict[str, Any] | Refusal:
-    """What ``tissueid inspect`` says of a trial, as recorded: before signs or zeros are changed.
-
-    Returns
-    -------
-    dict or Refusal
-        The object of ``schemas/inspect.schema.json``.
-    """
-    try:
-        segmentation = segment(trial, options=options)
-    except (ArithmeticError, np.linalg.LinAlgError) as error:
-        return _failure(trial.source.path, trial.source.sheet, "segmented", error)
-    source = trial.source
-    flags: list[Flag] = [*trial.flags, *segmentation.flags]
-    contact = segmentation.contact
-    return {
-        "path": source.path,
-        "sheet": source.sheet,
-        "specimen": trial.specimen,
-        "recipe": source.recipe,
-        "encoding": source.encoding,
-        "delimiter": source.delimiter,
-        "decimal": source.decimal,
-        "columns": dict(source.columns),
-        "n_samples": int(trial.time_s.size),
-        "first": _point(trial, 0),
-        "last": _point(trial, -1),
-        "peak_force": _point(trial, int(np.argmax(np.abs(trial.force_N)))),
-        "compression_sign": segmentation.compression_sign,
-        "contact": None
-        if contact is None
-        else {
-            "displacement_mm": contact.displacement_mm,
-            "sd_mm": contact.sd_mm,
-            "baseline_N": contact.baseline_N,
-            "in_record": contact.in_record,
-        },
-        "phases": [
-            {
-                "kind": phase.kind,
-                "start_s": phase.start_s,
-                "end_s": phase.end_s,
-                "speed_mm_s": phase.speed_mm_s,
-            }
-            for phase in segmentation.phases
-        ],
-        "flags": [flag.as_json() for flag in flags],
-    }

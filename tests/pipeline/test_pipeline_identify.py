@@ -13,7 +13,8 @@ import tissueid
 from tissueid import pipeline
 from tissueid.errors import InputError
 from tissueid.fit.specimen import FitOptions
-from tissueid.pipeline import DEFAULT_REQUIRED, REQUIRABLE, IdentifyOptions, describe_trial, identify
+from tissueid.inspection import describe_trial
+from tissueid.pipeline import DEFAULT_REQUIRED, REQUIRABLE, IdentifyOptions, identify
 from tissueid.result import Refusal
 from tissueid.segment import SegmentOptions
 from tissueid.store.files import json_bytes, plain_json

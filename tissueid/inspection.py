@@ -1,0 +1,103 @@
+"""What is said of one recording before anything is fitted: the words of ``tissueid inspect``.
+
+Numbers are those of the file: signs and zeros are as recorded, decisions stand beside them.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from tissueid.flags import Flag
+from tissueid.pipeline import arithmetic_refusal
+from tissueid.result import Refusal
+from tissueid.segment import SegmentOptions, segment
+from tissueid.trial import Phase, Segmentation, Trial
+
+__all__ = ["describe_segmented", "describe_trial"]
+
+
+def describe_trial(trial: Trial, *, options: SegmentOptions | None = None) -> dict[str, Any] | Refusal:
+    """What ``tissueid inspect`` says of a trial, as recorded: before signs or zeros are changed.
+
+    Parameters
+    ----------
+    trial : Trial
+    options : SegmentOptions, optional
+
+    Returns
+    -------
+    dict or Refusal
+        The object of ``schemas/inspect.schema.json``.
+    """
+    try:
+        segmentation = segment(trial, options=options)
+    except (ArithmeticError, np.linalg.LinAlgError) as error:
+        return arithmetic_refusal(trial.source.path, trial.source.sheet, "segmented", error)
+    return describe_segmented(trial, segmentation)
+
+
+def describe_segmented(trial: Trial, segmentation: Segmentation) -> dict[str, Any]:
+    """The object of ``schemas/inspect.schema.json`` for a trial that is segmented already."""
+    source = trial.source
+    flags: list[Flag] = [*trial.flags, *segmentation.flags]
+    contact = segmentation.contact
+    return {
+        "path": source.path,
+        "sheet": source.sheet,
+        "specimen": trial.specimen,
+        "recipe": source.recipe,
+        "encoding": source.encoding,
+        "delimiter": source.delimiter,
+        "decimal": source.decimal,
+        "columns": dict(source.columns),
+        "n_samples": int(trial.time_s.size),
+        "first": _point(trial, 0),
+        "last": _point(trial, -1),
+        "peak_force": _point(trial, int(np.argmax(np.abs(trial.force_N)))),
+        "compression_sign": segmentation.compression_sign,
+        "contact": None
+        if contact is None
+        else {
+            "displacement_mm": contact.displacement_mm,
+            "sd_mm": contact.sd_mm,
+            "baseline_N": contact.baseline_N,
+            "in_record": contact.in_record,
+        },
+        "phases": [_phase(trial, phase) for phase in segmentation.phases],
+        "corners": [
+            {
+                "phase": corner.phase,
+                "time_s": corner.time_s,
+                "duration_s": corner.duration_s,
+                "overshoot_mm": corner.overshoot_mm,
+                "ringing_swings": corner.ringing_swings,
+                "ringing_period_s": corner.ringing_period_s,
+            }
+            for corner in segmentation.corners
+        ],
+        "events": [
+            {"kind": event.kind, "time_s": event.time_s, "values": dict(event.values)}
+            for event in segmentation.events
+        ],
+        "flags": [flag.as_json() for flag in flags],
+    }
+
+
+def _point(trial: Trial, index: int) -> dict[str, float]:
+    return {
+        "time_s": float(trial.time_s[index]),
+        "displacement_mm": float(trial.displacement_mm[index]),
+        "force_N": float(trial.force_N[index]),
+    }
+
+
+def _phase(trial: Trial, phase: Phase) -> dict[str, Any]:
+    return {
+        "kind": phase.kind,
+        "start_s": phase.start_s,
+        "end_s": phase.end_s,
+        "speed_mm_s": phase.speed_mm_s,
+        "peak_s": None if phase.peak is None else float(trial.time_s[phase.peak]),
+    }
