@@ -340,12 +340,15 @@ class Identification:
     exit : Exit
     provenance : mapping
         Versions, options, seed and the inputs with their hashes.
+    study : mapping or None
+        The ``study`` object of the schema: covariates, calibration, exclusions; ``None`` without a study.
     """
 
     specimens: tuple[SpecimenFit, ...]
     refused: tuple[Refusal, ...]
     exit: Exit
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    study: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "provenance", MappingProxyType(dict(self.provenance)))
@@ -356,6 +359,7 @@ class Identification:
             "schema": "tissueid/identification/1",
             "specimens": [specimen.as_json() for specimen in self.specimens],
             "refused": [refusal.as_json() for refusal in self.refused],
+            "study": None if self.study is None else dict(self.study),
             "provenance": dict(self.provenance),
             "exit": self.exit.as_json(),
         }
