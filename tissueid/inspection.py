@@ -52,6 +52,7 @@ def describe_segmented(trial: Trial, segmentation: Segmentation) -> dict[str, An
         "delimiter": source.delimiter,
         "decimal": source.decimal,
         "columns": dict(source.columns),
+        "units": trial.axes.as_json(),
         "n_samples": int(trial.time_s.size),
         "first": _point(trial, 0),
         "last": _point(trial, -1),

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.flags import Flag
+from tissueid.trial import MM_N, Axes
 
 __all__ = [
     "Curve",
@@ -242,6 +243,8 @@ class SpecimenFit:
     selection : tuple of mapping
         One row a candidate model: branches, stiffness_degree, score, stderr, chosen.
     flags : tuple of Flag
+    axes : Axes
+        Every ``unit`` in the JSON is written in these; keys keep their names.
     """
 
     specimen: str
@@ -261,6 +264,7 @@ class SpecimenFit:
     optimisers: Mapping[str, Any]
     selection: tuple[Mapping[str, Any], ...]
     flags: tuple[Flag, ...] = ()
+    axes: Axes = MM_N
 
     def parameter(self, name: str) -> Estimate:
         """The reported parameter of that name (``KeyError`` where there is none)."""
@@ -271,8 +275,9 @@ class SpecimenFit:
 
     def as_json(self) -> dict[str, Any]:
         """The ``specimens`` object of the schema."""
-        return {
+        document = {
             "specimen": self.specimen,
+            "units": self.axes.as_json(),
             "model": self.model.as_json(),
             "parameters": [estimate.as_json() for estimate in self.parameters],
             "nrmsd": self.nrmsd.as_json(),
@@ -289,6 +294,19 @@ class SpecimenFit:
             "selection": [dict(row) for row in self.selection],
             "flags": [flag.as_json() for flag in self.flags],
         }
+        return _in_units(document, self.axes) if self.axes.normalised else document
+
+
+def _in_units(document: Any, axes: Axes) -> Any:
+    """The same document with every ``unit`` written in the units of normalised axes."""
+    if isinstance(document, list):
+        return [_in_units(entry, axes) for entry in document]
+    if not isinstance(document, dict):
+        return document
+    return {
+        key: axes.unit(value) if key == "unit" and isinstance(value, str) else _in_units(value, axes)
+        for key, value in document.items()
+    }
 
 
 @dataclass(frozen=True, slots=True)

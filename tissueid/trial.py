@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from tissueid.flags import Flag
 
 __all__ = [
+    "MM_N",
     "Axes",
     "Contact",
     "Corner",
@@ -79,6 +80,10 @@ class Axes:
         """Whether displacement is no length or force is no force."""
         return (self.length, self.force) != ("mm", "N")
 
+    def as_json(self) -> dict[str, str]:
+        """The ``units`` object of the schemas."""
+        return {"length": self.length, "force": self.force, "time": "s"}
+
     def unit(self, text: str) -> str:
         """A unit written in mm and N, in the units of these axes.
 
@@ -92,6 +97,10 @@ class Axes:
             text = re.sub(r"/mm(\^\d+)?\b", "", text)
             text = re.sub(r"\s?\bmm\b(\^\d+)?", "", text).strip()
         return f"1{text}" if text == "" or text.startswith("/") else text
+
+
+#: A displacement and a force.
+MM_N = Axes()
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,7 +186,7 @@ class Trial:
     protocol: Protocol = field(default_factory=Protocol)
     source: Source = field(default_factory=lambda: Source(path="<array>"))
     flags: tuple[Flag, ...] = ()
-    axes: Axes = Axes()
+    axes: Axes = MM_N
 
     def __post_init__(self) -> None:
         for name in ("time_s", "displacement_mm", "force_N"):

@@ -66,7 +66,7 @@ def test_flag_codes_are_those_of_the_code() -> None:
 def test_refusal_codes_are_those_of_ingest_and_the_two_a_fit_adds() -> None:
     refusals = pytest.importorskip("tissueid.ingest.refusals")
     known = set(load_schema("inspect")["$defs"]["refusal_code"]["enum"])
-    assert known == {*refusals.REFUSAL_CODES, "no_contact", "too_few_samples", "fit_failed"}
+    assert known == {*refusals.REFUSAL_CODES, "no_contact", "too_few_samples", "fit_failed", "mixed_axes"}
 
 
 def test_identification_of_a_run_is_valid() -> None:
@@ -131,6 +131,7 @@ def inspected() -> dict[str, Any]:
         "path": "a.csv", "sheet": None, "specimen": "a", "recipe": "bluehill", "encoding": "utf-8",
         "delimiter": ",", "decimal": ".",
         "columns": {"time": "Time", "displacement": "Extension", "force": "Load"},
+        "units": {"length": "mm", "force": "N", "time": "s"},
         "n_samples": 3, "first": point, "last": point, "peak_force": point, "compression_sign": -1,
         "contact": None,
         "phases": [{"kind": "hold", "start_s": 0.0, "end_s": 1.0, "speed_mm_s": 0.0, "peak_s": None}],

@@ -115,7 +115,11 @@ def render_report(
     """
     specimens = identification["specimens"]
     views = [_view(position, specimen) for position, specimen in enumerate(specimens)]
-    payload = {"specimens": curve_payload(specimens, curves), "overview": _overview(specimens)}
+    payload = {
+        "specimens": curve_payload(specimens, curves),
+        "units": [specimen["units"] for specimen in specimens],
+        "overview": _overview(specimens),
+    }
     template = page_environment().get_template("report.html.j2")
     return template.render(
         title=_title(specimens),

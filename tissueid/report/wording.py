@@ -206,16 +206,17 @@ def _by_name(parameters: Sequence[Mapping[str, Any]]) -> dict[str, Mapping[str, 
     return {entry["name"]: entry for entry in parameters}
 
 
-def _static_words(known: Mapping[str, Mapping[str, Any]], depth_mm: float) -> str:
+def _static_words(known: Mapping[str, Mapping[str, Any]], depth_mm: float, length: str) -> str:
     names = ("static_1_N_per_mm", "static_2_N_per_mm2", "static_3_N_per_mm3")
     values = [known[name]["value"] for name in names if name in known]
     if not values or values[0] is None:
         return "its static stiffness is not identified"
     first = known[names[0]]
-    words = f"its static stiffness is {with_error(first['value'], first['stderr'])} N/mm at contact"
+    unit = unit_words(first["unit"])
+    words = f"its static stiffness is {with_error(first['value'], first['stderr'])} {unit} at contact"
     if None not in values and depth_mm > 0:
         secant = sum(value * depth_mm**power for power, value in enumerate(values))
-        words += f" ({number(secant, 3)} N/mm on average over {number(depth_mm, 3)} mm)"
+        words += f" ({number(secant, 3)} {unit} on average over {number(depth_mm, 3)}{length})"
     return words
 
 
@@ -223,19 +224,24 @@ def tissue_sentence(specimen: Mapping[str, Any]) -> str:
     """The tissue in one sentence: stiffness, relaxation, viscosity, tip, and where it is valid."""
     known = _by_name(specimen["parameters"])
     validity = specimen["validity"]
-    parts = [_static_words(known, validity["depth_mm"])]
+    normalised = specimen["units"]["length"] != "mm"
+    length = "" if normalised else " mm"
+    parts = [_static_words(known, validity["depth_mm"], length)]
     for name, words in (("relaxation_time_s", "it relaxes in"), ("viscosity_N_s_per_mm", "its viscosity is")):
         entry = known.get(name)
-        unit = "s" if name.startswith("relax") else "N·s/mm"
         if entry is None:
             continue
+        unit = unit_words(entry["unit"])
         if entry["value"] is None:
             lost = "its relaxation time" if name.startswith("relax") else "its viscosity"
             parts.append(f"{lost} is not identified")
         else:
             parts.append(f"{words} {with_error(entry['value'], entry['stderr'])} {unit}")
     slow, fast = validity["speeds_mm_s"]
-    speeds = f"{number(slow, 3)} to {number(fast, 3)} mm/s" if slow != fast else f"{number(slow, 3)} mm/s"
+    per_s = "1/s" if normalised else "mm/s"
+    speeds = (
+        f"{number(slow, 3)} to {number(fast, 3)} {per_s}" if slow != fast else f"{number(slow, 3)} {per_s}"
+    )
     minutes = (
         f"{number(slow * _S_PER_MIN, 3)} to {number(fast * _S_PER_MIN, 3)} mm/min"
         if slow != fast
@@ -245,6 +251,11 @@ def tissue_sentence(specimen: Mapping[str, Any]) -> str:
     tool = "a tool tip of unstated radius" if tip is None else f"a tool tip of radius {number(tip, 3)} mm"
     listed = f"{', '.join(parts[:-1])} and {parts[-1]}" if len(parts) > 1 else parts[0]
     deep = number(validity["depth_mm"], 3)
+    if normalised:
+        return (
+            f"{listed[0].upper()}{listed[1:]}; valid to a strain of {number(validity['depth_mm'], 3)} "
+            f"and for loading at {speeds}."
+        )
     return (
         f"{listed[0].upper()}{listed[1:]}; found with {tool}, "
         f"valid to {deep} mm deep and for loading at {speeds} ({minutes})."
@@ -254,14 +265,19 @@ def tissue_sentence(specimen: Mapping[str, Any]) -> str:
 def overview_sentence(specimens: Sequence[Mapping[str, Any]]) -> str:
     """Several specimens in one sentence: medians and ranges of what is identified."""
     parts = []
-    for name, words, unit in (
-        ("static_1_N_per_mm", "static stiffness at contact", "N/mm"),
-        ("relaxation_time_s", "relaxation time", "s"),
-        ("viscosity_N_s_per_mm", "viscosity", "N·s/mm"),
+    for name, words in (
+        ("static_1_N_per_mm", "static stiffness at contact"),
+        ("relaxation_time_s", "relaxation time"),
+        ("viscosity_N_s_per_mm", "viscosity"),
     ):
         entries = [_by_name(specimen["parameters"]).get(name) for specimen in specimens]
-        values = [entry["value"] for entry in entries if entry is not None and entry["value"] is not None]
-        if values:
+        found = [entry for entry in entries if entry is not None and entry["value"] is not None]
+        values = [entry["value"] for entry in found]
+        units = {unit_words(entry["unit"]) for entry in found}
+        if len(units) > 1:
+            parts.append(f"{words} in different units ({', '.join(sorted(units))}), not compared")
+        elif values:
+            unit = units.pop()
             low, middle, high = (number(value, 3) for value in (min(values), median(values), max(values)))
             known = "" if len(values) == len(specimens) else f", identified in {len(values)}"
             parts.append(f"{words} {middle} {unit} ({low} to {high}{known})")

@@ -18,8 +18,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,8 +29,10 @@ from numpy.typing import NDArray
 
 from tissueid.errors import BundleError
 from tissueid.result import Estimate, ModelChoice, SpecimenFit
+from tissueid.store.bundle_checks import array_problem, model_problem
 from tissueid.store.files import TEMPORARY_PREFIX, json_bytes, plain_json, replace_file
 from tissueid.store.schema import check
+from tissueid.trial import Axes
 
 if TYPE_CHECKING:
     from tissueid.model import ContactModel
@@ -44,10 +46,7 @@ _FORMAT = "tissueid/bundle"
 _DOCUMENT = "document"
 _ARRAYS = ("theta", "covariance", "draws")
 _OPTIONAL = frozenset({"draws"})
-_UNITS = {"length": "mm", "force": "N", "time": "s"}
-
-# A covariance that went through a Cholesky factor and back is positive semi-definite to rounding only
-_COVARIANCE_ROUNDING = 1e-9
+_UNITS = Axes().as_json()
 
 #: What libhdf5 and h5py raise on a file that is cut, overwritten or made by hand.
 _HDF5_ERRORS = (
@@ -130,6 +129,22 @@ class Bundle:
             depth_mm=self.depth_mm,
         )
 
+    def require_renderable(self) -> None:
+        """Check that a device could render this tissue.
+
+        Raises
+        ------
+        BundleError
+            The recording was normalised: a device moves millimetres and pushes newtons.
+        """
+        if dict(self.units) != _UNITS:
+            units = ", ".join(f"{key} in {unit}" for key, unit in self.units.items())
+            msg = (
+                f"{self.specimen}: the recordings were normalised ({units}), and a device renders mm and N; "
+                "fit recordings of displacement and force to feel this tissue"
+            )
+            raise BundleError(msg)
+
     def parameter(self, name: str) -> Estimate:
         """Return the reported parameter of that name (``KeyError`` where there is none)."""
         for estimate in self.parameters:
@@ -183,7 +198,7 @@ def bundle_from_fit(
         theta_names=fit.theta_names,
         theta=fit.theta,
         covariance=fit.covariance,
-        parameters=fit.parameters,
+        parameters=tuple(replace(one, unit=fit.axes.unit(one.unit)) for one in fit.parameters),
         depth_mm=float(fit.depth_mm),
         speeds_mm_s=fit.speeds_mm_s,
         tip_radius_mm=fit.tip_radius_mm,
@@ -191,6 +206,7 @@ def bundle_from_fit(
         flags=tuple(flag.as_json() for flag in fit.flags),
         provenance={**provenance, "inputs": inputs},
         draws=draws,
+        units=fit.axes.as_json(),
     )
 
 
@@ -338,52 +354,7 @@ def _from_document(document: Mapping[str, Any], arrays: Mapping[str, FloatArray]
 
 def _check_contents(bundle: Bundle, document: Mapping[str, Any], *, where: str) -> None:
     check(document, "bundle", where=where)
-    problem = _array_problem(bundle) or _model_problem(bundle)
+    problem = array_problem(bundle) or model_problem(bundle)
     if problem is not None:
         msg = f"{where}: {problem}; such a bundle can't be rendered safely, run `tissueid fit` again"
         raise BundleError(msg)
-
-
-def _array_problem(bundle: Bundle) -> str | None:
-    size = len(bundle.theta_names)
-    shapes: Sequence[tuple[str, FloatArray | None, tuple[int, ...]]] = (
-        ("theta", bundle.theta, (size,)),
-        ("covariance", bundle.covariance, (size, size)),
-        ("draws", bundle.draws, (-1 if bundle.draws is None else len(bundle.draws), size)),
-    )
-    for name, array, shape in shapes:
-        if array is None:
-            continue
-        if array.shape != shape:
-            return f"{name} has shape {array.shape}, the {size} parameters need {shape}"
-        if not np.isfinite(array).all():
-            return f"{name} holds {int((~np.isfinite(array)).sum())} numbers that are not finite"
-    covariance = bundle.covariance
-    scale = np.sqrt(np.abs(np.diag(covariance)))
-    scale[scale == 0] = 1.0
-    # judged on the correlations, so that units (N/mm beside s) do not hide a wrong small entry
-    correlation = covariance / np.outer(scale, scale)
-    if np.abs(correlation - correlation.T).max(initial=0.0) > _COVARIANCE_ROUNDING:
-        return "the covariance is not symmetric"
-    smallest = float(np.linalg.eigvalsh(correlation).min(initial=0.0))
-    if smallest < -_COVARIANCE_ROUNDING * max(size, 1):
-        return f"the covariance is not positive semi-definite (eigenvalue {smallest:.3g} of the correlations)"
-    return None
-
-
-def _model_problem(bundle: Bundle) -> str | None:
-    try:
-        model = bundle.contact_model()
-    except (KeyError, ValueError) as error:
-        return f"the contact model can't be built ({error})"
-    if tuple(model.parameter_names) != bundle.theta_names:
-        return (
-            f"theta is {bundle.theta_names}, the model {bundle.model.key} has {tuple(model.parameter_names)}"
-        )
-    if not model.is_passive(bundle.theta):
-        return "theta is not passive: it would put out more energy than was put in"
-    if bundle.draws is not None:
-        for row, draw in enumerate(bundle.draws):
-            if not model.is_passive(draw):
-                return f"draw {row} is not passive: it would put out more energy than was put in"
-    return None

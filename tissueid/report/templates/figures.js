@@ -51,12 +51,18 @@
     overview: { traces: overview, x: "", y: "Viscosity [N·s/mm]" },
   };
 
+  // recordings may be normalised: labels are written in mm and N and read in the specimen's units
+  const inUnits = (label, specimen) => {
+    const units = payload.units[specimen];
+    if (!units || (units.length === "mm" && units.force === "N")) return label;
+    return label.replace("[N]", `[${units.force}]`).replace("Depth [mm]", units.length === "1" ? "Strain" : "Depth [mm]");
+  };
   const axis = (title) => ({ title: { text: title }, gridcolor: colour("line"), zerolinecolor: colour("soft"), linecolor: colour("line"), automargin: true });
   const draw = (box) => {
     const kind = kinds[box.dataset.figure];
     const layout = {
       margin: { l: 56, r: 12, t: 28, b: 48 }, paper_bgcolor: colour("paper"), plot_bgcolor: colour("paper"),
-      font: { color: colour("ink"), family: "system-ui, sans-serif", size: 13 }, xaxis: axis(kind.x), yaxis: axis(kind.y),
+      font: { color: colour("ink"), family: "system-ui, sans-serif", size: 13 }, xaxis: axis(inUnits(kind.x, box.dataset.specimen)), yaxis: axis(inUnits(kind.y, box.dataset.specimen)),
       legend: { orientation: "h", x: 0, y: 1.02, yanchor: "bottom" }, hovermode: "closest",
     };
     box.dataset.drawn = "yes";
