@@ -120,3 +120,13 @@ def test_stress_that_was_not_declared_is_refused_with_the_way_out(tmp_path: Path
 def test_an_axis_that_does_not_exist_is_refused() -> None:
     with pytest.raises(UsageError, match="force can't be 'strain'"):
         ReadOptions(axes={"force": "strain"})
+
+
+def test_specimens_in_different_units_are_not_compared_in_one_column() -> None:
+    found = identify([ramp_hold(STRAIN_STRESS), ramp_hold(Axes(), name="meat")])
+    page = render_report(plain_json(found.as_json()), [])
+    overview = page.split('<table class="overview">')[1].split("</table>")[0]
+    assert "[N/mm]" not in overview
+    assert "MPa·s" in overview
+    assert "N·s/mm" in overview
+    assert "in different units" in page

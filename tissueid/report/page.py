@@ -16,6 +16,7 @@ from markupsafe import Markup
 from tissueid.report.figures import curve_payload
 from tissueid.report.wording import (
     NOT_IDENTIFIED,
+    in_units,
     number,
     overview_sentence,
     parameter_words,
@@ -46,6 +47,7 @@ def page_environment() -> Environment:
     environment.filters["number"] = number
     environment.filters["rounded_to"] = rounded_to
     environment.filters["unit"] = unit_words
+    environment.filters["in_units"] = in_units
     environment.globals["with_error"] = with_error
     environment.globals["parameter_words"] = parameter_words
     environment.globals["trial_label"] = trial_label
@@ -126,6 +128,7 @@ def render_report(
         run=identification,
         views=views,
         payload=payload,
+        common_units=_common_units(specimens),
         overview_sentence=overview_sentence(specimens),
         counts=_counts(views),
         created=created,
@@ -133,6 +136,11 @@ def render_report(
         script=_asset("figures.js"),
         plotly=_plotly_script(),
     )
+
+
+def _common_units(specimens: Sequence[Mapping[str, Any]]) -> Mapping[str, str] | None:
+    units = [specimen["units"] for specimen in specimens]
+    return units[0] if units and all(one == units[0] for one in units) else None
 
 
 def _title(specimens: Sequence[Mapping[str, Any]]) -> str:

@@ -6,18 +6,21 @@ A number that the data do not determine is never printed as a value: it is "not 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
 from tissueid.flags import FLAG_CODES
+from tissueid.trial import Axes
 
 __all__ = [
     "NOT_IDENTIFIED",
     "PARAMETER_WORDS",
     "Remark",
     "Verdict",
+    "in_units",
     "number",
     "overview_sentence",
     "parameter_words",
@@ -288,4 +291,22 @@ def overview_sentence(specimens: Sequence[Mapping[str, Any]]) -> str:
 
 def unit_words(unit: str) -> str:
     """``N s/mm^2`` as it is printed: ``N·s/mm²``."""
-    return unit.replace("^2", "²").replace("^3", "³").replace("N s", "N·s").replace("N*s", "N·s")
+    return (
+        unit.replace("^2", "²")
+        .replace("^3", "³")
+        .replace("N s", "N·s")
+        .replace("MPa s", "MPa·s")
+        .replace("N*s", "N·s")
+    )
+
+
+def in_units(heading: str, units: Mapping[str, str] | None) -> str:
+    """A heading written in mm and N, in the units of the specimen; without any where specimens differ.
+
+    >>> in_units("Speed [mm/s]", {"length": "1", "force": "MPa"})
+    'Speed [1/s]'
+    """
+    if units is None:
+        return heading.split(" [")[0]
+    axes = Axes(units["length"], units["force"])
+    return re.sub(r"\[([^\]]*)\]", lambda found: f"[{unit_words(axes.unit(found[1]))}]", heading)
