@@ -66,7 +66,7 @@ def test_every_error_at_1_khz_is_within_three_standard_errors() -> None:
 def test_default_options_are_unbiased_and_as_sharp_as_their_standard_errors(
     show: Callable[[str], None],
 ) -> None:
-    runs = run_jobs(jobs("paper-a-30", range(100, 150), AUTO, rate_Hz=100.0))
+    runs = run_jobs(jobs("paper-a-30", range(20_100, 20_150), AUTO, rate_Hz=100.0))
     show(table_row("no scatter, 100 Hz, default options", runs, TRUTH))
     for name, truth in TRUTH.items():
         estimate, stderr = column(runs, name)
@@ -79,7 +79,7 @@ def test_scatter_of_gain_and_contact_does_not_move_the_mean_relaxation_time(
     show: Callable[[str], None],
 ) -> None:
     work = jobs(
-        "paper-a-30", range(200, 240), CONSTANT, rate_Hz=100.0, cv_both=0.15, contact_offset_sd_mm=0.1
+        "paper-a-30", range(20_200, 20_240), CONSTANT, rate_Hz=100.0, cv_both=0.15, contact_offset_sd_mm=0.1
     )
     runs = run_jobs(work)
     show(table_row("CV 15 % and contact offset 0.1 mm, 100 Hz", runs, TRUTH))
@@ -92,7 +92,7 @@ def test_scatter_of_gain_and_contact_does_not_move_the_mean_relaxation_time(
 def test_a_rounded_stop_of_the_crosshead_hardly_moves_the_relaxation_time(
     show: Callable[[str], None],
 ) -> None:
-    runs = run_jobs(jobs("paper-a-30", range(300, 320), CONSTANT, rate_Hz=100.0, crosshead_rounding_s=0.03))
+    runs = run_jobs(jobs("paper-a-30", range(20_300, 20_320), CONSTANT, rate_Hz=100.0, crosshead_rounding_s=0.03))
     show(table_row("crosshead rounded over 30 ms, 100 Hz", runs, TRUTH))
     estimate, _ = column(runs, "tau")
     assert abs(estimate.mean() - TAU_S) <= 0.05 * TAU_S
@@ -100,7 +100,7 @@ def test_a_rounded_stop_of_the_crosshead_hardly_moves_the_relaxation_time(
 
 @pytest.mark.slow
 def test_at_10_hz_the_relaxation_time_is_never_called_identified(show: Callable[[str], None]) -> None:
-    runs = run_jobs(jobs("paper-a-30", range(400, 410), AUTO, rate_Hz=10.0))
+    runs = run_jobs(jobs("paper-a-30", range(20_400, 20_410), AUTO, rate_Hz=10.0))
     show(f"\n10 Hz: tau identified in {sum(run.tau[2] for run in runs)} of {len(runs)}")
     assert not any(run.tau[2] for run in runs)
 
@@ -122,7 +122,7 @@ def test_pooling_costs_no_precision_on_data_without_scatter(
     truth: dict[str, float],
     percent: dict[str, float],
 ) -> None:
-    runs = run_jobs(jobs(name, range(500, 530), options, rate_Hz=100.0))
+    runs = run_jobs(jobs(name, range(20_500, 20_530), options, rate_Hz=100.0))
     show(table_row(f"{name}, no scatter, 100 Hz, limits 1.15 x {percent} %", runs, truth))
     for parameter, limit in percent.items():
         estimate, _ = column(runs, parameter)
