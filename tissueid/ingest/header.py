@@ -11,7 +11,7 @@ from tissueid.ingest.vocabulary import plain_words, specimen_key_rank
 from tissueid.trial import Protocol
 from tissueid.units import Quantity, factor_to
 
-__all__ = ["header_entries", "protocol_of", "specimen_in"]
+__all__ = ["header_entries", "protocol_of", "specimen_in", "stated"]
 
 _NOTHING = re.compile(r"<.*>|-+|n/?a|none", re.IGNORECASE)
 _RATE = re.compile(
@@ -74,22 +74,33 @@ def protocol_of(metadata: Mapping[str, str], path: str, *, decimal: str | None) 
         Decimal mark of the file.
     """
     mark = decimal or "."
-    diameter = _stated(metadata, _TIP_DIAMETER, "displacement", mark)
-    radius = _stated(metadata, _TIP_RADIUS, "displacement", mark)
+    diameter = stated(metadata, _TIP_DIAMETER, "displacement", mark)
+    radius = stated(metadata, _TIP_RADIUS, "displacement", mark)
     kind = _FOLDER_KIND.search(path)
     return Protocol(
         kind=kind[1].lower() if kind else None,
-        speed_mm_s=_stated(metadata, _RATE, "speed", mark),
-        depth_mm=_stated(metadata, _DEPTH, "displacement", mark),
-        hold_s=_stated(metadata, _HOLD, "time", mark),
+        speed_mm_s=stated(metadata, _RATE, "speed", mark),
+        depth_mm=stated(metadata, _DEPTH, "displacement", mark),
+        hold_s=stated(metadata, _HOLD, "time", mark),
         tip_radius_mm=radius if radius is not None or diameter is None else diameter / 2,
     )
 
 
-def _stated(
+def stated(
     metadata: Mapping[str, str], keys: re.Pattern[str], quantity: Quantity, decimal: str
 ) -> float | None:
-    """The first value above zero under such a key that has a unit of this quantity."""
+    """The first value above zero under such a key that has a unit of this quantity.
+
+    Parameters
+    ----------
+    metadata : mapping
+        Entries of the header.
+    keys : pattern
+        Matches the whole last part of a key, in plain words.
+    quantity : str
+    decimal : str
+        Decimal mark of the file.
+    """
     for key, text in metadata.items():
         if not keys.fullmatch(re.sub(r" (?:mm|s|n|mm s|mm min)$", "", _last_part(key))):
             continue

@@ -10,6 +10,7 @@ import numpy as np
 
 from tissueid.errors import InputError
 from tissueid.flags import Flag
+from tissueid.ingest.cell_range import capacity_in
 from tissueid.ingest.discovery import find_inputs
 from tissueid.ingest.header import protocol_of
 from tissueid.ingest.options import ReadOptions
@@ -160,7 +161,12 @@ def _trial(file: InputFile, match: Match, table: Table) -> Trial | InputError:
     flags = (
         *table.flags,
         *_normalised(axes),
-        *quality_flags(table.time_s, table.displacement_mm, table.force_N),
+        *quality_flags(
+            table.time_s,
+            table.displacement_mm,
+            table.force_N,
+            capacity_N=capacity_in(table.metadata, decimal=table.decimal),
+        ),
     )
     return Trial(
         specimen=_specimen(file, table),
