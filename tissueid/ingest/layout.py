@@ -11,16 +11,16 @@ import csv
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from tissueid.ingest.columns import has_channels
 from tissueid.ingest.numbers import decimal_evidence, looks_numeric
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import Place
+from tissueid.ingest.results import is_statistics, is_units_row, results_below, results_spans
 from tissueid.ingest.text import HEAD_BYTES, Text
-from tissueid.units import quantity_of
 
-__all__ = ["Anchor", "Layout", "Row", "anchor", "find_layout", "is_units_row", "split_line"]
+__all__ = ["Anchor", "Layout", "Row", "anchor", "find_layout", "split_line"]
 
 Row = tuple[str, ...]
 
@@ -30,6 +30,8 @@ _TAIL_BYTES = 1 << 12
 _HEAD_LINES = 200
 _SCORED_LINES = 100
 _BRACKETED = re.compile(r"\s*[(\[].*[)\]]\s*")
+#: A tail of nothing but numbers holds no results.
+_ONLY_NUMBERS = re.compile(rb"[-+\d.,;:'\t\r\n\"eE \xa0]*")
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +65,8 @@ class Layout:
     n_columns : int
     numeric : tuple of bool
         Which columns hold numbers in the sample.
+    stop : int or None
+        Byte at which a table of results begins below the rows, ``None`` without one.
     """
 
     delimiter: str
@@ -76,6 +80,7 @@ class Layout:
     offset: int
     n_columns: int
     numeric: tuple[bool, ...]
+    stop: int | None = None
 
 
 def split_line(line: str, delimiter: str) -> Row:
@@ -96,19 +101,30 @@ def _numeric_share(row: Row) -> float:
     return numeric / len(filled) if numeric >= 2 else 0.0
 
 
-def is_units_row(row: Row) -> bool:
-    """Whether a row states units: ``(sec),(mm),(N),,`` or ``"s","mm","N"``."""
-    filled = [cell.strip() for cell in row if cell.strip()]
-    if not filled or any(map(looks_numeric, filled)):
-        return False
-    if all(_BRACKETED.fullmatch(cell) for cell in filled):
-        return True
-    known = sum(quantity_of(cell) is not None or _BRACKETED.fullmatch(cell) is not None for cell in filled)
-    return len(filled) >= 2 and known >= 2 and 2 * known > len(filled)
+def _runs(rows: Sequence[Row]) -> list[range]:
+    """Stretches of rows of numbers, in their order, but those that end in statistics last."""
+    samples: list[range] = []
+    results: list[range] = []
+    start, stop = -1, -1
+    for index, row in enumerate(rows):
+        if not any(cell.strip() for cell in row):
+            continue
+        if _numeric_share(row) >= 0.5 and not is_statistics(row):
+            start, stop = (index if start < 0 else start), index + 1
+        elif start >= 0:
+            (results if is_statistics(row) else samples).append(range(start, stop))
+            start = -1
+    if start >= 0:
+        samples.append(range(start, stop))
+    longest = max(map(len, samples), default=0)
+    return samples + [run for run in results if len(run) > longest]
 
 
 def anchor(rows: Sequence[Row], options: ReadOptions) -> Anchor | None:
-    """Find names, units and first row of the longest run of rows of numbers.
+    """Find names, units and first row of the recording.
+
+    It is the first run of two and more rows of numbers under names that say what time, displacement and
+    force are; where there are no such names, the longest run.
 
     Parameters
     ----------
@@ -122,28 +138,33 @@ def anchor(rows: Sequence[Row], options: ReadOptions) -> Anchor | None:
     Anchor or None
         ``None`` where no row holds two numbers.
     """
-    best, best_length = -1, 0
-    start, length = -1, 0
-    for index, row in enumerate(rows):
-        if not any(cell.strip() for cell in row):
-            continue
-        if _numeric_share(row) >= 0.5:
-            start, length = (index, 1) if length == 0 else (start, length + 1)
-            if length > best_length:
-                best, best_length = start, length
-        else:
-            length = 0
-    if best < 0:
+    runs = _runs(rows)
+    for run in [run for run in runs if len(run) > 1] + [run for run in runs if len(run) == 1]:
+        found = _named_anchor(rows, run.start, options)
+        if found is not None:
+            return found
+    if not runs:
         return None
-    above = [i for i in range(best - 1, -1, -1) if any(cell.strip() for cell in rows[i])]
-    for index in above:
+    first = max(runs, key=len).start
+    return _anchor_without_words(rows, first, _filled_above(rows, first))
+
+
+def _filled_above(rows: Sequence[Row], first: int) -> list[int]:
+    return [i for i in range(first - 1, -1, -1) if any(cell.strip() for cell in rows[i])]
+
+
+def _named_anchor(rows: Sequence[Row], first: int, options: ReadOptions) -> Anchor | None:
+    """The names above a run that say what time, displacement and force are, with the units below them."""
+    for index in _filled_above(rows, first):
+        if is_statistics(rows[index]):
+            return None  # what stands higher are results and their names
         if _numeric_share(rows[index]) > 0.0 or is_units_row(rows[index]):
             continue
-        following = [i for i in range(index + 1, best) if any(cell.strip() for cell in rows[i])]
+        following = [i for i in range(index + 1, first) if any(cell.strip() for cell in rows[i])]
         units = following[0] if following and is_units_row(rows[following[0]]) else None
         if has_channels(rows[index], rows[units] if units is not None else (), options):
             return Anchor(index, units, (units if units is not None else index) + 1)
-    return _anchor_without_words(rows, best, above)
+    return None
 
 
 def _anchor_without_words(rows: Sequence[Row], best: int, above: Sequence[int]) -> Anchor:
@@ -181,18 +202,20 @@ def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
     found = anchor(rows, options)
     if found is None:
         raise _no_numbers(rows, delimiter, options, place)
-    sample = [row for row in rows[found.first :] if _numeric_share(row) >= 0.5]
+    _refuse_rows_above(rows, found, place)
+    names: Row = rows[found.names] if found.names is not None else ()
+    units: Row = rows[found.units] if found.units is not None else ()
+    results = results_below(rows[found.first :], names, units, options)
+    below = rows[found.first :] if results is None else rows[found.first : found.first + results]
+    sample = [row for row in below if _numeric_share(row) >= 0.5]
     n_columns = Counter(map(len, sample)).most_common(1)[0][0]
-    names = _padded(rows[found.names] if found.names is not None else (), n_columns)
-    units = _padded(rows[found.units] if found.units is not None else (), n_columns)
     decimal = options.decimal or _find_decimal(text, sample, delimiter, place, first=found.first, rows=rows)
-    top = found.first if found.names is None else found.names
-    return Layout(
+    layout = Layout(
         delimiter,
         decimal,
-        tuple(row for row in rows[:top] if any(cell.strip() for cell in row)),
-        names,
-        units,
+        _without_results(rows[: found.first if found.names is None else found.names]),
+        _padded(names, n_columns),
+        _padded(units, n_columns),
         found.units is not None,
         None if found.names is None else found.names + 1,
         found.first + 1,
@@ -200,6 +223,42 @@ def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
         n_columns,
         tuple(all(i < len(row) and looks_numeric(row[i]) for row in sample[:50]) for i in range(n_columns)),
     )
+    if results is not None:
+        return replace(layout, stop=sum(map(len, raw[: found.first + results])))
+    return replace(layout, stop=_stop_in_tail(text, layout, options))
+
+
+def _refuse_rows_above(rows: Sequence[Row], found: Anchor, place: Place) -> None:
+    """Refuse rows of numbers above the names: they would be passed over as if they were a header."""
+    above = rows[: found.first if found.names is None else found.names]
+    inside = {index for span in results_spans(above) for index in span}
+    for run in _runs(above):
+        if len(run) > 1 and run.start not in inside:
+            place.refuse(
+                "mixed_tables",
+                f"{len(run)} rows of numbers stand above the names in line {len(above) + 1}, which are no"
+                " results: is this two files in one, or were rows moved? Export the file again",
+                line=run.start + 1,
+            )
+
+
+def _without_results(header: Sequence[Row]) -> tuple[Row, ...]:
+    left_out = {index for span in results_spans(header) for index in span}
+    return tuple(
+        row for index, row in enumerate(header) if index not in left_out and any(cell.strip() for cell in row)
+    )
+
+
+def _stop_in_tail(text: Text, layout: Layout, options: ReadOptions) -> int | None:
+    """The byte at which results begin in the last lines of the file, ``None`` where there are none."""
+    start = max(layout.offset, len(text.data) - HEAD_BYTES)
+    tail = text.data[start:]
+    if _ONLY_NUMBERS.fullmatch(tail):
+        return None
+    raw = tail.splitlines(keepends=True)
+    rows = [split_line(text.decode(line), layout.delimiter) for line in raw]
+    results = results_below(rows, layout.names, layout.units, options)
+    return None if results is None else start + sum(map(len, raw[:results]))
 
 
 def _padded(row: Row, n_columns: int) -> Row:

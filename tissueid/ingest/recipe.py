@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from tissueid.errors import InputError
@@ -154,9 +154,24 @@ def open_input(path: str | Path, options: ReadOptions) -> InputFile:
     text = None
     try:
         text = decode_text(data, place)
-        return InputFile(name, data, options, digest, text, find_layout(text, options, place))
+        layout = find_layout(text, options, place)
+        return InputFile(name, data, options, digest, without_results(text, layout), layout)
     except InputError as error:
         return InputFile(name, data, options, digest, text, None, error)
+
+
+def without_results(text: Text, layout: Layout) -> Text:
+    """The text without the table of results below its rows; that it was left out is flagged."""
+    if layout.stop is None:
+        return text
+    first = text.data.count(b"\n", 0, layout.stop) + 1
+    last = first + text.data[layout.stop :].rstrip().count(b"\n")
+    flag = Flag(
+        "rows_skipped",
+        f"lines {first} to {last} are a table of results, not samples: they were left out",
+        {"count": last - first + 1, "lines": [first, last]},
+    )
+    return replace(text, data=text.data[: layout.stop], flags=(*text.flags, flag))
 
 
 def _start_digest(data: bytes) -> Future[str] | str:

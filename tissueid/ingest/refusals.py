@@ -42,6 +42,7 @@ REFUSAL_MEANINGS: Mapping[str, str] = MappingProxyType(
         "empty_cell": "a cell of a used column is empty",
         "not_finite": "a value is NaN, infinite or too large",
         "ragged_rows": "a row has more or fewer cells than the others",
+        "mixed_tables": "rows of numbers stand outside the table of the recording",
         "time_backwards": "the time falls from one row to the next",
         "implausible_range": "travel or force is beyond any test machine: decimal marks or units are wrong",
     }
