@@ -31,12 +31,14 @@ LONGEST_INTERVAL_S = SHORTEST_STOP_S / 2.0
 CORNER_INTERVAL_S = SHORTEST_STOP_S / 4.0
 #: A second difference of rounded numbers on a line is at most two last digits.
 STRAIGHT_DIGITS = 2.0
-#: Last digits by which a real stop must bend an interval to be seen for sure.
-SEEN_DIGITS = 12.0
+#: ... of a curve: a bend of more digits than this is seen, whatever the rounding does.
+SEEN_DIGITS = 3.0
 #: A sharp corner bends two second differences at the most.
 SHARP_BEND = 2
 #: Share of the samples outside corners.
 MOSTLY_STRAIGHT = 0.9
+#: Positions of the samples against the stop that are tried.
+ALIGNMENTS = 8
 FEWEST_SAMPLES = 40
 MOST_DECIMALS = 9
 #: Intervals that agree with their median within this share are regular; so many must.
@@ -70,7 +72,7 @@ def commanded_displacement(
     if (last - first >= SHARP_BEND).any():
         return None
     change = np.array([bend[i : j + 1].sum() for i, j in zip(first, last, strict=True)]) / step_s
-    seen = np.abs(change) * step_s**2 / SHORTEST_STOP_S >= SEEN_DIGITS * digit
+    seen = np.abs(change) * step_s * _third_bend(step_s) > SEEN_DIGITS * digit
     worst = _off_line(x, first, last)
     if not seen.any() or worst > digit:
         return None
@@ -89,6 +91,22 @@ def commanded_displacement(
             "off_line_mm": worst,
         },
     )
+
+
+def _third_bend(step_s: float) -> float:
+    """Third largest second difference of a smooth stop, as a share of their sum, wherever it is sampled.
+
+    With three bends in a row the stop is no sharp corner.  The speed falls with the curve of a raised
+    cosine over :data:`SHORTEST_STOP_S`, which has the sharpest middle of the usual ones.
+    """
+    least = 1.0
+    for shift in np.linspace(0.0, step_s, ALIGNMENTS, endpoint=False):
+        time = shift + step_s * np.arange(-2, round(SHORTEST_STOP_S / step_s) + 4)
+        phase = np.clip(time / SHORTEST_STOP_S, 0.0, 1.0)
+        ramp = SHORTEST_STOP_S * (phase**2 / 2.0 + (np.cos(2.0 * np.pi * phase) - 1.0) / (4.0 * np.pi**2))
+        travel = ramp + np.maximum(time - SHORTEST_STOP_S, 0.0)
+        least = min(least, float(np.sort(np.diff(travel, n=2))[-3]) / step_s)
+    return least
 
 
 def _noisy(force: FloatArray) -> bool:

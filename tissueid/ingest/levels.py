@@ -53,11 +53,9 @@ def force_levels(displacement_mm: FloatArray, force_N: FloatArray) -> Flag | Non
     """``quantised_force`` or ``clipped_force``, where one of them holds."""
     repeats: NDArray[np.bool_] = np.diff(force_N) == 0.0
     share = float(np.mean(repeats))
-    if share < _REPEATED_SHARE:
-        return _clipped(displacement_mm, force_N, repeats)
-    levels = np.unique(force_N)
+    levels = np.unique(force_N) if share >= _REPEATED_SHARE else np.empty(0)
     if not 1 < levels.size <= _FEW_LEVELS or force_N.size < _SAMPLES_PER_LEVEL * levels.size:
-        return None
+        return _clipped(displacement_mm, force_N, repeats)
     step = float(np.diff(levels).min())
     return Flag(
         "quantised_force",

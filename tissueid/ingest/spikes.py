@@ -25,8 +25,9 @@ REACH = 12
 #: The machine moves evenly this long on each side: a crosshead takes up to 0.3 s to stop [s].
 EVEN_S = 0.3
 EVEN_SAMPLES = (6, 400)
-#: Share of the travel around a sample by which an even motion may leave its straight line.
-EVEN_SHARE = 0.02
+#: An even motion leaves its straight line by at most this share of the travel around the sample, or of the
+#: whole travel (noise of a standing crosshead).
+EVEN_SHARE, STANDING_SHARE = 0.02, 1e-3
 #: More than this share of all samples are no single samples but the noise itself.
 AT_MOST = 0.005
 _NORMAL_SD_OVER_MEDIAN = 1.4826
@@ -45,7 +46,8 @@ def spike(time_s: FloatArray, displacement_mm: FloatArray, force_N: FloatArray) 
             found.append((name, unit, alone, channel))
     if not found:
         return None
-    parts, values = [], {}
+    parts: list[str] = []
+    values: dict[str, float] = {}
     for name, unit, alone, _ in found:
         at, off = max(alone, key=lambda one: abs(one[1]))
         first = min(i for i, _ in alone)
@@ -118,5 +120,5 @@ def _even(time_s: FloatArray, displacement_mm: FloatArray, i: int) -> bool:
     t, x = time_s[low : high + 1] - time_s[low], displacement_mm[low : high + 1]
     line = x[0] + (x[-1] - x[0]) * t / t[-1]
     distance = np.abs(x - line)
-    reach = EVEN_SHARE * max(abs(float(x[-1] - x[0])), float(np.ptp(displacement_mm)) * EVEN_SHARE)
+    reach = max(EVEN_SHARE * abs(float(x[-1] - x[0])), STANDING_SHARE * float(np.ptp(displacement_mm)))
     return float(np.percentile(distance, 90)) <= reach

@@ -1,0 +1,345 @@
+"""Every flag of the samples fires on its defect, with its numbers, and is silent on clean recordings."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from clean_recordings import Recording, commanded, measured, ramp_hold
+
+from tissueid.flags import Flag
+from tissueid.ingest import ReadOptions, find_inputs, read_each
+from tissueid.ingest.cell_range import below_cell_range, capacity_in
+from tissueid.ingest.quality import quality_flags
+from tissueid.trial import Trial
+
+#: Flags that say something of the samples, not of columns or units.
+OF_SAMPLES = {
+    *("zero_dt", "event_rows", "gap", "quantised_force", "clipped_force", "below_resolution", "spike"),
+    *("no_decimals", "commanded_displacement", "below_cell_range"),
+}
+
+
+def flags_of(recording: Recording) -> dict[str, Flag]:
+    return {flag.code: flag for flag in quality_flags(*recording.channels())}
+
+
+def only(recording: Recording, code: str) -> Flag:
+    """The flag of that code; no other may be there."""
+    found = flags_of(recording)
+    assert list(found) == [code]
+    return found[code]
+
+
+# --- silence -------------------------------------------------------------------------------------------
+
+
+def false_alarms(seeds: range) -> Counter[str]:
+    return Counter(flag.code for seed in seeds for flag in quality_flags(*measured(seed).channels()))
+
+
+def test_clean_recordings_raise_no_flag() -> None:
+    assert false_alarms(range(150)) == Counter()
+
+
+@pytest.mark.slow
+def test_clean_recordings_raise_no_flag_in_four_thousand() -> None:
+    # 0 of 4000: the rate of false alarms is below 0.1 % (95 %: 3 / 4000)
+    assert false_alarms(range(10_000, 14_000)) == Counter()
+
+
+#: What the real recordings show: event rows at segment changes, and nothing else.
+REAL = {
+    "Specimen_RawData_6.csv": {"event_rows"},
+    "AvgpCa4.4_0.1s.csv": {"event_rows"},
+    "AvgpCa4.4_1s.csv": {"event_rows"},
+    "AvgpCa4.4_10s.csv": {"event_rows"},
+    "AvgpCa4.4_100s.csv": {"event_rows"},
+}
+
+
+def test_real_recordings_raise_no_false_flag(shared_data) -> None:
+    read = 0
+    for path in find_inputs([shared_data]):
+        muscle = ReadOptions(columns={"displacement": "L", "force": "F"})
+        for trial in read_each(path, muscle if "muscle" in path.parts[-2] else None):
+            if isinstance(trial, Trial):
+                read += 1
+                codes = {flag.code for flag in trial.flags} & OF_SAMPLES
+                assert codes == REAL.get(path.name, set()), trial.name
+    assert read >= 40
+
+
+# --- time stamps ----------------------------------------------------------------------------------------
+
+
+def test_a_gap_in_the_ramp_tells_how_far_the_force_went_unseen() -> None:
+    clean = ramp_hold()
+    keep = (clean.time_s < 1.0) | (clean.time_s > 2.2)
+    cut = Recording(*(channel[keep] for channel in clean.channels()), 100.0)
+    values = only(cut, "gap").values
+    assert values["count"] == 1
+    before, after = (clean.force_N[clean.time_s < 1.0][-1], clean.force_N[clean.time_s > 2.2][0])
+    assert values["force_change_N"] == after - before
+    # the last sample kept is at 0.99 s and the next at 2.21 s
+    assert values["longest_s"] == pytest.approx(1.22, abs=1e-9)
+    assert values["at_s"] == 0.99
+
+
+def test_gaps_of_19_to_26_seconds_are_told_though_intervals_run_from_1_ms_to_26_s() -> None:
+    parts = [np.arange(0.0, 20.0, 0.1)]
+    for pause in (19.0, 26.0, 22.0):
+        parts.append(parts[-1][-1] + pause + np.arange(0.0, 30.0, 0.5))
+    time = np.concatenate(parts)
+    time = np.sort(np.append(time, time[199] + 0.001))
+    rng = np.random.default_rng(1)
+    x = np.minimum(time * 0.2, 4.0) + rng.normal(0.0, 1e-4, time.size)
+    found = flags_of(
+        Recording(time, x, 10.0 * x + 5.0 * np.exp(-time / 30.0) + rng.normal(0, 0.05, time.size), 10)
+    )
+    assert found["gap"].values["count"] == 3
+    assert found["gap"].values["longest_s"] == pytest.approx(26.0)
+    assert found["event_rows"].values["least_interval_s"] == pytest.approx(0.001)
+
+
+@pytest.mark.parametrize("rates", [(1000.0, 1.0), (100.0, 2.0), (1.0, 100.0)])
+def test_another_sampling_in_the_hold_is_neither_gap_nor_event(rates: tuple[float, float]) -> None:
+    ramp = np.arange(int(4.0 * rates[0])) / rates[0]
+    hold = ramp[-1] + 1.0 / rates[0] + np.arange(int(60.0 * rates[1])) / rates[1]
+    time = np.concatenate([ramp, hold])
+    rng = np.random.default_rng(2)
+    x = np.minimum(time, 4.0) + rng.normal(0.0, 1e-4, time.size)
+    assert flags_of(Recording(time, x, 10.0 * x + rng.normal(0.0, 0.1, time.size), rates[0])) == {}
+
+
+def test_a_gap_in_a_slow_hold_after_a_fast_ramp_is_seen() -> None:
+    time = np.concatenate([np.arange(0.0, 2.0, 0.001), 2.0 + np.arange(60.0), 81.0 + np.arange(40.0)])
+    rng = np.random.default_rng(3)
+    x = np.minimum(2.0 * time, 4.0) + rng.normal(0.0, 1e-4, time.size)
+    gap = flags_of(Recording(time, x, 10.0 * x + rng.normal(0.0, 0.1, time.size), 1000.0))["gap"]
+    assert gap.values["longest_s"] == pytest.approx(20.0)
+    assert gap.values["usual_interval_s"] == pytest.approx(1.0)
+
+
+def test_bursts_with_pauses_are_a_way_of_sampling() -> None:
+    time = (np.arange(200)[:, None] + np.arange(8) * 0.001).ravel()
+    rng = np.random.default_rng(4)
+    x = np.minimum(time * 0.05, 4.0) + rng.normal(0.0, 1e-4, time.size)
+    assert "gap" not in flags_of(Recording(time, x, 10.0 * x + rng.normal(0.0, 0.1, time.size), 1000.0))
+
+
+def test_repeated_times_and_event_rows_are_counted() -> None:
+    clean = ramp_hold()
+    double = np.repeat(np.arange(clean.time_s.size), np.where(np.arange(clean.time_s.size) == 300, 2, 1))
+    repeated = Recording(*(channel[double] for channel in clean.channels()), 100.0)
+    assert only(repeated, "zero_dt").values == {"count": 1, "first_s": 3.0}
+    at = clean.time_s[250] + 0.001
+    extra = [np.insert(channel, 251, channel[250]) for channel in clean.channels()]
+    extra[0][251] = at
+    extra[2][251] += 0.05
+    assert only(Recording(*extra, 100.0), "event_rows").values["first_s"] == at
+
+
+# --- levels -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("limit_N", [20.0, 40.0])
+def test_a_clipped_force_tells_its_limit(limit_N: float) -> None:
+    clean = ramp_hold()
+    flag = only(replace(clean, force_N=np.minimum(clean.force_N, limit_N)), "clipped_force")
+    assert flag.values["force_N"] == limit_N
+    assert flag.values["samples_in_all"] >= int((clean.force_N > limit_N).sum())
+
+
+def test_a_force_clipped_only_while_it_is_held_is_seen() -> None:
+    clean = ramp_hold()
+    still = np.where(clean.time_s >= 2.8, clean.displacement_mm[-1], clean.displacement_mm)
+    limit = float(np.quantile(clean.force_N[clean.time_s > 3.0], 0.001))
+    held = replace(clean, displacement_mm=still, force_N=np.minimum(clean.force_N, round(limit, 4)))
+    assert "clipped_force" in flags_of(held)
+
+
+def test_a_coarsely_printed_force_that_rests_at_its_peak_is_not_clipped() -> None:
+    time = np.arange(3000) * 0.01
+    force = np.round(30.0 * np.tanh(time / 8.0) + np.random.default_rng(5).normal(0.0, 0.003, 3000), 2)
+    x = np.minimum(time * 0.2, 5.0) + np.random.default_rng(6).normal(0.0, 1e-4, 3000)
+    assert "clipped_force" not in flags_of(Recording(time, x, force, 100.0))
+
+
+def test_eighteen_levels_are_quantised() -> None:
+    clean = ramp_hold(rate_Hz=500.0)
+    smooth = 15.0 * np.maximum(clean.displacement_mm - 0.5, 0.0)
+    flag = flags_of(replace(clean, force_N=np.round(smooth / 2.8) * 2.8))["quantised_force"]
+    assert flag.values["levels"] == np.unique(np.round(smooth / 2.8)).size
+    assert flag.values["step_N"] == pytest.approx(2.8)
+
+
+@pytest.mark.parametrize(("step_mm", "said"), [(0.1, True), (0.05, True), (0.02, False)])
+def test_few_steps_of_the_encoder_are_told(step_mm: float, said: bool) -> None:
+    clean = ramp_hold()
+    coarse = np.rint(clean.displacement_mm / step_mm) * step_mm
+    found = flags_of(replace(clean, displacement_mm=coarse))
+    assert ("below_resolution" in found) is said
+    if said:
+        # 4 mm of travel
+        assert found["below_resolution"].values["displacement_steps"] == pytest.approx(4.0 / step_mm, abs=1)
+        assert found["below_resolution"].values["step_displacement_mm"] == pytest.approx(step_mm)
+
+
+def test_few_steps_of_the_load_cell_are_told_though_noise_dithers_them() -> None:
+    clean = ramp_hold()
+    flag = only(replace(clean, force_N=np.rint(clean.force_N / 2.0) * 2.0), "below_resolution")
+    assert flag.values["step_force_N"] == 2.0
+    assert flag.values["force_steps"] == pytest.approx(np.ptp(clean.force_N) / 2.0, abs=1)
+
+
+def test_a_ramp_without_noise_is_not_coarse() -> None:
+    # 80 equal steps of a computed ramp, and a hold: equal steps are its speed, not its resolution
+    x = np.concatenate([np.arange(80) * 0.05, np.full(400, 4.0)])
+    force = 10.0 * x + np.random.default_rng(8).normal(0.0, 0.1, x.size)
+    assert "below_resolution" not in flags_of(Recording(np.arange(480) * 0.1, x, force, 10.0))
+
+
+def test_whole_numbers_everywhere_are_said_and_no_others() -> None:
+    time = np.arange(200.0)
+    whole = Recording(time, np.round(time * 37.3), np.round(time * 911.7), 1.0)
+    assert "no_decimals" in flags_of(whole)
+    assert "no_decimals" not in flags_of(replace(whole, force_N=whole.force_N + 0.5 * (time == 150)))
+
+
+# --- single samples ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("place_s", [0.1, 1.5, 8.0])
+@pytest.mark.parametrize("off_N", [-15.0, 4.0, 300.0])
+def test_one_wild_force_is_a_spike_and_is_placed(place_s: float, off_N: float) -> None:
+    clean = ramp_hold()
+    at = int(place_s * 100)
+    force = clean.force_N.copy()
+    force[at] += off_N
+    values = flags_of(replace(clean, force_N=force))["spike"].values
+    assert (values["force_count"], values["force_largest_s"]) == (1, clean.time_s[at])
+    # seen from its neighbours: their noise of 0.1 N, a few times over
+    assert values["force_off_N"] == pytest.approx(off_N, abs=1.0)
+
+
+def test_spikes_of_displacement_and_force_are_counted_apart() -> None:
+    clean = ramp_hold()
+    force, x = clean.force_N.copy(), clean.displacement_mm.copy()
+    force[[100, 700, 900]] += 20.0
+    x[800] -= 1.0
+    values = only(replace(clean, force_N=force, displacement_mm=x), "spike").values
+    assert (values["force_count"], values["displacement_count"]) == (3, 1)
+    assert values["displacement_off_mm"] == pytest.approx(-1.0, abs=1e-3)
+
+
+def test_the_sharp_peak_of_a_stop_and_its_ringing_are_no_spike() -> None:
+    time = np.arange(0.0, 12.0, 0.04)
+    x = np.minimum(time, 4.0)
+    ringing = np.where(
+        time > 4.0, 0.5 * np.exp(-(time - 4.0) / 0.05) * np.cos(2 * np.pi * (time - 4.0) / 0.08), 0
+    )
+    relaxing = np.where(time > 4.0, np.exp(-(time - 4.0) / 0.05), 1.0)
+    force = (
+        0.25 * x + relaxing * 0.6 * (x > 0) + ringing + np.random.default_rng(9).normal(0.0, 0.005, time.size)
+    )
+    assert "spike" not in flags_of(Recording(time, x, force, 25.0))
+
+
+def test_a_drop_of_the_force_is_a_step_and_no_spike() -> None:
+    clean = ramp_hold()
+    broken = clean.force_N - 20.0 * (clean.time_s > 1.9)
+    assert "spike" not in flags_of(replace(clean, force_N=broken))
+
+
+# --- where the displacement comes from --------------------------------------------------------------------
+
+
+def hits(seeds: range) -> tuple[int, int]:
+    """Commanded recordings sampled at 50 Hz or more: how many are suspected, of how many."""
+    fast = [recording for recording in map(commanded, seeds) if recording.rate_Hz >= 50.0]
+    return sum("commanded_displacement" in flags_of(one) for one in fast), len(fast)
+
+
+def test_a_commanded_displacement_is_suspected() -> None:
+    found, of = hits(range(60))
+    assert found >= 0.85 * of
+
+
+@pytest.mark.parametrize("repeat", [-1, 1])
+def test_a_commanded_displacement_tells_its_corners(repeat: int) -> None:
+    time = np.arange(1500) * 0.01
+    x = repeat * np.interp(time, [0.0, 0.503, 2.423, 15.0], [0.0, 0.0, 8.0, 8.0]).round(5)
+    force = 10.0 * x + np.random.default_rng(10).normal(0.0, 0.5, time.size)
+    values = only(Recording(time, x, force.round(3), 100.0), "commanded_displacement").values
+    assert values["corners"] == 2
+    # 250 mm/min
+    assert values["speed_change_mm_s"] == pytest.approx(8.0 / 1.92, rel=1e-3)
+    assert values["last_digit_mm"] == 1e-5
+
+
+def test_a_computed_force_without_noise_is_no_measurement_to_doubt() -> None:
+    time = np.arange(1500) * 0.01
+    x = np.interp(time, [0.0, 4.0, 15.0], [0.0, 8.0, 8.0])
+    assert "commanded_displacement" not in flags_of(Recording(time, x, 10.0 * x, 100.0))
+
+
+@pytest.mark.parametrize("stop_s", [0.05, 0.1, 0.3])
+@pytest.mark.parametrize("kernel", ["constant", "smooth"])
+@pytest.mark.parametrize("rate_Hz", [40.0, 50.0, 100.0, 1000.0])
+def test_a_noiseless_encoder_with_a_real_stop_is_not_suspected(stop_s, kernel, rate_Hz) -> None:
+    from clean_recordings import crosshead
+
+    time = np.arange(int(10.0 * rate_Hz)) / rate_Hz
+    for shift in np.linspace(0.0, 1.0 / rate_Hz, 5):
+        for decimals in (3, 4, 5):
+            x = crosshead([(0.0, 0.5 + shift), (2.0, 2.0), (0.0, 8.0)], time, stop_s, kernel).round(decimals)
+            force = 10.0 * x + np.random.default_rng(11).normal(0.0, 0.1, time.size)
+            assert "commanded_displacement" not in flags_of(Recording(time, x, force, rate_Hz))
+
+
+# --- load cell --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "capacity_N"),
+    [
+        ("System : Load cell capacity", "2 kN", 2000.0),
+        ("Load Cell", "500 N", 500.0),
+        ("Kraftaufnehmer Nennkraft", "2,5 kN", 2500.0),
+        ("Capteur de force", "100 N", 100.0),
+        ("Load cell", "S/N 1234", None),
+        ("Test : Rate 1", "10 mm/min", None),
+    ],
+)
+def test_the_capacity_of_the_cell_is_read_from_the_header(
+    key: str, value: str, capacity_N: float | None
+) -> None:
+    assert capacity_in({key: value}, decimal="," if "," in value else ".") == capacity_N
+
+
+def test_a_small_force_on_a_large_cell_is_told() -> None:
+    force = ramp_hold().force_N
+    largest = float(np.abs(force - force[0]).max())
+    flag = below_cell_range(force, 10_000.0)
+    assert flag is not None
+    assert flag.values == {"largest_N": largest, "verified_from_N": 100.0, "capacity_N": 10_000.0}
+    assert below_cell_range(force, 2_000.0) is None
+    assert below_cell_range(force, None) is None
+    stated = below_cell_range(force, 10_000.0, verified_from_N=10.0)
+    assert stated is None
+    assert below_cell_range(force, None, verified_from_N=2.0 * largest) is not None
+
+
+def test_the_flag_comes_out_of_a_file_whose_header_names_the_cell(tmp_path) -> None:
+    clean = ramp_hold()
+    rows = [f"{t:.2f},{x:.5f},{f:.4f}" for t, x, f in zip(*clean.channels(), strict=True)]
+    head = ['System : Load cell capacity,"30.00000",kN', "", "Time,Extension,Load", "(sec),(mm),(N)"]
+    path = tmp_path / "large-cell.csv"
+    path.write_text("\n".join([*head, *rows, ""]), encoding="ascii")
+    (trial,) = read_each(path)
+    assert isinstance(trial, Trial)
+    assert [flag.code for flag in trial.flags] == ["below_cell_range"]
+    assert trial.flags[0].values["capacity_N"] == 30_000.0
