@@ -20,7 +20,7 @@ from tissueid.ingest.refusals import Place
 from tissueid.ingest.results import is_statistics, is_units_row, results_below, results_spans
 from tissueid.ingest.text import HEAD_BYTES, Text
 
-__all__ = ["Anchor", "Layout", "Row", "anchor", "find_layout", "split_line"]
+__all__ = ["Anchor", "Layout", "Row", "anchor", "find_layout", "is_units_row", "split_line"]
 
 Row = tuple[str, ...]
 

@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 
 from tissueid.errors import UsageError
-from tissueid.synth.bluehill import DIALECTS, bluehill_csv
+from tissueid.synth.bluehill import bluehill_csv
+from tissueid.synth.dialects import DIALECTS
 from tissueid.synth.recipe import Recipe, dump_recipe
 from tissueid.synth.simulate import SyntheticLog, simulate
 
@@ -40,7 +41,7 @@ def write_set(recipe: Recipe, directory: str | Path, *, seed: int, dialect: str 
     seed : int
         Seed of ``numpy.random.default_rng``.
     dialect : str
-        Key of :data:`~tissueid.synth.bluehill.DIALECTS`.
+        Key of :data:`~tissueid.synth.dialects.DIALECTS`.
 
     Returns
     -------
