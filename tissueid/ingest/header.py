@@ -5,35 +5,42 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 
+from tissueid.ingest.columns import split_name
 from tissueid.ingest.layout import Row
-from tissueid.ingest.numbers import CellFault, parse_number
-from tissueid.ingest.vocabulary import plain_words, specimen_key_rank
+from tissueid.ingest.numbers import CellFault, looks_numeric, parse_number
+from tissueid.ingest.protocol_words import (
+    DEPTH,
+    HOLD,
+    RATE,
+    TIP_DIAMETER,
+    TIP_RADIUS,
+    is_protocol_key,
+    last_part,
+)
+from tissueid.ingest.vocabulary import specimen_key_rank
 from tissueid.trial import Protocol
-from tissueid.units import Quantity, factor_to
+from tissueid.units import Quantity, factor_to, quantity_of
 
 __all__ = ["header_entries", "protocol_of", "specimen_in", "stated"]
 
 _NOTHING = re.compile(r"<.*>|-+|n/?a|none", re.IGNORECASE)
-_RATE = re.compile(
-    r"(?:test |crosshead |ramp |loading )?(?:rate|speed|velocity)(?: 1)?|v1|vitesse(?: d essai)?(?: 1)?"
-    r"|(?:pruf)?geschwindigkeit(?: 1)?|velocidad(?: de ensayo)?(?: 1)?|velocidade(?: 1)?|velocita(?: 1)?"
-    r"|predkosc(?: 1)?|速度|速率|试验速度"
-)
-_TIP_RADIUS = re.compile(r"(?:tip|tool|indenter|probe|sphere) radius")
-_TIP_DIAMETER = re.compile(r"(?:tip|tool|indenter|probe|sphere) diameter")
-_DEPTH = re.compile(r"(?:indentation|target|maximum|max) (?:depth|displacement|indentation|extension)|depth")
-_HOLD = re.compile(r"(?:hold|dwell|relaxation)(?: time| duration)?(?: 1)?")
+#: Hours, minutes and seconds.
+_CLOCK = re.compile(r"(\d+):([0-5]?\d):([0-5]?\d(?:[.,]\d+)?)")
 _FOLDER_KIND = re.compile(r"\.is_([a-z]+)(?:_RawData|_Exports)?(?:[/\\.]|$)", re.IGNORECASE)
 
 
 def header_entries(header: Sequence[Row]) -> dict[str, str]:
     """Header lines as ``key -> text``; a value keeps its unit, a repeated key gets a number.
 
+    Where keys, values and units stand below each other, each on its line, they are put together.
+
     >>> header_entries([("Test : Rate 1", "10.00000", "mm/min")])
+    {'Test : Rate 1': '10.00000 mm/min'}
+    >>> header_entries([("Test : Rate 1",), ("10.00000",), ("mm/min",)])
     {'Test : Rate 1': '10.00000 mm/min'}
     """
     entries: dict[str, str] = {}
-    for row in header:
+    for row in _lying(header):
         key = row[0].strip()
         value = " ".join(cell.strip() for cell in row[1:] if cell.strip())
         if not key:
@@ -46,9 +53,31 @@ def header_entries(header: Sequence[Row]) -> dict[str, str]:
     return entries
 
 
-def _last_part(key: str) -> str:
-    """A key without its group: ``"Test : Rate 1"`` gives ``"rate 1"``."""
-    return plain_words(key.rsplit(" : ", 1)[-1])
+def _lying(header: Sequence[Row]) -> list[Row]:
+    """A header whose cells stand below each other, laid down; any other as it is."""
+    lines = [
+        row[0].strip() for row in header if sum(bool(cell.strip()) for cell in row) == 1 and row[0].strip()
+    ]
+    if len(lines) < 2 or len(lines) < len(header) or not any(map(_is_key, lines)):
+        return list(header)
+    rows: list[list[str]] = []
+    for line in lines:
+        current = rows[-1] if rows else None
+        if current is None or _is_key(line) or len(current) == 3:
+            rows.append([line])
+        elif len(current) == 1 or (looks_numeric(current[1]) and _is_unit(line)):
+            current.append(line)
+        else:
+            rows.append([line])
+    return [tuple(row) for row in rows]
+
+
+def _is_key(line: str) -> bool:
+    return " : " in line or specimen_key_rank(line) is not None or is_protocol_key(line)
+
+
+def _is_unit(line: str) -> bool:
+    return quantity_of(line) is not None
 
 
 def specimen_in(metadata: Mapping[str, str]) -> str | None:
@@ -74,14 +103,14 @@ def protocol_of(metadata: Mapping[str, str], path: str, *, decimal: str | None) 
         Decimal mark of the file.
     """
     mark = decimal or "."
-    diameter = stated(metadata, _TIP_DIAMETER, "displacement", mark)
-    radius = stated(metadata, _TIP_RADIUS, "displacement", mark)
+    diameter = stated(metadata, TIP_DIAMETER, "displacement", mark)
+    radius = stated(metadata, TIP_RADIUS, "displacement", mark)
     kind = _FOLDER_KIND.search(path)
     return Protocol(
         kind=kind[1].lower() if kind else None,
-        speed_mm_s=stated(metadata, _RATE, "speed", mark),
-        depth_mm=stated(metadata, _DEPTH, "displacement", mark),
-        hold_s=stated(metadata, _HOLD, "time", mark),
+        speed_mm_s=stated(metadata, RATE, "speed", mark),
+        depth_mm=stated(metadata, DEPTH, "displacement", mark),
+        hold_s=stated(metadata, HOLD, "time", mark),
         tip_radius_mm=radius if radius is not None or diameter is None else diameter / 2,
     )
 
@@ -102,9 +131,14 @@ def stated(
         Decimal mark of the file.
     """
     for key, text in metadata.items():
-        if not keys.fullmatch(re.sub(r" (?:mm|s|n|mm s|mm min)$", "", _last_part(key))):
+        if not keys.fullmatch(last_part(key)):
             continue
+        if quantity == "time" and (clock := _CLOCK.fullmatch(text)):
+            seconds = 3600.0 * float(clock[1]) + 60.0 * float(clock[2]) + float(clock[3].replace(",", "."))
+            return seconds if seconds > 0.0 else None
         number, _, unit = text.rpartition(" ")
+        if not number:  # the unit stands in the key: "Velocity, mm/s"
+            number, unit = text, split_name(key.rstrip(": ").rsplit(" : ", 1)[-1])[1] or ""
         value = parse_number(number, decimal)
         if isinstance(value, CellFault) or value <= 0.0:
             continue

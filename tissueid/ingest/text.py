@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import charset_normalizer
 
 from tissueid.flags import Flag
+from tissueid.ingest.protocol_words import is_protocol_key
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.vocabulary import CHANNELS, is_specimen_key, rank_of
 
@@ -39,6 +40,8 @@ _MAGIC = (
 )
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f]")
 _CONTROL_FRACTION = 0.002
+#: Least share of ASCII letters in the head of a UTF-16 export: its numbers are ASCII.
+_UTF16_FRACTION = 0.3
 #: ``mm²`` in latin-1 is ``mm˛`` in cp1250.
 _POWER_UNIT = re.compile(r"[kcm]?m[²³]")
 
@@ -87,9 +90,13 @@ def foreign_kind(head: bytes) -> str | None:
 
 
 def _looks_utf16(head: bytes) -> bool:
-    """UTF-16 without a byte order mark: every second byte of the first line is NUL."""
-    sample = head[:64]
-    return len(sample) >= 16 and (not any(sample[1::2]) or not any(sample[0::2])) and any(sample)
+    """UTF-16 without a byte order mark: NULs at every second byte, and only there.
+
+    Digits and delimiters have one NUL each; a header in Chinese has none, so that all of the head counts.
+    """
+    even, odd = head[0::2].count(0), head[1::2].count(0)
+    sample = len(head) // 2
+    return len(head) >= 16 and min(even, odd) == 0 and max(even, odd) >= _UTF16_FRACTION * sample
 
 
 def decode_text(data: bytes, place: Place) -> Text:
@@ -130,7 +137,7 @@ def _from_utf16(data: bytes, place: Place) -> Text:
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         codec = "utf-16"
     else:
-        codec = "utf-16-be" if not any(data[0:64:2]) else "utf-16-le"
+        codec = "utf-16-be" if data[0:HEAD_BYTES:2].count(0) else "utf-16-le"
     try:
         decoded = data.decode(codec)
     except UnicodeDecodeError as error:
@@ -178,6 +185,8 @@ def _code_page(head: bytes) -> tuple[str, bool]:
     guess = charset_normalizer.from_bytes(head, cp_isolation=list(scores)).best()
     if guess is not None:
         found = {"latin_1": "latin-1", "gb2312": "gbk", "gb18030": "gbk"}.get(guess.encoding, guess.encoding)
+        if found in scores and head.decode(found, "replace") == head.decode(best, "replace"):
+            return best, True
         return (found, True) if found in scores else (best, False)
     return best, False
 
@@ -187,6 +196,7 @@ def _known_words(decoded: str) -> int:
     pieces = {piece for line in lines for piece in re.split(r'[,;\t"()\[\]]', line) if not piece.isascii()}
     return sum(
         is_specimen_key(piece)
+        or is_protocol_key(piece)
         or _POWER_UNIT.fullmatch(piece.strip()) is not None
         or any(rank_of(piece, channel, loose=False) is not None for channel in CHANNELS)
         for piece in pieces

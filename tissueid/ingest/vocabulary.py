@@ -50,10 +50,10 @@ _NAMES: dict[Channel, tuple[tuple[int, str], ...]] = {
             0,
             (
                 r"(?:total |test |running |measured )?time(?: measurement)?|zeit|pruf ?zeit|test ?zeit"
-                r"|versuchszeit"
+                r"|versuchszeit|laufzeit|messzeit"
                 r"|temps(?: d essai)?|temps total|tiempo(?: de ensayo| total)?|tempo(?: di prova| (?:de"
                 r"|do) ensaio| total)?"
-                r"|czas(?: testu| proby)?|godzina|(?:测试|试验)?(?:时间|時間)"
+                r"|czas(?: testu| proby)?|godzina|(?:测试|试验|試験)?(?:时间|時間)"
             ),
         ),
         (
@@ -77,7 +77,7 @@ _NAMES: dict[Channel, tuple[tuple[int, str], ...]] = {
         (
             1,
             (
-                r"(?:primary )?(?:extension|displacement|travel|elongation)(?: measurement)?(?: 1)?"
+                r"(?:primary |axial )?(?:extension|displacement|travel|elongation)(?: measurement)?(?: 1)?"
                 r"|standard travel|disp"
                 r"|standard ?weg|weg|traversenweg|verschiebung|verlangerung|verformung|course standard"
                 r"|allongement"
@@ -87,7 +87,7 @@ _NAMES: dict[Channel, tuple[tuple[int, str], ...]] = {
                 r"|alongamento"
                 r"|curso|estensione|spostamento|allungamento"
                 r"|corsa|corsa standard|przemieszczenie|wydluzenie|droga"
-                r"|位移|伸长|伸長|延伸|拉伸|变形|変位|行程"
+                r"|位移|伸长|伸長|延伸|拉伸|变形|変位|行程|ストローク|ｽﾄﾛｰｸ"
             ),
         ),
         (
@@ -131,7 +131,8 @@ _NAMES: dict[Channel, tuple[tuple[int, str], ...]] = {
                 r"|force standard"
                 r"|standard ?kraft|kraft|last|prufkraft|charge|fuerza(?: estandar)?|carga|forca"
                 r"|forza(?: standard)?|carico"
-                r"|sila(?: standardowa)?|obciazenie|力|标准力|载荷|载重|负荷|荷重|试验力|fz|load cell(?: 1)?"
+                r"|sila(?: standardowa)?|obciazenie|力|标准力|载荷|载重|负荷|荷重|试验力|試験力"
+                r"|fz|load cell(?: 1)?"
             ),
         ),
         (
@@ -159,7 +160,8 @@ _LOOSE_WORDS = {
 _NOT_A_CHANNEL = re.compile(
     r"\b(?:stress|strain|rate|speed|velocity|modulus|energy|work|max|maximum|min|minimum|at|per|peak|mean"
     r"|average"
-    r"|sd|std|error|cycle|cycles|count|point|offset|zero|stiffness|contrainte|spannung)\b"
+    r"|sd|std|error|cycle|cycles|count|point|offset|zero|stiffness|contrainte|spannung"
+    r"|command|cmd|setpoint|target|sollwert|sollwerte|consigne|valor nominal)\b"
 )
 
 _SPECIMEN_WORDS = re.compile(
