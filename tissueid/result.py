@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.flags import Flag
+from tissueid.quantities import CycleRow, QuotedNumbers, RelaxationRow
 from tissueid.trial import MM_N, Axes
 
 __all__ = [
@@ -169,48 +170,6 @@ class TrialFit:
 
 
 @dataclass(frozen=True, slots=True)
-class RelaxationRow:
-    """One hold, described by one, two and three exponentials with a free plateau.
-
-    Attributes
-    ----------
-    window_s : tuple of float
-        Recorded times of the force peak and of the end of the hold [s].
-    peak_force_N : float
-        Largest compressive force of the window [N].
-    tau_single_s : float or None
-    nrmsd_single : float
-        Range-NRMSD of the single exponential over its window.
-    tau_double_s, tau_triple_s : tuple of float
-        Ascending [s]; shorter where the data support fewer.
-    """
-
-    path: str
-    sheet: str | None
-    window_s: tuple[float, float]
-    peak_force_N: float
-    tau_single_s: float | None
-    nrmsd_single: float
-    tau_double_s: tuple[float, ...]
-    tau_triple_s: tuple[float, ...]
-    flags: tuple[Flag, ...] = ()
-
-    def as_json(self) -> dict[str, Any]:
-        """The ``relaxation`` object of the schema."""
-        return {
-            "path": self.path,
-            "sheet": self.sheet,
-            "window_s": list(self.window_s),
-            "peak_force_N": self.peak_force_N,
-            "tau_single_s": self.tau_single_s,
-            "nrmsd_single": self.nrmsd_single,
-            "tau_double_s": list(self.tau_double_s),
-            "tau_triple_s": list(self.tau_triple_s),
-            "flags": [flag.as_json() for flag in self.flags],
-        }
-
-
-@dataclass(frozen=True, slots=True)
 class SpecimenFit:
     """The identified contact model of one specimen.
 
@@ -245,6 +204,10 @@ class SpecimenFit:
     flags : tuple of Flag
     axes : Axes
         Every ``unit`` in the JSON is written in these; keys keep their names.
+    unloading : mapping or None
+        How the fit of unloading went; ``None`` where only loading was fitted.
+    cycles : tuple of CycleRow
+    quoted : QuotedNumbers or None
     """
 
     specimen: str
@@ -265,6 +228,9 @@ class SpecimenFit:
     selection: tuple[Mapping[str, Any], ...]
     flags: tuple[Flag, ...] = ()
     axes: Axes = MM_N
+    unloading: Mapping[str, Any] | None = None
+    cycles: tuple[CycleRow, ...] = ()
+    quoted: QuotedNumbers | None = None
 
     def parameter(self, name: str) -> Estimate:
         """The reported parameter of that name (``KeyError`` where there is none)."""
@@ -290,6 +256,9 @@ class SpecimenFit:
             },
             "trials": [trial.as_json() for trial in self.trials],
             "relaxation": [row.as_json() for row in self.relaxation],
+            "cycles": [row.as_json() for row in self.cycles],
+            "quoted": None if self.quoted is None else self.quoted.as_json(),
+            "unloading": None if self.unloading is None else dict(self.unloading),
             "optimisers": dict(self.optimisers),
             "selection": [dict(row) for row in self.selection],
             "flags": [flag.as_json() for flag in self.flags],
@@ -360,6 +329,8 @@ class Identification:
         Versions, options, seed and the inputs with their hashes.
     study : mapping or None
         The ``study`` object of the schema: covariates, calibration, exclusions; ``None`` without a study.
+    unfitted_cycles : tuple of CycleRow
+        Loops of trials that were read but could not be fitted.
     """
 
     specimens: tuple[SpecimenFit, ...]
@@ -367,6 +338,7 @@ class Identification:
     exit: Exit
     provenance: Mapping[str, Any] = field(default_factory=dict)
     study: Mapping[str, Any] | None = None
+    unfitted_cycles: tuple[CycleRow, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "provenance", MappingProxyType(dict(self.provenance)))
@@ -377,6 +349,7 @@ class Identification:
             "schema": "tissueid/identification/1",
             "specimens": [specimen.as_json() for specimen in self.specimens],
             "refused": [refusal.as_json() for refusal in self.refused],
+            "unfitted_cycles": [row.as_json() for row in self.unfitted_cycles],
             "study": None if self.study is None else dict(self.study),
             "provenance": dict(self.provenance),
             "exit": self.exit.as_json(),

@@ -21,7 +21,7 @@ from tissueid.model.base import ParameterSpec
 from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt, branch_suffix
 from tissueid.result import Estimate
 
-__all__ = ["TissueEstimate", "estimate_tissue"]
+__all__ = ["TissueEstimate", "estimate_tissue", "in_field_units"]
 
 FloatArray = NDArray[np.float64]
 
@@ -85,7 +85,7 @@ def _second_stage_static(sums: SpecimenSums, solution: Solution) -> tuple[FloatA
     return theta, inverse * float(value) / max(sums.n - STATIC_DEGREE, 1), follows
 
 
-def _in_field_units(
+def in_field_units(
     sums: SpecimenSums, solution: Solution
 ) -> tuple[KelvinVoigt, FloatArray, FloatArray, FloatArray, bool]:
     """Model, theta, covariance, inverse curvature of ln tau, and whether a bound is active."""
@@ -243,7 +243,7 @@ def estimate_tissue(sums: SpecimenSums, solution: Solution) -> TissueEstimate:
     -------
     TissueEstimate
     """
-    model, theta, covariance, inverse, bounded = _in_field_units(sums, solution)
+    model, theta, covariance, inverse, bounded = in_field_units(sums, solution)
     parameters = _static_estimates(model, theta, covariance)
     intervals = []
     for branch in range(model.branches):

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.fit.candidates import Candidate, Solution, SpecimenSums, fit_candidate
+from tissueid.fit.unloading import FreeSurface, with_unloading
 from tissueid.fit.window import FittedLog, assign_folds, fitted_log, with_contact
 from tissueid.likelihood import partial
 from tissueid.likelihood.basis import kernel_basis
@@ -54,6 +55,10 @@ class LogHandle:
         How far the fit has moved the contact point since.
     guard : bool
         See :func:`tissueid.fit.window.fitted_log`.
+    unloading : bool
+        True where samples after the tool first turned back take part.
+    surface : FreeSurface or None
+        The law whose surface is followed; ``None`` takes contact loss from the measured force.
     """
 
     load: Callable[[], Trial]
@@ -62,14 +67,23 @@ class LogHandle:
     contact_sd_mm: float
     contact_shift_mm: float = 0.0
     guard: bool = False
+    unloading: bool = False
+    surface: FreeSurface | None = None
+
+    def window(self, trial: Trial, segmentation: Segmentation, *, guard: bool = False) -> FittedLog | None:
+        """The part of a trial that is fitted under a segmentation; ``None`` where there is none."""
+        log = fitted_log(trial, segmentation, guard=guard)
+        if log is None or not self.unloading:
+            return log
+        return with_unloading(trial, segmentation, log, self.surface, guard=guard)
 
     def fitted(self) -> tuple[Trial, FittedLog]:
         """The trial and its fitted part, loaded anew."""
         trial = self.load()
-        log = fitted_log(trial, self.segmentation, guard=self.guard)
+        log = self.window(trial, self.segmentation, guard=self.guard)
         if log is None:
             # the guard zone may swallow a very shallow log: then it is fitted as it is
-            log = fitted_log(trial, self.segmentation)
+            log = self.window(trial, self.segmentation)
         if log is None:
             msg = f"{trial.name} changed while it was being fitted"
             raise RuntimeError(msg)
@@ -188,7 +202,7 @@ def refine_contacts(
         for handle, delta, sd in zip(current, solution.evaluation.delta, _offset_sd(solution), strict=True):
             trial = handle.load()
             segmentation = with_contact(trial, handle.segmentation, shift_mm=float(delta), sd_mm=float(sd))
-            log = fitted_log(trial, segmentation)
+            log = handle.window(trial, segmentation)
             if log is None:
                 refined.append(handle)
                 continue

@@ -14,16 +14,19 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from tissueid.fit.candidates import Candidate, Solution, SpecimenSums, fit_candidate, sum_of_logs
+from tissueid.fit.cycles import cycle_rows
 from tissueid.fit.estimates import TissueEstimate, estimate_tissue
 from tissueid.fit.lm import levenberg_marquardt
 from tissueid.fit.logs import LogHandle, refine_contacts, specimen_sums
 from tissueid.fit.relaxation import relaxation_rows
+from tissueid.fit.rounds import follow_surfaces, unloading_handles, unloading_verdict
 from tissueid.fit.search import polish, unbounded_covariance
 from tissueid.fit.selection import Choice, choose
 from tissueid.fit.trials import Adjustment, ResidualTotals, summarise_trial
 from tissueid.fit.verdict import specimen_flags
 from tissueid.likelihood.sums import N_STATIC, reduction
 from tissueid.model.kelvin_voigt import KEY, STATIC_DEGREE
+from tissueid.quantities import CycleRow
 from tissueid.result import ModelChoice, Nrmsd, RelaxationRow, SpecimenFit, TrialFit
 
 __all__ = ["FitOptions", "LogHandle", "fit_specimen"]
@@ -59,11 +62,17 @@ class FitOptions:
         0 to 2, or ``None`` to choose.
     static : str
         ``partial`` (default), ``shared`` or ``per-log``.
+    depths_mm : tuple of float
+        Depths below contact at which the stiffness of each loop is wanted.
+    unloading : bool
+        Fit retracts and cycles as well, with the law of contact loss (:mod:`tissueid.fit.rounds`).
     """
 
     branches: int | None = None
     stiffness_degree: int | None = None
     static: str = "partial"
+    unloading: bool = False
+    depths_mm: tuple[float, ...] = ()
 
 
 def _both_optimisers(sums: SpecimenSums, solution: Solution) -> tuple[Solution, dict[str, object]]:
@@ -134,10 +143,12 @@ def _second_pass(
     adjustments: Sequence[Adjustment],
     tissue: TissueEstimate,
     tick: Callable[[str], None],
-) -> tuple[list[TrialFit], list[RelaxationRow], Nrmsd]:
+    options: FitOptions,
+) -> tuple[list[TrialFit], list[RelaxationRow], list[CycleRow], Nrmsd]:
     totals = ResidualTotals()
     trials: list[TrialFit] = []
     rows: list[RelaxationRow] = []
+    cycles: list[CycleRow] = []
     for handle, adjustment in zip(handles, adjustments, strict=True):
         trial, log = handle.fitted()
         tick(f"residuals of {trial.name}")
@@ -153,6 +164,7 @@ def _second_pass(
             )
         )
         rows += relaxation_rows(trial, handle.segmentation)
+        cycles += cycle_rows(trial, handle.segmentation, depths_mm=options.depths_mm)
     rmse = float(np.sqrt(totals.squares / totals.count))
     spread, mean = totals.high - totals.low, abs(totals.force / totals.count)
     overall = Nrmsd(
@@ -160,7 +172,7 @@ def _second_pass(
         mean=rmse / mean if mean > 0.0 else float("inf"),
         rmse_N=rmse,
     )
-    return trials, rows, overall
+    return trials, rows, cycles, overall
 
 
 def _pooling(options: FitOptions, logs: int) -> str:
@@ -243,19 +255,34 @@ def _fit(
         tuple(range(MAX_DEGREE + 1)) if options.stiffness_degree is None else (options.stiffness_degree,)
     )
     pooling = _pooling(options, len(handles))
+    if options.unloading:
+        handles = unloading_handles(handles)
     if pooling == "partial":
         flexible = Candidate(
             branches=min(REFINING_BRANCHES, max(branches)), degree=min(1, max(degrees)), pooling="partial"
         )
         handles = refine_contacts(handles, flexible, tick)
-    sums, choice = _sums_and_choice(handles, branches, degrees, pooling, tick)
+
+    def choice_for(current: Sequence[LogHandle]) -> tuple[SpecimenSums, Choice]:
+        return _sums_and_choice(current, branches, degrees, pooling, tick)
+
+    followed = None
+    if options.unloading:
+        followed = follow_surfaces(handles, choice_for, tick)
+        handles, sums, choice = followed.handles, followed.sums, followed.choice
+    else:
+        sums, choice = choice_for(handles)
     solution, optimisers = _both_optimisers(sums, choice.solution)
     tissue = estimate_tissue(sums, solution)
     adjustments = _adjustments(sums, solution, tissue, handles)
-    trials, rows, overall = _second_pass(handles, adjustments, tissue, tick)
+    trials, rows, cycles, overall = _second_pass(handles, adjustments, tissue, tick, options)
     sigma = float(np.sqrt(solution.noise.sigma2))
     facts = [handle.facts for handle in handles]
     flags = specimen_flags(tissue, sums, facts, trials, sigma_N=sigma, optimisers=optimisers)
+    unloading = None
+    if followed is not None:
+        unloading, more = unloading_verdict(followed, tissue, adjustments, sigma_N=sigma)
+        flags = (*flags, *more)
     speeds = [speed for log in facts for speed in log.speeds_mm_s if speed > 0.0] or [0.0]
     return SpecimenFit(
         specimen=specimen,
@@ -281,4 +308,6 @@ def _fit(
         optimisers=optimisers,
         selection=choice.table,
         flags=flags,
+        unloading=unloading,
+        cycles=tuple(cycles),
     )

@@ -175,7 +175,7 @@ def summarise_trial(
         n_samples=int(include.sum()),
         curve=Curve(
             time_s=data.time_s[keep] - data.time_s[0],
-            depth_mm=data.depth_mm[keep],
+            depth_mm=(data.depth_mm if log.tool_mm is None else log.tool_mm)[keep],
             force_N=data.force_N[keep],
             model_N=fitted[keep],
             fitted=include[keep],

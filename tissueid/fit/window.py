@@ -52,6 +52,9 @@ class FittedLog:
     has_hold : bool
     n_samples : int
         Samples that take part in the likelihood.
+    tool_mm : ndarray, shape (n,) or None
+        Depth of the tool where unloading is fitted: ``data.depth_mm`` is then that of the tissue's surface,
+        which a tool that lets go leaves behind.
     """
 
     data: LogData
@@ -63,6 +66,7 @@ class FittedLog:
     speeds_mm_s: tuple[float, ...]
     has_hold: bool
     n_samples: int
+    tool_mm: FloatArray | None = None
 
     def without_samples(self) -> FittedLog:
         """The facts alone: the first and last sample stand for all."""
@@ -71,7 +75,7 @@ class FittedLog:
         kept = LogData(
             data.time_s[ends], data.depth_mm[ends], data.force_N[ends], data.include[ends], data.fold[ends]
         )
-        return replace(self, data=kept)
+        return replace(self, data=kept, tool_mm=None)
 
     @property
     def duration_s(self) -> float:
@@ -169,7 +173,8 @@ def with_contact(trial: Trial, segmentation: Segmentation, *, shift_mm: float, s
         sd_mm=sd_mm,
     )
     depth, _ = contact_frame(trial, replace(segmentation, contact=moved))
-    before = np.flatnonzero(depth[: int(np.argmax(depth))] <= 0.0)
+    turn = _last_sample(segmentation, depth, contact.index)
+    before = np.flatnonzero(depth[: int(np.argmax(depth[:turn]))] <= 0.0)
     moved = replace(
         moved,
         index=int(before[-1]) + 1 if before.size else 0,

@@ -17,7 +17,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["branch_sensitivity", "branch_state", "step_weights", "tissue_step"]
+__all__ = ["branch_sensitivity", "branch_state", "step_weights", "surface_path", "tissue_step"]
 
 FloatArray = NDArray[np.float64]
 
@@ -254,3 +254,39 @@ def tissue_step(
             states[j] = 0.0
     # a tool in air touches nothing, even where rounding leaves a force at the rest level
     return (max(force, 0.0) if x >= 0.0 else 0.0), y
+
+
+@nb.njit(cache=True, nogil=True)
+def surface_path(
+    static: FloatArray,
+    stiffness: FloatArray,
+    tau: FloatArray,
+    depth: float,
+    time_s: FloatArray,
+    tool_mm: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Surface of a tissue and force on a tool along a whole path, at rest at the first sample.
+
+    Parameters
+    ----------
+    static, stiffness, tau, depth
+        As in :func:`tissue_step`.
+    time_s, tool_mm : ndarray, shape (n,)
+        Non-decreasing times [s] and tool position [mm], negative in air.
+
+    Returns
+    -------
+    surface, force : ndarray, shape (n,)
+        [mm], never negative and never above the tool; [N], never negative.
+    """
+    n = time_s.size
+    surface = np.empty(n)
+    force = np.empty(n)
+    states = np.zeros(tau.size)
+    surface[0] = max(tool_mm[0], 0.0)
+    force[0] = _continued(static, surface[0], depth)[0] if tool_mm[0] >= 0.0 else 0.0
+    for i in range(1, n):
+        force[i], surface[i] = tissue_step(
+            static, stiffness, tau, depth, surface[i - 1], states, tool_mm[i], time_s[i] - time_s[i - 1]
+        )
+    return surface, force

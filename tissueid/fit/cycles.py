@@ -1,0 +1,333 @@
+"""Load-unload loops, measured from their samples: work, stiffness, drift, viscosity from the area.
+
+No model is fitted here, so that a recording that can't be fitted still has its cycles.  Work and area
+are linear in the forces, ``sum w_i F_i`` by the trapezoidal rule over measured depth, and polynomials in
+depth are fitted by least squares: standard errors follow from the white force noise alone.
+
+Viscosity from the area (derived): where the path is slow against the relaxation times (v tau much
+smaller than the depth) the branch carries eta v, so that a closed loop in contact dissipates
+
+    W = integral of eta v dx = eta * integral of v^2 dt
+
+on any path: 2 eta v d for a triangle of depth d, pi eta omega a^2 for a sine of amplitude a.  The area is
+taken above the depth at which the tool lets go, because below it the law is cut off at zero.  Whatever
+dissipates without being viscous (plastic flow, adhesion, poroelastic drainage) counts as viscosity here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.quantities import CycleRow, DepthStiffness, Measure
+from tissueid.trial import Segmentation, Trial, contact_frame
+
+__all__ = ["Loop", "closed_area", "cycle_rows", "end_of_loading", "loops", "polynomial_at"]
+
+FloatArray = NDArray[np.float64]
+
+#: Shares of a loop's depth, up to its deepest point, over which loading is described by a quadratic: the
+#: first whose slope is known to this fraction by enough samples, because a narrow window has less bias.
+PEAK_SHARES = (0.02, 0.05, 0.1, 0.25)
+PEAK_PRECISION = 0.01
+PEAK_SAMPLES = 12
+#: Half width, as a share of the loop's depth, of the window that gives a stiffness at a stated depth.
+DEPTH_SHARE = 0.1
+#: Fewest samples for a quadratic and for a line.
+QUADRATIC_SAMPLES, LINE_SAMPLES = 6, 3
+#: Force, over that at the peak and in standard deviations of its noise, below which the tool has let go.
+RESIDUAL_SHARE = 0.01
+RESIDUAL_SD = 3.0
+#: Standard deviations of the contact point above it that still count as air.
+AIR_SD = 3.0
+#: Loops whose amplitudes differ by more are not compared.
+SAME_AMPLITUDE = 0.02
+#: Stretches into which each direction is cut for its speeds: chords over many samples know no jitter.
+STRETCHES = 40
+FEWEST_SAMPLES = 6
+#: Phases that a loading may consist of.
+LOADING = ("ramp", "hold", "creep")
+
+
+@dataclass(frozen=True, slots=True)
+class Loop:
+    """Sample numbers of one loop: ``[start, stop)`` with the deepest sample between."""
+
+    kind: str
+    start: int
+    peak: int
+    stop: int
+
+
+def loops(segmentation: Segmentation, depth_mm: FloatArray) -> list[Loop]:
+    """Cycles, and every loading that is followed by a retract, in time order.
+
+    Parameters
+    ----------
+    segmentation : Segmentation
+    depth_mm : ndarray, shape (n,)
+        In the contact frame.
+    """
+    found: list[Loop] = []
+    start, held = -1, False
+    for phase in segmentation.phases:
+        if phase.kind == "cycle":
+            peak = phase.peak
+            if peak is None:
+                peak = phase.start + int(np.argmax(depth_mm[phase.start : phase.stop]))
+            found.append(Loop("cycle", phase.start, peak, phase.stop))
+        elif phase.kind == "retract" and start >= 0:
+            peak = start + int(np.argmax(depth_mm[start : phase.start + 1]))
+            found.append(Loop("ramp-hold-retract" if held else "ramp-retract", start, peak, phase.stop))
+        if phase.kind not in LOADING:
+            start, held = -1, False
+        elif phase.kind != "ramp":
+            held = True
+        elif start < 0:
+            start = phase.start
+    return found
+
+
+def polynomial_at(
+    depth_mm: FloatArray, force_N: FloatArray, at_mm: float, noise_N: float
+) -> tuple[Measure, Measure]:
+    """Force and slope at a depth from a local quadratic (a line where samples are few).
+
+    Parameters
+    ----------
+    depth_mm, force_N : ndarray, shape (n,)
+        Samples of one direction near ``at_mm``.
+    at_mm : float
+    noise_N : float
+        Standard deviation of the force.
+
+    Returns
+    -------
+    force, slope : Measure
+        [N] and [N/mm]; empty where there are too few samples.
+    """
+    n = depth_mm.size
+    spread = float(np.ptp(depth_mm)) if n else 0.0
+    if n < LINE_SAMPLES or spread <= 0.0:
+        return Measure(), Measure()
+    degree = 2 if n >= QUADRATIC_SAMPLES else 1
+    u = (depth_mm - at_mm) / spread
+    design = u[:, None] ** np.arange(degree + 1.0)
+    inverse = np.linalg.pinv(design)
+    weights = inverse @ force_N
+    sd = noise_N * np.sqrt((inverse**2).sum(axis=1))
+    return (
+        Measure(float(weights[0]), float(sd[0])),
+        Measure(float(weights[1]) / spread, float(sd[1]) / spread),
+    )
+
+
+def end_of_loading(
+    depth_mm: FloatArray, force_N: FloatArray, peak: int, start: int, noise_N: float
+) -> tuple[Measure, Measure]:
+    """Force and slope at the deepest sample, from the last part of loading before it."""
+    x, f = depth_mm[start : peak + 1], force_N[start : peak + 1]
+    found = (Measure(), Measure())
+    for share in PEAK_SHARES:
+        far = np.flatnonzero(x < x[-1] - share * (x[-1] - x.min()))
+        # only the last uninterrupted approach: an earlier hold or step is not this loading
+        first = int(far[-1]) + 1 if far.size else 0
+        found = polynomial_at(x[first:], f[first:], float(x[-1]), noise_N)
+        slope = found[1]
+        known = slope.value is not None and (slope.stderr or 0.0) <= PEAK_PRECISION * abs(slope.value)
+        if x.size - first >= PEAK_SAMPLES and known:
+            break
+    return found
+
+
+def closed_area(depth_mm: FloatArray) -> FloatArray:
+    """Weights w with ``sum w_i F_i`` the area of the closed polygon (depth_i, F_i), by trapezoids."""
+    return np.asarray((np.roll(depth_mm, -1) - np.roll(depth_mm, 1)) / 2.0)
+
+
+def _work(depth_mm: FloatArray) -> FloatArray:
+    """Weights of the integral of F dx along an open path."""
+    step = np.diff(depth_mm) / 2.0
+    return np.concatenate([step, [0.0]]) + np.concatenate([[0.0], step])
+
+
+def _trimmed(depth: FloatArray, loop: Loop, floor: float) -> tuple[int, int]:
+    """First and last sample of the part of a loop that lies below ``floor``."""
+    above_in = np.flatnonzero(depth[loop.start : loop.peak] < floor)
+    first = loop.start + (int(above_in[-1]) + 1 if above_in.size else 0)
+    above_out = np.flatnonzero(depth[loop.peak : loop.stop] < floor)
+    last = loop.peak + int(above_out[0]) - 1 if above_out.size else loop.stop - 1
+    return first, max(last, loop.peak)
+
+
+def _residual(
+    depth: FloatArray, force: FloatArray, loop: Loop, last: int, limit: float, noise: float
+) -> tuple[Measure, int]:
+    """Depth at which unloading falls to ``limit``, and the last sample before it."""
+    below = np.flatnonzero(force[loop.peak : last + 1] < limit)
+    if below.size == 0:
+        return Measure(), last
+    at = loop.peak + int(below[0])
+    width = DEPTH_SHARE * (depth[loop.peak] - depth[last])
+    inside = np.arange(loop.peak, at + 1)
+    inside = inside[depth[inside] <= depth[at] + width]
+    _, slope = polynomial_at(depth[inside], force[inside], float(depth[at]), noise)
+    steep = slope.value is not None and slope.value > 0.0
+    return Measure(float(depth[at]), noise / slope.value if steep else None), at - 1  # type: ignore[operator]
+
+
+def _speed_squared(time: FloatArray, depth: FloatArray) -> float:
+    """Integral of v^2 dt of one direction [mm^2/s], from chords."""
+    count = min(STRETCHES, max((time.size - 1) // FEWEST_SAMPLES, 1))
+    knots = np.unique(np.linspace(0, time.size - 1, count + 1).astype(int))
+    span, rise = np.diff(time[knots]), np.diff(depth[knots])
+    return float((rise[span > 0.0] ** 2 / span[span > 0.0]).sum())
+
+
+def _viscosity(
+    time: FloatArray, depth: FloatArray, force: FloatArray, loop: Loop, floor: float, noise: float
+) -> Measure:
+    """Area over the integral of v^2 dt of the part below ``floor``."""
+    first, last = _trimmed(depth, loop, floor)
+    if loop.peak - first < FEWEST_SAMPLES or last - loop.peak < FEWEST_SAMPLES:
+        return Measure()
+    weights = closed_area(depth[first : last + 1])
+    way_in, way_out = slice(first, loop.peak + 1), slice(loop.peak, last + 1)
+    squared = _speed_squared(time[way_in], depth[way_in]) + _speed_squared(time[way_out], depth[way_out])
+    if not squared > 0.0:
+        return Measure()
+    area = float(weights @ force[first : last + 1])
+    return Measure(area / squared, noise * float(np.linalg.norm(weights)) / squared)
+
+
+def _at_depths(
+    depth: FloatArray, force: FloatArray, loop: Loop, first: int, depths_mm: Sequence[float], noise: float
+) -> tuple[DepthStiffness, ...]:
+    """Secant and tangent of loading at stated depths that it passes."""
+    rows = []
+    x, f = depth[first : loop.peak + 1], force[first : loop.peak + 1]
+    half = DEPTH_SHARE * float(np.ptp(x))
+    for at in depths_mm:
+        value, slope = Measure(), Measure()
+        if x.min() <= at <= x[-1]:
+            near = np.abs(x - at) <= half
+            value, slope = polynomial_at(x[near], f[near], at, noise)
+        rows.append(DepthStiffness(depth_mm=float(at), secant=_over(value, at), tangent=slope))
+    return tuple(rows)
+
+
+def _over(force: Measure, depth: float) -> Measure:
+    """A force over a depth."""
+    if force.value is None or force.stderr is None or not depth > 0.0:
+        return Measure()
+    return Measure(force.value / depth, force.stderr / depth)
+
+
+def _row(
+    trial: Trial,
+    segmentation: Segmentation,
+    frame: tuple[FloatArray, FloatArray],
+    loop: Loop,
+    number: int,
+    depths_mm: Sequence[float],
+) -> CycleRow | None:
+    depth, force = frame
+    contact, noise = segmentation.contact, segmentation.force_noise_N
+    assert contact is not None  # noqa: S101  (the caller has looked)
+    floor = max(float(depth[loop.start]), float(depth[loop.stop - 1]), -AIR_SD * contact.sd_mm)
+    first, last = _trimmed(depth, loop, floor)
+    if loop.peak - first < LINE_SAMPLES or last - loop.peak < LINE_SAMPLES:
+        return None
+    x, f = depth[first : last + 1], force[first : last + 1]
+    area = closed_area(x)
+    loading = np.zeros(x.size)
+    loading[: loop.peak - first + 1] = _work(depth[first : loop.peak + 1])
+    dissipated, work = float(area @ f), float(loading @ f)
+    ratio = dissipated / work if work > 0.0 else None
+    peak_force, tangent = end_of_loading(depth, force, loop.peak, first, noise)
+    top = float(f.max()) if peak_force.value is None else peak_force.value
+    limit = max(RESIDUAL_SHARE * top, RESIDUAL_SD * noise)
+    residual, attached = _residual(depth, force, loop, last, limit, noise)
+    held = loop.kind == "ramp-hold-retract"
+    let_go = max(floor, float(depth[attached])) if residual.value is not None else floor
+    deepest = float(depth[loop.peak])
+    norm = np.linalg.norm
+    return CycleRow(
+        path=trial.source.path,
+        sheet=trial.source.sheet,
+        number=number,
+        kind=loop.kind,
+        start_s=float(trial.time_s[first]),
+        peak_s=float(trial.time_s[loop.peak]),
+        end_s=float(trial.time_s[last]),
+        floor_mm=floor,
+        peak_depth_mm=deepest,
+        peak_force_N=peak_force,
+        loading_work_mJ=Measure(work, noise * float(norm(loading))),
+        dissipated_mJ=Measure(dissipated, noise * float(norm(area))),
+        hysteresis=Measure()
+        if ratio is None
+        else Measure(ratio, noise * float(norm(area - ratio * loading)) / work),
+        secant_N_per_mm=_over(peak_force, deepest),
+        tangent_N_per_mm=tangent,
+        residual_depth_mm=residual,
+        viscosity_N_s_per_mm=Measure()
+        if held
+        else _viscosity(trial.time_s, depth, force, loop, let_go, noise),
+        at_depths=_at_depths(depth, force, loop, first, depths_mm, noise),
+    )
+
+
+def _change(now: Measure, before: Measure) -> Measure:
+    """Relative change, errors of both independent."""
+    if None in (now.value, now.stderr, before.value, before.stderr) or not before.value:
+        return Measure()
+    ratio = now.value / before.value  # type: ignore[operator]
+    spread = np.hypot(now.stderr, ratio * before.stderr) / abs(before.value)  # type: ignore[operator]
+    return Measure(ratio - 1.0, float(spread))
+
+
+def _with_changes(rows: list[CycleRow]) -> tuple[CycleRow, ...]:
+    """Each loop against the one before, where both go equally deep."""
+    done = rows[:1]
+    for before, now in pairwise(rows):
+        changed = now
+        spans = [row.peak_depth_mm - row.floor_mm for row in (before, now)]
+        if before.kind == now.kind and abs(spans[1] - spans[0]) <= SAME_AMPLITUDE * max(spans):
+            changed = replace(
+                now,
+                peak_force_change=_change(now.peak_force_N, before.peak_force_N),
+                dissipated_change=_change(now.dissipated_mJ, before.dissipated_mJ),
+            )
+        done.append(changed)
+    return tuple(done)
+
+
+def cycle_rows(
+    trial: Trial, segmentation: Segmentation, *, depths_mm: Sequence[float] = ()
+) -> tuple[CycleRow, ...]:
+    """One row for every load-unload loop; none where there is no contact or no unloading.
+
+    Parameters
+    ----------
+    trial : Trial
+    segmentation : Segmentation
+    depths_mm : sequence of float, optional
+        Depths below contact at which stiffness is wanted as well.
+    """
+    contact = segmentation.contact
+    if contact is None:
+        return ()
+    frame = contact_frame(trial, segmentation)
+    rows = []
+    for loop in loops(segmentation, frame[0]):
+        if loop.peak <= contact.index or not frame[0][loop.peak] > 0.0:
+            continue
+        row = _row(trial, segmentation, frame, loop, len(rows) + 1, depths_mm)
+        if row is not None:
+            rows.append(row)
+    return _with_changes(rows)

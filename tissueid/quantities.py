@@ -1,0 +1,309 @@
+"""Numbers that people quote: frozen types for holds, cycles, functionals of a fit, spectra and moduli.
+
+Every number stands with its standard error, and where it can't be given it is ``None`` with the reason:
+nothing is extrapolated silently.  Standard errors are those of white force noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+from tissueid.flags import Flag
+
+__all__ = [
+    "CycleRow",
+    "DepthStiffness",
+    "Measure",
+    "Quantity",
+    "QuotedNumbers",
+    "RelaxationRow",
+    "Spectrum",
+]
+
+
+@dataclass(frozen=True, slots=True)
+class Measure:
+    """One measured number and its standard error; ``None`` where it can't be had."""
+
+    value: float | None = None
+    stderr: float | None = None
+
+    def as_json(self) -> dict[str, float | None]:
+        """``{"value", "stderr"}``."""
+        return {"value": self.value, "stderr": self.stderr}
+
+
+@dataclass(frozen=True, slots=True)
+class DepthStiffness:
+    """Stiffness of one loading at a stated depth [N/mm]."""
+
+    depth_mm: float
+    secant: Measure
+    tangent: Measure
+
+    def as_json(self) -> dict[str, Any]:
+        """The object of ``schemas/quantities.schema.json``."""
+        return {
+            "depth_mm": self.depth_mm,
+            "secant_N_per_mm": self.secant.as_json(),
+            "tangent_N_per_mm": self.tangent.as_json(),
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class CycleRow:
+    """One load-unload loop, measured directly from its samples.
+
+    Attributes
+    ----------
+    path, sheet
+        Trial.
+    number : int
+        1 for the first loop of the trial.
+    kind : str
+        ``cycle``, ``ramp-retract``, or ``ramp-hold-retract`` (its area includes what relaxed in the hold).
+    start_s, peak_s, end_s : float
+        Recorded times of its start, of the deepest sample and of its end.
+    floor_mm : float
+        Depth from which the loop is closed: the shallowest that loading and unloading both reach.
+    peak_depth_mm : float
+        Below the contact point.
+    peak_force_N : Measure
+        Force at the deepest point, from a quadratic in depth over the end of loading: the largest single
+        sample is biased by noise.
+    loading_work_mJ, dissipated_mJ : Measure
+        Work of loading, and area of the closed loop [mJ = N mm].
+    hysteresis : Measure
+        Area over work of loading.
+    secant_N_per_mm, tangent_N_per_mm : Measure
+        At the deepest point: force over depth, and slope of loading.
+    residual_depth_mm : Measure
+        Depth at which unloading falls to 1 % of the peak force (or three sd of the noise, if larger).
+    viscosity_N_s_per_mm : Measure
+        Loop area above the residual depth over the integral of v^2 dt: eta in the limit v tau << depth.
+    viscosity_model_N_s_per_mm : Measure
+        eta for which the fitted model, its relaxation times kept, has the measured loop area.
+    peak_force_change, dissipated_change : Measure
+        Change against the loop before (fraction); ``None`` for the first and for another amplitude.
+    at_depths : tuple of DepthStiffness
+    """
+
+    path: str
+    sheet: str | None
+    number: int
+    kind: str
+    start_s: float
+    peak_s: float
+    end_s: float
+    floor_mm: float
+    peak_depth_mm: float
+    peak_force_N: Measure
+    loading_work_mJ: Measure
+    dissipated_mJ: Measure
+    hysteresis: Measure
+    secant_N_per_mm: Measure
+    tangent_N_per_mm: Measure
+    residual_depth_mm: Measure
+    viscosity_N_s_per_mm: Measure
+    viscosity_model_N_s_per_mm: Measure = Measure()
+    peak_force_change: Measure = Measure()
+    dissipated_change: Measure = Measure()
+    at_depths: tuple[DepthStiffness, ...] = ()
+
+    def as_json(self) -> dict[str, Any]:
+        """The ``cycle`` object of ``schemas/quantities.schema.json``."""
+        plain = ("path", "sheet", "number", "kind", "start_s", "peak_s", "end_s", "floor_mm", "peak_depth_mm")
+        document: dict[str, Any] = {name: getattr(self, name) for name in plain}
+        for name in MEASURES:
+            document[name] = getattr(self, name).as_json()
+        document["at_depths"] = [one.as_json() for one in self.at_depths]
+        return document
+
+
+#: Fields of a cycle that carry a standard error.
+MEASURES = (
+    "peak_force_N",
+    "loading_work_mJ",
+    "dissipated_mJ",
+    "hysteresis",
+    "secant_N_per_mm",
+    "tangent_N_per_mm",
+    "residual_depth_mm",
+    "viscosity_N_s_per_mm",
+    "viscosity_model_N_s_per_mm",
+    "peak_force_change",
+    "dissipated_change",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class RelaxationRow:
+    """One hold, described by one, two and three exponentials with a free plateau.
+
+    Attributes
+    ----------
+    window_s : tuple of float
+        Recorded times of the force peak and of the end of the hold [s].
+    peak_force_N : float
+        Largest compressive force of the window [N].
+    tau_single_s : float or None
+    nrmsd_single : float
+        Range-NRMSD of the single exponential over its window.
+    tau_double_s, tau_triple_s : tuple of float
+        Ascending [s]; shorter where the data support fewer.
+    """
+
+    path: str
+    sheet: str | None
+    window_s: tuple[float, float]
+    peak_force_N: float
+    tau_single_s: float | None
+    nrmsd_single: float
+    tau_double_s: tuple[float, ...]
+    tau_triple_s: tuple[float, ...]
+    flags: tuple[Flag, ...] = ()
+
+    def as_json(self) -> dict[str, Any]:
+        """The ``relaxation`` object of the schema."""
+        return {
+            "path": self.path,
+            "sheet": self.sheet,
+            "window_s": list(self.window_s),
+            "peak_force_N": self.peak_force_N,
+            "tau_single_s": self.tau_single_s,
+            "nrmsd_single": self.nrmsd_single,
+            "tau_double_s": list(self.tau_double_s),
+            "tau_triple_s": list(self.tau_triple_s),
+            "flags": [flag.as_json() for flag in self.flags],
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """One number derived from a fit, or measured in a hold, at stated conditions.
+
+    Attributes
+    ----------
+    name, unit : str
+    at : mapping
+        Conditions (``time_s``, ``frequency_Hz``, ``depth_mm``, ``path`` ...): numbers or words.
+    value, stderr : float or None
+        ``None`` where the data do not support it; ``reason`` then says why.
+    reason : str
+    """
+
+    name: str
+    unit: str
+    at: Mapping[str, float | str]
+    value: float | None
+    stderr: float | None = None
+    reason: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "at", MappingProxyType(dict(self.at)))
+
+    def as_json(self) -> dict[str, Any]:
+        """The ``quantity`` object of ``schemas/quantities.schema.json``."""
+        return {
+            "name": self.name,
+            "unit": self.unit,
+            "at": dict(self.at),
+            "value": self.value,
+            "stderr": self.stderr,
+            "reason": self.reason or None,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Spectrum:
+    """Regularised relaxation spectrum of one hold: F = plateau + sum A_k exp(-t / tau_k), A_k >= 0.
+
+    Attributes
+    ----------
+    path, sheet
+        Trial.
+    start_s, end_s : float
+        Recorded times of the window.
+    plateau_N : float
+    tau_s, amplitude_N : tuple of float
+        Grid of relaxation times and the force that relaxes at each.
+    smoothing : float
+        Weight of the second differences.
+    rmse_N : float
+    """
+
+    path: str
+    sheet: str | None
+    start_s: float
+    end_s: float
+    plateau_N: float
+    tau_s: tuple[float, ...]
+    amplitude_N: tuple[float, ...]
+    smoothing: float
+    rmse_N: float
+
+    def as_json(self) -> dict[str, Any]:
+        """The ``spectrum`` object of ``schemas/quantities.schema.json``."""
+        return {
+            "path": self.path,
+            "sheet": self.sheet,
+            "start_s": self.start_s,
+            "end_s": self.end_s,
+            "plateau_N": self.plateau_N,
+            "tau_s": list(self.tau_s),
+            "amplitude_N": list(self.amplitude_N),
+            "smoothing": self.smoothing,
+            "rmse_N": self.rmse_N,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class QuotedNumbers:
+    """Everything derived from one specimen's fit and its holds.
+
+    Attributes
+    ----------
+    window_s : float
+        Longest hold (longest log where there is none): nothing later is said.
+    resolution_s : float
+        Two sampling intervals: nothing earlier is said.
+    model : tuple of Quantity
+        Functionals of the fitted model, errors by the delta method.
+    measured : tuple of Quantity
+        From the samples of the holds, no model involved.
+    moduli : tuple of Quantity
+        With tip (and thickness); empty where the tip is not known.
+    spectra : tuple of Spectrum
+    assumptions : mapping
+        Tip, thickness and Poisson's ratio of the moduli; empty where there are none.
+    flags : tuple of Flag
+    """
+
+    window_s: float
+    resolution_s: float
+    model: tuple[Quantity, ...] = ()
+    measured: tuple[Quantity, ...] = ()
+    moduli: tuple[Quantity, ...] = ()
+    spectra: tuple[Spectrum, ...] = ()
+    assumptions: Mapping[str, float | str | None] = field(default_factory=dict)
+    flags: tuple[Flag, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "assumptions", MappingProxyType(dict(self.assumptions)))
+
+    def as_json(self) -> dict[str, Any]:
+        """The ``quoted`` object of ``schemas/quantities.schema.json``."""
+        return {
+            "window_s": self.window_s,
+            "resolution_s": self.resolution_s,
+            "noise": "white",
+            "model": [one.as_json() for one in self.model],
+            "measured": [one.as_json() for one in self.measured],
+            "moduli": [one.as_json() for one in self.moduli],
+            "spectra": [one.as_json() for one in self.spectra],
+            "assumptions": dict(self.assumptions),
+            "flags": [flag.as_json() for flag in self.flags],
+        }
