@@ -30,7 +30,7 @@ from tissueid.report.wording import (
 )
 from tissueid.store.curves import TrialCurve
 
-__all__ = ["page_environment", "render_report"]
+__all__ = ["asset", "page_environment", "plotly_script", "render_report"]
 
 _SUMMARY = ("static_1_N_per_mm", "relaxation_time_s", "viscosity_N_s_per_mm")
 
@@ -55,13 +55,15 @@ def page_environment() -> Environment:
     return environment
 
 
-def _asset(name: str) -> Markup:
+def asset(name: str) -> Markup:
+    """A style or script of this package, as it stands in the page."""
     # files of this package, written by us: nothing in them comes from a recording
     text = (resources.files("tissueid.report") / "templates" / name).read_text(encoding="utf-8")
     return Markup(text)  # noqa: S704
 
 
-def _plotly_script() -> Markup:
+def plotly_script() -> Markup:
+    """The drawing library, whole: a page asks the network for nothing."""
     from plotly.offline import get_plotlyjs
 
     return Markup(get_plotlyjs())  # noqa: S704 -- the library's own file
@@ -132,9 +134,9 @@ def render_report(
         overview_sentence=overview_sentence(specimens),
         counts=_counts(views),
         created=created,
-        style=_asset("page.css"),
-        script=_asset("figures.js"),
-        plotly=_plotly_script(),
+        style=asset("page.css"),
+        script=asset("figures.js"),
+        plotly=plotly_script(),
     )
 
 

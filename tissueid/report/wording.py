@@ -16,6 +16,7 @@ from tissueid.flags import FLAG_CODES
 from tissueid.trial import Axes
 
 __all__ = [
+    "LEVELS",
     "NOT_IDENTIFIED",
     "PARAMETER_WORDS",
     "Remark",
@@ -24,6 +25,7 @@ __all__ = [
     "number",
     "overview_sentence",
     "parameter_words",
+    "remark_level",
     "remarks",
     "tissue_sentence",
     "trial_label",
@@ -46,13 +48,18 @@ PARAMETER_WORDS: Mapping[str, str] = {
 }
 
 #: Flags that put the result itself in doubt; the others ask for a look.
-_SERIOUS = frozenset({"not_converged", "optimisers_disagree", "single_speed", "no_contact", "clipped_force"})
+_SERIOUS = frozenset(
+    {"not_converged", "optimisers_disagree", "single_speed", "no_contact", "clipped_force", "no_decimals"}
+    | {"quantised_force", "too_few_samples", "no_ramp"}
+)
 #: Flags that only state what was assumed.
 _REMARKS = frozenset(
     {"column_choice", "units_assumed", "undecoded_text", "rows_skipped", "cut_row", "event_rows"}
-    | {"compliance_unknown", "no_hold", "cyclic", "several_steps"}
+    | {"compliance_unknown", "no_hold", "cyclic", "several_steps", "starts_in_contact", "preload"}
+    | {"normalised_axes", "load_limit_stop", "preconditioned", "decision_overridden", "frame_corrected"}
 )
-_LEVELS = ("ok", "note", "caution", "serious")
+#: From harmless to grave.
+LEVELS = ("ok", "note", "caution", "serious")
 _S_PER_MIN = 60.0
 
 
@@ -139,7 +146,8 @@ class Verdict:
     text: str
 
 
-def _level(code: str) -> str:
+def remark_level(code: str) -> str:
+    """How grave a flag is: ``note``, ``caution`` or ``serious``, of :data:`LEVELS`."""
     if code in _SERIOUS:
         return "serious"
     return "note" if code in _REMARKS else "caution"
@@ -173,10 +181,10 @@ def remarks(specimen: Mapping[str, Any]) -> tuple[Remark, ...]:
             if trial_label(part) not in places:
                 places.append(trial_label(part))
     found = [
-        Remark(code, _level(code), FLAG_CODES.get(code, code), text, tuple(where[code]))
+        Remark(code, remark_level(code), FLAG_CODES.get(code, code), text, tuple(where[code]))
         for code, text in messages.items()
     ]
-    return tuple(sorted(found, key=lambda remark: -_LEVELS.index(remark.level)))
+    return tuple(sorted(found, key=lambda remark: -LEVELS.index(remark.level)))
 
 
 def verdict(specimen: Mapping[str, Any]) -> Verdict:
