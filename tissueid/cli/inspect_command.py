@@ -2,35 +2,51 @@
 
 from __future__ import annotations
 
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from tissueid.cli.output import echo_json, output_options, progress_bar
+from tissueid.cli.output import echo_json, note, output_options, progress_bar, write_output
 from tissueid.cli.reading import read_in_order, read_options, reading_options, segment_options
+
+if TYPE_CHECKING:
+    from tissueid.report.inspect_page import InspectedRecording
+    from tissueid.result import Refusal
+    from tissueid.trial import Segmentation, Trial
 
 __all__ = ["command"]
 
 EPILOG = """\b
 Examples:
   tissueid inspect Specimen_RawData_1.csv
+  tissueid inspect lab_data/ --html inspection.html
   tissueid inspect lab_data/ --json
   tissueid inspect plain.csv --columns "time=t,displacement=x,force=F"
 """
 
+SECONDS_PER_MINUTE = 60.0
+#: Phases and corners printed without -v.
+FEW_PHASES = 12
+FEW_CORNERS = 4
+
 
 @click.command("inspect", epilog=EPILOG)
 @click.argument("paths", nargs=-1, required=True, type=click.Path())
+@click.option(
+    "--html", type=click.Path(dir_okay=False), metavar="FILE",
+    help="Write a page that draws every recording, with its flags and the lines of study.toml to change it.",
+)  # fmt: skip
 @reading_options
 @output_options
 def command(**flags: Any) -> int:
     """Say what recordings hold: format, columns, phases, first, last and peak samples, and warnings.
 
-    Nothing is fitted and nothing is written. Exit code 0 if all were read, 7 if some were refused, 3 if
-    all were.
+    Nothing is fitted, and nothing is written but the page of --html. Exit code 0 if all were read, 7 if
+    some were refused, 3 if all were.
     """
     from tissueid.errors import exit_code
-    from tissueid.inspection import describe_trial
+    from tissueid.inspection import describe_trial, segmented
     from tissueid.result import Refusal
 
     reading = read_options(
@@ -42,11 +58,22 @@ def command(**flags: Any) -> int:
     )
     segmenting = segment_options(compression=flags["compression"], contact=flags["contact"])
     described: list[dict[str, Any] | Refusal] = []
+    shown: list[InspectedRecording] = []
+    root = _study_folder(flags["paths"])
     with progress_bar(show=not flags["quiet"] and not flags["as_json"]) as progress:
         for item in read_in_order(flags["paths"], reading):
             progress(item.path if isinstance(item, Refusal) else item.name, len(described), 0)
-            described.append(item if isinstance(item, Refusal) else describe_trial(item, options=segmenting))
+            if isinstance(item, Refusal):
+                described.append(item)
+            elif flags["html"] is None:
+                described.append(describe_trial(item, options=segmenting))
+            else:
+                divided = segmented(item, options=segmenting)
+                described.append(_shown(item, divided, shown, root))
     refused = [one for one in described if isinstance(one, Refusal)]
+    if flags["html"] is not None:
+        _write_page(flags["html"], shown, refused, root)
+        note(f"wrote {flags['html']}", quiet=flags["quiet"])
     if flags["as_json"]:
         echo_json([one.as_json() if isinstance(one, Refusal) else one for one in described])
     else:
@@ -54,29 +81,112 @@ def command(**flags: Any) -> int:
             if isinstance(one, Refusal):
                 click.secho(f"refused ({one.code})  {one}", fg="red", err=True)
             elif not flags["quiet"]:
-                _print(one)
+                _print(one, verbose=flags["verbose"])
     return exit_code({7 if len(refused) < len(described) else 3}) if refused else 0
 
 
-def _print(one: dict[str, Any]) -> None:
+def _study_folder(paths: tuple[str, ...]) -> Path:
+    """Where study.toml stands, or would: beside or above what was named."""
+    folders = [path if path.is_dir() else path.parent for path in (Path(name).resolve() for name in paths)]
+    common = folders[0]
+    while any(common not in (folder, *folder.parents) for folder in folders):
+        common = common.parent
+    above = [folder for folder in (common, *common.parents) if (folder / "study.toml").is_file()]
+    return above[0] if above else common
+
+
+def _shown(
+    trial: Trial,
+    divided: Segmentation | Refusal,
+    shown: list[InspectedRecording],
+    root: Path,
+) -> dict[str, Any] | Refusal:
+    """Keep a recording for the page, and say of it what is said without the page."""
+    from tissueid.inspection import describe_segmented
+    from tissueid.report import inspected_recording
+    from tissueid.result import Refusal
+
+    if isinstance(divided, Refusal):
+        return divided
+    document = describe_segmented(trial, divided)
+    file = _relative(trial.source.path, root)
+    shown.append(inspected_recording(trial, divided, document, file=file, reader=_reader(document)))
+    return document
+
+
+def _relative(path: str, root: Path) -> str:
+    """A path as study.toml names it: from its folder, with forward slashes."""
+    whole = Path(path).resolve()
+    return (whole.relative_to(root) if whole.is_relative_to(root) else whole).as_posix()
+
+
+def _reader(document: dict[str, Any]) -> str:
+    marks = (("encoding", "{}"), ("delimiter", "delimiter {!r}"), ("decimal", "decimal mark {!r}"))
+    text = [
+        f"Read as {document['recipe']}",
+        *(form.format(document[key]) for key, form in marks if document[key]),
+    ]
+    why = document.get("reason")
+    return ", ".join(text) + (f", because {why}" if why else "")
+
+
+def _write_page(target: str, shown: list[InspectedRecording], refused: list[Refusal], root: Path) -> None:
+    from datetime import UTC, datetime
+
+    from tissueid.report import render_inspection
+
+    created = datetime.now(UTC).isoformat(timespec="seconds")
+    study = "study.toml" if (root / "study.toml").is_file() else f"study.toml in {root.name or root}"
+    write_output(target, render_inspection(shown, refused, study=study, created=created).encode("utf-8"))
+
+
+def _print(one: dict[str, Any], *, verbose: int) -> None:
     name = one["path"] if one["sheet"] is None else f"{one['path']} [{one['sheet']}]"
     click.secho(f"\n{name}", bold=True)
-    text = ", ".join(str(one[key]) for key in ("recipe", "encoding") if one[key])
-    click.echo(f"  read as     {text}; specimen {one['specimen']}")
+    click.echo(f"  {_reader(one)[0].lower()}{_reader(one)[1:]}")
+    click.echo(f"  specimen    {one['specimen']}")
     click.echo("  columns     " + ", ".join(f"{key} = {value}" for key, value in one["columns"].items()))
     sign = "positive" if one["compression_sign"] > 0 else "negative"
     click.echo(f"  samples     {one['n_samples']}, compression is {sign} displacement")
+    length, force = (one["units"][key] for key in ("length", "force"))
     for key, label in (("first", "first"), ("peak_force", "peak force"), ("last", "last")):
         point = one[key]
-        values = f"{point['time_s']:.6g} s, {point['displacement_mm']:.6g} mm, {point['force_N']:.6g} N"
-        click.echo(f"  {label:<11} {values}")
+        place = f"{point['time_s']:.6g} s, {point['displacement_mm']:.6g} {length}"
+        click.echo(f"  {label:<11} {place}, {point['force_N']:.6g} {force}")
     contact = one["contact"]
     if contact is not None:
-        click.echo(f"  contact     {contact['displacement_mm']:.4f} ± {contact['sd_mm']:.4f} mm")
-    for phase in one["phases"]:
-        click.echo(
-            f"  {phase['kind']:<11} {phase['start_s']:.6g} to {phase['end_s']:.6g} s, "
-            f"{phase['speed_mm_s']:.4g} mm/s"
-        )
+        click.echo(f"  contact     {contact['displacement_mm']:.4f} ± {contact['sd_mm']:.4f} {length}")
+    _print_phases(one, length, few=None if verbose else FEW_PHASES)
+    _print_corners(one, length, few=None if verbose else FEW_CORNERS)
     for flag in one["flags"]:
         click.secho(f"  ! {flag['code']}: {flag['message']}", fg="yellow")
+
+
+def _print_phases(one: dict[str, Any], length: str, *, few: int | None) -> None:
+    phases = one["phases"]
+    for phase in phases[:few]:
+        line = f"  {phase['kind']:<11} {phase['start_s']:.6g} to {phase['end_s']:.6g} s"
+        speed = phase["speed_mm_s"]
+        if speed != 0.0:
+            line += f", {speed:.4g} {length}/s ({speed * SECONDS_PER_MINUTE:.4g} {length}/min)"
+        if phase["peak_s"] is not None:
+            line += f", deepest at {phase['peak_s']:.6g} s"
+        click.echo(line)
+    if few is not None and len(phases) > few:
+        click.echo(f"  ... and {len(phases) - few} more phases (-v prints them)")
+
+
+def _print_corners(one: dict[str, Any], length: str, *, few: int | None) -> None:
+    corners = one["corners"]
+    for corner in corners[:few]:
+        line = f"  stop        at {corner['time_s']:.6g} s, took {corner['duration_s']:.2g} s"
+        if corner["overshoot_mm"] > 0.0:
+            line += f", overshoot {corner['overshoot_mm']:.2g} {length}"
+        if corner["ringing_swings"] > 1:
+            line += f", rings {corner['ringing_swings']} times"
+        click.echo(line)
+    if few is not None and len(corners) > few:
+        click.echo(f"  ... and {len(corners) - few} more stops (-v prints them)")
+    for event in one["events"]:
+        values = ", ".join(f"{key} {value:.4g}" for key, value in event["values"].items())
+        click.echo(f"  {event['kind'].replace('_', ' '):<11} at {event['time_s']:.6g} s: {values}")

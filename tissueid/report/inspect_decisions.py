@@ -1,0 +1,213 @@
+"""Every decision on a recording, and the lines of study.toml that would change it.
+
+Each entry is whole: pasted into study.toml as it stands it parses, names the recording and asks for a reason.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from tissueid.report.wording import number
+
+__all__ = ["Decision", "decisions", "toml_string", "toml_value"]
+
+BECAUSE = "say why"
+#: Decimals of a displacement in an entry: 0.1 um.
+_PLACES_MM = 4
+_OPPOSITE = {1: "negative", -1: "positive"}
+_SIGN = {1: "positive", -1: "negative"}
+_INTERNAL = {"time": "s", "displacement": "mm", "force": "N"}
+#: A minimum this much longer than the shortest hold leaves that one out.
+_JUST_LONGER = 1.05
+#: Shortest hold that is asked for where none was found [s].
+_ANY_HOLD_S = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """One decision.
+
+    Attributes
+    ----------
+    key : str
+        Stable name for the page.
+    title : str
+    taken : str
+        What was decided, and from what.
+    toml : str
+        The entry that would decide otherwise.
+    adjust : str or None
+        Key in the entry whose number a click into the picture sets.
+    """
+
+    key: str
+    title: str
+    taken: str
+    toml: str
+    adjust: str | None = None
+
+
+def toml_string(text: str) -> str:
+    r"""A basic string of TOML.
+
+    >>> print(toml_string('a "b"'))
+    "a \"b\""
+    """
+    plain = {"\\": "\\\\", '"': '\\"', "\b": "\\b", "\t": "\\t", "\n": "\\n", "\f": "\\f", "\r": "\\r"}
+    escaped = (
+        plain.get(char, char)
+        if ord(char) >= 0x20 and ord(char) != 0x7F
+        else plain.get(char, f"\\u{ord(char):04x}")
+        for char in text
+    )
+    return f'"{"".join(escaped)}"'
+
+
+def toml_value(value: Any) -> str:
+    """A number, boolean, string or flat map as TOML writes it."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{key} = {toml_value(one)}" for key, one in value.items()) + " }"
+    return toml_string(value) if isinstance(value, str) else repr(value)
+
+
+def _entry(
+    table: str, file: str, sheet: str | None, values: Mapping[str, Any], *, because: bool = True
+) -> str:
+    where: dict[str, Any] = {"file": file} | ({} if sheet is None else {"sheet": sheet})
+    reason = {"because": BECAUSE} if because else {}
+    lines = [f"{key} = {toml_value(value)}" for key, value in (where | dict(values) | reason).items()]
+    return "\n".join([f"[[{table}]]", *lines])
+
+
+def decisions(recording: Mapping[str, Any], *, file: str) -> tuple[Decision, ...]:
+    """The decisions on a recording, in the order in which they were taken.
+
+    Parameters
+    ----------
+    recording : mapping
+        One trial of ``schemas/inspect.schema.json``.
+    file : str
+        Its path relative to the folder of study.toml.
+    """
+    sheet = recording["sheet"]
+
+    def override(**values: Any) -> str:
+        return _entry("override", file, sheet, values)
+
+    found = [
+        _columns(recording, override),
+        _units(recording, override),
+        *_signs(recording, override),
+        _contact(recording, override),
+        _hold(recording, override),
+        _cut(recording, override),
+        *_rupture(recording, override),
+        Decision(
+            "specimen",
+            "Specimen",
+            f"{recording['specimen']}; trials of one specimen are fitted together",
+            _entry("trial", file, sheet, {"specimen": recording["specimen"]}, because=False),
+        ),
+        Decision("exclude", "Exclusion", "it takes part in the fit", _entry("exclude", file, sheet, {})),
+    ]
+    return tuple(found)
+
+
+def _flag(recording: Mapping[str, Any], code: str) -> Mapping[str, Any] | None:
+    return next((flag for flag in recording["flags"] if flag["code"] == code), None)
+
+
+def _columns(recording: Mapping[str, Any], override: Any) -> Decision:
+    columns = {key: recording["columns"][key] for key in _INTERNAL if key in recording["columns"]}
+    taken = ", ".join(f"{key} = {name}" for key, name in columns.items())
+    choices = [flag for flag in recording["flags"] if flag["code"] == "column_choice"]
+    for flag in choices:
+        others = flag.get("alternatives") or []
+        quantity = flag.get("quantity")
+        if others and quantity in columns:
+            columns[quantity] = others[0]
+            taken += f"; {quantity} could also be {', '.join(others)}"
+    return Decision("columns", "Columns", taken, override(columns=columns))
+
+
+def _units(recording: Mapping[str, Any], override: Any) -> Decision:
+    assumed = {
+        flag["quantity"]: flag["unit"]
+        for flag in recording["flags"]
+        if flag["code"] == "units_assumed" and "quantity" in flag
+    }
+    shown = recording.get("units", {})
+    inside = f"{shown.get('length', 'mm')}, {shown.get('force', 'N')} and s"
+    if assumed:
+        taken = f"no unit in the file for {', '.join(assumed)}: taken as they stand; shown here in {inside}"
+    else:
+        taken = f"as the file states them; shown here in {inside}"
+    return Decision("units", "Units", taken, override(units=assumed or _INTERNAL))
+
+
+def _signs(recording: Mapping[str, Any], override: Any) -> list[Decision]:
+    sign = recording["compression_sign"]
+    found = [
+        Decision(
+            "compression",
+            "Direction of compression",
+            f"{_SIGN[sign]} displacement goes into the tissue: the dominant excursion",
+            override(compression=_OPPOSITE[sign]),
+        )
+    ]
+    force = recording.get("force_sign")
+    if force is not None:
+        taken = f"{_SIGN[force]} force is compression: it changes with the travel that way"
+        found.append(Decision("force", "Sign of the force", taken, override(force=_OPPOSITE[force])))
+    return found
+
+
+def _contact(recording: Mapping[str, Any], override: Any) -> Decision:
+    contact = recording["contact"]
+    if contact is None:
+        place = round(recording["first"]["displacement_mm"], _PLACES_MM)
+        taken = "none was found; click into the lower picture where the force begins to rise"
+        return Decision(
+            "contact", "Contact point", taken, override(contact_mm=place, contact_sd_mm=0.05), "contact_mm"
+        )
+    place, sd = (round(contact[key], _PLACES_MM) for key in ("displacement_mm", "sd_mm"))
+    how = "seen in the record" if contact["in_record"] else "extrapolated: the record starts in contact"
+    taken = (
+        f"{number(place)} ± {number(sd, 2)} mm as recorded, {how}; click into the lower picture to move it"
+    )
+    entry = override(contact_mm=place, contact_sd_mm=max(sd, 10.0**-_PLACES_MM))
+    return Decision("contact", "Contact point", taken, entry, "contact_mm")
+
+
+def _hold(recording: Mapping[str, Any], override: Any) -> Decision:
+    holds = [phase["end_s"] - phase["start_s"] for phase in recording["phases"] if phase["kind"] == "hold"]
+    if not holds:
+        taken = "no standstill after a ramp was long enough to be a hold"
+        return Decision("hold", "Shortest hold", taken, override(minimum_hold_s=_ANY_HOLD_S))
+    shortest = min(holds)
+    places = 2 - math.floor(math.log10(shortest)) if shortest > 0.0 else 3
+    longer = math.ceil(_JUST_LONGER * shortest * 10.0**places) / 10.0**places
+    taken = (
+        f"{len(holds)} found, the shortest of {number(shortest, 3)} s; this entry would leave that one out"
+    )
+    return Decision("hold", "Shortest hold", taken, override(minimum_hold_s=longer))
+
+
+def _cut(recording: Mapping[str, Any], override: Any) -> Decision:
+    start, end = recording["first"]["time_s"], recording["last"]["time_s"]
+    taken = f"all of the record counts, {number(start)} to {number(end)} s"
+    return Decision("cut", "Part of the record", taken, override(start_s=start, end_s=end), "start_s")
+
+
+def _rupture(recording: Mapping[str, Any], override: Any) -> list[Decision]:
+    broken = [event for event in recording.get("events", ()) if event["kind"] == "rupture"]
+    if not broken:
+        return []
+    times = ", ".join(f"{number(event['time_s'])} s" for event in broken)
+    taken = f"the force collapses at {times}: what follows is not fitted"
+    return [Decision("rupture", "Rupture", taken, override(rupture=False))]

@@ -1,0 +1,220 @@
+"""The page of ``tissueid inspect --html``: each recording drawn beside its flags and decisions.
+
+Self-contained like the report.  Recordings come one at a time and are thinned at once; the page shares a
+fixed number of samples among them, so that it stays below 10 MB whatever was inspected.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from tissueid.report.inspect_decisions import Decision, decisions
+from tissueid.report.inspect_payload import DrawnRecording, drawn_recording, packed_recording
+from tissueid.report.page import asset, page_environment, plotly_script
+from tissueid.report.wording import LEVELS, number, remark_level, trial_label
+from tissueid.result import Refusal
+from tissueid.trial import Segmentation, Trial
+
+__all__ = ["InspectedRecording", "inspected_recording", "render_inspection"]
+
+#: Samples a page carries in all: 16 bytes each, beside 5 MB of script.
+MOST_SAMPLES = 150_000
+FEWEST_OF_ONE = 160
+#: Recordings that are drawn; of more, those that stand out least are listed only.
+MOST_DRAWN = 250
+_S_PER_MIN = 60.0
+_WORDS = {"ok": "nothing stands out", "note": "remarks", "caution": "look at it", "serious": "in doubt"}
+_FLAG_FIELDS = {"code", "message"}
+
+
+@dataclass(frozen=True, slots=True)
+class InspectedRecording:
+    """One recording as the page needs it; its samples are thinned already.
+
+    Attributes
+    ----------
+    document : mapping
+        One trial of ``schemas/inspect.schema.json``.
+    drawn : DrawnRecording
+    decisions : tuple of Decision
+    reader : str
+        Which reader read it, and why.
+    """
+
+    document: Mapping[str, Any]
+    drawn: DrawnRecording
+    decisions: tuple[Decision, ...]
+    reader: str
+
+    @property
+    def level(self) -> str:
+        """The gravest level among its flags."""
+        levels = [remark_level(flag["code"]) for flag in self.document["flags"]]
+        return max(levels, key=LEVELS.index, default="ok")
+
+
+def inspected_recording(
+    trial: Trial, segmentation: Segmentation, document: Mapping[str, Any], *, file: str, reader: str
+) -> InspectedRecording:
+    """Keep of a recording what the page needs.
+
+    Parameters
+    ----------
+    trial : Trial
+    segmentation : Segmentation
+    document : mapping
+        What ``tissueid inspect --json`` says of it.
+    file : str
+        Its path relative to the folder of study.toml.
+    reader : str
+        Which reader read it, and why.
+    """
+    return InspectedRecording(
+        document, drawn_recording(trial, segmentation), decisions(document, file=file), reader
+    )
+
+
+def render_inspection(
+    recordings: Sequence[InspectedRecording],
+    refused: Sequence[Refusal] = (),
+    *,
+    study: str = "study.toml",
+    created: str | None = None,
+) -> str:
+    """Write the page.
+
+    Parameters
+    ----------
+    recordings : sequence of InspectedRecording
+        In the order of the command line; the page shows the gravest first.
+    refused : sequence of Refusal
+    study : str
+        Where the entries belong.
+    created : str, optional
+        Time stamp to print; without it equal input gives an equal page.
+
+    Returns
+    -------
+    str
+        HTML, UTF-8.
+    """
+    order = sorted(range(len(recordings)), key=lambda i: (-_gravity(recordings[i]), i))
+    drawn = set(order[:MOST_DRAWN])
+    share = max(MOST_SAMPLES // max(len(drawn), 1), FEWEST_OF_ONE)
+    views = [_view(i, recordings[i], drawn=i in drawn) for i in order]
+    payload = {
+        view["id"]: packed_recording(recordings[view["position"]].drawn, share)
+        for view in views
+        if view["drawn"]
+    }
+    template = page_environment().get_template("inspect.html.j2")
+    return template.render(
+        title=_title(recordings, refused),
+        views=views,
+        refused=refused,
+        counts=_counts(recordings),
+        codes=sorted({flag["code"] for one in recordings for flag in one.document["flags"]}),
+        payload=payload,
+        study=study,
+        created=created,
+        style=asset("page.css") + asset("inspect.css"),
+        script=asset("inspect.js"),
+        plotly=plotly_script(),
+    )
+
+
+def _gravity(recording: InspectedRecording) -> tuple[int, int] | int:
+    levels = [remark_level(flag["code"]) for flag in recording.document["flags"]]
+    worst = LEVELS.index(recording.level)
+    # among equals, the one with more to say
+    return worst * 1000 + min(sum(level in {"caution", "serious"} for level in levels), 999)
+
+
+def _counts(recordings: Sequence[InspectedRecording]) -> list[tuple[str, str, int]]:
+    tally = Counter(one.level for one in recordings)
+    return [(level, _WORDS[level], tally[level]) for level in reversed(LEVELS) if tally[level]]
+
+
+def _title(recordings: Sequence[InspectedRecording], refused: Sequence[Refusal]) -> str:
+    if len(recordings) == 1 and not refused:
+        return f"Inspection of {trial_label(recordings[0].document)}"
+    return f"Inspection of {len(recordings)} recordings" if recordings else "Nothing could be read"
+
+
+def _view(position: int, recording: InspectedRecording, *, drawn: bool) -> dict[str, Any]:
+    document = recording.document
+    flags = [
+        {
+            "level": remark_level(flag["code"]),
+            "code": flag["code"],
+            "message": flag["message"],
+            "values": [(key, _value(value)) for key, value in flag.items() if key not in _FLAG_FIELDS],
+        }
+        for flag in document["flags"]
+    ]
+    flags.sort(key=lambda flag: -LEVELS.index(flag["level"]))
+    holds = [phase for phase in document["phases"] if phase["kind"] == "hold"]
+    return {
+        "position": position,
+        "id": f"recording-{position + 1}",
+        "name": trial_label(document),
+        "data": document,
+        "level": recording.level,
+        "words": _WORDS[recording.level],
+        "flags": flags,
+        "codes": " ".join(flag["code"] for flag in flags),
+        "phases": [_phase(phase) for phase in document["phases"]],
+        "program": _program(document["phases"]),
+        "hold_s": max((phase["end_s"] - phase["start_s"] for phase in holds), default=None),
+        "reader": recording.reader,
+        "decisions": recording.decisions,
+        "drawn": drawn,
+        "alternative": _alternative(document),
+    }
+
+
+def _phase(phase: Mapping[str, Any]) -> dict[str, str]:
+    still = phase["speed_mm_s"] == 0.0
+    return {
+        "kind": phase["kind"],
+        "start": number(phase["start_s"]),
+        "end": number(phase["end_s"]),
+        "length": number(phase["end_s"] - phase["start_s"], 3),
+        "speed": "0" if still else number(phase["speed_mm_s"], 4),
+        "speed_min": "0" if still else number(phase["speed_mm_s"] * _S_PER_MIN, 4),
+    }
+
+
+def _program(phases: Sequence[Mapping[str, Any]]) -> str:
+    """The phases in a few words: ``approach, ramp, hold`` or ``3 × cycle``."""
+    words: list[list[Any]] = []
+    for phase in phases:
+        if words and words[-1][0] == phase["kind"]:
+            words[-1][1] += 1
+        else:
+            words.append([phase["kind"], 1])
+    shown = [kind if count == 1 else f"{count} × {kind}" for kind, count in words[:6]]
+    return ", ".join(shown) + (" ..." if len(words) > len(shown) else "")
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, bool) or value is None:
+        return str(value).lower()
+    if isinstance(value, float):
+        return number(value)
+    return ", ".join(map(str, value)) if isinstance(value, list) else str(value)
+
+
+def _alternative(document: Mapping[str, Any]) -> str:
+    """The picture in words, for those who do not see it."""
+    peak, contact = document["peak_force"], document["contact"]
+    touched = "no contact found" if contact is None else f"contact at {number(contact['displacement_mm'])} mm"
+    length = number(document["last"]["time_s"] - document["first"]["time_s"])
+    return (
+        f"Force and displacement of {trial_label(document)} against time: {document['n_samples']} samples"
+        f" over {length} s, {_program(document['phases'])}; {touched}; largest force"
+        f" {number(peak['force_N'])} N at {number(peak['time_s'])} s."
+    )
