@@ -104,7 +104,8 @@ def render_inspection(
     order = sorted(range(len(recordings)), key=lambda i: (-_gravity(recordings[i]), i))
     drawn = set(order[:MOST_DRAWN])
     share = max(MOST_SAMPLES // max(len(drawn), 1), FEWEST_OF_ONE)
-    views = [_view(i, recordings[i], drawn=i in drawn) for i in order]
+    names = _names([one.document for one in recordings])
+    views = [_view(i, recordings[i], names[i], drawn=i in drawn) for i in order]
     payload = {
         view["id"]: packed_recording(recordings[view["position"]].drawn, share)
         for view in views
@@ -126,7 +127,7 @@ def render_inspection(
     )
 
 
-def _gravity(recording: InspectedRecording) -> tuple[int, int] | int:
+def _gravity(recording: InspectedRecording) -> int:
     levels = [remark_level(flag["code"]) for flag in recording.document["flags"]]
     worst = LEVELS.index(recording.level)
     # among equals, the one with more to say
@@ -144,7 +145,22 @@ def _title(recordings: Sequence[InspectedRecording], refused: Sequence[Refusal])
     return f"Inspection of {len(recordings)} recordings" if recordings else "Nothing could be read"
 
 
-def _view(position: int, recording: InspectedRecording, *, drawn: bool) -> dict[str, Any]:
+def _names(documents: Sequence[Mapping[str, Any]]) -> list[str]:
+    """The sheet alone where that says which recording it is, else file and sheet, else the whole path."""
+    short = [document["sheet"] or trial_label(document) for document in documents]
+    whole = [trial_label(document) for document in documents]
+    count, count_whole = Counter(short), Counter(whole)
+    return [
+        name if count[name] == 1 else label if count_whole[label] == 1 else _path(document)
+        for name, label, document in zip(short, whole, documents, strict=True)
+    ]
+
+
+def _path(document: Mapping[str, Any]) -> str:
+    return document["path"] if document["sheet"] is None else f"{document['path']} [{document['sheet']}]"
+
+
+def _view(position: int, recording: InspectedRecording, name: str, *, drawn: bool) -> dict[str, Any]:
     document = recording.document
     flags = [
         {
@@ -160,7 +176,8 @@ def _view(position: int, recording: InspectedRecording, *, drawn: bool) -> dict[
     return {
         "position": position,
         "id": f"recording-{position + 1}",
-        "name": trial_label(document),
+        "name": name,
+        "path": _path(document),
         "data": document,
         "level": recording.level,
         "words": _WORDS[recording.level],
