@@ -15,7 +15,7 @@ from tissueid.result import Refusal
 from tissueid.segment import SegmentOptions, segment
 from tissueid.trial import Phase, Segmentation, Trial
 
-__all__ = ["describe_segmented", "describe_trial"]
+__all__ = ["describe_segmented", "describe_trial", "segmented"]
 
 
 def describe_trial(trial: Trial, *, options: SegmentOptions | None = None) -> dict[str, Any] | Refusal:
@@ -31,11 +31,16 @@ def describe_trial(trial: Trial, *, options: SegmentOptions | None = None) -> di
     dict or Refusal
         The object of ``schemas/inspect.schema.json``.
     """
+    segmentation = segmented(trial, options=options)
+    return segmentation if isinstance(segmentation, Refusal) else describe_segmented(trial, segmentation)
+
+
+def segmented(trial: Trial, *, options: SegmentOptions | None = None) -> Segmentation | Refusal:
+    """The trial divided into phases, or the refusal of one whose numbers defeat the arithmetic."""
     try:
-        segmentation = segment(trial, options=options)
+        return segment(trial, options=options)
     except (ArithmeticError, np.linalg.LinAlgError) as error:
         return arithmetic_refusal(trial.source.path, trial.source.sheet, "segmented", error)
-    return describe_segmented(trial, segmentation)
 
 
 def describe_segmented(trial: Trial, segmentation: Segmentation) -> dict[str, Any]:
@@ -58,6 +63,8 @@ def describe_segmented(trial: Trial, segmentation: Segmentation) -> dict[str, An
         "last": _point(trial, -1),
         "peak_force": _point(trial, int(np.argmax(np.abs(trial.force_N)))),
         "compression_sign": segmentation.compression_sign,
+        "force_sign": segmentation.force_sign,
+        "force_noise_N": segmentation.force_noise_N,
         "contact": None
         if contact is None
         else {
