@@ -109,6 +109,18 @@ def _candidates(
     return sorted(found, key=lambda item: (item[0], item[1].index))
 
 
+def _ruled_out(
+    columns: Sequence[_Column], channel: Channel, found: Sequence[tuple[int, _Column]], options: ReadOptions
+) -> list[str]:
+    """Columns whose name fits at least as well as that of the best, but whose unit measures something else."""
+    named = (
+        (column, _rank(column, channel, options, loose=False))
+        for column in columns
+        if all(column is not candidate for _, candidate in found)
+    )
+    return [column.name for column, rank in named if rank is not None and rank <= found[0][0]]
+
+
 def _rank(column: _Column, channel: Channel, options: ReadOptions, *, loose: bool) -> int | None:
     """Rank among the names of a channel; a declared strain or stress is sought under its own name first."""
     words = _NORMALISED.get(options.quantity(channel))
@@ -177,8 +189,9 @@ def choose_columns(
         if not found:
             raise _none_found(columns, channel, options=options, place=place, line=line)
         taken[channel] = found[0][1]
-        if len(found) > 1:
-            others = [column.name for _, column in found[1:]]
+        others = [column.name for _, column in found[1:]]
+        others += _ruled_out(columns, channel, found, options)
+        if others:
             flags.append(
                 Flag(
                     "column_choice",

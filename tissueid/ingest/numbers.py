@@ -18,10 +18,13 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
 
-__all__ = ["MARKS", "CellFault", "decimal_evidence", "looks_numeric", "parse_number"]
+__all__ = ["MARKS", "CellFault", "decimal_evidence", "grouping_mark", "looks_numeric", "parse_number"]
 
 #: Thousands separators seen inside cells, besides the mark that is not the decimal one.
 MARKS = "\u00a0\u202f '\u2019"
+_SAME_MARK = {"\u00a0": " ", "\u202f": " ", "\u2019": "'"}
+
+_PADDING = " \t\r\n"
 
 _EXPONENT = r"(?:[eE][+-]?\d+)?"
 #: Anything meant as a number, sound or damaged.
@@ -70,7 +73,7 @@ def parse_number(text: str, decimal: str) -> float | CellFault:
     -------
     float or CellFault
     """
-    stripped = text.strip()
+    stripped = text.strip(_PADDING)  # a no-break space is a thousands separator, and may have lost its thousands
     plain, grouped = _grammar(decimal)
     if plain.fullmatch(stripped):
         value = float(stripped.replace(decimal, "."))
@@ -83,10 +86,18 @@ def parse_number(text: str, decimal: str) -> float | CellFault:
     return value
 
 
+def grouping_mark(text: str, decimal: str) -> str | None:
+    """The thousands separator of a sound number, ``None`` where it has none; all spaces are one kind."""
+    match = _grammar(decimal)[1].fullmatch(text.strip(_PADDING))
+    if match is None:
+        return None
+    return _SAME_MARK.get(match["mark"], match["mark"])
+
+
 def _fault(text: str, stripped: str, decimal: str) -> CellFault:
     shown = repr(text if len(text) <= 40 else text[:37] + "...")
     other = "." if decimal == "," else ","
-    if not stripped:
+    if not stripped.strip():
         return CellFault("empty_cell", "the cell is empty; fill or remove the row, or export the file again")
     if _NOT_FINITE.fullmatch(stripped):
         return CellFault("not_finite", f"{shown} is not a finite number; correct or remove the row")

@@ -4,7 +4,8 @@ It is used where the C parser met anything but whole rows of plain numbers, and 
 is; the fast path reads a subset of this grammar to the same values.
 
 - A blank line, or one of empty cells, is nothing.
-- A line without any number (a comment, a title) is left out and flagged.
+- A line without any number (a comment, a title) is left out and flagged; one made of digits that are no
+  numbers, or that names other columns or units, is no comment.
 - A last line with too few cells, or broken off inside a number, is left out and flagged.
 - Everything else must have the cells of its neighbours and numbers in the three columns.
 """
@@ -13,6 +14,7 @@ from __future__ import annotations
 
 import re
 from array import array
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -21,8 +23,9 @@ import numpy as np
 
 from tissueid.flags import Flag
 from tissueid.ingest.layout import Layout
-from tissueid.ingest.numbers import CellFault, looks_numeric, parse_number
+from tissueid.ingest.numbers import CellFault, grouping_mark, looks_numeric, parse_number
 from tissueid.ingest.refusals import Place
+from tissueid.ingest.remarks import begins_a_table, row_like, skipped_flag
 from tissueid.ingest.text import Text
 from tissueid.trial import FloatArray
 
@@ -58,6 +61,57 @@ def _decimals(cell: str) -> int:
     return len(match[1]) if match else -1
 
 
+class _Prints:
+    """How the cells of the wanted columns are printed: one kind of thousands mark, and no mark lost.
+
+    Where every other number of a column has the same two decimals or more, one without a mark that has
+    more digits than these decimals lost its mark: ``1.23400`` became ``123400``.
+    """
+
+    def __init__(self, reader: RowReader) -> None:
+        self._reader = reader
+        self._groups: dict[str, int] = {}
+        self._decimals: list[Counter[int]] = [Counter() for _ in reader.wanted]
+        self._bare: list[list[tuple[int, str]]] = [[] for _ in reader.wanted]
+
+    def add(self, cells: Sequence[str], number: int) -> None:
+        """Look at one row; refuses a second kind of thousands mark."""
+        reader = self._reader
+        for k, index in enumerate(reader.wanted):
+            cell = cells[index]
+            mark = grouping_mark(cell, reader.layout.decimal)
+            if mark is not None:
+                self._groups.setdefault(mark, number)
+                if len(self._groups) > 1:
+                    first = next(iter(self._groups.items()))
+                    reader.place.refuse(
+                        "inconsistent_decimal",
+                        f"{cell.strip()!r} is grouped by {mark!r}, the numbers from line {first[1]} on by"
+                        f" {first[0]!r}; export the file again with one thousands separator",
+                        line=number,
+                        column=index + 1,
+                    )
+            places = _decimals(cell)
+            self._decimals[k][places] += 1
+            if places < 0:
+                self._bare[k].append((number, cell.strip()))
+
+    def refuse_lost_marks(self) -> None:
+        """Refuse the first number that lost its mark."""
+        for decimals, bare, index in zip(self._decimals, self._bare, self._reader.wanted, strict=True):
+            places = max(decimals)
+            if set(decimals) != {-1, places} or places < 2 or decimals[places] <= decimals[-1]:
+                continue
+            if all(text.lstrip("+-").isdecimal() and len(text.lstrip("+-")) > places for _, text in bare):
+                self._reader.place.refuse(
+                    "damaged_number",
+                    f"{bare[0][1]!r} has lost its decimal mark: the other numbers of the column have"
+                    f" {places} decimals; go back to the original export",
+                    line=bare[0][0],
+                    column=index + 1,
+                )
+
+
 @dataclass(frozen=True, slots=True)
 class RowReader:
     """Reads the rows of one laid-out text.
@@ -90,6 +144,13 @@ class RowReader:
             if decoded.strip(blank):
                 yield number, decoded
 
+    def first_row(self) -> list[str]:
+        """The wanted cells of the first line, as printed; empty where it is no row."""
+        end = self.text.data.find(b"\n", self.layout.offset)
+        line = self.text.data[self.layout.offset : end if end >= 0 else None]
+        cells = self.cells(self.text.decode(line.rstrip(b"\r"))) or []
+        return [cells[index] for index in self.wanted] if len(cells) == self.layout.n_columns else []
+
     def cells(self, line: str) -> list[str] | None:
         """The cells of a row, ``None`` where a quote is torn."""
         return strict_cells(line, self.layout.delimiter)
@@ -112,20 +173,44 @@ class RowReader:
         values = [array("d") for _ in self.wanted]
         skipped: list[int] = []
         flags: list[Flag] = []
+        print_check = _Prints(self)
         lines = list(self.lines())
         has_tail = bool(self.text.data[self.end :].strip())
         for number, line in lines:
             cells = self.cells(line)
             if cells is not None and not any(map(looks_numeric, cells)):
+                self._refuse_if_no_remark(cells, line, number)
                 skipped.append(number)
             elif number == lines[-1][0] and not has_tail and cells and 1 < len(cells) < self.layout.n_columns:
                 flags.append(cut_flag(number, line))
             else:
                 for store, value in zip(values, self.row(cells, line, number), strict=True):
                     store.append(value)
+                print_check.add(cells or (), number)
+        print_check.refuse_lost_marks()
         if skipped:
-            flags.append(_skipped_flag(skipped))
+            flags.append(skipped_flag(skipped, "lines without numbers"))
         return [np.array(store, dtype=np.float64) for store in values], flags
+
+    def _refuse_if_no_remark(self, cells: Sequence[str], line: str, number: int) -> None:
+        """A line without numbers that is a damaged row, or heads another table."""
+        shown = repr(line if len(line) <= 60 else line[:57] + "...")
+        if row_like(line):
+            self.place.refuse(
+                "text_in_numbers",
+                f"{shown} is made of digits but is no row of this table; correct or remove it, or export the"
+                " file again",
+                line=number,
+                column=1,
+            )
+        if begins_a_table(cells, self.layout):
+            self.place.refuse(
+                "ragged_rows",
+                f"{shown} gives other names or units than line {self.layout.names_line or 1}: two recordings in"
+                " one file; split it, one recording each",
+                line=number,
+                column=1,
+            )
 
     def row(self, cells: list[str] | None, line: str, number: int) -> list[float]:
         """The three values of a row; refuses anything else."""
@@ -214,13 +299,4 @@ def cut_flag(number: int, line: str) -> Flag:
         "cut_row",
         f"line {number} is the last and is incomplete: {line.strip()[:60]!r} was left out",
         {"line": number, "kept": False},
-    )
-
-
-def _skipped_flag(skipped: Sequence[int]) -> Flag:
-    shown = ", ".join(map(str, skipped[:5])) + (" ..." if len(skipped) > 5 else "")
-    return Flag(
-        "rows_skipped",
-        f"{len(skipped)} lines without numbers were left out: {shown}",
-        {"count": len(skipped), "lines": list(skipped[:20])},
     )

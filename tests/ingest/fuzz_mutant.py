@@ -1,0 +1,159 @@
+"""A mutant, and the verdict on what the reader made of it."""
+
+from __future__ import annotations
+
+import random
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Literal
+
+import fuzz_oracle
+from fuzz_seeds import FACTORS, Intent, Seed
+
+from tissueid.errors import InputError
+from tissueid.flags import Flag
+from tissueid.ingest import REFUSAL_CODES
+from tissueid.trial import Trial
+
+Expectation = Literal["original", "oracle", "doubt", "refusal"]
+Outcome = Literal["read", "flagged", "refused"]
+Random = random.Random
+
+#: Remarks that say to the user: look at the numbers of this file.
+DOUBTS = {"units_assumed", "rows_skipped", "cut_row", "no_decimals", "spike", "column_choice", "zero_dt"}
+#: Products of the same two doubles in another order may differ in the last bits.
+RELATIVE = 1e-12
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """Bytes, what they are meant to be, and what a reader may make of them."""
+
+    kind: str
+    seed: Seed
+    data: bytes
+    intent: Intent
+    expect: Expectation
+    cut: bool = False
+
+
+#: kind -> what makes a mutant of a seed, or ``None`` where the seed has nothing to change.
+Mutation = Callable[[Seed, Random], "Mutant | None"]
+
+
+@dataclass
+class Tally:
+    """Outcomes of one class, by kind."""
+
+    outcomes: Counter[tuple[str, Outcome]] = field(default_factory=Counter)
+    bugs: list[str] = field(default_factory=list)
+
+    def count(self, outcome: Outcome | None = None) -> int:
+        return sum(n for (_, found), n in self.outcomes.items() if outcome in (None, found))
+
+    def table(self) -> str:
+        kinds = sorted({kind for kind, _ in self.outcomes})
+        rows = [f"    {'kind':<36}{'read':>7}{'flagged':>9}{'refused':>9}"]
+        for kind in kinds:
+            read, flagged, refused = (self.outcomes[kind, o] for o in ("read", "flagged", "refused"))
+            rows.append(f"    {kind:<36}{read:>7}{flagged:>9}{refused:>9}")
+        return "\n".join(rows)
+
+
+class Wrong(AssertionError):
+    """The reader took a mutant for something that it is not."""
+
+
+def textual(
+    kind: str, seed: Seed, lines: Sequence[str], *, expect: Expectation, intent: Intent | None = None,
+    newline: str | None = None, encoding: str | None = None, end: str | None = None,
+) -> Mutant:  # fmt: skip
+    """A mutant from changed lines."""
+    newline = seed.newline if newline is None else newline
+    text = newline.join(lines) + (newline if end is None else end)
+    meant = seed.intent if intent is None else intent
+    data = text.encode(encoding or meant.encoding, errors="replace")
+    return Mutant(kind, seed, data, meant, expect)
+
+
+@cache
+def original(seed: Seed) -> tuple[tuple[float, float, float], ...]:
+    """The rows of a seed."""
+    reading = fuzz_oracle.read(seed.data, seed.intent)
+    assert len(reading.rows) == len(seed.lines) - seed.first
+    return tuple(reading.values())
+
+
+def remarks(trial: Trial) -> frozenset[tuple[str, str]]:
+    """What is said of a recording: the code of each flag, and which column or channel it speaks of."""
+    return frozenset(
+        (flag.code, str(flag.values.get("taken", flag.values.get("quantity", "")))) for flag in trial.flags
+    )
+
+
+def judge(mutant: Mutant, item: Trial | InputError, usual: frozenset[tuple[str, str]]) -> Outcome:
+    """The outcome; raises :class:`Wrong` where values are wrong, rows are lost, or a doubt is unsaid."""
+    if isinstance(item, InputError):
+        if item.code not in REFUSAL_CODES:
+            raise Wrong(f"unknown refusal code {item.code}")
+        return "refused"
+    unusual = {code for code, _ in remarks(item) - usual}
+    if mutant.expect == "refusal":
+        raise Wrong("read, though it can't be right")
+    if mutant.cut and "cut_row" not in unusual:
+        raise Wrong("the last row was cut, and nobody says so")
+    if mutant.expect == "doubt":
+        if not unusual & DOUBTS:
+            raise Wrong("read without a doubt")
+        return "flagged"
+    expected = _expected(mutant, item)
+    channels = (item.time_s.tolist(), item.displacement_mm.tolist(), item.force_N.tolist())
+    got = list(zip(*channels, strict=True))
+    if len(got) != len(expected):
+        raise Wrong(f"{len(got)} rows read, {len(expected)} are there (flags: {sorted(unusual)})")
+    for i, (read, meant) in enumerate(zip(got, expected, strict=True)):
+        if any(abs(a - b) > RELATIVE * abs(b) for a, b in zip(read, meant, strict=True)):
+            raise Wrong(f"row {i} was read as {read}, it is {meant}")
+    return "flagged" if unusual else "read"
+
+
+def _expected(mutant: Mutant, trial: Trial) -> list[tuple[float, float, float]]:
+    """The rows that the reader should have, given what it said that it left out or assumed."""
+    left_out = _left_out(trial.flags)
+    if mutant.expect == "original":
+        rows = list(original(mutant.seed))
+        if trial.time_s.size == len(rows) - 1 and any(_is_left_out(flag) for flag in trial.flags):
+            rows.pop()
+    else:
+        reading = fuzz_oracle.read(mutant.data, mutant.intent)
+        kept = [row for row in reading.rows if row.line not in left_out]
+        rows = [row.values for row in kept]
+        start = min((row.line for row in kept), default=0)
+        passed_over = [line for line in reading.odd if line > start and line not in left_out]
+        if passed_over:
+            raise Wrong(f"line {passed_over[0]} is neither a row nor a remark, and was passed over")
+    scale = [1.0, 1.0, 1.0]
+    for flag in trial.flags:
+        if flag.code == "units_assumed":
+            channel = ("time", "displacement", "force").index(flag.values["quantity"])
+            scale[channel] = 1.0 / FACTORS[mutant.intent.units[channel]]
+    return [(t * scale[0], x * scale[1], f * scale[2]) for t, x, f in rows]
+
+
+def _left_out(flags: Sequence[Flag]) -> set[int]:
+    """Lines that the flags name as left out."""
+    lines: set[int] = set()
+    for flag in flags:
+        if flag.code == "rows_skipped":
+            named, count = flag.values["lines"], flag.values["count"]
+            # a table of results is named by its first and last line
+            lines.update(range(named[0], named[1] + 1) if len(named) == 2 and count > 2 else named)
+        elif _is_left_out(flag):
+            lines.add(flag.values["line"])
+    return lines
+
+
+def _is_left_out(flag: Flag) -> bool:
+    return flag.code == "cut_row" and not flag.values["kept"]

@@ -1,0 +1,92 @@
+"""Twenty thousand spoilt files: read as an independent reader reads them, flagged, or refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from random import Random
+
+import pytest
+from fuzz_marks import MARKS
+from fuzz_mutant import Mutant, Mutation, Tally, Wrong, judge, original, remarks
+from fuzz_seeds import seeds
+from fuzz_structure import STRUCTURE
+from fuzz_values import VALUES
+
+from tissueid.errors import InputError
+from tissueid.ingest import read_each
+
+CLASSES: dict[str, tuple[Mutation, ...]] = {"a": STRUCTURE, "b": VALUES, "c": MARKS}
+NAMES = {"a": "structure", "b": "values", "c": "units and marks"}
+#: Mutants of each class: 500 by default, 20,000 in all with the slow run.
+SHORT = {"a": 200, "b": 150, "c": 150}
+LONG = {"a": 8000, "b": 6000, "c": 6000}
+#: Shares of the issue: a reader that refuses all, or reads all, proves nothing.
+LEAST_READ = {"a": 0.05, "b": 0.05, "c": 0.05}
+LEAST_REFUSED = {"a": 0.20, "b": 0.0, "c": 0.20}
+
+
+def make(letter: str, index: int) -> Mutant:
+    """The mutant of that number: the same on every machine."""
+    rng = Random(f"{letter}-{index}")
+    while True:
+        mutation, seed = rng.choice(CLASSES[letter]), rng.choice(seeds())
+        mutant = mutation(seed, rng)
+        if mutant is not None:
+            return mutant
+
+
+def usual_flags(folder: Path) -> dict[str, frozenset[tuple[str, str]]]:
+    """What is said of each sound seed, which reads as the oracle reads it."""
+    usual = {}
+    for seed in seeds():
+        path = folder / f"seed{seed.suffix}"
+        path.write_bytes(seed.data)
+        (trial,) = read_each(path)
+        assert not isinstance(trial, InputError), f"{seed.name}: {trial}"
+        sound = Mutant("seed", seed, seed.data, seed.intent, "original")
+        usual[seed.name] = remarks(trial)
+        judge(sound, trial, usual[seed.name])
+        assert trial.time_s.size == len(original(seed)) > 50
+    return usual
+
+
+def run(letter: str, count: int, folder: Path) -> Tally:
+    """Judge the mutants of one class."""
+    usual, tally = usual_flags(folder), Tally()
+    for index in range(count):
+        mutant = make(letter, index)
+        path = folder / f"mutant{mutant.seed.suffix}"
+        path.write_bytes(mutant.data)
+        try:
+            (item,) = read_each(path)
+            outcome = judge(mutant, item, usual[mutant.seed.name])
+        except Wrong as error:
+            tally.bugs.append(f"{letter}-{index} {mutant.kind} of {mutant.seed.name!r}: {error}")
+        except Exception as error:  # noqa: BLE001 - a traceback is what is looked for
+            tally.bugs.append(
+                f"{letter}-{index} {mutant.kind} of {mutant.seed.name!r}: {type(error).__name__}: {error}"
+            )
+        else:
+            tally.outcomes[mutant.kind, outcome] += 1
+    return tally
+
+
+def check(letter: str, count: int, folder: Path) -> None:
+    tally = run(letter, count, folder)
+    read, flagged, refused = (tally.count(o) for o in ("read", "flagged", "refused"))
+    print(f"\nclass ({letter}) {NAMES[letter]}: {count} mutants, {read} read, {flagged} flagged, {refused} refused")  # noqa: T201
+    print(tally.table())  # noqa: T201
+    assert not tally.bugs, "\n".join([f"{len(tally.bugs)} mutants were misread", *tally.bugs[:40]])
+    assert (read + flagged) / count >= LEAST_READ[letter]
+    assert refused / count >= LEAST_REFUSED[letter]
+
+
+@pytest.mark.parametrize("letter", CLASSES)
+def test_five_hundred_mutants_are_read_right_or_refused(letter: str, tmp_path: Path) -> None:
+    check(letter, SHORT[letter], tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("letter", CLASSES)
+def test_twenty_thousand_mutants_are_read_right_or_refused(letter: str, tmp_path: Path) -> None:
+    check(letter, LONG[letter], tmp_path)

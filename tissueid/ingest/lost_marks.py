@@ -1,0 +1,80 @@
+"""Numbers that may have lost their decimal marks, where the print alone can't prove it.
+
+A column of whole numbers beside columns with decimals, numbers padded with zeros (``0.50`` became
+``050``), or single whole numbers several times larger than what stands around them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from tissueid.flags import Flag
+from tissueid.ingest.vocabulary import CHANNELS, Channel
+from tissueid.trial import FloatArray
+
+__all__ = ["lost_marks"]
+
+#: Rows from which a column of whole numbers is worth a remark.
+_WHOLE_FROM = 20
+#: A lost mark makes a number ten times larger or more; half of that stands out from a steep curve.
+_TIMES = 5.0
+_PADDED = re.compile(r"\s*[+-]?0\d+\s*")
+
+
+def lost_marks(
+    columns: Sequence[FloatArray], factors: Mapping[Channel, float], first_row: Sequence[str]
+) -> Flag | None:
+    """Flag ``no_decimals`` for the first of the three channels that looks as if marks were lost.
+
+    Parameters
+    ----------
+    columns : sequence of ndarray, shape (n,)
+        Time, displacement and force as printed.
+    factors : mapping
+        What turns them into s, mm and N.
+    first_row : sequence of str
+        The cells of the first row, in the same order.
+    """
+    for channel, cell in zip(CHANNELS, first_row, strict=False):
+        if _PADDED.fullmatch(cell):
+            return _flag(channel, f"is padded with zeros, first {cell.strip()!r}")
+    whole = [column.size >= _WHOLE_FROM and not (column % 1.0).any() for column in columns]
+    for channel, column, is_whole in zip(CHANNELS, columns, whole, strict=True):
+        if is_whole and _worth_a_remark(channel, column, factors[channel], all_whole=all(whole)):
+            return _flag(channel, "is a whole number in every row")
+    for channel, column in zip(CHANNELS, columns, strict=True):
+        at = _far_above_neighbours(column)
+        if at is not None:
+            return _flag(channel, f"is {column[at]:g} in row {at + 1}, far above its neighbours")
+    return None
+
+
+def _flag(channel: Channel, what: str) -> Flag:
+    message = f"the {channel} as printed {what}: were decimal marks lost? Every such number would be wrong"
+    return Flag("no_decimals", message, {"quantity": channel})
+
+
+def _worth_a_remark(channel: Channel, column: FloatArray, factor: float, *, all_whole: bool) -> bool:
+    """Whether whole numbers surprise: not where a clock counts seconds, or small units."""
+    if all_whole:
+        return factor < 1.0  # whole in s, mm and N as well is said of the recording
+    if channel != "time":
+        return bool(column.any())
+    steps = np.diff(column)
+    return factor >= 1.0 and float(steps[steps > 0].min(initial=np.inf)) > 1.0
+
+
+def _far_above_neighbours(column: FloatArray) -> int | None:
+    """The first whole number several times larger than the nearest numbers with decimals around it."""
+    fractional = np.flatnonzero(column % 1.0)
+    if 2 * fractional.size < column.size or fractional.size < _WHOLE_FROM:
+        return None
+    whole = np.flatnonzero(column % 1.0 == 0.0)
+    after = np.searchsorted(fractional, whole)
+    size = np.abs(column[fractional])
+    around = np.maximum(size[np.maximum(after - 1, 0)], size[np.minimum(after, fractional.size - 1)])
+    far = np.flatnonzero(np.abs(column[whole]) >= _TIMES * around)
+    return int(whole[far[0]]) if far.size else None

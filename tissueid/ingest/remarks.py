@@ -1,0 +1,92 @@
+"""Lines beside the rows of a table: remarks that may be passed over, and rows that may not.
+
+A remark holds no number where a number could stand.  A line of digits that is no row of the table is a
+damaged row, or a row of another table, and leaving it out would lose data.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from tissueid.flags import Flag
+from tissueid.ingest.columns import has_channels
+from tissueid.ingest.layout import Layout, is_units_row, split_line
+from tissueid.ingest.options import ReadOptions
+from tissueid.ingest.refusals import Place
+from tissueid.ingest.results import results_spans
+from tissueid.ingest.text import Text
+
+__all__ = ["begins_a_table", "flag_rows_above", "row_like", "skipped_flag"]
+
+_STARTS = re.compile(r"[\s\"']*[+-]?[.,]?\d")
+_NUMBERS = re.compile(r"\d+(?:[.,]\d+)?")
+#: A clock or a date: remarks carry them.
+_MOMENT = re.compile(r"(?<![\d.,])(?:\d{1,2}:\d{2}(?::\d{2})?|\d{1,4}([/.-])\d{1,2}\1\d{1,4})(?![\d.,])")
+#: Time, displacement and force.
+_LEAST_NUMBERS = 3
+#: So many rows above the names are a table of their own, fewer may be results.
+_TABLE_ROWS = 3
+
+
+def row_like(line: str) -> bool:
+    """Whether a line is made of numbers, by whatever delimiter: a row, be it sound or damaged.
+
+    >>> row_like("0.10&0.20&1.50"), row_like("13.11.2018 17:14"), row_like("3 cycles of 0.5 mm at 10 N")
+    (True, False, False)
+    """
+    digits = sum(letter.isdecimal() for letter in line)
+    return (
+        _STARTS.match(line) is not None
+        and len(_NUMBERS.findall(line)) >= _LEAST_NUMBERS
+        and 2 * digits >= sum(not letter.isspace() for letter in line)
+        and _MOMENT.search(line) is None
+    )
+
+
+def begins_a_table(cells: Sequence[str], layout: Layout) -> bool:
+    """Whether a line among the rows gives names or units other than those of the table."""
+    filled = tuple(cell.strip() for cell in cells)
+    known = {tuple(cell.strip() for cell in row) for row in (layout.names, layout.units)}
+    if filled in known:
+        return False
+    return is_units_row(filled) or has_channels(filled, (), ReadOptions())
+
+
+def flag_rows_above(text: Text, layout: Layout, place: Place) -> tuple[Flag, ...]:
+    """What to say of lines of numbers in the header, which are neither its entries nor results.
+
+    Raises
+    ------
+    InputError
+        ``mixed_tables`` where they are another table: three lines and more, or under names of their own.
+    """
+    if layout.names_line is None:
+        return ()
+    head = [text.decode(line) for line in text.data[: layout.offset].splitlines()[: layout.names_line - 1]]
+    rows = [(number, split_line(line, layout.delimiter)) for number, line in enumerate(head, 1)]
+    found = [number for number, row in rows if row_like(" ".join(row))]
+    if not found:
+        return ()
+    entries = [(number, row) for number, row in rows if row in layout.header]
+    foreign = [number for number, _ in entries if number in found]
+    named = any(has_channels(row, (), ReadOptions()) for number, row in entries if number < found[0])
+    if foreign and (named or len(foreign) >= _TABLE_ROWS):
+        place.refuse(
+            "mixed_tables",
+            f"{len(foreign)} lines of numbers stand above the names in line {layout.names_line}: is this two"
+            " files in one, or were lines moved? Export the file again, one recording a file",
+            line=foreign[0],
+            column=1,
+        )
+    return (skipped_flag(found, "lines of numbers above the names"),)
+
+
+def skipped_flag(lines: Sequence[int], what: str) -> Flag:
+    """Lines that were left out."""
+    shown = ", ".join(map(str, lines[:5])) + (" ..." if len(lines) > 5 else "")
+    return Flag(
+        "rows_skipped",
+        f"{len(lines)} {what} were left out: lines {shown}",
+        {"count": len(lines), "lines": list(lines[:20])},
+    )
