@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from tissueid.collection import arithmetic_refusal
 from tissueid.flags import Flag
-from tissueid.pipeline import arithmetic_refusal
 from tissueid.result import Refusal
 from tissueid.segment import SegmentOptions, segment
 from tissueid.trial import Phase, Segmentation, Trial

@@ -7,37 +7,37 @@ does not grow with it.
 
 from __future__ import annotations
 
-from collections import Counter, OrderedDict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib.metadata import version
-from pathlib import PurePath
 from typing import Any
 
 import numpy as np
 
 from tissueid import __version__
-from tissueid.errors import InputError, exit_code
+from tissueid.collection import Collected, TrialCache, arithmetic_refusal, collect, display_names
+from tissueid.covariates import Refit, exclusion_rows, study_flags, study_record, unmatched_sheets
+from tissueid.errors import exit_code
 from tissueid.fit.specimen import FitOptions, LogHandle, fit_specimen
-from tissueid.fit.window import fitted_log
+from tissueid.fit.tip import tip_handles
+from tissueid.manifest import Study
 from tissueid.result import Exit, Identification, Refusal, SpecimenFit
-from tissueid.segment import SegmentOptions, segment
-from tissueid.trial import Axes, Segmentation, Source, Trial
+from tissueid.segment import SegmentOptions
+from tissueid.trial import Source, Trial
 
 __all__ = [
     "DEFAULT_REQUIRED",
     "REQUIRABLE",
     "IdentifyOptions",
-    "arithmetic_refusal",
     "identify",
 ]
 
-#: Samples kept in memory between the passes [bytes].
-CACHE_BYTES = 16 * 2**20
 #: Libraries whose version may change a number.
 LIBRARIES = ("lmfit", "numba", "numpy", "scipy")
 REQUIRABLE = ("viscosity", "static", "stiffness", "relaxation-time")
 DEFAULT_REQUIRED = ("viscosity", "static")
+#: What a bundle keeps of its study.
+STUDY_PROVENANCE = ("path", "sha256", "calibration")
 _PREFIX = {
     "viscosity": "viscosity",
     "static": "static",
@@ -67,99 +67,6 @@ class IdentifyOptions:
 
 
 _Progress = Callable[[str, int, int], None]
-
-
-class _TrialCache:
-    """The most recent trials, up to a number of bytes."""
-
-    def __init__(self, reload: Callable[[Source], Trial] | None) -> None:
-        self._reload = reload
-        self._trials: OrderedDict[tuple[str, str | None], Trial] = OrderedDict()
-        self._bytes = 0
-
-    @property
-    def reloads(self) -> bool:
-        """True where a trial that was dropped can be read again."""
-        return self._reload is not None
-
-    @staticmethod
-    def _size(trial: Trial) -> int:
-        return trial.time_s.nbytes + trial.displacement_mm.nbytes + trial.force_N.nbytes
-
-    def add(self, key: tuple[str, str | None], trial: Trial) -> None:
-        self._trials[key] = trial
-        self._bytes += self._size(trial)
-        while self._reload is not None and self._bytes > CACHE_BYTES and len(self._trials) > 1:
-            _, oldest = self._trials.popitem(last=False)
-            self._bytes -= self._size(oldest)
-
-    def get(self, key: tuple[str, str | None], source: Source) -> Trial:
-        if key in self._trials:
-            self._trials.move_to_end(key)
-            return self._trials[key]
-        if self._reload is None:
-            raise KeyError(key)
-        trial = self._reload(source)
-        if trial.source.sha256 != source.sha256:
-            msg = "the file changed while it was being fitted; run again when it is whole"
-            raise InputError(code="unreadable_file", message=msg, path=source.path, sheet=source.sheet)
-        self.add(key, trial)
-        return trial
-
-
-def arithmetic_refusal(path: str, sheet: str | None, done: str, error: Exception) -> Refusal:
-    """The refusal of a trial whose numbers defeat the arithmetic while it is ``done``."""
-    message = (
-        f"the samples defeat the arithmetic and could not be {done} ({type(error).__name__}: {error}); are "
-        "their units and magnitudes right? `tissueid inspect` shows them"
-    )
-    return Refusal(path=path, sheet=sheet, code="fit_failed", message=message)
-
-
-def _mixed_axes(trial: Trial) -> Refusal:
-    message = (
-        f"its displacement is in {trial.axes.length} and its force in {trial.axes.force}, unlike the other"
-        f" recordings of {trial.specimen}: give it a specimen of its own, or declare the same axes"
-    )
-    return Refusal(path=trial.source.path, sheet=trial.source.sheet, code="mixed_axes", message=message)
-
-
-def _refusal_for(trial: Trial, segmentation: Segmentation) -> Refusal:
-    if segmentation.contact is None:
-        code, message = "no_contact", "no contact between tool and tissue was found: there is nothing to fit"
-    else:
-        code = "too_few_samples"
-        message = (
-            "fewer than six samples, or samples of one and the same force, lie between contact and "
-            "unloading: there is nothing to fit"
-        )
-    return Refusal(path=trial.source.path, sheet=trial.source.sheet, code=code, message=message)
-
-
-def _display_names(sources: Sequence[tuple[str, Source]]) -> dict[str, str]:
-    """Specimens named after their file get the shortest ending of the path that tells them apart."""
-    names: dict[str, str] = {}
-    own: dict[str, tuple[str, ...]] = {}
-    for specimen, source in sources:
-        whole = source.path if source.sheet is None else f"{source.path}::{source.sheet}"
-        if specimen == whole:
-            path = PurePath(source.path)
-            sheet = () if source.sheet is None else (source.sheet,)
-            own[specimen] = (*path.parts[:-1], path.stem, *sheet)
-        else:
-            names[specimen] = specimen
-    taken = set(names.values())
-    waiting = dict(own)
-    for length in range(1, max(map(len, own.values()), default=0) + 1):
-        endings = {specimen: "/".join(parts[-length:]) for specimen, parts in own.items()}
-        count = Counter(endings.values())
-        for specimen in list(waiting):
-            if count[endings[specimen]] == 1 and endings[specimen] not in taken:
-                names[specimen] = endings[specimen]
-                del waiting[specimen]
-        taken.update(names.values())
-    # files that differ in nothing but their suffix keep their whole path
-    return names | {specimen: specimen for specimen in waiting}
 
 
 def _tip_radius(protocol_radii: Iterable[float | None]) -> float | None:
@@ -194,72 +101,26 @@ def _exit(specimens: Sequence[SpecimenFit], refused: Sequence[Refusal], required
     return Exit(code=exit_code(codes), reasons=tuple(reasons + missing))
 
 
-@dataclass(slots=True)
-class _Collected:
-    """Trials by specimen, before anything is fitted."""
-
-    groups: dict[str, list[LogHandle]] = field(default_factory=dict)
-    radii: dict[str, list[float | None]] = field(default_factory=dict)
-    axes: dict[str, Axes] = field(default_factory=dict)
-    sources: list[tuple[str, Source]] = field(default_factory=list)
-    inputs: list[dict[str, Any]] = field(default_factory=list)
-    left_out: list[Refusal] = field(default_factory=list)
-
-    def add(self, trial: Trial, handle: LogHandle) -> None:
-        """Count one trial in."""
-        self.axes.setdefault(trial.specimen, trial.axes)
-        if trial.specimen not in self.groups:
-            self.sources.append((trial.specimen, trial.source))
-        self.groups.setdefault(trial.specimen, []).append(handle)
-        self.radii.setdefault(trial.specimen, []).append(trial.protocol.tip_radius_mm)
-        self.inputs.append(
-            {
-                "path": trial.source.path,
-                "sheet": trial.source.sheet,
-                "sha256": trial.source.sha256,
-                "recipe": trial.source.recipe,
-                "columns": dict(trial.source.columns),
-                "specimen": trial.specimen,
-                "n_samples": int(trial.time_s.size),
-            }
-        )
-
-
-def _collect(
-    trials: Iterable[Trial], options: IdentifyOptions, cache: _TrialCache, progress: _Progress
-) -> _Collected:
-    """Read and segment every trial; its samples stay only in the cache."""
-    collected = _Collected()
-    for count, trial in enumerate(trials):
-        progress(f"reading {trial.name}", count, 0)
-        try:
-            segmentation = segment(trial, options=options.segment)
-        except (ArithmeticError, np.linalg.LinAlgError) as error:
-            collected.left_out.append(
-                arithmetic_refusal(trial.source.path, trial.source.sheet, "segmented", error)
-            )
-            continue
-        if trial.axes != collected.axes.get(trial.specimen, trial.axes):
-            collected.left_out.append(_mixed_axes(trial))
-            continue
-        log = fitted_log(trial, segmentation)
-        if log is None:
-            collected.left_out.append(_refusal_for(trial, segmentation))
-            continue
-        key = (trial.source.path, trial.source.sheet) if cache.reloads else (str(count), None)
-        cache.add(key, trial)
-        handle = LogHandle(
-            load=lambda key=key, source=trial.source: cache.get(key, source),  # type: ignore[misc]
-            segmentation=segmentation,
-            facts=log.without_samples(),
-            contact_sd_mm=log.contact_sd_mm,
-        )
-        collected.add(trial, handle)
-    return collected
+def _fit(
+    name: str,
+    handles: Sequence[LogHandle],
+    fit: FitOptions,
+    study: Study | None,
+    tick: Callable[[str], None],
+) -> SpecimenFit:
+    """Fit one specimen in the displacement of the tip."""
+    frame = None if study is None else study.calibration.frame
+    if frame is not None:
+        handles = tip_handles(handles, frame, tick)
+    return fit_specimen(name, handles, options=fit, tick=tick)
 
 
 def _fit_all(
-    collected: _Collected, names: Mapping[str, str], options: IdentifyOptions, progress: _Progress
+    collected: Collected,
+    names: Mapping[str, str],
+    options: IdentifyOptions,
+    study: Study | None,
+    progress: _Progress,
 ) -> list[SpecimenFit]:
     """Fit every specimen; one whose numbers defeat the arithmetic is refused, and the rest goes on."""
     fits: list[SpecimenFit] = []
@@ -272,7 +133,7 @@ def _fit_all(
 
         tick("fitting")
         try:
-            fit = fit_specimen(name, handles, options=options.fit, tick=tick)
+            fit = _fit(name, handles, options.fit, study, tick)
         except (ArithmeticError, np.linalg.LinAlgError) as error:
             collected.left_out += [
                 arithmetic_refusal(entry["path"], entry["sheet"], "fitted", error)
@@ -281,7 +142,8 @@ def _fit_all(
             ]
             continue
         radius_mm = _tip_radius(collected.radii[specimen])
-        fits.append(replace(fit, tip_radius_mm=radius_mm, axes=collected.axes[specimen]))
+        fit = replace(fit, tip_radius_mm=radius_mm, axes=collected.axes[specimen])
+        fits.append(study_flags(fit, collected, study))
     progress("fitted", total, total)
     return fits
 
@@ -289,6 +151,7 @@ def _fit_all(
 def identify(
     trials: Iterable[Trial],
     *,
+    study: Study | None = None,
     options: IdentifyOptions | None = None,
     reload: Callable[[Source], Trial] | None = None,
     refused: Sequence[Refusal] = (),
@@ -301,6 +164,8 @@ def identify(
     ----------
     trials : iterable of Trial
         Trials of one specimen are fitted together.
+    study : Study, optional
+        What a study file says of them; see :func:`tissueid.read_study`.
     options : IdentifyOptions, optional
     reload : callable, optional
         Reads a trial again from its source; without it all samples stay in memory.
@@ -318,15 +183,25 @@ def identify(
     """
     options = options or IdentifyOptions()
     progress = progress or (lambda _message, _done, _total: None)
-    collected = _collect(trials, options, _TrialCache(reload), progress)
-    names = _display_names(collected.sources)
-    fits = _fit_all(collected, names, options, progress)
+    collected = collect(
+        trials, options.segment, TrialCache(reload), progress, study, depths_mm=options.fit.depths_mm
+    )
+    names = display_names(collected.sources)
+    fits = _fit_all(collected, names, options, study, progress)
+
+    def fit_again(name: str, handles: Sequence[LogHandle], fit: FitOptions, because: str) -> SpecimenFit:
+        return _fit(name, handles, fit, study, lambda text: progress(f"{name} {because}: {text}", 0, 0))
+
+    exclusions = exclusion_rows(collected, names, fits, options.fit, Refit(fit_again))
     inputs = [entry | {"specimen": names[entry["specimen"]]} for entry in collected.inputs]
-    everything = [*refused, *collected.left_out]
+    everything = [*refused, *collected.left_out, *unmatched_sheets(study, collected, refused)]
+    record = None if study is None else study_record(study, collected, names, exclusions)
     return Identification(
         specimens=tuple(fits),
         refused=tuple(everything),
+        unfitted_cycles=tuple(collected.unfitted_cycles),
         exit=_exit(fits, everything, options.required),
+        study=record,
         provenance={
             "tissueid": __version__,
             "versions": {name: version(name) for name in LIBRARIES},
@@ -342,6 +217,7 @@ def identify(
                 "seed": options.seed,
             },
             "inputs": inputs,
+            **({} if record is None else {"study": {key: record[key] for key in STUDY_PROVENANCE}}),
             **(provenance or {}),
         },
     )

@@ -174,9 +174,9 @@ def test_a_file_named_twice_is_read_once(tmp_path: Path) -> None:
 def test_a_file_that_changes_between_the_passes_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from tissueid import pipeline
+    from tissueid import collection, pipeline
 
-    monkeypatch.setattr(pipeline, "CACHE_BYTES", 0)
+    monkeypatch.setattr(collection, "CACHE_BYTES", 0)
     first = write_log(tmp_path / "a.csv")
     write_log(tmp_path / "b.csv", force_times=1.1)
     real = pipeline.fit_specimen

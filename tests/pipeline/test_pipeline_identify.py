@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import tissueid
-from tissueid import pipeline
+from tissueid import collection
 from tissueid.errors import InputError
 from tissueid.fit.specimen import FitOptions
 from tissueid.inspection import describe_trial
@@ -51,7 +51,7 @@ def test_reloaded_samples_give_the_bytes_of_kept_samples(
         return of_path[source.path]
 
     kept = identify(holds, options=QUICK)
-    monkeypatch.setattr(pipeline, "CACHE_BYTES", 0)
+    monkeypatch.setattr(collection, "CACHE_BYTES", 0)
     reloaded = identify(holds, options=QUICK, reload=reload)
     assert json_bytes(reloaded.as_json()) == json_bytes(kept.as_json())
     assert set(loads) == set(of_path)
@@ -59,9 +59,9 @@ def test_reloaded_samples_give_the_bytes_of_kept_samples(
 
 def test_the_cache_keeps_to_its_bytes(holds: list[Trial], monkeypatch: pytest.MonkeyPatch) -> None:
     one = sum(array.nbytes for array in (holds[-1].time_s, holds[-1].displacement_mm, holds[-1].force_N))
-    monkeypatch.setattr(pipeline, "CACHE_BYTES", 2 * one)
+    monkeypatch.setattr(collection, "CACHE_BYTES", 2 * one)
     of_path = {trial.source.path: trial for trial in holds}
-    cache = pipeline._TrialCache(lambda source: of_path[source.path])
+    cache = collection.TrialCache(lambda source: of_path[source.path])
     for trial in [*holds, *holds[::-1]]:
         key = (trial.source.path, None)
         if key not in cache._trials:
@@ -74,14 +74,14 @@ def test_the_cache_keeps_to_its_bytes(holds: list[Trial], monkeypatch: pytest.Mo
 
 
 def test_without_reload_nothing_is_thrown_away(holds: list[Trial], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pipeline, "CACHE_BYTES", 0)
+    monkeypatch.setattr(collection, "CACHE_BYTES", 0)
     assert identify(holds, options=QUICK).exit.code == 0
 
 
 def test_a_reloaded_file_must_be_the_one_that_was_read(
     holds: list[Trial], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(pipeline, "CACHE_BYTES", 0)
+    monkeypatch.setattr(collection, "CACHE_BYTES", 0)
 
     def other(source: Source) -> Trial:
         return replace(holds[0], source=replace(source, sha256="0" * 64))
@@ -208,7 +208,7 @@ def names(*entries: tuple[str, str | None, str | None]) -> list[str]:
         (label or (path if sheet is None else f"{path}::{sheet}"), Source(path=path, sheet=sheet))
         for path, sheet, label in entries
     ]
-    shown = pipeline._display_names(sources)
+    shown = collection.display_names(sources)
     return [shown[specimen] for specimen, _ in sources]
 
 

@@ -1,0 +1,364 @@
+"""Trials by specimen, read, decided on and segmented, before anything is fitted.
+
+What a study file says is applied here: names, protocols, overrides with their reasons, and exclusions, which
+are segmented as well so that the fit can be repeated with them.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, OrderedDict
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import PurePath
+from typing import Any
+
+import numpy as np
+
+from tissueid.errors import InputError
+from tissueid.fit.cycles import cycle_rows
+from tissueid.fit.logs import LogHandle
+from tissueid.fit.tip import beyond_calibration
+from tissueid.fit.window import fitted_log
+from tissueid.flags import Flag
+from tissueid.ingest.cell_range import below_cell_range
+from tissueid.manifest import Decision, Study
+from tissueid.quantities import CycleRow
+from tissueid.result import Refusal
+from tissueid.segment import SegmentOptions, segment
+from tissueid.trial import Axes, Segmentation, Source, Trial
+
+__all__ = ["Collected", "Excluded", "TrialCache", "arithmetic_refusal", "collect", "display_names"]
+
+#: Samples kept in memory between the passes [bytes].
+CACHE_BYTES = 16 * 2**20
+
+#: Keys of [[override]] that the segmenter takes as they are, by the name of its option.
+_SEGMENT_KEYS = {
+    "contact_mm": "contact_displacement_mm",
+    "contact_sd_mm": "contact_sd_mm",
+    "minimum_hold_s": "minimum_hold_s",
+    "start_s": "start_s",
+    "end_s": "end_s",
+    "rupture": "rupture",
+}
+_SIGN_KEYS = {"compression": "compression_sign", "force": "force_sign"}
+_SIGNS = {"positive": 1, "negative": -1}
+
+_Progress = Callable[[str, int, int], None]
+
+
+class TrialCache:
+    """The most recent trials, up to a number of bytes."""
+
+    def __init__(self, reload: Callable[[Source], Trial] | None) -> None:
+        self._reload = reload
+        self._trials: OrderedDict[tuple[str, str | None], Trial] = OrderedDict()
+        self._bytes = 0
+
+    @property
+    def reloads(self) -> bool:
+        """True where a trial that was dropped can be read again."""
+        return self._reload is not None
+
+    @staticmethod
+    def _size(trial: Trial) -> int:
+        return trial.time_s.nbytes + trial.displacement_mm.nbytes + trial.force_N.nbytes
+
+    def add(self, key: tuple[str, str | None], trial: Trial) -> None:
+        """Keep a trial; the oldest give way."""
+        self._trials[key] = trial
+        self._bytes += self._size(trial)
+        while self._reload is not None and self._bytes > CACHE_BYTES and len(self._trials) > 1:
+            _, oldest = self._trials.popitem(last=False)
+            self._bytes -= self._size(oldest)
+
+    def get(self, key: tuple[str, str | None], source: Source) -> Trial:
+        """The trial of that key, read again where it was dropped."""
+        if key in self._trials:
+            self._trials.move_to_end(key)
+            return self._trials[key]
+        if self._reload is None:
+            raise KeyError(key)
+        trial = self._reload(source)
+        if trial.source.sha256 != source.sha256:
+            msg = "the file changed while it was being fitted; run again when it is whole"
+            raise InputError(code="unreadable_file", message=msg, path=source.path, sheet=source.sheet)
+        self.add(key, trial)
+        return trial
+
+
+def arithmetic_refusal(path: str, sheet: str | None, done: str, error: Exception) -> Refusal:
+    """The refusal of a trial whose numbers defeat the arithmetic while it is ``done``."""
+    message = (
+        f"the samples defeat the arithmetic and could not be {done} ({type(error).__name__}: {error}); are "
+        "their units and magnitudes right? `tissueid inspect` shows them"
+    )
+    return Refusal(path=path, sheet=sheet, code="fit_failed", message=message)
+
+
+def _mixed_axes(trial: Trial) -> Refusal:
+    message = (
+        f"its displacement is in {trial.axes.length} and its force in {trial.axes.force}, unlike the other"
+        f" recordings of {trial.specimen}: give it a specimen of its own, or declare the same axes"
+    )
+    return Refusal(path=trial.source.path, sheet=trial.source.sheet, code="mixed_axes", message=message)
+
+
+def _refusal_for(trial: Trial, segmentation: Segmentation) -> Refusal:
+    if segmentation.contact is None:
+        code, message = "no_contact", "no contact between tool and tissue was found: there is nothing to fit"
+    else:
+        code = "too_few_samples"
+        message = (
+            "fewer than six samples, or samples of one and the same force, lie between contact and "
+            "unloading: there is nothing to fit"
+        )
+    return Refusal(path=trial.source.path, sheet=trial.source.sheet, code=code, message=message)
+
+
+def display_names(sources: Sequence[tuple[str, Source]]) -> dict[str, str]:
+    """Specimens named after their file get the shortest ending of the path that tells them apart."""
+    names: dict[str, str] = {}
+    own: dict[str, tuple[str, ...]] = {}
+    for specimen, source in sources:
+        whole = source.path if source.sheet is None else f"{source.path}::{source.sheet}"
+        if specimen == whole:
+            path = PurePath(source.path)
+            sheet = () if source.sheet is None else (source.sheet,)
+            own[specimen] = (*path.parts[:-1], path.stem, *sheet)
+        else:
+            names[specimen] = specimen
+    taken = set(names.values())
+    waiting = dict(own)
+    for length in range(1, max(map(len, own.values()), default=0) + 1):
+        endings = {specimen: "/".join(parts[-length:]) for specimen, parts in own.items()}
+        count = Counter(endings.values())
+        for specimen in list(waiting):
+            if count[endings[specimen]] == 1 and endings[specimen] not in taken:
+                names[specimen] = endings[specimen]
+                del waiting[specimen]
+        taken.update(names.values())
+    # files that differ in nothing but their suffix keep their whole path
+    return names | {specimen: specimen for specimen in waiting}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Excluded:
+    """A trial that the user took out.
+
+    Attributes
+    ----------
+    path, sheet, specimen : str
+        What it is.
+    because : str
+    handle : LogHandle or Refusal
+        What a fit with it needs, or why there is none.
+    calibrates : bool
+        True where it is no tissue: a rigid block, behind the frame's stiffness.
+    """
+
+    path: str
+    sheet: str | None
+    specimen: str
+    because: str
+    handle: LogHandle | Refusal
+    calibrates: bool
+
+
+@dataclass(slots=True)
+class Collected:
+    """Trials by specimen, before anything is fitted."""
+
+    groups: dict[str, list[LogHandle]] = field(default_factory=dict)
+    radii: dict[str, list[float | None]] = field(default_factory=dict)
+    axes: dict[str, Axes] = field(default_factory=dict)
+    sources: list[tuple[str, Source]] = field(default_factory=list)
+    inputs: list[dict[str, Any]] = field(default_factory=list)
+    left_out: list[Refusal] = field(default_factory=list)
+    unfitted_cycles: list[CycleRow] = field(default_factory=list)
+    decisions: dict[tuple[str, str | None], Decision] = field(default_factory=dict)
+    excluded: list[Excluded] = field(default_factory=list)
+
+    def add(self, trial: Trial, handle: LogHandle) -> None:
+        """Count one trial in."""
+        self.axes.setdefault(trial.specimen, trial.axes)
+        if trial.specimen not in self.groups:
+            self.sources.append((trial.specimen, trial.source))
+        self.groups.setdefault(trial.specimen, []).append(handle)
+        self.radii.setdefault(trial.specimen, []).append(trial.protocol.tip_radius_mm)
+        self.inputs.append(
+            {
+                "path": trial.source.path,
+                "sheet": trial.source.sheet,
+                "sha256": trial.source.sha256,
+                "recipe": trial.source.recipe,
+                "columns": dict(trial.source.columns),
+                "specimen": trial.specimen,
+                "n_samples": int(trial.time_s.size),
+            }
+        )
+
+
+def _segment_options(options: SegmentOptions, decision: Decision) -> SegmentOptions:
+    """The run's options with what the user decided for this trial."""
+    said: dict[str, Any] = {
+        name: decision.override[key] for key, name in _SEGMENT_KEYS.items() if key in decision.override
+    }
+    for key, name in _SIGN_KEYS.items():
+        if key in decision.override:
+            said[name] = _SIGNS[decision.override[key]]
+    return replace(options, **said)
+
+
+def _decided(trial: Trial, decision: Decision, study: Study) -> Trial:
+    """The trial under the name, the protocol and the load cell that the study states."""
+    flags = list(trial.flags)
+    stated = {key: value for key, value in decision.override.items() if key != "because"}
+    if stated:
+        words = ", ".join(f"{key} = {_words(value)}" for key, value in stated.items())
+        because = decision.override["because"]
+        values = {"keys": list(stated), "because": because}
+        flags.append(Flag("decision_overridden", f"{words}, because: {because}", values))
+    calibration = study.calibration
+    capacity = calibration.values.get("load_cell_capacity_N")
+    if capacity is not None or calibration.verified_from_N is not None:
+        flags = [flag for flag in flags if flag.code != "below_cell_range"]
+        flag = below_cell_range(trial.force_N, capacity, verified_from_N=calibration.verified_from_N)
+        flags += [] if flag is None else [flag]
+    return replace(
+        trial,
+        specimen=decision.trial.get("specimen", trial.specimen),
+        protocol=study.protocol(decision, trial.protocol),
+        flags=tuple(flags),
+    )
+
+
+def _words(value: Any) -> str:
+    """A value as study.toml writes it."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key} = {_words(one)}" for key, one in value.items()) + "}"
+    return f'"{value}"' if isinstance(value, str) else f"{value:g}"
+
+
+def _why_excluded(trial: Trial, decision: Decision, study: Study) -> str | None:
+    """The user's reason, or that the recording calibrated the frame."""
+    frame = study.calibration.frame
+    if decision.excluded is None and frame is not None and trial.source.sha256 in frame.sources:
+        return f"a rigid block: {frame.path} was made from it"
+    return decision.excluded
+
+
+def _beyond_frame(trial: Trial, segmentation: Segmentation, study: Study | None) -> Refusal | None:
+    frame = None if study is None else study.calibration.frame
+    contact = segmentation.contact
+    if frame is None or frame.range_N is None or contact is None:
+        return None
+    peak = float((segmentation.force_sign * (trial.force_N - contact.baseline_N)).max())
+    if not beyond_calibration(frame, peak):
+        return None
+    message = (
+        f"the force reaches {peak:.4g} N, far beyond the {frame.range_N[1]:.4g} N that the frame was "
+        "calibrated to: its deflection there is unknown. Load the rigid block further and run "
+        "`tissueid calibrate-frame` again"
+    )
+    return Refusal(path=trial.source.path, sheet=trial.source.sheet, code="frame_range", message=message)
+
+
+def _handle(
+    trial: Trial,
+    options: SegmentOptions,
+    study: Study | None,
+    load: Callable[[], Trial],
+    unfitted: Callable[[Trial, Segmentation], None],
+) -> LogHandle | Refusal:
+    """The trial segmented, or why it can't be fitted; what was segmented only is handed to ``unfitted``."""
+    try:
+        segmentation = segment(trial, options=options)
+    except (ArithmeticError, np.linalg.LinAlgError) as error:
+        return arithmetic_refusal(trial.source.path, trial.source.sheet, "segmented", error)
+    log = fitted_log(trial, segmentation)
+    if log is None:
+        unfitted(trial, segmentation)
+        return _refusal_for(trial, segmentation)
+    refusal = _beyond_frame(trial, segmentation, study)
+    if refusal is not None:
+        return refusal
+    return LogHandle(
+        load=load,
+        segmentation=segmentation,
+        facts=log.without_samples(),
+        contact_sd_mm=log.contact_sd_mm,
+    )
+
+
+def collect(
+    trials: Iterable[Trial],
+    options: SegmentOptions,
+    cache: TrialCache,
+    progress: _Progress,
+    study: Study | None = None,
+    *,
+    depths_mm: tuple[float, ...] = (),
+) -> Collected:
+    """Read and segment every trial; its samples stay only in the cache.
+
+    Parameters
+    ----------
+    trials : iterable of Trial
+    options : SegmentOptions
+    cache : TrialCache
+    progress : callable
+        ``progress(message, done, total)``.
+    study : Study, optional
+    depths_mm : tuple of float
+        Depths at which the cycles of a trial that can't be fitted are described [mm].
+    """
+    collected = Collected()
+
+    def unfitted(trial: Trial, segmentation: Segmentation) -> None:
+        collected.unfitted_cycles.extend(cycle_rows(trial, segmentation, depths_mm=depths_mm))
+
+    for count, raw in enumerate(trials):
+        progress(f"reading {raw.name}", count, 0)
+        trial, own, why = raw, options, None
+        source = raw.source
+        if study is not None:
+            decision = study.decision(source.path, source.sheet)
+            if study.only_listed and not decision.listed and decision.excluded is None:
+                continue
+            trial, own = _decided(raw, decision, study), _segment_options(options, decision)
+            why = _why_excluded(raw, decision, study)
+            collected.decisions[source.path, source.sheet] = decision
+        if why is None and trial.axes != collected.axes.get(trial.specimen, trial.axes):
+            collected.left_out.append(_mixed_axes(trial))
+            continue
+        key = (source.path, source.sheet) if cache.reloads else (str(count), None)
+        handle = _handle(trial, own, study, _loader(cache, key, source, study), unfitted)
+        if why is not None:
+            rigid = decision.excluded is None
+            collected.excluded.append(
+                Excluded(source.path, source.sheet, trial.specimen, why, handle, calibrates=rigid)
+            )
+        elif isinstance(handle, Refusal):
+            collected.left_out.append(handle)
+            continue
+        else:
+            collected.add(trial, handle)
+        cache.add(key, raw)
+    return collected
+
+
+def _loader(
+    cache: TrialCache, key: tuple[str, str | None], source: Source, study: Study | None
+) -> Callable[[], Trial]:
+    """Loads a trial again and decides on it again."""
+
+    def load() -> Trial:
+        raw = cache.get(key, source)
+        if study is None:
+            return raw
+        return _decided(raw, study.decision(source.path, source.sheet), study)
+
+    return load

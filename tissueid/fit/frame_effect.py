@@ -1,0 +1,138 @@
+"""What a compliant frame does to the numbers: as a remark where none is known, as an sd where one is.
+
+A hold behind a frame of stiffness k_f relaxes with ``tau_app = tau (1 + K / (k_f + k_0))``, k_0 the static
+stiffness: while the force falls the frame gives back and the tip moves on.  In a ramp tip speed and force
+are each less by ``k_f / (k_f + k_0)``, so that ``eta_app = eta (k_f / (k_f + k_0))^2``.  Both are linearised
+about half depth, and derived for this project; they say how large the effect is, not what to correct by.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tissueid.flags import Flag
+from tissueid.manifest import FrameCurve
+from tissueid.model.frame import tangent_stiffness, tangent_stiffness_sd
+from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.result import SpecimenFit
+
+__all__ = ["ASSUMED_FRAME_N_PER_MM", "FrameEffect", "frame_effect", "frame_flags"]
+
+#: Stiffness of a small table-top machine with fixture and load cell, where nobody says: 1,000 N/mm is
+#: towards the soft end of what makers print.
+ASSUMED_FRAME_N_PER_MM = 1_000.0
+#: Effects of the assumed frame below this are not worth a remark.
+WORTH_SAYING = 0.02
+#: Relaxation times below this are moved by force filters and time skew of ordinary size [s].
+INSTRUMENT_TAU_S = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class FrameEffect:
+    """Relative effect of a frame that is taken as rigid.
+
+    Attributes
+    ----------
+    tau : float
+        Largest relative error of a relaxation time, > 0: too long.
+    viscosity : float
+        Relative error of the viscosity, < 0: too small.
+    """
+
+    tau: float
+    viscosity: float
+
+
+def _stiffnesses(fit: SpecimenFit) -> tuple[float, float]:
+    """Largest branch stiffness at half depth, and secant static stiffness at half depth [N/mm]."""
+    model = KelvinVoigt(fit.model.branches, fit.model.stiffness_degree, fit.depth_mm)
+    half = np.array([fit.depth_mm / 2.0])
+    branch = float(model.stiffness(fit.theta, half).max(initial=0.0))
+    static = float(model.static_force(fit.theta, half)[0] / half[0])
+    return branch, max(static, 0.0)
+
+
+def frame_effect(fit: SpecimenFit, frame_N_per_mm: float) -> FrameEffect:
+    """What a frame of that stiffness would do to the numbers of a fit that takes it as rigid."""
+    branch, static = _stiffnesses(fit)
+    share = frame_N_per_mm / (frame_N_per_mm + static)
+    return FrameEffect(tau=branch / (frame_N_per_mm + static), viscosity=share**2 - 1.0)
+
+
+def frame_flags(fit: SpecimenFit, frame: FrameCurve | None, stated: Mapping[str, Any]) -> list[Flag]:
+    """The flags of a fit, with ``compliance_unknown`` as the study leaves it.
+
+    Parameters
+    ----------
+    fit : SpecimenFit
+    frame : FrameCurve or None
+        What was taken off the displacement.
+    stated : mapping
+        ``[calibration]`` of the study.
+    """
+    flags = [flag for flag in fit.flags if flag.code != "compliance_unknown"]
+    if fit.model.branches == 0 or fit.axes.normalised:
+        return flags
+    short = _shortest(fit)
+    if frame is not None:
+        flags.append(_frame_sd(fit, frame))
+    unknown = _unknown(fit, frame, stated, short)
+    return flags if unknown is None else [*flags, unknown]
+
+
+def _shortest(fit: SpecimenFit) -> float:
+    """Shortest relaxation time, as estimated, identified or not [s]."""
+    model = KelvinVoigt(fit.model.branches, fit.model.stiffness_degree, fit.depth_mm)
+    return float(model.split(fit.theta)[2].min())
+
+
+def _unknown(
+    fit: SpecimenFit, frame: FrameCurve | None, stated: Mapping[str, Any], tau_s: float
+) -> Flag | None:
+    """``compliance_unknown``: what of the machine was not stated and could matter."""
+    words: list[str] = []
+    values: dict[str, Any] = {"tau_s": tau_s}
+    if frame is None:
+        effect = frame_effect(fit, ASSUMED_FRAME_N_PER_MM)
+        if max(effect.tau, -effect.viscosity) > WORTH_SAYING or tau_s < INSTRUMENT_TAU_S:
+            words.append(
+                f"no frame stiffness was stated: a frame of {ASSUMED_FRAME_N_PER_MM:g} N/mm, taken as rigid, "
+                f"would make relaxation times some {100 * effect.tau:.1f} % too long and the viscosity "
+                f"{-100 * effect.viscosity:.1f} % too small"
+            )
+            values |= {
+                "assumed_frame_N_per_mm": ASSUMED_FRAME_N_PER_MM,
+                "tau_bias": effect.tau,
+                "viscosity_bias": effect.viscosity,
+            }
+    if tau_s < INSTRUMENT_TAU_S:
+        channels = {"force_filter_s": "force filter", "skew_s": "time skew"}
+        missing = [name for key, name in channels.items() if key not in stated]
+        left = [f"{name} of {stated[key]:g} s" for key, name in channels.items() if stated.get(key)]
+        if missing:
+            verb = "was" if len(missing) == 1 else "were"
+            words.append(
+                f"{' and '.join(missing)} {verb} not stated, and imitate times such as {tau_s:.3g} s"
+            )
+        if left:
+            words.append(f"the stated {' and '.join(left)} was not taken out")
+    return Flag("compliance_unknown", "; ".join(words), values) if words else None
+
+
+def _frame_sd(fit: SpecimenFit, frame: FrameCurve) -> Flag:
+    """How far the frame's own uncertainty moves tau: d ln tau_app = -K dk / (k + k_0)^2."""
+    branch, static = _stiffnesses(fit)
+    force = static * fit.depth_mm / 2.0
+    k = tangent_stiffness(frame, force)
+    sd = tangent_stiffness_sd(frame, force)
+    share = branch * sd / (k + static) ** 2
+    message = (
+        f"the deflection of a frame of {k:.4g} N/mm (sd {sd:.2g}, at {force:.3g} N) was taken off the "
+        f"displacement; its sd makes about {100 * share:.2g} % of a relaxation time uncertain"
+    )
+    values = {"frame_stiffness_N_per_mm": k, "frame_stiffness_N_per_mm_sd": sd, "tau_sd_fraction": share}
+    return Flag("frame_corrected", message, values)

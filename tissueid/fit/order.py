@@ -1,0 +1,112 @@
+"""Do the logs of one specimen belong together?  Their gains among each other, by run, and by site.
+
+The gain of a log is its force over that of the specimen's common tissue, fitted with partial pooling; it
+is 1 for all logs where pooling leaves no gain, and nothing is said then.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from tissueid.flags import Flag
+from tissueid.result import TrialFit
+
+__all__ = ["gain_spread", "order_effect", "repeated_sites"]
+
+#: Standard deviation of ln gain beyond which logs differ much; repeats on one site stay below 5 %.
+MUCH_SPREAD = 0.10
+#: An order effect is said from so many logs, this chance of a slope that large without one, and this change.
+FEWEST_RUNS = 4
+CHANCE = 0.01
+LEAST_CHANGE = 0.02
+#: Sites named in one sentence.
+LONGEST_LIST = 6
+
+
+def gain_spread(trials: Sequence[TrialFit]) -> list[Flag]:
+    """``gain_spread`` where the logs of a specimen differ much in stiffness."""
+    gains = np.array([trial.gain for trial in trials])
+    if gains.size < 2 or (gains <= 0.0).any():
+        return []
+    spread = float(np.log(gains).std(ddof=1))
+    if spread <= MUCH_SPREAD:
+        return []
+    low, high = int(gains.argmin()), int(gains.argmax())
+    message = (
+        f"the logs differ in stiffness by {100 * spread:.0f} % (sd), from {gains[low]:.2f} "
+        f"({_name(trials[low])}) to {gains[high]:.2f} ({_name(trials[high])}) times their common tissue: are "
+        "they one specimen?"
+    )
+    values = {"sd_ln_gain": spread, "lowest": float(gains[low]), "highest": float(gains[high])}
+    return [Flag("gain_spread", message, values)]
+
+
+def order_effect(trials: Sequence[TrialFit], runs: Sequence[int | None]) -> list[Flag]:
+    """``order_effect`` where stiffness follows the order of testing.
+
+    Parameters
+    ----------
+    trials : sequence of TrialFit
+    runs : sequence of int or None
+        Place of each in the order of testing; ``None`` where it was not stated.
+    """
+    known = [
+        (run, trial.gain)
+        for run, trial in zip(runs, trials, strict=True)
+        if run is not None and trial.gain > 0.0
+    ]
+    order = np.array([float(run) for run, _ in known])
+    log_gain = np.log([gain for _, gain in known])
+    if order.size < FEWEST_RUNS or np.ptp(order) == 0.0 or np.ptp(log_gain) == 0.0:
+        return []
+    line = stats.linregress(order, log_gain)
+    change = float(np.expm1(line.slope * np.ptp(order)))
+    if line.pvalue >= CHANCE or abs(change) < LEAST_CHANGE:
+        return []
+    first, last = int(order.min()), int(order.max())
+    message = (
+        f"stiffness {'falls' if change < 0.0 else 'rises'} by {100 * abs(change):.1f} % from run {first} to "
+        f"run {last} ({order.size} logs, p = {line.pvalue:.1g}): conditioning, drying or damage?"
+    )
+    values = {
+        "change": change,
+        "per_run": float(line.slope),
+        "p": float(line.pvalue),
+        "runs": int(order.size),
+    }
+    return [Flag("order_effect", message, values)]
+
+
+def repeated_sites(trials: Sequence[TrialFit], rows: Sequence[Mapping[str, Any]]) -> list[Flag]:
+    """``repeated_site`` where one site of the specimen was tested more than once.
+
+    Parameters
+    ----------
+    trials : sequence of TrialFit
+    rows : sequence of mapping
+        ``[[trial]]`` of each, empty where it has none.
+    """
+    tested: dict[str, list[float | None]] = {}
+    for _, row in zip(trials, rows, strict=True):
+        if row.get("site") is not None:
+            tested.setdefault(str(row["site"]), []).append(row.get("rest_s"))
+    again = {site: rests for site, rests in tested.items() if len(rests) > 1}
+    if not again:
+        return []
+    listed = [f"{site} {len(rests)} times" for site, rests in list(again.items())[:LONGEST_LIST]]
+    if len(again) > LONGEST_LIST:
+        listed.append(f"and {len(again) - LONGEST_LIST} more sites")
+    stated = [rest for rests in again.values() for rest in rests if rest is not None]
+    rest = f"rests from {min(stated):g} s" if stated else "rest times not stated"
+    values: dict[str, Any] = {"sites": list(again), "times": [len(rests) for rests in again.values()]}
+    if stated:
+        values["shortest_rest_s"] = min(stated)
+    return [Flag("repeated_site", f"tested more than once: {', '.join(listed)}; {rest}", values)]
+
+
+def _name(trial: TrialFit) -> str:
+    return trial.path if trial.sheet is None else f"{trial.path} [{trial.sheet}]"

@@ -1,0 +1,252 @@
+"""What a study file says: specimens, protocols, calibration, and what the user decided and why.
+
+Frozen data without files or units to convert: :mod:`tissueid.ingest.manifest` makes a :class:`Study` from
+``study.toml``, and the pipeline asks it, trial by trial, what was said (:meth:`Study.decision`).  Where
+several tables name one recording the later ones win, key by key: a glob first, exceptions below it.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.trial import Protocol, frozen_array
+
+__all__ = ["Calibration", "Decision", "Entry", "FrameCurve", "Study"]
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameCurve:
+    """How far machine, load cell and fixture give under a compressive force.
+
+    The compliance du/dF is linear between knots, so that the deflection u is smooth, monotone and
+    linear in the knot values; see :mod:`tissueid.model.frame`.
+
+    Attributes
+    ----------
+    force_N : ndarray, shape (k,)
+        Knots, growing from 0.
+    compliance_mm_per_N : ndarray, shape (k,)
+        du/dF at the knots, >= 0.
+    covariance : ndarray, shape (k, k)
+        Of the compliances [mm2/N2].
+    range_N : tuple of float or None
+        Forces that were calibrated; ``None`` for a stated stiffness, which is taken for all.
+    path, sha256 : str or None
+        The file it was read from.
+    sources : tuple of str
+        Hashes of the recordings behind it.
+    """
+
+    force_N: FloatArray
+    compliance_mm_per_N: FloatArray
+    covariance: FloatArray
+    range_N: tuple[float, float] | None = None
+    path: str | None = None
+    sha256: str | None = None
+    sources: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("force_N", "compliance_mm_per_N", "covariance"):
+            object.__setattr__(self, name, frozen_array(getattr(self, name)))
+
+    def as_json(self) -> dict[str, Any]:
+        """The ``frame`` of ``study.calibration`` in identification.json."""
+        return {
+            "path": self.path,
+            "sha256": self.sha256,
+            "force_N": self.force_N.tolist(),
+            "compliance_mm_per_N": self.compliance_mm_per_N.tolist(),
+            "covariance": self.covariance.tolist(),
+            "range_N": None if self.range_N is None else list(self.range_N),
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """What was stated of the channels.
+
+    Attributes
+    ----------
+    values : mapping
+        Keys of ``[calibration]`` in study.toml, units in their names.
+    frame : FrameCurve or None
+        Deflection of the frame; ``None`` where nothing is known of it.
+    """
+
+    values: Mapping[str, Any] = field(default_factory=dict)
+    frame: FrameCurve | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", MappingProxyType(dict(self.values)))
+
+    @property
+    def verified_from_N(self) -> float | None:
+        """Lower limit of the load cell's verified range [N], as stated."""
+        value = self.values.get("verified_from_N")
+        return None if value is None else float(value)
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One ``[[trial]]``, ``[[override]]`` or ``[[exclude]]`` table.
+
+    Attributes
+    ----------
+    values : mapping
+        Its keys, units in their names.
+    files : tuple of str
+        Absolute paths of the recordings that its ``file`` names.
+    line : int
+        Line of study.toml at which the table begins.
+    """
+
+    values: Mapping[str, Any]
+    files: tuple[str, ...]
+    line: int
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", MappingProxyType(dict(self.values)))
+
+    @property
+    def sheet(self) -> str | None:
+        """The one sheet it speaks of, ``None`` for all."""
+        value = self.values.get("sheet")
+        return None if value is None else str(value)
+
+    def names(self, path: str, sheet: str | None) -> bool:
+        """Whether it speaks of this recording (an absolute path)."""
+        return path in self.files and self.sheet in (None, sheet)
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """Everything the study says of one recording.
+
+    Attributes
+    ----------
+    listed : bool
+        Named under ``[[trial]]``.
+    trial : mapping
+        Keys of its ``[[trial]]`` tables.
+    protocol : mapping
+        Keys of its ``[[protocol]]``.
+    override : mapping
+        What the user decided; ``because`` gathers the reasons.
+    excluded : str or None
+        Why it is not fitted.
+    """
+
+    listed: bool
+    trial: Mapping[str, Any]
+    protocol: Mapping[str, Any]
+    override: Mapping[str, Any]
+    excluded: str | None
+
+
+def _merged(entries: Iterable[Entry]) -> dict[str, Any]:
+    """Later tables win, key by key; maps are merged, reasons are gathered."""
+    merged: dict[str, Any] = {}
+    for entry in entries:
+        for key, value in entry.values.items():
+            known = merged.get(key)
+            if isinstance(value, Mapping) and isinstance(known, Mapping):
+                merged[key] = {**known, **value}
+            elif key == "because" and known is not None and value not in known:
+                merged[key] = f"{known}; {value}"
+            elif key not in {"file", "sheet"}:
+                merged[key] = value
+    return merged
+
+
+@dataclass(frozen=True, slots=True)
+class Study:
+    """A study file.
+
+    Attributes
+    ----------
+    path : str
+        The file as it was named.
+    sha256 : str
+        Of its bytes.
+    about : mapping
+        ``[study]``.
+    tip : mapping
+        ``[tip]``.
+    calibration : Calibration
+    specimens : mapping
+        Name -> its ``[[specimen]]`` table.
+    protocols : mapping
+        Name -> its ``[[protocol]]`` table.
+    trials, overrides, exclusions : tuple of Entry
+    """
+
+    path: str
+    sha256: str = ""
+    about: Mapping[str, Any] = field(default_factory=dict)
+    tip: Mapping[str, Any] = field(default_factory=dict)
+    calibration: Calibration = field(default_factory=Calibration)
+    specimens: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    protocols: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    trials: tuple[Entry, ...] = ()
+    overrides: tuple[Entry, ...] = ()
+    exclusions: tuple[Entry, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("about", "tip", "specimens", "protocols"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+
+    @property
+    def only_listed(self) -> bool:
+        """Whether recordings that are not named take no part."""
+        return bool(self.about.get("only_listed", False))
+
+    @property
+    def entries(self) -> tuple[Entry, ...]:
+        """Every table that names recordings."""
+        return (*self.trials, *self.overrides, *self.exclusions)
+
+    @staticmethod
+    def real_path(path: str) -> str:
+        """The path that :attr:`Entry.files` would hold."""
+        return os.path.realpath(path)
+
+    def decision(self, path: str, sheet: str | None) -> Decision:
+        """What the study says of one recording.
+
+        Parameters
+        ----------
+        path : str
+            As in :class:`tissueid.trial.Source`; links are followed before paths are compared.
+        sheet : str or None
+        """
+        real = self.real_path(path)
+        trials = [entry for entry in self.trials if entry.names(real, sheet)]
+        trial = _merged(trials)
+        excluded = [entry for entry in self.exclusions if entry.names(real, sheet)]
+        return Decision(
+            listed=bool(trials),
+            trial=trial,
+            protocol=self.protocols.get(trial.get("protocol", ""), {}),
+            override=_merged(entry for entry in self.overrides if entry.names(real, sheet)),
+            excluded=_merged(excluded)["because"] if excluded else None,
+        )
+
+    def protocol(self, decision: Decision, stated: Protocol) -> Protocol:
+        """What the file states of its protocol, filled from the study where the file is silent."""
+        said = decision.protocol
+        return Protocol(
+            kind=stated.kind or said.get("kind"),
+            speed_mm_s=stated.speed_mm_s or said.get("speed_mm_s"),
+            depth_mm=stated.depth_mm or said.get("depth_mm"),
+            hold_s=stated.hold_s if stated.hold_s is not None else said.get("hold_s"),
+            tip_radius_mm=stated.tip_radius_mm or self.tip.get("radius_mm"),
+        )
