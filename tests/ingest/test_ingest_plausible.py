@@ -36,8 +36,13 @@ def test_force_beyond_any_machine_is_refused(tmp_path: Path) -> None:
 def test_whole_numbers_throughout_are_said(tmp_path: Path) -> None:
     (trial,) = read_trials(export(tmp_path / "whole.csv", [f"{i},{i * 3},{i * i}" for i in range(40)]))
     assert "no_decimals" in {flag.code for flag in trial.flags}
-    (trial,) = read_trials(export(tmp_path / "not.csv", [f"{i},{i * 3},{i * i + 0.5}" for i in range(40)]))
+    rows = [f"{i},{i * 3 + 0.25},{i * i + 0.5}" for i in range(40)]
+    (trial,) = read_trials(export(tmp_path / "not.csv", rows))
+    # seconds may well be whole
     assert "no_decimals" not in {flag.code for flag in trial.flags}
+    (trial,) = read_trials(export(tmp_path / "one.csv", [f"{i},{i * 3},{i * i + 0.5}" for i in range(40)]))
+    (flag,) = (flag for flag in trial.flags if flag.code == "no_decimals")
+    assert flag.values["quantity"] == "displacement"
 
 
 def test_a_unit_of_the_user_against_that_of_the_file_is_said(tmp_path: Path) -> None:

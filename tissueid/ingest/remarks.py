@@ -68,15 +68,14 @@ def flag_rows_above(text: Text, layout: Layout, place: Place) -> tuple[Flag, ...
     found = [number for number, row in rows if row_like(" ".join(row))]
     if not found:
         return ()
-    entries = [(number, row) for number, row in rows if row in layout.header]
-    foreign = [number for number, _ in entries if number in found]
-    named = any(has_channels(row, (), ReadOptions()) for number, row in entries if number < found[0])
-    if foreign and (named or len(foreign) >= _TABLE_ROWS):
+    named = any(has_channels(row, (), ReadOptions()) for number, row in rows if number < found[0])
+    foreign = [number for number, row in rows if number in found and row in layout.header]
+    if named or len(foreign) >= _TABLE_ROWS:
         place.refuse(
             "mixed_tables",
-            f"{len(foreign)} lines of numbers stand above the names in line {layout.names_line}: is this two"
+            f"{len(found)} lines of numbers stand above the names in line {layout.names_line}: is this two"
             " files in one, or were lines moved? Export the file again, one recording a file",
-            line=foreign[0],
+            line=found[0],
             column=1,
         )
     return (skipped_flag(found, "lines of numbers above the names"),)

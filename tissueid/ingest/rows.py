@@ -99,7 +99,7 @@ class _Prints:
     def refuse_lost_marks(self) -> None:
         """Refuse the first number that lost its mark."""
         for decimals, bare, index in zip(self._decimals, self._bare, self._reader.wanted, strict=True):
-            places = max(decimals)
+            places = max(decimals, default=-1)
             if set(decimals) != {-1, places} or places < 2 or decimals[places] <= decimals[-1]:
                 continue
             if all(text.lstrip("+-").isdecimal() and len(text.lstrip("+-")) > places for _, text in bare):
