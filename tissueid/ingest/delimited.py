@@ -12,18 +12,22 @@ They differ in how they are recognised; all are read by the same layout, columns
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 
 from tissueid.errors import InputError
 from tissueid.ingest.body import read_body
 from tissueid.ingest.columns import choose_columns, has_channels, split_name
 from tissueid.ingest.header import header_entries, specimen_in
-from tissueid.ingest.layout import Layout
+from tissueid.ingest.layout import Layout, split_line
+from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.recipe import Detection, InputFile, Recipe, Table
 from tissueid.ingest.refusals import Place
-from tissueid.ingest.vocabulary import plain_words, specimen_key_rank
+from tissueid.ingest.remarks import flag_rows_above
+from tissueid.ingest.text import Text
+from tissueid.ingest.vocabulary import CHANNELS, plain_words, specimen_key_rank
 
-__all__ = ["BLUEHILL_CSV", "COLUMNS_TEXT", "TESTXPERT_TRA"]
+__all__ = ["BLUEHILL_CSV", "COLUMNS_TEXT", "TESTXPERT_TRA", "read_delimited", "read_table"]
 
 _GROUPED_KEY = re.compile(r"[^:]{1,40} : \S.*")
 _BLUEHILL_PATH = re.compile(r"\.is_[a-z]+(?:_RawData|_Exports)?(?:[/\\.]|$)|RawData", re.IGNORECASE)
@@ -99,6 +103,51 @@ def _read_table(file: InputFile) -> Table:
     text, layout = file.text, file.layout
     if text is None or layout is None:
         place.refuse("not_an_export", "this is no text; give the raw data export of the test machine")
+    _refuse_unnamed(text, layout, file, place)
+    above = flag_rows_above(text, layout, place)
+    table = read_table(text, layout, file.options, place, metadata=header_entries(layout.header))
+    return replace(table, flags=(*table.flags, *above))
+
+
+def _refuse_unnamed(text: Text, layout: Layout, file: InputFile, place: Place) -> None:
+    """Refuse numbers beyond the names: ``0,10,2,50`` under ``Time,Load`` are two decimals, not four."""
+    if layout.names_line is None or len(file.options.columns) == len(CHANNELS):
+        return
+    line = text.data[: layout.offset].splitlines()[layout.names_line - 1]
+    printed = len(split_line(text.decode(line), layout.delimiter))
+    named = max((i for i, name in enumerate(layout.names, 1) if name.strip()), default=0)
+    unnamed = [i for i in range(named, layout.n_columns) if layout.numeric[i]]
+    if unnamed and (printed <= unnamed[-1] or len(unnamed) >= named):
+        place.refuse(
+            "ragged_rows",
+            f"the names row has {named} names, the rows {layout.n_columns} cells with numbers: a decimal"
+            " comma that is also the delimiter? Export with another delimiter, or name the columns by"
+            " --columns time=#1,displacement=#2,force=#3",
+            line=layout.first_line,
+            column=unnamed[0] + 1,
+        )
+
+
+def read_table(
+    text: Text, layout: Layout, options: ReadOptions, place: Place, *, metadata: Mapping[str, str]
+) -> Table:
+    """One laid-out table: its columns chosen, its rows read.
+
+    Parameters
+    ----------
+    text : Text
+    layout : Layout
+    options : ReadOptions
+    place : Place
+        File, and sheet where the table has a name of its own.
+    metadata : mapping
+        Entries of its header.
+
+    Raises
+    ------
+    InputError
+        The columns or the rows can't be trusted.
+    """
     if len(layout.names) > layout.n_columns:
         place.refuse(
             "ragged_rows",
@@ -110,17 +159,17 @@ def _read_table(file: InputFile) -> Table:
     choice = choose_columns(
         layout.names,
         layout.units,
-        options=file.options,
+        options=options,
         place=place,
         line=layout.names_line or layout.first_line,
     )
     body = read_body(text, layout, choice, place)
-    metadata = header_entries(layout.header)
     return Table(
         body.time_s,
         body.displacement_mm,
         body.force_N,
         choice.names,
+        sheet=place.sheet,
         encoding=text.encoding,
         delimiter=layout.delimiter,
         decimal=layout.decimal,

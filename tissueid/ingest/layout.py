@@ -20,7 +20,7 @@ from tissueid.ingest.refusals import Place
 from tissueid.ingest.results import is_statistics, is_units_row, results_below, results_spans
 from tissueid.ingest.text import HEAD_BYTES, Text
 
-__all__ = ["Anchor", "Layout", "Row", "anchor", "find_layout", "is_units_row", "split_line"]
+__all__ = ["Anchor", "Layout", "Row", "anchor", "find_decimal", "find_layout", "is_units_row", "split_line"]
 
 Row = tuple[str, ...]
 
@@ -208,8 +208,14 @@ def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
     results = results_below(rows[found.first :], names, units, options)
     below = rows[found.first :] if results is None else rows[found.first : found.first + results]
     sample = [row for row in below if _numeric_share(row) >= 0.5]
+    if not sample:
+        place.refuse(
+            "no_rows",
+            "under the names stand results, or another table, but no row of numbers; export the raw data again",
+            line=found.first + 1,
+        )
     n_columns = Counter(map(len, sample)).most_common(1)[0][0]
-    decimal = options.decimal or _find_decimal(text, sample, delimiter, place, first=found.first, rows=rows)
+    decimal = options.decimal or find_decimal(text, sample, delimiter, place, first=found.first, rows=rows)
     layout = Layout(
         delimiter,
         decimal,
@@ -297,7 +303,7 @@ def _no_numbers(rows: Sequence[Row], delimiter: str, options: ReadOptions, place
     )
 
 
-def _find_decimal(
+def find_decimal(
     text: Text, sample: Sequence[Row], delimiter: str, place: Place, *, first: int, rows: Sequence[Row]
 ) -> str:
     """Point or comma, by the votes of the first rows and the last."""

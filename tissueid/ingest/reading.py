@@ -173,7 +173,7 @@ def _trial(file: InputFile, match: Match, table: Table) -> Trial | InputError:
         time_s=table.time_s,
         displacement_mm=table.displacement_mm,
         force_N=table.force_N,
-        protocol=protocol_of(table.metadata, file.path, decimal=table.decimal),
+        protocol=table.protocol or protocol_of(table.metadata, file.path, decimal=table.decimal),
         source=source,
         flags=flags,
         axes=axes,

@@ -8,6 +8,8 @@ reads; ``tissueid inspect`` prints which it was and why.
 from __future__ import annotations
 
 import hashlib
+import io
+import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -20,11 +22,24 @@ from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.text import Text, decode_text
 from tissueid.ingest.vocabulary import Channel
-from tissueid.trial import FloatArray
+from tissueid.trial import FloatArray, Protocol
 
-__all__ = ["Detection", "InputFile", "Match", "Recipe", "Table", "is_workbook", "open_input"]
+__all__ = [
+    "Detection",
+    "InputFile",
+    "Match",
+    "Recipe",
+    "Table",
+    "is_archive",
+    "is_workbook",
+    "lay_out",
+    "open_input",
+]
 
-_WORKBOOK_MAGIC = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1")
+_ZIP_MAGIC = b"PK\x03\x04"
+_WORKBOOK_MAGIC = (_ZIP_MAGIC, b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1")
+#: A zip archive with a member that begins so is an .xlsx, .xlsb or .ods.
+_WORKBOOK_PARTS = ("xl/", "[Content_Types]", "mimetype", "content.xml")
 #: Below this a hash is faster than a thread.
 _THREAD_FROM_BYTES = 1 << 20
 
@@ -83,6 +98,10 @@ class Table:
     specimen : str or None
         What the file itself calls the specimen.
     flags : tuple of Flag
+    protocol : Protocol or None
+        Where the recipe knows more of it than the header entries say.
+    match : Match or None
+        How the table itself was recognised, where the file is an archive of others.
     """
 
     time_s: FloatArray
@@ -96,6 +115,8 @@ class Table:
     metadata: Mapping[str, str] = field(default_factory=dict)
     specimen: str | None = None
     flags: tuple[Flag, ...] = ()
+    protocol: Protocol | None = None
+    match: Match | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,8 +150,20 @@ class Match:
 
 
 def is_workbook(data: bytes) -> bool:
-    """Whether the bytes start as those of .xlsx, .xlsb, .ods or .xls do."""
-    return data.startswith(_WORKBOOK_MAGIC)
+    """Whether the bytes start as those of .xlsx, .xlsb, .ods or .xls do, and are no other archive."""
+    return data.startswith(_WORKBOOK_MAGIC) and not is_archive(data)
+
+
+def is_archive(data: bytes) -> bool:
+    """Whether the bytes are a zip archive that holds files, not the parts of a workbook."""
+    if not data.startswith(_ZIP_MAGIC):
+        return False
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            names = archive.namelist()
+    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
+        return False
+    return not any(name.startswith(_WORKBOOK_PARTS) for name in names)
 
 
 def open_input(path: str | Path, options: ReadOptions) -> InputFile:
@@ -147,17 +180,31 @@ def open_input(path: str | Path, options: ReadOptions) -> InputFile:
     except OSError as error:
         reason = error.strerror or type(error).__name__
         Place(name).refuse("unreadable_file", f"the file can't be read: {reason}; check its name and rights")
-    digest = _start_digest(data)
-    if is_workbook(data):
-        return InputFile(name, data, options, digest)
-    place = Place(name)
+    return lay_out(name, data, options, _start_digest(data))
+
+
+def lay_out(path: str, data: bytes, options: ReadOptions, digest: Future[str] | str) -> InputFile:
+    """Bytes as every recipe wants to see them: decoded and laid out where they are text.
+
+    Parameters
+    ----------
+    path : str
+        For refusals.
+    data : bytes
+    options : ReadOptions
+    digest : Future or str
+        SHA-256 of the file.
+    """
+    if data.startswith(_WORKBOOK_MAGIC):
+        return InputFile(path, data, options, digest)
+    place = Place(path)
     text = None
     try:
         text = decode_text(data, place)
         layout = find_layout(text, options, place)
-        return InputFile(name, data, options, digest, without_results(text, layout), layout)
+        return InputFile(path, data, options, digest, without_results(text, layout), layout)
     except InputError as error:
-        return InputFile(name, data, options, digest, text, None, error)
+        return InputFile(path, data, options, digest, text, None, error)
 
 
 def without_results(text: Text, layout: Layout) -> Text:

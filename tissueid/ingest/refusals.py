@@ -24,6 +24,8 @@ REFUSAL_MEANINGS: Mapping[str, str] = MappingProxyType(
         "empty_file": "the file has no bytes, or blank lines only",
         "not_an_export": "the file is not a table of numbers: an image, a program, prose, JSON",
         "unreadable_workbook": "the workbook is damaged, protected or unreasonably large inside",
+        "unreadable_archive": "the archive is damaged, protected, or unreasonably large inside",
+        "reader_failed": "a reader that was installed beside tissueid broke on this file",
         "no_trial_sheet": "no sheet of the workbook holds time, displacement and force",
         "unknown_sheet": "the workbook has no sheet of that name",
         "no_recording": "the directory holds no file of a known kind",

@@ -1,0 +1,152 @@
+"""Recipe for zip archives of exports: every member is read as if it stood in a folder.
+
+A trial's sheet is the name of its member, with the member's own sheet or block behind ``::``.  Unpacking
+is bounded by what comes out, not by what the archive says of itself.
+"""
+
+from __future__ import annotations
+
+import io
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import PurePosixPath
+
+from tissueid.errors import InputError
+from tissueid.ingest.recipe import Detection, InputFile, Match, Recipe, Table, is_archive, lay_out
+from tissueid.ingest.refusals import Place
+
+__all__ = ["archive_recipe", "recordings_in"]
+
+#: Largest member, and largest sum of all, unpacked [bytes]: 5 M rows of 40 characters are 200 MB.
+MEMBER_BYTES = 1 << 29
+ARCHIVE_BYTES = 1 << 30
+#: Text of numbers shrinks to a third or a tenth; a bomb to a thousandth.
+LARGEST_RATIO = 200
+#: Below this a ratio says nothing [bytes].
+RATIO_FROM_BYTES = 1 << 24
+MOST_MEMBERS = 10_000
+_SUFFIXES = frozenset(
+    {".csv", ".tsv", ".txt", ".tra", ".dat", ".asc", ".xls", ".xlsx", ".xlsm", ".xlsb", ".ods", ""}
+)
+#: Members of prose and the like are passed over where they hold no table.
+_PROSE = frozenset({".txt", ".dat", ".asc", ""})
+
+
+def recordings_in(archive: zipfile.ZipFile) -> list[zipfile.ZipInfo]:
+    """Members that may be recordings, in natural order: no folders, hidden files or other kinds."""
+    found = []
+    for member in archive.infolist():
+        path = PurePosixPath(member.filename.replace("\\", "/"))
+        hidden = any(part.startswith((".", "~$", "__MACOSX")) for part in path.parts)
+        if not member.is_dir() and not hidden and path.suffix.lower() in _SUFFIXES:
+            found.append(member)
+    return found
+
+
+def detect_archive(file: InputFile) -> Detection:
+    """A zip archive that is no workbook."""
+    if is_archive(file.data):
+        return 1.0, "a zip archive of files"
+    return 0.0, "no zip archive"
+
+
+def archive_recipe(match: Callable[[InputFile], Match]) -> Recipe:
+    """The recipe, given how a member's own recipe is found."""
+
+    def read(file: InputFile) -> Iterator[Table | InputError]:
+        yield from _read(file, match)
+
+    return Recipe("zip", "a zip archive of any of these files, one trial a member", detect_archive, read)
+
+
+def _read(file: InputFile, match: Callable[[InputFile], Match]) -> Iterator[Table | InputError]:
+    place = Place(file.path)
+    try:
+        archive = zipfile.ZipFile(io.BytesIO(file.data))
+    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
+        yield place.refusal(
+            "unreadable_archive", f"the archive can't be opened ({str(error)[:120]}); pack it again"
+        )
+        return
+    with archive:
+        members = recordings_in(archive)
+        if len(members) > MOST_MEMBERS:
+            message = f"the archive has {len(members)} files, more than {MOST_MEMBERS}; unpack it"
+            yield place.refusal("unreadable_archive", message)
+            return
+        left, count = ARCHIVE_BYTES, 0
+        for member in members:
+            try:
+                data = _unpacked(archive, member, left, Place(file.path, member.filename))
+            except InputError as error:
+                yield error
+                count += 1
+                continue
+            left -= len(data)
+            for item in _member(file, member.filename, data, match):
+                count += 1
+                yield item
+    if count == 0:
+        names = ", ".join(repr(member.filename) for member in members[:10]) or "none"
+        yield place.refusal("no_recording", f"the archive holds no recording; its files are {names}")
+
+
+def _unpacked(archive: zipfile.ZipFile, member: zipfile.ZipInfo, left: int, place: Place) -> bytes:
+    """The bytes of a member, as far as they are bounded."""
+    limit = min(MEMBER_BYTES, left)
+    if member.compress_size > 0:
+        limit = min(limit, max(RATIO_FROM_BYTES, LARGEST_RATIO * member.compress_size))
+    if member.flag_bits & 1:
+        place.refuse("unreadable_archive", "the file is protected by a password; unpack the archive")
+    try:
+        with archive.open(member) as stream:
+            data = stream.read(limit + 1)
+    except (
+        zipfile.BadZipFile,
+        zlib.error,
+        OSError,
+        ValueError,
+        NotImplementedError,
+        EOFError,
+        RuntimeError,
+    ) as error:
+        place.refuse("unreadable_archive", f"the file can't be unpacked ({str(error)[:120]}); pack it again")
+    if len(data) > limit:
+        place.refuse(
+            "unreadable_archive",
+            f"the file unpacks to more than {limit / 2**20:.0f} MiB, beyond any recording packed into"
+            f" {member.compress_size} bytes; unpack the archive",
+        )
+    return data
+
+
+def _member(
+    file: InputFile, name: str, data: bytes, match: Callable[[InputFile], Match]
+) -> Iterator[Table | InputError]:
+    """The trials of one member, under its name."""
+    place = Place(file.path, name)
+    if data.startswith(b"PK") and is_archive(data):
+        yield place.refusal("unreadable_archive", "an archive in an archive is not opened; unpack it")
+        return
+    inner = lay_out(name, data, file.options, file.digest)
+    prose = PurePosixPath(name).suffix.lower() in _PROSE
+    try:
+        found = match(inner)
+    except InputError as error:
+        if not prose:
+            yield _named(error, file.path, name)
+        return
+    for item in found.recipe.read(inner):
+        if isinstance(item, InputError):
+            yield _named(item, file.path, name)
+        else:
+            sheet = name if item.sheet is None else f"{name}::{item.sheet}"
+            yield replace(item, sheet=sheet, match=item.match or found)
+
+
+def _named(error: InputError, path: str, member: str) -> InputError:
+    """A refusal of the archive, at the member."""
+    sheet = member if error.sheet is None else f"{member}::{error.sheet}"
+    return InputError(error.code, error.message, path=path, sheet=sheet, line=error.line, column=error.column)

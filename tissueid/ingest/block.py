@@ -1,0 +1,94 @@
+"""A table that is one of several in a text, laid out as if it stood alone.
+
+Formats that hold many tables in one file, or side by side, cut them out; the lines above a table are
+kept as blank ones, so that a refusal still points at the line of the file.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from tissueid.ingest.layout import Layout, Row, find_decimal, split_line
+from tissueid.ingest.numbers import looks_numeric
+from tissueid.ingest.options import ReadOptions
+from tissueid.ingest.refusals import Place
+from tissueid.ingest.text import Text
+
+__all__ = ["block_layout", "block_text"]
+
+#: Rows looked at for the decimal mark, and for which columns hold numbers.
+_SAMPLED_BYTES = 1 << 14
+
+
+def block_text(text: Text, rows: bytes, first_line: int) -> Text:
+    """Rows of a text, at their lines.
+
+    Parameters
+    ----------
+    text : Text
+    rows : bytes
+        Whole lines.
+    first_line : int
+        One-based line of the file at which they stand.
+    """
+    return replace(text, data=b"\n" * (first_line - 1) + rows)
+
+
+def block_layout(
+    text: Text,
+    *,
+    names: Row,
+    units: Row,
+    names_line: int,
+    first_line: int,
+    delimiter: str,
+    options: ReadOptions,
+    place: Place,
+    decimal: str | None = None,
+) -> Layout:
+    """The layout of a block text.
+
+    Parameters
+    ----------
+    text : Text
+        Of :func:`block_text`.
+    names, units : Row
+        Empty units where there is no such row.
+    names_line, first_line : int
+        One-based lines of the names and of the first row.
+    delimiter : str
+    options : ReadOptions
+    place : Place
+    decimal : str, optional
+        As the file states it; found in the numbers otherwise.
+
+    Raises
+    ------
+    InputError
+        ``ambiguous_decimal``.
+    """
+    first = first_line - 1
+    head = text.data[first : first + _SAMPLED_BYTES].splitlines()
+    rows = [split_line(text.decode(line), delimiter) for line in head]
+    sample = [row for row in rows if sum(map(looks_numeric, row)) >= 2]
+    mark = options.decimal or decimal
+    if mark is None:
+        padded: list[Row] = [()] * first
+        mark = find_decimal(text, sample, delimiter, place, first=first, rows=padded + rows)
+    n_columns = len(names)
+    return Layout(
+        delimiter=delimiter,
+        decimal=mark,
+        header=(),
+        names=names,
+        units=tuple((*units, *[""] * n_columns)[:n_columns]),
+        units_in_row=bool(units),
+        names_line=names_line,
+        first_line=first_line,
+        offset=first,
+        n_columns=n_columns,
+        numeric=tuple(
+            bool(sample) and all(i < len(row) and looks_numeric(row[i]) for row in sample[:50])
+            for i in range(n_columns)
+        ),
+    )
