@@ -11,7 +11,7 @@ from typing import Any
 
 import click
 
-__all__ = ["echo_json", "note", "output_options", "progress_bar", "with_error", "write_output"]
+__all__ = ["echo_bytes", "echo_json", "note", "output_options", "progress_bar", "with_error", "write_output"]
 
 #: Significant digits of a standard error in print.
 ERROR_DIGITS = 2
@@ -31,12 +31,17 @@ def output_options(function: Callable[..., Any]) -> Callable[..., Any]:
 def echo_json(document: Any) -> None:
     """One JSON document to stdout, in UTF-8 whatever the terminal's encoding."""
     text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
+    echo_bytes(text.encode("utf-8") + b"\n")
+
+
+def echo_bytes(content: bytes) -> None:
+    """UTF-8 text to stdout as it is: neither the terminal's encoding nor its line ends change it."""
     stream = getattr(sys.stdout, "buffer", None)
     if stream is None:
-        click.echo(text)
+        click.echo(content.decode("utf-8"), nl=False)
     else:
         sys.stdout.flush()
-        stream.write(text.encode("utf-8") + b"\n")
+        stream.write(content)
         stream.flush()
 
 

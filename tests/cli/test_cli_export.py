@@ -1,0 +1,252 @@
+"""Tables of a finished fit: whole, in the right columns, and read back by an independent reader."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+from command_line import run
+from fit_factory import STATIC, identification, specimen_fit
+
+from tissueid.result import SpecimenFit
+from tissueid.store.files import json_bytes, plain_json
+from tissueid.store.outputs import OutputSet
+from tissueid.store.results import write_results
+from tissueid.store.tidy import TABLES, csv_bytes, tidy_table
+
+FITS = (
+    specimen_fit("kidney 3", samples=60),
+    specimen_fit('liver, "left"', trials=1, samples=60, identified=False, seed=5),
+    specimen_fit("Nière", trials=2, samples=60, seed=9),
+)
+
+
+def document(fits: tuple[SpecimenFit, ...] = FITS) -> dict[str, Any]:
+    found: dict[str, Any] = plain_json(identification(fits, refused=True).as_json())
+    return found
+
+
+def rows_of(content: bytes) -> list[dict[str, str]]:
+    return list(csv.DictReader(io.StringIO(content.decode("utf-8"), newline="")))
+
+
+def table(name: str, given: dict[str, Any] | None = None) -> list[dict[str, str]]:
+    return rows_of(csv_bytes(tidy_table(given or document(), name)))
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("export") / "out"
+    with OutputSet(folder) as outputs:
+        write_results(outputs, identification(FITS, refused=True))
+        outputs.commit()
+    return folder
+
+
+STUDY: dict[str, Any] = {
+    "path": "study.toml", "sha256": "", "study": {}, "tip": {},
+    "specimens": [
+        {"specimen": "kidney 3", "species": "pig", "sex": "f", "thickness_mm": 18.5, "site": "pole",
+         "notes": None},
+        {"specimen": "spleen 1", "species": "goat", "sex": None, "thickness_mm": None, "site": None,
+         "notes": "torn"},
+    ],
+    "trials": [
+        {
+            "path": FITS[0].trials[0].path, "sheet": None, "specimen": "kidney 3", "site": "cortex",
+            "protocol": "fast", "run": 2, "rest_s": 600.0, "listed": True,
+            "overridden": ["contact_mm", "columns"],
+            "because": "the zero was lost; the other sensor", "notes": None,
+        }
+    ],
+    "exclusions": [
+        {"path": "lab data/slipped.csv", "sheet": "B", "specimen": "kidney 3", "because": "the tool slipped",
+         "note": None, "with_it": []},
+    ],
+}  # fmt: skip
+
+
+def test_one_row_a_specimen_with_value_error_and_verdict() -> None:
+    first, second, third = table("specimens")
+    assert [row["specimen"] for row in (first, second, third)] == [fit.specimen for fit in FITS]
+    assert float(first["static_1_N_per_mm"]) == STATIC[0]
+    assert float(first["static_1_N_per_mm_stderr"]) == 0.05
+    assert first["relaxation_time_s_identified"] == "TRUE"
+    assert (second["relaxation_time_s"], second["relaxation_time_s_stderr"]) == ("", "")
+    assert second["relaxation_time_s_identified"] == "FALSE"
+    assert second["flags"] == "not_identified;compliance_unknown"
+    assert second["trial_flags"] == "zero_dt"
+    assert first["trials"] == "3"
+    assert float(first["valid_depth_mm"]) == 6.0
+
+
+def test_one_row_a_trial_with_its_hold_and_its_hash() -> None:
+    rows = table("trials")
+    fitted = [row for row in rows if row["status"] == "fitted"]
+    assert [row["path"] for row in fitted] == [trial.path for fit in FITS for trial in fit.trials]
+    first = fitted[0]
+    assert (first["holds"], float(first["tau_single_s"])) == ("1", 1.48)
+    assert (float(first["tau_double_1_s"]), float(first["tau_double_2_s"]), first["tau_triple_1_s"]) == (
+        0.9,
+        1.7,
+        "",
+    )
+    assert first["flags"] == "zero_dt;one_tau_inadequate"
+    assert first["input_sha256"] == f"{0:064x}"
+    assert (fitted[1]["holds"], fitted[1]["tau_single_s"]) == ("0", "")
+    for row, trial in zip(fitted, (one for fit in FITS for one in fit.trials), strict=True):
+        assert float(row["nrmsd"]) == trial.nrmsd.range
+        assert int(row["n_samples"]) == trial.n_samples
+
+
+def test_what_was_refused_or_excluded_keeps_its_row_and_reason() -> None:
+    rows = table("trials", document() | {"study": STUDY})
+    (refused,) = [row for row in rows if row["status"] == "refused"]
+    assert refused["path"] == "lab data/<b>notes</b>.csv"
+    assert refused["reason"] == "not_an_export: line 3: the file is prose; export raw data"
+    (excluded,) = [row for row in rows if row["status"] == "excluded"]
+    assert (excluded["path"], excluded["sheet"], excluded["reason"]) == (
+        "lab data/slipped.csv", "B", "the tool slipped",
+    )  # fmt: skip
+    assert excluded["species"] == "pig"
+
+
+def test_covariates_of_the_study_stand_beside_the_numbers() -> None:
+    with_study = document() | {"study": STUDY}
+    first = table("trials", with_study)[0]
+    assert (first["species"], first["specimen_site"], first["site"], first["run"]) == (
+        "pig",
+        "pole",
+        "cortex",
+        "2",
+    )
+    assert (first["listed"], first["overridden"]) == ("TRUE", "contact_mm;columns")
+    assert first["reason"] == "the zero was lost; the other sensor"
+    specimens = {row["specimen"]: row for row in table("specimens", with_study)}
+    assert float(specimens["kidney 3"]["thickness_mm"]) == 18.5
+    assert specimens["kidney 3"]["excluded_trials"] == "1"
+    # listed in the study, and nothing of it could be fitted
+    assert (specimens["spleen 1"]["status"], specimens["spleen 1"]["static_1_N_per_mm"]) == ("not fitted", "")
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_columns_do_not_depend_on_what_was_found(name: str) -> None:
+    full = tidy_table(document() | {"study": STUDY}, name).columns
+    bare = tidy_table(document(()) | {"study": None}, name).columns
+    assert full == bare
+    assert len(set(full)) == len(full)
+    rows = tidy_table(document() | {"study": STUDY}, name).rows
+    assert all(set(row) <= set(full) for row in rows)
+
+
+def test_intervals_get_their_columns_once_a_document_has_them() -> None:
+    with_intervals = document()
+    for specimen in with_intervals["specimens"]:
+        for estimate in specimen["parameters"]:
+            estimate |= {"low": 1.25, "high": 2.5}
+    columns = tidy_table(with_intervals, "specimens").columns
+    at = columns.index("viscosity_N_s_per_mm_stderr")
+    assert columns[at + 1 : at + 3] == ("viscosity_N_s_per_mm_low", "viscosity_N_s_per_mm_high")
+    assert float(table("specimens", with_intervals)[0]["viscosity_N_s_per_mm_high"]) == 2.5
+
+
+def test_a_second_branch_gets_its_columns() -> None:
+    two = document()
+    two["specimens"][0]["model"]["branches"] = 2
+    assert "relaxation_time_s_b2" in tidy_table(two, "specimens").columns
+    assert "relaxation_time_s_b2" not in tidy_table(document(), "specimens").columns
+
+
+def test_loops_and_quoted_numbers_have_tables_of_their_own() -> None:
+    given = document()
+    measure = {"value": 0.25, "stderr": 0.01}
+    names = [column for column in tidy_table(given, "cycles").columns if f"{column}_stderr" in
+             tidy_table(given, "cycles").columns]  # fmt: skip
+    loop: dict[str, Any] = dict.fromkeys(names, measure)
+    loop |= {"path": "a.csv", "sheet": None, "number": 2, "kind": "cycle", "start_s": 1.0, "peak_s": 2.0,
+             "end_s": 3.0, "floor_mm": 0.0, "peak_depth_mm": 4.0}  # fmt: skip
+    given["specimens"][0]["cycles"] = [loop]
+    (row,) = table("cycles", given)
+    assert (row["specimen"], row["number"], float(row["hysteresis"])) == ("kidney 3", "2", 0.25)
+    quantity = {"name": "fraction_relaxed", "unit": "1", "at": {"time_s": 10.0}, "value": None,
+                "stderr": None, "reason": "the hold lasts 5 s"}  # fmt: skip
+    given["specimens"][0]["quoted"] = {"model": [quantity], "measured": [], "moduli": []}
+    (row,) = table("quantities", given)
+    assert (row["kind"], row["name"], row["time_s"], row["value"]) == (
+        "model",
+        "fraction_relaxed",
+        "10.0",
+        "",
+    )
+    assert row["reason"] == "the hold lasts 5 s"
+
+
+def test_the_bytes_are_rfc_4180_in_utf_8() -> None:
+    content = csv_bytes(tidy_table(document(), "specimens"))
+    text = content.decode("utf-8")
+    assert not text.startswith("\ufeff")
+    assert text.endswith("\r\n")
+    assert text.count("\r\n") == text.count("\n") == 4
+    assert '"liver, ""left"""' in text
+    assert "Nière" in text
+    assert "None" not in text
+    assert "nan" not in text
+
+
+def test_an_independent_reader_finds_numbers_logicals_and_gaps(out: Path) -> None:
+    # as read.csv of R does: types by column, empty cells missing
+    ended = run("export", out, "--format", "specimens")
+    frame = pd.read_csv(io.StringIO(ended.stdout))
+    assert frame["viscosity_N_s_per_mm"].dtype == float
+    assert frame["viscosity_N_s_per_mm_identified"].dtype == bool
+    assert frame["relaxation_time_s"].isna().tolist() == [False, True, False]
+    trials = pd.read_csv(io.StringIO(run("export", out, "--format", "trials").stdout))
+    merged = trials.merge(frame[["specimen", "viscosity_N_s_per_mm"]], on="specimen")
+    assert len(merged) == 6
+
+
+def test_numbers_come_back_to_the_last_bit(out: Path) -> None:
+    stored = json.loads((out / "identification.json").read_bytes())
+    rows = rows_of(run("export", out, "--format", "specimens").stdout.encode("utf-8"))
+    for row, specimen in zip(rows, stored["specimens"], strict=True):
+        for estimate in specimen["parameters"]:
+            value = row[estimate["name"]]
+            assert (float(value) if value else None) == estimate["value"]
+
+
+def test_every_row_carries_the_hash_of_the_document(out: Path) -> None:
+    digest = hashlib.sha256((out / "identification.json").read_bytes()).hexdigest()
+    assert (
+        json_bytes(json.loads((out / "identification.json").read_bytes()))
+        == (out / "identification.json").read_bytes()
+    )
+    for name in ("specimens", "trials"):
+        rows = rows_of(run("export", out, "--format", name).stdout.encode("utf-8"))
+        assert {row["identification_sha256"] for row in rows} == {digest}
+
+
+def test_a_file_is_written_where_it_is_asked_for(out: Path, tmp_path: Path) -> None:
+    target = tmp_path / "Übersicht für R.csv"
+    ended = run("export", out, "--format", "trials", "-o", target)
+    assert (ended.code, ended.stdout) == (0, "")
+    assert target.read_bytes().decode("utf-8") == run("export", out, "--format", "trials").stdout
+    assert run("export", out, "--format", "trials", "-o", tmp_path / "no" / "such.csv").code == 2
+    assert run("export", tmp_path, "--format", "trials").code == 6
+
+
+def test_the_documentation_names_every_column() -> None:
+    page = (Path(__file__).resolve().parents[2] / "docs" / "tables.md").read_text(encoding="utf-8")
+    for name in TABLES:
+        section = page.split(f"## {name}\n")[1].split("\n## ")[0]
+        for column in tidy_table(document(), name).columns:
+            told = f"`{column}`" in section or any(
+                f"`{column.removesuffix(end)}`" in section and f"`*{end}`" in section
+                for end in ("_stderr", "_identified")
+            )
+            assert told or column in {"tissueid", "identification_sha256"}, (name, column)

@@ -1,0 +1,377 @@
+"""Tidy tables from identification.json alone: a row is a specimen, a trial, a loop, a quoted number.
+
+CSV after RFC 4180 in UTF-8: comma, decimal point, CRLF, quotes where needed; an empty cell is "not known",
+and a parameter that the data do not determine is empty with ``FALSE`` beside it.  Units stand in the column
+names.  Columns and their order do not depend on the data, but for the parameters of a second and third
+branch and for intervals, which come with the document that has them.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+from tissueid.store.files import json_bytes
+
+__all__ = ["TABLES", "TidyTable", "csv_bytes", "tidy_table"]
+
+_PARAMETERS = (
+    "static_1_N_per_mm",
+    "static_2_N_per_mm2",
+    "static_3_N_per_mm3",
+    "stiffness_0_N_per_mm",
+    "stiffness_1_N_per_mm2",
+    "stiffness_2_N_per_mm3",
+    "relaxation_time_s",
+    "viscosity_N_s_per_mm",
+)
+_BRANCH_PARAMETERS = tuple(name for name in _PARAMETERS if not name.startswith("static"))
+#: Ends of an interval, in the words of an estimate and of a column.
+_INTERVAL = ("low", "high")
+_PARTS = ("stderr", *_INTERVAL, "identified")
+
+#: Columns of ``study.specimens``; the two that a trial has as well are told apart.
+_SPECIMEN_COVARIATES: Mapping[str, str] = MappingProxyType(
+    {
+        "species": "species",
+        "tissue": "tissue",
+        "donor": "donor",
+        "sex": "sex",
+        "age_years": "age_years",
+        "age_group": "age_group",
+        "side": "side",
+        "thickness_mm": "thickness_mm",
+        "thickness_mm_sd": "thickness_mm_sd",
+        "storage": "storage",
+        "freeze_thaw_cycles": "freeze_thaw_cycles",
+        "hydration": "hydration",
+        "temperature_C": "temperature_C",
+        "time_post_mortem_h": "time_post_mortem_h",
+        "support": "support",
+        "site": "specimen_site",
+        "notes": "specimen_notes",
+    }
+)
+_TRIAL_COVARIATES = ("site", "protocol", "run", "rest_s", "listed", "overridden", "notes")
+_TRIAL_FIT = (
+    "n_samples",
+    "speed_mm_s",
+    "depth_mm",
+    "gain",
+    "contact_offset_mm",
+    "nrmsd",
+    "nrmsd_mean",
+    "rmse_N",
+    "max_residual_fraction",
+    "residual_acf1",
+)
+_HOLD = (
+    *("holds", "hold_start_s", "hold_end_s", "hold_peak_force_N", "tau_single_s", "nrmsd_single"),
+    *("tau_double_1_s", "tau_double_2_s", "tau_triple_1_s", "tau_triple_2_s", "tau_triple_3_s"),
+)
+_LOOP_PLAIN = ("number", "kind", "start_s", "peak_s", "end_s", "floor_mm", "peak_depth_mm")
+_LOOP_MEASURES = (
+    *(
+        "peak_force_N",
+        "loading_work_mJ",
+        "dissipated_mJ",
+        "hysteresis",
+        "secant_N_per_mm",
+        "tangent_N_per_mm",
+    ),
+    *("residual_depth_mm", "viscosity_N_s_per_mm", "viscosity_model_N_s_per_mm", "peak_force_change"),
+    "dissipated_change",
+)
+_QUANTITY_KINDS = ("model", "measured", "moduli")
+_CONDITIONS = ("time_s", "frequency_Hz", "depth_mm", "amplitude_mm", "speed_mm_s", "formula", "path")
+_PROVENANCE = ("tissueid", "identification_sha256")
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class TidyTable:
+    """A table in memory.
+
+    Attributes
+    ----------
+    columns : tuple of str
+    rows : tuple of mapping
+        Column -> value; a column that is missing is empty.
+    """
+
+    columns: tuple[str, ...]
+    rows: tuple[Mapping[str, Any], ...]
+
+
+def tidy_table(document: Mapping[str, Any], name: str) -> TidyTable:
+    """One of :data:`TABLES`, from the document of identification.json.
+
+    Parameters
+    ----------
+    document : mapping
+        Valid by ``schemas/identification.schema.json``.
+    name : str
+    """
+    columns, rows = TABLES[name]
+    found = [{**row, **_provenance(document)} for row in rows(document)]
+    return TidyTable((*columns(document), *_PROVENANCE), tuple(found))
+
+
+def csv_bytes(table: TidyTable) -> bytes:
+    """The table as CSV (RFC 4180, UTF-8)."""
+    stream = io.StringIO(newline="")
+    writer = csv.writer(stream, lineterminator="\r\n")
+    writer.writerow(table.columns)
+    writer.writerows([_cell(row.get(column)) for column in table.columns] for row in table.rows)
+    return stream.getvalue().encode("utf-8")
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return "TRUE" if value else "FALSE"
+    if isinstance(value, (list, tuple)):
+        return ";".join(map(str, value))
+    return repr(value) if isinstance(value, float) else str(value)
+
+
+def _provenance(document: Mapping[str, Any]) -> Row:
+    # the bytes of identification.json have one spelling, so this is the hash of the file
+    digest = hashlib.sha256(json_bytes(document)).hexdigest()
+    return {"tissueid": document["provenance"]["tissueid"], "identification_sha256": digest}
+
+
+def _codes(*parts: Iterable[Mapping[str, Any]]) -> list[str]:
+    """Codes of flags, each once, in their order."""
+    return list(dict.fromkeys(flag["code"] for part in parts for flag in part))
+
+
+# --- specimens ---------------------------------------------------------------------------------------------
+
+
+def _parameter_names(document: Mapping[str, Any]) -> list[str]:
+    most = max((specimen["model"]["branches"] for specimen in document["specimens"]), default=1)
+    branches = [f"{name}_b{branch}" for branch in range(2, most + 1) for name in _BRANCH_PARAMETERS]
+    return [*_PARAMETERS, *branches]
+
+
+def _has_intervals(document: Mapping[str, Any]) -> bool:
+    return any(
+        end in estimate
+        for one in document["specimens"]
+        for estimate in one["parameters"]
+        for end in _INTERVAL
+    )
+
+
+def _specimen_columns(document: Mapping[str, Any]) -> list[str]:
+    parts = ["stderr", *(_INTERVAL if _has_intervals(document) else ()), "identified"]
+    estimates = [
+        column
+        for name in _parameter_names(document)
+        for column in (name, *(f"{name}_{part}" for part in parts))
+    ]
+    return [
+        *("specimen", "status", "trials", "excluded_trials", *_SPECIMEN_COVARIATES.values()),
+        *("length_unit", "force_unit", "tip_radius_mm", "model", "branches", "static_degree"),
+        *("stiffness_degree", "static_pooling", *estimates, "valid_depth_mm", "slowest_mm_s", "fastest_mm_s"),
+        *(
+            "n_samples",
+            "sigma_N",
+            "nrmsd",
+            "nrmsd_mean",
+            "rmse_N",
+            "optimisers_agree",
+            "flags",
+            "trial_flags",
+        ),
+    ]
+
+
+def _specimen_rows(document: Mapping[str, Any]) -> Iterator[Row]:
+    study = document.get("study") or {}
+    known = _specimen_covariates(document)
+    gone = [one["specimen"] for one in study.get("exclusions", ())]
+    fitted = set()
+    for specimen in document["specimens"]:
+        name = specimen["specimen"]
+        fitted.add(name)
+        yield {
+            "specimen": name,
+            "status": "fitted",
+            "excluded_trials": gone.count(name),
+            **known.get(name, {}),
+            **_fit_of(specimen),
+        }
+    for name in dict.fromkeys([*known, *(one for one in gone if one is not None)]):
+        if name not in fitted:
+            row = {"specimen": name, "status": "not fitted", "trials": 0, "excluded_trials": gone.count(name)}
+            yield {**row, **known.get(name, {})}
+
+
+def _fit_of(specimen: Mapping[str, Any]) -> Row:
+    model, validity, units = specimen["model"], specimen["validity"], specimen.get("units", {})
+    slowest, fastest = validity["speeds_mm_s"]
+    row: Row = {
+        "trials": len(specimen["trials"]),
+        "length_unit": units.get("length", "mm"),
+        "force_unit": units.get("force", "N"),
+        "tip_radius_mm": validity["tip_radius_mm"],
+        "model": model["key"],
+        **{key: model[key] for key in ("branches", "static_degree", "stiffness_degree", "static_pooling")},
+        "valid_depth_mm": validity["depth_mm"],
+        "slowest_mm_s": slowest,
+        "fastest_mm_s": fastest,
+        "n_samples": specimen["n_samples"],
+        "sigma_N": specimen["sigma_N"],
+        "nrmsd": specimen["nrmsd"]["range"],
+        "nrmsd_mean": specimen["nrmsd"]["mean"],
+        "rmse_N": specimen["nrmsd"]["rmse_N"],
+        "optimisers_agree": specimen["optimisers"]["agree"],
+        "flags": _codes(specimen["flags"]),
+        "trial_flags": _codes(*(trial["flags"] for trial in specimen["trials"])),
+    }
+    for estimate in specimen["parameters"]:
+        row[estimate["name"]] = estimate["value"]
+        row |= {f"{estimate['name']}_{part}": estimate[part] for part in _PARTS if part in estimate}
+    return row
+
+
+def _specimen_covariates(document: Mapping[str, Any]) -> dict[str, Row]:
+    study = document.get("study") or {}
+    return {
+        one["specimen"]: {column: one.get(key) for key, column in _SPECIMEN_COVARIATES.items()}
+        for one in study.get("specimens", ())
+    }
+
+
+# --- trials ------------------------------------------------------------------------------------------------
+
+
+def _trial_columns(_document: Mapping[str, Any]) -> list[str]:
+    return [
+        *(
+            "specimen",
+            "path",
+            "sheet",
+            "status",
+            "reason",
+            *_TRIAL_COVARIATES,
+            *_SPECIMEN_COVARIATES.values(),
+        ),
+        *(*_TRIAL_FIT, *_HOLD, "cycles", "flags", "recipe", "input_sha256"),
+    ]
+
+
+def _place(part: Mapping[str, Any]) -> tuple[str, str | None]:
+    return part["path"], part["sheet"]
+
+
+def _trial_rows(document: Mapping[str, Any]) -> Iterator[Row]:
+    study = document.get("study") or {}
+    covariates = _specimen_covariates(document)
+    said = {_place(one): one for one in study.get("trials", ())}
+    inputs = {_place(one): one for one in document["provenance"]["inputs"]}
+
+    def row(part: Mapping[str, Any], specimen: str | None, status: str) -> Row:
+        known = said.get(_place(part), {})
+        source = inputs.get(_place(part), {})
+        return {
+            "specimen": specimen,
+            "path": part["path"],
+            "sheet": part["sheet"],
+            "status": status,
+            "reason": known.get("because"),
+            **{key: known.get(key) for key in _TRIAL_COVARIATES},
+            **covariates.get(specimen or "", {}),
+            "recipe": source.get("recipe"),
+            "input_sha256": source.get("sha256") or None,
+        }
+
+    for specimen in document["specimens"]:
+        for trial in specimen["trials"]:
+            own = [hold for hold in specimen["relaxation"] if _place(hold) == _place(trial)]
+            loops = sum(_place(loop) == _place(trial) for loop in specimen.get("cycles", ()))
+            yield {
+                **row(trial, specimen["specimen"], "fitted"),
+                **{key: trial[key] for key in _TRIAL_FIT},
+                **_longest_hold(own),
+                "cycles": loops,
+                "flags": _codes(trial["flags"], *(hold["flags"] for hold in own)),
+            }
+    for one in study.get("exclusions", ()):
+        yield {**row(one, one["specimen"], "excluded"), "reason": one["because"]}
+    for one in document["refused"]:
+        error = one["error"]
+        line = "" if error["line"] is None else f"line {error['line']}: "
+        yield {**row(one, None, "refused"), "reason": f"{error['code']}: {line}{error['message']}"}
+
+
+def _longest_hold(rows: Sequence[Mapping[str, Any]]) -> Row:
+    if not rows:
+        return {"holds": 0}
+    longest = max(rows, key=lambda row: row["window_s"][1] - row["window_s"][0])
+    found: Row = {
+        "holds": len(rows),
+        "hold_start_s": longest["window_s"][0],
+        "hold_end_s": longest["window_s"][1],
+        "hold_peak_force_N": longest["peak_force_N"],
+        "tau_single_s": longest["tau_single_s"],
+        "nrmsd_single": longest["nrmsd_single"],
+    }
+    for key in ("double", "triple"):
+        found |= {f"tau_{key}_{i}_s": tau for i, tau in enumerate(longest[f"tau_{key}_s"], start=1)}
+    return found
+
+
+# --- loops and quoted numbers ------------------------------------------------------------------------------
+
+
+def _cycle_columns(_document: Mapping[str, Any]) -> list[str]:
+    measures = [column for name in _LOOP_MEASURES for column in (name, f"{name}_stderr")]
+    return ["specimen", "path", "sheet", *_LOOP_PLAIN, *measures]
+
+
+def _cycle_rows(document: Mapping[str, Any]) -> Iterator[Row]:
+    for specimen in document["specimens"]:
+        for loop in specimen.get("cycles", ()):
+            row = {"specimen": specimen["specimen"], "path": loop["path"], "sheet": loop["sheet"]}
+            row |= {key: loop[key] for key in _LOOP_PLAIN}
+            for name in _LOOP_MEASURES:
+                row |= {name: loop[name]["value"], f"{name}_stderr": loop[name]["stderr"]}
+            yield row
+
+
+def _quantity_columns(_document: Mapping[str, Any]) -> list[str]:
+    return ["specimen", "kind", "name", "unit", *_CONDITIONS, "value", "stderr", "reason"]
+
+
+def _quantity_rows(document: Mapping[str, Any]) -> Iterator[Row]:
+    for specimen in document["specimens"]:
+        quoted = specimen.get("quoted") or {}
+        for kind in _QUANTITY_KINDS:
+            for one in quoted.get(kind, ()):
+                plain = {key: one[key] for key in ("name", "unit", "value", "stderr", "reason")}
+                at = {key: one["at"].get(key) for key in _CONDITIONS}
+                yield {"specimen": specimen["specimen"], "kind": kind, **plain, **at}
+
+
+_Columns = Callable[[Mapping[str, Any]], list[str]]
+_Rows = Callable[[Mapping[str, Any]], Iterator[Row]]
+
+#: Name -> its columns and its rows.
+TABLES: Mapping[str, tuple[_Columns, _Rows]] = MappingProxyType(
+    {
+        "specimens": (_specimen_columns, _specimen_rows),
+        "trials": (_trial_columns, _trial_rows),
+        "cycles": (_cycle_columns, _cycle_rows),
+        "quantities": (_quantity_columns, _quantity_rows),
+    }
+)
