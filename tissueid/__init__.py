@@ -9,16 +9,18 @@ from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
 
-__all__ = ["__version__", "identify", "load_bundle", "read_trials"]
+__all__ = ["__version__", "identify", "load_bundle", "read_study", "read_trials"]
 
 if TYPE_CHECKING:
     from tissueid.ingest import read_trials
+    from tissueid.ingest.manifest import read_study
     from tissueid.pipeline import identify
     from tissueid.store.bundle import load_bundle
 
 _LAZY = {
     "identify": "tissueid.pipeline",
     "load_bundle": "tissueid.store.bundle",
+    "read_study": "tissueid.ingest.manifest",
     "read_trials": "tissueid.ingest",
 }
 

@@ -19,7 +19,7 @@ from tissueid.manifest import Study
 from tissueid.result import Estimate, Refusal, SpecimenFit
 from tissueid.store.schema import load_schema
 
-__all__ = ["Refit", "exclusion_rows", "study_flags", "study_record", "unmatched_sheets"]
+__all__ = ["Refit", "exclusion_rows", "study_flags", "study_record", "unmatched_sheets", "without_excluded"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,6 +177,21 @@ def _difference(before: Estimate | None, after: Estimate) -> dict[str, Any]:
         "with": after.value,
         "with_stderr": after.stderr,
     }
+
+
+def without_excluded(refused: Sequence[Refusal], collected: Collected, study: Study | None) -> list[Refusal]:
+    """The refusals that are not of recordings the user took out; those join the exclusions."""
+    kept = []
+    for one in refused:
+        decision = None if study is None else study.decision(one.path, one.sheet)
+        if decision is None or decision.excluded is None:
+            kept.append(one)
+            continue
+        specimen = decision.trial.get("specimen", one.path)
+        collected.excluded.append(
+            Excluded(one.path, one.sheet, specimen, decision.excluded, one, calibrates=False)
+        )
+    return kept
 
 
 def unmatched_sheets(study: Study | None, collected: Collected, refused: Sequence[Refusal]) -> list[Refusal]:

@@ -16,7 +16,14 @@ import numpy as np
 
 from tissueid import __version__
 from tissueid.collection import Collected, TrialCache, arithmetic_refusal, collect, display_names
-from tissueid.covariates import Refit, exclusion_rows, study_flags, study_record, unmatched_sheets
+from tissueid.covariates import (
+    Refit,
+    exclusion_rows,
+    study_flags,
+    study_record,
+    unmatched_sheets,
+    without_excluded,
+)
 from tissueid.errors import exit_code
 from tissueid.fit.specimen import FitOptions, LogHandle, fit_specimen
 from tissueid.fit.tip import tip_handles
@@ -192,9 +199,11 @@ def identify(
     def fit_again(name: str, handles: Sequence[LogHandle], fit: FitOptions, because: str) -> SpecimenFit:
         return _fit(name, handles, fit, study, lambda text: progress(f"{name} {because}: {text}", 0, 0))
 
+    kept = without_excluded(refused, collected, study)
     exclusions = exclusion_rows(collected, names, fits, options.fit, Refit(fit_again))
     inputs = [entry | {"specimen": names[entry["specimen"]]} for entry in collected.inputs]
-    everything = [*refused, *collected.left_out, *unmatched_sheets(study, collected, refused)]
+    missing = unmatched_sheets(study, collected, refused)
+    everything = [*kept, *collected.left_out, *missing]
     record = None if study is None else study_record(study, collected, names, exclusions)
     return Identification(
         specimens=tuple(fits),

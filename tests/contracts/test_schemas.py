@@ -66,7 +66,14 @@ def test_flag_codes_are_those_of_the_code() -> None:
 def test_refusal_codes_are_those_of_ingest_and_the_two_a_fit_adds() -> None:
     refusals = pytest.importorskip("tissueid.ingest.refusals")
     known = set(load_schema("inspect")["$defs"]["refusal_code"]["enum"])
-    assert known == {*refusals.REFUSAL_CODES, "no_contact", "too_few_samples", "fit_failed", "mixed_axes"}
+    assert known == {
+        *refusals.REFUSAL_CODES,
+        "no_contact",
+        "too_few_samples",
+        "fit_failed",
+        "mixed_axes",
+        "frame_range",
+    }
 
 
 def test_identification_of_a_run_is_valid() -> None:

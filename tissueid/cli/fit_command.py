@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,6 +23,7 @@ EPILOG = """\b
 Examples:
   tissueid fit lab_data/ -o out
   tissueid fit "session 3/"*.csv --branches 2 --stiffness-degree 1
+  tissueid fit lab_data/study.toml -o out
   tissueid fit meat.xlsx --json > meat.json
   tissueid fit odd.csv --columns "time=t,displacement=pos,force=F" --units "force=mN"
 """
@@ -71,23 +73,29 @@ def _count(auto: str) -> click.Choice[str]:
 @click.option(
     "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of everything random."
 )
+@click.option(
+    "--study", type=click.Path(), metavar="FILE",
+    help="Study file. [default: study.toml of the folder that is fitted]",
+)  # fmt: skip
+@click.option("--no-study", is_flag=True, help="Fit without the folder's study.toml.")
 @reading_options
 @output_options
 def command(**flags: Any) -> int:
     """Identify the tissue behind recordings.
 
-    PATHS are exports, workbooks or folders of them. Each file or sheet is its own specimen unless their
-    headers carry the same specimen label, or --specimen-by groups them. Writes identification.json, one
-    bundle a specimen, curves.h5 and report.html to the output folder, all at once or not at all.
+    PATHS are exports, workbooks, folders of them, or a study.toml. Each file or sheet is its own specimen
+    unless their headers carry the same specimen label, --specimen-by groups them, or a study does. Writes
+    identification.json, one bundle a specimen, curves.h5 and report.html to the output folder, all at once
+    or not at all.
     """
     from tissueid.fit.compiled import kernels_to_compile
-    from tissueid.ingest import read_one
     from tissueid.pipeline import identify
     from tissueid.report import render_report
     from tissueid.store.curves import curves_of_fits
     from tissueid.store.files import plain_json
     from tissueid.store.outputs import OutputSet
     from tissueid.store.results import REPORT, write_results
+    from tissueid.study.recordings import locate_study, read_decided_one
 
     quiet: int = flags["quiet"]
     reading = read_options(
@@ -98,7 +106,8 @@ def command(**flags: Any) -> int:
         recipe=flags["recipe"],
     )
     options = _identify_options(flags)
-    items = read_in_order(flags["paths"], reading)
+    study, paths = locate_study(flags["paths"], named=flags["study"], ignore=flags["no_study"])
+    items = read_in_order(paths, reading, study)
     _refuse_foreign(Path(flags["out"]))
     missing = kernels_to_compile()
     if missing:
@@ -110,8 +119,9 @@ def command(**flags: Any) -> int:
     with OutputSet(flags["out"]) as run, progress_bar(show=not quiet) as progress:
         identification = identify(
             read_all(items, refused),
+            study=study,
             options=options,
-            reload=lambda source: read_one(source.path, source.sheet, reading),
+            reload=lambda source: read_decided_one(source.path, source.sheet, reading, study),
             refused=refused,
             provenance={"reading": {key: flags[key] for key in READING}},
             progress=progress,
@@ -170,8 +180,22 @@ def _print(identification: Identification, out: str, *, verbose: int) -> None:
     console = Console(highlight=False, soft_wrap=True)
     for fit in identification.specimens:
         _print_specimen(console, fit, verbose=verbose)
+    for row in (identification.study or {}).get("exclusions", ()):
+        _print_exclusion(console, row)
     if identification.specimens:
         console.print(f"\nReport: {out}/report.html", markup=False)
+
+
+def _print_exclusion(console: Any, row: Mapping[str, Any]) -> None:
+    """A trial that was left out, why, and what the specimen's numbers would be with it."""
+    where = row["path"] if row["sheet"] is None else f"{row['path']} [{row['sheet']}]"
+    console.print(f"\nexcluded  {where}: {row['because']}", markup=False)
+    if row["note"]:
+        console.print(f"  {row['note']}", markup=False)
+    for one in row["with_it"]:
+        before = "not identified" if one["without"] is None else f"{one['without']:.4g}"
+        after = "not identified" if one["with"] is None else with_error(one["with"], one["with_stderr"])
+        console.print(f"  {one['symbol']:<6} with it {after} {one['unit']} (without: {before})", markup=False)
 
 
 def _print_reasons(identification: Identification, *, verbose: int, quiet: int) -> None:

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
     from tissueid.errors import InputError
     from tissueid.ingest import ReadOptions
+    from tissueid.manifest import Study
     from tissueid.result import Refusal
     from tissueid.segment import SegmentOptions
     from tissueid.trial import Trial
@@ -121,8 +122,12 @@ def _refusal(error: InputError) -> Refusal:
     )
 
 
-def read_in_order(paths: tuple[str, ...], options: ReadOptions) -> Iterator[Trial | Refusal]:
+def read_in_order(
+    paths: tuple[str, ...], options: ReadOptions, study: Study | None = None
+) -> Iterator[Trial | Refusal]:
     """Trials of all paths, one at a time; a refusal stands in the place of what was refused.
+
+    With a study, columns and units are those it decides, and what it names in vain is refused first.
 
     Raises
     ------
@@ -131,27 +136,30 @@ def read_in_order(paths: tuple[str, ...], options: ReadOptions) -> Iterator[Tria
     """
     from tissueid.errors import InputError
     from tissueid.ingest import find_inputs
+    from tissueid.ingest.manifest import unmatched_files
 
-    found: dict[Path | Refusal, None] = {}
+    found: dict[Path | Refusal, None] = {} if study is None else dict.fromkeys(unmatched_files(study))
     for path in paths:
         try:
             found.update(dict.fromkeys(find_inputs([path])))
         except InputError as error:
             # a folder without recordings does not stop the others
             found[_refusal(error)] = None
-    return _read(list(found), options)
+    return _read(list(found), options, study)
 
 
-def _read(found: list[Path | Refusal], options: ReadOptions) -> Iterator[Trial | Refusal]:
+def _read(
+    found: list[Path | Refusal], options: ReadOptions, study: Study | None
+) -> Iterator[Trial | Refusal]:
     from tissueid.errors import InputError
-    from tissueid.ingest import read_each
     from tissueid.result import Refusal
+    from tissueid.study.recordings import read_decided
 
     for one in found:
         if isinstance(one, Refusal):
             yield one
             continue
-        for item in read_each(one, options):
+        for item in read_decided(one, options, study):
             yield _refusal(item) if isinstance(item, InputError) else item
 
 

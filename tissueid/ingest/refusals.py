@@ -47,6 +47,11 @@ REFUSAL_MEANINGS: Mapping[str, str] = MappingProxyType(
         "mixed_tables": "rows of numbers stand outside the table of the recording",
         "time_backwards": "the time falls from one row to the next",
         "implausible_range": "travel or force is beyond any test machine: decimal marks or units are wrong",
+        # the study
+        "invalid_study": "the study file says something that can't be: a key, a unit, a value",
+        "study_unmatched": "the study file names a file or a sheet that is not there",
+        "invalid_frame": "the frame file is not one, or is damaged",
+        "not_rigid": "the recording is no rigid block under load",
     }
 )
 

@@ -1,0 +1,265 @@
+"""``study.toml`` -> :class:`tissueid.manifest.Study`: parsed, its keys and units checked, its files found.
+
+What is wrong is refused with the file, the line, the key, its value and the way out; a file or sheet that is
+named and not there is not fatal, and is returned as a refusal beside the study.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import glob
+import hashlib
+import os
+import re
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, NoReturn
+
+from tissueid.errors import InputError, UsageError
+from tissueid.ingest.frame_file import read_frame
+from tissueid.ingest.options import ReadOptions
+from tissueid.ingest.stated import canonical_key, in_unit, unit_of
+from tissueid.ingest.toml_lines import TomlPath, line_of, lines_of_toml
+from tissueid.manifest import Calibration, Entry, FrameCurve, Study
+from tissueid.model.frame import linear_frame
+from tissueid.result import Refusal
+from tissueid.store.schema import first_problem, load_schema
+
+__all__ = ["MANIFEST", "SCHEMA", "read_study", "unmatched_files"]
+
+#: Name of the manifest in the folder of its recordings.
+MANIFEST = "study.toml"
+SCHEMA = "tissueid/study/1"
+#: Standard deviation of a stated frame stiffness whose own was not stated, as a share.
+UNSTATED_FRAME_SD = 0.10
+_SYNTAX_PLACE = re.compile(r" \(at (?:line (\d+), column (\d+)|end of document)\)$")
+_READING = ("columns", "units", "axes")
+
+
+class _Refuser:
+    """Refuses a part of one manifest, with its line."""
+
+    def __init__(self, path: str, lines: dict[TomlPath, int]) -> None:
+        self.path = path
+        self.lines = lines
+
+    def refuse(self, where: TomlPath, message: str) -> NoReturn:
+        """Raise the refusal of the value at ``where``."""
+        raise InputError(
+            code="invalid_study", message=message, path=self.path, line=line_of(self.lines, where)
+        )
+
+    def line(self, where: TomlPath) -> int:
+        """Line of a table."""
+        return line_of(self.lines, where) or 1
+
+
+def read_study(path: str | Path) -> Study:
+    """Read a study manifest.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file, or the folder that holds ``study.toml``.
+
+    Returns
+    -------
+    Study
+        Values in mm, N and s as their keys say; globs are expanded against the folder of the file.
+
+    Raises
+    ------
+    InputError
+        ``invalid_study`` with line; ``invalid_frame`` of the frame file it names.
+    UsageError
+        There is no such file.
+    """
+    file = Path(path)
+    file = file / MANIFEST if file.is_dir() else file
+    try:
+        content = file.read_bytes()
+    except OSError as error:
+        msg = f"{file}: can't be read ({error.strerror}); `tissueid study init` writes one"
+        raise UsageError(msg) from error
+    table, refuser = _parsed(content, str(file))
+    document = _normalised(table, refuser)
+    _check_schema(document, refuser)
+    _check_names(document, refuser)
+    _check_reading(document, refuser)
+    folder = file.parent
+    return Study(
+        path=str(file),
+        sha256=hashlib.sha256(content).hexdigest(),
+        about=document.get("study", {}),
+        tip=document.get("tip", {}),
+        calibration=_calibration(document.get("calibration", {}), folder, refuser),
+        specimens={entry["name"]: entry for entry in document.get("specimen", ())},
+        protocols={entry["name"]: entry for entry in document.get("protocol", ())},
+        trials=_entries(document, "trial", folder, refuser),
+        overrides=_entries(document, "override", folder, refuser),
+        exclusions=_entries(document, "exclude", folder, refuser),
+    )
+
+
+def unmatched_files(study: Study) -> list[Refusal]:
+    """A refusal for every table of the study that names no recording that exists."""
+    return [
+        Refusal(
+            study.path,
+            None,
+            "study_unmatched",
+            f'file = "{entry.values["file"]}" names no file: correct the name, or take the table out',
+            entry.line,
+        )
+        for entry in study.entries
+        if not entry.files
+    ]
+
+
+def _parsed(content: bytes, path: str) -> tuple[dict[str, Any], _Refuser]:
+    try:
+        text = content.decode("utf-8-sig")
+        return tomllib.loads(text), _Refuser(path, lines_of_toml(text.replace("\r\n", "\n")))
+    except UnicodeDecodeError as error:
+        first = content.count(b"\n", 0, error.start) + 1
+        message = "the file is not UTF-8: save it as UTF-8"
+        raise InputError(code="invalid_study", message=message, path=path, line=first) from error
+    except tomllib.TOMLDecodeError as error:
+        place = _SYNTAX_PLACE.search(str(error))
+        line, column = (int(place[1]), int(place[2])) if place and place[1] else (None, None)
+        said = _SYNTAX_PLACE.sub("", str(error))
+        shown = (
+            "" if line is None else f": {content.decode('utf-8-sig').splitlines()[line - 1].strip()[:60]!r}"
+        )
+        message = f"this is not TOML ({said}){shown}; text stands in quotes, a table name in [brackets]"
+        raise InputError(
+            code="invalid_study", message=message, path=path, line=line, column=column
+        ) from error
+
+
+def _properties(name: str) -> Mapping[str, Any]:
+    """What a table of the manifest may hold, from the schema."""
+    found: Mapping[str, Any] = load_schema("study")["$defs"][name]["properties"]
+    return found
+
+
+def _normalised(table: Mapping[str, Any], refuser: _Refuser) -> dict[str, Any]:
+    """The same document with one key for one quantity, numbers in the key's unit, dates as text."""
+    top: Mapping[str, Any] = load_schema("study")["properties"]
+    document: dict[str, Any] = {}
+    for name, value in table.items():
+        if name not in top:
+            near = get_close_matches(name, top, n=1)
+            hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(top)}"
+            refuser.refuse((name,), f"there is no table {name!r}; {hint}")
+        if isinstance(value, dict):
+            document[name] = _table(value, name, (name,), refuser)
+        elif isinstance(value, list):
+            document[name] = [
+                _table(one, name, (name, i), refuser) if isinstance(one, dict) else one
+                for i, one in enumerate(value)
+            ]
+        else:
+            document[name] = value
+    return document
+
+
+def _table(table: Mapping[str, Any], name: str, where: TomlPath, refuser: _Refuser) -> dict[str, Any]:
+    known = _properties(name)
+    plain: dict[str, Any] = {}
+    for written, raw in table.items():
+        value = raw.isoformat() if isinstance(raw, dt.date | dt.time) else raw
+        try:
+            key = canonical_key(written, value, known)
+            if isinstance(value, str) and known[key].get("type") == "number" and unit_of(key) is not None:
+                value = in_unit(key, value)
+        except ValueError as error:
+            refuser.refuse((*where, written), str(error))
+        if key in plain:
+            refuser.refuse((*where, written), f"{key} is given twice: take one out")
+        plain[key] = value
+        if written != key:
+            refuser.lines.setdefault((*where, key), line_of(refuser.lines, (*where, written)) or 1)
+    return plain
+
+
+def _check_schema(document: Mapping[str, Any], refuser: _Refuser) -> None:
+    problem = first_problem(document, "study")
+    if problem is None:
+        return
+    where: TomlPath = tuple(int(p) if p.isdecimal() else p for p in problem.pointer.split("/")[1:])
+    if not where and "schema" not in document:
+        refuser.refuse((), f'the first line must be: schema = "{SCHEMA}"')
+    known = _properties(str(where[0])) if where and where[0] in load_schema("study")["$defs"] else {}
+    meaning = known.get(str(where[-1]), {}).get("description") if where else None
+    hint = f". {where[-1]}: {meaning}" if meaning else ""
+    if not where or where[-1] == "calibration":
+        hint = ". frame and frame_stiffness_N_per_mm exclude each other; an _sd needs its value beside it"
+    refuser.refuse(where, f"{'.'.join(map(str, where)) or 'the file'}: {problem.message}{hint}")
+
+
+def _check_names(document: Mapping[str, Any], refuser: _Refuser) -> None:
+    """Names are unique, and what is referred to exists."""
+    for table, reference in (("specimen", "specimen"), ("protocol", "protocol")):
+        names: dict[str, int] = {}
+        for i, entry in enumerate(document.get(table, ())):
+            if entry["name"] in names:
+                message = f'name = "{entry["name"]}" stands twice, here and in line {names[entry["name"]]}'
+                refuser.refuse((table, i, "name"), message)
+            names[entry["name"]] = refuser.line((table, i, "name"))
+        for i, trial in enumerate(document.get("trial", ())):
+            said = trial.get(reference)
+            if said is None or said in names or (table == "specimen" and not names):
+                continue
+            near = get_close_matches(said, names, n=1)
+            hint = f'did you mean "{near[0]}"?' if near else f'add [[{table}]] with name = "{said}"'
+            refuser.refuse(("trial", i, reference), f'{reference} = "{said}" has no [[{table}]]; {hint}')
+
+
+def _check_reading(document: Mapping[str, Any], refuser: _Refuser) -> None:
+    """Columns, units and axes make sense to the readers."""
+    for i, entry in enumerate(document.get("override", ())):
+        for key in _READING:
+            try:
+                ReadOptions(**{key: entry.get(key, {})})
+            except UsageError as error:
+                refuser.refuse(("override", i, key), error.message)
+
+
+def _calibration(table: Mapping[str, Any], folder: Path, refuser: _Refuser) -> Calibration:
+    frame: FrameCurve | None = None
+    stiffness = table.get("frame_stiffness_N_per_mm")
+    values = {key: value for key, value in table.items() if key != "frame"}
+    if stiffness is not None:
+        values.setdefault("frame_stiffness_N_per_mm_sd", UNSTATED_FRAME_SD * stiffness)
+        frame = linear_frame(stiffness, values["frame_stiffness_N_per_mm_sd"])
+    elif "frame" in table:
+        file = folder / table["frame"]
+        if not file.is_file():
+            message = f'frame = "{table["frame"]}" is not there: `tissueid calibrate-frame` writes one'
+            refuser.refuse(("calibration", "frame"), message)
+        frame = read_frame(file)
+    return Calibration(values, frame)
+
+
+def _entries(document: Mapping[str, Any], table: str, folder: Path, refuser: _Refuser) -> tuple[Entry, ...]:
+    listed: Sequence[Mapping[str, Any]] = document.get(table, ())
+    return tuple(
+        Entry(entry, tuple(_files(entry["file"], folder)), refuser.line((table, i)))
+        for i, entry in enumerate(listed)
+    )
+
+
+def _files(pattern: str, folder: Path) -> Iterator[str]:
+    """Absolute paths of the files that a name or glob means; a name that exists is never taken for a glob."""
+    # globs and names are written with / on every system; a backslash is a slip of a Windows path
+    for written in (pattern, pattern.replace("\\", "/")):
+        if (folder / written).is_file():
+            yield os.path.realpath(folder / written)
+            return
+    whole = os.path.join(glob.escape(str(folder)), pattern.replace("\\", "/"))  # noqa: PTH118 -- glob takes text
+    for name in sorted(glob.glob(whole, recursive=True)):  # noqa: PTH207 -- Path.glob refuses absolute patterns
+        if Path(name).is_file():
+            yield os.path.realpath(name)

@@ -1,0 +1,140 @@
+"""Which recordings belong to a study, and how each is read.
+
+A folder that holds ``study.toml`` is read with it.  The files that the manifest names come first, in its
+order; recordings beside them are read as well, unless the study says ``only_listed = true``.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from tissueid.errors import InputError, UsageError
+from tissueid.ingest import ReadOptions, find_inputs, read_each, read_one
+from tissueid.ingest.manifest import MANIFEST, read_study
+from tissueid.manifest import Study
+from tissueid.trial import Trial
+
+__all__ = ["listed_files", "locate_study", "options_for", "read_decided", "read_decided_one"]
+
+_READING = ("columns", "units", "axes")
+
+
+def locate_study(
+    paths: Sequence[str], *, named: str | None = None, ignore: bool = False
+) -> tuple[Study | None, tuple[str, ...]]:
+    """The study behind some paths, and what is to be read.
+
+    Parameters
+    ----------
+    paths : sequence of str
+        Recordings, folders, or a manifest itself.
+    named : str, optional
+        A manifest named apart from the paths.
+    ignore : bool
+        Look for none.
+
+    Returns
+    -------
+    study : Study or None
+    paths : tuple of str
+        With the manifest's own files in place of the manifest.
+
+    Raises
+    ------
+    UsageError
+        Two studies at once, or one that is both named and ignored.
+    InputError
+        The manifest is not valid.
+    """
+    manifests = [path for path in paths if path.casefold().endswith(".toml")]
+    if ignore and (named or manifests):
+        msg = f"--no-study, and yet {named or manifests[0]} is named: leave one out"
+        raise UsageError(msg)
+    if ignore:
+        return None, tuple(paths)
+    found = {named: named} if named else {}
+    for path in paths:
+        file = path if path in manifests else os.path.join(path, MANIFEST)  # noqa: PTH118 -- kept as typed
+        if (path in manifests or Path(path).is_dir()) and (path in manifests or Path(file).is_file()):
+            found.setdefault(os.path.realpath(file), file)
+    if named and len({os.path.realpath(file) for file in found.values()}) == 1:
+        found = {named: named}
+    if len(found) > 1 and not named:
+        msg = (
+            f"{len(found)} studies at once ({', '.join(sorted(found.values()))}): fit them one by one, "
+            "choose one with --study, or use --no-study"
+        )
+        raise UsageError(msg)
+    if not found:
+        return None, tuple(paths)
+    study = read_study(named or next(iter(found.values())))
+    return study, _to_read(study, [path for path in paths if path not in manifests], bool(manifests))
+
+
+def _to_read(study: Study, paths: Sequence[str], manifest_named: bool) -> tuple[str, ...]:
+    """Listed files before the folder they are in; the folder itself unless only listed files count."""
+    folder = str(Path(study.path).parent)
+    whole = manifest_named or any(os.path.realpath(path) == os.path.realpath(folder) for path in paths)
+    if not whole:
+        return tuple(paths)
+    others = [path for path in paths if os.path.realpath(path) != os.path.realpath(folder)]
+    listed = listed_files(study)
+    if study.only_listed or not _holds_recordings(folder):
+        return tuple(dict.fromkeys([*listed, *others]))
+    return tuple(dict.fromkeys([*listed, folder, *others]))
+
+
+def _holds_recordings(folder: str) -> bool:
+    try:
+        return bool(find_inputs([folder]))
+    except InputError:
+        return False
+
+
+def listed_files(study: Study) -> list[str]:
+    """Files that the study names, in its order, as seen from where the study was named."""
+    folder = Path(study.path).parent
+    real = os.path.realpath(folder)
+    names = [file for entry in study.entries for file in entry.files]
+    listed = [os.path.normpath(folder / os.path.relpath(name, real)) for name in dict.fromkeys(names)]
+    return [str(Path(name)) for name in listed]
+
+
+def options_for(study: Study | None, base: ReadOptions, path: str, sheet: str | None) -> ReadOptions:
+    """How one file, or one sheet of it, is read: the run's options with the study's columns and units."""
+    if study is None:
+        return base
+    override = study.decision(path, sheet).override
+    said: dict[str, Any] = {
+        key: {**getattr(base, key), **override[key]} for key in _READING if key in override
+    }
+    return replace(base, **said) if said else base
+
+
+def read_decided(path: Path, base: ReadOptions, study: Study | None) -> Iterator[Trial | InputError]:
+    """Every trial of a file, read as the study says; a sheet with columns of its own is read again.
+
+    Yields
+    ------
+    Trial or InputError
+    """
+    general = options_for(study, base, str(path), None)
+    for item in read_each(path, general):
+        sheet = item.sheet if isinstance(item, InputError) else item.source.sheet
+        own = options_for(study, base, str(path), sheet)
+        if sheet is None or own == general:
+            yield item
+            continue
+        try:
+            yield read_one(path, sheet, own)
+        except InputError as error:
+            yield error
+
+
+def read_decided_one(path: str, sheet: str | None, base: ReadOptions, study: Study | None) -> Trial:
+    """One trial again, read as the study says."""
+    return read_one(path, sheet, options_for(study, base, path, sheet))
