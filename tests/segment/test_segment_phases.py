@@ -68,7 +68,8 @@ def random_program(rng: np.random.Generator) -> tuple[list[Move | Hold], list[st
         expected.append("ramp" if direction > 0 else "retract")
         if rng.random() < 0.6:
             moves.append(Hold(slow * rng.uniform(0.5, 3.0)))
-            expected.append("hold")
+            # back at the surface nothing is held
+            expected.append("hold" if depth > 0.0 else "rest")
             direction = -1 if depth > 0.4 and rng.random() < 0.3 else 1
         else:
             direction = -direction

@@ -16,12 +16,19 @@ from numpy.typing import NDArray
 from tissueid.segment.noise import quantum, white_noise_sd
 from tissueid.segment.polyline import corners
 
-__all__ = ["Corner", "Piece", "displacement_tolerance", "pieces"]
+__all__ = ["Piece", "corner_near", "displacement_tolerance", "pieces", "straight_line"]
 
 FloatArray = NDArray[np.float64]
 
 #: Samples of white noise stay within this many standard deviations (1e5 samples: 4.4 expected).
 NOISE_REACH = 5.5
+#: Weights of the second difference have this sum of squares: 1 + 4 + 1.
+SECOND_DIFFERENCE_VARIANCE = 6.0
+#: Share of the squared second differences that is averaged, and the normal variance within that share.
+TRIMMED = 0.9
+TRIMMED_VARIANCE = 0.6230
+#: Fewer samples are mostly corners.
+FEWEST_FOR_SPREAD = 60
 #: Resolution of the polyline as a share of the whole excursion: finer motion is not a phase.
 POLYLINE_RESOLUTION = 5e-4
 #: A move covers at least this share of the whole excursion.
@@ -34,10 +41,19 @@ STAND_SPEED = 0.03
 SPEED_RATIO = 2.0
 #: Fewer samples than this at another speed are a start or a stop, not a move of their own.
 MOVE_SAMPLES = 5
+#: ... and a slower stretch up to this long is a crosshead that stops or starts [s], as is ...
+STOP_S = 0.3
+#: ... one of less than this share of its neighbour's time and travel.
+MINOR = 0.2
+#: Fewer samples at rest are event rows or the turn of a move.
+STAND_SAMPLES = 4
 #: Samples on each side of a corner that place it.
 CORNER_SAMPLES = 200
+#: Samples on each side that must lie on the lines of a sharp corner, and what share of them.
+NEAR_SAMPLES = 25
+SHARP_SHARE = 0.98
 #: Passes that place a corner.
-CORNER_PASSES = 6
+CORNER_PASSES = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,18 +65,16 @@ class Piece:
     stop: int
 
 
-@dataclass(frozen=True, slots=True)
-class Corner:
-    """How a ramp came to its stop: time it took [s] and overshoot beyond the plateau [mm]."""
-
-    duration_s: float
-    overshoot_mm: float
-
-
 def displacement_tolerance(time_s: FloatArray, depth_mm: FloatArray) -> float:
     """Largest distance from a straight line that noise and resolution explain [mm]."""
-    noise = NOISE_REACH * white_noise_sd(time_s, depth_mm)
-    return max(noise, 1.01 * quantum(depth_mm), POLYLINE_RESOLUTION * float(np.ptp(depth_mm)))
+    noise = white_noise_sd(time_s, depth_mm)
+    if depth_mm.size >= FEWEST_FOR_SPREAD:
+        # the median of a quantised signal is one of its steps; a trimmed mean square knows no steps
+        bend = np.diff(depth_mm, n=2) ** 2 / SECOND_DIFFERENCE_VARIANCE
+        inner = bend[bend <= np.quantile(bend, TRIMMED)]
+        noise = max(noise, float(np.sqrt(inner.mean() / TRIMMED_VARIANCE)))
+    resolution = POLYLINE_RESOLUTION * float(np.ptp(depth_mm))
+    return max(NOISE_REACH * noise, 1.01 * quantum(depth_mm), resolution)
 
 
 def pieces(time_s: FloatArray, depth_mm: FloatArray) -> list[Piece]:
@@ -89,8 +103,8 @@ def pieces(time_s: FloatArray, depth_mm: FloatArray) -> list[Piece]:
 
 def _classify(
     time_s: FloatArray, depth_mm: FloatArray, knots: NDArray[np.intp], *, tolerance: float
-) -> list[tuple[Piece, float, bool]]:
-    """Each stretch of the polyline with its speed, and whether it is large enough to stand for itself."""
+) -> list[tuple[_Stretch, bool]]:
+    """Each stretch of the polyline, and whether it is large enough to stand for itself."""
     rise = np.diff(depth_mm[knots])
     span = np.diff(time_s[knots])
     speed = np.divide(rise, span, out=np.zeros(span.size), where=span > 0.0)
@@ -102,54 +116,90 @@ def _classify(
     reference = np.abs(speed[np.where(last >= 0, last, first)])
     stands = (
         ~large
+        & (np.diff(knots) >= STAND_SAMPLES)
         & (np.abs(speed) <= STAND_SPEED * reference)
         & (np.abs(rise) <= 2.0 * tolerance + MOVE_SHARE * np.ptp(depth_mm))
     )
     direction = np.where(stands, 0, np.sign(rise)).astype(int)
     return [
         (
-            Piece(int(direction[k]), int(knots[k]), int(knots[k + 1])),
-            float(speed[k]),
+            _Stretch(
+                Piece(int(direction[k]), int(knots[k]), int(knots[k + 1])),
+                float(span[k]),
+                float(rise[k]),
+                float(speed[k]),
+                float(span[k]),
+            ),
             bool(large[k] or stands[k]),
         )
         for k in range(rise.size)
     ]
 
 
-def _absorb(stretches: list[tuple[Piece, float, bool]]) -> list[Piece]:
+@dataclass(frozen=True, slots=True)
+class _Stretch:
+    """A piece with the time and travel of all of it, and the speed of its longest straight part."""
+
+    piece: Piece
+    took_s: float
+    moved_mm: float
+    speed_mm_s: float
+    longest_s: float
+
+    def joined(self, after: _Stretch) -> _Stretch:
+        """Both as one."""
+        longer = max((self, after), key=lambda one: one.longest_s)
+        return _Stretch(
+            replace(self.piece, stop=after.piece.stop),
+            self.took_s + after.took_s,
+            self.moved_mm + after.moved_mm,
+            longer.speed_mm_s,
+            longer.longest_s,
+        )
+
+
+def _absorb(stretches: list[tuple[_Stretch, bool]]) -> list[Piece]:
     """Join neighbours that do the same, and give transients to the piece before them."""
-    joined: list[tuple[Piece, float]] = []
+    alone: list[_Stretch] = []
     waiting: int | None = None
-    for piece, speed, stands_alone in stretches:
-        if not stands_alone:
-            if joined:
-                before, before_speed = joined[-1]
-                joined[-1] = (replace(before, stop=piece.stop), before_speed)
-            elif waiting is None:
-                waiting = piece.start
-            continue
-        start = piece.start if waiting is None else waiting
-        waiting = None
-        if joined and _same(joined[-1], (replace(piece, start=start), speed)):
-            before, before_speed = joined[-1]
-            longer = max(
-                (before, before_speed), (piece, speed), key=lambda entry: entry[0].stop - entry[0].start
-            )
-            joined[-1] = (replace(before, stop=piece.stop), longer[1])
-        else:
-            joined.append((Piece(piece.direction, start, piece.stop), speed))
-    if not joined:
-        return [Piece(0, stretches[0][0].start, stretches[-1][0].stop)]
-    return [piece for piece, _ in joined]
+    for stretch, stands_alone in stretches:
+        if stands_alone:
+            start = stretch.piece.start if waiting is None else waiting
+            alone.append(replace(stretch, piece=replace(stretch.piece, start=start)))
+            waiting = None
+        elif alone and alone[-1].piece.direction != 0:
+            alone[-1] = replace(alone[-1], piece=replace(alone[-1].piece, stop=stretch.piece.stop))
+        elif waiting is None:
+            waiting = stretch.piece.start  # a start from standstill belongs to what starts
+    end = stretches[-1][0].piece.stop
+    if not alone:
+        return [Piece(0, stretches[0][0].piece.start, end)]
+    alone[-1] = replace(alone[-1], piece=replace(alone[-1].piece, stop=end))
+    count = 0
+    while count != len(alone):  # parts of a rounded turn may be joined to each other before the move
+        count = len(alone)
+        joined = alone[:1]
+        for stretch in alone[1:]:
+            if _same(joined[-1], stretch):
+                joined[-1] = joined[-1].joined(stretch)
+            else:
+                joined.append(stretch)
+        alone = joined
+    return [stretch.piece for stretch in alone]
 
 
-def _same(before: tuple[Piece, float], after: tuple[Piece, float]) -> bool:
+def _same(before: _Stretch, after: _Stretch) -> bool:
     """Whether two neighbouring stretches are one phase."""
-    if before[0].direction != after[0].direction:
+    if before.piece.direction != after.piece.direction:
         return False
-    slow, fast = sorted((abs(before[1]), abs(after[1])))
-    few = min(piece.stop - piece.start for piece, _ in (before, after)) < MOVE_SAMPLES
-    return before[0].direction == 0 or few or fast <= SPEED_RATIO * slow
+    if before.piece.direction == 0:
+        return True
+    few = min(one.piece.stop - one.piece.start for one in (before, after)) < MOVE_SAMPLES
+    short, long = sorted((before, after), key=lambda one: one.took_s)
+    slow, fast = sorted(abs(one.speed_mm_s) for one in (before, after))
+    stopping = short.took_s <= STOP_S and abs(short.speed_mm_s) == slow
+    minor = short.took_s < MINOR * long.took_s and abs(short.moved_mm) < MINOR * abs(long.moved_mm)
+    return few or stopping or minor or fast <= SPEED_RATIO * slow
 
 
 def _demote_drifting(depth_mm: FloatArray, found: list[Piece], *, tolerance: float) -> list[Piece]:
@@ -182,61 +232,117 @@ def _place_corners(
         low, high = max(low, edges[k - 1] + 1), min(high, after.stop - 1)
         if high - low < 4:
             continue
-        edges[k] = _corner(
+        edges[k] = corner_near(
             time_s,
             depth_mm,
             edges[k],
-            low,
-            high,
+            (low, high),
             stands=(before.direction == 0, after.direction == 0),
             tolerance=tolerance,
         )
     return [replace(piece, start=edges[k], stop=edges[k + 1]) for k, piece in enumerate(found)]
 
 
-def _corner(
+def corner_near(
     time_s: FloatArray,
     depth_mm: FloatArray,
     at: int,
-    low: int,
-    high: int,
+    within: tuple[int, int],
     *,
     stands: tuple[bool, bool],
     tolerance: float,
 ) -> int:
-    """The corner sample near ``at``, within ``[low, high]``."""
-    reach = 1e-9 * (time_s[high] - time_s[low])
+    """The corner between two moves or standstills.
+
+    Parameters
+    ----------
+    time_s, depth_mm : ndarray, shape (n,)
+    at : int
+        Sample near the corner.
+    within : tuple of int
+        First and last sample that may be looked at.
+    stands : tuple of bool
+        Whether the tool stands before and after it.
+    tolerance : float
+        What noise and resolution explain [mm].
+
+    Returns
+    -------
+    int
+        The first sample after the corner; of a rounded stop, the first on the plateau.
+    """
+    low, high = within
     guess = at
     for _ in range(CORNER_PASSES):  # a corner a few samples off tilts its lines; the next pass has it nearer
         left = slice(max(low, guess - CORNER_SAMPLES), guess + 1)
         right = slice(guess, min(high, guess + CORNER_SAMPLES) + 1)
-        slope_1, level_1 = _line(time_s[left], depth_mm[left], flat=stands[0])
-        slope_2, level_2 = _line(time_s[right], depth_mm[right], flat=stands[1])
-        if slope_1 == slope_2:
+        lines = (
+            straight_line(time_s[left], depth_mm[left], flat=stands[0]),
+            straight_line(time_s[right], depth_mm[right], flat=stands[1]),
+        )
+        moved = _meeting(time_s, lines, low, high)
+        if moved is None:
             break
-        meet = (level_2 - level_1) / (slope_1 - slope_2)
-        if not time_s[low] <= meet <= time_s[high]:
+        if abs(moved - guess) <= 1:
+            if _sharp(
+                time_s, depth_mm, lines, (max(low, moved - NEAR_SAMPLES), moved + NEAR_SAMPLES + 1), tolerance
+            ):
+                return moved
             break
-        both = slice(left.start, right.stop)
-        t = time_s[both]
-        fitted = np.where(t <= meet, level_1 + slope_1 * t, level_2 + slope_2 * t)
-        moved = int(np.clip(np.searchsorted(time_s, meet - reach), low + 1, high - 1))
-        if np.abs(depth_mm[both] - fitted).max() <= tolerance and abs(moved - guess) <= 1:
-            return moved
         guess = moved
+    if not any(stands):  # a rounded turn: where the lines through the middle of its sides meet
+        quarters = (at - low) // 2, (high - at) // 2
+        sides = slice(low, at - quarters[0] // 2 + 1), slice(at + quarters[1] // 2, high + 1)
+        lines = (
+            straight_line(time_s[sides[0]], depth_mm[sides[0]], flat=False),
+            straight_line(time_s[sides[1]], depth_mm[sides[1]], flat=False),
+        )
+        moved = _meeting(time_s, lines, low, high)
+        return at if moved is None else moved
     if stands[1]:  # a rounded stop: the hold begins where the plateau is reached for good
         plateau = float(np.median(depth_mm[at : high + 1]))
         outside = np.flatnonzero(np.abs(depth_mm[low : high + 1] - plateau) > tolerance)
         return low + int(outside[-1]) + 1 if outside.size and outside[-1] + low < high else at
-    if stands[0]:
-        plateau = float(np.median(depth_mm[low : at + 1]))
-        outside = np.flatnonzero(np.abs(depth_mm[low : high + 1] - plateau) > tolerance)
-        return max(low, low + int(outside[0]) - 1) if outside.size else at
-    return at
+    plateau = float(np.median(depth_mm[low : at + 1]))
+    outside = np.flatnonzero(np.abs(depth_mm[low : high + 1] - plateau) > tolerance)
+    return max(low, low + int(outside[0]) - 1) if outside.size else at
 
 
-def _line(time_s: FloatArray, depth_mm: FloatArray, *, flat: bool) -> tuple[float, float]:
-    """Slope and level at t = 0 of the straight line through one side of a corner."""
+def _meeting(
+    time_s: FloatArray, lines: tuple[tuple[float, float], tuple[float, float]], low: int, high: int
+) -> int | None:
+    """The first sample from which two lines have met, within ``(low, high)``; ``None`` where they do not."""
+    (slope_1, level_1), (slope_2, level_2) = lines
+    if slope_1 == slope_2:
+        return None
+    meet = (level_2 - level_1) / (slope_1 - slope_2)
+    if not time_s[low] <= meet <= time_s[high]:
+        return None
+    reach = 1e-9 * (time_s[high] - time_s[low])
+    return int(np.clip(np.searchsorted(time_s, meet - reach), low + 1, high - 1))
+
+
+def _sharp(
+    time_s: FloatArray,
+    depth_mm: FloatArray,
+    lines: tuple[tuple[float, float], tuple[float, float]],
+    near: tuple[int, int],
+    tolerance: float,
+) -> bool:
+    """Whether the samples near a corner lie on its two lines."""
+    t, x = time_s[near[0] : near[1]], depth_mm[near[0] : near[1]]
+    (slope_1, level_1), (slope_2, level_2) = lines
+    one, other = level_1 + slope_1 * t, level_2 + slope_2 * t
+    # a path that slows down lies below both lines, one that speeds up above both
+    fitted = np.minimum(one, other) if slope_1 > slope_2 else np.maximum(one, other)
+    off = np.abs(x - fitted)
+    return bool(
+        np.mean(off <= tolerance) >= SHARP_SHARE and abs(float(np.mean(x - fitted))) <= tolerance / 3.0
+    )
+
+
+def straight_line(time_s: FloatArray, depth_mm: FloatArray, *, flat: bool) -> tuple[float, float]:
+    """Slope and level at t = 0 of the straight line through samples; the median level where ``flat``."""
     if flat:
         return 0.0, float(np.median(depth_mm))
     centre = time_s.mean()

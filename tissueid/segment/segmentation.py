@@ -1,20 +1,26 @@
-"""Compose signs, motion and contact into the phases of a recording."""
+"""Compose signs, motion, contact and phases into the segmentation of a recording."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-from itertools import pairwise
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.flags import Flag
 from tissueid.segment.contact import find_contact
+from tissueid.segment.corner import corner_flags, corners_of
+from tissueid.segment.cycles import cycle_flags, loops_of
+from tissueid.segment.endings import aborts, ending_flags, held_from, load_limits
 from tissueid.segment.motion import Piece, displacement_tolerance, pieces
 from tissueid.segment.noise import white_noise_sd
 from tissueid.segment.options import SegmentOptions
+from tissueid.segment.phases import Surface, name_phases, settled
+from tissueid.segment.rupture import rupture_flags, ruptures
 from tissueid.segment.signs import signs
-from tissueid.trial import Contact, Phase, Segmentation, Trial
+from tissueid.segment.spikes import without_spikes
+from tissueid.trial import Event, Phase, Protocol, Segmentation, Trial
 
 __all__ = ["segment"]
 
@@ -22,21 +28,34 @@ FloatArray = NDArray[np.float64]
 
 #: Fewest samples with which there is anything to divide.
 FEWEST_SAMPLES = 5
-#: A hold has at least so many samples: fewer cannot show a decay beside its plateau.
-HOLD_SAMPLES = 8
-#: A hold lasts at least this share of its ramp: a crosshead takes 50-300 ms to stop or to turn, and that
-#: dwell, seen after a ramp of 10-60 s, is no relaxation test.
-HOLD_SHARE_OF_RAMP = 0.05
-#: A way back this small against its ramp, ended by a standstill, is overshoot of the stop, not a retract.
-OVERSHOOT_SHARE = 0.1
-#: A loop returns at least this share of its way in.
-LOOP_RETURN = 0.5
-#: Loops from which a recording is cyclic.
-FEWEST_LOOPS = 2
-#: Overshoot beyond this share of the ramp is said.
-OVERSHOOT_SAID = 0.002
-#: A ramp that ends this share short of the stated depth was aborted.
-ABORT_SHARE = 0.05
+#: Contact is lost where force falls to so many noise sd, or this share of its range, above that in air.
+LOST_SD = 4.0
+LOST_SHARE = 0.01
+#: A ramp after cycles is the test where it goes this much deeper than they did, or is held.
+DEEPER = 1.1
+
+
+@dataclass(frozen=True, slots=True)
+class _Path:
+    """What was recorded, growing into the tissue, and what noise explains of it."""
+
+    time_s: FloatArray
+    depth_mm: FloatArray
+    force_N: FloatArray
+    noise_N: float
+    tolerance_mm: float
+
+    def ruptures(self, loading: list[Piece], zero: tuple[float, float]) -> list[Event]:
+        """Ruptures on loading moves, depth and force counted from ``zero``."""
+        return ruptures(
+            self.time_s,
+            self.depth_mm,
+            self.force_N,
+            loading,
+            noise_N=self.noise_N,
+            tolerance_mm=self.tolerance_mm,
+            zero=zero,
+        )
 
 
 def segment(trial: Trial, *, options: SegmentOptions | None = None) -> Segmentation:
@@ -55,170 +74,173 @@ def segment(trial: Trial, *, options: SegmentOptions | None = None) -> Segmentat
         are results, with a flag.
     """
     options = options or SegmentOptions()
+    inside = np.ones(trial.time_s.size, dtype=np.bool_)
+    if options.start_s is not None:
+        inside &= trial.time_s >= options.start_s
+    if options.end_s is not None:
+        inside &= trial.time_s <= options.end_s
+    if inside.all():
+        return _segment(trial, options)
+    first, count = int(np.argmax(inside)), int(inside.sum())
+    if count < FEWEST_SAMPLES:
+        message = f"{count} of {inside.size} samples lie between start_s and end_s: nothing to divide"
+        flags = _nothing(message, count, 0.0)
+        return Segmentation(options.compression_sign or 1, options.force_sign or 1, None, (), 0.0, flags)
+    window = slice(first, first + count)
+    names = ("time_s", "displacement_mm", "force_N")
+    part = replace(trial, **{name: getattr(trial, name)[window] for name in names})
+    return _shifted(_segment(part, options), first)
+
+
+def _nothing(message: str, count: int, travel_mm: float) -> tuple[Flag, ...]:
+    values = {"n_samples": count, "travel_mm": travel_mm}
+    return (Flag("too_few_samples", message, values), Flag("no_hold", message, values))
+
+
+def _shifted(found: Segmentation, by: int) -> Segmentation:
+    """Sample indices of a part of a recording as those of the whole."""
+    contact = found.contact
+    phases = tuple(
+        replace(
+            phase,
+            start=phase.start + by,
+            stop=phase.stop + by,
+            peak=None if phase.peak is None else phase.peak + by,
+        )
+        for phase in found.phases
+    )
+    return replace(
+        found,
+        contact=None if contact is None else replace(contact, index=contact.index + by),
+        phases=phases,
+        corners=tuple(replace(corner, index=corner.index + by) for corner in found.corners),
+        events=tuple(replace(event, index=event.index + by) for event in found.events),
+    )
+
+
+def _segment(trial: Trial, options: SegmentOptions) -> Segmentation:
     compression, force_sign, flags = signs(trial, options)
     time_s, depth, force = trial.time_s, compression * trial.displacement_mm, force_sign * trial.force_N
+    noise = white_noise_sd(time_s, force)
+    force = without_spikes(force, noise=noise)
     if time_s.size < FEWEST_SAMPLES or np.ptp(depth) == 0.0:
         message = f"{time_s.size} samples over {np.ptp(depth):.3g} mm of travel: nothing to divide"
-        values = {"n_samples": time_s.size, "travel_mm": float(np.ptp(depth))}
-        few = [Flag("too_few_samples", message, values), Flag("no_hold", message, values)]
-        return Segmentation(compression, force_sign, None, (), white_noise_sd(time_s, force), (*flags, *few))
-    found = _settle(depth, pieces(time_s, depth))
-    found = _drop_short_stands(time_s, found, options)
-    noise = white_noise_sd(time_s, force)
-    loading = [piece for piece in found if piece.direction > 0]
-    contact, contact_flags = find_contact(
-        depth, force, loading, noise_N=noise, signs=(compression, force_sign), options=options
-    )
-    kinds = _kinds(depth, found, contact)
-    phases = tuple(_phase(time_s, depth, kind, piece) for kind, piece in kinds)
-    flags += contact_flags
-    flags += _phase_flags(trial, depth, phases)
-    flags += _corner_flags(time_s, depth, phases)
-    return Segmentation(compression, force_sign, contact, phases, noise, tuple(flags))
-
-
-def _settle(depth: FloatArray, found: list[Piece]) -> list[Piece]:
-    """Overshoot and ringing before a standstill belong to the ramp."""
-    result: list[Piece] = []
-    k = 0
-    while k < len(found):
-        ramp = found[k]
-        stop = k
-        if ramp.direction > 0:
-            travel = depth[ramp.stop] - depth[ramp.start]
-            while (
-                stop + 1 < len(found)
-                and found[stop + 1].direction != 0
-                and abs(depth[found[stop + 1].stop] - depth[found[stop + 1].start])
-                <= OVERSHOOT_SHARE * travel
-            ):
-                stop += 1
-            if stop > k and stop + 1 < len(found) and found[stop + 1].direction == 0:
-                ramp = replace(ramp, stop=found[stop].stop)
-            else:
-                stop = k
-        result.append(ramp)
-        k = stop + 1
-    return result
-
-
-def _drop_short_stands(time_s: FloatArray, found: list[Piece], options: SegmentOptions) -> list[Piece]:
-    """Standstills too short to be holds go to the move before; neighbours that then agree are joined."""
-    result: list[Piece] = []
-    for piece in found:
-        if piece.direction == 0 and result and not _long_enough(time_s, piece, result[-1], options):
-            result[-1] = replace(result[-1], stop=piece.stop)
-        else:
-            result.append(piece)
-    return result
-
-
-def _long_enough(time_s: FloatArray, stand: Piece, before: Piece, options: SegmentOptions) -> bool:
-    duration = float(time_s[stand.stop] - time_s[stand.start])
-    if options.minimum_hold_s is not None:
-        return duration >= options.minimum_hold_s
-    moved = float(time_s[before.stop] - time_s[before.start])
-    return stand.stop - stand.start + 1 >= HOLD_SAMPLES and duration >= HOLD_SHARE_OF_RAMP * moved
-
-
-def _kinds(depth: FloatArray, found: list[Piece], contact: Contact | None) -> list[tuple[str, Piece]]:
-    """Name each piece; moves before contact are approach, repeated loops are cycles."""
-    touched = depth.size if contact is None else contact.index
-    named: list[tuple[str, Piece]] = []
-    loaded = False
-    for piece in found:
-        if (
-            contact is not None
-            and contact.in_record
-            and piece.start < touched < piece.stop
-            and piece.direction > 0
-        ):
-            named += [("approach", replace(piece, stop=touched)), ("ramp", replace(piece, start=touched))]
-            loaded = True
-        elif contact is not None and contact.in_record and piece.stop <= touched:
-            named.append(("approach", piece))
-        elif piece.direction > 0:
-            named.append(("ramp" if contact is not None else "approach", piece))
-            loaded = True
-        elif piece.direction < 0:
-            named.append(("retract", piece))
-        else:
-            # a standstill before anything was loaded is not a hold: there is nothing to relax
-            named.append(("hold" if loaded and contact is not None else "approach", piece))
-    return _cycles(depth, named)
-
-
-def _cycles(depth: FloatArray, named: list[tuple[str, Piece]]) -> list[tuple[str, Piece]]:
-    """Join each loading and the unloading right after it where the recording repeats them."""
-    loops = [
-        k
-        for k in range(len(named) - 1)
-        if named[k][0] == "ramp"
-        and named[k + 1][0] == "retract"
-        and depth[named[k + 1][1].start] - depth[named[k + 1][1].stop]
-        >= LOOP_RETURN * (depth[named[k][1].stop] - depth[named[k][1].start])
-    ]
-    if len(loops) < FEWEST_LOOPS:
-        return named
-    joined: list[tuple[str, Piece]] = []
-    k = 0
-    while k < len(named):
-        if k in loops:
-            joined.append(("cycle", Piece(0, named[k][1].start, named[k + 1][1].stop)))
-            k += 2
-        else:
-            joined.append(named[k])
-            k += 1
-    return joined
-
-
-def _phase(time_s: FloatArray, depth: FloatArray, kind: str, piece: Piece) -> Phase:
-    start_s, end_s = float(time_s[piece.start]), float(time_s[piece.stop])
-    moved = float(depth[piece.stop] - depth[piece.start])
-    speed = moved / (end_s - start_s) if end_s > start_s and piece.direction != 0 else 0.0
-    return Phase(kind, piece.start, piece.stop + 1, start_s, end_s, speed)
-
-
-def _phase_flags(trial: Trial, depth: FloatArray, phases: tuple[Phase, ...]) -> list[Flag]:
-    """What the list of phases says about the test."""
-    flags: list[Flag] = []
-    count = {
-        kind: sum(phase.kind == kind for phase in phases) for kind in ("ramp", "hold", "cycle", "retract")
-    }
-    if count["cycle"]:
-        message = f"{count['cycle']} load-unload loops"
-        flags.append(Flag("cyclic", message, {"loops": count["cycle"]}))
-    if not count["ramp"] and not count["cycle"]:
-        flags.append(Flag("no_ramp", "no loading ramp was found"))
-    if not count["hold"]:
-        flags.append(Flag("no_hold", "no hold was found: there is nothing to relax"))
-    if count["hold"] > 1 and count["ramp"] > 1:
-        message = f"{count['hold']} holds after {count['ramp']} ramps"
-        flags.append(Flag("several_steps", message, {"ramps": count["ramp"], "holds": count["hold"]}))
-    stated = trial.protocol.depth_mm
-    ramps = [phase for phase in phases if phase.kind == "ramp"]
-    if stated and ramps and not count["hold"] and not count["cycle"]:
-        reached = float(depth[ramps[0].stop - 1] - depth[0])
-        if reached < (1.0 - ABORT_SHARE) * stated:
-            message = f"the ramp ends at {reached:.4g} mm of the stated {stated:.4g} mm"
-            flags.append(Flag("aborted_ramp", message, {"reached_mm": reached, "stated_mm": stated}))
-    return flags
-
-
-def _corner_flags(time_s: FloatArray, depth: FloatArray, phases: tuple[Phase, ...]) -> list[Flag]:
-    """Overshoot where a ramp ends in a hold."""
+        few = _nothing(message, time_s.size, float(np.ptp(depth)))
+        return Segmentation(compression, force_sign, None, (), noise, (*flags, *few))
     tolerance = displacement_tolerance(time_s, depth)
-    for before, after in pairwise(phases):
-        if (before.kind, after.kind) != ("ramp", "hold"):
-            continue
-        plateau = float(np.median(depth[after.start : after.stop]))
-        travel = plateau - float(depth[before.start])
-        middle = (before.start + before.stop) // 2
-        beyond = depth[middle : after.stop] - plateau
-        overshoot = float(beyond.max())
-        if overshoot > max(OVERSHOOT_SAID * travel, tolerance):
-            outside = np.flatnonzero(beyond > tolerance)
-            duration = float(time_s[middle + outside[-1]] - time_s[middle + outside[0]])
-            message = f"displacement overshoots its hold by {overshoot:.3g} mm for {duration:.3g} s"
-            return [Flag("corner_overshoot", message, {"overshoot_mm": overshoot, "duration_s": duration})]
-    return []
+    found = settled(time_s, depth, pieces(time_s, depth), options, tolerance_mm=tolerance)
+    path = _Path(time_s, depth, force, noise, tolerance)
+    locate = partial(find_contact, noise_N=noise, signs=(compression, force_sign), options=options)
+    contact, contact_flags = locate(depth, force, _whole(path, found))
+    surface = Surface.of(contact, depth, compression)
+    creep = partial(held_from, time_s, depth, force, noise_N=noise, tolerance_mm=tolerance)
+    phases = name_phases(time_s, depth, found, surface, creeps=creep)
+    test = _test_phase(depth, phases, surface)
+    if contact is not None and _lets_go(force, phases[:test], force_sign * contact.baseline_N, noise):
+        start = phases[test].start
+        later = [
+            Piece(1, piece.start - start, piece.stop - start)
+            for piece in _whole(path, found)
+            if piece.start >= start
+        ]
+        again, again_flags = locate(depth[start:], force[start:], later)
+        if again is not None:
+            contact, contact_flags = replace(again, index=again.index + start), again_flags
+            phases = name_phases(time_s, depth, found, surface, creeps=creep, again=contact)
+    divided = Segmentation(compression, force_sign, contact, phases, noise, test=test)
+    events, remarks = _remarks(trial.protocol, divided, path, found, options)
+    corners = corners_of(time_s, depth, phases, tolerance_mm=tolerance)
+    flags += contact_flags + remarks + corner_flags(depth, phases, corners, tolerance_mm=tolerance)
+    return replace(divided, flags=tuple(flags), corners=corners, events=events)
+
+
+def _whole(path: _Path, found: list[Piece]) -> list[Piece]:
+    """Moves into the tissue that may show its surface: from the first that meets it, up to where it breaks.
+
+    Contact is told from a force that rises; what an earlier move in air shows is the reading in air.
+    """
+    loading = [piece for piece in found if piece.direction > 0]
+    if not loading:
+        return []
+    force, start = path.force_N, loading[0].start
+    zero = (float(path.depth_mm[start]), float(np.median(force[: max(start, FEWEST_SAMPLES)])))
+    broken = [event.index for event in path.ruptures(loading, zero)]
+    least = max(LOST_SD * path.noise_N, LOST_SHARE * float(np.ptp(force)))
+    met = [k for k, piece in enumerate(loading) if float(force[piece.stop] - force[piece.start]) > least]
+    return [
+        replace(piece, stop=min([at for at in broken if piece.start < at <= piece.stop], default=piece.stop))
+        for piece in loading[met[0] if met else 0 :]
+    ]
+
+
+def _test_phase(depth: FloatArray, phases: tuple[Phase, ...], surface: Surface) -> int:
+    """The phase after the last cycle, where a test follows it; else 0."""
+    last = max((k for k, phase in enumerate(phases) if phase.kind == "cycle"), default=-1)
+    if last < 0:
+        return 0
+    before = max(float(depth[phase.peak]) for phase in phases if phase.peak is not None)
+    for phase in phases[last + 1 :]:
+        if phase.kind in ("hold", "creep"):
+            return last + 1
+        deep = float(depth[phase.stop - 1]) - surface.depth_mm
+        if phase.kind == "ramp" and deep > DEEPER * (before - surface.depth_mm):
+            return last + 1
+    return 0
+
+
+def _lets_go(force: FloatArray, cycles: tuple[Phase, ...], baseline_N: float, noise_N: float) -> bool:
+    """Whether tool and tissue part between the first peak and the test."""
+    peaks = [phase.peak for phase in cycles if phase.peak is not None]
+    if not peaks:
+        return False
+    between = np.sort(force[peaks[0] : cycles[-1].stop])
+    # a low percentile and not the least: single samples may be anything
+    least = float(between[min(FEWEST_SAMPLES, between.size - 1)])
+    return least - baseline_N <= max(LOST_SD * noise_N, LOST_SHARE * float(np.ptp(force)))
+
+
+def _remarks(
+    protocol: Protocol,
+    divided: Segmentation,
+    path: _Path,
+    found: list[Piece],
+    options: SegmentOptions,
+) -> tuple[tuple[Event, ...], list[Flag]]:
+    """What happened beside the phases, and what phases and events say about the test."""
+    time_s, depth, force = path.time_s, path.depth_mm, path.force_N
+    phases, contact = divided.phases, divided.contact
+    events: list[Event] = []
+    flags: list[Flag] = []
+    loops = loops_of(depth, force, phases)
+    baseline = 0.0
+    if contact is not None:
+        baseline = divided.force_sign * contact.baseline_N
+        zero = (divided.compression_sign * contact.displacement_mm, baseline)
+        if options.rupture:
+            loading = [piece for piece in found if piece.direction > 0]
+            broken = path.ruptures(loading, zero)
+            flags += rupture_flags(broken)
+            events += broken
+        endings = aborts(time_s, depth, phases, protocol)
+        endings += load_limits(time_s, depth, force, phases, loops, noise_N=path.noise_N, zero=zero)
+        flags += ending_flags(endings)
+        events += endings
+    flags += cycle_flags(loops, before_test=divided.test > 0, baseline_N=baseline)
+    flags += _missing(phases)
+    return tuple(sorted(events, key=lambda event: event.index)), flags
+
+
+def _missing(phases: tuple[Phase, ...]) -> list[Flag]:
+    """Ramps and holds: too few, or several."""
+    flags: list[Flag] = []
+    kinds = [phase.kind for phase in phases]
+    ramps, holds = kinds.count("ramp"), kinds.count("hold")
+    if not ramps and "cycle" not in kinds:
+        flags.append(Flag("no_ramp", "no loading ramp was found"))
+    if not holds:
+        crept = ": under a held load the tool creeps, which is no relaxation" if "creep" in kinds else ""
+        flags.append(Flag("no_hold", f"no hold was found: there is nothing to relax{crept}"))
+    if holds > 1 and ramps > 1:
+        message = f"{holds} holds after {ramps} ramps"
+        flags.append(Flag("several_steps", message, {"ramps": ramps, "holds": holds}))
+    return flags

@@ -6,7 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.flags import Flag
+from tissueid.segment.noise import white_noise_sd
 from tissueid.segment.options import SegmentOptions
+from tissueid.segment.spikes import without_spikes
 from tissueid.trial import Trial
 
 __all__ = ["signs"]
@@ -51,6 +53,11 @@ def signs(trial: Trial, options: SegmentOptions) -> tuple[int, int, list[Flag]]:
     if force_sign is None:
         force_sign = -1 if change < 0.0 else 1
         if abs(change) < DOUBTFUL_FORCE * float(np.ptp(force)):
+            # a specimen that broke carries little at its deepest: the larger excursion of the force tells
+            calm = without_spikes(force, noise=white_noise_sd(trial.time_s, force))
+            level = float(np.median(calm[: max(1, calm.size // 50)]))
+            rise, fall = float(calm.max()) - level, float(calm.min()) - level
+            force_sign = 1 if rise >= -fall else -1
             flags.append(
                 Flag(
                     "sign_assumed",

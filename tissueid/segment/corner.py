@@ -1,0 +1,132 @@
+"""How a ramp came to its stop or turned: nominal corner, duration, overshoot, ringing.
+
+A straight line is laid through the middle of the ramp and another through the phase after it (level, where
+that stands).  They meet at the nominal corner; the corner lasts from where the displacement leaves the first
+line to where it stays on the second, both within noise and resolution.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.flags import Flag
+from tissueid.segment.motion import straight_line
+from tissueid.trial import Corner, Phase
+
+__all__ = ["corner_flags", "corners_of"]
+
+FloatArray = NDArray[np.float64]
+
+#: Overshoot beyond this share of the ramp is said.
+OVERSHOOT_SAID = 0.002
+#: Crossheads take 50-300 ms to stop; longer is said [s].
+SLOW_STOP_S = 0.3
+#: ... where it is also longer than this share of the ramp: slow ramps end slowly.
+SLOW_SHARE = 0.02
+#: Kinds in which the tool stands.
+STANDING = ("hold", "rest")
+
+
+def corners_of(
+    time_s: FloatArray, depth_mm: FloatArray, phases: tuple[Phase, ...], *, tolerance_mm: float
+) -> tuple[Corner, ...]:
+    """The corner at the end of each ramp that another phase follows.
+
+    Parameters
+    ----------
+    time_s, depth_mm : ndarray, shape (n,)
+        Displacement growing into the tissue.
+    phases : tuple of Phase
+    tolerance_mm : float
+        What noise and resolution explain, > 0.
+
+    Returns
+    -------
+    tuple of Corner
+    """
+    return tuple(
+        _corner(time_s, depth_mm, (k, before, after), tolerance_mm)
+        for k, (before, after) in enumerate(pairwise(phases))
+        if before.kind == "ramp"
+    )
+
+
+def _corner(
+    time_s: FloatArray, depth_mm: FloatArray, at: tuple[int, Phase, Phase], tolerance_mm: float
+) -> Corner:
+    number, before, after = at
+    low, high = (before.start + before.stop - 1) // 2, after.stop - 1
+    slope_1, level_1 = _middle_line(time_s, depth_mm, before, flat=False)
+    slope_2, level_2 = _middle_line(time_s, depth_mm, after, flat=after.kind in STANDING)
+    edge = float(time_s[before.stop - 1])
+    meet = (level_2 - level_1) / (slope_1 - slope_2) if slope_1 != slope_2 else edge
+    if not time_s[low] <= meet <= time_s[high]:
+        meet = edge
+    index = low + int(np.argmin(np.abs(time_s[low : high + 1] - meet)))
+    t, x = time_s[low : high + 1], depth_mm[low : high + 1]
+    off_ramp = np.abs(x - level_1 - slope_1 * t) > tolerance_mm
+    beyond = x - level_2 - slope_2 * t
+    off_next = np.flatnonzero(np.abs(beyond) > tolerance_mm)
+    leaves = max(int(np.argmax(off_ramp)) - 1, 0) if off_ramp.any() else index - low
+    settles = min(int(off_next[-1]) + 1, t.size - 1) if off_next.size else index - low
+    overshoot, swings, period = 0.0, 0, None
+    if after.kind in STANDING:
+        later = t >= meet
+        overshoot = float(beyond.max()) if beyond.max() > tolerance_mm else 0.0
+        swings, period = _ringing(t[later], beyond[later], tolerance_mm)
+    duration = max(float(t[settles] - t[leaves]), 0.0)
+    return Corner(number, index, float(meet), duration, overshoot, swings, period)
+
+
+def _middle_line(
+    time_s: FloatArray, depth_mm: FloatArray, phase: Phase, *, flat: bool
+) -> tuple[float, float]:
+    """Slope and level at t = 0 of the middle half of a phase; of a standing one its late median."""
+    count = phase.stop - phase.start
+    if flat:
+        return 0.0, float(np.median(depth_mm[phase.start + count // 2 : phase.stop]))
+    part = slice(phase.start + count // 4, phase.stop - count // 4)
+    return straight_line(time_s[part], depth_mm[part], flat=False)
+
+
+def _ringing(time_s: FloatArray, beyond: FloatArray, tolerance_mm: float) -> tuple[int, float | None]:
+    """Excursions to alternate sides, and twice their mean spacing."""
+    outside = np.flatnonzero(np.abs(beyond) > tolerance_mm)
+    if outside.size == 0:
+        return 0, None
+    side = np.sign(beyond[outside])
+    turns = np.flatnonzero(np.diff(side) != 0.0) + 1
+    extremes = [float(time_s[run[int(np.argmax(np.abs(beyond[run])))]]) for run in np.split(outside, turns)]
+    if len(extremes) < 2:
+        return len(extremes), None
+    return len(extremes), 2.0 * (extremes[-1] - extremes[0]) / (len(extremes) - 1)
+
+
+def corner_flags(
+    depth_mm: FloatArray, phases: tuple[Phase, ...], corners: tuple[Corner, ...], *, tolerance_mm: float
+) -> list[Flag]:
+    """The first stop that overshoots its hold, and the slowest one."""
+    flags: list[Flag] = []
+    stops = [corner for corner in corners if phases[corner.phase + 1].kind == "hold"]
+    for corner in stops:
+        ramp = phases[corner.phase]
+        travel = float(depth_mm[ramp.stop - 1] - depth_mm[ramp.start])
+        if corner.overshoot_mm > max(OVERSHOOT_SAID * travel, tolerance_mm):
+            message = (
+                f"displacement overshoots its hold by {corner.overshoot_mm:.3g} mm and settles in "
+                f"{corner.duration_s:.3g} s"
+            )
+            values = {"overshoot_mm": corner.overshoot_mm, "duration_s": corner.duration_s}
+            flags.append(Flag("corner_overshoot", message, values))
+            break
+    slow = max(stops, key=lambda corner: corner.duration_s, default=None)
+    if slow is not None and slow.ringing_swings < 2:
+        ramp = phases[slow.phase]
+        if slow.duration_s > max(SLOW_STOP_S, SLOW_SHARE * (ramp.end_s - ramp.start_s)):
+            message = f"the crosshead took {slow.duration_s:.3g} s to stop at {slow.time_s:.4g} s"
+            values = {"duration_s": slow.duration_s, "time_s": slow.time_s}
+            flags.append(Flag("corner_slow", message, values))
+    return flags

@@ -1,0 +1,230 @@
+"""How a test ended before or beside its plan: aborts, stops at a load, load control.
+
+One recording tells an abort only against something: the depth or hold that its file states, or the steps and
+loops before it.  It tells a load limit by a tool that creeps under constant force, by a force limit that its
+file states, or by loops that turn at one force but not at one depth.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.flags import Flag
+from tissueid.segment.cycles import Loop
+from tissueid.segment.motion import Piece, corner_near
+from tissueid.trial import Event, Phase, Protocol
+
+__all__ = ["aborts", "ending_flags", "held_from", "load_limits"]
+
+FloatArray = NDArray[np.float64]
+
+#: A ramp that ends this share short of the stated depth was aborted.
+ABORT_SHARE = 0.05
+#: A last ramp or loop this much shallower than each one before it was aborted.
+EARLIER_SHARE = 0.9
+#: Fewest earlier steps or loops to be measured against.
+FEWEST_EARLIER = 2
+#: Creep is slower than this share of its ramp.
+CREEP_SPEED = 0.25
+#: Force stays within this share of its change over the ramp, or so many noise sd, while the load is held.
+HELD_SHARE = 0.03
+HELD_SD = 4.0
+#: Share of samples that must lie within.
+HELD_MOST = 0.95
+#: Fewest samples of the ramp's end whose slope leads to the held load; a tenth of the ramp is taken.
+LEAD_SAMPLES = 20
+#: Loops that turn at one force: fewest of them, and how many times more their depths let it vary.
+FEWEST_TURNS = 3
+TURN_RATIO = 4.0
+#: Peak forces agree within this share of their mean, or so many noise sd.
+TURN_SHARE = 0.01
+TURN_SD = 3.0
+
+
+def held_from(
+    time_s: FloatArray,
+    depth_mm: FloatArray,
+    force_N: FloatArray,
+    ramp: Piece,
+    slow: Piece,
+    *,
+    noise_N: float,
+    tolerance_mm: float,
+) -> int | None:
+    """From where the load is held while the tool creeps, if a slow move after a ramp is creep.
+
+    Returns
+    -------
+    int or None
+        A sample within the ramp or the slow move.
+    """
+    ramp_s, slow_s = (float(time_s[piece.stop] - time_s[piece.start]) for piece in (ramp, slow))
+    if not (ramp_s > 0.0 and slow_s > 0.0):
+        return None
+    ramp_mm, slow_mm = (float(depth_mm[piece.stop] - depth_mm[piece.start]) for piece in (ramp, slow))
+    held = force_N[slow.start + (slow.stop - slow.start) // 10 : slow.stop + 1]
+    level = float(np.median(held))
+    rise = level - float(np.median(force_N[ramp.start : ramp.start + 5]))
+    within = max(HELD_SHARE * rise, HELD_SD * noise_N)
+    constant = float(np.mean(np.abs(held - level) <= within)) >= HELD_MOST
+    if rise <= within or not constant or slow_mm / slow_s >= CREEP_SPEED * ramp_mm / ramp_s:
+        return None
+    below = np.flatnonzero(force_N[ramp.start : slow.start + 1] < level - within)
+    last = ramp.start + int(below[-1]) if below.size else slow.start
+    # the last of the way to the held load is drawn as a straight line
+    lead = slice(max(ramp.start, last - max(LEAD_SAMPLES, (last - ramp.start) // 10)), last + 1)
+    off = time_s[lead] - time_s[lead].mean()
+    slope = float(off @ force_N[lead]) / max(float(off @ off), 1e-300)
+    meets = float(time_s[lead].mean()) + (level - float(force_N[lead].mean())) / slope if slope > 0.0 else 0.0
+    at = int(np.searchsorted(time_s, meets)) if meets > time_s[last] else last + 1
+    at = min(max(at, ramp.start + 2), slow.stop - 1)
+    # the tool slows down there: its path places the corner better than the force
+    reach = max(at - ramp.start, 4) // 4
+    low, high = max(ramp.start + 1, at - reach), min(slow.stop - 1, at + reach)
+    return corner_near(time_s, depth_mm, at, (low, high), stands=(False, False), tolerance=tolerance_mm)
+
+
+def aborts(
+    time_s: FloatArray, depth_mm: FloatArray, phases: tuple[Phase, ...], protocol: Protocol
+) -> list[Event]:
+    """At most one abort: of the ramp that should have gone deeper, or been held.
+
+    Parameters
+    ----------
+    time_s, depth_mm : ndarray, shape (n,)
+        Displacement growing into the tissue.
+    phases : tuple of Phase
+    protocol : Protocol
+
+    Returns
+    -------
+    list of Event
+    """
+    ramps = [phase for phase in phases if phase.kind == "ramp"]
+    if not ramps:
+        return []
+    last = ramps[-1]
+    end = last.stop - 1
+    reached = float(depth_mm[end] - depth_mm[0])
+    values: dict[str, float] = {"reached_mm": reached}
+    held = any(phase.kind in ("hold", "creep") for phase in phases)
+    cycles = [phase for phase in phases if phase.kind == "cycle"]
+    stated, hold_s = protocol.depth_mm, protocol.hold_s
+    short = bool(stated) and reached < (1.0 - ABORT_SHARE) * abs(stated or 0.0)
+    if not held and not cycles and (short or hold_s):
+        values |= {"stated_mm": abs(stated)} if stated and short else {}
+        values |= {"stated_hold_s": hold_s} if hold_s else {}
+        return [Event("abort", end, float(time_s[end]), values)]
+    if phases[-1] is not last:
+        return []
+    earlier = _earlier_mm(depth_mm, phases)
+    own = float(depth_mm[end] - depth_mm[last.start]) if not cycles else reached
+    if len(earlier) >= FEWEST_EARLIER and own < EARLIER_SHARE * min(earlier):
+        return [Event("abort", end, float(time_s[end]), values | {"earlier_mm": min(earlier)})]
+    return []
+
+
+def _earlier_mm(depth_mm: FloatArray, phases: tuple[Phase, ...]) -> list[float]:
+    """Peak depths of the loops before a last ramp, or else the travels of the steps before it [mm]."""
+    peaks = [float(depth_mm[p.peak] - depth_mm[0]) for p in phases if p.peak is not None]
+    if peaks:
+        return peaks
+    return [
+        float(depth_mm[ramp.stop - 1] - depth_mm[ramp.start])
+        for ramp, after in pairwise(phases)
+        if ramp.kind == "ramp" and after.kind == "hold"
+    ]
+
+
+def load_limits(
+    time_s: FloatArray,
+    depth_mm: FloatArray,
+    force_N: FloatArray,
+    phases: tuple[Phase, ...],
+    loops: tuple[Loop, ...],
+    *,
+    noise_N: float,
+    zero: tuple[float, float],
+) -> list[Event]:
+    """Moves that ended at a force.
+
+    Parameters
+    ----------
+    time_s, depth_mm, force_N : ndarray, shape (n,)
+        Growing into the tissue.
+    phases : tuple of Phase
+    loops : tuple of Loop
+        Those of the cycle phases, in their order.
+    noise_N : float
+    zero : tuple of float
+        Depth of contact [mm] and force in air [N].
+    """
+    contact_mm, baseline_N = zero
+    events: list[Event] = []
+    for before, after in pairwise(phases):
+        if after.kind == "creep":
+            at = before.stop - 1
+            values = {
+                "force_N": float(np.median(force_N[after.start : after.stop])) - baseline_N,
+                "depth_mm": float(depth_mm[at]) - contact_mm,
+                "creep_mm": float(depth_mm[after.stop - 1] - depth_mm[at]),
+            }
+            events.append(Event("load_limit", at, float(time_s[at]), values))
+    if len(loops) >= FEWEST_TURNS and _turn_at_force(depth_mm, force_N, phases, loops, noise_N, baseline_N):
+        at = next(phase.peak for phase in phases if phase.peak is not None)
+        values = {
+            "force_N": float(np.mean([loop.peak_N for loop in loops])) - baseline_N,
+            "depth_mm": float(np.mean([loop.peak_mm for loop in loops])) - contact_mm,
+            "turns": len(loops),
+        }
+        events.append(Event("load_limit", at, float(time_s[at]), values))
+    return events
+
+
+def _turn_at_force(
+    depth_mm: FloatArray,
+    force_N: FloatArray,
+    phases: tuple[Phase, ...],
+    loops: tuple[Loop, ...],
+    noise_N: float,
+    baseline_N: float,
+) -> bool:
+    """Whether loops turn at one force and at several depths."""
+    forces = np.array([loop.peak_N for loop in loops]) - baseline_N
+    spread = float(np.ptp(forces))
+    if spread > max(TURN_SHARE * float(forces.mean()), TURN_SD * noise_N):
+        return False
+    first = next(phase for phase in phases if phase.peak is not None)
+    assert first.peak is not None  # noqa: S101  (chosen for it)
+    travel = float(depth_mm[first.peak] - depth_mm[first.start])
+    slope = float(force_N[first.peak] - force_N[first.start]) / max(travel, 1e-300)
+    implied = slope * float(np.ptp([loop.peak_mm for loop in loops]))
+    return implied > TURN_RATIO * max(spread, TURN_SHARE * float(forces.mean()))
+
+
+def ending_flags(events: list[Event]) -> list[Flag]:
+    """What aborts and load limits say about the test."""
+    flags: list[Flag] = []
+    for event in events:
+        values = dict(event.values)
+        if event.kind == "abort":
+            wanted = [f"of {values['stated_mm']:.4g} mm stated"] if "stated_mm" in values else []
+            wanted += (
+                [f"without the {values['stated_hold_s']:.4g} s hold"] if "stated_hold_s" in values else []
+            )
+            wanted += [f"earlier ones {values['earlier_mm']:.4g} mm"] if "earlier_mm" in values else []
+            message = f"the ramp ends at {values['reached_mm']:.4g} mm, {', '.join(wanted)}"
+            flags.append(Flag("aborted_ramp", message, values))
+        elif "creep_mm" in values:
+            message = (
+                f"{values['force_N']:.4g} N are held while the tool creeps {values['creep_mm']:.3g} mm: load "
+                "control, no relaxation hold"
+            )
+            flags.append(Flag("load_limit_stop", message, values))
+        elif event.kind == "load_limit":
+            message = f"{values['turns']} loops turn at {values['force_N']:.4g} N, at unequal depths: a load limit"
+            flags.append(Flag("load_limit_stop", message, values))
+    return flags

@@ -1,0 +1,295 @@
+"""Name the moves and standstills of a recording: approach, ramp, hold, creep, retract, rest, cycle."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.segment.motion import SPEED_RATIO, Piece, straight_line
+from tissueid.segment.options import SegmentOptions
+from tissueid.trial import Contact, Phase
+
+__all__ = ["Surface", "name_phases", "settled"]
+
+FloatArray = NDArray[np.float64]
+
+#: A hold has at least so many samples: fewer cannot show a decay beside its plateau.
+HOLD_SAMPLES = 8
+#: A hold lasts at least this share of its ramp: a crosshead takes 50-300 ms to stop or to turn, and that
+#: dwell, seen after a ramp of 10-60 s, is no relaxation test.
+HOLD_SHARE_OF_RAMP = 0.05
+#: A standstill between opposite moves takes at least this share of the time between their straight parts.
+STAND_SHARE_OF_TURN = 0.5
+#: Crossheads turn within this time [s].
+LONGEST_CREST_S = 0.3
+#: A way back this small against its ramp, ended by a standstill, is overshoot of the stop, not a retract.
+OVERSHOOT_SHARE = 0.1
+#: A loop returns at least this share of its way in.
+LOOP_RETURN = 0.5
+#: Loops from which a recording is cyclic.
+FEWEST_LOOPS = 2
+#: A standstill lies out of contact up to so many sd of the contact below it ...
+CLEAR_SD = 3.0
+#: ... which count as no more than this share of the depth, ...
+CLEAR_AT_MOST = 0.1
+#: ... and at least this one: tissue that was indented has not come back within it.
+CLEAR_AT_LEAST = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class Surface:
+    """Where the tissue begins.
+
+    Attributes
+    ----------
+    contact : Contact or None
+    depth_mm : float
+        Contact in the direction of compression [mm].
+    clear_mm : float
+        A tool standing shallower than this is out of contact [mm].
+    """
+
+    contact: Contact | None
+    depth_mm: float
+    clear_mm: float
+
+    @classmethod
+    def of(cls, contact: Contact | None, depth_mm: FloatArray, compression_sign: int) -> Surface:
+        """The surface of a recording; without contact everything is air."""
+        if contact is None:
+            return cls(None, float("inf"), float("inf"))
+        surface = compression_sign * contact.displacement_mm
+        travel = float(depth_mm.max()) - surface
+        margin = np.clip(CLEAR_SD * contact.sd_mm, CLEAR_AT_LEAST * travel, CLEAR_AT_MOST * travel)
+        return cls(contact, surface, surface + float(margin))
+
+
+def settled(
+    time_s: FloatArray,
+    depth_mm: FloatArray,
+    found: list[Piece],
+    options: SegmentOptions,
+    *,
+    tolerance_mm: float,
+) -> list[Piece]:
+    """Moves and standstills that mean something: ringing joins its ramp, the dwell of a stop its move."""
+    calm = _without_ringing(depth_mm, found)
+    result: list[Piece] = []
+    for k, piece in enumerate(calm):
+        if piece.direction == 0 and result:
+            after = calm[k + 1] if k + 1 < len(calm) else None
+            rounded = after is not None and _turns_round(
+                time_s, depth_mm, (result[-1], piece, after), tolerance_mm
+            )
+            if not _long_enough(time_s, piece, result[-1], options, rounded=rounded):
+                result[-1] = replace(result[-1], stop=piece.stop)
+                continue
+        if result and _goes_on(time_s, depth_mm, result[-1], piece):
+            result[-1] = replace(result[-1], stop=piece.stop)
+        else:
+            result.append(piece)
+    return result
+
+
+def _goes_on(time_s: FloatArray, depth_mm: FloatArray, before: Piece, after: Piece) -> bool:
+    """Whether a move was only interrupted, by a standstill too short to be one."""
+    if before.direction == 0 or before.direction != after.direction:
+        return False
+    slow, fast = sorted(
+        abs(float(depth_mm[piece.stop] - depth_mm[piece.start]))
+        / max(float(time_s[piece.stop] - time_s[piece.start]), 1e-300)
+        for piece in (before, after)
+    )
+    return fast <= SPEED_RATIO * slow
+
+
+def _turns_round(
+    time_s: FloatArray, depth_mm: FloatArray, around: tuple[Piece, Piece, Piece], tolerance_mm: float
+) -> bool:
+    """Whether a standstill between two opposite moves is the crest of a rounded turn."""
+    before, stand, after = around
+    if before.direction * after.direction >= 0:
+        return False
+    took, moved = (float(time_s[piece.stop] - time_s[piece.start]) for piece in (stand, before))
+    if took > max(LONGEST_CREST_S, HOLD_SHARE_OF_RAMP * moved):
+        return False
+    leaves = _leaves_line(time_s, depth_mm, before, stand.start, tolerance_mm)
+    joins = _leaves_line(time_s, depth_mm, after, stand.stop, tolerance_mm)
+    return took < STAND_SHARE_OF_TURN * float(time_s[joins] - time_s[leaves])
+
+
+def _leaves_line(time_s: FloatArray, depth_mm: FloatArray, move: Piece, end: int, tolerance_mm: float) -> int:
+    """How far towards a sample the path follows the straight line through the middle of a move."""
+    count = move.stop - move.start
+    middle = slice(move.start + count // 4, move.stop - count // 4 + 1)
+    slope, level = straight_line(time_s[middle], depth_mm[middle], flat=False)
+    centre = (move.start + move.stop) // 2
+    way = np.arange(centre, end + 1) if end >= centre else np.arange(centre, end - 1, -1)
+    off = np.abs(depth_mm[way] - level - slope * time_s[way]) > tolerance_mm
+    return int(way[max(int(np.argmax(off)) - 1, 0)]) if off.any() else end
+
+
+def _without_ringing(depth: FloatArray, found: list[Piece]) -> list[Piece]:
+    """Overshoot and ringing before a standstill belong to the ramp."""
+    result: list[Piece] = []
+    k = 0
+    while k < len(found):
+        ramp = found[k]
+        stop = k
+        if ramp.direction > 0:
+            travel = depth[ramp.stop] - depth[ramp.start]
+            while (
+                stop + 1 < len(found)
+                and found[stop + 1].direction != 0
+                and abs(depth[found[stop + 1].stop] - depth[found[stop + 1].start])
+                <= OVERSHOOT_SHARE * travel
+            ):
+                stop += 1
+            if stop > k and stop + 1 < len(found) and found[stop + 1].direction == 0:
+                ramp = replace(ramp, stop=found[stop].stop)
+            else:
+                stop = k
+        result.append(ramp)
+        k = stop + 1
+    return result
+
+
+def _long_enough(
+    time_s: FloatArray, stand: Piece, before: Piece, options: SegmentOptions, *, rounded: bool
+) -> bool:
+    duration = float(time_s[stand.stop] - time_s[stand.start])
+    if options.minimum_hold_s is not None:
+        return duration >= options.minimum_hold_s
+    moved = float(time_s[before.stop] - time_s[before.start])
+    enough = stand.stop - stand.start + 1 >= HOLD_SAMPLES and duration >= HOLD_SHARE_OF_RAMP * moved
+    return enough and not rounded
+
+
+def name_phases(
+    time_s: FloatArray,
+    depth_mm: FloatArray,
+    found: list[Piece],
+    surface: Surface,
+    *,
+    creeps: Callable[[Piece, Piece], int | None],
+    again: Contact | None = None,
+) -> tuple[Phase, ...]:
+    """Name each piece.
+
+    Parameters
+    ----------
+    time_s, depth_mm : ndarray, shape (n,)
+        Displacement growing into the tissue.
+    found : list of Piece
+        Settled pieces that cover the recording.
+    surface : Surface
+    creeps : callable
+        ``creeps(ramp, slow move)``: sample from which the load was held while the tool crept, or ``None``.
+    again : Contact or None
+        Where the tool met the tissue again, on a later ramp.
+
+    Returns
+    -------
+    tuple of Phase
+        Neighbours share their corner sample; together they cover the recording.
+    """
+    loops = _loops(depth_mm, found, surface)
+    named: list[tuple[str, Piece, int | None]] = []
+    k = 0
+    while k < len(found):
+        piece, looped = found[k], k in loops
+        peak = piece.stop if looped else None
+        kind = "cycle" if looped else _kind(piece, depth_mm, surface, named)
+        if looped:
+            piece = Piece(0, piece.start, found[k + 1].stop)
+        after_cycle = bool(named) and named[-1][0] == "cycle"
+        touch = _touch(depth_mm, found[k], surface) if kind in ("ramp", "cycle") else None
+        if kind == "ramp" and again is not None and piece.start < again.index < piece.stop:
+            touch = again.index
+        if touch is not None and touch > found[k].start and not (looped and after_cycle):
+            named.append(("approach", Piece(1, piece.start, touch), None))
+            piece = replace(piece, start=touch)
+        crept = _creep_start(found[k], named, creeps) if kind == "ramp" else None
+        if crept is not None:
+            while named[-1][1].start >= crept:  # slow moves that were taken for ramps before
+                named.pop()
+            before = named[-1]
+            named[-1] = (before[0], replace(before[1], stop=crept), before[2])
+            kind, piece = "creep", replace(found[k], start=crept)
+        named.append((kind, piece, peak))
+        k += 2 if looped else 1
+    return tuple(_phase(time_s, depth_mm, kind, piece, peak) for kind, piece, peak in named)
+
+
+def _loops(depth: FloatArray, found: list[Piece], surface: Surface) -> set[int]:
+    """Loading moves that are unloaded at once, where the recording repeats them."""
+    loops: set[int] = set()
+    for k in range(len(found) - 1):
+        # the way through air is no loading
+        begins = max(float(depth[found[k].start]), min(surface.depth_mm, float(depth[found[k].stop])))
+        way_in = float(depth[found[k].stop]) - begins
+        way_out = float(depth[found[k + 1].start] - depth[found[k + 1].stop])
+        turns = found[k].direction > 0 and found[k + 1].direction < 0
+        if turns and way_in > 0.0 and way_out >= LOOP_RETURN * way_in:
+            loops.add(k)
+    return loops if len(loops) >= FEWEST_LOOPS else set()
+
+
+def _touch(depth: FloatArray, piece: Piece, surface: Surface) -> int | None:
+    """Where a move into the tissue meets it: a sample of the piece, or ``None`` where all of it is air."""
+    contact = surface.contact
+    if contact is None:
+        return None
+    if piece.start < contact.index < piece.stop and contact.in_record:
+        return contact.index
+    if piece.stop <= contact.index and contact.in_record:
+        return None
+    path = depth[piece.start : piece.stop + 1]
+    air = np.flatnonzero(path < surface.depth_mm)
+    begins_in_air = float(path[0]) < surface.depth_mm - (surface.clear_mm - surface.depth_mm)
+    if not begins_in_air or air.size == 0:
+        return piece.start
+    return min(piece.start + int(air[-1]) + 1, piece.stop - 1)
+
+
+def _kind(
+    piece: Piece, depth: FloatArray, surface: Surface, named: list[tuple[str, Piece, int | None]]
+) -> str:
+    """The kind of a piece that is no loop; creep is told apart later."""
+    contact = surface.contact
+    if contact is None:
+        return "retract" if piece.direction < 0 else "approach"
+    if contact.in_record and piece.stop <= contact.index:
+        return "approach"
+    if piece.direction < 0:
+        return "retract"
+    if piece.direction > 0:
+        return "ramp" if _touch(depth, piece, surface) is not None else "approach"
+    if not any(kind in ("ramp", "cycle") for kind, _, _ in named):
+        return "approach"  # nothing was loaded: there is nothing to relax
+    level = float(np.median(depth[piece.start : piece.stop + 1]))
+    return "rest" if level < surface.clear_mm else "hold"
+
+
+def _creep_start(
+    slow: Piece,
+    named: list[tuple[str, Piece, int | None]],
+    creeps: Callable[[Piece, Piece], int | None],
+) -> int | None:
+    """Where creep began, if a slow move after a ramp, or after creep, is some."""
+    if not named or named[-1][0] not in ("ramp", "creep"):
+        return None
+    ramp = next((piece for kind, piece, _ in reversed(named) if kind == "ramp"), None)
+    return None if ramp is None else creeps(ramp, slow)
+
+
+def _phase(time_s: FloatArray, depth: FloatArray, kind: str, piece: Piece, peak: int | None) -> Phase:
+    start_s, end_s = float(time_s[piece.start]), float(time_s[piece.stop])
+    turn = piece.stop if peak is None else peak
+    moved, took = float(depth[turn] - depth[piece.start]), float(time_s[turn]) - start_s
+    stands = kind in ("hold", "rest") or (piece.direction == 0 and peak is None)
+    speed = moved / took if took > 0.0 and not stands else 0.0
+    return Phase(kind, piece.start, piece.stop + 1, start_s, end_s, speed, peak)

@@ -1,0 +1,208 @@
+"""Where force collapses while the tool moves on: rupture of a layer, tear, or slip.
+
+Force rises and falls between alternate extremes (a zigzag with a reversal threshold above noise).  A fall
+within one move is a rupture where it is steep against the loading before it, or where most of the force is
+lost.  Passive tissue at constant speed can do neither: its relaxing branch only grows towards K v tau, and a
+softening static curve falls over lengths like those over which it rose (criterion reconstructed).  A running
+median takes out single samples; falls while the tool slows down or stands are relaxation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.flags import Flag
+from tissueid.segment.motion import Piece
+from tissueid.trial import Event
+
+__all__ = ["rupture_flags", "ruptures"]
+
+FloatArray = NDArray[np.float64]
+
+#: Samples of the running median; up to two neighbouring outliers are taken out.
+MEDIAN_SAMPLES = 5
+#: A fall is at least this share of the force before it ...
+DROP_SHARE = 0.1
+#: ... this share of the whole force range ...
+RANGE_SHARE = 0.02
+#: ... and so many noise sd: extremes of filtered noise over 1e5 samples lie 2.5 sd out on either side.
+DROP_SD = 8.0
+#: A fall is steep where its slope exceeds this multiple of the secant stiffness before it.
+STEEP = 2.0
+#: A loss of this share of the force is a collapse at any slope.
+COLLAPSE = 0.6
+#: The tool moves on: speed over the fall is at least this share of the move's.
+MOVES_ON = 0.7
+#: ... watched over this many times what noise explains.
+VISIBLE = 3.0
+#: Levels of the fall, as shares of it, that its steepness is measured between and its start is seen at.
+UPPER, LOWER = 0.1, 0.8
+ONSET = 0.05
+#: Fewest samples after the fall that show it is none.
+FEWEST_AFTER = 3
+
+
+@dataclass(frozen=True, slots=True)
+class _Fall:
+    """From the highest sample to the lowest, both included."""
+
+    top: int
+    bottom: int
+
+
+def ruptures(
+    time_s: FloatArray,
+    depth_mm: FloatArray,
+    force_N: FloatArray,
+    loading: list[Piece],
+    *,
+    noise_N: float,
+    tolerance_mm: float,
+    zero: tuple[float, float],
+) -> list[Event]:
+    """Ruptures on the loading moves, in time order.
+
+    Parameters
+    ----------
+    time_s, depth_mm, force_N : ndarray, shape (n,)
+        Growing into the tissue.
+    loading : list of Piece
+        Moves into the tissue.
+    noise_N : float
+    tolerance_mm : float
+        What noise and resolution of the displacement explain.
+    zero : tuple of float
+        Depth of contact [mm] and force in air [N].
+
+    Returns
+    -------
+    list of Event
+        Kind ``rupture``; ``index`` is the last sample before the fall.
+    """
+    contact_mm, baseline_N = zero
+    depth, force = depth_mm - contact_mm, force_N - baseline_N
+    least = max(DROP_SD * noise_N, RANGE_SHARE * float(np.ptp(force_N)))
+    events: list[Event] = []
+    for piece in loading:
+        span = slice(piece.start, piece.stop + 1)
+        if piece.stop - piece.start + 1 < 2 * MEDIAN_SAMPLES:
+            continue
+        if float((np.maximum.accumulate(force[span]) - force[span]).max()) < least:
+            continue
+        steady = _running_median(force[span])
+        for fall in _falls(steady, least):
+            found = _judge(time_s[span], depth[span], steady, fall, least=least, tolerance=tolerance_mm)
+            if found is None:
+                continue
+            onset, drop = found
+            at = piece.start + onset
+            before = float(steady[onset])
+            events.append(
+                Event(
+                    "rupture",
+                    at,
+                    float(time_s[at]),
+                    {
+                        "force_before_N": before,
+                        "drop_N": drop,
+                        "drop_fraction": drop / before,
+                        "depth_mm": float(depth[at]),
+                        "work_N_mm": _work(depth, force, piece.start, at),
+                    },
+                )
+            )
+    return events
+
+
+def _running_median(values: FloatArray) -> FloatArray:
+    half = MEDIAN_SAMPLES // 2
+    padded = np.pad(values, half, mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, MEDIAN_SAMPLES)
+    result: FloatArray = np.median(windows, axis=1)
+    return result
+
+
+def _falls(force: FloatArray, least_N: float) -> list[_Fall]:
+    """Falls between alternate extremes that are at least the threshold apart."""
+    falls: list[_Fall] = []
+    top = bottom = 0
+    falling = False
+    for k, value in enumerate(force.tolist()):
+        if falling:
+            if value < force[bottom]:
+                bottom = k
+            elif value > force[bottom] + least_N:
+                falls.append(_Fall(top, bottom))
+                falling, top = False, k
+        elif value > force[top]:
+            top = k
+        elif value < force[top] - max(least_N, DROP_SHARE * force[top]):
+            falling, bottom = True, k
+    if falling:
+        falls.append(_Fall(top, bottom))
+    return falls
+
+
+def _judge(
+    time_s: FloatArray,
+    depth_mm: FloatArray,
+    force: FloatArray,
+    fall: _Fall,
+    *,
+    least: float,
+    tolerance: float,
+) -> tuple[int, float] | None:
+    """Onset sample and drop of a fall that is a rupture, else ``None``."""
+    drop = float(force[fall.top] - force[fall.bottom])
+    if force.size - fall.bottom < FEWEST_AFTER or force[fall.top] <= least or depth_mm[fall.top] <= 0.0:
+        return None
+    part = force[fall.top : fall.bottom + 1]
+    high = fall.top + int(np.flatnonzero(part >= force[fall.top] - UPPER * drop)[-1])
+    low = high + int(np.argmax(force[high : fall.bottom + 1] <= force[fall.top] - LOWER * drop))
+    onset = fall.top + int(np.flatnonzero(part >= force[fall.top] - ONSET * drop)[-1])
+    first, last = time_s.size // 4, 3 * time_s.size // 4
+    speed = float(depth_mm[last] - depth_mm[first]) / max(float(time_s[last] - time_s[first]), 1e-300)
+    if not _moves_on(time_s, depth_mm, (high, low), speed, tolerance):
+        return None
+    secant = float(force[fall.top]) / float(depth_mm[fall.top])
+    steep = (LOWER - UPPER) * drop >= STEEP * secant * speed * float(time_s[low] - time_s[high])
+    if not steep and drop < COLLAPSE * float(force[fall.top]):
+        return None
+    return onset, drop
+
+
+def _moves_on(
+    time_s: FloatArray, depth_mm: FloatArray, fall: tuple[int, int], speed: float, tolerance: float
+) -> bool:
+    """Whether the tool keeps its speed over a fall and after it, so far that noise can't hide a stop."""
+    first, last = fall
+    span = VISIBLE * tolerance / max(speed, 1e-300)
+    last = max(last, min(int(np.searchsorted(time_s, time_s[first] + span)), time_s.size - 1))
+    first = min(first, int(np.searchsorted(time_s, time_s[last] - span)))
+    took = float(time_s[last] - time_s[first])
+    return float(depth_mm[last] - depth_mm[first]) >= MOVES_ON * speed * took
+
+
+def _work(depth_mm: FloatArray, force_N: FloatArray, start: int, at: int) -> float:
+    """Work from contact to a sample of the move [N mm]."""
+    x, f = depth_mm[start : at + 1], force_N[start : at + 1]
+    inside = x >= 0.0
+    return float(np.trapezoid(f[inside], x[inside])) if inside.sum() > 1 else 0.0
+
+
+def rupture_flags(events: list[Event]) -> list[Flag]:
+    """One flag for the first rupture, with their number."""
+    if not events:
+        return []
+    first = events[0]
+    values = first.values
+    more = "" if len(events) == 1 else f", the first of {len(events)}"
+    message = (
+        f"force falls by {values['drop_N']:.3g} N ({100 * values['drop_fraction']:.0f} %) at "
+        f"{first.time_s:.4g} s, {values['depth_mm']:.3g} mm deep, while the tool moves on{more}; samples "
+        "from there on are not fitted"
+    )
+    return [Flag("rupture", message, {"time_s": first.time_s, "count": len(events), **values})]
