@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from fuzz_seeds import FACTORS, Intent
 
 DIGITS = frozenset("0123456789")
-#: Separators of thousands besides the dialect's own; a number grouped by them can mean one thing only.
+#: Separators of thousands besides the mark that is not the decimal one; before a decimal mark, a number
+#: grouped by any of them can mean one thing only.
 SPACES = "\u00a0\u202f '\u2019"
 
 
@@ -70,7 +71,7 @@ def number(cell: str, intent: Intent) -> float | None:
     sign = ""
     if text[:1] in ("+", "-") and text:
         sign, text = text[0], text[1:]
-    whole_part = _whole_part(text, intent.thousands + SPACES)
+    whole_part = _whole_part(text, SPACES + ("," if intent.decimal == "." else "."))
     if whole_part is None:
         return None
     whole, at, grouped = whole_part

@@ -18,6 +18,7 @@ from pathlib import Path
 from tissueid.errors import InputError
 from tissueid.flags import Flag
 from tissueid.ingest.layout import Layout, find_layout
+from tissueid.ingest.loading import load_bytes
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.text import Text, decode_text
@@ -175,11 +176,7 @@ def open_input(path: str | Path, options: ReadOptions) -> InputFile:
         ``unreadable_file``.
     """
     name = str(path)
-    try:
-        data = Path(path).read_bytes()
-    except OSError as error:
-        reason = error.strerror or type(error).__name__
-        Place(name).refuse("unreadable_file", f"the file can't be read: {reason}; check its name and rights")
+    data = load_bytes(path, Place(name))
     return lay_out(name, data, options, _start_digest(data))
 
 

@@ -19,7 +19,7 @@ from tissueid.ingest.text import Text
 
 __all__ = ["begins_a_table", "flag_rows_above", "row_like", "skipped_flag"]
 
-_STARTS = re.compile(r"[\s\"']*[+-]?[.,]?\d")
+_STARTS = re.compile(r"[\W_]*\d")
 _NUMBERS = re.compile(r"\d+(?:[.,]\d+)?")
 #: A clock or a date: remarks carry them.
 _MOMENT = re.compile(r"(?<![\d.,])(?:\d{1,2}:\d{2}(?::\d{2})?|\d{1,4}([/.-])\d{1,2}\1\d{1,4})(?![\d.,])")

@@ -255,7 +255,7 @@ class RowReader:
         the row is kept and the doubt is flagged.
         """
         line = self.text.decode(self.text.data[self.end :])
-        if not line.strip(f' \t"{self.layout.delimiter}'):
+        if not line.strip(f" \t{self.layout.delimiter}"):
             return None, []
         number = self.text.data.count(b"\n") + 1
         cells = self.cells(line)

@@ -117,6 +117,7 @@ def decode_text(data: bytes, place: Place) -> Text:
             "not_an_export",
             f"this is {kind}, not the raw data of a test; give the export of the test machine",
         )
+    _refuse_long_lines(data, place)
     if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) or _looks_utf16(head):
         return _from_utf16(data, place)
     if head.startswith(codecs.BOM_UTF8):
@@ -131,6 +132,20 @@ def decode_text(data: bytes, place: Place) -> Text:
         doubt = () if sure else (Flag("undecoded_text", message, {"encoding": codec}),)
         text = Text(_line_ends(data), codec, codec, doubt)
     return _unwrapped(text)
+
+
+def _refuse_long_lines(data: bytes, place: Place) -> None:
+    """Refuse a line that no table has, before it is copied; one look at the end of each 64 KiB."""
+    start = 0
+    while len(data) - start > HEAD_BYTES:
+        end = max(data.rfind(mark, start, start + HEAD_BYTES) for mark in (b"\n", b"\r"))
+        if end < 0:
+            line = data.count(b"\n", 0, start) + 1
+            name = "the first line" if line == 1 else f"line {line}"
+            place.refuse(
+                "not_an_export", f"{name} is longer than {HEAD_BYTES} bytes: this is no table", line=line
+            )
+        start = end + 1
 
 
 def _from_utf16(data: bytes, place: Place) -> Text:
