@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
+import zipfile
 from collections.abc import Iterable, Iterator
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from tissueid.errors import InputError, UsageError
+from tissueid.ingest.archive import recordings_in
 from tissueid.ingest.layout import find_layout
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import Place
@@ -15,9 +17,11 @@ from tissueid.ingest.text import HEAD_BYTES, decode_text
 __all__ = ["SUFFIXES", "find_inputs", "natural_key"]
 
 #: Suffixes taken from a directory.
-SUFFIXES = (".csv", ".tsv", ".tra", ".xls", ".xlsx", ".xlsm", ".xlsb", ".ods", ".txt")
-#: Suffixes of prose as well: taken from a directory only where the head holds a table.
-_PROSE_SUFFIXES = (".txt",)
+SUFFIXES = (".csv", ".tsv", ".tra", ".xls", ".xlsx", ".xlsm", ".xlsb", ".ods", ".zip", ".dat", ".txt")
+#: Suffixes of prose and other data as well: taken from a directory only where the head holds a table.
+_PROSE_SUFFIXES = (".txt", ".dat")
+#: Texts that say themselves what they are, wherever their tables begin.
+_SIGNED = (b"<Mach-1 File>", b"MTS793|")
 #: What only a directory written by tissueid holds.
 _OWN_OUTPUT = (".current", "identification.json")
 
@@ -83,10 +87,26 @@ def _recordings(directory: Path) -> Iterator[Path]:
             continue
         if entry.is_dir():
             yield from _recordings(entry)
-        elif entry.suffix.lower() in SUFFIXES and (
-            entry.suffix.lower() not in _PROSE_SUFFIXES or _holds_table(entry)
-        ):
+        elif entry.suffix.lower() in SUFFIXES and _is_recording(entry):
             yield entry
+
+
+def _is_recording(path: Path) -> bool:
+    suffix = path.suffix.lower()
+    if suffix == ".zip":
+        return _holds_unpacked_nowhere(path)
+    return suffix not in _PROSE_SUFFIXES or _holds_table(path)
+
+
+def _holds_unpacked_nowhere(path: Path) -> bool:
+    """Whether an archive holds recordings that do not lie beside it as well: nothing is read twice."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = [PurePosixPath(member.filename).name for member in recordings_in(archive)]
+    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
+        return True  # read later, and refused by name
+    beside = (path.parent, path.with_suffix(""))
+    return bool(names) and not all(any((folder / name).exists() for folder in beside) for name in names)
 
 
 def _holds_table(path: Path) -> bool:
@@ -94,6 +114,8 @@ def _holds_table(path: Path) -> bool:
         with path.open("rb") as stream:
             head = stream.read(HEAD_BYTES)
         place = Place(str(path))
+        if head.startswith(_SIGNED):
+            return True
         find_layout(decode_text(head, place), ReadOptions(), place)
     except InputError as error:
         # a table that can't be trusted is refused by name later, not overlooked

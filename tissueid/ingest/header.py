@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 
-from tissueid.ingest.columns import split_name
 from tissueid.ingest.layout import Row
 from tissueid.ingest.numbers import CellFault, looks_numeric, parse_number
 from tissueid.ingest.protocol_words import (
@@ -26,6 +25,7 @@ __all__ = ["header_entries", "protocol_of", "specimen_in", "stated"]
 _NOTHING = re.compile(r"<.*>|-+|n/?a|none", re.IGNORECASE)
 #: Hours, minutes and seconds.
 _CLOCK = re.compile(r"(\d+):([0-5]?\d):([0-5]?\d(?:[.,]\d+)?)")
+_UNIT_OF_KEY = re.compile(r".*(?:[(\[]([^()\[\]]+)[)\]]|,\s*(\S+))", re.DOTALL)
 _FOLDER_KIND = re.compile(r"\.is_([a-z]+)(?:_RawData|_Exports)?(?:[/\\.]|$)", re.IGNORECASE)
 
 
@@ -70,6 +70,12 @@ def _lying(header: Sequence[Row]) -> list[Row]:
         else:
             rows.append([line])
     return [tuple(row) for row in rows]
+
+
+def _key_unit(key: str) -> str:
+    """The unit in brackets, or behind a comma, at the end of a key; empty where there is none."""
+    match = _UNIT_OF_KEY.fullmatch(key.rstrip(": "))
+    return "" if match is None else match[1] or match[2]
 
 
 def _is_key(line: str) -> bool:
@@ -138,7 +144,7 @@ def stated(
             return seconds if seconds > 0.0 else None
         number, _, unit = text.rpartition(" ")
         if not number:  # the unit stands in the key: "Velocity, mm/s"
-            number, unit = text, split_name(key.rstrip(": ").rsplit(" : ", 1)[-1])[1] or ""
+            number, unit = text, _key_unit(key)
         value = parse_number(number, decimal)
         if isinstance(value, CellFault) or value <= 0.0:
             continue

@@ -57,7 +57,7 @@ TIP_DIAMETER = re.compile(
     r"|srednica (?:koncowki|wglebnika)|压头直径|探头直径"
 )
 _ALL = (RATE, DEPTH, HOLD, TIP_RADIUS, TIP_DIAMETER)
-_UNIT_AT_END = re.compile(r" (?:mm|um|m|nm|s|sec|n|mm s|mm sec|mm min|um s)$")
+_UNIT_AT_END = re.compile(r" (?:(?:m|\u03bc|u|n)?m(?: (?:s|sec|min))?|s|sec|n)$")
 
 
 @cache

@@ -150,7 +150,7 @@ def _trial(file: InputFile, match: Match, table: Table) -> Trial | InputError:
         path=file.path,
         sheet=table.sheet,
         sha256=file.sha256,
-        recipe=match.recipe.key,
+        recipe=(table.match or match).recipe.key,
         encoding=table.encoding,
         delimiter=table.delimiter,
         decimal=table.decimal,

@@ -103,7 +103,7 @@ _NAMES: dict[Channel, tuple[tuple[int, str], ...]] = {
             (
                 r"(?:absolute )?(?:crosshead|traverse|traversen)(?: absolute?| absolut| position)?"
                 r"|traverse absolue"
-                r"|traversen(?:position|weg absolut)|position(?: absolue)?|posicion|posizione|pozycja|stroke"
+                r"|traversen(?:position|weg absolut)|position(?: absolue| z)?|posicion|posizione|pozycja|stroke"
                 r"|actuator"
                 r"|height(?: measured)?|z(?: position)?|hoehe|hohe|hauteur"
             ),
@@ -161,7 +161,7 @@ _NOT_A_CHANNEL = re.compile(
     r"\b(?:stress|strain|rate|speed|velocity|modulus|energy|work|max|maximum|min|minimum|at|per|peak|mean"
     r"|average"
     r"|sd|std|error|cycle|cycles|count|point|offset|zero|stiffness|contrainte|spannung"
-    r"|command|cmd|setpoint|target|sollwert|sollwerte|consigne|valor nominal)\b"
+    r"|position [xy]|[xy] position|command|cmd|setpoint|target|sollwert|sollwerte|consigne|valor nominal)\b"
 )
 
 _SPECIMEN_WORDS = re.compile(

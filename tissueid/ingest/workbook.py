@@ -27,8 +27,10 @@ from tissueid.flags import Flag
 from tissueid.ingest.columns import ColumnChoice, choose_columns, has_channels
 from tissueid.ingest.header import header_entries, specimen_in
 from tissueid.ingest.layout import Anchor, Row, anchor
+from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.recipe import Detection, InputFile, Recipe, Table, is_workbook
 from tissueid.ingest.refusals import Place
+from tissueid.ingest.results import results_below
 from tissueid.ingest.vocabulary import CHANNELS
 from tissueid.trial import FloatArray
 
@@ -36,6 +38,8 @@ __all__ = ["TESTXPERT_WORKBOOK", "WORKBOOK", "sheet_names"]
 
 #: Rows looked at for names and units.
 _HEAD_ROWS = 200
+#: ... and for a table of results below the samples.
+_TAIL_ROWS = 500
 #: No honest workbook unpacks to more; a bomb does.
 _UNPACKED_BYTES = 1 << 30
 #: Names that a test program gives by itself: two workbooks may both have a "Specimen 1".
@@ -191,7 +195,11 @@ def _read_sheet(file: InputFile, sheet: str, cells: Cells, found: Anchor, *, nam
     units = head[found.units] if found.units is not None else ()
     line = None if found.names is None else found.names + 1
     choice = choose_columns(printed, units, options=file.options, place=place, line=line)
-    columns, flags = _read_columns(cells, found.first, choice, place)
+    results = _results(cells, found, printed, units, file.options)
+    stop = len(cells) if results is None else results
+    columns, flags = _read_columns(cells[:stop], found.first, choice, place)
+    if results is not None:
+        flags.append(_results_flag(results + 1, len(cells)))
     metadata = header_entries([row for row in head[: found.names] if any(row)])
     test = _test_name(cells, found)
     if test is not None:
@@ -209,6 +217,22 @@ def _read_sheet(file: InputFile, sheet: str, cells: Cells, found: Anchor, *, nam
         metadata=metadata,
         specimen=specimen,
         flags=(*choice.flags, *flags),
+    )
+
+
+def _results(cells: Cells, found: Anchor, names: Row, units: Row, options: ReadOptions) -> int | None:
+    """The row at which a table of results begins below the samples, counted from 0."""
+    start = max(found.first, len(cells) - _TAIL_ROWS)
+    tail = [tuple(_shown(cell) for cell in row) for row in cells[start:]]
+    below = results_below(tail, names, units, options)
+    return None if below is None else start + below
+
+
+def _results_flag(first: int, last: int) -> Flag:
+    return Flag(
+        "rows_skipped",
+        f"rows {first} to {last} are a table of results, not samples: they were left out",
+        {"count": last - first + 1, "lines": [first, last]},
     )
 
 

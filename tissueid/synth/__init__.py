@@ -8,15 +8,18 @@ from __future__ import annotations
 from tissueid.synth.bluehill import bluehill_csv
 from tissueid.synth.dataset import write_set
 from tissueid.synth.dialects import DIALECTS, Dialect
+from tissueid.synth.exports import EXPORTS, Export
 from tissueid.synth.protocols import RECIPES, recipe
 from tissueid.synth.recipe import Branch, Hold, Log, Move, Recipe, dump_recipe, load_recipe
 from tissueid.synth.simulate import SyntheticLog, as_trials, simulate
 
 __all__ = [
     "DIALECTS",
+    "EXPORTS",
     "RECIPES",
     "Branch",
     "Dialect",
+    "Export",
     "Hold",
     "Log",
     "Move",

@@ -1,4 +1,4 @@
-"""A synthetic set on disk: one Bluehill CSV a log, the recipe, the truth, and the hashes of all.
+"""A synthetic set on disk: one export a log, the recipe, the truth, and the hashes of all.
 
 ::
 
@@ -19,8 +19,7 @@ from typing import Any
 import numpy as np
 
 from tissueid.errors import UsageError
-from tissueid.synth.bluehill import bluehill_csv
-from tissueid.synth.dialects import DIALECTS
+from tissueid.synth.exports import EXPORTS
 from tissueid.synth.recipe import Recipe, dump_recipe
 from tissueid.synth.simulate import SyntheticLog, simulate
 
@@ -41,7 +40,7 @@ def write_set(recipe: Recipe, directory: str | Path, *, seed: int, dialect: str 
     seed : int
         Seed of ``numpy.random.default_rng``.
     dialect : str
-        Key of :data:`~tissueid.synth.dialects.DIALECTS`.
+        Key of :data:`~tissueid.synth.exports.EXPORTS`.
 
     Returns
     -------
@@ -54,16 +53,14 @@ def write_set(recipe: Recipe, directory: str | Path, *, seed: int, dialect: str 
         If the dialect is unknown, or the directory holds files of something else, which a reader of the
         whole directory would take for part of the set.
     """
-    if dialect not in DIALECTS:
-        msg = f"no dialect {dialect!r}; there are {', '.join(sorted(DIALECTS))}"
+    if dialect not in EXPORTS:
+        msg = f"no dialect {dialect!r}; there are {', '.join(sorted(EXPORTS))}"
         raise UsageError(msg)
     logs = simulate(recipe, rng=np.random.default_rng(seed))
-    contents = {
-        f"{log.name}.csv": bluehill_csv(log, dialect=DIALECTS[dialect], decimals=recipe.decimals)
-        for log in logs
-    }
+    export = EXPORTS[dialect]
+    contents = {f"{log.name}{export.suffix}": export.write(log, decimals=recipe.decimals) for log in logs}
     contents["recipe.toml"] = dump_recipe(recipe).encode()
-    contents["truth.json"] = _truth(recipe, logs, seed=seed, dialect=dialect)
+    contents["truth.json"] = _truth(recipe, logs, seed=seed, dialect=dialect, suffix=export.suffix)
     sums = [f"{hashlib.sha256(data).hexdigest()}  {name}\n" for name, data in sorted(contents.items())]
     contents["SHA256SUMS"] = "".join(sums).encode()
 
@@ -78,7 +75,7 @@ def write_set(recipe: Recipe, directory: str | Path, *, seed: int, dialect: str 
     return [directory / name for name in contents]
 
 
-def _truth(recipe: Recipe, logs: list[SyntheticLog], *, seed: int, dialect: str) -> bytes:
+def _truth(recipe: Recipe, logs: list[SyntheticLog], *, seed: int, dialect: str, suffix: str) -> bytes:
     """truth.json: the law, and what was drawn for each log."""
     document = {
         "synthetic": True,
@@ -90,7 +87,12 @@ def _truth(recipe: Recipe, logs: list[SyntheticLog], *, seed: int, dialect: str)
         "sigma_N": recipe.sigma_N,
         "n_samples": sum(log.time_s.size for log in logs),
         "logs": [
-            {"file": f"{log.name}.csv", "specimen": log.specimen, "n_samples": log.time_s.size, **log.truth}
+            {
+                "file": f"{log.name}{suffix}",
+                "specimen": log.specimen,
+                "n_samples": log.time_s.size,
+                **log.truth,
+            }
             for log in logs
         ],
     }

@@ -1,0 +1,437 @@
+"""Every export that can be written reads back as printed: first, last, peak, count, every sample.
+
+The writer shares nothing with the reader; the numbers expected are rounded here, from the log itself.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tissueid.errors import InputError
+from tissueid.ingest import ReadOptions, find_inputs, read_each, read_one, read_trials
+from tissueid.synth import DIALECTS, EXPORTS, SyntheticLog
+from tissueid.synth.machines import GRAM_FORCE_N, mach1_text, mts793_text, shimadzu_text
+from tissueid.synth.workbooks import zwick_workbook
+from tissueid.trial import Trial
+
+SPEED_MM_S, DEPTH_MM, HOLD_S = 0.5, 8.25, 60.0
+
+
+def log_of(count: int, *, name: str = "hold-1", start_s: float = 990.0) -> SyntheticLog:
+    """Past a thousand seconds and newtons, compression negative, offsets, a peak inside."""
+    i = np.arange(count)
+    grain = 3.7e-9 * (i % 7)  # seen where more than five decimals are printed
+    force = 4.319 - 31.25 * np.minimum(i, 2 * count // 3) + 3.125 * np.maximum(i - 2 * count // 3, 0)
+    return SyntheticLog(
+        name, "22L.3", start_s + 0.25 * i, -2.04726 - 0.01 * i + grain, force + grain, force,
+        {"speed_mm_s": SPEED_MM_S, "depth_mm": DEPTH_MM, "hold_s": HOLD_S},
+    )  # fmt: skip
+
+
+#: What turns newtons and millimetres into what is printed, decimals beyond five, and back to N and mm.
+PRINTED = {
+    "mach-1": (1 / GRAM_FORCE_N, 0, GRAM_FORCE_N),
+    "mts-793-de": (1e-3, 3, 1e3),
+}
+
+
+def expected(name: str, log: SyntheticLog) -> list[list[float]]:
+    """Time, displacement and force as the digits on paper say."""
+    time = [float(f"{v:.5f}") for v in log.time_s.tolist()]
+    if name.startswith("chiaro"):
+        travel = [float(f"{1e6 * v:.6f}") * 1e-6 for v in log.displacement_mm.tolist()]
+        force = [float(f"{1e6 * v:.6f}") * 1e-6 for v in log.force_N.tolist()]
+        return [time, travel, force]
+    factor, more, back = PRINTED.get(name, (1.0, 0, 1.0))
+    travel = [float(f"{v:.5f}") for v in log.displacement_mm.tolist()]
+    if factor == GRAM_FORCE_N**-1:
+        force = [float(f"{v / GRAM_FORCE_N:.5f}") * back for v in log.force_N.tolist()]
+    else:
+        force = [float(f"{v * factor:.{5 + more}f}") * back for v in log.force_N.tolist()]
+    return [time, travel, force]
+
+
+def assert_equal(trial: Trial, name: str, log: SyntheticLog) -> None:
+    """Count, first, last, peak and all between: bit for bit but for one rounding of a unit's factor."""
+    channels = (trial.time_s, trial.displacement_mm, trial.force_N)
+    assert trial.time_s.size == log.time_s.size
+    for recorded, wanted in zip(channels, expected(name, log), strict=True):
+        if name in PRINTED or name.startswith("chiaro"):
+            # parse, factor of the unit, product: one rounding each, twice
+            np.testing.assert_allclose(recorded, wanted, rtol=6e-16, atol=0.0)
+        else:
+            np.testing.assert_array_equal(recorded, wanted)
+    peak = int(np.argmax(np.abs(log.force_N)))
+    assert int(np.argmax(np.abs(trial.force_N))) == peak
+
+
+#: What a reader says of a variant beside its numbers.
+SAID = {
+    "no-units": ["units_assumed"] * 3,
+    "bluehill-workbook": ["rows_skipped"],
+    **{
+        name: ["rows_skipped"]
+        for name, dialect in DIALECTS.items()
+        if dialect.results and not dialect.vertical
+    },
+    "vertical": ["rows_skipped"],
+    **{name: ["column_choice"] for name in EXPORTS if name.startswith("testxpert")},
+}
+RECIPES = {
+    "bluehill-workbook": "workbook",
+    **{name: "testxpert-tra" for name in EXPORTS if name.startswith("testxpert-tra")},
+    **{name: "testxpert-workbook" for name in EXPORTS if name.startswith("testxpert-workbook")},
+    **{name: name for name in ("mach-1", "shimadzu", "chiaro")},
+    "mts-793": "mts-793",
+    "mts-793-de": "mts-793",
+    "chiaro-zip": "chiaro",
+}
+
+
+def test_the_table_lists_every_export():
+    assert set(RECIPES) | set(DIALECTS) == set(EXPORTS)
+
+
+@pytest.mark.parametrize("count", [12, 260], ids=["short", "long"])
+@pytest.mark.parametrize("name", EXPORTS)
+def test_each_export_reads_back_exactly(tmp_path: Path, name: str, count: int) -> None:
+    log = log_of(count)
+    path = tmp_path / f"synthetic {name}{EXPORTS[name].suffix}"
+    path.write_bytes(EXPORTS[name].write(log))
+    (trial,) = read_trials(path)
+    assert_equal(trial, name, log)
+    assert trial.source.recipe == RECIPES.get(name, "bluehill-csv")
+    assert [flag.code for flag in trial.flags if flag.code != "commanded_displacement"] == SAID.get(name, [])
+
+
+@pytest.mark.parametrize("name", [name for name in EXPORTS if name not in {"headless", "shimadzu"}])
+def test_each_header_states_its_protocol(tmp_path: Path, name: str) -> None:
+    path = tmp_path / f"synthetic{EXPORTS[name].suffix}"
+    path.write_bytes(EXPORTS[name].write(log_of(40)))
+    (trial,) = read_trials(path)
+    if not name.startswith(("mts", "testxpert-workbook")):
+        assert trial.protocol.speed_mm_s == pytest.approx(SPEED_MM_S, rel=1e-12)
+    if name == "mach-1" or (name in DIALECTS and DIALECTS[name].language != "en"):
+        assert trial.protocol.depth_mm == DEPTH_MM
+        assert trial.protocol.hold_s == HOLD_S
+    if name.startswith("chiaro"):
+        assert trial.protocol.tip_radius_mm == pytest.approx(0.0275, rel=1e-12)
+    if name in DIALECTS or name.startswith(("mts", "bluehill")):
+        assert trial.specimen == "22L.3"
+
+
+@pytest.mark.parametrize("name", sorted(name for name, dialect in DIALECTS.items() if dialect.header))
+def test_results_are_no_header_entries(tmp_path: Path, name: str) -> None:
+    path = tmp_path / "synthetic.csv"
+    path.write_bytes(EXPORTS[name].write(log_of(40)))
+    (trial,) = read_trials(path)
+    assert not {"Mean", "1", "Mittelwert", "Média", "Średnia", "平均值"} & set(trial.source.metadata)
+
+
+def cross_product() -> list[tuple[str, object]]:
+    """Delimiter and marks, encodings, quotes, heads, units and order, each with each other."""
+    from dataclasses import replace
+    from itertools import product
+
+    from tissueid.synth import Dialect
+
+    marks = {
+        "comma": Dialect(),
+        "comma thousands": Dialect(thousands=",", quoted=True),
+        "semicolon": Dialect(delimiter=";", decimal=","),
+        "semicolon no-break": Dialect(delimiter=";", decimal=",", thousands="\u00a0", quoted=True),
+        "semicolon quoted": Dialect(delimiter=";", decimal=",", quoted=True),
+        "tab": Dialect(delimiter="\t", decimal=","),
+    }
+    encodings = ("utf-8", "utf-8-sig", "latin-1", "utf-16", "utf-16-le", "utf-16-be")
+    ends = ("\r\n", "\n", "\r")
+    heads = {
+        "no header": {"header": False},
+        "header": {},
+        "48": {"header_lines": 48},
+        "flat": {"groups": False},
+    }
+    units = {
+        "row": {},
+        "names": {"unit_in_names": True, "units_row": False, "units": ("s", "mm", "N")},
+    }
+    orders = {"time first": {}, "load first": {"order": (0, 2, 1)}}
+    found = []
+    for (mark, base), encoding, end, (head, h), (unit, u), (order, o) in product(
+        marks.items(), encodings, ends, heads.items(), units.items(), orders.items()
+    ):
+        name = ", ".join((mark, encoding, repr(end), head, unit, order))
+        found.append((name, replace(base, encoding=encoding, newline=end, **h, **u, **o)))
+    return found
+
+
+#: Coprime to every factor of the product, so that each pair of variants is met.
+SAMPLED = 7
+
+
+@pytest.mark.parametrize("every", [SAMPLED, pytest.param(1, marks=pytest.mark.slow)])
+def test_every_combination_of_the_table_of_variants_reads_back_exactly(tmp_path: Path, every: int) -> None:
+    from tissueid.synth import bluehill_csv
+
+    log = log_of(9, start_s=998.5)
+    wrong = []
+    variants = cross_product()
+    assert len(variants) == 6 * 6 * 3 * 4 * 2 * 2
+    for name, dialect in variants[::every]:
+        path = tmp_path / "synthetic.csv"
+        path.write_bytes(bluehill_csv(log, dialect=dialect))
+        (item,) = read_each(path)
+        if isinstance(item, InputError):
+            wrong.append(f"{name}: {item}")
+            continue
+        channels = (item.time_s, item.displacement_mm, item.force_N)
+        same = all(np.array_equal(a, b) for a, b in zip(channels, expected("bare", log), strict=True))
+        if not same:
+            wrong.append(name)
+    assert wrong == []
+
+
+def test_mach1_gives_one_trial_a_block_with_its_own_header(tmp_path: Path) -> None:
+    logs = [log_of(30, start_s=0.0), log_of(50, start_s=0.0)]
+    path = tmp_path / "synthetic.txt"
+    path.write_bytes(mach1_text(logs))
+    trials = read_trials(path)
+    assert [trial.source.sheet for trial in trials] == ["2: Stress Relaxation", "3: Stress Relaxation"]
+    for trial, log in zip(trials, logs, strict=True):
+        assert_equal(trial, "mach-1", log)
+        assert trial.protocol.kind == "stress relaxation"
+    assert_equal(read_one(path, "3: Stress Relaxation"), "mach-1", logs[1])
+
+
+def test_mach1_refusals_point_at_the_line_of_the_file_and_spare_the_other_blocks(tmp_path: Path) -> None:
+    logs = [log_of(30, start_s=0.0), log_of(50, start_s=0.0)]
+    lines = mach1_text(logs).decode().split("\r\n")
+    spoilt = next(i for i, line in enumerate(lines) if line.startswith("1.25000"))
+    lines[spoilt] = lines[spoilt].replace("1.25000", "1.2.5")
+    path = tmp_path / "synthetic.txt"
+    path.write_bytes("\r\n".join(lines).encode())
+    refusal, trial = read_each(path)
+    assert isinstance(refusal, InputError)
+    assert (refusal.code, refusal.line, refusal.column) == ("damaged_number", spoilt + 1, 1)
+    assert refusal.sheet == "2: Stress Relaxation"
+    assert isinstance(trial, Trial)
+    assert_equal(trial, "mach-1", logs[1])
+
+
+def test_mach1_time_that_starts_again_behind_a_divider_makes_two_trials(tmp_path: Path) -> None:
+    first, second = mach1_text([log_of(30, start_s=0.0)], divided=False), log_of(20, start_s=0.0)
+    rows = mach1_text([second], divided=False).split(b"Fz, gf\r\n")[1].split(b"<END DATA>")[0]
+    text = first.replace(b"<END DATA>\r\n", b"", 1)
+    joined = text[: text.rindex(b"<END DATA>")] + b"<divider>\r\n" + rows + b"<END DATA>\r\n"
+    path = tmp_path / "synthetic.txt"
+    path.write_bytes(joined.replace(b"0.0\t0.0\r\n", b"0.0\t0.0\r\n<END DATA>\r\n", 1))
+    trials = read_trials(path)
+    assert [t.source.sheet for t in trials] == ["2: Stress Relaxation (1)", "2: Stress Relaxation (2)"]
+    assert [t.time_s.size for t in trials] == [30, 20]
+
+
+def test_mach1_cut_before_its_end_is_flagged(tmp_path: Path) -> None:
+    data = mach1_text([log_of(30, start_s=0.0)])
+    path = tmp_path / "synthetic.txt"
+    path.write_bytes(data[: data.rindex(b"<END DATA>")])
+    (trial,) = read_trials(path)
+    assert_equal(trial, "mach-1", log_of(30, start_s=0.0))
+    assert "cut_row" in [flag.code for flag in trial.flags]
+
+
+def test_mach1_relative_move_states_its_depth_and_wait_its_hold(tmp_path: Path) -> None:
+    data = mach1_text([log_of(30, start_s=0.0)]).decode()
+    start, stop = data.index("<Stress Relaxation>"), data.rindex("<DATA>")
+    head = "<Move Relative>\r\nPosition, mm:\t0.400\r\nVelocity, mm/s:\t0.200\r\nWait:\t00:01:30\r\n"
+    path = tmp_path / "synthetic.txt"
+    path.write_text(data[:start] + head + data[stop:], newline="")
+    (trial,) = read_trials(path)
+    assert trial.protocol.kind == "move relative"
+    assert (trial.protocol.depth_mm, trial.protocol.speed_mm_s, trial.protocol.hold_s) == (0.4, 0.2, 90.0)
+
+
+def test_mach1_without_force_is_refused_and_names_its_blocks(tmp_path: Path) -> None:
+    path = tmp_path / "synthetic.txt"
+    path.write_bytes(mach1_text([]))
+    (error,) = read_each(path)
+    assert isinstance(error, InputError)
+    assert error.code == "no_columns"
+    assert "1: Find Contact (Time, s, Position (z), mm)" in error.message
+
+
+def test_mts_takes_the_measured_channel_and_the_stated_decimal_mark(tmp_path: Path) -> None:
+    for language in ("en", "de"):
+        path = tmp_path / f"synthetic {language}.dat"
+        path.write_bytes(mts793_text([log_of(20)], language=language))
+        (trial,) = read_trials(path)
+        assert trial.source.columns["force"] == {"en": "Axial Force", "de": "Ch 1 Kraft"}[language]
+        assert trial.source.decimal == {"en": ".", "de": ","}[language]
+
+
+def test_mts_numbers_against_the_stated_mark_are_refused_with_their_line(tmp_path: Path) -> None:
+    data = mts793_text([log_of(20)]).replace(b"|2|.|/|", b"|2|,|.|")
+    path = tmp_path / "synthetic.dat"
+    path.write_bytes(data)
+    (error,) = read_each(path)
+    assert isinstance(error, InputError)
+    assert (error.code, error.line) == ("inconsistent_decimal", 10)
+
+
+def test_mts_blocks_are_trials_and_rows_behind_a_blank_line_are_not_lost(tmp_path: Path) -> None:
+    logs = [log_of(20), log_of(35)]
+    path = tmp_path / "synthetic.dat"
+    lines = mts793_text(logs).split(b"\r\n")
+    lines.insert(len(lines) - 10, b"")
+    path.write_bytes(b"\r\n".join(lines))
+    trials = read_trials(path)
+    assert [trial.source.sheet for trial in trials] == [
+        "1: Data Acquisition: Timed",
+        "2: Data Acquisition: Timed",
+    ]
+    for trial, log in zip(trials, logs, strict=True):
+        assert_equal(trial, "mts-793", log)
+
+
+def test_shimadzu_gives_one_trial_a_specimen_with_ragged_ends(tmp_path: Path) -> None:
+    logs = [log_of(count, name=f"a-{count}") for count in (25, 60, 12)]
+    path = tmp_path / "synthetic.csv"
+    path.write_bytes(shimadzu_text(logs))
+    trials = read_trials(path)
+    assert [trial.source.sheet for trial in trials] == [f"synthetic {log.name}" for log in logs]
+    for trial, log in zip(trials, logs, strict=True):
+        assert_equal(trial, "shimadzu", log)
+    # without the empty cells at the ends of its lines
+    path.write_bytes(
+        b"".join(line.rstrip(b'",\r\n') + b'"\r\n' for line in shimadzu_text(logs).splitlines()[3:])
+    )
+    head = b"".join(line + b"\r\n" for line in shimadzu_text(logs).splitlines()[:3])
+    path.write_bytes(head + path.read_bytes())
+    assert [trial.time_s.size for trial in read_trials(path)] == [25, 60, 12]
+
+
+def test_shimadzu_refusals_point_at_the_column_of_the_file(tmp_path: Path) -> None:
+    logs = [log_of(25, name="a"), log_of(60, name="b")]
+    lines = shimadzu_text(logs).decode().split("\r\n")
+    cells = lines[20].split(",")
+    cells[4] = '"1.2.3"'
+    lines[20] = ",".join(cells)
+    cells = lines[10].split(",")
+    cells[:3] = ['""'] * 3
+    lines[10] = ",".join(cells)
+    path = tmp_path / "synthetic.csv"
+    path.write_bytes("\r\n".join(lines).encode())
+    gone, damaged = read_each(path)
+    assert isinstance(gone, InputError)
+    assert isinstance(damaged, InputError)
+    assert (gone.code, gone.line, gone.column, gone.sheet) == ("empty_cell", 11, 1, "synthetic a")
+    assert (damaged.code, damaged.line, damaged.column) == ("damaged_number", 21, 5)
+
+
+def test_a_zip_archive_of_several_exports_gives_their_trials_and_refusals(tmp_path: Path) -> None:
+    log = log_of(40)
+    names = ("semicolon", "mach-1", "shimadzu", "testxpert-workbook", "utf-16")
+    path = tmp_path / "synthetic.zip"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in names:
+            archive.writestr(f"folder/{name}{EXPORTS[name].suffix}", EXPORTS[name].write(log))
+        archive.writestr("folder/readme.txt", "no table")
+        archive.writestr("folder/.hidden.csv", EXPORTS["bare"].write(log))
+        archive.writestr(
+            "folder/damaged.csv", EXPORTS["bare"].write(log).replace(b"993.25000", b"99.325.000")
+        )
+    items = list(read_each(path))
+    sheets = [item.sheet if isinstance(item, InputError) else item.source.sheet for item in items]
+    assert sheets == [
+        "folder/semicolon.csv",
+        "folder/mach-1.txt::2: Stress Relaxation",
+        "folder/shimadzu.csv::synthetic hold-1",
+        "folder/testxpert-workbook.xlsx::synthetic hold-1",
+        "folder/utf-16.csv",
+        "folder/damaged.csv",
+    ]
+    for item, name in zip(items, names, strict=False):
+        assert isinstance(item, Trial)
+        assert_equal(item, name, log)
+        assert item.source.recipe == RECIPES.get(name, "bluehill-csv")
+    assert isinstance(items[-1], InputError)
+    assert (items[-1].code, items[-1].line, items[-1].path) == ("damaged_number", 20, str(path))
+
+
+def test_a_zip_bomb_is_refused_within_bounds(tmp_path: Path) -> None:
+    path = tmp_path / "bomb.zip"
+    with (
+        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive,
+        archive.open("a.csv", "w", force_zip64=True) as stream,
+    ):
+        for _ in range(300):
+            stream.write(bytes(1 << 20))
+    (error,) = read_each(path)
+    assert isinstance(error, InputError)
+    assert (error.code, error.sheet) == ("unreadable_archive", "a.csv")
+    assert "MiB" in error.message
+
+
+def test_archives_in_archives_and_empty_ones_are_refused(tmp_path: Path) -> None:
+    inner = tmp_path / "inner.zip"
+    with zipfile.ZipFile(inner, "w") as archive:
+        archive.writestr("a.csv", EXPORTS["bare"].write(log_of(10)))
+    for name, code in (("nested.csv", "unreadable_archive"), ("photo.png", "no_recording")):
+        path = tmp_path / "outer.zip"
+        with zipfile.ZipFile(path, "w") as archive:
+            archive.writestr(name, inner.read_bytes())
+        (error,) = read_each(path)
+        assert isinstance(error, InputError)
+        assert error.code == code
+
+
+def test_workbooks_of_several_tests_read_sheet_by_sheet(tmp_path: Path) -> None:
+    logs = [log_of(count, name=f"a-{count}") for count in (25, 60)]
+    path = tmp_path / "synthetic.xlsx"
+    path.write_bytes(zwick_workbook(logs, language="de"))
+    trials = read_trials(path)
+    assert [trial.source.sheet for trial in trials] == ["synthetic a-25", "synthetic a-60"]
+    for trial, log in zip(trials, logs, strict=True):
+        assert_equal(trial, "testxpert-workbook-de", log)
+
+
+def test_an_xls_workbook_reads_back_exactly(tmp_path: Path) -> None:
+    xlwt = pytest.importorskip("xlwt", reason="xlwt writes the .xls of this test")
+    log = log_of(60)
+    book = xlwt.Workbook()
+    sheet = book.add_sheet("synthetic")
+    names = ("Time", "Extension", "Load", "Cycle Count")
+    head = (("Text Inputs : Specimen label", "22L.3"), (), names, ("(sec)", "(mm)", "(N)", ""))
+    rows = zip(*expected("bare", log), strict=True)
+    for i, row in enumerate([*head, *((*row, 0.5 * (k // 30)) for k, row in enumerate(rows))]):
+        for j, cell in enumerate(row):
+            sheet.write(i, j, cell)
+    path = tmp_path / "synthetic.xls"
+    book.save(str(path))
+    (trial,) = read_trials(path)
+    assert_equal(trial, "bare", log)
+    assert trial.specimen == "22L.3"
+
+
+def test_a_folder_takes_every_kind_of_export_once(tmp_path: Path) -> None:
+    log = log_of(40)
+    wanted = ["a.csv", "b.txt", "c.dat", "d.TRA", "e.xlsx", "f.zip"]
+    for name, export in zip(
+        wanted, ("bare", "mach-1", "mts-793", "testxpert-tra", "bluehill-workbook", "chiaro-zip"), strict=True
+    ):
+        (tmp_path / name).write_bytes(EXPORTS[export].write(log))
+    (tmp_path / "notes.txt").write_text("prose")
+    (tmp_path / "blob.dat").write_bytes(bytes(range(256)))
+    with zipfile.ZipFile(tmp_path / "backup.zip", "w") as archive:
+        archive.write(tmp_path / "a.csv", "a.csv")
+    assert [path.name for path in find_inputs([tmp_path])] == sorted(wanted)
+
+
+def test_a_user_who_names_the_recipe_gets_it(tmp_path: Path) -> None:
+    path = tmp_path / "synthetic.csv"
+    path.write_bytes(EXPORTS["bare"].write(log_of(40)))
+    (trial,) = read_trials(path, ReadOptions(recipe="columns"))
+    assert trial.source.recipe == "columns"
