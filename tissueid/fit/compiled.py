@@ -8,13 +8,12 @@ from typing import Any
 from tissueid.likelihood import partial
 from tissueid.likelihood.cone import cone_least_squares
 from tissueid.likelihood.kernels import fill_design
-from tissueid.model.kernels import branch_sensitivity, branch_state
+from tissueid.model.kernels import branch_state
 
 __all__ = ["kernels_to_compile"]
 
 KERNELS: tuple[Any, ...] = (
     branch_state,
-    branch_sensitivity,
     fill_design,
     cone_least_squares,
     partial.coefficients,

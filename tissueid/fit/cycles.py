@@ -152,7 +152,7 @@ def closed_area(depth_mm: FloatArray) -> FloatArray:
 def _work(depth_mm: FloatArray) -> FloatArray:
     """Weights of the integral of F dx along an open path."""
     step = np.diff(depth_mm) / 2.0
-    return np.concatenate([step, [0.0]]) + np.concatenate([[0.0], step])
+    return np.asarray(np.append(step, 0.0) + np.append(0.0, step))
 
 
 def _trimmed(depth: FloatArray, loop: Loop, floor: float) -> tuple[int, int]:
@@ -284,10 +284,10 @@ def _row(
 
 def _change(now: Measure, before: Measure) -> Measure:
     """Relative change, errors of both independent."""
-    if None in (now.value, now.stderr, before.value, before.stderr) or not before.value:
+    if now.value is None or now.stderr is None or not before.value or before.stderr is None:
         return Measure()
-    ratio = now.value / before.value  # type: ignore[operator]
-    spread = np.hypot(now.stderr, ratio * before.stderr) / abs(before.value)  # type: ignore[operator]
+    ratio = now.value / before.value
+    spread = np.hypot(now.stderr, ratio * before.stderr) / abs(before.value)
     return Measure(ratio - 1.0, float(spread))
 
 
@@ -323,7 +323,7 @@ def cycle_rows(
     if contact is None:
         return ()
     frame = contact_frame(trial, segmentation)
-    rows = []
+    rows: list[CycleRow] = []
     for loop in loops(segmentation, frame[0]):
         if loop.peak <= contact.index or not frame[0][loop.peak] > 0.0:
             continue

@@ -14,20 +14,20 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from tissueid.fit.candidates import Candidate, Solution, SpecimenSums, fit_candidate, sum_of_logs
-from tissueid.fit.cycles import cycle_rows
 from tissueid.fit.estimates import TissueEstimate, estimate_tissue
 from tissueid.fit.lm import levenberg_marquardt
 from tissueid.fit.logs import LogHandle, refine_contacts, specimen_sums
-from tissueid.fit.relaxation import relaxation_rows
+from tissueid.fit.material import Geometry, with_moduli
+from tissueid.fit.quoted import quoted_numbers
 from tissueid.fit.rounds import follow_surfaces, unloading_handles, unloading_verdict
 from tissueid.fit.search import polish, unbounded_covariance
 from tissueid.fit.selection import Choice, choose
-from tissueid.fit.trials import Adjustment, ResidualTotals, summarise_trial
+from tissueid.fit.summaries import second_pass
+from tissueid.fit.trials import Adjustment
 from tissueid.fit.verdict import specimen_flags
 from tissueid.likelihood.sums import N_STATIC, reduction
 from tissueid.model.kelvin_voigt import KEY, STATIC_DEGREE
-from tissueid.quantities import CycleRow
-from tissueid.result import ModelChoice, Nrmsd, RelaxationRow, SpecimenFit, TrialFit
+from tissueid.result import ModelChoice, SpecimenFit
 
 __all__ = ["FitOptions", "LogHandle", "fit_specimen"]
 
@@ -64,6 +64,10 @@ class FitOptions:
         ``partial`` (default), ``shared`` or ``per-log``.
     depths_mm : tuple of float
         Depths below contact at which the stiffness of each loop is wanted.
+    frequencies_Hz : tuple of float
+        At which moduli and losses are quoted; none takes the usual ones the data support.
+    geometry : Geometry or None
+        Tip (and thickness) of this specimen, for its moduli.
     unloading : bool
         Fit retracts and cycles as well, with the law of contact loss (:mod:`tissueid.fit.rounds`).
     """
@@ -73,6 +77,8 @@ class FitOptions:
     static: str = "partial"
     unloading: bool = False
     depths_mm: tuple[float, ...] = ()
+    frequencies_Hz: tuple[float, ...] = ()
+    geometry: Geometry | None = None
 
 
 def _both_optimisers(sums: SpecimenSums, solution: Solution) -> tuple[Solution, dict[str, object]]:
@@ -136,43 +142,6 @@ def _adjustments(
         own = np.linalg.lstsq(q[:N_STATIC, :N_STATIC] * unit[:, None] * unit, rest * unit, rcond=1e-12)[0]
         out.append(Adjustment(static=own * unit))
     return out
-
-
-def _second_pass(
-    handles: Sequence[LogHandle],
-    adjustments: Sequence[Adjustment],
-    tissue: TissueEstimate,
-    tick: Callable[[str], None],
-    options: FitOptions,
-) -> tuple[list[TrialFit], list[RelaxationRow], list[CycleRow], Nrmsd]:
-    totals = ResidualTotals()
-    trials: list[TrialFit] = []
-    rows: list[RelaxationRow] = []
-    cycles: list[CycleRow] = []
-    for handle, adjustment in zip(handles, adjustments, strict=True):
-        trial, log = handle.fitted()
-        tick(f"residuals of {trial.name}")
-        trials.append(
-            summarise_trial(
-                trial,
-                handle.segmentation,
-                log,
-                model=tissue.model,
-                theta=tissue.theta,
-                adjustment=adjustment,
-                totals=totals,
-            )
-        )
-        rows += relaxation_rows(trial, handle.segmentation)
-        cycles += cycle_rows(trial, handle.segmentation, depths_mm=options.depths_mm)
-    rmse = float(np.sqrt(totals.squares / totals.count))
-    spread, mean = totals.high - totals.low, abs(totals.force / totals.count)
-    overall = Nrmsd(
-        range=rmse / spread if spread > 0.0 else float("inf"),
-        mean=rmse / mean if mean > 0.0 else float("inf"),
-        rmse_N=rmse,
-    )
-    return trials, rows, cycles, overall
 
 
 def _pooling(options: FitOptions, logs: int) -> str:
@@ -275,10 +244,18 @@ def _fit(
     solution, optimisers = _both_optimisers(sums, choice.solution)
     tissue = estimate_tissue(sums, solution)
     adjustments = _adjustments(sums, solution, tissue, handles)
-    trials, rows, cycles, overall = _second_pass(handles, adjustments, tissue, tick, options)
+    told = second_pass(handles, adjustments, tissue, tick, depths_mm=options.depths_mm)
     sigma = float(np.sqrt(solution.noise.sigma2))
     facts = [handle.facts for handle in handles]
-    flags = specimen_flags(tissue, sums, facts, trials, sigma_N=sigma, optimisers=optimisers)
+    flags = specimen_flags(tissue, sums, facts, told.trials, sigma_N=sigma, optimisers=optimisers)
+    quoted = quoted_numbers(
+        tissue,
+        told.holds,
+        step_s=sums.step_s,
+        duration_s=sums.duration_s,
+        frequencies_Hz=options.frequencies_Hz,
+    )
+    quoted = with_moduli(quoted, tissue, options.geometry)
     unloading = None
     if followed is not None:
         unloading, more = unloading_verdict(followed, tissue, adjustments, sigma_N=sigma)
@@ -302,12 +279,13 @@ def _fit(
         tip_radius_mm=None,
         sigma_N=sigma,
         n_samples=sums.n,
-        nrmsd=overall,
-        trials=tuple(trials),
-        relaxation=tuple(rows),
+        nrmsd=told.nrmsd,
+        trials=told.trials,
+        relaxation=told.relaxation,
         optimisers=optimisers,
         selection=choice.table,
         flags=flags,
         unloading=unloading,
-        cycles=tuple(cycles),
+        cycles=told.cycles,
+        quoted=quoted,
     )

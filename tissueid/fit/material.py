@@ -1,0 +1,165 @@
+"""E_0 and E_inf of a fitted tissue under a known tip, and whether its relaxation may be fluid flow.
+
+Without a tip the stiffness of a fit is structural: of this tip on this support.  With its shape, and the
+thickness where the tissue is a layer, the static force gives the equilibrium modulus and the force of an
+ideal step the instantaneous one, by every formula that fits the tip.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.fit.estimates import TissueEstimate
+from tissueid.fit.quoted import unknown_parameters
+from tissueid.flags import Flag
+from tissueid.likelihood.identifiability import MAX_WIDTH, width_of
+from tissueid.model import functionals
+from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.model.moduli import FORMULAS, Contact, Indenter, contact_of, formulas_for, poroelastic_band
+from tissueid.quantities import Quantity, QuotedNumbers
+
+__all__ = ["DEFAULT_POISSON", "Geometry", "with_moduli"]
+
+FloatArray = NDArray[np.float64]
+
+#: Soft wet tissue hardly changes its volume in seconds.
+DEFAULT_POISSON = 0.5
+#: Depths at which a modulus is given, as shares of the fitted depth.
+SHARES = (0.5, 1.0)
+KPA_PER_MPA = 1000.0
+
+
+@dataclass(frozen=True, slots=True)
+class Geometry:
+    """What a modulus needs beside a force.
+
+    Attributes
+    ----------
+    indenter : Indenter
+    thickness_mm : float or None
+        ``None`` where the tissue is taken as deep.
+    poisson : float
+    bonded : bool
+        Whether a layer sticks to its base.
+    """
+
+    indenter: Indenter
+    thickness_mm: float | None = None
+    poisson: float = DEFAULT_POISSON
+    bonded: bool = True
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.poisson <= 0.5:
+            msg = f"Poisson's ratio must be 0 to 0.5, is {self.poisson}"
+            raise ValueError(msg)
+        if self.thickness_mm is not None and not self.thickness_mm > 0.0:
+            msg = f"a thickness must be positive, is {self.thickness_mm} mm"
+            raise ValueError(msg)
+
+    def contact(self, formula: str, depth_mm: float) -> Contact | None:
+        """The contact at a depth by one formula."""
+        return contact_of(
+            formula,
+            self.indenter,
+            depth_mm,
+            poisson=self.poisson,
+            thickness_mm=self.thickness_mm,
+            bonded=self.bonded,
+        )
+
+    def as_json(self) -> dict[str, float | str | None]:
+        """What the moduli assume."""
+        return {
+            "shape": self.indenter.shape,
+            "radius_mm": self.indenter.radius_mm,
+            "half_angle_deg": self.indenter.half_angle_deg,
+            "thickness_mm": self.thickness_mm,
+            "poisson": self.poisson,
+            "support": "half-space"
+            if self.thickness_mm is None
+            else ("bonded layer" if self.bonded else "slipping layer"),
+        }
+
+
+def _static(model: KelvinVoigt, theta: FloatArray, depth: float) -> float:
+    return float(model.static_force(theta, np.array([depth]))[0])
+
+
+def _sudden(model: KelvinVoigt, theta: FloatArray, depth: float) -> float:
+    return functionals.force_after_step(model, theta, depth, 0.0)
+
+
+def _moduli(tissue: TissueEstimate, formula: str, depth: float, contact: Contact | None) -> list[Quantity]:
+    rows = []
+    at: dict[str, float | str] = {"formula": formula, "doi": FORMULAS[formula], "depth_mm": depth}
+    for name, force in (("modulus_equilibrium", _static), ("modulus_instantaneous", _sudden)):
+        if contact is None:
+            reason = f"{formula} has no solution here: the contact is too wide for the layer"
+            rows.append(Quantity(name, "kPa", at, None, None, reason))
+            continue
+        value, stderr = functionals.delta_method(
+            lambda theta, f=force, c=contact: KPA_PER_MPA * c.modulus_MPa(f(tissue.model, theta, depth)),  # type: ignore[misc]
+            tissue.theta,
+            tissue.covariance,
+            unknown_parameters(tissue),
+        )
+        if width_of(value, stderr) > MAX_WIDTH:
+            rows.append(Quantity(name, "kPa", at, None, None, "the data do not determine it"))
+        else:
+            rows.append(Quantity(name, "kPa", at, value, stderr))
+    return rows
+
+
+def _poroelastic(tissue: TissueEstimate, contact: Contact) -> list[Flag]:
+    """Relaxation times that fluid flow under this contact could have as well."""
+    tau = tissue.model.split(tissue.theta)[2]
+    low, high = poroelastic_band(contact.contact_mm)
+    suspect = [float(value) for value in tau if low <= value <= high]
+    if not suspect:
+        return []
+    times = ", ".join(f"{value:.3g} s" for value in suspect)
+    message = (
+        f"relaxation in {times} lies where fluid drains from under a "
+        f"contact of radius {contact.contact_mm:.2g} mm (a^2/D: {low:.3g} to {high:.3g} s for D of 1e-11 to "
+        "1e-8 m2/s): test a second tip, fluid flow slows with its square and viscosity does not"
+    )
+    values = {"tau_s": suspect, "contact_mm": contact.contact_mm, "from_s": low, "to_s": high}
+    return [Flag("poroelastic", message, values)]
+
+
+def with_moduli(quoted: QuotedNumbers, tissue: TissueEstimate, geometry: Geometry | None) -> QuotedNumbers:
+    """The same numbers with the moduli for a tip; unchanged where there is none.
+
+    Parameters
+    ----------
+    quoted : QuotedNumbers
+    tissue : TissueEstimate
+    geometry : Geometry or None
+    """
+    if geometry is None:
+        return quoted
+    rows: list[Quantity] = []
+    flags: list[Flag] = []
+    formulas = formulas_for(geometry.indenter, geometry.thickness_mm)
+    for formula in formulas:
+        for share in SHARES:
+            depth = share * tissue.model.depth_mm
+            contact = geometry.contact(formula, depth)
+            rows += _moduli(tissue, formula, depth, contact)
+        if contact is not None and contact.outside:
+            flags.append(
+                Flag(
+                    "modulus_out_of_range",
+                    f"{formula} at {depth:.3g} mm: {', '.join(contact.outside)}",
+                    {"formula": formula, "depth_mm": depth, "contact_mm": contact.contact_mm},
+                )
+            )
+    deepest = geometry.contact(formulas[0], tissue.model.depth_mm) or geometry.contact(
+        formulas[-1], tissue.model.depth_mm
+    )
+    if deepest is not None:
+        flags += _poroelastic(tissue, deepest)
+    return replace(quoted, moduli=tuple(rows), assumptions=geometry.as_json(), flags=(*quoted.flags, *flags))
