@@ -26,6 +26,7 @@ COMMANDS = {
     "report": "Write the HTML report of a finished fit again.",
     "export": "Write a finished fit in another format.",
     "validate": "Check that an output folder is one whole run.",
+    "watch": "Give a verdict after each test, beside the machine.",
     "synth": "Write synthetic recordings with a known truth.",
 }
 

@@ -25,7 +25,17 @@ if TYPE_CHECKING:
 __all__ = ["SCHEMA_NAMES", "SchemaProblem", "check", "first_problem", "load_schema", "schema_folder"]
 
 #: Every schema, by the name :func:`load_schema` takes.
-SCHEMA_NAMES = ("bundle", "flag", "frame", "identification", "inspect", "outputs", "quantities", "study")
+SCHEMA_NAMES = (
+    "bundle",
+    "flag",
+    "frame",
+    "identification",
+    "inspect",
+    "outputs",
+    "quantities",
+    "study",
+    "watch",
+)
 
 _LONGEST_MESSAGE = 300
 

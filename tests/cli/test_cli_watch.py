@@ -1,0 +1,407 @@
+"""Beside the machine: files come late, half written, renamed, replaced, deleted; the verdicts stay right."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from command_line import log_text, run, start, write_log
+
+from tissueid.errors import InputError
+from tissueid.flags import FLAG_CODES
+from tissueid.ingest import find_inputs, read_each
+from tissueid.store.schema import first_problem
+from tissueid.trial import Source, Trial
+from tissueid.watch import FolderWatch, judge
+from tissueid.watch import advice as advice_rules
+from tissueid.watch.session import WatchSession, load_log
+
+ONCE = ("--once", "--interval", "0.05", "--no-fit")
+
+
+def ramp_hold(
+    name: str = "a.csv", *, rate_Hz: float = 100.0, tau_s: float = 0.5, hold_s: float = 10.0,
+    gain: float = 1.0, specimen: str = "kidney", speed: float = 2.0,
+) -> Trial:  # fmt: skip
+    """1 mm of air, 4 mm of ramp, a hold; force 10 x plus a branch of 20 N/mm that relaxes in tau."""
+    time_s = np.arange(0.0, 5.0 / speed + hold_s, 1.0 / rate_Hz)
+    x = np.minimum(speed * time_s, 5.0)
+    depth = np.maximum(x - 1.0, 0.0)
+    into = np.clip(time_s - 1.0 / speed, 0.0, 4.0 / speed)
+    held = np.maximum(time_s - 5.0 / speed, 0.0)
+    branch = -20.0 * speed * tau_s * np.expm1(-into / tau_s) * np.exp(-held / tau_s)
+    noise = np.random.default_rng(17).normal(0.0, 0.05, time_s.size)
+    force = gain * (10.0 * depth + branch) + noise
+    return Trial(specimen, time_s, x, force, source=Source(path=name))
+
+
+# --- when a file is whole -------------------------------------------------------------------------
+
+
+def watch(folder: Path) -> FolderWatch:
+    def find() -> list[Path]:
+        if not folder.is_dir():
+            raise OSError("gone")
+        return sorted(folder.glob("*.csv"))
+
+    return FolderWatch(find)
+
+
+def names(paths: Iterable[Path]) -> list[str]:
+    return [path.name for path in paths]
+
+
+def test_a_file_is_whole_when_two_looks_find_it_the_same(tmp_path: Path) -> None:
+    folder, path = watch(tmp_path), tmp_path / "a.csv"
+    assert folder.look().ready == ()
+    path.write_text("half", encoding="ascii")
+    assert names(folder.look().waiting) == ["a.csv"]
+    path.write_text("half and more", encoding="ascii")
+    assert folder.look().ready == ()
+    assert names(folder.look().ready) == ["a.csv"]
+    assert folder.look().ready == ()
+
+
+def test_an_empty_file_waits_for_its_content(tmp_path: Path) -> None:
+    folder, path = watch(tmp_path), tmp_path / "a.csv"
+    path.touch()
+    for _ in range(3):
+        assert folder.look().ready == ()
+    path.write_text("now", encoding="ascii")
+    folder.look()
+    assert names(folder.look().ready) == ["a.csv"]
+
+
+def test_a_file_that_can_not_be_opened_yet_waits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder, path = watch(tmp_path), tmp_path / "a.csv"
+    path.write_text("locked", encoding="ascii")
+    opened = Path.open
+
+    def locked(self: Path, *args: Any, **kwargs: Any) -> Any:
+        if self == path:
+            raise PermissionError(13, "used by another process")
+        return opened(self, *args, **kwargs)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "open", locked)
+        for _ in range(3):
+            assert folder.look().ready == ()
+    assert names(folder.look().ready) == ["a.csv"]
+
+
+def test_files_come_in_the_order_of_their_times(tmp_path: Path) -> None:
+    for age, name in ((10, "z.csv"), (30, "m.csv"), (20, "a.csv")):
+        (tmp_path / name).write_text(name, encoding="ascii")
+        os.utime(tmp_path / name, (1e9 - age, 1e9 - age))
+    folder = watch(tmp_path)
+    folder.look()
+    assert names(folder.look().ready) == ["m.csv", "a.csv", "z.csv"]
+
+
+def test_a_folder_that_is_away_for_a_while_is_no_deletion(tmp_path: Path) -> None:
+    inside = tmp_path / "drive"
+    inside.mkdir()
+    (inside / "a.csv").write_text("whole", encoding="ascii")
+    folder = watch(inside)
+    folder.look()
+    folder.look()
+    inside.rename(tmp_path / "away")
+    away = folder.look()
+    assert (away.reachable, away.gone) == (False, ())
+    (tmp_path / "away").rename(inside)
+    back = folder.look()
+    assert (back.reachable, back.gone, back.ready) == (True, (), ())
+
+
+# --- a session ------------------------------------------------------------------------------------
+
+
+class Bench:
+    """A session on a folder, its judge counted."""
+
+    def __init__(self, folder: Path, log: Path | None = None) -> None:
+        self.folder, self.judged = folder, []
+        earlier = [] if log is None else load_log(log)
+        self.session = WatchSession(
+            FolderWatch(lambda: find_inputs([folder])), read_each, self.judge, log, earlier
+        )
+
+    def judge(self, trial: Trial, earlier: Iterable[Any]) -> dict[str, Any]:
+        earlier = list(earlier)
+        self.judged.append((Path(trial.source.path).name, [Path(one["path"]).name for one in earlier]))
+        return judge(trial, earlier, fit=False)
+
+    def happenings(self, looks: int = 2) -> list[str]:
+        return [happening.kind for _ in range(looks) for happening in self.session.step()]
+
+
+def test_a_session_judges_each_recording_once_and_compares_with_those_before(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    write_log(tmp_path / "one.csv")
+    assert bench.happenings() == ["verdict"]
+    write_log(tmp_path / "two.csv", force_times=1.25)
+    assert bench.happenings(4) == ["verdict"]
+    assert bench.judged == [("one.csv", []), ("two.csv", ["one.csv"])]
+    drift = bench.session.verdicts[1]["drift"]
+    # every force is a quarter larger
+    assert drift["from_first"] == pytest.approx(0.25, abs=0.01)
+    assert drift["contact_moved_mm"] == pytest.approx(0.0, abs=0.05)
+    assert any("25% above" in text for text in bench.session.verdicts[1]["advice"])
+
+
+def test_a_half_written_file_is_judged_again_when_it_is_whole(tmp_path: Path) -> None:
+    text = log_text()
+    bench = Bench(tmp_path)
+    path = tmp_path / "slow.csv"
+    path.write_text(text[: len(text) // 3], encoding="ascii")
+    assert bench.happenings() == ["verdict"]
+    half = bench.session.verdicts[0]
+    path.write_text(text, encoding="ascii")
+    assert bench.happenings() == ["replaced"]
+    assert len(bench.session.verdicts) == 1
+    assert bench.session.verdicts[0]["hold_s"] != half["hold_s"]
+
+
+def test_a_renamed_file_keeps_its_verdict_and_a_copy_gets_none(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    path = write_log(tmp_path / "one.csv")
+    bench.happenings()
+    path.rename(tmp_path / "kidney 1.csv")
+    assert sorted(bench.happenings()) == ["gone", "renamed"]
+    assert names(Path(one["path"]) for one in bench.session.verdicts) == ["kidney 1.csv"]
+    (tmp_path / "copy.csv").write_bytes((tmp_path / "kidney 1.csv").read_bytes())
+    assert bench.happenings() == ["copy"]
+    assert len(bench.judged) == 1
+
+
+def test_a_file_saved_again_without_change_is_passed_over(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    path = write_log(tmp_path / "one.csv")
+    bench.happenings()
+    os.utime(path, (2e9, 2e9))
+    assert bench.happenings(3) == []
+
+
+def test_a_deleted_test_takes_no_part_in_comparisons(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    for name, factor in (("one.csv", 1.0), ("two.csv", 1.1)):
+        write_log(tmp_path / name, force_times=factor)
+        bench.happenings()
+    (tmp_path / "one.csv").unlink()
+    assert bench.happenings() == ["gone"]
+    write_log(tmp_path / "three.csv", force_times=1.2)
+    bench.happenings()
+    assert bench.judged[-1] == ("three.csv", ["two.csv"])
+
+
+def test_a_session_goes_on_from_its_log(tmp_path: Path) -> None:
+    data, log = tmp_path / "data", tmp_path / "watch.jsonl"
+    write_log(data / "one.csv")
+    (data / "bad.csv").write_text("no table here\n", encoding="ascii")
+    first = Bench(data, log)
+    assert sorted(first.happenings()) == ["verdict", "verdict"]
+    # a kill in the middle of a line, by whatever wrote it
+    log.write_text(log.read_text(encoding="utf-8") + '{"path": "cut', encoding="utf-8")
+    second = Bench(data, log)
+    assert second.happenings() == []
+    write_log(data / "two.csv", force_times=0.8)
+    assert second.happenings() == ["verdict"]
+    assert second.judged == [("two.csv", ["one.csv", "bad.csv"])] or second.judged == [
+        ("two.csv", ["bad.csv", "one.csv"])
+    ]
+    assert second.session.verdicts[-1]["drift"]["from_first"] == pytest.approx(-0.2, abs=0.01)
+    assert all(first_problem(one, "watch") is None for one in load_log(log))
+
+
+def test_a_file_that_defeats_the_judge_does_not_end_the_session(tmp_path: Path) -> None:
+    def broken(trial: Trial, earlier: Iterable[Any]) -> dict[str, Any]:
+        raise ZeroDivisionError("for the test")
+
+    write_log(tmp_path / "one.csv")
+    session = WatchSession(FolderWatch(lambda: find_inputs([tmp_path])), read_each, broken)
+    (happening,) = [one for _ in range(2) for one in session.step()]
+    assert happening.verdict is not None
+    assert happening.verdict["level"] == "refused"
+    assert "ZeroDivisionError" in happening.verdict["advice"][0]
+    assert first_problem(happening.verdict, "watch") is None
+
+
+@pytest.mark.parametrize("wrapped", [False, True])
+def test_an_interrupt_within_the_judge_ends_the_session(tmp_path: Path, wrapped: bool) -> None:
+    def interrupted(trial: Trial, earlier: Iterable[Any]) -> dict[str, Any]:
+        if wrapped:
+            raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
+        raise KeyboardInterrupt
+
+    write_log(tmp_path / "one.csv")
+    session = WatchSession(FolderWatch(lambda: find_inputs([tmp_path])), read_each, interrupted)
+    list(session.step())
+    with pytest.raises((KeyboardInterrupt, SystemError)):
+        list(session.step())
+
+
+# --- the verdict ----------------------------------------------------------------------------------
+
+
+def test_a_good_test_is_good_and_its_numbers_are_those_of_the_truth() -> None:
+    found = judge(ramp_hold())
+    assert first_problem(found, "watch") is None
+    assert (found["level"], found["advice"]) == ("good", [])
+    assert found["contact"]["displacement_mm"] == pytest.approx(1.0, abs=5 * found["contact"]["sd_mm"])
+    assert found["speed_mm_s"] == pytest.approx(2.0, rel=1e-3)
+    assert found["hold_s"] == pytest.approx(10.0, abs=0.05)
+    # the hold is one exponential, of the truth's relaxation time
+    assert found["tau"]["value_s"] == pytest.approx(0.5, rel=0.02)
+    assert found["tau"]["resolvable"]
+    parameters = {one["name"]: one for one in found["fit"]["parameters"]}
+    viscosity = parameters["viscosity_N_s_per_mm"]
+    assert viscosity["value"] == pytest.approx(20.0 * 0.5, abs=5 * viscosity["stderr"])
+
+
+@pytest.mark.parametrize(
+    ("options", "resolvable", "words"),
+    [
+        ({"tau_s": 0.5}, True, None),
+        ({"tau_s": 30.0}, False, "hold for"),
+        ({"tau_s": 0.05, "rate_Hz": 20.0}, False, "sample at"),
+    ],
+)
+def test_tau_is_resolvable_or_the_verdict_says_what_would_make_it_so(options, resolvable, words) -> None:
+    found = judge(ramp_hold(**options), fit=False)
+    assert found["tau"]["resolvable"] is resolvable
+    assert found["tau"]["advice"] is None if words is None else words in found["tau"]["advice"]
+
+
+def test_no_hold_is_said() -> None:
+    found = judge(ramp_hold(hold_s=0.0), fit=False)
+    assert found["hold_s"] is None
+    assert found["tau"]["why"] == "no hold: no relaxation time from this test"
+
+
+def test_a_clipped_test_is_to_be_repeated_and_says_how() -> None:
+    from tissueid.ingest.quality import quality_flags
+
+    whole = ramp_hold()
+    force = np.minimum(whole.force_N, 25.0)
+    flags = quality_flags(whole.time_s, whole.displacement_mm, force)
+    found = judge(Trial("kidney", whole.time_s, whole.displacement_mm, force, flags=flags), fit=False)
+    assert found["level"] == "repeat"
+    assert found["advice"][0] == (
+        "repeat this test: the load cell is at its limit; take a larger cell, or less depth"
+    )
+
+
+def test_only_equal_tests_of_one_specimen_are_compared() -> None:
+    first = judge(ramp_hold("a.csv"), fit=False)
+    assert judge(ramp_hold("b.csv", specimen="liver"), [first], fit=False)["drift"] is None
+    assert judge(ramp_hold("c.csv", speed=4.0), [first], fit=False)["drift"] is None
+    same = judge(ramp_hold("d.csv", gain=0.9), [first], fit=False)["drift"]
+    # noise of 0.05 N in forces of 20 N and more
+    assert same["from_first"] == pytest.approx(-0.1, abs=0.005)
+    assert same["tests"] == 1
+
+
+def test_advice_speaks_of_flags_that_exist() -> None:
+    assert set(advice_rules._REPEAT) | set(advice_rules._CHANGE) <= set(FLAG_CODES)
+
+
+# --- the command ----------------------------------------------------------------------------------
+
+
+def test_once_judges_what_is_there_and_ends(tmp_path: Path) -> None:
+    write_log(tmp_path / "data" / "one.csv")
+    (tmp_path / "data" / "bad.csv").write_text("no table here\n", encoding="ascii")
+    ended = run("watch", tmp_path / "data", *ONCE, "--json", "-o", tmp_path / "out")
+    assert ended.code == 7
+    lines = [json.loads(line) for line in ended.stdout.splitlines()]
+    assert {Path(one["path"]).name: one["level"] for one in lines}["bad.csv"] == "refused"
+    assert all(first_problem(one, "watch") is None for one in lines)
+    assert load_log(tmp_path / "out" / "watch.jsonl") == lines
+    again = run("watch", tmp_path / "data", *ONCE, "--json", "-o", tmp_path / "out")
+    assert again.stdout == ""
+
+
+def test_text_tells_verdict_numbers_and_advice(tmp_path: Path) -> None:
+    write_log(tmp_path / "one.csv")
+    (tmp_path / "bad.csv").write_text("no table here\n", encoding="ascii")
+    ended = run("watch", tmp_path, *ONCE, "--bell")
+    assert "contact  " in ended.stdout
+    assert "REFUSED" in ended.stdout
+    assert "\a" in ended.stderr
+    assert "2 tests: " in ended.stderr
+    assert "refused: " in ended.stderr
+
+
+def test_recordings_of_a_session_before_may_be_passed_over(tmp_path: Path) -> None:
+    write_log(tmp_path / "old.csv")
+    assert run("watch", tmp_path, *ONCE, "--json", "--new-only").stdout == ""
+
+
+def test_one_specimen_for_the_folder_lets_unlabelled_files_be_compared(tmp_path: Path) -> None:
+    for name, factor in (("one.csv", 1.0), ("two.csv", 0.5)):
+        path = write_log(tmp_path / name, label=None, force_times=factor)
+        os.utime(path, (1e9 + factor, 1e9 + (name == "two.csv")))
+    apart, together = (
+        [
+            json.loads(line)["drift"]
+            for line in run("watch", tmp_path, *ONCE, "--json", *more).stdout.splitlines()
+        ]
+        for more in ((), ("--same-specimen",))
+    )
+    assert apart == [None, None]
+    assert together[0] is None
+    assert together[1]["from_first"] == pytest.approx(-0.5, abs=0.01)
+
+
+def test_a_folder_that_does_not_exist_is_a_usage_error(tmp_path: Path) -> None:
+    ended = run("watch", tmp_path / "nowhere", *ONCE)
+    assert (ended.code, ended.stdout) == (2, "")
+    assert "there is no such folder" in ended.stderr
+
+
+def until(condition: Callable[[], bool], seconds: float = 60.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, "nothing happened in time"
+        time.sleep(0.05)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a process can't be sent SIGINT here")
+def test_a_running_watch_judges_what_arrives_and_ends_clean_at_ctrl_c(tmp_path: Path) -> None:
+    data, log = tmp_path / "data", tmp_path / "out" / "watch.jsonl"
+    data.mkdir()
+    arguments = ("watch", data, "-o", tmp_path / "out", "--interval", "0.1", "--no-fit")
+    with start(*arguments) as process:
+        try:
+            time.sleep(0.5)
+            write_log(data / "one.csv")
+            until(lambda: len(load_log(log)) == 1)
+            write_log(data / "two.csv", force_times=1.1)
+            until(lambda: len(load_log(log)) == 2)
+            process.send_signal(signal.SIGINT)
+            out, err = process.communicate(timeout=20)
+        finally:
+            if process.poll() is None:
+                process.kill()
+    assert process.returncode == 0, err
+    assert "2 tests: " in err
+    assert "Traceback" not in err
+    assert out.count("contact  ") == 2
+
+
+def test_refusals_of_the_reader_are_read_errors_here_as_well(tmp_path: Path) -> None:
+    (tmp_path / "bad.csv").write_text("no table here\n", encoding="ascii")
+    (item,) = read_each(tmp_path / "bad.csv")
+    assert isinstance(item, InputError)
+    assert subprocess.run(
+        [sys.executable, "-m", "tissueid", "watch", str(tmp_path), *ONCE], capture_output=True, check=False
+    ).returncode == 3  # fmt: skip

@@ -1,0 +1,221 @@
+"""``tissueid watch``."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from tissueid.cli.output import echo_bytes, note, output_options, with_error
+from tissueid.cli.reading import read_options, reading_options, segment_options
+from tissueid.errors import UsageError
+
+if TYPE_CHECKING:
+    from tissueid.errors import InputError
+    from tissueid.ingest import ReadOptions
+    from tissueid.trial import Trial
+    from tissueid.watch.session import Happening, WatchSession
+
+__all__ = ["command"]
+
+EPILOG = """\b
+Examples:
+  tissueid watch "D:/session 3" -o verdicts
+  tissueid watch lab_data/ --same-specimen --bell
+  tissueid watch lab_data/ --once --json
+"""
+
+COLOURS = {"good": "green", "look": "yellow", "repeat": "red", "refused": "red"}
+SHORTEST_INTERVAL_S = 0.05
+#: Looks after which a file that does not change is whole.
+LOOKS = 2
+
+
+@click.command("watch", epilog=EPILOG)
+@click.argument("folder", type=click.Path())
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(file_okay=False),
+    help="Folder for watch.jsonl, from which a later watch goes on.",
+)
+@click.option(
+    "--interval", type=click.FloatRange(min=SHORTEST_INTERVAL_S), default=2.0, show_default=True, metavar="S",
+    help="Seconds between two looks; a file is judged when two looks find it the same.",
+)  # fmt: skip
+@click.option("--once", is_flag=True, help="Judge what is there, and end.")
+@click.option("--new-only", is_flag=True, help="Pass over the recordings that are there at the start.")
+@click.option("--same-specimen", is_flag=True, help="All recordings of the folder are of one specimen.")
+@click.option("--no-fit", is_flag=True, help="Leave out the quick fit of each test.")
+@click.option(
+    "--bell", is_flag=True, help="Ring the terminal's bell after each test, twice where it must be repeated."
+)
+@reading_options
+@output_options
+def command(**flags: Any) -> int:
+    """Watch a folder beside the machine, and give a verdict after each test.
+
+    A new recording is judged as soon as it is whole: contact, length of the hold, whether the relaxation time
+    can be told, flags, a quick fit, how the force compares with earlier tests of the specimen, and whether to
+    repeat the test. With --json each verdict is one line. Ctrl-C ends with a summary.
+    """
+    session = _session(flags)
+    looks = range(LOOKS) if flags["once"] else iter(int, 1)
+    try:
+        for number, _ in enumerate(looks):
+            if number:
+                time.sleep(flags["interval"])
+            for happening in session.step():
+                _tell(happening, flags)
+            if number == LOOKS - 1 and flags["once"] is False:
+                note("waiting for the next test; Ctrl-C ends", quiet=flags["quiet"])
+    except KeyboardInterrupt:
+        note("", quiet=flags["quiet"])
+    if not flags["as_json"] and not flags["quiet"]:
+        _summary(session)
+    return _exit_code(session) if flags["once"] else 0
+
+
+def _session(flags: dict[str, Any]) -> WatchSession:
+    from tissueid.watch import FolderWatch, judge
+    from tissueid.watch.folder import fingerprint
+    from tissueid.watch.session import LOG, WatchSession, load_log
+
+    folder = Path(flags["folder"])
+    if not folder.is_dir():
+        msg = f"{folder}: there is no such folder to watch"
+        raise UsageError(msg)
+    reading = read_options(
+        columns=flags["columns"],
+        units=flags["units"],
+        axes=flags["axes"],
+        specimen_by=flags["specimen_by"],
+        recipe=flags["recipe"],
+    )
+    segmenting = segment_options(compression=flags["compression"], contact=flags["contact"])
+    log = None
+    if flags["out"] is not None:
+        log = Path(flags["out"]) / LOG
+        try:
+            log.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            msg = f"{log.parent}: can't be made a folder ({error.strerror}); choose another"
+            raise UsageError(msg) from error
+    specimen = folder.resolve().name if flags["same_specimen"] else None
+    watch = FolderWatch(lambda: _recordings(folder))
+    if flags["new_only"]:
+        there = {path: mark for path in _recordings(folder) if (mark := fingerprint(path)) is not None}
+        watch.know(there)
+    return WatchSession(
+        watch,
+        lambda path: _trials(path, reading, specimen),
+        lambda trial, earlier: judge(trial, earlier, options=segmenting, fit=not flags["no_fit"]),
+        log,
+        [] if log is None else load_log(log),
+    )
+
+
+def _recordings(folder: Path) -> list[Path]:
+    """The recordings of the folder now; an ``OSError`` where it can't be listed."""
+    from tissueid.errors import InputError
+    from tissueid.ingest import find_inputs
+
+    try:
+        return find_inputs([folder])
+    except InputError as error:
+        if error.code == "no_recording":
+            return []
+        raise OSError(error.message) from error
+    except UsageError as error:
+        raise OSError(str(error)) from error
+
+
+def _trials(path: Path, reading: ReadOptions, specimen: str | None) -> Iterator[Trial | InputError]:
+    from tissueid.ingest import read_each
+    from tissueid.trial import Trial
+
+    for item in read_each(path, reading):
+        yield replace(item, specimen=specimen) if specimen is not None and isinstance(item, Trial) else item
+
+
+def _exit_code(session: WatchSession) -> int:
+    refused = [one for one in session.verdicts if one["level"] == "refused"]
+    if not refused:
+        return 0
+    return 7 if len(refused) < len(session.verdicts) else 3
+
+
+def _tell(happening: Happening, flags: dict[str, Any]) -> None:
+    verdict = happening.verdict
+    if verdict is None:
+        note(happening.text, quiet=flags["quiet"])
+        return
+    if flags["as_json"]:
+        echo_bytes(json.dumps(verdict, ensure_ascii=False, allow_nan=False).encode("utf-8") + b"\n")
+    elif flags["quiet"] < 1 or verdict["level"] in {"repeat", "refused"}:
+        _print(verdict, again=happening.kind == "replaced")
+    if flags["bell"]:
+        click.echo("\a\a" if verdict["level"] in {"repeat", "refused"} else "\a", nl=False, err=True)
+
+
+def _print(one: dict[str, Any], *, again: bool) -> None:
+    name = one["path"] if one["sheet"] is None else f"{one['path']} [{one['sheet']}]"
+    click.secho(f"\n{name}{'  (changed: judged again)' if again else ''}", bold=True)
+    click.secho(f"  {one['level'].upper()}", fg=COLOURS[one["level"]], bold=True)
+    for line in _lines(one):
+        click.echo(f"  {line}")
+    for text in one["advice"]:
+        click.secho(f"  > {text}", fg=COLOURS[one["level"]])
+    codes = ", ".join(dict.fromkeys(flag["code"] for flag in one["flags"]))
+    if codes:
+        click.echo(f"  flags       {codes}")
+
+
+def _lines(one: dict[str, Any]) -> Iterator[str]:
+    """The numbers of a verdict, a line each."""
+    if one["contact"] is not None:
+        yield f"contact     {with_error(one['contact']['displacement_mm'], one['contact']['sd_mm'])} mm"
+        speed = "" if one["speed_mm_s"] is None else f" at {one['speed_mm_s']:.4g} mm/s"
+        yield f"reached     {one['depth_mm']:.4g} mm{speed}, {one['peak_force_N']:.4g} N"
+        yield "hold        " + ("none" if one["hold_s"] is None else f"{one['hold_s']:.4g} s")
+    tau = one["tau"]
+    if tau["value_s"] is not None:
+        known = "" if tau["resolvable"] else ", not resolvable"
+        yield f"tau         about {tau['value_s']:.3g} s in a window of {tau['window_s']:.3g} s{known}"
+    if tau["why"] is not None:
+        yield f"            {tau['why']}"
+    if one["fit"] is not None:
+        found = {entry["name"]: entry for entry in one["fit"]["parameters"]}
+        for key, label in (("static_1_N_per_mm", "static"), ("viscosity_N_s_per_mm", "viscosity")):
+            if key in found:
+                yield f"{label:<11} {_estimate(found[key])} (this test alone)"
+    if one["drift"] is not None:
+        drift = one["drift"]
+        first, last = (100.0 * drift[key] for key in ("from_first", "from_last"))
+        yield (
+            f"earlier     force {first:+.1f} % against the first of {drift['tests']} equal tests,"
+            f" {last:+.1f} % against the last; contact {drift['contact_moved_mm']:+.3g} mm"
+        )
+
+
+def _estimate(entry: dict[str, Any]) -> str:
+    if entry["value"] is None:
+        return "not identified"
+    return f"{with_error(entry['value'], entry['stderr'])} {entry['unit']}"
+
+
+def _summary(session: WatchSession) -> None:
+    count = {level: sum(one["level"] == level for one in session.verdicts) for level in COLOURS}
+    words = {"good": "good", "look": "to look at", "repeat": "to repeat", "refused": "refused"}
+    told = ", ".join(f"{number} {words[level]}" for level, number in count.items() if number)
+    note(f"{len(session.verdicts)} tests: {told}" if told else "no test was seen")
+    for one in session.verdicts:
+        if one["level"] in {"repeat", "refused"}:
+            note(
+                f"  {one['level']}: {one['path']}{'' if one['sheet'] is None else ' [' + one['sheet'] + ']'}"
+            )

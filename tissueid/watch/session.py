@@ -1,0 +1,168 @@
+"""A session at the machine: looks, verdicts, and a log from which the next session goes on."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from tissueid.errors import InputError
+from tissueid.result import Refusal
+from tissueid.store.files import write_file
+from tissueid.store.schema import first_problem
+from tissueid.trial import Trial
+from tissueid.watch.folder import FolderWatch
+from tissueid.watch.verdict import Verdict, refused_verdict, samples_digest
+
+__all__ = ["LOG", "Happening", "WatchSession", "load_log"]
+
+#: Name of the log in the output folder.
+LOG = "watch.jsonl"
+
+Key = tuple[str, str | None]
+
+
+@dataclass(frozen=True, slots=True)
+class Happening:
+    """Something to tell the operator.
+
+    Attributes
+    ----------
+    kind : str
+        ``verdict``, ``replaced`` (a verdict on a file that was judged before), ``renamed``, ``copy``,
+        ``gone``, ``unreachable`` or ``back``.
+    text : str
+        In words, but for a verdict.
+    verdict : dict or None
+    """
+
+    kind: str
+    text: str = ""
+    verdict: Verdict | None = None
+
+
+@dataclass(slots=True)
+class WatchSession:
+    """Verdicts on the recordings of a folder, as they come.
+
+    Attributes
+    ----------
+    watch : FolderWatch
+    read : callable
+        Trials and refusals of one file.
+    judge : callable
+        ``judge(trial, earlier) -> verdict``.
+    log : Path or None
+        Where verdicts are kept, rewritten whole after each.
+    verdicts : list of dict
+        In the order of testing; those of files that are gone stay, and are not compared with.
+    """
+
+    watch: FolderWatch
+    read: Callable[[Path], Iterable[Trial | InputError]]
+    judge: Callable[[Trial, Iterable[Verdict]], Verdict]
+    log: Path | None = None
+    verdicts: list[Verdict] = field(default_factory=list)
+    _gone: set[str] = field(default_factory=set)
+    _reachable: bool = True
+
+    def step(self) -> Iterator[Happening]:
+        """Look at the folder once, and tell what happened, as it is found."""
+        look = self.watch.look()
+        if look.reachable != self._reachable:
+            self._reachable = look.reachable
+            word = "is back" if look.reachable else "can't be reached; waiting"
+            yield Happening("back" if look.reachable else "unreachable", f"the folder {word}")
+        for path in look.ready:
+            self._gone.discard(str(path))
+            yield from self._judged(path)
+        for path in look.gone:
+            self._gone.add(str(path))
+            if any(one["path"] == str(path) for one in self.verdicts):
+                yield Happening("gone", f"{path}: gone; it takes no part in comparisons")
+
+    def _judged(self, path: Path) -> Iterator[Happening]:
+        for item in self.read(path):
+            if isinstance(item, InputError):
+                verdict = refused_verdict(
+                    Refusal(item.path, item.sheet, item.code, item.message, item.line, item.column)
+                )
+                known = self._find(item.path, item.sheet)
+                if known is None or known["error"] != verdict["error"]:
+                    yield self._keep(verdict, known)
+            else:
+                yield from self._of_trial(item)
+
+    def _of_trial(self, trial: Trial) -> Iterator[Happening]:
+        digest, name = samples_digest(trial), trial.name
+        known = self._find(trial.source.path, trial.source.sheet)
+        if known is not None and known["digest"] == digest:
+            return
+        same = next((one for one in self.verdicts if one["digest"] == digest and one is not known), None)
+        if same is None:
+            earlier = [one for one in self.verdicts if one is not known and one["path"] not in self._gone]
+            yield self._keep(self._safely(trial, earlier), known)
+        elif same["path"] in self._gone or not Path(same["path"]).exists():
+            before = same["path"]
+            same["path"], same["sheet"] = trial.source.path, trial.source.sheet
+            self._save()
+            yield Happening("renamed", f"{name}: was {before}, judged already")
+        else:
+            yield Happening("copy", f"{name}: the same samples as {same['path']}, judged already")
+
+    def _safely(self, trial: Trial, earlier: Iterable[Verdict]) -> Verdict:
+        try:
+            return self.judge(trial, earlier)
+        except Exception as error:
+            # one file must never end the session at the machine
+            if _interrupted(error):
+                raise
+            message = f"it could not be judged ({type(error).__name__}: {error}); `tissueid inspect` shows it"
+            return refused_verdict(Refusal(trial.source.path, trial.source.sheet, "fit_failed", message)) | {
+                "specimen": trial.specimen,
+                "digest": samples_digest(trial),
+            }
+
+    def _find(self, path: str, sheet: str | None) -> Verdict | None:
+        return next((one for one in self.verdicts if (one["path"], one["sheet"]) == (path, sheet)), None)
+
+    def _keep(self, verdict: Verdict, known: Verdict | None) -> Happening:
+        if known is not None:
+            self.verdicts.remove(known)
+        self.verdicts.append(verdict)
+        self._save()
+        return Happening("verdict" if known is None else "replaced", verdict=verdict)
+
+    def _save(self) -> None:
+        if self.log is not None:
+            lines = [json.dumps(one, ensure_ascii=False, allow_nan=False) for one in self.verdicts]
+            write_file(self.log, ("\n".join(lines) + "\n").encode("utf-8"))
+
+
+def _interrupted(error: BaseException | None) -> bool:
+    """Whether an interrupt is behind an error: a compiled kernel wraps one that arrives within it."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
+
+
+def load_log(path: Path) -> list[Verdict]:
+    """Verdicts of an earlier session; lines that are none are left out.
+
+    Parameters
+    ----------
+    path : Path
+        It need not exist.
+    """
+    if not path.is_file():
+        return []
+    found = []
+    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+        try:
+            verdict = json.loads(line)
+        except ValueError:
+            continue
+        if first_problem(verdict, "watch") is None:
+            found.append(verdict)
+    return found
