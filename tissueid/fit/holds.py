@@ -29,6 +29,8 @@ RELAXED_TIMES_S = (0.1, 1.0, 10.0, 100.0)
 #: Force at a time is the mean over a window of this relative half width.
 TIME_SHARE = 0.1
 MIN_SAMPLES = 12
+#: A force below so many standard deviations of its noise is none.
+NOISE_FACTOR = 5.0
 #: Relaxation times a decade, and bins a decade of the samples.
 PER_DECADE = 8
 BINS_PER_DECADE = 40
@@ -193,7 +195,8 @@ def hold_numbers(
             continue
         relaxing = force[hold.start : hold.stop]
         top, top_sd, speed, deep = _corner(depth, force, segmentation, hold)
-        if not top > 0.0 or not deep > 0.0:
+        if not top > NOISE_FACTOR * segmentation.force_noise_N or not deep > 0.0:
+            # standing in air after a retract relaxes nothing
             continue
         longest = max(longest, (float(time[-1]), speed, deep))
         name = trial.source.path if trial.source.sheet is None else trial.name

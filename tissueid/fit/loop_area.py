@@ -64,7 +64,8 @@ def with_model_viscosity(
         return tuple(rows)
     assert segmentation.contact is not None  # noqa: S101  (there are loops)
     depth, _ = contact_frame(trial, segmentation)
-    first = segmentation.contact.index
+    # from the last sample in air, so that the surface starts at rest where it is
+    first = max(segmentation.contact.index - 1, 0)
     ranges = _ranges(trial.time_s, rows)
     weights = [closed_area(depth[one]) for one in ranges]
     static, stiffness, tau = model.split(theta)
