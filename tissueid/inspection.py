@@ -53,6 +53,8 @@ def describe_segmented(trial: Trial, segmentation: Segmentation) -> dict[str, An
         "sheet": source.sheet,
         "specimen": trial.specimen,
         "recipe": source.recipe,
+        "recipe_reason": source.recipe_reason,
+        "recipe_confidence": source.recipe_confidence,
         "encoding": source.encoding,
         "delimiter": source.delimiter,
         "decimal": source.decimal,

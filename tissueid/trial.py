@@ -117,6 +117,10 @@ class Source:
         Hash of the file's bytes.
     recipe : str
         Key of the reader that matched.
+    recipe_reason : str
+        Why it was taken, in its own words; empty for an array.
+    recipe_confidence : float
+        How sure it was, from 0 to 1.
     encoding, delimiter, decimal : str or None
         What the text was read with; ``None`` for binary workbooks.
     columns : mapping
@@ -134,6 +138,8 @@ class Source:
     decimal: str | None = None
     columns: Mapping[str, str] = field(default_factory=dict)
     metadata: Mapping[str, str] = field(default_factory=dict)
+    recipe_reason: str = ""
+    recipe_confidence: float = 1.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "columns", MappingProxyType(dict(self.columns)))
@@ -353,6 +359,8 @@ class Segmentation:
         One for each ramp that another phase follows, in time order.
     events : tuple of Event
         In time order.
+    test : int
+        Phase with which the test proper begins, after preconditioning cycles; 0 without them.
     """
 
     compression_sign: int
@@ -363,6 +371,7 @@ class Segmentation:
     flags: tuple[Flag, ...] = ()
     corners: tuple[Corner, ...] = ()
     events: tuple[Event, ...] = ()
+    test: int = 0
 
     def of_kind(self, kind: PhaseKind) -> tuple[Phase, ...]:
         """The phases of one kind, in time order."""

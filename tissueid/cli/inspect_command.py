@@ -123,10 +123,10 @@ def _relative(path: str, root: Path) -> str:
 def _reader(document: dict[str, Any]) -> str:
     marks = (("encoding", "{}"), ("delimiter", "delimiter {!r}"), ("decimal", "decimal mark {!r}"))
     text = [
-        f"Read as {document['recipe']}",
+        f"Read as {document['recipe']} (sure to {document['recipe_confidence']:.0%})",
         *(form.format(document[key]) for key, form in marks if document[key]),
     ]
-    why = document.get("reason")
+    why = document["recipe_reason"]
     return ", ".join(text) + (f", because {why}" if why else "")
 
 

@@ -146,11 +146,14 @@ def _trial(file: InputFile, match: Match, table: Table) -> Trial | InputError:
     refusal = _beyond_machines(file, table)
     if refusal is not None:
         return refusal
+    taken = table.match or match
     source = Source(
         path=file.path,
         sheet=table.sheet,
         sha256=file.sha256,
-        recipe=(table.match or match).recipe.key,
+        recipe=taken.recipe.key,
+        recipe_reason=taken.reason if taken is match else f"{match.reason}; in it, {taken.reason}",
+        recipe_confidence=taken.confidence,
         encoding=table.encoding,
         delimiter=table.delimiter,
         decimal=table.decimal,
