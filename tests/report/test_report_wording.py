@@ -7,11 +7,12 @@ from typing import Any
 import pytest
 from fit_factory import specimen_fit
 
+from tissueid.flags import FLAG_CODES
+from tissueid.report.remarks import REMARK_TITLES, remarks
 from tissueid.report.wording import (
     number,
     overview_sentence,
     parameter_words,
-    remarks,
     tissue_sentence,
     unit_words,
     verdict,
@@ -106,3 +107,26 @@ def test_branches_and_units_are_put_in_words() -> None:
     assert parameter_words("relaxation_time_s_b2") == "Relaxation time, branch 2"
     assert unit_words("N s/mm") == "N·s/mm"
     assert unit_words("N/mm^2") == "N/mm²"
+
+
+def test_every_flag_has_a_title_of_a_few_words() -> None:
+    assert set(REMARK_TITLES) == set(FLAG_CODES)
+    assert all(1 <= len(title.split()) <= 4 for title in REMARK_TITLES.values())
+
+
+def test_title_and_sentence_of_a_remark_do_not_repeat_each_other() -> None:
+    for remark in remarks(document(identified=False)):
+        title = set(remark.title.lower().split())
+        assert remark.message.lower() != remark.title.lower()
+        # a long title would say the sentence over again
+        assert len(title & set(remark.message.lower().split())) <= len(title) // 2 + 1
+
+
+def test_sentences_of_one_flag_are_joined_once_each() -> None:
+    entry = document()
+    entry["flags"] = [
+        {"code": "not_identified", "message": message}
+        for message in ("a is open.", "b is open", "a is open.")
+    ]
+    (remark,) = remarks(entry | {"trials": [], "relaxation": []})
+    assert remark.message == "a is open; b is open"

@@ -282,3 +282,12 @@ def test_every_step_of_a_commit_may_be_the_last(tmp_path: Path, monkeypatch: pyt
     run = current_run(out)
     assert run is not None
     assert committed, "the last stop must lie behind the commit"
+
+
+def test_a_folder_without_a_run_is_told_once_with_the_way_out(tmp_path: Path) -> None:
+    with pytest.raises(BundleError) as caught:
+        validate_outputs(tmp_path)
+    assert (
+        caught.value.message
+        == f"{tmp_path}: holds no finished run; `tissueid fit ... -o {tmp_path}` makes one"
+    )

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.report.wording import trial_label
+from tissueid.report.remarks import trial_label
 from tissueid.result import Curve
 from tissueid.store.curves import TrialCurve
 

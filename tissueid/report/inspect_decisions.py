@@ -177,9 +177,7 @@ def _contact(recording: Mapping[str, Any], override: Any) -> Decision:
         )
     place, sd = (round(contact[key], _PLACES_MM) for key in ("displacement_mm", "sd_mm"))
     how = "seen in the record" if contact["in_record"] else "extrapolated: the record starts in contact"
-    taken = (
-        f"{with_error(place, sd)} mm as recorded, {how}; click into the lower picture to move it"
-    )
+    taken = f"{with_error(place, sd)} mm as recorded, {how}; click into the lower picture to move it"
     entry = override(contact_mm=place, contact_sd_mm=max(sd, 10.0**-_PLACES_MM))
     return Decision("contact", "Contact point", taken, entry, "contact_mm")
 

@@ -14,7 +14,8 @@ from typing import Any
 from tissueid.report.inspect_decisions import Decision, decisions
 from tissueid.report.inspect_payload import DrawnRecording, drawn_recording, packed_recording
 from tissueid.report.page import asset, page_environment, plotly_script
-from tissueid.report.wording import LEVELS, number, remark_level, trial_label
+from tissueid.report.remarks import LEVELS, remark_level, remark_title, trial_label
+from tissueid.report.wording import number
 from tissueid.result import Refusal
 from tissueid.trial import Segmentation, Trial
 
@@ -166,6 +167,7 @@ def _view(position: int, recording: InspectedRecording, name: str, *, drawn: boo
         {
             "level": remark_level(flag["code"]),
             "code": flag["code"],
+            "title": remark_title(flag["code"]),
             "message": flag["message"],
             "values": [(key, _value(value)) for key, value in flag.items() if key not in _FLAG_FIELDS],
         }

@@ -14,16 +14,15 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from tissueid.report.figures import curve_payload
+from tissueid.report.remarks import remarks, trial_label
 from tissueid.report.wording import (
     NOT_IDENTIFIED,
     in_units,
     number,
     overview_sentence,
     parameter_words,
-    remarks,
     rounded_to,
     tissue_sentence,
-    trial_label,
     unit_words,
     verdict,
     with_error,

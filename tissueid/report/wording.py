@@ -12,23 +12,18 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
-from tissueid.flags import FLAG_CODES
+from tissueid.report.remarks import remarks
 from tissueid.trial import Axes
 
 __all__ = [
-    "LEVELS",
     "NOT_IDENTIFIED",
     "PARAMETER_WORDS",
-    "Remark",
     "Verdict",
     "in_units",
     "number",
     "overview_sentence",
     "parameter_words",
-    "remark_level",
-    "remarks",
     "tissue_sentence",
-    "trial_label",
     "unit_words",
     "verdict",
     "with_error",
@@ -47,19 +42,6 @@ PARAMETER_WORDS: Mapping[str, str] = {
     "viscosity_N_s_per_mm": "Viscosity (stiffness times relaxation time)",
 }
 
-#: Flags that put the result itself in doubt; the others ask for a look.
-_SERIOUS = frozenset(
-    {"not_converged", "optimisers_disagree", "single_speed", "no_contact", "clipped_force", "no_decimals"}
-    | {"quantised_force", "too_few_samples", "no_ramp"}
-)
-#: Flags that only state what was assumed.
-_REMARKS = frozenset(
-    {"column_choice", "units_assumed", "undecoded_text", "rows_skipped", "cut_row", "event_rows"}
-    | {"compliance_unknown", "no_hold", "cyclic", "several_steps", "starts_in_contact", "preload"}
-    | {"normalised_axes", "load_limit_stop", "preconditioned", "decision_overridden", "frame_corrected"}
-)
-#: From harmless to grave.
-LEVELS = ("ok", "note", "caution", "serious")
 _S_PER_MIN = 60.0
 
 
@@ -106,30 +88,6 @@ def parameter_words(name: str) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Remark:
-    """One flag for a reader, gathered over a specimen's trials.
-
-    Attributes
-    ----------
-    code : str
-    level : str
-        ``note``, ``caution`` or ``serious``.
-    meaning : str
-        What the flag means in general.
-    message : str
-        Its first message, with numbers.
-    where : tuple of str
-        Trials that carry it; empty for the specimen as a whole.
-    """
-
-    code: str
-    level: str
-    meaning: str
-    message: str
-    where: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True)
 class Verdict:
     """What to think of a result at first sight.
 
@@ -144,47 +102,6 @@ class Verdict:
     level: str
     title: str
     text: str
-
-
-def remark_level(code: str) -> str:
-    """How grave a flag is: ``note``, ``caution`` or ``serious``, of :data:`LEVELS`."""
-    if code in _SERIOUS:
-        return "serious"
-    return "note" if code in _REMARKS else "caution"
-
-
-def trial_label(trial: Mapping[str, Any]) -> str:
-    """Short name of a trial: its sheet, else its file."""
-    name = str(trial["path"]).replace("\\", "/").rsplit("/", 1)[-1]
-    return name if trial["sheet"] is None else f"{name} [{trial['sheet']}]"
-
-
-def remarks(specimen: Mapping[str, Any]) -> tuple[Remark, ...]:
-    """Every flag of a specimen, its trials and its holds, once a code, the gravest first.
-
-    Parameters
-    ----------
-    specimen : mapping
-        One of ``specimens`` of identification.json.
-    """
-    messages: dict[str, str] = {}
-    where: dict[str, list[str]] = {}
-    for flag in specimen["flags"]:
-        known = messages.get(flag["code"])
-        # several parameters may carry one code: each sentence is kept
-        messages[flag["code"]] = flag["message"] if known is None else f"{known} {flag['message']}"
-        where.setdefault(flag["code"], [])
-    for part in (*specimen["trials"], *specimen["relaxation"]):
-        for flag in part["flags"]:
-            messages.setdefault(flag["code"], flag["message"])
-            places = where.setdefault(flag["code"], [])
-            if trial_label(part) not in places:
-                places.append(trial_label(part))
-    found = [
-        Remark(code, remark_level(code), FLAG_CODES.get(code, code), text, tuple(where[code]))
-        for code, text in messages.items()
-    ]
-    return tuple(sorted(found, key=lambda remark: -LEVELS.index(remark.level)))
 
 
 def verdict(specimen: Mapping[str, Any]) -> Verdict:

@@ -38,6 +38,7 @@ REPORT = "report.html"
 ONLY_BUNDLE = "bundle.h5"
 
 _LONGEST_LIST = 8
+_WAY_OUT = "run `tissueid fit` again"
 
 
 def write_results(run: OutputSet, identification: Identification) -> dict[str, Any]:
@@ -98,12 +99,16 @@ def validate_outputs(out: Path | str) -> None:
     BundleError
         Naming every problem found.
     """
+    # a folder without a run says so itself, with the way out
+    _committed(Path(out))
     problems = output_problems(out)
     if problems:
         shown = problems[:_LONGEST_LIST]
         if len(problems) > len(shown):
             shown.append(f"and {len(problems) - len(shown)} more")
-        msg = f"{out}: the output set is not whole: {'; '.join(shown)}. Run `tissueid fit` again"
+        msg = f"{out}: the output set is not whole: {'; '.join(shown)}"
+        if not any(_WAY_OUT in problem.lower() for problem in shown):
+            msg += f". {_WAY_OUT.capitalize()}"
         raise BundleError(msg)
 
 

@@ -1,0 +1,170 @@
+"""The flags of a specimen for a reader: a short title and its gravity for each code, gathered over trials.
+
+The sentence with the numbers is the flag's own; the title says in a few words what it is about, and neither
+repeats the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+__all__ = ["LEVELS", "REMARK_TITLES", "Remark", "remark_level", "remark_title", "remarks", "trial_label"]
+
+#: From harmless to grave.
+LEVELS = ("ok", "note", "caution", "serious")
+#: Flags that put the result itself in doubt; the others ask for a look.
+_SERIOUS = frozenset(
+    {"not_converged", "optimisers_disagree", "single_speed", "no_contact", "clipped_force", "no_decimals"}
+    | {"quantised_force", "too_few_samples", "no_ramp"}
+)
+#: Flags that only state what was assumed.
+_REMARKS = frozenset(
+    {"column_choice", "units_assumed", "undecoded_text", "rows_skipped", "cut_row", "event_rows"}
+    | {"compliance_unknown", "no_hold", "cyclic", "several_steps", "starts_in_contact", "preload"}
+    | {"normalised_axes", "load_limit_stop", "preconditioned", "decision_overridden", "frame_corrected"}
+)
+
+#: Code -> what it is about, without a verb.
+REMARK_TITLES: Mapping[str, str] = MappingProxyType(
+    {
+        "column_choice": "Choice of columns",
+        "units_assumed": "Units",
+        "undecoded_text": "Encoding",
+        "rows_skipped": "Rows left out",
+        "cut_row": "End of the file",
+        "zero_dt": "Time stamps",
+        "event_rows": "Event rows",
+        "gap": "Gap",
+        "quantised_force": "Force resolution",
+        "no_decimals": "Decimals",
+        "unit_overridden": "Unit by hand",
+        "normalised_axes": "Normalised axes",
+        "spike": "Outliers",
+        "commanded_displacement": "Commanded displacement?",
+        "below_resolution": "Resolution",
+        "below_cell_range": "Load-cell range",
+        "clipped_force": "Clipped force",
+        "too_few_samples": "Samples",
+        "no_contact": "No contact",
+        "no_ramp": "No ramp",
+        "no_hold": "No hold",
+        "cyclic": "Cyclic test",
+        "several_steps": "Several steps",
+        "rupture": "Rupture",
+        "load_limit_stop": "Load limit",
+        "preconditioned": "Preconditioning",
+        "not_preconditioned": "Preconditioning",
+        "corner_slow": "Slow stop",
+        "decision_overridden": "Decided by hand",
+        "aborted_ramp": "Aborted test",
+        "starts_in_contact": "Start in contact",
+        "preload": "Preload",
+        "contact_uncertain": "Uncertain contact",
+        "corner_overshoot": "Overshoot",
+        "sign_assumed": "Sign",
+        "tension": "Tension?",
+        "not_identified": "Not identified",
+        "interval_open": "Open interval",
+        "tau_below_resolution": "Sampling",
+        "amplitude_small": "Small relaxation",
+        "tau_exceeds_window": "Short hold",
+        "window_dependent": "Window",
+        "one_tau_inadequate": "One exponential",
+        "residual_correlated": "Correlated residual",
+        "residual_large": "Large residual",
+        "bound_active": "Passivity",
+        "contact_loss_ambiguous": "Contact loss",
+        "optimisers_disagree": "Two optima",
+        "not_converged": "Convergence",
+        "single_speed": "One speed",
+        "unloading_not_settled": "Unloading",
+        "contact_loss_misfit": "Contact loss",
+        "unloading_left_out": "Unloading",
+        "frame_corrected": "Frame",
+        "gain_spread": "Spread of the trials",
+        "repeated_site": "Repeated site",
+        "order_effect": "Order of the tests",
+        "modulus_out_of_range": "Range of the modulus",
+        "poroelastic": "Fluid flow?",
+        "compliance_unknown": "Machine",
+    }
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Remark:
+    """One flag for a reader, gathered over a specimen's trials.
+
+    Attributes
+    ----------
+    code : str
+    level : str
+        ``note``, ``caution`` or ``serious``.
+    title : str
+        What it is about.
+    message : str
+        Its first sentence, with numbers.
+    where : tuple of str
+        Trials that carry it; empty for the specimen as a whole.
+    """
+
+    code: str
+    level: str
+    title: str
+    message: str
+    where: tuple[str, ...]
+
+
+def remark_level(code: str) -> str:
+    """How grave a flag is: ``note``, ``caution`` or ``serious``, of :data:`LEVELS`."""
+    if code in _SERIOUS:
+        return "serious"
+    return "note" if code in _REMARKS else "caution"
+
+
+def remark_title(code: str) -> str:
+    """What a flag is about; a code of a later version is spelt out."""
+    return REMARK_TITLES.get(code) or code.replace("_", " ").capitalize()
+
+
+def trial_label(trial: Mapping[str, Any]) -> str:
+    """Short name of a trial: its file, and its sheet where there is one."""
+    name = str(trial["path"]).replace("\\", "/").rsplit("/", 1)[-1]
+    return name if trial["sheet"] is None else f"{name} [{trial['sheet']}]"
+
+
+def remarks(specimen: Mapping[str, Any]) -> tuple[Remark, ...]:
+    """Every flag of a specimen, its trials and its holds, once a code, the gravest first.
+
+    Parameters
+    ----------
+    specimen : mapping
+        One of ``specimens`` of identification.json.
+    """
+    messages: dict[str, list[str]] = {}
+    where: dict[str, list[str]] = {}
+    for flag in specimen["flags"]:
+        said = messages.setdefault(flag["code"], [])
+        where.setdefault(flag["code"], [])
+        # several parameters may carry one code: each sentence is kept, and none twice
+        if flag["message"] not in said:
+            said.append(flag["message"])
+    for part in (*specimen["trials"], *specimen["relaxation"]):
+        for flag in part["flags"]:
+            messages.setdefault(flag["code"], [flag["message"]])
+            places = where.setdefault(flag["code"], [])
+            if trial_label(part) not in places:
+                places.append(trial_label(part))
+    found = [
+        Remark(code, remark_level(code), remark_title(code), _sentence(said), tuple(where[code]))
+        for code, said in messages.items()
+    ]
+    return tuple(sorted(found, key=lambda remark: -LEVELS.index(remark.level)))
+
+
+def _sentence(parts: list[str]) -> str:
+    """Sentences joined, each closed once: ``"a b"``, ``"c d."`` give ``"a b; c d"``."""
+    return "; ".join(part.rstrip(".") for part in parts)
