@@ -27,7 +27,17 @@ from tissueid.result import Refusal
 from tissueid.segment import SegmentOptions, segment
 from tissueid.trial import Axes, Segmentation, Source, Trial
 
-__all__ = ["Collected", "Excluded", "TrialCache", "arithmetic_refusal", "collect", "display_names"]
+__all__ = [
+    "Collected",
+    "Excluded",
+    "TrialCache",
+    "arithmetic_refusal",
+    "collect",
+    "decided_options",
+    "decided_trial",
+    "display_names",
+    "why_excluded",
+]
 
 #: Samples kept in memory between the passes [bytes].
 CACHE_BYTES = 16 * 2**20
@@ -199,8 +209,8 @@ class Collected:
         )
 
 
-def _segment_options(options: SegmentOptions, decision: Decision) -> SegmentOptions:
-    """The run's options with what the user decided for this trial."""
+def decided_options(options: SegmentOptions, decision: Decision) -> SegmentOptions:
+    """The run's options with what the study decides for this trial."""
     said: dict[str, Any] = {
         name: decision.override[key] for key, name in _SEGMENT_KEYS.items() if key in decision.override
     }
@@ -210,7 +220,7 @@ def _segment_options(options: SegmentOptions, decision: Decision) -> SegmentOpti
     return replace(options, **said)
 
 
-def _decided(trial: Trial, decision: Decision, study: Study) -> Trial:
+def decided_trial(trial: Trial, decision: Decision, study: Study) -> Trial:
     """The trial under the name, the protocol and the load cell that the study states."""
     flags = list(trial.flags)
     stated = {key: value for key, value in decision.override.items() if key != "because"}
@@ -242,7 +252,7 @@ def _words(value: Any) -> str:
     return f'"{value}"' if isinstance(value, str) else f"{value:g}"
 
 
-def _why_excluded(trial: Trial, decision: Decision, study: Study) -> str | None:
+def why_excluded(trial: Trial, decision: Decision, study: Study) -> str | None:
     """The user's reason, or that the recording calibrated the frame."""
     frame = study.calibration.frame
     if decision.excluded is None and frame is not None and trial.source.sha256 in frame.sources:
@@ -328,8 +338,8 @@ def collect(
             decision = study.decision(source.path, source.sheet)
             if study.only_listed and not decision.listed and decision.excluded is None:
                 continue
-            trial, own = _decided(raw, decision, study), _segment_options(options, decision)
-            why = _why_excluded(raw, decision, study)
+            trial, own = decided_trial(raw, decision, study), decided_options(options, decision)
+            why = why_excluded(raw, decision, study)
             collected.decisions[source.path, source.sheet] = decision
         if why is None and trial.axes != collected.axes.get(trial.specimen, trial.axes):
             collected.left_out.append(_mixed_axes(trial))
@@ -359,6 +369,6 @@ def _loader(
         raw = cache.get(key, source)
         if study is None:
             return raw
-        return _decided(raw, study.decision(source.path, source.sheet), study)
+        return decided_trial(raw, study.decision(source.path, source.sheet), study)
 
     return load

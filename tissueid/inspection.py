@@ -9,13 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from tissueid.collection import arithmetic_refusal
+from tissueid.collection import arithmetic_refusal, decided_options, decided_trial, why_excluded
 from tissueid.flags import Flag
+from tissueid.manifest import Study
 from tissueid.result import Refusal
 from tissueid.segment import SegmentOptions, segment
 from tissueid.trial import Phase, Segmentation, Trial
 
-__all__ = ["describe_segmented", "describe_trial", "segmented"]
+__all__ = ["as_decided", "describe_segmented", "describe_trial", "segmented"]
 
 
 def describe_trial(trial: Trial, *, options: SegmentOptions | None = None) -> dict[str, Any] | Refusal:
@@ -41,6 +42,27 @@ def segmented(trial: Trial, *, options: SegmentOptions | None = None) -> Segment
         return segment(trial, options=options)
     except (ArithmeticError, np.linalg.LinAlgError) as error:
         return arithmetic_refusal(trial.source.path, trial.source.sheet, "segmented", error)
+
+
+def as_decided(
+    trial: Trial, options: SegmentOptions | None, study: Study | None
+) -> tuple[Trial, SegmentOptions, str | None]:
+    """The trial, its options, and why it is excluded, after what a study says of it.
+
+    Parameters
+    ----------
+    trial : Trial
+        As read.
+    options : SegmentOptions or None
+        Of the run.
+    study : Study or None
+    """
+    options = options or SegmentOptions()
+    if study is None:
+        return trial, options, None
+    decision = study.decision(trial.source.path, trial.source.sheet)
+    excluded = why_excluded(trial, decision, study)
+    return decided_trial(trial, decision, study), decided_options(options, decision), excluded
 
 
 def describe_segmented(trial: Trial, segmentation: Segmentation) -> dict[str, Any]:
