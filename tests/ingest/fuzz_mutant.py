@@ -62,7 +62,7 @@ class Tally:
         return "\n".join(rows)
 
 
-class Wrong(AssertionError):
+class WrongError(AssertionError):
     """The reader took a mutant for something that it is not."""
 
 
@@ -94,28 +94,28 @@ def remarks(trial: Trial) -> frozenset[tuple[str, str]]:
 
 
 def judge(mutant: Mutant, item: Trial | InputError, usual: frozenset[tuple[str, str]]) -> Outcome:
-    """The outcome; raises :class:`Wrong` where values are wrong, rows are lost, or a doubt is unsaid."""
+    """The outcome; raises :class:`WrongError` where values are wrong, rows are lost, or a doubt is unsaid."""
     if isinstance(item, InputError):
         if item.code not in REFUSAL_CODES:
-            raise Wrong(f"unknown refusal code {item.code}")
+            raise WrongError(f"unknown refusal code {item.code}")
         return "refused"
     unusual = {code for code, _ in remarks(item) - usual}
     if mutant.expect == "refusal":
-        raise Wrong("read, though it can't be right")
+        raise WrongError("read, though it can't be right")
     if mutant.cut and "cut_row" not in unusual:
-        raise Wrong("the last row was cut, and nobody says so")
+        raise WrongError("the last row was cut, and nobody says so")
     if mutant.expect == "doubt":
         if not unusual & DOUBTS:
-            raise Wrong("read without a doubt")
+            raise WrongError("read without a doubt")
         return "flagged"
     expected = _expected(mutant, item)
     channels = (item.time_s.tolist(), item.displacement_mm.tolist(), item.force_N.tolist())
     got = list(zip(*channels, strict=True))
     if len(got) != len(expected):
-        raise Wrong(f"{len(got)} rows read, {len(expected)} are there (flags: {sorted(unusual)})")
+        raise WrongError(f"{len(got)} rows read, {len(expected)} are there (flags: {sorted(unusual)})")
     for i, (read, meant) in enumerate(zip(got, expected, strict=True)):
         if any(abs(a - b) > RELATIVE * abs(b) for a, b in zip(read, meant, strict=True)):
-            raise Wrong(f"row {i} was read as {read}, it is {meant}")
+            raise WrongError(f"row {i} was read as {read}, it is {meant}")
     return "flagged" if unusual else "read"
 
 
@@ -133,7 +133,7 @@ def _expected(mutant: Mutant, trial: Trial) -> list[tuple[float, float, float]]:
         start = min((row.line for row in kept), default=0)
         passed_over = [line for line in reading.odd if line > start and line not in left_out]
         if passed_over:
-            raise Wrong(f"line {passed_over[0]} is neither a row nor a remark, and was passed over")
+            raise WrongError(f"line {passed_over[0]} is neither a row nor a remark, and was passed over")
     scale = [1.0, 1.0, 1.0]
     for flag in trial.flags:
         if flag.code == "units_assumed":

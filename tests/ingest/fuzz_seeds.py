@@ -85,12 +85,9 @@ def _logs() -> tuple[SyntheticLog, SyntheticLog]:
     log = simulate(recipe("paper-a-hold-100Hz"), rng=np.random.default_rng(3))[0]
     pick = np.r_[0:200:3, 200:1200:12]
     common = {"force_clean_N": log.force_clean_N[pick], "truth": dict(log.truth)}
-    late = SyntheticLog(
-        "late", "22L.3", log.time_s[pick] + 995.0, log.displacement_mm[pick], 12.0 * log.force_N[pick], **common
-    )
-    negative = SyntheticLog(
-        "negative", "cow 7", log.time_s[pick], -2.5 - log.displacement_mm[pick], -log.force_N[pick], **common
-    )
+    time, travel, force = log.time_s[pick], log.displacement_mm[pick], log.force_N[pick]
+    late = SyntheticLog("late", "22L.3", time + 995.0, travel, 12.0 * force, **common)
+    negative = SyntheticLog("negative", "cow 7", time, -2.5 - travel, -force, **common)
     return late, negative
 
 
@@ -174,7 +171,10 @@ def _tables() -> list[Seed]:
         ),
         _table(
             "small units", [], ["Time (ms)", "Indentation (um)", "Force (mN)"], None,
-            [lambda i: f"{1000 * t[i]:.2f}", lambda i: f"{-1000 * x[i] + i % 7 / 10:.1f}", lambda i: f"{-1000 * f[i]:.3f}"],
+            [
+                lambda i: f"{1000 * t[i]:.2f}", lambda i: f"{-1000 * x[i] + i % 7 / 10:.1f}",
+                lambda i: f"{-1000 * f[i]:.3f}",
+            ],
             Intent(delimiter="\t", units=("ms", "um", "mN")), newline="\n", suffix=".txt",
         ),
         _table(
@@ -213,7 +213,9 @@ def seeds() -> tuple[Seed, ...]:
         ),
         _bluehill(
             "German latin-1",
-            Dialect(delimiter=";", decimal=",", encoding="latin-1", names=("Zeit", "Traversenweg", "Prüfkraft")),
+            Dialect(
+                delimiter=";", decimal=",", encoding="latin-1", names=("Zeit", "Traversenweg", "Prüfkraft")
+            ),
             log=1,
         ),
         _bluehill(

@@ -12,7 +12,9 @@ ENCODINGS = (
     "ascii", "utf-8", "utf-8-sig", "latin-1", "cp1250", "cp1252", "gbk", "utf-16", "utf-16-le", "utf-16-be",
     "utf-32", "utf-32-le", "cp500", "utf-7", "shift_jis", "mac-roman",
 )  # fmt: skip
-NEWLINES = ("\n", "\r\n", "\r", "\n\r", "\r\r\n", "\n\n", "\x0b", "\x0c", "\x85", "\u2028", "\0", "\\n", " \n")
+NEWLINES = (
+    "\n", "\r\n", "\r", "\n\r", "\r\r\n", "\n\n", "\x0b", "\x0c", "\x85", "\u2028", "\0", "\\n", " \n",
+)  # fmt: skip
 
 
 def _body(seed: Seed) -> range:
@@ -111,7 +113,8 @@ def line_ends(seed: Seed, rng: Random) -> Mutant:
 
 
 def file_end(seed: Seed, rng: Random) -> Mutant:
-    end = rng.choice(("", "\r", "\n", "\r\r\n", "\n\n\n", "\x1a", "\0", " ", seed.intent.delimiter * 2, "\t\r\n"))
+    ends = ("", "\r", "\n", "\r\r\n", "\n\n\n", "\x1a", "\0", " ", seed.intent.delimiter * 2, "\t\r\n")
+    end = rng.choice(ends)
     return textual("end of the file", seed, seed.lines, expect="original", end=end)
 
 
@@ -144,10 +147,18 @@ def header(seed: Seed, rng: Random) -> Mutant:
     lines, d = list(seed.lines), seed.intent.delimiter
     new = rng.choice(
         (
-            f"Test : Rate 1{d}10.00{d}mm/min", f"Results : Maximum load{d}12.5{d}N", "Specimen label", "", f"v1{d}3",
-            f"General : Start Date{d}13/11/2018 5:14 PM", f"Time{d}12:30", '"torn', f"A{d}B{d}C", "Load cell 2 kN",
+            f"Test : Rate 1{d}10.00{d}mm/min",
+            f"Results : Maximum load{d}12.5{d}N",
+            f"General : Start Date{d}13/11/2018 5:14 PM",
+            f"Time{d}12:30",
+            f"A{d}B{d}C",
+            f"v1{d}3",
+            "Specimen label",
+            "Load cell 2 kN",
+            '"torn',
+            "",
         )
-    )  # fmt: skip
+    )
     if seed.names and rng.random() < 0.4:
         del lines[rng.randrange(seed.names)]
     else:
@@ -289,8 +300,8 @@ def other_units_within(seed: Seed, rng: Random) -> Mutant | None:
 
 
 DRESS: tuple[Mutation, ...] = (
-    redelimit, redelimit_rows, one_delimiter, trailing_delimiters, pad, requote, tear_quote, line_ends, file_end,
-    blank_lines, reencode, stray_bytes, header, group_thousands, swap_decimal,
+    redelimit, redelimit_rows, one_delimiter, trailing_delimiters, pad, requote, tear_quote, line_ends,
+    file_end, blank_lines, reencode, stray_bytes, header, group_thousands, swap_decimal,
 )  # fmt: skip
 CUTS: tuple[Mutation, ...] = (
     truncate, remove_lines, duplicate_lines, swap_lines, move_block, cut_bytes, repeat_bytes, splice,

@@ -10,11 +10,12 @@ from fuzz_seeds import UNITS_OF, Seed, split_cells
 
 #: What a cell may come to hold: numbers of any size, and what is none.
 STRANGE = (
-    "0", "-0", "1", "-1", "00012{d}5", "1{d}", "{d}5", "+3{d}25", "1e3", "2{d}5E-4", "-1{d}5e+02", "1e-400", "1e308",
-    "1e400", "9" * 30, "123456789012345678{d}5", "0{d}1000000000000000055511151231257827", "nan", "NaN", "inf",
-    "-Infinity", "1.#IND", "#N/A", "#DIV/0!", "n/a", "TRUE", "text", "", " ", "-", "+", ".", ",", "--5{d}0", "+-3{d}0",
-    "1 2", "1_000", "0x1F", "1e", "e5", "1e5e5", "5%", "$5{d}0", "(5{d}0)", "\u0663", "\uff11\uff12", "\u00bd",
-    "\u2212" + "5{d}0", "2020-01-01", "00:01:30", "1/2", "=1+1", "1d5", "1e+", "5{d}0N", "5{d}0 mm", "\u221e",
+    "0", "-0", "1", "-1", "00012{d}5", "1{d}", "{d}5", "+3{d}25", "1e3", "2{d}5E-4", "-1{d}5e+02", "1e-400",
+    "1e308", "1e400", "9" * 30, "123456789012345678{d}5", "0{d}1000000000000000055511151231257827", "nan",
+    "NaN", "inf", "-Infinity", "1.#IND", "#N/A", "#DIV/0!", "n/a", "TRUE", "text", "", " ", "-", "+", ".",
+    ",", "--5{d}0", "+-3{d}0", "1 2", "1_000", "0x1F", "1e", "e5", "1e5e5", "5%", "$5{d}0", "(5{d}0)",
+    "\u0663", "\uff11\uff12", "\u00bd", "\u2212" + "5{d}0", "2020-01-01", "00:01:30", "1/2", "=1+1", "1d5",
+    "1e+", "5{d}0N", "5{d}0 mm", "\u221e",
 )  # fmt: skip
 
 
@@ -51,7 +52,8 @@ def digit_count(seed: Seed, rng: Random) -> Mutant:
     def change(cell: str) -> str:
         places = [i for i, letter in enumerate(cell) if letter.isdigit()]
         i = rng.choice(places or [0])
-        return cell[:i] + (rng.choice("0123456789") + cell[i : i + 1] if rng.random() < 0.5 else "") + cell[i + 1 :]
+        new = rng.choice("0123456789") + cell[i : i + 1] if rng.random() < 0.5 else ""
+        return cell[:i] + new + cell[i + 1 :]
 
     return _edited("digit added or removed", seed, rng, change)
 
@@ -142,6 +144,6 @@ def names_swapped(seed: Seed, rng: Random) -> Mutant:
 
 
 VALUES: tuple[Mutation, ...] = (
-    digit, digit, digit_count, sign, exponent, replaced, replaced, other_number, whole_column, unit, order_of_columns,
-    names_swapped,
+    digit, digit, digit_count, sign, exponent, replaced, replaced, other_number, whole_column, unit,
+    order_of_columns, names_swapped,
 )  # fmt: skip

@@ -7,7 +7,7 @@ from random import Random
 
 import pytest
 from fuzz_marks import MARKS
-from fuzz_mutant import Mutant, Mutation, Tally, Wrong, judge, original, remarks
+from fuzz_mutant import Mutant, Mutation, Tally, WrongError, judge, original, remarks
 from fuzz_seeds import seeds
 from fuzz_structure import STRUCTURE
 from fuzz_values import VALUES
@@ -60,7 +60,7 @@ def run(letter: str, count: int, folder: Path) -> Tally:
         try:
             (item,) = read_each(path)
             outcome = judge(mutant, item, usual[mutant.seed.name])
-        except Wrong as error:
+        except WrongError as error:
             tally.bugs.append(f"{letter}-{index} {mutant.kind} of {mutant.seed.name!r}: {error}")
         except Exception as error:  # noqa: BLE001 - a traceback is what is looked for
             tally.bugs.append(
@@ -74,8 +74,8 @@ def run(letter: str, count: int, folder: Path) -> Tally:
 def check(letter: str, count: int, folder: Path) -> None:
     tally = run(letter, count, folder)
     read, flagged, refused = (tally.count(o) for o in ("read", "flagged", "refused"))
-    print(f"\nclass ({letter}) {NAMES[letter]}: {count} mutants, {read} read, {flagged} flagged, {refused} refused")  # noqa: T201
-    print(tally.table())  # noqa: T201
+    counts = f"{count} mutants, {read} read, {flagged} flagged, {refused} refused"
+    print(f"\nclass ({letter}) {NAMES[letter]}: {counts}\n{tally.table()}")  # noqa: T201
     assert not tally.bugs, "\n".join([f"{len(tally.bugs)} mutants were misread", *tally.bugs[:40]])
     assert (read + flagged) / count >= LEAST_READ[letter]
     assert refused / count >= LEAST_REFUSED[letter]

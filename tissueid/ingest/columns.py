@@ -112,7 +112,7 @@ def _candidates(
 def _ruled_out(
     columns: Sequence[_Column], channel: Channel, found: Sequence[tuple[int, _Column]], options: ReadOptions
 ) -> list[str]:
-    """Columns whose name fits at least as well as that of the best, but whose unit measures something else."""
+    """Columns whose name fits as well as that of the best or better, but whose unit is of something else."""
     named = (
         (column, _rank(column, channel, options, loose=False))
         for column in columns

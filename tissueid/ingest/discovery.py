@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import re
+import stat
 import zipfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path, PurePosixPath
+from typing import Literal
 
 from tissueid.errors import InputError, UsageError
 from tissueid.ingest.archive import recordings_in
@@ -22,6 +25,8 @@ SUFFIXES = (".csv", ".tsv", ".tra", ".xls", ".xlsx", ".xlsm", ".xlsb", ".ods", "
 _PROSE_SUFFIXES = (".txt", ".dat")
 #: Texts that say themselves what they are, wherever their tables begin.
 _SIGNED = (b"<Mach-1 File>", b"MTS793|")
+#: Refusals of what is no recording at all.
+_NO_TABLE = ("not_an_export", "empty_file")
 #: What only a directory written by tissueid holds.
 _OWN_OUTPUT = (".current", "identification.json")
 
@@ -70,25 +75,46 @@ def find_inputs(paths: Iterable[str | Path]) -> list[Path]:
         else:
             msg = f"{path}: there is no such file or directory"
             raise UsageError(msg)
-    return list({path.resolve(): path for path in reversed(found)}.values())[::-1]
+    # unlike Path.resolve, realpath bears a link to itself
+    return list({os.path.realpath(path): path for path in reversed(found)}.values())[::-1]
 
 
 def _recordings(directory: Path) -> Iterator[Path]:
-    try:
-        entries = list(directory.iterdir())
-    except OSError as error:
-        Place(str(directory)).refuse(
-            "unreadable_file", f"the directory can't be listed: {error.strerror}; check its rights"
-        )
-    if any(entry.name in _OWN_OUTPUT for entry in entries):
-        return
-    for entry in entries:
-        if entry.name.startswith((".", "~$")):
+    """Recordings below a directory, and what can't be looked into, for it to be refused by name."""
+    waiting, seen = [directory], set()
+    while waiting:
+        folder = waiting.pop()
+        try:
+            status = folder.stat()
+            entries = list(folder.iterdir())
+        except OSError as error:
+            if folder == directory:
+                Place(str(directory)).refuse(
+                    "unreadable_file", f"the directory can't be listed: {error.strerror}; check its rights"
+                )
+            yield folder
             continue
-        if entry.is_dir():
-            yield from _recordings(entry)
-        elif entry.suffix.lower() in SUFFIXES and _is_recording(entry):
-            yield entry
+        # links may lead in circles
+        if (status.st_dev, status.st_ino) in seen or any(entry.name in _OWN_OUTPUT for entry in entries):
+            continue
+        seen.add((status.st_dev, status.st_ino))
+        for entry in entries:
+            if entry.name.startswith((".", "~$")):
+                continue
+            kind = _kind(entry)
+            if kind == "folder":
+                waiting.append(entry)
+            elif entry.suffix.lower() in SUFFIXES and (kind != "file" or _is_recording(entry)):
+                yield entry
+
+
+def _kind(entry: Path) -> Literal["folder", "file", "other"]:
+    """What an entry is; pipes, devices and broken links are neither, and opening some would wait for ever."""
+    try:
+        mode = entry.stat().st_mode
+    except OSError:
+        return "other"
+    return "folder" if stat.S_ISDIR(mode) else "file" if stat.S_ISREG(mode) else "other"
 
 
 def _is_recording(path: Path) -> bool:
@@ -119,7 +145,7 @@ def _holds_table(path: Path) -> bool:
         find_layout(decode_text(head, place), ReadOptions(), place)
     except InputError as error:
         # a table that can't be trusted is refused by name later, not overlooked
-        return error.code == "ambiguous_decimal"
+        return error.code not in _NO_TABLE
     except OSError:
         return True
     return True

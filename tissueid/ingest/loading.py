@@ -74,7 +74,8 @@ def _read(handle: int, place: Place) -> bytes:
         pieces.append(os.read(handle, _PIECE_BYTES))
     data = b"".join(pieces)
     after = os.fstat(handle)
-    if (after.st_size, after.st_mtime_ns) != (before.st_size, before.st_mtime_ns) or len(data) != after.st_size:
+    same = (after.st_size, after.st_mtime_ns) == (before.st_size, before.st_mtime_ns)
+    if not same or len(data) != after.st_size:
         place.refuse(
             "unreadable_file", "the file changed while it was read; try again when the test machine is done"
         )

@@ -24,6 +24,7 @@ __all__ = ["MARKS", "CellFault", "decimal_evidence", "grouping_mark", "looks_num
 MARKS = "\u00a0\u202f '\u2019"
 _SAME_MARK = {"\u00a0": " ", "\u202f": " ", "\u2019": "'"}
 
+#: Not the no-break space: it separates thousands, and may have lost the digits before it.
 _PADDING = " \t\r\n"
 
 _EXPONENT = r"(?:[eE][+-]?\d+)?"
@@ -73,7 +74,7 @@ def parse_number(text: str, decimal: str) -> float | CellFault:
     -------
     float or CellFault
     """
-    stripped = text.strip(_PADDING)  # a no-break space is a thousands separator, and may have lost its thousands
+    stripped = text.strip(_PADDING)
     plain, grouped = _grammar(decimal)
     if plain.fullmatch(stripped):
         value = float(stripped.replace(decimal, "."))

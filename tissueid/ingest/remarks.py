@@ -14,7 +14,6 @@ from tissueid.ingest.columns import has_channels
 from tissueid.ingest.layout import Layout, is_units_row, split_line
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import Place
-from tissueid.ingest.results import results_spans
 from tissueid.ingest.text import Text
 
 __all__ = ["begins_a_table", "flag_rows_above", "row_like", "skipped_flag"]

@@ -206,8 +206,8 @@ class RowReader:
         if begins_a_table(cells, self.layout):
             self.place.refuse(
                 "ragged_rows",
-                f"{shown} gives other names or units than line {self.layout.names_line or 1}: two recordings in"
-                " one file; split it, one recording each",
+                f"{shown} gives other names or units than line {self.layout.names_line or 1}: two recordings"
+                " in one file; split it, one recording each",
                 line=number,
                 column=1,
             )
