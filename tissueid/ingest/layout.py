@@ -211,7 +211,7 @@ def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
     if not sample:
         place.refuse(
             "no_rows",
-            "under the names stand results, or another table, but no row of numbers; export the raw data again",
+            "under the names stand results or another table, but no row of numbers; export the raw data again",
             line=found.first + 1,
         )
     n_columns = Counter(map(len, sample)).most_common(1)[0][0]
