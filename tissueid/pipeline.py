@@ -25,6 +25,7 @@ from tissueid.covariates import (
     without_excluded,
 )
 from tissueid.errors import exit_code
+from tissueid.fit.material import stated_geometry
 from tissueid.fit.specimen import FitOptions, LogHandle, fit_specimen
 from tissueid.fit.tip import tip_handles
 from tissueid.manifest import Study
@@ -116,6 +117,9 @@ def _fit(
     tick: Callable[[str], None],
 ) -> SpecimenFit:
     """Fit one specimen in the displacement of the tip."""
+    if study is not None and fit.geometry is None:
+        thickness = study.specimens.get(name, {}).get("thickness_mm")
+        fit = replace(fit, geometry=stated_geometry(study.tip, thickness, fit.poisson))
     frame = None if study is None else study.calibration.frame
     if frame is not None:
         handles = tip_handles(handles, frame, tick)
@@ -220,6 +224,11 @@ def identify(
                     "auto" if options.fit.stiffness_degree is None else options.fit.stiffness_degree
                 ),
                 "static": options.fit.static,
+                "unloading": options.fit.unloading,
+                "frequencies_Hz": list(options.fit.frequencies_Hz),
+                "depths_mm": list(options.fit.depths_mm),
+                "tip": None if options.fit.geometry is None else options.fit.geometry.as_json(),
+                "poisson": options.fit.poisson,
                 "compression_sign": options.segment.compression_sign,
                 "contact_displacement_mm": options.segment.contact_displacement_mm,
                 "required": list(options.required),

@@ -7,7 +7,9 @@ ideal step the instantaneous one, by every formula that fits the tip.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +23,7 @@ from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.model.moduli import FORMULAS, Contact, Indenter, contact_of, formulas_for, poroelastic_band
 from tissueid.quantities import Quantity, QuotedNumbers
 
-__all__ = ["DEFAULT_POISSON", "Geometry", "with_moduli"]
+__all__ = ["DEFAULT_POISSON", "Geometry", "stated_geometry", "with_moduli"]
 
 FloatArray = NDArray[np.float64]
 
@@ -82,6 +84,24 @@ class Geometry:
             if self.thickness_mm is None
             else ("bonded layer" if self.bonded else "slipping layer"),
         }
+
+
+def stated_geometry(tip: Mapping[str, Any], thickness_mm: float | None, poisson: float) -> Geometry | None:
+    """Tip and thickness as a study states them; ``None`` where they do not make a known shape.
+
+    Parameters
+    ----------
+    tip : mapping
+        ``[tip]`` of study.toml: shape, radius_mm, half_angle_deg.
+    thickness_mm : float or None
+        Of the specimen.
+    poisson : float
+    """
+    try:
+        indenter = Indenter(str(tip.get("shape")), tip.get("radius_mm"), tip.get("half_angle_deg"))
+    except ValueError:
+        return None
+    return Geometry(indenter, thickness_mm, poisson)
 
 
 def _static(model: KelvinVoigt, theta: FloatArray, depth: float) -> float:

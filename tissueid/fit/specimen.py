@@ -17,7 +17,7 @@ from tissueid.fit.candidates import Candidate, Solution, SpecimenSums, fit_candi
 from tissueid.fit.estimates import TissueEstimate, estimate_tissue
 from tissueid.fit.lm import levenberg_marquardt
 from tissueid.fit.logs import LogHandle, refine_contacts, specimen_sums
-from tissueid.fit.material import Geometry, with_moduli
+from tissueid.fit.material import DEFAULT_POISSON, Geometry, with_moduli
 from tissueid.fit.quoted import quoted_numbers
 from tissueid.fit.rounds import follow_surfaces, unloading_handles, unloading_verdict
 from tissueid.fit.search import polish, unbounded_covariance
@@ -68,6 +68,8 @@ class FitOptions:
         At which moduli and losses are quoted; none takes the usual ones the data support.
     geometry : Geometry or None
         Tip (and thickness) of this specimen, for its moduli.
+    poisson : float
+        Poisson's ratio where a study gives the tip.
     unloading : bool
         Fit retracts and cycles as well, with the law of contact loss (:mod:`tissueid.fit.rounds`).
     """
@@ -79,6 +81,7 @@ class FitOptions:
     depths_mm: tuple[float, ...] = ()
     frequencies_Hz: tuple[float, ...] = ()
     geometry: Geometry | None = None
+    poisson: float = DEFAULT_POISSON
 
 
 def _both_optimisers(sums: SpecimenSums, solution: Solution) -> tuple[Solution, dict[str, object]]:

@@ -1,0 +1,94 @@
+"""Options of ``fit`` that decide which numbers are quoted beside the model's parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from tissueid.errors import UsageError
+
+if TYPE_CHECKING:
+    from tissueid.fit.material import Geometry
+
+__all__ = ["quoting_options", "quoting_values"]
+
+_OPTIONS = (
+    click.option(
+        "--unloading", is_flag=True,
+        help="Fit retracts and cycles as well, with the law of contact loss.",
+    ),
+    click.option(
+        "--frequencies", metavar="LIST",
+        help="Frequencies [Hz] of storage and loss stiffness, as 0.1,1,10. [default: those the data support]",
+    ),
+    click.option("--depths", metavar="LIST", help="Depths [mm] at which each loop's stiffness is given."),
+    click.option(
+        "--tip", metavar="SHAPE:SIZE",
+        help="Tip, for moduli: sphere:RADIUS, flat:RADIUS [mm] or cone:HALF-ANGLE [degrees].",
+    ),
+    click.option("--thickness", type=float, metavar="MM", help="Thickness of the layer under --tip."),
+    click.option(
+        "--poisson", type=click.FloatRange(0.0, 0.5), default=0.5, show_default=True,
+        help="Poisson's ratio behind the moduli.",
+    ),
+)  # fmt: skip
+
+
+def quoting_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options to a command."""
+    for option in reversed(_OPTIONS):
+        command = option(command)
+    return command
+
+
+def _numbers(text: str | None, option: str) -> tuple[float, ...]:
+    """A list of positive numbers as typed."""
+    if text is None:
+        return ()
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        values = ()
+    if not values or not all(0.0 < value < float("inf") for value in values):
+        msg = f"{option} takes positive numbers with commas between, as 0.1,1,10; got {text!r}"
+        raise UsageError(msg)
+    return values
+
+
+def _geometry(flags: dict[str, Any]) -> Geometry | None:
+    """Tip and thickness as typed."""
+    from tissueid.fit.material import Geometry
+    from tissueid.model.moduli import Indenter
+
+    if flags["tip"] is None:
+        if flags["thickness"] is not None:
+            msg = "--thickness needs --tip; a study.toml may hold both, a thickness for each specimen"
+            raise UsageError(msg)
+        return None
+    shape, _, size = flags["tip"].partition(":")
+    try:
+        number = float(size)
+        tip = Indenter(shape, half_angle_deg=number) if shape == "cone" else Indenter(shape, number)
+        return Geometry(tip, flags["thickness"], flags["poisson"])
+    except ValueError as error:
+        msg = f"--tip {flags['tip']}: {error}; write sphere:3 or flat:2 (radius in mm), or cone:45 (degrees)"
+        raise UsageError(msg) from error
+
+
+def quoting_values(flags: dict[str, Any]) -> dict[str, Any]:
+    """The fields of ``FitOptions`` that these options fill.
+
+    Raises
+    ------
+    UsageError
+        A list or a tip that can't be understood.
+    """
+    return {
+        "unloading": flags["unloading"],
+        "frequencies_Hz": _numbers(flags["frequencies"], "--frequencies"),
+        "depths_mm": _numbers(flags["depths"], "--depths"),
+        "geometry": _geometry(flags),
+        "poisson": flags["poisson"],
+    }
