@@ -115,12 +115,8 @@ class Source:
         Workbook sheet (or block of a several-block file).
     sha256 : str
         Hash of the file's bytes.
-    recipe : str
-        Key of the reader that matched.
-    recipe_reason : str
-        Why it was taken, in its own words; empty for an array.
-    recipe_confidence : float
-        How sure it was, from 0 to 1.
+    recipe, recipe_reason, recipe_confidence : str, str, float
+        Key of the reader that matched, why, and how sure it was from 0 to 1.
     encoding, delimiter, decimal : str or None
         What the text was read with; ``None`` for binary workbooks.
     columns : mapping

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tissueid.cli.output import echo_json, note, output_options, progress_bar, with_error
+from tissueid.cli.quoted_lines import quoted_lines
+from tissueid.cli.quoting import quoting_options, quoting_values
 from tissueid.cli.reading import read_all, read_in_order, read_options, reading_options, segment_options
 from tissueid.errors import UsageError
 
@@ -40,7 +42,7 @@ UNREMARKABLE = {
     "column_choice",
     "undecoded_text",
 }
-READING = ("columns", "units", "axes", "specimen_by", "recipe")
+READING = ("columns", "units", "axes", "specimen_by", "recipe", "sheet", "delimiter", "decimal")
 REQUIRED = ["viscosity", "static", "stiffness", "relaxation-time", "none"]
 
 
@@ -78,6 +80,7 @@ def _count(auto: str) -> click.Choice[str]:
     help="Study file. [default: study.toml of the folder that is fitted]",
 )  # fmt: skip
 @click.option("--no-study", is_flag=True, help="Fit without the folder's study.toml.")
+@quoting_options
 @reading_options
 @output_options
 def command(**flags: Any) -> int:
@@ -104,6 +107,9 @@ def command(**flags: Any) -> int:
         axes=flags["axes"],
         specimen_by=flags["specimen_by"],
         recipe=flags["recipe"],
+        sheet=flags["sheet"],
+        delimiter=flags["delimiter"],
+        decimal=flags["decimal"],
     )
     options = _identify_options(flags)
     study, paths = locate_study(flags["paths"], named=flags["study"], ignore=flags["no_study"])
@@ -167,6 +173,7 @@ def _identify_options(flags: dict[str, Any]) -> IdentifyOptions:
             branches=None if flags["branches"] == "auto" else int(flags["branches"]),
             stiffness_degree=None if flags["stiffness_degree"] == "auto" else int(flags["stiffness_degree"]),
             static=flags["static"],
+            **quoting_values(flags),
         ),
         segment=segment_options(compression=flags["compression"], contact=flags["contact"]),
         required=required if flags["require"] else DEFAULT_REQUIRED,
@@ -223,6 +230,8 @@ def _print_specimen(console: Any, fit: SpecimenFit, *, verbose: int) -> None:
         text = "not identified" if one.value is None else f"{with_error(one.value, one.stderr)} {one.unit}"
         bound = "  (at the passivity bound)" if one.value is not None and one.detail.get("at_bound") else ""
         console.print(f"  {one.symbol:<6} {text}{bound}", markup=False)
+    for line in quoted_lines(fit):
+        console.print(f"  {line}", markup=False)
     for flag in fit.flags:
         console.print(f"  ! {flag.message}", style="yellow", markup=False)
     said = {flag.code for flag in fit.flags} | UNREMARKABLE

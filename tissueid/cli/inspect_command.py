@@ -11,9 +11,11 @@ from tissueid.cli.output import echo_json, note, output_options, progress_bar, w
 from tissueid.cli.reading import read_in_order, read_options, reading_options, segment_options
 
 if TYPE_CHECKING:
+    from tissueid.manifest import Study
     from tissueid.report.inspect_page import InspectedRecording
     from tissueid.result import Refusal
-    from tissueid.trial import Segmentation, Trial
+    from tissueid.segment import SegmentOptions
+    from tissueid.trial import Trial
 
 __all__ = ["command"]
 
@@ -21,6 +23,7 @@ EPILOG = """\b
 Examples:
   tissueid inspect Specimen_RawData_1.csv
   tissueid inspect lab_data/ --html inspection.html
+  tissueid inspect lab_data/study.toml --html inspection.html
   tissueid inspect lab_data/ --json
   tissueid inspect plain.csv --columns "time=t,displacement=x,force=F"
 """
@@ -37,6 +40,11 @@ FEW_CORNERS = 4
     "--html", type=click.Path(dir_okay=False), metavar="FILE",
     help="Write a page that draws every recording, with its flags and the lines of study.toml to change it.",
 )  # fmt: skip
+@click.option(
+    "--study", type=click.Path(), metavar="FILE",
+    help="Study file whose decisions are followed. [default: study.toml of the folder that is inspected]",
+)  # fmt: skip
+@click.option("--no-study", is_flag=True, help="Leave the folder's study.toml aside.")
 @reading_options
 @output_options
 def command(**flags: Any) -> int:
@@ -46,8 +54,8 @@ def command(**flags: Any) -> int:
     some were refused, 3 if all were.
     """
     from tissueid.errors import exit_code
-    from tissueid.inspection import describe_trial, segmented
     from tissueid.result import Refusal
+    from tissueid.study.recordings import locate_study
 
     reading = read_options(
         columns=flags["columns"],
@@ -55,21 +63,23 @@ def command(**flags: Any) -> int:
         axes=flags["axes"],
         specimen_by=flags["specimen_by"],
         recipe=flags["recipe"],
+        sheet=flags["sheet"],
+        delimiter=flags["delimiter"],
+        decimal=flags["decimal"],
     )
     segmenting = segment_options(compression=flags["compression"], contact=flags["contact"])
     described: list[dict[str, Any] | Refusal] = []
     shown: list[InspectedRecording] = []
-    root = _study_folder(flags["paths"])
+    study, paths = locate_study(flags["paths"], named=flags["study"], ignore=flags["no_study"])
+    root = _study_folder(flags["paths"]) if study is None else Path(study.path).resolve().parent
     with progress_bar(show=not flags["quiet"] and not flags["as_json"]) as progress:
-        for item in read_in_order(flags["paths"], reading):
+        for item in read_in_order(paths, reading, study):
             progress(item.path if isinstance(item, Refusal) else item.name, len(described), 0)
             if isinstance(item, Refusal):
                 described.append(item)
-            elif flags["html"] is None:
-                described.append(describe_trial(item, options=segmenting))
             else:
-                divided = segmented(item, options=segmenting)
-                described.append(_shown(item, divided, shown, root))
+                page = None if flags["html"] is None else shown
+                described.append(_described(item, segmenting, study, page, root))
     refused = [one for one in described if isinstance(one, Refusal)]
     if flags["html"] is not None:
         _write_page(flags["html"], shown, refused, root)
@@ -95,22 +105,26 @@ def _study_folder(paths: tuple[str, ...]) -> Path:
     return above[0] if above else common
 
 
-def _shown(
+def _described(
     trial: Trial,
-    divided: Segmentation | Refusal,
-    shown: list[InspectedRecording],
+    options: SegmentOptions,
+    study: Study | None,
+    page: list[InspectedRecording] | None,
     root: Path,
 ) -> dict[str, Any] | Refusal:
-    """Keep a recording for the page, and say of it what is said without the page."""
-    from tissueid.inspection import describe_segmented
+    """What is said of a recording, which is kept for the page where one is asked for."""
+    from tissueid.inspection import as_decided, describe_segmented, segmented
     from tissueid.report import inspected_recording
     from tissueid.result import Refusal
 
+    trial, options, excluded = as_decided(trial, options, study)
+    divided = segmented(trial, options=options)
     if isinstance(divided, Refusal):
         return divided
-    document = describe_segmented(trial, divided)
-    file = _relative(trial.source.path, root)
-    shown.append(inspected_recording(trial, divided, document, file=file, reader=_reader(document)))
+    document = describe_segmented(trial, divided, excluded=excluded)
+    if page is not None:
+        file = _relative(trial.source.path, root)
+        page.append(inspected_recording(trial, divided, document, file=file, reader=_reader(document)))
     return document
 
 
@@ -145,6 +159,8 @@ def _print(one: dict[str, Any], *, verbose: int) -> None:
     click.secho(f"\n{name}", bold=True)
     click.echo(f"  {_reader(one)[0].lower()}{_reader(one)[1:]}")
     click.echo(f"  specimen    {one['specimen']}")
+    if one["excluded"] is not None:
+        click.secho(f"  excluded    because: {one['excluded']}", fg="yellow")
     click.echo("  columns     " + ", ".join(f"{key} = {value}" for key, value in one["columns"].items()))
     sign = "positive" if one["compression_sign"] > 0 else "negative"
     click.echo(f"  samples     {one['n_samples']}, compression is {sign} displacement")

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import re
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -19,11 +22,31 @@ if TYPE_CHECKING:
     from tissueid.segment import SegmentOptions
     from tissueid.trial import Trial
 
-__all__ = ["read_all", "read_in_order", "read_options", "reading_options", "segment_options"]
+__all__ = [
+    "READERS",
+    "picked_sheet",
+    "read_all",
+    "read_in_order",
+    "read_options",
+    "reading_options",
+    "segment_options",
+]
 
+#: A file, and the sheet the user named with it.
+_Named = tuple["Path", "str | None"]
+#: Names shown where a pattern fits none.
+FEW_NAMES = 5
 #: No test machine travels ten metres.
 LONGEST_TRAVEL_MM = 1e4
 QUANTITIES = ("time", "displacement", "force")
+DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "bar": "|"}
+DECIMALS = {"point": ".", "comma": ","}
+#: Keys of the readers, written out so that help need not load them; a test holds them against the registry.
+READERS = (
+    "bluehill-csv", "testxpert-tra", "testxpert-workbook", "mach-1", "mts-793", "shimadzu", "chiaro",
+    "workbook", "columns", "zip",
+)  # fmt: skip
+_READERS = ", ".join(READERS)
 
 
 def reading_options(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -49,7 +72,23 @@ def reading_options(function: Callable[..., Any]) -> Callable[..., Any]:
             metavar="PATTERN",
             help="Regular expression on the path (path::sheet in a workbook) that names the specimen.",
         ),
-        click.option("--recipe", metavar="KEY", help="Reader to use instead of the detected one."),
+        click.option("--recipe", metavar="KEY", help=f"Reader to use, not the detected one: {_READERS}."),
+        click.option(
+            "--sheet",
+            metavar="NAME",
+            help="Read only this sheet, block, specimen or member of an archive; FILE::NAME does it for one"
+            " file.",
+        ),
+        click.option(
+            "--delimiter",
+            type=click.Choice(list(DELIMITERS)),
+            help="What parts the cells, where the text leaves it open.",
+        ),
+        click.option(
+            "--decimal",
+            type=click.Choice(list(DECIMALS)),
+            help="Decimal mark, where the numbers leave it open.",
+        ),
         click.option(
             "--compression",
             type=click.Choice(["positive", "negative"]),
@@ -84,7 +123,15 @@ def _pairs(text: str | None, flag: str) -> dict[str, str]:
 
 
 def read_options(
-    *, columns: str | None, units: str | None, axes: str | None, specimen_by: str | None, recipe: str | None
+    *,
+    columns: str | None,
+    units: str | None,
+    axes: str | None,
+    specimen_by: str | None,
+    recipe: str | None,
+    sheet: str | None = None,
+    delimiter: str | None = None,
+    decimal: str | None = None,
 ) -> ReadOptions:
     """Reading options from flags."""
     from tissueid.ingest import ReadOptions
@@ -95,6 +142,9 @@ def read_options(
         axes=_pairs(axes, "--axes"),
         specimen_by=specimen_by,
         recipe=recipe,
+        sheet=sheet,
+        delimiter=None if delimiter is None else DELIMITERS[delimiter],
+        decimal=None if decimal is None else DECIMALS[decimal],
     )
 
 
@@ -138,29 +188,78 @@ def read_in_order(
     from tissueid.ingest import find_inputs
     from tissueid.ingest.manifest import unmatched_files
 
-    found: dict[Path | Refusal, None] = {} if study is None else dict.fromkeys(unmatched_files(study))
+    found: dict[_Named | Refusal, None] = {} if study is None else dict.fromkeys(unmatched_files(study))
     for path in paths:
+        name, sheet = picked_sheet(path)
         try:
-            found.update(dict.fromkeys(find_inputs([path])))
+            found.update(dict.fromkeys((file, sheet) for file in find_inputs([name])))
         except InputError as error:
             # a folder without recordings does not stop the others
             found[_refusal(error)] = None
     return _read(list(found), options, study)
 
 
+def picked_sheet(path: str) -> tuple[str, str | None]:
+    """A path as the user typed it, parted where it names a sheet: ``"meat.xlsx::FF1A"``."""
+    name, mark, sheet = path.partition("::")
+    return (name, sheet) if mark and not os.path.lexists(path) else (path, None)
+
+
 def _read(
-    found: list[Path | Refusal], options: ReadOptions, study: Study | None
+    found: list[_Named | Refusal], options: ReadOptions, study: Study | None
 ) -> Iterator[Trial | Refusal]:
     from tissueid.errors import InputError
+    from tissueid.ingest import reader_faults
     from tissueid.result import Refusal
     from tissueid.study.recordings import read_decided
 
+    by_pattern = _PatternCheck(options.specimen_by)
     for one in found:
         if isinstance(one, Refusal):
             yield one
             continue
-        for item in read_decided(one, options, study):
-            yield _refusal(item) if isinstance(item, InputError) else item
+        path, sheet = one
+        own = options if sheet is None else replace(options, sheet=sheet)
+        for item in read_decided(path, own, study):
+            if isinstance(item, InputError):
+                yield _refusal(item)
+            else:
+                by_pattern.add(item)
+                yield item
+    by_pattern.say()
+    for fault in reader_faults():
+        click.secho(f"warning: {fault}", fg="yellow", err=True)
+
+
+class _PatternCheck:
+    """Whether ``--specimen-by`` named the specimens it was given for."""
+
+    def __init__(self, pattern: str | None) -> None:
+        self._pattern = pattern
+        self._named = 0
+        self._missed: list[str] = []
+
+    def add(self, trial: Trial) -> None:
+        if self._pattern is None:
+            return
+        name = (
+            trial.source.path if trial.source.sheet is None else f"{trial.source.path}::{trial.source.sheet}"
+        )
+        if re.search(self._pattern, name):
+            self._named += 1
+        else:
+            self._missed.append(name)
+
+    def say(self) -> None:
+        """Refuse a pattern that fits nothing; name what one that fits some leaves by itself."""
+        if not self._missed:
+            return
+        shown = ", ".join(self._missed[:FEW_NAMES]) + (" ..." if len(self._missed) > FEW_NAMES else "")
+        if self._named == 0:
+            msg = f"--specimen-by {self._pattern!r} fits no recording: it was tried on {shown}"
+            raise UsageError(msg)
+        message = f"--specimen-by {self._pattern!r} does not fit {shown}: each is its own specimen"
+        click.secho(f"warning: {message}", fg="yellow", err=True)
 
 
 def read_all(items: Iterator[Trial | Refusal], refused: list[Refusal]) -> Iterator[Trial]:

@@ -14,11 +14,24 @@ EPILOG = """\b
 Examples:
   tissueid synth paper-a-30 -o synthetic --rate 100
   tissueid synth my_recipe.toml -o synthetic --seed 7 --dialect semicolon
+  tissueid synth --dialects
 """
 
 
 #: No test machine logs faster; a slip of the keyboard must not fill the memory.
 HIGHEST_RATE_HZ = 1e5
+
+
+def _list_dialects(context: click.Context, _option: click.Parameter, value: bool) -> None:
+    """Print every dialect with what it is, and leave."""
+    if not value or context.resilient_parsing:
+        return
+    from tissueid.synth import EXPORTS
+
+    width = max(map(len, EXPORTS))
+    for name, export in EXPORTS.items():
+        click.echo(f"{name:<{width}}  {export.description} ({export.suffix})")
+    context.exit()
 
 
 @click.command("synth", epilog=EPILOG)
@@ -29,10 +42,17 @@ HIGHEST_RATE_HZ = 1e5
     help="Seed of the noise and the scatter.",
 )  # fmt: skip
 @click.option("--rate", type=float, metavar="HZ", help="Sampling rate, where not the recipe's.")
-@click.option("--dialect", default="bare", show_default=True, help="How the CSV is written.")
+@click.option(
+    "--dialect", metavar="NAME", default="bare", show_default=True,
+    help="How each log is written: a locale or option of Bluehill, or another machine's format.",
+)  # fmt: skip
+@click.option(
+    "--dialects", is_flag=True, expose_value=False, is_eager=True, callback=_list_dialects,
+    help="List the dialects and leave.",
+)  # fmt: skip
 @output_options
 def command(**flags: Any) -> int:
-    """Write synthetic Bluehill exports with a known truth.
+    """Write synthetic exports with a known truth.
 
     RECIPE is a name (paper-a-30, paper-a-30-k1, paper-a-22) or a recipe.toml.
     """

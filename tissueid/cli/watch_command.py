@@ -96,6 +96,9 @@ def _session(flags: dict[str, Any]) -> WatchSession:
         axes=flags["axes"],
         specimen_by=flags["specimen_by"],
         recipe=flags["recipe"],
+        sheet=flags["sheet"],
+        delimiter=flags["delimiter"],
+        decimal=flags["decimal"],
     )
     segmenting = segment_options(compression=flags["compression"], contact=flags["contact"])
     log = None

@@ -6,8 +6,9 @@ refused with line and column (:data:`REFUSAL_CODES`), never repaired.
 
 from tissueid.ingest.discovery import find_inputs
 from tissueid.ingest.options import ReadOptions
+from tissueid.ingest.plugins import forget_readers, reader_faults
 from tissueid.ingest.reading import match_of, read_each, read_one, read_trials
-from tissueid.ingest.recipe import Match, Recipe
+from tissueid.ingest.recipe import InputFile, Match, Recipe, Table
 from tissueid.ingest.refusals import REFUSAL_CODES, REFUSAL_MEANINGS
 from tissueid.ingest.registry import RECIPES
 
@@ -15,12 +16,16 @@ __all__ = [
     "RECIPES",
     "REFUSAL_CODES",
     "REFUSAL_MEANINGS",
+    "InputFile",
     "Match",
     "ReadOptions",
     "Recipe",
+    "Table",
     "find_inputs",
+    "forget_readers",
     "match_of",
     "read_each",
     "read_one",
     "read_trials",
+    "reader_faults",
 ]

@@ -40,6 +40,8 @@ class ReadOptions:
         match, names the specimen.  Wins over the file's header.
     recipe : str or None
         Key of the reader to use.
+    sheet : str or None
+        Read only this sheet, block, specimen or member of an archive: its name, or the number before it.
     delimiter, decimal : str or None
         One character each, for text that leaves them open.
 
@@ -54,6 +56,7 @@ class ReadOptions:
     axes: Mapping[str, str] = field(default_factory=dict)
     specimen_by: str | None = None
     recipe: str | None = None
+    sheet: str | None = None
     delimiter: str | None = None
     decimal: str | None = None
 
@@ -88,6 +91,13 @@ class ReadOptions:
         if self.decimal is not None and self.decimal not in {".", ","}:
             msg = f"decimal: {self.decimal!r} is neither point nor comma"
             raise UsageError(msg)
+
+    def picks(self, sheet: str | None) -> bool:
+        """Whether a sheet is the one asked for, or none was; ``"2"`` is ``"2: Stress Relaxation"``."""
+        wanted = self.sheet
+        return wanted is None or (
+            sheet is not None and (sheet == wanted or sheet.startswith((f"{wanted}::", f"{wanted}: ")))
+        )
 
     def quantity(self, channel: Channel) -> Quantity:
         """What a channel measures: itself, or a strain or stress where the user declared it."""

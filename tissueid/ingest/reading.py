@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -63,8 +63,18 @@ def read_each(path: str | Path, options: ReadOptions | None = None) -> Iterator[
     except InputError as error:
         yield error
         return
+    passed: list[str | None] = []
+    found = False
     for table in match.recipe.read(file):
+        if isinstance(table, InputError) and table.sheet is None:
+            found = True
+        elif not file.options.picks(table.sheet):
+            passed.append(table.sheet)
+            continue
+        found = True
         yield table if isinstance(table, InputError) else _trial(file, match, table)
+    if not found and passed:
+        yield _unknown_sheet(file.path, file.options.sheet, passed)
 
 
 def read_trials(path: str | Path, options: ReadOptions | None = None) -> list[Trial]:
@@ -116,10 +126,15 @@ def read_one(path: str | Path, sheet: str | None, options: ReadOptions | None = 
                 raise trial
             return trial
         seen.append(found)
-    trials = ", ".join(repr(name) for name in seen)
-    message = f"there is no trial {sheet!r}; the trials are {trials}"
-    refusal = InputError("unknown_sheet", message, path=str(path), sheet=sheet)
-    raise refusal
+    raise _unknown_sheet(str(path), sheet, seen)
+
+
+def _unknown_sheet(path: str, sheet: str | None, seen: Sequence[str | None]) -> InputError:
+    if set(seen) == {None}:
+        trials = "the file has one trial and no sheets"
+    else:
+        trials = "the trials are " + ", ".join(repr(name) for name in seen)
+    return InputError("unknown_sheet", f"there is no trial {sheet!r}; {trials}", path=path, sheet=sheet)
 
 
 def _beyond_machines(file: InputFile, table: Table) -> InputError | None:
