@@ -11,7 +11,7 @@ import pytest
 from command_line import QUICK, run
 
 from tissueid.cli.reading import READERS
-from tissueid.ingest import RECIPES
+from tissueid.ingest import RECIPES, forget_readers
 from tissueid.synth import EXPORTS, Hold, Log, Move, Recipe, SyntheticLog, simulate
 from tissueid.synth.machines import mach1_text, shimadzu_text
 from tissueid.synth.workbooks import zwick_workbook
@@ -145,3 +145,22 @@ def test_a_dialect_of_another_machine_is_written_and_fitted(tmp_path: Path) -> N
     described = inspected(folder)
     assert len(described) == 22
     assert {one["recipe"] for one in described} == {"mts-793"}
+
+
+def test_a_broken_installed_reader_is_warned_of_and_the_files_are_read(
+    tmp_path: Path, logs: list[SyntheticLog], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    info = tmp_path / "site" / "broken-1.0.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: broken\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[tissueid.readers]\nmine = no_such_module_at_all:RECIPE\n")
+    path = tmp_path / "synthetic.csv"
+    path.write_bytes(EXPORTS["bare"].write(logs[0]))
+    with monkeypatch.context() as patch:
+        patch.syspath_prepend(str(info.parent))
+        forget_readers()
+        ended = run("inspect", path)
+    forget_readers()
+    assert ended.code == 0
+    assert "bluehill-csv" in ended.stdout
+    assert "warning: the installed reader 'mine (no_such_module_at_all:RECIPE)'" in ended.stderr

@@ -13,6 +13,8 @@ from importlib.metadata import entry_points
 from tissueid.errors import InputError
 from tissueid.ingest.recipe import InputFile, Recipe, Table
 from tissueid.ingest.refusals import Place
+from tissueid.ingest.vocabulary import CHANNELS
+from tissueid.trial import Trial
 
 __all__ = ["GROUP", "forget_readers", "installed_recipes", "reader_faults", "report_fault"]
 
@@ -77,6 +79,13 @@ def _table(item: object) -> Table | InputError:
     if not isinstance(item, Table | InputError):
         msg = f"it gave a {type(item).__name__}, not a Table"
         raise TypeError(msg)
+    if isinstance(item, Table):
+        missing = [channel for channel in CHANNELS if channel not in item.columns]
+        if missing:
+            msg = f"its table names no column of {' and '.join(missing)}"
+            raise ValueError(msg)
+        # a trial is made of it later; what that would refuse is the reader's fault
+        Trial("", item.time_s, item.displacement_mm, item.force_N)
     return item
 
 
