@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from tissueid.fit.metrics import nrmsd
 from tissueid.fit.search import global_minimum
+from tissueid.fit.window import usable_until
 from tissueid.flags import Flag
 from tissueid.likelihood.basis import TAU_ABOVE_LENGTH, TAU_BELOW_STEP, KernelBasis, kernel_basis
 from tissueid.likelihood.objective import PooledObjective, eliminate_static
@@ -198,6 +199,6 @@ def relaxation_rows(trial: Trial, segmentation: Segmentation) -> tuple[Relaxatio
     rows = (
         _row(trial, segmentation, hold, force)
         for hold in segmentation.of_kind("hold")
-        if hold.stop > segmentation.contact.index
+        if segmentation.contact.index < hold.stop <= usable_until(segmentation, trial.time_s.size)
     )
     return tuple(row for row in rows if row is not None)

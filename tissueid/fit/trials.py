@@ -91,21 +91,37 @@ def _kept(force: FloatArray, depth: FloatArray) -> NDArray[np.int64]:
     return np.array(sorted(keep))
 
 
+def _left_out(trial: Trial, segmentation: Segmentation, log: FittedLog) -> Flag | None:
+    """What of the recording took no part in the fit, and why."""
+    size = int(trial.time_s.size)
+    reach = log.first + log.data.time_s.size - int(log.inserted)
+    words: list[str] = []
+    if reach < size:
+        if any(event.kind == "rupture" and event.index < reach for event in segmentation.events):
+            since = "the first rupture"
+        elif segmentation.phases and reach >= segmentation.phases[-1].stop:
+            since = "the part that was asked for"
+        else:
+            since = "the tool first turned back"
+        words.append(f"{size - reach} of {size} samples come after {since} and took no part in the fit")
+    cycles = sum(phase.kind == "cycle" for phase in segmentation.phases[: segmentation.test])
+    if cycles:
+        kept = log.first < segmentation.phases[segmentation.test].start
+        how = "the branch state runs through them" if kept else "the tool had let go of the tissue"
+        words.append(f"{cycles} cycles before the test took no part in the fit ({how})")
+    if not words:
+        return None
+    values = {"left_out": size - reach, "cycles": cycles, "n_samples": size}
+    return Flag("unloading_left_out", "; ".join(words), values)
+
+
 def _trial_flags(
     trial: Trial, segmentation: Segmentation, log: FittedLog, *, share: float, acf: float
 ) -> tuple[Flag, ...]:
     """Remarks on one trial: of its reader, its segmenter and its residual."""
     flags = [*trial.flags, *segmentation.flags]
-    behind = trial.time_s.size - (log.first + log.data.time_s.size - int(log.inserted))
-    if behind > 0:
-        flags.append(
-            Flag(
-                "unloading_left_out",
-                f"{behind} of {trial.time_s.size} samples come after the tool first turned back and "
-                "took no part in the fit",
-                {"left_out": behind, "n_samples": int(trial.time_s.size)},
-            )
-        )
+    left_out = _left_out(trial, segmentation, log)
+    flags += [left_out] if left_out is not None else []
     if share > RESIDUAL_SHARE:
         flags.append(
             Flag(

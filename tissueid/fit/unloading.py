@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.fit.window import GUARD_SD, FittedLog
+from tissueid.fit.window import GUARD_SD, FittedLog, usable_until
 from tissueid.likelihood.sums import LogData
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.model.kernels import surface_path
@@ -121,10 +121,10 @@ def with_unloading(
     contact = segmentation.contact
     assert contact is not None  # noqa: S101  (there is a fitted part)
     depth, force = contact_frame(trial, segmentation)
-    ahead, first = int(log.inserted), log.first
-    time = np.concatenate([log.data.time_s[:ahead], trial.time_s[first:]])
-    tool = np.concatenate([log.data.depth_mm[:ahead], depth[first:]])
-    load = np.concatenate([log.data.force_N[:ahead], force[first:]])
+    ahead, first, stop = int(log.inserted), log.first, usable_until(segmentation, depth.size)
+    time = np.concatenate([log.data.time_s[:ahead], trial.time_s[first:stop]])
+    tool = np.concatenate([log.data.depth_mm[:ahead], depth[first:stop]])
+    load = np.concatenate([log.data.force_N[:ahead], force[first:stop]])
     turn = log.data.time_s.size
     if surface is None:
         path, touching = _measured_surface(time, tool, load, turn, segmentation.force_noise_N)

@@ -1,6 +1,9 @@
 """Which samples of a trial are fitted, in the contact frame.
 
-From contact to the end of the last ramp or hold before the tool first turns back.  Near a contact
+From contact to the end of the last ramp or hold before the tool first turns back, or to the first rupture:
+what follows is another specimen.  Preconditioning cycles before a test take no part; where tool and tissue
+stayed in contact the branch state is integrated through them, otherwise the test starts with its own contact
+point from a tissue that is taken as recovered (a state left over decays within a few relaxation times).  Near a contact
 point that was estimated within the record, samples shallower than three of its standard deviations
 carry the error of the branch state's start and stay out of the likelihood (model.md 2b); the state is
 integrated through them.  A record that starts in contact starts at rest, and loses nothing.
@@ -16,7 +19,7 @@ from numpy.typing import NDArray
 from tissueid.likelihood.sums import LogData
 from tissueid.trial import Phase, Segmentation, Trial, contact_frame
 
-__all__ = ["FittedLog", "assign_folds", "fitted_log", "with_contact"]
+__all__ = ["FittedLog", "assign_folds", "fitted_log", "usable_until", "with_contact"]
 
 FloatArray = NDArray[np.float64]
 
@@ -83,18 +86,39 @@ class FittedLog:
         return float(self.data.time_s[-1] - self.data.time_s[0])
 
 
+def usable_until(segmentation: Segmentation, size: int) -> int:
+    """One past the last sample that may be fitted at all: the first rupture, or the end of the phases."""
+    end = segmentation.phases[-1].stop if segmentation.phases else size
+    ruptures = (event.index + 1 for event in segmentation.events if event.kind == "rupture")
+    return min([end, *ruptures])
+
+
+def _first_phase(segmentation: Segmentation) -> int:
+    """The first sample that is in a phase."""
+    return segmentation.phases[0].start if segmentation.phases else 0
+
+
+def _first_of_test(segmentation: Segmentation) -> int:
+    """The first sample of the test proper; 0 without preconditioning, or where it broke the tissue."""
+    if not segmentation.test:
+        return 0
+    start = segmentation.phases[segmentation.test].start
+    return start if usable_until(segmentation, start + 1) > start else 0
+
+
 def _last_sample(segmentation: Segmentation, depth: FloatArray, first: int) -> int:
-    """One past the last sample before the tool first turns back."""
-    stop = depth.size
+    """One past the last sample before the tool first turns back, or the tissue breaks."""
+    stop = usable_until(segmentation, depth.size)
+    begins = _first_of_test(segmentation)
     last = first
     for phase in segmentation.phases:
-        if phase.stop <= first + 1:
+        if phase.stop <= first + 1 or phase.stop <= begins + 1:
             continue
         if phase.kind == "cycle":
             peak = phase.start + int(np.argmax(depth[phase.start : phase.stop]))
-            return max(last, peak + 1)
+            return min(max(last, peak + 1), stop)
         if phase.kind in UNLOADING:
-            return max(last, phase.start + 1)
+            return min(max(last, phase.start + 1), stop)
         last = phase.stop
     return min(last, stop) if last > first else stop
 
@@ -119,7 +143,8 @@ def fitted_log(trial: Trial, segmentation: Segmentation, *, guard: bool = False)
     time = trial.time_s[first:last]
     x = depth[first:last]
     f = force[first:last]
-    include = np.ones(time.size, dtype=np.bool_)
+    begins = _first_of_test(segmentation)
+    include = np.arange(first, last) >= begins
     inserted = False
     if contact.in_record or guard:
         include &= x >= GUARD_SD * contact.sd_mm
@@ -133,11 +158,14 @@ def fitted_log(trial: Trial, segmentation: Segmentation, *, guard: bool = False)
         inserted = True
     steps = np.diff(time[1:] if inserted else time)
     positive = steps[steps > 0.0]
-    depth_mm = float(x.max(initial=0.0))
+    depth_mm = float(x[include].max(initial=0.0))
     if include.sum() < MIN_SAMPLES or positive.size == 0 or depth_mm <= 0.0 or np.ptp(f[include]) == 0.0:
         return None
-    ramps = [phase for phase in segmentation.of_kind("ramp") if first < phase.stop <= last + 1]
-    holds = [phase for phase in segmentation.of_kind("hold") if first < phase.stop <= last + 1]
+    inside = [
+        phase for phase in segmentation.phases if max(first, begins) < phase.stop and phase.start < last - 1
+    ]
+    ramps = [phase for phase in inside if phase.kind == "ramp"]
+    holds = [phase for phase in inside if phase.kind == "hold"]
     data = LogData(
         time_s=np.ascontiguousarray(time),
         depth_mm=np.ascontiguousarray(x),
@@ -174,11 +202,14 @@ def with_contact(trial: Trial, segmentation: Segmentation, *, shift_mm: float, s
     )
     depth, _ = contact_frame(trial, replace(segmentation, contact=moved))
     turn = _last_sample(segmentation, depth, contact.index)
-    before = np.flatnonzero(depth[: int(np.argmax(depth[:turn]))] <= 0.0)
+    # contact of a test after cycles lies within the test, that of a cut recording after the cut
+    begins = _first_of_test(segmentation)
+    low = max(begins if contact.index >= begins else 0, _first_phase(segmentation))
+    before = np.flatnonzero(depth[low : low + int(np.argmax(depth[low : max(turn, low + 1)]))] <= 0.0)
     moved = replace(
         moved,
-        index=int(before[-1]) + 1 if before.size else 0,
-        in_record=bool(depth[0] < GUARD_SD * sd_mm),
+        index=low + int(before[-1]) + 1 if before.size else low,
+        in_record=bool(depth[low] < GUARD_SD * sd_mm),
     )
     return replace(segmentation, contact=moved)
 

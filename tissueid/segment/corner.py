@@ -72,6 +72,10 @@ def _corner(
     off_next = np.flatnonzero(np.abs(beyond) > tolerance_mm)
     leaves = max(int(np.argmax(off_ramp)) - 1, 0) if off_ramp.any() else index - low
     settles = min(int(off_next[-1]) + 1, t.size - 1) if off_next.size else index - low
+    # a phase that is no straight line does not tell where the corner begins or ends: its edge does
+    edge_at = before.stop - 1 - low
+    leaves = leaves if leaves >= edge_at // 2 else min(index - low, edge_at)
+    settles = settles if settles <= edge_at + (high - low - edge_at) // 2 else max(index - low, edge_at)
     overshoot, swings, period = 0.0, 0, None
     if after.kind in STANDING:
         later = t >= meet

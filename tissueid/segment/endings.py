@@ -225,6 +225,6 @@ def ending_flags(events: list[Event]) -> list[Flag]:
             )
             flags.append(Flag("load_limit_stop", message, values))
         elif event.kind == "load_limit":
-            message = f"{values['turns']} loops turn at {values['force_N']:.4g} N, at unequal depths: a load limit"
+            message = f"{values['turns']} loops turn at {values['force_N']:.4g} N, not at one depth: a limit"
             flags.append(Flag("load_limit_stop", message, values))
     return flags

@@ -41,7 +41,7 @@ VISIBLE = 3.0
 #: Levels of the fall, as shares of it, that its steepness is measured between and its start is seen at.
 UPPER, LOWER = 0.1, 0.8
 ONSET = 0.05
-#: Fewest samples after the fall that show it is none.
+#: Fewest samples that show the low force: fewer may be anything.
 FEWEST_AFTER = 3
 
 
@@ -157,11 +157,13 @@ def _judge(
 ) -> tuple[int, float] | None:
     """Onset sample and drop of a fall that is a rupture, else ``None``."""
     drop = float(force[fall.top] - force[fall.bottom])
-    if force.size - fall.bottom < FEWEST_AFTER or force[fall.top] <= least or depth_mm[fall.top] <= 0.0:
+    if force[fall.top] <= least or depth_mm[fall.top] <= 0.0:
         return None
     part = force[fall.top : fall.bottom + 1]
     high = fall.top + int(np.flatnonzero(part >= force[fall.top] - UPPER * drop)[-1])
     low = high + int(np.argmax(force[high : fall.bottom + 1] <= force[fall.top] - LOWER * drop))
+    if force.size - low < FEWEST_AFTER:
+        return None
     onset = fall.top + int(np.flatnonzero(part >= force[fall.top] - ONSET * drop)[-1])
     first, last = time_s.size // 4, 3 * time_s.size // 4
     speed = float(depth_mm[last] - depth_mm[first]) / max(float(time_s[last] - time_s[first]), 1e-300)
