@@ -3,10 +3,11 @@
 From contact to the end of the last ramp or hold before the tool first turns back, or to the first rupture:
 what follows is another specimen.  Preconditioning cycles before a test take no part; where tool and tissue
 stayed in contact the branch state is integrated through them, otherwise the test starts with its own contact
-point from a tissue that is taken as recovered (a state left over decays within a few relaxation times).  Near a contact
-point that was estimated within the record, samples shallower than three of its standard deviations
-carry the error of the branch state's start and stay out of the likelihood (model.md 2b); the state is
-integrated through them.  A record that starts in contact starts at rest, and loses nothing.
+point from a tissue that is taken as recovered (a state left over decays within a few relaxation times).
+
+Near a contact point that was estimated within the record, samples shallower than three of its standard
+deviations carry the error of the branch state's start and stay out of the likelihood (model.md 2b); the
+state is integrated through them.  A record that starts in contact starts at rest, and loses nothing.
 """
 
 from __future__ import annotations
