@@ -65,8 +65,18 @@ def as_decided(
     return decided_trial(trial, decision, study), decided_options(options, decision), excluded
 
 
-def describe_segmented(trial: Trial, segmentation: Segmentation) -> dict[str, Any]:
-    """The object of ``schemas/inspect.schema.json`` for a trial that is segmented already."""
+def describe_segmented(
+    trial: Trial, segmentation: Segmentation, *, excluded: str | None = None
+) -> dict[str, Any]:
+    """The object of ``schemas/inspect.schema.json`` for a trial that is segmented already.
+
+    Parameters
+    ----------
+    trial : Trial
+    segmentation : Segmentation
+    excluded : str or None
+        Why the user took it out of the fit.
+    """
     source = trial.source
     flags: list[Flag] = [*trial.flags, *segmentation.flags]
     contact = segmentation.contact
@@ -74,6 +84,7 @@ def describe_segmented(trial: Trial, segmentation: Segmentation) -> dict[str, An
         "path": source.path,
         "sheet": source.sheet,
         "specimen": trial.specimen,
+        "excluded": excluded,
         "recipe": source.recipe,
         "recipe_reason": source.recipe_reason,
         "recipe_confidence": source.recipe_confidence,

@@ -135,7 +135,7 @@ def test_a_flag_carries_numbers_beside_its_message() -> None:
 def inspected() -> dict[str, Any]:
     point = {"time_s": 0.0, "displacement_mm": 0.0, "force_N": -0.1}
     return {
-        "path": "a.csv", "sheet": None, "specimen": "a", "recipe": "bluehill",
+        "path": "a.csv", "sheet": None, "specimen": "a", "excluded": None, "recipe": "bluehill",
         "recipe_reason": "names", "recipe_confidence": 0.9,
         "encoding": "utf-8", "delimiter": ",", "decimal": ".",
         "columns": {"time": "Time", "displacement": "Extension", "force": "Load"},

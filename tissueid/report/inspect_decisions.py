@@ -113,7 +113,7 @@ def decisions(recording: Mapping[str, Any], *, file: str) -> tuple[Decision, ...
             f"{recording['specimen']}; trials of one specimen are fitted together",
             _entry("trial", file, sheet, {"specimen": recording["specimen"]}, because=False),
         ),
-        Decision("exclude", "Exclusion", "it takes part in the fit", _entry("exclude", file, sheet, {})),
+        _exclusion(recording, _entry("exclude", file, sheet, {})),
     ]
     return tuple(found)
 
@@ -209,3 +209,13 @@ def _rupture(recording: Mapping[str, Any], override: Any) -> list[Decision]:
     times = ", ".join(f"{number(event['time_s'])} s" for event in broken)
     taken = f"the force collapses at {times}: what follows is not fitted"
     return [Decision("rupture", "Rupture", taken, override(rupture=False))]
+
+
+def _exclusion(recording: Mapping[str, Any], entry: str) -> Decision:
+    because = recording.get("excluded")
+    if because is None:
+        return Decision(
+            "exclude", "Exclusion", "it takes part in the fit; this entry would take it out", entry
+        )
+    taken = f"it is taken out of the fit, because: {because}; without this entry it would take part"
+    return Decision("exclude", "Exclusion", taken, entry.replace(toml_string(BECAUSE), toml_string(because)))

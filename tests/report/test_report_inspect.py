@@ -1,0 +1,378 @@
+"""The page of ``inspect --html``: what is drawn is what was recorded, and every entry is a decision."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tissueid.cli.main import main
+from tissueid.flags import Flag
+from tissueid.inspection import describe_segmented
+from tissueid.report import inspected_recording, render_inspection
+from tissueid.report.inspect_decisions import decisions, toml_string
+from tissueid.report.inspect_page import MOST_DRAWN, InspectedRecording
+from tissueid.report.inspect_payload import drawn_recording, kept_samples
+from tissueid.result import Refusal
+from tissueid.segment import segment
+from tissueid.store.schema import first_problem
+from tissueid.trial import Segmentation, Source, Trial
+
+CHROMIUM = Path("/usr/bin/chromium")
+LARGEST_PAGE_BYTES = 10_000_000
+
+
+def ramp_hold(
+    path: str = "run.csv", *, samples: int = 1500, sheet: str | None = None, flags: tuple[Flag, ...] = ()
+) -> Trial:  # fmt: skip
+    """1 mm of air, 4 mm of ramp at 2 mm/s, a hold to 15 s; one branch of 0.5 s and 0.1 N of noise."""
+    time_s = np.linspace(0.0, 15.0, samples)
+    x = np.minimum(2.0 * time_s, 5.0)
+    depth = np.maximum(x - 1.0, 0.0)
+    branch = 20.0 * -np.expm1(-np.clip(time_s - 0.5, 0, 2) / 0.5) * np.exp(-np.maximum(time_s - 2.5, 0) / 0.5)
+    force = 10.0 * depth + branch + np.random.default_rng(3).normal(0.0, 0.1, samples)
+    source = Source(path=path, sheet=sheet, columns={"time": "Time", "displacement": "Ext", "force": "Load"})
+    return Trial("kidney", time_s, x, force, source=source, flags=flags)
+
+
+def recording(trial: Trial, file: str = "run.csv") -> InspectedRecording:
+    divided = segment(trial)
+    return inspected_recording(
+        trial, divided, describe_segmented(trial, divided), file=file, reader="Read as test"
+    )
+
+
+def entries(html: str) -> list[dict[str, Any]]:
+    from html import unescape
+
+    texts = re.findall(r"<textarea[^>]*>(.*?)</textarea>", html, flags=re.DOTALL)
+    return [tomllib.loads(unescape(text)) for text in texts]
+
+
+# --- what is drawn ----------------------------------------------------------------------------------
+
+
+def unpacked(text: str) -> np.ndarray:
+    return np.frombuffer(base64.b64decode(text), dtype="<f4")
+
+
+def payload(html: str) -> dict[str, Any]:
+    (text,) = re.findall(r'<script type="application/json" id="recordings">(.*?)</script>', html, re.DOTALL)
+    found: dict[str, Any] = json.loads(text)
+    return found
+
+
+def test_a_small_recording_is_carried_sample_by_sample() -> None:
+    trial = ramp_hold()
+    (packed,) = payload(render_inspection([recording(trial)])).values()
+    # 32-bit floats: 24 bits of mantissa
+    assert unpacked(packed["t"]) + packed["t0"] == pytest.approx(trial.time_s, rel=1e-7, abs=1e-9)
+    assert unpacked(packed["x"]) == pytest.approx(trial.displacement_mm, rel=1e-7, abs=1e-9)
+    assert unpacked(packed["f"]) == pytest.approx(trial.force_N, rel=1e-7, abs=1e-6)
+    divided = segment(trial)
+    assert packed["phases"] == [[phase.kind, phase.start, phase.stop - 1] for phase in divided.phases]
+    assert divided.contact is not None
+    assert packed["contact"]["x"] == divided.contact.displacement_mm
+
+
+def test_a_large_recording_keeps_its_extremes_edges_and_corners() -> None:
+    trial = ramp_hold(samples=90_000)
+    force = trial.force_N.copy()
+    force[70_001] = 500.0
+    trial = Trial("kidney", trial.time_s, trial.displacement_mm, force, source=trial.source)
+    divided = segment(trial)
+    drawn = drawn_recording(trial, divided)
+    assert drawn.time_s.size < 9_000
+    kept = set(drawn.time_s.tolist())
+    assert {trial.time_s[i] for i in (0, -1, 70_001, int(force.argmin()))} <= kept
+    for phase, (kind, first, last) in zip(divided.phases, drawn.phases, strict=True):
+        assert (phase.kind, phase.start_s, phase.end_s) == (kind, drawn.time_s[first], drawn.time_s[last])
+    for corner in divided.corners:
+        assert set(trial.time_s[corner.index - 6 : corner.index + 7].tolist()) <= kept
+
+
+def test_every_bucket_keeps_the_extremes_of_both_channels() -> None:
+    rng = np.random.default_rng(1)
+    x, force = rng.normal(size=10_000), rng.normal(size=10_000)
+    index = kept_samples(x, force, 400, fixed=np.array([4321]))
+    assert 4321 in index
+    assert (np.diff(index) > 0).all()
+    for values in (x, force):
+        assert {int(values.argmax()), int(values.argmin())} <= set(index.tolist())
+    assert index.size <= 400 + 3
+
+
+@pytest.mark.parametrize(("count", "samples"), [(1, 90_000), (40, 20_000), (300, 400)])
+def test_page_stays_below_ten_megabytes(count: int, samples: int) -> None:
+    shown = [
+        recording(ramp_hold(f"run {i}.csv", samples=samples), f"run {i}.csv") for i in range(min(count, 4))
+    ]
+    html = render_inspection([shown[i % len(shown)] for i in range(count)])
+    assert len(html.encode()) <= LARGEST_PAGE_BYTES
+    assert len(payload(html)) == min(count, MOST_DRAWN)
+
+
+# --- decisions -----------------------------------------------------------------------------------------
+
+
+def study_of(entry: dict[str, Any]) -> dict[str, Any]:
+    return {"schema": "tissueid/study/1", **entry}
+
+
+def test_every_entry_parses_names_the_recording_and_is_valid() -> None:
+    file = 'kidney "left"/run 3 [ä] \\ x.csv'
+    found = decisions(recording(ramp_hold(sheet="A")).document | {"sheet": "A"}, file=file)
+    assert [one.key for one in found] == [
+        "columns", "units", "compression", "force", "contact", "hold", "cut", "specimen", "exclude",
+    ]  # fmt: skip
+    for one in found:
+        entry = tomllib.loads(one.toml)
+        ((table,),) = entry.values()
+        assert (table["file"], table["sheet"]) == (file, "A")
+        assert first_problem(study_of(entry), "study") is None, one.toml
+
+
+def test_the_entry_of_the_contact_point_gives_that_contact_point_back() -> None:
+    trial = ramp_hold()
+    document = recording(trial).document
+    (entry,) = [one for one in decisions(document, file="run.csv") if one.key == "contact"]
+    (table,) = tomllib.loads(entry.toml)["override"]
+    assert table["contact_mm"] == pytest.approx(document["contact"]["displacement_mm"], abs=5e-5)
+    assert table["contact_sd_mm"] > 0.0
+
+
+def test_pasted_entries_change_the_decisions(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source = (
+        Path(__file__).resolve().parents[2] / "datasets_synthetic" / "paper-a-hold-100Hz" / "hold-8-1.csv"
+    )
+    log = tmp_path / "data" / "run 1.csv"
+    log.parent.mkdir()
+    log.write_bytes(source.read_bytes())
+    before = inspect(capsys, log.parent)
+    page = tmp_path / "page.html"
+    assert main(["inspect", str(log.parent), "--html", str(page), "-q"]) == 0
+    capsys.readouterr()
+    changed = []
+    for entry in entries(page.read_text(encoding="utf-8")):
+        ((key, (table,)),) = entry.items()
+        if key == "override" and "contact_mm" in table:
+            table["contact_mm"] = 0.75
+        text = "\n".join([f"[[{key}]]", *(f"{name} = {toml(value)}" for name, value in table.items())])
+        (log.parent / "study.toml").write_text(f'schema = "tissueid/study/1"\n{text}\n', encoding="utf-8")
+        after = inspect(capsys, log.parent)
+        changed += [name for name in after if name != "flags" and after[name] != before[name]]
+        (log.parent / "study.toml").unlink()
+    assert {"compression_sign", "force_sign", "contact", "phases", "excluded"} <= set(changed)
+
+
+def toml(value: Any) -> str:
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key} = {toml(one)}" for key, one in value.items()) + "}"
+    return json.dumps(value)
+
+
+def inspect(capsys: pytest.CaptureFixture[str], folder: Path) -> dict[str, Any]:
+    assert main(["inspect", str(folder), "--json"]) == 0
+    (found,) = json.loads(capsys.readouterr().out)
+    assert first_problem([found], "inspect") is None
+    return dict(found)
+
+
+@pytest.mark.parametrize("text", ["plain", 'a "b"', "back\\slash", "tab\tnew\nline", "ä 力 \x01 \x7f", "'"])
+def test_any_name_survives_in_toml(text: str) -> None:
+    assert tomllib.loads(f"name = {toml_string(text)}")["name"] == text
+
+
+def test_a_choice_of_columns_offers_the_other_one() -> None:
+    values = {"quantity": "displacement", "taken": "Ext", "alternatives": ["Strain 1"]}
+    document = recording(ramp_hold(flags=(Flag("column_choice", "Ext, not Strain 1", values),))).document
+    (entry,) = [one for one in decisions(document, file="run.csv") if one.key == "columns"]
+    assert tomllib.loads(entry.toml)["override"][0]["columns"]["displacement"] == "Strain 1"
+
+
+def test_a_rupture_can_be_denied() -> None:
+    document = dict(recording(ramp_hold()).document)
+    document["events"] = [{"kind": "rupture", "time_s": 2.0, "values": {}}]
+    (entry,) = [one for one in decisions(document, file="run.csv") if one.key == "rupture"]
+    assert tomllib.loads(entry.toml)["override"][0]["rupture"] is False
+    assert first_problem(study_of(tomllib.loads(entry.toml)), "study") is None
+
+
+# --- the page -------------------------------------------------------------------------------------------
+
+
+def several() -> list[InspectedRecording]:
+    grave = Flag("clipped_force", "the force stands at 20 N", {"force_N": 20.0})
+    look = Flag("gap", "1 gap in the log", {"count": 1})
+    return [
+        recording(ramp_hold("good.csv")),
+        recording(ramp_hold("<b>look</b>.csv", flags=(look,))),
+        recording(ramp_hold("grave.csv", flags=(grave, look))),
+    ]
+
+
+def test_the_most_doubtful_recording_stands_first() -> None:
+    html = render_inspection(several())
+    assert re.findall(r'<tr data-row="(.*?)" data-level="(\d)"', html) == [
+        ("recording-3", "3"), ("recording-2", "2"), ("recording-1", "0"),
+    ]  # fmt: skip
+
+
+def test_names_are_escaped_and_refusals_are_told() -> None:
+    refusal = Refusal("<i>x</i>.csv", None, "no_rows", "no <row>", 3, 2)
+    html = render_inspection(several(), [refusal])
+    assert "<b>look</b>" not in html
+    assert "<i>x</i>" not in html
+    assert "line 3, column 2" in html
+    assert "no &lt;row&gt;" in html
+
+
+def test_nothing_readable_is_a_page_as_well() -> None:
+    html = render_inspection([], [Refusal("x.csv", None, "no_rows", "no row", None, None)])
+    assert "Nothing could be read" in html
+
+
+def test_flags_stand_with_their_numbers_and_the_picture_is_told_in_words() -> None:
+    html = render_inspection(several()[2:])
+    assert "<dt>force_N</dt><dd>20.00</dd>" in html
+    (label,) = re.findall(r'data-figure="time"[^>]*aria-label="([^"]*)"', html)
+    assert "1500 samples over 15.00 s, approach, ramp, hold; contact at" in label
+
+
+def test_equal_input_gives_an_equal_page() -> None:
+    assert render_inspection(several()) == render_inspection(several())
+    assert "Written 2026-01-01." in render_inspection(several(), created="2026-01-01")
+
+
+def test_a_recording_without_any_contact_is_drawn() -> None:
+    time_s = np.linspace(0.0, 10.0, 500)
+    air = Trial("air", time_s, time_s * 0.1, np.random.default_rng(0).normal(0.0, 0.1, 500))
+    divided = segment(air)
+    if divided.contact is not None:
+        divided = Segmentation(1, 1, None, divided.phases, divided.force_noise_N)
+    document = describe_segmented(air, divided)
+    shown = inspected_recording(air, divided, document, file="air.csv", reader="Read as test")
+    assert "contact_mm" in render_inspection([shown])
+
+
+# --- in a browser -----------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    if not CHROMIUM.exists():
+        pytest.skip(f"no browser at {CHROMIUM}: install chromium to run this test")
+    playwright = pytest.importorskip("playwright.sync_api")
+    with playwright.sync_playwright() as engine:
+        quiet = (
+            "--no-sandbox",
+            "--disable-background-networking",
+            "--disable-component-update",
+            "--disable-sync",
+        )
+        running = engine.chromium.launch(executable_path=str(CHROMIUM), args=[*quiet, "--no-first-run"])
+        yield running
+        running.close()
+
+
+def visit(browser: Any, path: Path, html: str, *, width: int = 1400, **context: Any) -> tuple[Any, list[str]]:
+    path.write_text(html, encoding="utf-8")
+    tab = browser.new_context(viewport={"width": width, "height": 900}, **context).new_page()
+    errors: list[str] = []
+    tab.on("console", lambda said: errors.append(said.text) if said.type in {"error", "warning"} else None)
+    tab.on("pageerror", lambda error: errors.append(str(error)))
+    tab.on("request", lambda request: errors.append(request.url) if "file:" not in request.url else None)
+    tab.goto(path.as_uri())
+    return tab, errors
+
+
+def traces(tab: Any, kind: str, of: str = "recording-1") -> list[dict[str, Any]]:
+    box = f'[data-figure="{kind}"][data-recording="{of}"]'
+    tab.locator(box).scroll_into_view_if_needed()
+    tab.wait_for_function("box => document.querySelector(box).data", arg=box)
+    found: list[dict[str, Any]] = tab.evaluate(
+        "box => document.querySelector(box).data.map(t => ({name: t.name, x: t.x, y: t.y, axis: t.yaxis}))",
+        box,
+    )
+    return found
+
+
+@pytest.mark.browser
+def test_pictures_show_the_samples_phase_by_phase_and_the_page_is_silent(
+    browser: Any, tmp_path: Path
+) -> None:
+    trial = ramp_hold(samples=600)
+    divided = segment(trial)
+    tab, errors = visit(browser, tmp_path / "page.html", render_inspection([recording(trial)]))
+    shown = traces(tab, "time")
+    assert [one["name"] for one in shown] == 2 * ["approach", "ramp", "hold"]
+    ramp = divided.of_kind("ramp")[0]
+    for one, channel in ((shown[1], trial.force_N), (shown[4], trial.displacement_mm)):
+        assert one["y"][:-1] == pytest.approx(channel[ramp.start : ramp.stop], rel=1e-6, abs=1e-6)
+        assert one["x"][:-1] == pytest.approx(trial.time_s[ramp.start : ramp.stop], rel=1e-6, abs=1e-6)
+    traces(tab, "depth")
+    shapes = tab.evaluate("document.querySelector('[data-figure=depth]').layout.shapes")
+    assert divided.contact is not None
+    (band,) = [shape for shape in shapes if shape["type"] == "rect"]
+    place, sd = divided.contact.displacement_mm, divided.contact.sd_mm
+    assert (band["x0"], band["x1"]) == pytest.approx((place - sd, place + sd))
+    assert errors == []
+
+
+@pytest.mark.browser
+def test_an_entry_is_copied_by_key_and_a_click_moves_the_contact(browser: Any, tmp_path: Path) -> None:
+    tab, errors = visit(
+        browser, tmp_path / "page.html", render_inspection([recording(ramp_hold(samples=600))]),
+        permissions=["clipboard-read", "clipboard-write"],
+    )  # fmt: skip
+    traces(tab, "depth")
+    tab.evaluate(
+        """() => { const box = document.querySelector('[data-figure=depth]');
+                   box.emit('plotly_click', {points: [{x: 1.23456}]}); }"""
+    )
+    entry = tab.locator("#recording-1-contact")
+    assert entry.is_visible()
+    assert tomllib.loads(entry.input_value())["override"][0]["contact_mm"] == 1.2346
+    button = tab.locator('button[data-copy="recording-1-contact"]')
+    button.focus()
+    tab.keyboard.press("Enter")
+    tab.wait_for_function("document.getElementById('said').textContent === 'copied'")
+    assert tab.evaluate("navigator.clipboard.readText()") == entry.input_value()
+    assert errors == []
+
+
+@pytest.mark.browser
+def test_the_index_filters_by_words_and_gravity(browser: Any, tmp_path: Path) -> None:
+    tab, errors = visit(browser, tmp_path / "page.html", render_inspection(several()))
+    assert tab.locator("tr[data-row]:visible").count() == 3
+    tab.fill("#filter-text", "GAP grave")
+    assert tab.locator("tr[data-row]:visible").count() == 1
+    assert tab.locator("details.specimen:visible").count() == 1
+    assert tab.text_content("#filter-count") == "1 of 3"
+    tab.fill("#filter-text", "")
+    tab.select_option("#filter-level", "2")
+    assert tab.locator("tr[data-row]:visible").count() == 2
+    tab.click("a[href='#recording-3']")
+    assert [one["name"] for one in traces(tab, "time", "recording-3")][:3] == ["approach", "ramp", "hold"]
+    assert errors == []
+
+
+@pytest.mark.browser
+@pytest.mark.parametrize("width", [1400, 400])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_page_fits_the_screen_in_both_colour_schemes(
+    browser: Any, tmp_path: Path, width: int, scheme: str
+) -> None:
+    html = render_inspection([*several(), recording(ramp_hold("x" * 80 + ".csv"))])
+    tab, errors = visit(browser, tmp_path / "page.html", html, width=width, color_scheme=scheme)
+    tab.click("a[href='#recording-3']")
+    traces(tab, "depth", "recording-3")
+    assert tab.evaluate("document.documentElement.scrollWidth") == width
+    assert errors == []
