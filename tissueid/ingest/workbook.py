@@ -14,9 +14,8 @@ from __future__ import annotations
 
 import io
 import re
-import zipfile
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -31,6 +30,7 @@ from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.recipe import Detection, InputFile, Recipe, Table, is_workbook
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.results import results_below
+from tissueid.ingest.unpacking import BROKEN_ARCHIVE, too_much
 from tissueid.ingest.vocabulary import CHANNELS
 from tissueid.trial import FloatArray
 
@@ -40,8 +40,6 @@ __all__ = ["TESTXPERT_WORKBOOK", "WORKBOOK", "sheet_names"]
 _HEAD_ROWS = 200
 #: ... and for a table of results below the samples.
 _TAIL_ROWS = 500
-#: No honest workbook unpacks to more; a bomb does.
-_UNPACKED_BYTES = 1 << 30
 #: Names that a test program gives by itself: two workbooks may both have a "Specimen 1".
 _DEFAULT_NAME = re.compile(
     r"(?:probe|specimen|eprouvette|éprouvette|probeta|provino|sample|test|essai|sheet|tabelle|feuil"
@@ -54,28 +52,36 @@ Cells = Sequence[Sequence[Any]]
 
 def _open(data: bytes, place: Place) -> Any:
     try:
-        if data.startswith(b"PK"):
-            with zipfile.ZipFile(io.BytesIO(data)) as archive:
-                unpacked = sum(entry.file_size for entry in archive.infolist())
-            if unpacked > _UNPACKED_BYTES:
-                place.refuse(
-                    "unreadable_workbook",
-                    f"the workbook would unpack to {unpacked / 2**30:.1f} GiB; export the tests as text",
-                )
-        return python_calamine.CalamineWorkbook.from_filelike(io.BytesIO(data))
-    except (python_calamine.CalamineError, zipfile.BadZipFile, OSError, ValueError) as error:
+        reason = too_much(data) if data.startswith(b"PK") else None
+        if reason is not None:
+            place.refuse(
+                "unreadable_workbook",
+                f"the workbook is unreasonably large inside: {reason}; or export the tests as text",
+            )
+        return _guarded(lambda: python_calamine.CalamineWorkbook.from_filelike(io.BytesIO(data)))
+    except (python_calamine.CalamineError, *BROKEN_ARCHIVE) as error:
         place.refuse(
             "unreadable_workbook",
             f"the file starts as a workbook but can't be opened ({str(error)[:120]}); save it again"
-            f" without password,"
-            " or export the tests as text",
+            " without password, or export the tests as text",
         )
+
+
+def _guarded(parse: Callable[[], Any]) -> Any:
+    """What the parser makes; where it panics, which no ``except Exception`` sees, an error as any other."""
+    try:
+        return parse()
+    except BaseException as error:
+        if type(error).__name__ != "PanicException":
+            raise
+        msg = f"the parser gave up: {error}"
+        raise ValueError(msg) from error
 
 
 def _cells(workbook: Any, sheet: str, place: Place) -> Cells:
     try:
-        rows: Cells = workbook.get_sheet_by_name(sheet).to_python(skip_empty_area=False)
-    except (python_calamine.CalamineError, ValueError) as error:
+        rows: Cells = _guarded(lambda: workbook.get_sheet_by_name(sheet).to_python(skip_empty_area=False))
+    except (python_calamine.CalamineError, ValueError, OSError) as error:
         place.refuse("unreadable_workbook", f"the sheet can't be read ({str(error)[:120]})")
     return rows
 
