@@ -1,0 +1,110 @@
+"""Closed forms of quoted numbers against the running model, and their errors against Monte Carlo."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tissueid.model import ContactPath, KelvinVoigt
+from tissueid.model.functionals import (
+    complex_stiffness,
+    delta_method,
+    dissipated_per_cycle,
+    equilibrium_stiffness,
+    force_after_ramp,
+    force_after_step,
+    instantaneous_stiffness,
+)
+
+MODEL = KelvinVoigt(branches=2, stiffness_degree=2, depth_mm=4.0)
+THETA = MODEL.join(
+    np.array([5.0, 0.4, 0.1]), np.array([[8.0, 1.0, 0.3], [4.0, 0.5, 0.0]]), np.array([0.05, 1.2])
+)
+
+
+def test_force_after_a_step_is_that_of_a_jump_in_the_recursion():
+    time = np.array([0.0, 0.0, 0.3, 2.0])
+    force = MODEL.force(THETA, ContactPath(time, np.array([0.0, 3.0, 3.0, 3.0])))
+    for k in (1, 2, 3):
+        assert force_after_step(MODEL, THETA, 3.0, float(time[k])) == pytest.approx(force[k], rel=1e-13)
+
+
+def test_force_after_a_ramp_is_that_of_the_recursion():
+    time = np.array([0.0, 1.5, 1.6, 5.0])
+    force = MODEL.force(THETA, ContactPath(time, np.array([0.0, 3.0, 3.0, 3.0])))
+    for k in (1, 2, 3):
+        found = force_after_ramp(MODEL, THETA, 3.0, 2.0, float(time[k] - 1.5))
+        assert found == pytest.approx(force[k], rel=1e-13)
+
+
+@pytest.mark.parametrize("frequency", [0.05, 0.7, 6.0])
+def test_storage_and_loss_are_those_of_a_small_sine(frequency):
+    period, depth, amplitude = 1.0 / frequency, 2.0, 1e-4
+    # several slow relaxation times of settling, then one period of 2000 samples
+    settle = int(np.ceil(12.0 * 1.2 / period)) + 1
+    time = np.arange(0.0, settle + 1.0, 1.0 / 2000.0) * period
+    wave = np.sin(2.0 * np.pi * frequency * time)
+    states = MODEL.states(np.array([0.05, 1.2]), ContactPath(time, depth + amplitude * wave))
+    x = depth + amplitude * wave
+    force = MODEL.static_force(THETA, x) + (MODEL.stiffness(THETA, x) * states).sum(axis=0)
+    last = slice(-2000, None)
+    in_phase = 2.0 * np.mean(force[last] * wave[last]) / amplitude
+    ahead = np.cos(2.0 * np.pi * frequency * time)
+    out_of_phase = 2.0 * np.mean(force[last] * ahead[last]) / amplitude
+    storage, loss = complex_stiffness(MODEL, THETA, depth, frequency)
+    # chords of a sine of 2000 samples: 1e-6; the amplitude's second order: 1e-5
+    assert storage == pytest.approx(in_phase, rel=1e-4)
+    assert loss == pytest.approx(out_of_phase, rel=1e-4)
+
+
+def test_energy_of_a_large_cycle_is_the_area_of_its_loop():
+    frequency, depth, amplitude, n = 0.7, 2.0, 1.5, 4000
+    time = np.arange(0.0, 13.0, 1.0 / n) / frequency
+    x = depth + amplitude * np.sin(2.0 * np.pi * frequency * time)
+    # from rest at the mean depth: F_s alone, no branch
+    states = MODEL.states(np.array([0.05, 1.2]), ContactPath(time, x))
+    force = MODEL.static_force(THETA, x) + (MODEL.stiffness(THETA, x) * states).sum(axis=0)
+    last = slice(-n - 1, None)
+    area = np.trapezoid(force[last], x[last])
+    # trapezoids over 4000 samples: 1e-6; what is left of the start after 12 periods: 1e-6
+    assert dissipated_per_cycle(MODEL, THETA, depth, amplitude, frequency) == pytest.approx(area, rel=1e-4)
+
+
+def test_stiffness_is_the_slope_of_slow_and_of_sudden_motion():
+    secant, tangent = equilibrium_stiffness(MODEL, THETA, 3.0)
+    assert secant == pytest.approx(5.0 + 0.4 * 3.0 + 0.1 * 9.0)
+    assert tangent == pytest.approx(5.0 + 0.8 * 3.0 + 0.3 * 9.0)
+    sudden_secant, sudden_tangent = instantaneous_stiffness(MODEL, THETA, 3.0)
+    assert sudden_secant == pytest.approx(force_after_step(MODEL, THETA, 3.0, 0.0) / 3.0)
+    # the limit of high frequency
+    assert sudden_tangent == pytest.approx(complex_stiffness(MODEL, THETA, 3.0, 1e5)[0], rel=1e-8)
+
+
+def test_error_of_a_function_is_the_spread_over_draws():
+    rng = np.random.default_rng(20261121)
+    half = rng.standard_normal((THETA.size, THETA.size)) * (0.004 * THETA)[:, None]
+    covariance = half @ half.T
+    unknown = np.zeros(THETA.size, dtype=bool)
+
+    def relaxed(theta):
+        return 1.0 - force_after_step(MODEL, theta, 3.0, 0.5) / force_after_step(MODEL, theta, 3.0, 0.0)
+
+    value, stderr = delta_method(relaxed, THETA, covariance, unknown)
+    draws = [relaxed(theta) for theta in rng.multivariate_normal(THETA, covariance, size=4000)]
+    assert value == relaxed(THETA)
+    # 4000 draws know their spread to 1.1 %; the second order of a 1 % change is as large
+    assert stderr == pytest.approx(float(np.std(draws)), rel=0.05)
+
+
+def test_a_number_that_hangs_on_an_unknown_parameter_has_no_finite_error():
+    unknown = np.zeros(THETA.size, dtype=bool)
+    unknown[-1] = True
+    covariance = np.diag((0.01 * THETA) ** 2)
+
+    def plateau(theta):
+        return equilibrium_stiffness(MODEL, theta, 2.0)[0]
+
+    assert np.isfinite(delta_method(plateau, THETA, covariance, unknown)[1])
+    assert np.isinf(
+        delta_method(lambda t: complex_stiffness(MODEL, t, 2.0, 0.3)[1], THETA, covariance, unknown)[1]
+    )
