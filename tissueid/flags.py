@@ -50,6 +50,7 @@ FLAG_CODES: Mapping[str, str] = MappingProxyType(
         "decision_overridden": "the user decided this instead of the data",
         "aborted_ramp": "the recording ends, or unloads, before the ramp is over",
         "starts_in_contact": "the recording starts in contact or within its noise: no samples in air",
+        "baseline_drift": "the force drifts while the tool is in air",
         "preload": "the force at the start is above its noise: the tissue was preloaded",
         "contact_uncertain": "the contact point is known only to a large part of the depth",
         "corner_overshoot": "displacement overshoots or rings where the ramp stops",

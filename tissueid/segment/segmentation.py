@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.flags import Flag
+from tissueid.segment.air import drift_in_air
 from tissueid.segment.contact import find_contact
 from tissueid.segment.corner import corner_flags, corners_of
 from tissueid.segment.cycles import cycle_flags, loops_of
@@ -151,6 +152,7 @@ def _segment(trial: Trial, options: SegmentOptions) -> Segmentation:
     events, remarks = _remarks(trial.protocol, divided, path, found, options)
     corners = corners_of(time_s, depth, phases, tolerance_mm=tolerance)
     flags += contact_flags + remarks + corner_flags(depth, phases, corners, tolerance_mm=tolerance)
+    flags += drift_in_air(time_s, trial.force_N, phases, contact)
     return replace(divided, flags=tuple(flags), corners=corners, events=events)
 
 
