@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import zipfile
 from pathlib import Path
 
+import numpy as np
 import openpyxl
 import pytest
+from real_recordings import RECORDINGS
 
 from tissueid.ingest import ReadOptions, find_inputs, read_each, read_one, read_trials
 from tissueid.trial import Trial
@@ -113,3 +116,48 @@ def test_folders_are_searched_for_recordings_and_nothing_else(shared_data):
     assert all(
         isinstance(t, Trial) for p in find_inputs([shared_data / "zwick-tra-mit"]) for t in read_each(p)
     )
+
+
+#: Columns that no name gives away: what the user of these files says.
+MAPS = {"muscle-ramp-hold-mit": ReadOptions(columns={"displacement": "L", "force": "F"})}
+
+
+@pytest.mark.parametrize("file", sorted({recording[0] for recording in RECORDINGS}))
+def test_every_recording_has_its_trials_samples_first_peak_and_last(shared_data, file):
+    path = shared_data / file
+    if not path.exists():
+        pytest.skip(f"no {path}")
+    trials = read_trials(path, MAPS.get(Path(file).parts[0]))
+    read = []
+    for trial in trials:
+        table = np.column_stack([trial.time_s, trial.displacement_mm, trial.force_N])
+        peak = int(np.argmax(np.abs(trial.force_N)))
+        points = [tuple(float(f"{value:.6g}") for value in table[i].tolist()) for i in (0, peak, -1)]
+        read.append((file, trial.source.sheet, trial.time_s.size, *points))
+    assert read == [recording for recording in RECORDINGS if recording[0] == file]
+
+
+def test_the_list_names_every_recording_there_is(shared_data):
+    listed = {shared_data / recording[0] for recording in RECORDINGS}
+    assert set(find_inputs([shared_data])) <= listed
+
+
+def test_chiaro_text_and_archive(shared_data, tmp_path):
+    path = shared_data / "optics11-chiaro-mit" / "chiaro.zip"
+    with zipfile.ZipFile(path) as archive:
+        (member,) = archive.namelist()
+        data = archive.read(member)
+    lines = [line.split("\t") for line in data.decode("cp1252").split("Auxiliary\r\n")[1].splitlines()]
+    rows = [(float(cells[0]), float(cells[2]), float(cells[1])) for cells in lines if len(cells) == 6]
+    unpacked = tmp_path / "export.txt"
+    unpacked.write_bytes(data)
+    for source, sheet in ((path, member), (unpacked, None)):
+        (trial,) = read_trials(source)
+        assert trial.time_s.size == len(rows)
+        for channel, recorded in enumerate((trial.time_s, trial.displacement_mm, trial.force_N)):
+            expected = [row[channel] * (1.0, 1e-6, 1e-6)[channel] for row in rows]
+            # parse, factor of the unit, product: one rounding each, twice
+            assert recorded.tolist() == pytest.approx(expected, rel=6e-16, abs=0.0)
+        assert (trial.source.recipe, trial.source.sheet) == ("chiaro", sheet)
+        assert trial.protocol.tip_radius_mm == pytest.approx(0.0275, rel=1e-12)
+        assert trial.protocol.speed_mm_s == pytest.approx(0.007, rel=1e-12)

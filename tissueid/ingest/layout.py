@@ -29,6 +29,8 @@ _TAIL_BYTES = 1 << 12
 #: Lines in which the table is sought, and how many of the last of them vote on the delimiter.
 _HEAD_LINES = 200
 _SCORED_LINES = 100
+#: Longer cells are prose, be there words of columns in it or not.
+_LONGEST_NAME = 80
 _BRACKETED = re.compile(r"\s*[(\[].*[)\]]\s*")
 #: A tail of nothing but numbers holds no results.
 _ONLY_NUMBERS = re.compile(rb"[-+\d.,;:'\t\r\n\"eE \xa0]*")
@@ -286,7 +288,7 @@ def _find_delimiter(lines: Sequence[str]) -> str:
 
 def _no_numbers(rows: Sequence[Row], delimiter: str, options: ReadOptions, place: Place) -> Exception:
     for index, row in enumerate(rows):
-        if has_channels(row, (), options):
+        if max(map(len, row)) <= _LONGEST_NAME and has_channels(row, (), options):
             return place.refusal(
                 "no_rows",
                 "there is no row of numbers under the names; export the raw data again",
