@@ -57,8 +57,8 @@ def test_a_mode_far_shorter_than_the_thickness_does_not_see_the_base(bonded):
 def pressure_rings(a_over_h: float, poisson: float, rings: int) -> float:
     """kappa of a flat punch by uniform pressure rings and collocation: no integral equation, no cosines.
 
-    A ring of radii s < t under unit pressure has the transform [t J1(kt) - s J1(ks)] / k; depth under all rings
-    together must be one at the middle of each.
+    A ring of radii s < t under unit pressure has the transform [t J1(kt) - s J1(ks)] / k; depth under all
+    rings together must be one at the middle of each.
     """
     edges = np.sin(np.linspace(0.0, math.pi / 2.0, rings + 1))
     middle = (edges[1:] + edges[:-1]) / 2.0

@@ -213,8 +213,8 @@ def _dimitriadis(
 ) -> tuple[float, float]:
     """Contact radius (of Hertz) and G: the general equation of the paper, with its two sets of coefficients.
 
-    For nu = 0.5 the paper also prints the polynomial, its last term (0.0975 chi^4) with the other sign: 2e-3 of
-    the force at the largest chi that is not flagged.
+    For nu = 0.5 the paper also prints the polynomial, its last term (0.0975 chi^4) with the other sign: 2e-3
+    of the force at the largest chi that is not flagged.
     """
     if tip.shape != "sphere" or tip.radius_mm is None:
         msg = f"dimitriadis describes a sphere, not a {tip.shape}"
