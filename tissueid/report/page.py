@@ -15,6 +15,7 @@ from markupsafe import Markup
 
 from tissueid.report.figures import curve_payload
 from tissueid.report.remarks import remarks, trial_label
+from tissueid.report.study_words import study_view
 from tissueid.report.wording import (
     NOT_IDENTIFIED,
     in_units,
@@ -132,6 +133,7 @@ def render_report(
         common_units=_common_units(specimens),
         overview_sentence=overview_sentence(specimens),
         counts=_counts(views),
+        study=study_view(identification["study"]),
         created=created,
         style=asset("page.css"),
         script=asset("figures.js"),

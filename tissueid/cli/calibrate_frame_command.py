@@ -1,0 +1,82 @@
+"""``tissueid calibrate-frame``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from tissueid.cli.output import echo_json, note, output_options, write_output
+from tissueid.cli.reading import read_in_order, read_options, reading_options
+
+__all__ = ["command"]
+
+READING = ("columns", "units", "axes", "specimen_by", "recipe", "sheet", "delimiter", "decimal")
+
+EPILOG = """\b
+Examples:
+  tissueid calibrate-frame rigid.csv
+  tissueid calibrate-frame rigid-1.csv rigid-2.csv -o lab_data/frame.json
+
+Then in study.toml, under [calibration]: frame = "frame.json"
+"""
+
+
+@click.command("calibrate-frame", epilog=EPILOG)
+@click.argument("paths", nargs=-1, required=True, type=click.Path())
+@click.option(
+    "-o", "--output", type=click.Path(dir_okay=False), default="frame.json", show_default=True,
+    help="Frame file to write.",
+)  # fmt: skip
+@reading_options
+@output_options
+def command(**flags: Any) -> int:
+    """Measure how far machine, load cell and fixture give, from recordings of a rigid block.
+
+    Press the tip on steel, several times, to the largest force of the tests. Every loading counts; several
+    show how repeatable the frame is. fit takes the deflection off the displacement where study.toml names
+    the file.
+    """
+    from tissueid.errors import InputError
+    from tissueid.result import Refusal
+    from tissueid.store.files import json_bytes
+    from tissueid.store.schema import check
+    from tissueid.study.calibrate_frame import calibrate_frame
+    from tissueid.trial import Trial
+
+    reading = read_options(**{key: flags[key] for key in READING})
+    trials: list[Trial] = []
+    for item in read_in_order(flags["paths"], reading):
+        if isinstance(item, Refusal):
+            raise InputError(
+                code=item.code,
+                message=item.message,
+                path=item.path,
+                sheet=item.sheet,
+                line=item.line,
+                column=item.column,
+            )
+        trials.append(item)
+    document = calibrate_frame(trials)
+    check(document, "frame", where=flags["output"])
+    write_output(flags["output"], json_bytes(document))
+    if flags["as_json"]:
+        echo_json(document)
+    elif not flags["quiet"]:
+        _print(document)
+    note(f"wrote {flags['output']}", quiet=flags["quiet"])
+    return 0
+
+
+def _print(document: dict[str, Any]) -> None:
+    top = document["range_N"][1]
+    plural = "s" if document["loadings"] > 1 else ""
+    click.echo(f"{document['loadings']} loading{plural} to {top:.4g} N")
+    click.echo(f"stiffness above {top / 2:.3g} N: {document['stiffness_N_per_mm']:.4g} N/mm")
+    click.echo("force [N]   deflection [mm]   sd [mm]")
+    for force, give, sd in zip(
+        document["force_N"], document["deflection_mm"], document["sd_mm"], strict=True
+    ):
+        click.echo(f"{force:9.4g}   {give:15.5f}   {sd:7.5f}")
+    if document["repeatability_sd_mm"] is None:
+        click.echo("one loading: a repeatability of 5 % was assumed; record several to know it")

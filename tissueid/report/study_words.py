@@ -1,0 +1,134 @@
+"""What the report says of a study: its covariates, its calibration, what was decided and left out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from tissueid.report.remarks import trial_label
+from tissueid.report.wording import NOT_IDENTIFIED, number, unit_words, with_error
+
+__all__ = ["study_view"]
+
+#: Unit at the end of a key -> how it is printed.
+_UNITS = {"_N_per_mm": "N/mm", "_mm_s": "mm/s", "_mm": "mm", "_years": "years", "_Hz": "Hz", "_deg": "°"}
+_UNITS |= {"_C": "°C", "_N": "N", "_s": "s", "_h": "h"}
+#: What is not a covariate, or stands elsewhere on the page.
+_ELSEWHERE = {"only_listed", "title", "frame"}
+
+
+def _label(key: str) -> str:
+    """``"thickness_mm_sd"`` as ``"thickness sd"``."""
+    bare = key.removesuffix("_sd")
+    unit = next((end for end in _UNITS if bare.endswith(end)), "")
+    return bare.removesuffix(unit).replace("_", " ") + (" sd" if key.endswith("_sd") else "")
+
+
+def _value(key: str, value: Any) -> str:
+    """A value with the unit of its key."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, list):
+        return ", ".join(str(one) for one in value)
+    if not isinstance(value, int | float):
+        return str(value)
+    bare = key.removesuffix("_sd")
+    unit = next((sign for end, sign in _UNITS.items() if bare.endswith(end)), "")
+    # as stated: a thickness of 20 mm claims no further digits
+    return f"{value:g} {unit}".strip().replace("-", "−")
+
+
+def _pairs(table: Mapping[str, Any]) -> list[tuple[str, str]]:
+    stated = {key: value for key, value in table.items() if value is not None and key not in _ELSEWHERE}
+    return [(_label(key), _value(key, value)) for key, value in stated.items()]
+
+
+def _frame(calibration: Mapping[str, Any]) -> str:
+    """The frame in one sentence."""
+    frame = calibration["frame"]
+    if frame is None:
+        return "Machine and fixture were taken as rigid: no frame stiffness was stated."
+    if frame["range_N"] is None:
+        sd = calibration["frame_stiffness_N_per_mm_sd"]
+        stiffness = with_error(calibration["frame_stiffness_N_per_mm"], sd)
+        return f"A frame of {stiffness} N/mm, as stated, was taken off the displacement."
+    low, high = frame["range_N"]
+    return (
+        f"The deflection measured on a rigid block ({frame['path']}, {number(low, 3)} to {number(high, 3)} N)"
+        " was taken off the displacement."
+    )
+
+
+def _table(rows: Sequence[Mapping[str, Any]], first: str) -> dict[str, Any] | None:
+    """Columns of some rows that are stated at least once."""
+    keys = [key for key in (rows[0] if rows else ()) if any(row[key] not in (None, [], "") for row in rows)]
+    keys = [key for key in keys if key not in {first, "path", "sheet", "listed"}]
+    if not keys:
+        return None
+    return {
+        "head": [_label(key) for key in keys],
+        "rows": [
+            {
+                "name": trial_label(row) if first == "path" else row[first],
+                "cells": ["" if row[key] in (None, [], "") else _value(key, row[key]) for key in keys],
+            }
+            for row in rows
+        ],
+    }
+
+
+def _exclusion(row: Mapping[str, Any]) -> dict[str, Any]:
+    """One excluded trial: its parameters without and with it, and by how much they move."""
+    numbers = [
+        {
+            "symbol": one["symbol"],
+            "unit": unit_words(one["unit"]),
+            "without": with_error(one["without"], one["without_stderr"]),
+            "with": with_error(one["with"], one["with_stderr"]),
+            "change": _change(one["without"], one["with"]),
+        }
+        for one in row["with_it"]
+    ]
+    return {"trial": trial_label(row), "numbers": numbers} | {
+        key: row[key] for key in ("path", "specimen", "because", "note")
+    }
+
+
+def _change(without: float | None, with_it: float | None) -> str:
+    if without is None or with_it is None or without == 0.0:
+        return NOT_IDENTIFIED if without is None or with_it is None else ""
+    return f"{100 * (with_it / without - 1):+.1f} %".replace("-", "−")
+
+
+def study_view(study: Mapping[str, Any] | None) -> dict[str, Any] | None:
+    """Everything the study section of the report prints, in words; ``None`` without a study.
+
+    Parameters
+    ----------
+    study : mapping or None
+        The ``study`` of identification.json.
+    """
+    if study is None:
+        return None
+    trials = [
+        {key: row[key] for key in row if key not in {"overridden", "because"}} for row in study["trials"]
+    ]
+    return {
+        "path": study["path"],
+        "sha256": study["sha256"],
+        "title": study["study"].get("title"),
+        "about": _pairs(study["study"]),
+        "tip": _pairs(study["tip"]),
+        "calibration": _pairs(study["calibration"]),
+        "frame": _frame(study["calibration"]),
+        "corrected": study["calibration"]["frame"] is not None,
+        "specimens": _table(study["specimens"], "specimen"),
+        "trials": _table(trials, "path"),
+        "overrides": [
+            {"trial": trial_label(row), "decided": ", ".join(row["overridden"]), "because": row["because"]}
+            for row in study["trials"]
+            if row["overridden"]
+        ],
+        "exclusions": [_exclusion(row) for row in study["exclusions"]],
+        "unlisted": [trial_label(row) for row in study["trials"] if not row["listed"]],
+    }

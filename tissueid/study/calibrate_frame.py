@@ -1,0 +1,223 @@
+"""How far machine, load cell and fixture give: a curve of deflection from recordings of a rigid block.
+
+In a loading of a rigid block all travel is the frame's: ``x = x_0 + u(F)``, with u as in
+:mod:`tissueid.model.frame`, linear in the compliances at knots of force.  They are found by non-negative
+least squares (Lawson & Hanson) through all loadings, each with its own x_0.  Means over short stretches of
+time stand for the samples: the noise of F would otherwise flatten the slope of x over F.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+
+from tissueid import __version__
+from tissueid.errors import InputError
+from tissueid.manifest import FrameCurve
+from tissueid.model.frame import deflection, deflection_basis, deflection_sd
+from tissueid.segment import segment
+from tissueid.trial import Phase, Segmentation, Trial
+
+__all__ = ["Loading", "calibrate_frame", "loadings_of"]
+
+FloatArray = NDArray[np.float64]
+
+#: Stretches of a loading whose means are fitted.
+BINS = 60
+#: Pieces of compliance at most; their knots lie at squares, closest where joints close.
+PIECES = 6
+#: Narrowest piece, in standard deviations of the binned force.
+NARROWEST_SD = 10.0
+#: A loading counts where it reaches this share of the largest force, and has so many samples.
+FULL_LOADING = 0.5
+FEWEST_SAMPLES = 12
+#: Repeatability that is assumed where there is one loading only, as a share of the compliance.
+UNKNOWN_REPEATABILITY = 0.05
+#: A block whose force falls by this share in a hold is not rigid, nor one softer than this [N/mm].
+RELAXES = 0.05
+SOFTEST_N_PER_MM = 20.0
+#: A load cell at this stiffness deflects 1 micrometre under 100 N: nothing is left to correct.
+STIFFEST_N_PER_MM = 1e5
+
+
+@dataclass(frozen=True, slots=True)
+class Loading:
+    """One loading of the block: binned compressive force [N] and travel [mm], both of shape (n,)."""
+
+    force_N: FloatArray
+    travel_mm: FloatArray
+    force_sd_N: float
+
+
+def _refuse(trial: Trial, message: str) -> InputError:
+    return InputError(code="not_rigid", message=message, path=trial.source.path, sheet=trial.source.sheet)
+
+
+def _loading(trial: Trial, segmentation: Segmentation, phase: Phase) -> Loading | None:
+    """The rising part of a phase, binned; ``None`` where it is too short."""
+    contact = segmentation.contact
+    assert contact is not None  # noqa: S101 -- the caller has looked
+    force = segmentation.force_sign * (trial.force_N - contact.baseline_N)
+    start = max(phase.start, contact.index)
+    if phase.stop - start < FEWEST_SAMPLES:
+        return None
+    stop = start + int(np.argmax(force[start : phase.stop])) + 1
+    if stop - start < FEWEST_SAMPLES:
+        return None
+    rows = np.array_split(np.arange(start, stop), min(BINS, (stop - start) // 2))
+    travel = segmentation.compression_sign * trial.displacement_mm
+    per_bin = (stop - start) / len(rows)
+    return Loading(
+        np.array([force[row].mean() for row in rows]),
+        np.array([travel[row].mean() for row in rows]),
+        segmentation.force_noise_N / float(np.sqrt(per_bin)),
+    )
+
+
+def loadings_of(trial: Trial) -> list[Loading]:
+    """Every loading of one recording of a rigid block: ramps, and the way in of cycles.
+
+    Raises
+    ------
+    InputError
+        ``not_rigid``: no contact, no loading, or a force that relaxes.
+    """
+    segmentation = segment(trial)
+    if segmentation.contact is None:
+        raise _refuse(trial, "no contact with a block was found: the force never rises with the travel")
+    for hold in segmentation.of_kind("hold"):
+        force = segmentation.force_sign * (trial.force_N - segmentation.contact.baseline_N)
+        few = max(1, (hold.stop - hold.start) // 10)
+        first, last = (
+            float(force[part].mean())
+            for part in (np.s_[hold.start : hold.start + few], np.s_[hold.stop - few : hold.stop])
+        )
+        if first > 0.0 and last < (1.0 - RELAXES) * first:
+            fall = 100.0 * (1.0 - last / first)
+            raise _refuse(
+                trial,
+                f"the force falls by {fall:.0f} % in a hold, from {first:.4g} to {last:.4g} N: this is no "
+                "rigid block; press the tip on steel",
+            )
+    phases = [phase for phase in segmentation.phases if phase.kind in {"ramp", "cycle"}]
+    found = [_loading(trial, segmentation, phase) for phase in phases]
+    loadings = [one for one in found if one is not None]
+    if not loadings:
+        raise _refuse(trial, f"no loading of {FEWEST_SAMPLES} samples or more was found")
+    return loadings
+
+
+def _knots(loadings: Sequence[Loading], top_N: float) -> FloatArray:
+    """Knots at squares, so many that the first piece is still wide against the noise."""
+    noise = max(one.force_sd_N for one in loadings)
+    pieces = PIECES
+    while pieces > 1 and top_N / pieces**2 < NARROWEST_SD * noise:
+        pieces -= 1
+    return np.asarray(top_N * (np.arange(pieces + 1) / pieces) ** 2)
+
+
+def _centred(knots: FloatArray, loading: Loading) -> tuple[FloatArray, FloatArray]:
+    """Design and travel of one loading without its x_0."""
+    basis = deflection_basis(knots, loading.force_N)
+    return basis - basis.mean(axis=0), loading.travel_mm - loading.travel_mm.mean()
+
+
+def _solve(parts: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
+    """Compliances >= 0 and the residual of every bin."""
+    design = np.concatenate([part[0] for part in parts])
+    travel = np.concatenate([part[1] for part in parts])
+    scale = np.sqrt((design**2).sum(axis=0))
+    scale[scale == 0.0] = 1.0
+    found, _ = nnls(design / scale, travel)
+    compliance = found / scale
+    return compliance, travel - design @ compliance
+
+
+def _noise_covariance(
+    parts: Sequence[tuple[FloatArray, FloatArray]], compliance: FloatArray, residual: FloatArray
+) -> FloatArray:
+    """Covariance of the compliances under the residual, its correlation from bin to bin included."""
+    design = np.concatenate([part[0] for part in parts])
+    free = compliance > 0.0
+    used = int(free.sum()) + len(parts)
+    variance = float((residual**2).sum()) / max(residual.size - used, 1)
+    power = float((residual**2).sum())
+    acf = float(np.clip(residual[:-1] @ residual[1:] / power, 0.0, 0.95)) if power > 0.0 else 0.0
+    covariance = np.zeros((compliance.size, compliance.size))
+    inverse = np.linalg.pinv(design[:, free].T @ design[:, free], hermitian=True)
+    covariance[np.ix_(free, free)] = inverse * variance * (1.0 + acf) / (1.0 - acf)
+    return covariance
+
+
+def _repeatability(
+    parts: Sequence[tuple[FloatArray, FloatArray]], compliance: FloatArray
+) -> tuple[FloatArray, bool]:
+    """Covariance of one loading's compliances about the mean curve, and whether it was measured."""
+    if len(parts) < 2:
+        share = UNKNOWN_REPEATABILITY * compliance
+        return np.outer(share, share), False
+    each = np.array([_solve([part])[0] for part in parts])
+    return np.atleast_2d(np.cov(each, rowvar=False, ddof=1)), True
+
+
+def calibrate_frame(trials: Sequence[Trial]) -> dict[str, Any]:
+    """The frame file of some recordings of a rigid block.
+
+    Parameters
+    ----------
+    trials : sequence of Trial
+        At least one; every ramp and cycle counts as a loading.
+
+    Returns
+    -------
+    dict
+        The document of ``schemas/frame.schema.json``.  The covariance holds the noise of the mean curve and
+        the scatter of single loadings about it: a test is one more loading.
+
+    Raises
+    ------
+    InputError
+        ``not_rigid``.
+    """
+    every = [one for trial in trials for one in loadings_of(trial)]
+    top = max(float(one.force_N.max()) for one in every)
+    loadings = [one for one in every if one.force_N.max() >= FULL_LOADING * top]
+    knots = _knots(loadings, top)
+    parts = [_centred(knots, one) for one in loadings]
+    compliance, residual = _solve(parts)
+    repeatability, measured = _repeatability(parts, compliance)
+    covariance = _noise_covariance(parts, compliance, residual) + repeatability
+    frame = FrameCurve(knots, compliance, covariance)
+    at = np.array([top])
+    scatter = float(deflection_sd(FrameCurve(knots, compliance, repeatability), at)[0])
+    give = deflection(frame, np.array([top / 2.0, top]))
+    stiffness = (top / 2.0) / max(float(give[1] - give[0]), top / 2.0 / STIFFEST_N_PER_MM)
+    if stiffness < SOFTEST_N_PER_MM:
+        raise _refuse(
+            trials[0],
+            f"the block gives {1.0 / stiffness:.3g} mm a newton ({stiffness:.3g} N/mm), softer than any "
+            "machine: press the tip on steel",
+        )
+    return {
+        "schema": "tissueid/frame/1",
+        "tissueid": __version__,
+        "force_N": knots.tolist(),
+        "compliance_mm_per_N": compliance.tolist(),
+        "covariance": covariance.tolist(),
+        "deflection_mm": deflection(frame, knots).tolist(),
+        "sd_mm": deflection_sd(frame, knots).tolist(),
+        "range_N": [max(0.0, min(float(one.force_N.min()) for one in loadings)), top],
+        "stiffness_N_per_mm": stiffness,
+        "noise_sd_mm": float(np.sqrt(np.mean(residual**2))),
+        "repeatability_sd_mm": scatter if measured else None,
+        "loadings": len(loadings),
+        "sources": [
+            {"path": trial.source.path, "sheet": trial.source.sheet, "sha256": trial.source.sha256}
+            for trial in trials
+        ],
+    }
