@@ -22,6 +22,7 @@ __all__ = ["cli", "main"]
 #: Sub-command -> what it does; its module is ``tissueid.cli.<name>_command``.
 COMMANDS = {
     "fit": "Identify the tissue behind recordings: bundle, numbers, report.",
+    "calibrate-frame": "Measure how far machine and fixture give.",
     "inspect": "Say what a recording holds and how it was read.",
     "report": "Write the HTML report of a finished fit again.",
     "export": "Write a finished fit in another format.",
@@ -57,7 +58,8 @@ class LazyGroup(click.Group):
         del ctx
         if cmd_name not in COMMANDS:
             return None
-        command = import_module(f"tissueid.cli.{cmd_name}_command").command
+        module = cmd_name.replace("-", "_")
+        command = import_module(f"tissueid.cli.{module}_command").command
         assert isinstance(command, click.Command)  # noqa: S101
         return command
 
