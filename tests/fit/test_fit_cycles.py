@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ STIFFNESS, TAU_S, SLOPE = 30.0, 0.01, 12.0
 def phases_of(time, turns, kinds):
     """Phases between sample numbers; cycles know their deepest sample."""
     found = []
-    for (first, last), kind in zip(zip(turns[:-1], turns[1:], strict=True), kinds, strict=True):
+    for (first, last), kind in zip(pairwise(turns), kinds, strict=True):
         peak = (first + last) // 2 if kind == "cycle" else None
         speed = {"ramp": 1.0, "hold": 0.0, "retract": -1.0, "cycle": 1.0}[kind]
         found.append(Phase(kind, first, last + 1, float(time[first]), float(time[last]), speed, peak))
@@ -37,7 +38,7 @@ def recording(time, depth, force, turns, kinds, *, noise=0.0, seed=None):
 
 def triangle(depth=4.0, speed=2.0, loops_=1, rate=500.0):
     """Time, depth and turning samples of a triangle wave from zero."""
-    half = int(round(depth / speed * rate))
+    half = round(depth / speed * rate)
     time = np.arange(2 * half * loops_ + 1) / rate
     phase = np.arange(time.size) % (2 * half)
     x = depth * (1.0 - np.abs(phase / half - 1.0))
