@@ -25,6 +25,8 @@ _AFTER_COMMA = re.compile(r"(.*\S)\s*[,/]\s*(\S+)\s*", re.DOTALL)
 _AFTER_UNDERSCORE = re.compile(r"(.*[^_])_([^_\s]+)")
 #: Units that may end a name without brackets: ``Fz, gf``, ``stress_kPa``.
 _SPLIT_UNITS = (*CHANNELS, "stress")
+#: A longer text is no name, and would cost the patterns above the square of its length.
+_LONGEST_NAME = 250
 _UNIT_LIKE = re.compile(r"[^\W\d_]{1,8}")
 #: Words of strain and stress in the nine languages, accents stripped.
 _NORMALISED: Mapping[Quantity, re.Pattern[str]] = {
@@ -73,6 +75,8 @@ class _Column:
 
 def split_name(name: str) -> tuple[str, str | None]:
     """A printed name without its unit, and the unit: ``"Force (kN)"``, ``"Fz, gf"``, ``"time_s"``."""
+    if len(name) > _LONGEST_NAME:
+        return name, None
     if match := _BRACKETED.fullmatch(name):
         inside = match[2]
         if match[1] and inside and (quantity_of(inside) is not None or _UNIT_LIKE.fullmatch(inside)):

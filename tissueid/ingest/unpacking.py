@@ -14,6 +14,7 @@ import zipfile
 import zlib
 from collections.abc import Iterator
 from functools import lru_cache
+from typing import IO
 
 __all__ = ["BROKEN_ARCHIVE", "too_much"]
 
@@ -42,7 +43,7 @@ _OVERLAP_BYTES = 64
 #: Sheets of text may lie anywhere.
 _SHEET = re.compile(r"(?i)(?:.*\.(xml)|xl/worksheets/[^/]+\.(bin))")
 _FAR_CELL = re.compile(rb"""\sr\s*=\s*["']([A-Z]{2,}\d+|[A-Z]?\d{6,})["']""")
-_ROW = re.compile(rb"""<(?:\w+:)?row\b[^>]*?\sr\s*=\s*["'](\d+)["']""")
+_ROW = re.compile(rb"""<(?:\w+:)?row\b[^>]{0,200}?\sr\s*=\s*["'](\d+)["']""")
 #: Record types of a binary sheet: a row, and the cells with a value.
 _ROW_RECORD, _CELL_RECORDS = 0, range(1, 12)
 
@@ -85,7 +86,7 @@ def too_much(data: bytes) -> str | None:
     return None
 
 
-def _pieces(stream: io.BufferedIOBase | zipfile.ZipExtFile) -> Iterator[bytes]:
+def _pieces(stream: IO[bytes]) -> Iterator[bytes]:
     """A stream in pieces, each with the end of the one before."""
     end = b""
     while piece := stream.read(_PIECE_BYTES):
@@ -93,7 +94,7 @@ def _pieces(stream: io.BufferedIOBase | zipfile.ZipExtFile) -> Iterator[bytes]:
         end = piece[-_OVERLAP_BYTES:]
 
 
-def _xml_extent(stream: zipfile.ZipExtFile) -> tuple[int, int]:
+def _xml_extent(stream: IO[bytes]) -> tuple[int, int]:
     """Rows and columns of a sheet, at least 26 columns: those of one letter are not looked for."""
     rows, columns = 0, 26
     for piece in _pieces(stream):
@@ -108,7 +109,7 @@ def _xml_extent(stream: zipfile.ZipExtFile) -> tuple[int, int]:
     return rows, columns
 
 
-def _binary_extent(stream: zipfile.ZipExtFile) -> tuple[int, int]:
+def _binary_extent(stream: IO[bytes]) -> tuple[int, int]:
     """Rows and columns of a sheet of binary records: type, size, content."""
     data, at, rows, columns = stream.read(), 0, 0, 0
     while at < len(data):

@@ -164,6 +164,8 @@ _NOT_A_CHANNEL = re.compile(
     r"|position [xy]|[xy] position|command|cmd|setpoint|target|sollwert|sollwerte|consigne|valor nominal)\b"
 )
 
+#: A longer text is no key, and would cost the patterns the square of its length.
+_LONGEST_KEY = 250
 _SPECIMEN_WORDS = re.compile(
     r"\b(?:specimen|proben?\w*|eprouvette|probeta|corpo de prova|provino|probk\w+)\b|试样|试件|样品|样本"
 )
@@ -218,6 +220,8 @@ def specimen_key_rank(key: str) -> int | None:
 
     Only the part after the group prefix counts: ``"Text Inputs : Specimen label"`` is a label.
     """
+    if len(key) > _LONGEST_KEY:
+        return None
     words = plain_words(key.rsplit(":", 1)[-1] if not key.endswith(":") else key)
     if not _SPECIMEN_WORDS.search(words):
         return None

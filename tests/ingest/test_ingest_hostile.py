@@ -1,0 +1,278 @@
+"""Bombs, junk, pipes, circles and moving files: bounded time and memory, one clear message, no traceback."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import sys
+import threading
+import time
+from pathlib import Path
+
+import hostile_files as hostile
+import pytest
+
+from tissueid.errors import InputError
+from tissueid.ingest import find_inputs, loading, read_each
+from tissueid.ingest.unpacking import too_much
+
+#: What reading may take: the libraries alone map about one GiB of address space.
+ADDRESS_SPACE = 3 << 30
+MEBI = 1 << 20
+linux_only = pytest.mark.skipif(sys.platform != "linux", reason="limits, pipes and links of a POSIX system")
+
+
+def refusal(path: Path) -> InputError:
+    (item,) = read_each(path)
+    assert isinstance(item, InputError)
+    return item
+
+
+def written(folder: Path, files: dict[str, bytes]) -> list[Path]:
+    for name, data in files.items():
+        (folder / name).write_bytes(data)
+    return [folder / name for name in files]
+
+
+@linux_only
+def test_hostile_workbooks_are_refused_in_bounded_time_and_memory(tmp_path: Path) -> None:
+    paths = written(tmp_path, hostile.hostile_workbooks())
+    verdicts = hostile.read_in_child(paths, memory_bytes=ADDRESS_SPACE, timeout_s=100.0)
+    sound = verdicts.pop("sound.xlsx")
+    assert sound.codes == ("read",)
+    for name, verdict in verdicts.items():
+        assert verdict.codes in (("unreadable_workbook",), ("no_trial_sheet",)), name
+        assert "\n" not in verdict.messages[0]
+        # scanning and refusing: no worse than reading a real workbook of some megabytes
+        assert verdict.seconds < 10.0, name
+        assert verdict.peak_bytes < 600 * MEBI, name
+    for name in ("far.xlsx", "far-row.xlsx", "far-column.xlsx", "far.xlsb"):
+        assert "stray cells" in verdicts[name].messages[0], name
+    assert "times its size" in verdicts["ratio.xlsx"].messages[0]
+
+
+@linux_only
+def test_hostile_texts_are_refused_or_read_in_bounded_time_and_memory(tmp_path: Path) -> None:
+    paths = written(tmp_path, hostile.hostile_texts())
+    verdicts = hostile.read_in_child(paths, memory_bytes=ADDRESS_SPACE, timeout_s=100.0)
+    for name, verdict in verdicts.items():
+        assert len(verdict.codes) == 1, name
+        assert verdict.seconds < 10.0, name
+        assert verdict.peak_bytes < 600 * MEBI, name
+    assert verdicts["half-row.csv"].codes == ("read",)
+    for name in ("junk.csv", "nested.json.csv", "headers-only.csv", "bom-soup.csv"):
+        assert verdicts[name].codes == ("not_an_export",), name
+    refused = (
+        "junk-after-head",
+        "junk-late",
+        "nul-inside",
+        "nul-tail",
+        "wide-name",
+        "big-exponent",
+        "many-marks",
+    )
+    for name in (f"{stem}.csv" for stem in refused):
+        assert verdicts[name].codes != ("read",), name
+
+
+def test_the_zeros_that_a_crash_leaves_at_the_end_of_a_file_are_flagged(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_bytes(hostile.hostile_texts()["nul-tail-late.csv"])
+    (trial,) = read_each(path)
+    assert not isinstance(trial, InputError)
+    assert trial.time_s.size == 9000
+    assert "cut_row" in {flag.code for flag in trial.flags}
+
+
+def endless_lines(folder: Path, size: int) -> list[Path]:
+    rows = b"".join(b"%.1f,%.2f,%.2f\n" % (0.1 * i, 0.1 * i, 0.2 * i) for i in range(50))
+    return [
+        hostile.endless(folder / "one-line.csv", size),
+        hostile.endless(folder / "one-line.txt", size, piece=b"1.5,2.5,3.5,"),
+        hostile.endless(folder / "second-line.csv", size, start=hostile.HEAD + rows),
+        hostile.endless(folder / "utf-16.csv", size, start=b"\xff\xfe", piece=b"1\x00,\x00"),
+        hostile.endless(folder / "zeros.csv", size, piece=b"\0\0"),
+        hostile.endless(folder / "spaces.csv", size, piece=b"  "),
+    ]
+
+
+def check_endless(folder: Path, size: int, *, seconds: float) -> None:
+    paths = endless_lines(folder, size)
+    verdicts = hostile.read_in_child(paths, memory_bytes=ADDRESS_SPACE + 2 * size, timeout_s=300.0)
+    for name, verdict in verdicts.items():
+        assert verdict.codes in (("not_an_export",), ("empty_file",)), name
+        assert verdict.seconds < seconds, name
+        # the file itself, in pieces and joined, and the libraries
+        assert verdict.peak_bytes < 300 * MEBI + 2.2 * size, name
+    first = verdicts["one-line.csv"]
+    assert first.seconds < 0.5, "told by its first bytes"
+    assert "line 53" in verdicts["second-line.csv"].messages[0]
+
+
+@linux_only
+def test_a_line_of_64_mib_is_refused_by_its_beginning(tmp_path: Path) -> None:
+    check_endless(tmp_path, 64 * MEBI, seconds=5.0)
+
+
+@linux_only
+@pytest.mark.slow
+def test_a_line_of_1_gib_is_refused_by_its_beginning(tmp_path: Path) -> None:
+    check_endless(tmp_path, 1 << 30, seconds=30.0)
+
+
+def test_a_file_larger_than_any_recording_is_refused_unread(tmp_path: Path) -> None:
+    path = tmp_path / "disk.csv"
+    with path.open("wb") as stream:
+        stream.write(hostile.HEAD)
+        stream.truncate(loading.LARGEST_BYTES + 1)  # sparse: takes no room
+    start = time.perf_counter()
+    error = refusal(path)
+    assert (error.code, "2.0 GiB" in error.message) == ("unreadable_file", True)
+    assert time.perf_counter() - start < 0.5
+
+
+def test_little_memory_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def exhausted(handle: int, size: int) -> bytes:
+        raise MemoryError
+
+    monkeypatch.setattr(loading.os, "read", exhausted)
+    (tmp_path / "a.csv").write_bytes(hostile.HEAD + b"0,1,2\n1,2,3\n")
+    error = refusal(tmp_path / "a.csv")
+    assert (error.code, "memory" in error.message) == ("unreadable_file", True)
+
+
+def test_the_sheet_of_a_binary_workbook_is_measured() -> None:
+    data = hostile.hostile_workbooks()["far.xlsb"]
+    assert "row 1048576, column 16384" in str(too_much(data))
+
+
+@linux_only
+def test_what_is_no_file_is_refused_by_its_kind_at_once(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.csv")
+    os.mkfifo(tmp_path / "pipe.txt")
+    os.mkfifo(tmp_path / "pipe.zip")
+    (tmp_path / "zero.csv").symlink_to("/dev/zero")
+    (tmp_path / "self.csv").symlink_to("self.csv")
+    (tmp_path / "gone.csv").symlink_to("nowhere.csv")
+    listener = socket.socket(socket.AF_UNIX)
+    with contextlib.chdir(tmp_path):  # the name of a socket may be 107 bytes long
+        listener.bind("socket.csv")
+    start = time.perf_counter()
+    found = find_inputs([tmp_path])
+    said = {path.name: refusal(path) for path in found}
+    listener.close()
+    assert time.perf_counter() - start < 2.0
+    assert {name: error.code for name, error in said.items()} == dict.fromkeys(
+        ["pipe.csv", "pipe.txt", "pipe.zip", "zero.csv", "self.csv", "gone.csv", "socket.csv"],
+        "unreadable_file",
+    )
+    for name, word in (("pipe.csv", "a pipe"), ("zero.csv", "a device"), ("gone.csv", "No such file")):
+        assert word in said[name].message
+
+
+@linux_only
+def test_links_in_circles_and_deep_folders_end(tmp_path: Path) -> None:
+    for name in "ab":
+        (tmp_path / name).mkdir()
+        (tmp_path / name / f"{name}.csv").write_bytes(hostile.HEAD)
+    for name in "abcde":
+        (tmp_path / "a" / f"to-{name}").symlink_to("../b")
+        (tmp_path / "b" / f"to-{name}").symlink_to("../a")
+    (tmp_path / "folder.csv").mkdir()
+    (tmp_path / "folder.csv" / "inside.csv").write_bytes(hostile.HEAD)
+    deep = tmp_path
+    for _ in range(1200):  # more than the interpreter's stack bears, less than a path's 4096 bytes
+        deep /= "d"
+        deep.mkdir()
+    (deep / "deep.csv").write_bytes(hostile.HEAD)
+    start = time.perf_counter()
+    names = sorted(path.name for path in find_inputs([tmp_path]))
+    assert names == ["a.csv", "b.csv", "deep.csv", "inside.csv"]
+    assert time.perf_counter() - start < 5.0
+
+
+def test_a_file_that_grows_while_it_is_read_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a.csv"
+    path.write_bytes(hostile.HEAD + b"0.1,1.5,2.5\n" * 9)
+    real = os.read
+
+    def growing(handle: int, size: int) -> bytes:
+        with path.open("ab") as stream:
+            stream.write(b"9.9,1.5,2.5\n")
+        return real(handle, size)[:100]
+
+    with monkeypatch.context() as patch:
+        # a machine that writes faster than we read
+        patch.setattr(loading.os, "read", lambda handle, size: growing(handle, size) if size else b"")
+        patch.setattr(loading, "_PIECE_BYTES", 0)
+        error = refusal(path)
+    assert (error.code, "changed while it was read" in error.message) == ("unreadable_file", True)
+    # when it is done the file is read
+    (trial,) = read_each(path)
+    assert not isinstance(trial, InputError)
+
+
+@linux_only
+def test_a_slow_folder_is_read_once_and_byte_by_byte_as_it_comes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A network folder gives few bytes a call: no byte is asked for twice, and none is missed."""
+    path = tmp_path / "a.csv"
+    rows = b"".join(b"%.1f,%.2f,%.2f\n" % (0.1 * i, 0.1 * i, 0.2 * i) for i in range(200))
+    path.write_bytes(hostile.HEAD + rows)
+    real, asked = os.read, []
+
+    def slow(handle: int, size: int) -> bytes:
+        time.sleep(0.001)
+        got = real(handle, min(size, 97))
+        asked.append(len(got))
+        return got
+
+    monkeypatch.setattr(loading.os, "read", slow)
+    (trial,) = read_each(path)
+    assert not isinstance(trial, InputError)
+    assert trial.time_s.size == 200
+    assert sum(asked) == path.stat().st_size
+
+
+@linux_only
+def test_a_server_that_goes_away_is_an_unreadable_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a.csv"
+    path.write_bytes(hostile.HEAD)
+
+    def stale(handle: int, size: int) -> bytes:
+        raise OSError(116, "Stale file handle")
+
+    monkeypatch.setattr(loading.os, "read", stale)
+    error = refusal(path)
+    assert (error.code, "Stale file handle" in error.message) == ("unreadable_file", True)
+
+
+def test_files_that_appear_and_vanish_while_a_folder_is_searched_do_not_stop_it(tmp_path: Path) -> None:
+    keep = tmp_path / "keep.csv"
+    keep.write_bytes(hostile.HEAD + b"0.1,1.5,2.5\n0.2,2.5,3.5\n")
+    stop = threading.Event()
+
+    def busy() -> None:
+        while not stop.is_set():
+            for k in range(20):
+                (tmp_path / f"t{k}.csv").write_bytes(hostile.HEAD)
+            for k in range(20):
+                (tmp_path / f"t{k}.csv").unlink()
+
+    thread = threading.Thread(target=busy)
+    thread.start()
+    try:
+        for _ in range(50):
+            found = find_inputs([tmp_path])
+            assert keep in found
+            for path in found:
+                list(read_each(path))
+    finally:
+        stop.set()
+        thread.join()
