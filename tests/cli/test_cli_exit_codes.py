@@ -201,7 +201,7 @@ def test_an_internal_error_is_1_in_one_line(monkeypatch: pytest.MonkeyPatch, tmp
     def broken(*args: object, **kwargs: object) -> None:
         raise ZeroDivisionError("for the test")
 
-    monkeypatch.setattr(tissueid.inspection, "describe_trial", broken)
+    monkeypatch.setattr(tissueid.inspection, "describe_segmented", broken)
     ended: Ended = run("inspect", write_log(tmp_path / "log.csv"))
     assert ended.code == 1
     assert ended.stderr.startswith("tissueid: internal error (ZeroDivisionError: for the test)")
@@ -233,7 +233,7 @@ def test_an_interrupt_is_130_also_where_a_compiled_kernel_wraps_it(
             raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(tissueid.inspection, "describe_trial", interrupted)
+    monkeypatch.setattr(tissueid.inspection, "describe_segmented", interrupted)
     ended = run("inspect", write_log(tmp_path / "log.csv"))
     assert (ended.code, ended.stdout) == (130, "")
     assert ended.stderr.strip() == "tissueid: interrupted; what was finished is kept"

@@ -362,6 +362,23 @@ def test_one_specimen_for_the_folder_lets_unlabelled_files_be_compared(tmp_path:
     assert together[1]["from_first"] == pytest.approx(-0.5, abs=0.01)
 
 
+def test_the_study_of_the_folder_is_followed(tmp_path: Path) -> None:
+    for name in ("one.csv", "two.csv"):
+        write_log(tmp_path / name, label=None, force_times=1.0 if name == "one.csv" else 1.1)
+    (tmp_path / "study.toml").write_text(
+        'schema = "tissueid/study/1"\n[[specimen]]\nname = "kidney"\n'
+        '[[trial]]\nfile = "*.csv"\nspecimen = "kidney"\n'
+        '[[override]]\nfile = "one.csv"\ncontact_mm = 0.25\nbecause = "seen by eye"\n'
+        '[[exclude]]\nfile = "two.csv"\nbecause = "slipped"\n',
+        encoding="utf-8",
+    )
+    lines = [json.loads(line) for line in run("watch", tmp_path, *ONCE, "--json").stdout.splitlines()]
+    told = {Path(one["path"]).name: one for one in lines}
+    assert {one["specimen"] for one in lines} == {"kidney"}
+    assert told["one.csv"]["contact"]["displacement_mm"] == 0.25
+    assert told["two.csv"]["advice"] == ["study.toml takes this test out, because: slipped"]
+
+
 def test_a_folder_that_does_not_exist_is_a_usage_error(tmp_path: Path) -> None:
     ended = run("watch", tmp_path / "nowhere", *ONCE)
     assert (ended.code, ended.stdout) == (2, "")

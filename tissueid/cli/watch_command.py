@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,8 +18,11 @@ from tissueid.errors import UsageError
 if TYPE_CHECKING:
     from tissueid.errors import InputError
     from tissueid.ingest import ReadOptions
+    from tissueid.manifest import Study
+    from tissueid.segment import SegmentOptions
     from tissueid.trial import Trial
     from tissueid.watch.session import Happening, WatchSession
+    from tissueid.watch.verdict import Verdict
 
 __all__ = ["command"]
 
@@ -55,6 +58,11 @@ LOOKS = 2
 @click.option(
     "--bell", is_flag=True, help="Ring the terminal's bell after each test, twice where it must be repeated."
 )
+@click.option(
+    "--study", type=click.Path(), metavar="FILE",
+    help="Study file whose decisions are followed. [default: study.toml of the folder]",
+)  # fmt: skip
+@click.option("--no-study", is_flag=True, help="Leave the folder's study.toml aside.")
 @reading_options
 @output_options
 def command(**flags: Any) -> int:
@@ -82,7 +90,8 @@ def command(**flags: Any) -> int:
 
 
 def _session(flags: dict[str, Any]) -> WatchSession:
-    from tissueid.watch import FolderWatch, judge
+    from tissueid.study.recordings import locate_study
+    from tissueid.watch import FolderWatch
     from tissueid.watch.folder import fingerprint
     from tissueid.watch.session import LOG, WatchSession, load_log
 
@@ -109,6 +118,7 @@ def _session(flags: dict[str, Any]) -> WatchSession:
         except OSError as error:
             msg = f"{log.parent}: can't be made a folder ({error.strerror}); choose another"
             raise UsageError(msg) from error
+    study, _ = locate_study([flags["folder"]], named=flags["study"], ignore=flags["no_study"])
     specimen = folder.resolve().name if flags["same_specimen"] else None
     watch = FolderWatch(lambda: _recordings(folder))
     if flags["new_only"]:
@@ -116,8 +126,8 @@ def _session(flags: dict[str, Any]) -> WatchSession:
         watch.know(there)
     return WatchSession(
         watch,
-        lambda path: _trials(path, reading, specimen),
-        lambda trial, earlier: judge(trial, earlier, options=segmenting, fit=not flags["no_fit"]),
+        lambda path: _trials(path, reading, study, specimen),
+        lambda trial, earlier: _judged(trial, earlier, segmenting, study, fit=not flags["no_fit"]),
         log,
         [] if log is None else load_log(log),
     )
@@ -138,12 +148,29 @@ def _recordings(folder: Path) -> list[Path]:
         raise OSError(str(error)) from error
 
 
-def _trials(path: Path, reading: ReadOptions, specimen: str | None) -> Iterator[Trial | InputError]:
-    from tissueid.ingest import read_each
+def _trials(
+    path: Path, reading: ReadOptions, study: Study | None, specimen: str | None
+) -> Iterator[Trial | InputError]:
+    from tissueid.study.recordings import read_decided
     from tissueid.trial import Trial
 
-    for item in read_each(path, reading):
+    for item in read_decided(path, reading, study):
         yield replace(item, specimen=specimen) if specimen is not None and isinstance(item, Trial) else item
+
+
+def _judged(
+    trial: Trial, earlier: Iterable[Verdict], options: SegmentOptions, study: Study | None, *, fit: bool
+) -> Verdict:
+    """The verdict after what the study says of the trial; an excluded one is not asked for again."""
+    from tissueid.inspection import as_decided
+    from tissueid.watch import judge
+
+    trial, options, excluded = as_decided(trial, options, study)
+    verdict = judge(trial, earlier, options=options, fit=fit)
+    if excluded is not None:
+        told = f"study.toml takes this test out, because: {excluded}"
+        verdict |= {"level": "look", "advice": [told], "ramp": None}
+    return verdict
 
 
 def _exit_code(session: WatchSession) -> int:

@@ -61,7 +61,7 @@ REMARK_TITLES: Mapping[str, str] = MappingProxyType(
         "decision_overridden": "Decided by hand",
         "aborted_ramp": "Aborted test",
         "starts_in_contact": "Start in contact",
-        "baseline_drift": "Zero of the load cell",
+        "baseline_drift": "Load-cell zero",
         "preload": "Preload",
         "contact_uncertain": "Uncertain contact",
         "corner_overshoot": "Overshoot",
