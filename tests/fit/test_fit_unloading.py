@@ -146,7 +146,6 @@ def test_claimed_errors_of_unloading_are_the_spread():
     for plan, tau in ((RETRACT, TAU_S), (CYCLIC, TAU_S), (SLOW, 2.0), (SEVERAL, TAU_S)):
         table = np.array([distances(fitted(plan, 100 + seed), tau, STIFFNESS * tau) for seed in range(60)])
         lines.append(f"{plan.name}: mean {table.mean(axis=0)}, sd {table.std(axis=0, ddof=1)}")
-        print(lines[-1])
         # 60 draws: mean to 0.13, spread to 9 %; the path's own dependence on theta is not in the errors
         assert np.abs(table.mean(axis=0)).max() < 0.5, lines[-1]
         assert table.std(axis=0, ddof=1).max() < 1.4, lines[-1]

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from tissueid.fit.cycles import end_of_loading
+from tissueid.fit.cycles import end_of_loading, polynomial_at
 from tissueid.quantities import Quantity, Spectrum
 from tissueid.trial import Phase, Segmentation, Trial, contact_frame
 
@@ -26,8 +26,8 @@ FloatArray = NDArray[np.float64]
 
 #: Times after the corner at which the fraction relaxed is quoted [s].
 RELAXED_TIMES_S = (0.1, 1.0, 10.0, 100.0)
-#: Force at a time is the mean over a window of this relative half width.
-TIME_SHARE = 0.1
+#: Force at a time is that of a parabola through a window of this relative half width.
+TIME_SHARE = 0.2
 MIN_SAMPLES = 12
 #: A force below so many standard deviations of its noise is none.
 NOISE_FACTOR = 5.0
@@ -120,12 +120,12 @@ def _binned(
 
 
 def _force_at(time: FloatArray, force: FloatArray, at: float, noise: float) -> tuple[float, float]:
-    """Force at a time and its standard error: mean over a narrow window, or between two samples."""
+    """Force at a time and its standard error: a local parabola, or between two samples."""
     near = np.abs(time - at) <= TIME_SHARE * at
-    count = int(near.sum())
-    if count < 2:
+    found, _ = polynomial_at(time[near], force[near], at, noise)
+    if found.value is None or found.stderr is None:
         return float(np.interp(at, time, force)), noise
-    return float(force[near].mean()), noise / float(np.sqrt(count))
+    return found.value, found.stderr
 
 
 def _fractions(

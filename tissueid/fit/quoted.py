@@ -33,7 +33,9 @@ CYCLE_DEPTH, CYCLE_AMPLITUDE = 0.5, 0.1
 MAX_FRACTION_WIDTH = 0.5
 #: A plateau is seen where the window holds so many of the slowest relaxation time.
 PLATEAU_TIMES = 3.0
-SEVERAL_TAU = 1.96
+TWO_SIDED_95 = 1.96
+#: Holds at least this share of the longest count as equally long.
+EQUALLY_LONG = 0.99
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +104,7 @@ class _Quoter:
             lambda theta: function(tissue.model, theta), tissue.theta, tissue.covariance, self.unknown
         )
         fraction = name.startswith("fraction")
-        width = 2.0 * SEVERAL_TAU * stderr if fraction else width_of(abs(value), stderr)
+        width = 2.0 * TWO_SIDED_95 * stderr if fraction else width_of(abs(value), stderr)
         if not np.isfinite(value):
             return Quantity(name, unit, at, None, None, "no finite value")
         if not width <= (MAX_FRACTION_WIDTH if fraction else MAX_WIDTH):
@@ -231,7 +233,10 @@ def quoted_numbers(
         Sampling interval and longest fitted log [s].
     frequencies_Hz : sequence of float, optional
     """
-    longest = max(holds, key=lambda one: one.longest_s, default=HoldNumbers())
+    most = max((one.longest_s for one in holds), default=0.0)
+    # of holds equally long the deepest: the same protocol ends a sample earlier or later
+    equal = [one for one in holds if one.longest_s >= EQUALLY_LONG * most]
+    longest = max(equal, key=lambda one: one.depth_mm, default=HoldNumbers())
     window = longest.longest_s or duration_s
     supported = Supported(window_s=window, resolution_s=2.0 * step_s, hold=longest)
     spectra: tuple[Spectrum, ...] = tuple(one for hold in holds for one in hold.spectra)
