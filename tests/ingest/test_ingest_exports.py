@@ -73,12 +73,7 @@ def assert_equal(trial: Trial, name: str, log: SyntheticLog) -> None:
 SAID = {
     "no-units": ["units_assumed"] * 3,
     "bluehill-workbook": ["rows_skipped"],
-    **{
-        name: ["rows_skipped"]
-        for name, dialect in DIALECTS.items()
-        if dialect.results and not dialect.vertical
-    },
-    "vertical": ["rows_skipped"],
+    **{name: ["rows_skipped"] for name, dialect in DIALECTS.items() if dialect.results},
     **{name: ["column_choice"] for name in EXPORTS if name.startswith("testxpert")},
 }
 RECIPES = {

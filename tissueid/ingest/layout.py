@@ -17,7 +17,13 @@ from tissueid.ingest.columns import has_channels
 from tissueid.ingest.numbers import decimal_evidence, looks_numeric
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import Place
-from tissueid.ingest.results import is_statistics, is_units_row, results_below, results_spans
+from tissueid.ingest.results import (
+    announced_results,
+    is_statistics,
+    is_units_row,
+    results_below,
+    results_spans,
+)
 from tissueid.ingest.text import HEAD_BYTES, Text
 
 __all__ = ["Anchor", "Layout", "Row", "anchor", "find_decimal", "find_layout", "is_units_row", "split_line"]
@@ -140,7 +146,9 @@ def anchor(rows: Sequence[Row], options: ReadOptions) -> Anchor | None:
     Anchor or None
         ``None`` where no row holds two numbers.
     """
+    inside = {index for span in announced_results(rows) for index in span}
     runs = _runs(rows)
+    runs = [run for run in runs if run.start not in inside] or runs
     for run in [run for run in runs if len(run) > 1] + [run for run in runs if len(run) == 1]:
         found = _named_anchor(rows, run.start, options)
         if found is not None:
@@ -213,7 +221,7 @@ def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
     if not sample:
         place.refuse(
             "no_rows",
-            "under the names stand results or another table, but no row of numbers; export the raw data again",
+            "under the names stand results or another table, but no row of numbers; export the raw data",
             line=found.first + 1,
         )
     n_columns = Counter(map(len, sample)).most_common(1)[0][0]

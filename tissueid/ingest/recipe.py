@@ -21,6 +21,7 @@ from tissueid.ingest.layout import Layout, find_layout
 from tissueid.ingest.loading import load_bytes
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import Place
+from tissueid.ingest.results import results_flag
 from tissueid.ingest.text import Text, decode_text
 from tissueid.ingest.vocabulary import Channel
 from tissueid.trial import FloatArray, Protocol
@@ -210,12 +211,7 @@ def without_results(text: Text, layout: Layout) -> Text:
         return text
     first = text.data.count(b"\n", 0, layout.stop) + 1
     last = first + text.data[layout.stop :].rstrip().count(b"\n")
-    flag = Flag(
-        "rows_skipped",
-        f"lines {first} to {last} are a table of results, not samples: they were left out",
-        {"count": last - first + 1, "lines": [first, last]},
-    )
-    return replace(text, data=text.data[: layout.stop], flags=(*text.flags, flag))
+    return replace(text, data=text.data[: layout.stop], flags=(*text.flags, results_flag(first, last)))
 
 
 def _start_digest(data: bytes) -> Future[str] | str:

@@ -14,6 +14,7 @@ from tissueid.ingest.columns import has_channels
 from tissueid.ingest.layout import Layout, is_units_row, split_line
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import Place
+from tissueid.ingest.results import announced_results, results_flag
 from tissueid.ingest.text import Text
 
 __all__ = ["begins_a_table", "flag_rows_above", "row_like", "skipped_flag"]
@@ -64,9 +65,12 @@ def flag_rows_above(text: Text, layout: Layout, place: Place) -> tuple[Flag, ...
         return ()
     head = [text.decode(line) for line in text.data[: layout.offset].splitlines()[: layout.names_line - 1]]
     rows = [(number, split_line(line, layout.delimiter)) for number, line in enumerate(head, 1)]
-    found = [number for number, row in rows if row_like(" ".join(row))]
+    results = announced_results([row for _, row in rows])
+    said = tuple(results_flag(span.start + 1, span.stop) for span in results)
+    inside = {index + 1 for span in results for index in span}
+    found = [number for number, row in rows if number not in inside and row_like(" ".join(row))]
     if not found:
-        return ()
+        return said
     named = any(has_channels(row, (), ReadOptions()) for number, row in rows if number < found[0])
     foreign = [number for number, row in rows if number in found and row in layout.header]
     if named or len(foreign) >= _TABLE_ROWS:
@@ -77,7 +81,7 @@ def flag_rows_above(text: Text, layout: Layout, place: Place) -> tuple[Flag, ...
             line=found[0],
             column=1,
         )
-    return (skipped_flag(found, "lines of numbers above the names"),)
+    return (*said, skipped_flag(found, "lines of numbers above the names"))
 
 
 def skipped_flag(lines: Sequence[int], what: str) -> Flag:

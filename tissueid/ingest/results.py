@@ -18,13 +18,22 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
+from tissueid.flags import Flag
 from tissueid.ingest.columns import has_channels, split_name
 from tissueid.ingest.numbers import looks_numeric
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.vocabulary import plain_words
 from tissueid.units import quantity_of
 
-__all__ = ["is_statistics", "is_title", "is_units_row", "results_below", "results_spans"]
+__all__ = [
+    "announced_results",
+    "is_statistics",
+    "is_title",
+    "is_units_row",
+    "results_below",
+    "results_flag",
+    "results_spans",
+]
 
 Row = Sequence[str]
 
@@ -143,10 +152,39 @@ def results_spans(rows: Sequence[Row]) -> list[range]:
         start = index
         while is_statistics(rows[start]) and start > 0 and _filled(rows[start - 1]):
             start -= 1
-        while index < len(rows) and _filled(rows[index]):
-            index += 1
+        index = _end(rows, index)
         spans.append(range(start, index))
     return spans
+
+
+def _end(rows: Sequence[Row], index: int) -> int:
+    """Where a table of results ends: at a blank line, or at the next head."""
+    below_head = False
+    while index < len(rows) and _filled(rows[index]):
+        text = _is_text(rows[index])
+        if text and below_head:
+            break
+        below_head = below_head or not text
+        index += 1
+    return index
+
+
+def announced_results(rows: Sequence[Row]) -> list[range]:
+    """Those of :func:`results_spans` that a title or a row of statistics leaves no doubt about."""
+    return [
+        span
+        for span in results_spans(rows)
+        if is_title(rows[span.start]) or any(is_statistics(rows[index]) for index in span)
+    ]
+
+
+def results_flag(first: int, last: int) -> Flag:
+    """What is said of a table of results in the lines ``first`` to ``last``, counted from 1."""
+    return Flag(
+        "rows_skipped",
+        f"lines {first} to {last} are a table of results, not samples: they were left out",
+        {"count": last - first + 1, "lines": [first, last]},
+    )
 
 
 def _opens_results(rows: Sequence[Row], index: int) -> bool:

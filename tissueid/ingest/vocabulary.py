@@ -103,7 +103,8 @@ _NAMES: dict[Channel, tuple[tuple[int, str], ...]] = {
             (
                 r"(?:absolute )?(?:crosshead|traverse|traversen)(?: absolute?| absolut| position)?"
                 r"|traverse absolue"
-                r"|traversen(?:position|weg absolut)|position(?: absolue| z)?|posicion|posizione|pozycja|stroke"
+                r"|traversen(?:position|weg absolut)|position(?: absolue| z)?|posicion|posizione|pozycja"
+                r"|stroke"
                 r"|actuator"
                 r"|height(?: measured)?|z(?: position)?|hoehe|hohe|hauteur"
             ),

@@ -29,7 +29,7 @@ from tissueid.ingest.layout import Anchor, Row, anchor
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.recipe import Detection, InputFile, Recipe, Table, is_workbook
 from tissueid.ingest.refusals import Place
-from tissueid.ingest.results import results_below
+from tissueid.ingest.results import results_below, results_flag
 from tissueid.ingest.unpacking import BROKEN_ARCHIVE, too_much
 from tissueid.ingest.vocabulary import CHANNELS
 from tissueid.trial import FloatArray
@@ -205,7 +205,7 @@ def _read_sheet(file: InputFile, sheet: str, cells: Cells, found: Anchor, *, nam
     stop = len(cells) if results is None else results
     columns, flags = _read_columns(cells[:stop], found.first, choice, place)
     if results is not None:
-        flags.append(_results_flag(results + 1, len(cells)))
+        flags.append(results_flag(results + 1, len(cells)))
     metadata = header_entries([row for row in head[: found.names] if any(row)])
     test = _test_name(cells, found)
     if test is not None:
@@ -232,14 +232,6 @@ def _results(cells: Cells, found: Anchor, names: Row, units: Row, options: ReadO
     tail = [tuple(_shown(cell) for cell in row) for row in cells[start:]]
     below = results_below(tail, names, units, options)
     return None if below is None else start + below
-
-
-def _results_flag(first: int, last: int) -> Flag:
-    return Flag(
-        "rows_skipped",
-        f"rows {first} to {last} are a table of results, not samples: they were left out",
-        {"count": last - first + 1, "lines": [first, last]},
-    )
 
 
 def _read_columns(
