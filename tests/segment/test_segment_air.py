@@ -51,3 +51,13 @@ def test_a_drift_is_told_with_its_slope(drift: float) -> None:
 def test_a_drift_that_would_not_matter_is_not_told() -> None:
     # 0.03 N/s: half a newton by the end, of 72
     assert drifts(recording(2, drift=0.03)) == []
+
+
+def test_a_specimen_that_pulls_from_the_start_is_no_drift() -> None:
+    # a stiff specimen with a weak toe: half the stiffness over the first third of the travel
+    time = np.arange(0.0, 30.0, 0.02)
+    x = 0.02 * np.minimum(time, 20.0)
+    force = (
+        1000.0 * x + 1000.0 * np.maximum(x - 0.12, 0.0) + np.random.default_rng(3).normal(0.0, 0.5, time.size)
+    )
+    assert drifts(Trial("s", time, x, force)) == []

@@ -28,6 +28,8 @@ SURE = 8.0
 HALF_SHARE = 0.4
 #: Drift over the rest of the record is said from this share of the largest force.
 SAID_SHARE = 0.02
+#: A drift is slower than this share of the mean rate of loading: what is faster is a specimen at work.
+LOADING_SHARE = 0.2
 
 
 def drift_in_air(
@@ -54,8 +56,10 @@ def drift_in_air(
     if abs(slope) <= SURE * error or half * slope < HALF_SHARE * slope**2:
         return ()
     rest = float(time_s[-1] - 0.5 * (time[0] + time[-1]))
-    largest = float(np.abs(force_N - contact.baseline_N).max())
-    if abs(slope) * rest <= SAID_SHARE * largest:
+    loaded = np.abs(force_N - contact.baseline_N)
+    largest, peak = float(loaded.max()), int(np.argmax(loaded))
+    loading = largest / max(float(time_s[peak] - time_s[stop]), float(time[-1] - time[0]) / time.size)
+    if abs(slope) * rest <= SAID_SHARE * largest or abs(slope) > LOADING_SHARE * loading:
         return ()
     return (
         Flag(
