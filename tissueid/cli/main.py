@@ -22,6 +22,7 @@ __all__ = ["cli", "main"]
 #: Sub-command -> what it does; its module is ``tissueid.cli.<name>_command``.
 COMMANDS = {
     "fit": "Identify the tissue behind recordings: bundle, numbers, report.",
+    "study": "Write, check, correct and publish the study file.",
     "calibrate-frame": "Measure how far machine and fixture give.",
     "inspect": "Say what a recording holds and how it was read.",
     "report": "Write the HTML report of a finished fit again.",

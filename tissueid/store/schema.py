@@ -34,6 +34,7 @@ SCHEMA_NAMES = (
     "outputs",
     "quantities",
     "study",
+    "study-check",
     "watch",
 )
 

@@ -1,0 +1,234 @@
+"""``tissueid study``: write, check, correct and publish the study file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from tissueid.cli.output import echo_json, note, output_options
+from tissueid.cli.reading import read_in_order, read_options, reading_options
+from tissueid.errors import UsageError
+
+if TYPE_CHECKING:
+    from tissueid.manifest import Study
+    from tissueid.result import Refusal
+    from tissueid.trial import Trial
+
+__all__ = ["command"]
+
+READING = ("columns", "units", "axes", "specimen_by", "recipe", "sheet", "delimiter", "decimal")
+#: Missing items printed without -v, after the essential ones.
+FEW_MISSING = 8
+EXIT_INCOMPLETE = 7
+
+EPILOG = """\b
+Examples:
+  tissueid study init lab_data/
+  tissueid study check lab_data/
+  tissueid study exclude lab_data/run_7.csv --because "the tool slipped"
+  tissueid study include lab_data/run_7.csv
+  tissueid study export lab_data/ --crate crate/ --anonymise
+"""
+
+
+@click.group("study", epilog=EPILOG)
+def command() -> None:
+    """Write, check, correct and publish study.toml.
+
+    The study file stands beside the recordings and says what they can't: specimens, protocols, calibration,
+    decisions and their reasons. fit reads it. exclude asks for --because; export writes a folder, --crate,
+    and takes names out with --anonymise.
+    """
+
+
+def _sub(name: str, epilog: str) -> Callable[[Callable[..., int]], click.Command]:
+    """A sub-command with the options of output and its examples."""
+
+    def decorate(function: Callable[..., int]) -> click.Command:
+        return command.command(name, epilog=f"\b\nExamples:\n{epilog}")(output_options(function))
+
+    return decorate
+
+
+def _read_all(
+    paths: tuple[str, ...], flags: dict[str, Any], study: Study | None
+) -> tuple[list[Trial], list[Refusal]]:
+    from tissueid.cli.reading import read_all
+
+    reading = read_options(**{key: flags.get(key) for key in READING})
+    refused: list[Refusal] = []
+    return list(read_all(read_in_order(paths, reading, study), refused)), refused
+
+
+@_sub("init", "  tissueid study init lab_data/\n  tissueid study init lab_data/ --force\n")
+@click.argument("folder", type=click.Path(exists=True, file_okay=False))
+@click.option("--force", is_flag=True, help="Write over a study.toml that is there.")
+@reading_options
+def init(**flags: Any) -> int:
+    """Write a study.toml from the headers and data of a folder, with comments for what is missing."""
+    from tissueid.ingest.manifest import MANIFEST
+    from tissueid.store.files import write_file
+    from tissueid.study.draft import draft_study
+
+    folder = Path(flags["folder"])
+    target = folder / MANIFEST
+    if target.exists() and not flags["force"]:
+        msg = f"{target} is there already: edit it, or write over it with --force"
+        raise UsageError(msg)
+    trials, refused = _read_all((flags["folder"],), flags, None)
+    if not trials:
+        msg = f"{folder}: no recording could be read ({refused[0] if refused else 'there is none'})"
+        raise UsageError(msg)
+    content = draft_study(folder, trials, refused).encode("utf-8")
+    try:
+        write_file(target, content)
+    except OSError as error:
+        msg = f"{target}: can't be written ({error.strerror}); check the rights of the folder"
+        raise UsageError(msg) from error
+    if flags["as_json"]:
+        echo_json({"path": str(target), "trials": len(trials), "refused": [one.as_json() for one in refused]})
+    for one in refused:
+        click.secho(f"refused ({one.code})  {one}", fg="red", err=True)
+    note(
+        f"wrote {target}: {len(trials)} trials; fill it in, then `tissueid study check`", quiet=flags["quiet"]
+    )
+    return EXIT_INCOMPLETE if refused else 0
+
+
+@_sub("check", "  tissueid study check lab_data/\n  tissueid study check lab_data/study.toml --json\n")
+@click.argument("study", type=click.Path(exists=True))
+def check(**flags: Any) -> int:
+    """Grade how complete a study file is, A to F, and say what is missing and why it is asked for.
+
+    Exit code 0 where nothing essential is missing, 7 where something is or a named file is not there, 3
+    where the file is not valid.
+    """
+    from tissueid.ingest.manifest import read_study, unmatched_files
+    from tissueid.study.completeness import completeness
+
+    study = read_study(flags["study"])
+    found = completeness(study, unmatched_files(study))
+    if flags["as_json"]:
+        echo_json(found.as_json(study.path))
+    elif not flags["quiet"]:
+        click.echo(
+            f"{study.path}: grade {found.grade}, {100 * found.share:.0f} % of what is asked for is stated"
+        )
+        essential = sum(one.item.weight == 3 for one in found.missing)
+        shown = found.missing if flags["verbose"] else found.missing[: essential + FEW_MISSING]
+        for one in shown:
+            where = (
+                f" (of {', '.join(one.where[:3])}{', ...' if len(one.where) > 3 else ''})"
+                if one.where
+                else ""
+            )
+            mark = "essential" if one.item.weight == 3 else "missing  "
+            table = (
+                f"[[{one.item.table}]]" if one.item.table in {"specimen", "trial"} else f"[{one.item.table}]"
+            )
+            click.echo(f"  {mark}  {table} {' or '.join(one.item.keys)}{where}: {one.item.why}")
+        if len(shown) < len(found.missing):
+            click.echo(f"  and {len(found.missing) - len(shown)} more (-v prints them)")
+    for refusal in found.unmatched:
+        click.secho(str(refusal), fg="red", err=True)
+    return 0 if found.usable else EXIT_INCOMPLETE
+
+
+@_sub(
+    "exclude",
+    '  tissueid study exclude lab_data/run_7.csv --because "the tool slipped"\n'
+    '  tissueid study exclude "meat.xlsx::Sheet 3" --because "thawed" --study lab_data/\n',
+)
+@click.argument("trial")
+@click.option("--because", required=True, metavar="TEXT", help="Why; shown wherever the trial is missed.")
+@click.option("--study", type=click.Path(exists=True), help="Study file. [default: the nearest above TRIAL]")
+def exclude(**flags: Any) -> int:
+    """Take a recording out of the fit, with the reason; the report shows the numbers with and without it.
+
+    TRIAL is a file, or file::sheet for one sheet of a workbook.
+    """
+    from tissueid.study.exclusions import exclude, find_manifest
+
+    manifest = find_manifest(flags["trial"], flags["study"])
+    named = exclude(flags["trial"], flags["because"], manifest=manifest)
+    return _changed(manifest, named, flags, f"{named} is excluded in {manifest}: {flags['because']}")
+
+
+@_sub("include", "  tissueid study include lab_data/run_7.csv\n")
+@click.argument("trial")
+@click.option("--study", type=click.Path(exists=True), help="Study file. [default: the nearest above TRIAL]")
+def include(**flags: Any) -> int:
+    """Take a recording back into the fit."""
+    from tissueid.study.exclusions import find_manifest, include
+
+    manifest = find_manifest(flags["trial"], flags["study"])
+    named = include(flags["trial"], manifest=manifest)
+    return _changed(manifest, named, flags, f"{named} is fitted again, says {manifest}")
+
+
+def _changed(manifest: Path, named: str, flags: dict[str, Any], message: str) -> int:
+    if flags["as_json"]:
+        echo_json({"study": str(manifest), "trial": named})
+    note(message, quiet=flags["quiet"])
+    return 0
+
+
+@_sub(
+    "export",
+    "  tissueid study export lab_data/ --crate crate/\n"
+    "  tissueid study export lab_data/ --crate crate/ --anonymise\n",
+)
+@click.argument("study", type=click.Path(exists=True))
+@click.option(
+    "--crate", required=True, type=click.Path(file_okay=False), metavar="OUT",
+    help="Write an RO-Crate 1.1 into this empty folder: recordings, study file, metadata with hashes.",
+)  # fmt: skip
+@click.option(
+    "--anonymise", is_flag=True,
+    help="Without names of people, places and animals, dates and ethics number; recordings without headers.",
+)  # fmt: skip
+@click.option("--date", help="Day of publication, YYYY-MM-DD. [default: today]")
+@reading_options
+def export(**flags: Any) -> int:
+    """Publish a study: recordings, study file and metadata in one folder."""
+    from dataclasses import replace
+    from datetime import UTC, date, datetime
+
+    from tissueid.collection import display_names
+    from tissueid.study.anonymise import Anonymiser, read_salt
+    from tissueid.study.crate import crate_files, crate_metadata, write_crate
+    from tissueid.study.recordings import locate_study
+
+    study, paths = locate_study((flags["study"],))
+    if study is None:
+        msg = f"{flags['study']}: there is no study.toml; `tissueid study init` writes one"
+        raise UsageError(msg)
+    try:
+        day = date.fromisoformat(flags["date"]) if flags["date"] else datetime.now(UTC).date()
+    except ValueError as error:
+        msg = f"--date is {flags['date']!r}: write a day as 2024-05-31"
+        raise UsageError(msg) from error
+    trials, refused = _read_all(paths, flags, study)
+    names = display_names([(trial.specimen, trial.source) for trial in trials])
+    trials = [replace(trial, specimen=names[trial.specimen]) for trial in trials]
+    anonymiser = None
+    if flags["anonymise"]:
+        folder = Path(study.path).parent
+        anonymiser = Anonymiser(study, {trial.specimen for trial in trials}, read_salt(folder))
+    files = crate_files(study, trials, anonymiser)
+    metadata = crate_metadata(study, files, published=day.isoformat(), anonymiser=anonymiser)
+    write_crate(Path(flags["crate"]), files, metadata)
+    if flags["as_json"]:
+        echo_json(metadata)
+    for one in refused:
+        click.secho(f"left out ({one.code})  {one}", fg="red", err=True)
+    note(f"wrote {len(files)} files and their metadata to {flags['crate']}", quiet=flags["quiet"])
+    if anonymiser is not None:
+        note(
+            "read the reasons and the machine's name once more: free text can name people",
+            quiet=flags["quiet"],
+        )
+    return EXIT_INCOMPLETE if refused else 0

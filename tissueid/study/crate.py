@@ -1,0 +1,244 @@
+"""A study as an RO-Crate: its recordings, its study file, and what is needed to find and cite them.
+
+RO-Crate Metadata Specification 1.1 (doi 10.5281/zenodo.4541002): ``ro-crate-metadata.json`` describes itself,
+the root data set with name, description, date and licence, and every file with size, type and hash.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import mimetypes
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any
+from urllib.parse import quote
+
+import tomlkit
+
+from tissueid.errors import UsageError
+from tissueid.ingest.manifest import MANIFEST, SCHEMA
+from tissueid.manifest import Study
+from tissueid.store.files import json_bytes, write_file
+from tissueid.study.anonymise import Anonymiser, recording_text
+from tissueid.trial import Trial
+
+__all__ = ["METADATA", "crate_files", "crate_metadata", "write_crate"]
+
+METADATA = "ro-crate-metadata.json"
+_CONTEXT = "https://w3id.org/ro/crate/1.1/context"
+_PROFILE = "https://w3id.org/ro/crate/1.1"
+_FRAME = "frame.json"
+#: The context of 1.1 has no word for a hash.
+_TERMS = {"sha256": "https://schema.org/sha256"}
+_MEDIA = {".toml": "application/toml", ".tra": "text/plain", ".csv": "text/csv"}
+
+
+@dataclass(frozen=True, slots=True)
+class CrateFile:
+    """One file of a crate: its name inside, its bytes, and what it is."""
+
+    name: str
+    content: bytes
+    description: str
+
+
+def crate_files(
+    study: Study, trials: Sequence[Trial], anonymiser: Anonymiser | None = None
+) -> list[CrateFile]:
+    """What a crate holds beside its metadata.
+
+    Parameters
+    ----------
+    study : Study
+    trials : sequence of Trial
+        Every recording of the study.
+    anonymiser : Anonymiser, optional
+        Recordings are then written anew under numbers, and the study file without names.
+
+    Returns
+    -------
+    list of CrateFile
+    """
+    if anonymiser is None:
+        return _as_they_are(study, trials)
+    names = {trial: f"trial-{i:03d}.csv" for i, trial in enumerate(map(_key, trials), start=1)}
+    files = [
+        CrateFile(
+            names[_key(trial)], recording_text(trial).encode("utf-8"), "recording: time, displacement, force"
+        )
+        for trial in trials
+    ]
+    if study.calibration.frame is not None and study.calibration.frame.path is not None:
+        files.insert(
+            0, CrateFile(_FRAME, _frame_without_sources(study.calibration.frame.path), _ABOUT[_FRAME])
+        )
+    text = _anonymous_manifest(study, trials, names, anonymiser)
+    return [CrateFile(MANIFEST, text.encode("utf-8"), _ABOUT[MANIFEST]), *files]
+
+
+_ABOUT = {
+    MANIFEST: "study file: specimens, protocols, calibration",
+    _FRAME: "deflection of the machine's frame",
+}
+
+
+def _key(trial: Trial) -> tuple[str, str | None]:
+    return trial.source.path, trial.source.sheet
+
+
+def _as_they_are(study: Study, trials: Sequence[Trial]) -> list[CrateFile]:
+    """The study file, the frame file and the recordings, byte for byte."""
+    root = Path(study.path).parent
+    paths = {study.path: _ABOUT[MANIFEST]}
+    if study.calibration.frame is not None and study.calibration.frame.path is not None:
+        paths[study.calibration.frame.path] = _ABOUT[_FRAME]
+    for trial in trials:
+        paths.setdefault(trial.source.path, f"recording, read as {trial.source.recipe}")
+    files = []
+    for path, about in paths.items():
+        name = PurePosixPath(Path(os.path.relpath(os.path.realpath(path), os.path.realpath(root))).as_posix())
+        if ".." in name.parts or name.is_absolute():
+            msg = f"{path} lies outside {root}: move it into the study's folder, or export with --anonymise"
+            raise UsageError(msg)
+        files.append(CrateFile(str(name), Path(path).read_bytes(), about))
+    return files
+
+
+def _frame_without_sources(path: str) -> bytes:
+    """The frame file without the names of the recordings behind it."""
+    document = json.loads(Path(path).read_bytes())
+    for i, source in enumerate(document["sources"], start=1):
+        source["path"], source["sheet"] = f"rigid-{i}", None
+    return json_bytes(document)
+
+
+def _anonymous_manifest(
+    study: Study,
+    trials: Sequence[Trial],
+    names: Mapping[tuple[str, str | None], str],
+    anonymiser: Anonymiser,
+) -> str:
+    """The study file of the renamed recordings; globs are written out, one table a recording."""
+    document = tomlkit.document()
+    document["schema"] = SCHEMA
+    document["study"] = anonymiser.table(study.about)
+    calibration = dict(study.calibration.values)
+    if study.calibration.frame is not None and study.calibration.frame.path is not None:
+        calibration["frame"] = _FRAME
+    document["calibration"] = calibration
+    document["tip"] = anonymiser.table(study.tip)
+    of_trial = [study.decision(*_key(one)).trial.get("specimen", one.specimen) for one in trials]
+    used = dict.fromkeys([*study.specimens, *of_trial])
+    specimens = [{"name": name, **study.specimens.get(name, {})} for name in used]
+    document["specimen"] = [anonymiser.table(row, named=True) for row in specimens]
+    document["protocol"] = [anonymiser.table(row) for row in study.protocols.values()]
+    rows: dict[str, list[dict[str, Any]]] = {"trial": [], "override": [], "exclude": []}
+    for trial in trials:
+        file = {"file": names[_key(trial)]}
+        decision = study.decision(*_key(trial))
+        said = {**decision.trial, "specimen": decision.trial.get("specimen", trial.specimen)}
+        rows["trial"].append(file | anonymiser.table(said))
+        # columns and units were applied when the recording was read
+        override = {key: value for key, value in decision.override.items() if not isinstance(value, Mapping)}
+        if set(override) - {"because"}:
+            rows["override"].append(file | anonymiser.table(override))
+        if decision.excluded is not None:
+            rows["exclude"].append(file | {"because": anonymiser.text(decision.excluded)})
+    document.update({key: value for key, value in rows.items() if value})
+    return tomlkit.dumps(document)
+
+
+def _media_type(name: str) -> str:
+    suffix = PurePosixPath(name).suffix.lower()
+    return _MEDIA.get(suffix) or mimetypes.guess_type(name)[0] or "application/octet-stream"
+
+
+def _licence(text: str) -> dict[str, Any]:
+    """The entity of a licence: its address, or that of its SPDX name."""
+    address = text if "://" in text else f"https://spdx.org/licenses/{quote(text)}"
+    return {"@id": address, "@type": "CreativeWork", "name": text}
+
+
+def crate_metadata(
+    study: Study, files: Sequence[CrateFile], *, published: str, anonymiser: Anonymiser | None = None
+) -> dict[str, Any]:
+    """The document of ``ro-crate-metadata.json``.
+
+    Parameters
+    ----------
+    study : Study
+    files : sequence of CrateFile
+    published : str
+        Day of publication, ISO 8601.
+    anonymiser : Anonymiser, optional
+
+    Raises
+    ------
+    UsageError
+        The study has no licence: nobody could use the crate.
+    """
+    about = dict(study.about) if anonymiser is None else anonymiser.table(study.about)
+    if "licence" not in about:
+        msg = f'{study.path}: a crate needs a licence: write licence = "CC-BY-4.0" (or yours) under [study]'
+        raise UsageError(msg)
+    licence = _licence(about["licence"])
+    authors = [
+        {"@id": f"#author-{i}", "@type": "Person", "name": name}
+        for i, name in enumerate(about.get("authors", ()), start=1)
+    ]
+    entries = [
+        {
+            "@id": quote(file.name),
+            "@type": "File",
+            "name": file.name,
+            "description": file.description,
+            "contentSize": str(len(file.content)),
+            "encodingFormat": _media_type(file.name),
+            "sha256": hashlib.sha256(file.content).hexdigest(),
+        }
+        for file in files
+    ]
+    title = about.get("title", "Indentation of soft tissue")
+    root: dict[str, Any] = {
+        "@id": "./",
+        "@type": "Dataset",
+        "name": title,
+        "description": about.get(
+            "description", f"{title}: force and displacement of a tool pressed into tissue."
+        ),
+        "datePublished": published,
+        "license": {"@id": licence["@id"]},
+        "hasPart": [{"@id": entry["@id"]} for entry in entries],
+    }
+    if authors:
+        root["author"] = [{"@id": author["@id"]} for author in authors]
+    if "doi" in about:
+        root["identifier"] = f"https://doi.org/{about['doi'].removeprefix('https://doi.org/')}"
+    itself = {
+        "@id": METADATA,
+        "@type": "CreativeWork",
+        "conformsTo": {"@id": _PROFILE},
+        "about": {"@id": "./"},
+    }
+    return {"@context": [_CONTEXT, _TERMS], "@graph": [itself, root, licence, *authors, *entries]}
+
+
+def write_crate(out: Path, files: Sequence[CrateFile], metadata: Mapping[str, Any]) -> None:
+    """Write a crate into a folder that is empty or not there; the metadata last.
+
+    Raises
+    ------
+    UsageError
+        The folder holds something already.
+    """
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        msg = f"{out} is not an empty folder: choose another"
+        raise UsageError(msg)
+    for file in files:
+        target = out / file.name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        write_file(target, file.content)
+    write_file(out / METADATA, json_bytes(metadata))

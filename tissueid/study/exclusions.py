@@ -1,0 +1,159 @@
+"""Take a recording out of a study, or back in, in the study file itself; its comments stay."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+
+from tissueid.errors import UsageError
+from tissueid.ingest.manifest import MANIFEST, read_study
+from tissueid.manifest import Study
+from tissueid.store.files import write_file
+
+__all__ = ["exclude", "find_manifest", "include"]
+
+
+def find_manifest(trial: str, named: str | None = None) -> Path:
+    """The study file of a recording: the named one, else the nearest above it, else that of this folder.
+
+    Raises
+    ------
+    UsageError
+        There is none.
+    """
+    if named is not None:
+        path = Path(named)
+        return path / MANIFEST if path.is_dir() else path
+    file = Path(_split(trial)[0]).absolute()
+    for folder in (*(file.parents if file.exists() else ()), Path.cwd()):
+        if (folder / MANIFEST).is_file():
+            return folder / MANIFEST
+    msg = (
+        f"there is no {MANIFEST} beside or above {trial}: name it with --study, or run `tissueid study init`"
+    )
+    raise UsageError(msg)
+
+
+def _split(trial: str) -> tuple[str, str | None]:
+    """``"meat.xlsx::Sheet 1"`` as file and sheet; a file of that whole name comes first."""
+    name, mark, sheet = trial.rpartition("::")
+    return (name, sheet) if mark and not Path(trial).exists() else (trial, None)
+
+
+def _located(trial: str, manifest: Path) -> tuple[str, str | None]:
+    """File relative to the manifest's folder, and sheet.
+
+    Raises
+    ------
+    UsageError
+        There is no such recording.
+    """
+    name, sheet = _split(trial)
+    for file in (Path(name), manifest.parent / name):
+        if file.is_file():
+            relative = os.path.relpath(os.path.realpath(file), os.path.realpath(manifest.parent))
+            return Path(relative).as_posix(), sheet
+    msg = f"{name}: there is no such recording, here or beside {manifest}"
+    raise UsageError(msg)
+
+
+def _document(manifest: Path) -> tuple[Study, tomlkit.TOMLDocument, bool]:
+    """The study, its text to edit, and whether its lines end in CRLF; refused where it is not valid."""
+    study = read_study(manifest)
+    text = manifest.read_bytes().decode("utf-8-sig")
+    return study, tomlkit.parse(text.replace("\r\n", "\n")), "\r\n" in text
+
+
+def _write(manifest: Path, document: tomlkit.TOMLDocument, *, crlf: bool) -> None:
+    text = tomlkit.dumps(document)
+    write_file(manifest, (text.replace("\n", "\r\n") if crlf else text).encode("utf-8"))
+
+
+def _same(document: tomlkit.TOMLDocument, file: str, sheet: str | None) -> Iterator[Any]:
+    """The [[exclude]] tables of exactly this recording."""
+    for entry in document.get("exclude", []):
+        if entry.get("file") == file and entry.get("sheet") == sheet:
+            yield entry
+
+
+def exclude(trial: str, because: str, *, manifest: Path) -> str:
+    """Add ``[[exclude]]`` for a recording, or change its reason.
+
+    Parameters
+    ----------
+    trial : str
+        File, or ``file::sheet``; relative to here or to the manifest.
+    because : str
+        The reason, shown wherever the recording is missed.
+    manifest : Path
+
+    Returns
+    -------
+    str
+        The recording as the manifest names it.
+
+    Raises
+    ------
+    UsageError
+        No such recording, or no reason.
+    InputError
+        The manifest is not valid; it is left as it was.
+    """
+    if not because.strip():
+        msg = "an exclusion needs a reason: --because TEXT"
+        raise UsageError(msg)
+    file, sheet = _located(trial, manifest)
+    _, document, crlf = _document(manifest)
+    known = next(_same(document, file, sheet), None)
+    if known is not None:
+        known["because"] = because
+    else:
+        entry = tomlkit.table()
+        entry.add("file", file)
+        if sheet is not None:
+            entry.add("sheet", sheet)
+        entry.add("because", because)
+        entry.add(tomlkit.nl())
+        if "exclude" not in document:
+            document.add(tomlkit.nl())
+            document.append("exclude", tomlkit.aot())
+        tables: Any = document["exclude"]
+        tables.append(entry if isinstance(tables, tomlkit.items.AoT) else entry.unwrap())
+    _write(manifest, document, crlf=crlf)
+    return file if sheet is None else f"{file}::{sheet}"
+
+
+def include(trial: str, *, manifest: Path) -> str:
+    """Take a recording's ``[[exclude]]`` out again; its parameters are those of :func:`exclude`.
+
+    Raises
+    ------
+    UsageError
+        It is not excluded, or by a glob or for a whole workbook, which is for people to change.
+    """
+    file, sheet = _located(trial, manifest)
+    study, document, crlf = _document(manifest)
+    tables: Any = document.get("exclude", [])
+    left = [
+        i for i, entry in enumerate(tables) if not (entry.get("file") == file and entry.get("sheet") == sheet)
+    ]
+    if len(left) == len(tables):
+        decision = study.decision(str(manifest.parent / file), sheet)
+        if decision.excluded is None:
+            msg = f"{trial} is not excluded in {manifest}"
+            raise UsageError(msg)
+        real = study.real_path(str(manifest.parent / file))
+        line = next(entry.line for entry in study.exclusions if entry.names(real, sheet))
+        msg = f"{trial} is excluded with others by line {line} of {manifest}: change that table"
+        raise UsageError(msg)
+    for i in reversed(range(len(tables))):
+        if i not in left:
+            del tables[i]
+    if not tables:
+        document.remove("exclude")
+    _write(manifest, document, crlf=crlf)
+    return file if sheet is None else f"{file}::{sheet}"
