@@ -168,6 +168,13 @@ def test_a_coarsely_printed_force_that_rests_at_its_peak_is_not_clipped() -> Non
     assert "clipped_force" not in flags_of(Recording(time, x, force, 100.0))
 
 
+@pytest.mark.parametrize("power", [1.0, 2.0])
+def test_a_computed_force_that_stands_in_its_hold_is_not_clipped(power: float) -> None:
+    time = np.arange(3000) * 0.01
+    x = np.minimum(time * 0.2, 4.0)
+    assert "clipped_force" not in flags_of(Recording(time, x, 3.0 * x**power, 100.0))
+
+
 def test_eighteen_levels_are_quantised() -> None:
     clean = ramp_hold(rate_Hz=500.0)
     smooth = 15.0 * np.maximum(clean.displacement_mm - 0.5, 0.0)

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.flags import Flag
+from tissueid.ingest.levels import is_noisy
 from tissueid.trial import FloatArray
 
 __all__ = ["commanded_displacement"]
@@ -45,8 +46,6 @@ MOST_DECIMALS = 9
 REGULAR_WITHIN, REGULAR_SHARE = 0.05, 0.97
 #: Samples from which a stretch between corners shows a line.
 STRETCH = 6
-#: Largest share of repeated force values with which a force counts as noisy.
-FORCE_REPEATS = 0.5
 _EVENT_SHARE = 0.25
 
 
@@ -54,7 +53,7 @@ def commanded_displacement(
     time_s: FloatArray, displacement_mm: FloatArray, force_N: FloatArray
 ) -> Flag | None:
     """``commanded_displacement``, where all rules above hold."""
-    if time_s.size < FEWEST_SAMPLES or float(np.ptp(displacement_mm)) == 0.0 or not _noisy(force_N):
+    if time_s.size < FEWEST_SAMPLES or float(np.ptp(displacement_mm)) == 0.0 or not is_noisy(force_N):
         return None
     step_s, x = _regular(time_s, displacement_mm)
     if x is None or not 0.0 < step_s <= LONGEST_INTERVAL_S:
@@ -109,14 +108,6 @@ def _third_bend(step_s: float) -> float:
     return least
 
 
-def _noisy(force: FloatArray) -> bool:
-    """Whether the force varies from sample to sample as a measured one does."""
-    bend = np.abs(np.diff(force, n=2))
-    return float(np.mean(np.diff(force) == 0.0)) < FORCE_REPEATS and float(np.median(bend)) > 1e-9 * float(
-        np.ptp(force)
-    )
-
-
 def _regular(time_s: FloatArray, x: FloatArray) -> tuple[float, FloatArray | None]:
     """Sampling interval and the displacement without event rows; ``None`` where sampling is not regular."""
     dt = np.diff(time_s)
@@ -127,11 +118,16 @@ def _regular(time_s: FloatArray, x: FloatArray) -> tuple[float, FloatArray | Non
     return usual, x[keep] if regular >= REGULAR_SHARE else None
 
 
+def _are_whole(x: FloatArray, decimals: int) -> bool:
+    scaled = x * 10.0**decimals
+    return bool((np.abs(scaled - np.rint(scaled)) <= 1e-6 * np.maximum(1.0, np.abs(scaled) * 1e-6)).all())
+
+
 def _last_digit(x: FloatArray) -> float | None:
     """The last printed digit [mm]: all values are whole multiples of it."""
     for decimals in range(MOST_DECIMALS + 1):
-        scaled = x * 10.0**decimals
-        if (np.abs(scaled - np.rint(scaled)) <= 1e-6 * np.maximum(1.0, np.abs(scaled) * 1e-6)).all():
+        # a few samples rule most out, so that all of them are seldom looked at
+        if _are_whole(x[:: x.size // FEWEST_SAMPLES + 1], decimals) and _are_whole(x, decimals):
             return float(10.0**-decimals)
     # a computed displacement is straight to the rounding of its arithmetic
     return 1e-9 * float(np.ptp(x))

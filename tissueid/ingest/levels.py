@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from tissueid.flags import Flag
 from tissueid.trial import FloatArray
 
-__all__ = ["below_resolution", "force_levels", "no_decimals"]
+__all__ = ["below_resolution", "force_levels", "is_noisy", "no_decimals"]
 
 _FEW_LEVELS = 64
 _SAMPLES_PER_LEVEL = 10
@@ -31,6 +31,10 @@ FEWEST_STEPS = 100
 _RESOLUTION_FROM = 50
 #: Places where a value repeats, as a share of all changes, from which repeating is the channel's nature.
 _REPEATS_EVERYWHERE = 0.15
+#: Second differences of white noise change their sign in 73 % of all places, those of a smooth curve hardly.
+_NOISY_SHARE = 0.25
+#: A noisy channel repeats its value in less than this share of all places.
+_NOISY_REPEATS = 0.5
 #: Differences between levels are whole steps within this share of a step (rounding of decimals).
 _GRID_TOLERANCE = 0.01
 
@@ -65,6 +69,21 @@ def force_levels(displacement_mm: FloatArray, force_N: FloatArray) -> Flag | Non
     )
 
 
+def is_noisy(values: FloatArray) -> bool:
+    """Whether a channel varies from sample to sample as a measured one does, and a computed one does not.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n,)
+    """
+    if values.size < _CLIPPED_RUN or float(np.mean(np.diff(values) == 0.0)) >= _NOISY_REPEATS:
+        return False
+    bend = np.diff(values, n=2)
+    rounding = 1e-9 * float(np.ptp(values))
+    turns = (bend[:-1] * bend[1:] < 0.0) & (np.abs(bend[1:]) > rounding)
+    return float(np.mean(turns)) >= _NOISY_SHARE
+
+
 def _runs(repeats: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """First samples and lengths of the stretches in which a value stands."""
     starts = np.concatenate(([0], np.flatnonzero(~repeats) + 1))
@@ -86,8 +105,11 @@ def _clipped(displacement_mm: FloatArray, force_N: FloatArray, repeats: NDArray[
     first = int(np.argmax(np.where(long, lengths, 0)))
     start, count = int(starts[first]), int(lengths[first])
     total = int(lengths[level == peak].sum())
-    moved = int(np.count_nonzero(np.diff(displacement_mm[start : start + count])))
-    while_moving = " while the tool moves" if moved >= _CLIPPED_RUN - 1 else ""
+    moves = int(np.count_nonzero(np.diff(displacement_mm[start : start + count]))) >= _CLIPPED_RUN - 1
+    # a computed force stands still in a hold; a measured one does not
+    if not moves and not is_noisy(np.concatenate((force_N[:start], force_N[start + count :]))):
+        return None
+    while_moving = " while the tool moves" if moves else ""
     return Flag(
         "clipped_force",
         f"the force stands at {force_N[start]:g} N for {count} samples{while_moving}, and elsewhere for"
