@@ -38,8 +38,8 @@ HELD_MOST = 0.95
 LEAD_SAMPLES = 20
 #: Loops that turn at one force: fewest of them, and how many times more their depths let it vary.
 FEWEST_TURNS = 3
-TURN_RATIO = 4.0
-#: Peak forces agree within this share of their mean, or so many noise sd.
+TURN_RATIO = 3.0
+#: Peak forces agree within this share of their mean, so many noise sd, or the force between two samples.
 TURN_SHARE = 0.01
 TURN_SD = 3.0
 
@@ -194,15 +194,16 @@ def _turn_at_force(
 ) -> bool:
     """Whether loops turn at one force and at several depths."""
     forces = np.array([loop.peak_N for loop in loops]) - baseline_N
-    spread = float(np.ptp(forces))
-    if spread > max(TURN_SHARE * float(forces.mean()), TURN_SD * noise_N):
-        return False
     first = next(phase for phase in phases if phase.peak is not None)
     assert first.peak is not None  # noqa: S101  (chosen for it)
+    way = slice(first.start, first.peak + 1)
     travel = float(depth_mm[first.peak] - depth_mm[first.start])
     slope = float(force_N[first.peak] - force_N[first.start]) / max(travel, 1e-300)
+    # the turn lies between two samples
+    sampled = slope * float(np.abs(np.diff(depth_mm[way])).max(initial=0.0))
+    within = max(TURN_SHARE * float(forces.mean()), TURN_SD * noise_N, sampled)
     implied = slope * float(np.ptp([loop.peak_mm for loop in loops]))
-    return implied > TURN_RATIO * max(spread, TURN_SHARE * float(forces.mean()))
+    return float(np.ptp(forces)) <= within and implied > TURN_RATIO * within
 
 
 def ending_flags(events: list[Event]) -> list[Flag]:

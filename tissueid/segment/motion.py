@@ -45,7 +45,8 @@ MOVE_SAMPLES = 5
 STOP_S = 0.3
 #: ... one of less than this share of its neighbour's time and travel.
 MINOR = 0.2
-#: Fewer samples at rest are event rows or the turn of a move.
+#: Fewer samples at rest are event rows or the turn of a move; a shorter time than the last move needs to
+#: leave the tolerance shows no rest at all.
 STAND_SAMPLES = 4
 #: Samples on each side of a corner that place it.
 CORNER_SAMPLES = 200
@@ -117,6 +118,7 @@ def _classify(
     stands = (
         ~large
         & (np.diff(knots) >= STAND_SAMPLES)
+        & (span * reference >= 2.0 * tolerance)
         & (np.abs(speed) <= STAND_SPEED * reference)
         & (np.abs(rise) <= 2.0 * tolerance + MOVE_SHARE * np.ptp(depth_mm))
     )
@@ -197,9 +199,10 @@ def _same(before: _Stretch, after: _Stretch) -> bool:
     few = min(one.piece.stop - one.piece.start for one in (before, after)) < MOVE_SAMPLES
     short, long = sorted((before, after), key=lambda one: one.took_s)
     slow, fast = sorted(abs(one.speed_mm_s) for one in (before, after))
-    stopping = short.took_s <= STOP_S and abs(short.speed_mm_s) == slow
+    # of a crosshead that slows down evenly, the time below a share of its speed goes with the root of it
+    stopping = abs(short.speed_mm_s) == slow and short.took_s <= STOP_S * np.sqrt(slow / max(fast, 1e-300))
     minor = short.took_s < MINOR * long.took_s and abs(short.moved_mm) < MINOR * abs(long.moved_mm)
-    return few or stopping or minor or fast <= SPEED_RATIO * slow
+    return bool(few or stopping or minor or fast <= SPEED_RATIO * slow)
 
 
 def _demote_drifting(depth_mm: FloatArray, found: list[Piece], *, tolerance: float) -> list[Piece]:
@@ -272,40 +275,44 @@ def corner_near(
         The first sample after the corner; of a rounded stop, the first on the plateau.
     """
     low, high = within
-    guess = at
+    # lines through what lies farther off: they know nothing of the corner's own shape
+    far = slice(low, low + (at - low) // 2 + 1), slice(at + (high - at) // 2, high + 1)
+    guess = _meeting(time_s, _two_lines(time_s, depth_mm, far, stands), low, high)
+    guess = first = at if guess is None else guess
     for _ in range(CORNER_PASSES):  # a corner a few samples off tilts its lines; the next pass has it nearer
-        left = slice(max(low, guess - CORNER_SAMPLES), guess + 1)
-        right = slice(guess, min(high, guess + CORNER_SAMPLES) + 1)
-        lines = (
-            straight_line(time_s[left], depth_mm[left], flat=stands[0]),
-            straight_line(time_s[right], depth_mm[right], flat=stands[1]),
+        near = (
+            slice(max(low, guess - CORNER_SAMPLES), guess + 1),
+            slice(guess, min(high, guess + CORNER_SAMPLES) + 1),
         )
+        lines = _two_lines(time_s, depth_mm, near, stands)
         moved = _meeting(time_s, lines, low, high)
-        if moved is None:
+        if moved is None or abs(moved - first) > CORNER_SAMPLES:
             break
         if abs(moved - guess) <= 1:
-            if _sharp(
-                time_s, depth_mm, lines, (max(low, moved - NEAR_SAMPLES), moved + NEAR_SAMPLES + 1), tolerance
-            ):
+            if _sharp(time_s, depth_mm, lines, moved, tolerance):
                 return moved
             break
         guess = moved
-    if not any(stands):  # a rounded turn: where the lines through the middle of its sides meet
-        quarters = (at - low) // 2, (high - at) // 2
-        sides = slice(low, at - quarters[0] // 2 + 1), slice(at + quarters[1] // 2, high + 1)
-        lines = (
-            straight_line(time_s[sides[0]], depth_mm[sides[0]], flat=False),
-            straight_line(time_s[sides[1]], depth_mm[sides[1]], flat=False),
-        )
-        moved = _meeting(time_s, lines, low, high)
-        return at if moved is None else moved
+    if not any(stands):
+        return first
     if stands[1]:  # a rounded stop: the hold begins where the plateau is reached for good
-        plateau = float(np.median(depth_mm[at : high + 1]))
+        plateau = float(np.median(depth_mm[max(at, first) : high + 1]))
         outside = np.flatnonzero(np.abs(depth_mm[low : high + 1] - plateau) > tolerance)
         return low + int(outside[-1]) + 1 if outside.size and outside[-1] + low < high else at
-    plateau = float(np.median(depth_mm[low : at + 1]))
+    plateau = float(np.median(depth_mm[low : min(at, first) + 1]))
     outside = np.flatnonzero(np.abs(depth_mm[low : high + 1] - plateau) > tolerance)
     return max(low, low + int(outside[0]) - 1) if outside.size else at
+
+
+def _two_lines(
+    time_s: FloatArray, depth_mm: FloatArray, sides: tuple[slice, slice], stands: tuple[bool, bool]
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Slope and level of the straight lines on both sides of a corner."""
+    before, after = (
+        straight_line(time_s[side], depth_mm[side], flat=flat)
+        for side, flat in zip(sides, stands, strict=True)
+    )
+    return before, after
 
 
 def _meeting(
@@ -326,11 +333,12 @@ def _sharp(
     time_s: FloatArray,
     depth_mm: FloatArray,
     lines: tuple[tuple[float, float], tuple[float, float]],
-    near: tuple[int, int],
+    at: int,
     tolerance: float,
 ) -> bool:
     """Whether the samples near a corner lie on its two lines."""
-    t, x = time_s[near[0] : near[1]], depth_mm[near[0] : near[1]]
+    near = slice(max(at - NEAR_SAMPLES, 0), at + NEAR_SAMPLES + 1)
+    t, x = time_s[near], depth_mm[near]
     (slope_1, level_1), (slope_2, level_2) = lines
     one, other = level_1 + slope_1 * t, level_2 + slope_2 * t
     # a path that slows down lies below both lines, one that speeds up above both

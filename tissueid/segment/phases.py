@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.segment.motion import SPEED_RATIO, Piece, straight_line
+from tissueid.segment.motion import SPEED_RATIO, Piece, corner_near, straight_line
 from tissueid.segment.options import SegmentOptions
 from tissueid.trial import Contact, Phase
 
@@ -85,13 +85,28 @@ def settled(
                 time_s, depth_mm, (result[-1], piece, after), tolerance_mm
             )
             if not _long_enough(time_s, piece, result[-1], options, rounded=rounded):
-                result[-1] = replace(result[-1], stop=piece.stop)
+                stop = piece.stop
+                if after is not None and after.direction == -result[-1].direction:
+                    stop = _turn(time_s, depth_mm, (result[-1], piece, after), tolerance_mm)
+                    calm[k + 1] = replace(after, start=stop)
+                result[-1] = replace(result[-1], stop=stop)
                 continue
         if result and _goes_on(time_s, depth_mm, result[-1], piece):
             result[-1] = replace(result[-1], stop=piece.stop)
         else:
             result.append(piece)
     return result
+
+
+def _turn(
+    time_s: FloatArray, depth_mm: FloatArray, around: tuple[Piece, Piece, Piece], tolerance_mm: float
+) -> int:
+    """The sample at which a move turns, given the short standstill there."""
+    before, stand, after = around
+    within = (before.start + before.stop) // 2, (after.start + after.stop) // 2
+    at = (stand.start + stand.stop) // 2
+    turn = corner_near(time_s, depth_mm, at, within, stands=(False, False), tolerance=tolerance_mm)
+    return min(max(turn, stand.start), stand.stop)
 
 
 def _goes_on(time_s: FloatArray, depth_mm: FloatArray, before: Piece, after: Piece) -> bool:
@@ -280,10 +295,14 @@ def _creep_start(
     creeps: Callable[[Piece, Piece], int | None],
 ) -> int | None:
     """Where creep began, if a slow move after a ramp, or after creep, is some."""
-    if not named or named[-1][0] not in ("ramp", "creep"):
-        return None
-    ramp = next((piece for kind, piece, _ in reversed(named) if kind == "ramp"), None)
-    return None if ramp is None else creeps(ramp, slow)
+    run: list[Piece] = []
+    for kind, piece, _ in reversed(named):
+        if kind not in ("ramp", "creep"):
+            break
+        run += [piece] if kind == "ramp" else []
+    # early creep may have passed for a slower ramp: the first ramp of the run that fits
+    starts = (creeps(ramp, slow) for ramp in reversed(run))
+    return next((start for start in starts if start is not None), None)
 
 
 def _phase(time_s: FloatArray, depth: FloatArray, kind: str, piece: Piece, peak: int | None) -> Phase:
