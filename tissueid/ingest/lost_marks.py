@@ -10,6 +10,7 @@ import re
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tissueid.flags import Flag
 from tissueid.ingest.vocabulary import CHANNELS, Channel
@@ -41,12 +42,16 @@ def lost_marks(
     for channel, cell in zip(CHANNELS, first_row, strict=False):
         if _PADDED.fullmatch(cell):
             return _flag(channel, f"is padded with zeros, first {cell.strip()!r}")
-    whole = [column.size >= _WHOLE_FROM and not (column % 1.0).any() for column in columns]
+    fractional = [column != np.floor(column) for column in columns]
+    whole = [
+        column.size >= _WHOLE_FROM and not decimals.any()
+        for column, decimals in zip(columns, fractional, strict=True)
+    ]
     for channel, column, is_whole in zip(CHANNELS, columns, whole, strict=True):
         if is_whole and _worth_a_remark(channel, column, factors[channel], all_whole=all(whole)):
             return _flag(channel, "is a whole number in every row")
-    for channel, column in zip(CHANNELS, columns, strict=True):
-        at = _far_above_neighbours(column)
+    for channel, column, decimals in zip(CHANNELS, columns, fractional, strict=True):
+        at = _far_above_neighbours(column, decimals)
         if at is not None:
             return _flag(channel, f"is {column[at]:g} in row {at + 1}, far above its neighbours")
     return None
@@ -67,12 +72,12 @@ def _worth_a_remark(channel: Channel, column: FloatArray, factor: float, *, all_
     return factor >= 1.0 and float(steps[steps > 0].min(initial=np.inf)) > 1.0
 
 
-def _far_above_neighbours(column: FloatArray) -> int | None:
+def _far_above_neighbours(column: FloatArray, decimals: NDArray[np.bool_]) -> int | None:
     """The first whole number several times larger than the nearest numbers with decimals around it."""
-    fractional = np.flatnonzero(column % 1.0)
-    if 2 * fractional.size < column.size or fractional.size < _WHOLE_FROM:
+    count = int(np.count_nonzero(decimals))
+    if 2 * count < column.size or count < _WHOLE_FROM or count == column.size:
         return None
-    whole = np.flatnonzero(column % 1.0 == 0.0)
+    fractional, whole = np.flatnonzero(decimals), np.flatnonzero(~decimals)
     after = np.searchsorted(fractional, whole)
     size = np.abs(column[fractional])
     around = np.maximum(size[np.maximum(after - 1, 0)], size[np.minimum(after, fractional.size - 1)])
