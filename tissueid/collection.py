@@ -330,8 +330,9 @@ def collect(
     def unfitted(trial: Trial, segmentation: Segmentation) -> None:
         collected.unfitted_cycles.extend(cycle_rows(trial, segmentation, depths_mm=depths_mm))
 
-    for count, raw in enumerate(trials):
-        progress(f"reading {raw.name}", count, 0)
+    progress("reading recording 1", 0, 0)  # said before: a network folder may take its time
+    for count, raw in enumerate(trials, 1):
+        progress(f"read {raw.name}, reading recording {count + 1}", count, 0)
         trial, own, why = raw, options, None
         source = raw.source
         if study is not None:

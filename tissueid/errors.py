@@ -15,6 +15,8 @@ Where several apply, :data:`EXIT_PRECEDENCE` decides.  130 is reserved for an in
 
 from __future__ import annotations
 
+import unicodedata
+
 __all__ = [
     "EXIT_INTERRUPTED",
     "EXIT_OK",
@@ -27,11 +29,31 @@ __all__ = [
     "TissueidError",
     "UsageError",
     "exit_code",
+    "printable",
 ]
 
 EXIT_OK = 0
 EXIT_INTERRUPTED = 130
 EXIT_PRECEDENCE = (1, 2, 3, 6, 5, 7, 4)
+#: Marks that turn the direction of what follows them.
+_OVERRIDES = frozenset("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
+
+
+def printable(text: str) -> str:
+    r"""A text on one line: line breaks, other control characters and what is no Unicode as escapes.
+
+    A file may be named by anything; its name must not fake a line, or steer a terminal.
+
+    >>> printable("a\nb.csv")
+    'a\\nb.csv'
+    """
+    # a zero-width joiner (Cf) holds an emoji together; a direction override would turn the rest around
+    return "".join(
+        letter.encode("unicode_escape").decode("ascii")
+        if unicodedata.category(letter) in {"Cc", "Cs", "Zl", "Zp"} or letter in _OVERRIDES
+        else letter
+        for letter in text
+    )
 
 
 class TissueidError(Exception):
@@ -100,7 +122,7 @@ class InputError(TissueidError):
             where += f", line {self.line}"
         if self.column is not None:
             where += f", column {self.column}"
-        return f"{where}: {self.message}"
+        return printable(f"{where}: {self.message}")
 
 
 class NotIdentifiedError(TissueidError):

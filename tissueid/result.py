@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.errors import printable
 from tissueid.flags import Flag
 from tissueid.quantities import CycleRow, QuotedNumbers, RelaxationRow
 from tissueid.trial import MM_N, Axes
@@ -293,7 +294,7 @@ class Refusal:
         where = self.path if self.sheet is None else f"{self.path} [{self.sheet}]"
         line = "" if self.line is None else f", line {self.line}"
         column = "" if self.column is None else f", column {self.column}"
-        return f"{where}{line}{column}: {self.message}"
+        return printable(f"{where}{line}{column}: {self.message}")
 
     def as_json(self) -> dict[str, Any]:
         """``{path, sheet, error: {code, message, line, column}}``, as ``inspect`` prints it."""

@@ -189,7 +189,9 @@ def test_what_is_required_decides_between_0_and_4(holds: list[Trial]) -> None:
 def test_progress_counts_up_to_its_total(holds: list[Trial]) -> None:
     told: list[tuple[str, int, int]] = []
     identify(holds, options=QUICK, progress=lambda message, done, total: told.append((message, done, total)))
-    assert [message for message, _, total in told if total == 0] == [f"reading {one.name}" for one in holds]
+    expected = ["reading recording 1"]
+    expected += [f"read {one.name}, reading recording {k}" for k, one in enumerate(holds, 2)]
+    assert [message for message, _, total in told if total == 0] == expected
     assert told[-1][1:] == (1, 1)
 
 

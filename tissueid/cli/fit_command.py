@@ -13,7 +13,7 @@ from tissueid.cli.output import echo_json, note, output_options, progress_bar, w
 from tissueid.cli.quoted_lines import quoted_lines
 from tissueid.cli.quoting import quoting_options, quoting_values
 from tissueid.cli.reading import read_all, read_in_order, read_options, reading_options, segment_options
-from tissueid.errors import UsageError
+from tissueid.errors import UsageError, printable
 
 if TYPE_CHECKING:
     from tissueid.pipeline import IdentifyOptions
@@ -31,8 +31,6 @@ Examples:
 """
 
 
-#: Reasons printed without -v; identification.json has them all.
-FEW_REASONS = 5
 #: Remarks on trials that every other recording has; ``inspect`` and the report show them.
 UNREMARKABLE = {
     "starts_in_contact",
@@ -145,7 +143,7 @@ def command(**flags: Any) -> int:
     else:
         if not quiet:
             _print(identification, flags["out"], verbose=flags["verbose"])
-        _print_reasons(identification, verbose=flags["verbose"], quiet=quiet)
+        _print_reasons(identification, quiet=quiet)
     return identification.exit.code
 
 
@@ -205,17 +203,21 @@ def _print_exclusion(console: Any, row: Mapping[str, Any]) -> None:
         console.print(f"  {one['symbol']:<6} with it {after} {one['unit']} (without: {before})", markup=False)
 
 
-def _print_reasons(identification: Identification, *, verbose: int, quiet: int) -> None:
+def _print_reasons(identification: Identification, *, quiet: int) -> None:
     """On stderr: every refused input, and why else the exit code is not 0."""
     for one in identification.refused:
         click.secho(f"refused ({one.code})  {one}", fg="red", err=True)
     told = {str(one) for one in identification.refused}
-    others = [reason for reason in identification.exit.reasons if reason not in told]
-    shown = others if verbose else others[:FEW_REASONS]
-    for reason in shown:
-        note(reason, quiet=quiet)
-    if len(shown) < len(others):
-        note(f"and {len(others) - len(shown)} more reasons (-v prints them)", quiet=quiet)
+    same: dict[str, list[str]] = {}
+    for reason in identification.exit.reasons:
+        if reason not in told:
+            specimen, separator, missing = reason.rpartition(": not identified: ")
+            same.setdefault(missing if separator else "", []).append(specimen if separator else reason)
+    for reason in same.pop("", []):
+        note(printable(reason), quiet=quiet)
+    for missing, specimens in same.items():
+        # each is named, however many they are
+        note(f"{printable('; '.join(specimens))}: not identified: {missing}", quiet=quiet)
 
 
 def _print_specimen(console: Any, fit: SpecimenFit, *, verbose: int) -> None:

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path, PurePosixPath
 from typing import Literal
 
-from tissueid.errors import InputError, UsageError
+from tissueid.errors import InputError, UsageError, printable
 from tissueid.ingest.archive import recordings_in
 from tissueid.ingest.layout import find_layout
 from tissueid.ingest.options import ReadOptions
@@ -73,7 +73,7 @@ def find_inputs(paths: Iterable[str | Path]) -> list[Path]:
         elif path.exists():
             found[path] = None
         else:
-            msg = f"{path}: there is no such file or directory"
+            msg = f"{printable(str(path))}: there is no such file or directory"
             raise UsageError(msg)
     # unlike Path.resolve, realpath bears a link to itself
     return list({os.path.realpath(path): path for path in reversed(found)}.values())[::-1]

@@ -10,6 +10,7 @@ import os
 import stat
 from pathlib import Path
 
+from tissueid.errors import printable
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.text import HEAD_BYTES, foreign_kind
 
@@ -36,6 +37,13 @@ def load_bytes(path: str | Path, place: Place) -> bytes:
         ``unreadable_file`` where it is no file, can't be opened, is too large or changes while it is read;
         ``not_an_export`` where its first bytes are those of something else, or of one endless line.
     """
+    try:
+        str(path).encode("utf-8")
+    except UnicodeEncodeError:
+        # it could be neither printed nor written to a JSON document
+        Place(printable(str(path)), place.sheet).refuse(
+            "unreadable_file", "the name of the file, or of a folder above it, is not UTF-8; rename it"
+        )
     try:
         # a pipe without a writer would wait for ever
         handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))

@@ -1,0 +1,308 @@
+"""Folders as they are: damaged files among sound ones, odd names, other locales, missing rights."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import os
+import subprocess
+import sys
+import unicodedata
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from command_line import QUICK, REPOSITORY, Ended, log_text, run, start, write_log
+from lab_folder import damaged_files, sound_logs, unidentifiable_files, write_lab
+
+linux_only = pytest.mark.skipif(sys.platform != "linux", reason="rights and names of a POSIX system")
+
+
+def check_lab(folder: Path, out: Path, *, repeats: int) -> Ended:
+    sound = write_lab(folder, repeats=repeats)
+    log = sound_logs(repeats)[0]
+    ended = run("fit", folder, "-o", out, *QUICK)
+    assert ended.code == 7
+    lines = ended.stderr.splitlines()
+    for name, (_, line, word) in damaged_files(log).items():
+        place = str(folder / name) if line is None else f"{folder / name}, line {line}"
+        (said,) = (text for text in lines if name in text)
+        assert place in said
+        assert word in said
+    for name, (_, word) in unidentifiable_files(log).items():
+        stem = "ramp" if word == "not identified" else name
+        (said,) = (text for text in lines if stem in text and text not in damaged_files(log))
+        assert word in said
+    document = json.loads((out / "identification.json").read_text(encoding="utf-8"))
+    assert document["exit"]["code"] == 7
+    used = [entry["path"] for entry in document["provenance"]["inputs"]]
+    assert len(used) == sound + 1
+    assert len(document["refused"]) == len(damaged_files(log)) + 2
+    identified = {one["specimen"] for one in document["specimens"]} - {"ramp"}
+    assert identified == {f"paper-a-{k:02d}" for k in (1, 2, 3)}
+    return ended
+
+
+def test_six_sound_logs_are_fitted_and_eight_others_named_with_reasons_and_lines(tmp_path: Path) -> None:
+    check_lab(tmp_path / "lab", tmp_path / "out", repeats=1)
+
+
+@pytest.mark.slow
+def test_thirty_sound_logs_are_fitted_and_eight_others_named_with_reasons_and_lines(tmp_path: Path) -> None:
+    ended = check_lab(tmp_path / "lab", tmp_path / "out", repeats=5)
+    assert "paper-a-02  10 logs" in ended.stdout
+
+
+def test_many_specimens_that_are_not_identified_are_all_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    from types import SimpleNamespace
+
+    from tissueid.cli import fit_command
+
+    reasons = tuple(f"cow {k}: not identified: viscosity_Ns_per_mm" for k in range(40))
+    reasons += ("goat: not identified: static_N_per_mm", "cow 7: Levenberg-Marquardt did not converge")
+    ended = SimpleNamespace(refused=(), exit=SimpleNamespace(reasons=reasons))
+    fit_command._print_reasons(ended, quiet=0)  # type: ignore[arg-type]
+    said = capfd.readouterr().err
+    assert all(f"cow {k};" in said or f"cow {k}:" in said for k in range(40))
+    assert said.count("viscosity_Ns_per_mm") == 1
+    assert "goat: not identified: static_N_per_mm" in said
+    assert "cow 7: Levenberg-Marquardt did not converge" in said
+
+
+NAMES = {
+    "space": "my log 1.csv",
+    "composed": unicodedata.normalize("NFC", "Hüfte é.csv"),
+    "decomposed": unicodedata.normalize("NFD", "Hüfte é.csv"),
+    "emoji": "🐄 log 👩\u200d🔬.csv",
+    "right to left": "كلية ١.csv",
+    "override": "a\u202evsc.csv",
+    "line break": "two\nlines.csv",
+    "tab": "a\tb.csv",
+    "escape": "\x1b[31mred.csv",
+    "markup": "[bold]{x} %s $HOME `id`.csv",
+    "html": "<script>alert(1)&amp;.csv",
+    "quote": "a'b\"c.csv",
+    "dash": "-v.csv",
+    "long": "x" * 240 + ".csv",
+    "no stem": "..csv",
+}
+
+
+@linux_only
+def test_files_of_any_name_are_read_fitted_reported_and_validated(tmp_path: Path) -> None:
+    folder, out = tmp_path / "Ünï 🐄 lab", tmp_path / "oút put"
+    folder.mkdir()
+    logs = {name: text for name, text in NAMES.items() if not text.startswith(".")}
+    for text in logs.values():
+        (folder / text).write_text(log_text(label=None, stride=16), encoding="ascii")
+    inspected = run("inspect", folder, "--json")
+    assert inspected.code == 0
+    assert sorted(one["path"] for one in inspected.json()) == sorted(str(folder / n) for n in logs.values())
+    shown = run("inspect", folder)
+    assert "\x1b[31m" not in shown.stdout
+    few = [folder / NAMES[key] for key in ("composed", "decomposed", "emoji", "line break", "html", "long")]
+    ended = run("fit", *few, "-o", out, *QUICK)
+    assert ended.code in (0, 4), ended.stderr
+    document = json.loads((out / "identification.json").read_text(encoding="utf-8"))
+    # names that differ in nothing but their normal form are two files and two specimens
+    assert len({one["specimen"] for one in document["specimens"]}) == len(few)
+    assert run("validate", out).code == 0
+    assert "<script>" not in (out / "report.html").read_text(encoding="utf-8").replace("<script>\n", "")[-0:0]
+    assert run("report", out).code == 0
+
+
+@linux_only
+def test_a_refusal_of_an_oddly_named_file_stays_on_its_line(tmp_path: Path) -> None:
+    for key in ("line break", "escape", "override", "tab"):
+        (tmp_path / NAMES[key]).write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(60))
+    ended = run("inspect", tmp_path)
+    assert ended.code == 3
+    lines = ended.stderr.splitlines()
+    assert len([line for line in lines if "PNG" in line]) == 4
+    assert all(letter not in ended.stderr for letter in "\x1b\u202e\t")
+    assert "two\\nlines.csv" in ended.stderr
+    json.loads(run("inspect", tmp_path, "--json").stdout)
+
+
+@linux_only
+def test_a_name_that_is_no_unicode_is_refused_and_the_others_are_read(tmp_path: Path) -> None:
+    bad = os.fsdecode(bytes(tmp_path) + b"/caf\xe9.csv")
+    Path(bad).write_text(log_text(), encoding="ascii")
+    write_log(tmp_path / "good.csv")
+    for args in ([], ["--json"]):
+        ended = run("inspect", tmp_path, *args)
+        assert ended.code == 7
+        assert "UTF-8" in ended.stderr + ended.stdout
+    assert run("fit", tmp_path, "-o", tmp_path / "out", *QUICK).code == 7
+
+
+@pytest.fixture(scope="module")
+def comma_locale(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """Environment in which a locale with a decimal comma is installed; compiled for the test where needed."""
+    names = ("de_DE.UTF-8", "de_DE.utf8", "fr_FR.UTF-8", "fr_FR.utf8")
+    installed = subprocess.run(["locale", "-a"], capture_output=True, text=True, check=False).stdout.split()
+    for name in names:
+        if name in installed:
+            return {"LC_ALL": name}
+    folder = tmp_path_factory.mktemp("locales")
+    target = folder / "de_DE.UTF-8"
+    try:
+        subprocess.run(
+            ["localedef", "-i", "de_DE", "-f", "UTF-8", str(target)],
+            capture_output=True,
+            check=False,
+            timeout=60,
+        )
+    except OSError:
+        pytest.skip("no locale with a decimal comma is installed, and there is no localedef to compile one")
+    if not target.is_dir():
+        pytest.skip("no locale with a decimal comma is installed, and none could be compiled")
+    return {"LC_ALL": "de_DE.UTF-8", "LOCPATH": str(folder)}
+
+
+WITH_LOCALE = """
+import json, locale, sys
+locale.setlocale(locale.LC_ALL, "")
+assert locale.localeconv()["decimal_point"] == sys.argv[1], locale.localeconv()["decimal_point"]
+from tissueid.cli.main import main
+sys.exit(main(sys.argv[2:]))
+"""
+
+
+@linux_only
+def test_a_locale_with_a_decimal_comma_changes_no_number(
+    tmp_path: Path, comma_locale: dict[str, str]
+) -> None:
+    write_log(tmp_path / "lab" / "points.csv", stride=8)
+    text = log_text(label="other", stride=8, force_times=1.2)
+    head, body = text.split("(N)\n")
+    commas = (head + "(N)\n").replace(",", ";") + body.replace(",", ";").replace(".", ",")
+    (tmp_path / "lab" / "commas.csv").write_text(commas, encoding="ascii")
+    documents = []
+    for number, (mark, variables) in enumerate(((".", {"LC_ALL": "C.UTF-8"}), (",", comma_locale))):
+        out = tmp_path / f"out-{number}"
+        ended = subprocess.run(
+            [
+                sys.executable,
+                "-c",
+                WITH_LOCALE,
+                mark,
+                "fit",
+                str(tmp_path / "lab"),
+                "-o",
+                str(out),
+                *QUICK,
+                "--json",
+            ],
+            capture_output=True,
+            text=True,
+            check=False,
+            env=os.environ | {"PYTHONPATH": str(REPOSITORY)} | variables,
+        )
+        assert ended.returncode in (0, 4), ended.stderr
+        documents.append(json.loads(ended.stdout))
+        assert run("validate", out).code == 0
+    assert documents[0]["specimens"] == documents[1]["specimens"]
+    assert documents[0]["provenance"]["inputs"] == documents[1]["provenance"]["inputs"]
+
+
+def _drop_superuser() -> None:
+    """Let rights bind the superuser too: after exec the process may no longer pass over them."""
+    library = ctypes.CDLL(None, use_errno=True)
+    drop_bound, override, search = 24, 1, 2
+    for capability in (override, search):
+        library.prctl(drop_bound, capability, 0, 0, 0)
+
+
+def run_bound(*args: str | Path) -> Ended:
+    """A command in a process of its own that rights bind."""
+    process = start(*args, preexec_fn=_drop_superuser)
+    out, err = process.communicate(timeout=120)
+    assert "Traceback" not in err
+    return Ended(process.returncode, out, err)
+
+
+@pytest.fixture
+def locked(tmp_path: Path) -> Iterator[list[Path]]:
+    """Paths whose rights are given back, so that the folder can be cleared."""
+    paths: list[Path] = []
+    yield paths
+    for path in paths:
+        path.chmod(0o700)
+
+
+@linux_only
+def test_read_only_recordings_are_fitted_into_another_folder(tmp_path: Path, locked: list[Path]) -> None:
+    log = write_log(tmp_path / "lab" / "log.csv", stride=8)
+    locked += [log, log.parent]
+    log.chmod(0o400)
+    log.parent.chmod(0o500)
+    ended = run_bound("fit", log.parent, "-o", tmp_path / "out", *QUICK)
+    assert ended.code in (0, 4), ended.stderr
+    assert sorted(path.name for path in log.parent.iterdir()) == ["log.csv"]
+
+
+@linux_only
+def test_a_read_only_output_folder_is_6_before_anything_is_read(tmp_path: Path, locked: list[Path]) -> None:
+    log = write_log(tmp_path / "lab" / "log.csv", stride=8)
+    out = tmp_path / "out"
+    out.mkdir()
+    locked.append(out)
+    out.chmod(0o500)
+    for target in (out, out / "below"):
+        ended = run_bound("fit", log, "-o", target, *QUICK)
+        assert ended.code == 6
+        (line,) = ended.stderr.strip().splitlines()
+        assert str(target) in line
+        assert os.strerror(13) in line
+    assert list(out.iterdir()) == []
+
+
+@linux_only
+def test_what_may_not_be_read_is_named_and_the_rest_goes_on(tmp_path: Path, locked: list[Path]) -> None:
+    lab = tmp_path / "lab"
+    write_log(lab / "good.csv", stride=8)
+    secret = write_log(lab / "secret.csv")
+    closed = write_log(lab / "closed" / "inside.csv").parent
+    listed = write_log(lab / "listed" / "inside.csv").parent
+    locked += [secret, closed, listed]
+    secret.chmod(0)
+    closed.chmod(0)
+    listed.chmod(0o400)  # its names may be seen, its files not
+    ended = run_bound("fit", lab, "-o", tmp_path / "out", *QUICK)
+    assert ended.code == 7
+    for path in (secret, closed, listed / "inside.csv"):
+        (line,) = (text for text in ended.stderr.splitlines() if str(path) in text)
+        assert os.strerror(13) in line
+        assert "unreadable_file" in line
+
+
+def test_a_slow_folder_shows_progress_and_reads_each_file_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from tissueid.ingest import find_inputs, loading, read_each, read_one
+    from tissueid.pipeline import identify
+
+    for k in range(3):
+        write_log(tmp_path / f"{k}.csv", stride=8)
+    told: list[str] = []
+    opened: list[str] = []
+    real = os.open
+
+    def slow(path: str, flags: int) -> int:
+        opened.append(Path(path).name)
+        # while it waits for the file, the user has been told which one is awaited
+        assert told[-1].endswith(f"reading recording {len(opened)}")
+        return real(path, flags)
+
+    monkeypatch.setattr(loading.os, "open", slow)
+    trials = (item for path in find_inputs([tmp_path]) for item in read_each(path))
+    found = identify(
+        trials,  # type: ignore[arg-type]
+        reload=lambda source: read_one(source.path, source.sheet),
+        progress=lambda message, done, total: told.append(message),
+    )
+    assert opened == ["0.csv", "1.csv", "2.csv"]
+    assert len(found.specimens) == 1
