@@ -42,7 +42,7 @@ def damaged_files(log: SyntheticLog) -> dict[str, tuple[bytes, int | None, str]]
     shuffled = "\r\n".join([*rows[:60], rows[90], *rows[60:]])
     return {
         "damaged-mark.csv": (edited(text, 40, (".", ".1.")).encode(), 40, "decimal mark"),
-        "damaged-unit.csv": (text.replace("(N)", "(blob)").encode(), HEADER_LINES - 1, "blob"),
+        "damaged-unit.csv": (text.replace("(N)", "(zork)").encode(), HEADER_LINES - 1, "zork"),
         "damaged-order.csv": (shuffled.encode(), 62, "time falls"),
         "damaged-cells.csv": (edited(text, 77, (",", ",7,")).encode(), 77, "4 cells"),
         "damaged-zip.xlsx": (b"PK\x03\x04" + text.encode(), None, "workbook"),
@@ -50,16 +50,16 @@ def damaged_files(log: SyntheticLog) -> dict[str, tuple[bytes, int | None, str]]
 
 
 def unidentifiable_files(log: SyntheticLog) -> dict[str, tuple[bytes, str]]:
-    """Name -> bytes, and a word of the reason: nothing touched, a dead load cell, one slow ramp at 10 Hz."""
+    """Name -> bytes, and the code or words of the reason: nothing touched, a dead cell, one slow ramp."""
     rng = np.random.default_rng(5)
     air = np.round(rng.normal(0.0, 0.3, log.force_N.size), 4)
     ramp = replace(
-        recipe("paper-a-hold-100Hz"), specimen="ramp", rate_Hz=10.0, logs=(Log("ramp", (Move(8.0, 70.0),)),)
+        recipe("paper-a-hold-100Hz"), specimen="ramp", rate_Hz=10.0, logs=(Log("ramp", (Move(8.0, 10.0),)),)
     )
     (slow,) = simulate(ramp, rng=rng)
     return {
-        "no-contact.csv": (text_of(replace(log, specimen="air", force_N=air)).encode(), "contact"),
-        "dead-cell.csv": (text_of(replace(log, specimen="dead", force_N=0.0 * air)).encode(), "contact"),
+        "no-contact.csv": (text_of(replace(log, specimen="air", force_N=air)).encode(), "no_contact"),
+        "dead-cell.csv": (text_of(replace(log, specimen="dead", force_N=0.0 * air)).encode(), "no_contact"),
         "one-ramp.csv": (text_of(slow).encode(), "not identified"),
     }
 

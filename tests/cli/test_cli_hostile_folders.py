@@ -30,8 +30,11 @@ def check_lab(folder: Path, out: Path, *, repeats: int) -> Ended:
         assert place in said
         assert word in said
     for name, (_, word) in unidentifiable_files(log).items():
-        stem = "ramp" if word == "not identified" else name
-        (said,) = (text for text in lines if stem in text and text not in damaged_files(log))
+        # what was read and fitted goes by the name of its specimen
+        start_of_line = "ramp: not identified: " if word == "not identified" else f"refused ({word}"
+        (said,) = (
+            text for text in lines if text.startswith(start_of_line) and (name in text or "ramp" in name)
+        )
         assert word in said
     document = json.loads((out / "identification.json").read_text(encoding="utf-8"))
     assert document["exit"]["code"] == 7
@@ -109,7 +112,7 @@ def test_files_of_any_name_are_read_fitted_reported_and_validated(tmp_path: Path
     # names that differ in nothing but their normal form are two files and two specimens
     assert len({one["specimen"] for one in document["specimens"]}) == len(few)
     assert run("validate", out).code == 0
-    assert "<script>" not in (out / "report.html").read_text(encoding="utf-8").replace("<script>\n", "")[-0:0]
+    assert "<script>alert" not in (out / "report.html").read_text(encoding="utf-8")
     assert run("report", out).code == 0
 
 
@@ -245,7 +248,7 @@ def test_read_only_recordings_are_fitted_into_another_folder(tmp_path: Path, loc
 
 
 @linux_only
-def test_a_read_only_output_folder_is_6_before_anything_is_read(tmp_path: Path, locked: list[Path]) -> None:
+def test_a_read_only_output_folder_is_6_on_one_line(tmp_path: Path, locked: list[Path]) -> None:
     log = write_log(tmp_path / "lab" / "log.csv", stride=8)
     out = tmp_path / "out"
     out.mkdir()
