@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from tissueid.collection import arithmetic_refusal, decided_options, decided_trial, why_excluded
+from tissueid.fit.cycles import cycle_rows
 from tissueid.flags import Flag
 from tissueid.manifest import Study
 from tissueid.result import Refusal
@@ -124,6 +125,7 @@ def describe_segmented(
             {"kind": event.kind, "time_s": event.time_s, "values": dict(event.values)}
             for event in segmentation.events
         ],
+        "cycles": [row.as_json() for row in cycle_rows(trial, segmentation)],
         "flags": [flag.as_json() for flag in flags],
     }
 

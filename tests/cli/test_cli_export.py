@@ -174,6 +174,11 @@ def test_loops_and_quoted_numbers_have_tables_of_their_own() -> None:
     given["specimens"][0]["cycles"] = [loop]
     (row,) = table("cycles", given)
     assert (row["specimen"], row["number"], float(row["hysteresis"])) == ("kidney 3", "2", 0.25)
+    given["unfitted_cycles"] = [loop | {"path": "b.csv"}]
+    assert [(one["specimen"], one["path"]) for one in table("cycles", given)] == [
+        ("kidney 3", "a.csv"),
+        ("", "b.csv"),
+    ]
     quantity = {"name": "fraction_relaxed", "unit": "1", "at": {"time_s": 10.0}, "value": None,
                 "stderr": None, "reason": "the hold lasts 5 s"}  # fmt: skip
     given["specimens"][0]["quoted"] = {"model": [quantity], "measured": [], "moduli": []}

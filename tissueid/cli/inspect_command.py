@@ -32,6 +32,7 @@ SECONDS_PER_MINUTE = 60.0
 #: Phases and corners printed without -v.
 FEW_PHASES = 12
 FEW_CORNERS = 4
+FEW_CYCLES = 6
 
 
 @click.command("inspect", epilog=EPILOG)
@@ -174,6 +175,7 @@ def _print(one: dict[str, Any], *, verbose: int) -> None:
         click.echo(f"  contact     {contact['displacement_mm']:.4f} ± {contact['sd_mm']:.4f} {length}")
     _print_phases(one, length, few=None if verbose else FEW_PHASES)
     _print_corners(one, length, few=None if verbose else FEW_CORNERS)
+    _print_cycles(one, few=None if verbose else FEW_CYCLES)
     for flag in one["flags"]:
         click.secho(f"  ! {flag['code']}: {flag['message']}", fg="yellow")
 
@@ -206,3 +208,22 @@ def _print_corners(one: dict[str, Any], length: str, *, few: int | None) -> None
     for event in one["events"]:
         values = ", ".join(f"{key} {value:.4g}" for key, value in event["values"].items())
         click.echo(f"  {event['kind'].replace('_', ' '):<11} at {event['time_s']:.6g} s: {values}")
+
+
+def _print_cycles(one: dict[str, Any], *, few: int | None) -> None:
+    length, force = (one["units"][key] for key in ("length", "force"))
+    for cycle in one["cycles"][:few]:
+        parts = [
+            f"{words} {cycle[key]['value']:.4g}{unit}"
+            for key, words, unit in (
+                ("peak_force_N", "peak", f" {force}"),
+                ("secant_N_per_mm", "secant", f" {force}/{length}"),
+                ("dissipated_mJ", "loop area", f" {force} {length}"),
+            )
+            if cycle[key]["value"] is not None
+        ]
+        click.echo(
+            f"  loop {cycle['number']:<6} to {cycle['peak_depth_mm']:.4g} {length}: {', '.join(parts)}"
+        )
+    if few is not None and len(one["cycles"]) > few:
+        click.echo(f"  ... and {len(one['cycles']) - few} more loops (-v prints them)")

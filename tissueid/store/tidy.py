@@ -340,13 +340,15 @@ def _cycle_columns(_document: Mapping[str, Any]) -> list[str]:
 
 
 def _cycle_rows(document: Mapping[str, Any]) -> Iterator[Row]:
-    for specimen in document["specimens"]:
-        for loop in specimen.get("cycles", ()):
-            row = {"specimen": specimen["specimen"], "path": loop["path"], "sheet": loop["sheet"]}
-            row |= {key: loop[key] for key in _LOOP_PLAIN}
-            for name in _LOOP_MEASURES:
-                row |= {name: loop[name]["value"], f"{name}_stderr": loop[name]["stderr"]}
-            yield row
+    found = [(one["specimen"], loop) for one in document["specimens"] for loop in one.get("cycles", ())]
+    # loops of recordings that could not be fitted have no specimen here
+    found += [(None, loop) for loop in document.get("unfitted_cycles", ())]
+    for specimen, loop in found:
+        row = {"specimen": specimen, "path": loop["path"], "sheet": loop["sheet"]}
+        row |= {key: loop[key] for key in _LOOP_PLAIN}
+        for name in _LOOP_MEASURES:
+            row |= {name: loop[name]["value"], f"{name}_stderr": loop[name]["stderr"]}
+        yield row
 
 
 def _quantity_columns(_document: Mapping[str, Any]) -> list[str]:
