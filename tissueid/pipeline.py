@@ -31,7 +31,7 @@ from tissueid.fit.tip import tip_handles
 from tissueid.manifest import Study
 from tissueid.result import Exit, Identification, Refusal, SpecimenFit
 from tissueid.segment import SegmentOptions
-from tissueid.trial import Source, Trial
+from tissueid.trial import Axes, Source, Trial
 
 __all__ = [
     "DEFAULT_REQUIRED",
@@ -117,13 +117,21 @@ def _fit(
     tick: Callable[[str], None],
 ) -> SpecimenFit:
     """Fit one specimen in the displacement of the tip."""
-    if study is not None and fit.geometry is None:
-        thickness = study.specimens.get(name, {}).get("thickness_mm")
-        fit = replace(fit, geometry=stated_geometry(study.tip, thickness, fit.poisson))
     frame = None if study is None else study.calibration.frame
     if frame is not None:
         handles = tip_handles(handles, frame, tick)
     return fit_specimen(name, handles, options=fit, tick=tick)
+
+
+def _own_options(options: FitOptions, study: Study | None, name: str, axes: Axes) -> FitOptions:
+    """Options with the tip and the thickness of one specimen."""
+    if axes.normalised:
+        # stress over strain is a modulus already
+        return replace(options, geometry=None)
+    if study is None or options.geometry is not None:
+        return options
+    thickness = study.specimens.get(name, {}).get("thickness_mm")
+    return replace(options, geometry=stated_geometry(study.tip, thickness, options.poisson))
 
 
 def _fit_all(
@@ -144,7 +152,8 @@ def _fit_all(
 
         tick("fitting")
         try:
-            fit = _fit(name, handles, options.fit, study, tick)
+            own = _own_options(options.fit, study, name, collected.axes[specimen])
+            fit = _fit(name, handles, own, study, tick)
         except (ArithmeticError, np.linalg.LinAlgError) as error:
             collected.left_out += [
                 arithmetic_refusal(entry["path"], entry["sheet"], "fitted", error)
@@ -227,7 +236,7 @@ def identify(
                 "unloading": options.fit.unloading,
                 "frequencies_Hz": list(options.fit.frequencies_Hz),
                 "depths_mm": list(options.fit.depths_mm),
-                "tip": None if options.fit.geometry is None else options.fit.geometry.as_json(),
+                "tip": None if options.fit.geometry is None else str(options.fit.geometry),
                 "poisson": options.fit.poisson,
                 "compression_sign": options.segment.compression_sign,
                 "contact_displacement_mm": options.segment.contact_displacement_mm,

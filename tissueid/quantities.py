@@ -279,7 +279,6 @@ class QuotedNumbers:
     spectra : tuple of Spectrum
     assumptions : mapping
         Tip, thickness and Poisson's ratio of the moduli; empty where there are none.
-    flags : tuple of Flag
     """
 
     window_s: float
@@ -289,7 +288,6 @@ class QuotedNumbers:
     moduli: tuple[Quantity, ...] = ()
     spectra: tuple[Spectrum, ...] = ()
     assumptions: Mapping[str, float | str | None] = field(default_factory=dict)
-    flags: tuple[Flag, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "assumptions", MappingProxyType(dict(self.assumptions)))
@@ -305,5 +303,4 @@ class QuotedNumbers:
             "moduli": [one.as_json() for one in self.moduli],
             "spectra": [one.as_json() for one in self.spectra],
             "assumptions": dict(self.assumptions),
-            "flags": [flag.as_json() for flag in self.flags],
         }

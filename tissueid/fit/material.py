@@ -72,6 +72,12 @@ class Geometry:
             bonded=self.bonded,
         )
 
+    def __str__(self) -> str:
+        tip = self.indenter
+        size = f"{tip.half_angle_deg:g} degrees" if tip.shape == "cone" else f"{tip.radius_mm:g} mm"
+        body = "deep" if self.thickness_mm is None else f"{self.thickness_mm:g} mm thick"
+        return f"{tip.shape} of {size}, tissue {body}, Poisson's ratio {self.poisson:g}"
+
     def as_json(self) -> dict[str, float | str | None]:
         """What the moduli assume."""
         return {
@@ -150,36 +156,35 @@ def _poroelastic(tissue: TissueEstimate, contact: Contact) -> list[Flag]:
     return [Flag("poroelastic", message, values)]
 
 
-def with_moduli(quoted: QuotedNumbers, tissue: TissueEstimate, geometry: Geometry | None) -> QuotedNumbers:
-    """The same numbers with the moduli for a tip; unchanged where there is none.
+def with_moduli(
+    quoted: QuotedNumbers, tissue: TissueEstimate, geometry: Geometry | None
+) -> tuple[QuotedNumbers, list[Flag]]:
+    """The same numbers with the moduli for a tip, and what is to be said of them.
 
     Parameters
     ----------
     quoted : QuotedNumbers
     tissue : TissueEstimate
     geometry : Geometry or None
+        Without one nothing changes.
     """
     if geometry is None:
-        return quoted
+        return quoted, []
     rows: list[Quantity] = []
-    flags: list[Flag] = []
-    formulas = formulas_for(geometry.indenter, geometry.thickness_mm)
-    for formula in formulas:
+    outside: dict[str, tuple[str, ...]] = {}
+    full = tissue.model.depth_mm
+    deepest: Contact | None = None
+    for formula in formulas_for(geometry.indenter, geometry.thickness_mm):
         for share in SHARES:
-            depth = share * tissue.model.depth_mm
-            contact = geometry.contact(formula, depth)
-            rows += _moduli(tissue, formula, depth, contact)
-        if contact is not None and contact.outside:
-            flags.append(
-                Flag(
-                    "modulus_out_of_range",
-                    f"{formula} at {depth:.3g} mm: {', '.join(contact.outside)}",
-                    {"formula": formula, "depth_mm": depth, "contact_mm": contact.contact_mm},
-                )
-            )
-    deepest = geometry.contact(formulas[0], tissue.model.depth_mm) or geometry.contact(
-        formulas[-1], tissue.model.depth_mm
-    )
-    if deepest is not None:
-        flags += _poroelastic(tissue, deepest)
-    return replace(quoted, moduli=tuple(rows), assumptions=geometry.as_json(), flags=(*quoted.flags, *flags))
+            contact = geometry.contact(formula, share * full)
+            rows += _moduli(tissue, formula, share * full, contact)
+        if contact is not None:
+            deepest = deepest or contact
+            if contact.outside:
+                outside[formula] = contact.outside
+    flags = [] if deepest is None else _poroelastic(tissue, deepest)
+    if outside:
+        said = "; ".join(f"{formula}: {', '.join(limits)}" for formula, limits in outside.items())
+        values = {"formulas": list(outside), "depth_mm": full}
+        flags.append(Flag("modulus_out_of_range", f"at {full:.3g} mm {said}", values))
+    return replace(quoted, moduli=tuple(rows), assumptions=geometry.as_json()), flags

@@ -258,7 +258,8 @@ def _fit(
         duration_s=sums.duration_s,
         frequencies_Hz=options.frequencies_Hz,
     )
-    quoted = with_moduli(quoted, tissue, options.geometry)
+    quoted, said = with_moduli(quoted, tissue, options.geometry)
+    flags = (*flags, *said)
     unloading = None
     if followed is not None:
         unloading, more = unloading_verdict(followed, tissue, adjustments, sigma_N=sigma)

@@ -14,6 +14,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from tissueid.report.figures import curve_payload
+from tissueid.report.quoted_words import cycle_table, quoted_tables
 from tissueid.report.remarks import remarks, trial_label
 from tissueid.report.study_words import study_view
 from tissueid.report.wording import (
@@ -79,6 +80,8 @@ def _view(position: int, specimen: Mapping[str, Any]) -> dict[str, Any]:
         "verdict": verdict(specimen),
         "remarks": remarks(specimen),
         "summary": [parameters.get(name) for name in _SUMMARY],
+        "quoted": quoted_tables(specimen["quoted"]),
+        "cycles": cycle_table(specimen["cycles"]),
     }
 
 
@@ -128,6 +131,7 @@ def render_report(
     return template.render(
         title=_title(specimens),
         run=identification,
+        unfitted=cycle_table(identification["unfitted_cycles"]),
         views=views,
         payload=payload,
         common_units=_common_units(specimens),

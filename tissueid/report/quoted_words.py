@@ -1,0 +1,263 @@
+"""Tables of the numbers people quote and of the load-unload loops, ready to be printed.
+
+A cell is text: a number with its standard error, or why there is none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from tissueid.report.remarks import trial_label
+from tissueid.report.wording import number, with_error
+
+__all__ = ["Table", "cycle_table", "quoted_tables"]
+
+#: Rows of a table that are printed; the rest is in identification.json.
+MOST_ROWS = 12
+NONE = "–"
+_PATHS = {"step": "ideal step", "ramp": "ramp as recorded"}
+_KINDS = {
+    "cycle": "cycle",
+    "ramp-retract": "ramp and retract",
+    "ramp-hold-retract": "ramp, hold and retract",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table with a sentence before it.
+
+    Attributes
+    ----------
+    title, sentence : str
+    head : tuple of str
+    rows : tuple of tuple of str
+        First cell of each is its name.
+    left_out : int
+        Rows that are not printed.
+    reasons : tuple of str
+        Why numbers are missing, each once.
+    """
+
+    title: str
+    sentence: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    left_out: int = 0
+    reasons: tuple[str, ...] = ()
+
+
+def _shown(
+    title: str, sentence: str, head: Sequence[str], rows: Sequence[Sequence[str]], reasons: Sequence[str] = ()
+) -> Table:
+    """A table cut to its first and last rows where there are many."""
+    kept = [tuple(row) for row in rows]
+    if len(kept) > MOST_ROWS:
+        kept = [*kept[: MOST_ROWS // 2], *kept[-(MOST_ROWS // 2) :]]
+    unique = tuple(dict.fromkeys(reason for reason in reasons if reason))
+    return Table(title, sentence, tuple(head), tuple(kept), len(rows) - len(kept), unique)
+
+
+def _cell(entry: Mapping[str, Any] | None, *, percent: bool = False) -> str:
+    if entry is None or entry["value"] is None:
+        return NONE
+    factor = 100.0 if percent else 1.0
+    stderr = None if entry["stderr"] is None else factor * entry["stderr"]
+    return with_error(factor * entry["value"], stderr)
+
+
+def _find(entries: Sequence[Mapping[str, Any]], name: str, **at: Any) -> Mapping[str, Any] | None:
+    for entry in entries:
+        if entry["name"] == name and all(entry["at"].get(key) == value for key, value in at.items()):
+            return entry
+    return None
+
+
+def _values(entries: Sequence[Mapping[str, Any]], name: str, key: str) -> list[Any]:
+    """Distinct conditions of a quantity, in the order they come."""
+    return list(dict.fromkeys(entry["at"][key] for entry in entries if entry["name"] == name))
+
+
+def _relaxed(quoted: Mapping[str, Any]) -> Table:
+    model, measured = quoted["model"], quoted["measured"]
+    times = _values(model, "fraction_relaxed", "time_s")
+    rows, reasons = [], []
+    for path, words in _PATHS.items():
+        own = [entry for entry in model if entry["at"].get("path") == path]
+        if all(entry["value"] is None for entry in own):
+            reasons += [entry["reason"] for entry in own]
+            continue
+        at = own[0]["at"]
+        speed = f", {number(at['speed_mm_s'], 3)} mm/s" if "speed_mm_s" in at else ""
+        found = [_find(own, "fraction_relaxed", time_s=time) for time in times]
+        ratio = _find(own, "peak_to_plateau")
+        reasons += [entry["reason"] for entry in (*found, ratio) if entry is not None]
+        name = f"Model, {words} to {number(at['depth_mm'], 3)} mm{speed}"
+        rows.append([name, *(_cell(entry, percent=True) for entry in found), _cell(ratio)])
+    keys = dict.fromkeys((entry["at"]["file"], entry["at"]["depth_mm"]) for entry in measured)
+    for file, depth in keys:
+        found = [
+            _find(measured, "fraction_relaxed", file=file, depth_mm=depth, time_s=time) for time in times
+        ]
+        label = str(file).replace("\\", "/").rsplit("/", 1)[-1]
+        cells = [_cell(entry, percent=True) for entry in found]
+        rows.append([f"Measured, {label}, {number(depth, 3)} mm", *cells, NONE])
+    head = ["Relaxed [%] after", *(f"{time:g} s" for time in times), "Peak over plateau"]
+    sentence = (
+        "Share of the peak force that is gone, counted from the end of the step or ramp. An ideal step is "
+        f"computed, not tested. Nothing is said later than {number(quoted['window_s'], 3)} s or earlier than "
+        f"{number(quoted['resolution_s'], 3)} s, which these recordings did not show."
+    )
+    return _shown("Relaxation", sentence, head, rows, reasons)
+
+
+def _oscillation(quoted: Mapping[str, Any]) -> Table | None:
+    model = quoted["model"]
+    names = ("storage_stiffness", "loss_stiffness", "tan_delta", "dissipated_energy")
+    rows, reasons = [], []
+    for frequency in _values(model, "tan_delta", "frequency_Hz"):
+        found = [_find(model, name, frequency_Hz=frequency) for name in names]
+        reasons += [entry["reason"] for entry in found if entry is not None]
+        rows.append([f"{number(frequency, 3)} Hz", *(_cell(entry) for entry in found)])
+    if not rows:
+        return None
+    energy = _find(model, "dissipated_energy")
+    assert energy is not None  # noqa: S101  (there are rows)
+    sentence = (
+        f"Small oscillation about {number(energy['at']['depth_mm'], 3)} mm, computed from the model; energy "
+        f"a cycle for an amplitude of {number(energy['at']['amplitude_mm'], 3)} mm."
+    )
+    head = ("Frequency", "Storage [N/mm]", "Loss [N/mm]", "tan δ", "Energy a cycle [mJ]")
+    return _shown("Storage and loss", sentence, head, rows, reasons)
+
+
+def _stiffness(quoted: Mapping[str, Any]) -> Table:
+    model = quoted["model"]
+    names = ("equilibrium_secant", "equilibrium_tangent", "instantaneous_secant", "instantaneous_tangent")
+    rows, reasons = [], []
+    for depth in _values(model, names[0], "depth_mm"):
+        found = [_find(model, name, depth_mm=depth) for name in names]
+        reasons += [entry["reason"] for entry in found if entry is not None]
+        rows.append([f"{number(depth, 3)} mm", *(_cell(entry) for entry in found)])
+    sentence = (
+        "Structural stiffness for this tip on this support [N/mm]: after every branch has relaxed, and at "
+        "once (as far as these samples show). Secant: force over depth. Tangent: slope."
+    )
+    head = ("Depth", "Relaxed, secant", "Relaxed, tangent", "At once, secant", "At once, tangent")
+    return _shown("Stiffness", sentence, head, rows, reasons)
+
+
+def _moduli(quoted: Mapping[str, Any]) -> Table | None:
+    moduli = quoted["moduli"]
+    if not moduli:
+        return None
+    rows, reasons = [], []
+    keys = dict.fromkeys((entry["at"]["formula"], entry["at"]["depth_mm"]) for entry in moduli)
+    for formula, depth in keys:
+        names = ("modulus_equilibrium", "modulus_instantaneous")
+        found = [_find(moduli, name, formula=formula, depth_mm=depth) for name in names]
+        reasons += [entry["reason"] for entry in found if entry is not None]
+        rows.append([f"{str(formula).capitalize()}, {number(depth, 3)} mm", *(_cell(one) for one in found)])
+    known = quoted["assumptions"]
+    size = (
+        f"half angle {number(known['half_angle_deg'], 3)}°"
+        if known["shape"] == "cone"
+        else f"radius {number(known['radius_mm'], 3)} mm"
+    )
+    body = (
+        "a deep body (no thickness was stated)"
+        if known["thickness_mm"] is None
+        else f"a {known['support']} of {number(known['thickness_mm'], 3)} mm"
+    )
+    sentence = (
+        f"Young's modulus [kPa] for a {known['shape']} of {size} on {body}, Poisson's ratio "
+        f"{number(known['poisson'], 2)}, no friction: a reading of the structural stiffness, valid as far "
+        "as the remarks above say."
+    )
+    head = ("Formula and depth", "E∞, relaxed", "E₀, at once")
+    return _shown("Modulus", sentence, head, rows, reasons)
+
+
+def _spectra(quoted: Mapping[str, Any]) -> Table | None:
+    """Share of the relaxing force by decades of relaxation time."""
+    spectra = quoted["spectra"]
+    if not spectra:
+        return None
+    exponents = range(-6, 9)
+    shares = []
+    for one in spectra:
+        total = sum(one["amplitude_N"])
+        by_decade = {
+            n: sum(
+                amplitude
+                for tau, amplitude in zip(one["tau_s"], one["amplitude_N"], strict=True)
+                if 10.0**n <= tau < 10.0 ** (n + 1)
+            )
+            for n in exponents
+        }
+        inside = {n for n in exponents if any(10.0**n <= tau < 10.0 ** (n + 1) for tau in one["tau_s"])}
+        shares.append((one, total, by_decade, inside))
+    used = sorted(set().union(*(inside for *_, inside in shares)))
+    rows = [
+        [
+            trial_label(one),
+            *(f"{100.0 * by_decade[n] / total:.0f}" if n in inside and total > 0.0 else NONE for n in used),
+            number(one["plateau_N"], 3),
+        ]
+        for one, total, by_decade, inside in shares
+    ]
+    head = ("Hold of", *(f"{10.0**n:g} to {10.0 ** (n + 1):g} s" for n in used), "Plateau [N]")
+    sentence = (
+        "Where the relaxing force of each hold lies [% of it], by relaxation time: a smoothed spectrum of "
+        "non-negative exponentials, as seen after its ramp. No contact model is involved."
+    )
+    return _shown("Relaxation spectrum", sentence, head, rows)
+
+
+def quoted_tables(quoted: Mapping[str, Any] | None) -> tuple[Table, ...]:
+    """The tables of one specimen's ``quoted`` object; none where there is none."""
+    if quoted is None:
+        return ()
+    tables = (
+        _relaxed(quoted),
+        _stiffness(quoted),
+        _oscillation(quoted),
+        _moduli(quoted),
+        _spectra(quoted),
+    )
+    return tuple(table for table in tables if table is not None and table.rows)
+
+
+def cycle_table(cycles: Sequence[Mapping[str, Any]]) -> Table | None:
+    """Loops, measured from their samples; ``None`` where there are none."""
+    if not cycles:
+        return None
+    rows = [
+        [
+            f"{trial_label(row)}, {_KINDS[row['kind']]} {row['number']}",
+            number(row["peak_depth_mm"], 3),
+            _cell(row["peak_force_N"]),
+            _cell(row["dissipated_mJ"]),
+            _cell(row["hysteresis"], percent=True),
+            _cell(row["secant_N_per_mm"]),
+            _cell(row["tangent_N_per_mm"]),
+            _cell(row["residual_depth_mm"]),
+            _cell(row["peak_force_change"], percent=True),
+            _cell(row["viscosity_N_s_per_mm"]),
+            _cell(row["viscosity_model_N_s_per_mm"]),
+        ]
+        for row in cycles
+    ]
+    head = (
+        "Loop", "Depth [mm]", "Peak [N]", "Area [mJ]", "Area over work [%]", "Secant [N/mm]",
+        "Tangent [N/mm]", "Residual depth [mm]", "Peak against loop before [%]", "η from area [N·s/mm]",
+        "η from area, by model [N·s/mm]",
+    )  # fmt: skip
+    sentence = (
+        "Measured from the samples. The area holds every loss, viscous or not. As a viscosity it is first "
+        "read in the limit of slow motion (area over the integral of squared speed), then by letting the "
+        "fitted model walk the same path."
+    )
+    return _shown("Load-unload loops", sentence, head, rows)
