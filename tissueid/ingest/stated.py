@@ -133,4 +133,11 @@ def in_unit(key: str, text: str) -> float:
     if not written:
         msg = f'{key} = "{text}" has no unit: write {key} = {match[1]} without quotes, or add the unit'
         raise ValueError(msg)
-    return _CONVERT[unit](float(match[1]), written)
+    if written.startswith(","):
+        msg = f'{key} = "{text}" has a decimal comma: write a point'
+        raise ValueError(msg)
+    try:
+        return _CONVERT[unit](float(match[1]), written)
+    except ValueError as error:
+        msg = f'{key} = "{text}": {error}'
+        raise ValueError(msg) from error

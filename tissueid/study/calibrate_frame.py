@@ -38,8 +38,11 @@ FULL_LOADING = 0.5
 FEWEST_SAMPLES = 12
 #: Repeatability that is assumed where there is one loading only, as a share of the compliance.
 UNKNOWN_REPEATABILITY = 0.05
-#: A block whose force falls by this share in a hold is not rigid, nor one softer than this [N/mm].
-RELAXES = 0.05
+#: A block whose force falls by this share in a hold is not rigid: joints creep by less than a per cent.
+RELAXES = 0.02
+#: Samples at the start of a hold, and standard deviations that a fall must exceed.
+FEW, SURE_SD = 5, 5.0
+#: A block softer than this is not rigid: a load cell of 10 N gives some 0.25 mm [N/mm].
 SOFTEST_N_PER_MM = 20.0
 #: A load cell at this stiffness deflects 1 micrometre under 100 N: nothing is left to correct.
 STIFFEST_N_PER_MM = 1e5
@@ -79,6 +82,23 @@ def _loading(trial: Trial, segmentation: Segmentation, phase: Phase) -> Loading 
     )
 
 
+def _refuse_relaxing(trial: Trial, segmentation: Segmentation) -> None:
+    """Refuse a block whose force falls while the crosshead stands, beyond noise and the creep of joints."""
+    contact = segmentation.contact
+    assert contact is not None  # noqa: S101 -- the caller has looked
+    force = segmentation.force_sign * (trial.force_N - contact.baseline_N)
+    for hold in segmentation.of_kind("hold"):
+        held = force[hold.start : hold.stop]
+        first, last = float(held[:FEW].mean()), float(held[-max(FEW, held.size // 10) :].mean())
+        noise = SURE_SD * segmentation.force_noise_N / float(np.sqrt(FEW))
+        if first > 0.0 and first - last > max(RELAXES * first, noise):
+            message = (
+                f"the force falls by {100 * (1 - last / first):.1f} % in a hold, from {first:.4g} to "
+                f"{last:.4g} N: this is no rigid block; press the tip on steel"
+            )
+            raise _refuse(trial, message)
+
+
 def loadings_of(trial: Trial) -> list[Loading]:
     """Every loading of one recording of a rigid block: ramps, and the way in of cycles.
 
@@ -90,20 +110,7 @@ def loadings_of(trial: Trial) -> list[Loading]:
     segmentation = segment(trial)
     if segmentation.contact is None:
         raise _refuse(trial, "no contact with a block was found: the force never rises with the travel")
-    for hold in segmentation.of_kind("hold"):
-        force = segmentation.force_sign * (trial.force_N - segmentation.contact.baseline_N)
-        few = max(1, (hold.stop - hold.start) // 10)
-        first, last = (
-            float(force[part].mean())
-            for part in (np.s_[hold.start : hold.start + few], np.s_[hold.stop - few : hold.stop])
-        )
-        if first > 0.0 and last < (1.0 - RELAXES) * first:
-            fall = 100.0 * (1.0 - last / first)
-            raise _refuse(
-                trial,
-                f"the force falls by {fall:.0f} % in a hold, from {first:.4g} to {last:.4g} N: this is no "
-                "rigid block; press the tip on steel",
-            )
+    _refuse_relaxing(trial, segmentation)
     phases = [phase for phase in segmentation.phases if phase.kind in {"ramp", "cycle"}]
     found = [_loading(trial, segmentation, phase) for phase in phases]
     loadings = [one for one in found if one is not None]
