@@ -15,7 +15,7 @@ from tissueid.errors import InputError
 from tissueid.ingest import ReadOptions, find_inputs, read_each, read_one, read_trials
 from tissueid.synth import DIALECTS, EXPORTS, SyntheticLog
 from tissueid.synth.machines import GRAM_FORCE_N, mach1_text, mts793_text, shimadzu_text
-from tissueid.synth.workbooks import zwick_workbook
+from tissueid.synth.workbooks import xlsx, zwick_workbook
 from tissueid.trial import Trial
 
 SPEED_MM_S, DEPTH_MM, HOLD_S = 0.5, 8.25, 60.0
@@ -306,6 +306,42 @@ def test_shimadzu_gives_one_trial_a_specimen_with_ragged_ends(tmp_path: Path) ->
     head = b"".join(line + b"\r\n" for line in shimadzu_text(logs).splitlines()[:3])
     path.write_bytes(head + path.read_bytes())
     assert [trial.time_s.size for trial in read_trials(path)] == [25, 60, 12]
+
+
+def test_specimens_side_by_side_in_a_workbook_are_trials_too(tmp_path: Path) -> None:
+    logs = [log_of(count, name=f"a-{count}") for count in (25, 60, 12)]
+    cells = [line.split(",") for line in shimadzu_text(logs).decode().replace('"', "").splitlines()]
+    rows = [[float(c) if c and i > 2 else c for c in row] for i, row in enumerate(cells)]
+    rows[40][5] = "damaged"
+    path = tmp_path / "synthetic.xlsx"
+    path.write_bytes(xlsx([("Data", rows)]))
+    first, damaged, last = read_each(path)
+    assert isinstance(first, Trial)
+    assert isinstance(last, Trial)
+    assert isinstance(damaged, InputError)
+    assert [first.source.sheet, last.source.sheet] == ["Data::synthetic a-25", "Data::synthetic a-12"]
+    assert_equal(first, "shimadzu", logs[0])
+    assert_equal(last, "shimadzu", logs[2])
+    assert (damaged.code, damaged.line, damaged.column) == ("text_in_numbers", 41, 6)
+
+
+def test_mach1_rows_may_end_in_a_tab_and_blocks_may_be_empty(tmp_path: Path) -> None:
+    data = mach1_text([log_of(30, start_s=0.0)], divided=False).decode()
+    head, rows = data.split("Fz, gf\r\n")
+    rows = rows.replace("\r\n", "\t\r\n").replace("<END DATA>\t", "<END DATA>")
+    empty = "<Wait>\r\n<DATA>\r\nTime, s\tPosition (z), mm\tFz, gf\r\n<END DATA>\r\n"
+    path = tmp_path / "synthetic.txt"
+    path.write_text(head + "Fz, gf\r\n" + rows + empty, newline="")
+    (trial,) = read_trials(path)
+    assert_equal(trial, "mach-1", log_of(30, start_s=0.0))
+
+
+def test_a_folder_in_an_archive_says_the_kind_of_test(tmp_path: Path) -> None:
+    path = tmp_path / "synthetic.zip"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("meat.is_trelax_RawData/Specimen_RawData_1.csv", EXPORTS["bare"].write(log_of(20)))
+    (trial,) = read_trials(path)
+    assert (trial.protocol.kind, trial.protocol.speed_mm_s) == ("trelax", SPEED_MM_S)
 
 
 def test_shimadzu_refusals_point_at_the_column_of_the_file(tmp_path: Path) -> None:

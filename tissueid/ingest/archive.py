@@ -14,6 +14,7 @@ from dataclasses import replace
 from pathlib import PurePosixPath
 
 from tissueid.errors import InputError
+from tissueid.ingest.header import protocol_of
 from tissueid.ingest.recipe import Detection, InputFile, Match, Recipe, Table, is_archive, lay_out
 from tissueid.ingest.refusals import Place
 
@@ -143,7 +144,11 @@ def _member(
             yield _named(item, file.path, name)
         else:
             sheet = name if item.sheet is None else f"{name}::{item.sheet}"
-            yield replace(item, sheet=sheet, match=item.match or found)
+            # the member's folder may say what kind of test it was
+            protocol = item.protocol or protocol_of(
+                item.metadata, f"{file.path}/{name}", decimal=item.decimal
+            )
+            yield replace(item, sheet=sheet, match=item.match or found, protocol=protocol)
 
 
 def _named(error: InputError, path: str, member: str) -> InputError:

@@ -6,6 +6,7 @@ kept as blank ones, so that a refusal still points at the line of the file.
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 
 from tissueid.ingest.layout import Layout, Row, find_decimal, split_line
@@ -32,6 +33,11 @@ def block_text(text: Text, rows: bytes, first_line: int) -> Text:
         One-based line of the file at which they stand.
     """
     return replace(text, data=b"\n" * (first_line - 1) + rows)
+
+
+def _ends_empty(sample: list[Row], named: int) -> bool:
+    """Whether the cells behind the named columns are empty in every row."""
+    return all(not any(cell.strip() for cell in row[named:]) for row in sample)
 
 
 def block_layout(
@@ -75,12 +81,14 @@ def block_layout(
     if mark is None:
         padded: list[Row] = [()] * first
         mark = find_decimal(text, sample, delimiter, place, first=first, rows=padded + rows)
-    n_columns = len(names)
+    usual = Counter(map(len, sample)).most_common(1)
+    # a delimiter at the end of every row is one more column, without a name
+    n_columns = max(len(names), usual[0][0] if usual and _ends_empty(sample, len(names)) else 0)
     return Layout(
         delimiter=delimiter,
         decimal=mark,
         header=(),
-        names=names,
+        names=(*names, *[""] * (n_columns - len(names))),
         units=tuple((*units, *[""] * n_columns)[:n_columns]),
         units_in_row=bool(units),
         names_line=names_line,

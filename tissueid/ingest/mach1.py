@@ -127,7 +127,7 @@ def read_mach1(file: InputFile) -> Iterator[Table | InputError]:
         line, _, rows = data[blank:].partition(b"\n")
         names = tuple(name.strip() for name in split_line(text.decode(line), "\t"))
         seen.append(f"{block.sheet} ({', '.join(names)[:80]})")
-        if has_channels(names, (), file.options):
+        if has_channels(names, (), file.options) and rows.strip():
             found = True
             names_line = text.data.count(b"\n", 0, block.start + blank) + 1
             yield from _read_block(file, text, block, names, rows, names_line)

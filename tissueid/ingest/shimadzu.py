@@ -15,54 +15,29 @@ and must stay ended.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from itertools import pairwise
 
 from tissueid.errors import InputError
 from tissueid.ingest.block import block_layout, block_text
-from tissueid.ingest.columns import has_channels, split_name
+from tissueid.ingest.columns import split_name
 from tissueid.ingest.delimited import read_table
 from tissueid.ingest.header import header_entries
 from tissueid.ingest.layout import Layout, split_line
 from tissueid.ingest.recipe import Detection, InputFile, Recipe, Table
 from tissueid.ingest.refusals import Place
+from tissueid.ingest.side_by_side import SpecimenColumns, shifted, specimen_columns
 from tissueid.ingest.text import Text
-from tissueid.ingest.vocabulary import plain_words, rank_of
+from tissueid.ingest.vocabulary import plain_words
 
 __all__ = ["SHIMADZU"]
 
 _STROKE = frozenset({"stroke", "ストローク", "hub"})
 
 
-@dataclass(frozen=True, slots=True)
-class _Specimen:
-    """The columns ``[start, stop)`` of one specimen, and the name above them."""
-
-    name: str
-    start: int
-    stop: int
-
-
-def _specimens(layout: Layout) -> list[_Specimen]:
-    """The specimens of a table, empty where it is not laid out by specimen."""
-    if not layout.header or not layout.units_in_row:
+def _specimens(file: InputFile) -> list[SpecimenColumns]:
+    layout = file.layout
+    if layout is None or not layout.header or not layout.units_in_row:
         return []
-    times = [
-        i
-        for i, name in enumerate(layout.names)
-        if rank_of(split_name(name)[0], "time", loose=False) is not None
-    ]
-    if not times or any(name.strip() for name in layout.names[: times[0]]):
-        return []
-    above = layout.header[-1]
-    bounds = [*times, len(layout.names)]
-    found = []
-    for start, stop in pairwise(bounds):
-        cells = {cell.strip() for cell in above[start:stop] if cell.strip()}
-        if len(cells) != 1 or not above[start].strip():
-            return []
-        found.append(_Specimen(above[start].strip(), start, stop))
-    return found
+    return specimen_columns(layout.header[-1], layout.names, layout.units, file.options)
 
 
 def detect_shimadzu(file: InputFile) -> Detection:
@@ -70,12 +45,8 @@ def detect_shimadzu(file: InputFile) -> Detection:
     layout = file.layout
     if layout is None:
         return 0.0, "no table of numbers"
-    specimens = _specimens(layout)
-    ready = all(
-        has_channels(layout.names[s.start : s.stop], layout.units[s.start : s.stop], file.options)
-        for s in specimens
-    )
-    if not specimens or not ready:
+    specimens = _specimens(file)
+    if not specimens:
         return 0.0, "no specimen names above the columns"
     if len(specimens) > 1:
         names = ", ".join(repr(s.name) for s in specimens[:3])
@@ -92,8 +63,9 @@ def read_shimadzu(file: InputFile) -> Iterator[Table | InputError]:
         yield file.fault or place.refusal("not_an_export", "this is no text")
         return
     metadata = header_entries(layout.header[:-1])
-    names = [s.name for s in _specimens(layout)]
-    for count, specimen in enumerate(_specimens(layout), 1):
+    specimens = _specimens(file)
+    names = [specimen.name for specimen in specimens]
+    for count, specimen in enumerate(specimens, 1):
         sheet = specimen.name if names.count(specimen.name) == 1 else f"{count}: {specimen.name}"
         own = Place(file.path, sheet)
         try:
@@ -111,18 +83,10 @@ def read_shimadzu(file: InputFile) -> Iterator[Table | InputError]:
             )
             yield read_table(alone, laid, file.options, own, metadata=metadata)
         except InputError as error:
-            yield _shifted(error, specimen.start)
+            yield shifted(error, specimen.start)
 
 
-def _shifted(error: InputError, columns: int) -> InputError:
-    """A refusal that points at the column of the file."""
-    column = None if error.column is None else error.column + columns
-    return InputError(
-        error.code, error.message, path=error.path, sheet=error.sheet, line=error.line, column=column
-    )
-
-
-def _alone(text: Text, layout: Layout, specimen: _Specimen, place: Place) -> Text:
+def _alone(text: Text, layout: Layout, specimen: SpecimenColumns, place: Place) -> Text:
     """The lines of the file with the cells of one specimen, blank where it has ended."""
     lines: list[str] = []
     ended = 0

@@ -30,6 +30,7 @@ from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.recipe import Detection, InputFile, Recipe, Table, is_workbook
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.results import results_below, results_flag
+from tissueid.ingest.side_by_side import shifted, specimen_columns
 from tissueid.ingest.unpacking import BROKEN_ARCHIVE, too_much
 from tissueid.ingest.vocabulary import CHANNELS
 from tissueid.trial import FloatArray
@@ -168,12 +169,30 @@ def read_workbook(file: InputFile) -> Iterator[Table | InputError]:
     yield from faults.values()
     names = Counter(name for _, cells, found in trials if (name := _test_name(cells, found)) is not None)
     for sheet, cells, found in trials:
-        try:
-            yield _read_sheet(file, sheet, cells, found, names=names)
-        except InputError as error:
-            yield error
+        for name, own, start in _side_by_side(file, sheet, cells, found):
+            try:
+                yield _read_sheet(file, name, own, found, names=names)
+            except InputError as error:
+                yield shifted(error, start)
     if not trials and not faults:
         yield _no_trial(file, workbook)
+
+
+def _side_by_side(
+    file: InputFile, sheet: str, cells: Cells, found: Anchor
+) -> Iterator[tuple[str, Cells, int]]:
+    """The trials of a sheet: one, or one a specimen where several stand side by side."""
+    specimens = []
+    if found.names and found.units is not None:
+        head = _head(cells[: found.first])
+        specimens = specimen_columns(
+            head[found.names - 1], head[found.names], head[found.units], file.options
+        )
+    if len(specimens) < 2:
+        yield sheet, cells, 0
+        return
+    for one in specimens:
+        yield f"{sheet}::{one.name}", [row[one.start : one.stop] for row in cells], one.start
 
 
 def _no_trial(file: InputFile, workbook: Any) -> InputError:
