@@ -197,6 +197,17 @@ def test_a_choice_of_columns_offers_the_other_one() -> None:
     assert tomllib.loads(entry.toml)["override"][0]["columns"]["displacement"] == "Strain 1"
 
 
+def test_what_the_user_decided_is_told_with_the_reason() -> None:
+    values = {"keys": ["contact_mm", "end_s", "rupture"], "because": "seen by eye"}
+    document = recording(ramp_hold(flags=(Flag("decision_overridden", "contact_mm = 1", values),))).document
+    told = {one.key: one.taken for one in decisions(document, file="run.csv")}
+    said = "as study.toml says, because: seen by eye; "
+    assert {key for key, text in told.items() if text.startswith(said)} == {
+        "contact", "cut", "rupture",
+    }  # fmt: skip
+    assert "a part of the record counts" in told["cut"]
+
+
 def test_a_rupture_can_be_denied() -> None:
     document = dict(recording(ramp_hold()).document)
     document["events"] = [{"kind": "rupture", "time_s": 2.0, "values": {}}]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from tissueid.report.wording import number, with_error
@@ -22,6 +22,20 @@ _SIGN = {1: "positive", -1: "negative"}
 _INTERNAL = {"time": "s", "displacement": "mm", "force": "N"}
 #: A minimum this much longer than the shortest hold leaves that one out.
 _JUST_LONGER = 1.05
+#: Key of an override -> the decision it takes.
+_DECIDES = {
+    "columns": "columns",
+    "units": "units",
+    "axes": "units",
+    "compression": "compression",
+    "force": "force",
+    "contact_mm": "contact",
+    "contact_sd_mm": "contact",
+    "minimum_hold_s": "hold",
+    "start_s": "cut",
+    "end_s": "cut",
+    "rupture": "rupture",
+}
 #: Shortest hold that is asked for where none was found [s].
 _ANY_HOLD_S = 0.2
 
@@ -115,7 +129,21 @@ def decisions(recording: Mapping[str, Any], *, file: str) -> tuple[Decision, ...
         ),
         _exclusion(recording, _entry("exclude", file, sheet, {})),
     ]
-    return tuple(found)
+    stated = _stated(recording)
+    return tuple(
+        replace(one, taken=f"as study.toml says, because: {stated[one.key]}; {one.taken}")
+        if one.key in stated
+        else one
+        for one in found
+    )
+
+
+def _stated(recording: Mapping[str, Any]) -> dict[str, str]:
+    """Decisions that the user took, each with the reason."""
+    flag = _flag(recording, "decision_overridden")
+    if flag is None:
+        return {}
+    return {_DECIDES[key]: flag["because"] for key in flag["keys"] if key in _DECIDES}
 
 
 def _flag(recording: Mapping[str, Any], code: str) -> Mapping[str, Any] | None:
@@ -198,12 +226,17 @@ def _hold(recording: Mapping[str, Any], override: Any) -> Decision:
 
 def _cut(recording: Mapping[str, Any], override: Any) -> Decision:
     start, end = recording["first"]["time_s"], recording["last"]["time_s"]
-    taken = f"all of the record counts, {number(start)} to {number(end)} s"
+    said = _stated(recording).get("cut")
+    part = "all of the record counts" if said is None else "a part of the record counts"
+    taken = f"{part}, which lasts from {number(start)} to {number(end)} s"
     return Decision("cut", "Part of the record", taken, override(start_s=start, end_s=end), "start_s")
 
 
 def _rupture(recording: Mapping[str, Any], override: Any) -> list[Decision]:
     broken = [event for event in recording.get("events", ()) if event["kind"] == "rupture"]
+    if not broken and "rupture" in _stated(recording):
+        taken = "no drop of the force is taken for a rupture"
+        return [Decision("rupture", "Rupture", taken, override(rupture=True))]
     if not broken:
         return []
     times = ", ".join(f"{number(event['time_s'])} s" for event in broken)
