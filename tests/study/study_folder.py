@@ -1,0 +1,51 @@
+"""A small folder of recordings with a study file, and the quickest fit of it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from tissueid.cli.main import main
+
+#: One branch and constant K: the quickest fit.
+QUICK = ("--branches", "1", "--stiffness-degree", "0")
+REPOSITORY = Path(__file__).resolve().parents[2]
+LOG = REPOSITORY / "datasets_synthetic" / "paper-a-hold-100Hz" / "hold-8-1.csv"
+HEADER_LINES = 6
+#: Rows of the 100 Hz ramp and hold, and every how many-th of them: 400 rows, 16 s.
+ROWS, STRIDE = 1600, 4
+
+
+def recording(*, times: float = 1.0, header: str = "", names: str = "Time,Extension,Load") -> str:
+    """A ramp and hold with its force ``times`` as large."""
+    lines = LOG.read_text(encoding="ascii").splitlines()
+    cells = [line.split(",") for line in lines[HEADER_LINES : HEADER_LINES + ROWS : STRIDE]]
+    rows = [f"{t},{x},{float(f) * times:.4f}" for t, x, f in cells]
+    return "\n".join([*([header, ""] if header else []), names, "(sec),(mm),(N)", *rows, ""])
+
+
+def lab(folder: Path, manifest: str, **times: float) -> Path:
+    """A folder with ``<name>.csv`` for each name, force ``times`` as large, and its study file."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, factor in times.items():
+        (folder / f"{name}.csv").write_text(recording(times=factor), encoding="ascii")
+    (folder / "study.toml").write_text('schema = "tissueid/study/1"\n' + manifest, encoding="utf-8")
+    return folder
+
+
+def fit(*args: str | Path, out: Path) -> tuple[int, dict[str, Any]]:
+    """Exit code and identification.json of ``tissueid fit ARGS``; empty where nothing was fitted."""
+    code = main(["fit", *map(str, args), "-o", str(out), "-q", *QUICK])
+    path = out / "identification.json"
+    return code, json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+
+
+def specimen(document: dict[str, Any], name: str) -> dict[str, Any]:
+    (found,) = [entry for entry in document["specimens"] if entry["specimen"] == name]
+    return found
+
+
+def value(document: dict[str, Any], name: str, parameter: str) -> float:
+    (found,) = [entry for entry in specimen(document, name)["parameters"] if entry["name"] == parameter]
+    return float(found["value"])
