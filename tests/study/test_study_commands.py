@@ -1,0 +1,279 @@
+"""study init, check, exclude, include and export."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from study_folder import fit, lab, recording, value
+
+from tissueid.cli.main import main
+from tissueid.ingest import read_trials
+from tissueid.ingest.manifest import read_study
+from tissueid.manifest import Calibration, Study
+from tissueid.store.schema import first_problem
+from tissueid.study.anonymise import Anonymiser, recording_text
+from tissueid.study.completeness import ITEMS, completeness
+
+NAMES = ("Muster", "Anna", "kidney", "E-123", "Klinikum", "2024")
+WHO = (
+    "[study]\ntitle = 'Stiffness of tissue'\nauthors = ['Anna Muster']\noperator = 'Anna Muster'\n"
+    "laboratory = 'Klinikum Nord'\ndate = 2024-05-31\nethics = 'E-123'\nlicence = 'CC-BY-4.0'\n"
+    "notes = 'kidney of Anna'\nspecies = 'pig'\n"
+    "[[specimen]]\nname = 'kidney 7'\ndonor = 'Babe'\nthickness = '2 cm'\n"
+    "[[trial]]\nfile = 'kidney*.csv'\nspecimen = 'kidney 7'\nsite = 'A'\n"
+    "[[exclude]]\nfile = 'kidney_2.csv'\nbecause = 'Anna Muster saw kidney 7 slip'\n"
+)
+
+
+def test_a_first_study_file_says_what_recordings_and_headers_say_and_is_valid(tmp_path: Path) -> None:
+    head = '"Operator","A. Tester"\n"Specimen label","kidney"\n"Tip radius","2.0","mm"'
+    head += '\n"Load cell capacity","500","N"'
+    for i in (1, 2, 10):
+        (tmp_path / f"run {i}.csv").write_text(recording(header=head), encoding="ascii")
+    (tmp_path / "broken.csv").write_text("nothing\n", encoding="ascii")
+    assert main(["study", "init", str(tmp_path), "-q"]) == 7
+    text = (tmp_path / "study.toml").read_text(encoding="utf-8")
+    study = read_study(tmp_path)
+    assert study.about["operator"] == "A. Tester"
+    assert study.tip["radius_mm"] == 2.0
+    assert study.calibration.values["load_cell_capacity_N"] == 500.0
+    # every fourth row of 100 Hz
+    assert study.calibration.values["sampling_Hz"] == 25.0
+    assert list(study.specimens) == ["kidney"]
+    (protocol,) = study.protocols.values()
+    # 250 mm/min to 8 mm and a hold, sampled at 25 Hz
+    assert protocol["kind"] == "ramp-hold"
+    assert protocol["speed_mm_s"] == pytest.approx(250 / 60, rel=0.05)
+    assert protocol["depth_mm"] == pytest.approx(8.0, rel=0.01)
+    assert [entry.values["file"] for entry in study.trials] == ["run 1.csv", "run 2.csv", "run 10.csv"]
+    assert "# not read: " in text
+    assert "# thickness_mm =" in text
+    # and the fit with it is the fit without it
+    _, with_it = fit(tmp_path, out=tmp_path / "out")
+    _, without = fit(tmp_path, "--no-study", out=tmp_path / "out2")
+    assert value(with_it, "kidney", "static_1_N_per_mm") == value(without, "kidney", "static_1_N_per_mm")
+
+
+def test_an_existing_study_file_is_written_over_only_by_force(tmp_path: Path) -> None:
+    folder = lab(tmp_path, "# mine\n", a=1.0)
+    before = (folder / "study.toml").read_bytes()
+    assert main(["study", "init", str(folder)]) == 2
+    assert (folder / "study.toml").read_bytes() == before
+    assert main(["study", "init", str(folder), "--force", "-q"]) == 0
+    assert (folder / "study.toml").read_bytes() != before
+
+
+def full_study() -> Study:
+    tables: dict[str, dict[str, Any]] = {}
+    for item in ITEMS:
+        tables.setdefault(item.table, {})[item.keys[-1]] = "said"
+    from tissueid.manifest import Entry
+
+    return Study(
+        "study.toml",
+        about=tables["study"],
+        tip=tables["tip"],
+        calibration=Calibration(tables["calibration"]),
+        specimens={"a": tables["specimen"], "b": tables["specimen"]},
+        trials=(Entry({"file": "x.csv", **tables["trial"]}, ("/x.csv",), 1),),
+    )
+
+
+def test_a_study_that_says_everything_has_the_best_grade_and_an_empty_one_the_worst() -> None:
+    best = completeness(full_study())
+    assert (best.grade, best.share, best.missing, best.usable) == ("A", 1.0, (), True)
+    worst = completeness(Study("study.toml"))
+    assert (worst.grade, worst.share, worst.usable) == ("F", 0.0, False)
+    assert len(worst.missing) == len(ITEMS)
+
+
+def test_one_essential_item_less_costs_the_grade_and_names_the_specimen() -> None:
+    from dataclasses import replace
+
+    study = full_study()
+    less = {key: text for key, text in study.specimens["b"].items() if key != "thickness_mm"}
+    found = completeness(replace(study, specimens={"a": study.specimens["a"], "b": less}))
+    assert found.grade == "C"
+    assert found.share > 0.95
+    (missing,) = found.missing
+    assert (missing.item.keys, missing.where) == (("thickness_mm",), ("b",))
+    # what the study says holds for every specimen
+    general = replace(study, about={**study.about, "thickness_mm": 5.0}, specimens={"a": {}, "b": less})
+    assert "thickness_mm" not in {key for one in completeness(general).missing for key in one.item.keys}
+
+
+def test_check_prints_the_document_of_its_schema_and_ends_by_what_is_missing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = lab(tmp_path, "[study]\nspecies = 'pig'\n[[trial]]\nfile = 'gone.csv'\n", a=1.0)
+    assert main(["study", "check", str(folder), "--json"]) == 7
+    document = json.loads(capsys.readouterr().out)
+    assert first_problem(document, "study-check") is None
+    assert document["unmatched"][0]["error"]["line"] == 4
+    assert ["species"] not in [one["keys"] for one in document["missing"]]
+    assert main(["study", "check", str(folder)]) == 7
+    said = capsys.readouterr()
+    assert "grade F" in said.out
+    assert "gone.csv" in said.err
+
+
+COMMENTED = """# a study
+[study]  # mine
+title = 'x'   # odd   spacing
+species = "pig"
+
+# the trials
+[[trial]]
+file = "a.csv"
+"""
+
+
+@pytest.mark.parametrize("newline", ["\n", "\r\n"])
+def test_excluding_and_including_again_leaves_the_file_as_it_was(tmp_path: Path, newline: str) -> None:
+    folder = lab(tmp_path / "lab", "", a=1.0, b=1.0)
+    path = folder / "study.toml"
+    text = ('schema = "tissueid/study/1"\n' + COMMENTED).replace("\n", newline)
+    path.write_bytes(text.encode())
+    assert main(["study", "exclude", str(folder / "b.csv"), "--because", 'it "slipped"', "-q"]) == 0
+    changed = path.read_bytes().decode()
+    assert changed.startswith(text)
+    assert changed.count("\n") == changed.count(newline)
+    study = read_study(folder)
+    assert study.decision(str(folder / "b.csv"), None).excluded == 'it "slipped"'
+    # a second reason takes the place of the first
+    assert main(["study", "exclude", str(folder / "b.csv"), "--because", "thawed", "-q"]) == 0
+    assert len(read_study(folder).exclusions) == 1
+    assert main(["study", "exclude", str(folder / "a.csv"), "--because", "dry", "-q"]) == 0
+    assert len(read_study(folder).exclusions) == 2
+    for name in ("a.csv", "b.csv"):
+        assert main(["study", "include", str(folder / name), "-q"]) == 0
+    assert path.read_bytes().decode().rstrip() == text.rstrip()
+
+
+def test_a_sheet_is_excluded_by_its_name_and_seen_from_anywhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = lab(tmp_path / "lab", "", a=1.0)
+    (folder / "meat.xlsx").write_bytes(b"")
+    monkeypatch.chdir(tmp_path)
+    assert main(["study", "exclude", "meat.xlsx::Sheet 3", "--because", "x", "--study", "lab", "-q"]) == 0
+    (entry,) = read_study(folder).exclusions
+    assert dict(entry.values) == {"file": "meat.xlsx", "sheet": "Sheet 3", "because": "x"}
+
+
+@pytest.mark.parametrize(
+    ("args", "words"),
+    [
+        (["exclude", "nowhere.csv", "--because", "x"], "no such recording"),
+        (["exclude", "a.csv", "--because", "  "], "reason"),
+        (["include", "a.csv"], "not excluded"),
+        (["include", "b.csv"], "line 2"),
+    ],
+)
+def test_what_can_not_be_changed_is_said_and_left(
+    tmp_path: Path, args: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = lab(tmp_path, "[[exclude]]\nfile = 'b*.csv'\nbecause = 'x'\n", a=1.0, b=1.0)
+    before = (folder / "study.toml").read_bytes()
+    assert main(["study", *args, "--study", str(folder)]) == 2
+    assert words in capsys.readouterr().err
+    assert (folder / "study.toml").read_bytes() == before
+
+
+def crate(out: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+    """The metadata document and its entities by identifier."""
+    document = json.loads((out / "ro-crate-metadata.json").read_text(encoding="utf-8"))
+    return document, {entity["@id"]: entity for entity in document["@graph"]}
+
+
+def test_a_crate_describes_itself_its_data_and_every_file_as_the_specification_asks(tmp_path: Path) -> None:
+    folder = lab(tmp_path / "lab", WHO, kidney_1=1.0, kidney_2=1.1)
+    out = tmp_path / "crate"
+    args = ["study", "export", str(folder), "--crate", str(out), "--date", "2025-01-02", "-q"]
+    assert main(args) == 0
+    document, entities = crate(out)
+    # RO-Crate 1.1: a flat graph, each identifier once, the descriptor about the root
+    assert len(entities) == len(document["@graph"])
+    assert document["@context"][0] == "https://w3id.org/ro/crate/1.1/context"
+    descriptor = entities["ro-crate-metadata.json"]
+    assert descriptor["@type"] == "CreativeWork"
+    assert descriptor["conformsTo"] == {"@id": "https://w3id.org/ro/crate/1.1"}
+    assert descriptor["about"] == {"@id": "./"}
+    root = entities["./"]
+    assert root["@type"] == "Dataset"
+    assert (root["name"], root["datePublished"]) == ("Stiffness of tissue", "2025-01-02")
+    assert root["license"]["@id"] in entities
+    assert [entities[one["@id"]]["name"] for one in root["author"]] == ["Anna Muster"]
+    # every file is listed, there, and the one whose hash is printed
+    listed = [one["@id"] for one in root["hasPart"]]
+    assert sorted(listed) == ["kidney_1.csv", "kidney_2.csv", "study.toml"]
+    for name in listed:
+        content = (out / name).read_bytes()
+        assert content == (folder / name).read_bytes()
+        assert entities[name]["@type"] == "File"
+        assert entities[name]["sha256"] == hashlib.sha256(content).hexdigest()
+        assert entities[name]["contentSize"] == str(len(content))
+    assert {path.name for path in out.iterdir()} == {*listed, "ro-crate-metadata.json"}
+
+
+def test_a_crate_without_a_licence_or_into_a_full_folder_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = lab(tmp_path / "lab", "", a=1.0)
+    assert main(["study", "export", str(folder), "--crate", str(tmp_path / "out")]) == 2
+    assert "licence" in capsys.readouterr().err
+    lab(tmp_path / "lab", "[study]\nlicence = 'CC0-1.0'\n")
+    assert main(["study", "export", str(folder), "--crate", str(folder)]) == 2
+    assert not (folder / "ro-crate-metadata.json").exists()
+
+
+def test_an_anonymised_crate_holds_no_name_and_the_same_numbers(tmp_path: Path) -> None:
+    folder = lab(tmp_path / "lab", WHO)
+    head = '"Operator","Anna Muster"\n"Specimen label","kidney 7"\n"Start date","31/05/2024"'
+    for i, times in ((1, 1.0), (2, 1.1), (3, 1.02)):
+        (folder / f"kidney_{i}.csv").write_text(recording(times=times, header=head), encoding="ascii")
+    out = tmp_path / "crate"
+    args = ["study", "export", str(folder), "--crate", str(out), "--anonymise", "--date", "2025-01-02", "-q"]
+    assert main(args) == 0
+    whole = "\n".join(path.read_text(encoding="utf-8") for path in out.iterdir())
+    assert [name for name in (*NAMES, "Babe") if re.search(name, whole, re.IGNORECASE)] == []
+    assert str(tmp_path) not in whole
+    study = read_study(out)
+    assert study.about["species"] == "pig"
+    ((hashed, table),) = study.specimens.items()
+    assert re.fullmatch(r"S-[0-9a-f]{10}", hashed)
+    assert table["thickness_mm"] == 20.0
+    assert re.fullmatch(r"D-[0-9a-f]{10}", table["donor"])
+    # the exclusion and every sample survive
+    assert len(study.exclusions) == 1
+    first = read_trials(folder / "kidney_1.csv")[0]
+    again = read_trials(out / "trial-001.csv")[0]
+    for channel in ("time_s", "displacement_mm", "force_N"):
+        assert np.array_equal(getattr(first, channel), getattr(again, channel))
+    _, named = fit(folder, out=tmp_path / "out")
+    _, nameless = fit(out, out=tmp_path / "out2")
+    static = "static_1_N_per_mm"
+    assert value(nameless, hashed, static) == value(named, "kidney 7", static)
+
+
+def test_hashes_are_stable_under_one_salt_and_strange_under_another() -> None:
+    study = Study("study.toml")
+    one, same, other = (Anonymiser(study, [], salt) for salt in (b"a", b"a", b"b"))
+    assert one.hashed("kidney 7") == same.hashed("kidney 7")
+    assert one.hashed("kidney 7") != other.hashed("kidney 7")
+    assert one.hashed("kidney 7") != one.hashed("kidney 8")
+
+
+def test_a_recording_is_written_with_every_digit(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(recording(times=1 / 3), encoding="ascii")
+    trial = read_trials(tmp_path / "a.csv")[0]
+    (tmp_path / "b.csv").write_text(recording_text(trial), encoding="utf-8")
+    again = read_trials(tmp_path / "b.csv")[0]
+    assert np.array_equal(trial.force_N, again.force_N)
+    assert not again.source.metadata

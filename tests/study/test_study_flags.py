@@ -1,0 +1,80 @@
+"""Flags that need several logs of a specimen together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from fit_factory import specimen_fit
+
+from tissueid.fit.order import gain_spread, order_effect, repeated_sites
+from tissueid.result import TrialFit
+
+
+def logs(gains: Sequence[float]) -> list[TrialFit]:
+    (one,) = specimen_fit(trials=1).trials
+    return [replace(one, path=f"run_{i}.csv", gain=gain) for i, gain in enumerate(gains, start=1)]
+
+
+def test_logs_that_differ_much_are_asked_after_and_repeats_are_not() -> None:
+    assert gain_spread(logs([1.0, 1.04, 0.97, 1.01])) == []
+    assert gain_spread(logs([1.0])) == []
+    (flag,) = gain_spread(logs([0.7, 1.0, 1.3]))
+    assert flag.values["sd_ln_gain"] == pytest.approx(np.log([0.7, 1.0, 1.3]).std(ddof=1))
+    assert (flag.values["lowest"], flag.values["highest"]) == (0.7, 1.3)
+    assert "run_1.csv" in flag.message
+    assert "run_3.csv" in flag.message
+
+
+def test_stiffness_that_follows_the_order_is_said_with_its_change() -> None:
+    rng = np.random.default_rng(31)
+    runs = list(range(1, 11))
+    falling = np.exp(-0.02 * np.array(runs) + 0.005 * rng.standard_normal(10))
+    (flag,) = order_effect(logs(falling), runs)
+    # nine steps of -2 %, each known to 0.5 % over 9^0.5
+    assert flag.values["change"] == pytest.approx(np.expm1(-0.18), abs=0.01)
+    assert flag.values["p"] < 1e-6
+    assert "falls by" in flag.message
+    # the order is that of the runs, not of the files
+    (same,) = order_effect(logs(falling[::-1]), runs[::-1])
+    assert same.values["change"] == pytest.approx(flag.values["change"])
+
+
+def test_scatter_is_no_order_effect_more_often_than_the_chance_it_states() -> None:
+    rng = np.random.default_rng(32)
+    found = sum(
+        bool(order_effect(logs(np.exp(0.05 * rng.standard_normal(8))), list(range(8)))) for _ in range(400)
+    )
+    # p < 0.01: 4 expected, 13 is the upper 99.99 % bound of a binomial of 400
+    assert found <= 13
+
+
+def test_without_the_order_nothing_is_said() -> None:
+    assert order_effect(logs([1.0, 0.9, 0.8, 0.7]), [None] * 4) == []
+    assert order_effect(logs([1.0, 0.9, 0.8]), [1, 2, 3]) == []
+    assert order_effect(logs([1.0, 1.0, 1.0, 1.0]), [1, 2, 3, 4]) == []
+
+
+@pytest.mark.parametrize(
+    ("rows", "sites", "rest"),
+    [
+        ([{"site": "A"}, {"site": "B"}], None, None),
+        ([{}, {}], None, None),
+        ([{"site": "A", "rest_s": 60.0}, {"site": "A", "rest_s": 30.0}, {"site": "B"}], ["A"], 30.0),
+        ([{"site": "A"}, {"site": "A"}], ["A"], None),
+    ],
+)
+def test_a_site_that_was_tested_twice_is_named_with_its_rest(
+    rows: list[dict[str, Any]], sites: list[str] | None, rest: float | None
+) -> None:
+    flags = repeated_sites(logs([1.0] * len(rows)), rows)
+    if sites is None:
+        assert flags == []
+        return
+    (flag,) = flags
+    assert flag.values["sites"] == sites
+    assert flag.values["times"] == [2]
+    assert flag.values.get("shortest_rest_s") == rest
