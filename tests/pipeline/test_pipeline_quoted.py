@@ -1,0 +1,123 @@
+"""Cycles, quoted numbers and moduli through the whole pipeline, under the schema."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tissueid.fit.material import Geometry
+from tissueid.fit.specimen import FitOptions
+from tissueid.ingest import read_trials
+from tissueid.manifest import Study
+from tissueid.model.moduli import Indenter
+from tissueid.pipeline import IdentifyOptions, identify
+from tissueid.report import render_report
+from tissueid.segment import SegmentOptions
+from tissueid.store.curves import curves_of_fits
+from tissueid.store.files import plain_json
+from tissueid.store.schema import check
+from tissueid.synth import Branch, Hold, Log, Move, Recipe, as_trials, simulate
+from tissueid.trial import Axes, Trial
+
+RETRACT = Recipe(
+    "knee",
+    (Log("pull", (Move(4.0, 240.0), Hold(3.0), Move(0.0, 240.0), Hold(0.5))),),
+    rate_Hz=100.0, sigma_N=0.2, branches=(Branch((30.0,), 0.2),), specimen="knee",
+)  # fmt: skip
+CYCLIC = Path("instron-bluehill-cyclic-cc0")
+
+
+def trials_of(recipe: Recipe = RETRACT, seed: int = 0) -> list[Trial]:
+    return as_trials(simulate(recipe, rng=np.random.default_rng(seed)))
+
+
+def options(**fit: object) -> IdentifyOptions:
+    return IdentifyOptions(fit=FitOptions(branches=1, stiffness_degree=0, **fit))  # type: ignore[arg-type]
+
+
+def test_document_of_a_whole_run_is_valid_and_drawn() -> None:
+    tip = Geometry(Indenter("flat", 2.0), thickness_mm=15.0)
+    run = identify(trials_of(), options=options(unloading=True, geometry=tip, depths_mm=(2.0,)))
+    document = plain_json(run.as_json())
+    check(document, "identification", where="test")
+    (specimen,) = document["specimens"]
+    assert specimen["unloading"]["converged"]
+    (loop,) = specimen["cycles"]
+    assert loop["kind"] == "ramp-hold-retract"
+    # K tau is 6 N s/mm: the loop's area gives it back through the model
+    assert loop["viscosity_model_N_s_per_mm"]["value"] == pytest.approx(6.0, rel=0.02)
+    assert loop["at_depths"][0]["depth_mm"] == 2.0
+    assert {entry["at"]["formula"] for entry in specimen["quoted"]["moduli"]} == {"hayes", "sneddon"}
+    recorded = document["provenance"]["options"]
+    assert recorded["unloading"] is True
+    assert recorded["tip"] == "flat of 2 mm, tissue 15 mm thick, Poisson's ratio 0.5"
+    page = render_report(document, curves_of_fits(run.specimens))
+    assert "Unloading was fitted" in page
+    assert "ramp, hold and retract" in page
+
+
+def test_tip_and_thickness_come_from_the_study_unless_they_are_given() -> None:
+    study = Study(
+        path="study.toml",
+        tip={"shape": "sphere", "radius_mm": 3.0},
+        specimens={"knee": {"thickness_mm": 12.0}},
+    )
+    (fit,) = identify(trials_of(), study=study, options=options(poisson=0.45)).specimens
+    assert fit.quoted is not None
+    known = fit.quoted.assumptions
+    assert (known["shape"], known["radius_mm"], known["thickness_mm"]) == ("sphere", 3.0, 12.0)
+    assert known["poisson"] == 0.45
+    given = Geometry(Indenter("flat", 1.0))
+    (fit,) = identify(trials_of(), study=study, options=options(geometry=given)).specimens
+    assert fit.quoted is not None
+    assert fit.quoted.assumptions["shape"] == "flat"
+
+
+def test_a_normalised_recording_has_no_modulus_of_a_tip() -> None:
+    (trial,) = trials_of()
+    normalised = replace(trial, axes=Axes("1", "MPa"))
+    (fit,) = identify([normalised], options=options(geometry=Geometry(Indenter("flat", 1.0)))).specimens
+    assert fit.quoted is not None
+    assert fit.quoted.moduli == ()
+
+
+def cut_loops() -> Trial:
+    """Loops of a recording that was started four samples before its first turn: no loading to fit."""
+    down = np.linspace(4.0, 0.0, 41)
+    loop = np.concatenate([down[1:], down[::-1][1:]])
+    depth = np.concatenate([[3.7, 3.8, 3.9, 4.0], np.tile(loop, 4)])
+    time = np.arange(depth.size) * 0.05
+    loading = np.append(True, np.diff(depth) > 0.0)
+    noise = np.random.default_rng(7).normal(0.0, 0.02, depth.size)
+    return Trial("gel", time, depth, np.where(loading, 10.0 * depth, 8.0 * depth) + noise)
+
+
+def test_loops_of_a_recording_that_cannot_be_fitted_are_kept() -> None:
+    # nothing in air and no rest: which way is compression, and where contact is, the user has to say
+    stated = SegmentOptions(compression_sign=1, contact_displacement_mm=0.0)
+    run = identify([cut_loops()], options=IdentifyOptions(segment=stated))
+    assert run.exit.code == 3
+    assert [one.code for one in run.refused] == ["too_few_samples"]
+    check(plain_json(run.as_json()), "identification", where="test")
+    # F falls from 10 x to 8 x in the first step back: the peak is that of loading
+    second = run.unfitted_cycles[1]
+    assert second.peak_force_N.value == pytest.approx(40.0, rel=0.01)
+    # 8 x up to 4 mm is 80 mJ of loading; the polygon closes 10 x down to 8 x
+    assert second.loading_work_mJ.value == pytest.approx(80.0, rel=0.02)
+
+
+def test_real_cycles_drift_and_their_unloading_can_be_fitted(shared_data: Path) -> None:
+    (path,) = (shared_data / CYCLIC).glob("*.csv")
+    (fit,) = identify(read_trials(path), options=IdentifyOptions(fit=FitOptions(unloading=True))).specimens
+    assert [row.number for row in fit.cycles] == [1, 2, 3]
+    peaks = [row.peak_force_N.value for row in fit.cycles]
+    assert peaks == sorted(peaks, reverse=True)  # type: ignore[type-var]
+    # the file's own largest force is 52.9751 N, some of it beyond the last fitted parabola
+    assert peaks[0] == pytest.approx(52.9751, rel=0.005)
+    assert fit.unloading is not None
+    assert fit.unloading["converged"]
+    assert fit.nrmsd.range < 0.02
+    assert fit.n_samples > 15_000
