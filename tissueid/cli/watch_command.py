@@ -73,6 +73,8 @@ def command(**flags: Any) -> int:
     repeat the test. With --json each verdict is one line. Ctrl-C ends with a summary.
     """
     session = _session(flags)
+    if not flags["no_fit"]:
+        _announce_compiling(flags["quiet"])
     looks = range(LOOKS) if flags["once"] else iter(int, 1)
     try:
         for number, _ in enumerate(looks):
@@ -87,6 +89,17 @@ def command(**flags: Any) -> int:
     if not flags["as_json"] and not flags["quiet"]:
         _summary(session)
     return _exit_code(session) if flags["once"] else 0
+
+
+def _announce_compiling(quiet: int) -> None:
+    from tissueid.fit.compiled import kernels_to_compile
+
+    missing = kernels_to_compile()
+    if missing:
+        note(
+            f"First run: compiling {len(missing)} kernels, about half a minute with the first test",
+            quiet=quiet,
+        )
 
 
 def _session(flags: dict[str, Any]) -> WatchSession:

@@ -81,7 +81,7 @@ def commanded_displacement(
         "commanded_displacement",
         f"the displacement is straight to its last digit ({digit:.0e} mm) and changes its speed by up to"
         f" {fastest:.3g} mm/s within {SHARP_BEND * step_s:.3g} s, {count} time{'s' if count != 1 else ''}: no"
-        " crosshead does; was the commanded displacement exported instead of the measured one?",
+        " crosshead does, so that the commanded displacement may have been exported, not the measured one",
         {
             "corners": count,
             "speed_change_mm_s": fastest,

@@ -43,7 +43,7 @@ REMARK_TITLES: Mapping[str, str] = MappingProxyType(
         "unit_overridden": "Unit by hand",
         "normalised_axes": "Normalised axes",
         "spike": "Outliers",
-        "commanded_displacement": "Commanded displacement?",
+        "commanded_displacement": "Commanded displacement",
         "below_resolution": "Resolution",
         "below_cell_range": "Load-cell range",
         "clipped_force": "Clipped force",
@@ -66,7 +66,7 @@ REMARK_TITLES: Mapping[str, str] = MappingProxyType(
         "contact_uncertain": "Uncertain contact",
         "corner_overshoot": "Overshoot",
         "sign_assumed": "Sign",
-        "tension": "Tension?",
+        "tension": "Tension",
         "not_identified": "Not identified",
         "interval_open": "Open interval",
         "tau_below_resolution": "Sampling",
@@ -89,7 +89,7 @@ REMARK_TITLES: Mapping[str, str] = MappingProxyType(
         "repeated_site": "Repeated site",
         "order_effect": "Order of the tests",
         "modulus_out_of_range": "Range of the modulus",
-        "poroelastic": "Fluid flow?",
+        "poroelastic": "Fluid flow",
         "compliance_unknown": "Machine",
     }
 )
