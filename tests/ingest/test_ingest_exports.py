@@ -308,6 +308,16 @@ def test_shimadzu_gives_one_trial_a_specimen_with_ragged_ends(tmp_path: Path) ->
     assert [trial.time_s.size for trial in read_trials(path)] == [25, 60, 12]
 
 
+def test_the_same_columns_twice_without_names_above_are_two_specimens(tmp_path: Path) -> None:
+    logs = [log_of(25, name="a"), log_of(25, name="b", start_s=10.0)]
+    path = tmp_path / "synthetic.csv"
+    path.write_bytes(b"\r\n".join(shimadzu_text(logs).split(b"\r\n")[1:]))
+    trials = read_trials(path)
+    assert [trial.source.sheet for trial in trials] == ["1", "2"]
+    for trial, log in zip(trials, logs, strict=True):
+        assert_equal(trial, "shimadzu", log)
+
+
 def test_specimens_side_by_side_in_a_workbook_are_trials_too(tmp_path: Path) -> None:
     logs = [log_of(count, name=f"a-{count}") for count in (25, 60, 12)]
     cells = [line.split(",") for line in shimadzu_text(logs).decode().replace('"', "").splitlines()]

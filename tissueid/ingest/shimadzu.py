@@ -35,9 +35,10 @@ _STROKE = frozenset({"stroke", "ストローク", "hub"})
 
 def _specimens(file: InputFile) -> list[SpecimenColumns]:
     layout = file.layout
-    if layout is None or not layout.header or not layout.units_in_row:
+    if layout is None:
         return []
-    return specimen_columns(layout.header[-1], layout.names, layout.units, file.options)
+    above = layout.header[-1] if layout.header else ()
+    return specimen_columns(above, layout.names, layout.units, file.options)
 
 
 def detect_shimadzu(file: InputFile) -> Detection:
@@ -62,8 +63,9 @@ def read_shimadzu(file: InputFile) -> Iterator[Table | InputError]:
     if text is None or layout is None:
         yield file.fault or place.refusal("not_an_export", "this is no text")
         return
-    metadata = header_entries(layout.header[:-1])
     specimens = _specimens(file)
+    named = bool(specimens) and specimens[0].is_named
+    metadata = header_entries(layout.header[:-1] if named else layout.header)
     names = [specimen.name for specimen in specimens]
     for count, specimen in enumerate(specimens, 1):
         sheet = specimen.name if names.count(specimen.name) == 1 else f"{count}: {specimen.name}"

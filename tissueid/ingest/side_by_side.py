@@ -23,11 +23,12 @@ __all__ = ["SpecimenColumns", "shifted", "specimen_columns"]
 
 @dataclass(frozen=True, slots=True)
 class SpecimenColumns:
-    """The columns ``[start, stop)`` of one specimen, and the name above them."""
+    """The columns ``[start, stop)`` of one specimen, and its name: that above them, or its number."""
 
     name: str
     start: int
     stop: int
+    is_named: bool
 
 
 def specimen_columns(
@@ -44,7 +45,7 @@ def specimen_columns(
     Returns
     -------
     list of SpecimenColumns
-        Empty where a group has no name of its own above it, or lacks a channel.
+        Empty where a group lacks a channel, or has no name of its own above it while the groups differ.
     """
     times = [
         index
@@ -53,14 +54,21 @@ def specimen_columns(
     ]
     if not times or any(name.strip() for name in names[: times[0]]):
         return []
-    found = []
-    for start, stop in pairwise([*times, len(names)]):
-        cells = {cell.strip() for cell in above[start:stop] if cell.strip()}
-        named = len(cells) == 1 and above[start].strip() in cells
-        if not named or not has_channels(names[start:stop], units[start:stop], options):
-            return []
-        found.append(SpecimenColumns(above[start].strip(), start, stop))
-    return found
+    spans = list(pairwise([*times, len(names)]))
+    if not all(has_channels(names[start:stop], units[start:stop], options) for start, stop in spans):
+        return []
+    if all(_named(above[start:stop]) for start, stop in spans):
+        return [SpecimenColumns(above[start].strip(), start, stop, is_named=True) for start, stop in spans]
+    groups = {tuple(name.strip() for name in names[start:stop] if name.strip()) for start, stop in spans}
+    if len(spans) < 2 or len(groups) > 1:
+        return []
+    return [SpecimenColumns(str(k), *span, is_named=False) for k, span in enumerate(spans, 1)]
+
+
+def _named(above: Sequence[str]) -> bool:
+    """Whether one name stands above a group: over its first column, or over each."""
+    cells = {cell.strip() for cell in above if cell.strip()}
+    return len(cells) == 1 and above[0].strip() in cells
 
 
 def shifted(error: InputError, columns: int) -> InputError:

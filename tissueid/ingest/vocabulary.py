@@ -79,7 +79,7 @@ _NAMES: dict[Channel, tuple[tuple[int, str], ...]] = {
             (
                 r"(?:primary |axial )?(?:extension|displacement|travel|elongation)(?: measurement)?(?: 1)?"
                 r"|standard travel|disp"
-                r"|standard ?weg|weg|traversenweg|verschiebung|verlangerung|verformung|course standard"
+                r"|standard ?weg|weg|hub|traversenweg|verschiebung|verlangerung|verformung|course standard"
                 r"|allongement"
                 r"|deplacement(?: traverse| de la traverse)?|traverse"
                 r"|crosshead (?:displacement|travel|extension)"
