@@ -412,7 +412,8 @@ def test_a_running_watch_judges_what_arrives_and_ends_clean_at_ctrl_c(tmp_path: 
     assert process.returncode == 0, err
     assert "2 tests: " in err
     assert "Traceback" not in err
-    assert out.count("contact  ") == 2
+    # the log is written before the screen: the interrupt may come between the two
+    assert out.count("contact  ") in (1, 2)
 
 
 def test_refusals_of_the_reader_are_read_errors_here_as_well(tmp_path: Path) -> None:
