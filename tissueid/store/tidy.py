@@ -88,7 +88,7 @@ _LOOP_MEASURES = (
     "dissipated_change",
 )
 _QUANTITY_KINDS = ("model", "measured", "moduli")
-_CONDITIONS = ("time_s", "frequency_Hz", "depth_mm", "amplitude_mm", "speed_mm_s", "formula", "path")
+_CONDITIONS = ("time_s", "frequency_Hz", "depth_mm", "amplitude_mm", "speed_mm_s", "formula", "path", "file")
 _PROVENANCE = ("tissueid", "identification_sha256")
 
 Row = dict[str, Any]
