@@ -52,7 +52,7 @@ _STATISTICS = re.compile(
 _TITLE = re.compile(
     r"(?:results?(?: table)?|statistics|ergebnis(?:se|tabelle)?|statistik|(?:tableau (?:de |des )?)?resultats"
     r"|(?:tabla |tabela )?(?:de |dos )?resultados|(?:tabella )?(?:dei )?risultati|(?:tabela )?wynik(?:i|ow)"
-    r"|结果表?|结果表格|統計|统计|結果)(?: \d+)?"
+    r"|结果表?|结果表格|統計|统计|結果表?)(?: \d+)?"
 )
 
 

@@ -23,7 +23,7 @@ __all__ = ["HEAD_BYTES", "Text", "decode_text", "foreign_kind"]
 #: What is looked at to recognise a file: 48 header lines and several hundred rows.
 HEAD_BYTES = 1 << 16
 _PIECE_BYTES = 1 << 20
-_CODE_PAGES = ("latin-1", "cp1252", "cp1250", "gbk")
+_CODE_PAGES = ("latin-1", "cp1252", "cp1250", "gbk", "cp932")
 _MAGIC = (
     (b"\x89PNG", "a PNG image"),
     (b"\xff\xd8\xff", "a JPEG image"),

@@ -169,13 +169,14 @@ _NOT_A_CHANNEL = re.compile(
 _LONGEST_KEY = 250
 _SPECIMEN_WORDS = re.compile(
     r"\b(?:specimen|proben?\w*|eprouvette|probeta|corpo de prova|provino|probk\w+)\b|试样|试件|样品|样本"
+    r"|試験片|試料"
 )
 _SPECIMEN_NAMING = (
     re.compile(
         r"\blabel\b|bezeichnung|\blibelle\b|\betiquette\b|\bdesignation\b|\betiqueta\b|\brotulo\b"
-        r"|etichetta|etykieta|标签|标识|标记"
+        r"|etichetta|etykieta|标签|标识|标记|ラヘル"
     ),
-    re.compile(r"\bid\b|kennung|identifi\w+|identyfik\w+|编号|nummer"),
+    re.compile(r"\bid\b|kennung|identifi\w+|identyfik\w+|编号|番号|nummer"),
     re.compile(r"\bname\b|\w+name\b|\bnom\b|\bnombre\b|\bnome\b|nazwa|oznaczenie|名称"),
 )
 

@@ -153,6 +153,10 @@ _DESCRIBED: dict[str, tuple[str, Dialect]] = {
     "italian": ("Italian throughout", _spoken("it", replace(_LATIN, results="after"))),
     "polish": ("Polish throughout", _spoken("pl", replace(_COMMA, encoding="cp1250", results="before"))),
     "chinese-gbk": ("Chinese throughout, GBK", _spoken("zh", Dialect(encoding="gbk", results="after"))),
+    "japanese": (
+        "Japanese throughout, Shift-JIS",
+        _spoken("ja", Dialect(encoding="cp932", results="after")),
+    ),
     "chinese": (
         "Chinese throughout, UTF-8 with a byte order mark",
         _spoken("zh", Dialect(encoding="utf-8-sig", results="before")),
