@@ -2,7 +2,9 @@
 
 A straight line is laid through the middle of the ramp and another through the phase after it (level, where
 that stands).  They meet at the nominal corner; the corner lasts from where the displacement leaves the first
-line to where it stays on the second, both within noise and resolution.
+line to where it stays on the second, both within noise and resolution.  What noise hides of a gentle
+corner its area tells: a speed that falls evenly by V within the time r leaves the area V r^2 / 24 between the
+path and its two lines (derived).
 """
 
 from __future__ import annotations
@@ -26,6 +28,8 @@ OVERSHOOT_SAID = 0.002
 SLOW_STOP_S = 0.3
 #: ... where it is also longer than this share of the ramp: slow ramps end slowly.
 SLOW_SHARE = 0.02
+#: Area of an evenly slowing stop, in units of speed times squared time, is one over this.
+EVEN_STOP = 24.0
 #: Kinds in which the tool stands.
 STANDING = ("hold", "rest")
 
@@ -82,7 +86,26 @@ def _corner(
         overshoot = float(beyond.max()) if beyond.max() > tolerance_mm else 0.0
         swings, period = _ringing(t[later], beyond[later], tolerance_mm)
     duration = max(float(t[settles] - t[leaves]), 0.0)
+    if swings < 2:
+        lines = level_1 + slope_1 * t, level_2 + slope_2 * t
+        duration = max(duration, _even_stop_s(t, x, lines, abs(slope_1 - slope_2), (leaves, settles)))
     return Corner(number, index, float(meet), duration, overshoot, swings, period)
+
+
+def _even_stop_s(
+    time_s: FloatArray,
+    depth_mm: FloatArray,
+    lines: tuple[FloatArray, FloatArray],
+    change_mm_s: float,
+    span: tuple[int, int],
+) -> float:
+    """Time of an evenly slowing crosshead that leaves the same area between its path and the two lines."""
+    first, last = span
+    half = max(last - first, 2)
+    near = slice(max(first - half, 0), last + half + 1)
+    sharp = np.minimum(*lines) if lines[0][-1] > lines[1][-1] else np.maximum(*lines)
+    area = abs(float(np.trapezoid((sharp - depth_mm)[near], time_s[near])))
+    return float(np.sqrt(EVEN_STOP * area / change_mm_s)) if change_mm_s > 0.0 else 0.0
 
 
 def _middle_line(

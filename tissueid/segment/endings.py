@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from tissueid.flags import Flag
 from tissueid.segment.cycles import Loop
 from tissueid.segment.motion import Piece, corner_near
+from tissueid.segment.spikes import running_median
 from tissueid.trial import Event, Phase, Protocol
 
 __all__ = ["aborts", "ending_flags", "held_from", "load_limits"]
@@ -72,7 +73,7 @@ def held_from(
     constant = float(np.mean(np.abs(held - level) <= within)) >= HELD_MOST
     if rise <= within or not constant or slow_mm / slow_s >= CREEP_SPEED * ramp_mm / ramp_s:
         return None
-    below = np.flatnonzero(force_N[ramp.start : slow.start + 1] < level - within)
+    below = np.flatnonzero(running_median(force_N[ramp.start : slow.start + 1]) < level - within)
     last = ramp.start + int(below[-1]) if below.size else slow.start
     # the last of the way to the held load is drawn as a straight line
     lead = slice(max(ramp.start, last - max(LEAD_SAMPLES, (last - ramp.start) // 10)), last + 1)

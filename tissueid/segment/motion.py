@@ -46,8 +46,9 @@ STOP_S = 0.3
 #: ... one of less than this share of its neighbour's time and travel.
 MINOR = 0.2
 #: Fewer samples at rest are event rows or the turn of a move; a shorter time than the last move needs to
-#: leave the tolerance shows no rest at all.
+#: leave the tolerance so many times shows no rest at all.
 STAND_SAMPLES = 4
+STAND_TOLERANCES = 4.0
 #: Samples on each side of a corner that place it.
 CORNER_SAMPLES = 200
 #: Samples on each side that must lie on the lines of a sharp corner, and what share of them.
@@ -118,7 +119,7 @@ def _classify(
     stands = (
         ~large
         & (np.diff(knots) >= STAND_SAMPLES)
-        & (span * reference >= 2.0 * tolerance)
+        & (span * reference >= STAND_TOLERANCES * tolerance)
         & (np.abs(speed) <= STAND_SPEED * reference)
         & (np.abs(rise) <= 2.0 * tolerance + MOVE_SHARE * np.ptp(depth_mm))
     )

@@ -27,6 +27,9 @@ STAND_SHARE_OF_TURN = 0.5
 LONGEST_CREST_S = 0.3
 #: A way back this small against its ramp, ended by a standstill, is overshoot of the stop, not a retract.
 OVERSHOOT_SHARE = 0.1
+#: ... and so is a larger one that is over within this time [s]: small steps ring by much of their travel.
+SWING_SHARE = 0.3
+LONGEST_SWING_S = 0.3
 #: A loop returns at least this share of its way in.
 LOOP_RETURN = 0.5
 #: Loops from which a recording is cyclic.
@@ -76,7 +79,7 @@ def settled(
     tolerance_mm: float,
 ) -> list[Piece]:
     """Moves and standstills that mean something: ringing joins its ramp, the dwell of a stop its move."""
-    calm = _without_ringing(depth_mm, found)
+    calm = _without_ringing(time_s, depth_mm, found)
     result: list[Piece] = []
     for k, piece in enumerate(calm):
         if piece.direction == 0 and result:
@@ -147,7 +150,7 @@ def _leaves_line(time_s: FloatArray, depth_mm: FloatArray, move: Piece, end: int
     return int(way[max(int(np.argmax(off)) - 1, 0)]) if off.any() else end
 
 
-def _without_ringing(depth: FloatArray, found: list[Piece]) -> list[Piece]:
+def _without_ringing(time_s: FloatArray, depth: FloatArray, found: list[Piece]) -> list[Piece]:
     """Overshoot and ringing before a standstill belong to the ramp."""
     result: list[Piece] = []
     k = 0
@@ -159,8 +162,7 @@ def _without_ringing(depth: FloatArray, found: list[Piece]) -> list[Piece]:
             while (
                 stop + 1 < len(found)
                 and found[stop + 1].direction != 0
-                and abs(depth[found[stop + 1].stop] - depth[found[stop + 1].start])
-                <= OVERSHOOT_SHARE * travel
+                and _rings(time_s, depth, found[stop + 1], travel)
             ):
                 stop += 1
             if stop > k and stop + 1 < len(found) and found[stop + 1].direction == 0:
@@ -170,6 +172,13 @@ def _without_ringing(depth: FloatArray, found: list[Piece]) -> list[Piece]:
         result.append(ramp)
         k = stop + 1
     return result
+
+
+def _rings(time_s: FloatArray, depth: FloatArray, swing: Piece, travel: float) -> bool:
+    """Whether a move after a ramp is small beside it, or not large and over at once."""
+    moved = abs(float(depth[swing.stop] - depth[swing.start])) / max(travel, 1e-300)
+    at_once = float(time_s[swing.stop] - time_s[swing.start]) <= LONGEST_SWING_S
+    return moved <= OVERSHOOT_SHARE or (moved <= SWING_SHARE and at_once)
 
 
 def _long_enough(
@@ -227,7 +236,9 @@ def name_phases(
         if touch is not None and touch > found[k].start and not (looped and after_cycle):
             named.append(("approach", Piece(1, piece.start, touch), None))
             piece = replace(piece, start=touch)
-        crept = _creep_start(found[k], named, creeps) if kind == "ramp" else None
+        # the end of creep is as good as still, and no hold while the load is what is held
+        may_creep = kind == "ramp" or (kind == "hold" and named[-1][0] == "creep")
+        crept = _creep_start(found[k], named, creeps) if may_creep else None
         if crept is not None:
             while named[-1][1].start >= crept:  # slow moves that were taken for ramps before
                 named.pop()

@@ -15,15 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.flags import Flag
-from tissueid.segment.motion import Piece
+from tissueid.segment.motion import Piece, straight_line
+from tissueid.segment.spikes import MEDIAN_SAMPLES, running_median
 from tissueid.trial import Event
 
 __all__ = ["rupture_flags", "ruptures"]
 
 FloatArray = NDArray[np.float64]
 
-#: Samples of the running median; up to two neighbouring outliers are taken out.
-MEDIAN_SAMPLES = 5
 #: A fall is at least this share of the force before it ...
 DROP_SHARE = 0.1
 #: ... this share of the whole force range ...
@@ -41,6 +40,9 @@ VISIBLE = 3.0
 #: Levels of the fall, as shares of it, that its steepness is measured between and its start is seen at.
 UPPER, LOWER = 0.1, 0.8
 ONSET = 0.05
+#: ... or where so many noise sd are lost, which count as no more than this share of the fall.
+ONSET_SD = 3.0
+UNCLEAR = 0.3
 #: Fewest samples that show the low force: fewer may be anything.
 FEWEST_AFTER = 3
 
@@ -92,14 +94,18 @@ def ruptures(
             continue
         if float((np.maximum.accumulate(force[span]) - force[span]).max()) < least:
             continue
-        steady = _running_median(force[span])
+        steady = running_median(force[span])
+        slowed = _slower_than_before(time_s, depth_mm, piece, loading)
         for fall in _falls(steady, least):
+            if slowed and fall.top < 2 * MEDIAN_SAMPLES:
+                continue  # the branch relaxes to the lower speed
             found = _judge(time_s[span], depth[span], steady, fall, least=least, tolerance=tolerance_mm)
             if found is None:
                 continue
-            onset, drop = found
+            onset, bottom = found
             at = piece.start + onset
-            before = float(steady[onset])
+            before = _level_at(time_s, force, piece.start, at)
+            drop = before - float(steady[bottom])
             events.append(
                 Event(
                     "rupture",
@@ -117,12 +123,17 @@ def ruptures(
     return events
 
 
-def _running_median(values: FloatArray) -> FloatArray:
-    half = MEDIAN_SAMPLES // 2
-    padded = np.pad(values, half, mode="edge")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, MEDIAN_SAMPLES)
-    result: FloatArray = np.median(windows, axis=1)
-    return result
+def _slower_than_before(time_s: FloatArray, depth_mm: FloatArray, piece: Piece, loading: list[Piece]) -> bool:
+    """Whether a move goes on from a faster one without a stop."""
+    before = next((one for one in loading if one.stop == piece.start), None)
+    if before is None:
+        return False
+    speeds = [
+        float(depth_mm[one.stop] - depth_mm[one.start])
+        / max(float(time_s[one.stop] - time_s[one.start]), 1e-300)
+        for one in (before, piece)
+    ]
+    return speeds[1] < speeds[0]
 
 
 def _falls(force: FloatArray, least_N: float) -> list[_Fall]:
@@ -154,8 +165,8 @@ def _judge(
     *,
     least: float,
     tolerance: float,
-) -> tuple[int, float] | None:
-    """Onset sample and drop of a fall that is a rupture, else ``None``."""
+) -> tuple[int, int] | None:
+    """Onset and lowest sample of a fall that is a rupture, else ``None``."""
     drop = float(force[fall.top] - force[fall.bottom])
     if force[fall.top] <= least or depth_mm[fall.top] <= 0.0:
         return None
@@ -164,16 +175,20 @@ def _judge(
     low = high + int(np.argmax(force[high : fall.bottom + 1] <= force[fall.top] - LOWER * drop))
     if force.size - low < FEWEST_AFTER:
         return None
-    onset = fall.top + int(np.flatnonzero(part >= force[fall.top] - ONSET * drop)[-1])
+    # the top is the highest of many noisy samples: its own noise is no fall yet
+    begun = min(max(ONSET * drop, ONSET_SD / DROP_SD * least), UNCLEAR * drop)
+    onset = fall.top + int(np.flatnonzero(part >= force[fall.top] - begun)[-1])
     first, last = time_s.size // 4, 3 * time_s.size // 4
     speed = float(depth_mm[last] - depth_mm[first]) / max(float(time_s[last] - time_s[first]), 1e-300)
     if not _moves_on(time_s, depth_mm, (high, low), speed, tolerance):
         return None
     secant = float(force[fall.top]) / float(depth_mm[fall.top])
-    steep = (LOWER - UPPER) * drop >= STEEP * secant * speed * float(time_s[low] - time_s[high])
+    # a fall between two samples is as steep as can be
+    took = float(time_s[low] - time_s[high]) - float(np.median(np.diff(time_s)))
+    steep = (LOWER - UPPER) * drop >= STEEP * secant * speed * took
     if not steep and drop < COLLAPSE * float(force[fall.top]):
         return None
-    return onset, drop
+    return onset, fall.bottom
 
 
 def _moves_on(
@@ -186,6 +201,13 @@ def _moves_on(
     first = min(first, int(np.searchsorted(time_s, time_s[last] - span)))
     took = float(time_s[last] - time_s[first])
     return float(depth_mm[last] - depth_mm[first]) >= MOVES_ON * speed * took
+
+
+def _level_at(time_s: FloatArray, force_N: FloatArray, start: int, at: int) -> float:
+    """Force at a sample from a straight line through those that lead to it."""
+    lead = slice(max(start, at - 2 * MEDIAN_SAMPLES + 1), at + 1)
+    slope, level = straight_line(time_s[lead], force_N[lead], flat=False)
+    return level + slope * float(time_s[at])
 
 
 def _work(depth_mm: FloatArray, force_N: FloatArray, start: int, at: int) -> float:

@@ -19,6 +19,8 @@ FloatArray = NDArray[np.float64]
 DOUBTFUL_EXCURSION = 0.5
 #: Share of the force's own change that its change over the travel must reach to have a sign.
 DOUBTFUL_FORCE = 0.3
+#: Samples that tell the first level of the force.
+FIRST_SAMPLES = 5
 
 
 def signs(trial: Trial, options: SegmentOptions) -> tuple[int, int, list[Flag]]:
@@ -52,12 +54,15 @@ def signs(trial: Trial, options: SegmentOptions) -> tuple[int, int, list[Flag]]:
     change = float(np.median(force[deep]) - np.median(force[shallow])) if depth.max() > 0.0 else 0.0
     if force_sign is None:
         force_sign = -1 if change < 0.0 else 1
-        if abs(change) < DOUBTFUL_FORCE * float(np.ptp(force)):
-            # a specimen that broke carries little at its deepest: the larger excursion of the force tells
-            calm = without_spikes(force, noise=white_noise_sd(trial.time_s, force))
-            level = float(np.median(calm[: max(1, calm.size // 50)]))
-            rise, fall = float(calm.max()) - level, float(calm.min()) - level
-            force_sign = 1 if rise >= -fall else -1
+        # a specimen that broke, or relaxed after a fast start, may carry less at its deepest: where force
+        # leaves its first level to one side only, that side tells
+        calm = without_spikes(force, noise=white_noise_sd(trial.time_s, force))
+        level = float(np.median(calm[:FIRST_SAMPLES]))
+        rise, fall = float(calm.max()) - level, level - float(calm.min())
+        doubtful = abs(change) < DOUBTFUL_FORCE * float(np.ptp(force))
+        if doubtful or min(rise, fall) < DOUBTFUL_FORCE * max(rise, fall):
+            force_sign = 1 if rise >= fall else -1
+        if doubtful:
             flags.append(
                 Flag(
                     "sign_assumed",

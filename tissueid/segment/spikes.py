@@ -1,11 +1,11 @@
-"""Single samples that stand far off their neighbours, taken out before force is looked at."""
+"""Single samples that stand far off their neighbours: taken out, or passed over by a running median."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["without_spikes"]
+__all__ = ["MEDIAN_SAMPLES", "running_median", "without_spikes"]
 
 FloatArray = NDArray[np.float64]
 
@@ -13,6 +13,8 @@ FloatArray = NDArray[np.float64]
 SPIKE_SD = 8.0
 #: ... and by so many times the steps that lead to it and away from it: the peak of a ramp does not.
 SPIKE_STEPS = 4.0
+#: Samples of the running median; up to two neighbouring outliers are passed over.
+MEDIAN_SAMPLES = 5
 
 
 def without_spikes(values: FloatArray, *, noise: float) -> FloatArray:
@@ -41,4 +43,22 @@ def without_spikes(values: FloatArray, *, noise: float) -> FloatArray:
     at = np.flatnonzero(spikes) + 2
     result = values.copy()
     result[at] = 0.5 * (values[at - 1] + values[at + 1])
+    return result
+
+
+def running_median(values: FloatArray) -> FloatArray:
+    """Median of :data:`MEDIAN_SAMPLES` samples about each; ends are repeated.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n,)
+
+    Returns
+    -------
+    ndarray, shape (n,)
+    """
+    half = MEDIAN_SAMPLES // 2
+    padded = np.pad(values, half, mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, MEDIAN_SAMPLES)
+    result: FloatArray = np.median(windows, axis=1)
     return result

@@ -1,0 +1,93 @@
+"""How a ramp came to its stop: time, duration, overshoot and ringing against the path that was drawn."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tissueid.segment import segment
+from tissueid.trial import Corner, Segmentation, Trial
+
+RATE_HZ = 500.0
+SPEED, DEPTH, CORNER_S = 2.0, 4.0, 3.0  # 1 s at rest, then 2 mm/s to 4 mm
+
+
+def path(*, rounding_s: float = 0.0, ring_mm: float = 0.0, period_s: float = 0.1, decay_s: float = 0.1):
+    """Times and depths; the stop takes a raised-cosine change of speed and a decaying sine after it."""
+    time = np.arange(0.0, 10.0, 1.0 / RATE_HZ)
+    depth = np.clip(SPEED * (time - 1.0), 0.0, DEPTH)
+    if rounding_s:
+        u = np.clip((time - CORNER_S) / rounding_s + 0.5, 0.0, 1.0)
+        smooth = rounding_s * (0.5 * u - np.sin(np.pi * u) / (2.0 * np.pi))
+        depth -= SPEED * (smooth - rounding_s * np.maximum(u - 0.5, 0.0))
+    since = np.maximum(time - CORNER_S, 0.0)
+    depth += ring_mm * np.exp(-since / decay_s) * np.sin(2.0 * np.pi * since / period_s)
+    return time, depth
+
+
+def divided(time: np.ndarray, depth: np.ndarray, noise_mm: float = 0.0) -> Segmentation:
+    rng = np.random.default_rng(3)
+    noisy = depth + noise_mm * rng.standard_normal(time.size)
+    return segment(Trial("stop", time, noisy, 10.0 * depth + 0.02 * rng.standard_normal(time.size)))
+
+
+def only(found: Segmentation) -> Corner:
+    stops = [corner for corner in found.corners if found.phases[corner.phase + 1].kind == "hold"]
+    assert len(stops) == 1
+    return stops[0]
+
+
+@pytest.mark.parametrize("noise_mm", [0.0, 1e-3])
+def test_a_sharp_stop_takes_no_time(noise_mm: float) -> None:
+    found = divided(*path(), noise_mm)
+    corner = only(found)
+    assert corner.time_s == pytest.approx(CORNER_S, abs=1.0 / RATE_HZ)
+    assert found.phases[corner.phase].kind == "ramp"
+    # the tolerance, 5.5 sd of the noise, is passed within 0.006 mm / 2 mm/s on either side
+    assert corner.duration_s <= 2.0 / RATE_HZ + 12.0 * noise_mm / SPEED
+    assert (corner.overshoot_mm, corner.ringing_swings, corner.ringing_period_s) == (0.0, 0, None)
+    assert not {flag.code for flag in found.flags} & {"corner_slow", "corner_overshoot"}
+
+
+@pytest.mark.parametrize("rounding_s", [0.05, 0.15, 0.3])
+def test_a_rounded_stop_takes_its_time(rounding_s: float) -> None:
+    corner = only(divided(*path(rounding_s=rounding_s)))
+    # the lines of ramp and plateau meet where the speed has fallen to a half
+    assert corner.time_s == pytest.approx(CORNER_S, abs=2.0 / RATE_HZ)
+    # a raised cosine r has the area of an even stop of r sqrt(24 (1/8 - 1/pi^2)) = 0.754 r; a tenth for what
+    # of it lies outside the stretch that noise and resolution let be seen
+    assert 0.68 * rounding_s <= corner.duration_s <= rounding_s + 2.0 / RATE_HZ
+    assert corner.ringing_swings <= 1
+
+
+def test_a_slow_stop_is_said_with_its_time() -> None:
+    found = divided(*path(rounding_s=0.8))
+    said = [flag for flag in found.flags if flag.code == "corner_slow"]
+    assert len(said) == 1
+    assert said[0].values["duration_s"] == only(found).duration_s
+    assert 0.54 <= only(found).duration_s <= 0.81
+
+
+def test_ringing_is_measured() -> None:
+    period, decay, ring = 0.1, 0.1, 0.08
+    time, depth = path(ring_mm=ring, period_s=period, decay_s=decay)
+    found = divided(time, depth)
+    corner = only(found)
+    assert corner.overshoot_mm == pytest.approx(depth.max() - DEPTH, abs=1e-3)
+    # maxima of exp(-t/d) sin(wt) lie half a period apart
+    assert corner.ringing_period_s == pytest.approx(period, rel=0.05)
+    # it falls to the tolerance of 2 um within d ln(0.08 / 0.002) = 0.37 s: seven half periods
+    assert corner.ringing_swings == pytest.approx(7, abs=1)
+    assert corner.duration_s == pytest.approx(decay * np.log(ring / 0.002), abs=period)
+    assert "corner_overshoot" in {flag.code for flag in found.flags}
+    assert "corner_slow" not in {flag.code for flag in found.flags}
+
+
+def test_every_ramp_that_goes_on_has_its_corner() -> None:
+    time = np.arange(0.0, 30.0, 0.01)
+    depth = np.interp(time, [0, 2, 7, 9, 15, 19, 25], [0, 2, 2, 4, 4, 0, 0])
+    found = divided(time, depth)
+    assert [phase.kind for phase in found.phases] == ["ramp", "hold", "ramp", "hold", "retract", "rest"]
+    assert [corner.phase for corner in found.corners] == [0, 2]
+    assert [corner.time_s for corner in found.corners] == pytest.approx([2.0, 9.0], abs=0.01)
+    assert all(time[corner.index] == pytest.approx(corner.time_s, abs=0.01) for corner in found.corners)

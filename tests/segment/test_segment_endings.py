@@ -1,0 +1,126 @@
+"""Aborts, load limits and load control: told where something in the recording tells them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tissueid.segment import segment
+from tissueid.trial import Event, Protocol, Segmentation, Trial
+
+
+def drawn(knots_s: list[float], depths_mm: list[float], **protocol: float) -> Trial:
+    """A polyline into an elastic tissue of 10 N/mm, 100 Hz, noise 0.02 N."""
+    time = np.arange(0.0, knots_s[-1], 0.01)
+    depth = np.interp(time, knots_s, depths_mm)
+    noise = 0.02 * np.random.default_rng(4).standard_normal(time.size)
+    return Trial("drawn", time, depth, 10.0 * depth + noise, Protocol(**protocol))
+
+
+def events(found: Segmentation, kind: str) -> list[Event]:
+    return [event for event in found.events if event.kind == kind]
+
+
+def codes(found: Segmentation) -> set[str]:
+    return {flag.code for flag in found.flags}
+
+
+def test_a_ramp_short_of_its_stated_depth_was_aborted() -> None:
+    found = segment(drawn([0, 5], [0, 5], depth_mm=8.0))
+    (event,) = events(found, "abort")
+    assert event.values["reached_mm"] == pytest.approx(5.0, abs=0.02)
+    assert event.values["stated_mm"] == 8.0
+    assert event.time_s == pytest.approx(5.0, abs=0.02)
+    assert "aborted_ramp" in codes(found)
+
+
+@pytest.mark.parametrize("after", [[], [8.0]])
+def test_a_ramp_without_its_stated_hold_was_aborted(after: list[float]) -> None:
+    found = segment(drawn([0, 5, *after], [0, 5, *([0] if after else [])], hold_s=30.0))
+    (event,) = events(found, "abort")
+    assert event.values["stated_hold_s"] == 30.0
+    assert event.time_s == pytest.approx(5.0, abs=0.03)
+
+
+def test_a_last_step_that_ends_early_was_aborted() -> None:
+    found = segment(drawn([0, 2, 6, 8, 12, 12.8], [0, 2, 2, 4, 4, 4.8]))
+    (event,) = events(found, "abort")
+    assert event.values["reached_mm"] == pytest.approx(4.8, abs=0.05)
+    assert event.values["earlier_mm"] == pytest.approx(2.0, abs=0.02)
+
+
+def test_a_last_loop_that_ends_early_was_aborted() -> None:
+    found = segment(drawn([0, 3, 6, 9, 12, 13.5], [0, 3, 0, 3, 0, 1.5]))
+    assert len(events(found, "abort")) == 1
+
+
+@pytest.mark.parametrize(
+    ("knots", "depths", "protocol"),
+    [
+        ([0, 8], [0, 8], {"depth_mm": 8.0}),
+        ([0, 5], [0, 5], {}),
+        ([0, 4, 14], [0, 4, 4], {"depth_mm": 4.0, "hold_s": 10.0}),
+        ([0, 2, 6, 8, 12, 14], [0, 2, 2, 4, 4, 6], {}),
+        ([0, 3, 6, 9, 12], [0, 3, 0, 3, 0], {}),
+    ],
+)
+def test_a_test_that_reached_its_end_was_not_aborted(knots, depths, protocol) -> None:
+    found = segment(drawn(knots, depths, **protocol))
+    assert events(found, "abort") == []
+    assert "aborted_ramp" not in codes(found)
+
+
+def creeping(creep_mm: float) -> Trial:
+    """40 N reached in 4 s and held for 30 s while the tool sinks in."""
+    time = np.arange(0.0, 34.0, 0.01)
+    since = np.maximum(time - 4.0, 0.0)
+    depth = np.minimum(time, 4.0) + creep_mm * (1.0 - np.exp(-since / 8.0))
+    noise = 0.05 * np.random.default_rng(5).standard_normal(time.size)
+    return Trial("creep", time, depth, 10.0 * np.minimum(time, 4.0) + noise)
+
+
+@pytest.mark.parametrize("creep_mm", [0.15, 0.5])
+def test_creep_under_a_held_load_is_a_phase_and_no_hold(creep_mm: float) -> None:
+    found = segment(creeping(creep_mm))
+    assert [phase.kind for phase in found.phases] == ["ramp", "creep"]
+    assert found.phases[1].start_s == pytest.approx(4.0, abs=0.03)
+    (event,) = events(found, "load_limit")
+    assert event.values["force_N"] == pytest.approx(40.0, abs=0.1)
+    # 30 s are 3.75 time constants
+    assert event.values["creep_mm"] == pytest.approx(creep_mm * (1.0 - np.exp(-3.75)), abs=0.02)
+    assert {"load_limit_stop", "no_hold"} <= codes(found)
+
+
+def test_an_elastic_tissue_at_a_held_depth_is_a_hold() -> None:
+    found = segment(drawn([0, 4, 30], [0, 4, 4]))
+    assert [phase.kind for phase in found.phases] == ["ramp", "hold"]
+    assert events(found, "load_limit") == []
+
+
+def softening_loops(depth_mm: list[float], peak_N: list[float]) -> Trial:
+    """Loops to the given depths at 1 mm/s, each elastic up to its own peak force."""
+    knots, depths = [0.0], [0.0]
+    for depth in depth_mm:
+        knots += [knots[-1] + depth, knots[-1] + 2.0 * depth]
+        depths += [depth, 0.0]
+    time = np.arange(0.0, knots[-1], 0.01)
+    depth = np.interp(time, knots, depths)
+    loop = np.minimum(np.searchsorted(knots[2::2], time, side="right"), len(depth_mm) - 1)
+    force = depth * (np.array(peak_N) / np.array(depth_mm))[loop]
+    return Trial("loops", time, depth, force + 0.02 * np.random.default_rng(6).standard_normal(time.size))
+
+
+def test_loops_that_turn_at_one_force_show_a_load_limit() -> None:
+    found = segment(softening_loops([3.0, 3.3, 3.5, 3.6], [30.0] * 4))
+    (event,) = events(found, "load_limit")
+    assert event.values["force_N"] == pytest.approx(30.0, abs=0.1)
+    assert event.values["turns"] == 4
+    assert "load_limit_stop" in codes(found)
+
+
+@pytest.mark.parametrize(
+    ("depths", "peaks"),
+    [([3.0] * 4, [30.0, 28.0, 27.5, 27.2]), ([3.0] * 4, [30.0] * 4), ([2.0, 3.0, 4.0], [20.0, 30.0, 40.0])],
+)
+def test_loops_that_turn_at_a_depth_show_none(depths: list[float], peaks: list[float]) -> None:
+    assert events(segment(softening_loops(depths, peaks)), "load_limit") == []
