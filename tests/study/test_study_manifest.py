@@ -159,6 +159,17 @@ def test_later_tables_win_key_by_key_and_reasons_are_gathered(tmp_path: Path) ->
     assert not study.decision(str(tmp_path / "c.csv"), None).listed
 
 
+def test_a_window_that_ends_before_it_starts_is_refused_whichever_tables_state_it(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("x")
+    error = refused(
+        tmp_path,
+        "[[override]]\nfile = '*.csv'\nstart_s = 5\nbecause = 'x'\n"
+        "[[override]]\nfile = 'a.csv'\nend_s = 3\nbecause = 'y'\n",
+    )
+    assert error.line == 2
+    assert "start_s = 5 is not before end_s = 3" in error.message
+
+
 def test_paths_are_compared_wherever_they_are_seen_from(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -141,10 +141,23 @@ def command(**flags: Any) -> int:
     if flags["as_json"]:
         echo_json(document)
     else:
+        _note_unlisted(identification, quiet=quiet)
         if not quiet:
             _print(identification, flags["out"], verbose=flags["verbose"])
         _print_reasons(identification, quiet=quiet)
     return identification.exit.code
+
+
+def _note_unlisted(identification: Identification, *, quiet: int) -> None:
+    """Recordings that the study does not name were read as well: say so."""
+    rows = () if identification.study is None else identification.study["trials"]
+    beside = sum(not row["listed"] for row in rows)
+    if 0 < beside < len(rows):
+        note(
+            f"{beside} of {len(rows)} trials are not named by the study and were fitted as well "
+            "(only_listed = true leaves them out)",
+            quiet=quiet,
+        )
 
 
 def _refuse_foreign(out: Path) -> None:

@@ -89,7 +89,7 @@ def read_study(path: str | Path) -> Study:
     _check_names(document, refuser)
     _check_reading(document, refuser)
     folder = file.parent
-    return Study(
+    study = Study(
         path=str(file),
         sha256=hashlib.sha256(content).hexdigest(),
         about=document.get("study", {}),
@@ -101,6 +101,19 @@ def read_study(path: str | Path) -> Study:
         overrides=_entries(document, "override", folder, refuser),
         exclusions=_entries(document, "exclude", folder, refuser),
     )
+    _check_windows(study)
+    return study
+
+
+def _check_windows(study: Study) -> None:
+    """A window starts before it ends, also where two tables state one end each."""
+    for entry in study.overrides:
+        for name in entry.files:
+            said = study.decision(name, entry.sheet).override
+            start, end = said.get("start_s"), said.get("end_s")
+            if start is not None and end is not None and not start < end:
+                message = f"{entry.values['file']}: start_s = {start:g} is not before end_s = {end:g}"
+                raise InputError(code="invalid_study", message=message, path=study.path, line=entry.line)
 
 
 def unmatched_files(study: Study) -> list[Refusal]:
