@@ -440,7 +440,7 @@ def test_workbooks_of_several_tests_read_sheet_by_sheet(tmp_path: Path) -> None:
 
 
 def test_an_xls_workbook_reads_back_exactly(tmp_path: Path) -> None:
-    xlwt = pytest.importorskip("xlwt", reason="xlwt writes the .xls of this test")
+    xlwt = pytest.importorskip("xlwt")
     log = log_of(60)
     book = xlwt.Workbook()
     sheet = book.add_sheet("synthetic")
