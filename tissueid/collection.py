@@ -116,7 +116,10 @@ def _mixed_axes(trial: Trial) -> Refusal:
 
 def _refusal_for(trial: Trial, segmentation: Segmentation) -> Refusal:
     if segmentation.contact is None:
-        code, message = "no_contact", "no contact between tool and tissue was found: there is nothing to fit"
+        code = "no_contact"
+        said = [flag.message for flag in segmentation.flags if flag.code == code and flag.message]
+        message = "; ".join(said) or "no contact between tool and tissue was found"
+        message += ": there is nothing to fit"
     else:
         code = "too_few_samples"
         message = (

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,25 +11,41 @@ from tissueid.flags import Flag
 from tissueid.segment.hinge import HingeFit, fit_contact
 from tissueid.segment.motion import Piece
 from tissueid.segment.options import SegmentOptions
+from tissueid.segment.spikes import without_spikes
 from tissueid.trial import Contact
 
 __all__ = ["find_contact"]
 
 FloatArray = NDArray[np.float64]
 
-#: Fewest samples in air, while moving, that show the tool in air.
+#: Fewest samples in air, while moving, that show the tool in air; where the load cell reads more than
+#: nothing there, and they may be a preload, and where it does not.
 FEWEST_AIR_SAMPLES = 5
-#: Air is believed where contact lies this many sd behind the start of the motion.
-AIR_SD = 4.0
-#: ... and where contact all along would have raised the force by so many sd of its mean in air.
+FEWEST_ZERO_SAMPLES = 2
+#: Air is believed where the density of a contact at the start is below this share of the highest (2 sd of a
+#: normal one) ...
+START_DENSITY = 0.135
+#: ... or below this one (3 sd), where it may be a preload ...
+DOUBTFUL_START_DENSITY = 0.011
+#: ... and, where samples in air are few, where contact lies this many of its sd behind the start.
+FEW_AIR_SD = 4.0
+#: Start in contact or in air are both told where the density of a contact at the start is below this share.
+AMBIGUOUS_DENSITY = 0.3
+#: A preload is believed where that density, with a load cell that was tared, is below this share.
+PRELOAD_DENSITY = 0.05
+#: ... and where contact all along would have raised the force by so many sd of its mean in air; more where
+#: it may be a preload.
 MISSING_RISE_SD = 8.0
+DOUBTFUL_RISE_SD = 10.0
+#: A load cell that drifts in air by more than so many sd of the drift is quoted at contact.
+DRIFT_SD = 3.0
 #: How far back the contact may lie, in starting forces over stiffness: tissue may soften towards contact.
 REACH = 4.0
 #: Noise sd added to the starting force when looking how far back the contact may lie.
 REACH_SD = 3.0
-#: A start is preloaded where the force before the tool moves exceeds its noise by so many sd.
+#: A force before the tool moves is one where it exceeds its noise by so many sd.
 PRELOAD_SD = 4.0
-#: ... and by more than this share of the force range, below which it may be the load cell's zero.
+#: A start is preloaded by more than this share of the force range; less may be the load cell's zero.
 PRELOAD_SHARE = 0.01
 #: Force that rises by less than this many noise sd over a ramp never met anything.
 CONTACT_SD = 6.0
@@ -66,7 +84,9 @@ def find_contact(
     """
     compression, force_sign = signs
     if options.contact_displacement_mm is not None:
-        return _given(depth_mm, force_N, signs, options), []
+        return _given(depth_mm, force_N, signs, options)
+    # a single wild reading of travel is no travel
+    depth_mm = without_spikes(depth_mm, noise=0.0)
     move = next((piece for piece in loading if _meets(force_N, piece, noise_N)), None)
     if move is None:
         reach = float(np.ptp(force_N))
@@ -82,14 +102,19 @@ def find_contact(
     count = int(in_air.sum())
     # what the force would have risen by, had the tool been in contact all along, against its noise
     missing = _least_slope(u, f, air) * (air.contact_mm - start_mm) * np.sqrt(count) / noise
-    far = air.contact_mm - start_mm > AIR_SD * air.sd_mm
-    if far and count >= FEWEST_AIR_SAMPLES and missing > MISSING_RISE_SD:
+    least = max(PRELOAD_SD * noise / np.sqrt(max(count, 1)), PRELOAD_SHARE * float(np.ptp(f)))
+    zero = air.baseline_N <= least
+    many = count >= FEWEST_AIR_SAMPLES
+    few = zero and count >= FEWEST_ZERO_SAMPLES and air.contact_mm - start_mm > FEW_AIR_SD * air.sd_mm
+    far = air.at_start < (START_DENSITY if zero else DOUBTFUL_START_DENSITY)
+    flat = missing > (MISSING_RISE_SD if zero else DOUBTFUL_RISE_SD)
+    if far and flat and (many or few):
         at = first + int(np.argmax((u >= air.contact_mm) & (np.arange(u.size) >= move.start - first)))
         contact = Contact(
             index=at,
             displacement_mm=compression * air.contact_mm,
             sd_mm=air.sd_mm,
-            baseline_N=force_sign * air.baseline_N,
+            baseline_N=force_sign * _reading_in_air(u, f, air, noise),
             in_record=True,
         )
         return contact, _uncertain(contact, u)
@@ -115,22 +140,50 @@ def _least_slope(u: FloatArray, f: FloatArray, air: HingeFit) -> float:
     return max(min(air.slope_N_per_mm, whole), 1e-3 * whole)
 
 
+def _reading_in_air(u: FloatArray, f: FloatArray, air: HingeFit, noise_N: float) -> float:
+    """Mean force in air, or its value at contact where the load cell drifts [N]."""
+    before = int(np.argmax(u >= air.contact_mm))
+    if before < FEWEST_AIR_SAMPLES:
+        return air.baseline_N
+    along = np.arange(before) - 0.5 * (before - 1)
+    drift = float(along @ f[:before]) / float(along @ along)
+    if abs(drift) * float(np.sqrt(along @ along)) > DRIFT_SD * noise_N:
+        return air.baseline_N
+    return float(f[:before].mean())
+
+
 def _given(
     depth_mm: FloatArray, force_N: FloatArray, signs: tuple[int, int], options: SegmentOptions
-) -> Contact:
-    """The user's contact, with the reading in air where there is any."""
+) -> tuple[Contact | None, list[Flag]]:
+    """The user's contact, with the reading in air where there is any; outside the record it is said."""
     given = options.contact_displacement_mm
     assert given is not None  # noqa: S101  (the caller has looked)
+    ends = sorted((signs[0] * float(depth_mm.min()), signs[0] * float(depth_mm.max())))
+    where = {"contact_mm": given, "from_mm": ends[0], "to_mm": ends[1]}
+    record = f"the record runs from {ends[0]:.4g} to {ends[1]:.4g} mm"
     inside = depth_mm >= signs[0] * given
-    index = int(np.argmax(inside)) if inside.any() else depth_mm.size - 1
+    if not inside.any():
+        message = f"the stated contact, {given:.4g} mm, is never reached: {record}"
+        return None, [Flag("no_contact", message, where)]
+    flags = []
+    if inside.all():
+        message = f"the stated contact, {given:.4g} mm, lies before the first sample: {record}"
+        flags.append(Flag("starts_in_contact", message, where))
+    index = int(np.argmax(inside))
     in_record = index >= FEWEST_AIR_SAMPLES
-    return Contact(
+    contact = Contact(
         index=index,
         displacement_mm=given,
         sd_mm=options.contact_sd_mm,
         baseline_N=signs[1] * float(np.mean(force_N[:index])) if in_record else 0.0,
         in_record=in_record,
     )
+    return contact, flags
+
+
+def _resting(u: FloatArray) -> int:
+    """Samples before the tool moves, at least one."""
+    return max(1, int(np.argmin(u <= u[0] + 1e-3 * float(u.max() - u[0]))))
 
 
 def _start_in_contact(
@@ -139,8 +192,7 @@ def _start_in_contact(
     """No air in the record: the contact is the first sample, or lies before it."""
     compression, force_sign = signs
     start = float(u[0])
-    resting = u <= start + 1e-3 * float(u.max() - start)
-    few = max(1, int(np.argmin(resting)))
+    few = _resting(u)
     ahead = float(f[:few].mean())
     zero = 0.0
     if few >= FEWEST_AIR_SAMPLES and ahead < -PRELOAD_SD * noise_N / np.sqrt(few):
@@ -151,13 +203,15 @@ def _start_in_contact(
         back = REACH * (max(ahead, 0.0) + REACH_SD * noise_N) / _least_slope(u, f, air)
         back = min(back, 2.0 * float(u.max() - start))
         fit = fit_contact(u, f, noise_N=noise_N, baseline=False, reach_back_mm=back)
-        contact_mm, sd = fit.contact_mm, fit.sd_mm
+        contact_mm, sd, believed = fit.contact_mm, fit.sd_mm, fit.at_start < PRELOAD_DENSITY
+        # the whole ramp says more of the force it starts from than the samples before it
+        ahead = max(ahead, fit.slope_N_per_mm * (start - contact_mm))
     else:
         slope = max(float(f[-1] - f[0]) / max(float(u.max() - start), 1e-300), 1e-300)
+        believed = ahead > PRELOAD_SD * noise_N / np.sqrt(few)
         contact_mm, sd = start - ahead / slope, max(noise_N / slope, 0.3 * float(np.ptp(u)) / u.size)
     flags: list[Flag] = []
-    significant = max(PRELOAD_SD * noise_N / np.sqrt(few), PRELOAD_SHARE * float(np.ptp(f)))
-    if ahead > significant and contact_mm < start:
+    if believed and ahead > PRELOAD_SHARE * float(np.ptp(f)) and contact_mm < start:
         contact = Contact(index=0, displacement_mm=compression * contact_mm, sd_mm=sd)
         flags.append(
             Flag(
@@ -173,6 +227,10 @@ def _start_in_contact(
         contact = Contact(
             index=0, displacement_mm=compression * start, sd_mm=sd, baseline_N=force_sign * zero
         )
+    if u.size >= FEWEST_SAMPLES and air.at_start < AMBIGUOUS_DENSITY:
+        # the ramp may as well have started in air: how far off that contact lies is part of the sd
+        apart = abs(compression * contact.displacement_mm - air.contact_mm)
+        contact = replace(contact, sd_mm=float(np.hypot(contact.sd_mm, apart)))
     flags.append(
         Flag(
             "starts_in_contact", "the record shows no samples in air before contact", {"sd_mm": contact.sd_mm}
