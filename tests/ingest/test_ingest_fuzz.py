@@ -11,6 +11,7 @@ from fuzz_mutant import Mutant, Mutation, Tally, WrongError, judge, original, re
 from fuzz_seeds import seeds
 from fuzz_structure import STRUCTURE
 from fuzz_values import VALUES
+from fuzz_workbooks import WORKBOOK_MUTATIONS, judge_workbook
 
 from tissueid.errors import InputError
 from tissueid.ingest import read_each
@@ -71,11 +72,11 @@ def run(letter: str, count: int, folder: Path) -> Tally:
     return tally
 
 
-def check(letter: str, count: int, folder: Path) -> None:
-    tally = run(letter, count, folder)
+def conclude(letter: str, count: int, tally: Tally, what: str = "") -> None:
+    """Print the counts; no mutant misread, and neither all refused nor all read."""
     read, flagged, refused = (tally.count(o) for o in ("read", "flagged", "refused"))
     counts = f"{count} mutants, {read} read, {flagged} flagged, {refused} refused"
-    print(f"\nclass ({letter}) {NAMES[letter]}: {counts}\n{tally.table()}")  # noqa: T201
+    print(f"\nclass ({letter}) {what}{NAMES[letter]}: {counts}\n{tally.table()}")  # noqa: T201
     assert not tally.bugs, "\n".join([f"{len(tally.bugs)} mutants were misread", *tally.bugs[:40]])
     assert (read + flagged) / count >= LEAST_READ[letter]
     assert refused / count >= LEAST_REFUSED[letter]
@@ -83,10 +84,41 @@ def check(letter: str, count: int, folder: Path) -> None:
 
 @pytest.mark.parametrize("letter", CLASSES)
 def test_five_hundred_mutants_are_read_right_or_refused(letter: str, tmp_path: Path) -> None:
-    check(letter, SHORT[letter], tmp_path)
+    conclude(letter, SHORT[letter], run(letter, SHORT[letter], tmp_path))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("letter", CLASSES)
 def test_twenty_thousand_mutants_are_read_right_or_refused(letter: str, tmp_path: Path) -> None:
-    check(letter, LONG[letter], tmp_path)
+    conclude(letter, LONG[letter], run(letter, LONG[letter], tmp_path))
+
+
+#: Workbook mutants of each class, in the short and the slow run.
+SHORT_WORKBOOKS, LONG_WORKBOOKS = 40, 700
+
+
+def run_workbooks(letter: str, count: int, folder: Path) -> Tally:
+    """Judge workbook mutants of one class."""
+    tally, path = Tally(), folder / "mutant.xlsx"
+    for index in range(count):
+        rng = Random(f"workbook-{letter}-{index}")
+        mutant = rng.choice(WORKBOOK_MUTATIONS[letter])(rng)
+        path.write_bytes(mutant.data)
+        try:
+            outcome = judge_workbook(mutant, list(read_each(path)))
+        except Exception as error:  # noqa: BLE001 - a traceback is what is looked for
+            tally.bugs.append(f"{letter}-{index} {mutant.kind}: {type(error).__name__}: {error}")
+        else:
+            tally.outcomes[mutant.kind, outcome] += 1
+    return tally
+
+
+@pytest.mark.parametrize("letter", CLASSES)
+def test_workbook_mutants_are_read_right_or_refused(letter: str, tmp_path: Path) -> None:
+    conclude(letter, SHORT_WORKBOOKS, run_workbooks(letter, SHORT_WORKBOOKS, tmp_path), "workbooks, ")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("letter", CLASSES)
+def test_two_thousand_workbook_mutants_are_read_right_or_refused(letter: str, tmp_path: Path) -> None:
+    conclude(letter, LONG_WORKBOOKS, run_workbooks(letter, LONG_WORKBOOKS, tmp_path), "workbooks, ")

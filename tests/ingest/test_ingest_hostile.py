@@ -20,6 +20,9 @@ from tissueid.ingest.unpacking import too_much
 #: What reading may take: the libraries alone map about one GiB of address space.
 ADDRESS_SPACE = 3 << 30
 MEBI = 1 << 20
+#: A second or two on a quiet machine; a reader that takes squared or endless time takes far longer.
+LONGEST_S = 20.0
+SOON_S = 5.0
 linux_only = pytest.mark.skipif(sys.platform != "linux", reason="limits, pipes and links of a POSIX system")
 
 
@@ -45,7 +48,7 @@ def test_hostile_workbooks_are_refused_in_bounded_time_and_memory(tmp_path: Path
         assert verdict.codes in (("unreadable_workbook",), ("no_trial_sheet",)), name
         assert "\n" not in verdict.messages[0]
         # scanning and refusing: no worse than reading a real workbook of some megabytes
-        assert verdict.seconds < 10.0, name
+        assert verdict.seconds < LONGEST_S, name
         assert verdict.peak_bytes < 600 * MEBI, name
     for name in ("far.xlsx", "far-row.xlsx", "far-column.xlsx", "far.xlsb"):
         assert "stray cells" in verdicts[name].messages[0], name
@@ -58,7 +61,7 @@ def test_hostile_texts_are_refused_or_read_in_bounded_time_and_memory(tmp_path: 
     verdicts = hostile.read_in_child(paths, memory_bytes=ADDRESS_SPACE, timeout_s=100.0)
     for name, verdict in verdicts.items():
         assert len(verdict.codes) == 1, name
-        assert verdict.seconds < 10.0, name
+        assert verdict.seconds < LONGEST_S, name
         assert verdict.peak_bytes < 600 * MEBI, name
     assert verdicts["half-row.csv"].codes == ("read",)
     for name in ("junk.csv", "nested.json.csv", "headers-only.csv", "bom-soup.csv"):
@@ -106,19 +109,19 @@ def check_endless(folder: Path, size: int, *, seconds: float) -> None:
         # the file itself, in pieces and joined, and the libraries
         assert verdict.peak_bytes < 300 * MEBI + 2.2 * size, name
     first = verdicts["one-line.csv"]
-    assert first.seconds < 0.5, "told by its first bytes"
+    assert first.seconds < SOON_S, "told by its first bytes"
     assert "line 53" in verdicts["second-line.csv"].messages[0]
 
 
 @linux_only
 def test_a_line_of_64_mib_is_refused_by_its_beginning(tmp_path: Path) -> None:
-    check_endless(tmp_path, 64 * MEBI, seconds=5.0)
+    check_endless(tmp_path, 64 * MEBI, seconds=LONGEST_S)
 
 
 @linux_only
 @pytest.mark.slow
 def test_a_line_of_1_gib_is_refused_by_its_beginning(tmp_path: Path) -> None:
-    check_endless(tmp_path, 1 << 30, seconds=30.0)
+    check_endless(tmp_path, 1 << 30, seconds=60.0)
 
 
 def test_a_file_larger_than_any_recording_is_refused_unread(tmp_path: Path) -> None:
@@ -129,7 +132,7 @@ def test_a_file_larger_than_any_recording_is_refused_unread(tmp_path: Path) -> N
     start = time.perf_counter()
     error = refusal(path)
     assert (error.code, "2.0 GiB" in error.message) == ("unreadable_file", True)
-    assert time.perf_counter() - start < 0.5
+    assert time.perf_counter() - start < SOON_S
 
 
 def test_little_memory_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -162,7 +165,7 @@ def test_what_is_no_file_is_refused_by_its_kind_at_once(tmp_path: Path) -> None:
     found = find_inputs([tmp_path])
     said = {path.name: refusal(path) for path in found}
     listener.close()
-    assert time.perf_counter() - start < 2.0
+    assert time.perf_counter() - start < SOON_S
     assert {name: error.code for name, error in said.items()} == dict.fromkeys(
         ["pipe.csv", "pipe.txt", "pipe.zip", "zero.csv", "self.csv", "gone.csv", "socket.csv"],
         "unreadable_file",
@@ -186,15 +189,17 @@ def test_links_in_circles_and_deep_folders_end(tmp_path: Path) -> None:
         deep /= "d"
         deep.mkdir()
     (deep / "deep.csv").write_bytes(hostile.HEAD)
-    start = time.perf_counter()
+    start = time.process_time()
     names = sorted(path.name for path in find_inputs([tmp_path]))
+    seconds = time.process_time() - start
     # what clears folders after a test recurses
     (deep / "deep.csv").unlink()
     while deep != tmp_path:
         deep.rmdir()
         deep = deep.parent
     assert names == ["a.csv", "b.csv", "deep.csv", "inside.csv"]
-    assert time.perf_counter() - start < 5.0
+    # five links each way between two folders are 5 ** 40 paths before the system sees the circle
+    assert seconds < 20.0
 
 
 def test_a_file_that_grows_while_it_is_read_is_refused(

@@ -11,13 +11,13 @@ from collections.abc import Sequence
 
 from tissueid.flags import Flag
 from tissueid.ingest.columns import has_channels
-from tissueid.ingest.layout import Layout, is_units_row, split_line
+from tissueid.ingest.layout import Layout, Row, is_units_row, split_line
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import Place
-from tissueid.ingest.results import announced_results, results_flag
+from tissueid.ingest.results import announced_results, results_flag, results_spans
 from tissueid.ingest.text import Text
 
-__all__ = ["begins_a_table", "flag_rows_above", "row_like", "skipped_flag"]
+__all__ = ["begins_a_table", "flag_head", "flag_rows_above", "row_like", "skipped_flag"]
 
 _STARTS = re.compile(r"[\W_]*\d")
 _NUMBERS = re.compile(r"\d+(?:[.,]\d+)?")
@@ -44,39 +44,56 @@ def row_like(line: str) -> bool:
     )
 
 
-def begins_a_table(cells: Sequence[str], layout: Layout) -> bool:
+def begins_a_table(cells: Sequence[str], names: Sequence[str], units: Sequence[str]) -> bool:
     """Whether a line among the rows gives names or units other than those of the table."""
-    filled = tuple(cell.strip() for cell in cells)
-    known = {tuple(cell.strip() for cell in row) for row in (layout.names, layout.units)}
-    if filled in known:
+    filled = _stripped(cells)
+    if filled in (_stripped(names), _stripped(units)):
         return False
     return is_units_row(filled) or has_channels(filled, (), ReadOptions())
 
 
+def _stripped(cells: Sequence[str]) -> tuple[str, ...]:
+    """The cells without padding and without empty ones at the end."""
+    filled = [cell.strip() for cell in cells]
+    while filled and not filled[-1]:
+        filled.pop()
+    return tuple(filled)
+
+
 def flag_rows_above(text: Text, layout: Layout, place: Place) -> tuple[Flag, ...]:
-    """What to say of lines of numbers in the header, which are neither its entries nor results.
+    """:func:`flag_head` for the lines above the names of a laid-out text."""
+    if layout.names_line is None:
+        return ()
+    head = [text.decode(line) for line in text.data[: layout.offset].splitlines()[: layout.names_line - 1]]
+    return flag_head([split_line(line, layout.delimiter) for line in head], place)
+
+
+def flag_head(head: Sequence[Row], place: Place) -> tuple[Flag, ...]:
+    """What to say of results and of rows of numbers above the names, which would pass for a header.
+
+    Parameters
+    ----------
+    head : sequence of Row
+        All lines above the names, from the first.
+    place : Place
 
     Raises
     ------
     InputError
         ``mixed_tables`` where they are another table: three lines and more, or under names of their own.
     """
-    if layout.names_line is None:
-        return ()
-    head = [text.decode(line) for line in text.data[: layout.offset].splitlines()[: layout.names_line - 1]]
-    rows = [(number, split_line(line, layout.delimiter)) for number, line in enumerate(head, 1)]
-    results = announced_results([row for _, row in rows])
+    results = announced_results(head)
     said = tuple(results_flag(span.start + 1, span.stop) for span in results)
     inside = {index + 1 for span in results for index in span}
-    found = [number for number, row in rows if number not in inside and row_like(" ".join(row))]
+    found = [n for n, row in enumerate(head, 1) if n not in inside and row_like(" ".join(row))]
     if not found:
         return said
-    named = any(has_channels(row, (), ReadOptions()) for number, row in rows if number < found[0])
-    foreign = [number for number, row in rows if number in found and row in layout.header]
-    if named or len(foreign) >= _TABLE_ROWS:
+    named = any(has_channels(row, (), ReadOptions()) for row in head[: found[0] - 1])
+    spans = {index + 1 for span in results_spans(head) for index in span}
+    if named or len(set(found) - spans) >= _TABLE_ROWS:
         place.refuse(
             "mixed_tables",
-            f"{len(found)} lines of numbers stand above the names in line {layout.names_line}: is this two"
+            f"{len(found)} lines of numbers stand above the names in line {len(head) + 1}: is this two"
             " files in one, or were lines moved? Export the file again, one recording a file",
             line=found[0],
             column=1,

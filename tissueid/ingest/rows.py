@@ -203,7 +203,7 @@ class RowReader:
                 line=number,
                 column=1,
             )
-        if begins_a_table(cells, self.layout):
+        if begins_a_table(cells, self.layout.names, self.layout.units):
             self.place.refuse(
                 "ragged_rows",
                 f"{shown} gives other names or units than line {self.layout.names_line or 1}: two recordings"

@@ -29,6 +29,7 @@ from tissueid.ingest.layout import Anchor, Row, anchor
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.recipe import Detection, InputFile, Recipe, Table, is_workbook
 from tissueid.ingest.refusals import Place
+from tissueid.ingest.remarks import begins_a_table, flag_head
 from tissueid.ingest.results import results_below, results_flag
 from tissueid.ingest.side_by_side import shifted, specimen_columns
 from tissueid.ingest.unpacking import BROKEN_ARCHIVE, too_much
@@ -222,7 +223,9 @@ def _read_sheet(file: InputFile, sheet: str, cells: Cells, found: Anchor, *, nam
     choice = choose_columns(printed, units, options=file.options, place=place, line=line)
     results = _results(cells, found, printed, units, file.options)
     stop = len(cells) if results is None else results
+    above = () if found.names is None else flag_head(head[: found.names], place)
     columns, flags = _read_columns(cells[:stop], found.first, choice, place)
+    _refuse_other_heads(cells[:stop], flags, printed, units, place)
     if results is not None:
         flags.append(results_flag(results + 1, len(cells)))
     metadata = header_entries([row for row in head[: found.names] if any(row)])
@@ -241,8 +244,23 @@ def _read_sheet(file: InputFile, sheet: str, cells: Cells, found: Anchor, *, nam
         sheet=sheet,
         metadata=metadata,
         specimen=specimen,
-        flags=(*choice.flags, *flags),
+        flags=(*choice.flags, *above, *flags),
     )
+
+
+def _refuse_other_heads(cells: Cells, flags: Sequence[Flag], names: Row, units: Row, place: Place) -> None:
+    """Refuse rows left out as remarks that give other names or units: what follows is another recording."""
+    for flag in flags:
+        for number in flag.values["lines"] if flag.code == "rows_skipped" else ():
+            row = tuple(_shown(cell) for cell in cells[number - 1])
+            if begins_a_table(row, names, units):
+                place.refuse(
+                    "mixed_tables",
+                    f"row {number} gives other names or units than the head of the sheet: two recordings in"
+                    " one sheet; split it, one recording each",
+                    line=number,
+                    column=1,
+                )
 
 
 def _results(cells: Cells, found: Anchor, names: Row, units: Row, options: ReadOptions) -> int | None:
