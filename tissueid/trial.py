@@ -152,8 +152,8 @@ class Protocol:
         Test type in the words of the export (``"comp"``, ``"trelax"``...).
     speed_mm_s, depth_mm, hold_s : float or None
         Stated rate [mm/s], depth [mm] and dwell [s].
-    tip_radius_mm : float or None
-        Radius of the tool tip [mm].
+    tip_radius_mm, load_limit_N : float or None
+        Radius of the tool tip [mm]; force at which the machine was to stop or turn [N].
     """
 
     kind: str | None = None
@@ -161,6 +161,7 @@ class Protocol:
     depth_mm: float | None = None
     hold_s: float | None = None
     tip_radius_mm: float | None = None
+    load_limit_N: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -297,7 +298,7 @@ class Event:
         ``name_unit -> number``.  Rupture: ``force_before_N``, ``drop_N``, ``drop_fraction``, ``depth_mm``
         (below contact), ``work_N_mm`` (from contact).  Abort: ``reached_mm`` and what was asked for, as far
         as it is known (``stated_mm``, ``stated_hold_s``, ``earlier_mm``).  Load limit: ``force_N``,
-        ``depth_mm`` and ``creep_mm`` or ``turns``.
+        ``depth_mm`` and ``creep_mm``, ``turns`` or ``limit_N``.
     """
 
     kind: str

@@ -124,3 +124,15 @@ def test_loops_that_turn_at_one_force_show_a_load_limit() -> None:
 )
 def test_loops_that_turn_at_a_depth_show_none(depths: list[float], peaks: list[float]) -> None:
     assert events(segment(softening_loops(depths, peaks)), "load_limit") == []
+
+
+@pytest.mark.parametrize(("limit_N", "stops"), [(40.0, 1), (60.0, 0), (25.0, 0)])
+def test_a_ramp_that_ends_at_the_stated_force_was_stopped_by_it(limit_N: float, stops: int) -> None:
+    # 4 mm at 10 N/mm
+    found = segment(drawn([0, 4, 8], [0, 4, 0], load_limit_N=limit_N))
+    limits = events(found, "load_limit")
+    assert len(limits) == stops
+    for event in limits:
+        assert event.values["limit_N"] == limit_N
+        assert event.values["force_N"] == pytest.approx(40.0, abs=0.2)
+        assert event.time_s == pytest.approx(4.0, abs=0.03)

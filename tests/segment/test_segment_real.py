@@ -76,3 +76,26 @@ def test_oocyte_dwell_is_found_between_approach_and_retract(shared_data):
     hold = found.of_kind("hold")[0]
     # 30 s of dwell as named by its source
     assert hold.end_s - hold.start_s == pytest.approx(30.0, abs=0.2)
+
+
+def test_cyclic_bluehill_file_is_not_preconditioned_and_its_cycles_have_speeds(shared_data):
+    data = numbers(shared_data / "instron-bluehill-cyclic-cc0" / "Specimen_RawData_6.csv", 5)
+    found = segment(Trial("cyclic", *data.T))
+    # 10 mm/min as its header says
+    assert [phase.speed_mm_s for phase in found.phases] == pytest.approx([10.0 / 60.0] * 3, rel=0.01)
+    assert [data[phase.peak, 0] for phase in found.phases] == pytest.approx([60.0, 180.0, 300.0], abs=0.2)
+    assert "not_preconditioned" in codes(found)
+
+
+def test_an_invar_bar_pulled_to_failure_ruptures_after_its_peak(shared_data):
+    lines = (shared_data / "zwick-tra-mit" / "Invar_LT_05_01.TRA").read_text("latin-1").splitlines()
+    rows = [row for row in csv.reader(lines) if len(row) > 3]
+    names = next(row for row in rows if "Standard force" in row)
+    columns = [names.index(name) for name in ("Time", "Standard travel", "Standard force")]
+    table = rows[rows.index(names) + 2 :]
+    data = np.array([[float(row[k]) for k in columns] for row in table])
+    found = segment(Trial("invar", *data.T))
+    (event,) = [event for event in found.events if event.kind == "rupture"]
+    # necking from the peak of 7.4 kN at 0.9 mm on; hardly anything is carried at the end
+    assert 0.9 < event.values["depth_mm"] < 1.3
+    assert event.values["drop_fraction"] > 0.9

@@ -10,6 +10,7 @@ from tissueid.ingest.numbers import CellFault, looks_numeric, parse_number
 from tissueid.ingest.protocol_words import (
     DEPTH,
     HOLD,
+    LOAD_LIMIT,
     RATE,
     TIP_DIAMETER,
     TIP_RADIUS,
@@ -118,6 +119,7 @@ def protocol_of(metadata: Mapping[str, str], path: str, *, decimal: str | None) 
         depth_mm=stated(metadata, DEPTH, "displacement", mark),
         hold_s=stated(metadata, HOLD, "time", mark),
         tip_radius_mm=radius if radius is not None or diameter is None else diameter / 2,
+        load_limit_N=stated(metadata, LOAD_LIMIT, "force", mark),
     )
 
 

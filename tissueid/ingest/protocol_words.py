@@ -11,7 +11,16 @@ from functools import cache
 
 from tissueid.ingest.vocabulary import plain_words
 
-__all__ = ["DEPTH", "HOLD", "RATE", "TIP_DIAMETER", "TIP_RADIUS", "is_protocol_key", "last_part"]
+__all__ = [
+    "DEPTH",
+    "HOLD",
+    "LOAD_LIMIT",
+    "RATE",
+    "TIP_DIAMETER",
+    "TIP_RADIUS",
+    "is_protocol_key",
+    "last_part",
+]
 
 _NUMBER = r"(?: 1)?"
 RATE = re.compile(
@@ -44,6 +53,11 @@ HOLD = re.compile(
     rf"|czas (?:przetrzymania|utrzymania|relaksacji|wytrzymania){_NUMBER}"
     rf"|(?:保持|保载|松弛)时间{_NUMBER}|保持時間{_NUMBER}"
 )
+LOAD_LIMIT = re.compile(
+    r"(?:maximum |max |upper )?(?:load|force) (?:limit|threshold|trigger)|trigger (?:load|force)"
+    r"|kraft(?:grenze|grenzwert|schwelle)|limite (?:de|di) (?:force|charge|carga|fuerza|forca|forza|carico)"
+    r"|granica (?:sily|obciazenia)|(?:载荷|力)(?:上限|限值)|荷重上限"
+)
 TIP_RADIUS = re.compile(
     r"(?:tip|tool|indenter|probe|sphere) radius|(?:spitzen|kugel|indenter|eindringkorper)radius"
     r"|rayon (?:de (?:la )?(?:pointe|bille)|de l indenteur)|radio (?:de la (?:punta|bola)|del indentador)"
@@ -56,7 +70,7 @@ TIP_DIAMETER = re.compile(
     r"|diametro (?:de la (?:punta|bola)|del indentador|da ponta|do indentador|della punta|del penetratore)"
     r"|srednica (?:koncowki|wglebnika)|压头直径|探头直径"
 )
-_ALL = (RATE, DEPTH, HOLD, TIP_RADIUS, TIP_DIAMETER)
+_ALL = (RATE, DEPTH, HOLD, LOAD_LIMIT, TIP_RADIUS, TIP_DIAMETER)
 _UNIT_AT_END = re.compile(r" (?:(?:m|\u03bc|u|n)?m(?: (?:s|sec|min))?|s|sec|n)$")
 
 
@@ -67,6 +81,6 @@ def last_part(key: str) -> str:
 
 
 def is_protocol_key(key: str) -> bool:
-    """Whether a header key states rate, depth, hold or tip."""
+    """Whether a header key states rate, depth, hold, load limit or tip."""
     words = last_part(key)
     return any(pattern.fullmatch(words) for pattern in _ALL)

@@ -35,6 +35,9 @@ HELD_SHARE = 0.03
 HELD_SD = 4.0
 #: Share of samples that must lie within.
 HELD_MOST = 0.95
+#: A machine stops at a stated force once it is read: the end of the ramp lies between these shares of it.
+LIMIT_FROM, LIMIT_TO = 0.97, 1.1
+FEWEST_AT_LIMIT = 5
 #: Fewest samples of the ramp's end whose slope leads to the held load; a tenth of the ramp is taken.
 LEAD_SAMPLES = 20
 #: Loops that turn at one force: fewest of them, and how many times more their depths let it vary.
@@ -149,6 +152,7 @@ def load_limits(
     *,
     noise_N: float,
     zero: tuple[float, float],
+    stated_N: float | None = None,
 ) -> list[Event]:
     """Moves that ended at a force.
 
@@ -162,10 +166,14 @@ def load_limits(
     noise_N : float
     zero : tuple of float
         Depth of contact [mm] and force in air [N].
+    stated_N : float or None
+        The limit that the file states.
     """
     contact_mm, baseline_N = zero
     events: list[Event] = []
     for before, after in pairwise(phases):
+        if stated_N and before.kind == "ramp" and after.kind != "creep":
+            events += _at_stated(time_s, depth_mm - contact_mm, force_N, before, stated_N)
         if after.kind == "creep":
             at = before.stop - 1
             values = {
@@ -183,6 +191,19 @@ def load_limits(
         }
         events.append(Event("load_limit", at, float(time_s[at]), values))
     return events
+
+
+def _at_stated(
+    time_s: FloatArray, depth_mm: FloatArray, force_N: FloatArray, ramp: Phase, stated_N: float
+) -> list[Event]:
+    """The end of a ramp at the stated limit, which the load cell reads with whatever its zero is."""
+    at = ramp.stop - 1
+    end = slice(max(ramp.start, at - max(FEWEST_AT_LIMIT, (at - ramp.start) // 20)), ramp.stop)
+    reached = float(running_median(force_N[end]).max())
+    if not LIMIT_FROM * stated_N <= reached <= LIMIT_TO * stated_N:
+        return []
+    values = {"force_N": reached, "depth_mm": float(depth_mm[at]), "limit_N": stated_N}
+    return [Event("load_limit", at, float(time_s[at]), values)]
 
 
 def _turn_at_force(
@@ -224,6 +245,11 @@ def ending_flags(events: list[Event]) -> list[Flag]:
             message = (
                 f"{values['force_N']:.4g} N are held while the tool creeps {values['creep_mm']:.3g} mm: load "
                 "control, no relaxation hold"
+            )
+            flags.append(Flag("load_limit_stop", message, values))
+        elif "limit_N" in values:
+            message = (
+                f"the ramp ends at {values['force_N']:.4g} N, the stated limit of {values['limit_N']:.4g} N"
             )
             flags.append(Flag("load_limit_stop", message, values))
         elif event.kind == "load_limit":

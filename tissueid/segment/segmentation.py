@@ -224,7 +224,16 @@ def _remarks(
             flags += rupture_flags(broken)
             events += broken
         endings = aborts(time_s, depth, phases, protocol)
-        endings += load_limits(time_s, depth, force, phases, loops, noise_N=path.noise_N, zero=zero)
+        endings += load_limits(
+            time_s,
+            depth,
+            force,
+            phases,
+            loops,
+            noise_N=path.noise_N,
+            zero=zero,
+            stated_N=protocol.load_limit_N,
+        )
         flags += ending_flags(endings)
         events += endings
     flags += cycle_flags(loops, before_test=divided.test > 0, baseline_N=baseline)
