@@ -97,7 +97,7 @@ def cut_loops() -> Trial:
 
 def test_loops_of_a_recording_that_cannot_be_fitted_are_kept() -> None:
     # nothing in air and no rest: which way is compression, and where contact is, the user has to say
-    stated = SegmentOptions(compression_sign=1, contact_displacement_mm=0.0)
+    stated = SegmentOptions(compression_sign=1, force_sign=1, contact_displacement_mm=0.0)
     run = identify([cut_loops()], options=IdentifyOptions(segment=stated))
     assert run.exit.code == 3
     assert [one.code for one in run.refused] == ["too_few_samples"]
