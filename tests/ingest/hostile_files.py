@@ -160,6 +160,32 @@ def hostile_workbooks() -> dict[str, bytes]:
     }
 
 
+def hostile_archives() -> dict[str, bytes]:
+    """Zip archives that are no workbooks."""
+    recording = HEAD + b"".join(b"%.1f,%.2f,%.2f\n" % (0.1 * i, 0.1 * i, 0.2 * i) for i in range(50))
+    sound = zipped({"a.csv": recording})
+    inner = sound
+    for _ in range(20):
+        inner = zipped({"inner.csv": inner})
+    overlapping = io.BytesIO()
+    with zipfile.ZipFile(overlapping, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("a.csv", bytes(15 * MEBI))
+        # ten thousand entries of one and the same content: kilobytes for 150 GB
+        archive.filelist += archive.filelist * 9_999
+    flipped = bytearray(sound)
+    flipped[60] ^= 0x10
+    return {
+        "bomb.zip": zipped({"a.csv": bytes(200 * MEBI)}),
+        "nested.zip": inner,
+        "overlapping.zip": overlapping.getvalue(),
+        "many.zip": zipped({f"{i}.csv": b"" for i in range(10_001)}),
+        "cut.zip": sound[:-30],
+        "flipped.zip": bytes(flipped),
+        "outside.zip": zipped({"../../outside.csv": recording, "/etc/outside.csv": recording}),
+        "sound.zip": sound,
+    }
+
+
 def hostile_texts() -> dict[str, bytes]:
     rng = random.Random(7)
     rows = b"".join(b"%.2f,%.3f,%.3f\n" % (0.1 * i, 0.05 * i, 0.5 * i) for i in range(400))

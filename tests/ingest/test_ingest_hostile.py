@@ -56,6 +56,22 @@ def test_hostile_workbooks_are_refused_in_bounded_time_and_memory(tmp_path: Path
 
 
 @linux_only
+def test_hostile_archives_are_refused_or_read_in_bounded_time_and_memory(tmp_path: Path) -> None:
+    paths = written(tmp_path, hostile.hostile_archives())
+    verdicts = hostile.read_in_child(paths, memory_bytes=ADDRESS_SPACE, timeout_s=100.0)
+    for name, verdict in verdicts.items():
+        assert verdict.seconds < LONGEST_S, name
+        assert verdict.peak_bytes < 600 * MEBI, name
+    assert verdicts.pop("sound.zip").codes == ("read",)
+    # members are read where they are, whatever place they name
+    assert verdicts.pop("outside.zip").codes == ("read", "read")
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(path.name for path in paths)
+    for name, verdict in verdicts.items():
+        assert "read" not in verdict.codes, name
+    assert set(verdicts["bomb.zip"].codes) == {"unreadable_archive"}
+
+
+@linux_only
 def test_hostile_texts_are_refused_or_read_in_bounded_time_and_memory(tmp_path: Path) -> None:
     paths = written(tmp_path, hostile.hostile_texts())
     verdicts = hostile.read_in_child(paths, memory_bytes=ADDRESS_SPACE, timeout_s=100.0)

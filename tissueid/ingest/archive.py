@@ -40,7 +40,8 @@ def recordings_in(archive: zipfile.ZipFile) -> list[zipfile.ZipInfo]:
     found = []
     for member in archive.infolist():
         path = PurePosixPath(member.filename.replace("\\", "/"))
-        hidden = any(part.startswith((".", "~$", "__MACOSX")) for part in path.parts)
+        parts = [part for part in path.parts if part not in {".", ".."}]
+        hidden = any(part.startswith((".", "~$", "__MACOSX")) for part in parts)
         if not member.is_dir() and not hidden and path.suffix.lower() in _SUFFIXES:
             found.append(member)
     return found
@@ -75,6 +76,10 @@ def _read(file: InputFile, match: Callable[[InputFile], Match]) -> Iterator[Tabl
         members = recordings_in(archive)
         if len(members) > MOST_MEMBERS:
             message = f"the archive has {len(members)} files, more than {MOST_MEMBERS}; unpack it"
+            yield place.refusal("unreadable_archive", message)
+            return
+        if len({member.header_offset for member in members}) < len(members):
+            message = "files of the archive overlap, as in one made to fill the memory; pack it again"
             yield place.refusal("unreadable_archive", message)
             return
         left, count = ARCHIVE_BYTES, 0

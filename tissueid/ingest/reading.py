@@ -58,7 +58,24 @@ def read_each(path: str | Path, options: ReadOptions | None = None) -> Iterator[
         The options ask for a recipe that does not exist.
     """
     try:
-        file = open_input(path, options or ReadOptions())
+        for item in _read_each(path, options or ReadOptions()):
+            yield _without_frames(item) if isinstance(item, InputError) else item
+    except MemoryError:
+        yield Place(str(path)).refusal(
+            "unreadable_file",
+            "what the file holds is larger than the memory that is free; export fewer tests",
+        )
+
+
+def _without_frames(error: InputError) -> InputError:
+    """A refusal that is kept must not keep the file alive, as the frames of its traceback would."""
+    error.__traceback__ = error.__context__ = error.__cause__ = None
+    return error
+
+
+def _read_each(path: str | Path, options: ReadOptions) -> Iterator[Trial | InputError]:
+    try:
+        file = open_input(path, options)
         match = match_recipe(file)
     except InputError as error:
         yield error
