@@ -28,9 +28,7 @@ START_DENSITY = 0.135
 #: ... or below this one (3 sd), where it may be a preload ...
 DOUBTFUL_START_DENSITY = 0.011
 #: ... and, where samples in air are few, where contact lies this many of its sd behind the start.
-FEW_AIR_SD = 4.0
-#: Start in contact or in air are both told where the density of a contact at the start is below this share.
-AMBIGUOUS_DENSITY = 0.3
+FEW_AIR_SD = 3.0
 #: A preload is believed where that density, with a load cell that was tared, is below this share.
 PRELOAD_DENSITY = 0.05
 #: ... and where contact all along would have raised the force by so many sd of its mean in air; more where
@@ -227,16 +225,23 @@ def _start_in_contact(
         contact = Contact(
             index=0, displacement_mm=compression * start, sd_mm=sd, baseline_N=force_sign * zero
         )
-    if u.size >= FEWEST_SAMPLES and air.at_start < AMBIGUOUS_DENSITY:
-        # the ramp may as well have started in air: how far off that contact lies is part of the sd
-        apart = abs(compression * contact.displacement_mm - air.contact_mm)
-        contact = replace(contact, sd_mm=float(np.hypot(contact.sd_mm, apart)))
+    contact = replace(contact, sd_mm=float(np.hypot(contact.sd_mm, _doubt(air, contact, u, compression))))
     flags.append(
         Flag(
             "starts_in_contact", "the record shows no samples in air before contact", {"sd_mm": contact.sd_mm}
         )
     )
     return contact, flags + _uncertain(contact, u)
+
+
+def _doubt(air: HingeFit, contact: Contact, u: FloatArray, compression: int) -> float:
+    """What a start in air after all adds to the sd of a contact at the start, or before it [mm].
+
+    A start in contact and a contact anywhere on the ramp are taken as equally likely beforehand.
+    """
+    odds = air.at_start * float(u.max() - u[0]) / (np.sqrt(2.0 * np.pi) * max(air.sd_mm, 1e-300))
+    apart = abs(compression * contact.displacement_mm - air.contact_mm)
+    return float(apart * np.sqrt(odds) / (1.0 + odds))
 
 
 def _uncertain(contact: Contact, u: FloatArray) -> list[Flag]:

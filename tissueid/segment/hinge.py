@@ -36,8 +36,11 @@ LAST_CONTACT = 0.02
 LEAST_WINDOW = 0.04
 #: Fewest bins with tissue in a window.
 FEWEST_BINS = 8
-#: Share of the samples that count as degrees of freedom of the noise: efficiency of a median.
+#: Share of the samples that count as degrees of freedom of the noise (efficiency of a median), those that a
+#: curved ramp of few samples costs, and the fewest.
 NOISE_EFFICIENCY = 0.37
+NOISE_CURVATURE = 3.0
+LEAST_FREEDOM = 0.5
 #: The stated standard deviation is the half width of the 95 % interval over this.
 NORMAL_95 = 1.959963984540054
 
@@ -111,7 +114,7 @@ def fit_contact(
             shape = RampShape(
                 bins=bins,
                 noise_N=noise_N,
-                noise_freedom=NOISE_EFFICIENCY * depth_mm.size,
+                noise_freedom=max(NOISE_EFFICIENCY * depth_mm.size - NOISE_CURVATURE, LEAST_FREEDOM),
                 window_mm=window,
                 start_mm=start,
                 slope_N_per_mm=slope,

@@ -47,7 +47,7 @@ PULL = 1.0
 RESOLVED = 3.0
 #: Share of the way by which the first bin in contact is moved to the middle of its gap where information is
 #: weighed: 0 leans to contacts just before a sample, 1 to those before the gap.
-PHASE_SHARE = 0.25
+PHASE_SHARE = 0.15
 #: Part of the window over which the stiffness at contact is quoted.
 EARLY_SHARE = 0.02
 #: Part of the window over which the slope is taken that says what noise can resolve.
