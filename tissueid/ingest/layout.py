@@ -317,7 +317,10 @@ def find_decimal(
     text: Text, sample: Sequence[Row], delimiter: str, place: Place, *, first: int, rows: Sequence[Row]
 ) -> str:
     """Point or comma, by the votes of the first rows and the last."""
-    tail = [split_line(text.decode(line), delimiter) for line in text.data[-_TAIL_BYTES:].splitlines()[1:-1]]
+    tail: list[Row] = []
+    if len(rows) >= _HEAD_LINES:  # the sample does not reach the end of the file
+        last = text.data[-_TAIL_BYTES:].splitlines()[1:-1]
+        tail = [split_line(text.decode(line), delimiter) for line in last]
     cells = [cell for row in (*sample, *tail) for cell in row if looks_numeric(cell)]
     points, commas, open_cells = decimal_evidence(cells)
     if points != commas:

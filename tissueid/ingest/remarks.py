@@ -23,6 +23,7 @@ _STARTS = re.compile(r"[\W_]*\d")
 _NUMBERS = re.compile(r"\d+(?:[.,]\d+)?")
 #: A clock or a date: remarks carry them.
 _MOMENT = re.compile(r"(?<![\d.,])(?:\d{1,2}:\d{2}(?::\d{2})?|\d{1,4}([/.-])\d{1,2}\1\d{1,4})(?![\d.,])")
+_GUID = re.compile(r"[0-9A-Fa-f]{8}-(?:[0-9A-Fa-f]{4}-){3}[0-9A-Fa-f]{12}")
 #: Time, displacement and force.
 _LEAST_NUMBERS = 3
 #: So many rows above the names are a table of their own, fewer may be results.
@@ -41,6 +42,7 @@ def row_like(line: str) -> bool:
         and len(_NUMBERS.findall(line)) >= _LEAST_NUMBERS
         and 2 * digits >= sum(not letter.isspace() for letter in line)
         and _MOMENT.search(line) is None
+        and _GUID.search(line) is None
     )
 
 

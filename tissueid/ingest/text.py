@@ -39,9 +39,13 @@ _MAGIC = (
     (b"\xd0\xcf\x11\xe0", "a workbook or another compound document"),
 )
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f]")
+#: A quoted number with its marks is a cell, not a row.
+_ONE_NUMBER = re.compile(rb"[+-]?(?:\d+[.,]?\d*|\d{1,3}(?:[.,]\d{3})+(?:[.,]\d*)?)")
 _CONTROL_FRACTION = 0.002
 #: Least share of ASCII letters in the head of a UTF-16 export: its numbers are ASCII.
-_UTF16_FRACTION = 0.3
+_UTF16_FRACTION = 0.15
+#: Most NULs in the other byte, as a share.
+_UTF16_STRAY = 0.05
 #: ``mm²`` in latin-1 is ``mm˛`` in cp1250.
 _POWER_UNIT = re.compile(r"[kcm]?m[²³]")
 
@@ -90,13 +94,15 @@ def foreign_kind(head: bytes) -> str | None:
 
 
 def _looks_utf16(head: bytes) -> bool:
-    """UTF-16 without a byte order mark: NULs at every second byte, and only there.
+    """UTF-16 without a byte order mark: NULs at every second byte, and hardly any elsewhere.
 
-    Digits and delimiters have one NUL each; a header in Chinese has none, so that all of the head counts.
+    Digits and delimiters have one NUL each; a header in Chinese has few, so that all of the head counts, and
+    a character such as U+4E00 has one in the other byte.
     """
     even, odd = head[0::2].count(0), head[1::2].count(0)
     sample = len(head) // 2
-    return len(head) >= 16 and min(even, odd) == 0 and max(even, odd) >= _UTF16_FRACTION * sample
+    few, many = sorted((even, odd))
+    return len(head) >= 16 and few <= _UTF16_STRAY * many and many >= _UTF16_FRACTION * sample
 
 
 def decode_text(data: bytes, place: Place) -> Text:
@@ -152,7 +158,8 @@ def _from_utf16(data: bytes, place: Place) -> Text:
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         codec = "utf-16"
     else:
-        codec = "utf-16-be" if data[0:HEAD_BYTES:2].count(0) else "utf-16-le"
+        head = data[:HEAD_BYTES]
+        codec = "utf-16-be" if head[0::2].count(0) > head[1::2].count(0) else "utf-16-le"
     try:
         decoded = data.decode(codec)
     except UnicodeDecodeError as error:
@@ -160,7 +167,14 @@ def _from_utf16(data: bytes, place: Place) -> Text:
             "not_an_export",
             f"the file starts as UTF-16 text but is damaged at byte {error.start}; export it again",
         )
-    return _unwrapped(Text(_line_ends(decoded.encode()), "utf-8", "utf-16"))
+    unified = _line_ends(decoded.encode())
+    head = unified[:HEAD_BYTES]
+    if len(_CONTROL.findall(head)) > _CONTROL_FRACTION * len(head):
+        place.refuse(
+            "not_an_export",
+            "this is binary data, not the raw data of a test; give the export of the test machine",
+        )
+    return _unwrapped(Text(unified, "utf-8", "utf-16"))
 
 
 def _line_ends(data: bytes) -> bytes:
@@ -238,5 +252,5 @@ def _is_wrapped(line: bytes) -> bool:
         and line[:1] == line[-1:] == b'"'
         and re.search(rb"[,;\t]", inner) is not None
         and b'"' not in inner.replace(b'""', b"")
-        and not re.fullmatch(rb"[\d.,+-]+", inner)
+        and not _ONE_NUMBER.fullmatch(inner)
     )
