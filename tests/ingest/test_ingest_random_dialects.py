@@ -1,4 +1,4 @@
-"""Bluehill in random dialects: language, encoding, marks, head, results, order; every one reads back exactly."""
+"""Bluehill in random dialects: language, encoding, marks, head, results, order; each reads back exactly."""
 
 from __future__ import annotations
 
