@@ -232,6 +232,30 @@ def test_one_wild_force_is_a_spike_and_is_placed(place_s: float, off_N: float) -
     assert values["force_off_N"] == pytest.approx(off_N, abs=1.0)
 
 
+def test_a_spike_in_a_short_recording_with_its_corners_is_found() -> None:
+    clean = ramp_hold(rate_Hz=10.0)
+    force = clean.force_N.copy()
+    force[90] -= 20.0
+    assert only(replace(clean, force_N=force), "spike").values["force_largest_s"] == clean.time_s[90]
+
+
+def test_spikes_put_into_real_recordings_are_found(shared_data) -> None:
+    found = total = 0
+    rng = np.random.default_rng(1)
+    (path,) = (shared_data / "zwick-meat-gpl3").glob("*.xlsx")
+    for trial in read_each(path):
+        assert isinstance(trial, Trial)
+        for at in rng.integers(5, trial.time_s.size - 5, 4).tolist():
+            force = trial.force_N.copy()
+            force[at] += 0.3 * np.ptp(force) * rng.choice([-1.0, 1.0])
+            flags = quality_flags(trial.time_s, trial.displacement_mm, force)
+            placed = [flag.values.get("force_largest_s") for flag in flags if flag.code == "spike"]
+            found += placed == [trial.time_s[at]]
+            total += 1
+    # a ninth of the samples lies within 0.6 s of the start or the stop of the machine, where none is told
+    assert found >= 0.7 * total
+
+
 def test_spikes_of_displacement_and_force_are_counted_apart() -> None:
     clean = ramp_hold()
     force, x = clean.force_N.copy(), clean.displacement_mm.copy()

@@ -30,6 +30,8 @@ EVEN_SAMPLES = (6, 400)
 EVEN_SHARE, STANDING_SHARE = 0.02, 1e-3
 #: More than this share of all samples are no single samples but the noise itself.
 AT_MOST = 0.005
+#: Corners and changes of the sampling look like spikes at first sight; so many are judged in any recording.
+FEW_CANDIDATES = 40
 _NORMAL_SD_OVER_MEDIAN = 1.4826
 #: Standard deviation of a sample's distance from the mean of its neighbours, over that of the sample.
 _CHORD_SD = 1.5**0.5
@@ -75,7 +77,7 @@ def _alone(time_s: FloatArray, values: FloatArray, motion: FloatArray | None) ->
     np.abs(off, out=off)
     candidates = np.flatnonzero(off > max(FAR_SHARE * span, FAR_SD * noise)) + 1
     # a spike lifts its two neighbours' distances as well
-    if candidates.size > max(3.0, 3 * AT_MOST * values.size):
+    if candidates.size > max(FEW_CANDIDATES, 3 * AT_MOST * values.size):
         return []
     judged = ((i, _distance(time_s, values, i, FAR_SHARE * span)) for i in candidates.tolist())
     alone = [
