@@ -262,14 +262,12 @@ class Corner:
     time_s : float
         Nominal end of the ramp: where its line meets that of the next phase [s].
     duration_s : float
-        From the last sample on the ramp's line to the first from which the displacement stays on the next
-        phase's line, within noise and resolution [s]; ringing is part of it.
+        From leaving the ramp's line to staying on the next phase's, ringing included [s].
     overshoot_mm : float
         Farthest excursion beyond the plateau [mm], 0 where it is within noise and resolution.
-    ringing_swings : int
-        Excursions to alternate sides of the plateau that exceed noise and resolution; 0 or 1 is no ringing.
-    ringing_period_s : float or None
-        Mean period of the ringing [s]; ``None`` where it does not ring.
+    ringing_swings, ringing_period_s : int, float or None
+        Excursions to alternate sides of the plateau that exceed noise and resolution, and their mean
+        period [s]; fewer than two are no ringing, with ``None``.
     """
 
     phase: int

@@ -79,7 +79,7 @@ def random_program(rng: np.random.Generator) -> tuple[list[Move | Hold], list[st
 def test_random_programs_give_their_phases_at_their_corners():
     rng = np.random.default_rng(11)
     failures = []
-    for case in range(300):
+    for case in range(100):  # two thousand with all that machines do: test_segment_programs
         moves, expected = random_program(rng)
         total = sum(m.hold_s if isinstance(m, Hold) else 0.0 for m in moves)
         travels = np.diff([0.0, *(m.to_mm for m in moves if isinstance(m, Move))])
@@ -132,7 +132,7 @@ def test_random_programs_give_their_phases_at_their_corners():
         assert sum(kind == "hold" for kind in kinds(found)) <= expected.count("hold"), (
             f"hold invented in {case}"
         )
-    assert len(failures) <= 3, failures
+    assert len(failures) <= 1, failures
 
 
 @pytest.mark.parametrize("dwell_s", [0.0, 0.1])
@@ -271,3 +271,18 @@ def test_a_standing_record_has_no_phases_and_no_contact():
 def test_senseless_options_are_refused(field, value):
     with pytest.raises(ValueError, match=field):
         SegmentOptions(**{field: value})
+
+
+def test_a_long_slow_noisy_recording_keeps_its_phases():
+    # 200,000 samples: noise of 5 sd is in it, and 15 samples pass before the tool has moved by one sd
+    n = 200_000
+    time_s = np.arange(n) * 1e-3
+    corners = np.array([0.0, 40.0, 100.0, 140.0, 180.0, n * 1e-3])
+    depth = np.interp(time_s, corners, [0.0, 4.0, 4.0, 2.0, 6.0, 6.0])
+    rng = np.random.default_rng(12)
+    noisy = depth + 1.5e-3 * rng.standard_normal(n)
+    found = segment(Trial("long", time_s, noisy, 10.0 * depth + 0.2 * rng.standard_normal(n)))
+    assert kinds(found) == ["ramp", "hold", "retract", "ramp", "hold"]
+    starts = [phase.start_s for phase in found.phases[1:]]
+    # lines through 200 samples meet within 1.5e-3 mm sqrt(8/200) / 0.05 mm/s: 6 samples, 2 sd
+    assert starts == pytest.approx(corners[1:-1].tolist(), abs=0.015)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.flags import Flag
-from tissueid.segment.motion import straight_line
+from tissueid.segment.edges import straight_line
 from tissueid.trial import Corner, Phase
 
 __all__ = ["corner_flags", "corners_of"]

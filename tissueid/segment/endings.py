@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from tissueid.flags import Flag
 from tissueid.segment.cycles import Loop
-from tissueid.segment.motion import Piece, corner_near
+from tissueid.segment.edges import corner_near
+from tissueid.segment.motion import Piece
 from tissueid.segment.spikes import running_median
 from tissueid.trial import Event, Phase, Protocol
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.segment.motion import SPEED_RATIO, Piece, corner_near, straight_line
+from tissueid.segment.edges import corner_near, straight_line
+from tissueid.segment.motion import SPEED_RATIO, Piece
 from tissueid.segment.options import SegmentOptions
 from tissueid.trial import Contact, Phase
 
@@ -27,7 +28,8 @@ STAND_SHARE_OF_TURN = 0.5
 LONGEST_CREST_S = 0.3
 #: A way back this small against its ramp, ended by a standstill, is overshoot of the stop, not a retract.
 OVERSHOOT_SHARE = 0.1
-#: ... and so is a larger one that is over within this time [s]: small steps ring by much of their travel.
+#: ... and so is a larger one that is over within this time [s] and half of the ramp's: small steps ring by
+#: much of their travel.
 SWING_SHARE = 0.3
 LONGEST_SWING_S = 0.3
 #: A loop returns at least this share of its way in.
@@ -158,11 +160,10 @@ def _without_ringing(time_s: FloatArray, depth: FloatArray, found: list[Piece]) 
         ramp = found[k]
         stop = k
         if ramp.direction > 0:
-            travel = depth[ramp.stop] - depth[ramp.start]
             while (
                 stop + 1 < len(found)
                 and found[stop + 1].direction != 0
-                and _rings(time_s, depth, found[stop + 1], travel)
+                and _rings(time_s, depth, found[stop + 1], ramp)
             ):
                 stop += 1
             if stop > k and stop + 1 < len(found) and found[stop + 1].direction == 0:
@@ -174,11 +175,12 @@ def _without_ringing(time_s: FloatArray, depth: FloatArray, found: list[Piece]) 
     return result
 
 
-def _rings(time_s: FloatArray, depth: FloatArray, swing: Piece, travel: float) -> bool:
+def _rings(time_s: FloatArray, depth: FloatArray, swing: Piece, ramp: Piece) -> bool:
     """Whether a move after a ramp is small beside it, or not large and over at once."""
-    moved = abs(float(depth[swing.stop] - depth[swing.start])) / max(travel, 1e-300)
-    at_once = float(time_s[swing.stop] - time_s[swing.start]) <= LONGEST_SWING_S
-    return moved <= OVERSHOOT_SHARE or (moved <= SWING_SHARE and at_once)
+    moved, travel = (abs(float(depth[piece.stop] - depth[piece.start])) for piece in (swing, ramp))
+    took, ramp_s = (float(time_s[piece.stop] - time_s[piece.start]) for piece in (swing, ramp))
+    at_once = took <= min(LONGEST_SWING_S, 0.5 * ramp_s)
+    return moved <= OVERSHOOT_SHARE * travel or (moved <= SWING_SHARE * travel and at_once)
 
 
 def _long_enough(

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.flags import Flag
-from tissueid.segment.motion import Piece, straight_line
+from tissueid.segment.edges import straight_line
+from tissueid.segment.motion import Piece
 from tissueid.segment.spikes import MEDIAN_SAMPLES, running_median
 from tissueid.trial import Event
 
