@@ -40,8 +40,6 @@ UNLOADING_SAMPLES = 11
 ROUNDS = 3
 #: A round that moves no tip by more than this [mm, root mean square] is the last.
 SETTLED_MM = 1e-5
-#: Samples the smoothing law is fitted to; more would not make it smoother.
-THINNED_TO = 50_000
 #: A force this many times the largest calibrated one can't be corrected.
 BEYOND_LIMIT = 1.5
 
@@ -217,8 +215,8 @@ def tip_handles(
 def _learn(logs: list[_Smooth], frame: FrameCurve, candidate: Candidate, tick: Callable[[str], None]) -> None:
     """One round: fit the flexible law to all logs where they are known to be, and follow it."""
     handles = [log.tip(frame) for log in logs]
-    samples = sum(handle.facts.n_samples for handle in handles)
-    sums = specimen_sums(handles, candidate.degree, tick, thin=max(1, samples // THINNED_TO))
+    # all samples: the law must know tau better than the fit that follows it
+    sums = specimen_sums(handles, candidate.degree, tick)
     solution = fit_candidate(sums, candidate)
     law, found = _law(solution, sums.depth_mm), solution.evaluation
     for i, log in enumerate(logs):
