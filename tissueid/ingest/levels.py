@@ -96,15 +96,17 @@ def _clipped(displacement_mm: FloatArray, force_N: FloatArray, repeats: NDArray[
     if peak == 0.0 or not repeats.any():
         return None
     starts, lengths = _runs(repeats)
-    level = np.abs(force_N[starts])
-    at_work = (level >= _AT_WORK * peak) & (level < peak)
-    usual = int(lengths[at_work].max(initial=1))
-    long = (level == peak) & (lengths >= max(_CLIPPED_RUN, _CLIPPED_LONGER * usual))
+    level = force_N[starts]
+    # the zero of a load cell is set by hand: its two limits need not be equally far
+    limits = [end for end in (float(force_N.max()), float(force_N.min())) if abs(end) >= _AT_WORK * peak]
+    at_limit = np.isin(level, limits)
+    usual = int(lengths[(np.abs(level) >= _AT_WORK * peak) & ~at_limit].max(initial=1))
+    long = at_limit & (lengths >= max(_CLIPPED_RUN, _CLIPPED_LONGER * usual))
     if not long.any():
         return None
     first = int(np.argmax(np.where(long, lengths, 0)))
     start, count = int(starts[first]), int(lengths[first])
-    total = int(lengths[level == peak].sum())
+    total = int(lengths[level == level[first]].sum())
     moves = int(np.count_nonzero(np.diff(displacement_mm[start : start + count]))) >= _CLIPPED_RUN - 1
     # a computed force stands still in a hold; a measured one does not
     if not moves and not is_noisy(np.concatenate((force_N[:start], force_N[start + count :]))):
