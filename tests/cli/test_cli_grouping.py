@@ -69,13 +69,11 @@ def test_specimen_by_groups_by_its_first_group_and_wins_over_the_header(tmp_path
     assert logs_of(document) == {"cow3": 2, "cow4": 1}
 
 
-def test_specimen_by_that_matches_nothing_groups_nothing(tmp_path: Path) -> None:
-    for name in ("x", "y"):
-        write_log(tmp_path / f"{name}.csv", label="same")
-    document = fit(
-        tmp_path / "out", tmp_path / "x.csv", tmp_path / "y.csv", "--specimen-by", "no such", *QUICK
-    )
-    assert logs_of(document) == {"x": 1, "y": 1}
+def test_what_specimen_by_does_not_fit_is_grouped_with_nothing(tmp_path: Path) -> None:
+    for name in ("x", "y", "cow1_a", "cow1_b"):
+        write_log(tmp_path / "lab" / f"{name}.csv", label="same")
+    document = fit(tmp_path / "out", tmp_path / "lab", "--specimen-by", r"cow\d", *QUICK)
+    assert logs_of(document) == {"cow1": 2, "x": 1, "y": 1}
 
 
 def test_each_sheet_is_its_own_specimen(tmp_path: Path) -> None:
