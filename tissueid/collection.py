@@ -285,13 +285,15 @@ def _handle(
     study: Study | None,
     load: Callable[[], Trial],
     unfitted: Callable[[Trial, Segmentation], None],
+    *,
+    unloading: bool,
 ) -> LogHandle | Refusal:
     """The trial segmented, or why it can't be fitted; what was segmented only is handed to ``unfitted``."""
     try:
         segmentation = segment(trial, options=options)
     except (ArithmeticError, np.linalg.LinAlgError) as error:
         return arithmetic_refusal(trial.source.path, trial.source.sheet, "segmented", error)
-    log = fitted_log(trial, segmentation)
+    log = fitted_log(trial, segmentation, whole=unloading)
     if log is None:
         unfitted(trial, segmentation)
         return _refusal_for(trial, segmentation)
@@ -314,6 +316,7 @@ def collect(
     study: Study | None = None,
     *,
     depths_mm: tuple[float, ...] = (),
+    unloading: bool = False,
 ) -> Collected:
     """Read and segment every trial; its samples stay only in the cache.
 
@@ -327,6 +330,8 @@ def collect(
     study : Study, optional
     depths_mm : tuple of float
         Depths at which the cycles of a trial that can't be fitted are described [mm].
+    unloading : bool
+        Whether samples after the tool first turned back count as something to fit.
     """
     collected = Collected()
 
@@ -349,7 +354,7 @@ def collect(
             collected.left_out.append(_mixed_axes(trial))
             continue
         key = (source.path, source.sheet) if cache.reloads else (str(count), None)
-        handle = _handle(trial, own, study, _loader(cache, key, source, study), unfitted)
+        handle = _handle(trial, own, study, _loader(cache, key, source, study), unfitted, unloading=unloading)
         if why is not None:
             rigid = decision.excluded is None
             collected.excluded.append(

@@ -204,7 +204,13 @@ def identify(
     options = options or IdentifyOptions()
     progress = progress or (lambda _message, _done, _total: None)
     collected = collect(
-        trials, options.segment, TrialCache(reload), progress, study, depths_mm=options.fit.depths_mm
+        trials,
+        options.segment,
+        TrialCache(reload),
+        progress,
+        study,
+        depths_mm=options.fit.depths_mm,
+        unloading=options.fit.unloading,
     )
     names = display_names(collected.sources)
     fits = _fit_all(collected, names, options, study, progress)

@@ -109,6 +109,17 @@ def test_loops_of_a_recording_that_cannot_be_fitted_are_kept() -> None:
     assert second.loading_work_mJ.value == pytest.approx(80.0, rel=0.02)
 
 
+def test_the_same_recording_is_fitted_where_its_unloading_counts() -> None:
+    stated = SegmentOptions(compression_sign=1, force_sign=1, contact_displacement_mm=0.0)
+    fitted = FitOptions(branches=1, stiffness_degree=0, unloading=True)
+    run = identify([cut_loops()], options=IdentifyOptions(segment=stated, fit=fitted))
+    (fit,) = run.specimens
+    # 10 x in and 8 x out is 9 x and a loss that knows no rate: the fit says so by its residual
+    assert fit.n_samples > 250
+    assert fit.parameter("static_1_N_per_mm").detail["estimate"] == pytest.approx(9.0, abs=1.5)
+    assert run.unfitted_cycles == ()
+
+
 def test_real_cycles_drift_and_their_unloading_can_be_fitted(shared_data: Path) -> None:
     (path,) = (shared_data / CYCLIC).glob("*.csv")
     (fit,) = identify(read_trials(path), options=IdentifyOptions(fit=FitOptions(unloading=True))).specimens

@@ -72,10 +72,10 @@ class LogHandle:
 
     def window(self, trial: Trial, segmentation: Segmentation, *, guard: bool = False) -> FittedLog | None:
         """The part of a trial that is fitted under a segmentation; ``None`` where there is none."""
-        log = fitted_log(trial, segmentation, guard=guard)
+        log = fitted_log(trial, segmentation, guard=guard, whole=self.unloading)
         if log is None or not self.unloading:
             return log
-        return with_unloading(trial, segmentation, log, self.surface, guard=guard)
+        return with_unloading(segmentation, log, self.surface)
 
     def fitted(self) -> tuple[Trial, FittedLog]:
         """The trial and its fitted part, loaded anew."""

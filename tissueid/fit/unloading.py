@@ -15,11 +15,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.fit.window import GUARD_SD, FittedLog, usable_until
-from tissueid.likelihood.sums import LogData
+from tissueid.fit.window import FittedLog, first_turn
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.model.kernels import surface_path
-from tissueid.trial import Segmentation, Trial, contact_frame
+from tissueid.trial import Segmentation
 
 __all__ = ["FreeSurface", "air_limit", "with_unloading"]
 
@@ -97,48 +96,26 @@ def _measured_surface(
     return surface, ~air
 
 
-def with_unloading(
-    trial: Trial,
-    segmentation: Segmentation,
-    log: FittedLog,
-    surface: FreeSurface | None,
-    *,
-    guard: bool = False,
-) -> FittedLog:
-    """The fitted part of a trial extended to its end, on the path of the tissue's surface.
+def with_unloading(segmentation: Segmentation, log: FittedLog, surface: FreeSurface | None) -> FittedLog:
+    """A whole log on the path of the tissue's surface, the samples in air left out.
 
     Parameters
     ----------
-    trial, segmentation
-        The recording.
+    segmentation : Segmentation
     log : FittedLog
-        Its loading, as :func:`tissueid.fit.window.fitted_log` gives it.
+        As :func:`tissueid.fit.window.fitted_log` gives it with ``whole``.
     surface : FreeSurface or None
         ``None`` takes contact and its loss from the measured force.
-    guard : bool
-        As in :func:`tissueid.fit.window.fitted_log`.
     """
-    contact = segmentation.contact
-    assert contact is not None  # noqa: S101  (there is a fitted part)
-    depth, force = contact_frame(trial, segmentation)
-    ahead, first, stop = int(log.inserted), log.first, usable_until(segmentation, depth.size)
-    time = np.concatenate([log.data.time_s[:ahead], trial.time_s[first:stop]])
-    tool = np.concatenate([log.data.depth_mm[:ahead], depth[first:stop]])
-    load = np.concatenate([log.data.force_N[:ahead], force[first:stop]])
-    turn = log.data.time_s.size
+    data = log.data
+    tool = data.depth_mm
     if surface is None:
-        path, touching = _measured_surface(time, tool, load, turn, segmentation.force_noise_N)
+        ahead = log.first - int(log.inserted)
+        depth = np.concatenate([np.full(ahead, tool[0]), tool])
+        turn = first_turn(segmentation, depth, log.first) - ahead
+        path, touching = _measured_surface(data.time_s, tool, data.force_N, turn, segmentation.force_noise_N)
     else:
-        path, touching = surface.follow(time, tool)
-    include = touching
-    include[:ahead] = False
-    if contact.in_record or guard:
-        include &= tool >= GUARD_SD * contact.sd_mm
-    data = LogData(
-        time_s=np.ascontiguousarray(time),
-        depth_mm=np.ascontiguousarray(path),
-        force_N=np.ascontiguousarray(load),
-        include=include,
-        fold=np.zeros(time.size, dtype=np.int64),
-    )
-    return replace(log, data=data, depth_mm=float(tool.max()), n_samples=int(include.sum()), tool_mm=tool)
+        path, touching = surface.follow(data.time_s, tool)
+    include = data.include & touching
+    there = replace(data, depth_mm=np.ascontiguousarray(path), include=include)
+    return replace(log, data=there, n_samples=int(include.sum()), tool_mm=tool)

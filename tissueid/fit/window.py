@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from tissueid.likelihood.sums import LogData
 from tissueid.trial import Phase, Segmentation, Trial, contact_frame
 
-__all__ = ["FittedLog", "assign_folds", "fitted_log", "usable_until", "with_contact"]
+__all__ = ["FittedLog", "assign_folds", "first_turn", "fitted_log", "usable_until", "with_contact"]
 
 FloatArray = NDArray[np.float64]
 
@@ -107,7 +107,7 @@ def _first_of_test(segmentation: Segmentation) -> int:
     return start if usable_until(segmentation, start + 1) > start else 0
 
 
-def _last_sample(segmentation: Segmentation, depth: FloatArray, first: int) -> int:
+def first_turn(segmentation: Segmentation, depth: FloatArray, first: int) -> int:
     """One past the last sample before the tool first turns back, or the tissue breaks."""
     stop = usable_until(segmentation, depth.size)
     begins = _first_of_test(segmentation)
@@ -124,7 +124,9 @@ def _last_sample(segmentation: Segmentation, depth: FloatArray, first: int) -> i
     return min(last, stop) if last > first else stop
 
 
-def fitted_log(trial: Trial, segmentation: Segmentation, *, guard: bool = False) -> FittedLog | None:
+def fitted_log(
+    trial: Trial, segmentation: Segmentation, *, guard: bool = False, whole: bool = False
+) -> FittedLog | None:
     """The fitted part of a trial, or ``None`` where there is nothing to fit.
 
     Parameters
@@ -134,13 +136,16 @@ def fitted_log(trial: Trial, segmentation: Segmentation, *, guard: bool = False)
     guard : bool
         Leave the neighbourhood of contact out even where the record seems to start in contact: tool and
         tissue may have met after its first sample, within the contact point's standard deviation.
+    whole : bool
+        To the end of the recording, unloading and all, and not to where the tool first turns back.
     """
     contact = segmentation.contact
     if contact is None:
         return None
     depth, force = contact_frame(trial, segmentation)
     first = contact.index
-    last = _last_sample(segmentation, depth, first)
+    turn = first_turn(segmentation, depth, first)
+    last = max(usable_until(segmentation, depth.size), turn) if whole else turn
     time = trial.time_s[first:last]
     x = depth[first:last]
     f = force[first:last]
@@ -165,7 +170,7 @@ def fitted_log(trial: Trial, segmentation: Segmentation, *, guard: bool = False)
     inside = [
         phase for phase in segmentation.phases if max(first, begins) < phase.stop and phase.start < last - 1
     ]
-    ramps = [phase for phase in inside if phase.kind == "ramp"]
+    speeds = tuple(phase.speed_mm_s for phase in inside if phase.kind == "ramp")
     holds = [phase for phase in inside if phase.kind == "hold"]
     data = LogData(
         time_s=np.ascontiguousarray(time),
@@ -181,7 +186,7 @@ def fitted_log(trial: Trial, segmentation: Segmentation, *, guard: bool = False)
         contact_sd_mm=contact.sd_mm,
         depth_mm=depth_mm,
         step_s=float(np.median(positive)),
-        speeds_mm_s=tuple(phase.speed_mm_s for phase in ramps) or (_mean_speed(time, x),),
+        speeds_mm_s=speeds or (_mean_speed(time, x[: max(turn - first, 2)]),),
         has_hold=bool(holds),
         n_samples=int(include.sum()),
     )
@@ -202,7 +207,7 @@ def with_contact(trial: Trial, segmentation: Segmentation, *, shift_mm: float, s
         sd_mm=sd_mm,
     )
     depth, _ = contact_frame(trial, replace(segmentation, contact=moved))
-    turn = _last_sample(segmentation, depth, contact.index)
+    turn = first_turn(segmentation, depth, contact.index)
     # contact of a test after cycles lies within the test, that of a cut recording after the cut
     begins = _first_of_test(segmentation)
     low = max(begins if contact.index >= begins else 0, _first_phase(segmentation))
