@@ -20,6 +20,9 @@ from tissueid.ingest.text import Text
 __all__ = ["begins_a_table", "flag_head", "flag_rows_above", "row_like", "skipped_flag"]
 
 _STARTS = re.compile(r"[\W_]*\d")
+_EXPONENT = re.compile(r"(?<=\d)[eE][+-]?\d+")
+#: Words with a letter: ``230403-FF1A`` is a specimen, not a number.
+_NAMES = re.compile(r"[\w-]*[^\W\d_][\w-]*")
 _NUMBERS = re.compile(r"\d+(?:[.,]\d+)?")
 #: A clock or a date: remarks carry them.
 _MOMENT = re.compile(r"(?<![\d.,])(?:\d{1,2}:\d{2}(?::\d{2})?|\d{1,4}([/.-])\d{1,2}\1\d{1,4})(?![\d.,])")
@@ -33,14 +36,15 @@ _TABLE_ROWS = 3
 def row_like(line: str) -> bool:
     """Whether a line is made of numbers, by whatever delimiter: a row, be it sound or damaged.
 
-    >>> row_like("0.10&0.20&1.50"), row_like("13.11.2018 17:14"), row_like("3 cycles of 0.5 mm at 10 N")
+    >>> row_like("0.10&-2e-05&1.50"), row_like("13.11.2018 17:14"), row_like("2304-A1,2304-A1,2304-A1")
     (True, False, False)
     """
-    digits = sum(letter.isdecimal() for letter in line)
+    bare = _NAMES.sub("", _EXPONENT.sub("", line))
+    digits, letters = sum(map(str.isdecimal, bare)), sum(map(str.isalpha, line))
     return (
         _STARTS.match(line) is not None
-        and len(_NUMBERS.findall(line)) >= _LEAST_NUMBERS
-        and 2 * digits >= sum(not letter.isspace() for letter in line)
+        and len(_NUMBERS.findall(bare)) >= _LEAST_NUMBERS
+        and digits >= letters
         and _MOMENT.search(line) is None
         and _GUID.search(line) is None
     )
