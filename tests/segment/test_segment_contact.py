@@ -139,3 +139,70 @@ def test_quantised_force_has_at_least_the_noise_of_its_step():
     assert quantum(coarse) == pytest.approx(0.5)
     assert white_noise_sd(time_s, coarse) == pytest.approx(0.5 / np.sqrt(12.0))
     assert quantum(np.random.default_rng(1).standard_normal(100)) == 0.0
+
+
+def ramp_in_air(sigma_N: float = 0.3, **changes) -> Trial:
+    """8 mm at 250 mm/min, contact at 1 mm, 100 samples/s."""
+    settings = Recipe(
+        "r",
+        (Log("ramp", (Move(8.0, 250.0),)),),
+        **{"rate_Hz": 100.0, "sigma_N": sigma_N, "contact_offset_mm": 1.0, **changes},
+    )
+    return as_trials(simulate(settings, rng=np.random.default_rng(12)))[0]
+
+
+@pytest.mark.parametrize("which", ["force_N", "displacement_mm"])
+@pytest.mark.parametrize("at", [5, 60])
+def test_one_wild_sample_does_not_move_the_contact(which, at):
+    trial = ramp_in_air()
+    plain = segment(trial).contact
+    values = getattr(trial, which).copy()
+    values[at] += 500.0 if which == "force_N" else 30.0
+    hit = segment(replace(trial, **{which: values})).contact
+    assert plain is not None
+    assert hit is not None
+    assert hit.in_record
+    # the wild sample becomes the mean of its neighbours; a ramp that it cuts in two shows less of the shape
+    assert hit.displacement_mm == pytest.approx(plain.displacement_mm, abs=2.0 * plain.sd_mm)
+
+
+def test_a_load_cell_that_drifts_in_air_does_not_move_the_contact():
+    trial = ramp_in_air()
+    drifting = replace(trial, force_N=trial.force_N + 0.5 * trial.time_s)
+    contact = segment(drifting).contact
+    assert contact is not None
+    assert contact.displacement_mm == pytest.approx(1.0, abs=3.0 * contact.sd_mm)
+
+
+@pytest.mark.parametrize("scale", [(1.0, 1.0, 1.0), (1e-3, 1e-4, 1e-6), (1e2, 1e3, 1e4)])
+def test_a_recording_without_noise_has_its_contact_at_any_scale(scale):
+    seconds, millimetres, newtons = scale
+    trial = ramp_in_air(sigma_N=0.0)
+    found = segment(
+        Trial("n", trial.time_s * seconds, trial.displacement_mm * millimetres, trial.force_N * newtons)
+    ).contact
+    assert found is not None
+    assert found.in_record
+    assert 0.0 < found.sd_mm < 0.02 * millimetres
+    # the branch's first rise lies between two samples 0.04 mm apart
+    assert found.displacement_mm == pytest.approx(millimetres, abs=0.02 * millimetres)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_stated_contact_that_is_never_reached_is_none_and_says_the_range(sign):
+    trial = ramp_in_air(compression_sign=sign)
+    found = segment(trial, options=SegmentOptions(contact_displacement_mm=sign * 12.0))
+    assert found.contact is None
+    (flag,) = [one for one in found.flags if one.code == "no_contact"]
+    ends = (trial.displacement_mm.min(), trial.displacement_mm.max())
+    assert (flag.values["from_mm"], flag.values["to_mm"]) == pytest.approx(ends)
+    assert "never reached" in flag.message
+
+
+def test_a_stated_contact_before_the_record_is_taken_and_said():
+    found = segment(ramp_in_air(), options=SegmentOptions(contact_displacement_mm=-0.5, contact_sd_mm=0.1))
+    assert found.contact is not None
+    assert (found.contact.displacement_mm, found.contact.in_record, found.contact.index) == (-0.5, False, 0)
+    assert any(
+        one.code == "starts_in_contact" and "before the first sample" in one.message for one in found.flags
+    )

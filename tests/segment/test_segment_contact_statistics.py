@@ -6,7 +6,6 @@ over the six speeds.  Bias is the mean of error / sd, coverage the share of |err
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,7 +47,7 @@ class Condition:
 
 
 def one_score(condition: Condition, speed: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Error and stated sd of one ramp [mm]; a load cell that is off by up to 5 sigma where it starts in air."""
+    """Error and stated sd of one ramp [mm]; a load cell that is off by up to 5 sigma in air."""
     static, branches = TISSUES[condition.tissue]
     offset = float(rng.uniform(0.6, 1.6) if condition.start == "air" else -rng.uniform(0.3, 0.8))
     settings = Recipe(
