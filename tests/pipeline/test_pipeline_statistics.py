@@ -92,7 +92,9 @@ def test_scatter_of_gain_and_contact_does_not_move_the_mean_relaxation_time(
 def test_a_rounded_stop_of_the_crosshead_hardly_moves_the_relaxation_time(
     show: Callable[[str], None],
 ) -> None:
-    runs = run_jobs(jobs("paper-a-30", range(20_300, 20_320), CONSTANT, rate_Hz=100.0, crosshead_rounding_s=0.03))
+    runs = run_jobs(
+        jobs("paper-a-30", range(20_300, 20_320), CONSTANT, rate_Hz=100.0, crosshead_rounding_s=0.03)
+    )
     show(table_row("crosshead rounded over 30 ms, 100 Hz", runs, TRUTH))
     estimate, _ = column(runs, "tau")
     assert abs(estimate.mean() - TAU_S) <= 0.05 * TAU_S
