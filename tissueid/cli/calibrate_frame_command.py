@@ -11,14 +11,11 @@ from tissueid.cli.reading import read_in_order, read_options, reading_options
 
 __all__ = ["command"]
 
-READING = ("columns", "units", "axes", "specimen_by", "recipe", "sheet", "delimiter", "decimal")
 
 EPILOG = """\b
 Examples:
   tissueid calibrate-frame rigid.csv
   tissueid calibrate-frame rigid-1.csv rigid-2.csv -o lab_data/frame.json
-
-Then in study.toml, under [calibration]: frame = "frame.json"
 """
 
 
@@ -35,7 +32,7 @@ def command(**flags: Any) -> int:
 
     Press the tip on steel, several times, to the largest force of the tests. Every loading counts; several
     show how repeatable the frame is. fit takes the deflection off the displacement where study.toml names
-    the file.
+    the file, under [calibration]: frame = "frame.json".
     """
     from tissueid.errors import InputError
     from tissueid.result import Refusal
@@ -44,7 +41,7 @@ def command(**flags: Any) -> int:
     from tissueid.study.calibrate_frame import calibrate_frame
     from tissueid.trial import Trial
 
-    reading = read_options(**{key: flags[key] for key in READING})
+    reading = read_options(flags)
     trials: list[Trial] = []
     for item in read_in_order(flags["paths"], reading):
         if isinstance(item, Refusal):
