@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -21,7 +22,7 @@ from tissueid.segment.phases import Surface, name_phases, settled
 from tissueid.segment.rupture import rupture_flags, ruptures
 from tissueid.segment.signs import signs
 from tissueid.segment.spikes import without_spikes
-from tissueid.trial import Event, Phase, Protocol, Segmentation, Trial
+from tissueid.trial import Contact, Event, Phase, Protocol, Segmentation, Trial
 
 __all__ = ["segment"]
 
@@ -29,6 +30,8 @@ FloatArray = NDArray[np.float64]
 
 #: Fewest samples with which there is anything to divide.
 FEWEST_SAMPLES = 5
+#: Fewest different depths of a move that shows a contact.
+FEWEST_DEPTHS = 3
 #: Contact is lost where force falls to so many noise sd, or this share of its range, above that in air.
 LOST_SD = 4.0
 LOST_SHARE = 0.01
@@ -132,21 +135,17 @@ def _segment(trial: Trial, options: SegmentOptions) -> Segmentation:
     found = settled(time_s, depth, pieces(time_s, depth), options, tolerance_mm=tolerance)
     path = _Path(time_s, depth, force, noise, tolerance)
     locate = partial(find_contact, noise_N=noise, signs=(compression, force_sign), options=options)
-    contact, contact_flags = locate(depth, force, _whole(path, found))
+    moves = _whole(path, found)
+    contact, contact_flags = _located(path, moves, _shallow_from(depth, moves), locate)
     surface = Surface.of(contact, depth, compression)
     creep = partial(held_from, time_s, depth, force, noise_N=noise, tolerance_mm=tolerance)
     phases = name_phases(time_s, depth, found, surface, creeps=creep)
     test = _test_phase(depth, phases, surface)
     if contact is not None and _lets_go(force, phases[:test], force_sign * contact.baseline_N, noise):
         start = phases[test].start
-        later = [
-            Piece(1, piece.start - start, piece.stop - start)
-            for piece in _whole(path, found)
-            if piece.start >= start
-        ]
-        again, again_flags = locate(depth[start:], force[start:], later)
+        again, again_flags = _located(path, moves, start, locate)
         if again is not None:
-            contact, contact_flags = replace(again, index=again.index + start), again_flags
+            contact, contact_flags = again, again_flags
             phases = name_phases(time_s, depth, found, surface, creeps=creep, again=contact)
     divided = Segmentation(compression, force_sign, contact, phases, noise, test=test)
     events, remarks = _remarks(trial.protocol, divided, path, found, options)
@@ -154,6 +153,35 @@ def _segment(trial: Trial, options: SegmentOptions) -> Segmentation:
     flags += contact_flags + remarks + corner_flags(depth, phases, corners, tolerance_mm=tolerance)
     flags += drift_in_air(time_s, trial.force_N, phases, contact)
     return replace(divided, flags=tuple(flags), corners=corners, events=events)
+
+
+def _shallow_from(depth: FloatArray, moves: list[Piece]) -> int:
+    """From where on the tool stays shallower than the first move will take it: the record may begin deep."""
+    if not moves:
+        return 0
+    deeper = np.flatnonzero(depth[: moves[0].start] >= depth[moves[0].stop])
+    return int(deeper[-1]) + 1 if deeper.size else 0
+
+
+def _shows_depths(depth: FloatArray) -> bool:
+    """Whether a move goes in by more than one jump: a jump does not show where in it the tissue was met."""
+    return bool(depth[-1] > depth[0]) and np.unique(depth).size >= FEWEST_DEPTHS
+
+
+def _located(
+    path: _Path,
+    moves: list[Piece],
+    start: int,
+    locate: Callable[[FloatArray, FloatArray, list[Piece]], tuple[Contact | None, list[Flag]]],
+) -> tuple[Contact | None, list[Flag]]:
+    """Contact on the moves from a sample on, and on what the record shows before them from there."""
+    later = [
+        Piece(1, piece.start - start, piece.stop - start)
+        for piece in moves
+        if piece.start >= start and _shows_depths(path.depth_mm[piece.start : piece.stop + 1])
+    ]
+    contact, flags = locate(path.depth_mm[start:], path.force_N[start:], later)
+    return (None if contact is None else replace(contact, index=contact.index + start)), flags
 
 
 def _whole(path: _Path, found: list[Piece]) -> list[Piece]:
