@@ -12,7 +12,14 @@ import click
 from tissueid.cli.output import echo_json, note, output_options, progress_bar, with_error
 from tissueid.cli.quoted_lines import quoted_lines
 from tissueid.cli.quoting import quoting_options, quoting_values
-from tissueid.cli.reading import read_all, read_in_order, read_options, reading_options, segment_options
+from tissueid.cli.reading import (
+    READING,
+    read_all,
+    read_in_order,
+    read_options,
+    reading_options,
+    segment_options,
+)
 from tissueid.errors import UsageError, printable
 
 if TYPE_CHECKING:
@@ -40,7 +47,6 @@ UNREMARKABLE = {
     "column_choice",
     "undecoded_text",
 }
-READING = ("columns", "units", "axes", "specimen_by", "recipe", "sheet", "delimiter", "decimal")
 REQUIRED = ["viscosity", "static", "stiffness", "relaxation-time", "none"]
 
 
@@ -99,16 +105,7 @@ def command(**flags: Any) -> int:
     from tissueid.study.recordings import locate_study, read_decided_one
 
     quiet: int = flags["quiet"]
-    reading = read_options(
-        columns=flags["columns"],
-        units=flags["units"],
-        axes=flags["axes"],
-        specimen_by=flags["specimen_by"],
-        recipe=flags["recipe"],
-        sheet=flags["sheet"],
-        delimiter=flags["delimiter"],
-        decimal=flags["decimal"],
-    )
+    reading = read_options(flags)
     options = _identify_options(flags)
     study, paths = locate_study(flags["paths"], named=flags["study"], ignore=flags["no_study"])
     items = read_in_order(paths, reading, study)

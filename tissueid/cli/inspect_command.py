@@ -58,16 +58,7 @@ def command(**flags: Any) -> int:
     from tissueid.result import Refusal
     from tissueid.study.recordings import locate_study
 
-    reading = read_options(
-        columns=flags["columns"],
-        units=flags["units"],
-        axes=flags["axes"],
-        specimen_by=flags["specimen_by"],
-        recipe=flags["recipe"],
-        sheet=flags["sheet"],
-        delimiter=flags["delimiter"],
-        decimal=flags["decimal"],
-    )
+    reading = read_options(flags)
     segmenting = segment_options(compression=flags["compression"], contact=flags["contact"])
     described: list[dict[str, Any] | Refusal] = []
     shown: list[InspectedRecording] = []

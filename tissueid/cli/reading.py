@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "READERS",
+    "READING",
     "picked_sheet",
     "read_all",
     "read_in_order",
@@ -38,6 +39,8 @@ _Named = tuple["Path", "str | None"]
 FEW_NAMES = 5
 #: No test machine travels ten metres.
 LONGEST_TRAVEL_MM = 1e4
+#: Flags that say how a file is read.
+READING = ("columns", "units", "axes", "specimen_by", "recipe", "sheet", "delimiter", "decimal")
 QUANTITIES = ("time", "displacement", "force")
 DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "bar": "|"}
 DECIMALS = {"point": ".", "comma": ","}
@@ -122,29 +125,20 @@ def _pairs(text: str | None, flag: str) -> dict[str, str]:
     return pairs
 
 
-def read_options(
-    *,
-    columns: str | None,
-    units: str | None,
-    axes: str | None,
-    specimen_by: str | None,
-    recipe: str | None,
-    sheet: str | None = None,
-    delimiter: str | None = None,
-    decimal: str | None = None,
-) -> ReadOptions:
-    """Reading options from flags."""
+def read_options(flags: Mapping[str, Any]) -> ReadOptions:
+    """Reading options from the flags of :func:`reading_options`; a flag that is absent is not given."""
     from tissueid.ingest import ReadOptions
 
+    said = {name: flags.get(name) for name in READING}
     return ReadOptions(
-        columns=_pairs(columns, "--columns"),
-        units=_pairs(units, "--units"),
-        axes=_pairs(axes, "--axes"),
-        specimen_by=specimen_by,
-        recipe=recipe,
-        sheet=sheet,
-        delimiter=None if delimiter is None else DELIMITERS[delimiter],
-        decimal=None if decimal is None else DECIMALS[decimal],
+        columns=_pairs(said["columns"], "--columns"),
+        units=_pairs(said["units"], "--units"),
+        axes=_pairs(said["axes"], "--axes"),
+        specimen_by=said["specimen_by"],
+        recipe=said["recipe"],
+        sheet=said["sheet"],
+        delimiter=None if said["delimiter"] is None else DELIMITERS[said["delimiter"]],
+        decimal=None if said["decimal"] is None else DECIMALS[said["decimal"]],
     )
 
 

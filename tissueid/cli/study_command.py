@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
 __all__ = ["command"]
 
-READING = ("columns", "units", "axes", "specimen_by", "recipe", "sheet", "delimiter", "decimal")
 #: Missing items printed without -v, after the essential ones.
 FEW_MISSING = 8
 EXIT_INCOMPLETE = 7
@@ -58,7 +57,7 @@ def _read_all(
 ) -> tuple[list[Trial], list[Refusal]]:
     from tissueid.cli.reading import read_all
 
-    reading = read_options(**{key: flags.get(key) for key in READING})
+    reading = read_options(flags)
     refused: list[Refusal] = []
     return list(read_all(read_in_order(paths, reading, study), refused)), refused
 

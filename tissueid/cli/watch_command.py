@@ -112,16 +112,7 @@ def _session(flags: dict[str, Any]) -> WatchSession:
     if not folder.is_dir():
         msg = f"{folder}: there is no such folder to watch"
         raise UsageError(msg)
-    reading = read_options(
-        columns=flags["columns"],
-        units=flags["units"],
-        axes=flags["axes"],
-        specimen_by=flags["specimen_by"],
-        recipe=flags["recipe"],
-        sheet=flags["sheet"],
-        delimiter=flags["delimiter"],
-        decimal=flags["decimal"],
-    )
+    reading = read_options(flags)
     segmenting = segment_options(compression=flags["compression"], contact=flags["contact"])
     log = None
     if flags["out"] is not None:
