@@ -206,3 +206,25 @@ def test_a_stated_contact_before_the_record_is_taken_and_said():
     assert any(
         one.code == "starts_in_contact" and "before the first sample" in one.message for one in found.flags
     )
+
+
+@pytest.mark.parametrize(
+    "kind", ["flat", "spiked force", "spiked travel", "Cauchy force", "Cauchy travel", "steep"]
+)
+def test_wild_recordings_are_divided_without_a_warning(kind):
+    """Warnings are errors here: no overflow, no singular matrix, whatever the numbers."""
+    rng = np.random.default_rng(13)
+    for n in (3, 7, 40, 300):
+        time_s = 0.01 * np.arange(n)
+        depth = np.linspace(0.0, float(rng.choice([1e-6, 8.0, 1e3])), n)
+        force = np.maximum(depth - 0.3 * depth[-1], 0.0) * float(rng.choice([1e-9, 1.0, 1e6]))
+        wild = {
+            "flat": (depth, np.ones(n)),
+            "spiked force": (depth, force + 1e12 * (rng.random(n) < 0.02)),
+            "spiked travel": (depth + 1e6 * (rng.random(n) < 0.02), force),
+            "Cauchy force": (depth, rng.standard_cauchy(n)),
+            "Cauchy travel": (np.cumsum(rng.standard_cauchy(n)), force),
+            "steep": (depth, np.exp(np.linspace(0.0, 200.0, n))),
+        }[kind]
+        contact = segment(Trial("wild", time_s, *wild)).contact
+        assert contact is None or (np.isfinite(contact.displacement_mm) and contact.sd_mm >= 0.0)

@@ -25,8 +25,8 @@ FEWEST_ZERO_SAMPLES = 2
 #: Air is believed where the density of a contact at the start is below this share of the highest (2 sd of a
 #: normal one) ...
 START_DENSITY = 0.135
-#: ... or below this one (3 sd), where it may be a preload ...
-DOUBTFUL_START_DENSITY = 0.011
+#: ... or below this one (2.6 sd), where it may be a preload ...
+DOUBTFUL_START_DENSITY = 0.03
 #: ... and, where samples in air are few, where contact lies this many of its sd behind the start.
 FEW_AIR_SD = 3.0
 #: A preload is believed where that density, with a load cell that was tared, is below this share.

@@ -48,6 +48,8 @@ RESOLVED = 3.0
 #: Share of the way by which the first bin in contact is moved to the middle of its gap where information is
 #: weighed: 0 leans to contacts just before a sample, 1 to those before the gap.
 PHASE_SHARE = 0.15
+#: Largest change of force with contact, in noise sd: its square is a number.
+LARGEST = 1e75
 #: Part of the window over which the stiffness at contact is quoted.
 EARLY_SHARE = 0.02
 #: Part of the window over which the slope is taken that says what noise can resolve.
@@ -166,9 +168,9 @@ class RampShape:
 
         def information(moves: FloatArray) -> FloatArray:
             """Fisher information of what moves the force so, linear coefficients projected out."""
-            _, kept = outside(moves * weight)
-            shared = (kept * branch_rows).sum(axis=2)
-            return np.asarray(np.maximum((kept * kept).sum(axis=2) - shared * shared / own, 1e-12))
+            _, kept = outside(np.clip(moves * weight, -LARGEST, LARGEST))
+            shared = (kept * branch_rows).sum(axis=2) / np.sqrt(own)
+            return np.asarray(np.maximum((kept * kept).sum(axis=2) - shared * shared, 1e-12))
 
         freedom = self.freedom
         known = self.noise_freedom
@@ -249,6 +251,6 @@ class RampShape:
 
 def _log_normal_mass(x: FloatArray) -> FloatArray:
     """Logarithm of the standard normal distribution function (tanh form, error of the function 3e-4)."""
-    x = np.maximum(x, -8.0)
+    x = np.clip(x, -8.0, 8.0)
     argument: FloatArray = -2.0 * np.sqrt(2.0 / np.pi) * (x + 0.044715 * x**3)
     return np.asarray(-np.log1p(np.exp(argument)))
