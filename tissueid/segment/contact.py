@@ -28,7 +28,7 @@ START_DENSITY = 0.135
 #: ... or below this one (2.6 sd), where it may be a preload ...
 DOUBTFUL_START_DENSITY = 0.03
 #: ... and, where samples in air are few, where contact lies this many of its sd behind the start.
-FEW_AIR_SD = 3.0
+FEW_AIR_SD = 3.5
 #: A preload is believed where that density, with a load cell that was tared, is below this share.
 PRELOAD_DENSITY = 0.05
 #: ... and where contact all along would have raised the force by so many sd of its mean in air; more where
