@@ -13,7 +13,7 @@ from tissueid.segment.motion import SPEED_RATIO, Piece
 from tissueid.segment.options import SegmentOptions
 from tissueid.trial import Contact, Phase
 
-__all__ = ["Surface", "name_phases", "settled"]
+__all__ = ["Surface", "leaves_line", "name_phases", "settled"]
 
 FloatArray = NDArray[np.float64]
 
@@ -136,12 +136,12 @@ def _turns_round(
     took, moved = (float(time_s[piece.stop] - time_s[piece.start]) for piece in (stand, before))
     if took > max(LONGEST_CREST_S, HOLD_SHARE_OF_RAMP * moved):
         return False
-    leaves = _leaves_line(time_s, depth_mm, before, stand.start, tolerance_mm)
-    joins = _leaves_line(time_s, depth_mm, after, stand.stop, tolerance_mm)
+    leaves = leaves_line(time_s, depth_mm, before, stand.start, tolerance_mm)
+    joins = leaves_line(time_s, depth_mm, after, stand.stop, tolerance_mm)
     return took < STAND_SHARE_OF_TURN * float(time_s[joins] - time_s[leaves])
 
 
-def _leaves_line(time_s: FloatArray, depth_mm: FloatArray, move: Piece, end: int, tolerance_mm: float) -> int:
+def leaves_line(time_s: FloatArray, depth_mm: FloatArray, move: Piece, end: int, tolerance_mm: float) -> int:
     """How far towards a sample the path follows the straight line through the middle of a move."""
     count = move.stop - move.start
     middle = slice(move.start + count // 4, move.stop - count // 4 + 1)

@@ -18,7 +18,7 @@ from tissueid.segment.endings import aborts, ending_flags, held_from, load_limit
 from tissueid.segment.motion import Piece, displacement_tolerance, pieces
 from tissueid.segment.noise import white_noise_sd
 from tissueid.segment.options import SegmentOptions
-from tissueid.segment.phases import Surface, name_phases, settled
+from tissueid.segment.phases import Surface, leaves_line, name_phases, settled
 from tissueid.segment.rupture import rupture_flags, ruptures
 from tissueid.segment.signs import signs
 from tissueid.segment.spikes import without_spikes
@@ -30,6 +30,8 @@ FloatArray = NDArray[np.float64]
 
 #: Fewest samples with which there is anything to divide.
 FEWEST_SAMPLES = 5
+#: Share of a move that must follow its line for its end to be told from its stop.
+STRAIGHT_SHARE = 0.6
 #: Fewest different depths of a move that shows a contact.
 FEWEST_DEPTHS = 3
 #: Contact is lost where force falls to so many noise sd, or this share of its range, above that in air.
@@ -198,9 +200,21 @@ def _whole(path: _Path, found: list[Piece]) -> list[Piece]:
     least = max(LOST_SD * path.noise_N, LOST_SHARE * float(np.ptp(force)))
     met = [k for k, piece in enumerate(loading) if float(force[piece.stop] - force[piece.start]) > least]
     return [
-        replace(piece, stop=min([at for at in broken if piece.start < at <= piece.stop], default=piece.stop))
+        replace(
+            piece,
+            stop=min(
+                [_straight_until(path, piece), *(at for at in broken if piece.start < at <= piece.stop)]
+            ),
+        )
         for piece in loading[met[0] if met else 0 :]
     ]
+
+
+def _straight_until(path: _Path, move: Piece) -> int:
+    """The last sample of a move before it stops: force relaxes while it does, and tells no contact."""
+    end = leaves_line(path.time_s, path.depth_mm, move, move.stop, path.tolerance_mm)
+    # a move that is no straight line has no such sample
+    return end if end - move.start >= STRAIGHT_SHARE * (move.stop - move.start) else move.stop
 
 
 def _test_phase(depth: FloatArray, phases: tuple[Phase, ...], surface: Surface) -> int:
