@@ -32,6 +32,8 @@ FloatArray = NDArray[np.float64]
 FEWEST_SAMPLES = 5
 #: Share of a move that must follow its line for its end to be told from its stop.
 STRAIGHT_SHARE = 0.6
+#: Shorter moves can't spare a sample.
+FEWEST_STRAIGHT = 50
 #: Fewest different depths of a move that shows a contact.
 FEWEST_DEPTHS = 3
 #: Contact is lost where force falls to so many noise sd, or this share of its range, above that in air.
@@ -212,6 +214,8 @@ def _whole(path: _Path, found: list[Piece]) -> list[Piece]:
 
 def _straight_until(path: _Path, move: Piece) -> int:
     """The last sample of a move before it stops: force relaxes while it does, and tells no contact."""
+    if move.stop - move.start < FEWEST_STRAIGHT:
+        return move.stop
     end = leaves_line(path.time_s, path.depth_mm, move, move.stop, path.tolerance_mm)
     # a move that is no straight line has no such sample
     return end if end - move.start >= STRAIGHT_SHARE * (move.stop - move.start) else move.stop
