@@ -120,7 +120,8 @@ def reader_folder(tmp_path: Path, datasets: Path, monkeypatch: pytest.MonkeyPatc
 
 def test_readme_runs_as_printed(reader_folder: Path) -> None:
     commands = readme_commands()
-    assert [words[0] for words in commands] == ["inspect", "fit", "validate", "report", "export", "synth"]
+    named = ["inspect", "inspect", "study", "fit", "validate", "report", "export", "watch", "synth"]
+    assert [words[0] for words in commands] == named
     for words in commands:
         ended = run(*words)
         assert ended.code == 0, (words, ended.stderr)
