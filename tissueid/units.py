@@ -51,7 +51,7 @@ _SPELLINGS: Mapping[str, str] = MappingProxyType(
         "inches": "inch",
         "in": "inch",
         "lbs": "lb",
-        "gf": "gram_force",
+        "gf": "force_gram",
         "cm³": "cm**3",
         "%": "percent",
         "MM": "mm",
@@ -74,12 +74,10 @@ def bare_unit(text: str) -> str:
 
 @cache
 def _registry() -> Any:
-    """Pint's registry, with the one force that it lacks."""
+    """Pint's registry, made on first use."""
     import pint  # 0.3 s: only where a unit is not already the internal one
 
-    registry: Any = pint.UnitRegistry()
-    registry.define("gram_force = 9.80665e-3 newton")
-    return registry
+    return pint.UnitRegistry()
 
 
 @cache

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tissueid.cli.output import echo_json, note, output_options, progress_bar, write_output
+from tissueid.cli.output import echo_json, note, output_options, progress_bar, with_error, write_output
 from tissueid.cli.reading import read_in_order, read_options, reading_options, segment_options
 
 if TYPE_CHECKING:
@@ -163,7 +163,7 @@ def _print(one: dict[str, Any], *, verbose: int) -> None:
         click.echo(f"  {label:<11} {place}, {point['force_N']:.6g} {force}")
     contact = one["contact"]
     if contact is not None:
-        click.echo(f"  contact     {contact['displacement_mm']:.4f} ± {contact['sd_mm']:.4f} {length}")
+        click.echo(f"  contact     {with_error(contact['displacement_mm'], contact['sd_mm'])} {length}")
     _print_phases(one, length, few=None if verbose else FEW_PHASES)
     _print_corners(one, length, few=None if verbose else FEW_CORNERS)
     _print_cycles(one, few=None if verbose else FEW_CYCLES)
