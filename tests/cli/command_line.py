@@ -6,6 +6,7 @@ import contextlib
 import io
 import json
 import os
+import signal
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -44,7 +45,12 @@ def run(*args: str | Path) -> Ended:
 
 
 def start(*args: str | Path, **options: Any) -> subprocess.Popen[str]:
-    """``python -m tissueid ARGS`` in a process of its own."""
+    """``python -m tissueid ARGS`` in a process of its own, which Ctrl-C reaches.
+
+    A shell starts jobs in the background with SIGINT ignored, and every child would inherit that.
+    """
+    if sys.platform != "win32":
+        options.setdefault("preexec_fn", lambda: signal.signal(signal.SIGINT, signal.SIG_DFL))
     return subprocess.Popen(
         [sys.executable, "-m", "tissueid", *map(str, args)],
         stdout=subprocess.PIPE,

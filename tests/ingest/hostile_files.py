@@ -35,16 +35,24 @@ class Verdict:
 
 
 _CHILD = """
-import json, resource, sys, time
+import json, pathlib, re, resource, sys, time
 resource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[1]),) * 2)
 from tissueid.errors import InputError
 from tissueid.ingest import read_each
+
+def peak_bytes():
+    # ru_maxrss begins with what the parent had when it made this process; VmHWM is of this program alone
+    status = pathlib.Path("/proc/self/status")
+    if status.exists():
+        return int(re.search(r"VmHWM:\\s*(\\d+) kB", status.read_text())[1]) * 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+
 for path in sys.argv[2:]:
     start = time.perf_counter()
     items = list(read_each(path))
     codes = [item.code if isinstance(item, InputError) else "read" for item in items]
     said = [str(item) if isinstance(item, InputError) else "" for item in items]
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    peak = peak_bytes()
     print(json.dumps([path, codes, said, time.perf_counter() - start, peak]), flush=True)
 """
 

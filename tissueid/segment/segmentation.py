@@ -32,7 +32,7 @@ FloatArray = NDArray[np.float64]
 FEWEST_SAMPLES = 5
 #: Share of a move that must follow its line for its end to be told from its stop.
 STRAIGHT_SHARE = 0.6
-#: Shorter moves can't spare a sample.
+#: Shorter moves can't spare a sample on which the force still rises.
 FEWEST_STRAIGHT = 50
 #: Fewest different depths of a move that shows a contact.
 FEWEST_DEPTHS = 3
@@ -214,9 +214,9 @@ def _whole(path: _Path, found: list[Piece]) -> list[Piece]:
 
 def _straight_until(path: _Path, move: Piece) -> int:
     """The last sample of a move before it stops: force relaxes while it does, and tells no contact."""
-    if move.stop - move.start < FEWEST_STRAIGHT:
-        return move.stop
     end = leaves_line(path.time_s, path.depth_mm, move, move.stop, path.tolerance_mm)
+    if move.stop - move.start < FEWEST_STRAIGHT and path.force_N[move.stop] >= path.force_N[end]:
+        return move.stop
     # a move that is no straight line has no such sample
     return end if end - move.start >= STRAIGHT_SHARE * (move.stop - move.start) else move.stop
 
