@@ -186,9 +186,11 @@ def _print_phases(one: dict[str, Any], length: str, *, few: int | None) -> None:
 
 
 def _print_corners(one: dict[str, Any], length: str, *, few: int | None) -> None:
+    from tissueid.report.event_words import event_words, took
+
     corners = one["corners"]
     for corner in corners[:few]:
-        line = f"  stop        at {corner['time_s']:.6g} s, took {corner['duration_s']:.2g} s"
+        line = f"  stop        at {corner['time_s']:.6g} s, {took(corner['duration_s'])}"
         if corner["overshoot_mm"] > 0.0:
             line += f", overshoot {corner['overshoot_mm']:.2g} {length}"
         if corner["ringing_swings"] > 1:
@@ -197,8 +199,8 @@ def _print_corners(one: dict[str, Any], length: str, *, few: int | None) -> None
     if few is not None and len(corners) > few:
         click.echo(f"  ... and {len(corners) - few} more stops (-v prints them)")
     for event in one["events"]:
-        values = ", ".join(f"{key} {value:.4g}" for key, value in event["values"].items())
-        click.echo(f"  {event['kind'].replace('_', ' '):<11} at {event['time_s']:.6g} s: {values}")
+        words = event_words(event["values"], one["units"])
+        click.echo(f"  {event['kind'].replace('_', ' '):<11} at {event['time_s']:.6g} s: {words}")
 
 
 def _print_cycles(one: dict[str, Any], *, few: int | None) -> None:

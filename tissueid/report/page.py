@@ -13,6 +13,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from tissueid.report.event_words import event_words, took
 from tissueid.report.figures import curve_payload
 from tissueid.report.quoted_words import cycle_table, quoted_tables
 from tissueid.report.remarks import remarks, trial_label
@@ -49,6 +50,8 @@ def page_environment() -> Environment:
     environment.filters["rounded_to"] = rounded_to
     environment.filters["unit"] = unit_words
     environment.filters["in_units"] = in_units
+    environment.filters["event_words"] = event_words
+    environment.filters["took"] = took
     environment.globals["with_error"] = with_error
     environment.globals["parameter_words"] = parameter_words
     environment.globals["trial_label"] = trial_label
