@@ -226,7 +226,7 @@ def rupture_flags(events: list[Event]) -> list[Flag]:
     values = first.values
     more = "" if len(events) == 1 else f", the first of {len(events)}"
     message = (
-        f"force falls by {values['drop_N']:.3g} N ({100 * values['drop_fraction']:.0f} %) at "
+        f"force falls by {values['drop_N']:.4g} N ({100 * values['drop_fraction']:.0f} %) at "
         f"{first.time_s:.4g} s, {values['depth_mm']:.3g} mm deep, while the tool moves on{more}; samples "
         "from there on are not fitted"
     )
