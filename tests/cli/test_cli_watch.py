@@ -287,6 +287,20 @@ def test_no_hold_is_said() -> None:
     assert found["tau"]["why"] == "no hold: no relaxation time from this test"
 
 
+def test_a_hold_after_a_rupture_is_not_called_absent() -> None:
+    whole = ramp_hold()
+    # at 4 mm, 2 mm/s, 1 s before the hold, three fifths of the force are lost for good
+    force = np.where(whole.displacement_mm > 4.0, 0.4, 1.0) * whole.force_N
+    found = judge(Trial("kidney", whole.time_s, whole.displacement_mm, force), fit=False)
+    assert "rupture" in {flag["code"] for flag in found["flags"]}
+    # the corner is seen to a few samples of 10 ms
+    assert found["hold_s"] == pytest.approx(10.0, abs=0.1)
+    assert found["tau"]["why"] == (
+        f"the hold of {found['hold_s']:.4g} s follows the rupture and is not used: "
+        "no relaxation time from this test"
+    )
+
+
 def test_a_clipped_test_is_to_be_repeated_and_says_how() -> None:
     from tissueid.ingest.quality import quality_flags
 

@@ -7,6 +7,7 @@ import json
 import re
 import tomllib
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from tissueid.cli.main import main
 from tissueid.flags import Flag
 from tissueid.inspection import describe_segmented
 from tissueid.report import inspected_recording, render_inspection
-from tissueid.report.inspect_decisions import decisions, toml_string
+from tissueid.report.inspect_decisions import UNIT_TO_WRITE, decisions, toml_string
 from tissueid.report.inspect_page import MOST_DRAWN, InspectedRecording
 from tissueid.report.inspect_payload import drawn_recording, kept_samples
 from tissueid.result import Refusal
@@ -148,6 +149,46 @@ def test_the_entry_of_the_contact_point_gives_that_contact_point_back() -> None:
     assert table["contact_sd_mm"] > 0.0
 
 
+@pytest.mark.parametrize(
+    ("sd_mm", "place", "sd"),
+    [
+        (4.83e-6, "0.1461059", 4.8e-6),
+        (0.0123, "0.146", 0.012),
+        (0.31, "0.15", 0.31),
+        (4.2, "0.1", 4.2),
+        # the smallest sd of an entry where the record has none: 0.1 um
+        (0.0, "0.1461", 1e-4),
+    ],
+)
+def test_the_entry_of_the_contact_point_has_the_digits_that_its_sd_has(
+    sd_mm: float, place: str, sd: float
+) -> None:
+    document = dict(recording(ramp_hold()).document)
+    document["contact"] = {**document["contact"], "displacement_mm": 0.14610592799, "sd_mm": sd_mm}
+    (entry,) = [one for one in decisions(document, file="run.csv") if one.key == "contact"]
+    assert f"contact_mm = {place}\n" in entry.toml
+    (table,) = tomllib.loads(entry.toml)["override"]
+    assert table["contact_sd_mm"] == pytest.approx(sd, rel=1e-12)  # rounding of the last bit
+
+
+def test_units_that_the_file_states_are_never_prefilled_and_refused_until_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    time_s = np.linspace(0.0, 10.0, 400)
+    height_m = np.minimum(time_s, 5.0) * 1e-3
+    force = np.maximum(height_m - 1e-3, 0.0) * 2e3
+    rows = [f"{t:.6f},{x:.9f},{f:.6f}" for t, x, f in zip(time_s, height_m, force, strict=True)]
+    (tmp_path / "run.csv").write_text("\n".join(["time_s,height_m,force_N", *rows, ""]), encoding="ascii")
+    document = inspect(capsys, tmp_path)
+    (entry,) = [one for one in decisions(document, file="run.csv") if one.key == "units"]
+    manifest = tmp_path / "study.toml"
+    manifest.write_text(f'schema = "tissueid/study/1"\n{entry.toml}\n', encoding="utf-8")
+    assert main(["inspect", str(tmp_path), "--json"]) == 3
+    assert UNIT_TO_WRITE in capsys.readouterr().err
+    ((table,),) = tomllib.loads(entry.toml).values()
+    assert set(table["units"].values()) == {UNIT_TO_WRITE}
+
+
 def test_pasted_entries_change_the_decisions(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     source = (
         Path(__file__).resolve().parents[2] / "datasets_synthetic" / "paper-a-hold-100Hz" / "hold-8-1.csv"
@@ -164,6 +205,8 @@ def test_pasted_entries_change_the_decisions(tmp_path: Path, capsys: pytest.Capt
         ((key, (table,)),) = entry.items()
         if key == "override" and "contact_mm" in table:
             table["contact_mm"] = 0.75
+        if key == "override" and "units" in table:
+            table["units"] = {"displacement": "mm"}
         text = "\n".join([f"[[{key}]]", *(f"{name} = {toml(value)}" for name, value in table.items())])
         (log.parent / "study.toml").write_text(f'schema = "tissueid/study/1"\n{text}\n', encoding="utf-8")
         after = inspect(capsys, log.parent)
@@ -234,6 +277,14 @@ def test_the_most_doubtful_recording_stands_first() -> None:
     assert re.findall(r'<tr data-row="(.*?)" data-level="(\d)"', html) == [
         ("recording-3", "3"), ("recording-2", "2"), ("recording-1", "0"),
     ]  # fmt: skip
+
+
+def test_the_index_marks_what_is_excluded() -> None:
+    documents = [dict(one.document) for one in several()]
+    documents[0]["excluded"] = "it slipped"
+    shown = [replace(one, document=d) for one, d in zip(several(), documents, strict=True)]
+    rows = re.findall(r'<tr data-row="(.*?)"(.*?)</tr>', render_inspection(shown), flags=re.DOTALL)
+    assert [name for name, row in rows if "excluded" in row] == ["recording-1"]
 
 
 def test_names_are_escaped_and_refusals_are_told() -> None:
@@ -346,11 +397,11 @@ def test_an_entry_is_copied_by_key_and_a_click_moves_the_contact(browser: Any, t
     traces(tab, "depth")
     tab.evaluate(
         """() => { const box = document.querySelector('[data-figure=depth]');
-                   box.emit('plotly_click', {points: [{x: 1.23456}]}); }"""
+                   box.emit('plotly_click', {points: [{x: 0.1461059279}]}); }"""
     )
     entry = tab.locator("#recording-1-contact")
     assert entry.is_visible()
-    assert tomllib.loads(entry.input_value())["override"][0]["contact_mm"] == 1.2346
+    assert tomllib.loads(entry.input_value())["override"][0]["contact_mm"] == 0.1461059
     button = tab.locator('button[data-copy="recording-1-contact"]')
     button.focus()
     tab.keyboard.press("Enter")

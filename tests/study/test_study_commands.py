@@ -156,6 +156,29 @@ def test_excluding_and_including_again_leaves_the_file_as_it_was(tmp_path: Path,
     assert path.read_bytes().decode().rstrip() == text.rstrip()
 
 
+def test_a_misspelt_recording_is_told_with_the_nearest_names(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = lab(tmp_path / "lab", "", kidney_1=1.0)
+    assert main(["study", "exclude", str(folder / "kidny_1.csv"), "--because", "x"]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "no such recording" in said
+    assert "did you mean kidney_1.csv?" in said
+    # where there is no study file, that is said
+    (folder / "study.toml").unlink()
+    assert main(["study", "exclude", str(folder / "kidny_1.csv"), "--because", "x"]) == 2
+    assert "there is no study.toml" in capsys.readouterr().err
+
+
+def test_a_reason_that_is_replaced_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = lab(tmp_path, "", a=1.0) / "a.csv"
+    for because, told in (("slipped", ""), ("slipped", ""), ("thawed", "because: slipped")):
+        assert main(["study", "exclude", str(file), "--because", because, "-q"]) == 0
+        said = capsys.readouterr().err
+        assert said == "" if not told else told in said
+    assert [one.values["because"] for one in read_study(tmp_path).exclusions] == ["thawed"]
+
+
 def test_a_sheet_is_excluded_by_its_name_and_seen_from_anywhere(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -32,6 +32,20 @@ def test_trials_of_one_specimen_are_fitted_together_and_the_others_stay_apart(tm
     assert main(["validate", str(tmp_path / "out")]) == 0
 
 
+def test_a_pattern_for_specimens_that_the_study_names_is_told_to_have_no_effect(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    entry = "[[trial]]\nfile = 'a.csv'\nspecimen = 'liver'\n"
+    folder = lab(tmp_path / "lab", entry, a=1.0, b_1=1.0)
+    code, document = fit(folder, "--specimen-by", r"(b)_\d", out=tmp_path / "out")
+    assert code == 0
+    assert {one["specimen"] for one in document["specimens"]} == {"liver", "b"}
+    said = " ".join(capsys.readouterr().err.split())
+    assert "study.toml names the specimen of 1 recording: --specimen-by does not apply there" in said
+    assert "fits no recording" not in said
+    assert "its own specimen" not in said
+
+
 def test_only_listed_reads_nothing_else(tmp_path: Path) -> None:
     folder = lab(tmp_path / "lab", f"[study]\nonly_listed = true\n{GROUPED}", a1=1.0, b=1.5)
     _, document = fit(folder, out=tmp_path / "out")

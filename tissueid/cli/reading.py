@@ -207,7 +207,7 @@ def _read(
     from tissueid.result import Refusal
     from tissueid.study.recordings import read_decided
 
-    by_pattern = _PatternCheck(options.specimen_by)
+    by_pattern = _PatternCheck(options.specimen_by, study)
     for one in found:
         if isinstance(one, Refusal):
             yield one
@@ -226,15 +226,21 @@ def _read(
 
 
 class _PatternCheck:
-    """Whether ``--specimen-by`` named the specimens it was given for."""
+    """Whether ``--specimen-by`` named the specimens it was given for; what a study names is not its own."""
 
-    def __init__(self, pattern: str | None) -> None:
+    def __init__(self, pattern: str | None, study: Study | None) -> None:
         self._pattern = pattern
+        self._study = study
+        self._stated = 0
         self._named = 0
         self._missed: list[str] = []
 
     def add(self, trial: Trial) -> None:
         if self._pattern is None:
+            return
+        source = trial.source
+        if self._study is not None and "specimen" in self._study.decision(source.path, source.sheet).trial:
+            self._stated += 1
             return
         name = (
             trial.source.path if trial.source.sheet is None else f"{trial.source.path}::{trial.source.sheet}"
@@ -246,10 +252,14 @@ class _PatternCheck:
 
     def say(self) -> None:
         """Refuse a pattern that fits nothing; name what one that fits some leaves by itself."""
+        if self._study is not None and self._stated:
+            count = "1 recording" if self._stated == 1 else f"{self._stated} recordings"
+            message = f"{self._study.path} names the specimen of {count}: --specimen-by does not apply there"
+            click.secho(f"note: {message}", fg="yellow", err=True)
         if not self._missed:
             return
         shown = ", ".join(self._missed[:FEW_NAMES]) + (" ..." if len(self._missed) > FEW_NAMES else "")
-        if self._named == 0:
+        if self._named == 0 and not self._stated:
             msg = f"--specimen-by {self._pattern!r} fits no recording: it was tried on {shown}"
             raise UsageError(msg)
         message = f"--specimen-by {self._pattern!r} does not fit {shown}: each is its own specimen"

@@ -152,7 +152,9 @@ def exclude(**flags: Any) -> int:
     from tissueid.study.exclusions import exclude, find_manifest
 
     manifest = find_manifest(flags["trial"], flags["study"])
-    named = exclude(flags["trial"], flags["because"], manifest=manifest)
+    named, replaced = exclude(flags["trial"], flags["because"], manifest=manifest)
+    if replaced not in {None, flags["because"]}:
+        click.secho(f"note: {named} was excluded already, because: {replaced}", fg="yellow", err=True)
     return _changed(manifest, named, flags, f"{named} is excluded in {manifest}: {flags['because']}")
 
 

@@ -1,6 +1,7 @@
 """Every decision on a recording, and the lines of study.toml that would change it.
 
 Each entry is whole: pasted into study.toml as it stands it parses, names the recording and asks for a reason.
+Units alone must be filled in first: the unit of a column is not known here, and a wrong one would rescale it.
 """
 
 from __future__ import annotations
@@ -15,11 +16,13 @@ from tissueid.report.wording import number, with_error
 __all__ = ["Decision", "decisions", "toml_string", "toml_value"]
 
 BECAUSE = "say why"
-#: Decimals of a displacement in an entry: 0.1 um.
+#: Decimals of a displacement without a standard deviation in an entry: 0.1 um.
 _PLACES_MM = 4
 _OPPOSITE = {1: "negative", -1: "positive"}
 _SIGN = {1: "positive", -1: "negative"}
-_INTERNAL = {"time": "s", "displacement": "mm", "force": "N"}
+_CHANNELS = ("time", "displacement", "force")
+#: Stands for a unit that the user must write; study.toml is refused as long as it stands there.
+UNIT_TO_WRITE = "unit?"
 #: A minimum this much longer than the shortest hold leaves that one out.
 _JUST_LONGER = 1.05
 #: Key of an override -> the decision it takes.
@@ -151,7 +154,7 @@ def _flag(recording: Mapping[str, Any], code: str) -> Mapping[str, Any] | None:
 
 
 def _columns(recording: Mapping[str, Any], override: Any) -> Decision:
-    columns = {key: recording["columns"][key] for key in _INTERNAL if key in recording["columns"]}
+    columns = {key: recording["columns"][key] for key in _CHANNELS if key in recording["columns"]}
     taken = ", ".join(f"{key} = {name}" for key, name in columns.items())
     choices = [flag for flag in recording["flags"] if flag["code"] == "column_choice"]
     for flag in choices:
@@ -174,8 +177,12 @@ def _units(recording: Mapping[str, Any], override: Any) -> Decision:
     if assumed:
         taken = f"no unit in the file for {', '.join(assumed)}: taken as they stand; shown here in {inside}"
     else:
-        taken = f"as the file states them; shown here in {inside}"
-    return Decision("units", "Units", taken, override(units=assumed or _INTERNAL))
+        taken = (
+            f"as the file states them; shown here in {inside}; write the unit of each column in place of"
+            f" {UNIT_TO_WRITE}, and leave out those that are right"
+        )
+    entry = override(units=assumed or dict.fromkeys(_CHANNELS, UNIT_TO_WRITE))
+    return Decision("units", "Units", taken, entry)
 
 
 def _signs(recording: Mapping[str, Any], override: Any) -> list[Decision]:
@@ -203,11 +210,17 @@ def _contact(recording: Mapping[str, Any], override: Any) -> Decision:
         return Decision(
             "contact", "Contact point", taken, override(contact_mm=place, contact_sd_mm=0.05), "contact_mm"
         )
-    place, sd = (round(contact[key], _PLACES_MM) for key in ("displacement_mm", "sd_mm"))
+    places = _places(contact["sd_mm"])
+    place, sd = (round(contact[key], places) for key in ("displacement_mm", "sd_mm"))
     how = "seen in the record" if contact["in_record"] else "extrapolated: the record starts in contact"
     taken = f"{with_error(place, sd)} mm as recorded, {how}; click into the lower picture to move it"
-    entry = override(contact_mm=place, contact_sd_mm=max(sd, 10.0**-_PLACES_MM))
+    entry = override(contact_mm=place, contact_sd_mm=max(sd, 10.0**-places))
     return Decision("contact", "Contact point", taken, entry, "contact_mm")
+
+
+def _places(sd: float) -> int:
+    """Decimals that show a standard deviation with two digits."""
+    return 1 - math.floor(math.log10(sd)) if sd > 0.0 else _PLACES_MM
 
 
 def _hold(recording: Mapping[str, Any], override: Any) -> Decision:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,7 @@ def find_manifest(trial: str, named: str | None = None) -> Path:
         path = Path(named)
         return path / MANIFEST if path.is_dir() else path
     file = Path(_split(trial)[0]).absolute()
-    for folder in (*(file.parents if file.exists() else ()), Path.cwd()):
+    for folder in (*(file.parents if file.exists() else ()), Path.cwd(), *file.parents):
         if (folder / MANIFEST).is_file():
             return folder / MANIFEST
     msg = (
@@ -57,8 +58,19 @@ def _located(trial: str, manifest: Path) -> tuple[str, str | None]:
         if file.is_file():
             relative = os.path.relpath(os.path.realpath(file), os.path.realpath(manifest.parent))
             return Path(relative).as_posix(), sheet
-    msg = f"{name}: there is no such recording, here or beside {manifest}"
+    beside = sorted({*_names(Path(name).parent), *_names(manifest.parent)})
+    near = get_close_matches(Path(name).name, beside, n=2)
+    hint = f"; did you mean {' or '.join(near)}?" if near else ""
+    msg = f"{name}: there is no such recording, here or beside {manifest}{hint}"
     raise UsageError(msg)
+
+
+def _names(folder: Path) -> list[str]:
+    """Files of a folder but for the manifest; none where it can't be listed."""
+    try:
+        return [file.name for file in folder.iterdir() if file.is_file() and file.name != MANIFEST]
+    except OSError:
+        return []
 
 
 def _document(manifest: Path) -> tuple[Study, tomlkit.TOMLDocument, bool]:
@@ -80,7 +92,7 @@ def _same(document: tomlkit.TOMLDocument, file: str, sheet: str | None) -> Itera
             yield entry
 
 
-def exclude(trial: str, because: str, *, manifest: Path) -> str:
+def exclude(trial: str, because: str, *, manifest: Path) -> tuple[str, str | None]:
     """Add ``[[exclude]]`` for a recording, or change its reason.
 
     Parameters
@@ -93,8 +105,10 @@ def exclude(trial: str, because: str, *, manifest: Path) -> str:
 
     Returns
     -------
-    str
+    named : str
         The recording as the manifest names it.
+    replaced : str or None
+        The reason that stood there before.
 
     Raises
     ------
@@ -109,6 +123,7 @@ def exclude(trial: str, because: str, *, manifest: Path) -> str:
     file, sheet = _located(trial, manifest)
     _, document, crlf = _document(manifest)
     known = next(_same(document, file, sheet), None)
+    replaced = None if known is None else str(known["because"])
     if known is not None:
         known["because"] = because
     else:
@@ -124,11 +139,16 @@ def exclude(trial: str, because: str, *, manifest: Path) -> str:
         tables: Any = document["exclude"]
         tables.append(entry if isinstance(tables, tomlkit.items.AoT) else entry.unwrap())
     _write(manifest, document, crlf=crlf)
-    return file if sheet is None else f"{file}::{sheet}"
+    return (file if sheet is None else f"{file}::{sheet}"), replaced
 
 
 def include(trial: str, *, manifest: Path) -> str:
     """Take a recording's ``[[exclude]]`` out again; its parameters are those of :func:`exclude`.
+
+    Returns
+    -------
+    str
+        The recording as the manifest names it.
 
     Raises
     ------

@@ -96,7 +96,7 @@ def judge(
     rows = relaxation_rows(trial, divided)
     found = _nothing(trial.source.path, trial.source.sheet, trial.specimen) | {
         "digest": samples_digest(trial),
-        "tau": _tau(trial, rows),
+        "tau": _tau(trial, divided, rows),
         "fit": _quick_fit(trial, options) if fit and divided.contact is not None else None,
         "flags": [flag.as_json() for flag in (*flags, *(flag for row in rows for flag in row.flags))],
         **_numbers(trial, divided),
@@ -143,11 +143,11 @@ def _ramp(depth: FloatArray, force: FloatArray) -> dict[str, list[float]] | None
     return {"depth_mm": mean_depth.tolist(), "force_N": mean_force.tolist()}
 
 
-def _tau(trial: Trial, rows: Sequence[RelaxationRow]) -> Verdict:
+def _tau(trial: Trial, divided: Segmentation, rows: Sequence[RelaxationRow]) -> Verdict:
     """Whether the longest hold times a relaxation, and what would."""
     none: Verdict = {"value_s": None, "window_s": None, "resolvable": False, "advice": None}
     if not rows:
-        return none | {"why": "no hold: no relaxation time from this test"}
+        return none | {"why": f"{_unused_hold(divided)}: no relaxation time from this test"}
     row = max(rows, key=lambda one: one.window_s[1] - one.window_s[0])
     window = row.window_s[1] - row.window_s[0]
     if row.tau_single_s is None:
@@ -172,6 +172,20 @@ def _tau(trial: Trial, rows: Sequence[RelaxationRow]) -> Verdict:
         }
     doubt = "one exponential does not describe the hold; quote tau with its window"
     return found | {"resolvable": True, "why": doubt if codes else None}
+
+
+def _unused_hold(divided: Segmentation) -> str:
+    """Why no hold times a relaxation."""
+    holds = divided.of_kind("hold")
+    if not holds:
+        return "no hold"
+    longest = max(holds, key=lambda hold: hold.end_s - hold.start_s)
+    broken = min((one.time_s for one in divided.events if one.kind == "rupture"), default=None)
+    length = f"{longest.end_s - longest.start_s:.4g} s"
+    if broken is None or broken > longest.end_s:
+        return f"the hold of {length} can't be used"
+    where = "follows the rupture" if broken <= longest.start_s else "ends in a rupture"
+    return f"the hold of {length} {where} and is not used"
 
 
 def _quick_fit(trial: Trial, options: SegmentOptions) -> Verdict | None:

@@ -100,7 +100,7 @@
     const entry = document.querySelector(`textarea[data-adjust="${wanted}"][id^="${box.dataset.recording}-"]`);
     if (!entry) return;
     entry.closest("details").open = true;
-    entry.value = entry.value.replace(new RegExp(`^${wanted} = .*$`, "m"), `${wanted} = ${Number(point.x.toFixed(4))}`);
+    entry.value = entry.value.replace(new RegExp(`^${wanted} = .*$`, "m"), `${wanted} = ${Number(point.x.toPrecision(7))}`);
     say(`${wanted} set to ${number(point.x)}`);
   };
 
