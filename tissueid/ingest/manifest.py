@@ -36,6 +36,21 @@ SCHEMA = "tissueid/study/1"
 UNSTATED_FRAME_SD = 0.10
 _SYNTAX_PLACE = re.compile(r" \(at (?:line (\d+), column (\d+)|end of document)\)$")
 _READING = ("columns", "units", "axes")
+#: What the validator says -> plain words; the first pattern that fits.
+_PLAIN = (
+    (re.compile(r"^'(\w+)' is a required property$"), r"\1 is missing"),
+    (re.compile(r"^'(\w+)' is a dependency of '(\w+)'$"), r"\2 needs \1 beside it"),
+    (re.compile(r"^(.*) is not of type 'string'$", re.DOTALL), r"\1 must be text in quotes"),
+    (re.compile(r"^(.*) is not of type 'number'$", re.DOTALL), r"\1 must be a number"),
+    (re.compile(r"^(.*) is not of type 'integer'$", re.DOTALL), r"\1 must be a whole number"),
+    (re.compile(r"^(.*) is not of type 'boolean'$", re.DOTALL), r"\1 must be true or false, without quotes"),
+    (
+        re.compile(r"^(.*) is not of type 'array'$", re.DOTALL),
+        r"\1 must be a list; a table is written [[name]]",
+    ),
+    (re.compile(r"^(.*) is not of type 'object'$", re.DOTALL), r"\1 must be a table"),
+    (re.compile(r"^'' should be non-empty$"), "it is empty"),
+)
 
 
 class _Refuser:
@@ -206,11 +221,30 @@ def _check_schema(document: Mapping[str, Any], refuser: _Refuser) -> None:
     if not where and "schema" not in document:
         refuser.refuse((), f'the first line must be: schema = "{SCHEMA}"')
     known = _properties(str(where[0])) if where and where[0] in load_schema("study")["$defs"] else {}
-    meaning = known.get(str(where[-1]), {}).get("description") if where else None
-    hint = f". {where[-1]}: {meaning}" if meaning else ""
+    said = _in_words(problem.message)
+    key = (
+        said.removesuffix(" is missing") if said.endswith(" is missing") else str(where[-1]) if where else ""
+    )
+    meaning = known.get(key, {}).get("description")
+    hint = f". {key}: {meaning}" if meaning else ""
     if not where or where[-1] == "calibration":
         hint = ". frame and frame_stiffness_N_per_mm exclude each other; an _sd needs its value beside it"
-    refuser.refuse(where, f"{'.'.join(map(str, where)) or 'the file'}: {problem.message}{hint}")
+    refuser.refuse(where, f"{_place(where)}: {said}{hint}")
+
+
+def _in_words(message: str) -> str:
+    """What the validator says, in the words of a study file."""
+    return next((form.sub(words, message) for form, words in _PLAIN if form.match(message)), message)
+
+
+def _place(where: TomlPath) -> str:
+    """``("override", 0, "units")`` as ``[[override]] 1, units``."""
+    if not where:
+        return "the file"
+    name, *rest = where
+    if rest and isinstance(rest[0], int):
+        return ", ".join([f"[[{name}]] {rest[0] + 1}", *(str(part) for part in rest[1:])])
+    return " ".join([f"[{name}]", *(str(part) for part in rest)]) if rest else str(name)
 
 
 def _check_names(document: Mapping[str, Any], refuser: _Refuser) -> None:
