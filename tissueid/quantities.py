@@ -66,20 +66,20 @@ class CycleRow:
     kind : str
         ``cycle``, ``ramp-retract``, or ``ramp-hold-retract`` (its area includes what relaxed in the hold).
     start_s, peak_s, end_s : float
-        Recorded times of its start, of the deepest sample and of its end.
+        Recorded times of its start, of the end of its loading and of its end.
     floor_mm : float
         Depth from which the loop is closed: the shallowest that loading and unloading both reach.
     peak_depth_mm : float
         Below the contact point.
     peak_force_N : Measure
-        Force at the deepest point, from a quadratic in depth over the end of loading: the largest single
+        Force at the end of loading, from a quadratic in depth over the end of loading: the largest single
         sample is biased by noise.
     loading_work_mJ, dissipated_mJ : Measure
         Work of loading, and area of the closed loop [mJ = N mm].
     hysteresis : Measure
         Area over work of loading.
     secant_N_per_mm, tangent_N_per_mm : Measure
-        At the deepest point: force over depth, and slope of loading.
+        At the end of loading: force over depth, and slope of loading.
     residual_depth_mm : Measure
         Depth at which unloading falls to 1 % of the peak force (or three sd of the noise, if larger).
     viscosity_N_s_per_mm : Measure

@@ -351,7 +351,7 @@ class Segmentation:
         Standard deviation of the force noise [N], from successive differences.
     flags : tuple of Flag
     corners : tuple of Corner
-        One for each ramp that another phase follows, in time order.
+        One for each ramp that stops or turns, in time order.
     events : tuple of Event
         In time order.
     test : int

@@ -203,3 +203,71 @@ def test_residual_depth_is_where_the_force_has_gone():
     (row,) = cycle_rows(trial, segmentation)
     # 1 % of the 40 N peak is reached 0.02 mm above 2 mm
     assert row.residual_depth_mm.value == pytest.approx(2.02, abs=0.011)
+
+
+def test_the_peak_of_a_held_loop_is_the_end_of_its_ramp_whatever_noise_does_in_the_hold():
+    # 3 mm within 1.5 s, then a hold in which the force falls to a third while the depth jitters
+    rate, level, loaded = 100.0, 3.0, 150
+    time = np.arange(loaded + 2001 + loaded) / rate
+    x = np.interp(time, [0.0, 1.5, 21.5, 23.0], [0.0, level, level, 0.0])
+    since = np.clip(time - 1.5, 0.0, 20.0)
+    elastic = 2.0 * x
+    force = elastic * (1.0 + 2.0 * np.exp(-since / 1.5)) / 3.0
+    x = x + 5e-4 * np.random.default_rng(11).standard_normal(x.size)
+    turns, kinds = [0, loaded, loaded + 2000, time.size - 1], ["ramp", "hold", "retract"]
+    assert loaded < int(np.argmax(x)) < loaded + 2000
+    (row,) = cycle_rows(*recording(time, x, force, turns, kinds, noise=0.01, seed=12))
+    assert row.kind == "ramp-hold-retract"
+    assert row.peak_s == pytest.approx(1.5)
+    # two per cent: a parabola through a dozen samples of 0.01 N and 0.5 um
+    assert row.peak_force_N.value == pytest.approx(6.0, rel=0.02)
+    assert row.secant_N_per_mm.value == pytest.approx(2.0, rel=0.02)
+    assert row.tangent_N_per_mm.value == pytest.approx(2.0, rel=0.1)
+    assert row.viscosity_N_s_per_mm.value is None
+
+
+def test_a_hold_before_the_ramp_lies_outside_the_loop():
+    x = np.concatenate([np.full(200, 0.5), np.linspace(0.5, 4.0, 351), np.linspace(4.0, 0.5, 351)[1:]])
+    turns, kinds = [0, 200, 550, x.size - 1], ["hold", "ramp", "retract"]
+    (row,) = cycle_rows(*recording(np.arange(x.size) / 100.0, x, SLOPE * x, turns, kinds))
+    assert row.kind == "ramp-retract"
+
+
+def test_preconditioning_has_its_loops_though_contact_is_that_of_the_test():
+    _, x, _ = triangle(depth=2.0, loops_=3)
+    turns = [0, 1000, 2000, 3000]
+    rest, ramp = np.zeros(500), np.linspace(0.0, 4.0, 501)
+    depth = np.concatenate([x, rest, ramp, np.full(1000, 4.0)])
+    clock = np.arange(depth.size) / 500.0
+    ends = [*turns, 3500, 4000, depth.size - 1]
+    kinds = ["cycle", "cycle", "cycle", "hold", "ramp", "hold"]
+    made = recording(clock, depth, SLOPE * depth, ends, kinds, noise=0.01, seed=4)
+    trial, segmentation = made
+    late = replace(segmentation.contact, index=3510)
+    rows = cycle_rows(trial, replace(segmentation, contact=late))
+    assert [row.kind for row in rows] == ["cycle"] * 3
+    assert [row.peak_s for row in rows] == pytest.approx([1.0, 3.0, 5.0])
+    # 0.01 N through a parabola over the last tenth of a millimetre
+    assert [row.peak_force_N.value for row in rows] == pytest.approx([SLOPE * 2.0] * 3, abs=0.05)
+    # the same moves in air, a force of noise alone, are no loops
+    quiet = np.where(np.arange(depth.size) < 3500, 0.0, SLOPE * depth)
+    trial, segmentation = recording(clock, depth, quiet, ends, kinds, noise=0.01, seed=4)
+    assert cycle_rows(trial, replace(segmentation, contact=late)) == ()
+
+
+def test_model_viscosity_of_preconditioning_starts_before_its_first_loop():
+    # the same loop twice: alone with its own contact, and before the contact of a later test
+    _, x, turns = triangle(speed=20.0, rate=5000.0)
+    model, theta = tissue()
+    depth = np.concatenate([x, np.zeros(2000), np.linspace(0.0, 4.0, 1001), np.full(500, 4.0)])
+    clock = np.arange(depth.size) / 5000.0
+    stepper = model.stepper(theta)
+    force = np.array([stepper.step(depth[0], 0.0)] + [stepper.step(v, 1 / 5000.0) for v in depth[1:]])
+    ends = [*turns, x.size + 2000, x.size + 3000, depth.size - 1]
+    made = recording(clock, depth, force, ends, ["cycle", "hold", "ramp", "hold"])
+    trial, segmentation = made
+    late = replace(segmentation, contact=replace(segmentation.contact, index=x.size + 2010))
+    rows = cycle_rows(trial, late)
+    (row,) = with_model_viscosity(trial, late, rows, model, theta, Adjustment())
+    # interpolation over 13 factors
+    assert row.viscosity_model_N_s_per_mm.value == pytest.approx(STIFFNESS * TAU_S, rel=5e-3)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from tissueid.segment import segment
-from tissueid.trial import Corner, Segmentation, Trial
+from tissueid.segment.corner import corners_of
+from tissueid.trial import Corner, Phase, Segmentation, Trial
 
 RATE_HZ = 500.0
 SPEED, DEPTH, CORNER_S = 2.0, 4.0, 3.0  # 1 s at rest, then 2 mm/s to 4 mm
@@ -91,3 +92,39 @@ def test_every_ramp_that_goes_on_has_its_corner() -> None:
     assert [corner.phase for corner in found.corners] == [0, 2]
     assert [corner.time_s for corner in found.corners] == pytest.approx([2.0, 9.0], abs=0.01)
     assert all(time[corner.index] == pytest.approx(corner.time_s, abs=0.01) for corner in found.corners)
+
+
+def phases_between(time: np.ndarray, edges: list[int], kinds: list[str]) -> tuple[Phase, ...]:
+    return tuple(
+        Phase(kind, first, last + 1, float(time[first]), float(time[last]), 1.0)
+        for kind, first, last in zip(kinds, edges, edges[1:], strict=False)
+    )
+
+
+def test_a_slow_ramp_into_a_faster_one_is_no_stop() -> None:
+    time = np.arange(0.0, 40.0, 0.1)
+    depth = np.interp(time, [0, 10, 30, 40], [0, 0.1, 2.1, 0.0])
+    phases = phases_between(time, [0, 100, 300, 399], ["ramp", "ramp", "retract"])
+    corners = corners_of(time, depth, phases, tolerance_mm=1e-3)
+    assert [corner.phase for corner in corners] == [1]
+    assert corners[0].time_s == pytest.approx(30.0, abs=0.1)
+
+
+@pytest.mark.parametrize("bend", [0.2, 0.6, 0.95])
+def test_no_stop_lasts_longer_than_its_ramp_or_what_follows(bend: float) -> None:
+    # a ramp and a retract that are no straight lines: the area between path and lines is not a stop's
+    time = np.arange(0.0, 30.0, 0.1)
+    u, v = np.clip(time / 20.0, 0.0, 1.0), np.clip((time - 20.0) / 10.0, 0.0, 1.0)
+    depth = (1.0 - bend) * u + bend * u**3 - 1e-3 * v - bend * 0.2 * v**3
+    phases = phases_between(time, [0, 200, 299], ["ramp", "retract"])
+    (corner,) = corners_of(time, depth, phases, tolerance_mm=1e-4)
+    assert 0.0 <= corner.duration_s <= 10.0
+
+
+def test_a_stop_between_two_samples_takes_no_time() -> None:
+    # the corner lies a thousandth of a sample off: an area that is no time
+    time = np.arange(0.0, 6.0, 0.01)
+    depth = np.clip(2.0 * time, 0.0, 4.0 + 2e-5)
+    phases = phases_between(time, [0, 200, 599], ["ramp", "hold"])
+    (corner,) = corners_of(time, depth, phases, tolerance_mm=1e-3)
+    assert corner.duration_s == 0.0

@@ -55,7 +55,7 @@ LOADING = ("ramp", "hold", "creep")
 
 @dataclass(frozen=True, slots=True)
 class Loop:
-    """Sample numbers of one loop: ``[start, stop)`` with the deepest sample between."""
+    """Sample numbers of one loop: ``[start, stop)`` with the end of its loading between."""
 
     kind: str
     start: int
@@ -66,6 +66,8 @@ class Loop:
 def loops(segmentation: Segmentation, depth_mm: FloatArray) -> list[Loop]:
     """Cycles, and every loading that is followed by a retract, in time order.
 
+    Loading ends with its last move: in a hold the force relaxes while noise alone chooses the deepest sample.
+
     Parameters
     ----------
     segmentation : Segmentation
@@ -73,7 +75,7 @@ def loops(segmentation: Segmentation, depth_mm: FloatArray) -> list[Loop]:
         In the contact frame.
     """
     found: list[Loop] = []
-    start, held = -1, False
+    start, end, held = -1, -1, False
     for phase in segmentation.phases:
         if phase.kind == "cycle":
             peak = phase.peak
@@ -81,14 +83,17 @@ def loops(segmentation: Segmentation, depth_mm: FloatArray) -> list[Loop]:
                 peak = phase.start + int(np.argmax(depth_mm[phase.start : phase.stop]))
             found.append(Loop("cycle", phase.start, peak, phase.stop))
         elif phase.kind == "retract" and start >= 0:
-            peak = start + int(np.argmax(depth_mm[start : phase.start + 1]))
+            # without a standstill the move itself tells where it turned
+            peak = end if held else start + int(np.argmax(depth_mm[start : phase.start + 1]))
             found.append(Loop("ramp-hold-retract" if held else "ramp-retract", start, peak, phase.stop))
         if phase.kind not in LOADING:
-            start, held = -1, False
-        elif phase.kind != "ramp":
-            held = True
-        elif start < 0:
+            start, end, held = -1, -1, False
+            continue
+        if phase.kind == "ramp" and start < 0:
             start = phase.start
+        held = held or (start >= 0 and phase.kind != "ramp")
+        if phase.kind != "hold":  # the tool still goes in while it creeps
+            end = phase.stop - 1
     return found
 
 
@@ -129,7 +134,7 @@ def polynomial_at(
 def end_of_loading(
     depth_mm: FloatArray, force_N: FloatArray, peak: int, start: int, noise_N: float
 ) -> tuple[Measure, Measure]:
-    """Force and slope at the deepest sample, from the last part of loading before it."""
+    """Force and slope at the end of loading, from its last part."""
     x, f = depth_mm[start : peak + 1], force_N[start : peak + 1]
     found = (Measure(), Measure())
     for share in PEAK_SHARES:
@@ -307,6 +312,12 @@ def _with_changes(rows: list[CycleRow]) -> tuple[CycleRow, ...]:
     return tuple(done)
 
 
+def _touches(force: FloatArray, loop: Loop, noise: float) -> bool:
+    """Whether the force at the end of loading stands out of its noise."""
+    near = force[max(loop.peak - LINE_SAMPLES, loop.start) : min(loop.peak + LINE_SAMPLES + 1, loop.stop)]
+    return float(np.median(near)) > RESIDUAL_SD * noise
+
+
 def cycle_rows(
     trial: Trial, segmentation: Segmentation, *, depths_mm: Sequence[float] = ()
 ) -> tuple[CycleRow, ...]:
@@ -325,7 +336,11 @@ def cycle_rows(
     frame = contact_frame(trial, segmentation)
     rows: list[CycleRow] = []
     for loop in loops(segmentation, frame[0]):
-        if loop.peak <= contact.index or not frame[0][loop.peak] > 0.0:
+        if not frame[0][loop.peak] > 0.0:
+            continue
+        # contact is that of the test: preconditioning comes before it, and so do moves through air
+        early = loop.peak <= contact.index
+        if early and not _touches(frame[1], loop, segmentation.force_noise_N):
             continue
         row = _row(trial, segmentation, frame, loop, len(rows) + 1, depths_mm)
         if row is not None:

@@ -64,9 +64,12 @@ def with_model_viscosity(
         return tuple(rows)
     assert segmentation.contact is not None  # noqa: S101  (there are loops)
     depth, _ = contact_frame(trial, segmentation)
+    ranges = _ranges(trial.time_s, rows)
     # from the last sample in air, so that the surface starts at rest where it is
     first = max(segmentation.contact.index - 1, 0)
-    ranges = _ranges(trial.time_s, rows)
+    if ranges[0].start < first:  # preconditioning comes before the contact of the test
+        air = np.flatnonzero(depth[: ranges[0].start + 1] <= 0.0)
+        first = int(air[-1]) if air.size else 0
     weights = [closed_area(depth[one]) for one in ranges]
     static, stiffness, tau = model.split(theta)
     law = np.ascontiguousarray(depth - adjustment.contact_offset_mm)

@@ -32,12 +32,14 @@ SLOW_SHARE = 0.02
 EVEN_STOP = 24.0
 #: Kinds in which the tool stands.
 STANDING = ("hold", "rest")
+#: What a ramp stops or turns into.  Another move the same way is no stop: a standstill is its own phase.
+STOPPED = (*STANDING, "creep", "retract")
 
 
 def corners_of(
     time_s: FloatArray, depth_mm: FloatArray, phases: tuple[Phase, ...], *, tolerance_mm: float
 ) -> tuple[Corner, ...]:
-    """The corner at the end of each ramp that another phase follows.
+    """The corner at the end of each ramp that stops or turns.
 
     Parameters
     ----------
@@ -54,7 +56,7 @@ def corners_of(
     return tuple(
         _corner(time_s, depth_mm, (k, before, after), tolerance_mm)
         for k, (before, after) in enumerate(pairwise(phases))
-        if before.kind == "ramp"
+        if before.kind == "ramp" and after.kind in STOPPED
     )
 
 
@@ -88,7 +90,12 @@ def _corner(
     duration = max(float(t[settles] - t[leaves]), 0.0)
     if swings < 2:
         lines = level_1 + slope_1 * t, level_2 + slope_2 * t
-        duration = max(duration, _even_stop_s(t, x, lines, abs(slope_1 - slope_2), (leaves, settles)))
+        even = _even_stop_s(t, x, lines, abs(slope_1 - slope_2), (leaves, settles))
+        # longer than the move or what follows it: these are no straight lines, their area tells nothing
+        if even <= min(before.end_s - before.start_s, after.end_s - after.start_s):
+            duration = max(duration, even)
+    if duration < float(np.median(np.diff(t))):  # nothing is seen between two samples
+        duration = 0.0
     return Corner(number, index, float(meet), duration, overshoot, swings, period)
 
 
