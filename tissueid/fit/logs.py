@@ -34,6 +34,8 @@ FloatArray = NDArray[np.float64]
 OFFSET_SD_FLOOR = 1e-5
 #: Rounds of refinement; the second moves contact points by a tenth of the first.
 ROUNDS = 2
+#: A single log's contact point moves by no more than so many of its standard deviations.
+REACH_SD = 3.0
 #: Threads that sum logs.
 MAX_WORKERS = 4
 
@@ -104,6 +106,7 @@ def specimen_sums(
     *,
     thin: int = 1,
     log_range: tuple[float, float] | None = None,
+    cut: bool = True,
 ) -> SpecimenSums:
     """One pass over the logs of a specimen.
 
@@ -121,11 +124,13 @@ def specimen_sums(
         Only every ``thin``-th sample takes part (for a rough answer).
     log_range : tuple of float, optional
         Part of the range of ln(tau / s) that will be searched.
+    cut : bool
+        Cut the one log of a specimen into stretches that can be held out.
     """
     step = min(handle.facts.step_s for handle in handles)
     duration = max(handle.facts.duration_s for handle in handles)
     basis = kernel_basis(step_s=step, length_s=duration, log_range=log_range)
-    single = len(handles) == 1
+    single = cut and len(handles) == 1
     workers = min(os.cpu_count() or 1, len(handles), MAX_WORKERS)
     running: deque[Future[LogSums]] = deque()
     sums: list[LogSums] = []
@@ -183,7 +188,7 @@ def refine_contacts(
     Parameters
     ----------
     handles : sequence of LogHandle
-        Two or more logs of one specimen.
+        Logs of one specimen.
     candidate : Candidate
         A flexible model with ``partial`` pooling.
     tick : callable
@@ -196,10 +201,18 @@ def refine_contacts(
     current = [replace(handle, guard=True) for handle in handles]
     for round_ in range(ROUNDS):
         tick(f"contact points, round {round_ + 1}")
-        sums = specimen_sums(current, candidate.degree, tick)
-        solution = fit_candidate(sums, candidate)
+        sums = specimen_sums(current, candidate.degree, tick, cut=False)
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+            solution = fit_candidate(sums, candidate)
+            offset_sd = _offset_sd(solution)
+        if not (np.isfinite(solution.evaluation.delta) & np.isfinite(offset_sd)).all():
+            # a log without noise or without shape: there is nothing to place the contact by
+            return list(handles)
         refined = []
-        for handle, delta, sd in zip(current, solution.evaluation.delta, _offset_sd(solution), strict=True):
+        for handle, delta, sd in zip(current, solution.evaluation.delta, offset_sd, strict=True):
+            if len(handles) == 1 and abs(handle.contact_shift_mm + delta) > REACH_SD * handle.contact_sd_mm:
+                # no other log speaks for it: a model that does not fit would move the contact anywhere
+                return list(handles)
             trial = handle.load()
             segmentation = with_contact(trial, handle.segmentation, shift_mm=float(delta), sd_mm=float(sd))
             log = handle.window(trial, segmentation)

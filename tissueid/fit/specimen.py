@@ -24,7 +24,7 @@ from tissueid.fit.search import polish, unbounded_covariance
 from tissueid.fit.selection import Choice, choose
 from tissueid.fit.summaries import second_pass
 from tissueid.fit.trials import Adjustment
-from tissueid.fit.verdict import specimen_flags
+from tissueid.fit.verdict import one_program, specimen_flags
 from tissueid.likelihood.sums import N_STATIC, reduction
 from tissueid.model.kelvin_voigt import KEY, STATIC_DEGREE
 from tissueid.result import ModelChoice, SpecimenFit
@@ -187,7 +187,11 @@ def _sums_and_choice(
         if focused is not None:
             return focused
     sums = specimen_sums(handles, max(degrees), tick)
-    return sums, choose(sums, branches=branches, degrees=degrees, pooling=pooling, progress=tick)
+    one_speed = one_program([handle.facts for handle in handles])
+    choice = choose(
+        sums, branches=branches, degrees=degrees, pooling=pooling, one_speed=one_speed, progress=tick
+    )
+    return sums, choice
 
 
 def fit_specimen(
@@ -229,10 +233,10 @@ def _fit(
     pooling = _pooling(options, len(handles))
     if options.unloading:
         handles = unloading_handles(handles)
-    if pooling == "partial":
-        flexible = Candidate(
-            branches=min(REFINING_BRANCHES, max(branches)), degree=min(1, max(degrees)), pooling="partial"
-        )
+    if options.static == "partial" and not (options.unloading and len(handles) == 1):
+        # at one speed a K that varies with depth would bend instead of the contact moving
+        degree = min(degrees) if one_program([handle.facts for handle in handles]) else min(1, max(degrees))
+        flexible = Candidate(branches=min(REFINING_BRANCHES, max(branches)), degree=degree, pooling="partial")
         handles = refine_contacts(handles, flexible, tick)
 
     def choice_for(current: Sequence[LogHandle]) -> tuple[SpecimenSums, Choice]:

@@ -83,6 +83,40 @@ def _relaxation_flags(
     return flags
 
 
+def one_program(facts: Sequence[FittedLog]) -> bool:
+    """Whether all ramps have one speed and all holds one depth: only their form tells F_s from K(x) then.
+
+    Parameters
+    ----------
+    facts : sequence of FittedLog
+        Their samples are not looked at.
+    """
+    speeds = [speed for log in facts for speed in log.speeds_mm_s if speed > 0.0]
+    held = [log.depth_mm for log in facts if log.has_hold]
+    steps = any(len(log.speeds_mm_s) > 1 for log in facts)
+    same_depth = not held or max(held) < ONE_SPEED * min(held)
+    return bool(speeds) and max(speeds) < ONE_SPEED * min(speeds) and same_depth and not steps
+
+
+def _form_flag(tissue: TissueEstimate, facts: Sequence[FittedLog]) -> list[Flag]:
+    model = tissue.model
+    if model.stiffness_degree == 0 or not one_program(facts):
+        return []
+    depth = model.depth_mm
+    stiffness = model.stiffness(tissue.theta, np.array([depth]))[:, 0]
+    viscosity = float(stiffness @ model.split(tissue.theta)[2])
+    return [
+        Flag(
+            "form_dependent",
+            f"all ramps have one speed and all holds one depth: at smaller depths only the form of the "
+            f"polynomials shares the force between F_s and K. At the largest depth, {depth:.3g} mm, the "
+            f"viscosity of all branches is {viscosity:.3g} N s/mm; test at a second speed, or hold at "
+            "several depths, to know the rest",
+            {"depth_mm": depth, "viscosity_N_s_per_mm": viscosity},
+        )
+    ]
+
+
 def specimen_flags(
     tissue: TissueEstimate,
     sums: SpecimenSums,
@@ -128,6 +162,7 @@ def specimen_flags(
                 {"speed_mm_s": float(np.mean(speeds))},
             )
         )
+    flags += _form_flag(tissue, facts)
     if tissue.bounded:
         flags.append(
             Flag(
