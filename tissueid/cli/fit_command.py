@@ -239,7 +239,11 @@ def _print_specimen(console: Any, fit: SpecimenFit, *, verbose: int) -> None:
         f"{model.static_pooling} static, NRMSD {100 * fit.nrmsd.range:.2f} % of range",
     )
     for one in fit.parameters:
-        text = "not identified" if one.value is None else f"{with_error(one.value, one.stderr)} {one.unit}"
+        text = (
+            "not identified"
+            if one.value is None
+            else f"{with_error(one.value, one.stderr)} {fit.axes.unit(one.unit)}"
+        )
         bound = "  (at the passivity bound)" if one.value is not None and one.detail.get("at_bound") else ""
         console.print(f"  {one.symbol:<6} {text}{bound}", markup=False)
     for line in quoted_lines(fit):

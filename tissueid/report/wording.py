@@ -148,6 +148,10 @@ def _static_words(known: Mapping[str, Mapping[str, Any]], depth_mm: float, lengt
     return words
 
 
+def _listed(parts: Sequence[str], *, last: str = " and ") -> str:
+    return f"{', '.join(parts[:-1])}{last}{parts[-1]}" if len(parts) > 1 else parts[0]
+
+
 def tissue_sentence(specimen: Mapping[str, Any]) -> str:
     """The tissue in one sentence: stiffness, relaxation, viscosity, tip, and where it is valid."""
     known = _by_name(specimen["parameters"])
@@ -155,16 +159,22 @@ def tissue_sentence(specimen: Mapping[str, Any]) -> str:
     normalised = specimen["units"]["length"] != "mm"
     length = "" if normalised else " mm"
     parts = [_static_words(known, validity["depth_mm"], length)]
-    for name, words in (("relaxation_time_s", "it relaxes in"), ("viscosity_N_s_per_mm", "its viscosity is")):
-        entry = known.get(name)
-        if entry is None:
-            continue
-        unit = unit_words(entry["unit"])
-        if entry["value"] is None:
-            lost = "its relaxation time" if name.startswith("relax") else "its viscosity"
+    branches = [suffix for suffix in ("", "_b2", "_b3") if f"relaxation_time_s{suffix}" in known]
+    for name, words, lost in (
+        ("relaxation_time_s", "it relaxes in", "its relaxation time"),
+        ("viscosity_N_s_per_mm", "its viscosity is", "its viscosity"),
+    ):
+        entries = [known[f"{name}{suffix}"] for suffix in branches if f"{name}{suffix}" in known]
+        said = [
+            f"{with_error(entry['value'], entry['stderr'])} {unit_words(entry['unit'])}"
+            for entry in entries
+            if entry["value"] is not None
+        ]
+        missing = "" if len(said) == len(entries) else f" ({len(entries) - len(said)} more not identified)"
+        if said:
+            parts.append(f"{words} {_listed(said)}{missing}")
+        elif entries:
             parts.append(f"{lost} is not identified")
-        else:
-            parts.append(f"{words} {with_error(entry['value'], entry['stderr'])} {unit}")
     slow, fast = validity["speeds_mm_s"]
     per_s = "1/s" if normalised else "mm/s"
     speeds = (
@@ -177,7 +187,7 @@ def tissue_sentence(specimen: Mapping[str, Any]) -> str:
     )
     tip = validity["tip_radius_mm"]
     tool = "a tool tip of unstated radius" if tip is None else f"a tool tip of radius {number(tip, 3)} mm"
-    listed = f"{', '.join(parts[:-1])} and {parts[-1]}" if len(parts) > 1 else parts[0]
+    listed = _listed(parts, last=", and " if branches[1:] else " and ")
     deep = number(validity["depth_mm"], 3)
     if normalised:
         return (
