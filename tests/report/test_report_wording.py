@@ -13,6 +13,7 @@ from tissueid.report.wording import (
     number,
     overview_sentence,
     parameter_words,
+    rounded_to,
     tissue_sentence,
     unit_words,
     verdict,
@@ -51,10 +52,18 @@ def test_numbers_are_written_as_people_write_them(value: float | None, digits: i
         (12340.0, 560.0, "12340 ± 560"),
         (5.0, None, "5.000"),
         (None, 0.1, "not identified"),
+        (5.174e-6, 1.12e-7, "(5.17 ± 0.11)×10^−6"),
+        (-5.174e-6, 1.12e-7, "(−5.17 ± 0.11)×10^−6"),
+        (0.1461059, 5.1e-6, "0.1461059 ± 0.0000051"),
     ],
 )
 def test_a_value_ends_where_its_error_ends(value: float | None, stderr: float | None, expected: str) -> None:
     assert with_error(value, stderr) == expected
+
+
+def test_a_column_of_values_keeps_the_power_of_ten() -> None:
+    assert rounded_to(5.174e-6, 1.12e-7) == "5.17×10^−6"
+    assert rounded_to(63.6212, 0.891) == "63.62"
 
 
 def test_the_sentence_names_stiffness_relaxation_viscosity_tip_and_validity() -> None:

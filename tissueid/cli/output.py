@@ -71,10 +71,19 @@ def write_output(path: str, content: bytes) -> None:
         raise UsageError(msg) from error
 
 
+#: Numbers below this are printed with a power of ten.
+SMALL = 1e-3
+
+
 def with_error(value: float, stderr: float | None) -> str:
     """A number rounded to the digits its standard error supports: ``0.0209 ± 0.0008``."""
     if stderr is None or not stderr > 0.0 or not math.isfinite(stderr):
         return f"{value:.4g}"
+    largest = max(abs(value), stderr)
+    if largest < SMALL:
+        # micro-newton: (5.17 ± 0.11)e-06 instead of a row of zeros
+        exponent = math.floor(math.log10(largest))
+        return f"({with_error(value / 10.0**exponent, stderr / 10.0**exponent)})e{exponent:03d}"
     places = max(ERROR_DIGITS - 1 - math.floor(math.log10(stderr)), 0)
     if places > 12:
         return f"{value:.6g} ± {stderr:.1e}"

@@ -43,6 +43,8 @@ PARAMETER_WORDS: Mapping[str, str] = {
 }
 
 _S_PER_MIN = 60.0
+#: Numbers below this are printed with a power of ten.
+_SMALL = 1e-3
 
 
 def number(value: float | None, digits: int = 4) -> str:
@@ -67,6 +69,10 @@ def with_error(value: float | None, stderr: float | None) -> str:
         return NOT_IDENTIFIED
     if stderr is None or stderr <= 0 or not math.isfinite(stderr):
         return number(value)
+    largest = max(abs(value), stderr)
+    if largest < _SMALL:
+        power = math.floor(math.log10(largest))
+        return f"({with_error(value / 10.0**power, stderr / 10.0**power)})×10^{power}".replace("^-", "^−")
     places = 1 - math.floor(math.log10(stderr))
     if places < 0 or places > 9:
         return f"{number(value)} ± {number(stderr, 2)}"
@@ -75,7 +81,8 @@ def with_error(value: float | None, stderr: float | None) -> str:
 
 def rounded_to(value: float | None, stderr: float | None) -> str:
     """The value as :func:`with_error` prints it, for a column of its own."""
-    return with_error(value, stderr).split(" ± ")[0]
+    first, _, rest = with_error(value, stderr).partition(" ± ")
+    return first if not first.startswith("(") else f"{first[1:]}{rest[rest.index(')') + 1 :]}"
 
 
 def parameter_words(name: str) -> str:
