@@ -6,7 +6,6 @@ import base64
 import json
 import re
 import tomllib
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,7 +25,6 @@ from tissueid.segment import segment
 from tissueid.store.schema import first_problem
 from tissueid.trial import Segmentation, Source, Trial
 
-CHROMIUM = Path("/usr/bin/chromium")
 LARGEST_PAGE_BYTES = 10_000_000
 
 
@@ -325,23 +323,6 @@ def test_a_recording_without_any_contact_is_drawn() -> None:
 
 
 # --- in a browser -----------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    if not CHROMIUM.exists():
-        pytest.skip(f"no browser at {CHROMIUM}: install chromium to run this test")
-    playwright = pytest.importorskip("playwright.sync_api")
-    with playwright.sync_playwright() as engine:
-        quiet = (
-            "--no-sandbox",
-            "--disable-background-networking",
-            "--disable-component-update",
-            "--disable-sync",
-        )
-        running = engine.chromium.launch(executable_path=str(CHROMIUM), args=[*quiet, "--no-first-run"])
-        yield running
-        running.close()
 
 
 def visit(browser: Any, path: Path, html: str, *, width: int = 1400, **context: Any) -> tuple[Any, list[str]]:

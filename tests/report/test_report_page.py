@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,6 @@ from tissueid.result import SpecimenFit
 from tissueid.store.curves import curves_of_fits
 from tissueid.store.files import plain_json
 
-CHROMIUM = Path("/usr/bin/chromium")
 LARGEST_PAGE_BYTES = 7_000_000
 
 
@@ -118,23 +117,6 @@ def test_thinning_keeps_ends_peak_and_largest_residual() -> None:
 def test_a_curve_within_its_share_is_not_thinned() -> None:
     curve = specimen_fit(samples=300, trials=1).trials[0].curve
     assert thinned(curve, MOST_SAMPLES).size == 300
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    if not CHROMIUM.exists():
-        pytest.skip(f"no browser at {CHROMIUM}: install chromium to run this test")
-    playwright = pytest.importorskip("playwright.sync_api")
-    with playwright.sync_playwright() as engine:
-        quiet = (
-            "--no-sandbox",
-            "--disable-background-networking",
-            "--disable-component-update",
-            "--disable-sync",
-        )
-        running = engine.chromium.launch(executable_path=str(CHROMIUM), args=[*quiet, "--no-first-run"])
-        yield running
-        running.close()
 
 
 def visit(browser: Any, path: Path, *, width: int = 1400, **context: Any) -> tuple[Any, list[str], list[str]]:

@@ -223,6 +223,22 @@ def fit_specimen(
         return _fit(specimen, list(handles), options, tick)
 
 
+def _refined(
+    handles: list[LogHandle],
+    options: FitOptions,
+    branches: tuple[int, ...],
+    degrees: tuple[int, ...],
+    tick: Callable[[str], None],
+) -> list[LogHandle]:
+    """Contact points moved to where a first fit puts them."""
+    if options.static != "partial" or (options.unloading and len(handles) == 1):
+        return handles
+    # at one speed a K that varies with depth would bend instead of the contact moving
+    degree = min(degrees) if one_program([handle.facts for handle in handles]) else min(1, max(degrees))
+    flexible = Candidate(branches=min(REFINING_BRANCHES, max(branches)), degree=degree, pooling="partial")
+    return refine_contacts(handles, flexible, tick)
+
+
 def _fit(
     specimen: str, handles: list[LogHandle], options: FitOptions, tick: Callable[[str], None]
 ) -> SpecimenFit:
@@ -233,11 +249,7 @@ def _fit(
     pooling = _pooling(options, len(handles))
     if options.unloading:
         handles = unloading_handles(handles)
-    if options.static == "partial" and not (options.unloading and len(handles) == 1):
-        # at one speed a K that varies with depth would bend instead of the contact moving
-        degree = min(degrees) if one_program([handle.facts for handle in handles]) else min(1, max(degrees))
-        flexible = Candidate(branches=min(REFINING_BRANCHES, max(branches)), degree=degree, pooling="partial")
-        handles = refine_contacts(handles, flexible, tick)
+    handles = _refined(handles, options, branches, degrees, tick)
 
     def choice_for(current: Sequence[LogHandle]) -> tuple[SpecimenSums, Choice]:
         return _sums_and_choice(current, branches, degrees, pooling, tick)

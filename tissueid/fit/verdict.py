@@ -23,6 +23,8 @@ INSTRUMENT_TAU_S = 0.2
 CORRELATED = 0.5
 #: Ratio of speeds below which a set counts as one speed.
 ONE_SPEED = 1.2
+#: Holds whose depths differ by less than this factor have one depth.
+ONE_DEPTH = 1.2
 
 
 def _relaxation_flags(
@@ -91,11 +93,16 @@ def one_program(facts: Sequence[FittedLog]) -> bool:
     facts : sequence of FittedLog
         Their samples are not looked at.
     """
-    speeds = [speed for log in facts for speed in log.speeds_mm_s if speed > 0.0]
     held = [log.depth_mm for log in facts if log.has_hold]
     steps = any(len(log.speeds_mm_s) > 1 for log in facts)
-    same_depth = not held or max(held) < ONE_SPEED * min(held)
-    return bool(speeds) and max(speeds) < ONE_SPEED * min(speeds) and same_depth and not steps
+    same_depth = not held or max(held) < ONE_DEPTH * min(held)
+    return _one_speed(facts) is not None and same_depth and not steps
+
+
+def _one_speed(facts: Sequence[FittedLog]) -> float | None:
+    """The one speed of all ramps [mm/s], ``None`` where there are several."""
+    speeds = [speed for log in facts for speed in log.speeds_mm_s if speed > 0.0]
+    return float(np.mean(speeds)) if speeds and max(speeds) < ONE_SPEED * min(speeds) else None
 
 
 def _form_flag(tissue: TissueEstimate, facts: Sequence[FittedLog]) -> list[Flag]:
@@ -115,6 +122,36 @@ def _form_flag(tissue: TissueEstimate, facts: Sequence[FittedLog]) -> list[Flag]
             {"depth_mm": depth, "viscosity_N_s_per_mm": viscosity},
         )
     ]
+
+
+def _optimum_flags(tissue: TissueEstimate, optimisers: dict[str, object]) -> list[Flag]:
+    """What the optimum itself says: bounds, uniqueness after contact loss, the second optimiser."""
+    flags: list[Flag] = []
+    if tissue.bounded:
+        flags.append(
+            Flag(
+                "bound_active", "F_s or K touches zero within the fitted depth: the passivity bound is active"
+            )
+        )
+    if not tissue.model.contact_loss_is_unique(tissue.theta):
+        flags.append(
+            Flag(
+                "contact_loss_ambiguous",
+                "after the tool lets go the surface of this tissue has several force-free positions: "
+                "unloading is passive but not unique",
+            )
+        )
+    if optimisers["agree"] is False:
+        flags.append(
+            Flag(
+                "optimisers_disagree",
+                "Levenberg-Marquardt and variable projection ended apart; the lower sum of squares was kept",
+                {"relative_difference": optimisers["relative_difference"]},
+            )
+        )
+    if not optimisers["lm_converged"] and not tissue.bounded:
+        flags.append(Flag("not_converged", "Levenberg-Marquardt did not converge"))
+    return flags
 
 
 def specimen_flags(
@@ -152,41 +189,18 @@ def specimen_flags(
             )
         )
     flags += _relaxation_flags(tissue, sums, facts, sigma_N)
-    speeds = [speed for log in facts for speed in log.speeds_mm_s if speed > 0.0]
-    if speeds and max(speeds) < ONE_SPEED * min(speeds) and not any(log.has_hold for log in facts):
+    speed = _one_speed(facts)
+    if speed is not None and not any(log.has_hold for log in facts):
         flags.append(
             Flag(
                 "single_speed",
-                f"all ramps run at about {np.mean(speeds):.3g} mm/s and there is no hold: viscosity is told "
+                f"all ramps run at about {speed:.3g} mm/s and there is no hold: viscosity is told "
                 "from static stiffness by the shape of the ramp alone",
-                {"speed_mm_s": float(np.mean(speeds))},
+                {"speed_mm_s": speed},
             )
         )
     flags += _form_flag(tissue, facts)
-    if tissue.bounded:
-        flags.append(
-            Flag(
-                "bound_active", "F_s or K touches zero within the fitted depth: the passivity bound is active"
-            )
-        )
-    if not tissue.model.contact_loss_is_unique(tissue.theta):
-        flags.append(
-            Flag(
-                "contact_loss_ambiguous",
-                "after the tool lets go the surface of this tissue has several force-free positions: "
-                "unloading is passive but not unique",
-            )
-        )
-    if optimisers["agree"] is False:
-        flags.append(
-            Flag(
-                "optimisers_disagree",
-                "Levenberg-Marquardt and variable projection ended apart; the lower sum of squares was kept",
-                {"relative_difference": optimisers["relative_difference"]},
-            )
-        )
-    if not optimisers["lm_converged"] and not tissue.bounded:
-        flags.append(Flag("not_converged", "Levenberg-Marquardt did not converge"))
+    flags += _optimum_flags(tissue, optimisers)
     acf = float(np.median([trial.residual_acf1 for trial in trials]))
     if acf > CORRELATED:
         flags.append(
