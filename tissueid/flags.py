@@ -81,6 +81,11 @@ FLAG_CODES: Mapping[str, str] = MappingProxyType(
         "order_effect": "force changes with the order of the tests",
         "modulus_out_of_range": "the modulus formula was used outside the range it was derived for",
         "poroelastic": "relaxation may be fluid flow, not viscosity",
+        "sampler_not_converged": "the sampler stopped before its rule was met: intervals are rough",
+        "misfit": "the residuals show what model and noise can't make: no interval can be believed",
+        "model_undecided": "the data do not decide between two models",
+        "calibration_dominates": "what is not known of the machine outweighs the noise of the recordings",
+        "prior_dominated": "a prior decides this more than the data do",
         "compliance_unknown": "frame compliance, force filter and time skew were not stated; taken as none",
     }
 )

@@ -1,0 +1,108 @@
+"""What is believed before the data: priors of tissue, noise, scatter and calibration, as frozen data.
+
+Everything has a documented, proper default; a study file replaces what it names ([priors] and
+[calibration] of study.toml).  Units are those of the parameters' names.
+
+The **linear** parameters (coefficients of F_s and of each K) have independent normal priors, cut to the
+passive set.  A parameter without a stated prior is *weak*: coefficients of F_s/x and K in the Bernstein basis
+of [0, depth] are normal around 0 with a standard deviation at which that part alone would carry
+:data:`WEAK_FACTOR` times the largest measured force (of a branch: at its largest state for the relaxation
+time in question, so that for short times the prior is one of viscosity and not of stiffness).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+__all__ = ["CALIBRATION_DEFAULTS", "WEAK_FACTOR", "CalibrationPrior", "Priors", "SpreadPrior"]
+
+#: Standard deviation of a weak coefficient, in forces: so many times the largest measured one.
+WEAK_FACTOR = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class SpreadPrior:
+    """Log-normal prior of a positive quantity.
+
+    Attributes
+    ----------
+    median : float
+        In the unit of the quantity.
+    sd_ln : float
+        Standard deviation of its natural logarithm.
+    """
+
+    median: float
+    sd_ln: float
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationPrior:
+    """Prior of one calibration nuisance.
+
+    Attributes
+    ----------
+    mean, sd : float
+        Of a normal, in the unit of the name.
+    lower : float
+        The normal is cut here (``-inf`` where both signs are possible; 0 with ``mean = 0`` is half-normal).
+    stated : bool
+        True where the study states it, False for a documented default.
+    """
+
+    mean: float
+    sd: float
+    lower: float = float("-inf")
+    stated: bool = False
+
+
+#: Where nothing is stated. Gains: the limits of error of class 1 (ISO 7500-1, ISO 9513: 1 %) as two
+#: standard deviations, doubled, because an unstated class may be worse. Skew: two channels of one machine
+#: are apart by single milliseconds. Filter: load channels of test machines have corner frequencies from
+#: some 15 Hz up. Compliance: frame, load cell and fixture of small machines have 200 to 10,000 N/mm.
+CALIBRATION_DEFAULTS: Mapping[str, CalibrationPrior] = MappingProxyType(
+    {
+        "force_gain": CalibrationPrior(mean=1.0, sd=0.01),
+        "displacement_gain": CalibrationPrior(mean=1.0, sd=0.01),
+        "skew_s": CalibrationPrior(mean=0.0, sd=0.002),
+        "force_filter_s": CalibrationPrior(mean=0.0, sd=0.005, lower=0.0),
+        "frame_compliance_mm_per_N": CalibrationPrior(mean=0.0, sd=0.004, lower=0.0),
+    }
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Priors:
+    """Priors of one specimen.
+
+    Attributes
+    ----------
+    linear : mapping
+        Parameter name (``static_1_N_per_mm``, ``stiffness_0_N_per_mm_b2``, ...) -> (mean, sd); names that are
+        missing are weak.
+    relaxation_time_s : tuple of SpreadPrior
+        One a branch by ascending time; branches without one are uniform in ln tau on [h/5, 10 T].
+    sigma_N : SpreadPrior or None
+        Standard deviation of the noise; ``None`` is uniform in its logarithm over twelve decades.
+    phi : tuple of float
+        The lag-one correlation of the noise is uniform between these.
+    gain_sd : float
+        Scale of the half-normal prior of the standard deviation of a log's ln gain.
+    calibration : mapping
+        Names of :data:`CALIBRATION_DEFAULTS`.
+    """
+
+    linear: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    relaxation_time_s: tuple[SpreadPrior, ...] = ()
+    sigma_N: SpreadPrior | None = None
+    phi: tuple[float, float] = (0.0, 1.0)
+    gain_sd: float = 0.3
+    calibration: Mapping[str, CalibrationPrior] = field(default_factory=lambda: CALIBRATION_DEFAULTS)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "linear", MappingProxyType(dict(self.linear)))
+        object.__setattr__(
+            self, "calibration", MappingProxyType({**CALIBRATION_DEFAULTS, **self.calibration})
+        )

@@ -1,0 +1,337 @@
+"""What a posterior says: frozen result types, free of any sampler's objects.
+
+Two intervals stand for every parameter.  The *statistical* one knows the noise, the scatter between logs
+and the contact points; the *total* one knows the calibration nuisances (gains, skew, filter, frame) as
+well.  Both are calibrated for the stated model and noise, and say nothing where the model itself is
+wrong: that is what :class:`MisfitAlarm` is for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = [
+    "BudgetRow",
+    "ComparisonRow",
+    "MisfitAlarm",
+    "MisfitCheck",
+    "NoiseFit",
+    "ParameterUncertainty",
+    "Posterior",
+    "PriorRow",
+    "SamplerReport",
+]
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseFit:
+    """The noise of a specimen's force.
+
+    Attributes
+    ----------
+    model : str
+        ``white``, ``ar1`` or ``white+ar1``.
+    sigma_N : float
+        Standard deviation of the whole noise [N].
+    phi : float
+        Correlation of the correlated part over one reference step.
+    reference_step_s : float
+    moving_average : float
+        theta of e_n = r_n - phi r_(n-1) + theta e_(n-1); 0 unless the model is ``white+ar1``.
+    """
+
+    model: str
+    sigma_N: float
+    phi: float
+    reference_step_s: float
+    moving_average: float = 0.0
+
+    def as_json(self) -> dict[str, Any]:
+        """The ``noise`` object of the schema."""
+        return {
+            "model": self.model,
+            "sigma_N": self.sigma_N,
+            "phi": self.phi,
+            "reference_step_s": self.reference_step_s,
+            "moving_average": self.moving_average,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class SamplerReport:
+    """How a posterior was sampled.
+
+    Attributes
+    ----------
+    name : str
+        ``emcee`` or ``exact``.
+    converged : bool
+    draws : int
+        Draws kept (of all walkers).
+    acceptance : float
+        Accepted proposals (emcee), or accepted draws of the rejection (exact), as a fraction.
+    detail : mapping
+        steps, walkers, autocorrelation time, seed, wall time, the reason where not converged.
+    """
+
+    name: str
+    converged: bool
+    draws: int
+    acceptance: float
+    detail: Mapping[str, Any] = field(default_factory=dict)
+
+    def as_json(self) -> dict[str, Any]:
+        """The ``sampler`` object of the schema."""
+        return {
+            "name": self.name,
+            "converged": self.converged,
+            "draws": self.draws,
+            "acceptance": self.acceptance,
+            "detail": dict(self.detail),
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterUncertainty:
+    """Posterior of one reported parameter, in its unit.
+
+    Attributes
+    ----------
+    mean, sd : float
+    ci95 : tuple of float
+        Central 95 % interval, statistical.
+    ci95_total : tuple of float or None
+        With the calibration nuisances; ``None`` where the recording is normalised.
+    ess_bulk, ess_tail, r_hat : float
+        Rank-normalised (Vehtari et al. 2021, doi 10.1214/20-BA1221).
+    """
+
+    mean: float
+    sd: float
+    ci95: tuple[float, float]
+    ci95_total: tuple[float, float] | None
+    ess_bulk: float
+    ess_tail: float
+    r_hat: float
+
+    def as_json(self) -> dict[str, Any]:
+        """The keys that a parameter gains."""
+        return {
+            "mean": self.mean,
+            "sd": self.sd,
+            "ci95": list(self.ci95),
+            "ci95_total": None if self.ci95_total is None else list(self.ci95_total),
+            "ess_bulk": self.ess_bulk,
+            "ess_tail": self.ess_tail,
+            "r_hat": self.r_hat,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class PriorRow:
+    """One prior beside its posterior.
+
+    Attributes
+    ----------
+    name : str
+        A parameter or a calibration nuisance.
+    prior : str
+        In words, with its numbers.
+    stated : bool
+        True where the study states it, False for a default.
+    posterior_mean, posterior_sd : float
+    shrinkage : float
+        1 - (posterior sd / prior sd); below 0.1 the data said little.
+    """
+
+    name: str
+    prior: str
+    stated: bool
+    posterior_mean: float
+    posterior_sd: float
+    shrinkage: float
+
+    def as_json(self) -> dict[str, Any]:
+        """The ``priors`` row of the schema."""
+        return {
+            "name": self.name,
+            "prior": self.prior,
+            "stated": self.stated,
+            "posterior_mean": self.posterior_mean,
+            "posterior_sd": self.posterior_sd,
+            "shrinkage": self.shrinkage,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class BudgetRow:
+    """What one source adds to the uncertainty of one parameter.
+
+    Attributes
+    ----------
+    parameter : str
+        Its name.
+    source : str
+        ``noise``, ``scatter between logs``, ``contact points``, ``force gain``, ``displacement gain``,
+        ``time skew``, ``force filter`` or ``frame``; ``total`` and ``cluster bootstrap`` stand beside them.
+    sd : float
+        Standard deviation [unit of the parameter].
+    share : float
+        Of the total variance; NaN-free, ``None`` in JSON for rows that are no part of a sum.
+    """
+
+    parameter: str
+    source: str
+    sd: float
+    share: float | None
+
+    def as_json(self) -> dict[str, Any]:
+        """The ``budget`` row of the schema."""
+        return {"parameter": self.parameter, "source": self.source, "sd": self.sd, "share": self.share}
+
+
+@dataclass(frozen=True, slots=True)
+class ComparisonRow:
+    """One model beside the others.
+
+    Attributes
+    ----------
+    model : str
+        In words: ``1 branch, K of degree 1, partial static``.
+    log_evidence, log_evidence_se : float or None
+        Natural logarithm of the marginal likelihood, difference to the best, and its Monte-Carlo error.
+    elpd_log, elpd_log_se, elpd_speed, elpd_speed_se : float or None
+        Log predictive density of held-out logs, and of held-out speeds, difference to the best.
+    verdict : str
+        ``chosen``, ``undecided`` (as good as the chosen one) or ``worse``; ``beside`` for models that
+        can't be rendered and are compared only.
+    """
+
+    model: str
+    log_evidence: float | None
+    log_evidence_se: float | None
+    elpd_log: float | None
+    elpd_log_se: float | None
+    elpd_speed: float | None
+    elpd_speed_se: float | None
+    verdict: str
+
+    def as_json(self) -> dict[str, Any]:
+        """The ``model_comparison`` row of the schema."""
+        return {
+            "model": self.model,
+            "log_evidence": self.log_evidence,
+            "log_evidence_se": self.log_evidence_se,
+            "elpd_log": self.elpd_log,
+            "elpd_log_se": self.elpd_log_se,
+            "elpd_speed": self.elpd_speed,
+            "elpd_speed_se": self.elpd_speed_se,
+            "verdict": self.verdict,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class MisfitCheck:
+    """One posterior predictive check.
+
+    Attributes
+    ----------
+    name : str
+        What is looked at, as ``early hold``.
+    statistic, p_value : float
+    message : str
+        One plain sentence.
+    raised : bool
+    """
+
+    name: str
+    statistic: float
+    p_value: float
+    message: str
+    raised: bool
+
+    def as_json(self) -> dict[str, Any]:
+        """A row of ``misfit.checks``."""
+        return {
+            "name": self.name,
+            "statistic": self.statistic,
+            "p_value": self.p_value,
+            "message": self.message,
+            "raised": self.raised,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class MisfitAlarm:
+    """Whether the residuals show what the model and its noise can't make."""
+
+    raised: bool
+    checks: tuple[MisfitCheck, ...] = ()
+
+    def as_json(self) -> dict[str, Any]:
+        """The ``misfit`` object of the schema."""
+        return {"raised": self.raised, "checks": [check.as_json() for check in self.checks]}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Posterior:
+    """The posterior of one specimen.
+
+    Attributes
+    ----------
+    sampler : SamplerReport
+    noise : NoiseFit
+    parameters : mapping
+        Name of a reported parameter -> its :class:`ParameterUncertainty`.
+    theta_names : tuple of str
+    draws : ndarray, shape (n, p)
+        Thinned statistical draws of the contact model's theta; every one is passive.
+    draws_total : ndarray, shape (n, p) or None
+        The same with the calibration nuisances.
+    covariance : ndarray, shape (p, p)
+        Of all statistical draws.
+    chain_names : tuple of str
+        Coordinates that were sampled.
+    chain : ndarray, shape (chains, draws, d)
+        The sampled coordinates after burn-in, thinned.
+    priors : tuple of PriorRow
+    budget : tuple of BudgetRow
+    comparison : tuple of ComparisonRow
+    misfit : MisfitAlarm or None
+    bands : mapping
+        (path, sheet) of a trial -> predictive band, ndarray of shape (3, m): low, median, high [N] at the
+        samples of its curve.
+    """
+
+    sampler: SamplerReport
+    noise: NoiseFit
+    parameters: Mapping[str, ParameterUncertainty]
+    theta_names: tuple[str, ...]
+    draws: FloatArray
+    draws_total: FloatArray | None
+    covariance: FloatArray
+    chain_names: tuple[str, ...]
+    chain: FloatArray
+    priors: tuple[PriorRow, ...] = ()
+    budget: tuple[BudgetRow, ...] = ()
+    comparison: tuple[ComparisonRow, ...] = ()
+    misfit: MisfitAlarm | None = None
+    bands: Mapping[tuple[str, str | None], FloatArray] = field(default_factory=dict)
+
+    def as_json(self) -> dict[str, Any]:
+        """The keys that a specimen gains."""
+        return {
+            "sampler": self.sampler.as_json(),
+            "noise": self.noise.as_json(),
+            "priors": [row.as_json() for row in self.priors],
+            "budget": [row.as_json() for row in self.budget],
+            "model_comparison": [row.as_json() for row in self.comparison],
+            "misfit": None if self.misfit is None else self.misfit.as_json(),
+        }
