@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
+from typing import Any
 
 __all__ = ["CALIBRATION_DEFAULTS", "WEAK_FACTOR", "CalibrationPrior", "Priors", "SpreadPrior"]
 
@@ -106,3 +107,25 @@ class Priors:
         object.__setattr__(
             self, "calibration", MappingProxyType({**CALIBRATION_DEFAULTS, **self.calibration})
         )
+
+    def as_json(self) -> dict[str, Any]:
+        """What was stated of tissue and noise, with the defaults in use, as ``[priors]`` of study.toml."""
+        linear: dict[str, Any] = {name: {"mean": mean, "sd": sd} for name, (mean, sd) in self.linear.items()}
+        times = [{"median": one.median, "sd_ln": one.sd_ln} for one in self.relaxation_time_s]
+        sigma = self.sigma_N
+        return {
+            **linear,
+            **({"relaxation_time_s": times} if times else {}),
+            **({} if sigma is None else {"sigma_N": {"median": sigma.median, "sd_ln": sigma.sd_ln}}),
+            "phi": {"low": self.phi[0], "high": self.phi[1]},
+            "gain_sd": {"scale": self.gain_sd},
+        }
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # read-only mappings can't be pickled, and worker processes need priors
+        values = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        return _unpickled, ({k: dict(v) if isinstance(v, Mapping) else v for k, v in values.items()},)
+
+
+def _unpickled(values: Mapping[str, Any]) -> Priors:
+    return Priors(**values)
