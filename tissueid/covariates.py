@@ -82,6 +82,7 @@ def study_record(
         "study": dict(study.about),
         "tip": dict(study.tip),
         "calibration": calibration | {"frame": None if frame is None else frame.as_json()},
+        "priors": study.priors.as_json(),
         "specimens": [_specimen_row(study, name) for name in shown],
         "trials": [_trial_row(collected, entry, names) for entry in collected.inputs],
         "exclusions": list(exclusions),

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.priors import Priors
 from tissueid.trial import Protocol, frozen_array
 
 __all__ = ["Calibration", "Decision", "Entry", "FrameCurve", "Study"]
@@ -182,6 +183,8 @@ class Study:
     tip : mapping
         ``[tip]``.
     calibration : Calibration
+    priors : Priors
+        ``[priors]``; defaults where nothing is stated.
     specimens : mapping
         Name -> its ``[[specimen]]`` table.
     protocols : mapping
@@ -194,6 +197,7 @@ class Study:
     about: Mapping[str, Any] = field(default_factory=dict)
     tip: Mapping[str, Any] = field(default_factory=dict)
     calibration: Calibration = field(default_factory=Calibration)
+    priors: Priors = field(default_factory=Priors)
     specimens: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     protocols: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     trials: tuple[Entry, ...] = ()

@@ -45,7 +45,7 @@ LIBRARIES = ("lmfit", "numba", "numpy", "scipy")
 REQUIRABLE = ("viscosity", "static", "stiffness", "relaxation-time")
 DEFAULT_REQUIRED = ("viscosity", "static")
 #: What a bundle keeps of its study.
-STUDY_PROVENANCE = ("path", "sha256", "calibration")
+STUDY_PROVENANCE = ("path", "sha256", "calibration", "priors")
 _PREFIX = {
     "viscosity": "viscosity",
     "static": "static",

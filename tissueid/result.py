@@ -14,6 +14,7 @@ from tissueid.errors import printable
 from tissueid.flags import Flag
 from tissueid.quantities import CycleRow, QuotedNumbers, RelaxationRow
 from tissueid.trial import MM_N, Axes
+from tissueid.uncertainty import ParameterUncertainty, Posterior
 
 __all__ = [
     "Curve",
@@ -30,6 +31,14 @@ __all__ = [
 
 FloatArray = NDArray[np.float64]
 
+#: What a parameter says of its uncertainty where nothing was sampled or nothing is identified.
+_NOT_SAMPLED = dict.fromkeys(("mean", "sd", "ci95", "ci95_total", "ess_bulk", "ess_tail", "r_hat"))
+
+#: What a specimen says of a posterior it does not have.
+_NO_POSTERIOR: Mapping[str, Any] = MappingProxyType(
+    {"sampler": None, "noise": None, "priors": [], "budget": [], "model_comparison": [], "misfit": None}
+)
+
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
@@ -45,6 +54,10 @@ class Estimate:
     identified : bool
     detail : mapping
         Numbers behind the verdict (estimate, interval, width in ln tau).
+    uncertainty : ParameterUncertainty or None
+        From the posterior, where one was sampled.  Of a parameter that is not identified it stands in
+        ``detail["posterior"]`` of the JSON, never as an interval of its own: it is the prior's as much as
+        the data's.
     """
 
     name: str
@@ -54,12 +67,15 @@ class Estimate:
     stderr: float | None
     identified: bool
     detail: Mapping[str, Any] = field(default_factory=dict)
+    uncertainty: ParameterUncertainty | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "detail", MappingProxyType(dict(self.detail)))
 
     def as_json(self) -> dict[str, Any]:
         """The object of ``schemas/identification.schema.json``."""
+        sampled = None if self.uncertainty is None else self.uncertainty.as_json()
+        aside = {} if self.identified or sampled is None else {"posterior": sampled}
         return {
             "name": self.name,
             "symbol": self.symbol,
@@ -67,8 +83,18 @@ class Estimate:
             "value": self.value,
             "stderr": self.stderr,
             "identified": self.identified,
-            "detail": dict(self.detail),
+            **(sampled if sampled is not None and self.identified else _NOT_SAMPLED),
+            "detail": {**self.detail, **aside},
         }
+
+    @classmethod
+    def from_json(cls, document: Mapping[str, Any]) -> Estimate:
+        """What :meth:`as_json` wrote."""
+        plain = {key: value for key, value in document.items() if key not in _NOT_SAMPLED}
+        detail = dict(plain.pop("detail"))
+        sampled = detail.pop("posterior", None) or (None if document["mean"] is None else document)
+        uncertainty = None if sampled is None else ParameterUncertainty.from_json(sampled)
+        return cls(**plain, detail=detail, uncertainty=uncertainty)
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,6 +235,8 @@ class SpecimenFit:
         How the fit of unloading went; ``None`` where only loading was fitted.
     cycles : tuple of CycleRow
     quoted : QuotedNumbers or None
+    posterior : Posterior or None
+        ``None`` where nothing was sampled.
     """
 
     specimen: str
@@ -232,6 +260,7 @@ class SpecimenFit:
     unloading: Mapping[str, Any] | None = None
     cycles: tuple[CycleRow, ...] = ()
     quoted: QuotedNumbers | None = None
+    posterior: Posterior | None = None
 
     def parameter(self, name: str) -> Estimate:
         """The reported parameter of that name (``KeyError`` where there is none)."""
@@ -262,6 +291,7 @@ class SpecimenFit:
             "unloading": None if self.unloading is None else dict(self.unloading),
             "optimisers": dict(self.optimisers),
             "selection": [dict(row) for row in self.selection],
+            **(_NO_POSTERIOR if self.posterior is None else self.posterior.as_json()),
             "flags": [flag.as_json() for flag in self.flags],
         }
         return _in_units(document, self.axes) if self.axes.normalised else document

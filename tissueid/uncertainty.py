@@ -8,6 +8,7 @@ wrong: that is what :class:`MisfitAlarm` is for.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -28,6 +29,17 @@ __all__ = [
 ]
 
 FloatArray = NDArray[np.float64]
+
+
+def _finite(value: Any) -> Any:
+    """The same value with ``None`` for numbers that JSON does not have."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {key: _finite(child) for key, child in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(child) for child in value]
+    return value
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +106,7 @@ class SamplerReport:
             "converged": self.converged,
             "draws": self.draws,
             "acceptance": self.acceptance,
-            "detail": dict(self.detail),
+            "detail": _finite(self.detail),
         }
 
 
@@ -122,16 +134,33 @@ class ParameterUncertainty:
     r_hat: float
 
     def as_json(self) -> dict[str, Any]:
-        """The keys that a parameter gains."""
+        """The keys that a parameter gains; a diagnostic that has no value is null."""
         return {
             "mean": self.mean,
             "sd": self.sd,
             "ci95": list(self.ci95),
             "ci95_total": None if self.ci95_total is None else list(self.ci95_total),
-            "ess_bulk": self.ess_bulk,
-            "ess_tail": self.ess_tail,
-            "r_hat": self.r_hat,
+            "ess_bulk": _finite(self.ess_bulk),
+            "ess_tail": _finite(self.ess_tail),
+            "r_hat": _finite(self.r_hat),
         }
+
+    @classmethod
+    def from_json(cls, document: Mapping[str, Any]) -> ParameterUncertainty:
+        """What :meth:`as_json` wrote; a diagnostic that is null is NaN again."""
+        diagnostics = {
+            key: math.nan if document[key] is None else float(document[key])
+            for key in ("ess_bulk", "ess_tail", "r_hat")
+        }
+        low, high = document["ci95"]
+        total = document["ci95_total"]
+        return cls(
+            mean=document["mean"],
+            sd=document["sd"],
+            ci95=(low, high),
+            ci95_total=None if total is None else (total[0], total[1]),
+            **diagnostics,
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,9 +193,9 @@ class PriorRow:
             "name": self.name,
             "prior": self.prior,
             "stated": self.stated,
-            "posterior_mean": self.posterior_mean,
-            "posterior_sd": self.posterior_sd,
-            "shrinkage": self.shrinkage,
+            "posterior_mean": _finite(self.posterior_mean),
+            "posterior_sd": _finite(self.posterior_sd),
+            "shrinkage": _finite(self.shrinkage),
         }
 
 
@@ -194,7 +223,12 @@ class BudgetRow:
 
     def as_json(self) -> dict[str, Any]:
         """The ``budget`` row of the schema."""
-        return {"parameter": self.parameter, "source": self.source, "sd": self.sd, "share": self.share}
+        return {
+            "parameter": self.parameter,
+            "source": self.source,
+            "sd": self.sd,
+            "share": _finite(self.share),
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,12 +261,12 @@ class ComparisonRow:
         """The ``model_comparison`` row of the schema."""
         return {
             "model": self.model,
-            "log_evidence": self.log_evidence,
-            "log_evidence_se": self.log_evidence_se,
-            "elpd_log": self.elpd_log,
-            "elpd_log_se": self.elpd_log_se,
-            "elpd_speed": self.elpd_speed,
-            "elpd_speed_se": self.elpd_speed_se,
+            "log_evidence": _finite(self.log_evidence),
+            "log_evidence_se": _finite(self.log_evidence_se),
+            "elpd_log": _finite(self.elpd_log),
+            "elpd_log_se": _finite(self.elpd_log_se),
+            "elpd_speed": _finite(self.elpd_speed),
+            "elpd_speed_se": _finite(self.elpd_speed_se),
             "verdict": self.verdict,
         }
 
@@ -261,8 +295,8 @@ class MisfitCheck:
         """A row of ``misfit.checks``."""
         return {
             "name": self.name,
-            "statistic": self.statistic,
-            "p_value": self.p_value,
+            "statistic": _finite(self.statistic),
+            "p_value": _finite(self.p_value),
             "message": self.message,
             "raised": self.raised,
         }

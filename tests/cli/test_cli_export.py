@@ -13,6 +13,7 @@ import pandas as pd
 import pytest
 from command_line import run
 from fit_factory import STATIC, identification, specimen_fit
+from posterior_factory import sampled
 
 from tissueid.result import SpecimenFit
 from tissueid.store.files import json_bytes, plain_json
@@ -25,6 +26,9 @@ FITS = (
     specimen_fit('liver, "left"', trials=1, samples=60, identified=False, seed=5),
     specimen_fit("Nière", trials=2, samples=60, seed=9),
 )
+
+
+POSTERIOR_ENDS = ("_mean", "_sd", "_ci95_low", "_ci95_high", "_ci95_total_low", "_ci95_total_high")
 
 
 def document(fits: tuple[SpecimenFit, ...] = FITS) -> dict[str, Any]:
@@ -145,15 +149,26 @@ def test_columns_do_not_depend_on_what_was_found(name: str) -> None:
     assert all(set(row) <= set(full) for row in rows)
 
 
-def test_intervals_get_their_columns_once_a_document_has_them() -> None:
-    with_intervals = document()
-    for specimen in with_intervals["specimens"]:
-        for estimate in specimen["parameters"]:
-            estimate |= {"low": 1.25, "high": 2.5}
-    columns = tidy_table(with_intervals, "specimens").columns
-    at = columns.index("viscosity_N_s_per_mm_stderr")
-    assert columns[at + 1 : at + 3] == ("viscosity_N_s_per_mm_low", "viscosity_N_s_per_mm_high")
-    assert float(table("specimens", with_intervals)[0]["viscosity_N_s_per_mm_high"]) == 2.5
+def test_a_posterior_fills_mean_sd_and_the_ends_of_both_intervals() -> None:
+    fits = tuple(sampled(fit) for fit in FITS)
+    first, second, _ = table("specimens", document(fits))
+    known = fits[0].parameter("viscosity_N_s_per_mm").uncertainty
+    assert known is not None
+    assert known.ci95_total is not None
+    name = "viscosity_N_s_per_mm"
+    parts = ("mean", "sd", "ci95_low", "ci95_high", "ci95_total_low", "ci95_total_high")
+    expected = [known.mean, known.sd, *known.ci95, *known.ci95_total]
+    assert [float(first[f"{name}_{part}"]) for part in parts] == expected
+    assert (first["sampler"], first["converged"], first["draws"]) == ("emcee", "TRUE", "4000")
+    assert (first["noise"], float(first["phi"]), first["misfit"]) == ("ar1", 0.6, "FALSE")
+    # of what is not identified no interval stands in a column
+    assert [second[f"relaxation_time_s_{part}"] for part in parts] == [""] * 6
+    assert second["relaxation_time_s_identified"] == "FALSE"
+
+
+def test_columns_of_the_posterior_are_empty_where_nothing_was_sampled() -> None:
+    first, *_ = table("specimens")
+    assert (first["viscosity_N_s_per_mm_ci95_low"], first["sampler"], first["misfit"]) == ("", "", "")
 
 
 def test_a_second_branch_gets_its_columns() -> None:
@@ -252,6 +267,6 @@ def test_the_documentation_names_every_column() -> None:
         for column in tidy_table(document(), name).columns:
             told = f"`{column}`" in section or any(
                 f"`{column.removesuffix(end)}`" in section and f"`*{end}`" in section
-                for end in ("_stderr", "_identified")
+                for end in ("_stderr", "_identified", *POSTERIOR_ENDS)
             )
             assert told or column in {"tissueid", "identification_sha256"}, (name, column)

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import copy
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from fit_factory import identification, specimen_fit
 from jsonschema import Draft202012Validator
+from posterior_factory import sampled
 
 from tissueid.errors import BundleError
 from tissueid.flags import FLAG_CODES, Flag
+from tissueid.result import Estimate
 from tissueid.store import schema as schema_module
 from tissueid.store.files import plain_json
 from tissueid.store.schema import SCHEMA_NAMES, check, first_problem, load_schema, schema_folder
@@ -20,6 +24,12 @@ from tissueid.store.schema import SCHEMA_NAMES, check, first_problem, load_schem
 
 def run_document() -> dict[str, Any]:
     document: dict[str, Any] = plain_json(identification([specimen_fit()], refused=True).as_json())
+    return document
+
+
+def sampled_document(*, identified: bool = True) -> dict[str, Any]:
+    fit = sampled(specimen_fit(identified=identified))
+    document: dict[str, Any] = plain_json(identification([fit]).as_json())
     return document
 
 
@@ -78,6 +88,47 @@ def test_refusal_codes_are_those_of_ingest_and_the_two_a_fit_adds() -> None:
 
 def test_identification_of_a_run_is_valid() -> None:
     assert first_problem(run_document(), "identification") is None
+
+
+def test_identification_of_a_sampled_run_is_valid_and_says_what_was_asked_for() -> None:
+    document = sampled_document()
+    assert first_problem(document, "identification") is None
+    specimen = document["specimens"][0]
+    for estimate in specimen["parameters"]:
+        assert estimate["ci95_total"][0] < estimate["ci95"][0] < estimate["mean"] < estimate["ci95"][1]
+        assert {"sd", "ess_bulk", "ess_tail", "r_hat"} <= set(estimate)
+    assert (specimen["sampler"]["name"], specimen["sampler"]["converged"]) == ("emcee", True)
+    assert (specimen["noise"]["model"], specimen["noise"]["phi"]) == ("ar1", 0.6)
+    assert {row["verdict"] for row in specimen["model_comparison"]} == {
+        "chosen", "undecided", "worse", "beside",
+    }  # fmt: skip
+    assert specimen["misfit"]["raised"] is False
+
+
+def test_what_is_not_identified_has_no_interval_of_its_own() -> None:
+    document = sampled_document(identified=False)
+    assert first_problem(document, "identification") is None
+    (tau,) = [one for one in document["specimens"][0]["parameters"] if one["name"] == "relaxation_time_s"]
+    assert [tau[key] for key in ("value", "mean", "sd", "ci95", "ci95_total", "r_hat")] == [None] * 6
+    assert tau["detail"]["posterior"]["ci95"][0] < 1.5 < tau["detail"]["posterior"]["ci95"][1]
+    assert Estimate.from_json(tau).as_json() == tau
+    tau["ci95"] = [0.1, 9.0]
+    problem = first_problem(document, "identification")
+    assert problem is not None
+    assert problem.pointer.endswith("/ci95")
+
+
+def test_a_diagnostic_without_a_value_is_null_and_comes_back_as_nan() -> None:
+    fit = sampled(specimen_fit())
+    known = fit.parameters[0].uncertainty
+    assert known is not None
+    odd = replace(fit.parameters[0], uncertainty=replace(known, r_hat=float("nan"), ess_tail=float("nan")))
+    document = plain_json(odd.as_json())
+    assert (document["r_hat"], document["ess_tail"]) == (None, None)
+    back = Estimate.from_json(document).uncertainty
+    assert back is not None
+    assert np.isnan(back.r_hat)
+    assert back.ci95 == known.ci95
 
 
 @pytest.mark.parametrize(

@@ -15,10 +15,11 @@ import h5py
 import numpy as np
 import pytest
 from fit_factory import STATIC, STIFFNESS, TAU_S, identification, specimen_fit
+from posterior_factory import sampled
 
 from tissueid.errors import BundleError
 from tissueid.model import ContactPath
-from tissueid.store.bundle import Bundle, bundle_from_fit, load_bundle, write_bundle
+from tissueid.store.bundle import MOST_DRAWS, Bundle, bundle_from_fit, load_bundle, write_bundle
 
 PROVENANCE = identification([specimen_fit()]).provenance
 
@@ -26,7 +27,8 @@ PROVENANCE = identification([specimen_fit()]).provenance
 def a_bundle(draws: int = 0) -> Bundle:
     fit = specimen_fit()
     spread = np.random.default_rng(3).normal(0.0, 1e-3, (draws, fit.theta.size))
-    return bundle_from_fit(fit, provenance=PROVENANCE, draws=fit.theta + spread if draws else None)
+    bundle = bundle_from_fit(fit, provenance=PROVENANCE)
+    return replace(bundle, draws=fit.theta + spread) if draws else bundle
 
 
 @pytest.fixture
@@ -51,6 +53,32 @@ def test_everything_comes_back_exactly(written: Path) -> None:
 def test_a_bundle_without_draws_comes_back_without(tmp_path: Path) -> None:
     write_bundle(a_bundle(), tmp_path / "b.h5")
     assert load_bundle(tmp_path / "b.h5").draws is None
+
+
+def test_a_posterior_gives_its_covariance_its_intervals_and_thinned_draws(tmp_path: Path) -> None:
+    fit = sampled(specimen_fit())
+    assert fit.posterior is not None
+    write_bundle(bundle_from_fit(fit, provenance=PROVENANCE), tmp_path / "b.h5")
+    bundle = load_bundle(tmp_path / "b.h5")
+    assert np.array_equal(bundle.covariance, fit.posterior.covariance)
+    assert bundle.draws is not None
+    assert bundle.draws.shape == (MOST_DRAWS, fit.theta.size)
+    every = {tuple(row) for row in fit.posterior.draws}
+    assert all(tuple(row) in every for row in bundle.draws)
+    # evenly over the chain: first and last draw are kept
+    assert np.array_equal(bundle.draws[[0, -1]], fit.posterior.draws[[0, -1]])
+    assert bundle.parameter("viscosity_N_s_per_mm").uncertainty == fit.parameters[-1].uncertainty
+
+
+def test_a_draw_that_is_not_passive_is_never_written(tmp_path: Path) -> None:
+    fit = sampled(specimen_fit())
+    assert fit.posterior is not None
+    draws = fit.posterior.draws.copy()
+    draws[0, -1] = -TAU_S
+    fit = replace(fit, posterior=replace(fit.posterior, draws=draws))
+    with pytest.raises(BundleError, match="draw 0 is not passive"):
+        write_bundle(bundle_from_fit(fit, provenance=PROVENANCE), tmp_path / "b.h5")
+    assert not list(tmp_path.iterdir())
 
 
 def test_the_same_fit_gives_the_same_bytes(tmp_path: Path) -> None:

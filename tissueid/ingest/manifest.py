@@ -21,9 +21,11 @@ from tissueid.errors import InputError, UsageError
 from tissueid.ingest.frame_file import read_frame
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.stated import canonical_key, in_unit, unit_of
+from tissueid.ingest.stated_priors import PriorError, plain_priors, priors_of
 from tissueid.ingest.toml_lines import TomlPath, line_of, lines_of_toml
 from tissueid.manifest import Calibration, Entry, FrameCurve, Study
 from tissueid.model.frame import linear_frame
+from tissueid.priors import Priors
 from tissueid.result import Refusal
 from tissueid.store.schema import first_problem, load_schema
 
@@ -110,6 +112,7 @@ def read_study(path: str | Path) -> Study:
         about=document.get("study", {}),
         tip=document.get("tip", {}),
         calibration=_calibration(document.get("calibration", {}), folder, refuser),
+        priors=_priors(document.get("priors", {}), refuser),
         specimens={entry["name"]: entry for entry in document.get("specimen", ())},
         protocols={entry["name"]: entry for entry in document.get("protocol", ())},
         trials=_entries(document, "trial", folder, refuser),
@@ -167,9 +170,15 @@ def _parsed(content: bytes, path: str) -> tuple[dict[str, Any], _Refuser]:
         ) from error
 
 
-def _properties(name: str) -> Mapping[str, Any]:
-    """What a table of the manifest may hold, from the schema."""
-    found: Mapping[str, Any] = load_schema("study")["$defs"][name]["properties"]
+def _properties(*where: str | int) -> Mapping[str, Any]:
+    """What a table of the manifest may hold, from the schema; empty where it says nothing."""
+    schema = load_schema("study")
+    node: Mapping[str, Any] = schema
+    for part in where:
+        node = node.get("items", {}) if isinstance(part, int) else node.get("properties", {}).get(part, {})
+        if "$ref" in node:
+            node = schema["$defs"][node["$ref"].rpartition("/")[2]]
+    found: Mapping[str, Any] = node.get("items", node).get("properties", {})
     return found
 
 
@@ -182,11 +191,13 @@ def _normalised(table: Mapping[str, Any], refuser: _Refuser) -> dict[str, Any]:
             near = get_close_matches(name, top, n=1)
             hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(top)}"
             refuser.refuse((name,), f"there is no table {name!r}; {hint}")
-        if isinstance(value, dict):
-            document[name] = _table(value, name, (name,), refuser)
+        if name == "priors" and isinstance(value, dict):
+            document[name] = _plain_priors(value, refuser)
+        elif isinstance(value, dict):
+            document[name] = _table(value, (name,), refuser)
         elif isinstance(value, list):
             document[name] = [
-                _table(one, name, (name, i), refuser) if isinstance(one, dict) else one
+                _table(one, (name, i), refuser) if isinstance(one, dict) else one
                 for i, one in enumerate(value)
             ]
         else:
@@ -194,8 +205,23 @@ def _normalised(table: Mapping[str, Any], refuser: _Refuser) -> dict[str, Any]:
     return document
 
 
-def _table(table: Mapping[str, Any], name: str, where: TomlPath, refuser: _Refuser) -> dict[str, Any]:
-    known = _properties(name)
+def _plain_priors(table: Mapping[str, Any], refuser: _Refuser) -> dict[str, Any]:
+    try:
+        return plain_priors(table, _properties("priors"))
+    except PriorError as problem:
+        refuser.refuse(("priors", *problem.where), str(problem))
+
+
+def _priors(plain: Mapping[str, Any], refuser: _Refuser) -> Priors:
+    try:
+        return priors_of(plain)
+    except PriorError as problem:
+        where: TomlPath = ("priors", *problem.where)
+        refuser.refuse(where, f"{_place(where)}: {problem}")
+
+
+def _table(table: Mapping[str, Any], where: TomlPath, refuser: _Refuser) -> dict[str, Any]:
+    known = _properties(*where)
     plain: dict[str, Any] = {}
     for written, raw in table.items():
         value = raw.isoformat() if isinstance(raw, dt.date | dt.time) else raw
@@ -220,12 +246,10 @@ def _check_schema(document: Mapping[str, Any], refuser: _Refuser) -> None:
     where: TomlPath = tuple(int(p) if p.isdecimal() else p for p in problem.pointer.split("/")[1:])
     if not where and "schema" not in document:
         refuser.refuse((), f'the first line must be: schema = "{SCHEMA}"')
-    known = _properties(str(where[0])) if where and where[0] in load_schema("study")["$defs"] else {}
     said = _in_words(problem.message)
-    key = (
-        said.removesuffix(" is missing") if said.endswith(" is missing") else str(where[-1]) if where else ""
-    )
-    meaning = known.get(key, {}).get("description")
+    missing = said.endswith(" is missing")
+    key = said.removesuffix(" is missing") if missing else str(where[-1]) if where else ""
+    meaning = _properties(*(where if missing else where[:-1])).get(key, {}).get("description")
     hint = f". {key}: {meaning}" if meaning else ""
     if not where or where[-1] == "calibration":
         hint = ". frame and frame_stiffness_N_per_mm exclude each other; an _sd needs its value beside it"
@@ -242,6 +266,12 @@ def _place(where: TomlPath) -> str:
     if not where:
         return "the file"
     name, *rest = where
+    if name == "priors" and rest:
+        # its tables are named by a dotted header
+        table, *rest = rest
+        name = f"{name}.{table}"
+        if not rest:
+            return f"[{name}]"
     if rest and isinstance(rest[0], int):
         return ", ".join([f"[[{name}]] {rest[0] + 1}", *(str(part) for part in rest[1:])])
     return " ".join([f"[{name}]", *(str(part) for part in rest)]) if rest else str(name)

@@ -13,7 +13,7 @@ from typing import Any
 
 from tissueid.units import factor_to
 
-__all__ = ["canonical_key", "in_unit", "unit_of"]
+__all__ = ["canonical_key", "in_unit", "unit_of", "without_unit"]
 
 _NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*$", re.DOTALL)
 _SECONDS_PER_HOUR = 3600.0
@@ -25,12 +25,19 @@ _CELSIUS = {"C", "°C", "degC", "celsius", "Celsius"}
 _KELVIN_AT_ZERO_C = 273.15
 
 
-def _stiffness(value: float, unit: str) -> float:
-    force, slash, length = unit.partition("/")
-    if not slash:
-        msg = f"unit {unit!r} does not measure stiffness: write N/mm or kN/mm"
-        raise ValueError(msg)
-    return value * factor_to(force, "force") / factor_to(length, "displacement")
+def _stiffness(power: int) -> Callable[[float, str], float]:
+    """Force over a power of length, as a coefficient of F_s(x) or K(x) is."""
+    exponent = "" if power == 1 else str(power)
+
+    def convert(value: float, unit: str) -> float:
+        force, slash, length = unit.partition("/")
+        plain = length.removesuffix(exponent).removesuffix("^") if length.endswith(exponent) else ""
+        if not slash or not plain:
+            msg = f"unit {unit!r} does not measure stiffness: write N/mm{exponent} or kN/mm{exponent}"
+            raise ValueError(msg)
+        return value * factor_to(force, "force") / factor_to(plain, "displacement") ** power
+
+    return convert
 
 
 def _temperature(value: float, unit: str) -> float:
@@ -54,7 +61,9 @@ def _of(table: Mapping[str, float]) -> Callable[[float, str], float]:
 
 #: Unit at the end of a key -> how text in another unit becomes a number in it.
 _CONVERT: Mapping[str, Callable[[float, str], float]] = {
-    "N_per_mm": _stiffness,
+    "N_per_mm": _stiffness(1),
+    "N_per_mm2": _stiffness(2),
+    "N_per_mm3": _stiffness(3),
     "mm_s": lambda value, unit: value * factor_to(unit, "speed"),
     "mm": lambda value, unit: value * factor_to(unit, "displacement"),
     "s": lambda value, unit: value * factor_to(unit, "time"),
@@ -76,7 +85,7 @@ def unit_of(key: str) -> str | None:
     return next((unit for unit in _CONVERT if bare.endswith(f"_{unit}")), None)
 
 
-def _without_unit(key: str) -> str:
+def without_unit(key: str) -> str:
     """``"thickness_mm_sd"`` without its unit: ``"thickness_sd"``."""
     unit = unit_of(key)
     if unit is None:
@@ -103,7 +112,7 @@ def canonical_key(key: str, value: Any, known: Mapping[str, Any]) -> str:
     """
     if key in known:
         return key
-    whole = [name for name in known if _without_unit(name) == key and unit_of(name) is not None]
+    whole = [name for name in known if without_unit(name) == key and unit_of(name) is not None]
     if len(whole) == 1:
         if isinstance(value, str):
             return whole[0]
@@ -116,8 +125,16 @@ def canonical_key(key: str, value: Any, known: Mapping[str, Any]) -> str:
     raise ValueError(msg)
 
 
-def in_unit(key: str, text: str) -> float:
+def in_unit(key: str, text: str, *, shown: str | None = None) -> float:
     """A number in the unit of its key, from text with a unit: ``("speed_mm_s", "250 mm/min")`` gives 4.1667.
+
+    Parameters
+    ----------
+    key : str
+        Ends in its unit.
+    text : str
+    shown : str, optional
+        What a message calls the key.
 
     Raises
     ------
@@ -125,6 +142,7 @@ def in_unit(key: str, text: str) -> float:
         No number, no unit, or a unit of something else.
     """
     unit = unit_of(key)
+    key = shown or key
     match = _NUMBER.match(text)
     if unit is None or match is None:
         msg = f'{key} = "{text}" is not a number with a unit: write a decimal point, a space, the unit'

@@ -6,8 +6,8 @@ Layout (schema version 1)::
     |  attributes: format = "tissueid/bundle", schema_version = 1, content_sha256
     |-- document     JSON text, schemas/bundle.schema.json
     |-- theta        (p,)    float64   parameters of the contact model, in the order of theta_names
-    |-- covariance   (p, p)  float64
-    `-- draws        (n, p)  float64   only where a posterior was sampled
+    |-- covariance   (p, p)  float64   of the posterior where one was sampled, else of the optimum
+    `-- draws        (n, p)  float64   only where a posterior was sampled; every row is passive
 
 Equal contents give equal bytes: no time stamps, no version of the library that wrote it.  The content
 hash covers the document and every number, so that an edited file is told from a written one; it is a
@@ -47,6 +47,8 @@ _DOCUMENT = "document"
 _ARRAYS = ("theta", "covariance", "draws")
 _OPTIONAL = frozenset({"draws"})
 _UNITS = Axes().as_json()
+#: Draws a bundle keeps: a 95 % bound from so many is good to 6 % of the posterior's sd.
+MOST_DRAWS = 2_000
 
 #: What libhdf5 and h5py raise on a file that is cut, overwritten or made by hand.
 _HDF5_ERRORS = (
@@ -173,18 +175,14 @@ class Bundle:
         }
 
 
-def bundle_from_fit(
-    fit: SpecimenFit, *, provenance: Mapping[str, Any], draws: FloatArray | None = None
-) -> Bundle:
-    """Make the bundle of one specimen's fit.
+def bundle_from_fit(fit: SpecimenFit, *, provenance: Mapping[str, Any]) -> Bundle:
+    """Make the bundle of one specimen's fit; its covariance and draws are the posterior's where there is one.
 
     Parameters
     ----------
     fit : SpecimenFit
     provenance : mapping
         Of the run: versions, options, seed, inputs.  Inputs that this specimen did not use are left out.
-    draws : ndarray, shape (n, p), optional
-        Posterior draws of theta.
     """
     own = {(trial.path, trial.sheet) for trial in fit.trials}
     inputs = [
@@ -192,12 +190,13 @@ def bundle_from_fit(
         for entry in provenance.get("inputs", ())
         if (entry.get("path"), entry.get("sheet")) in own and entry.get("specimen") == fit.specimen
     ]
+    posterior = fit.posterior
     return Bundle(
         specimen=fit.specimen,
         model=fit.model,
         theta_names=fit.theta_names,
         theta=fit.theta,
-        covariance=fit.covariance,
+        covariance=fit.covariance if posterior is None else posterior.covariance,
         parameters=tuple(replace(one, unit=fit.axes.unit(one.unit)) for one in fit.parameters),
         depth_mm=float(fit.depth_mm),
         speeds_mm_s=fit.speeds_mm_s,
@@ -205,9 +204,17 @@ def bundle_from_fit(
         sigma_N=float(fit.sigma_N),
         flags=tuple(flag.as_json() for flag in fit.flags),
         provenance={**provenance, "inputs": inputs},
-        draws=draws,
+        draws=None if posterior is None else _thinned(posterior.draws),
         units=fit.axes.as_json(),
     )
+
+
+def _thinned(draws: FloatArray) -> FloatArray:
+    """At most :data:`MOST_DRAWS` rows, evenly over all of them."""
+    if len(draws) <= MOST_DRAWS:
+        return draws
+    kept: FloatArray = draws[np.linspace(0, len(draws) - 1, MOST_DRAWS).astype(int)]
+    return kept
 
 
 def write_bundle(bundle: Bundle, path: Path | str) -> None:
@@ -340,7 +347,7 @@ def _from_document(document: Mapping[str, Any], arrays: Mapping[str, FloatArray]
         theta_names=tuple(document["theta_names"]),
         theta=arrays["theta"],
         covariance=arrays["covariance"],
-        parameters=tuple(Estimate(**estimate) for estimate in document["parameters"]),
+        parameters=tuple(Estimate.from_json(estimate) for estimate in document["parameters"]),
         depth_mm=validity["depth_mm"],
         speeds_mm_s=(slowest, fastest),
         tip_radius_mm=validity["tip_radius_mm"],

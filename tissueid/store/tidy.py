@@ -3,7 +3,7 @@
 CSV after RFC 4180 in UTF-8: comma, decimal point, CRLF, quotes where needed; an empty cell is "not known",
 and a parameter that the data do not determine is empty with ``FALSE`` beside it.  Units stand in the column
 names.  Columns and their order do not depend on the data, but for the parameters of a second and third
-branch and for intervals, which come with the document that has them.
+branch.
 """
 
 from __future__ import annotations
@@ -31,9 +31,11 @@ _PARAMETERS = (
     "viscosity_N_s_per_mm",
 )
 _BRANCH_PARAMETERS = tuple(name for name in _PARAMETERS if not name.startswith("static"))
-#: Ends of an interval, in the words of an estimate and of a column.
-_INTERVAL = ("low", "high")
-_PARTS = ("stderr", *_INTERVAL, "identified")
+#: Intervals of an estimate; a column for each end.
+_INTERVALS = ("ci95", "ci95_total")
+_PLAIN_PARTS = ("stderr", "identified", "mean", "sd")
+_PARTS = (*_PLAIN_PARTS, *(f"{interval}_{end}" for interval in _INTERVALS for end in ("low", "high")))
+_SAMPLED = ("sampler", "converged", "draws", "noise", "phi", "misfit")
 
 #: Columns of ``study.specimens``; the two that a trial has as well are told apart.
 _SPECIMEN_COVARIATES: Mapping[str, str] = MappingProxyType(
@@ -162,21 +164,11 @@ def _parameter_names(document: Mapping[str, Any]) -> list[str]:
     return [*_PARAMETERS, *branches]
 
 
-def _has_intervals(document: Mapping[str, Any]) -> bool:
-    return any(
-        end in estimate
-        for one in document["specimens"]
-        for estimate in one["parameters"]
-        for end in _INTERVAL
-    )
-
-
 def _specimen_columns(document: Mapping[str, Any]) -> list[str]:
-    parts = ["stderr", *(_INTERVAL if _has_intervals(document) else ()), "identified"]
     estimates = [
         column
         for name in _parameter_names(document)
-        for column in (name, *(f"{name}_{part}" for part in parts))
+        for column in (name, *(f"{name}_{part}" for part in _PARTS))
     ]
     return [
         *("specimen", "status", "trials", "excluded_trials", *_SPECIMEN_COVARIATES.values()),
@@ -189,6 +181,7 @@ def _specimen_columns(document: Mapping[str, Any]) -> list[str]:
             "nrmsd_mean",
             "rmse_N",
             "optimisers_agree",
+            *_SAMPLED,
             "flags",
             "trial_flags",
         ),
@@ -235,13 +228,33 @@ def _fit_of(specimen: Mapping[str, Any]) -> Row:
         "nrmsd_mean": specimen["nrmsd"]["mean"],
         "rmse_N": specimen["nrmsd"]["rmse_N"],
         "optimisers_agree": specimen["optimisers"]["agree"],
+        **_sampled(specimen),
         "flags": _codes(specimen["flags"]),
         "trial_flags": _codes(*(trial["flags"] for trial in specimen["trials"])),
     }
     for estimate in specimen["parameters"]:
         row[estimate["name"]] = estimate["value"]
-        row |= {f"{estimate['name']}_{part}": estimate[part] for part in _PARTS if part in estimate}
+        row |= {f"{estimate['name']}_{part}": estimate[part] for part in _PLAIN_PARTS}
+        for interval in _INTERVALS:
+            low, high = estimate[interval] or (None, None)
+            row |= {
+                f"{estimate['name']}_{interval}_low": low,
+                f"{estimate['name']}_{interval}_high": high,
+            }
     return row
+
+
+def _sampled(specimen: Mapping[str, Any]) -> Row:
+    """How the posterior was had, empty where nothing was sampled."""
+    sampler, noise, misfit = specimen["sampler"] or {}, specimen["noise"] or {}, specimen["misfit"] or {}
+    return {
+        "sampler": sampler.get("name"),
+        "converged": sampler.get("converged"),
+        "draws": sampler.get("draws"),
+        "noise": noise.get("model"),
+        "phi": noise.get("phi"),
+        "misfit": misfit.get("raised"),
+    }
 
 
 def _specimen_covariates(document: Mapping[str, Any]) -> dict[str, Row]:

@@ -1,0 +1,152 @@
+"""The [priors] table of study.toml: what it means, and how it is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tissueid.errors import InputError
+from tissueid.ingest.manifest import read_study
+from tissueid.priors import Priors, SpreadPrior
+from tissueid.store.schema import first_problem
+
+HEAD = 'schema = "tissueid/study/1"\n'
+
+
+def priors_in(folder: Path, text: str) -> Priors:
+    path = folder / "study.toml"
+    path.write_text(HEAD + text, encoding="utf-8")
+    return read_study(path).priors
+
+
+WHOLE = """
+[priors.static_1_N_per_mm]
+mean = 20.0
+sd = 5.0
+
+[priors.stiffness_0_N_per_mm_b2]
+mean = 3
+sd = 2
+
+[[priors.relaxation_time_s]]
+median = 0.02
+sd_ln = 0.5
+
+[[priors.relaxation_time_s]]
+median = 4
+sd_ln = 0.7
+
+[priors.sigma_N]
+median = 0.5
+sd_ln = 0.3
+
+[priors.phi]
+low = 0.2
+high = 0.95
+
+[priors.gain_sd]
+scale = 0.05
+"""
+
+
+def test_every_prior_that_is_stated_is_kept(tmp_path: Path) -> None:
+    found = priors_in(tmp_path, WHOLE)
+    assert dict(found.linear) == {"static_1_N_per_mm": (20.0, 5.0), "stiffness_0_N_per_mm_b2": (3, 2)}
+    assert found.relaxation_time_s == (SpreadPrior(0.02, 0.5), SpreadPrior(4, 0.7))
+    assert found.sigma_N == SpreadPrior(0.5, 0.3)
+    assert found.phi == (0.2, 0.95)
+    assert found.gain_sd == 0.05
+
+
+def test_a_study_without_priors_has_the_defaults(tmp_path: Path) -> None:
+    assert priors_in(tmp_path, "") == Priors()
+    assert priors_in(tmp_path, "[priors]\n") == Priors()
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "expected"),
+    [
+        ("[priors.static_1_N_per_mm]\nmean = '0.02 kN/mm'\nsd = '5 N/mm'\n", "static_1_N_per_mm", (20, 5)),
+        ("[priors.static_2_N_per_mm2]\nmean = '2 N/mm^2'\nsd = '1 N/mm2'\n", "static_2_N_per_mm2", (2, 1)),
+        (
+            "[priors.static_3_N_per_mm3]\nmean = '1 kN/cm3'\nsd = '1 N/cm^3'\n",
+            "static_3_N_per_mm3",
+            (1, 1e-3),
+        ),
+        (
+            "[priors.stiffness_1_N_per_mm2_b3]\nmean = '1e6 N/m2'\nsd = 1\n",
+            "stiffness_1_N_per_mm2_b3",
+            (1, 1),
+        ),
+    ],
+)
+def test_numbers_of_coefficients_may_carry_another_unit(
+    tmp_path: Path, text: str, name: str, expected: tuple[float, float]
+) -> None:
+    # a conversion through base units is good to a few units in the last place
+    assert priors_in(tmp_path, text).linear[name] == pytest.approx(expected, rel=1e-12)
+
+
+def test_times_and_noise_may_carry_another_unit(tmp_path: Path) -> None:
+    text = "[[priors.relaxation_time_s]]\nmedian = '20 ms'\nsd_ln = 0.5\n"
+    text += "[priors.sigma_N]\nmedian = '500 mN'\nsd_ln = 1\n"
+    found = priors_in(tmp_path, text)
+    assert found.relaxation_time_s[0].median == pytest.approx(0.02, rel=1e-12)
+    assert found.sigma_N is not None
+    assert found.sigma_N.median == pytest.approx(0.5, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "words"),
+    [
+        ("[priors.statik_1_N_per_mm]\nmean = 1\nsd = 1\n", 2, ["statik_1", "did you mean static_1_N_per_mm"]),
+        ("[priors.static_1]\nmean = 1\nsd = 1\n", 2, ["did you mean static_1_N_per_mm?"]),
+        ("[priors.stiffness_0_b2]\nmean = 1\nsd = 1\n", 2, ["did you mean stiffness_0_N_per_mm_b2?"]),
+        ("[priors.viscosity_N_s_per_mm]\nmean = 1\nsd = 1\n", 2, ["K times tau"]),
+        ("[priors.static_1_N_per_mm]\nmean = 1\n", 2, ["[priors.static_1_N_per_mm]: sd is missing", "N/mm"]),
+        ("[priors.static_1_N_per_mm]\nmean = 1\nsd = 0\n", 4, ["[priors.static_1_N_per_mm] sd", "above 0"]),
+        ("[priors.static_1_N_per_mm]\nmean = 1\nsd = '1 kg'\n", 4, ["kg", "N/mm"]),
+        ("[priors.static_2_N_per_mm2]\nmean = '1 N/mm'\nsd = 1\n", 3, ["N/mm", "N/mm2"]),
+        ("[priors.static_1_N_per_mm]\nmean = '1'\nsd = 1\n", 3, ["mean = \"1\" has no unit"]),
+        ("[priors.static_1_N_per_mm]\nmean = 1\nsd = 1\nmedian = 2\n", 2, ["median"]),
+        ("[priors]\nstatic_1_N_per_mm = 20\n", 3, ["must be a table"]),
+        ("[priors.relaxation_time_s]\nmedian = 1\nsd_ln = 1\n", 2, ["[[", "list"]),
+        ("[[priors.relaxation_time_s]]\nmedian = -1\nsd_ln = 1\n", 3, ["[[priors.relaxation_time_s]] 1, me"]),
+        (
+            "priors.relaxation_time_s = [{median = 2, sd_ln = 1},\n{median = 1, sd_ln = 1}]",
+            2,
+            ["[[priors.relaxation_time_s]] 2, median", "shortest relaxation time first"],
+        ),
+        ("[priors.phi]\nlow = 0.9\nhigh = 0.5\n", 3, ["low = 0.9 is not below high = 0.5"]),
+        ("[priors.phi]\nlow = 0.9\nhigh = 1.5\n", 4, ["[priors.phi] high", "1.5"]),
+        ("[priors.phi]\nlow = 0.9\n", 2, ["high is missing"]),
+        ("[priors.gain_sd]\nscale = true\n", 3, ["True must be a number"]),
+        ("[priors.sigma_N]\nmedian = nan\nsd_ln = 1\n", 3, ["finite"]),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_refused_with_its_line_and_the_way_out(
+    tmp_path: Path, text: str, line: int, words: list[str]
+) -> None:
+    with pytest.raises(InputError) as caught:
+        priors_in(tmp_path, text)
+    assert caught.value.code == "invalid_study"
+    assert caught.value.line == line, caught.value
+    for word in words:
+        assert word in caught.value.message
+
+
+def test_four_relaxation_times_are_too_many(tmp_path: Path) -> None:
+    table = "[[priors.relaxation_time_s]]\nmedian = {}\nsd_ln = 1\n"
+    with pytest.raises(InputError, match="relaxation_time_s"):
+        priors_in(tmp_path, "".join(table.format(i) for i in range(1, 5)))
+
+
+def test_what_is_recorded_of_priors_is_a_valid_table_of_priors(tmp_path: Path) -> None:
+    found = priors_in(tmp_path, WHOLE)
+    document = {"schema": "tissueid/study/1", "priors": found.as_json()}
+    assert first_problem(document, "study") is None
+    assert document["priors"]["relaxation_time_s"][1] == {"median": 4, "sd_ln": 0.7}
+    assert document["priors"]["static_1_N_per_mm"] == {"mean": 20.0, "sd": 5.0}
+    # a default that is in use is recorded as well
+    assert Priors().as_json() == {"phi": {"low": 0.0, "high": 1.0}, "gain_sd": {"scale": 0.3}}
