@@ -24,7 +24,16 @@ from tissueid.likelihood.objective import (
 )
 from tissueid.likelihood.sums import N_STATIC
 
-__all__ = ["Candidate", "Noise", "Solution", "SpecimenSums", "fit_candidate", "objective_for", "sum_of_logs"]
+__all__ = [
+    "Candidate",
+    "Noise",
+    "Solution",
+    "SpecimenSums",
+    "fit_candidate",
+    "objective_for",
+    "refit",
+    "sum_of_logs",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -233,6 +242,44 @@ def _spread_of_gain(
     return float(GAIN_SD[best])
 
 
+def _with_variances(
+    sums: SpecimenSums, candidate: Candidate, found: Evaluation, noise: Noise
+) -> tuple[Evaluation, Noise]:
+    """Relaxation times and variances of ``partial`` pooling in turn, from a first guess of both."""
+    for _ in range(VARIANCE_ROUNDS):
+        objective = objective_for(sums, candidate, noise)
+        found = polish(objective, found.log_tau, sums.log_tau_bounds, warm=found)
+        sigma2 = _variance(sums, candidate, found.value)
+        gain_sd = _spread_of_gain(objective, found, sigma2, sums.offset_sd_mm)  # type: ignore[arg-type]
+        settled = abs(np.log(gain_sd / noise.gain_sd)) < VARIANCE_SETTLED
+        noise = Noise(sigma2=sigma2, gain_sd=gain_sd)
+        if settled:
+            break
+    return found, noise
+
+
+def refit(sums: SpecimenSums, solution: Solution) -> Solution:
+    """The same candidate under other sums of the same logs, from where it ended.
+
+    Parameters
+    ----------
+    sums : SpecimenSums
+        As whitened for the noise.
+    solution : Solution
+    """
+    candidate, found, noise = solution.candidate, solution.evaluation, solution.noise
+    if candidate.pooling == "partial":
+        found, noise = _with_variances(sums, candidate, found, noise)
+    objective = objective_for(sums, candidate, noise)
+    found = polish(objective, found.log_tau, sums.log_tau_bounds, warm=found)
+    order = np.argsort(found.log_tau, kind="stable")
+    if (order != np.arange(order.size)).any():
+        found = objective.evaluate(found.log_tau[order])
+    if candidate.pooling != "partial":
+        noise = replace(noise, sigma2=_variance(sums, candidate, found.value))
+    return Solution(candidate=candidate, evaluation=found, noise=noise, objective=objective)
+
+
 def fit_candidate(
     sums: SpecimenSums, candidate: Candidate, *, seeds: list[FloatArray] | None = None
 ) -> Solution:
@@ -262,18 +309,9 @@ def fit_candidate(
         noise = replace(noise, sigma2=_variance(sums, candidate, found.value))
         return Solution(candidate=candidate, evaluation=found, noise=noise, objective=objective)
     robust = fit_candidate(sums, replace(candidate, pooling="per-log"), seeds=seeds)
-    noise = robust.noise
     start = robust.evaluation.log_tau
-    found = objective_for(sums, candidate, noise).evaluate(start)
-    for _ in range(VARIANCE_ROUNDS):
-        objective = objective_for(sums, candidate, noise)
-        found = polish(objective, found.log_tau, bounds, warm=found)
-        sigma2 = _variance(sums, candidate, found.value)
-        gain_sd = _spread_of_gain(objective, found, sigma2, sums.offset_sd_mm)  # type: ignore[arg-type]
-        settled = abs(np.log(gain_sd / noise.gain_sd)) < VARIANCE_SETTLED
-        noise = Noise(sigma2=sigma2, gain_sd=gain_sd)
-        if settled:
-            break
+    found = objective_for(sums, candidate, robust.noise).evaluate(start)
+    found, noise = _with_variances(sums, candidate, found, robust.noise)
     objective = objective_for(sums, candidate, noise)
     shared = objective_for(sums, replace(candidate, pooling="shared"), noise)
     found = global_minimum(objective, bounds, scan=shared, seeds=[*seeds, start, found.log_tau])

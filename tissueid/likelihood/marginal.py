@@ -1,0 +1,383 @@
+"""The marginal likelihood of relaxation times and scales, everything linear integrated.
+
+With the contact points and gains linearised at the joint optimum, a specimen's force is for given
+relaxation times a linear Gaussian model
+
+    e_i = C_i(tau) theta - C_i(tau^) theta^ + N_i u_i + noise,        u_i ~ N(mean_i, 1 / precision_i)
+
+with e_i the residual at the optimum, theta the coefficients of F_s and K, and u_i the effects of log i (gain,
+contact offset, or a free cubic).  theta has a normal prior cut to the passive cone.  Both are integrated in
+closed form, on matrices whose size is that of the model; the whitening by AR(1) noise is a weighted sum of
+a few such matrices (:mod:`tissueid.likelihood.lag_sums`).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba as nb
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.likelihood.passive_normal import log_passive_mass
+
+__all__ = ["Linearised", "conditionals", "draw_effects", "lag_weights", "log_marginals"]
+
+FloatArray = NDArray[np.float64]
+
+LOG_TWO_PI = float(np.log(2.0 * np.pi))
+STATIC_PARAMETERS = 3
+
+
+class Linearised(NamedTuple):
+    """A specimen linearised at its optimum, everything that the compiled density needs.
+
+    Columns of the sums are: the static coefficients (3, or none), then for each branch and power of u the
+    states at its nodes of ln tau, then the residual at the optimum; all in units of u = x / depth.
+
+    Attributes
+    ----------
+    branches, degree, static : int
+        Branches, degree of K, static coefficients (3 or 0).
+    shared : ndarray, shape (kinds, m, m)
+        Sums over logs; kinds as in :func:`lag_weights`.
+    cross : ndarray, shape (logs, kinds, q, m)
+        Effects of a log by columns.
+    own : ndarray, shape (logs, kinds, q, q)
+    ratio : ndarray, shape (groups,)
+        Distinct steps over the reference step.
+    links : ndarray, shape (groups,)
+        Links between samples of each step.
+    count : float
+        Samples.
+    best, best_tau : ndarray, shape (p,) and (branches,)
+        Optimum, and its ln tau.
+    nodes, barycentric : ndarray, shape (branches, r)
+        Nodes of ln tau and their barycentric weights.
+    prior_mean : ndarray, shape (p,)
+    prior_precision : ndarray, shape (p, p)
+        A weak branch's block is given for a largest state of 1 mm.
+    weak : ndarray of bool, shape (branches,)
+    prior_log_mass : float
+        ln of the prior's probability of the passive cone.
+    speed_mm_s, depth_mm : ndarray, shape (ramps,)
+        Ramps behind the largest state of a branch.
+    effect_precision, effect_mean : ndarray, shape (logs, q)
+        Priors of the effects; where the gain's spread is sampled, its column is replaced.
+    phi, has_phi : float, bool
+        Correlation where it is not sampled, and whether it is.
+    has_gain : bool
+        Whether the spread of the gains is sampled (the gain is then effect 0).
+    blocks : ndarray of int
+        Sizes of theta's polynomial blocks.
+    """
+
+    branches: int
+    degree: int
+    static: int
+    shared: FloatArray
+    cross: FloatArray
+    own: FloatArray
+    ratio: FloatArray
+    links: FloatArray
+    count: float
+    best: FloatArray
+    best_tau: FloatArray
+    nodes: FloatArray
+    barycentric: FloatArray
+    prior_mean: FloatArray
+    prior_precision: FloatArray
+    weak: NDArray[np.bool_]
+    prior_log_mass: float
+    speed_mm_s: FloatArray
+    depth_mm: FloatArray
+    effect_precision: FloatArray
+    effect_mean: FloatArray
+    phi: float
+    has_phi: bool
+    has_gain: bool
+    blocks: NDArray[np.int64]
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def lag_weights(phi: float, ratio: FloatArray) -> FloatArray:
+    """Weights of (start, then later, earlier, difference of each step) in the whitened Gram matrix."""
+    out = np.empty(1 + 3 * ratio.size)
+    out[0] = 1.0
+    for k in range(ratio.size):
+        rho = phi ** ratio[k] if phi > 0.0 else 0.0
+        out[1 + 3 * k] = 1.0 / (1.0 + rho)
+        out[2 + 3 * k] = -rho / (1.0 + rho)
+        out[3 + 3 * k] = rho / (1.0 - rho * rho)
+    return out
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _interpolation(at: float, nodes: FloatArray, barycentric: FloatArray) -> FloatArray:
+    """Weights of the nodes in the interpolating polynomial at one point (barycentric formula)."""
+    out = np.zeros(nodes.size)
+    total = 0.0
+    for k in range(nodes.size):
+        distance = at - nodes[k]
+        if distance == 0.0:
+            out[:] = 0.0
+            out[k] = 1.0
+            return out
+        out[k] = barycentric[k] / distance
+        total += out[k]
+    return out / total
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _columns(data: Linearised, log_tau: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Weights of the sums' columns in (theta's columns, what is to be explained), and the reference theta.
+
+    The reference keeps every viscosity K tau at its best value, so that what is left to explain is of the
+    size of the noise, and no digits are lost between large numbers.
+    """
+    size = data.degree + 1
+    r = data.nodes.shape[1]
+    p = data.best.size
+    weights = np.zeros((data.shared.shape[1], p + 1))
+    reference = data.best.copy()
+    for k in range(data.static):
+        weights[k, k] = 1.0
+    for j in range(data.branches):
+        here = _interpolation(log_tau[j], data.nodes[j], data.barycentric[j])
+        there = _interpolation(data.best_tau[j], data.nodes[j], data.barycentric[j])
+        shrink = np.exp(data.best_tau[j] - log_tau[j])
+        for q in range(size):
+            at = data.static + j * size + q
+            reference[at] = data.best[at] * shrink
+            first = data.static + (j * size + q) * r
+            for k in range(r):
+                weights[first + k, at] = here[k]
+                weights[first + k, p] = data.best[at] * there[k] - reference[at] * here[k]
+    weights[-1, p] = 1.0
+    return weights, reference
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _without_effects(
+    data: Linearised,
+    coefficient: FloatArray,
+    weights: FloatArray,
+    sigma2: float,
+    precision: FloatArray,
+    full: FloatArray,
+) -> tuple[FloatArray, FloatArray, float]:
+    """Take the effects of every log out of the normal equations ``full`` (in place).
+
+    Returns
+    -------
+    back : ndarray, shape (logs, q, p + 1)
+        Conditional mean of the effects: ``back[:, :, p] - back[:, :, :p] @ (theta - reference)``.
+    spread : ndarray, shape (logs, q, q)
+        Cholesky factor (lower) of their conditional precision.
+    log_det : float
+        ln det of the effects' precision after, over that before the data.
+    """
+    kinds, m = data.shared.shape[0], data.shared.shape[1]
+    p = weights.shape[1] - 1
+    logs, q = data.cross.shape[0], data.cross.shape[2]
+    back = np.zeros((logs, q, p + 1))
+    spread = np.zeros((logs, q, q))
+    log_det = 0.0
+    mixed = np.empty((q, m))
+    inner = np.empty((q, q))
+    for i in range(logs):
+        mixed[:] = 0.0
+        inner[:] = 0.0
+        for k in range(kinds):
+            if coefficient[k] != 0.0:
+                mixed += coefficient[k] * data.cross[i, k]
+                inner += coefficient[k] * data.own[i, k]
+        x = mixed @ weights / sigma2
+        low = _cholesky(inner / sigma2 + np.diag(precision[i]))
+        for r in range(q):
+            pull = precision[i, r] * data.effect_mean[i, r]
+            x[r, p] += pull
+            full[p, p] += pull * data.effect_mean[i, r]
+            log_det += 2.0 * np.log(low[r, r]) - np.log(precision[i, r])
+            for t in range(r):
+                x[r] -= low[r, t] * x[t]
+            x[r] /= low[r, r]
+        for r in range(q):
+            for u in range(p + 1):
+                for v in range(p + 1):
+                    full[u, v] -= x[r, u] * x[r, v]
+        for r in range(q - 1, -1, -1):
+            for t in range(r + 1, q):
+                x[r] -= low[t, r] * x[t]
+            x[r] /= low[r, r]
+        back[i] = x
+        spread[i] = low
+    return back, spread, log_det
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _cholesky(a: FloatArray) -> FloatArray:
+    """Lower factor; NaN on the diagonal where the matrix is not positive definite."""
+    n = a.shape[0]
+    low = np.zeros((n, n))
+    for i in range(n):
+        for j in range(i + 1):
+            value = a[i, j]
+            for k in range(j):
+                value -= low[i, k] * low[j, k]
+            low[i, j] = np.sqrt(value) if i == j else value / low[j, j]
+    return low
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _prior_precision(data: Linearised, log_tau: FloatArray) -> FloatArray:
+    """Prior precision of theta at these relaxation times: a weak branch is known by its largest force."""
+    precision = data.prior_precision.copy()
+    size = data.degree + 1
+    for j in range(data.branches):
+        if data.weak[j]:
+            tau = np.exp(log_tau[j])
+            state = 0.0
+            for i in range(data.speed_mm_s.size):
+                length = data.speed_mm_s[i] * tau
+                state = max(state, -length * np.expm1(-data.depth_mm[i] / length))
+            first = data.static + j * size
+            for u in range(first, first + size):
+                for v in range(first, first + size):
+                    precision[u, v] *= state * state
+    return precision
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _conditional(
+    data: Linearised, point: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, float]:
+    """Everything at one point of the sampled coordinates.
+
+    Parameters
+    ----------
+    data : Linearised
+    point : ndarray, shape (d,)
+        ln tau of every branch, ln sigma, arctanh phi (where sampled), ln of the gain's sd (where sampled).
+
+    Returns
+    -------
+    mean : ndarray, shape (p,)
+        Of theta, before it is cut to the passive cone.
+    covariance : ndarray, shape (p, p)
+    reference : ndarray, shape (p,)
+        What ``back`` counts theta from.
+    back, spread : ndarray
+        Conditional of the effects, see :func:`_without_effects`.
+    value : float
+        ln of the marginal likelihood, the mass of the cone not yet counted.
+    """
+    at = data.branches
+    sigma2 = np.exp(2.0 * point[at])
+    phi = data.phi
+    if data.has_phi:
+        at += 1
+        phi = np.tanh(point[at])
+    precision = data.effect_precision
+    if data.has_gain:
+        precision = precision.copy()
+        precision[:, 0] = np.exp(-2.0 * point[at + 1])
+    log_tau = point[: data.branches]
+    weights, reference = _columns(data, log_tau)
+    coefficient = lag_weights(phi, data.ratio)
+    gram = np.zeros(data.shared.shape[1:])
+    for k in range(coefficient.size):
+        if coefficient[k] != 0.0:
+            gram += coefficient[k] * data.shared[k]
+    full = np.ascontiguousarray(weights.T) @ (gram @ weights) / sigma2
+    back, spread, log_det = _without_effects(data, coefficient, weights, sigma2, precision, full)
+    p = reference.size
+    prior = _prior_precision(data, log_tau)
+    away = data.prior_mean - reference
+    pull = prior @ away
+    low = _cholesky(full[:p, :p] + prior)
+    before = _cholesky(prior)
+    t = full[:p, p] + pull
+    c = full[p, p] + away @ pull
+    for i in range(p):
+        for k in range(i):
+            t[i] -= low[i, k] * t[k]
+        t[i] /= low[i, i]
+        c -= t[i] * t[i]
+        log_det += 2.0 * (np.log(low[i, i]) - np.log(before[i, i]))
+    for i in range(p - 1, -1, -1):
+        for k in range(i + 1, p):
+            t[i] -= low[k, i] * t[k]
+        t[i] /= low[i, i]
+    for k in range(data.ratio.size):
+        if phi > 0.0:
+            log_det += data.links[k] * np.log1p(-(phi ** (2.0 * data.ratio[k])))
+    value = -0.5 * (data.count * (LOG_TWO_PI + np.log(sigma2)) + log_det + c)
+    inverse = np.zeros((p, p))
+    for i in range(p):
+        inverse[i, i] = 1.0 / low[i, i]
+        for j in range(i):
+            for k in range(j, i):
+                inverse[i, j] -= low[i, k] * inverse[k, j]
+            inverse[i, j] /= low[i, i]
+    return reference + t, inverse.T @ inverse, reference, back, spread, value
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def log_marginals(data: Linearised, points: FloatArray) -> FloatArray:
+    """Ln of the marginal likelihood at points of shape (n, d), the passive mass counted."""
+    out = np.empty(points.shape[0])
+    for i in range(points.shape[0]):
+        mean, covariance, _, _, _, value = _conditional(data, points[i])
+        if np.isfinite(value):
+            out[i] = value + log_passive_mass(mean, covariance, data.blocks) - data.prior_log_mass
+        else:
+            out[i] = -np.inf
+    return out
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def conditionals(data: Linearised, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Mean (n, p) and covariance (n, p, p) of theta at points, before it is cut to the passive cone."""
+    p = data.best.size
+    means = np.empty((points.shape[0], p))
+    covariances = np.empty((points.shape[0], p, p))
+    for i in range(points.shape[0]):
+        mean, covariance, _, _, _, _ = _conditional(data, points[i])
+        means[i] = mean
+        covariances[i] = covariance
+    return means, covariances
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def draw_effects(data: Linearised, points: FloatArray, theta: FloatArray, normal: FloatArray) -> FloatArray:
+    """The effects of every log given theta.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, d)
+    theta : ndarray, shape (n, p)
+    normal : ndarray, shape (n, logs, q)
+        Standard normal numbers.
+
+    Returns
+    -------
+    ndarray, shape (n, logs, q)
+    """
+    n, logs, q = normal.shape
+    p = theta.shape[1]
+    out = np.empty((n, logs, q))
+    for i in range(n):
+        _, _, reference, back, spread, _ = _conditional(data, points[i])
+        moved = theta[i] - reference
+        for log in range(logs):
+            for r in range(q - 1, -1, -1):
+                noise = normal[i, log, r]
+                for s in range(r + 1, q):
+                    noise -= spread[log, s, r] * (out[i, log, s])
+                out[i, log, r] = noise / spread[log, r, r]
+            for r in range(q):
+                out[i, log, r] += back[log, r, p]
+                for k in range(p):
+                    out[i, log, r] -= back[log, r, k] * moved[k]
+    return out
