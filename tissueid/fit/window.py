@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.likelihood.chains import chain_breaks
 from tissueid.likelihood.sums import LogData
 from tissueid.trial import Phase, Segmentation, Trial, contact_frame
 
@@ -77,8 +78,9 @@ class FittedLog:
         ends = np.array([0, -1])
         data = self.data
         kept = LogData(
-            data.time_s[ends], data.depth_mm[ends], data.force_N[ends], data.include[ends], data.fold[ends]
-        )
+            data.time_s[ends], data.depth_mm[ends], data.force_N[ends], data.include[ends], data.fold[ends],
+            None if data.breaks is None else data.breaks[ends],
+        )  # fmt: skip
         return replace(self, data=kept, tool_mm=None)
 
     @property
@@ -178,6 +180,7 @@ def fitted_log(
         force_N=np.ascontiguousarray(f),
         include=include,
         fold=np.zeros(time.size, dtype=np.int64),
+        breaks=chain_breaks(time),
     )
     return FittedLog(
         data=data,
@@ -255,6 +258,4 @@ def assign_folds(log: FittedLog, holds: tuple[Phase, ...]) -> LogData:
         progress[start:stop] += fraction
         progress[stop:] += 1.0
     fold = np.floor(progress * STRETCHES * (1 - 1e-12)).astype(np.int64) % FOLDS
-    return LogData(
-        time_s=data.time_s, depth_mm=data.depth_mm, force_N=data.force_N, include=data.include, fold=fold
-    )
+    return replace(data, fold=fold)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from tissueid.likelihood.basis import KernelBasis
 from tissueid.likelihood.kernels import fill_design
 
-__all__ = ["N_STATIC", "LogData", "LogSums", "log_sums", "reduction"]
+__all__ = ["N_STATIC", "LogData", "LogSums", "log_sums", "reduction", "step_tables"]
 
 FloatArray = NDArray[np.float64]
 
@@ -42,6 +42,9 @@ class LogData:
         Samples that take part in the likelihood (the branch state runs through all of them).
     fold : ndarray of int, shape (n,)
         Held-out group of every sample; all zero where whole logs are held out.
+    breaks : ndarray of bool, shape (n,), or None
+        True where a sample starts a new chain of noise (:func:`~tissueid.likelihood.chains.chain_breaks`);
+        ``None`` is told from the time stamps when it is needed.
     """
 
     time_s: FloatArray
@@ -49,6 +52,7 @@ class LogData:
     force_N: FloatArray
     include: NDArray[np.bool_]
     fold: NDArray[np.int64]
+    breaks: NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,7 +74,7 @@ class LogSums:
     degree: int
 
 
-def _step_tables(
+def step_tables(
     step_s: FloatArray, tau_s: FloatArray, duration_s: float
 ) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
     """Group equal sampling steps and tabulate their weights for every node."""
@@ -112,7 +116,7 @@ def log_sums(data: LogData, basis: KernelBasis, *, degree: int) -> LogSums:
     tau = basis.tau_s
     n = data.time_s.size
     step = np.diff(data.time_s, prepend=data.time_s[0])
-    group, table_a, table_phi = _step_tables(step, tau, float(data.time_s[-1] - data.time_s[0]))
+    group, table_a, table_phi = step_tables(step, tau, float(data.time_s[-1] - data.time_s[0]))
     columns = N_STATIC + tau.size * (degree + 1) + 1
     folds = int(data.fold.max()) + 1
     gram = np.zeros((folds, columns, columns))
