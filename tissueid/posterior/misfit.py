@@ -97,8 +97,10 @@ def block_covariance(blocks: ResidualBlocks, noise: NoiseFit) -> FloatArray:
     return np.asarray(covariance + correlated * (upper + upper.T + np.diag(own)))
 
 
-def _features(logs: Sequence[ResidualBlocks], scale: Sequence[FloatArray]) -> tuple[FloatArray, list[_Row]]:
-    """Scaled block means by place and contrast, shape (logs, features), and how they are grouped."""
+def _features(
+    logs: Sequence[ResidualBlocks], values: Sequence[FloatArray]
+) -> tuple[FloatArray, list[_Row]]:
+    """A value of each block by place and contrast, shape (logs, features), and how they are grouped."""
     keys = sorted(
         {
             key
@@ -109,10 +111,10 @@ def _features(logs: Sequence[ResidualBlocks], scale: Sequence[FloatArray]) -> tu
     at = {key: k for k, key in enumerate(keys)}
     table = np.zeros((len(logs), len(keys)))
     present = np.zeros_like(table, dtype=bool)
-    for i, (one, sd) in enumerate(zip(logs, scale, strict=True)):
+    for i, (one, value) in enumerate(zip(logs, values, strict=True)):
         found = zip(one.hold.tolist(), one.phase.tolist(), one.place.tolist(), strict=True)
         columns = [at[key] for key in found]
-        table[i, columns] = one.mean_N / sd
+        table[i, columns] = value
         present[i, columns] = True
     speed = np.log(np.maximum([one.speed_mm_s for one in logs], 1e-12))
     depth = np.array([one.depth_mm for one in logs])
@@ -161,20 +163,29 @@ def shared_structure(
     """
     if len(logs) < FEWEST_LOGS:
         return None
-    table, rows = _features(logs, [np.sqrt(np.diag(block_covariance(one, noise))) for one in logs])
-    if not rows:
-        return None
+    covariance = [block_covariance(one, noise) for one in logs]
+    plain = [one.mean_N / np.sqrt(np.diag(c)) for one, c in zip(logs, covariance, strict=True)]
+    white = [
+        solve_triangular(np.linalg.cholesky(c), one.mean_N, lower=True)
+        for one, c in zip(logs, covariance, strict=True)
+    ]
     signs = rng.choice(np.array([-1.0, 1.0]), size=(FLIPS + 1, len(logs)))
     signs[0] = 1.0
-    squares = (signs @ table) ** 2 / (table**2).sum(axis=0)
-    sums = np.column_stack([squares[:, row.columns].sum(axis=1) for row in rows])
-    sums = np.column_stack([sums, squares.max(axis=1)])
+    rows: list[_Row] = []
+    columns: list[FloatArray] = []
+    for values in (plain, white):
+        table, groups = _features(logs, values)
+        if not groups:
+            return None
+        squares = (signs @ table) ** 2 / (table**2).sum(axis=0)
+        rows += [*groups, _Row("one place of the program", np.arange(1))]
+        columns += [squares[:, group.columns].sum(axis=1) for group in groups] + [squares.max(axis=1)]
+    sums = np.column_stack(columns)
     p_values = (sums.shape[0] - _ranks(sums)) / sums.shape[0]
     smallest = p_values.min(axis=1)
     strongest = int(np.argmin(p_values[0]))
-    words = rows[strongest].words if strongest < len(rows) else "one place of the program"
-    size = rows[strongest].columns.size if strongest < len(rows) else 1
-    return float(sums[0, strongest] / size), float((smallest <= smallest[0]).mean()), words
+    strength = float(sums[0, strongest] / rows[strongest].columns.size)
+    return strength, float((smallest <= smallest[0]).mean()), rows[strongest].words
 
 
 def _ranks(values: FloatArray) -> FloatArray:
