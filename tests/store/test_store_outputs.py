@@ -47,7 +47,8 @@ def test_a_committed_set_is_public_whole_and_valid(tmp_path: Path) -> None:
 
 def test_results_are_read_back_from_the_folder_alone(tmp_path: Path) -> None:
     run = write(tmp_path, "a", "b")
-    document, curves = read_results(tmp_path)
+    document, curves, posteriors = read_results(tmp_path)
+    assert posteriors == ()
     assert [entry["specimen"] for entry in document["specimens"]] == ["a", "b"]
     for entry, fit in zip(curves, run.specimens, strict=True):
         expected = fit.trials[0].curve
@@ -230,7 +231,7 @@ def kill_and_check(out: Path, delays: list[float]) -> None:
         writer.stdout.close()
         writer.wait()
         validate_outputs(out)
-        document, _ = read_results(out)
+        document, *_ = read_results(out)
         shown = {int(entry["specimen"].split("-")[0][1:]) for entry in document["specimens"]}
         assert len(shown) == 1
         (seen,) = shown

@@ -40,7 +40,7 @@ def command(**flags: Any) -> int:
     from tissueid.store.results import read_results
     from tissueid.store.tidy import csv_bytes, tidy_table
 
-    document, _ = read_results(flags["out"])
+    document, *_ = read_results(flags["out"])
     as_json = flags["form"] == "json"
     if as_json and flags["output"] is None:
         echo_json(document)

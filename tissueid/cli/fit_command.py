@@ -101,6 +101,7 @@ def command(**flags: Any) -> int:
     from tissueid.store.curves import curves_of_fits
     from tissueid.store.files import plain_json
     from tissueid.store.outputs import OutputSet
+    from tissueid.store.posteriors import posteriors_of_fits
     from tissueid.store.results import REPORT, write_results
     from tissueid.study.recordings import locate_study, read_decided_one
 
@@ -132,8 +133,10 @@ def command(**flags: Any) -> int:
             progress("writing the report", 0, 0)
             document = write_results(run, identification)
             curves = curves_of_fits(identification.specimens)
+            posteriors = posteriors_of_fits(identification.specimens)
             created = datetime.now(UTC).isoformat(timespec="seconds")
-            run.write(REPORT, render_report(document, curves, created=created).encode("utf-8"))
+            page = render_report(document, curves, posteriors, created=created)
+            run.write(REPORT, page.encode("utf-8"))
             run.commit()
     if flags["as_json"]:
         echo_json(document)

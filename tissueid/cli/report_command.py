@@ -30,9 +30,9 @@ def command(**flags: Any) -> int:
     from tissueid.store.outputs import OutputSet
     from tissueid.store.results import REPORT, read_results
 
-    document, curves = read_results(flags["out"])
+    document, curves, posteriors = read_results(flags["out"])
     created = datetime.now(UTC).isoformat(timespec="seconds")
-    page = render_report(document, curves, created=created).encode("utf-8")
+    page = render_report(document, curves, posteriors, created=created).encode("utf-8")
     target = flags["output"]
     if target is not None:
         write_output(target, page)

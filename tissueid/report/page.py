@@ -31,6 +31,7 @@ from tissueid.report.wording import (
     with_error,
 )
 from tissueid.store.curves import TrialCurve
+from tissueid.store.posteriors import StoredPosterior
 
 __all__ = ["asset", "page_environment", "plotly_script", "render_report"]
 
@@ -105,7 +106,11 @@ def _counts(views: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, int]]:
 
 
 def render_report(
-    identification: Mapping[str, Any], curves: Sequence[TrialCurve], *, created: str | None = None
+    identification: Mapping[str, Any],
+    curves: Sequence[TrialCurve],
+    posteriors: Sequence[StoredPosterior] = (),
+    *,
+    created: str | None = None,
 ) -> str:
     """Write the report of one run as one self-contained HTML page.
 
@@ -115,6 +120,8 @@ def render_report(
         The document of identification.json.
     curves : sequence of TrialCurve
         From ``curves.h5``; trials without a curve are listed but not drawn.
+    posteriors : sequence of StoredPosterior, optional
+        From ``posteriors.h5``: draws, chains and predictive bands.
     created : str, optional
         Time stamp to print; without it equal input gives an equal page.
 

@@ -18,13 +18,14 @@ LEVELS = ("ok", "note", "caution", "serious")
 #: Flags that put the result itself in doubt; the others ask for a look.
 _SERIOUS = frozenset(
     {"not_converged", "optimisers_disagree", "single_speed", "no_contact", "clipped_force", "no_decimals"}
-    | {"quantised_force", "too_few_samples", "no_ramp"}
+    | {"quantised_force", "too_few_samples", "no_ramp", "misfit"}
 )
 #: Flags that only state what was assumed.
 _REMARKS = frozenset(
     {"column_choice", "units_assumed", "undecoded_text", "rows_skipped", "cut_row", "event_rows"}
     | {"compliance_unknown", "no_hold", "cyclic", "several_steps", "starts_in_contact", "preload"}
     | {"normalised_axes", "load_limit_stop", "preconditioned", "decision_overridden", "frame_corrected"}
+    | {"model_undecided", "calibration_dominates"}
 )
 
 #: Code -> what it is about, without a verb.
@@ -91,6 +92,11 @@ REMARK_TITLES: Mapping[str, str] = MappingProxyType(
         "order_effect": "Order of the tests",
         "modulus_out_of_range": "Range of the modulus",
         "poroelastic": "Fluid flow",
+        "sampler_not_converged": "Sampler",
+        "misfit": "Misfit",
+        "model_undecided": "Choice of the model",
+        "calibration_dominates": "Calibration",
+        "prior_dominated": "Prior",
         "compliance_unknown": "Machine",
     }
 )

@@ -1,8 +1,8 @@
 """What a fit leaves in its output folder, by name, and how it is read back and checked.
 
 ``identification.json`` (the numbers), ``bundle-<specimen>.h5`` (the models), ``bundle.h5`` where there is
-one specimen, ``curves.h5`` (what a report draws).  A report is written into the same set by whoever
-made it.
+one specimen, ``curves.h5`` (what a report draws), ``posteriors.h5`` (draws, where a posterior was sampled).
+A report is written into the same set by whoever made it.
 """
 
 from __future__ import annotations
@@ -19,12 +19,19 @@ from tissueid.store.curves import TrialCurve, curves_of_fits, load_curves, write
 from tissueid.store.files import json_bytes, plain_json, sha256_of
 from tissueid.store.names import bundle_names
 from tissueid.store.outputs import CommittedRun, OutputSet, complete_refresh, current_run
+from tissueid.store.posteriors import (
+    StoredPosterior,
+    load_posteriors,
+    posteriors_of_fits,
+    write_posteriors,
+)
 from tissueid.store.schema import check
 
 __all__ = [
     "CURVES",
     "IDENTIFICATION",
     "ONLY_BUNDLE",
+    "POSTERIORS",
     "REPORT",
     "output_problems",
     "read_results",
@@ -34,6 +41,7 @@ __all__ = [
 
 IDENTIFICATION = "identification.json"
 CURVES = "curves.h5"
+POSTERIORS = "posteriors.h5"
 REPORT = "report.html"
 ONLY_BUNDLE = "bundle.h5"
 
@@ -42,7 +50,7 @@ _WAY_OUT = "run `tissueid fit` again"
 
 
 def write_results(run: OutputSet, identification: Identification) -> dict[str, Any]:
-    """Write the numbers, bundles and curves of a fit into an output set.
+    """Write the numbers, bundles, curves and draws of a fit into an output set.
 
     Parameters
     ----------
@@ -70,11 +78,16 @@ def write_results(run: OutputSet, identification: Identification) -> dict[str, A
         if len(names) == 1:
             write_bundle(bundle, run.path(ONLY_BUNDLE))
     write_curves(curves_of_fits(identification.specimens), run.path(CURVES))
+    posteriors = posteriors_of_fits(identification.specimens)
+    if posteriors:
+        write_posteriors(posteriors, run.path(POSTERIORS))
     return document
 
 
-def read_results(out: Path | str) -> tuple[dict[str, Any], tuple[TrialCurve, ...]]:
-    """Read the identification document and the curves of an output folder.
+def read_results(
+    out: Path | str,
+) -> tuple[dict[str, Any], tuple[TrialCurve, ...], tuple[StoredPosterior, ...]]:
+    """Read the identification document, the curves and the draws of an output folder.
 
     Raises
     ------
@@ -82,7 +95,8 @@ def read_results(out: Path | str) -> tuple[dict[str, Any], tuple[TrialCurve, ...
         If there is no committed set or it is damaged.
     """
     run = _committed(Path(out))
-    return _identification(run.folder / IDENTIFICATION), load_curves(run.folder / CURVES)
+    document = _identification(run.folder / IDENTIFICATION)
+    return document, load_curves(run.folder / CURVES), _posteriors(run)
 
 
 def validate_outputs(out: Path | str) -> None:
@@ -125,9 +139,18 @@ def output_problems(out: Path | str) -> list[str]:
     try:
         document = _identification(out / IDENTIFICATION)
         curves = load_curves(out / CURVES)
+        posteriors = _posteriors(run)
     except BundleError as error:
         return [error.message]
-    return [*_bundle_problems(out, run, document), *_curve_problems(document, curves)]
+    return [
+        *_bundle_problems(out, run, document),
+        *_curve_problems(document, curves),
+        *_posterior_problems(document, posteriors),
+    ]
+
+
+def _posteriors(run: CommittedRun) -> tuple[StoredPosterior, ...]:
+    return load_posteriors(run.folder / POSTERIORS) if POSTERIORS in run.files else ()
 
 
 def _committed(out: Path) -> CommittedRun:
@@ -190,3 +213,9 @@ def _curve_problems(document: dict[str, Any], curves: tuple[TrialCurve, ...]) ->
     fitted = [(s["specimen"], t["path"], t["sheet"]) for s in document["specimens"] for t in s["trials"]]
     if fitted != [(entry.specimen, entry.path, entry.sheet) for entry in curves]:
         yield f"{CURVES} and {IDENTIFICATION} name different trials"
+
+
+def _posterior_problems(document: dict[str, Any], posteriors: tuple[StoredPosterior, ...]) -> Iterable[str]:
+    sampled = [s["specimen"] for s in document["specimens"] if s["sampler"] is not None]
+    if sampled != [entry.specimen for entry in posteriors]:
+        yield f"{POSTERIORS} and {IDENTIFICATION} name different sampled specimens"

@@ -1,0 +1,85 @@
+"""Draws come back as they were written, and belong to the set they were written into."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from fit_factory import identification, specimen_fit
+from posterior_factory import sampled
+
+from tissueid.errors import BundleError
+from tissueid.store.outputs import OutputSet
+from tissueid.store.posteriors import load_posteriors, posteriors_of_fits, write_posteriors
+from tissueid.store.results import POSTERIORS, output_problems, read_results, write_results
+
+FITS = (
+    sampled(specimen_fit("a", trials=2, samples=50)),
+    specimen_fit("b", trials=1, samples=50),
+    sampled(specimen_fit("c", trials=1, samples=70, sheet="S 1"), total=False, seed=4),
+)
+
+
+def test_draws_chains_and_bands_come_back(tmp_path: Path) -> None:
+    expected = posteriors_of_fits(FITS)
+    write_posteriors(expected, tmp_path / "p.h5")
+    actual = load_posteriors(tmp_path / "p.h5")
+    assert [one.specimen for one in actual] == ["a", "c"]
+    for before, after in zip(expected, actual, strict=True):
+        assert (after.theta_names, after.chain_names) == (before.theta_names, before.chain_names)
+        assert np.array_equal(after.draws, before.draws)
+        assert np.array_equal(after.chain, before.chain)
+        assert list(after.bands) == list(before.bands)
+        for trial, band in before.bands.items():
+            # kept as 32-bit floats: 24 bits of mantissa
+            assert after.bands[trial] == pytest.approx(band, rel=2.0**-24)
+    first, last = expected[0].draws_total, actual[0].draws_total
+    assert first is not None
+    assert last is not None
+    assert np.array_equal(first, last)
+    assert actual[1].draws_total is None
+
+
+def test_equal_posteriors_give_equal_bytes(tmp_path: Path) -> None:
+    for name in ("a.h5", "b.h5"):
+        write_posteriors(posteriors_of_fits(FITS), tmp_path / name)
+    assert (tmp_path / "a.h5").read_bytes() == (tmp_path / "b.h5").read_bytes()
+
+
+def test_a_damaged_file_is_refused_with_the_way_out(tmp_path: Path) -> None:
+    path = tmp_path / "p.h5"
+    with pytest.raises(BundleError, match="no such file"):
+        load_posteriors(path)
+    write_posteriors(posteriors_of_fits(FITS), path)
+    with h5py.File(path, "r+") as file:
+        del file["0/draws"]
+        file["0/draws"] = np.zeros((4, 2))
+    with pytest.raises(BundleError, match=r"does not match the numbers of 'a'.*fit` again"):
+        load_posteriors(path)
+    path.write_bytes(b"no HDF5")
+    with pytest.raises(BundleError, match="cannot be read as posteriors"):
+        load_posteriors(path)
+
+
+def test_a_set_keeps_its_draws_and_a_set_without_a_posterior_has_none(tmp_path: Path) -> None:
+    for name, fits in (("with", FITS), ("without", FITS[1:2])):
+        with OutputSet(tmp_path / name) as run:
+            write_results(run, identification(fits))
+            run.commit()
+        assert output_problems(tmp_path / name) == []
+    _, _, posteriors = read_results(tmp_path / "with")
+    assert [one.specimen for one in posteriors] == ["a", "c"]
+    assert read_results(tmp_path / "without")[2] == ()
+    assert not (tmp_path / "without" / POSTERIORS).exists()
+
+
+def test_draws_of_another_run_are_told(tmp_path: Path) -> None:
+    with OutputSet(tmp_path) as run:
+        write_results(run, identification(FITS))
+        write_posteriors(posteriors_of_fits(FITS[:1]), run.path(POSTERIORS))
+        run.commit()
+    assert output_problems(tmp_path) == [
+        "posteriors.h5 and identification.json name different sampled specimens"
+    ]

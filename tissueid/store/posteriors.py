@@ -1,0 +1,181 @@
+"""The draws of every specimen's posterior in one file, so that a report or an export never samples again.
+
+Layout: one group a specimen, in the order of ``index`` (JSON text: specimen, names, trials)::
+
+    posteriors.h5
+    |  attributes: format = "tissueid/posteriors/1"
+    |-- index                  JSON text
+    `-- 0, 1, ...
+        |-- draws              (n, p)             theta of the contact model, every row passive
+        |-- draws_total        (n, p)             with the calibration nuisances, where they were drawn
+        |-- chain              (chains, draws, d) sampled coordinates
+        |-- bands              (3, m)             float32: low, median, high [N] of all trials end to end
+        `-- offsets            (trials + 1,)      where each trial's band begins and ends
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.errors import BundleError
+from tissueid.result import SpecimenFit
+from tissueid.store.files import TEMPORARY_PREFIX, json_bytes, replace_file
+
+__all__ = ["StoredPosterior", "load_posteriors", "posteriors_of_fits", "write_posteriors"]
+
+FloatArray = NDArray[np.float64]
+
+_FORMAT = "tissueid/posteriors/1"
+_BAND_ROWS = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StoredPosterior:
+    """What is kept of one specimen's posterior beside its numbers.
+
+    Attributes
+    ----------
+    specimen : str
+    theta_names : tuple of str
+    draws : ndarray, shape (n, p)
+    draws_total : ndarray, shape (n, p), or None
+    chain_names : tuple of str
+    chain : ndarray, shape (chains, draws, d)
+    bands : mapping
+        (path, sheet) of a trial -> shape (3, m): low, median, high [N] at the samples of its curve.
+    """
+
+    specimen: str
+    theta_names: tuple[str, ...]
+    draws: FloatArray
+    draws_total: FloatArray | None
+    chain_names: tuple[str, ...]
+    chain: FloatArray
+    bands: Mapping[tuple[str, str | None], FloatArray] = field(default_factory=dict)
+
+
+def posteriors_of_fits(fits: Iterable[SpecimenFit]) -> tuple[StoredPosterior, ...]:
+    """Collect the posteriors of the fits that have one, in their order."""
+    return tuple(
+        StoredPosterior(
+            specimen=fit.specimen,
+            theta_names=fit.posterior.theta_names,
+            draws=fit.posterior.draws,
+            draws_total=fit.posterior.draws_total,
+            chain_names=fit.posterior.chain_names,
+            chain=fit.posterior.chain,
+            bands=fit.posterior.bands,
+        )
+        for fit in fits
+        if fit.posterior is not None
+    )
+
+
+def write_posteriors(posteriors: Sequence[StoredPosterior], path: Path | str) -> None:
+    """Write posteriors, whole or not at all; equal posteriors give equal bytes.
+
+    Parameters
+    ----------
+    posteriors : sequence of StoredPosterior
+    path : Path or str
+        Its folder must exist.
+    """
+    path = Path(path)
+    index = [
+        {
+            "specimen": one.specimen,
+            "theta_names": list(one.theta_names),
+            "chain_names": list(one.chain_names),
+            "trials": [{"path": where, "sheet": sheet} for where, sheet in one.bands],
+        }
+        for one in posteriors
+    ]
+    text = json_bytes(index)
+    temporary = path.with_name(TEMPORARY_PREFIX + path.name)
+    with h5py.File(temporary, "w", libver=("v110", "v110")) as file:
+        file.attrs["format"] = _FORMAT
+        kind = h5py.string_dtype("utf-8", length=len(text))
+        file.create_dataset("index", data=np.array(text, dtype=kind), track_times=False)
+        for position, one in enumerate(posteriors):
+            group = file.create_group(str(position), track_order=False)
+            for name, values in _columns(one).items():
+                packed = {"compression": "gzip", "shuffle": True} if values.size else {}
+                group.create_dataset(name, data=values, track_times=False, **packed)
+    replace_file(temporary, path)
+
+
+def _columns(one: StoredPosterior) -> dict[str, NDArray[Any]]:
+    sizes = [band.shape[1] for band in one.bands.values()]
+    bands = np.concatenate([*one.bands.values(), np.empty((_BAND_ROWS, 0))], axis=1)
+    columns: dict[str, NDArray[Any]] = {
+        "draws": one.draws.astype("<f8"),
+        "chain": one.chain.astype("<f8"),
+        "bands": bands.astype("<f4"),
+        "offsets": np.concatenate([[0], np.cumsum(sizes, dtype=int)]).astype("<i8"),
+    }
+    if one.draws_total is not None:
+        columns["draws_total"] = one.draws_total.astype("<f8")
+    return columns
+
+
+def load_posteriors(path: Path | str) -> tuple[StoredPosterior, ...]:
+    """Read what :func:`write_posteriors` wrote.
+
+    Raises
+    ------
+    BundleError
+        If the file is missing, damaged or another kind of file.
+    """
+    path = Path(path)
+    if not path.is_file():
+        msg = f"{path}: there is no such file; `tissueid fit` writes it where a posterior was sampled"
+        raise BundleError(msg)
+    try:
+        return _read(path)
+    except (OSError, KeyError, ValueError, TypeError, RuntimeError, AttributeError) as error:
+        msg = f"{path}: cannot be read as posteriors ({error}); copy it again or run `tissueid fit` again"
+        raise BundleError(msg) from error
+
+
+def _read(path: Path) -> tuple[StoredPosterior, ...]:
+    with h5py.File(path, "r") as file:
+        if file.attrs.get("format") != _FORMAT:
+            msg = f"its format is {file.attrs.get('format')!r}, not {_FORMAT!r}"
+            raise ValueError(msg)
+        index = json.loads(bytes(file["index"][()]))
+        return tuple(_posterior(entry, file[str(position)]) for position, entry in enumerate(index))
+
+
+def _posterior(entry: Mapping[str, Any], group: Any) -> StoredPosterior:
+    columns = {name: np.asarray(group[name][()]) for name in group}
+    offsets, size = columns["offsets"], len(entry["theta_names"])
+    whole = (
+        columns["draws"].shape[1:] == (size,)
+        and columns["chain"].shape[2:] == (len(entry["chain_names"]),)
+        and offsets.size == len(entry["trials"]) + 1
+        and columns["bands"].shape == (_BAND_ROWS, offsets[-1])
+    )
+    if not whole:
+        msg = f"its index does not match the numbers of {entry['specimen']!r}"
+        raise ValueError(msg)
+    trials = [(trial["path"], trial["sheet"]) for trial in entry["trials"]]
+    return StoredPosterior(
+        specimen=entry["specimen"],
+        theta_names=tuple(entry["theta_names"]),
+        draws=columns["draws"],
+        draws_total=columns.get("draws_total"),
+        chain_names=tuple(entry["chain_names"]),
+        chain=columns["chain"],
+        bands={
+            trial: columns["bands"][:, start:stop].astype(np.float64)
+            for trial, start, stop in zip(trials, offsets[:-1], offsets[1:], strict=True)
+        },
+    )
