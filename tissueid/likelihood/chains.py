@@ -12,9 +12,10 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
-__all__ = ["chain_breaks"]
+from tissueid.likelihood.sums import LogData
+
+__all__ = ["chain_breaks", "linked_samples"]
 
 FloatArray = NDArray[np.float64]
 
@@ -46,6 +47,9 @@ def chain_breaks(time_s: FloatArray) -> NDArray[np.bool_]:
     step = np.diff(time_s)
     if step.size == 0 or 0.0 < float(step.max()) <= REGULAR * float(step.min()):
         return breaks
+    # imported here because most clocks need no median, and a command that fits nothing never does
+    from scipy.ndimage import median_filter
+
     median = median_filter(step, size=min(AROUND, step.size), mode="nearest")
     broken = _beyond(step, median, REGULAR)
     if broken.mean() > IRREGULAR_SHARE:
@@ -56,3 +60,21 @@ def chain_breaks(time_s: FloatArray) -> NDArray[np.bool_]:
 
 def _beyond(step: FloatArray, median: FloatArray, factor: float) -> NDArray[np.bool_]:
     return np.asarray((step > factor * median) | (factor * step < median))
+
+
+def linked_samples(data: LogData) -> NDArray[np.bool_]:
+    """Samples whose noise continues a chain: they and the sample before take part, no break between.
+
+    Parameters
+    ----------
+    data : LogData
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+    """
+    breaks = chain_breaks(data.time_s) if data.breaks is None else data.breaks
+    linked = data.include & ~breaks
+    linked[1:] &= data.include[:-1] & (data.time_s[1:] > data.time_s[:-1])
+    linked[:1] = False
+    return linked

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.likelihood.basis import KernelBasis
-from tissueid.likelihood.chains import chain_breaks
+from tissueid.likelihood.chains import linked_samples
 from tissueid.likelihood.kernels import fill_design
 from tissueid.likelihood.lag_kernels import link_rows
 from tissueid.likelihood.step_groups import lag_groups
@@ -220,10 +220,7 @@ def lag_sums(
     tau = basis.tau_s
     step = np.diff(data.time_s, prepend=data.time_s[0])
     tables = step_tables(step, tau, float(data.time_s[-1] - data.time_s[0]))
-    breaks = chain_breaks(data.time_s) if data.breaks is None else data.breaks
-    linked = data.include & ~breaks & (step > 0.0)
-    linked[1:] &= data.include[:-1]
-    linked[:1] = False
+    linked = linked_samples(data)
     group, mean_s = lag_groups(step, linked)
     columns = N_STATIC + tau.size * (degree + 1) + 1
     totals = _Totals(mean_s.size, columns)
