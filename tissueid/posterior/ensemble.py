@@ -1,0 +1,382 @@
+"""The default sampler of ``fit``: emcee's ensemble of walkers, run until its draws are enough.
+
+A short warm-up, started from the mode and its Laplace covariance, learns mean and covariance of the
+posterior.  They are then frozen in an independence proposal that makes most of the moves; differential
+evolution and the snooker update make the others, and mix what a bell shape does not cover.  The chain stops
+by the rule of :mod:`tissueid.posterior.stopping`.
+
+All random numbers come from one ``RandomState``, batches of points are split in one way whatever the number
+of workers, and a look at a chain depends on the chain alone: the same seed gives the same draws, bit for bit,
+from one run, from a killed and resumed one, and with any number of workers.
+
+emcee imports slowly; it is imported where it is needed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.posterior.checkpoint import Checkpoint, SavedWalk
+from tissueid.posterior.diagnostics import Diagnostics, diagnose
+from tissueid.posterior.stopping import Memory, memory_of, next_look, shortfalls
+from tissueid.posterior.target import Target
+from tissueid.uncertainty import SamplerReport
+
+__all__ = ["EnsembleChain", "sample_ensemble"]
+
+FloatArray = NDArray[np.float64]
+
+#: Walkers: eight a coordinate, so that pairs of them span all directions, and no fewer than 32.
+_LEAST_WALKERS = 32
+_WALKERS_PER_COORDINATE = 8
+
+#: Points that are evaluated together; fixed, because sums may depend on how a batch is split.
+_CHUNK = 16
+
+#: Degrees of freedom of the independence proposal: heavier tails than a posterior of many data has.
+_DOF = 5.0
+
+#: Weights of differential evolution, snooker and independence: while the proposal is learnt, and after.
+#: Autocorrelation times with 0.0, 0.5 and 0.8 of independence: 15, 3.6 and 2.3 steps on a normal of four
+#: coordinates (correlation 0.95), 18, 5.8 and 3.9 cut at a bound, 22, 8.9 and 5.1 with ln of a half-normal.
+_WARM_UP_WEIGHTS = (0.3, 0.2, 0.5)
+_WEIGHTS = (0.1, 0.1, 0.8)
+
+#: Steps of each warm-up round; each learns from the last two thirds of its own.
+_WARM_UP_ROUNDS = (40, 80)
+
+#: Starts are so much wider than the Laplace approximation, as R-hat wants them.
+_OVER_DISPERSION = 1.5
+
+#: A start without density is drawn again, each time closer to the mode.
+_CLOSER = 0.9
+_MOST_REDRAWS = 200
+
+#: Least eigenvalue of a correlation matrix that is sampled from: rounding, or a direction without scatter.
+_LEAST_EIGENVALUE = 1e-10
+
+#: Of the random numbers and the moves: a checkpoint of another scheme is of no use.
+_SCHEME = 1
+
+#: A chain has at least so many steps, whatever the limit.
+_LEAST_STEPS = 64
+
+#: Longest autocorrelation time [steps] that the default limit has room for.
+_LONGEST_TAU = 100
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EnsembleChain:
+    """What the sampler leaves.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Sampled coordinates.
+    points : ndarray, shape (walkers, draws, d)
+        After burn-in, thinned.
+    log_density : ndarray, shape (walkers, draws)
+    converged : bool
+    reason : str
+        What is lacking, where it has not converged.
+    diagnostics : mapping
+        Coordinate -> :class:`~tissueid.posterior.diagnostics.Diagnostics` of ``points``.
+    tau : ndarray, shape (d,)
+        Integrated autocorrelation time [steps].
+    steps, burn_in, thin : int
+        Steps made after the warm-up, dropped, and between two kept draws.
+    acceptance : float
+        Share of the proposals after the burn-in that were accepted.
+    seed : int
+    remarks : tuple of str
+        On the checkpoint.
+    """
+
+    names: tuple[str, ...]
+    points: FloatArray
+    log_density: FloatArray
+    converged: bool
+    reason: str
+    diagnostics: Mapping[str, Diagnostics]
+    tau: FloatArray
+    steps: int
+    burn_in: int
+    thin: int
+    acceptance: float
+    seed: int = 0
+    remarks: tuple[str, ...] = ()
+
+    def report(self) -> SamplerReport:
+        """The words of identification.json."""
+        detail: dict[str, Any] = {
+            "walkers": self.points.shape[0],
+            "steps": self.steps,
+            "burn_in": self.burn_in,
+            "thin": self.thin,
+            "autocorrelation_steps": dict(zip(self.names, self.tau.tolist(), strict=True)),
+            "ess": min(min(one.ess_bulk, one.ess_tail) for one in self.diagnostics.values()),
+            "r_hat": max(one.r_hat for one in self.diagnostics.values()),
+            "seed": self.seed,
+        }
+        if self.reason:
+            detail["reason"] = self.reason
+        return SamplerReport(
+            name="emcee",
+            converged=self.converged,
+            draws=self.points.shape[0] * self.points.shape[1],
+            acceptance=self.acceptance,
+            detail=detail,
+        )
+
+
+def sample_ensemble(
+    target: Target,
+    *,
+    draws: int = 10_000,
+    seed: int,
+    workers: int = 1,
+    checkpoint: Path | None = None,
+    key: str = "",
+    max_steps: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> EnsembleChain:
+    """Sample a posterior until its draws are enough.
+
+    Parameters
+    ----------
+    target : Target
+        Its density is asked for at up to 16 points at a time, from ``workers`` threads at once.
+    draws : int
+        Effective draws of each coordinate, in bulk and tails.
+    seed : int
+        At least 0.
+    workers : int
+        Threads; changes nothing but the time.
+    checkpoint : Path, optional
+        File that keeps the chain; a chain of the same key, seed and coordinates goes on from it.
+        :func:`tissueid.posterior.checkpoint.discard` removes it.
+    key : str
+        Stands for all that the target depends on: hashes of data, options, version of the code.
+    max_steps : int, optional
+        After the warm-up.  By default enough for an autocorrelation time of 100 steps.
+    progress : callable, optional
+        Told at each look how many effective draws there are, and of how many.
+
+    Returns
+    -------
+    EnsembleChain
+        Also where it has not converged within ``max_steps``: ``converged`` and ``reason`` say so.
+
+    Raises
+    ------
+    ValueError
+        The target has no finite density near its mode.
+    """
+    walkers = max(_LEAST_WALKERS, _WALKERS_PER_COORDINATE * len(target.names))
+    limit = math.ceil(_LONGEST_TAU * draws / walkers) if max_steps is None else max_steps
+    saved = Checkpoint(checkpoint, _identity(target, key=key, seed=seed, walkers=walkers))
+    with ThreadPoolExecutor(workers) if workers > 1 else nullcontext() as pool:
+        density = _BatchDensity(target, pool)
+        walk = _Walk(density, saved.load() or _warm_up(density, target, walkers, seed), saved)
+        found = _walk_until_enough(walk, target.names, draws, max(limit, _LEAST_STEPS), progress)
+        walk.finish()
+    return replace(found, seed=seed, remarks=() if saved.remark is None else (saved.remark,))
+
+
+def _walk_until_enough(
+    walk: _Walk,
+    names: tuple[str, ...],
+    draws: int,
+    limit: int,
+    progress: Callable[[int, int], None] | None,
+) -> EnsembleChain:
+    steps = 0
+    while True:
+        steps = next_look(steps, math.ceil(draws / walk.walkers), limit)
+        points, log_density = walk.until(steps)
+        memory = memory_of(points)
+        kept = steps - memory.burn_in
+        if progress is not None:
+            progress(min(draws, int(kept * walk.walkers / memory.tau.max())), draws)
+        if steps < limit and shortfalls(memory, kept, walk.walkers, draws, None, names):
+            continue
+        chain = _kept(points, memory)
+        diagnostics = diagnose(dict(zip(names, chain.transpose(2, 0, 1), strict=True)))
+        lacking = shortfalls(memory, kept, walk.walkers, draws, diagnostics, names)
+        if not lacking or steps >= limit:
+            break
+    moved = np.any(np.diff(points[memory.burn_in :], axis=0) != 0.0, axis=2)
+    return EnsembleChain(
+        names=names,
+        points=chain,
+        log_density=_kept(log_density, memory),
+        converged=not lacking,
+        reason=f"after {steps} steps of {walk.walkers} walkers: {'; '.join(lacking)}" if lacking else "",
+        diagnostics=diagnostics,
+        tau=memory.tau,
+        steps=steps,
+        burn_in=memory.burn_in,
+        thin=memory.thin,
+        acceptance=float(moved.mean()),
+    )
+
+
+def _kept(path: FloatArray, memory: Memory) -> FloatArray:
+    """What is kept of an array of shape (steps, walkers, ...): shape (walkers, draws, ...)."""
+    return np.ascontiguousarray(np.swapaxes(path[memory.burn_in :: memory.thin], 0, 1))
+
+
+def _identity(target: Target, *, key: str, seed: int, walkers: int) -> str:
+    import emcee
+
+    versions = f"emcee {emcee.__version__}, numpy {np.__version__}, scheme {_SCHEME}"
+    return f"{key}|{seed}|{walkers}|{','.join(target.names)}|{versions}"
+
+
+class _BatchDensity:
+    """The density of many points, a chunk at a time, in threads where there are some."""
+
+    def __init__(self, target: Target, pool: ThreadPoolExecutor | None) -> None:
+        self._one = target.log_density
+        self._map = map if pool is None else pool.map
+
+    def __call__(self, points: FloatArray) -> FloatArray:
+        chunks = [points[start : start + _CHUNK] for start in range(0, len(points), _CHUNK)]
+        values = np.concatenate(list(self._map(self._one, chunks)))
+        # a point whose density can't be worked out (overflow, no Cholesky factor) has none
+        values[~np.isfinite(values)] = -np.inf
+        return values
+
+
+class _Walk:
+    """The walkers on their way, and the file that keeps it."""
+
+    def __init__(self, density: _BatchDensity, begun: SavedWalk, checkpoint: Checkpoint) -> None:
+        self._points, self._log_density = begun.points, begun.log_density
+        self._centre, self._root = begun.centre, begun.root
+        self._random_state = begun.random_state
+        self._steps = len(begun.points)
+        self._sampler = _sampler(density, begun.points.shape[1], begun.centre, begun.root, _WEIGHTS)
+        self._checkpoint = checkpoint
+
+    @property
+    def walkers(self) -> int:
+        """How many there are."""
+        return int(self._points.shape[1])
+
+    def until(self, steps: int) -> tuple[FloatArray, FloatArray]:
+        """Walk to a number of steps, unless there already.
+
+        Returns
+        -------
+        ndarray, shape (steps, walkers, d)
+        ndarray, shape (steps, walkers)
+            Log densities.
+        """
+        if steps > self._steps:
+            self._points, self._log_density = _grown(self._points, steps), _grown(self._log_density, steps)
+            for state in _stream(self._sampler, *self._here(), steps - self._steps):
+                self._points[self._steps] = state.coords
+                self._log_density[self._steps] = state.log_prob
+                self._random_state = state.random_state
+                self._steps += 1
+                if self._checkpoint.due:
+                    self._checkpoint.save(self._walked())
+        return self._points[:steps], self._log_density[:steps]
+
+    def finish(self) -> None:
+        """Write the end of a walk that was long enough to be written before."""
+        if self._checkpoint.written:
+            self._checkpoint.save(self._walked())
+
+    def _here(self) -> tuple[FloatArray, FloatArray, tuple[Any, ...]]:
+        return self._points[self._steps - 1], self._log_density[self._steps - 1], self._random_state
+
+    def _walked(self) -> SavedWalk:
+        points, log_density = self._points[: self._steps], self._log_density[: self._steps]
+        return SavedWalk(points, log_density, self._centre, self._root, self._random_state)
+
+
+def _grown(array: FloatArray, length: int) -> FloatArray:
+    longer = np.empty((length, *array.shape[1:]))
+    longer[: len(array)] = array
+    return longer
+
+
+def _sampler(
+    density: _BatchDensity, walkers: int, centre: FloatArray, root: FloatArray, weights: tuple[float, ...]
+) -> Any:
+    import emcee
+
+    from tissueid.posterior.moves import DifferentialEvolution, Independence, Snooker, StudentProposal
+
+    moves = (DifferentialEvolution(), Snooker(), Independence(StudentProposal(centre, root, _DOF)))
+    return emcee.EnsembleSampler(
+        walkers, len(centre), density, vectorize=True, moves=list(zip(moves, weights, strict=True))
+    )
+
+
+def _stream(
+    sampler: Any, points: FloatArray, log_density: FloatArray, random_state: tuple[Any, ...], steps: int
+) -> Any:
+    import emcee
+
+    state = emcee.State(points, log_prob=log_density, random_state=random_state, copy=True)
+    return sampler.sample(state, iterations=steps, store=False, skip_initial_state_check=True)
+
+
+def _warm_up(density: _BatchDensity, target: Target, walkers: int, seed: int) -> SavedWalk:
+    """Walk from the starts towards the posterior and learn the proposal; its last step is the first one."""
+    random = np.random.RandomState(seed)
+    centre, root = np.asarray(target.mode, dtype=np.float64), _root_of(target.covariance)
+    points, log_density = _starts(density, centre, root, walkers, random)
+    random_state: tuple[Any, ...] = random.get_state()  # type: ignore[assignment]
+    for steps in _WARM_UP_ROUNDS:
+        sampler = _sampler(density, walkers, centre, root, _WARM_UP_WEIGHTS)
+        path = np.empty((steps, *points.shape))
+        for step, state in enumerate(_stream(sampler, points, log_density, random_state, steps)):
+            path[step] = state.coords
+        points, log_density, random_state = state.coords, state.log_prob, state.random_state
+        learnt = path[steps // 3 :].reshape(-1, path.shape[2])
+        centre, root = learnt.mean(axis=0), _root_of(np.atleast_2d(np.cov(learnt.T)))
+    return SavedWalk(points[None], log_density[None], centre, root, random_state)
+
+
+def _starts(
+    density: _BatchDensity,
+    mode: FloatArray,
+    root: FloatArray,
+    walkers: int,
+    random: np.random.RandomState,
+) -> tuple[FloatArray, FloatArray]:
+    points = np.empty((walkers, len(mode)))
+    log_density = np.full(walkers, -np.inf)
+    reach = _OVER_DISPERSION
+    for _ in range(_MOST_REDRAWS):
+        left = np.flatnonzero(np.isneginf(log_density))
+        if not left.size:
+            return points, log_density
+        points[left] = mode + reach * random.standard_normal((left.size, len(mode))) @ root.T
+        log_density[left] = density(points[left])
+        reach *= _CLOSER
+    msg = f"no finite density near the mode {mode.tolist()}: {left.size} of {walkers} walkers have no start"
+    raise ValueError(msg)
+
+
+def _root_of(covariance: FloatArray) -> FloatArray:
+    """Triangular root of a covariance, made definite where rounding left it without one."""
+    covariance = np.asarray(covariance, dtype=np.float64)
+    scale = np.sqrt(np.abs(np.diag(covariance)))
+    scale[~(scale > 0.0)] = 1.0
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    correlation = (vectors * np.maximum(values, _LEAST_EIGENVALUE)) @ vectors.T
+    return np.asarray(scale[:, None] * np.linalg.cholesky(correlation))
