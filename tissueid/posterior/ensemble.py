@@ -263,9 +263,9 @@ class _Walk:
     def __init__(self, density: _BatchDensity, begun: SavedWalk, checkpoint: Checkpoint) -> None:
         self._points, self._log_density = begun.points, begun.log_density
         self._centre, self._root = begun.centre, begun.root
-        self._random_state = begun.random_state
         self._steps = len(begun.points)
         self._sampler = _sampler(density, begun.points.shape[1], begun.centre, begun.root, _WEIGHTS)
+        self._sampler.random_state = begun.random_state
         self._checkpoint = checkpoint
 
     @property
@@ -284,10 +284,12 @@ class _Walk:
         """
         if steps > self._steps:
             self._points, self._log_density = _grown(self._points, steps), _grown(self._log_density, steps)
-            for state in _stream(self._sampler, *self._here(), steps - self._steps):
+            last = self._steps - 1
+            for state in _stream(
+                self._sampler, self._points[last], self._log_density[last], steps - 1 - last
+            ):
                 self._points[self._steps] = state.coords
                 self._log_density[self._steps] = state.log_prob
-                self._random_state = state.random_state
                 self._steps += 1
                 if self._checkpoint.due:
                     self._checkpoint.save(self._walked())
@@ -298,12 +300,9 @@ class _Walk:
         if self._checkpoint.written:
             self._checkpoint.save(self._walked())
 
-    def _here(self) -> tuple[FloatArray, FloatArray, tuple[Any, ...]]:
-        return self._points[self._steps - 1], self._log_density[self._steps - 1], self._random_state
-
     def _walked(self) -> SavedWalk:
         points, log_density = self._points[: self._steps], self._log_density[: self._steps]
-        return SavedWalk(points, log_density, self._centre, self._root, self._random_state)
+        return SavedWalk(points, log_density, self._centre, self._root, self._sampler.random_numbers())
 
 
 def _grown(array: FloatArray, length: int) -> FloatArray:
@@ -315,22 +314,23 @@ def _grown(array: FloatArray, length: int) -> FloatArray:
 def _sampler(
     density: _BatchDensity, walkers: int, centre: FloatArray, root: FloatArray, weights: tuple[float, ...]
 ) -> Any:
-    import emcee
-
-    from tissueid.posterior.moves import DifferentialEvolution, Independence, Snooker, StudentProposal
-
-    moves = (DifferentialEvolution(), Snooker(), Independence(StudentProposal(centre, root, _DOF)))
-    return emcee.EnsembleSampler(
-        walkers, len(centre), density, vectorize=True, moves=list(zip(moves, weights, strict=True))
+    from tissueid.posterior.moves import (
+        DifferentialEvolution,
+        Independence,
+        Sampler,
+        Snooker,
+        StudentProposal,
     )
 
+    moves = (DifferentialEvolution(), Snooker(), Independence(StudentProposal(centre, root, _DOF)))
+    weighted = list(zip(moves, weights, strict=True))
+    return Sampler(walkers, len(centre), density, vectorize=True, moves=weighted)
 
-def _stream(
-    sampler: Any, points: FloatArray, log_density: FloatArray, random_state: tuple[Any, ...], steps: int
-) -> Any:
+
+def _stream(sampler: Any, points: FloatArray, log_density: FloatArray, steps: int) -> Any:
     import emcee
 
-    state = emcee.State(points, log_prob=log_density, random_state=random_state, copy=True)
+    state = emcee.State(points, log_prob=log_density, copy=True)
     return sampler.sample(state, iterations=steps, store=False, skip_initial_state_check=True)
 
 
@@ -339,13 +339,14 @@ def _warm_up(density: _BatchDensity, target: Target, walkers: int, seed: int) ->
     random = np.random.RandomState(seed)
     centre, root = np.asarray(target.mode, dtype=np.float64), _root_of(target.covariance)
     points, log_density = _starts(density, centre, root, walkers, random)
-    random_state: tuple[Any, ...] = random.get_state()  # type: ignore[assignment]
+    random_state: Any = random.get_state()
     for steps in _WARM_UP_ROUNDS:
         sampler = _sampler(density, walkers, centre, root, _WARM_UP_WEIGHTS)
+        sampler.random_state = random_state
         path = np.empty((steps, *points.shape))
-        for step, state in enumerate(_stream(sampler, points, log_density, random_state, steps)):
+        for step, state in enumerate(_stream(sampler, points, log_density, steps)):
             path[step] = state.coords
-        points, log_density, random_state = state.coords, state.log_prob, state.random_state
+        points, log_density, random_state = state.coords, state.log_prob, sampler.random_numbers()
         learnt = path[steps // 3 :].reshape(-1, path.shape[2])
         centre, root = learnt.mean(axis=0), _root_of(np.atleast_2d(np.cov(learnt.T)))
     return SavedWalk(points[None], log_density[None], centre, root, random_state)

@@ -1,11 +1,11 @@
-"""Three ways to move an ensemble of walkers, each a whole batch at a time, for emcee's sampler.
+"""emcee's sampler, and three ways to move its walkers, each a whole batch at a time.
 
 *Differential evolution* (ter Braak 2006, doi 10.1007/s11222-006-8769-1) and the *snooker update* (ter Braak
 and Vrugt 2008, doi 10.1007/s11222-008-9104-9) need nothing but the other walkers: they follow any shape of
 the posterior.  *Independence* proposes from a fixed Student-t (Tierney 1994, doi 10.1214/aos/1176325750),
 whatever the walker's place: where the posterior is close to it, nearly every step is a new draw.
 
-They are written here and not taken from emcee for two reasons: emcee 3.1.6 accepts walker by walker in
+The moves are written here and not taken from emcee for two reasons: emcee 3.1.6 accepts walker by walker in
 Python, and its snooker update divides by the square root of the distance instead of the distance, so that it
 does not leave the posterior as it is (variance 0.75 to 0.95 of the truth on a normal of two to four
 dimensions).
@@ -16,14 +16,15 @@ This module imports emcee: import it inside functions.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from emcee import EnsembleSampler
 from emcee.moves.move import Move
 from numpy.typing import NDArray
 
-__all__ = ["DifferentialEvolution", "Independence", "Snooker", "StudentProposal"]
+__all__ = ["DifferentialEvolution", "Independence", "Sampler", "Snooker", "StudentProposal"]
 
 FloatArray = NDArray[np.float64]
 RandomState = np.random.RandomState
@@ -35,6 +36,24 @@ _DE_JITTER = 1e-5
 
 #: Jump of the snooker update (ter Braak and Vrugt 2008, section 2.2).
 _SNOOKER_FACTOR = 1.7
+
+
+class Sampler(EnsembleSampler):  # type: ignore[misc]
+    """emcee's sampler without a copy of the random state at every step, which takes longer than a move."""
+
+    @property
+    def random_state(self) -> None:
+        """Nothing: see :meth:`random_numbers`."""
+        return
+
+    @random_state.setter
+    def random_state(self, state: tuple[Any, ...] | None) -> None:
+        if state is not None:
+            self._random.set_state(state)
+
+    def random_numbers(self) -> tuple[Any, ...]:
+        """The state of the random numbers now."""
+        return tuple(self._random.get_state())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,6 +72,10 @@ class StudentProposal:
     centre: FloatArray
     root: FloatArray
     dof: float
+    _inverse: FloatArray = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_inverse", np.linalg.inv(self.root))
 
     def draw(self, count: int, random: RandomState) -> FloatArray:
         """Draw points, shape (count, d)."""
@@ -62,8 +85,8 @@ class StudentProposal:
 
     def log_density(self, points: FloatArray) -> FloatArray:
         """Logarithm of the density, up to a constant, at points of shape (n, d)."""
-        whitened = np.linalg.solve(self.root, (points - self.centre).T)
-        distance = np.einsum("ij,ij->j", whitened, whitened)
+        whitened = (points - self.centre) @ self._inverse.T
+        distance = np.einsum("ij,ij->i", whitened, whitened)
         return np.asarray(-0.5 * (self.dof + self.centre.size) * np.log1p(distance / self.dof))
 
 
@@ -142,7 +165,7 @@ def _accept(
     model: Any, state: Any, moved: NDArray[np.int_], points: FloatArray, factors: FloatArray
 ) -> NDArray[np.bool_]:
     """Metropolis-Hastings for some walkers at once; changes ``state`` and says who moved."""
-    log_density, _ = model.compute_log_prob_fn(points)
+    log_density = model.log_prob_fn(points)
     with np.errstate(divide="ignore"):
         threshold = np.log(model.random.random_sample(len(moved)))
     accepted = np.asarray(threshold < factors + log_density - state.log_prob[moved])
