@@ -21,7 +21,7 @@ from tissueid.model.base import ParameterSpec
 from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt, branch_suffix
 from tissueid.result import Estimate
 
-__all__ = ["TissueEstimate", "estimate_tissue", "in_field_units"]
+__all__ = ["REFERENCE_DEPTH", "TissueEstimate", "estimate_tissue", "in_field_units", "second_stage_static"]
 
 FloatArray = NDArray[np.float64]
 
@@ -57,7 +57,7 @@ class TissueEstimate:
     bounded: bool
 
 
-def _second_stage_static(sums: SpecimenSums, solution: Solution) -> tuple[FloatArray, FloatArray, FloatArray]:
+def second_stage_static(sums: SpecimenSums, solution: Solution) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Static curve of a per-log fit: one passive curve for all logs, K and tau as identified.
 
     Returns its coefficients by powers of u (3,), their covariance for given K and tau (3, 3), and how
@@ -96,7 +96,7 @@ def in_field_units(
     static, own, follows = (
         (found.theta[:offset], np.zeros((STATIC_DEGREE, STATIC_DEGREE)), np.eye(STATIC_DEGREE, len(inverse)))
         if offset
-        else _second_stage_static(sums, solution)
+        else second_stage_static(sums, solution)
     )
     model = KelvinVoigt(branches=branches, stiffness_degree=candidate.degree, depth_mm=sums.depth_mm)
     powers = sums.depth_mm ** -np.arange(float(size))

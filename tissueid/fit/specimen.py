@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from tissueid.fit.candidates import Candidate, Solution, SpecimenSums, fit_candidate, sum_of_logs
-from tissueid.fit.estimates import TissueEstimate, estimate_tissue
+from tissueid.fit.estimates import TissueEstimate, estimate_tissue, in_field_units
 from tissueid.fit.lm import levenberg_marquardt
 from tissueid.fit.logs import LogHandle, refine_contacts, specimen_sums
 from tissueid.fit.material import DEFAULT_POISSON, Geometry, with_moduli
@@ -22,14 +22,16 @@ from tissueid.fit.quoted import quoted_numbers
 from tissueid.fit.rounds import follow_surfaces, unloading_handles, unloading_verdict
 from tissueid.fit.search import polish, unbounded_covariance
 from tissueid.fit.selection import Choice, choose
-from tissueid.fit.summaries import second_pass
+from tissueid.fit.summaries import Summaries, second_pass
 from tissueid.fit.trials import Adjustment
 from tissueid.fit.verdict import one_program, specimen_flags
+from tissueid.fit.whitening import Whitened, optimum_of, whiten
+from tissueid.likelihood.linearise import Optimum
 from tissueid.likelihood.sums import N_STATIC, reduction
-from tissueid.model.kelvin_voigt import KEY, STATIC_DEGREE
+from tissueid.model.kelvin_voigt import KEY, STATIC_DEGREE, KelvinVoigt
 from tissueid.result import ModelChoice, SpecimenFit
 
-__all__ = ["FitOptions", "LogHandle", "fit_specimen"]
+__all__ = ["FitOptions", "FittedSpecimen", "LogHandle", "fit_specimen", "fit_with_state"]
 
 FloatArray = NDArray[np.float64]
 
@@ -72,6 +74,8 @@ class FitOptions:
         Poisson's ratio where a study gives the tip.
     unloading : bool
         Fit retracts and cycles as well, with the law of contact loss (:mod:`tissueid.fit.rounds`).
+    noise : str
+        ``auto``, ``white``, ``ar1`` or ``white+ar1``.
     """
 
     branches: int | None = None
@@ -82,6 +86,35 @@ class FitOptions:
     frequencies_Hz: tuple[float, ...] = ()
     geometry: Geometry | None = None
     poisson: float = DEFAULT_POISSON
+    noise: str = "auto"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedSpecimen:
+    """A fit with what a posterior is built from.
+
+    Attributes
+    ----------
+    fit : SpecimenFit
+    handles : tuple of LogHandle
+    whitened : Whitened
+        Noise, sums with correlated noise, and the solution under them.
+    optimum : Optimum
+        That solution as the point of linearisation.
+    tissue : TissueEstimate
+    adjustments : tuple of Adjustment
+        One a log.
+    told : Summaries
+        Of the second pass over the logs.
+    """
+
+    fit: SpecimenFit
+    handles: tuple[LogHandle, ...]
+    whitened: Whitened
+    optimum: Optimum
+    tissue: TissueEstimate
+    adjustments: tuple[Adjustment, ...]
+    told: Summaries
 
 
 def _both_optimisers(sums: SpecimenSums, solution: Solution) -> tuple[Solution, dict[str, object]]:
@@ -115,7 +148,10 @@ def _both_optimisers(sums: SpecimenSums, solution: Solution) -> tuple[Solution, 
 
 
 def _adjustments(
-    sums: SpecimenSums, solution: Solution, tissue: TissueEstimate, handles: Sequence[LogHandle]
+    sums: SpecimenSums,
+    solution: Solution,
+    tissue: tuple[KelvinVoigt, FloatArray],
+    handles: Sequence[LogHandle],
 ) -> list[Adjustment]:
     """Gain, offset or own static curve of every log."""
     found = solution.evaluation
@@ -135,7 +171,8 @@ def _adjustments(
     weights = reduction(
         sums.basis, found.log_tau, degree=candidate.degree, columns_degree=sums.columns_degree
     )
-    _, stiffness, _ = tissue.model.split(tissue.theta)
+    model, theta = tissue
+    _, stiffness, _ = model.split(theta)
     used = N_STATIC + stiffness.size
     out = []
     for one in gram:
@@ -216,6 +253,17 @@ def fit_specimen(
     -------
     SpecimenFit
     """
+    return fit_with_state(specimen, handles, options=options, tick=tick).fit
+
+
+def fit_with_state(
+    specimen: str,
+    handles: Sequence[LogHandle],
+    *,
+    options: FitOptions | None = None,
+    tick: Callable[[str], None] | None = None,
+) -> FittedSpecimen:
+    """As :func:`fit_specimen`, with what a posterior is built from."""
     options = options or FitOptions()
     tick = tick or (lambda _: None)
     # small matrices gain nothing from BLAS threads, and on a busy machine lose tenfold by them
@@ -239,9 +287,22 @@ def _refined(
     return refine_contacts(handles, flexible, tick)
 
 
+def _under_its_noise(
+    handles: Sequence[LogHandle],
+    sums: SpecimenSums,
+    solution: Solution,
+    options: FitOptions,
+    tick: Callable[[str], None],
+) -> Whitened:
+    """The fit finished under the noise that its residuals show."""
+    model, theta, _, _, _ = in_field_units(sums, solution)
+    adjustments = _adjustments(sums, solution, (model, theta), handles)
+    return whiten(handles, sums, solution, model, theta, adjustments, tick, noise=options.noise)
+
+
 def _fit(
     specimen: str, handles: list[LogHandle], options: FitOptions, tick: Callable[[str], None]
-) -> SpecimenFit:
+) -> FittedSpecimen:
     branches = (options.branches,) if options.branches else tuple(range(1, MAX_BRANCHES + 1))
     degrees = (
         tuple(range(MAX_DEGREE + 1)) if options.stiffness_degree is None else (options.stiffness_degree,)
@@ -260,11 +321,13 @@ def _fit(
         handles, sums, choice = followed.handles, followed.sums, followed.choice
     else:
         sums, choice = choice_for(handles)
-    solution, optimisers = _both_optimisers(sums, choice.solution)
+    whitened = _under_its_noise(handles, sums, choice.solution, options, tick)
+    sums = whitened.sums
+    solution, optimisers = _both_optimisers(sums, whitened.solution)
     tissue = estimate_tissue(sums, solution)
-    adjustments = _adjustments(sums, solution, tissue, handles)
+    adjustments = _adjustments(sums, solution, (tissue.model, tissue.theta), handles)
     told = second_pass(handles, adjustments, tissue, tick, depths_mm=options.depths_mm)
-    sigma = float(np.sqrt(solution.noise.sigma2))
+    sigma = whitened.noise.sigma_N
     facts = [handle.facts for handle in handles]
     flags = specimen_flags(tissue, sums, facts, told.trials, sigma_N=sigma, optimisers=optimisers)
     quoted = quoted_numbers(
@@ -281,7 +344,7 @@ def _fit(
         unloading, more = unloading_verdict(followed, tissue, adjustments, sigma_N=sigma)
         flags = (*flags, *more)
     speeds = [speed for log in facts for speed in log.speeds_mm_s if speed > 0.0] or [0.0]
-    return SpecimenFit(
+    fit = SpecimenFit(
         specimen=specimen,
         model=ModelChoice(
             key=KEY,
@@ -308,4 +371,13 @@ def _fit(
         unloading=unloading,
         cycles=told.cycles,
         quoted=quoted,
+    )
+    return FittedSpecimen(
+        fit=fit,
+        handles=tuple(handles),
+        whitened=replace(whitened, solution=solution),
+        optimum=optimum_of(solution, adjustments, sums.depth_mm),
+        tissue=tissue,
+        adjustments=tuple(adjustments),
+        told=told,
     )

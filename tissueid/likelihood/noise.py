@@ -135,7 +135,9 @@ def moving_average(phi: float, white_share: float) -> float:
     return 1.0 / (half + math.sqrt(max(half**2 - 1.0, 0.0)))
 
 
-def estimate_noise(chains: Sequence[NoiseChain], *, parameters: int = 0) -> NoiseEstimate:
+def estimate_noise(
+    chains: Sequence[NoiseChain], *, parameters: int = 0, model: str = "auto"
+) -> NoiseEstimate:
     """Model and parameters of the noise, by maximum likelihood.
 
     A richer model is taken where it raises ln L by more than ``ln(N) / 2`` for its parameter (Schwarz 1978,
@@ -151,6 +153,9 @@ def estimate_noise(chains: Sequence[NoiseChain], *, parameters: int = 0) -> Nois
         phi of ``ar1`` is freed of its bias ``-(2 phi + parameters (1 + phi)) / N`` to first order.  For a
         fitted mean that is the result of Marriott and Pope and of Kendall (1954, doi
         10.1093/biomet/41.3-4.390 and 403); for a few smooth regressors it is reconstructed.
+    model : str
+        ``auto``, or the one to take: ``white``, ``ar1`` or ``white+ar1``; where the samples can't carry it,
+        the richest that they can.
 
     Raises
     ------
@@ -162,11 +167,13 @@ def estimate_noise(chains: Sequence[NoiseChain], *, parameters: int = 0) -> Nois
         msg = f"{samples} residuals can't tell the noise of a fit with {parameters} parameters"
         raise ValueError(msg)
     found = [_fitted(chains, "white", 0.0, 1.0)]
-    if found[0].sigma_N > 0.0 and any(not chain.starts.all() for chain in chains):
+    if model != "white" and found[0].sigma_N > 0.0 and any(not chain.starts.all() for chain in chains):
         part = _part(chains)
         found.append(_best_ar1(chains, part))
-        if _uniform(chains):
+        if model != "ar1" and _uniform(chains):
             found.append(_best_mixture(chains, part))
+    if model != "auto":
+        return _freed(found[-1], samples, parameters)
     price = 0.5 * math.log(samples)
     chosen = max(enumerate(found), key=lambda pair: pair[1].log_likelihood - price * pair[0])[1]
     return _freed(chosen, samples, parameters)
@@ -222,11 +229,14 @@ def _refined(chains: Sequence[NoiseChain], start: list[float], white: float | No
     first = np.array(start)
     simplex = first + np.vstack([np.zeros(first.size), 0.3 * np.eye(first.size)])
     options: Any = {"initial_simplex": simplex, "xatol": FINE, "fatol": FINE_LOG_L, "maxfev": EVALUATIONS}
-    return np.array(minimize(minus, first, method="Nelder-Mead", options=options).x)
+    best: FloatArray = np.array(
+        minimize(minus, first, method="Nelder-Mead", options=options).x, dtype=np.float64
+    )
+    return best
 
 
 def _times() -> list[float]:
-    return np.linspace(math.log(SHORTEST), math.log(LONGEST), GRID).tolist()
+    return [float(at) for at in np.linspace(math.log(SHORTEST), math.log(LONGEST), GRID)]
 
 
 def _best_ar1(chains: Sequence[NoiseChain], part: Sequence[NoiseChain]) -> NoiseEstimate:

@@ -1,0 +1,195 @@
+"""The noise of a specimen, sums that know it, and the fit under it.
+
+A first fit takes the noise as white.  Its residuals tell whether neighbouring samples are correlated; one
+more pass over the logs then sums the residuals at that optimum for every correlation at once
+(:mod:`tissueid.likelihood.lag_sums`), and the fit is finished under the whitened sums: generalised least
+squares, with standard errors, profile intervals and verdicts under the noise that there is.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.fit.candidates import Solution, SpecimenSums, refit
+from tissueid.fit.logs import MAX_WORKERS, LogHandle
+from tissueid.fit.trials import Adjustment, model_force
+from tissueid.likelihood.basis import KernelBasis
+from tissueid.likelihood.lag_sums import LagSums, lag_sums
+from tissueid.likelihood.linearise import Optimum, centre
+from tissueid.likelihood.noise import NoiseChain, NoiseEstimate, estimate_noise, noise_chain
+from tissueid.likelihood.sums import N_STATIC
+from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.uncertainty import NoiseFit
+
+__all__ = ["Whitened", "optimum_of", "whiten"]
+
+FloatArray = NDArray[np.float64]
+
+#: Correlation below which the noise counts as white.
+NO_CORRELATION = 1e-3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Whitened:
+    """A specimen under its noise.
+
+    Attributes
+    ----------
+    noise : NoiseFit
+    lags : tuple of LagSums
+        One a log, centred at ``centred``.
+    centred : Optimum
+        Whose residuals stand in the sums: that of the first fit.
+    sums : SpecimenSums
+        Whitened at the estimated correlation.
+    solution : Solution
+        The fit under them.
+    """
+
+    noise: NoiseFit
+    lags: tuple[LagSums, ...]
+    centred: Optimum
+    sums: SpecimenSums
+    solution: Solution
+
+
+def optimum_of(solution: Solution, adjustments: Sequence[Adjustment], scale: float) -> Optimum:
+    """Where a specimen is linearised: its solution, and how each log differs from it."""
+    own = np.zeros((len(adjustments), N_STATIC))
+    for i, one in enumerate(adjustments):
+        if one.static is not None:
+            own[i] = one.static
+    return Optimum(
+        theta=solution.evaluation.theta,
+        log_tau=solution.evaluation.log_tau,
+        gamma=np.log([one.gain for one in adjustments]),
+        delta=np.array([one.contact_offset_mm for one in adjustments]),
+        own=own,
+        scale=scale,
+        degree=solution.candidate.degree,
+    )
+
+
+def _residual_chain(
+    handle: LogHandle, model: KelvinVoigt, theta: FloatArray, adjustment: Adjustment, step_s: float
+) -> NoiseChain:
+    """Residuals of one log under the first fit, as chains of noise."""
+    _, log = handle.fitted()
+    data = log.data
+    residual = data.force_N - model_force(model, theta, log, adjustment)
+    return noise_chain(data, residual, reference_step_s=step_s)
+
+
+def _sums_of_lags(
+    handles: Sequence[LogHandle],
+    basis: KernelBasis,
+    degree: int,
+    step_s: float,
+    centred: Optimum,
+    moving_average: float,
+) -> tuple[LagSums, ...]:
+    """One pass over the logs; loaded one after the other, summed in threads."""
+    running: deque[Future[LagSums]] = deque()
+    out: list[LagSums] = []
+    workers = min(os.cpu_count() or 1, len(handles), MAX_WORKERS)
+    with ThreadPoolExecutor(workers) as pool:
+        for i, handle in enumerate(handles):
+            _, log = handle.fitted()
+            running.append(
+                pool.submit(
+                    lag_sums,
+                    log.data,
+                    basis,
+                    degree=degree,
+                    reference_step_s=step_s,
+                    center=centre(basis, degree, centred, i),
+                    moving_average=moving_average,
+                )
+            )
+            while len(running) > workers:
+                out.append(running.popleft().result())
+        out += [one.result() for one in running]
+    return tuple(out)
+
+
+def _with_force(gram: FloatArray, weights: FloatArray) -> FloatArray:
+    """The same Gram matrix with the force in the last column, not the residual that was centred."""
+    to = np.eye(gram.shape[0])
+    to[:-1, -1] = weights
+    return np.asarray(to.T @ gram @ to)
+
+
+def whiten(
+    handles: Sequence[LogHandle],
+    sums: SpecimenSums,
+    solution: Solution,
+    model: KelvinVoigt,
+    theta: FloatArray,
+    adjustments: Sequence[Adjustment],
+    tick: Callable[[str], None],
+    *,
+    noise: str = "auto",
+) -> Whitened:
+    """Estimate the noise, sum the logs for it, and finish the fit under it.
+
+    Parameters
+    ----------
+    handles : sequence of LogHandle
+    sums, solution
+        The fit under white noise.
+    model, theta
+        Its tissue in the units of the field.
+    adjustments : sequence of Adjustment
+        One a log.
+    tick : callable
+    noise : str
+        ``auto``, ``white``, ``ar1`` or ``white+ar1``.
+
+    Returns
+    -------
+    Whitened
+    """
+    tick("noise")
+    step = sums.step_s
+    chains = [
+        _residual_chain(handle, model, theta, adjustment, step)
+        for handle, adjustment in zip(handles, adjustments, strict=True)
+    ]
+    found: NoiseEstimate = estimate_noise(chains, parameters=solution.candidate.n_parameters, model=noise)
+    centred = optimum_of(solution, adjustments, sums.depth_mm)
+    tick("sums for correlated noise")
+    lags = _sums_of_lags(handles, sums.basis, sums.columns_degree, step, centred, found.moving_average)
+    white = replace(
+        sums,
+        gram=np.stack(
+            [
+                _with_force(one.whitened(found.phi)[0], centre(sums.basis, sums.columns_degree, centred, i))
+                for i, one in enumerate(lags)
+            ]
+        ),
+        count=np.array([one.count for one in lags], dtype=np.int64),
+        offset_sd_mm=sums.offset_sd_mm[: len(lags)],
+        single=False,
+        logs=np.arange(len(lags)),
+    )
+    finished = refit(white, solution) if found.phi > NO_CORRELATION else solution
+    return Whitened(
+        noise=NoiseFit(
+            model=found.model,
+            sigma_N=found.sigma_N,
+            phi=found.phi,
+            reference_step_s=step,
+            moving_average=found.moving_average,
+        ),
+        lags=lags,
+        centred=centred,
+        sums=white if found.phi > NO_CORRELATION else sums,
+        solution=finished,
+    )

@@ -1,0 +1,258 @@
+"""The posterior of a fitted specimen, from its sums to what is reported.
+
+Composes the target, a sampler, the exact redraw, diagnostics, the total interval, the budget, the comparison
+with other models and the check for misfit; each is a module of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.fit.estimates import second_stage_static
+from tissueid.fit.specimen import FittedSpecimen
+from tissueid.likelihood.passive_normal import draw_passive
+from tissueid.model.kelvin_voigt import STATIC_DEGREE
+from tissueid.posterior.diagnostics import diagnose
+from tissueid.posterior.reported import interval95, reported_draws
+from tissueid.posterior.specimen_target import Facts, SpecimenTarget, specimen_target
+from tissueid.posterior.target import Redrawn
+from tissueid.priors import Priors
+from tissueid.result import Estimate, SpecimenFit
+from tissueid.uncertainty import ParameterUncertainty, Posterior, SamplerReport
+
+__all__ = ["SAMPLERS", "PosteriorOptions", "posterior_target", "with_posterior"]
+
+FloatArray = NDArray[np.float64]
+
+SAMPLERS = ("emcee", "exact", "none")
+#: Draws that a bundle and a report keep.
+KEPT_DRAWS = 2000
+#: Chains that independent draws are laid out in, for the diagnostics.
+EXACT_CHAINS = 4
+#: First guess of the standard deviation of the ln of the gains' spread, times the root of the logs.
+GAIN_GUESS = 0.8
+
+
+@dataclass(frozen=True, slots=True)
+class PosteriorOptions:
+    """How a posterior is sampled.
+
+    Attributes
+    ----------
+    sampler : str
+        ``emcee``, ``exact`` or ``none``.
+    draws : int
+        Effective draws that are asked for.
+    seed : int
+    workers : int
+        Threads that evaluate the density; the chain does not depend on it.
+    """
+
+    sampler: str = "emcee"
+    draws: int = 10_000
+    seed: int = 0
+    workers: int = 1
+
+
+def _facts(fitted: FittedSpecimen, *, offsets: bool) -> Facts:
+    """What the priors need to know of the logs."""
+    handles = fitted.handles
+    speeds = [
+        (speed, one.facts.depth_mm) for one in handles for speed in one.facts.speeds_mm_s if speed > 0.0
+    ]
+    sd = np.array([one.contact_sd_mm for one in handles])
+    floor = fitted.whitened.sums.offset_sd_mm[: len(handles)]
+    return Facts(
+        force_N=max(float(np.abs(trial.curve.force_N).max()) for trial in fitted.told.trials),
+        speed_mm_s=np.array([speed for speed, _ in speeds] or [1.0]),
+        depth_mm=np.array([depth for _, depth in speeds] or [fitted.optimum.scale]),
+        log_tau_bounds=fitted.whitened.sums.log_tau_bounds,
+        offset_sd_mm=np.maximum(sd, floor) if offsets else np.zeros(len(handles)),
+        offset_mean_mm=np.array([-one.contact_shift_mm for one in handles]),
+    )
+
+
+def posterior_target(fitted: FittedSpecimen, priors: Priors) -> SpecimenTarget:
+    """The density that is sampled for a fitted specimen.
+
+    Parameters
+    ----------
+    fitted : FittedSpecimen
+    priors : Priors
+    """
+    whitened, solution = fitted.whitened, fitted.whitened.solution
+    pooling = solution.candidate.pooling
+    correlated = whitened.noise.model != "white"
+    count = sum(one.count for one in whitened.lags)
+    sigma2, phi = solution.noise.sigma2, whitened.noise.phi
+    time_sd = np.array([interval.width for interval in fitted.tissue.intervals]) / 4.0
+    start = [*solution.evaluation.log_tau, 0.5 * np.log(sigma2)]
+    sd = [*np.clip(time_sd, 1e-5, 1.5), 1.0 / np.sqrt(2.0 * count)]
+    if correlated:
+        start.append(np.arctanh(min(phi, 1.0 - 1e-9)))
+        sd.append(1.0 / np.sqrt(count * max(1.0 - phi * phi, 1e-6)))
+    if pooling == "partial":
+        start.append(np.log(max(solution.noise.gain_sd, 1e-4)))
+        sd.append(GAIN_GUESS / np.sqrt(len(fitted.handles)))
+    single = len(fitted.handles) == 1 and fitted.fit.model.static_pooling == "shared"
+    return specimen_target(
+        whitened.lags,
+        whitened.sums.basis,
+        fitted.optimum,
+        centred=whitened.centred,
+        facts=_facts(fitted, offsets=pooling == "partial" or single),
+        priors=priors,
+        pooling=pooling,
+        correlated=correlated,
+        start=np.array(start),
+        start_sd=np.array(sd),
+    )
+
+
+def _with_static(fitted: FittedSpecimen, drawn: Redrawn, rng: np.random.Generator) -> Redrawn:
+    """Logs with a curve each have no common one: a second stage draws it for each draw of K and tau."""
+    whitened, optimum = fitted.whitened, fitted.optimum
+    best, own, follows = second_stage_static(whitened.sums, whitened.solution)
+    scale, size = optimum.scale, optimum.degree + 1
+    moved = np.empty((drawn.theta.shape[0], follows.shape[1]))
+    branches = optimum.branches
+    for j in range(branches):
+        first = STATIC_DEGREE + j * (size + 1)
+        stiffness = drawn.theta[:, first : first + size] * scale ** np.arange(float(size))
+        moved[:, j * size : (j + 1) * size] = stiffness - optimum.theta[j * size : (j + 1) * size]
+        moved[:, branches * size + j] = np.log(drawn.theta[:, first + size]) - optimum.log_tau[j]
+    mean = best + moved @ follows.T
+    blocks = np.array([STATIC_DEGREE], dtype=np.int64)
+    cov = np.broadcast_to(own, (mean.shape[0], *own.shape))
+    static, _ = draw_passive(mean, np.ascontiguousarray(cov), blocks, rng)
+    theta = drawn.theta.copy()
+    theta[:, :STATIC_DEGREE] = static * scale ** -np.arange(1.0, STATIC_DEGREE + 1)
+    return replace(drawn, theta=theta)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sampled:
+    """A chain in the sampled coordinates, shape (chains, draws, d), and how it came about."""
+
+    chain: FloatArray
+    report: SamplerReport
+
+
+def _sample(
+    target: SpecimenTarget,
+    options: PosteriorOptions,
+    checkpoint: Path | None,
+    key: str,
+    tick: Callable[[str], None],
+) -> _Sampled:
+    if options.sampler == "exact":
+        from tissueid.posterior.exact import sample_exact
+
+        tick("drawing exactly")
+        exact = sample_exact(target, draws=options.draws, seed=options.seed)
+        draws = exact.points.shape[0] // EXACT_CHAINS * EXACT_CHAINS
+        chain = exact.points[:draws].reshape(EXACT_CHAINS, -1, exact.points.shape[1])
+        return _Sampled(chain, exact.report())
+    from tissueid.posterior.ensemble import sample_ensemble
+
+    found = sample_ensemble(
+        target,
+        draws=options.draws,
+        seed=options.seed,
+        workers=options.workers,
+        checkpoint=checkpoint,
+        key=key,
+        progress=lambda steps, share: tick(f"sampling, {steps:,} steps, {100.0 * min(share, 1.0):.0f} %"),
+    )
+    return _Sampled(found.chain, found.report())
+
+
+def _uncertainties(
+    fit: SpecimenFit,
+    draws: Mapping[str, FloatArray],
+    shape: tuple[int, int],
+    total: Mapping[str, tuple[float, float]] | None,
+) -> dict[str, ParameterUncertainty]:
+    """Mean, spread, intervals and diagnostics of each reported parameter."""
+    names = [one.name for one in fit.parameters]
+    found = diagnose({name: draws[name].reshape(shape) for name in names})
+    central = interval95({name: draws[name] for name in names})
+    return {
+        name: ParameterUncertainty(
+            mean=float(draws[name].mean()),
+            sd=float(draws[name].std(ddof=1)),
+            ci95=central[name],
+            ci95_total=None if total is None else total[name],
+            ess_bulk=found[name].ess_bulk,
+            ess_tail=found[name].ess_tail,
+            r_hat=found[name].r_hat,
+        )
+        for name in names
+    }
+
+
+def _with_uncertainty(
+    parameters: Sequence[Estimate], found: Mapping[str, ParameterUncertainty]
+) -> tuple[Estimate, ...]:
+    return tuple(replace(one, uncertainty=found.get(one.name)) for one in parameters)
+
+
+def with_posterior(
+    fitted: FittedSpecimen,
+    *,
+    priors: Priors,
+    options: PosteriorOptions,
+    checkpoint: Path | None = None,
+    key: str = "",
+    tick: Callable[[str], None] | None = None,
+) -> SpecimenFit:
+    """The fit of a specimen with its posterior.
+
+    Parameters
+    ----------
+    fitted : FittedSpecimen
+    priors : Priors
+    options : PosteriorOptions
+    checkpoint : Path, optional
+        File that the sampler can go on from after a kill.
+    key : str
+        Of everything the posterior depends on; a checkpoint with another key is not used.
+    tick : callable, optional
+        Told what is being done.
+    """
+    tick = tick or (lambda _: None)
+    fit, model = fitted.fit, fitted.tissue.model
+    if options.sampler == "none" or model.branches == 0:
+        return fit
+    target = posterior_target(fitted, priors)
+    sampled = _sample(target, options, checkpoint, key, tick)
+    tick("drawing the tissue")
+    shape = sampled.chain.shape[:2]
+    points = sampled.chain.reshape(-1, sampled.chain.shape[2])
+    rng = np.random.default_rng([options.seed, 1])
+    drawn = target.redraw(points, rng)
+    if fit.model.static_pooling == "per-log":
+        drawn = _with_static(fitted, drawn, rng)
+    uncertainties = _uncertainties(fit, reported_draws(model, drawn.theta), shape, None)
+    keep = np.linspace(0, points.shape[0] - 1, min(KEPT_DRAWS, points.shape[0])).astype(np.int64)
+    noise = fitted.whitened.noise
+    # the sampled scale is that of the pre-filtered noise
+    theta, phi = noise.moving_average, float(np.mean(drawn.phi))
+    sigma = float(np.mean(drawn.sigma_N)) * float(np.sqrt(1.0 - 2.0 * phi * theta + theta**2))
+    posterior = Posterior(
+        sampler=sampled.report,
+        noise=replace(noise, sigma_N=sigma, phi=phi),
+        parameters=uncertainties,
+        theta_names=fit.theta_names,
+        draws=drawn.theta[keep],
+        draws_total=None,
+        covariance=np.cov(drawn.theta, rowvar=False),
+        chain_names=target.names,
+        chain=sampled.chain,
+    )
+    return replace(fit, parameters=_with_uncertainty(fit.parameters, uncertainties), posterior=posterior)
