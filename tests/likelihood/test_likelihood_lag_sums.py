@@ -4,21 +4,24 @@ from __future__ import annotations
 
 import math
 import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tissueid.likelihood.basis import kernel_basis
 from tissueid.likelihood.chains import chain_breaks
-from tissueid.likelihood.lag_sums import CHUNK, LagSums, lag_sums
+from tissueid.likelihood.lag_sums import CHUNK, lag_sums
 from tissueid.likelihood.step_groups import MAX_LAG_GROUPS, lag_groups
 from tissueid.likelihood.sums import LogData, log_sums, reduction
 from tissueid.model import ContactPath, KelvinVoigt
 
 JIT_OFF = os.environ.get("NUMBA_DISABLE_JIT") == "1"
 N = 300 if JIT_OFF else 5000
+needs_jit = pytest.mark.skipif(JIT_OFF, reason="too slow without compilation")
 CLOCKS = ("uniform", "three rates", "gaps", "event rows", "gaps and event rows")
 
 
@@ -56,23 +59,16 @@ def basis_for(data):
     return kernel_basis(step_s=float(np.median(steps)), length_s=float(data.time_s[-1]))
 
 
-def direct_chain(residual, time_s, linked, sigma, phi, reference_s):
+def direct_chain(residual, data, sigma, phi, reference_s):
     """Log density of a residual chain: one sample after the other, plain numpy."""
-    total = 0.0
-    variance = np.full(residual.size, sigma**2)
-    mean = np.zeros(residual.size)
-    rho = phi ** (np.diff(time_s) / reference_s)
-    inside = np.flatnonzero(linked)
-    mean[inside] = rho[inside - 1] * residual[inside - 1]
-    variance[inside] = sigma**2 * (1.0 - rho[inside - 1] ** 2)
-    return total - 0.5 * float(np.sum(np.log(2.0 * math.pi * variance) + (residual - mean) ** 2 / variance))
-
-
-def from_sums(sums, weights, beta, sigma, phi):
-    gram, log_det = sums.whitened(phi)
-    full = weights @ beta
-    n = sums.count
-    return -0.5 * (float(full @ gram @ full) / sigma**2 + log_det + n * math.log(2.0 * math.pi * sigma**2))
+    used = np.flatnonzero(data.include)
+    linked = links(data)[used]
+    r = residual[used]
+    rho = phi ** (np.diff(data.time_s[used], prepend=np.nan) / reference_s)
+    before = np.concatenate([[0.0], r[:-1]])
+    mean = np.where(linked, rho * before, 0.0)
+    variance = sigma**2 * np.where(linked, -np.expm1(2.0 * np.log(rho)) if phi else 1.0, 1.0)
+    return -0.5 * float(np.sum(np.log(2.0 * math.pi * variance) + (r - mean) ** 2 / variance))
 
 
 def links(data):
@@ -83,6 +79,44 @@ def links(data):
     return linked
 
 
+class Direct:
+    """The model on samples, free of the likelihood's own code."""
+
+    def __init__(self, data, branches, degree):
+        self.data = data
+        self.model = KelvinVoigt(branches=branches, stiffness_degree=degree, depth_mm=5.0)
+        self.path = ContactPath(data.time_s, data.depth_mm)
+
+    def log_likelihood(self, theta, sigma, phi, reference_s=0.01):
+        residual = self.data.force_N - self.model.force(theta, self.path)
+        return direct_chain(residual, self.data, sigma, phi, reference_s)
+
+
+class FromSums:
+    """The same from the sums."""
+
+    def __init__(self, data, direct, *, center=None, basis=None):
+        self.degree = direct.model.stiffness_degree
+        self.model = direct.model
+        self.basis = basis_for(data) if basis is None else basis
+        self.center = np.zeros(4 + self.basis.tau_s.size * (self.degree + 1)) if center is None else center
+        self.sums = lag_sums(data, self.basis, degree=self.degree, reference_step_s=0.01, center=center)
+
+    def columns(self, theta):
+        """Weights of the node columns that make the force of theta."""
+        static, stiffness, tau = self.model.split(theta)
+        beta = np.concatenate([[0.0], static, stiffness.ravel(), np.zeros(stiffness.size), [0.0]])
+        weights = reduction(self.basis, np.log(tau), degree=self.degree, columns_degree=self.degree)
+        return (weights @ beta)[:-1]
+
+    def log_likelihood(self, theta, sigma, phi):
+        gram, log_det = self.sums.whitened(phi)
+        full = np.concatenate([self.center - self.columns(theta), [1.0]])
+        n = self.sums.count
+        square = float(full @ gram @ full) / sigma**2
+        return -0.5 * (square + log_det + n * math.log(2.0 * math.pi * sigma**2))
+
+
 @pytest.mark.parametrize("clock", CLOCKS)
 @pytest.mark.parametrize("phi", [0.0, 0.5, 0.99, 0.999])
 @pytest.mark.parametrize("degree", [0, 1])
@@ -91,21 +125,282 @@ def test_log_likelihood_equals_the_direct_one(clock, phi, degree):
     include[: N // 10] = False
     include[N // 2 + 7] = False
     data = make_log(sampling(clock, N), include=include)
-    basis = basis_for(data)
-    sums = lag_sums(data, basis, degree=degree, reference_step_s=0.01)
-    model = KelvinVoigt(branches=2, stiffness_degree=degree, depth_mm=5.0)
+    direct = Direct(data, 2, degree)
     stiffness = np.array([[9.0, 2.0], [4.0, -0.5]])[:, : degree + 1]
-    static, tau = np.array([15.0, -1.0, 0.3]), np.array([0.08, 3.0])
-    residual = data.force_N - model.force(
-        model.join(static, stiffness, tau), ContactPath(data.time_s, data.depth_mm)
-    )
-    weights = reduction(basis, np.log(tau), degree=degree, columns_degree=degree)
-    beta = np.concatenate([[0.0], static, stiffness.ravel(), np.zeros(stiffness.size), [-1.0]])
+    theta = direct.model.join(np.array([15.0, -1.0, 0.3]), stiffness, np.array([0.08, 3.0]))
+    sums = FromSums(data, direct)
+    expected = direct.log_likelihood(theta, 2.0, phi)
+    # far from the optimum, not re-centred: residuals of 30 N leave 1e-9 of their sum of squares
+    assert sums.log_likelihood(theta, 2.0, phi) == pytest.approx(expected, rel=1e-9, abs=1e-4)
+    assert sums.sums.count == int(data.include.sum())
+    assert sums.sums.links.sum() == links(data).sum()
+
+
+def noisy(direct, theta, sigma, phi, seed):
+    """The log of a tissue theta with AR(1) noise on its chains."""
+    rng = np.random.default_rng(seed)
+    data = direct.data
     linked = links(data)
+    rho = np.where(linked, phi ** (np.diff(data.time_s, prepend=0.0) / 0.01), 0.0)
+    fresh = rng.normal(size=rho.size) * np.sqrt(1.0 - rho**2)
+    noise = np.empty(rho.size)
+    last = 0.0
+    for n in range(rho.size):
+        last = rho[n] * last + fresh[n]
+        noise[n] = last
+    return replace(data, force_N=direct.model.force(theta, direct.path) + sigma * noise)
+
+
+def optimum(direct, theta, sigma, phi):
+    """Linear parameters of highest direct likelihood at the tau of theta, and a root of their covariance."""
+    model, data = direct.model, direct.data
+    _, stiffness, tau = model.split(theta)
+    size = 3 + stiffness.size
+    x = data.depth_mm
+    states = model.states(tau, direct.path)
+    columns = [x, x**2, x**3] + [s * x**p for s in states for p in range(stiffness.shape[1])]
+    design = np.column_stack([*columns, data.force_N])
     used = np.flatnonzero(data.include)
-    expected = direct_chain(residual[used], data.time_s[used], linked[used], 2.0, phi, 0.01)
-    found = from_sums(sums, weights, beta, 2.0, phi)
-    # far from the optimum here: residuals of 30 N and a sum of squares of 1e6 leave 1e-9 of it
-    assert found == pytest.approx(expected, rel=1e-9, abs=1e-4)
-    assert sums.count == int(data.include.sum())
-    assert sums.links.sum() == linked.sum()
+    linked = links(data)[used]
+    rho = np.where(linked, phi ** (np.diff(data.time_s[used], prepend=0.0) / 0.01), 0.0)
+    white = design[used]
+    white[1:] -= rho[1:, None] * design[used][:-1]
+    white /= np.sqrt(1.0 - rho**2)[:, None]
+    unit = np.linalg.norm(white[:, :size], axis=0)
+    q, r = np.linalg.qr(white[:, :size] / unit)
+    best = np.linalg.solve(r, q.T @ white[:, -1]) / unit
+    root = np.linalg.inv(r) * sigma / unit[:, None]
+    return model.join(best[:3], best[3:].reshape(stiffness.shape), tau), root
+
+
+def moved(direct, theta, root, sigma, phi, rng, drop):
+    """A point in a random direction, tau and all, where the direct log likelihood is ``drop`` lower."""
+    model = direct.model
+    static, stiffness, tau = model.split(theta)
+    step = root @ rng.normal(size=root.shape[0])
+    turn = rng.normal(scale=0.02, size=tau.size)
+    top = direct.log_likelihood(theta, sigma, phi)
+
+    def at(scale):
+        linear = np.concatenate([static, stiffness.ravel()]) + scale * step
+        return model.join(linear[:3], linear[3:].reshape(stiffness.shape), tau * np.exp(scale * turn))
+
+    high = 1.0
+    while top - direct.log_likelihood(at(high), sigma, phi) < drop and high < 1e3:
+        high *= 2.0
+    low = 0.0
+    for _ in range(25):
+        middle = 0.5 * (low + high)
+        if top - direct.log_likelihood(at(middle), sigma, phi) < drop:
+            low = middle
+        else:
+            high = middle
+    return at(low)
+
+
+@given(
+    clock=st.sampled_from(CLOCKS),
+    branches=st.integers(1, 3),
+    degree=st.integers(0, 1),
+    sigma=st.floats(0.1, 3.0),
+    phi=st.one_of(st.just(0.0), st.floats(0.0, 0.999), st.floats(0.99, 0.999)),
+    drop=st.floats(0.1, 50.0),
+    seed=st.integers(0, 2**16),
+)
+@settings(max_examples=8 if JIT_OFF else 60, deadline=None, derandomize=True, database=None)
+def test_log_likelihood_is_exact_at_the_optimum_and_around_it(
+    clock, branches, degree, sigma, phi, drop, seed
+):
+    rng = np.random.default_rng(seed)
+    time = sampling(clock, N)
+    include = np.ones(time.size, dtype=bool)
+    include[: rng.integers(0, N // 10 + 1)] = False
+    direct = Direct(make_log(time, include=include), branches, degree)
+    tau = np.sort(np.exp(rng.uniform(np.log(0.03), np.log(20.0), size=branches)))
+    stiffness = rng.uniform(2.0, 40.0, size=(branches, 2))[:, : degree + 1] / [1.0, 10.0][: degree + 1]
+    truth = direct.model.join(np.array([20.0, -1.2, 0.35]), stiffness, tau)
+    direct.data = noisy(direct, truth, sigma, phi, seed)
+    best, root = optimum(direct, truth, sigma, phi)
+    elsewhere = moved(direct, best, root, sigma, phi, rng, drop)
+    sums = FromSums(direct.data, direct)
+    centred = FromSums(direct.data, direct, center=sums.columns(best))
+    expected = direct.log_likelihood(best, sigma, phi)
+    assert centred.log_likelihood(best, sigma, phi) == pytest.approx(expected, rel=0.0, abs=1e-4)
+    expected = direct.log_likelihood(elsewhere, sigma, phi)
+    assert centred.log_likelihood(elsewhere, sigma, phi) == pytest.approx(expected, rel=0.0, abs=1e-3)
+
+
+def reference_sums(data, basis, degree, theta=0.0):
+    """Start, later, earlier and difference Gram matrices of one group, from all rows at once."""
+    x = data.depth_mm
+    model, path = KelvinVoigt(branches=1, stiffness_degree=0, depth_mm=5.0), ContactPath(data.time_s, x)
+    states = [model.states(np.array([tau]), path)[0] for tau in basis.tau_s]
+    columns = [np.ones_like(x), x, x**2, x**3] + [s * x**p for p in range(degree + 1) for s in states]
+    z = np.column_stack([*columns, data.force_N])
+    linked = links(data)
+    for n in range(x.size):
+        if linked[n]:
+            z[n] += theta * z[n - 1]
+    starts = data.include & ~linked
+    later, earlier = z[linked], z[np.flatnonzero(linked) - 1]
+    return [part.T @ part for part in (z[starts], later, earlier, later - earlier)]
+
+
+@pytest.mark.parametrize("theta", [0.0, 0.8])
+@pytest.mark.parametrize("n", [20, CHUNK - 1, CHUNK, CHUNK + 1, 2 * CHUNK + 1])
+@needs_jit
+def test_sums_are_those_of_all_rows_at_once(n, theta):
+    include = np.ones(n, dtype=bool)
+    include[: n // 7] = False
+    include[n // 3] = False
+    breaks = np.zeros(n, dtype=bool)
+    breaks[n // 2] = True
+    data = make_log(sampling("uniform", n), include=include, breaks=breaks)
+    basis = basis_for(make_log(sampling("uniform", 3000)))
+    sums = lag_sums(data, basis, degree=1, reference_step_s=0.005, moving_average=theta)
+    found = [sums.start, sums.later[0], sums.earlier[0], sums.difference[0]]
+    for mine, expected in zip(found, reference_sums(data, basis, 1, theta), strict=True):
+        size = np.sqrt(np.diag(expected))
+        # states are exact to 1e-12 of their column's norm; earlier is later plus edges
+        assert np.abs(mine - expected).max() <= 1e-12 * max(size.max() ** 2, 1.0)
+    assert sums.links.tolist() == [links(data).sum()]
+    assert sums.chains == 3
+    np.testing.assert_allclose(sums.ratio, [2.0], rtol=1e-9)
+
+
+@pytest.mark.parametrize("clock", ["alternating", "irregular"])
+def test_steps_that_alternate_are_sorted(clock):
+    rng = np.random.default_rng(4)
+    n = N
+    steps = np.where(np.arange(n - 1) % 2, 0.01, 0.02)
+    if clock == "irregular":
+        steps = rng.uniform(0.01, 0.05, size=n - 1)
+    data = make_log(np.concatenate([[0.0], np.cumsum(steps)]))
+    basis = kernel_basis(step_s=0.01, length_s=float(data.time_s[-1]))
+    sums = lag_sums(data, basis, degree=0, reference_step_s=0.01)
+    _, later, earlier, difference = reference_sums(data, basis, 0)
+    assert sums.links.size == (2 if clock == "alternating" else MAX_LAG_GROUPS)
+    for mine, expected in zip(
+        (sums.later, sums.earlier, sums.difference), (later, earlier, difference), strict=True
+    ):
+        np.testing.assert_allclose(mine.sum(axis=0), expected, rtol=0.0, atol=1e-11 * np.abs(expected).max())
+
+
+def test_an_irregular_clock_counts_as_one_of_eight_near_steps():
+    rng = np.random.default_rng(6)
+    step = np.concatenate([[0.0], rng.uniform(0.01, 0.05, size=4000)])
+    linked = step > 0.0
+    group, mean = lag_groups(step, linked)
+    assert group[0] == -1
+    assert mean.size == MAX_LAG_GROUPS
+    assert np.all(np.diff(mean) > 0.0)
+    off = np.log(mean[group[1:]] / step[1:])
+    assert np.abs(off).max() <= 0.15
+    assert np.sqrt(np.mean(off**2)) <= 0.065
+
+
+def test_the_likelihood_of_an_irregular_clock_is_that_of_its_nearest_steps():
+    rng = np.random.default_rng(7)
+    n = N
+    time = np.concatenate([[0.0], np.cumsum(rng.uniform(0.01, 0.05, size=n - 1))])
+    data = make_log(time)
+    direct = Direct(data, 1, 0)
+    theta = direct.model.join(np.array([15.0, -1.0, 0.3]), np.array([[9.0]]), np.array([0.4]))
+    data = noisy(direct, theta, 1.0, 0.95, 8)
+    direct.data = data
+    sums = FromSums(data, direct)
+    group, mean = lag_groups(np.diff(time, prepend=0.0), links(data))
+    residual = data.force_N - direct.model.force(theta, direct.path)
+    snapped = np.concatenate([[0.0], np.cumsum(mean[group[1:]])])
+    expected = direct_chain(residual, replace(data, time_s=snapped), 1.0, 0.95, 0.01)
+    assert sums.log_likelihood(theta, 1.0, 0.95) == pytest.approx(expected, rel=1e-9)
+    # against the true steps: random, of the size sqrt(n / 2) * rms(d), a constant for all parameters of F
+    true = direct_chain(residual, data, 1.0, 0.95, 0.01)
+    assert abs(expected - true) <= 4.0 * 0.065 * math.sqrt(n / 2)
+
+
+def test_trembling_steps_are_one_step():
+    rng = np.random.default_rng(8)
+    step = np.concatenate([[0.0], 0.01 * (1.0 + 0.01 * rng.normal(size=3000))])
+    group, mean = lag_groups(step, step > 0.0)
+    assert mean.size == 1
+    assert mean[0] == pytest.approx(step[1:].mean(), rel=1e-12)
+    assert set(group[1:].tolist()) == {0}
+
+
+def test_three_rates_are_kept_exactly():
+    data = make_log(sampling("three rates", N))
+    sums = lag_sums(data, basis_for(data), degree=0, reference_step_s=0.01)
+    np.testing.assert_allclose(sums.ratio, [1.0, 4.0, 10.0], rtol=1e-9)
+    assert sums.links.sum() == N - 1
+
+
+def test_without_correlation_the_sums_are_those_of_white_noise():
+    data = make_log(sampling("three rates", N))
+    basis = basis_for(data)
+    gram, log_det = lag_sums(data, basis, degree=1, reference_step_s=0.01).whitened(0.0)
+    expected = log_sums(data, basis, degree=1).gram[0]
+    np.testing.assert_allclose(gram, expected, rtol=0.0, atol=1e-13 * np.abs(expected).max())
+    assert log_det == 0.0
+
+
+def test_a_thinned_log_has_no_links():
+    include = np.arange(N) % 3 == 0
+    data = make_log(sampling("uniform", N), include=include)
+    sums = lag_sums(data, basis_for(data), degree=0, reference_step_s=0.01)
+    gram, log_det = sums.whitened(0.9)
+    assert sums.links.size == 0
+    assert sums.chains == sums.count == include.sum()
+    assert log_det == 0.0
+    np.testing.assert_array_equal(gram, sums.start)
+
+
+def test_logs_add_up():
+    one, two = make_log(sampling("uniform", N)), make_log(sampling("three rates", N), seed=2)
+    basis = basis_for(one)
+    first, second = (lag_sums(log, basis, degree=0, reference_step_s=0.01) for log in (one, two))
+    both = first.merged(second)
+    gram, log_det = both.whitened(0.97)
+    parts = [first.whitened(0.97), second.whitened(0.97)]
+    expected = parts[0][0] + parts[1][0]
+    np.testing.assert_allclose(gram, expected, rtol=0.0, atol=1e-12 * np.abs(expected).max())
+    assert log_det == pytest.approx(parts[0][1] + parts[1][1], rel=1e-9)
+    assert both.count == 2 * N
+    assert both.ratio.size == 3
+
+
+def test_sums_of_other_columns_do_not_add_up():
+    data = make_log(sampling("uniform", 100))
+    basis = basis_for(data)
+    first = lag_sums(data, basis, degree=0, reference_step_s=0.01)
+    for other in (
+        lag_sums(data, basis, degree=1, reference_step_s=0.01),
+        lag_sums(data, basis, degree=0, reference_step_s=0.02),
+    ):
+        with pytest.raises(ValueError, match="can't be added"):
+            first.merged(other)
+
+
+@needs_jit
+def test_sums_do_not_depend_on_threads():
+    logs = [make_log(sampling("uniform", 4000), seed=seed) for seed in range(6)]
+    basis = basis_for(logs[0])
+
+    def summed(log):
+        return lag_sums(log, basis, degree=1, reference_step_s=0.01)
+
+    alone = [summed(log) for log in logs]
+    with ThreadPoolExecutor(3) as pool:
+        together = list(pool.map(summed, logs))
+    for a, b in zip(alone, together, strict=True):
+        np.testing.assert_array_equal(a.later, b.later)
+        np.testing.assert_array_equal(a.difference, b.difference)
+
+
+def test_nothing_that_counts_gives_empty_sums():
+    data = make_log(sampling("uniform", 50), include=np.zeros(50, dtype=bool))
+    sums = lag_sums(data, basis_for(data), degree=0, reference_step_s=0.01)
+    gram, log_det = sums.whitened(0.5)
+    assert sums.count == 0
+    assert not gram.any()
+    assert log_det == 0.0

@@ -12,7 +12,7 @@ from tissueid.likelihood.noise import NoiseChain, estimate_noise, moving_average
 from tissueid.likelihood.sums import LogData
 
 JIT_OFF = os.environ.get("NUMBA_DISABLE_JIT") == "1"
-SEEDS = 3 if JIT_OFF else 40
+SEEDS = 40
 needs_jit = pytest.mark.skipif(JIT_OFF, reason="too slow without compilation")
 
 
