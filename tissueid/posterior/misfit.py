@@ -97,9 +97,7 @@ def block_covariance(blocks: ResidualBlocks, noise: NoiseFit) -> FloatArray:
     return np.asarray(covariance + correlated * (upper + upper.T + np.diag(own)))
 
 
-def _features(
-    logs: Sequence[ResidualBlocks], values: Sequence[FloatArray]
-) -> tuple[FloatArray, list[_Row]]:
+def _features(logs: Sequence[ResidualBlocks], values: Sequence[FloatArray]) -> tuple[FloatArray, list[_Row]]:
     """A value of each block by place and contrast, shape (logs, features), and how they are grouped."""
     keys = sorted(
         {
