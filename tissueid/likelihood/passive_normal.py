@@ -69,7 +69,7 @@ def _cut(k: int, kind: int, m: FloatArray, low: FloatArray, z: FloatArray, y: Fl
     bound = 0.0
     if kind == PARABOLA:
         bound = -math.sqrt(max(y[k - 2], 0.0) * max(y[k - 1], 0.0))
-    return (bound - y[k]) / low[k, k]
+    return float((bound - y[k]) / low[k, k])
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
@@ -183,7 +183,7 @@ def _point(i: int, k: int, dimensions: int) -> float:
     """Coordinate k of the i-th quasi-random point, inside (0, 1)."""
     if dimensions == 1:
         return (i + 0.5) / POINTS
-    part = (i + 0.5) * ROOTS[k]
+    part = (i + 0.5) * float(ROOTS[k])
     # the tent makes the integrand periodic, for which these points converge faster
     return max(abs(2.0 * (part - math.floor(part)) - 1.0), 1e-15)
 
@@ -193,7 +193,7 @@ def _log_mass(m: FloatArray, low: FloatArray, kind: IntArray) -> float:
     """Logarithm of the mass that the bounds leave, by a quasi-random sum."""
     n = m.size
     if n == 1:
-        return log_tail(-m[0] / low[0, 0])
+        return float(log_tail(-m[0] / low[0, 0]))
     shift, _, _ = _saddle(m, low, kind)
     z = np.zeros(n)
     y = np.zeros(n)
@@ -215,7 +215,7 @@ def _log_mass(m: FloatArray, low: FloatArray, kind: IntArray) -> float:
             largest = weight
         else:
             total += math.exp(weight - largest)
-    return min(largest + math.log(total / POINTS), 0.0)
+    return min(float(largest + math.log(total / POINTS)), 0.0)
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
