@@ -1,0 +1,319 @@
+"""The total posterior: tissue and instrument together, what the instrument is being known by its priors only.
+
+Skew, filter and frame compliance bend the force in ways that relaxation imitates, by more than the noise: the
+posterior of the tissue is taken over all of them (:mod:`tissueid.posterior.instrument`).  The gains of the force
+and displacement channels are exact changes of scale: drawn from their priors, they are divided out of each draw,
+
+    a_k = a_k' g_x^k / g_f,   b_k = b_k' g_x^(k+1) / g_f,   c = c' g_f / g_x,
+
+with the priors of tissue and frame taken at the values so scaled.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.likelihood.knot_kernels import INSTRUMENT
+from tissueid.likelihood.knots import KnotSums, packed
+from tissueid.likelihood.linearise import Optimum
+from tissueid.likelihood.passive_normal import draw_passive, log_passive_mass, passive
+from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
+from tissueid.posterior.importance import importance_sample
+from tissueid.posterior.instrument import INSTRUMENT_NAMES, Behind, instrument_mode
+from tissueid.posterior.specimen_target import Facts
+from tissueid.priors import CalibrationPrior, Priors
+from tissueid.uncertainty import PriorRow, SamplerReport
+
+__all__ = ["NUISANCES", "TotalPosterior", "total_posterior"]
+
+FloatArray = NDArray[np.float64]
+
+#: Calibration nuisances, in the order of the draws.
+NUISANCES = ("force_gain", "displacement_gain", *INSTRUMENT_NAMES)
+#: Threads that evaluate points.
+MAX_WORKERS = 2
+#: Points a thread takes at a time.
+BATCH = 25
+#: Draws the weights should be worth; a bound of a 95 % interval is then known to 0.07 sd.
+WORTH = 1_000.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TotalPosterior:
+    """Draws of tissue and instrument.
+
+    Attributes
+    ----------
+    theta : ndarray, shape (n, p)
+        Of the contact model, in the order of its ``parameter_names``; every one is passive.  Of equal weight,
+        some drawn more than once.
+    nuisances : ndarray, shape (n, 5)
+        In the order of :data:`NUISANCES`.
+    names : tuple of str
+        :data:`NUISANCES`.
+    sampler : SamplerReport
+        ``detail`` tells the draws they are worth and the shape of the weights' tail.
+    priors : tuple of PriorRow
+        A row a nuisance.
+    behind : Behind
+        The density, for the budget and the bootstrap.
+    """
+
+    theta: FloatArray
+    nuisances: FloatArray
+    names: tuple[str, ...]
+    sampler: SamplerReport
+    priors: tuple[PriorRow, ...]
+    behind: Behind
+
+
+def truncated_moments(prior: CalibrationPrior) -> tuple[float, float]:
+    """Mean and standard deviation of a prior after its cut."""
+    if prior.sd <= 0.0 or not math.isfinite(prior.lower):
+        return prior.mean, prior.sd
+    cut = (prior.lower - prior.mean) / prior.sd
+    tail = 0.5 * math.erfc(cut / math.sqrt(2.0))
+    hazard = math.exp(-0.5 * cut * cut) / math.sqrt(2.0 * math.pi) / tail
+    return prior.mean + prior.sd * hazard, prior.sd * math.sqrt(1.0 + hazard * (cut - hazard))
+
+
+def _log_normal(value: FloatArray, prior: CalibrationPrior) -> FloatArray:
+    """Ln density of a prior, up to its constant; -inf below the cut."""
+    if prior.sd <= 0.0:
+        return np.zeros_like(value)
+    density = -0.5 * ((value - prior.mean) / prior.sd) ** 2
+    return np.where(value >= prior.lower, density, -np.inf)
+
+
+def _evaluate(
+    behind: Behind, free: NDArray[np.bool_], inner: FloatArray, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """Density of points, theta drawn beside each from its conditional and divided out again."""
+    points = np.tile(behind.mode, (inner.shape[0], 1))
+    points[:, free] = inner
+    n, p = points.shape[0], behind.theta.size
+    mean, covariance = np.empty((n, p)), np.empty((n, p, p))
+    inside = np.array([math.isfinite(behind.log_prior(point)) for point in points])
+    mean[:] = behind.theta
+    covariance[:] = np.eye(p)
+
+    def conditionals(rows: NDArray[np.int64]) -> None:
+        for i in rows:
+            mean[i], covariance[i] = behind.conditional(points[i])
+
+    _in_threads(conditionals, np.flatnonzero(inside))
+    inside &= np.isfinite(mean).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2))
+    mean[~inside], covariance[~inside] = behind.theta, np.eye(p)
+    theta, _ = draw_passive(mean, covariance, behind.blocks, rng)
+    out = np.full(n, -np.inf)
+
+    def densities(rows: NDArray[np.int64]) -> None:
+        for i in rows:
+            away = theta[i] - mean[i]
+            log_det = float(np.linalg.slogdet(covariance[i])[1])
+            drawn = -0.5 * (float(away @ np.linalg.solve(covariance[i], away)) + log_det)
+            drawn -= log_passive_mass(mean[i], covariance[i], behind.blocks)
+            out[i] = behind.log_density(points[i], theta[i]) - drawn
+
+    _in_threads(densities, np.flatnonzero(inside))
+    return out, theta
+
+
+def _in_threads(work, rows: NDArray[np.int64]) -> None:  # type: ignore[no-untyped-def]
+    """Share rows among threads; each row's result depends on itself alone."""
+    workers = min(os.cpu_count() or 1, MAX_WORKERS)
+    batches = [rows[k : k + BATCH] for k in range(0, rows.size, BATCH)]
+    if workers == 1 or len(batches) < 2:
+        for batch in batches:
+            work(batch)
+        return
+    with ThreadPoolExecutor(workers) as pool:
+        list(pool.map(work, batches))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Gains:
+    """Drawn gains of force and displacement, and what they do to coefficients by powers of u."""
+
+    force: FloatArray
+    displacement: FloatArray
+    static: int
+    size: int
+    branches: int
+
+    def powers(self) -> FloatArray:
+        """ln of the factor of every coefficient of theta, shape (n, p)."""
+        force, displacement = np.log(self.force)[:, None], np.log(self.displacement)[:, None]
+        static = np.arange(1.0, self.static + 1)
+        branch = np.tile(np.arange(1.0, self.size + 1), self.branches)
+        return np.asarray(displacement * np.concatenate([static, branch]) - force)
+
+
+def _draw_gain(prior: CalibrationPrior, n: int, rng: np.random.Generator) -> FloatArray:
+    """Gains, positive."""
+    return np.asarray(np.maximum(prior.mean + prior.sd * rng.standard_normal(n), 1e-3))
+
+
+def _scaled(
+    behind: Behind, points: FloatArray, theta: FloatArray, gains: _Gains
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Theta and compliance behind the drawn gains, and ln of what their priors say more of them."""
+    log_factor = gains.powers()
+    scaled = theta * np.exp(log_factor)
+    at = behind.branches + INSTRUMENT - 1
+    ratio = gains.force / gains.displacement
+    compliance = points[:, at] * ratio
+    prior = behind.calibration[-1]
+    more = _log_normal(compliance, prior) - _log_normal(points[:, at], prior)
+    if prior.sd > 0.0:
+        more += np.log(ratio)
+    for i, point in enumerate(points):
+        mean, precision = behind.tissue_prior(point[: behind.branches])
+        before, after = theta[i] - mean, scaled[i] - mean
+        more[i] += 0.5 * float(before @ precision @ before - after @ precision @ after)
+    more += log_factor.sum(axis=1)
+    more = np.where(passive(scaled, behind.blocks), more, -np.inf)
+    return scaled, compliance, more
+
+
+def _field_units(behind: Behind, theta: FloatArray, log_tau: FloatArray) -> FloatArray:
+    """Coefficients by powers of u and ln tau -> theta of the contact model, shape (n, p)."""
+    scale, size, static = behind.optimum.scale, behind.optimum.degree + 1, behind.optimum.static
+    out = np.zeros((theta.shape[0], STATIC_DEGREE + behind.branches * behind.model.block))
+    if static:
+        out[:, :STATIC_DEGREE] = theta[:, :STATIC_DEGREE] * scale ** -np.arange(1.0, STATIC_DEGREE + 1)
+    for j in range(behind.branches):
+        first = STATIC_DEGREE + j * behind.model.block
+        block = theta[:, static + j * size : static + (j + 1) * size]
+        out[:, first : first + size] = block * scale ** -np.arange(float(size))
+        out[:, first + size] = np.exp(log_tau[:, j])
+    return out
+
+
+def _prior_rows(priors: Priors, nuisances: FloatArray) -> tuple[PriorRow, ...]:
+    """Each nuisance's prior beside its posterior."""
+    rows = []
+    for name, draws in zip(NUISANCES, nuisances.T, strict=True):
+        prior = priors.calibration[name]
+        _, sd = truncated_moments(prior)
+        words = f"normal {prior.mean:g} ± {prior.sd:g}"
+        if math.isfinite(prior.lower):
+            words += f", not below {prior.lower:g}"
+        after = float(draws.std())
+        shrinkage = 1.0 - after / sd if sd > 0.0 else 0.0
+        rows.append(PriorRow(name, words, prior.stated, float(draws.mean()), after, shrinkage))
+    return tuple(rows)
+
+
+def total_posterior(
+    knots: Sequence[KnotSums],
+    optimum: Optimum,
+    facts: Facts,
+    model: KelvinVoigt,
+    priors: Priors,
+    *,
+    effects: tuple[str, ...],
+    gain_sd: float,
+    seed: int,
+    draws: int = 4_000,
+) -> TotalPosterior:
+    """Draw tissue and instrument.
+
+    Parameters
+    ----------
+    knots : sequence of KnotSums
+        Of every log, about ``optimum``.
+    optimum : Optimum
+        The fit, which knows of no instrument.
+    facts : Facts
+    model : KelvinVoigt
+    priors : Priors
+        ``calibration`` from :func:`tissueid.posterior.calibration_priors.calibration_priors`.
+    effects : tuple of str
+        Of every log: ``gain`` and ``offset``, some of them, or ``static``.
+    gain_sd : float
+        Estimate of the spread of ln gain between logs (not looked at without gains).
+    seed : int
+    draws : int
+        To return.
+
+    Returns
+    -------
+    TotalPosterior
+    """
+    rng = np.random.default_rng(seed)
+    data = packed(knots, optimum, effects)
+    count = sum(one.count for one in knots)
+    behind = instrument_mode(
+        data, optimum, facts, model, priors, effects, count=count, gain_sd=max(gain_sd, 1e-4)
+    )
+    free = behind.free
+    covariance = _laplace(behind)[np.ix_(free, free)]
+    found = importance_sample(
+        lambda inner, generator: _evaluate(behind, free, inner, generator),
+        behind.mode[free],
+        covariance,
+        behind.lower[free],
+        rng,
+        size=WORTH,
+    )
+    n = found.points.shape[0]
+    points = np.tile(behind.mode, (n, 1))
+    points[:, free] = found.points
+    gains = _Gains(
+        _draw_gain(priors.calibration["force_gain"], n, rng),
+        _draw_gain(priors.calibration["displacement_gain"], n, rng),
+        optimum.static,
+        optimum.degree + 1,
+        optimum.branches,
+    )
+    theta, compliance, more = _scaled(behind, points, found.extra, gains)
+    weights = found.weights * np.exp(more - more[np.isfinite(more)].max())
+    weights /= weights.sum()
+    # systematic resampling: every draw within one of its share
+    picks = np.searchsorted(np.cumsum(weights), (np.arange(draws) + rng.random()) / draws)
+    picks = rng.permutation(np.minimum(picks, n - 1))
+    instrument = points[:, behind.branches : behind.branches + INSTRUMENT].copy()
+    instrument[:, -1] = compliance
+    nuisances = np.column_stack([gains.force, gains.displacement, instrument])[picks]
+    worth = 1.0 / float((weights**2).sum())
+    return TotalPosterior(
+        theta=_field_units(behind, theta, points[:, : behind.branches])[picks],
+        nuisances=nuisances,
+        names=NUISANCES,
+        sampler=SamplerReport(
+            name="importance",
+            converged=found.converged,
+            draws=draws,
+            acceptance=worth / n,
+            detail={"worth": worth, "evaluated": n, "tail_shape": found.shape, "seed": seed},
+        ),
+        priors=_prior_rows(priors, nuisances),
+        behind=behind,
+    )
+
+
+def _laplace(behind: Behind) -> FloatArray:
+    """Covariance of the coordinates at the mode, theta integrated."""
+    p, d = behind.theta.size, behind.mode.size
+    inner = behind.branches + INSTRUMENT
+    curvature = behind.curvature
+    schur = curvature[p:, p:] + curvature[p:, :p] @ behind.slope[:, :inner]
+    out = np.zeros((d, d))
+    known = np.flatnonzero(behind.free[:inner])
+    part = schur[np.ix_(known, known)]
+    unit = 1.0 / np.sqrt(np.maximum(np.diag(part), 1e-300))
+    values, vectors = np.linalg.eigh(part * unit * unit[:, None])
+    inverse = (vectors / np.maximum(values, 1e-10)) @ vectors.T * unit * unit[:, None]
+    out[np.ix_(known, known)] = inverse
+    if d > inner:
+        # the spread of n gains is known to 1 / sqrt(2 n) of itself
+        out[-1, -1] = 1.0 / max(2.0 * behind.data.gamma.size - 2.0, 1.0) + 0.02
+    return out

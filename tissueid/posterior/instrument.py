@@ -1,0 +1,395 @@
+"""A specimen seen through an instrument that is known to its priors: delay, low-pass and frame on knots.
+
+Coordinates are ln tau of each branch, skew, filter, compliance, and the spread of the gains where it is free.
+Given those the tissue's coefficients are nearly normal: exactly for a rigid frame, and linearised at their
+best values behind one that gives, because the frame is deflected by the tissue's own force.  The noise's
+variance is taken anew at the mode of all, its correlation is held at the estimate: both are known far
+better than the instrument.
+
+A gain of force or displacement is no coordinate.  Recorded as ``y = g_f F`` and ``x = g_x x'``, a tissue a_k, b_k
+behind a frame c can't be told from ``a_k g_f / g_x^k``, ``b_k g_f / g_x^(k+1)`` and ``c g_x / g_f`` behind
+perfect gains: see :mod:`tissueid.posterior.calibration`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.likelihood.knot_kernels import (
+    ALL,
+    EFFECTS,
+    INSTRUMENT,
+    TISSUE,
+    Packed,
+    log_terms,
+    without_effects,
+)
+from tissueid.likelihood.linearise import Optimum
+from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
+from tissueid.posterior.specimen_target import FREE_FACTOR, Facts, linear_prior
+from tissueid.priors import CalibrationPrior, Priors
+
+__all__ = ["INSTRUMENT_NAMES", "Behind", "instrument_mode"]
+
+FloatArray = NDArray[np.float64]
+
+#: Nuisances that are coordinates, in the order of the kernels.
+INSTRUMENT_NAMES = ("skew_s", "force_filter_s", "frame_compliance_mm_per_N")
+#: Rounds of Gauss and Newton for the mode, and of the noise's variance.
+MODE_ROUNDS = 60
+VARIANCE_ROUNDS = 3
+#: A rise of the log density that is none.
+RISEN = 1e-6
+#: First damping, its factors after a good and a bad step, and where it is given up.
+DAMPING, EASIER, HARDER, STUCK = 1e-3, 0.2, 8.0, 1e8
+#: Where a search for a nuisance that is cut at its mean begins, in standard deviations.
+INSIDE = 0.3
+#: Rounds for theta behind a frame, and the change, in standard deviations squared, that is none.
+TISSUE_ROUNDS = 6
+SETTLED = 1e-4
+RIDGE = 1e-12
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Behind:
+    """The tissue of a specimen behind its instrument, as a density.
+
+    Attributes
+    ----------
+    data : Packed
+        With effects linearised where they are likely.
+    optimum : Optimum
+    facts : Facts
+    model : KelvinVoigt
+    priors : Priors
+    effects : tuple of str
+    count : int
+        Samples.
+    sigma2 : float
+        Noise variance [N^2].
+    moved_gamma, moved_delta : ndarray, shape (logs,)
+        How far effects were linearised from the optimum.
+    theta : ndarray, shape (p,)
+        At the mode, by powers of u.
+    mode : ndarray, shape (d,)
+    slope : ndarray, shape (p, d)
+        How theta follows the coordinates.
+    curvature : ndarray, shape (p + d, p + d)
+        Of minus the log density at the mode, in theta and coordinates; without the spread of the gains.
+    """
+
+    data: Packed
+    optimum: Optimum
+    facts: Facts
+    model: KelvinVoigt
+    priors: Priors
+    effects: tuple[str, ...]
+    count: int
+    sigma2: float
+    moved_gamma: FloatArray
+    moved_delta: FloatArray
+    theta: FloatArray
+    mode: FloatArray
+    slope: FloatArray
+    curvature: FloatArray
+
+    @property
+    def branches(self) -> int:
+        """Relaxation branches."""
+        return self.optimum.branches
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Coordinates."""
+        spread = ("ln_gain_sd",) if "gain" in self.effects else ()
+        return (*(f"ln_tau_{j + 1}" for j in range(self.branches)), *INSTRUMENT_NAMES, *spread)
+
+    @property
+    def calibration(self) -> tuple[CalibrationPrior, ...]:
+        """Priors of skew, filter and compliance."""
+        return tuple(self.priors.calibration[name] for name in INSTRUMENT_NAMES)
+
+    @property
+    def lower(self) -> FloatArray:
+        """Where each coordinate is cut."""
+        cuts = [one.lower for one in self.calibration]
+        return np.array(
+            [-np.inf] * self.branches + cuts + [-np.inf] * (self.mode.size - self.branches - INSTRUMENT)
+        )
+
+    @property
+    def free(self) -> NDArray[np.bool_]:
+        """Coordinates that are not known exactly."""
+        out = np.ones(self.mode.size, dtype=np.bool_)
+        out[self.branches : self.branches + INSTRUMENT] = [one.sd > 0.0 for one in self.calibration]
+        return out
+
+    @property
+    def blocks(self) -> NDArray[np.int64]:
+        """Sizes of theta's polynomial blocks."""
+        size = self.optimum.degree + 1
+        static = [STATIC_DEGREE] * bool(self.optimum.static)
+        return np.array(static + [size] * self.branches, dtype=np.int64)
+
+    def split(self, point: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+        """ln tau, instrument, and the standard deviation of the gains of one point."""
+        tau = np.ascontiguousarray(point[: self.branches])
+        instrument = np.ascontiguousarray(point[self.branches : self.branches + INSTRUMENT])
+        return tau, instrument, float(np.exp(point[-1])) if "gain" in self.effects else 1.0
+
+    def tissue_prior(self, log_tau: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Mean and precision of theta; a weak branch is known by its largest force."""
+        mean, precision, weak = linear_prior(self.priors, self.model, self.optimum, self.facts)
+        size = self.optimum.degree + 1
+        for j in np.flatnonzero(weak):
+            length = self.facts.speed_mm_s * math.exp(log_tau[j])
+            state = float(np.max(-length * np.expm1(-self.facts.depth_mm / length), initial=0.0))
+            part = slice(self.optimum.static + j * size, self.optimum.static + (j + 1) * size)
+            precision[part, part] *= state * state
+        return mean, precision
+
+    def effect_prior(self, gain_sd: float) -> tuple[FloatArray, FloatArray]:
+        """Precision and mean of the effects, counted from where they are linearised; shapes (logs, q)."""
+        logs = self.data.gamma.size
+        precision, mean = [], []
+        if "gain" in self.effects:
+            precision.append(np.full(logs, gain_sd**-2.0))
+            mean.append(-self.data.gamma)
+        if "offset" in self.effects:
+            precision.append(self.facts.offset_sd_mm**-2.0)
+            mean.append(self.facts.offset_mean_mm - self.data.delta)
+        if "static" in self.effects:
+            flat = (FREE_FACTOR * max(self.facts.force_N, 1e-300)) ** -2.0
+            precision += [np.full(logs, flat)] * self.data.own.shape[1]
+            mean += list(-self.data.own.T)
+        if not mean:
+            return np.zeros((logs, 0)), np.zeros((logs, 0))
+        return np.ascontiguousarray(np.array(precision).T), np.ascontiguousarray(np.array(mean).T)
+
+    def log_prior(self, point: FloatArray) -> float:
+        """Of the coordinates; -inf outside their range."""
+        tau, instrument, gain_sd = self.split(point)
+        low, high = self.facts.log_tau_bounds
+        if (tau < low).any() or (tau > high).any() or (np.diff(tau) <= 0.0).any():
+            return -math.inf
+        value = 0.0
+        for at, stated in zip(tau, self.priors.relaxation_time_s, strict=False):
+            value -= 0.5 * ((at - math.log(stated.median)) / stated.sd_ln) ** 2
+        for at, prior in zip(instrument, self.calibration, strict=True):
+            if at < prior.lower:
+                return -math.inf
+            if prior.sd > 0.0:
+                value -= 0.5 * ((at - prior.mean) / prior.sd) ** 2
+        if "gain" in self.effects:
+            value += point[-1] - 0.5 * (gain_sd / self.priors.gain_sd) ** 2
+        return float(value)
+
+    def _normal(self, point: FloatArray, theta: FloatArray, kind: int) -> tuple[FloatArray, FloatArray, float]:
+        """Curvature, slope and value of the log likelihood, effects integrated."""
+        tau, instrument, gain_sd = self.split(point)
+        terms = log_terms(self.data, np.ascontiguousarray(theta), tau, instrument, kind)
+        ones = np.ones(self.data.gamma.size)
+        curvature, slope, value, _ = without_effects(*terms, ones, *self.effect_prior(gain_sd), self.sigma2)
+        return curvature, slope, float(value)
+
+    def log_density(self, point: FloatArray, theta: FloatArray) -> float:
+        """Joint log density of coordinates and theta, up to a constant; the passive cut is not looked at."""
+        prior = self.log_prior(point)
+        if not math.isfinite(prior):
+            return -math.inf
+        mean, precision = self.tissue_prior(point[: self.branches])
+        away = theta - mean
+        prior += 0.5 * float(np.linalg.slogdet(precision)[1]) - 0.5 * float(away @ precision @ away)
+        value = prior + self._normal(point, theta, EFFECTS)[2]
+        return value if math.isfinite(value) else -math.inf
+
+    def conditional(self, point: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Mean and covariance of theta at one point, before it is cut to the passive set."""
+        theta = self.theta + self.slope @ (point - self.mode)
+        mean, precision = self.tissue_prior(point[: self.branches])
+        rigid = point[self.branches + INSTRUMENT - 1] == 0.0
+        for _ in range(TISSUE_ROUNDS):
+            curvature, slope, _ = self._normal(point, theta, TISSUE)
+            curvature = curvature + precision
+            covariance = _inverse(curvature)
+            step = covariance @ (slope + precision @ (mean - theta))
+            theta = theta + step
+            if rigid or float(step @ curvature @ step) < SETTLED:
+                break
+        return theta, covariance
+
+
+def _inverse(matrix: FloatArray) -> FloatArray:
+    """Inverse of a positive definite matrix, scaled first."""
+    unit = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    scaled = matrix * unit * unit[:, None] + RIDGE * np.eye(unit.size)
+    return np.asarray(np.linalg.inv(scaled) * unit * unit[:, None])
+
+
+def _with_priors(
+    behind: Behind, point: FloatArray, theta: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Normal equations in theta, ln tau and instrument with all priors, and the effects' means there."""
+    tau, instrument, gain_sd = behind.split(point)
+    terms = log_terms(behind.data, np.ascontiguousarray(theta), tau, instrument, ALL)
+    ones = np.ones(behind.data.gamma.size)
+    prior = behind.effect_prior(gain_sd)
+    curvature, slope, _, back = without_effects(*terms, ones, *prior, behind.sigma2)
+    p, branches = theta.size, behind.branches
+    mean, precision = behind.tissue_prior(tau)
+    curvature[:p, :p] += precision
+    slope[:p] += precision @ (mean - theta)
+    for j, stated in enumerate(behind.priors.relaxation_time_s[:branches]):
+        curvature[p + j, p + j] += stated.sd_ln**-2.0
+        slope[p + j] -= (tau[j] - math.log(stated.median)) * stated.sd_ln**-2.0
+    for k, one in enumerate(behind.calibration):
+        at = p + branches + k
+        if one.sd > 0.0:
+            curvature[at, at] += one.sd**-2.0
+            slope[at] -= (instrument[k] - one.mean) * one.sd**-2.0
+    return curvature, slope, back
+
+
+def _step(
+    curvature: FloatArray, slope: FloatArray, free: NDArray[np.bool_], room: FloatArray, damping: float
+) -> FloatArray:
+    """Damped step that does not pass the cuts: what would is put onto its cut, and the others follow."""
+    step = np.zeros(slope.size)
+    moving = free.copy()
+    for _ in range(slope.size):
+        at = np.flatnonzero(moving)
+        held = np.flatnonzero(~moving)
+        part = curvature[np.ix_(at, at)]
+        part = part + damping * np.diag(np.diag(part))
+        step[at] = _inverse(part) @ (slope[at] - curvature[np.ix_(at, held)] @ step[held])
+        past = at[step[at] < room[at]]
+        if past.size == 0:
+            return step
+        step[past] = room[past]
+        moving[past] = False
+    return step
+
+
+def _relinearised(behind: Behind, back: FloatArray, change: FloatArray) -> Behind:
+    """Effects linearised about their means after a change of everything else."""
+    effect = back[:, :, -1] - back[:, :, :-1] @ change
+    data, at = behind.data, 0
+    gamma, delta, own = data.gamma, data.delta, data.own
+    if "gain" in behind.effects:
+        gamma = gamma + effect[:, 0]
+        at = 1
+    if "offset" in behind.effects:
+        delta = delta + effect[:, at]
+        at += 1
+    if "static" in behind.effects:
+        own = own + effect[:, at:]
+    return replace(
+        behind, data=data._replace(gamma=gamma, delta=np.ascontiguousarray(delta), own=np.ascontiguousarray(own))
+    )
+
+
+def _climb(behind: Behind) -> Behind:
+    """Gauss-Newton from the present mode to the highest joint density."""
+    p, branches = behind.theta.size, behind.branches
+    inner = branches + INSTRUMENT
+    free = np.concatenate([np.ones(p, dtype=np.bool_), behind.free[:inner]])
+    low, high = behind.facts.log_tau_bounds
+    value = behind.log_density(behind.mode, behind.theta)
+    damping = DAMPING
+    for _ in range(MODE_ROUNDS):
+        curvature, slope, back = _with_priors(behind, behind.mode, behind.theta)
+        room = np.concatenate([np.full(p, -np.inf), behind.lower[:inner] - behind.mode[:inner]])
+        risen = 0.0
+        while damping < STUCK:
+            step = _step(curvature, slope, free, room, damping)
+            mode = behind.mode.copy()
+            mode[:inner] += step[p:]
+            mode[:branches] = np.clip(mode[:branches], low, high)
+            change = np.concatenate([step[:p], mode[:inner] - behind.mode[:inner]])
+            trial = replace(_relinearised(behind, back, change), theta=behind.theta + step[:p], mode=mode)
+            there = trial.log_density(trial.mode, trial.theta)
+            if math.isfinite(there) and there >= value - RISEN:
+                behind, risen, value = trial, there - value, there
+                damping *= EASIER
+                break
+            damping *= HARDER
+        if risen < RISEN:
+            break
+    return behind
+
+
+def _variance(behind: Behind) -> float:
+    """Noise variance left at the mode."""
+    tau, instrument, gain_sd = behind.split(behind.mode)
+    gram, pull, square = log_terms(behind.data, behind.theta, tau, instrument, EFFECTS)
+    ones = np.ones(square.size)
+    back = without_effects(gram, pull, square, ones, *behind.effect_prior(gain_sd), behind.sigma2)[3]
+    effect = back[:, :, 0]
+    left = square - 2.0 * (effect * pull).sum(axis=1) + np.einsum("iq,iqr,ir->i", effect, gram, effect)
+    used = behind.theta.size + behind.branches + 1
+    return max(float(left.sum()) / max(behind.count - used, 1), 1e-300)
+
+
+def instrument_mode(
+    data: Packed,
+    optimum: Optimum,
+    facts: Facts,
+    model: KelvinVoigt,
+    priors: Priors,
+    effects: tuple[str, ...],
+    *,
+    count: int,
+    gain_sd: float,
+) -> Behind:
+    """The density of a specimen behind its instrument, its mode found.
+
+    Parameters
+    ----------
+    data : Packed
+    optimum : Optimum
+        Of a fit that knows of no instrument.
+    facts : Facts
+    model : KelvinVoigt
+    priors : Priors
+    effects : tuple of str
+    count : int
+        Samples.
+    gain_sd : float
+        Estimate of the spread of the gains, where they are effects.
+    """
+    branches = optimum.branches
+    start = [max(one.mean, one.lower + INSIDE * one.sd) for one in map(priors.calibration.get, INSTRUMENT_NAMES)]
+    spread = [math.log(gain_sd)] if "gain" in effects else []
+    mode = np.array([*optimum.log_tau, *start, *spread])
+    p = optimum.theta.size
+    behind = Behind(
+        data=data,
+        optimum=optimum,
+        facts=facts,
+        model=model,
+        priors=priors,
+        effects=effects,
+        count=count,
+        sigma2=max(float(data.square.sum()) / max(count - p, 1), 1e-300),
+        moved_gamma=np.zeros(0),
+        moved_delta=np.zeros(0),
+        theta=optimum.theta.copy(),
+        mode=mode,
+        slope=np.zeros((p, mode.size)),
+        curvature=np.zeros((0, 0)),
+    )
+    for _ in range(VARIANCE_ROUNDS):
+        behind = _climb(behind)
+        sigma2 = _variance(behind)
+        settled = abs(math.log(sigma2 / behind.sigma2)) < 0.01
+        behind = replace(behind, sigma2=sigma2)
+        if settled:
+            break
+    curvature, _, _ = _with_priors(behind, behind.mode, behind.theta)
+    slope = np.zeros((p, mode.size))
+    slope[:, : branches + INSTRUMENT] = -_inverse(curvature[:p, :p]) @ curvature[:p, p:]
+    return replace(behind, slope=slope, curvature=curvature)
