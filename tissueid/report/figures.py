@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from tissueid.report.remarks import trial_label
 from tissueid.result import Curve
 from tissueid.store.curves import TrialCurve
+from tissueid.store.posteriors import StoredPosterior
 
-__all__ = ["MOST_SAMPLES", "curve_payload", "thinned"]
+__all__ = ["MOST_SAMPLES", "curve_payload", "packed", "thinned"]
 
 #: Samples a page may carry in all: 22 bytes each, so that the page stays below 7 MB with its script.
 MOST_SAMPLES = 80_000
@@ -53,12 +54,15 @@ def thinned(curve: Curve, most: int) -> NDArray[np.intp]:
     return np.array(sorted(keep))
 
 
-def _packed(values: NDArray[Any], kind: str) -> str:
+def packed(values: NDArray[Any], kind: str) -> str:
+    """Numbers as base64 of their little-endian bytes."""
     return base64.b64encode(np.ascontiguousarray(values, dtype=kind).tobytes()).decode("ascii")
 
 
 def curve_payload(
-    specimens: Sequence[Mapping[str, Any]], curves: Sequence[TrialCurve]
+    specimens: Sequence[Mapping[str, Any]],
+    curves: Sequence[TrialCurve],
+    posteriors: Sequence[StoredPosterior] = (),
 ) -> list[list[dict[str, Any]]]:
     """Curves of every specimen, in the order of its trials, packed.
 
@@ -68,33 +72,42 @@ def curve_payload(
         ``specimens`` of identification.json.
     curves : sequence of TrialCurve
         Trials without a curve are left out.
+    posteriors : sequence of StoredPosterior, optional
+        Whose predictive bands are drawn behind the data.
 
     Returns
     -------
     list of list of dict
-        Per specimen and trial: ``label`` and base64 ``t, x, f, m`` (float32: s, mm, N, N) and ``on`` (uint8).
+        Per specimen and trial: ``label`` and base64 ``t, x, f, m`` (float32: s, mm, N, N), ``on`` (uint8),
+        and ``low, high`` (float32: N) where there is a band.
     """
     waiting: dict[tuple[str, str, str | None], list[Curve]] = {}
     for entry in curves:
         waiting.setdefault((entry.specimen, entry.path, entry.sheet), []).append(entry.curve)
+    bands = {(one.specimen, *trial): band for one in posteriors for trial, band in one.bands.items()}
     share = max(MOST_SAMPLES // max(len(curves), 1), _FEWEST_A_TRIAL)
     payload = []
     for specimen in specimens:
         trials = []
         for trial in specimen["trials"]:
-            own = waiting.get((specimen["specimen"], trial["path"], trial["sheet"]))
+            key = (specimen["specimen"], trial["path"], trial["sheet"])
+            own = waiting.get(key)
             if own:
-                trials.append({"label": trial_label(trial), **_columns(own.pop(0), share)})
+                trials.append({"label": trial_label(trial), **_columns(own.pop(0), bands.get(key), share)})
         payload.append(trials)
     return payload
 
 
-def _columns(curve: Curve, most: int) -> dict[str, str]:
+def _columns(curve: Curve, band: NDArray[np.float64] | None, most: int) -> dict[str, str]:
     index = thinned(curve, most)
+    ends: dict[str, str] = {}
+    if band is not None and band.shape[1] == curve.time_s.size:
+        ends = {"low": packed(band[0, index], "<f4"), "high": packed(band[-1, index], "<f4")}
     return {
-        "t": _packed(curve.time_s[index], "<f4"),
-        "x": _packed(curve.depth_mm[index], "<f4"),
-        "f": _packed(curve.force_N[index], "<f4"),
-        "m": _packed(curve.model_N[index], "<f4"),
-        "on": _packed(curve.fitted[index], "u1"),
+        "t": packed(curve.time_s[index], "<f4"),
+        "x": packed(curve.depth_mm[index], "<f4"),
+        "f": packed(curve.force_N[index], "<f4"),
+        "m": packed(curve.model_N[index], "<f4"),
+        "on": packed(curve.fitted[index], "u1"),
+        **ends,
     }

@@ -15,9 +15,11 @@ from markupsafe import Markup
 
 from tissueid.report.event_words import event_words, took
 from tissueid.report.figures import curve_payload
+from tissueid.report.posterior_payload import posterior_payload
 from tissueid.report.quoted_words import cycle_table, quoted_tables
 from tissueid.report.remarks import remarks, trial_label
 from tissueid.report.study_words import study_view
+from tissueid.report.uncertainty_words import uncertainty_view
 from tissueid.report.wording import (
     NOT_IDENTIFIED,
     in_units,
@@ -81,6 +83,7 @@ def _view(position: int, specimen: Mapping[str, Any]) -> dict[str, Any]:
         "position": position,
         "data": specimen,
         "sentence": tissue_sentence(specimen),
+        "sure": uncertainty_view(specimen),
         "verdict": verdict(specimen),
         "remarks": remarks(specimen),
         "summary": [parameters.get(name) for name in _SUMMARY],
@@ -133,7 +136,8 @@ def render_report(
     specimens = identification["specimens"]
     views = [_view(position, specimen) for position, specimen in enumerate(specimens)]
     payload = {
-        "specimens": curve_payload(specimens, curves),
+        "specimens": curve_payload(specimens, curves, posteriors),
+        "posteriors": posterior_payload(specimens, posteriors),
         "units": [specimen["units"] for specimen in specimens],
         "overview": _overview(specimens),
     }
@@ -150,7 +154,7 @@ def render_report(
         study=study_view(identification["study"]),
         created=created,
         style=asset("page.css"),
-        script=asset("figures.js"),
+        scripts=[asset("posterior.js"), asset("figures.js")],
         plotly=plotly_script(),
     )
 

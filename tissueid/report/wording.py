@@ -20,6 +20,7 @@ __all__ = [
     "PARAMETER_WORDS",
     "Verdict",
     "in_units",
+    "misfit_raised",
     "number",
     "overview_sentence",
     "parameter_words",
@@ -120,6 +121,8 @@ def verdict(specimen: Mapping[str, Any]) -> Verdict:
         level = "serious"
     elif unknown and level in {"ok", "note"}:
         level = "caution"
+    if misfit_raised(specimen):
+        level = "serious"
     total = len(specimen["parameters"])
     fit = f"The model follows the force to {100 * specimen['nrmsd']['range']:.2f} % of its range"
     share = (
@@ -135,6 +138,11 @@ def verdict(specimen: Mapping[str, Any]) -> Verdict:
         "serious": "Not to be relied on as it stands",
     }
     return Verdict(level, titles[level], text)
+
+
+def misfit_raised(specimen: Mapping[str, Any]) -> bool:
+    """Whether the residuals contradict the model or its noise: no error then stands beside a value."""
+    return specimen["misfit"] is not None and bool(specimen["misfit"]["raised"])
 
 
 def _by_name(parameters: Sequence[Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
@@ -162,6 +170,8 @@ def _listed(parts: Sequence[str], *, last: str = " and ") -> str:
 def tissue_sentence(specimen: Mapping[str, Any]) -> str:
     """The tissue in one sentence: stiffness, relaxation, viscosity, tip, and where it is valid."""
     known = _by_name(specimen["parameters"])
+    if misfit_raised(specimen):
+        known = {name: {**entry, "stderr": None} for name, entry in known.items()}
     validity = specimen["validity"]
     normalised = specimen["units"]["length"] != "mm"
     length = "" if normalised else " mm"

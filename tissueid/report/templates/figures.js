@@ -9,6 +9,7 @@
     if (!opened.has(specimen)) {
       opened.set(specimen, payload.specimens[specimen].map((trial) => ({
         label: trial.label, t: floats(trial.t), x: floats(trial.x), f: floats(trial.f), m: floats(trial.m), on: bytes(trial.on),
+        low: trial.low && floats(trial.low), high: trial.high && floats(trial.high),
       })));
     }
     return opened.get(specimen);
@@ -21,14 +22,29 @@
   };
   const masked = (values, on, keep) => Array.from(values, (value, i) => (Boolean(on[i]) === keep ? value : null));
 
-  const pairs = (specimen, abscissa) => chosen(specimen).flatMap((trial, i) => [
+  // the predictive band as a closed outline; where the band has no number it has no corner
+  const band = (trial, x, low, high, i) => {
+    const there = Array.from(low, (value, k) => k).filter((k) => Number.isFinite(low[k]) && Number.isFinite(high[k]));
+    const back = [...there].reverse();
+    return { x: [...there.map((k) => x[k]), ...back.map((k) => x[k])], y: [...there.map((k) => high[k]), ...back.map((k) => low[k])],
+      mode: "lines", line: { width: 0 }, fill: "toself", fillcolor: colour("band"), name: "predicted", legendgroup: "predicted", showlegend: i === 0, hoverinfo: "skip" };
+  };
+  const bands = (specimen, abscissa) => chosen(specimen).filter((trial) => trial.low)
+    .map((trial, i) => band(trial, trial[abscissa], trial.low, trial.high, i));
+  const pairs = (specimen, abscissa) => [...bands(specimen, abscissa), ...lines(specimen, abscissa)];
+  const lines = (specimen, abscissa) => chosen(specimen).flatMap((trial, i) => [
     { x: trial[abscissa], y: trial.f, mode: "lines", line: { color: colour("data"), width: 4 }, opacity: 0.6,
       name: "recorded", legendgroup: "recorded", showlegend: i === 0, text: trial.label, hovertemplate: "%{x:.4g}, %{y:.4g} N<br>%{text}<extra>recorded</extra>" },
     { x: trial[abscissa], y: trial.m, mode: "lines", line: { color: colour("model"), width: 1.6 },
       name: "model", legendgroup: "model", showlegend: i === 0, text: trial.label, hovertemplate: "%{x:.4g}, %{y:.4g} N<br>%{text}<extra>model</extra>" },
   ]).sort((a, b) => (a.name === b.name ? 0 : a.name === "recorded" ? -1 : 1));
 
-  const residuals = (specimen) => chosen(specimen).flatMap((trial, i) => {
+  const aboutModel = (trial, ends) => ends.map((value, k) => value - trial.m[k]);
+  const residuals = (specimen) => [
+    ...chosen(specimen).filter((trial) => trial.low).map((trial, i) => band(trial, trial.t, aboutModel(trial, trial.low), aboutModel(trial, trial.high), i)),
+    ...residualLines(specimen),
+  ];
+  const residualLines = (specimen) => chosen(specimen).flatMap((trial, i) => {
     const residual = trial.f.map((value, k) => value - trial.m[k]);
     const trace = (keep, name, ink) => ({ x: trial.t, y: masked(residual, trial.on, keep), mode: "lines", line: { color: colour(ink), width: 1 },
       name, legendgroup: name, showlegend: i === 0, text: trial.label, hovertemplate: "%{x:.4g} s, %{y:.3g} N<br>%{text}<extra></extra>" });
@@ -49,6 +65,7 @@
     "force-time": { traces: (s) => pairs(s, "t"), x: "Time from contact [s]", y: "Force [N]" },
     residual: { traces: residuals, x: "Time from contact [s]", y: "Residual [N]" },
     overview: { traces: overview, x: "", y: "Viscosity [N·s/mm]" },
+    ...posteriorKinds(payload, floats, colour),
   };
 
   // recordings may be normalised: labels are written in mm and N and read in the specimen's units
@@ -60,10 +77,14 @@
   const axis = (title) => ({ title: { text: title }, gridcolor: colour("line"), zerolinecolor: colour("soft"), linecolor: colour("line"), automargin: true });
   const draw = (box) => {
     const kind = kinds[box.dataset.figure];
+    // a grid of small axes brings its own, and says how high it is
+    const own = kind.own ? kind.own(Number(box.dataset.specimen), box) : null;
+    if (own) box.style.height = `${own.height}px`;
+    const plain = own ? {} : { xaxis: axis(inUnits(kind.x, box.dataset.specimen)), yaxis: axis(inUnits(kind.y, box.dataset.specimen)) };
     const layout = {
       margin: { l: 56, r: 12, t: 28, b: 48 }, paper_bgcolor: colour("paper"), plot_bgcolor: colour("paper"),
-      font: { color: colour("ink"), family: "system-ui, sans-serif", size: 13 }, xaxis: axis(inUnits(kind.x, box.dataset.specimen)), yaxis: axis(inUnits(kind.y, box.dataset.specimen)),
-      legend: { orientation: "h", x: 0, y: 1.02, yanchor: "bottom" }, hovermode: "closest",
+      font: { color: colour("ink"), family: "system-ui, sans-serif", size: 13 }, ...plain,
+      legend: { orientation: "h", x: 0, y: 1.02, yanchor: "bottom" }, hovermode: "closest", ...(own ? own.layout : {}),
     };
     box.dataset.drawn = "yes";
     return Plotly.react(box, kind.traces(Number(box.dataset.specimen)), layout, { responsive: true, displaylogo: false, displayModeBar: "hover", modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"] });

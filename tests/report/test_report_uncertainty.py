@@ -1,0 +1,290 @@
+"""How sure a result is, on the page: intervals, alarms, sources, and figures that equal the draws."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from fit_factory import identification, specimen_fit
+from posterior_factory import SHARES, SOURCES, posterior, sampled
+
+from tissueid.report import render_report
+from tissueid.report.interval_words import bar_of, bar_scale, together
+from tissueid.report.posterior_payload import MOST_DRAWS, posterior_payload
+from tissueid.report.uncertainty_words import reported_order, uncertainty_view
+from tissueid.result import SpecimenFit
+from tissueid.store.curves import curves_of_fits
+from tissueid.store.files import plain_json
+from tissueid.store.posteriors import posteriors_of_fits
+
+
+def document_of(fit: SpecimenFit) -> dict[str, Any]:
+    found: dict[str, Any] = plain_json(fit.as_json())
+    return found
+
+
+def page(*fits: SpecimenFit) -> str:
+    document = plain_json(identification(fits).as_json())
+    return render_report(document, curves_of_fits(fits), posteriors_of_fits(fits))
+
+
+def first_screen(html: str) -> str:
+    section = html.split('<section class="first"')[1].split("</section>")[0]
+    return re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", section))
+
+
+def sure_section(html: str) -> str:
+    section = html.split('-sure">How sure')[1].split("</section>")[0]
+    return re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", section))
+
+
+@pytest.mark.parametrize(
+    ("values", "sd", "expected"),
+    [
+        ([1.33612, 1.3101, 1.3622], 0.0133, ["1.336", "1.310", "1.362"]),
+        ([-0.5, 0.25], 0.1, ["−0.50", "0.25"]),
+        ([1234.4, 1200.0], 30.0, ["1234", "1200"]),
+        ([2.5e-5, 2.4e-5], 5e-7, ["2.500×10^−5", "2.400×10^−5"]),
+        ([3.0, 2.0], 0.0, ["3.000", "2.000"]),
+        ([0.0, 0.0], 0.01, ["0.000", "0.000"]),
+    ],
+)
+def test_numbers_that_belong_together_end_at_one_place(
+    values: list[float], sd: float, expected: list[str]
+) -> None:
+    assert together(values, sd) == expected
+
+
+def entry(value: float, ci95: list[float], total: list[float] | None) -> dict[str, Any]:
+    return {"value": value, "ci95": ci95, "ci95_total": total}
+
+
+def test_the_scale_is_the_smallest_that_holds_the_widest_interval() -> None:
+    assert bar_scale([entry(10.0, [9.9, 10.1], [9.6, 10.3])]) == 0.05
+    assert bar_scale([entry(10.0, [9.9, 10.1], None)]) == 0.01
+    # beyond twice the value nothing is gained by a wider scale: the bar is cut and marked
+    assert bar_scale([entry(1.0, [0.5, 9.0], None)]) == 1.0
+
+
+def test_a_bar_stands_where_its_interval_is_and_a_cut_one_is_marked() -> None:
+    bar = bar_of(entry(10.0, [9.5, 10.25], [9.0, 12.0]), 0.1)
+    # -5 % to +2.5 % on a scale of -10 % to +10 %: from a quarter over 37.5 hundredths
+    assert bar.statistical == pytest.approx((25.0, 37.5))
+    assert bar.total == pytest.approx((0.0, 100.0))
+    assert (bar.cut_low, bar.cut_high) == (False, True)
+    negative = bar_of(entry(-10.0, [-10.5, -9.5], None), 0.1)
+    assert negative.statistical == pytest.approx((25.0, 50.0))
+    assert negative.total[1] == 0.0
+    # a coefficient at zero has no relative deviation: its own width is the unit
+    assert bar_of(entry(0.0, [0.0, 0.2], None), 1.0).statistical == pytest.approx((50.0, 50.0))
+
+
+def test_viscosity_comes_first_then_time_stiffness_and_static_force() -> None:
+    names = [one["name"] for one in reported_order(document_of(specimen_fit())["parameters"])]
+    assert [name.split("_")[0] for name in names] == [
+        "viscosity", "relaxation", "stiffness", "static", "static", "static",
+    ]  # fmt: skip
+
+
+def test_every_interval_on_the_first_screen_is_that_of_the_result() -> None:
+    fit = sampled(specimen_fit(samples=60))
+    text = first_screen(page(fit))
+    for one in fit.parameters:
+        known = one.uncertainty
+        assert known is not None
+        assert known.ci95_total is not None
+        assert one.value is not None
+        low, high, wide_low, wide_high = together([one.value, *known.ci95, *known.ci95_total], known.sd)[1:]
+        assert f"{low} to {high} {wide_low} to {wide_high}" in text
+    assert "95 % statistical" in text
+    assert "95 % total" in text
+    assert "Calibrated for the stated model and noise" in text
+    assert " true " not in text
+
+
+def test_a_misfit_takes_every_interval_off_the_first_screen_and_says_what_is_seen() -> None:
+    html = page(sampled(specimen_fit(samples=60), misfit=True))
+    text = first_screen(html)
+    assert "95 %" not in text
+    assert "±" not in text
+    assert "the force just after the peak lies 2.1 N above the model" in text
+    assert "can't be said from this model" in text
+    assert "Not to be relied on" in text
+    # below, the intervals stand with the warning
+    below = sure_section(html)
+    assert "do not quote them" in below
+    assert "95 % statistical" in below
+
+
+def test_what_is_not_identified_has_no_bar_and_no_number() -> None:
+    fit = sampled(specimen_fit(samples=60, identified=False))
+    view = uncertainty_view(document_of(fit))
+    assert view is not None
+    (tau,) = [row for row in view["rows"] if row.name == "relaxation_time_s"]
+    assert (tau.value, tau.statistical, tau.total, tau.bar) == ("not identified", "", "", None)
+    assert "Relaxation time tau not identified: these data do not determine it" in first_screen(page(fit))
+
+
+def test_a_sampler_that_did_not_converge_is_told_with_its_reason() -> None:
+    html = page(sampled(specimen_fit(samples=60), converged=False))
+    assert "The sampler did not converge" in first_screen(html)
+    assert "not converged: R-hat of ln_tau_1 is 1.08 after 20,000 steps" in sure_section(html)
+    assert "The sampler did not converge" not in first_screen(page(sampled(specimen_fit(samples=60))))
+
+
+def test_sampler_noise_priors_models_and_checks_are_told() -> None:
+    text = sure_section(page(sampled(specimen_fit(samples=60))))
+    assert "Sampled by emcee: 32 walkers, 2,000 steps, 4,000 draws kept" in text
+    assert "at least 8,700 effective draws" in text
+    assert "34 % of the proposals accepted; converged" in text
+    assert "correlated (AR(1)), 0.300 N in all; the correlated part keeps 0.6 of itself over 0.0100 s" in text
+    assert "Static force, linear term normal, mean 5, sd 2 by the study 4.000 ± 0.050" in text
+    assert re.search(r"Gain of the force normal, mean 1, sd 0.01 default .* 2 % the data said little", text)
+    assert "2 branches, K of degree 0 −0.80 ± 0.20 −0.3 ± 1.1 – i as good, undecided" in text
+    assert "power law – −35.0 ± 9.0 – i beside: compared only" in text
+    assert "Early hold: the force just after the peak lies where the model puts it. (p = 0.60)" in text
+    for claim in (
+        "calibrated for the stated model and noise",
+        "where the model itself is wrong they say nothing",
+    ):
+        assert claim in text
+
+
+def test_shares_of_the_sources_are_stacked_in_order_and_their_sd_tabulated() -> None:
+    fit = sampled(specimen_fit(samples=60))
+    html = page(fit)
+    stack = html.split('class="stack"')[1].split("</span>")[0]
+    widths = [float(width) for width in re.findall(r"width:([\d.]+)%", stack)]
+    assert widths == [100 * share for share in SHARES]
+    view = uncertainty_view(document_of(fit))
+    assert view is not None
+    assert [source for source, _ in view["budget"]["sources"]] == list(SOURCES)
+    assert view["budget"]["beside"] == ["total", "cluster bootstrap"]
+    (eta,) = [row for row in view["budget"]["rows"] if row["symbol"] == "eta"]
+    assert eta["largest"]["source"] in {"force gain", "frame"}
+    assert len(eta["sd"]) == len(SOURCES) + 2
+
+
+def test_without_a_total_interval_nothing_speaks_of_one() -> None:
+    html = page(sampled(specimen_fit(samples=60), total=False))
+    assert "95 % total" not in html
+    assert "A total interval is not given" in html
+
+
+def test_a_page_without_a_posterior_has_no_such_part() -> None:
+    html = page(specimen_fit(samples=60))
+    assert "How sure" not in html
+    assert "95 %" not in first_screen(html)
+
+
+def test_white_noise_and_an_exact_sampler_have_their_own_sentences() -> None:
+    fit = sampled(specimen_fit(samples=60))
+    assert fit.posterior is not None
+    own = replace(
+        fit.posterior,
+        sampler=replace(fit.posterior.sampler, name="exact", acceptance=0.97),
+        noise=replace(fit.posterior.noise, model="white", phi=0.0),
+    )
+    text = sure_section(page(replace(fit, posterior=own)))
+    assert "Noise of the force: white, 0.300 N" in text
+    assert "97 % of the draws passive at once" in text
+    assert "walkers" not in text
+
+
+def test_null_diagnostics_and_rows_are_dashes() -> None:
+    fit = sampled(specimen_fit(samples=60))
+    assert fit.posterior is not None
+    rows = tuple(
+        replace(row, shrinkage=float("nan"), posterior_sd=float("nan")) for row in fit.posterior.priors
+    )
+    text = sure_section(page(replace(fit, posterior=replace(fit.posterior, priors=rows))))
+    assert "by the study – ± – –" in text
+
+
+def test_a_page_carries_a_bounded_number_of_draws() -> None:
+    def payload(count: int) -> list[dict[str, Any] | None]:
+        fits = [sampled(specimen_fit(f"s{i}", trials=1, samples=40), seed=i) for i in range(count)]
+        return posterior_payload([document_of(fit) for fit in fits], posteriors_of_fits(fits))
+
+    (one,) = payload(1)
+    assert one is not None
+    assert one["draws"]["count"] == one["total"]["count"] == 1_000
+    many = payload(40)
+    assert all(part is not None for part in many)
+    assert sum(part["draws"]["count"] for part in many if part is not None) <= MOST_DRAWS
+    assert one["chain"]["shape"] == [4, 250, 3]
+
+
+def numbers_of(tab: Any, kind: str) -> list[dict[str, Any]]:
+    box = f'[data-figure="{kind}"][data-specimen="0"]'
+    tab.locator(box).scroll_into_view_if_needed()
+    tab.wait_for_function("box => document.querySelector(box).data", arg=box)
+    found: list[dict[str, Any]] = tab.evaluate(
+        """box => document.querySelector(box).data.map(trace => (
+            {name: trace.name, fill: trace.fill, x: Array.from(trace.x || []), y: Array.from(trace.y)}))""",
+        box,
+    )
+    return found
+
+
+def opened(browser: Any, path: Path, html: str, width: int) -> tuple[Any, list[str]]:
+    path.write_text(html, encoding="utf-8")
+    tab = browser.new_context(viewport={"width": width, "height": 900}).new_page()
+    errors: list[str] = []
+    tab.on("console", lambda said: errors.append(said.text) if said.type in {"error", "warning"} else None)
+    tab.on("pageerror", lambda error: errors.append(str(error)))
+    tab.goto(path.as_uri())
+    return tab, errors
+
+
+@pytest.mark.browser
+def test_figures_show_bands_densities_and_draws(browser: Any, tmp_path: Path) -> None:
+    fit = sampled(specimen_fit(trials=2, samples=200))
+    tab, errors = opened(browser, tmp_path / "report.html", page(fit), 1400)
+    for kind, abscissa in (("force-depth", "depth_mm"), ("force-time", "time_s")):
+        bands = [trace for trace in numbers_of(tab, kind) if trace["name"] == "predicted"]
+        assert len(bands) == len(fit.trials)
+        for trial, band in zip(fit.trials, bands, strict=True):
+            x, model = getattr(trial.curve, abscissa), trial.curve.model_N
+            # the page carries 32-bit floats of numbers near 100: 24 bits of mantissa
+            assert band["x"] == pytest.approx([*x, *x[::-1]], rel=1e-7, abs=1e-5)
+            assert band["y"] == pytest.approx([*(model + 0.6), *(model - 0.6)[::-1]], rel=1e-7, abs=1e-5)
+            assert band["fill"] == "toself"
+    dots = {trace["name"]: trace for trace in numbers_of(tab, "pair")}
+    assert fit.posterior is not None
+    kept = fit.posterior.draws[np.linspace(0, len(fit.posterior.draws) - 1, 1_000).astype(int)]
+    assert dots["statistical"]["x"] == pytest.approx(kept[:, 4], rel=1e-6)
+    assert dots["statistical"]["y"] == pytest.approx(kept[:, 3] * kept[:, 4], rel=1e-6)
+    densities = numbers_of(tab, "marginals")
+    assert len(densities) == 2 * len(fit.parameters)
+    for trace in densities:
+        width = trace["x"][1] - trace["x"][0]
+        # a density: its sum times the width of a bin is one
+        assert sum(trace["y"]) * width == pytest.approx(1.0, rel=1e-3)
+    assert len(numbers_of(tab, "trace")) == 4 * len(posterior().chain_names)
+    assert errors == []
+
+
+@pytest.mark.browser
+@pytest.mark.parametrize("width", [1400, 400])
+@pytest.mark.parametrize("case", ["plain", "misfit"])
+def test_the_page_fits_the_screen_and_shows_its_picture_first(
+    browser: Any, tmp_path: Path, width: int, case: str
+) -> None:
+    fits: Sequence[SpecimenFit] = [
+        sampled(specimen_fit(samples=80, identified=False), misfit=case == "misfit")
+    ]
+    tab, errors = opened(browser, tmp_path / "report.html", page(*fits), width)
+    for kind in ("marginals", "pair", "trace"):
+        assert numbers_of(tab, kind)
+    assert tab.evaluate("document.documentElement.scrollWidth") == width
+    if width == 1400:
+        assert (
+            tab.evaluate("document.querySelector('.first .plot').getBoundingClientRect().top + scrollY") < 900
+        )
+    assert errors == []
