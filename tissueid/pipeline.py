@@ -7,9 +7,11 @@ does not grow with it.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,9 +28,11 @@ from tissueid.covariates import (
 )
 from tissueid.errors import exit_code
 from tissueid.fit.material import stated_geometry
-from tissueid.fit.specimen import FitOptions, LogHandle, fit_specimen
+from tissueid.fit.specimen import FitOptions, FittedSpecimen, LogHandle, fit_with_state
 from tissueid.fit.tip import tip_handles
 from tissueid.manifest import Study
+from tissueid.posterior.specimen import PosteriorOptions, with_posterior
+from tissueid.priors import Priors
 from tissueid.result import Exit, Identification, Refusal, SpecimenFit
 from tissueid.segment import SegmentOptions
 from tissueid.trial import Axes, Source, Trial
@@ -41,7 +45,7 @@ __all__ = [
 ]
 
 #: Libraries whose version may change a number.
-LIBRARIES = ("lmfit", "numba", "numpy", "scipy")
+LIBRARIES = ("emcee", "lmfit", "numba", "numpy", "scipy")
 REQUIRABLE = ("viscosity", "static", "stiffness", "relaxation-time")
 DEFAULT_REQUIRED = ("viscosity", "static")
 #: What a bundle keeps of its study.
@@ -62,6 +66,8 @@ class IdentifyOptions:
     ----------
     fit : FitOptions
     segment : SegmentOptions
+    posterior : PosteriorOptions or None
+        How posteriors are sampled; ``None`` leaves them out.
     required : tuple of str
         What must be identified for exit code 0, of :data:`REQUIRABLE`.
     seed : int
@@ -70,10 +76,12 @@ class IdentifyOptions:
 
     fit: FitOptions = field(default_factory=FitOptions)
     segment: SegmentOptions = field(default_factory=SegmentOptions)
+    posterior: PosteriorOptions | None = None
     required: tuple[str, ...] = DEFAULT_REQUIRED
     seed: int = 0
 
 
+Checkpoints = Callable[[str], Path]
 _Progress = Callable[[str, int, int], None]
 
 
@@ -89,6 +97,9 @@ def _reasons(specimens: Sequence[SpecimenFit], required: Sequence[str]) -> list[
         missing = [one.name for one in fit.parameters if not one.identified and one.name.startswith(prefixes)]
         if missing:
             reasons.append(f"{fit.specimen}: not identified: {', '.join(missing)}")
+        if fit.posterior is not None and not fit.posterior.sampler.converged:
+            why = fit.posterior.sampler.detail.get("reason", "its rule was not met")
+            reasons.append(f"{fit.specimen}: the sampler did not converge: {why}")
         if any(flag.code == "not_converged" for flag in fit.flags):
             reasons.append(f"{fit.specimen}: Levenberg-Marquardt did not converge")
     return reasons
@@ -115,12 +126,47 @@ def _fit(
     fit: FitOptions,
     study: Study | None,
     tick: Callable[[str], None],
-) -> SpecimenFit:
+) -> FittedSpecimen:
     """Fit one specimen in the displacement of the tip."""
     frame = None if study is None else study.calibration.frame
     if frame is not None:
         handles = tip_handles(handles, frame, tick)
-    return fit_specimen(name, handles, options=fit, tick=tick)
+    return fit_with_state(name, handles, options=fit, tick=tick)
+
+
+def _sampled(
+    fitted: FittedSpecimen,
+    options: IdentifyOptions,
+    study: Study | None,
+    checkpoint: Checkpoints | None,
+    identity: str,
+    tick: Callable[[str], None],
+) -> SpecimenFit:
+    """A fit with its posterior, where one is asked for."""
+    if options.posterior is None:
+        return fitted.fit
+    return with_posterior(
+        fitted,
+        priors=Priors() if study is None else study.priors,
+        options=options.posterior,
+        checkpoint=None if checkpoint is None else checkpoint(fitted.fit.specimen),
+        key=identity,
+        tick=tick,
+    )
+
+
+def _identity(
+    inputs: Sequence[Mapping[str, Any]], specimen: str, options: IdentifyOptions, study: Study | None
+) -> str:
+    """Hash of what the posterior of a specimen depends on: a chain of another one is not gone on with."""
+    own = sorted(
+        (entry["path"], entry["sheet"] or "", entry["sha256"])
+        for entry in inputs
+        if entry["specimen"] == specimen
+    )
+    said = "" if study is None else study.sha256
+    versions = [__version__, *(version(name) for name in LIBRARIES)]
+    return hashlib.sha256(repr((own, said, versions, options)).encode()).hexdigest()
 
 
 def _own_options(options: FitOptions, study: Study | None, name: str, axes: Axes) -> FitOptions:
@@ -140,6 +186,7 @@ def _fit_all(
     options: IdentifyOptions,
     study: Study | None,
     progress: _Progress,
+    checkpoint: Checkpoints | None,
 ) -> list[SpecimenFit]:
     """Fit every specimen; one whose numbers defeat the arithmetic is refused, and the rest goes on."""
     fits: list[SpecimenFit] = []
@@ -153,7 +200,9 @@ def _fit_all(
         tick("fitting")
         try:
             own = _own_options(options.fit, study, name, collected.axes[specimen])
-            fit = _fit(name, handles, own, study, tick)
+            fitted = _fit(name, handles, own, study, tick)
+            identity = _identity(collected.inputs, specimen, options, study)
+            fit = _sampled(fitted, options, study, checkpoint, identity, tick)
         except (ArithmeticError, np.linalg.LinAlgError) as error:
             collected.left_out += [
                 arithmetic_refusal(entry["path"], entry["sheet"], "fitted", error)
@@ -177,6 +226,7 @@ def identify(
     refused: Sequence[Refusal] = (),
     provenance: Mapping[str, Any] | None = None,
     progress: Callable[[str, int, int], None] | None = None,
+    checkpoint: Checkpoints | None = None,
 ) -> Identification:
     """Identify the contact model of every specimen among the trials.
 
@@ -195,6 +245,8 @@ def identify(
         Added to the versions, options and inputs that are recorded anyway.
     progress : callable, optional
         ``progress(message, done, total)``; total is 0 while it is not known.
+    checkpoint : callable, optional
+        Gives the file in which a specimen's chain is kept while it is sampled, by the specimen's name.
 
     Returns
     -------
@@ -213,10 +265,10 @@ def identify(
         unloading=options.fit.unloading,
     )
     names = display_names(collected.sources)
-    fits = _fit_all(collected, names, options, study, progress)
+    fits = _fit_all(collected, names, options, study, progress, checkpoint)
 
     def fit_again(name: str, handles: Sequence[LogHandle], fit: FitOptions, because: str) -> SpecimenFit:
-        return _fit(name, handles, fit, study, lambda text: progress(f"{name} {because}: {text}", 0, 0))
+        return _fit(name, handles, fit, study, lambda text: progress(f"{name} {because}: {text}", 0, 0)).fit
 
     kept = without_excluded(refused, collected, study)
     exclusions = exclusion_rows(collected, names, fits, options.fit, Refit(fit_again))
@@ -239,6 +291,9 @@ def identify(
                     "auto" if options.fit.stiffness_degree is None else options.fit.stiffness_degree
                 ),
                 "static": options.fit.static,
+                "noise": options.fit.noise,
+                "sampler": "none" if options.posterior is None else options.posterior.sampler,
+                "draws": 0 if options.posterior is None else options.posterior.draws,
                 "unloading": options.fit.unloading,
                 "frequencies_Hz": list(options.fit.frequencies_Hz),
                 "depths_mm": list(options.fit.depths_mm),

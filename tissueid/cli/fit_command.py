@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -24,6 +25,7 @@ from tissueid.errors import UsageError, printable
 
 if TYPE_CHECKING:
     from tissueid.pipeline import IdentifyOptions
+    from tissueid.posterior.specimen import PosteriorOptions
     from tissueid.result import Identification, Refusal, SpecimenFit
 
 __all__ = ["command"]
@@ -71,6 +73,18 @@ def _count(auto: str) -> click.Choice[str]:
 @click.option(
     "--static", type=click.Choice(["partial", "shared", "per-log"]), default="partial", show_default=True,
     help="Static curve of a specimen's logs: one with a gain and contact offset a log, one, or one each.",
+)  # fmt: skip
+@click.option(
+    "--noise", type=click.Choice(["auto", "white", "ar1", "white+ar1"]), default="auto", show_default=True,
+    help="Noise of the force; auto takes what the residuals show.",
+)  # fmt: skip
+@click.option(
+    "--sampler", type=click.Choice(["emcee", "exact", "none"]), default="emcee", show_default=True,
+    help="How the posterior is sampled; none gives standard errors only.",
+)  # fmt: skip
+@click.option(
+    "--draws", type=click.IntRange(min=100), default=10_000, show_default=True,
+    help="Effective posterior draws to go on for.",
 )  # fmt: skip
 @click.option(
     "--require", multiple=True, type=click.Choice(REQUIRED),
@@ -127,6 +141,7 @@ def command(**flags: Any) -> int:
             refused=refused,
             provenance={"reading": {key: flags[key] for key in READING}},
             progress=progress,
+            checkpoint=run.sampling,
         )
         document: dict[str, Any] = plain_json(identification.as_json())
         if identification.specimens:
@@ -174,6 +189,16 @@ def _refuse_foreign(out: Path) -> None:
         raise UsageError(msg)
 
 
+def _posterior_options(flags: dict[str, Any]) -> PosteriorOptions | None:
+    from tissueid.posterior.specimen import PosteriorOptions
+
+    if flags["sampler"] == "none":
+        return None
+    return PosteriorOptions(
+        sampler=flags["sampler"], draws=flags["draws"], seed=flags["seed"], workers=os.cpu_count() or 1
+    )
+
+
 def _identify_options(flags: dict[str, Any]) -> IdentifyOptions:
     from tissueid.fit.specimen import FitOptions
     from tissueid.pipeline import DEFAULT_REQUIRED, IdentifyOptions
@@ -184,9 +209,11 @@ def _identify_options(flags: dict[str, Any]) -> IdentifyOptions:
             branches=None if flags["branches"] == "auto" else int(flags["branches"]),
             stiffness_degree=None if flags["stiffness_degree"] == "auto" else int(flags["stiffness_degree"]),
             static=flags["static"],
+            noise=flags["noise"],
             **quoting_values(flags),
         ),
         segment=segment_options(compression=flags["compression"], contact=flags["contact"]),
+        posterior=_posterior_options(flags),
         required=required if flags["require"] else DEFAULT_REQUIRED,
         seed=flags["seed"],
     )

@@ -169,7 +169,7 @@ def _sample(
         key=key,
         progress=lambda steps, share: tick(f"sampling, {steps:,} steps, {100.0 * min(share, 1.0):.0f} %"),
     )
-    return _Sampled(found.chain, found.report())
+    return _Sampled(found.points, found.report())
 
 
 def _uncertainties(

@@ -358,7 +358,7 @@ def _built(
         has_gain="gain" in effects,
         blocks=blocks,
     )
-    mass = log_passive_mass(mean, np.linalg.inv(precision), blocks)
+    mass = log_passive_mass(mean, np.ascontiguousarray(np.linalg.inv(precision), dtype=np.float64), blocks)
     return SpecimenTarget(
         data=data._replace(prior_log_mass=float(mass)),
         optimum=optimum,

@@ -6,6 +6,7 @@
     |-- .lock               one writer at a time
     |-- .runs/000007/       the files of one run, and manifest.json with their hashes
     |-- .current            "000007": renaming this one file commits the run
+    |-- .sampling/          chains that are being sampled; gone once the run is committed
     |-- identification.json, bundle-*.h5, report.html, ...   public copies of the current run
 
 A run is written into its own folder.  Renaming ``.current`` commits it.  The public names are then
@@ -15,6 +16,7 @@ command calls :func:`complete_refresh` first, which finishes the work from the c
 
 from __future__ import annotations
 
+import hashlib
 import json
 import shutil
 from collections.abc import Iterable
@@ -32,6 +34,7 @@ __all__ = ["CommittedRun", "OutputSet", "complete_refresh", "current_run"]
 
 _RUNS = ".runs"
 _CURRENT = ".current"
+_SAMPLING = ".sampling"
 _MANIFEST = "manifest.json"
 _REFRESHED = ".refreshed"
 _SCHEMA = "tissueid/outputs/1"
@@ -225,6 +228,12 @@ class OutputSet:
             raise ValueError(msg)
         return folder / name
 
+    def sampling(self, specimen: str) -> Path:
+        """Where the chain of a specimen is kept while it is sampled; a killed run finds it again."""
+        folder = self.out / _SAMPLING
+        folder.mkdir(exist_ok=True)
+        return folder / f"{hashlib.sha256(specimen.encode()).hexdigest()[:16]}.npz"
+
     def write(self, name: str, content: bytes) -> None:
         """Write one file of the set."""
         write_file(self.path(name), content)
@@ -254,6 +263,7 @@ class OutputSet:
         write_file(folder / _MANIFEST, json_bytes(manifest))
         write_file(self.out / _CURRENT, f"{folder.name}\n".encode("ascii"))
         self._folder = None
+        shutil.rmtree(self.out / _SAMPLING, ignore_errors=True)
         _refresh(self.out)
 
     def _open_folder(self) -> Path:
