@@ -21,6 +21,7 @@ from tissueid.cli.reading import (
     reading_options,
     segment_options,
 )
+from tissueid.cli.uncertainty_lines import alarm_lines, parameter_lines, sampling_lines
 from tissueid.errors import UsageError, printable
 
 if TYPE_CHECKING:
@@ -268,16 +269,10 @@ def _print_specimen(console: Any, fit: SpecimenFit, *, verbose: int) -> None:
         f"{model.branches} branch{plural}, K of degree {model.stiffness_degree}, "
         f"{model.static_pooling} static, NRMSD {100 * fit.nrmsd.range:.2f} % of range",
     )
-    for one in fit.parameters:
-        text = (
-            "not identified"
-            if one.value is None
-            else f"{with_error(one.value, one.stderr)} {fit.axes.unit(one.unit)}"
-        )
-        bound = "  (at the passivity bound)" if one.value is not None and one.detail.get("at_bound") else ""
-        console.print(f"  {one.symbol:<6} {text}{bound}", markup=False)
-    for line in quoted_lines(fit):
+    for line in (*parameter_lines(fit), *sampling_lines(fit), *quoted_lines(fit)):
         console.print(f"  {line}", markup=False)
+    for line in alarm_lines(fit):
+        console.print(f"  ! {line}", style="bold red", markup=False)
     for flag in fit.flags:
         console.print(f"  ! {flag.message}", style="yellow", markup=False)
     said = {flag.code for flag in fit.flags} | UNREMARKABLE

@@ -247,6 +247,7 @@ def uncertainty_view(specimen: Mapping[str, Any]) -> dict[str, Any] | None:
         "rows": rows,
         "scale": f"{100 * scale:g}",
         "total": any(row.total for row in rows),
+        "normalised": (specimen["units"]["length"], specimen["units"]["force"]) != ("mm", "N"),
         "converged": specimen["sampler"]["converged"],
         "sampler": _sampler_sentence(specimen),
         "noise": _noise_sentence(specimen),

@@ -35,6 +35,8 @@ FloatArray = NDArray[np.float64]
 
 _FORMAT = "tissueid/posteriors/1"
 _BAND_ROWS = 3
+#: Points of a chain that are kept: diagnostics of so many equal those of all within their error.
+MOST_POINTS = 20_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,6 +51,7 @@ class StoredPosterior:
     draws_total : ndarray, shape (n, p), or None
     chain_names : tuple of str
     chain : ndarray, shape (chains, draws, d)
+        At most :data:`MOST_POINTS` points.
     bands : mapping
         (path, sheet) of a trial -> shape (3, m): low, median, high [N] at the samples of its curve.
     """
@@ -71,12 +74,20 @@ def posteriors_of_fits(fits: Iterable[SpecimenFit]) -> tuple[StoredPosterior, ..
             draws=fit.posterior.draws,
             draws_total=fit.posterior.draws_total,
             chain_names=fit.posterior.chain_names,
-            chain=fit.posterior.chain,
+            chain=_thinned(fit.posterior.chain),
             bands=fit.posterior.bands,
         )
         for fit in fits
         if fit.posterior is not None
     )
+
+
+def _thinned(chain: FloatArray) -> FloatArray:
+    """At most :data:`MOST_POINTS` points, every chain thinned evenly."""
+    chains, draws = chain.shape[:2]
+    steps = min(draws, max(MOST_POINTS // max(chains, 1), 1))
+    kept: FloatArray = chain[:, np.linspace(0, draws - 1, steps).astype(int)]
+    return kept
 
 
 def write_posteriors(posteriors: Sequence[StoredPosterior], path: Path | str) -> None:

@@ -1,0 +1,94 @@
+"""What the terminal says of uncertainty: intervals, sampler, alarms, each in one short line."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from fit_factory import specimen_fit
+from posterior_factory import sampled
+
+from tissueid.cli.uncertainty_lines import alarm_lines, parameter_lines, sampling_lines
+from tissueid.flags import Flag
+from tissueid.result import SpecimenFit
+from tissueid.trial import Axes
+
+WIDTH = 100
+
+
+def test_viscosity_comes_first_with_both_intervals_to_one_place() -> None:
+    fit = sampled(specimen_fit())
+    known = fit.parameter("viscosity_N_s_per_mm").uncertainty
+    assert known is not None
+    assert known.ci95_total is not None
+    low, high = known.ci95
+    wide_low, wide_high = known.ci95_total
+    first = parameter_lines(fit)[0]
+    expected = f"9.00 N s/mm [{low:.2f}, {high:.2f}] [{wide_low:.2f}, {wide_high:.2f}]"
+    # sd 0.27: two digits of it end at the second decimal
+    assert " ".join(first.replace("95 %", "").replace("total", "").split()) == f"eta {expected}"
+
+
+def test_without_a_posterior_the_standard_error_stands_as_before() -> None:
+    lines = parameter_lines(specimen_fit())
+    assert lines[0] == "eta    9.00 ± 0.11 N s/mm"
+    assert sampling_lines(specimen_fit()) == []
+    assert alarm_lines(specimen_fit()) == []
+
+
+def test_no_interval_stands_where_nothing_is_identified_or_the_model_is_contradicted() -> None:
+    (tau,) = [line for line in parameter_lines(sampled(specimen_fit(identified=False))) if "tau" in line]
+    assert tau == "tau    not identified"
+    fit = sampled(specimen_fit(), misfit=True)
+    assert not any("95 %" in line or "total" in line or "±" in line for line in parameter_lines(fit))
+    first, second = alarm_lines(fit)
+    assert first.endswith("the force just after the peak lies 2.1 N above the model")
+    assert "no interval is given" in second
+    # a flag that says the same is not said again
+    flagged = replace(fit, flags=(*fit.flags, Flag("misfit", "the residuals show a slow mode")))
+    assert alarm_lines(flagged) == [second]
+
+
+def test_a_sampler_that_stopped_early_is_told_with_its_reason() -> None:
+    fit = sampled(specimen_fit(), converged=False)
+    (line,) = alarm_lines(fit)
+    assert line.endswith("intervals are rough: R-hat of ln_tau_1 is 1.08 after 20,000 steps")
+    assert "not converged" in sampling_lines(fit)[0]
+
+
+def test_sampler_and_noise_are_one_line_each() -> None:
+    assert sampling_lines(sampled(specimen_fit())) == [
+        "emcee  4,000 draws, R-hat at most 1.001, 34 % accepted, converged",
+        "noise  ar1, 0.3 N, correlation 0.6 over 0.01 s",
+    ]
+
+
+def test_normalised_results_are_said_in_their_units() -> None:
+    fit = replace(sampled(specimen_fit(), total=False), axes=Axes("1", "MPa"))
+    lines = parameter_lines(fit)
+    assert lines[0].startswith("eta    9.00 MPa s")
+    assert not any("total" in line or "mm" in line for line in lines)
+    assert sampling_lines(fit)[1].startswith("noise  ar1, 0.3 MPa")
+
+
+@pytest.mark.parametrize(
+    "fit",
+    [
+        sampled(specimen_fit()),
+        sampled(specimen_fit(identified=False)),
+        sampled(specimen_fit(), misfit=True),
+    ],
+)
+def test_lines_of_numbers_fit_a_terminal_of_a_hundred_columns(fit: SpecimenFit) -> None:
+    for line in (*parameter_lines(fit), *sampling_lines(fit)):
+        assert len(f"  {line}") <= WIDTH
+
+
+def test_small_numbers_have_a_power_of_ten_that_a_terminal_can_print() -> None:
+    fit = sampled(specimen_fit())
+    known = fit.parameters[0].uncertainty
+    assert known is not None
+    narrow = replace(known, sd=5e-7, ci95=(2.4e-5, 2.6e-5), ci95_total=None)
+    small = replace(fit.parameters[0], value=2.5e-5, uncertainty=narrow)
+    (line,) = parameter_lines(replace(fit, parameters=(small,)))
+    assert line == "a1     2.500e-5 N/mm  95 % [2.400e-5, 2.600e-5]"

@@ -1,0 +1,106 @@
+"""Lines of ``fit`` on parameters and how sure they are; the report and the JSON have the rest.
+
+Viscosity comes first.  Where a posterior was sampled the value stands with its statistical and total 95 %
+interval, all to one place; where the residuals contradict the model, or nothing is identified, none does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from tissueid.cli.output import with_error
+
+if TYPE_CHECKING:
+    from tissueid.result import SpecimenFit
+
+__all__ = ["alarm_lines", "parameter_lines", "sampling_lines"]
+
+
+def _ascii(text: str) -> str:
+    """Minus signs and powers of ten as other lines of the terminal write them."""
+    return text.replace("×10^", "e").replace("−", "-")
+
+
+def _cells(entry: Mapping[str, Any], *, intervals: bool) -> tuple[str, str, str]:
+    """Value with unit, statistical and total interval."""
+    from tissueid.report.interval_words import together
+
+    if entry["value"] is None:
+        return "not identified", "", ""
+    if entry["ci95"] is None:
+        return f"{with_error(entry['value'], entry['stderr'])} {entry['unit']}", "", ""
+    ends = [*entry["ci95"], *(entry["ci95_total"] or [])]
+    value, *texts = (_ascii(text) for text in together([entry["value"], *ends], entry["sd"]))
+    said = f"{value} {entry['unit']}"
+    if not intervals:
+        return said, "", ""
+    total = f"[{', '.join(texts[2:])}]" if texts[2:] else ""
+    return said, f"[{', '.join(texts[:2])}]", total
+
+
+def parameter_lines(fit: SpecimenFit) -> list[str]:
+    """One line a parameter, viscosity first; columns are aligned.
+
+    Parameters
+    ----------
+    fit : SpecimenFit
+    """
+    from tissueid.report.uncertainty_words import reported_order
+    from tissueid.report.wording import misfit_raised
+
+    document = fit.as_json()
+    entries = reported_order(document["parameters"])
+    cells = [_cells(entry, intervals=not misfit_raised(document)) for entry in entries]
+    wide = [max(len(row[column]) for row in cells) for column in range(3)]
+    lines = []
+    for entry, (value, statistical, total) in zip(entries, cells, strict=True):
+        line = f"{entry['symbol']:<6} {value:<{wide[0]}}"
+        if statistical:
+            line += f"  95 % {statistical:<{wide[1]}}"
+        if total:
+            line += f"  total {total}"
+        bound = (
+            "  (at the passivity bound)"
+            if entry["value"] is not None and entry["detail"].get("at_bound")
+            else ""
+        )
+        lines.append(line.rstrip() + bound)
+    return lines
+
+
+def sampling_lines(fit: SpecimenFit) -> list[str]:
+    """How the posterior was sampled, and the noise in it; none without a posterior."""
+    if fit.posterior is None:
+        return []
+    sampler, noise = fit.posterior.sampler, fit.posterior.noise
+    known = [one.uncertainty for one in fit.parameters if one.uncertainty is not None]
+    parts = [f"{sampler.draws:,} draws"]
+    if known:
+        parts.append(f"R-hat at most {max(one.r_hat for one in known):.3f}")
+    accepted = "accepted" if sampler.name == "emcee" else "passive at once"
+    parts.append(f"{100.0 * sampler.acceptance:.0f} % {accepted}")
+    parts.append("converged" if sampler.converged else "not converged")
+    said = f"noise  {noise.model}, {noise.sigma_N:.3g} {fit.axes.unit('N')}"
+    if noise.model != "white":
+        said += f", correlation {noise.phi:.3g} over {noise.reference_step_s:.3g} s"
+    return [f"{sampler.name}  {', '.join(parts)}", said]
+
+
+def alarm_lines(fit: SpecimenFit) -> list[str]:
+    """What takes the intervals away or makes them rough, in a sentence each."""
+    if fit.posterior is None:
+        return []
+    lines = []
+    misfit, sampler = fit.posterior.misfit, fit.posterior.sampler
+    said = {flag.code for flag in fit.flags}
+    if misfit is not None and misfit.raised:
+        if "misfit" not in said:
+            seen = "; ".join(check.message.rstrip(".") for check in misfit.checks if check.raised)
+            lines.append(f"the recordings contradict this model or its noise: {seen}")
+        lines.append("no interval is given here: how sure the values are can't be said from this model")
+    if not sampler.converged and "sampler_not_converged" not in said:
+        reason = sampler.detail.get("reason")
+        why = f": {reason}" if reason else ""
+        lines.append(f"the sampler stopped before its rule was met, intervals are rough{why}")
+    return lines
