@@ -86,7 +86,7 @@ class Checkpoint:
         if self.path is None or not self.path.is_file():
             return None
         try:
-            with np.load(self.path, allow_pickle=False) as file:
+            with np.load(io.BytesIO(self.path.read_bytes()), allow_pickle=False) as file:
                 if str(file["identity"]) != self._identity:
                     return None
                 walk = _walk_of({name: np.asarray(file[name]) for name in file.files})

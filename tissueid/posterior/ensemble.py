@@ -43,13 +43,13 @@ _WALKERS_PER_COORDINATE = 8
 _CHUNK = 16
 
 #: Degrees of freedom of the independence proposal: heavier tails than a posterior of many data has.
-_DOF = 5.0
+_DOF = 4.0
 
 #: Weights of differential evolution, snooker and independence: while the proposal is learnt, and after.
 #: Autocorrelation times with 0.0, 0.5 and 0.8 of independence: 15, 3.6 and 2.3 steps on a normal of four
 #: coordinates (correlation 0.95), 18, 5.8 and 3.9 cut at a bound, 22, 8.9 and 5.1 with ln of a half-normal.
 _WARM_UP_WEIGHTS = (0.3, 0.2, 0.5)
-_WEIGHTS = (0.1, 0.1, 0.8)
+_WEIGHTS = (0.05, 0.05, 0.9)
 
 #: Steps of each warm-up round; each learns from the last two thirds of its own.
 _WARM_UP_ROUNDS = (40, 80)
