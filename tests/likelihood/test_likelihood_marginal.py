@@ -108,8 +108,13 @@ def target_for(data: list[LogData], pooling: str, *, correlated: bool) -> tuple[
 def dense_log_marginal(
     data: list[LogData], *, tau: float, sigma: float, phi: float, gain_sd: float | None
 ) -> float:
-    """Multivariate normal density of all forces, linear parameters and effects integrated by covariance."""
+    """Multivariate normal density of all forces, linear parameters and effects integrated by covariance.
+
+    Gains multiply theta: the density over their common part falls with exp(-n c / logs) for each log, n the
+    number of coefficients that the data determine, and that is integrated as well.
+    """
     columns, mean_force, blocks, effects = [], [], [], []
+    by_gain, precisions = [], []
     for i, one in enumerate(data):
         x = one.depth_mm
         gain, delta = (np.exp(GAMMA[i]), DELTA[i]) if gain_sd is not None else (1.0, 0.0)
@@ -119,6 +124,7 @@ def dense_log_marginal(
         columns.append(gain * np.column_stack([u, u**2, u**3, state, state * u]))
         lag = np.abs(np.subtract.outer(np.arange(x.size), np.arange(x.size)))
         noise = sigma**2 * phi**lag if phi > 0.0 else sigma**2 * np.eye(x.size)
+        precisions.append(columns[-1].T @ np.linalg.solve(noise, columns[-1]))
         mean = np.zeros(x.size)
         if gain_sd is not None:
             best = MODEL.states(np.array([TAU]), path)[0]
@@ -127,6 +133,7 @@ def dense_log_marginal(
             by_offset = -gain * (slope + STIFFNESS[1] * best)
             noise = noise + gain_sd**2 * np.outer(force, force)
             noise = noise + OFFSET_SD**2 * np.outer(by_offset, by_offset)
+            by_gain.append(gain_sd**2 * force)
             # effects count from the optimum, their priors from zero
             mean = -GAMMA[i] * force - DELTA[i] * by_offset
         blocks.append(noise)
@@ -142,7 +149,17 @@ def dense_log_marginal(
     prior_sd = np.array([sd for _, sd in PRIORS.linear.values()])
     total += (c * prior_sd**2) @ c.T
     mean = c @ prior_mean + np.concatenate(mean_force)
-    return float(multivariate_normal.logpdf(np.concatenate(effects), mean, total))
+    y = np.concatenate(effects)
+    value = float(multivariate_normal.logpdf(y, mean, total))
+    if gain_sd is None:
+        return value
+    gram = sum(precisions)
+    slope = np.trace(np.linalg.solve(gram + np.diag(prior_sd**-2.0), gram)) / len(data)
+    # ln E exp(-slope t) of the sum t of all ln gains, which is normal given the forces
+    cross = np.concatenate(by_gain)
+    t_mean = -GAMMA.sum() + cross @ np.linalg.solve(total, y - mean)
+    t_variance = len(data) * gain_sd**2 - cross @ np.linalg.solve(total, cross)
+    return value - slope * t_mean + 0.5 * slope**2 * t_variance
 
 
 @pytest.mark.parametrize("phi", [0.0, 0.6, 0.95])

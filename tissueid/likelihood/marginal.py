@@ -158,6 +158,34 @@ def _columns(data: Linearised, log_tau: FloatArray) -> tuple[FloatArray, FloatAr
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
+def _determined(gram: FloatArray, prior: FloatArray) -> float:
+    """How many coefficients of theta the data determine at given gains: the trace of the shrinkage.
+
+    Gains and theta enter as a product: the data pin e^c theta where all ln gains change by c.  At a gain of
+    e^c the likelihood is e^-c as wide in every direction of theta that the data determine, so the density
+    over c, theta integrated, carries e^(-n c) with n their number.  The linearised model has a likelihood of
+    constant width and needs that factor: without it, gains that scatter by 15 % bias F_s and K by a quarter
+    of their standard deviation.  Directions that the prior determines keep their width and do not count.
+    """
+    p = gram.shape[0]
+    low = _cholesky(gram + prior)
+    total = 0.0
+    column = np.empty(p)
+    for j in range(p):
+        column[:] = gram[:, j]
+        for i in range(p):
+            for k in range(i):
+                column[i] -= low[i, k] * column[k]
+            column[i] /= low[i, i]
+        for i in range(p - 1, j - 1, -1):
+            for k in range(i + 1, p):
+                column[i] -= low[k, i] * column[k]
+            column[i] /= low[i, i]
+        total += column[j]
+    return total
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
 def _without_effects(
     data: Linearised,
     coefficient: FloatArray,
@@ -165,8 +193,11 @@ def _without_effects(
     sigma2: float,
     precision: FloatArray,
     full: FloatArray,
+    tilt: float,
 ) -> tuple[FloatArray, FloatArray, float]:
     """Take the effects of every log out of the normal equations ``full`` (in place).
+
+    ``tilt`` is the slope of -ln density in the mean of the gains, see :func:`_determined`.
 
     Returns
     -------
@@ -197,6 +228,8 @@ def _without_effects(
         for r in range(q):
             pull = precision[i, r] * data.effect_mean[i, r]
             x[r, p] += pull
+            if r == 0:
+                x[r, p] -= tilt / logs
             full[p, p] += pull * data.effect_mean[i, r]
             log_det += 2.0 * np.log(low[r, r]) - np.log(precision[i, r])
             for t in range(r):
@@ -290,9 +323,10 @@ def _conditional(
         if coefficient[k] != 0.0:
             gram += coefficient[k] * data.shared[k]
     full = np.ascontiguousarray(weights.T) @ (gram @ weights) / sigma2
-    back, spread, log_det = _without_effects(data, coefficient, weights, sigma2, precision, full)
     p = reference.size
     prior = _prior_precision(data, log_tau)
+    tilt = _determined(full[:p, :p], prior) if data.has_gain else 0.0
+    back, spread, log_det = _without_effects(data, coefficient, weights, sigma2, precision, full, tilt)
     away = data.prior_mean - reference
     pull = prior @ away
     low = _cholesky(full[:p, :p] + prior)
