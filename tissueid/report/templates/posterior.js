@@ -14,7 +14,7 @@ const posteriorKinds = (payload, floats, colour) => {
     }
     return opened.get(specimen);
   };
-  const BINS = 36;
+  const BINS = 28;
   const density = (values, low, high) => {
     const counts = new Array(BINS).fill(0);
     const width = (high - low) / BINS || 1;
