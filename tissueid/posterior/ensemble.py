@@ -46,8 +46,9 @@ _CHUNK = 16
 _DOF = 4.0
 
 #: Weights of differential evolution, snooker and independence: while the proposal is learnt, and after.
-#: Autocorrelation times with 0.0, 0.5 and 0.8 of independence: 15, 3.6 and 2.3 steps on a normal of four
-#: coordinates (correlation 0.95), 18, 5.8 and 3.9 cut at a bound, 22, 8.9 and 5.1 with ln of a half-normal.
+#: Autocorrelation time [steps] without the independence move, with half of it and with 0.9: normals of one to
+#: six coordinates (correlation 0.95) 4 to 28, 2.1 to 4.9, 1.3 to 2.4; of four coordinates: cut at a bound 25,
+#: 6.5, 3.9; with the ln of a half-normal 25, 5.9, 3.5; a banana 22, 7.5, 4.7.
 _WARM_UP_WEIGHTS = (0.3, 0.2, 0.5)
 _WEIGHTS = (0.05, 0.05, 0.9)
 
