@@ -10,7 +10,8 @@ import pytest
 from fit_cases import draw, log_data, small_recipe, specimen_sums, sums_of
 
 from tissueid.fit.candidates import Candidate, fit_candidate
-from tissueid.fit.selection import choose, held_out_scores
+from tissueid.fit.held_out import held_out_scores
+from tissueid.fit.selection import choose
 from tissueid.model import ContactPath, KelvinVoigt
 from tissueid.synth import Branch
 

@@ -2,7 +2,8 @@
 
 The objective is smooth in ln tau on the scale of one (a property of exponentials, whatever the data),
 so a scan at the basis nodes cannot step over a minimum.  The best minima of the scan are polished by
-L-BFGS with the exact gradient and finished by Gauss-Newton steps.
+Gauss-Newton steps (a handful of evaluations), and by L-BFGS with the exact gradient where these do not
+descend, as at a bound.
 """
 
 from __future__ import annotations
@@ -27,6 +28,10 @@ SCAN_SEVERAL = 0.6
 POLISHED = 3
 #: Two branches of one specimen closer than this in ln tau describe one relaxation.
 MIN_SEPARATION = 0.3
+#: Gauss-Newton steps before and after L-BFGS, the longest of them in ln tau, and its halvings.
+FIRST_STEPS = 12
+LONGEST_STEP = 0.7
+HALVINGS = 3
 FINISHING_STEPS = 8
 FINISHED = 1e-11
 #: Relative rounding error of an objective from Gram matrices.
@@ -123,6 +128,48 @@ def step_in_log_tau(evaluation: Evaluation, blocks: NDArray[np.int64]) -> FloatA
     return np.asarray(-0.5 * block @ evaluation.gradient)
 
 
+def _descend(objective: Objective, best: Evaluation, bounds: tuple[float, float]) -> tuple[Evaluation, bool]:
+    """Gauss-Newton steps with halving; True where they arrived: what is left to gain is the value's rounding."""
+    for _ in range(FIRST_STEPS):
+        step = np.clip(step_in_log_tau(best, objective.blocks), -LONGEST_STEP, LONGEST_STEP)
+        inside = (best.log_tau > bounds[0]) & (best.log_tau < bounds[1])
+        if inside.all() and 0.0 < -0.5 * float(best.gradient @ step) <= VALUE_ROUNDING * abs(best.value):
+            return best, True
+        for _halving in range(HALVINGS + 1):
+            trial = objective.evaluate(np.clip(best.log_tau + step, *bounds), best)
+            if trial.value < best.value:
+                break
+            step = 0.5 * step
+        else:
+            return best, False
+        best = trial
+    return best, False
+
+
+def _quasi_newton(objective: Objective, best: Evaluation, bounds: tuple[float, float]) -> Evaluation:
+    """L-BFGS with the exact gradient of ln(sum of squares)."""
+    unit = max(best.value, 1e-300)
+    state = {"last": best}
+
+    def value_and_slope(log_tau: FloatArray) -> tuple[float, FloatArray]:
+        evaluation = objective.evaluate(log_tau, state["last"])
+        state["last"] = evaluation
+        return np.log(max(evaluation.value, 1e-300) / unit), evaluation.gradient / max(
+            evaluation.value, 1e-300
+        )
+
+    found = minimize(
+        value_and_slope,
+        best.log_tau,
+        jac=True,
+        method="L-BFGS-B",
+        bounds=[bounds] * best.log_tau.size,
+        options={"ftol": 1e-13, "gtol": 1e-10, "maxiter": 60},
+    )
+    last = objective.evaluate(np.clip(found.x, *bounds), state["last"])
+    return last if last.value <= best.value else best
+
+
 def polish(
     objective: Objective, start: FloatArray, bounds: tuple[float, float], *, warm: Evaluation | None = None
 ) -> Evaluation:
@@ -136,27 +183,9 @@ def polish(
     bounds : tuple of float
         Range of ln tau.
     """
-    best = objective.evaluate(start, warm)
-    unit = max(best.value, 1e-300)
-    state = {"last": best}
-
-    def value_and_slope(log_tau: FloatArray) -> tuple[float, FloatArray]:
-        evaluation = objective.evaluate(log_tau, state["last"])
-        state["last"] = evaluation
-        return np.log(max(evaluation.value, 1e-300) / unit), evaluation.gradient / max(
-            evaluation.value, 1e-300
-        )
-
-    found = minimize(
-        value_and_slope,
-        start,
-        jac=True,
-        method="L-BFGS-B",
-        bounds=[bounds] * start.size,
-        options={"ftol": 1e-13, "gtol": 1e-10, "maxiter": 60},
-    )
-    last = objective.evaluate(np.clip(found.x, *bounds), state["last"])
-    best = last if last.value <= best.value else best
+    best, arrived = _descend(objective, objective.evaluate(start, warm), bounds)
+    if not arrived:
+        best = _quasi_newton(objective, best, bounds)
     # the value's own rounding hides the last digits of ln tau; the gradient does not
     for _ in range(FINISHING_STEPS):
         step = np.clip(step_in_log_tau(best, objective.blocks), -0.5, 0.5)

@@ -20,18 +20,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.fit.candidates import Candidate, Noise, Solution, SpecimenSums, fit_candidate, objective_for
-from tissueid.fit.search import step_in_log_tau
-from tissueid.likelihood import partial
-from tissueid.likelihood.objective import Evaluation, PartialObjective
-from tissueid.likelihood.sums import N_STATIC, reduction
+from tissueid.fit.candidates import Candidate, Solution, SpecimenSums, fit_candidate
+from tissueid.fit.held_out import held_out_scores
 
-__all__ = ["Choice", "choose", "held_out_scores"]
+__all__ = ["Choice", "choose"]
 
 FloatArray = NDArray[np.float64]
 
-#: Gauss-Newton rounds for the random effects of a held-out log.
-EFFECT_ROUNDS = 12
 #: Difference of log predictive density that decides nothing, however small its scatter.
 NEGLIGIBLE = 4.0
 STANDARD_ERRORS = 2.0
@@ -55,83 +50,6 @@ class Choice:
 
     solution: Solution
     table: tuple[dict[str, float | int | bool | None], ...]
-
-
-def _held_out_partial(
-    q: FloatArray, theta: FloatArray, objective: PartialObjective, noise: Noise, offset_sd: float
-) -> tuple[float, float]:
-    """Penalised residual of one held-out log and ln det of what integrating its effects costs."""
-    gamma, delta = 0.0, 0.0
-    m = q.shape[0] - 1
-    prior = np.array([noise.sigma2 / noise.gain_sd**2, noise.sigma2 / offset_sd**2])
-    value, curvature = np.inf, np.eye(2)
-    for _ in range(EFFECT_ROUNDS):
-        matrix, shifted = partial.coefficients(
-            gamma, delta, objective.scale, objective.degree, objective.branches
-        )
-        beta = matrix @ theta
-        moves = np.column_stack([beta, shifted @ theta])
-        error = q[:m, -1] - q[:m, :m] @ beta
-        effects = np.array([gamma, delta])
-        new = float(q[-1, -1] - beta @ q[:m, -1] - beta @ error + prior @ effects**2)
-        curvature = moves.T @ q[:m, :m] @ moves + np.diag(prior)
-        if not new < value * (1 - 1e-12):
-            value = min(new, value)
-            break
-        value = new
-        gamma, delta = effects + np.linalg.solve(curvature, moves.T @ error - prior * effects)
-    return value, float(np.linalg.slogdet(curvature)[1] - np.log(prior).sum())
-
-
-def _held_out_pooled(q: FloatArray, evaluation: Evaluation, scale: float, degree: int) -> float:
-    """Residual sum of squares of one held-out unit under one shared static curve."""
-    branches = evaluation.log_tau.size
-    powers = np.concatenate(
-        [scale ** -np.arange(1.0, N_STATIC), np.tile(scale ** -np.arange(degree + 1.0), branches)]
-    )
-    beta = np.concatenate([[0.0], evaluation.theta * powers])
-    return float(q[-1, -1] - 2.0 * beta @ q[:-1, -1] + beta @ q[:-1, :-1] @ beta)
-
-
-def held_out_scores(sums: SpecimenSums, solution: Solution) -> FloatArray:
-    """Log predictive density of every held-out group, predicted from the others; shape (groups,).
-
-    The relaxation times of the remaining units follow by one Gauss-Newton step from those of all; the
-    linear parameters and random effects are solved anew.
-    """
-    candidate, noise = solution.candidate, solution.noise
-    low, high = sums.log_tau_bounds
-    groups = sums.held_out_groups()
-    scores = np.empty(len(groups))
-    for index, group in enumerate(groups):
-        rest = sums.without(group)
-        objective = objective_for(rest, candidate, noise)
-        warm = solution.evaluation
-        if warm.gamma.size:
-            keep = np.isin(sums.logs, rest.logs)
-            warm = replace(warm, gamma=warm.gamma[keep], delta=warm.delta[keep])
-        there = objective.evaluate(warm.log_tau, warm)
-        step = np.clip(step_in_log_tau(there, objective.blocks), -1.0, 1.0)
-        moved = objective.evaluate(np.clip(there.log_tau + step, low, high), there)
-        there = moved if moved.value < there.value else there
-        weights = reduction(
-            sums.basis, there.log_tau, degree=candidate.degree, columns_degree=sums.columns_degree
-        )
-        used = N_STATIC + candidate.branches * (candidate.degree + 1)
-        columns = np.concatenate([weights[:, :used], weights[:, -1:]], axis=1)
-        value, cost = 0.0, 0.0
-        for unit in group:
-            q = columns.T @ sums.gram[unit] @ columns
-            if isinstance(objective, PartialObjective):
-                residual, extra = _held_out_partial(
-                    q, there.theta, objective, noise, float(sums.offset_sd_mm[unit])
-                )
-                value, cost = value + residual, cost + extra
-            else:
-                value += _held_out_pooled(q, there, sums.depth_mm, candidate.degree)
-        count = float(sums.count[group].sum())
-        scores[index] = -0.5 * (count * np.log(2 * np.pi * noise.sigma2) + value / noise.sigma2 + cost)
-    return scores
 
 
 def _table(

@@ -31,6 +31,8 @@ MAX_ROUNDS = 60
 RIDGE = 1e-13
 #: Relative fall of the objective that counts as none.
 CONVERGED = 1e-14
+#: The same, of the fall that a step promises: a sum of squares from a Gram matrix is known to some 1e-13.
+EXHAUSTED = 1e-12
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
@@ -236,12 +238,16 @@ def solve(
     if np.abs(theta).max() > 0.0:
         value = objective(q, theta, gamma, delta, weight_gain, weight_offset, scale, degree, branches)
     for _ in range(MAX_ROUNDS):
-        h, b, _, back, _ = assemble(
+        h, b, c, back, _ = assemble(
             q, theta, gamma, delta, weight_gain, weight_offset, scale, degree, branches
         )
         hp = np.ascontiguousarray(h[:p, :p])
         bp = np.ascontiguousarray(b[:p])
         new_theta, new_generators, new_weights = cone_least_squares(hp, bp, blocks, start)
+        expected = c - 2.0 * np.sum(bp * new_theta) + np.sum(new_theta * (hp @ new_theta))
+        if np.isfinite(value) and value - expected <= EXHAUSTED * value:
+            # what is left to gain is rounding, which a line search would chase in vain
+            break
         new_gamma = np.zeros(logs)
         new_delta = np.zeros(logs)
         for i in range(logs):
