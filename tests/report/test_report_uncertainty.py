@@ -192,7 +192,8 @@ def test_white_noise_and_an_exact_sampler_have_their_own_sentences() -> None:
     )
     text = sure_section(page(replace(fit, posterior=own)))
     assert "Noise of the force: white, 0.300 N" in text
-    assert "97 % of the draws passive at once" in text
+    assert "Sampled by exact: 4,000 draws kept" in text
+    assert "97 % of the proposals accepted" in text
     assert "walkers" not in text
 
 

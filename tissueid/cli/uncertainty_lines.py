@@ -78,8 +78,7 @@ def sampling_lines(fit: SpecimenFit) -> list[str]:
     parts = [f"{sampler.draws:,} draws"]
     if known:
         parts.append(f"R-hat at most {max(one.r_hat for one in known):.3f}")
-    accepted = "accepted" if sampler.name == "emcee" else "passive at once"
-    parts.append(f"{100.0 * sampler.acceptance:.0f} % {accepted}")
+    parts.append(f"{100.0 * sampler.acceptance:.0f} % accepted")
     parts.append("converged" if sampler.converged else "not converged")
     said = f"noise  {noise.model}, {noise.sigma_N:.3g} {fit.axes.unit('N')}"
     if noise.model != "white":

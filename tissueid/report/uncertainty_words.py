@@ -125,8 +125,7 @@ def _sampler_sentence(specimen: Mapping[str, Any]) -> str:
         parts.append(f"at least {int(min(effective)):,} effective draws of every parameter")
     if worst is not None:
         parts.append(f"R-hat at most {worst:.3f}")
-    accepted = "of the proposals accepted" if sampler["name"] == "emcee" else "of the draws passive at once"
-    parts.append(f"{100 * sampler['acceptance']:.0f} % {accepted}")
+    parts.append(f"{100 * sampler['acceptance']:.0f} % of the proposals accepted")
     end = "converged" if sampler["converged"] else "not converged"
     reason = detail.get("reason")
     why = f": {reason}" if reason and not sampler["converged"] else ""
