@@ -31,7 +31,14 @@ from tissueid.likelihood.sums import N_STATIC, reduction
 from tissueid.model.kelvin_voigt import KEY, STATIC_DEGREE, KelvinVoigt
 from tissueid.result import ModelChoice, SpecimenFit
 
-__all__ = ["FitOptions", "FittedSpecimen", "LogHandle", "fit_specimen", "fit_with_state"]
+__all__ = [
+    "FitOptions",
+    "FittedSpecimen",
+    "LogHandle",
+    "adjustments_of",
+    "fit_specimen",
+    "fit_with_state",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -147,7 +154,7 @@ def _both_optimisers(sums: SpecimenSums, solution: Solution) -> tuple[Solution, 
     }
 
 
-def _adjustments(
+def adjustments_of(
     sums: SpecimenSums,
     solution: Solution,
     tissue: tuple[KelvinVoigt, FloatArray],
@@ -296,7 +303,7 @@ def _under_its_noise(
 ) -> Whitened:
     """The fit finished under the noise that its residuals show."""
     model, theta, _, _, _ = in_field_units(sums, solution)
-    adjustments = _adjustments(sums, solution, (model, theta), handles)
+    adjustments = adjustments_of(sums, solution, (model, theta), handles)
     return whiten(handles, sums, solution, model, theta, adjustments, tick, noise=options.noise)
 
 
@@ -325,7 +332,7 @@ def _fit(
     sums = whitened.sums
     solution, optimisers = _both_optimisers(sums, whitened.solution)
     tissue = estimate_tissue(sums, solution)
-    adjustments = _adjustments(sums, solution, (tissue.model, tissue.theta), handles)
+    adjustments = adjustments_of(sums, solution, (tissue.model, tissue.theta), handles)
     told = second_pass(handles, adjustments, tissue, tick, depths_mm=options.depths_mm)
     sigma = whitened.noise.sigma_N
     facts = [handle.facts for handle in handles]

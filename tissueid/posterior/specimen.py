@@ -14,7 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.fit.estimates import second_stage_static
+from tissueid.fit.logs import LogHandle
 from tissueid.fit.specimen import FittedSpecimen
+from tissueid.fit.whitening import Whitened
+from tissueid.likelihood.linearise import Optimum
 from tissueid.likelihood.passive_normal import draw_passive
 from tissueid.model.kelvin_voigt import STATIC_DEGREE
 from tissueid.posterior.diagnostics import diagnose
@@ -25,7 +28,7 @@ from tissueid.priors import Priors
 from tissueid.result import Estimate, SpecimenFit
 from tissueid.uncertainty import ParameterUncertainty, Posterior, SamplerReport
 
-__all__ = ["SAMPLERS", "PosteriorOptions", "posterior_target", "with_posterior"]
+__all__ = ["SAMPLERS", "PosteriorOptions", "posterior_target", "target_at", "with_posterior"]
 
 FloatArray = NDArray[np.float64]
 
@@ -59,19 +62,20 @@ class PosteriorOptions:
     workers: int = 1
 
 
-def _facts(fitted: FittedSpecimen, *, offsets: bool) -> Facts:
+def _facts(
+    whitened: Whitened, optimum: Optimum, handles: Sequence[LogHandle], *, force_N: float, offsets: bool
+) -> Facts:
     """What the priors need to know of the logs."""
-    handles = fitted.handles
     speeds = [
         (speed, one.facts.depth_mm) for one in handles for speed in one.facts.speeds_mm_s if speed > 0.0
     ]
     sd = np.array([one.contact_sd_mm for one in handles])
-    floor = fitted.whitened.sums.offset_sd_mm[: len(handles)]
+    floor = whitened.sums.offset_sd_mm[: len(handles)]
     return Facts(
-        force_N=max(float(np.abs(trial.curve.force_N).max()) for trial in fitted.told.trials),
+        force_N=force_N,
         speed_mm_s=np.array([speed for speed, _ in speeds] or [1.0]),
-        depth_mm=np.array([depth for _, depth in speeds] or [fitted.optimum.scale]),
-        log_tau_bounds=fitted.whitened.sums.log_tau_bounds,
+        depth_mm=np.array([depth for _, depth in speeds] or [optimum.scale]),
+        log_tau_bounds=whitened.sums.log_tau_bounds,
         offset_sd_mm=np.maximum(sd, floor) if offsets else np.zeros(len(handles)),
         offset_mean_mm=np.array([-one.contact_shift_mm for one in handles]),
     )
@@ -85,27 +89,59 @@ def posterior_target(fitted: FittedSpecimen, priors: Priors) -> SpecimenTarget:
     fitted : FittedSpecimen
     priors : Priors
     """
-    whitened, solution = fitted.whitened, fitted.whitened.solution
+    return target_at(
+        fitted.whitened,
+        fitted.optimum,
+        fitted.handles,
+        priors,
+        log_tau_sd=np.array([interval.width for interval in fitted.tissue.intervals]) / 4.0,
+        force_N=max(float(np.abs(trial.curve.force_N).max()) for trial in fitted.told.trials),
+    )
+
+
+def target_at(
+    whitened: Whitened,
+    optimum: Optimum,
+    handles: Sequence[LogHandle],
+    priors: Priors,
+    *,
+    log_tau_sd: FloatArray,
+    force_N: float,
+) -> SpecimenTarget:
+    """The density that is sampled at an optimum.
+
+    Parameters
+    ----------
+    whitened : Whitened
+    optimum : Optimum
+    handles : sequence of LogHandle
+    priors : Priors
+    log_tau_sd : ndarray, shape (branches,)
+        First guess of the standard deviation of each ln tau.
+    force_N : float
+        Largest measured force.
+    """
+    solution = whitened.solution
     pooling = solution.candidate.pooling
     correlated = whitened.noise.model != "white"
     count = sum(one.count for one in whitened.lags)
     sigma2, phi = solution.noise.sigma2, whitened.noise.phi
-    time_sd = np.array([interval.width for interval in fitted.tissue.intervals]) / 4.0
     start = [*solution.evaluation.log_tau, 0.5 * np.log(sigma2)]
-    sd = [*np.clip(time_sd, 1e-5, 1.5), 1.0 / np.sqrt(2.0 * count)]
+    sd = [*np.clip(log_tau_sd, 1e-5, 1.5), 1.0 / np.sqrt(2.0 * count)]
     if correlated:
         start.append(np.arctanh(min(phi, 1.0 - 1e-9)))
         sd.append(1.0 / np.sqrt(count * max(1.0 - phi * phi, 1e-6)))
     if pooling == "partial":
         start.append(np.log(max(solution.noise.gain_sd, 1e-4)))
-        sd.append(GAIN_GUESS / np.sqrt(len(fitted.handles)))
-    single = len(fitted.handles) == 1 and fitted.fit.model.static_pooling == "shared"
+        sd.append(GAIN_GUESS / np.sqrt(len(handles)))
+    single = len(handles) == 1 and pooling == "shared"
+    offsets = pooling == "partial" or single
     return specimen_target(
         whitened.lags,
         whitened.sums.basis,
-        fitted.optimum,
+        optimum,
         centred=whitened.centred,
-        facts=_facts(fitted, offsets=pooling == "partial" or single),
+        facts=_facts(whitened, optimum, handles, force_N=force_N, offsets=offsets),
         priors=priors,
         pooling=pooling,
         correlated=correlated,
