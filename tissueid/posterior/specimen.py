@@ -39,6 +39,8 @@ KEPT_DRAWS = 2000
 EXACT_CHAINS = 4
 #: First guess of the standard deviation of the ln of the gains' spread, times the root of the logs.
 GAIN_GUESS = 0.8
+#: Nearest a start may be to an end of its prior, as a fraction of the range.
+EDGE = 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +131,11 @@ def target_at(
     start = [*solution.evaluation.log_tau, 0.5 * np.log(sigma2)]
     sd = [*np.clip(log_tau_sd, 1e-5, 1.5), 1.0 / np.sqrt(2.0 * count)]
     if correlated:
-        start.append(np.arctanh(min(phi, 1.0 - 1e-9)))
+        # an estimate outside its stated prior is no place to start from
+        low, high = priors.phi
+        edge = EDGE * (high - low) if high < 1.0 else 1e-9
+        phi = float(np.clip(phi, low + edge, high - edge))
+        start.append(np.arctanh(phi))
         sd.append(1.0 / np.sqrt(count * max(1.0 - phi * phi, 1e-6)))
     if pooling == "partial":
         start.append(np.log(max(solution.noise.gain_sd, 1e-4)))
