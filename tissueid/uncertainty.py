@@ -359,6 +359,24 @@ class Posterior:
     misfit: MisfitAlarm | None = None
     bands: Mapping[tuple[str, str | None], FloatArray] = field(default_factory=dict)
 
+    def to_arviz(self) -> Any:
+        """The draws as arviz knows them, with the groups of :mod:`tissueid.exchange`.
+
+        Raises
+        ------
+        UsageError
+            arviz, of the extra ``tissueid[arviz]``, is not installed.
+        """
+        from tissueid.exchange import arviz_data
+
+        return arviz_data(
+            theta_names=self.theta_names,
+            draws=self.draws,
+            draws_total=self.draws_total,
+            chain_names=self.chain_names,
+            chain=self.chain,
+        )
+
     def as_json(self) -> dict[str, Any]:
         """The keys that a specimen gains."""
         return {

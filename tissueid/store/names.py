@@ -10,7 +10,7 @@ import hashlib
 import unicodedata
 from collections.abc import Iterable
 
-__all__ = ["bundle_names", "safe_name"]
+__all__ = ["bundle_names", "file_names", "safe_name"]
 
 # Device names that Windows keeps for itself, whatever their extension
 _RESERVED = frozenset(
@@ -25,7 +25,7 @@ _LONGEST_BYTES = 80
 def safe_name(name: str) -> str:
     """Turn a name into a part of a file name: letters and digits of any script, ``.``, ``_``, ``-``.
 
-    Different names may come out alike; :func:`bundle_names` keeps them apart.
+    Different names may come out alike; :func:`file_names` keeps them apart.
 
     Parameters
     ----------
@@ -45,7 +45,12 @@ def safe_name(name: str) -> str:
 
 
 def bundle_names(specimens: Iterable[str]) -> dict[str, str]:
-    """Name the bundle file of every specimen: ``{"kidney 3": "bundle-kidney_3.h5"}``.
+    """Name the bundle file of every specimen: ``{"kidney 3": "bundle-kidney_3.h5"}``."""
+    return file_names(specimens, "bundle", ".h5")
+
+
+def file_names(specimens: Iterable[str], stem: str, suffix: str) -> dict[str, str]:
+    """Name a file of every specimen: ``{"kidney 3": "stem-kidney_3.suffix"}``.
 
     Where two names would meet on a file system that ignores case or composes letters differently,
     each gets eight digits of its own hash, whatever their order.
@@ -54,6 +59,8 @@ def bundle_names(specimens: Iterable[str]) -> dict[str, str]:
     ----------
     specimens : iterable of str
         Distinct names.
+    stem, suffix : str
+        What the files begin and end with.
     """
     specimens = list(specimens)
     plain = {specimen: safe_name(specimen) for specimen in specimens}
@@ -63,7 +70,8 @@ def bundle_names(specimens: Iterable[str]) -> dict[str, str]:
     names = {}
     for specimen, name in plain.items():
         mark = hashlib.sha256(specimen.encode("utf-8")).hexdigest()[:8]
-        names[specimen] = f"bundle-{name}.h5" if met[_folded(name)] == 1 else f"bundle-{name}-{mark}.h5"
+        own = name if met[_folded(name)] == 1 else f"{name}-{mark}"
+        names[specimen] = f"{stem}-{own}{suffix}"
     return names
 
 

@@ -64,6 +64,19 @@ class StoredPosterior:
     chain: FloatArray
     bands: Mapping[tuple[str, str | None], FloatArray] = field(default_factory=dict)
 
+    def to_arviz(self) -> Any:
+        """The draws as arviz knows them; see :func:`tissueid.exchange.arviz_data`."""
+        from tissueid.exchange import arviz_data
+
+        return arviz_data(
+            theta_names=self.theta_names,
+            draws=self.draws,
+            draws_total=self.draws_total,
+            chain_names=self.chain_names,
+            chain=self.chain,
+            attributes={"specimen": self.specimen},
+        )
+
 
 def posteriors_of_fits(fits: Iterable[SpecimenFit]) -> tuple[StoredPosterior, ...]:
     """Collect the posteriors of the fits that have one, in their order."""

@@ -1,0 +1,116 @@
+"""Posterior draws as arviz knows them, for plots and comparisons that tissueid does not make.
+
+Two groups of one data set a specimen::
+
+    posterior                theta of the contact model, one chain of thinned draws; every draw is passive.
+                             ``<name>_total``: with the calibration nuisances
+    unconstrained_posterior  the coordinates that were sampled, each walker a chain, after burn-in, thinned
+
+arviz before 1.0 gets its ``InferenceData``, later ones the ``DataTree`` of xarray.  Both come with the extra
+``tissueid[arviz]`` and are imported only here.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.errors import UsageError
+
+__all__ = ["arviz_data", "netcdf_bytes"]
+
+FloatArray = NDArray[np.float64]
+
+
+def arviz_data(
+    *,
+    theta_names: Sequence[str],
+    draws: FloatArray,
+    draws_total: FloatArray | None,
+    chain_names: Sequence[str],
+    chain: FloatArray,
+    attributes: Mapping[str, Any] | None = None,
+) -> Any:
+    """Put draws into the data structure of the arviz that is installed.
+
+    Parameters
+    ----------
+    theta_names : sequence of str
+        With their units, as ``static_1_N_per_mm``.
+    draws : ndarray, shape (n, p)
+    draws_total : ndarray, shape (n, p), or None
+    chain_names : sequence of str
+    chain : ndarray, shape (chains, draws, d)
+    attributes : mapping, optional
+        Text or numbers that are kept with each group, as the specimen.
+
+    Returns
+    -------
+    arviz.InferenceData or xarray.DataTree
+        Both have ``to_netcdf``.
+
+    Raises
+    ------
+    UsageError
+        arviz is not installed.
+    """
+    arviz, xarray = _libraries()
+    theta = dict(zip(theta_names, draws.T[:, None], strict=True))
+    if draws_total is not None:
+        totals = [f"{name}_total" for name in theta_names]
+        theta |= dict(zip(totals, draws_total.T[:, None], strict=True))
+    sampled = dict(zip(chain_names, chain.transpose(2, 0, 1), strict=True))
+    groups = {
+        "posterior": _data_set(xarray, theta, attributes),
+        "unconstrained_posterior": _data_set(xarray, sampled, attributes),
+    }
+    if int(arviz.__version__.split(".")[0]) < 1:
+        return arviz.InferenceData(**groups)
+    return xarray.DataTree.from_dict(groups)
+
+
+def netcdf_bytes(data: Any) -> bytes:
+    """The bytes of a NetCDF file of what :func:`arviz_data` made.
+
+    Raises
+    ------
+    UsageError
+        No library that writes NetCDF is installed.
+    """
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "draws.nc"
+        try:
+            data.to_netcdf(str(path))
+        except (ImportError, ValueError) as error:
+            msg = f"no NetCDF can be written ({error}); install a library for it by `pip install h5netcdf`"
+            raise UsageError(msg) from error
+        return path.read_bytes()
+
+
+def _libraries() -> tuple[Any, Any]:
+    try:
+        with warnings.catch_warnings():
+            # arviz 0.2x announces its next major version at every import
+            warnings.simplefilter("ignore", FutureWarning)
+            import arviz
+            import xarray
+    except ImportError as error:
+        msg = f"arviz can't be imported ({error}); install it by `pip install 'tissueid[arviz]'`"
+        raise UsageError(msg) from error
+    return arviz, xarray
+
+
+def _data_set(xarray: Any, variables: Mapping[str, FloatArray], attributes: Mapping[str, Any] | None) -> Any:
+    """Variables of shape (chains, draws) side by side, as arviz names their dimensions."""
+    chains, draws = next(iter(variables.values())).shape
+    return xarray.Dataset(
+        {name: (("chain", "draw"), values) for name, values in variables.items()},
+        coords={"chain": np.arange(chains), "draw": np.arange(draws)},
+        attrs={"inference_library": "tissueid", **(attributes or {})},
+    )
