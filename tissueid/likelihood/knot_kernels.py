@@ -1,13 +1,14 @@
 """Compiled passes over knots: the sums of a log on them, the instrument's force at them, normal equations.
 
-A tissue with coefficients theta stands behind a frame of compliance c, so that its depth is ``w = x - c F`` with
-F its own force: F is the root of a scalar equation at every knot.  The load channel answers with a first-order
-low-pass and a delay.  Between knots the tool moves linearly, for which the branch states are exact; the
-force is then a cubic (Hermite) in time, and the low-pass is exact for a rate of force that is linear.
-"""
+A tissue with coefficients theta stands behind a frame of compliance c, so that its depth is ``w = x - c F``
+with F its own force: F is the root of a scalar equation at every knot.  The load channel answers with a
+first-order low-pass and a delay.  Between knots the tool moves linearly, for which the branch states are
+exact; the force is then a cubic (Hermite) in time, and the low-pass is exact for a rate of force that is
+linear."""
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numba as nb
@@ -418,8 +419,8 @@ def _effect_count(data: Packed) -> int:
 def _lag(lag: float, start: float, end: float, span: float, elapsed: float, filter_s: float) -> float:
     """How far the low-pass is behind, for a rate of force that goes from ``start`` to ``end`` over a span."""
     ratio = elapsed / filter_s
-    keep = np.exp(-ratio)
-    lost = filter_s * -np.expm1(-ratio)
+    keep = math.exp(-ratio)
+    lost = -filter_s * math.expm1(-ratio)
     bend = (end - start) / span
     return keep * lag + start * lost + bend * filter_s * (elapsed - lost)
 

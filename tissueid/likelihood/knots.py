@@ -1,8 +1,8 @@
 """A log on a hundred knots: what the likelihood needs to know of any smooth change of the model.
 
-At the optimum a log leaves a residual e.  Another model differs from the optimum by a function of time that is
-smooth between corners of the motion; on knots that are dense after each corner it is a sum of hat functions
-H with the difference d at the knots as weights, and the sum of squares is
+At the optimum a log leaves a residual e.  Another model differs from the optimum by a function of time that
+is smooth between corners of the motion; on knots that are dense after each corner it is a sum of hat
+functions H with the difference d at the knots as weights, and the sum of squares is
 
     (e - H d)'R^-1 (e - H d) = e'R^-1 e - 2 d'H'R^-1 e + d'H'R^-1 H d.
 
@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,7 +112,7 @@ def choose_knots(time_s: FloatArray, depth_mm: FloatArray) -> IntArray:
     corners = _corners(time_s, depth_mm)
     moves = MOVES * float(np.ptp(depth_mm))
     wanted = [time_s[corners]]
-    for low, high in zip(corners[:-1], corners[1:], strict=True):
+    for low, high in pairwise(corners.tolist()):
         start, end = time_s[low], time_s[high]
         span = end - start
         count = MOVING if abs(depth_mm[high] - depth_mm[low]) > moves else STANDING

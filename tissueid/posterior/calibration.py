@@ -1,8 +1,9 @@
 """The total posterior: tissue and instrument together, what the instrument is being known by its priors only.
 
-Skew, filter and frame compliance bend the force in ways that relaxation imitates, by more than the noise: the
-posterior of the tissue is taken over all of them (:mod:`tissueid.posterior.instrument`).  The gains of the force
-and displacement channels are exact changes of scale: drawn from their priors, they are divided out of each draw,
+Skew, filter and frame compliance bend the force in ways that relaxation imitates, by more than the noise:
+the posterior of the tissue is taken over all of them (:mod:`tissueid.posterior.instrument`).  The gains of
+the force and displacement channels are exact changes of scale: drawn from their priors, they are divided
+out of each draw,
 
     a_k = a_k' g_x^k / g_f,   b_k = b_k' g_x^(k+1) / g_f,   c = c' g_f / g_x,
 
@@ -31,7 +32,7 @@ from tissueid.posterior.specimen_target import Facts
 from tissueid.priors import CalibrationPrior, Priors
 from tissueid.uncertainty import PriorRow, SamplerReport
 
-__all__ = ["NUISANCES", "TotalPosterior", "total_posterior"]
+__all__ = ["NUISANCES", "TotalPosterior", "field_units", "total_posterior", "truncated_moments"]
 
 FloatArray = NDArray[np.float64]
 
@@ -41,6 +42,8 @@ NUISANCES = ("force_gain", "displacement_gain", *INSTRUMENT_NAMES)
 MAX_WORKERS = 2
 #: Points a thread takes at a time.
 BATCH = 25
+#: A spread of the gains below this is none.
+SMALLEST_GAIN_SD = 1e-4
 #: Draws the weights should be worth; a bound of a 95 % interval is then known to 0.07 sd.
 WORTH = 1_000.0
 
@@ -149,7 +152,7 @@ class _Gains:
     branches: int
 
     def powers(self) -> FloatArray:
-        """ln of the factor of every coefficient of theta, shape (n, p)."""
+        """Logarithm of the factor of every coefficient of theta, shape (n, p)."""
         force, displacement = np.log(self.force)[:, None], np.log(self.displacement)[:, None]
         static = np.arange(1.0, self.static + 1)
         branch = np.tile(np.arange(1.0, self.size + 1), self.branches)
@@ -183,7 +186,7 @@ def _scaled(
     return scaled, compliance, more
 
 
-def _field_units(behind: Behind, theta: FloatArray, log_tau: FloatArray) -> FloatArray:
+def field_units(behind: Behind, theta: FloatArray, log_tau: FloatArray) -> FloatArray:
     """Coefficients by powers of u and ln tau -> theta of the contact model, shape (n, p)."""
     scale, size, static = behind.optimum.scale, behind.optimum.degree + 1, behind.optimum.static
     out = np.zeros((theta.shape[0], STATIC_DEGREE + behind.branches * behind.model.block))
@@ -252,7 +255,7 @@ def total_posterior(
     data = packed(knots, optimum, effects)
     count = sum(one.count for one in knots)
     behind = instrument_mode(
-        data, optimum, facts, model, priors, effects, count=count, gain_sd=max(gain_sd, 1e-4)
+        data, optimum, facts, model, priors, effects, count=count, gain_sd=max(gain_sd, SMALLEST_GAIN_SD)
     )
     free = behind.free
     covariance = _laplace(behind)[np.ix_(free, free)]
@@ -285,7 +288,7 @@ def total_posterior(
     nuisances = np.column_stack([gains.force, gains.displacement, instrument])[picks]
     worth = 1.0 / float((weights**2).sum())
     return TotalPosterior(
-        theta=_field_units(behind, theta, points[:, : behind.branches])[picks],
+        theta=field_units(behind, theta, points[:, : behind.branches])[picks],
         nuisances=nuisances,
         names=NUISANCES,
         sampler=SamplerReport(

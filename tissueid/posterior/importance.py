@@ -1,10 +1,9 @@
 """Adaptive importance sampling of a few coordinates, some of them cut from below.
 
-Proposals are multivariate t, folded at the cuts, so that none is lost there; after each round mean
-and covariance follow the weighted draws, and all rounds count together with the density of their mixture
-(Cornuet et al. 2012, doi 10.1111/j.1467-9469.2011.00756.x).  Whether the weights can be trusted is told by the
-shape of their tail (Vehtari et al. 2024, Pareto-smoothed importance sampling): below 0.7 they can.
-"""
+Proposals are multivariate t, folded at the cuts, so that none is lost there; after each round mean and
+covariance follow the weighted draws, and all rounds count together with the density of their mixture
+(Cornuet et al. 2012, doi 10.1111/j.1467-9469.2011.00756.x).  Whether the weights can be trusted is told by
+the shape of their tail (Vehtari et al. 2024, Pareto-smoothed importance sampling): below 0.7 they can."""
 
 from __future__ import annotations
 
@@ -99,7 +98,9 @@ def _factor(covariance: FloatArray) -> FloatArray:
 
 
 def tail_shape(excess: FloatArray) -> tuple[float, float]:
-    """Shape and scale of a generalised Pareto distribution (Zhang & Stephens 2009, doi 10.1198/tech.2009.08017).
+    """Shape and scale of a generalised Pareto distribution.
+
+    Zhang & Stephens 2009, doi 10.1198/tech.2009.08017.
 
     Parameters
     ----------
