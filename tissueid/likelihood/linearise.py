@@ -2,8 +2,8 @@
 
 The gains and contact offsets of the logs enter the force as products with the tissue's coefficients.  At
 the joint optimum each becomes one more column per log, its derivative there; the tissue's columns keep
-their full dependence on the relaxation times, interpolated between Chebyshev nodes in ln tau that cover
-the posterior.  Columns of logs with the same tissue are then added up once for all.
+their full dependence on the relaxation times, as states at a few of them that span the posterior.
+Columns of logs with the same tissue are then added up once for all.
 """
 
 from __future__ import annotations
@@ -13,13 +13,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import qr
 
 from tissueid.likelihood import partial
 from tissueid.likelihood.basis import KernelBasis
 from tissueid.likelihood.lag_sums import LagSums
 from tissueid.likelihood.sums import N_STATIC
 
-__all__ = ["Columns", "Optimum", "centre", "chebyshev_nodes", "linear_columns"]
+__all__ = ["Columns", "Optimum", "TauNodes", "centre", "linear_columns", "tau_nodes"]
 
 FloatArray = NDArray[np.float64]
 
@@ -114,10 +115,31 @@ def centre(basis: KernelBasis, columns_degree: int, optimum: Optimum, log: int) 
     return out
 
 
-def chebyshev_nodes(
-    low: float, high: float, time_s: FloatArray, *, at_least: int = 0
-) -> tuple[FloatArray, FloatArray]:
-    """Nodes in ln tau between which exp(-t/tau) is interpolated to :data:`INTERPOLATION`.
+@dataclass(frozen=True, slots=True, eq=False)
+class TauNodes:
+    """How states of any relaxation time in a range are made of few.
+
+    A state is interpolated between Chebyshev nodes in ln tau, and the states there are combinations of those
+    at a third of them: exponentials of near relaxation times are nearly dependent.
+
+    Attributes
+    ----------
+    log_tau : ndarray, shape (r,)
+        The few ln(tau / s) whose states are summed.
+    nodes, barycentric : ndarray, shape (q,)
+        Chebyshev nodes and their barycentric weights.
+    mixing : ndarray, shape (r, q)
+        State at node k = sum over the few of ``mixing[:, k]``.
+    """
+
+    log_tau: FloatArray
+    nodes: FloatArray
+    barycentric: FloatArray
+    mixing: FloatArray
+
+
+def tau_nodes(low: float, high: float, time_s: FloatArray, *, shape: tuple[int, int] = (0, 0)) -> TauNodes:
+    """Nodes for ln tau in a range, so that exp(-t/tau) is known to :data:`INTERPOLATION`.
 
     Parameters
     ----------
@@ -125,18 +147,13 @@ def chebyshev_nodes(
         Range of ln(tau / s).
     time_s : ndarray, shape (n,)
         Times at which the error is looked at [s].
-    at_least : int
-        Fewest nodes.
-
-    Returns
-    -------
-    nodes, weights : ndarray, shape (r,)
-        Nodes and their barycentric weights.
+    shape : tuple of int
+        Fewest (r, q).
     """
     between = np.linspace(low, high, 61)[1:-1]
     exact = np.exp(-time_s[:, None] / np.exp(between))
     for count in NODE_COUNTS:
-        if count < at_least:
+        if count < shape[1]:
             continue
         angle = np.pi * (2.0 * np.arange(count) + 1.0) / (2.0 * count)
         nodes = 0.5 * (low + high) - 0.5 * (high - low) * np.cos(angle)
@@ -144,10 +161,15 @@ def chebyshev_nodes(
         distance = between - nodes[:, None]
         terms = weights[:, None] / np.where(distance == 0.0, 1e-12, distance)
         terms /= terms.sum(axis=0)
-        error = np.abs(np.exp(-time_s[:, None] / np.exp(nodes)) @ terms - exact).max()
-        if error <= INTERPOLATION:
+        at_nodes = np.exp(-time_s[:, None] / np.exp(nodes))
+        if np.abs(at_nodes @ terms - exact).max() <= INTERPOLATION:
             break
-    return nodes, weights
+    _, r, pivots = qr(at_nodes, mode="economic", pivoting=True, check_finite=False)
+    size = np.abs(np.diag(r))
+    rank = min(max(int((size > INTERPOLATION * size[0]).sum()), shape[0]), count)
+    few = np.sort(pivots[:rank])
+    mixing = np.linalg.lstsq(at_nodes[:, few], at_nodes, rcond=None)[0]
+    return TauNodes(log_tau=nodes[few], nodes=nodes, barycentric=weights, mixing=mixing)
 
 
 def _shared_columns(
@@ -237,7 +259,7 @@ def linear_columns(
     optimum : Optimum
         Where the specimen is linearised.
     nodes : ndarray, shape (branches, r)
-        Nodes of ln tau.
+        ln tau whose states are summed (:attr:`TauNodes.log_tau`).
     effects : tuple of str
         Of every log, some of ``gain`` and ``offset``, or ``static``.
     centred : Optimum

@@ -53,8 +53,10 @@ class Linearised(NamedTuple):
         Samples.
     best, best_tau : ndarray, shape (p,) and (branches,)
         Optimum, and its ln tau.
-    nodes, barycentric : ndarray, shape (branches, r)
+    nodes, barycentric : ndarray, shape (branches, q)
         Nodes of ln tau and their barycentric weights.
+    mixing : ndarray, shape (branches, r, q)
+        States at the nodes by those that are summed (:class:`tissueid.likelihood.linearise.TauNodes`).
     prior_mean : ndarray, shape (p,)
     prior_precision : ndarray, shape (p, p)
         A weak branch's block is given for a largest state of 1 mm.
@@ -86,6 +88,7 @@ class Linearised(NamedTuple):
     best_tau: FloatArray
     nodes: FloatArray
     barycentric: FloatArray
+    mixing: FloatArray
     prior_mean: FloatArray
     prior_precision: FloatArray
     weak: NDArray[np.bool_]
@@ -137,15 +140,15 @@ def _columns(data: Linearised, log_tau: FloatArray) -> tuple[FloatArray, FloatAr
     size of the noise, and no digits are lost between large numbers.
     """
     size = data.degree + 1
-    r = data.nodes.shape[1]
+    r = data.mixing.shape[1]
     p = data.best.size
     weights = np.zeros((data.shared.shape[1], p + 1))
     reference = data.best.copy()
     for k in range(data.static):
         weights[k, k] = 1.0
     for j in range(data.branches):
-        here = _interpolation(log_tau[j], data.nodes[j], data.barycentric[j])
-        there = _interpolation(data.best_tau[j], data.nodes[j], data.barycentric[j])
+        here = data.mixing[j] @ _interpolation(log_tau[j], data.nodes[j], data.barycentric[j])
+        there = data.mixing[j] @ _interpolation(data.best_tau[j], data.nodes[j], data.barycentric[j])
         shrink = np.exp(data.best_tau[j] - log_tau[j])
         for q in range(size):
             at = data.static + j * size + q

@@ -17,7 +17,7 @@ from scipy.optimize import minimize
 
 from tissueid.likelihood.basis import KernelBasis
 from tissueid.likelihood.lag_sums import LagSums
-from tissueid.likelihood.linearise import Columns, Optimum, chebyshev_nodes, linear_columns
+from tissueid.likelihood.linearise import Columns, Optimum, TauNodes, linear_columns, tau_nodes
 from tissueid.likelihood.marginal import Linearised, conditionals, draw_effects, log_marginals
 from tissueid.likelihood.passive_normal import draw_passive, log_passive_mass
 from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
@@ -286,9 +286,10 @@ def specimen_target(
                 for tau, width in zip(optimum.log_tau, half, strict=True)
             ]
         ).reshape(-1, 2)
-        nodes, weights = _nodes(ends, facts)
-        columns = linear_columns(logs, basis, optimum, nodes, effects, centred=centred)
-        built = _built(columns, nodes, weights, optimum, facts, priors, effects, correlated=correlated)
+        nodes = _nodes(ends, facts)
+        few = np.array([one.log_tau for one in nodes]).reshape(len(nodes), -1)
+        columns = linear_columns(logs, basis, optimum, few, effects, centred=centred)
+        built = _built(columns, nodes, optimum, facts, priors, effects, correlated=correlated)
         target = _with_mode(built, start, start_sd)
         short = _too_short(target, ends)
         if not short.any():
@@ -303,20 +304,27 @@ def _effects(pooling: str, facts: Facts) -> tuple[str, ...]:
     return ("gain", *offset) if pooling == "partial" else offset
 
 
-def _nodes(ends: FloatArray, facts: Facts) -> tuple[FloatArray, FloatArray]:
-    """Nodes of ln tau and barycentric weights for every branch, as many in each; shapes (branches, r)."""
+def _nodes(ends: FloatArray, facts: Facts) -> list[TauNodes]:
+    """Nodes of ln tau for every branch, as many in each."""
     step, longest = math.exp(facts.log_tau_bounds[0]), math.exp(facts.log_tau_bounds[1])
     time = np.concatenate([[0.0], np.geomspace(step, longest, 120)])
-    most = max((chebyshev_nodes(first, last, time)[0].size for first, last in ends), default=0)
-    found = np.array([chebyshev_nodes(first, last, time, at_least=most) for first, last in ends])
-    found = found.reshape(len(ends), 2, most)
-    return np.ascontiguousarray(found[:, 0]), np.ascontiguousarray(found[:, 1])
+    found = [tau_nodes(first, last, time) for first, last in ends]
+    shape = max((one.mixing.shape[1] for one in found), default=0)
+    found = [tau_nodes(first, last, time, shape=(0, shape)) for first, last in ends]
+    most = max((one.log_tau.size for one in found), default=0)
+    return [tau_nodes(first, last, time, shape=(most, shape)) for first, last in ends]
+
+
+def _stacked(nodes: Sequence[TauNodes]) -> FloatArray:
+    """Mixing matrices of all branches, shape (branches, r, q)."""
+    if not nodes:
+        return np.zeros((0, 0, 0))
+    return np.ascontiguousarray(np.stack([one.mixing for one in nodes]))
 
 
 def _built(
     columns: Columns,
-    nodes: FloatArray,
-    weights: FloatArray,
+    nodes: Sequence[TauNodes],
     optimum: Optimum,
     facts: Facts,
     priors: Priors,
@@ -325,7 +333,8 @@ def _built(
     correlated: bool,
 ) -> SpecimenTarget:
     """The target in given columns, its mode not yet found."""
-    model = KelvinVoigt(branches=optimum.branches, stiffness_degree=optimum.degree, depth_mm=optimum.scale)
+    branches = optimum.branches
+    model = KelvinVoigt(branches=branches, stiffness_degree=optimum.degree, depth_mm=optimum.scale)
     mean, precision, weak = linear_prior(priors, model, optimum, facts)
     blocks = np.array(
         [STATIC_DEGREE] * bool(optimum.static) + [optimum.degree + 1] * optimum.branches, dtype=np.int64
@@ -343,8 +352,9 @@ def _built(
         count=float(columns.count),
         best=np.ascontiguousarray(optimum.theta),
         best_tau=np.ascontiguousarray(optimum.log_tau),
-        nodes=nodes,
-        barycentric=weights,
+        nodes=np.array([one.nodes for one in nodes]).reshape(branches, -1),
+        barycentric=np.array([one.barycentric for one in nodes]).reshape(branches, -1),
+        mixing=_stacked(nodes),
         prior_mean=mean,
         prior_precision=precision,
         weak=weak,
