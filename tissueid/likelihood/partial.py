@@ -247,6 +247,7 @@ def solve(
         expected = c - 2.0 * np.sum(bp * new_theta) + np.sum(new_theta * (hp @ new_theta))
         if np.isfinite(value) and value - expected <= EXHAUSTED * value:
             # what is left to gain is rounding, which a line search would chase in vain
+            generators, weights = new_generators, new_weights
             break
         new_gamma = np.zeros(logs)
         new_delta = np.zeros(logs)
