@@ -23,6 +23,7 @@ __all__ = ["cli", "main"]
 COMMANDS = {
     "fit": "Identify the tissue behind recordings: bundle, numbers, report.",
     "study": "Write, check, correct and publish the study file.",
+    "calibrate": "Check whether intervals hold what they claim, for your protocol.",
     "calibrate-frame": "Measure how far machine and fixture give.",
     "inspect": "Say what a recording holds and how it was read.",
     "report": "Write the HTML report of a finished fit again.",

@@ -33,6 +33,7 @@ SCHEMA_NAMES = (
     "inspect",
     "outputs",
     "quantities",
+    "selfcheck",
     "study",
     "study-check",
     "watch",

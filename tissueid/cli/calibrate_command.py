@@ -1,0 +1,208 @@
+"""``tissueid calibrate``."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from tissueid.cli.calibrate_source import found_source
+from tissueid.cli.output import echo_json, note, output_options, progress_bar
+from tissueid.errors import UsageError
+
+if TYPE_CHECKING:
+    from tissueid.selfcheck.protocol import Centre, Protocol
+    from tissueid.selfcheck.tissue import TissueCheck
+    from tissueid.selfcheck.verdicts import Verdict
+
+__all__ = ["command"]
+
+EPILOG = """\b
+Examples:
+  tissueid calibrate paper-a-30-k1 --rate 100
+  tissueid calibrate lab_data/study.toml -o calibration --simulations 500
+  tissueid calibrate out/bundle.h5 --interval total --workers 4
+  tissueid calibrate my_recipe.toml --noise ar1 --phi 0.95
+"""
+
+#: Exit code where the intervals do not hold what they claim.
+EXIT_NOT_CALIBRATED = 4
+#: Below so many simulations even gross errors stay within the bands.
+FEWEST = 20
+_FILES = ("calibrate.json", "calibrate.html", "calibrate.jsonl")
+
+
+@click.command("calibrate", epilog=EPILOG)
+@click.argument("source", type=click.Path())
+@click.option(
+    "-o", "--out", type=click.Path(file_okay=False), default="tissueid-calibration", show_default=True,
+    help="Folder for calibrate.json, calibrate.html and calibrate.jsonl; a second call goes on there.",
+)  # fmt: skip
+@click.option(
+    "--simulations", type=click.IntRange(min=FEWEST), default=200, show_default=True, metavar="N",
+    help="How many truths are drawn, recorded and inferred.",
+)  # fmt: skip
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of everything random."
+)
+@click.option(
+    "--workers",
+    type=click.IntRange(min=1),
+    default=1,
+    show_default=True,
+    help="Processes; results do not depend on them.",
+)
+@click.option("--specimen", metavar="NAME", help="Which specimen of a study, where it has several.")
+@click.option(
+    "--interval", type=click.Choice(["statistical", "total"]), default="statistical", show_default=True,
+    help="total draws calibration defects from their priors and checks the intervals that know these.",
+)  # fmt: skip
+@click.option(
+    "--noise", type=click.Choice(["auto", "white", "ar1"]), default="auto", show_default=True,
+    help="Noise of the recordings; auto takes the recipe's, or that of the fit.",
+)  # fmt: skip
+@click.option(
+    "--phi", type=click.FloatRange(0.0, 1.0, min_open=True, max_open=True), metavar="PHI",
+    help="Correlation of neighbouring samples in the middle of its prior, with --noise ar1.",
+)  # fmt: skip
+@click.option("--rate", type=float, metavar="HZ", help="Sampling rate of a recipe, where not its own.")
+@click.option(
+    "--sampler", type=click.Choice(["exact", "emcee"]), default="exact", show_default=True,
+    help="Which sampler is checked.",
+)  # fmt: skip
+@output_options
+def command(**flags: Any) -> int:
+    """Check whether the intervals hold what they claim, for your own protocol.
+
+    SOURCE is a study.toml or a folder of recordings (their own measured displacement is used), a bundle of
+    a fit, or a recipe of tissueid synth. Tissues are drawn from proper priors around the one that was found,
+    recorded with noise on the protocol's samples, and inferred again as fit does it; the ranks of the truths
+    and the coverage of 50, 80, 90 and 95 % intervals are judged within family-wise 99 % bands. Exit code 4
+    where they leave these. A killed run goes on where it was.
+    """
+    from tissueid.report.selfcheck_page import render_selfcheck
+    from tissueid.selfcheck.document import Asked, check_document
+    from tissueid.selfcheck.records import Checkpoint, fingerprint
+    from tissueid.selfcheck.run import run_simulations
+    from tissueid.selfcheck.tissue import described, tissue_check
+    from tissueid.store.files import json_bytes, plain_json, write_file
+    from tissueid.store.schema import check as check_schema
+
+    quiet: int = flags["quiet"]
+    if flags["phi"] is not None and flags["noise"] != "ar1":
+        msg = "--phi is the correlation of --noise ar1: give both, or neither"
+        raise UsageError(msg)
+    _note_first_run(quiet)
+    with progress_bar(show=not quiet) as progress:
+        found = found_source(flags, progress)
+        check = tissue_check(
+            found.protocol,
+            _with_noise(found.centre, flags),
+            stated=found.stated,
+            defects=flags["interval"] == "total",
+            sampler=flags["sampler"],
+        )
+        out = _folder(flags["out"])
+        digest = fingerprint({"check": described(check), "seed": flags["seed"]})
+        with Checkpoint(out / _FILES[2], digest) as checkpoint:
+            records = run_simulations(
+                check,
+                checkpoint,
+                simulations=flags["simulations"],
+                seed=flags["seed"],
+                workers=flags["workers"],
+                progress=progress,
+            )
+    asked = Asked(found.kind, flags["source"], found.specimen, flags["simulations"], flags["seed"])
+    written, verdict = check_document(asked, found.protocol, check, records)
+    document: dict[str, Any] = plain_json(written)
+    check_schema(document, "selfcheck", where=_FILES[0])
+    created = datetime.now(UTC).isoformat(timespec="seconds")
+    write_file(out / _FILES[0], json_bytes(document))
+    write_file(out / _FILES[1], render_selfcheck(document, created=created).encode("utf-8"))
+    if flags["as_json"]:
+        echo_json(document)
+    elif not quiet:
+        _print(check, found.protocol, verdict, flags["out"])
+    for reason in verdict.reasons:
+        note(f"not calibrated: {reason}", quiet=quiet)
+    return 0 if verdict.calibrated else EXIT_NOT_CALIBRATED
+
+
+def _note_first_run(quiet: int) -> None:
+    from tissueid.fit.compiled import kernels_to_compile
+
+    missing = kernels_to_compile()
+    if missing:
+        note(f"First run: compiling {len(missing)} kernels, about half a minute", quiet=quiet)
+
+
+def _folder(name: str) -> Path:
+    """The output folder, made where it is missing; files of these names that no check made are refused."""
+    out = Path(name)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        msg = f"{name}: can't be made ({error.strerror}); choose another folder with -o"
+        raise UsageError(msg) from error
+    foreign = [file for file in _FILES[:2] if (out / file).exists()]
+    if foreign and not (out / _FILES[2]).exists():
+        msg = (
+            f"{name} holds {', '.join(foreign)} without the {_FILES[2]} they come from: choose another "
+            "folder with -o, or move them away"
+        )
+        raise UsageError(msg)
+    return out
+
+
+def _with_noise(centre: Centre, flags: dict[str, Any]) -> Centre:
+    """The noise the user asked for, or that of the source."""
+    from dataclasses import replace
+
+    if flags["noise"] == "auto":
+        return centre
+    if flags["noise"] == "white":
+        return replace(centre, phi=0.0, white_share=0.0)
+    phi = flags["phi"] or centre.phi
+    if phi == 0.0:
+        msg = "--noise ar1 needs its correlation here: add --phi, as --phi 0.9"
+        raise UsageError(msg)
+    return replace(centre, phi=phi, white_share=0.0)
+
+
+def _print(check: TissueCheck, protocol: Protocol, verdict: Verdict, out: str) -> None:
+    from rich.console import Console
+
+    from tissueid.selfcheck.truth import prior_words
+
+    console = Console(highlight=False, soft_wrap=True)
+    console.print(
+        f"{protocol.words}: {len(protocol.logs)} log{'s' * (len(protocol.logs) > 1)}, "
+        f"{protocol.samples:,} samples; {check.noise_model} noise; {verdict.simulations} simulations",
+        markup=False,
+    )
+    words = prior_words(
+        check.priors, correlated=check.correlated, pooling=check.pooling, defects=check.defects
+    )
+    console.print("\npriors", markup=False)
+    for name, said in words.items():
+        console.print(f"  {name}: {said}", markup=False)
+    width = max(len(one.name) for one in verdict.parameters)
+    levels = "".join(f"{100 * row.level:>7g} %" for row in verdict.parameters[0].coverage)
+    console.print(f"\n{'coverage of':<{width}}{levels}   mean z   spread", markup=False)
+    for one in verdict.parameters:
+        shares = "".join(f"{100 * row.fraction:>9.1f}" for row in one.coverage)
+        mark = "" if one.calibrated else "   outside its band"
+        console.print(
+            f"{one.name:<{width}}{shares}{one.mean_z:>9.2f}{one.spread_ratio:>9.2f}{mark}", markup=False
+        )
+    bands = "".join(
+        f"{100 * row.low / row.simulations:>4.0f}-{100 * row.high / row.simulations:<4.0f}"
+        for row in verdict.parameters[0].coverage
+    )
+    console.print(f"{'band':<{width}}{bands}", markup=False)
+    console.print(
+        f"\n{'calibrated' if verdict.calibrated else 'NOT calibrated'}: {out}/{_FILES[1]}", markup=False
+    )

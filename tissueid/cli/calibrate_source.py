@@ -1,0 +1,180 @@
+"""What ``tissueid calibrate`` was pointed at: a recipe, a study or recordings, or a bundle."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tissueid.cli.output import note
+from tissueid.cli.reading import read_all, read_in_order, read_options
+from tissueid.errors import UsageError
+
+if TYPE_CHECKING:
+    from tissueid.priors import Priors
+    from tissueid.result import Refusal
+    from tissueid.selfcheck.protocol import Centre, Protocol
+    from tissueid.store.bundle import Bundle
+
+__all__ = ["Found", "found_source"]
+
+_Progress = Callable[[str, int, int], None]
+_BUNDLE_SUFFIXES = (".h5", ".hdf5")
+#: No test machine logs faster.
+HIGHEST_RATE_HZ = 1e5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """What is checked.
+
+    Attributes
+    ----------
+    kind : str
+        ``recipe``, ``study`` or ``bundle``.
+    specimen : str
+    protocol : Protocol
+    centre : Centre
+    stated : Priors or None
+        Of a study.
+    """
+
+    kind: str
+    specimen: str
+    protocol: Protocol
+    centre: Centre
+    stated: Priors | None = None
+
+
+def found_source(flags: Mapping[str, Any], progress: _Progress) -> Found:
+    """Look at the source the user named.
+
+    Raises
+    ------
+    UsageError
+        It is none, or an option does not go with it.
+    InputError, BundleError
+        It can't be used.
+    """
+    from tissueid.synth import RECIPES
+
+    named: str = flags["source"]
+    if named in RECIPES or _is_recipe(Path(named)):
+        return _recipe(named, flags)
+    if flags["rate"] is not None:
+        msg = "--rate is for recipes: recordings and bundles have their own"
+        raise UsageError(msg)
+    if not Path(named).exists() and "::" not in named:
+        msg = f"{named}: no such file, folder or recipe; recipes are {', '.join(sorted(RECIPES))}"
+        raise UsageError(msg)
+    bundle = _bundle_file(Path(named))
+    if bundle is not None:
+        return _bundle(bundle, flags, progress)
+    return _recordings(named, flags, progress)
+
+
+def _is_recipe(path: Path) -> bool:
+    """A TOML file that speaks of logs, and not of a study."""
+    import tomllib
+
+    if path.suffix != ".toml" or not path.is_file():
+        return False
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError):
+        # the reader of studies says what is wrong with it
+        return False
+    return "logs" in table and "schema" not in table
+
+
+def _recipe(named: str, flags: Mapping[str, Any]) -> Found:
+    from tissueid.selfcheck.protocol import of_recipe
+    from tissueid.synth import RECIPES, load_recipe, recipe
+
+    rate = flags["rate"]
+    if rate is not None and not 0.0 < rate <= HIGHEST_RATE_HZ:
+        msg = f"--rate is {rate}, must be above 0 and at most {HIGHEST_RATE_HZ:g} Hz"
+        raise UsageError(msg)
+    plan = recipe(named) if named in RECIPES else load_recipe(named)
+    protocol, centre = of_recipe(plan, rate_Hz=rate)
+    return Found("recipe", plan.specimen, protocol, centre)
+
+
+def _bundle_file(path: Path) -> Path | None:
+    """The bundle a path means: itself, or the only one of an output folder."""
+    if path.is_file():
+        return path if path.suffix in _BUNDLE_SUFFIXES else None
+    if not (path / "identification.json").is_file():
+        return None
+    bundles = sorted(path.glob("bundle*.h5"))
+    if len(bundles) != 1:
+        names = ", ".join(str(one) for one in bundles)
+        msg = (
+            f"{path} is the output of a fit with {len(bundles)} bundles: name one of them "
+            f"({names or 'none there'})"
+        )
+        raise UsageError(msg)
+    return bundles[0]
+
+
+def _bundle(path: Path, flags: Mapping[str, Any], progress: _Progress) -> Found:
+    from dataclasses import replace
+
+    from tissueid.selfcheck.protocol import of_bundle
+    from tissueid.selfcheck.recorded import inputs_there
+    from tissueid.store.bundle import load_bundle
+
+    bundle = load_bundle(path)
+    program, centre = of_bundle(bundle, where=str(path))
+    measured = _measured(bundle, progress) if inputs_there(bundle) else None
+    if measured is None:
+        note(f"note: {program.words}", quiet=flags["quiet"])
+        return Found("bundle", bundle.specimen, program, centre)
+    one = len(measured.logs) == 1 and centre.pooling == "partial"
+    centre = replace(centre, pooling="shared" if one else bundle.model.static_pooling)
+    return Found("bundle", bundle.specimen, measured, centre)
+
+
+def _measured(bundle: Bundle, progress: _Progress) -> Protocol | None:
+    """The measured x(t) behind a bundle, read as it was read then."""
+    from tissueid.errors import InputError
+    from tissueid.selfcheck.recorded import inputs_there, of_bundle_inputs
+    from tissueid.study.recordings import locate_study, read_decided_one
+
+    reading = read_options(bundle.provenance.get("reading", {}))
+    manifest = bundle.provenance.get("study", {}).get("path")
+    paths = tuple(dict.fromkeys(str(entry["path"]) for entry in inputs_there(bundle)))
+    try:
+        study = locate_study((), named=manifest)[0] if manifest else None
+        refused: list[Refusal] = []
+        return of_bundle_inputs(
+            read_all(read_in_order(paths, reading, study), refused),
+            bundle,
+            study=study,
+            reload=lambda source: read_decided_one(source.path, source.sheet, reading, study),
+            progress=progress,
+        )
+    except (InputError, UsageError):
+        # the study or a file has changed since: a program stands in, and that is said
+        return None
+
+
+def _recordings(named: str, flags: Mapping[str, Any], progress: _Progress) -> Found:
+    from tissueid.selfcheck.recorded import of_recordings
+    from tissueid.study.recordings import locate_study, read_decided_one
+
+    reading = read_options({})
+    study, paths = locate_study((named,))
+    refused: list[Refusal] = []
+    specimen, protocol, centre = of_recordings(
+        read_all(read_in_order(paths, reading, study), refused),
+        study=study,
+        specimen=flags["specimen"],
+        reload=lambda source: read_decided_one(source.path, source.sheet, reading, study),
+        progress=progress,
+        where=named,
+    )
+    for one in refused:
+        note(f"refused ({one.code})  {one}", quiet=flags["quiet"])
+    return Found("study", specimen, protocol, centre, None if study is None else study.priors)

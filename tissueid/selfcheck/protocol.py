@@ -1,0 +1,259 @@
+"""The protocol that is checked: what each log's tool did, and the tissue in the middle of the priors.
+
+From a recipe its program, from recordings their own measured x(t), from a bundle a ramp-and-hold program
+within what it was identified on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.errors import BundleError, InputError
+from tissueid.fit.logs import LogHandle
+from tissueid.fit.window import GUARD_SD
+from tissueid.model.kelvin_voigt import KEY, KelvinVoigt
+from tissueid.result import SpecimenFit
+from tissueid.selfcheck.recording import ProtocolLog
+from tissueid.store.bundle import Bundle
+from tissueid.synth.path import crosshead_path
+from tissueid.synth.recipe import Hold, Log, Move, Recipe
+
+__all__ = ["Centre", "Protocol", "of_bundle", "of_fit", "of_handles", "of_program", "of_recipe"]
+
+FloatArray = NDArray[np.float64]
+
+#: Contact point of a program without scatter: what segmentation and refinement reach at 1 N of noise [mm].
+CONTACT_SD_MM = 0.01
+#: Program of a bundle whose recordings are gone: hold [s] at the least and most, in longest relaxation times.
+SHORTEST_HOLD_S, LONGEST_HOLD_S, HOLD_TIMES = 5.0, 60.0, 10.0
+#: Its sampling interval [s], in shortest relaxation times.
+FINEST_STEP_S, COARSEST_STEP_S, STEP_TIMES = 1e-3, 1e-2, 0.5
+SECONDS_PER_MINUTE = 60.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Centre:
+    """The tissue that priors are centred on.
+
+    Attributes
+    ----------
+    model : KelvinVoigt
+    theta : ndarray, shape (p,)
+    sigma_N : float
+    phi : float
+        Correlation of the noise over one reference step; 0 is white.
+    white_share : float
+        Share of the noise's variance that is white beside a correlated part.
+    pooling : str
+        ``partial``, ``shared`` or ``per-log``.
+    """
+
+    model: KelvinVoigt
+    theta: FloatArray
+    sigma_N: float
+    phi: float
+    white_share: float
+    pooling: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Protocol:
+    """What is recorded of one specimen.
+
+    Attributes
+    ----------
+    words : str
+        Where it comes from, in one sentence.
+    logs : tuple of ProtocolLog
+    speeds_mm_s : tuple of float
+        Slowest and fastest loading.
+    """
+
+    words: str
+    logs: tuple[ProtocolLog, ...]
+    speeds_mm_s: tuple[float, float]
+
+    @property
+    def depth_mm(self) -> float:
+        """Largest fitted depth."""
+        return max(float(log.depth_mm[log.include].max()) for log in self.logs)
+
+    @property
+    def step_s(self) -> float:
+        """Finest of the logs' median sampling intervals."""
+        steps = [np.diff(log.time_s) for log in self.logs]
+        return min(float(np.median(step[step > 0.0])) for step in steps)
+
+    @property
+    def duration_s(self) -> float:
+        """Longest log."""
+        return max(float(log.time_s[-1] - log.time_s[0]) for log in self.logs)
+
+    @property
+    def samples(self) -> int:
+        """Samples in the likelihood."""
+        return sum(int(log.include.sum()) for log in self.logs)
+
+
+def of_program(
+    logs: Sequence[Log],
+    *,
+    rate_Hz: float,
+    contact_sd_mm: float,
+    rounding_s: float = 0.0,
+    words: str,
+) -> Protocol:
+    """The protocol of moves and holds that start at contact."""
+    found: list[ProtocolLog] = []
+    speeds = [move.speed_mm_s for log in logs for move in log.moves if isinstance(move, Move)]
+    for log in logs:
+        path = crosshead_path(log, rounding_s=rounding_s)
+        time = np.arange(0.0, path.time_s[-1], 1.0 / rate_Hz)
+        depth = path.at(time)
+        include = depth >= GUARD_SD * contact_sd_mm
+        if include.sum() < 2:
+            message = f"log {log.name!r} of the program stays within its contact's standard deviation"
+            raise InputError(code="recipe", message=message, path=words)
+        found += [
+            ProtocolLog(f"{log.name}-{repeat + 1}", time, depth, include, contact_sd_mm)
+            for repeat in range(log.repeats)
+        ]
+    return Protocol(words=words, logs=tuple(found), speeds_mm_s=(min(speeds), max(speeds)))
+
+
+def of_recipe(recipe: Recipe, *, rate_Hz: float | None = None) -> tuple[Protocol, Centre]:
+    """Protocol and tissue of a synthetic recipe.
+
+    Raises
+    ------
+    InputError
+        Its tissue is none that the contact model has, or its noise has a negative correlation.
+    """
+    rate = rate_Hz or recipe.rate_Hz
+    protocol = of_program(
+        recipe.logs,
+        rate_Hz=rate,
+        contact_sd_mm=recipe.contact_offset_sd_mm or CONTACT_SD_MM,
+        rounding_s=recipe.crosshead_rounding_s,
+        words=f"the program of {recipe.name} at {rate:g} Hz",
+    )
+    degree = max((len(branch.stiffness) - 1 for branch in recipe.branches), default=0)
+    if recipe.ar1_phi < 0.0:
+        message = f"ar1_phi is {recipe.ar1_phi}; noise of negative correlation is not offered"
+        raise InputError(code="recipe", message=message, path=recipe.name)
+    try:
+        model = KelvinVoigt(
+            branches=len(recipe.branches), stiffness_degree=degree, depth_mm=protocol.depth_mm
+        )
+    except ValueError as error:
+        raise InputError(code="recipe", message=str(error), path=recipe.name) from error
+    stiffness = np.array(
+        [(*branch.stiffness, *[0.0] * (degree + 1 - len(branch.stiffness))) for branch in recipe.branches]
+    )
+    tau = np.array([branch.tau_s for branch in recipe.branches])
+    variance = recipe.sigma_N**2 + recipe.ar1_sigma_N**2
+    if variance == 0.0:
+        message = "its noise is zero: a posterior needs some, give sigma_N or ar1_sigma_N"
+        raise InputError(code="recipe", message=message, path=recipe.name)
+    correlated = recipe.ar1_sigma_N > 0.0 and recipe.ar1_phi > 0.0
+    centre = Centre(
+        model=model,
+        theta=model.join(np.array(recipe.static), stiffness.reshape(len(recipe.branches), degree + 1), tau),
+        sigma_N=float(np.sqrt(variance)),
+        phi=recipe.ar1_phi if correlated else 0.0,
+        white_share=recipe.sigma_N**2 / variance if correlated else 0.0,
+        pooling="partial" if len(protocol.logs) > 1 else "shared",
+    )
+    return protocol, centre
+
+
+def of_handles(handles: Sequence[LogHandle], tick: Callable[[str], None]) -> Protocol:
+    """The recordings' own measured x(t): what would be fitted, without its force."""
+    logs, speeds = [], []
+    for handle in handles:
+        trial, log = handle.fitted()
+        tick(f"read {trial.name}")
+        data = log.data
+        logs.append(ProtocolLog(trial.name, data.time_s, data.depth_mm, data.include, handle.contact_sd_mm))
+        speeds += [speed for speed in log.speeds_mm_s if speed > 0.0]
+    plural = "s" if len(logs) > 1 else ""
+    return Protocol(
+        words=f"the measured x(t) of {len(logs)} recording{plural}",
+        logs=tuple(logs),
+        speeds_mm_s=(min(speeds, default=1.0), max(speeds, default=1.0)),
+    )
+
+
+def of_fit(fit: SpecimenFit, *, logs: int) -> Centre:
+    """The tissue that a fit found."""
+    return _centre(
+        KelvinVoigt(
+            branches=fit.model.branches, stiffness_degree=fit.model.stiffness_degree, depth_mm=fit.depth_mm
+        ),
+        fit.theta,
+        fit.sigma_N,
+        fit.model.static_pooling,
+        logs=logs,
+    )
+
+
+def _centre(model: KelvinVoigt, theta: FloatArray, sigma_N: float, pooling: str, *, logs: int) -> Centre:
+    one = logs == 1 and pooling == "partial"
+    return Centre(
+        model=model,
+        theta=np.asarray(theta),
+        sigma_N=sigma_N,
+        phi=0.0,
+        white_share=0.0,
+        pooling="shared" if one else pooling,
+    )
+
+
+def of_bundle(bundle: Bundle, *, where: str) -> tuple[Protocol, Centre]:
+    """Tissue of a bundle, and a ramp-and-hold program within its depth and speeds.
+
+    Raises
+    ------
+    BundleError
+        It holds another contact model.
+    """
+    model = bundle.contact_model()
+    if bundle.model.key != KEY or not isinstance(model, KelvinVoigt):
+        msg = f"{where}: contact model {bundle.model.key!r} can't be checked, {KEY!r} can"
+        raise BundleError(msg)
+    _, _, tau = model.split(bundle.theta)
+    slow, fast = bundle.speeds_mm_s
+    slow, fast = (slow, fast) if fast > 0.0 else (1.0, 1.0)
+    slow = slow if slow > 0.0 else fast
+    longest, shortest = (float(tau.max()), float(tau.min())) if tau.size else (1.0, 1.0)
+    hold_s = float(np.clip(HOLD_TIMES * longest, SHORTEST_HOLD_S, LONGEST_HOLD_S))
+    step = float(np.clip(STEP_TIMES * shortest, FINEST_STEP_S, COARSEST_STEP_S))
+    depth, middle = model.depth_mm, float(np.sqrt(slow * fast))
+    ramps = [
+        Log(f"ramp-{v:.3g}", (Move(depth, v * SECONDS_PER_MINUTE),)) for v in sorted({slow, middle, fast})
+    ]
+    holds = [
+        Log(
+            f"hold-{share * depth:.3g}",
+            (Move(share * depth, fast * SECONDS_PER_MINUTE), Hold(hold_s)),
+            repeats=2,
+        )
+        for share in (0.5, 1.0)
+    ]
+    protocol = of_program(
+        [*ramps, *holds],
+        rate_Hz=1.0 / step,
+        contact_sd_mm=min(CONTACT_SD_MM, 1e-3 * depth),
+        words=(
+            f"a ramp-and-hold program within the bundle's depth ({depth:.3g} mm) and speeds "
+            f"({slow:.3g} to {fast:.3g} mm/s), holds of {hold_s:.3g} s: its recordings are not there"
+        ),
+    )
+    centre = _centre(
+        model, bundle.theta, bundle.sigma_N, bundle.model.static_pooling, logs=len(protocol.logs)
+    )
+    return protocol, centre

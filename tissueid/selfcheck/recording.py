@@ -1,0 +1,220 @@
+"""Simulate the recordings of one truth on the samples of a protocol.
+
+Force follows the contact model along the protocol's own x(t), with each log's gain and contact offset; what
+the load chain does to it comes on top, and noise last.  A calibration defect acts as in a real machine: the
+recorded displacement is given, and the tip is where gain and compliance leave it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter, lfiltic
+
+from tissueid.likelihood.sums import LogData
+from tissueid.model.base import ContactPath
+from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.selfcheck.truth import Truth
+
+__all__ = ["ProtocolLog", "noise", "recorded_force", "simulated_logs"]
+
+FloatArray = NDArray[np.float64]
+
+#: Force is sampled so many times finer than recorded where filter or skew act between samples.
+OVERSAMPLED = 8
+#: Change of the tip's depth, relative to the deepest, that ends its iteration, and most rounds.
+SETTLED = 1e-12
+MOST_ROUNDS = 500
+#: Steps that differ by less, relative to the longest, are one.
+SAME_STEP = 1e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ProtocolLog:
+    """What one log of a protocol did, and which of its samples are fitted.
+
+    Attributes
+    ----------
+    name : str
+    time_s, depth_mm : ndarray, shape (n,)
+        From contact on; depth as recorded.
+    include : ndarray of bool, shape (n,)
+    contact_sd_mm : float
+        Prior of the contact point.
+    """
+
+    name: str
+    time_s: FloatArray
+    depth_mm: FloatArray
+    include: NDArray[np.bool_]
+    contact_sd_mm: float
+
+    def with_force(self, force_N: FloatArray) -> LogData:
+        """The log as the fit takes it."""
+        return LogData(
+            time_s=self.time_s,
+            depth_mm=self.depth_mm,
+            force_N=force_N,
+            include=self.include,
+            fold=np.zeros(self.time_s.size, dtype=np.int64),
+        )
+
+
+def noise(
+    time_s: FloatArray,
+    *,
+    sigma_N: float,
+    phi: float,
+    reference_step_s: float,
+    white_share: float,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """White noise plus a stationary AR(1), exact on unequal steps [N].
+
+    Parameters
+    ----------
+    sigma_N : float
+        Standard deviation of the whole.
+    phi : float
+        Correlation of the AR(1) part over one reference step; 0 is white.
+    white_share : float
+        Share of the variance that is white beside the AR(1) part.
+    """
+    draws = rng.standard_normal(time_s.size)
+    if phi == 0.0:
+        return np.asarray(sigma_N * draws)
+    step = np.diff(time_s)
+    rho = phi ** (step / reference_step_s)
+    draws[1:] *= np.sqrt(1.0 - rho**2)
+    if step.size and np.ptp(step) <= SAME_STEP * step.max():
+        out = lfilter([1.0], [1.0, -float(rho[0])], draws)
+    else:
+        out = draws.copy()
+        for i in range(1, out.size):
+            out[i] += rho[i - 1] * out[i - 1]
+    if white_share > 0.0:
+        out = np.sqrt(1.0 - white_share) * out + np.sqrt(white_share) * rng.standard_normal(out.size)
+    return np.asarray(sigma_N * out)
+
+
+def _tip(
+    model: KelvinVoigt, theta: FloatArray, time_s: FloatArray, depth_mm: FloatArray, give: float
+) -> FloatArray:
+    """Depth of the tip behind a compliance: ``x_tip = x - c F(x_tip)``, solved for the whole path at once.
+
+    Each round takes the step of a tissue as stiff as this one can be, so that it can't overshoot.
+    """
+    if give == 0.0:
+        return depth_mm
+    grid = np.linspace(0.0, model.depth_mm, 65)
+    slope = np.abs(np.gradient(model.static_force(theta, grid), grid)).max()
+    stiff = slope + np.abs(model.stiffness(theta, grid)).sum(axis=0).max()
+    varying = (
+        np.abs(np.gradient(model.stiffness(theta, grid), grid, axis=1)).sum(axis=0).max() * model.depth_mm
+    )
+    tip: FloatArray = depth_mm / (1.0 + give * stiff)
+    for _ in range(MOST_ROUNDS):
+        error = tip + give * model.force(theta, ContactPath(time_s, tip)) - depth_mm
+        tip = tip - error / (1.0 + give * (stiff + varying))
+        if np.abs(error).max() <= SETTLED * model.depth_mm:
+            break
+    return tip
+
+
+def recorded_force(
+    model: KelvinVoigt,
+    theta: FloatArray,
+    log: ProtocolLog,
+    *,
+    gain: float,
+    offset_mm: float,
+    calibration: Mapping[str, float],
+) -> FloatArray:
+    """Force without noise as the machine records it [N].
+
+    Parameters
+    ----------
+    calibration : mapping
+        ``force_gain`` and ``displacement_gain`` (recorded over true), ``skew_s`` (force later than
+        displacement), ``force_filter_s`` (first-order low-pass), ``frame_compliance_mm_per_N``; what is
+        missing is perfect.
+    """
+    give = calibration.get("frame_compliance_mm_per_N", 0.0)
+    skew, filter_s = calibration.get("skew_s", 0.0), calibration.get("force_filter_s", 0.0)
+    time = log.time_s
+    depth = log.depth_mm / calibration.get("displacement_gain", 1.0) - offset_mm
+    acts_between = skew != 0.0 or filter_s > 0.0
+    if acts_between:
+        time = np.interp(
+            np.arange((log.time_s.size - 1) * OVERSAMPLED + 1) / OVERSAMPLED,
+            np.arange(log.time_s.size),
+            log.time_s,
+        )
+        depth = np.interp(time, log.time_s, depth)
+    # the force that bends the frame is the log's own, gain and all
+    scaled = _scaled(model, theta, gain)
+    force = model.force(scaled, ContactPath(time, _tip(model, scaled, time, depth, give)))
+    if acts_between:
+        force = _low_pass(time, force, filter_s)
+        force = np.interp(log.time_s - skew, time, force)
+    return np.asarray(calibration.get("force_gain", 1.0) * force)
+
+
+def _scaled(model: KelvinVoigt, theta: FloatArray, gain: float) -> FloatArray:
+    """The tissue with all its forces times a gain."""
+    static, stiffness, tau = model.split(theta)
+    return model.join(gain * static, gain * stiffness, tau)
+
+
+def _low_pass(time_s: FloatArray, force_N: FloatArray, filter_s: float) -> FloatArray:
+    """First-order low-pass, exact for a force that is linear between samples."""
+    if filter_s == 0.0:
+        return force_N
+    step = np.diff(time_s)
+    ratio = step / filter_s
+    decay = np.exp(-ratio)
+    # of a ramp over one step the mean lag is (1 - decay) / ratio of its rise
+    share = np.where(ratio > 0.0, -np.expm1(-ratio) / np.where(ratio > 0.0, ratio, 1.0), 1.0)
+    if step.size and np.ptp(step) <= SAME_STEP * step.max():
+        a, s = float(decay[0]), float(share[0])
+        weights = [1.0 - s, s - a]
+        start = lfiltic(weights, [1.0, -a], [force_N[0]], [force_N[0]])
+        rest, _ = lfilter(weights, [1.0, -a], force_N[1:], zi=start)
+        return np.concatenate([force_N[:1], rest])
+    out = np.empty_like(force_N)
+    out[0] = force_N[0]
+    for i in range(step.size):
+        out[i + 1] = (
+            decay[i] * out[i] + (share[i] - decay[i]) * force_N[i] + (1.0 - share[i]) * force_N[i + 1]
+        )
+    return out
+
+
+def simulated_logs(
+    model: KelvinVoigt,
+    truth: Truth,
+    logs: tuple[ProtocolLog, ...],
+    *,
+    reference_step_s: float,
+    white_share: float,
+    rng: np.random.Generator,
+) -> list[LogData]:
+    """All logs of one truth, noise and all."""
+    out = []
+    for log, gain, offset in zip(logs, truth.gain, truth.offset_mm, strict=True):
+        clean = recorded_force(
+            model, truth.theta, log, gain=float(gain), offset_mm=float(offset), calibration=truth.calibration
+        )
+        own = noise(
+            log.time_s,
+            sigma_N=truth.sigma_N,
+            phi=truth.phi,
+            reference_step_s=reference_step_s,
+            white_share=white_share,
+            rng=rng,
+        )
+        out.append(log.with_force(clean + own))
+    return out

@@ -1,0 +1,126 @@
+"""Run simulations, in this process or in several: each from its own stream of the seed, none twice."""
+
+from __future__ import annotations
+
+import multiprocessing
+import pickle
+import signal
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from typing import Any, Protocol
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from tissueid.selfcheck.records import Checkpoint, Record, Replicate, record_of
+
+__all__ = ["Check", "one_record", "run_simulations"]
+
+#: Simulations that wait for each worker: enough to keep it busy, few enough to stop soon.
+QUEUED = 3
+
+_Progress = Callable[[str, int, int], None]
+
+
+class Check(Protocol):
+    """Something that draws a truth, simulates data and infers it again; goes to workers by pickle."""
+
+    def __call__(self, rng: np.random.Generator) -> Replicate:
+        """One simulation.
+
+        Raises
+        ------
+        ArithmeticError, numpy.linalg.LinAlgError
+            The inference failed on these data, which is counted.
+        """
+        ...
+
+
+def one_record(check: Check, seed: int, index: int) -> Record:
+    """Simulation ``index`` of a seed: the same whatever ran before it, and where."""
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
+    started = time.perf_counter()
+    try:
+        with threadpool_limits(limits=1, user_api="blas"):
+            replicate = check(rng)
+    except (ArithmeticError, np.linalg.LinAlgError) as error:
+        return Record(index=index, failed=f"{type(error).__name__}: {error}")
+    return record_of(index, replicate, rng, seconds=round(time.perf_counter() - started, 4))
+
+
+_check: Any = None
+
+
+def _begin(packed: bytes) -> None:
+    """Unpack the check once a worker; an interrupt is the parent's to answer."""
+    global _check
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _check = pickle.loads(packed)  # noqa: S301 -- packed by the parent process
+
+
+def _in_worker(seed: int, index: int) -> Record:
+    return one_record(_check, seed, index)
+
+
+def _records(check: Check, seed: int, indices: list[int], workers: int) -> Iterator[Record]:
+    if workers == 1 or len(indices) == 1:
+        for index in indices:
+            yield one_record(check, seed, index)
+        return
+    context = multiprocessing.get_context("spawn")
+    waiting: deque[Future[Record]] = deque()
+    with ProcessPoolExecutor(
+        min(workers, len(indices)), mp_context=context, initializer=_begin, initargs=(pickle.dumps(check),)
+    ) as pool:
+        try:
+            for index in indices:
+                waiting.append(pool.submit(_in_worker, seed, index))
+                if len(waiting) >= QUEUED * workers:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+        finally:
+            for future in waiting:
+                future.cancel()
+
+
+def run_simulations(
+    check: Check,
+    checkpoint: Checkpoint,
+    *,
+    simulations: int,
+    seed: int,
+    workers: int = 1,
+    progress: _Progress | None = None,
+) -> tuple[Record, ...]:
+    """Simulate what the checkpoint does not hold yet.
+
+    Parameters
+    ----------
+    check : Check
+    checkpoint : Checkpoint
+        Each finished simulation is appended.
+    simulations : int
+        In all, those of the checkpoint included.
+    seed : int
+    workers : int
+        Processes; 1 stays in this one.
+    progress : callable, optional
+        ``progress(message, done, total)``.
+
+    Returns
+    -------
+    tuple of Record
+        The first ``simulations``, in their order.
+    """
+    progress = progress or (lambda _message, _done, _total: None)
+    missing = checkpoint.missing(simulations)
+    done = simulations - len(missing)
+    progress("simulating", done, simulations)
+    for record in _records(check, seed, missing, workers):
+        checkpoint.add(record)
+        done += 1
+        progress("simulating", done, simulations)
+    return checkpoint.first(simulations)

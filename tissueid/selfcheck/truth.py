@@ -1,0 +1,311 @@
+"""Proper priors around a tissue, truths drawn from them, and the numbers that are checked.
+
+A truth is drawn from the very priors that the inference is given: linear parameters from independent normals,
+by rejection on the passive cone; relaxation times from log-normals in ascending order; noise, correlation,
+spread of the gains and calibration likewise.  Only then is a rank uniform.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.errors import InputError
+from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt, branch_suffix
+from tissueid.model.polynomial import minimum_on_unit
+from tissueid.posterior.reported import reported_draws
+from tissueid.priors import CalibrationPrior, Priors, SpreadPrior
+
+__all__ = [
+    "Truth",
+    "Widths",
+    "centred_priors",
+    "draw_truth",
+    "force_points",
+    "numbers_of",
+    "prior_words",
+]
+
+FloatArray = NDArray[np.float64]
+
+#: Depths, as fractions of the fitted one, at which the force is checked, from fastest to slowest speed.
+FORCE_DEPTHS = (0.25, 0.5, 1.0)
+#: Draws after which a prior counts as one without passive tissue.
+MOST_REJECTED = 100_000
+
+
+@dataclass(frozen=True, slots=True)
+class Widths:
+    """Standard deviations of priors that are centred on a tissue.
+
+    Attributes
+    ----------
+    curve : float
+        Of each coefficient of F_s and K, as a fraction of its curve at full depth over the power of it.
+    ln_tau, ln_sigma : float
+    arctanh_phi : float
+        Half width of the uniform prior of the correlation, in arctanh(phi).
+    gain_sd : float
+        Scale of the half-normal prior of the standard deviation of a log's ln gain.
+    """
+
+    curve: float = 0.15
+    ln_tau: float = 0.4
+    ln_sigma: float = 0.3
+    arctanh_phi: float = 0.4
+    gain_sd: float = 0.05
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Truth:
+    """Everything that decides one simulation, but for the noise itself.
+
+    Attributes
+    ----------
+    theta : ndarray, shape (p,)
+        Of the contact model; passive.
+    gain : ndarray, shape (logs,)
+    offset_mm : ndarray, shape (logs,)
+        How much deeper each contact point is than the protocol has it.
+    sigma_N, phi, gain_sd : float
+        ``phi`` is 0 for white noise, ``gain_sd`` where logs have no gains.
+    calibration : mapping
+        Values of the nuisances; empty where the chain is perfect.
+    """
+
+    theta: FloatArray
+    gain: FloatArray
+    offset_mm: FloatArray
+    sigma_N: float
+    phi: float
+    gain_sd: float
+    calibration: Mapping[str, float] = field(default_factory=dict)
+
+
+def _blocks(model: KelvinVoigt) -> list[slice]:
+    """Positions in theta of the coefficients of F_s and of each K."""
+    size = model.stiffness_degree + 1
+    starts = [STATIC_DEGREE + branch * model.block for branch in range(model.branches)]
+    return [slice(0, STATIC_DEGREE), *(slice(start, start + size) for start in starts)]
+
+
+def centred_priors(
+    model: KelvinVoigt,
+    theta: FloatArray,
+    *,
+    sigma_N: float,
+    phi: float,
+    stated: Priors | None = None,
+    widths: Widths | None = None,
+) -> Priors:
+    """Proper priors around a tissue; what is stated stays.
+
+    Parameters
+    ----------
+    model : KelvinVoigt
+    theta : ndarray, shape (p,)
+        The tissue in the middle.
+    sigma_N, phi : float
+        Of its noise; ``phi`` 0 for white noise.
+    stated : Priors, optional
+        Of a study.  A curve of which one coefficient is stated needs all of them.
+    widths : Widths, optional
+
+    Raises
+    ------
+    InputError
+        A curve is stated in part.
+    """
+    stated, widths = stated or Priors(), widths or Widths()
+    linear: dict[str, tuple[float, float]] = {}
+    names = model.parameter_names
+    for block in _blocks(model):
+        own = names[block]
+        known = {name: stated.linear[name] for name in own if name in stated.linear}
+        if known and len(known) < len(own):
+            missing = ", ".join(name for name in own if name not in known)
+            message = (
+                f"[priors] states {', '.join(known)} and not {missing}: a check draws truths from the "
+                "priors, state all coefficients of a curve or none"
+            )
+            raise InputError(code="priors", message=message, path="study.toml")
+        powers = model.depth_mm ** np.arange(float(len(own)))
+        top = abs(float(theta[block] @ powers))
+        centred = {
+            name: (float(value), widths.curve * top / float(power))
+            for name, value, power in zip(own, theta[block], powers, strict=True)
+        }
+        linear |= known or centred
+    _, _, tau = model.split(theta)
+    times = tuple(
+        stated.relaxation_time_s[j]
+        if j < len(stated.relaxation_time_s)
+        else SpreadPrior(median=float(tau[j]), sd_ln=widths.ln_tau)
+        for j in range(model.branches)
+    )
+    narrow = (0.0, 1.0)
+    if phi > 0.0:
+        a = float(np.arctanh(phi))
+        narrow = (float(np.tanh(max(a - widths.arctanh_phi, 0.0))), float(np.tanh(a + widths.arctanh_phi)))
+    default = Priors()
+    return replace(
+        stated,
+        linear=linear,
+        relaxation_time_s=times,
+        sigma_N=stated.sigma_N or SpreadPrior(median=sigma_N, sd_ln=widths.ln_sigma),
+        phi=narrow if stated.phi == default.phi else stated.phi,
+        gain_sd=widths.gain_sd if stated.gain_sd == default.gain_sd else stated.gain_sd,
+    )
+
+
+def _passive_block(
+    mean: FloatArray, sd: FloatArray, powers: FloatArray, rng: np.random.Generator
+) -> FloatArray:
+    """A normal draw of one polynomial, by rejection on the passive cone."""
+    for _ in range(MOST_REJECTED):
+        draw = mean + sd * rng.standard_normal(mean.size)
+        if minimum_on_unit(draw * powers) >= 0.0:
+            return np.asarray(draw)
+    message = (
+        f"the priors leave no passive tissue: {MOST_REJECTED} draws around "
+        f"{', '.join(f'{m:.3g}' for m in mean)} gave a negative force or stiffness"
+    )
+    raise InputError(code="priors", message=message, path="study.toml")
+
+
+def _ascending(times: tuple[SpreadPrior, ...], rng: np.random.Generator) -> FloatArray:
+    """Relaxation times, drawn again until they ascend."""
+    for _ in range(MOST_REJECTED):
+        tau = np.array([time.median * np.exp(time.sd_ln * rng.standard_normal()) for time in times])
+        if (np.diff(tau) > 0.0).all():
+            return tau
+    message = "the priors of the relaxation times do not ascend: order them from fast to slow"
+    raise InputError(code="priors", message=message, path="study.toml")
+
+
+def _cut_normal(prior: CalibrationPrior, rng: np.random.Generator) -> float:
+    """A draw of one calibration nuisance, drawn again until it is above its lower end."""
+    for _ in range(MOST_REJECTED):
+        value = prior.mean + prior.sd * float(rng.standard_normal())
+        if value >= prior.lower:
+            return value
+    return prior.lower
+
+
+def draw_truth(
+    model: KelvinVoigt,
+    priors: Priors,
+    *,
+    offset_sd_mm: FloatArray,
+    pooling: str,
+    correlated: bool,
+    defects: bool,
+    rng: np.random.Generator,
+) -> Truth:
+    """Draw one truth from priors that are proper (:func:`centred_priors`).
+
+    Parameters
+    ----------
+    offset_sd_mm : ndarray, shape (logs,)
+        Prior of each contact point; 0 where it is known.
+    pooling : str
+        ``partial`` gives each log a gain.
+    correlated : bool
+        Noise with phi, or white.
+    defects : bool
+        Draw calibration nuisances as well.
+    """
+    assert priors.sigma_N is not None  # noqa: S101 -- centred_priors filled it
+    theta = np.zeros(len(model.parameter_names))
+    for block in _blocks(model):
+        known = np.array([priors.linear[name] for name in model.parameter_names[block]])
+        powers = model.depth_mm ** np.arange(float(known.shape[0]))
+        theta[block] = _passive_block(known[:, 0], known[:, 1], powers, rng)
+    tau = _ascending(priors.relaxation_time_s, rng)
+    for branch in range(model.branches):
+        theta[STATIC_DEGREE + (branch + 1) * model.block - 1] = tau[branch]
+    sigma = priors.sigma_N.median * float(np.exp(priors.sigma_N.sd_ln * rng.standard_normal()))
+    phi = float(rng.uniform(*priors.phi)) if correlated else 0.0
+    spread = abs(priors.gain_sd * float(rng.standard_normal())) if pooling == "partial" else 0.0
+    logs = offset_sd_mm.size
+    calibration: dict[str, float] = {}
+    if defects:
+        calibration = {name: _cut_normal(prior, rng) for name, prior in priors.calibration.items()}
+    return Truth(
+        theta=theta,
+        gain=np.exp(spread * rng.standard_normal(logs)),
+        offset_mm=offset_sd_mm * rng.standard_normal(logs),
+        sigma_N=sigma,
+        phi=phi,
+        gain_sd=spread,
+        calibration=calibration,
+    )
+
+
+def force_points(depth_mm: float, speeds_mm_s: tuple[float, float]) -> tuple[tuple[float, float], ...]:
+    """Three (depth, speed) at which the force is checked: shallow and fast to deep and slow."""
+    slow, fast = speeds_mm_s
+    speeds = (fast, float(np.sqrt(slow * fast)), slow)
+    return tuple((share * depth_mm, speed) for share, speed in zip(FORCE_DEPTHS, speeds, strict=True))
+
+
+def numbers_of(
+    model: KelvinVoigt,
+    theta: FloatArray,
+    points: tuple[tuple[float, float], ...],
+) -> dict[str, FloatArray]:
+    """Everything that is checked of a tissue, for many at once.
+
+    Parameters
+    ----------
+    model : KelvinVoigt
+    theta : ndarray, shape (n, p)
+    points : tuple of tuple
+        (depth, speed) [mm, mm/s], reached at constant speed from rest.
+
+    Returns
+    -------
+    dict
+        Name -> ndarray of shape (n,): parameters, viscosity of each branch, ``force_N at x mm, v mm/s``.
+    """
+    out = reported_draws(model, theta)
+    blocks = _blocks(model)
+
+    def at(block: slice, depth: float) -> FloatArray:
+        return np.asarray(theta[:, block] @ depth ** np.arange(float(block.stop - block.start)))
+
+    for depth, speed in points:
+        force = depth * at(blocks[0], depth)
+        for block in blocks[1:]:
+            length = speed * theta[:, block.stop]
+            force = force - at(block, depth) * length * np.expm1(-depth / length)
+        out[f"force_N at {depth:.3g} mm, {speed:.3g} mm/s"] = force
+    return out
+
+
+def prior_words(priors: Priors, *, correlated: bool, pooling: str, defects: bool) -> dict[str, str]:
+    """Every prior that truths are drawn from, in words with its numbers."""
+    said = {
+        name: f"normal, {mean:.4g} ± {sd:.3g}, cut to the passive set"
+        for name, (mean, sd) in priors.linear.items()
+    }
+    for branch, time in enumerate(priors.relaxation_time_s):
+        said[f"relaxation_time_s{branch_suffix(branch)}"] = (
+            f"log-normal, median {time.median:.4g}, sd of ln {time.sd_ln:.3g}"
+        )
+    if priors.sigma_N is not None:
+        said["sigma_N"] = (
+            f"log-normal, median {priors.sigma_N.median:.4g}, sd of ln {priors.sigma_N.sd_ln:.3g}"
+        )
+    if correlated:
+        said["phi"] = f"uniform, {priors.phi[0]:.4g} to {priors.phi[1]:.4g}"
+    if pooling == "partial":
+        said["gain_sd"] = f"half-normal, scale {priors.gain_sd:.3g}"
+    if defects:
+        for name, prior in priors.calibration.items():
+            cut = f", not below {prior.lower:g}" if np.isfinite(prior.lower) else ""
+            said[name] = f"normal, {prior.mean:g} ± {prior.sd:.3g}{cut}"
+    return said
