@@ -20,6 +20,7 @@ from tissueid.fit.whitening import Whitened
 from tissueid.likelihood.linearise import Optimum
 from tissueid.likelihood.passive_normal import draw_passive
 from tissueid.model.kelvin_voigt import STATIC_DEGREE
+from tissueid.posterior.bands import predictive_bands
 from tissueid.posterior.diagnostics import diagnose
 from tissueid.posterior.reported import interval95, reported_draws
 from tissueid.posterior.specimen_target import Facts, SpecimenTarget, specimen_target
@@ -296,5 +297,6 @@ def with_posterior(
         covariance=np.cov(drawn.theta, rowvar=False),
         chain_names=target.names,
         chain=sampled.chain,
+        bands=predictive_bands(model, fit.theta, fit.trials, fitted.adjustments, drawn, sigma_N=sigma),
     )
     return replace(fit, parameters=_with_uncertainty(fit.parameters, uncertainties), posterior=posterior)

@@ -1,0 +1,90 @@
+"""Where a new recording of the same trial would lie: predictive bands along the curves that are kept.
+
+Each draw's force is worked out along the decimated path of a curve and compared there with the force of the
+optimum; only the difference is used, so that what the decimation does to the force cancels.  The spread of the draws
+and the noise of the force make the band, as variances::
+
+    model + mean difference +- 1.96 sqrt(variance of the differences + sigma^2)
+
+Where logs have a static curve of their own each, that curve follows every draw of K and tau: the noise alone
+makes the band.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.fit.trials import Adjustment
+from tissueid.model.base import ContactPath
+from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.posterior.target import Redrawn
+from tissueid.result import Curve, TrialFit
+
+__all__ = ["predictive_bands"]
+
+FloatArray = NDArray[np.float64]
+
+#: Draws behind a band: its spread is then known to 9 %, and the noise is the larger part.
+BAND_DRAWS = 64
+TWO_SIDED_95 = 1.96
+
+
+def _force(model: KelvinVoigt, theta: FloatArray, curve: Curve, gain: float, offset_mm: float) -> FloatArray:
+    _, _, tau = model.split(theta)
+    states = model.states(tau, ContactPath(curve.time_s, curve.depth_mm))
+    depth = curve.depth_mm - offset_mm
+    dynamic = (model.stiffness(theta, depth) * states).sum(axis=0)
+    return np.asarray(gain * (model.static_force(theta, depth) + dynamic))
+
+
+def predictive_bands(
+    model: KelvinVoigt,
+    theta: FloatArray,
+    trials: Sequence[TrialFit],
+    adjustments: Sequence[Adjustment],
+    drawn: Redrawn,
+    *,
+    sigma_N: float,
+) -> dict[tuple[str, str | None], FloatArray]:
+    """The 95 % predictive band of every trial.
+
+    Parameters
+    ----------
+    model : KelvinVoigt
+    theta : ndarray, shape (p,)
+        Of the optimum.
+    trials : sequence of TrialFit
+    adjustments : sequence of Adjustment
+        Gain and offset of each trial at the optimum.
+    drawn : Redrawn
+        Offsets are changes against the optimum's.
+    sigma_N : float
+        Standard deviation of the noise [N].
+
+    Returns
+    -------
+    dict
+        (path, sheet) -> ndarray, shape (3, m): low, middle, high [N] at the samples of the trial's curve.
+    """
+    size = drawn.theta.shape[0]
+    rows = np.linspace(0, size - 1, min(size, BAND_DRAWS)).astype(np.int64)
+    bands = {}
+    for i, (trial, adjustment) in enumerate(zip(trials, adjustments, strict=True)):
+        curve, own = trial.curve, adjustment.contact_offset_mm
+        shift, spread = np.zeros(curve.time_s.size), np.zeros(curve.time_s.size)
+        if adjustment.static is None:
+            best = _force(model, theta, curve, adjustment.gain, own)
+            change = np.stack(
+                [
+                    _force(model, drawn.theta[k], curve, drawn.gain[k, i], own + drawn.offset_mm[k, i]) - best
+                    for k in rows
+                ]
+            )
+            shift, spread = change.mean(axis=0), change.var(axis=0)
+        half = TWO_SIDED_95 * np.sqrt(spread + sigma_N**2)
+        middle = curve.model_N + shift
+        bands[trial.path, trial.sheet] = np.stack([middle - half, middle, middle + half])
+    return bands
