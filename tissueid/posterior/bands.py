@@ -1,8 +1,8 @@
 """Where a new recording of the same trial would lie: predictive bands along the curves that are kept.
 
 Each draw's force is worked out along the decimated path of a curve and compared there with the force of the
-optimum; only the difference is used, so that what the decimation does to the force cancels.  The spread of the draws
-and the noise of the force make the band, as variances::
+optimum; only the difference is used, so that what the decimation does to the force cancels.  The spread of
+the draws and the noise of the force make the band, as variances::
 
     model + mean difference +- 1.96 sqrt(variance of the differences + sigma^2)
 
