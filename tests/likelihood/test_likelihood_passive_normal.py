@@ -74,7 +74,7 @@ def test_mass_of_a_line_around_zero_is_the_orthant_probability(rho):
     cov = to_powers @ np.array([[4.0, 2.0 * rho], [2.0 * rho, 1.0]]) @ to_powers.T
     wanted = math.log(0.25 + math.asin(rho) / (2.0 * math.pi))
     # the stated error for two coordinates
-    assert log_passive_mass(np.zeros(2), cov, sizes(2)) == pytest.approx(wanted, abs=3e-4)
+    assert log_passive_mass(np.zeros(2), cov, sizes(2)) == pytest.approx(wanted, abs=5e-4)
 
 
 def test_mass_of_independent_coefficients_far_outside_is_a_product_of_tails():
@@ -96,7 +96,7 @@ def test_mass_counts_a_bound_that_only_the_cut_normal_meets():
     inside = special.ndtr(second / math.sqrt(1.0 - rho**2))
     wanted = float(special.log_ndtr(-9.0)) + math.log(inside.mean())
     error = inside.std() / inside.mean() / math.sqrt(inside.size)
-    assert log_passive_mass(mean, cov, sizes(1, 1)) == pytest.approx(wanted, abs=3e-4 + 4.0 * error)
+    assert log_passive_mass(mean, cov, sizes(1, 1)) == pytest.approx(wanted, abs=5e-4 + 4.0 * error)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -110,8 +110,8 @@ def test_mass_agrees_with_brute_force(blocks, seed):
         assert mass <= math.log(200.0 / n)
         return
     error = math.sqrt((1.0 - share) / share / n)
-    # 256 points: 1e-4 for a line, 2e-2 for one parabola, 0.15 for several at correlations of 0.9
-    stated = {1: 2e-2, 2: 0.15, 3: 0.15}[len(blocks)] if max(blocks) > 2 else 3e-4
+    # 64 points: 5e-4 for a line, 2e-2 for one parabola, 0.15 for several at correlations of 0.9
+    stated = {1: 2e-2, 2: 0.15, 3: 0.15}[len(blocks)] if max(blocks) > 2 else 5e-4
     assert mass == pytest.approx(math.log(share), abs=4.0 * error + stated)
 
 
