@@ -22,7 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.likelihood.chains import chain_breaks
-from tissueid.likelihood.knot_kernels import Packed, accumulate, corner_flags, instrument_force
+from tissueid.likelihood.instrument_kernels import Packed, instrument_force
+from tissueid.likelihood.knot_kernels import accumulate, corner_flags
 from tissueid.likelihood.linearise import Optimum
 from tissueid.likelihood.sums import LogData
 

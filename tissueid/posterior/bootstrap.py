@@ -21,14 +21,16 @@ from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from tissueid.likelihood.cone import cone_least_squares
-from tissueid.likelihood.knot_kernels import RELAXATION, log_terms, without_effects
+from tissueid.likelihood.instrument_kernels import RELAXATION
+from tissueid.likelihood.knot_terms import log_terms, without_effects
 from tissueid.likelihood.knots import KnotSums, packed
 from tissueid.likelihood.linearise import Optimum
 from tissueid.likelihood.objective import cone_start
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.posterior.budget import reported, reported_names
 from tissueid.posterior.calibration import SMALLEST_GAIN_SD, field_units
-from tissueid.posterior.instrument import INSTRUMENT_NAMES, Behind, instrument_mode, inverse
+from tissueid.posterior.instrument import INSTRUMENT_NAMES, Behind, inverse
+from tissueid.posterior.instrument_mode import instrument_mode
 from tissueid.posterior.specimen_target import Facts
 from tissueid.priors import CalibrationPrior, Priors
 from tissueid.uncertainty import BudgetRow

@@ -22,7 +22,8 @@ from math import factorial
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.likelihood.knot_kernels import ALL, INSTRUMENT, log_terms, without_effects
+from tissueid.likelihood.instrument_kernels import ALL, INSTRUMENT
+from tissueid.likelihood.knot_terms import log_terms, without_effects
 from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt, branch_suffix
 from tissueid.posterior.calibration import TotalPosterior, truncated_moments
 from tissueid.posterior.instrument import Behind, inverse

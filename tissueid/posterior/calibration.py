@@ -21,13 +21,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.likelihood.knot_kernels import INSTRUMENT
+from tissueid.likelihood.instrument_kernels import INSTRUMENT
 from tissueid.likelihood.knots import KnotSums, packed
 from tissueid.likelihood.linearise import Optimum
 from tissueid.likelihood.passive_normal import draw_passive, log_passive_mass, passive
 from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
 from tissueid.posterior.importance import importance_sample
-from tissueid.posterior.instrument import INSTRUMENT_NAMES, Behind, instrument_mode
+from tissueid.posterior.instrument import INSTRUMENT_NAMES, Behind
+from tissueid.posterior.instrument_mode import instrument_mode
 from tissueid.posterior.specimen_target import Facts
 from tissueid.priors import CalibrationPrior, Priors
 from tissueid.uncertainty import PriorRow, SamplerReport

@@ -3,7 +3,8 @@
 A class is a limit of error in percent of the reading (ISO 7500-1 for force, ISO 9513 for displacement),
 taken as two standard deviations.  A frame that is known has been taken off the displacement already
 (:mod:`tissueid.fit.tip`): what remains is a compliance around zero, of either sign, as uncertain as its
-calibration.  A delay and a filter are taken off by nobody: their priors are around what was stated."""
+calibration.  A delay and a filter are taken off by nobody: their priors are around what was stated.
+"""
 
 from __future__ import annotations
 

@@ -3,7 +3,8 @@
 Proposals are multivariate t, folded at the cuts, so that none is lost there; after each round mean and
 covariance follow the weighted draws, and all rounds count together with the density of their mixture
 (Cornuet et al. 2012, doi 10.1111/j.1467-9469.2011.00756.x).  Whether the weights can be trusted is told by
-the shape of their tail (Vehtari et al. 2024, Pareto-smoothed importance sampling): below 0.7 they can."""
+the shape of their tail (Vehtari et al. 2024, Pareto-smoothed importance sampling): below 0.7 they can.
+"""
 
 from __future__ import annotations
 
