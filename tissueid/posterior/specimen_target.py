@@ -40,6 +40,8 @@ FREE_FACTOR = 10.0
 #: Rise of -log density at which a coordinate's scale is read off, and steps of the Hessian in that scale.
 PROBE = 0.5
 ARCTANH_LIMIT = 12.0
+#: A spread of the gains below this is none; far below, its square is lost to rounding.
+LEAST_LN_GAIN_SD = math.log(1e-9)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,6 +179,7 @@ class SpecimenTarget:
             )
             at += 1
         if self.data.has_gain:
+            inside &= points[:, at] >= LEAST_LN_GAIN_SD
             spread = np.exp(np.clip(points[:, at], -60.0, 60.0)) / self.priors.gain_sd
             value += points[:, at] + 0.5 * math.log(2.0 / math.pi) - math.log(self.priors.gain_sd)
             value -= 0.5 * spread**2
