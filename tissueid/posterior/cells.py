@@ -1,8 +1,8 @@
 """A density in one or two coordinates as cells, each log-linear: quadrature, and a proposal to draw from.
 
-The cells lie in whitened coordinates (the Laplace covariance is the unit matrix there), cover the region within
-:data:`DEEP` of the maximum, and are halved where the density is not log-linear in them.  A draw picks a
-cell by its mass and takes each coordinate by the inverse of its cumulative exponential.
+The cells lie in whitened coordinates (the Laplace covariance is the unit matrix there), cover the region
+within :data:`DEEP` of the maximum, and are halved where the density is not log-linear in them.  A draw picks
+a cell by its mass and takes each coordinate by the inverse of its cumulative exponential.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from tissueid.posterior.target import Target
 
-__all__ = ["Cells", "MAX_COORDINATES", "cells"]
+__all__ = ["MAX_COORDINATES", "Cells", "cells"]
 
 FloatArray = NDArray[np.float64]
 
@@ -108,9 +108,9 @@ def _fitted(
     corners = np.array(list(itertools.product((0.0, 1.0), repeat=d)))
     at = np.concatenate([corners, np.full((1, d), 0.5)])
     z = low[:, None, :] + at[None, :, :] * width[:, None, :]
-    value = target.log_density((target.mode + z.reshape(-1, d) @ axes.T)).reshape(m, -1)
+    value = target.log_density(target.mode + z.reshape(-1, d) @ axes.T).reshape(m, -1)
     slope = np.empty((m, d))
-    finite = np.isfinite(value).all(axis=1)
+    finite = np.asarray(np.isfinite(value).all(axis=1))
     safe = np.where(finite[:, None], value, 0.0)
     for k in range(d):
         upper = corners[:, k] > 0.5
@@ -132,7 +132,7 @@ def cells(target: Target) -> Cells:
         Its mode and covariance set the first look only; the region is widened until the density has fallen.
     """
     d = target.mode.size
-    axes = np.linalg.cholesky(target.covariance)
+    axes: FloatArray = np.linalg.cholesky(target.covariance).astype(np.float64)
     first, last = _region(target, axes)
     size = (last - first) / BEGIN
     index = np.stack(np.meshgrid(*[np.arange(BEGIN)] * d, indexing="ij"), axis=-1).reshape(-1, d)

@@ -82,20 +82,20 @@ class Mixture:
 
 
 def _reach(target: Target, axes: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Where the density has fallen by :data:`FALL` along each axis of the Laplace approximation, both ways."""
+    """Where the density has fallen by :data:`FALL`, both ways along each axis of the Laplace covariance."""
     d = target.mode.size
     steps = STEPS[None, :, None] * np.concatenate([-np.eye(d), np.eye(d)])[:, None, :]
-    value = target.log_density((target.mode + steps.reshape(-1, d) @ axes.T)).reshape(2 * d, -1)
+    value = target.log_density(target.mode + steps.reshape(-1, d) @ axes.T).reshape(2 * d, -1)
     top = float(target.log_density(target.mode[None, :])[0])
-    # the last step that is still high: beyond a gap there may be more
-    last = (np.arange(STEPS.size) * (value > top - FALL)).max(axis=1)
-    return -STEPS[last[:d]], STEPS[last[d:]]
+    fallen = value < top - FALL
+    first = np.where(fallen.any(axis=1), fallen.argmax(axis=1), STEPS.size - 1)
+    return -STEPS[first[:d]], STEPS[first[d:]]
 
 
 def _first(target: Target, rng: np.random.Generator) -> Mixture:
     """Components scattered around the mode, as wide as the density is along each axis of its covariance."""
     d = target.mode.size
-    axes = np.linalg.cholesky(target.covariance)
+    axes: FloatArray = np.linalg.cholesky(target.covariance).astype(np.float64)
     low, high = _reach(target, axes)
     # a normal density falls by FALL at sqrt(2 FALL) standard deviations
     sd = np.maximum((high - low) / (2.0 * math.sqrt(2.0 * FALL)), STEPS[0])
@@ -131,8 +131,8 @@ def _updated(mixture: Mixture, points: FloatArray, weight: FloatArray) -> Mixtur
     shares.append(WIDE_SHARE * (sum(shares) or 1.0))
     means.append(centre)
     factors.append(np.linalg.cholesky(WIDE_SCALE * (1.0 + RIDGE) * whole + 1e-12 * np.diag(np.diag(whole))))
-    share = np.array(shares)
-    return Mixture(share / share.sum(), np.array(means), np.array(factors))
+    normed = np.array(shares) / sum(shares)
+    return Mixture(normed, np.array(means), np.array(factors))
 
 
 def fitted_mixture(target: Target, rng: np.random.Generator) -> Mixture:
@@ -159,7 +159,7 @@ def fitted_mixture(target: Target, rng: np.random.Generator) -> Mixture:
         elif (stalled := stalled + 1) >= 2:
             break
         # single weights of a poor proposal would make a component of one draw
-        limit = np.sort(weight)[-max(n // 100, 10)]
-        clipped = np.minimum(weight, limit)
+        limit = float(np.sort(weight)[-max(n // 100, 10)])
+        clipped = np.minimum(weight, limit) if limit > 0.0 else weight
         mixture = _updated(mixture, points, clipped / clipped.sum())
     return best
