@@ -31,6 +31,7 @@ from tissueid.fit.material import stated_geometry
 from tissueid.fit.specimen import FitOptions, FittedSpecimen, LogHandle, fit_with_state
 from tissueid.fit.tip import tip_handles
 from tissueid.manifest import Study
+from tissueid.posterior.calibration_priors import calibration_priors
 from tissueid.posterior.specimen import PosteriorOptions, with_posterior
 from tissueid.priors import Priors
 from tissueid.result import Exit, Identification, Refusal, SpecimenFit
@@ -141,13 +142,18 @@ def _sampled(
     checkpoint: Checkpoints | None,
     identity: str,
     tick: Callable[[str], None],
+    *,
+    normalised: bool,
 ) -> SpecimenFit:
     """A fit with its posterior, where one is asked for."""
     if options.posterior is None:
         return fitted.fit
+    priors = Priors() if study is None else study.priors
+    calibration = calibration_priors(None if study is None else study.calibration)
     return with_posterior(
         fitted,
-        priors=Priors() if study is None else study.priors,
+        priors=replace(priors, calibration=calibration),
+        instrument=not normalised,
         options=options.posterior,
         checkpoint=None if checkpoint is None else checkpoint(fitted.fit.specimen),
         key=identity,
@@ -202,7 +208,8 @@ def _fit_all(
             own = _own_options(options.fit, study, name, collected.axes[specimen])
             fitted = _fit(name, handles, own, study, tick)
             identity = _identity(collected.inputs, specimen, options, study)
-            fit = _sampled(fitted, options, study, checkpoint, identity, tick)
+            normalised = collected.axes[specimen].normalised
+            fit = _sampled(fitted, options, study, checkpoint, identity, tick, normalised=normalised)
         except (ArithmeticError, np.linalg.LinAlgError) as error:
             collected.left_out += [
                 arithmetic_refusal(entry["path"], entry["sheet"], "fitted", error)

@@ -333,7 +333,7 @@ def _fit(
     solution, optimisers = _both_optimisers(sums, whitened.solution)
     tissue = estimate_tissue(sums, solution)
     adjustments = adjustments_of(sums, solution, (tissue.model, tissue.theta), handles)
-    told = second_pass(handles, adjustments, tissue, tick, depths_mm=options.depths_mm)
+    told = second_pass(handles, adjustments, tissue, tick, noise=whitened.noise, depths_mm=options.depths_mm)
     sigma = whitened.noise.sigma_N
     facts = [handle.facts for handle in handles]
     flags = specimen_flags(tissue, sums, facts, told.trials, sigma_N=sigma, optimisers=optimisers)

@@ -21,13 +21,19 @@ from tissueid.likelihood.linearise import Optimum
 from tissueid.likelihood.passive_normal import draw_passive
 from tissueid.model.kelvin_voigt import STATIC_DEGREE
 from tissueid.posterior.bands import predictive_bands
+from tissueid.posterior.bootstrap import cluster_bootstrap
+from tissueid.posterior.budget import uncertainty_budget
+from tissueid.posterior.calibration import TotalPosterior, total_posterior
 from tissueid.posterior.diagnostics import diagnose
+from tissueid.posterior.misfit import misfit_alarm
+from tissueid.posterior.prior_rows import prior_rows
+from tissueid.posterior.remarks import posterior_flags
 from tissueid.posterior.reported import interval95, reported_draws
 from tissueid.posterior.specimen_target import Facts, SpecimenTarget, specimen_target
 from tissueid.posterior.target import Redrawn
 from tissueid.priors import Priors
 from tissueid.result import Estimate, SpecimenFit
-from tissueid.uncertainty import ParameterUncertainty, Posterior, SamplerReport
+from tissueid.uncertainty import BudgetRow, NoiseFit, ParameterUncertainty, Posterior, SamplerReport
 
 __all__ = ["SAMPLERS", "PosteriorOptions", "posterior_target", "target_at", "with_posterior"]
 
@@ -252,6 +258,7 @@ def with_posterior(
     options: PosteriorOptions,
     checkpoint: Path | None = None,
     key: str = "",
+    instrument: bool = True,
     tick: Callable[[str], None] | None = None,
 ) -> SpecimenFit:
     """The fit of a specimen with its posterior.
@@ -265,6 +272,8 @@ def with_posterior(
         File that the sampler can go on from after a kill.
     key : str
         Of everything the posterior depends on; a checkpoint with another key is not used.
+    instrument : bool
+        Give the total interval too; normalised recordings have no instrument to ask about.
     tick : callable, optional
         Told what is being done.
     """
@@ -281,22 +290,86 @@ def with_posterior(
     drawn = target.redraw(points, rng)
     if fit.model.static_pooling == "per-log":
         drawn = _with_static(fitted, drawn, rng)
-    uncertainties = _uncertainties(fit, reported_draws(model, drawn.theta), shape, None)
-    keep = np.linspace(0, points.shape[0] - 1, min(KEPT_DRAWS, points.shape[0])).astype(np.int64)
-    noise = fitted.whitened.noise
-    # the sampled scale is that of the pre-filtered noise
-    theta, phi = noise.moving_average, float(np.mean(drawn.phi))
-    sigma = float(np.mean(drawn.sigma_N)) * float(np.sqrt(1.0 - 2.0 * phi * theta + theta**2))
+    noise = _sampled_noise(fitted, drawn)
+    total = _total(fitted, target, options, tick) if instrument else None
+    uncertainties = _uncertainties(
+        fit,
+        reported_draws(model, drawn.theta),
+        shape,
+        None if total is None else interval95(reported_draws(model, total.theta)),
+    )
+    tick("checks of the residuals")
+    misfit = misfit_alarm(fitted.told.blocks, noise)
     posterior = Posterior(
         sampler=sampled.report,
-        noise=replace(noise, sigma_N=sigma, phi=phi),
+        noise=noise,
         parameters=uncertainties,
         theta_names=fit.theta_names,
-        draws=drawn.theta[keep],
-        draws_total=None,
+        draws=_kept(drawn.theta),
+        draws_total=None if total is None else _kept(total.theta),
         covariance=np.cov(drawn.theta, rowvar=False),
         chain_names=target.names,
         chain=sampled.chain,
-        bands=predictive_bands(model, fit.theta, fit.trials, fitted.adjustments, drawn, sigma_N=sigma),
+        priors=(*prior_rows(target, points, drawn), *(() if total is None else total.priors)),
+        budget=() if total is None else _budget(fitted, target, total, options),
+        misfit=misfit,
+        bands=predictive_bands(
+            model, fit.theta, fit.trials, fitted.adjustments, drawn, sigma_N=noise.sigma_N
+        ),
     )
-    return replace(fit, parameters=_with_uncertainty(fit.parameters, uncertainties), posterior=posterior)
+    return replace(
+        fit,
+        parameters=_with_uncertainty(fit.parameters, uncertainties),
+        posterior=posterior,
+        flags=(*fit.flags, *posterior_flags(posterior)),
+    )
+
+
+def _kept(theta: FloatArray) -> FloatArray:
+    """The draws that a bundle and a report keep, spread over all."""
+    return theta[np.linspace(0, theta.shape[0] - 1, min(KEPT_DRAWS, theta.shape[0])).astype(np.int64)]
+
+
+def _sampled_noise(fitted: FittedSpecimen, drawn: Redrawn) -> NoiseFit:
+    """The noise of the posterior; the sampled scale is that of the pre-filtered noise."""
+    noise = fitted.whitened.noise
+    theta, phi = noise.moving_average, float(np.mean(drawn.phi))
+    sigma = float(np.mean(drawn.sigma_N)) * float(np.sqrt(1.0 - 2.0 * phi * theta + theta**2))
+    return replace(noise, sigma_N=sigma, phi=phi)
+
+
+def _total(
+    fitted: FittedSpecimen,
+    target: SpecimenTarget,
+    options: PosteriorOptions,
+    tick: Callable[[str], None],
+) -> TotalPosterior:
+    """Tissue and instrument together."""
+    tick("force channel, clock and frame")
+    return total_posterior(
+        fitted.told.knots,
+        fitted.optimum,
+        target.facts,
+        target.model,
+        target.priors,
+        effects=target.effects,
+        gain_sd=fitted.whitened.solution.noise.gain_sd,
+        seed=options.seed,
+    )
+
+
+def _budget(
+    fitted: FittedSpecimen, target: SpecimenTarget, total: TotalPosterior, options: PosteriorOptions
+) -> tuple[BudgetRow, ...]:
+    """Sources of uncertainty, and the bootstrap over logs beside them."""
+    bootstrap = cluster_bootstrap(
+        fitted.told.knots,
+        fitted.optimum,
+        target.facts,
+        target.model,
+        target.priors,
+        effects=target.effects,
+        gain_sd=fitted.whitened.solution.noise.gain_sd,
+        seed=options.seed,
+    )
+    return (*uncertainty_budget(total), *(() if bootstrap is None else bootstrap.rows))

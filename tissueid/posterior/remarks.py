@@ -1,0 +1,65 @@
+"""What has to be said beside a posterior: misfit, a sampler that stopped early, priors that decide."""
+
+from __future__ import annotations
+
+from tissueid.flags import Flag
+from tissueid.uncertainty import Posterior
+
+__all__ = ["posterior_flags"]
+
+#: Widths of the total over the statistical interval of the viscosity from which the machine dominates.
+DOMINATES = 3.0
+VISCOSITY = "viscosity_N_s_per_mm"
+
+
+def posterior_flags(posterior: Posterior) -> tuple[Flag, ...]:
+    """Flags of a posterior.
+
+    Parameters
+    ----------
+    posterior : Posterior
+    """
+    flags = []
+    misfit, sampler = posterior.misfit, posterior.sampler
+    if misfit is not None and misfit.raised:
+        raised = [check for check in misfit.checks if check.raised]
+        flags.append(
+            Flag(
+                "misfit",
+                "no interval can be believed: " + "; ".join(check.message for check in raised),
+                {"checks": [check.name for check in raised]},
+            )
+        )
+    if not sampler.converged:
+        reason = str(sampler.detail.get("reason", "its rule was not met"))
+        flags.append(
+            Flag(
+                "sampler_not_converged",
+                f"the sampler stopped before its rule was met ({reason}): intervals are rough; more --draws, "
+                "or --sampler exact, may do",
+                {"reason": reason},
+            )
+        )
+    flags += _machine(posterior)
+    return tuple(flags)
+
+
+def _machine(posterior: Posterior) -> list[Flag]:
+    """Where what is not known of the machine outweighs the noise of the recordings."""
+    eta = posterior.parameters.get(VISCOSITY)
+    if eta is None or eta.ci95_total is None:
+        return []
+    statistical, total = eta.ci95[1] - eta.ci95[0], eta.ci95_total[1] - eta.ci95_total[0]
+    if total < DOMINATES * statistical:
+        return []
+    rows = [row for row in posterior.budget if row.parameter == VISCOSITY and row.share is not None]
+    parts = [row for row in rows if row.source not in {"total", "noise"}]
+    worst = max(parts, key=lambda row: row.sd).source if parts else "the machine"
+    return [
+        Flag(
+            "calibration_dominates",
+            f"the total interval of eta is {total / statistical:.2g} times the statistical one, most of it "
+            f"from the {worst}: state it in [calibration] of study.toml to know more",
+            {"ratio": total / statistical, "source": worst},
+        )
+    ]
