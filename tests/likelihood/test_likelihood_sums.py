@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 
 from tissueid.likelihood.basis import kernel_basis
-from tissueid.likelihood.sums import CHUNK, MAX_STEP_GROUPS, N_STATIC, LogData, log_sums, reduction
+from tissueid.likelihood.kernels import fill_design
+from tissueid.likelihood.sums import (
+    CHUNK,
+    MAX_STEP_GROUPS,
+    N_STATIC,
+    LogData,
+    log_sums,
+    reduction,
+    step_tables,
+)
 from tissueid.model import ContactPath, KelvinVoigt
 
 JIT_OFF = os.environ.get("NUMBA_DISABLE_JIT") == "1"
@@ -177,3 +186,28 @@ def test_gram_is_positive_semidefinite():
     gram = log_sums(data, basis_for(data), degree=2).gram[0]
     unit = 1.0 / np.sqrt(np.diag(gram))
     assert np.linalg.eigvalsh(gram * unit[:, None] * unit).min() >= -1e-11 * gram.shape[0]
+
+
+@pytest.mark.parametrize("spread", [0.3, 3.0, 1000.0])
+def test_states_of_an_irregular_clock_are_those_of_their_own_steps(spread):
+    # weights follow from a table of near steps: exact for steps far shorter and far longer than tau
+    rng = np.random.default_rng(9)
+    n = 600
+    steps = 0.01 * np.exp(rng.uniform(0.0, np.log(1.0 + spread), size=n - 1))
+    steps[40] = 0.0
+    data = make_log(np.concatenate([[0.0], np.cumsum(steps)]))
+    tau = np.geomspace(0.002, 500.0, 25)
+    step = np.diff(data.time_s, prepend=0.0)
+    tables = step_tables(step, tau, float(data.time_s[-1]))
+    rows = np.zeros((n, N_STATIC + tau.size + 1))
+    fill_design(
+        data.depth_mm, step, *tables, tau, np.zeros(tau.size), 0, n, data.include, data.force_N, 0, rows
+    )
+    model, path = (
+        KelvinVoigt(branches=1, stiffness_degree=0, depth_mm=5.0),
+        ContactPath(data.time_s, data.depth_mm),
+    )
+    expected = np.array([model.states(np.array([one]), path)[0] for one in tau]).T
+    assert tables.off_s.size == n
+    # a relative error of 1e-15 a step, as often as a state remembers
+    assert np.abs(rows[:, N_STATIC:-1] - expected).max() <= 1e-13 * np.abs(expected).max()

@@ -6,20 +6,24 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.model.kernels import FLUSH_MM, step_weights
+from tissueid.model.kernels import FLUSH_MM
 
 __all__ = ["fill_design"]
 
 FloatArray = NDArray[np.float64]
+
+#: Coefficients of 1 - exp(-r) = r - r^2/2! + r^3/3! - r^4/4! + r^5/5!
+HALF, SIXTH, FOURTH, FIFTH = 1.0 / 2.0, 1.0 / 6.0, 1.0 / 24.0, 1.0 / 120.0
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
 def fill_design(
     depth_mm: FloatArray,
     step_s: FloatArray,
-    step_group: NDArray[np.int64],
-    table_a: FloatArray,
-    table_phi: FloatArray,
+    group: NDArray[np.int64],
+    decay: FloatArray,
+    gain: FloatArray,
+    off_s: FloatArray,
     tau_s: FloatArray,
     state: FloatArray,
     first: int,
@@ -35,9 +39,8 @@ def fill_design(
     ----------
     depth_mm, step_s, force_N : ndarray, shape (n,)
         Depth [mm], time since the previous sample [s] (the first is unused), force [N].
-    step_group : ndarray of int, shape (n,)
-        Row of the weight tables for a sample's step, or -1 where the step is not tabulated.
-    table_a, table_phi : ndarray, shape (groups, nodes)
+    group, decay, gain, off_s
+        :class:`tissueid.likelihood.sums.StepTables`.
     tau_s : ndarray, shape (nodes,)
     state : ndarray, shape (nodes,)
         Node states before ``first``; updated in place.
@@ -54,24 +57,32 @@ def fill_design(
         Rows written.
     """
     nodes = tau_s.size
+    rate = 1.0 / tau_s
     rows = 0
     y = 4 + nodes * (degree + 1)
     for i in range(first, last):
         x = depth_mm[i]
         if i > 0:
             dx = x - depth_mm[i - 1]
-            group = step_group[i]
-            if group >= 0:
-                a = table_a[group]
-                phi = table_phi[group]
+            a = decay[group[i]]
+            phi = gain[group[i]]
+            if off_s.size == 0:
                 for k in range(nodes):
                     s = a[k] * state[k] + phi[k] * dx
                     state[k] = s if abs(s) >= FLUSH_MM else 0.0
+            elif step_s[i] > 0.0:
+                off = off_s[i]
+                share = dx / step_s[i]
+                for k in range(nodes):
+                    # 1 - exp(-h/tau) from its value at a near step: no cancellation for any h/tau
+                    r = off * rate[k]
+                    less = r * (1.0 - r * (HALF - r * (SIXTH - r * (FOURTH - r * FIFTH))))
+                    lost = phi[k] + a[k] * less
+                    s = state[k] - lost * (state[k] - share * tau_s[k])
+                    state[k] = s if abs(s) >= FLUSH_MM else 0.0
             else:
                 for k in range(nodes):
-                    weight, gain = step_weights(step_s[i], tau_s[k])
-                    s = weight * state[k] + gain * dx
-                    state[k] = s if abs(s) >= FLUSH_MM else 0.0
+                    state[k] += dx
         if include[i]:
             row = out[rows]
             row[0] = 1.0

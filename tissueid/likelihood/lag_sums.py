@@ -35,8 +35,8 @@ __all__ = ["LagSums", "lag_sums"]
 
 FloatArray = NDArray[np.float64]
 
-#: Rows of one matrix product: design rows and differences stay in the second-level cache.
-CHUNK = 1024
+#: Rows of one matrix product; design rows and differences stay near the second-level cache.
+CHUNK = 640
 #: A chunk with more stretches of equal steps is sorted by step instead.
 MAX_STRETCHES = 8
 #: Rows at the ends of stretches are summed by so many.

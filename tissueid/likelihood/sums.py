@@ -10,6 +10,7 @@ adding.  Work: samples x columns^2, done by one matrix product a chunk, memory f
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,15 +18,19 @@ from numpy.typing import NDArray
 from tissueid.likelihood.basis import KernelBasis
 from tissueid.likelihood.kernels import fill_design
 
-__all__ = ["N_STATIC", "LogData", "LogSums", "log_sums", "reduction", "step_tables"]
+__all__ = ["N_STATIC", "LogData", "LogSums", "StepTables", "log_sums", "reduction", "step_tables"]
 
 FloatArray = NDArray[np.float64]
 
 #: Static columns 1, x, x^2, x^3: the constant is there because a shifted cubic has one.
 N_STATIC = 4
-CHUNK = 1024
-#: More distinct sampling steps than this are not tabulated.
+#: Rows of one matrix product; twice what the blocking of common BLAS libraries takes at once.
+CHUNK = 640
+#: More distinct sampling steps than this are an irregular clock.
 MAX_STEP_GROUPS = 256
+#: Distance in ln(step) of the steps that are tabulated for it: exp(-dh/tau) then is a polynomial of degree 5
+#: to 1e-15, because it matters only where h/tau is not large.
+NEAR_STEP = 4e-3
 #: Steps that differ by less than this fraction of the duration are one step printed with rounding.
 STEP_RESOLUTION = 1e-11
 
@@ -74,10 +79,29 @@ class LogSums:
     degree: int
 
 
-def step_tables(
-    step_s: FloatArray, tau_s: FloatArray, duration_s: float
-) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
-    """Group equal sampling steps and tabulate their weights for every node."""
+class StepTables(NamedTuple):
+    """Weights of the branch states for every sampling step, see :func:`tissueid.model.kernels.step_weights`.
+
+    Attributes
+    ----------
+    group : ndarray of int, shape (n,)
+        Row of the tables for each sample.
+    decay : ndarray, shape (groups, nodes)
+        a = exp(-h / tau).
+    gain : ndarray, shape (groups, nodes)
+        phi = (1 - a) tau / h; 1 - a where ``off_s`` is given.
+    off_s : ndarray, shape (n,) or (0,)
+        What each step is longer than that of its group; empty where groups are of equal steps [s].
+    """
+
+    group: NDArray[np.int64]
+    decay: FloatArray
+    gain: FloatArray
+    off_s: FloatArray
+
+
+def step_tables(step_s: FloatArray, tau_s: FloatArray, duration_s: float) -> StepTables:
+    """Group equal sampling steps, or near ones of an irregular clock, and tabulate their weights."""
     resolution = max(duration_s, 1e-300) * STEP_RESOLUTION
     if np.ptp(step_s[1:]) <= resolution:
         keys, group = np.zeros(1), np.zeros(step_s.size, dtype=np.int64)
@@ -86,15 +110,31 @@ def step_tables(
     else:
         keys, group = np.unique(np.round(step_s / resolution), return_inverse=True)
     if keys.size > MAX_STEP_GROUPS:
-        return np.full(step_s.size, -1, dtype=np.int64), np.zeros((0, tau_s.size)), np.zeros((0, tau_s.size))
+        return _irregular_tables(step_s, tau_s)
     mean = np.bincount(group, weights=step_s) / np.bincount(group)
     ratio = mean[:, None] / tau_s
     positive = ratio > 0.0
     safe = np.where(positive, ratio, 1.0)
-    return (
-        group.astype(np.int64),
-        np.where(positive, np.exp(-safe), 1.0),
-        np.where(positive, -np.expm1(-safe) / safe, 1.0),
+    return StepTables(
+        group=group.astype(np.int64),
+        decay=np.where(positive, np.exp(-safe), 1.0),
+        gain=np.where(positive, -np.expm1(-safe) / safe, 1.0),
+        off_s=np.zeros(0),
+    )
+
+
+def _irregular_tables(step_s: FloatArray, tau_s: FloatArray) -> StepTables:
+    """Tables at steps :data:`NEAR_STEP` apart in ln(step), from which the weights of any step follow."""
+    shortest = float(step_s[step_s > 0.0].min())
+    place = np.log(np.maximum(step_s, shortest) / shortest) / NEAR_STEP
+    filled, group = np.unique(np.round(place).astype(np.int64), return_inverse=True)
+    centre = shortest * np.exp(filled * NEAR_STEP)
+    ratio = centre[:, None] / tau_s
+    return StepTables(
+        group=group.astype(np.int64),
+        decay=np.exp(-ratio),
+        gain=-np.expm1(-ratio),
+        off_s=np.maximum(step_s, shortest) - centre[group],
     )
 
 
@@ -116,7 +156,7 @@ def log_sums(data: LogData, basis: KernelBasis, *, degree: int) -> LogSums:
     tau = basis.tau_s
     n = data.time_s.size
     step = np.diff(data.time_s, prepend=data.time_s[0])
-    group, table_a, table_phi = step_tables(step, tau, float(data.time_s[-1] - data.time_s[0]))
+    tables = step_tables(step, tau, float(data.time_s[-1] - data.time_s[0]))
     columns = N_STATIC + tau.size * (degree + 1) + 1
     folds = int(data.fold.max()) + 1
     gram = np.zeros((folds, columns, columns))
@@ -126,7 +166,7 @@ def log_sums(data: LogData, basis: KernelBasis, *, degree: int) -> LogSums:
     for first in range(0, n, CHUNK):
         last = min(first + CHUNK, n)
         rows = fill_design(
-            data.depth_mm, step, group, table_a, table_phi, tau, state, first, last,
+            data.depth_mm, step, *tables, tau, state, first, last,
             data.include, data.force_N, degree, chunk,
         )  # fmt: skip
         block = chunk[:rows]
