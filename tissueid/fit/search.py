@@ -129,7 +129,7 @@ def step_in_log_tau(evaluation: Evaluation, blocks: NDArray[np.int64]) -> FloatA
 
 
 def _descend(objective: Objective, best: Evaluation, bounds: tuple[float, float]) -> tuple[Evaluation, bool]:
-    """Gauss-Newton steps with halving; True where they arrived: what is left to gain is the value's rounding."""
+    """Gauss-Newton steps with halving; True where all that is left to gain is the value's rounding."""
     for _ in range(FIRST_STEPS):
         step = np.clip(step_in_log_tau(best, objective.blocks), -LONGEST_STEP, LONGEST_STEP)
         inside = (best.log_tau > bounds[0]) & (best.log_tau < bounds[1])

@@ -1,10 +1,13 @@
 """How many branches, and of what degree K is: chosen by what a model predicts, not by how it fits.
 
 Every candidate predicts each log from the others (leave one log out); a specimen with one log is cut
-into interleaved stretches of its ramp and hold instead.  The score is the log predictive density
-under white noise, the random effects of the held-out log integrated out.  Scores of neighbouring
-candidates differ by less than they scatter, so the simplest candidate within two standard errors of
-the best is taken.  A better NRMSD never decides: it always prefers the larger model.
+into interleaved stretches of its ramp and hold instead, or, where its noise is known, judged by BIC with the
+effective number of samples.  The score is the log predictive density, the random effects of the held-out log
+integrated out.  From the simplest candidate on, one branch or one degree is added as long as that predicts
+better than chance would have it: by two standard errors between logs, or, where the sums are whitened for
+the noise, by :data:`CLEAR` (what shows in a few logs only scatters between logs as much as it counts).  A
+better NRMSD never decides: it always prefers the larger model.  Models that predict somewhat better than the
+chosen one, but not beyond chance, are named beside it: the choice is then undecided.
 
 Ramps of one speed to one depth can't tell F_s(x) from K(x) s(x) but by the form of their polynomials: there
 a contact point that is off by its error, or noise in the displacement, is told as stiffness that varies with
@@ -22,6 +25,7 @@ from numpy.typing import NDArray
 
 from tissueid.fit.candidates import Candidate, Solution, SpecimenSums, fit_candidate
 from tissueid.fit.held_out import held_out_scores
+from tissueid.uncertainty import NoiseFit
 
 __all__ = ["Choice", "choose"]
 
@@ -30,6 +34,10 @@ FloatArray = NDArray[np.float64]
 #: Difference of log predictive density that decides nothing, however small its scatter.
 NEGLIGIBLE = 4.0
 STANDARD_ERRORS = 2.0
+#: Difference that decides under known noise: a true gain of S^2 / 2 scatters by S, and this is two of these.
+CLEAR = 8.0
+#: A gain below this is that of a model which only has more parameters (more in one of twenty cases).
+HINT = 2.0
 #: Share of the residual's standard deviation that a K varying with depth must take off at one speed: in
 #: simulations errors of contact and displacement took off less than 0.01.
 SEEN = 0.05
@@ -46,40 +54,64 @@ class Choice:
     solution : Solution
     table : tuple of dict
         One row a candidate: branches, stiffness_degree, score, stderr, chosen.
+    candidates : tuple of Solution
+        Those of the table, in its order.
+    undecided : tuple of Candidate
+        Models that these data can't rule out beside the chosen one; none where the choice is clear.
     """
 
     solution: Solution
     table: tuple[dict[str, float | int | bool | None], ...]
+    candidates: tuple[Solution, ...] = ()
+    undecided: tuple[Candidate, ...] = ()
 
 
-def _table(
-    solutions: list[Solution], scores: list[FloatArray], chosen: int
-) -> tuple[dict[str, float | int | bool | None], ...]:
-    best = int(np.argmax([one.sum() for one in scores]))
+@dataclass(frozen=True, slots=True, eq=False)
+class _Tried:
+    """One candidate that was fitted, and its held-out scores."""
+
+    solution: Solution
+    scores: FloatArray
+
+    @property
+    def candidate(self) -> Candidate:
+        return self.solution.candidate
+
+
+def _scatter(difference: FloatArray) -> float:
+    """Standard error of a sum of differences between held-out units; 0 where there is one."""
+    return float(difference.std(ddof=1) * np.sqrt(difference.size)) if difference.size > 1 else 0.0
+
+
+def _table(tried: list[_Tried], chosen: _Tried) -> tuple[dict[str, float | int | bool | None], ...]:
+    best = max(tried, key=lambda one: float(one.scores.sum()))
     rows: list[dict[str, float | int | bool | None]] = []
-    for i, (solution, score) in enumerate(zip(solutions, scores, strict=True)):
-        difference = score - scores[best]
+    for one in tried:
+        difference = one.scores - best.scores
         rows.append(
             {
-                "branches": solution.candidate.branches,
-                "stiffness_degree": solution.candidate.degree,
+                "branches": one.candidate.branches,
+                "stiffness_degree": one.candidate.degree,
                 "score": float(difference.sum()),
-                "stderr": float(difference.std(ddof=1) * np.sqrt(difference.size)),
-                "chosen": i == chosen,
+                "stderr": _scatter(difference),
+                "chosen": one is chosen,
             }
         )
     return tuple(rows)
 
 
-def _as_good(simple: FloatArray, other: FloatArray) -> bool:
+def _as_good(simple: FloatArray, other: FloatArray, *, known_noise: bool) -> bool:
     """True where ``other`` predicts no better than chance would have it.
 
     It does better where its advantage exceeds two standard errors, or where every unit that was held
-    out is predicted better by more than :data:`NEGLIGIBLE` (of two logs, two standard errors say little).
+    out is predicted better by more than :data:`NEGLIGIBLE` (of two logs, two standard errors say little),
+    or under known noise where it exceeds :data:`CLEAR`.
     """
     difference = other - simple
-    scatter = float(difference.std(ddof=1) * np.sqrt(difference.size))
-    by_chance = float(difference.sum()) <= max(STANDARD_ERRORS * scatter, NEGLIGIBLE)
+    gain = float(difference.sum())
+    if known_noise and gain > CLEAR:
+        return False
+    by_chance = gain <= max(STANDARD_ERRORS * _scatter(difference), NEGLIGIBLE)
     return by_chance and not float(difference.min()) > NEGLIGIBLE
 
 
@@ -105,16 +137,60 @@ def _has_idle_branch(sums: SpecimenSums, solution: Solution) -> bool:
     return bool(stiffness.min() <= IDLE * stiffness.max())
 
 
-def _admitted(solutions: list[Solution], *, one_speed: bool) -> list[int]:
-    """Candidates whose K the program of the test can tell."""
-    lowest = min(solution.candidate.degree for solution in solutions)
-    flat = min(one.noise.sigma2 for one in solutions if one.candidate.degree == lowest)
-    limit = (1.0 - SEEN) ** 2 * flat
-    return [
-        i
-        for i, one in enumerate(solutions)
-        if not one_speed or one.candidate.degree == lowest or one.noise.sigma2 <= limit
-    ]
+def _scores(sums: SpecimenSums, solution: Solution, share: float | None) -> FloatArray:
+    """Held-out scores, or for one log under known noise minus half of its BIC."""
+    judged = _judged(sums, solution)
+    if share is None or sums.logs.size > 1:
+        return held_out_scores(sums, judged)
+    n, sigma2 = float(sums.n), judged.noise.sigma2
+    penalty = solution.candidate.n_parameters * np.log(max(n * share, np.e))
+    return np.array([-0.5 * (n * np.log(2.0 * np.pi * sigma2) + judged.evaluation.value / sigma2 + penalty)])
+
+
+def _undecided(tried: list[_Tried], chosen: _Tried) -> tuple[Candidate, ...]:
+    """Models that predict better than the chosen one, or no worse with no more parameters."""
+    out = []
+    for one in tried:
+        gain = float((one.scores - chosen.scores).sum())
+        simple = one.candidate.n_parameters <= chosen.candidate.n_parameters
+        if one is not chosen and (gain > HINT or (simple and gain > -HINT)):
+            out.append(one.candidate)
+    return tuple(out)
+
+
+class _Search:
+    """Candidates that were tried, each fitted once."""
+
+    def __init__(
+        self,
+        sums: SpecimenSums,
+        pooling: str,
+        share: float | None,
+        progress: Callable[[str], None] | None,
+    ) -> None:
+        self.sums, self.pooling, self.share, self.progress = sums, pooling, share, progress
+        self.fitted: dict[tuple[int, int], _Tried | None] = {}
+
+    def fit(self, branches: int, degree: int) -> Solution:
+        """One candidate, started from the simpler ones."""
+        if self.progress is not None:
+            self.progress(f"{branches} branch{'es' if branches > 1 else ''}, K of degree {degree}")
+        seeds = [
+            one.solution.evaluation.log_tau
+            for (count, _), one in self.fitted.items()
+            if one is not None and count in (branches, branches - 1)
+        ]
+        candidate = Candidate(branches=branches, degree=degree, pooling=self.pooling)
+        return fit_candidate(self.sums, candidate, seeds=seeds)
+
+    def tried(self, branches: int, degree: int, *, fewest: int) -> _Tried | None:
+        """The same with its scores; ``None`` where a branch more than the fewest says nothing."""
+        key = (branches, degree)
+        if key not in self.fitted:
+            solution = self.fit(branches, degree)
+            idle = branches > fewest and _has_idle_branch(self.sums, solution)
+            self.fitted[key] = None if idle else _Tried(solution, _scores(self.sums, solution, self.share))
+        return self.fitted[key]
 
 
 def choose(
@@ -124,20 +200,24 @@ def choose(
     degrees: tuple[int, ...],
     pooling: str,
     one_speed: bool = False,
+    noise: NoiseFit | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Choice:
-    """Fit every candidate and take the simplest that predicts about as well as the best.
+    """The simplest candidate that predicts about as well as the best of its neighbours.
 
     Parameters
     ----------
     sums : SpecimenSums
-        With at least two units where there is more than one candidate.
+        With at least two units where there is more than one candidate and the noise is not known.
     branches, degrees : tuple of int
-        What to try; one value each means there is nothing to choose.
+        What to try, ascending without gaps; one value each means there is nothing to choose.
     pooling : str
         ``partial``, ``shared`` or ``per-log``.
     one_speed : bool
-        True where all ramps have one speed and all holds one depth.
+        True where all ramps have one speed and all holds one depth: K then varies with depth only where
+        that takes :data:`SEEN` off the residual.
+    noise : NoiseFit, optional
+        The noise that the sums are whitened for; ``None`` while it is not known.
     progress : callable, optional
         Told the name of each candidate before it is fitted.
 
@@ -145,31 +225,46 @@ def choose(
     -------
     Choice
     """
-    solutions: list[Solution] = []
-    scores: list[FloatArray] = []
-    only = len(branches) * len(degrees) == 1
-    for degree in degrees:
-        seeds: list[FloatArray] = []
-        previous: FloatArray | None = None
-        for count in branches:
-            if progress is not None:
-                progress(f"{count} branch{'es' if count > 1 else ''}, K of degree {degree}")
-            candidate = Candidate(branches=count, degree=degree, pooling=pooling)
-            solution = fit_candidate(sums, candidate, seeds=seeds)
-            if only:
-                return Choice(solution=solution, table=())
-            if previous is not None and _has_idle_branch(sums, solution):
-                break
-            seeds = [solution.evaluation.log_tau]
-            score = held_out_scores(sums, _judged(sums, solution))
-            solutions.append(solution)
-            scores.append(score)
-            if previous is not None and _as_good(previous, score):
-                # one branch more did not predict better; two more will not either
-                break
-            previous = score
-    admitted = _admitted(solutions, one_speed=one_speed)
-    best = max(admitted, key=lambda i: float(scores[i].sum()))
-    order = sorted(admitted, key=lambda i: (solutions[i].candidate.n_parameters, i))
-    chosen = next(i for i in order if _as_good(scores[i], scores[best]))
-    return Choice(solution=solutions[chosen], table=_table(solutions, scores, chosen))
+    share = None if noise is None else (1.0 - noise.phi) / (1.0 + noise.phi)
+    search = _Search(sums, pooling, share, progress)
+    fewest, flattest = branches[0], degrees[0]
+    if len(branches) * len(degrees) == 1:
+        return Choice(solution=search.fit(fewest, flattest), table=())
+    current = search.tried(fewest, flattest, fewest=fewest)
+    assert current is not None  # noqa: S101
+    while True:
+        here = current.candidate
+        ways = [(here.branches + 1, here.degree), (here.branches, here.degree + 1)]
+        near = [search.tried(*way, fewest=fewest) for way in ways if way[0] in branches and way[1] in degrees]
+        flat = min(
+            one.solution.noise.sigma2
+            for one in search.fitted.values()
+            if one is not None and one.candidate.degree == flattest
+        )
+        better = [
+            one
+            for one in near
+            if one is not None
+            and not _as_good(current.scores, one.scores, known_noise=noise is not None)
+            and not (
+                one_speed
+                and one.candidate.degree > flattest
+                and one.solution.noise.sigma2 > (1.0 - SEEN) ** 2 * flat
+            )
+        ]
+        if not better:
+            break
+        current = max(better, key=lambda one: float(one.scores.sum()))
+    tried = [one for one in search.fitted.values() if one is not None]
+    simpler = sorted(tried, key=lambda one: one.candidate.n_parameters)
+    chosen = next(
+        one
+        for one in simpler
+        if one is current or _as_good(one.scores, current.scores, known_noise=noise is not None)
+    )
+    return Choice(
+        solution=chosen.solution,
+        table=_table(tried, chosen),
+        candidates=tuple(one.solution for one in tried),
+        undecided=_undecided(tried, chosen),
+    )

@@ -33,6 +33,7 @@ RIDGE = 1e-13
 CONVERGED = 1e-14
 #: The same, of the fall that a step promises: a sum of squares from a Gram matrix is known to some 1e-13.
 EXHAUSTED = 1e-12
+HALVINGS = 30
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
@@ -245,10 +246,6 @@ def solve(
         bp = np.ascontiguousarray(b[:p])
         new_theta, new_generators, new_weights = cone_least_squares(hp, bp, blocks, start)
         expected = c - 2.0 * np.sum(bp * new_theta) + np.sum(new_theta * (hp @ new_theta))
-        if np.isfinite(value) and value - expected <= EXHAUSTED * value:
-            # what is left to gain is rounding, which a line search would chase in vain
-            generators, weights = new_generators, new_weights
-            break
         new_gamma = np.zeros(logs)
         new_delta = np.zeros(logs)
         for i in range(logs):
@@ -257,7 +254,9 @@ def solve(
         fraction = 1.0
         best = np.inf
         trial_theta, trial_gamma, trial_delta = new_theta, new_gamma, new_delta
-        for _halving in range(30):
+        # where the step promises no more than rounding, a long line search would chase it in vain
+        halvings = 2 if np.isfinite(value) and value - expected <= EXHAUSTED * value else HALVINGS
+        for _halving in range(halvings):
             trial_theta = theta + fraction * (new_theta - theta)
             trial_gamma = gamma + fraction * (new_gamma - gamma)
             trial_delta = delta + fraction * (new_delta - delta)
@@ -271,6 +270,8 @@ def solve(
             fraction *= 0.5
         if not (0.0 <= best <= value and np.isfinite(best)):
             # no fall along the step, or numbers that are none: the last point stands
+            if np.abs(weights).max() == 0.0:
+                generators, weights = new_generators, new_weights
             break
         fall = value - best
         theta, gamma, delta = trial_theta, trial_gamma, trial_delta
