@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from tissueid.posterior.checkpoint import Checkpoint, discard
-from tissueid.posterior.diagnostics import monte_carlo_errors
+from tissueid.posterior.diagnostics import MonteCarloErrors, monte_carlo_errors
 from tissueid.posterior.ensemble import EnsembleChain, sample_ensemble
 
 FloatArray = NDArray[np.float64]
@@ -31,7 +31,7 @@ TARGETS = {
 }
 
 
-def _errors(found: EnsembleChain) -> dict[str, object]:
+def _errors(found: EnsembleChain) -> dict[str, MonteCarloErrors]:
     return monte_carlo_errors(dict(zip(found.names, found.points.transpose(2, 0, 1), strict=True)))
 
 
@@ -255,11 +255,20 @@ def test_a_flat_direction_is_sampled_to_its_bounds() -> None:
     assert high == pytest.approx(5.0 - 0.025 * 7.0, abs=4.0 * errors.q975)
 
 
-def test_a_covariance_without_an_inverse_is_no_obstacle() -> None:
+@pytest.mark.parametrize("kind", ["singular", "not a number", "negative"])
+def test_a_laplace_covariance_that_is_none_is_no_obstacle(kind: str) -> None:
     target = Normal(2, correlation=0.5)
-    target.covariance = np.array([[1e-4, 1e-2], [1e-2, 1.0]])
+    target.covariance = {
+        "singular": np.array([[1e-4, 1e-2], [1e-2, 1.0]]),
+        "not a number": np.full((2, 2), np.nan),
+        "negative": np.diag([-1e-4, 1.0]),
+    }[kind]
     found = sample_ensemble(target, draws=1000, seed=58)
     assert found.converged, found.reason
+    errors = _errors(found)
+    for k, (mean, sd) in enumerate(zip(target.mode, (0.01, 1.0), strict=True)):
+        assert found.points[:, :, k].mean() == pytest.approx(mean, abs=4.0 * errors[f"x{k}"].mean)
+        assert found.points[:, :, k].std() == pytest.approx(sd, abs=4.0 * errors[f"x{k}"].sd)
 
 
 def test_a_mode_without_density_around_it_is_refused() -> None:

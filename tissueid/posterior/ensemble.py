@@ -377,6 +377,9 @@ def _starts(
 def _root_of(covariance: FloatArray) -> FloatArray:
     """Triangular root of a covariance, made definite where rounding left it without one."""
     covariance = np.asarray(covariance, dtype=np.float64)
+    if not np.isfinite(covariance).all():
+        # no curvature could be worked out at the mode; the warm-up learns it from any start
+        covariance = np.eye(len(covariance))
     scale = np.sqrt(np.abs(np.diag(covariance)))
     scale[~(scale > 0.0)] = 1.0
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
