@@ -43,8 +43,7 @@ def one_record(check: Check, seed: int, index: int) -> Record:
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
     started = time.perf_counter()
     try:
-        with threadpool_limits(limits=1, user_api="blas"):
-            replicate = check(rng)
+        replicate = check(rng)
     except (ArithmeticError, np.linalg.LinAlgError) as error:
         return Record(index=index, failed=f"{type(error).__name__}: {error}")
     return record_of(index, replicate, rng, seconds=round(time.perf_counter() - started, 4))
@@ -57,6 +56,7 @@ def _begin(packed: bytes) -> None:
     """Unpack the check once a worker; an interrupt is the parent's to answer."""
     global _check
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threadpool_limits(limits=1, user_api="blas")
     _check = pickle.loads(packed)  # noqa: S301 -- packed by the parent process
 
 
@@ -66,8 +66,10 @@ def _in_worker(seed: int, index: int) -> Record:
 
 def _records(check: Check, seed: int, indices: list[int], workers: int) -> Iterator[Record]:
     if workers == 1 or len(indices) == 1:
-        for index in indices:
-            yield one_record(check, seed, index)
+        # small matrices lose by BLAS threads
+        with threadpool_limits(limits=1, user_api="blas"):
+            for index in indices:
+                yield one_record(check, seed, index)
         return
     context = multiprocessing.get_context("spawn")
     waiting: deque[Future[Record]] = deque()

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.errors import NotIdentifiedError
 from tissueid.selfcheck.ranks import DRAWS, EcdfBand, binomial_interval, ecdf_band, ecdf_counts
 from tissueid.selfcheck.records import Record, failures
 
@@ -225,13 +226,14 @@ def verdict_of(records: Sequence[Record]) -> Verdict:
 
     Raises
     ------
-    ValueError
+    NotIdentifiedError
         No simulation has a posterior.
     """
     good = [record for record in records if record.failed is None]
     if not good:
-        msg = f"none of {len(records)} simulations has a posterior"
-        raise ValueError(msg)
+        why = f"; the first: {records[0].failed}" if records else ""
+        msg = f"none of {len(records)} simulations has a posterior{why}"
+        raise NotIdentifiedError(msg)
     names = list(good[0].rank)
     bands = {
         "95": ecdf_band(len(good), 0.95),

@@ -1,0 +1,172 @@
+"""A right posterior passes, a wrong one is told why; runs are resumed, killed and shared without a trace."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conjugate_check import NormalMean
+
+from tissueid.errors import NotIdentifiedError, UsageError
+from tissueid.selfcheck.records import Checkpoint, Record, Replicate, record_of, thinned
+from tissueid.selfcheck.run import one_record, run_simulations
+from tissueid.selfcheck.verdicts import verdict_of
+
+
+def records_of(check: NormalMean, simulations: int, *, seed: int = 11) -> tuple[Record, ...]:
+    return tuple(one_record(check, seed, index) for index in range(simulations))
+
+
+def test_a_right_posterior_is_calibrated() -> None:
+    verdict = verdict_of(records_of(NormalMean(), 400))
+    assert verdict.calibrated
+    assert verdict.reasons == ()
+    (mean, twice) = verdict.parameters
+    # z has mean 0 and mean square 1; 3.5 standard errors
+    assert mean.mean_z == pytest.approx(0.0, abs=3.5 / np.sqrt(400))
+    assert mean.spread_ratio == pytest.approx(1.0, abs=3.5 / np.sqrt(2 * 400))
+    # posterior variance 0.8, prior variance 4: 1 - 0.8 / 4, known like a variance of 400 truths
+    assert mean.contraction == pytest.approx(0.8, abs=3.5 * 0.2 * np.sqrt(2 / 400))
+    # a monotone function of a parameter has its ranks
+    np.testing.assert_array_equal(mean.ranks, twice.ranks)
+
+
+@pytest.mark.parametrize(
+    ("check", "says"),
+    [
+        (NormalMean(width=0.7), "mean: the 95 % interval covers"),
+        (NormalMean(width=1.5), "mean: the 50 % interval covers"),
+        (NormalMean(shift=0.4), "mean: ranks leave the family-wise 99 % band"),
+    ],
+    ids=["too narrow", "too wide", "biased"],
+)
+def test_a_wrong_posterior_is_told_why(check: NormalMean, says: str) -> None:
+    verdict = verdict_of(records_of(check, 400))
+    assert not verdict.calibrated
+    assert any(reason.startswith(says) for reason in verdict.reasons), verdict.reasons
+
+
+def test_bias_and_spread_have_the_right_size() -> None:
+    shifted = verdict_of(records_of(NormalMean(shift=0.4), 400)).parameters[0]
+    narrow = verdict_of(records_of(NormalMean(width=0.7), 400)).parameters[0]
+    assert shifted.mean_z == pytest.approx(-0.4, abs=3.5 / np.sqrt(400))
+    assert narrow.spread_ratio == pytest.approx(1 / 0.7, rel=3.5 / np.sqrt(2 * 400))
+
+
+def test_a_simulation_without_a_posterior_is_counted_and_told() -> None:
+    # 16 % of truths lie above one prior standard deviation
+    records = records_of(NormalMean(fails_above=2.0), 200)
+    verdict = verdict_of(records)
+    assert 10 < len(verdict.failed) < 60
+    assert verdict.simulations + len(verdict.failed) == 200
+    assert verdict.reasons[0].endswith("no posterior: ArithmeticError: no posterior here")
+    with pytest.raises(NotIdentifiedError, match="none of 3 simulations has a posterior; the first: "):
+        verdict_of(records_of(NormalMean(fails_above=-100.0), 3))
+
+
+def test_draws_that_are_no_numbers_count_as_a_failure() -> None:
+    replicate = Replicate(truth={"a": 0.0}, draws={"a": np.full(399, np.nan)})
+    record = record_of(0, replicate, np.random.default_rng(0), seconds=0.1)
+    assert record.failed == "draws of a that are no numbers"
+
+
+def test_too_few_draws_are_refused() -> None:
+    with pytest.raises(ValueError, match="10 draws, 399 are needed"):
+        thinned(np.zeros(10))
+
+
+def test_a_second_call_goes_on_with_the_same_simulations(tmp_path: Path) -> None:
+    check, path = NormalMean(), tmp_path / "calibrate.jsonl"
+    with Checkpoint(path, "d") as checkpoint:
+        first = run_simulations(check, checkpoint, simulations=8, seed=3)
+    told: list[tuple[int, int]] = []
+    with Checkpoint(path, "d") as checkpoint:
+        both = run_simulations(
+            check, checkpoint, simulations=20, seed=3, progress=lambda _m, done, of: told.append((done, of))
+        )
+    assert told[0] == (8, 20)
+    assert told[-1] == (20, 20)
+    assert [record.rank for record in both[:8]] == [record.rank for record in first]
+    whole = [one_record(check, 3, index) for index in range(20)]
+    assert [record.truth for record in both] == [record.truth for record in whole]
+    with Checkpoint(path, "d") as checkpoint:
+        # fewer than there are: the first ones
+        assert len(run_simulations(check, checkpoint, simulations=5, seed=3)) == 5
+
+
+def test_a_torn_last_line_is_dropped_and_simulated_again(tmp_path: Path) -> None:
+    path = tmp_path / "calibrate.jsonl"
+    with Checkpoint(path, "d") as checkpoint:
+        run_simulations(NormalMean(), checkpoint, simulations=4, seed=3)
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-30])
+    with Checkpoint(path, "d") as checkpoint:
+        assert checkpoint.missing(4) == [3]
+        again = run_simulations(NormalMean(), checkpoint, simulations=4, seed=3)
+    assert again[3].truth == one_record(NormalMean(), 3, 3).truth
+    path.write_bytes(whole[:20])
+    with Checkpoint(path, "d") as checkpoint:
+        # killed within the first line: nothing is lost that was there
+        assert checkpoint.missing(2) == [0, 1]
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (b'{"format": "other"}\n', "holds the simulations of another check"),
+        (b"time,force\n1,2\n", "holds the simulations of another check"),
+    ],
+)
+def test_a_file_of_another_check_is_refused_and_kept(tmp_path: Path, content: bytes, says: str) -> None:
+    path = tmp_path / "calibrate.jsonl"
+    path.write_bytes(content)
+    with pytest.raises(UsageError, match=says):
+        Checkpoint(path, "d")
+    assert path.read_bytes() == content
+
+
+def test_a_damaged_line_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "calibrate.jsonl"
+    with Checkpoint(path, "d") as checkpoint:
+        run_simulations(NormalMean(), checkpoint, simulations=2, seed=3)
+    lines = path.read_bytes().splitlines(keepends=True)
+    for broken in (b"no json\n", b'{"index": 1, "unknown": 2}\n', b"[1, 2]\n"):
+        path.write_bytes(b"".join([lines[0], broken, lines[2]]))
+        with pytest.raises(UsageError, match="is damaged"):
+            Checkpoint(path, "d")
+
+
+def test_workers_change_nothing_but_the_clock(tmp_path: Path) -> None:
+    with Checkpoint(tmp_path / "one", "d") as checkpoint:
+        one = run_simulations(NormalMean(), checkpoint, simulations=6, seed=9)
+    with Checkpoint(tmp_path / "two", "d") as checkpoint:
+        two = run_simulations(NormalMean(), checkpoint, simulations=6, seed=9, workers=2)
+    assert [(r.index, r.truth, r.rank) for r in one] == [(r.index, r.truth, r.rank) for r in two]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a kill that can't be caught is POSIX")
+def test_a_killed_run_goes_on_to_the_same_end(tmp_path: Path) -> None:
+    path = tmp_path / "calibrate.jsonl"
+    script = Path(__file__).with_name("conjugate_check.py")
+    arguments = [sys.executable, str(script), str(path), "60"]
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[2])}
+    running = subprocess.Popen(arguments, env=environment)
+    deadline = time.monotonic() + 120.0
+    while not (path.exists() and path.read_bytes().count(b"\n") > 8):
+        assert time.monotonic() < deadline, "nothing was simulated"
+        time.sleep(0.01)
+    running.send_signal(signal.SIGKILL)
+    running.wait()
+    before = path.read_bytes()
+    assert before.count(b"\n") < 61
+    subprocess.run(arguments, env=environment, check=True)
+    assert path.read_bytes().startswith(before[: before.rfind(b"\n") + 1])
+    with Checkpoint(path, "killed") as checkpoint:
+        found = [(r.truth, r.rank) for r in checkpoint.first(60)]
+    assert found == [(r.truth, r.rank) for r in records_of(NormalMean(), 60, seed=5)]
