@@ -29,6 +29,7 @@ from tissueid.covariates import (
 from tissueid.errors import exit_code
 from tissueid.fit.material import stated_geometry
 from tissueid.fit.specimen import FitOptions, FittedSpecimen, LogHandle, fit_with_state
+from tissueid.fit.stored_sums import stored_sums
 from tissueid.fit.tip import tip_handles
 from tissueid.manifest import Study
 from tissueid.posterior.calibration_priors import calibration_priors
@@ -36,6 +37,7 @@ from tissueid.posterior.specimen import PosteriorOptions, with_posterior
 from tissueid.priors import Priors
 from tissueid.result import Exit, Identification, Refusal, SpecimenFit
 from tissueid.segment import SegmentOptions
+from tissueid.store.sums import StoredSums
 from tissueid.trial import Axes, Source, Trial
 
 __all__ = [
@@ -193,6 +195,7 @@ def _fit_all(
     study: Study | None,
     progress: _Progress,
     checkpoint: Checkpoints | None,
+    keep_sums: Callable[[StoredSums], None] | None,
 ) -> list[SpecimenFit]:
     """Fit every specimen; one whose numbers defeat the arithmetic is refused, and the rest goes on."""
     fits: list[SpecimenFit] = []
@@ -210,6 +213,9 @@ def _fit_all(
             identity = _identity(collected.inputs, specimen, options, study)
             normalised = collected.axes[specimen].normalised
             fit = _sampled(fitted, options, study, checkpoint, identity, tick, normalised=normalised)
+            if keep_sums is not None:
+                hashes = {(entry["path"], entry["sheet"]): entry["sha256"] for entry in collected.inputs}
+                keep_sums(stored_sums(fitted, hashes))
         except (ArithmeticError, np.linalg.LinAlgError) as error:
             collected.left_out += [
                 arithmetic_refusal(entry["path"], entry["sheet"], "fitted", error)
@@ -234,6 +240,7 @@ def identify(
     provenance: Mapping[str, Any] | None = None,
     progress: Callable[[str, int, int], None] | None = None,
     checkpoint: Checkpoints | None = None,
+    keep_sums: Callable[[StoredSums], None] | None = None,
 ) -> Identification:
     """Identify the contact model of every specimen among the trials.
 
@@ -254,6 +261,8 @@ def identify(
         ``progress(message, done, total)``; total is 0 while it is not known.
     checkpoint : callable, optional
         Gives the file in which a specimen's chain is kept while it is sampled, by the specimen's name.
+    keep_sums : callable, optional
+        Told the sums of every specimen once it is fitted.
 
     Returns
     -------
@@ -272,7 +281,7 @@ def identify(
         unloading=options.fit.unloading,
     )
     names = display_names(collected.sources)
-    fits = _fit_all(collected, names, options, study, progress, checkpoint)
+    fits = _fit_all(collected, names, options, study, progress, checkpoint, keep_sums)
 
     def fit_again(name: str, handles: Sequence[LogHandle], fit: FitOptions, because: str) -> SpecimenFit:
         return _fit(name, handles, fit, study, lambda text: progress(f"{name} {because}: {text}", 0, 0)).fit

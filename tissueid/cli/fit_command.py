@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from tissueid.pipeline import IdentifyOptions
     from tissueid.posterior.specimen import PosteriorOptions
     from tissueid.result import Identification, Refusal, SpecimenFit
+    from tissueid.store.sums import StoredSums
 
 __all__ = ["command"]
 
@@ -107,8 +108,8 @@ def command(**flags: Any) -> int:
 
     PATHS are exports, workbooks, folders of them, or a study.toml. Each file or sheet is its own specimen
     unless their headers carry the same specimen label, --specimen-by groups them, or a study does. Writes
-    identification.json, one bundle a specimen, curves.h5 and report.html to the output folder, all at once
-    or not at all.
+    identification.json, one bundle a specimen, curves.h5, posteriors.h5, sums.h5 and report.html to the
+    output folder, all at once or not at all.
     """
     from tissueid.fit.compiled import kernels_to_compile
     from tissueid.pipeline import identify
@@ -133,6 +134,7 @@ def command(**flags: Any) -> int:
             quiet=quiet,
         )
     refused: list[Refusal] = []
+    sums: list[StoredSums] = []
     with OutputSet(flags["out"]) as run, progress_bar(show=not quiet) as progress:
         identification = identify(
             read_all(items, refused),
@@ -143,11 +145,12 @@ def command(**flags: Any) -> int:
             provenance={"reading": {key: flags[key] for key in READING}},
             progress=progress,
             checkpoint=run.sampling,
+            keep_sums=sums.append,
         )
         document: dict[str, Any] = plain_json(identification.as_json())
         if identification.specimens:
             progress("writing the report", 0, 0)
-            document = write_results(run, identification)
+            document = write_results(run, identification, sums)
             curves = curves_of_fits(identification.specimens)
             posteriors = posteriors_of_fits(identification.specimens)
             created = datetime.now(UTC).isoformat(timespec="seconds")

@@ -268,8 +268,7 @@ def linear_columns(
     every = np.concatenate([one.ratio for one in logs])
     order = np.sort(every)
     ratio = order[np.concatenate([[True], np.diff(order) > SAME_RATIO * order[1:]])] if order.size else order
-    shared = 0.0
-    cross, own = [], []
+    parts, cross, own = [], [], []
     links = np.zeros(ratio.size)
     for i, one in enumerate(logs):
         tissue = _shared_columns(basis, one.degree, optimum, nodes, i)
@@ -278,13 +277,13 @@ def linear_columns(
         effect = _effect_columns(basis, one.degree, optimum, effects, i)
         kinds = _kinds(one, ratio)
         by_tissue = kinds @ tissue
-        shared = shared + tissue.T @ by_tissue
+        parts.append(tissue.T @ by_tissue)
         cross.append(effect.T @ by_tissue)
         own.append(effect.T @ kinds @ effect)
         for k, value in enumerate(one.ratio):
             links[int(np.abs(ratio - value).argmin())] += one.links[k]
     return Columns(
-        shared=np.ascontiguousarray(shared),
+        shared=np.ascontiguousarray(sum(parts)),
         cross=np.ascontiguousarray(np.stack(cross)),
         own=np.ascontiguousarray(np.stack(own)),
         ratio=ratio,

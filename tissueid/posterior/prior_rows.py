@@ -117,7 +117,6 @@ def prior_rows(target: SpecimenTarget, points: FloatArray, drawn: Redrawn) -> tu
     if target.data.has_gain:
         words = f"half-normal, scale {priors.gain_sd:.3g}"
         scale = priors.gain_sd * HALF_NORMAL_SD
-        rows.append(
-            _row("gain_sd", words, priors.gain_sd != type(priors)().gain_sd, np.exp(points[:, at]), scale)
-        )
+        stated = priors.gain_sd != Priors().gain_sd
+        rows.append(_row("gain_sd", words, stated, np.exp(points[:, at]), scale))
     return tuple(rows)

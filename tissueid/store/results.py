@@ -1,7 +1,8 @@
 """What a fit leaves in its output folder, by name, and how it is read back and checked.
 
 ``identification.json`` (the numbers), ``bundle-<specimen>.h5`` (the models), ``bundle.h5`` where there is
-one specimen, ``curves.h5`` (what a report draws), ``posteriors.h5`` (draws, where a posterior was sampled).
+one specimen, ``curves.h5`` (what a report draws), ``posteriors.h5`` (draws, where a posterior was sampled),
+``sums.h5`` (all that the likelihood needs of the samples).
 A report is written into the same set by whoever made it.
 """
 
@@ -26,6 +27,7 @@ from tissueid.store.posteriors import (
     write_posteriors,
 )
 from tissueid.store.schema import check
+from tissueid.store.sums import StoredSums, write_sums
 
 __all__ = [
     "CURVES",
@@ -42,6 +44,7 @@ __all__ = [
 IDENTIFICATION = "identification.json"
 CURVES = "curves.h5"
 POSTERIORS = "posteriors.h5"
+SUMS = "sums.h5"
 REPORT = "report.html"
 ONLY_BUNDLE = "bundle.h5"
 
@@ -49,14 +52,18 @@ _LONGEST_LIST = 8
 _WAY_OUT = "run `tissueid fit` again"
 
 
-def write_results(run: OutputSet, identification: Identification) -> dict[str, Any]:
-    """Write the numbers, bundles, curves and draws of a fit into an output set.
+def write_results(
+    run: OutputSet, identification: Identification, sums: Iterable[StoredSums] = ()
+) -> dict[str, Any]:
+    """Write the numbers, bundles, curves, draws and sums of a fit into an output set.
 
     Parameters
     ----------
     run : OutputSet
         Open, not yet committed.
     identification : Identification
+    sums : iterable of StoredSums
+        One a specimen, or none.
 
     Returns
     -------
@@ -81,6 +88,9 @@ def write_results(run: OutputSet, identification: Identification) -> dict[str, A
     posteriors = posteriors_of_fits(identification.specimens)
     if posteriors:
         write_posteriors(posteriors, run.path(POSTERIORS))
+    kept = list(sums)
+    if kept:
+        write_sums(kept, run.path(SUMS))
     return document
 
 
