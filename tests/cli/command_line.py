@@ -15,8 +15,8 @@ from typing import Any
 
 from tissueid.cli.main import main
 
-#: One branch and constant K: the quickest fit.
-QUICK = ("--branches", "1", "--stiffness-degree", "0")
+#: One branch, constant K and no posterior: the quickest fit.
+QUICK = ("--branches", "1", "--stiffness-degree", "0", "--sampler", "none")
 REPOSITORY = Path(__file__).resolve().parents[2]
 LOG = REPOSITORY / "datasets_synthetic" / "paper-a-hold-100Hz" / "hold-8-1.csv"
 HEADER_LINES = 6

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import run
+from command_line import QUICK, run
 
 from tissueid.store.schema import first_problem
 
@@ -63,7 +63,7 @@ def test_three_pieces_of_meat_are_fitted_within_one_percent(workbook: Path) -> N
 def test_the_whole_workbook_is_fitted_with_a_median_within_one_percent(
     workbook: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    ended = run("fit", workbook, "-o", tmp_path, "--json")
+    ended = run("fit", workbook, "-o", tmp_path, "--json", "--sampler", "none")
     document = ended.json()
     assert ended.code in (0, 4)
     assert (ended.code == 4) == bool(document["exit"]["reasons"])
@@ -97,7 +97,7 @@ def test_the_cyclic_export_is_described_as_recorded(cyclic: Path) -> None:
 
 
 def test_the_cyclic_export_gives_no_relaxation_and_no_bug(cyclic: Path, tmp_path: Path) -> None:
-    ended = run("fit", cyclic, "-o", tmp_path, "--json")
+    ended = run("fit", cyclic, "-o", tmp_path, "--json", "--sampler", "none")
     assert ended.code in (0, 4)
     (one,) = ended.json()["specimens"]
     assert one["relaxation"] == []
@@ -117,7 +117,7 @@ def test_no_real_file_ends_in_a_bug(shared_data: Path, tmp_path: Path) -> None:
         if "error" in one:
             assert one["error"]["message"], one["path"]
     small = [path for path in files if "meat" not in path.parent.name]
-    fitted = run("fit", *small, "-o", tmp_path, "--json", "--branches", "1", "--stiffness-degree", "0")
+    fitted = run("fit", *small, "-o", tmp_path, "--json", *QUICK)
     assert fitted.code == 7
     refused = {one["path"] for one in fitted.json()["refused"]}
     read = {trial["path"] for one in fitted.json()["specimens"] for trial in one["trials"]}

@@ -49,7 +49,7 @@ class Linearised(NamedTuple):
         Distinct steps over the reference step.
     links : ndarray, shape (groups,)
         Links between samples of each step.
-    count : float
+    samples : float
         Samples.
     best, best_tau : ndarray, shape (p,) and (branches,)
         Optimum, and its ln tau.
@@ -83,7 +83,7 @@ class Linearised(NamedTuple):
     own: FloatArray
     ratio: FloatArray
     links: FloatArray
-    count: float
+    samples: float
     best: FloatArray
     best_tau: FloatArray
     nodes: FloatArray
@@ -322,7 +322,7 @@ def _conditional(
     for k in range(data.ratio.size):
         if phi > 0.0:
             log_det += data.links[k] * np.log1p(-(phi ** (2.0 * data.ratio[k])))
-    value = -0.5 * (data.count * (LOG_TWO_PI + np.log(sigma2)) + log_det + c)
+    value = -0.5 * (data.samples * (LOG_TWO_PI + np.log(sigma2)) + log_det + c)
     inverse = inverse_factor(low)
     return reference + t, inverse.T @ inverse, reference, back, spread, value
 

@@ -352,7 +352,7 @@ def _built(
         own=columns.own,
         ratio=columns.ratio,
         links=columns.links,
-        count=float(columns.count),
+        samples=float(columns.count),
         best=np.ascontiguousarray(optimum.theta),
         best_tau=np.ascontiguousarray(optimum.log_tau),
         nodes=np.array([one.nodes for one in nodes]).reshape(branches, -1),
