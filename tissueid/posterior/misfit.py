@@ -144,8 +144,9 @@ def shared_structure(
     """Structure that repeats from log to log, against exchanged signs.
 
     For each place of the program the squared sum over logs of the block means, over the sum of their
-    squares; summed over the places of holds and of ramps, as such and weighted with speed and depth.  The
-    smallest of these p-values is judged against its own distribution under the same exchanges.
+    squares; summed over the places of holds and of ramps, as such and weighted with speed and depth, for
+    the means and for the means whitened by the noise's covariance; and the largest of either.  The smallest
+    of these p-values is judged against its own distribution under the same exchanges.
 
     Parameters
     ----------
@@ -171,17 +172,19 @@ def shared_structure(
     signs[0] = 1.0
     rows: list[_Row] = []
     columns: list[FloatArray] = []
+    largest: list[FloatArray] = []
     for values in (plain, white):
         table, groups = _features(logs, values)
         if not groups:
             return None
         squares = (signs @ table) ** 2 / (table**2).sum(axis=0)
-        rows += [*groups, _Row("one place of the program", np.arange(1))]
-        columns += [squares[:, group.columns].sum(axis=1) for group in groups] + [squares.max(axis=1)]
-    sums = np.column_stack(columns)
+        rows += groups
+        columns += [squares[:, group.columns].sum(axis=1) for group in groups]
+        largest.append(squares.max(axis=1))
+    sums = np.column_stack(columns + largest)
     p_values = (sums.shape[0] - _ranks(sums)) / sums.shape[0]
     smallest = p_values.min(axis=1)
-    strongest = int(np.argmin(p_values[0]))
+    strongest = int(np.argmin(p_values[0, : len(rows)]))
     strength = float(sums[0, strongest] / rows[strongest].columns.size)
     return strength, float((smallest <= smallest[0]).mean()), rows[strongest].words
 
