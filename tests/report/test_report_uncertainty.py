@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Sequence
 from dataclasses import replace
@@ -241,6 +242,21 @@ def opened(browser: Any, path: Path, html: str, width: int) -> tuple[Any, list[s
     tab.on("pageerror", lambda error: errors.append(str(error)))
     tab.goto(path.as_uri())
     return tab, errors
+
+
+def test_the_overview_has_the_interval_of_each_specimen_and_none_under_a_misfit() -> None:
+    plain, odd, bare = (specimen_fit(name, trials=1, samples=40) for name in "abc")
+    html = page(sampled(plain), sampled(odd, misfit=True), bare)
+    points = json.loads(html.split('id="curves">')[1].split("</script>")[0])["overview"]
+    known = sampled(plain).parameter("viscosity_N_s_per_mm").uncertainty
+    assert known is not None
+    assert points[0]["up"] == pytest.approx(known.ci95[1] - 9.0, rel=1e-12)
+    assert points[0]["down"] == pytest.approx(9.0 - known.ci95[0], rel=1e-12)
+    assert (points[1]["up"], points[1]["down"]) == (0.0, 0.0)
+    assert (points[2]["up"], points[2]["down"]) == (0.11, 0.11)
+    rows = html.split('<table class="overview">')[1].split("</table>")[0].split("<tr>")
+    assert "±" not in rows[3]
+    assert "9.00 ± 0.11" in rows[2]
 
 
 @pytest.mark.browser

@@ -23,6 +23,7 @@ from tissueid.report.uncertainty_words import uncertainty_view
 from tissueid.report.wording import (
     NOT_IDENTIFIED,
     in_units,
+    misfit_raised,
     number,
     overview_sentence,
     parameter_words,
@@ -86,20 +87,35 @@ def _view(position: int, specimen: Mapping[str, Any]) -> dict[str, Any]:
         "sure": uncertainty_view(specimen),
         "verdict": verdict(specimen),
         "remarks": remarks(specimen),
-        "summary": [parameters.get(name) for name in _SUMMARY],
+        "summary": [_without_error(parameters.get(name), specimen) for name in _SUMMARY],
         "quoted": quoted_tables(specimen["quoted"]),
         "cycles": cycle_table(specimen["cycles"]),
     }
 
 
+def _without_error(entry: Mapping[str, Any] | None, specimen: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    """A parameter as the overview shows it: no error where the residuals contradict the model."""
+    return {**entry, "stderr": None} if entry is not None and misfit_raised(specimen) else entry
+
+
 def _overview(specimens: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Points of the overview figure: one a specimen whose viscosity is identified."""
     return [
-        {"name": specimen["specimen"], "value": entry["value"], "stderr": entry["stderr"]}
+        {"name": specimen["specimen"], "value": entry["value"], **_ends(specimen, entry)}
         for specimen in specimens
         for entry in specimen["parameters"]
         if entry["name"] == "viscosity_N_s_per_mm" and entry["value"] is not None
     ]
+
+
+def _ends(specimen: Mapping[str, Any], entry: Mapping[str, Any]) -> dict[str, float]:
+    """How far an error bar reaches up and down: 95 %, or one standard error where nothing was sampled."""
+    if misfit_raised(specimen):
+        return {"up": 0.0, "down": 0.0}
+    if entry["ci95"] is None:
+        return {"up": entry["stderr"] or 0.0, "down": entry["stderr"] or 0.0}
+    low, high = entry["ci95"]
+    return {"up": max(high - entry["value"], 0.0), "down": max(entry["value"] - low, 0.0)}
 
 
 def _counts(views: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, int]]:

@@ -56,7 +56,7 @@
   const overview = () => {
     const points = payload.overview;
     return [{ x: points.map((p) => p.name), y: points.map((p) => p.value), mode: "markers", marker: { color: colour("model"), size: 8 },
-      error_y: { type: "data", array: points.map((p) => p.stderr || 0), color: colour("data"), thickness: 2 },
+      error_y: { type: "data", array: points.map((p) => p.up), arrayminus: points.map((p) => p.down), color: colour("data"), thickness: 2 },
       name: "viscosity", hovertemplate: "%{x}: %{y:.4g} N·s/mm<extra></extra>", showlegend: false }];
   };
 
