@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.signal import lfilter
 
 from tissueid.likelihood.basis import kernel_basis
 from tissueid.likelihood.chains import chain_breaks
 from tissueid.likelihood.lag_sums import CHUNK, lag_sums
+from tissueid.likelihood.noise import moving_average
 from tissueid.likelihood.step_groups import MAX_LAG_GROUPS, lag_groups
 from tissueid.likelihood.sums import LogData, log_sums, reduction
 from tissueid.model import ContactPath, KelvinVoigt
@@ -230,26 +232,27 @@ def test_log_likelihood_is_exact_at_the_optimum_and_around_it(
     assert centred.log_likelihood(elsewhere, sigma, phi) == pytest.approx(expected, rel=0.0, abs=1e-3)
 
 
-def reference_sums(data, basis, degree, theta=0.0):
-    """Start, later, earlier and difference Gram matrices of one group, from all rows at once."""
+def design(data, basis, degree):
+    """Design rows of all samples."""
     x = data.depth_mm
     model, path = KelvinVoigt(branches=1, stiffness_degree=0, depth_mm=5.0), ContactPath(data.time_s, x)
     states = [model.states(np.array([tau]), path)[0] for tau in basis.tau_s]
     columns = [np.ones_like(x), x, x**2, x**3] + [s * x**p for p in range(degree + 1) for s in states]
-    z = np.column_stack([*columns, data.force_N])
+    return np.column_stack([*columns, data.force_N])
+
+
+def reference_sums(data, basis, degree):
+    """Start, later, earlier and difference Gram matrices of one group, from all rows at once."""
+    z = design(data, basis, degree)
     linked = links(data)
-    for n in range(x.size):
-        if linked[n]:
-            z[n] += theta * z[n - 1]
     starts = data.include & ~linked
     later, earlier = z[linked], z[np.flatnonzero(linked) - 1]
     return [part.T @ part for part in (z[starts], later, earlier, later - earlier)]
 
 
-@pytest.mark.parametrize("theta", [0.0, 0.8])
 @pytest.mark.parametrize("n", [20, CHUNK - 1, CHUNK, CHUNK + 1, 2 * CHUNK + 1])
 @needs_jit
-def test_sums_are_those_of_all_rows_at_once(n, theta):
+def test_sums_are_those_of_all_rows_at_once(n):
     include = np.ones(n, dtype=bool)
     include[: n // 7] = False
     include[n // 3] = False
@@ -257,9 +260,9 @@ def test_sums_are_those_of_all_rows_at_once(n, theta):
     breaks[n // 2] = True
     data = make_log(sampling("uniform", n), include=include, breaks=breaks)
     basis = basis_for(make_log(sampling("uniform", 3000)))
-    sums = lag_sums(data, basis, degree=1, reference_step_s=0.005, moving_average=theta)
+    sums = lag_sums(data, basis, degree=1, reference_step_s=0.005)
     found = [sums.start, sums.later[0], sums.earlier[0], sums.difference[0]]
-    for mine, expected in zip(found, reference_sums(data, basis, 1, theta), strict=True):
+    for mine, expected in zip(found, reference_sums(data, basis, 1), strict=True):
         size = np.sqrt(np.diag(expected))
         # states are exact to 1e-12 of their column's norm; earlier is later plus edges
         assert np.abs(mine - expected).max() <= 1e-12 * max(size.max() ** 2, 1.0)
@@ -404,3 +407,46 @@ def test_nothing_that_counts_gives_empty_sums():
     assert sums.count == 0
     assert not gram.any()
     assert log_det == 0.0
+
+
+@pytest.mark.parametrize("clock", ["uniform", "three rates", "gaps and event rows"])
+@pytest.mark.parametrize(("phi", "white"), [(0.9, 0.3), (0.99, 0.8), (0.999, 0.5)])
+def test_filtered_sums_are_those_of_white_plus_ar1_noise(clock, phi, white):
+    n = 300
+    include = np.arange(sampling(clock, n).size) != 77
+    data = make_log(sampling(clock, n), include=include)
+    basis = kernel_basis(step_s=0.01, length_s=100.0, log_range=(-3.0, -1.0))
+    theta = moving_average(phi, white)
+    sums = lag_sums(data, basis, degree=1, reference_step_s=0.01, moving_average=theta, phi=phi)
+    used = data.include
+    chain, time = np.cumsum(~links(data))[used], data.time_s[used]
+    apart = np.abs(time[:, None] - time[None, :]) / 0.01
+    covariance = (1.0 - white) * phi**apart * (chain[:, None] == chain[None, :]) + white * np.eye(time.size)
+    z = design(data, basis, 1)[used]
+    expected = z.T @ np.linalg.solve(covariance, z)
+    gram, _ = sums.whitened(phi)
+    variance = 1.0 / (1.0 - 2.0 * phi * theta + theta**2)
+    size = np.sqrt(np.diag(expected))
+    # solving with a covariance of condition 1e3
+    assert np.abs(gram / variance - expected).max() <= 1e-10 * size.max() ** 2
+
+
+@needs_jit
+def test_away_from_its_phi_the_filter_is_a_moving_average():
+    phi, other, theta = 0.99, 0.97, 0.9
+    data = make_log(sampling("uniform", 4000))
+    basis = kernel_basis(step_s=0.01, length_s=100.0, log_range=(-3.0, -1.0))
+    sums = lag_sums(data, basis, degree=0, reference_step_s=0.01, moving_average=theta, phi=phi)
+    z = design(data, basis, 0)
+    zeta = lfilter([1.0], [1.0, -theta], z, axis=0)
+    innovations = (zeta[1:] - other * zeta[:-1]) / math.sqrt(1.0 - other**2)
+    expected = zeta[:1].T @ zeta[:1] + innovations.T @ innovations
+    # theta^n has died away after a hundred samples of four thousand
+    assert np.abs(sums.whitened(other)[0] - expected).max() <= 0.02 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize(("phi", "theta"), [(0.0, 0.5), (0.5, 0.6), (1.0, 0.5), (0.9, -0.1)])
+def test_no_white_noise_plus_ar1_has_such_a_theta(phi, theta):
+    data = make_log(sampling("uniform", 60))
+    with pytest.raises(ValueError, match="theta < phi"):
+        lag_sums(data, basis_for(data), degree=0, reference_step_s=0.01, moving_average=theta, phi=phi)

@@ -93,7 +93,7 @@ def _sums_of_lags(
     degree: int,
     step_s: float,
     centred: Optimum,
-    moving_average: float,
+    noise: NoiseEstimate,
 ) -> tuple[LagSums, ...]:
     """One pass over the logs; loaded one after the other, summed in threads."""
     running: deque[Future[LagSums]] = deque()
@@ -110,7 +110,8 @@ def _sums_of_lags(
                     degree=degree,
                     reference_step_s=step_s,
                     center=centre(basis, degree, centred, i),
-                    moving_average=moving_average,
+                    moving_average=noise.moving_average,
+                    phi=noise.phi,
                 )
             )
             while len(running) > workers:
@@ -165,7 +166,7 @@ def whiten(
     found: NoiseEstimate = estimate_noise(chains, parameters=solution.candidate.n_parameters, model=noise)
     centred = optimum_of(solution, adjustments, sums.depth_mm)
     tick("sums for correlated noise")
-    lags = _sums_of_lags(handles, sums.basis, sums.columns_degree, step, centred, found.moving_average)
+    lags = _sums_of_lags(handles, sums.basis, sums.columns_degree, step, centred, found)
     white = replace(
         sums,
         gram=np.stack(

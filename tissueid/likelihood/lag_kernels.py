@@ -8,7 +8,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["filter_chain", "link_rows"]
+__all__ = ["filter_chain", "filter_rows", "link_rows"]
 
 FloatArray = NDArray[np.float64]
 
@@ -17,34 +17,80 @@ SETTLED = 1e-15
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
-def link_rows(group: NDArray[np.int64], theta: float, rows: FloatArray, change: FloatArray) -> None:
-    """Pre-filter design rows chain by chain, in place, and take the differences of neighbours.
+def link_rows(group: NDArray[np.int64], rows: FloatArray, change: FloatArray) -> None:
+    """Take the differences of neighbouring design rows.
 
     Parameters
     ----------
     group : ndarray of int, shape (k,)
         -1 where a row starts a chain.
-    theta : float
-        ``zeta_n = z_n + theta zeta_(n-1)``; 0 leaves the rows as they are.
     rows : ndarray, shape (chunk + 1, m)
-        Row ``i + 1`` belongs to ``group[i]``; row 0 is the last (pre-filtered) row of the chunk before.
+        Row ``i + 1`` belongs to ``group[i]``; row 0 is the last row of the chunk before.
     change : ndarray, shape (chunk + 1, m)
-        Receives ``zeta_n - zeta_(n-1)``, zero where a row starts a chain.
+        Receives ``z_n - z_(n-1)``, zero where a row starts a chain.
     """
     m = rows.shape[1]
     for i in range(group.size):
         row = rows[i + 1]
         before = rows[i]
         difference = change[i + 1]
-        if group[i] < 0:
-            for k in range(m):
-                difference[k] = 0.0
-            continue
-        if theta != 0.0:
-            for k in range(m):
-                row[k] += theta * before[k]
+        linked = 1.0 if group[i] >= 0 else 0.0
         for k in range(m):
-            difference[k] = row[k] - before[k]
+            difference[k] = linked * (row[k] - before[k])
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def filter_rows(
+    group: NDArray[np.int64],
+    rho: FloatArray,
+    white: float,
+    variance: float,
+    left: float,
+    mean: FloatArray,
+    rows: FloatArray,
+) -> float:
+    """Turn white plus AR(1) noise into AR(1): design rows are filtered chain by chain, in place.
+
+    With v_n and F_n the innovations of the scalar Kalman filter and their variances, the new rows are
+    ``zeta_n = rho zeta_(n-1) + v_n sqrt(variance (1 - rho^2) / F_n)``: their AR(1) innovations are those of
+    the filter, at the start of a chain as well as after it.
+
+    Parameters
+    ----------
+    group : ndarray of int, shape (k,)
+        Group of a row's link, -1 where it starts a chain.
+    rho : ndarray, shape (groups,)
+        Correlation of the AR(1) part over the step of each group.
+    white : float
+        White part of the noise, whose variance is one.
+    variance : float
+        Variance of zeta.
+    left : float
+        Variance that the filter leaves after the row before.
+    mean : ndarray, shape (m,)
+        The filter's state after the row before; updated in place.
+    rows : ndarray, shape (chunk + 1, m)
+        Row ``i + 1`` belongs to ``group[i]``; row 0 is the last filtered row of the chunk before.
+
+    Returns
+    -------
+    float
+        Variance that the filter leaves after the last row.
+    """
+    m = rows.shape[1]
+    for i in range(group.size):
+        r = rho[group[i]] if group[i] >= 0 else 0.0
+        expected = r * r * left + (1.0 - white) * (1.0 - r * r)
+        gain = expected / (expected + white)
+        scale = math.sqrt(variance * (1.0 - r * r) / (expected + white))
+        left = gain * white
+        row = rows[i + 1]
+        before = rows[i]
+        for k in range(m):
+            innovation = row[k] - r * mean[k]
+            mean[k] = r * mean[k] + gain * innovation
+            row[k] = scale * innovation + r * before[k]
+    return left
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")

@@ -27,7 +27,8 @@ from numpy.typing import NDArray
 from tissueid.likelihood.basis import KernelBasis
 from tissueid.likelihood.chains import linked_samples
 from tissueid.likelihood.kernels import fill_design
-from tissueid.likelihood.lag_kernels import link_rows
+from tissueid.likelihood.lag_kernels import filter_rows, link_rows
+from tissueid.likelihood.noise import white_part
 from tissueid.likelihood.step_groups import lag_groups
 from tissueid.likelihood.sums import N_STATIC, LogData, step_tables
 
@@ -189,6 +190,7 @@ def lag_sums(
     reference_step_s: float,
     center: FloatArray | None = None,
     moving_average: float = 0.0,
+    phi: float = 0.0,
 ) -> LagSums:
     """Sum one log over the nodes of a basis, neighbouring samples apart from single ones.
 
@@ -207,9 +209,11 @@ def lag_sums(
     center : ndarray, shape (m - 1,), optional
         Weights of the columns that predict the force: the last column becomes ``force - columns @ center``,
         so that the sums are of the size of the residuals and low noise loses no digits.
-    moving_average : float
-        theta of ``zeta_n = z_n + theta zeta_(n-1)``, applied to every column, chain by chain from zeta = z;
-        turns white + AR(1) noise into AR(1) once theta^n has died away.
+    moving_average, phi : float
+        theta and phi of white plus AR(1) noise as an ARMA(1,1) process over the reference step: every column
+        is filtered chain by chain, which leaves AR(1) noise.  In the middle of a chain of such steps that is
+        ``zeta_n = z_n + theta zeta_(n-1)`` for any phi; at its start, and over other steps, it is exact for
+        the phi that is given.
 
     Returns
     -------
@@ -224,6 +228,8 @@ def lag_sums(
     group, mean_s = lag_groups(step, linked)
     columns = N_STATIC + tau.size * (degree + 1) + 1
     totals = _Totals(mean_s.size, columns)
+    white, variance = white_part(phi, moving_average)
+    rho, left, mean = phi ** (mean_s / reference_step_s), 0.0, np.zeros(columns)
     state = np.zeros(tau.size)
     rows, change = np.zeros((2, CHUNK + 1, columns))
     for first in range(0, step.size, CHUNK):
@@ -237,7 +243,9 @@ def lag_sums(
         if center is not None:
             rows[1 : count + 1, -1] -= rows[1 : count + 1, :-1] @ center
         inside = group[first:last][data.include[first:last]]
-        link_rows(inside, moving_average, rows, change)
+        if white > 0.0:
+            left = filter_rows(inside, rho, white, variance, left, mean, rows)
+        link_rows(inside, rows, change)
         totals.add(rows[: count + 1], change[: count + 1], inside)
         rows[0] = rows[count]
     totals.add_edges()

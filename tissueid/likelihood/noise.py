@@ -23,7 +23,7 @@ from tissueid.likelihood.chains import linked_samples
 from tissueid.likelihood.lag_kernels import filter_chain
 from tissueid.likelihood.sums import LogData
 
-__all__ = ["NoiseChain", "NoiseEstimate", "estimate_noise", "moving_average", "noise_chain"]
+__all__ = ["NoiseChain", "NoiseEstimate", "estimate_noise", "moving_average", "noise_chain", "white_part"]
 
 FloatArray = NDArray[np.float64]
 
@@ -39,9 +39,9 @@ SEARCHED = 20_000
 #: this in ln L: a hundredth of what one standard deviation would change.
 FINE, FINE_LOG_L = 1e-3, 5e-3
 EVALUATIONS = 200
-#: White plus AR(1) is tried where this part of all links has one step: theta belongs to one step.
+#: White plus AR(1) is tried where this part of all links has the reference step, to which theta belongs.
 UNIFORM_SHARE = 0.95
-SAME_STEP = 1e-3
+SAME_STEP = 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,8 +91,7 @@ class NoiseEstimate:
     @property
     def sigma_filtered_N(self) -> float:
         """Standard deviation of the AR(1) noise that pre-filtering leaves [N]; else ``sigma_N``."""
-        theta, phi = self.moving_average, self.phi
-        return self.sigma_N / math.sqrt(1.0 - 2.0 * phi * theta + theta**2)
+        return self.sigma_N * math.sqrt(white_part(self.phi, self.moving_average)[1])
 
 
 def noise_chain(data: LogData, residual_N: FloatArray, *, reference_step_s: float) -> NoiseChain:
@@ -133,6 +132,25 @@ def moving_average(phi: float, white_share: float) -> float:
         return 0.0
     half = ((1.0 - white_share) * (1.0 - phi**2) + white_share * (1.0 + phi**2)) / (2.0 * lag_one)
     return 1.0 / (half + math.sqrt(max(half**2 - 1.0, 0.0)))
+
+
+def white_part(phi: float, theta: float) -> tuple[float, float]:
+    """White share of the variance from phi and theta, and the variance of the AR(1) noise behind the filter.
+
+    The inverse of :func:`moving_average`; the second is in units of the whole variance.
+
+    Raises
+    ------
+    ValueError
+        No white noise plus AR(1) has these: theta must lie in [0, phi).
+    """
+    if theta == 0.0:
+        return 0.0, 1.0
+    if not 0.0 < theta < phi < 1.0:
+        msg = f"white noise plus AR(1) has 0 <= theta < phi < 1, not theta {theta} and phi {phi}"
+        raise ValueError(msg)
+    share = (1.0 - phi**2) / (phi * (theta + 1.0 / theta - 2.0 * phi))
+    return share, 1.0 / (1.0 - 2.0 * phi * theta + theta**2)
 
 
 def estimate_noise(
@@ -252,9 +270,9 @@ def _best_mixture(chains: Sequence[NoiseChain], part: Sequence[NoiseChain]) -> N
 
 
 def _uniform(chains: Sequence[NoiseChain]) -> bool:
-    """Whether nearly all links have one step."""
+    """Whether nearly all links have the reference step."""
     ratio = np.concatenate([chain.ratio[~chain.starts] for chain in chains])
-    return bool(np.mean(np.abs(ratio / np.median(ratio) - 1.0) <= SAME_STEP) >= UNIFORM_SHARE)
+    return bool(np.mean(np.abs(ratio - 1.0) <= SAME_STEP) >= UNIFORM_SHARE)
 
 
 def _freed(found: NoiseEstimate, samples: int, parameters: int) -> NoiseEstimate:
