@@ -55,6 +55,7 @@ def stored(specimen: str, *, seeds: tuple[int, ...], rates: int = 1) -> StoredSu
         scale_mm=2.0,
         reference_step_s=0.01,
         moving_average=0.3,
+        filter_phi=0.9,
         step_s=0.01,
         duration_s=30.0,
         log_range=(-3.0, 2.0) if rates > 1 else None,
@@ -68,7 +69,15 @@ def test_sums_come_back_bit_for_bit(tmp_path: Path) -> None:
     actual = list(read_sums(tmp_path / "sums.h5"))
     assert [one.specimen for one in actual] == ["a", "Ärmel"]
     for before, after in zip(expected, actual, strict=True):
-        for name in ("degree", "scale_mm", "reference_step_s", "moving_average", "step_s", "duration_s"):
+        for name in (
+            "degree",
+            "scale_mm",
+            "reference_step_s",
+            "moving_average",
+            "filter_phi",
+            "step_s",
+            "duration_s",
+        ):
             assert getattr(after, name) == getattr(before, name), name
         assert after.log_range == before.log_range
         assert np.array_equal(after.tau_s, before.tau_s)

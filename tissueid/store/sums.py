@@ -40,7 +40,16 @@ SUMS_SCHEMA_VERSION = 1
 _FORMAT = "tissueid/sums"
 _STATIC_COLUMNS = 4
 #: Facts of a specimen that all its logs share, in the words of the index.
-_FACTS = ("degree", "scale_mm", "reference_step_s", "moving_average", "step_s", "duration_s", "log_range")
+_FACTS = (
+    "degree",
+    "scale_mm",
+    "reference_step_s",
+    "moving_average",
+    "filter_phi",
+    "step_s",
+    "duration_s",
+    "log_range",
+)
 _ARRAYS = ("tau_s", "center", "ratio", "links", "gram")
 
 
@@ -88,8 +97,8 @@ class StoredSums:
         Depth that theta is scaled with.
     reference_step_s : float
         Step over which the correlation of the noise is one [s].
-    moving_average : float
-        theta of the pre-filter.
+    moving_average, filter_phi : float
+        theta and phi of the pre-filter; zero where there was none.
     step_s, duration_s : float
     log_range : tuple of float or None
         What :func:`tissueid.likelihood.basis.kernel_basis` was asked for: finest step, longest log, range of
@@ -103,6 +112,7 @@ class StoredSums:
     scale_mm: float
     reference_step_s: float
     moving_average: float
+    filter_phi: float
     step_s: float
     duration_s: float
     log_range: tuple[float, float] | None
