@@ -1,10 +1,11 @@
 """Posterior draws as arviz knows them, for plots and comparisons that tissueid does not make.
 
-Two groups of one data set a specimen::
+Groups of one data set a specimen::
 
     posterior                theta of the contact model, one chain of thinned draws; every draw is passive.
                              ``<name>_total``: with the calibration nuisances
     unconstrained_posterior  the coordinates that were sampled, each walker a chain, after burn-in, thinned
+    sample_stats             ``lp``, the log density of those, where a chain was walked
 
 arviz before 1.0 gets its ``InferenceData``, later ones the ``DataTree`` of xarray.  Both come with the extra
 ``tissueid[arviz]`` and are imported only here.
@@ -35,6 +36,7 @@ def arviz_data(
     draws_total: FloatArray | None,
     chain_names: Sequence[str],
     chain: FloatArray,
+    log_density: FloatArray | None = None,
     attributes: Mapping[str, Any] | None = None,
 ) -> Any:
     """Put draws into the data structure of the arviz that is installed.
@@ -47,6 +49,7 @@ def arviz_data(
     draws_total : ndarray, shape (n, p), or None
     chain_names : sequence of str
     chain : ndarray, shape (chains, draws, d)
+    log_density : ndarray, shape (chains, draws), optional
     attributes : mapping, optional
         Text or numbers that are kept with each group, as the specimen.
 
@@ -70,6 +73,8 @@ def arviz_data(
         "posterior": _data_set(xarray, theta, attributes),
         "unconstrained_posterior": _data_set(xarray, sampled, attributes),
     }
+    if log_density is not None:
+        groups["sample_stats"] = _data_set(xarray, {"lp": log_density}, attributes)
     if int(arviz.__version__.split(".")[0]) < 1:
         return arviz.InferenceData(**groups)
     return xarray.DataTree.from_dict(groups)

@@ -342,6 +342,8 @@ class Posterior:
     bands : mapping
         (path, sheet) of a trial -> predictive band, ndarray of shape (3, m): low, median, high [N] at the
         samples of its curve.
+    log_density : ndarray, shape (chains, draws), or None
+        Log posterior density of the chain's draws, where a chain was walked.
     """
 
     sampler: SamplerReport
@@ -358,6 +360,7 @@ class Posterior:
     comparison: tuple[ComparisonRow, ...] = ()
     misfit: MisfitAlarm | None = None
     bands: Mapping[tuple[str, str | None], FloatArray] = field(default_factory=dict)
+    log_density: FloatArray | None = None
 
     def to_arviz(self) -> Any:
         """The draws as arviz knows them, with the groups of :mod:`tissueid.exchange`.
@@ -375,6 +378,7 @@ class Posterior:
             draws_total=self.draws_total,
             chain_names=self.chain_names,
             chain=self.chain,
+            log_density=self.log_density,
         )
 
     def as_json(self) -> dict[str, Any]:

@@ -6,6 +6,7 @@ import importlib.util
 import sys
 import types
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -74,8 +75,17 @@ def test_draws_are_one_chain_and_walkers_are_chains(monkeypatch: pytest.MonkeyPa
     assert list(chain) == list(given.chain_names)
     for k, name in enumerate(given.chain_names):
         assert np.array_equal(chain[name][1], given.chain[:, :, k])
+    assert "sample_stats" not in groups
     coordinates = groups["unconstrained_posterior"].kwargs["coords"]
     assert (coordinates["chain"].size, coordinates["draw"].size) == given.chain.shape[:2]
+
+
+def test_the_log_density_of_a_walked_chain_goes_along(monkeypatch: pytest.MonkeyPatch) -> None:
+    _install(monkeypatch, "0.18.0")
+    given = posterior(draws=50)
+    given = replace(given, log_density=given.chain.sum(axis=2))
+    stats = given.to_arviz().kwargs["sample_stats"].args[0]
+    assert np.array_equal(stats["lp"][1], given.log_density)
 
 
 def test_without_total_draws_there_are_no_total_variables(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -83,3 +84,15 @@ def test_draws_of_another_run_are_told(tmp_path: Path) -> None:
     assert output_problems(tmp_path) == [
         "posteriors.h5 and identification.json name different sampled specimens"
     ]
+
+
+def test_the_log_density_of_a_chain_comes_back_and_must_fit_it(tmp_path: Path) -> None:
+    (before, _), path = posteriors_of_fits(FITS), tmp_path / "p.h5"
+    density = before.chain.sum(axis=2)
+    write_posteriors([replace(before, log_density=density)], path)
+    after = load_posteriors(path)[0].log_density
+    assert after is not None
+    assert np.array_equal(after, density)
+    write_posteriors([replace(before, log_density=density[:, :5])], path)
+    with pytest.raises(BundleError, match="does not match the numbers of 'a'"):
+        load_posteriors(path)

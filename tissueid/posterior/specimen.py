@@ -186,10 +186,11 @@ def _with_static(fitted: FittedSpecimen, drawn: Redrawn, rng: np.random.Generato
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Sampled:
-    """A chain in the sampled coordinates, shape (chains, draws, d), and how it came about."""
+    """A chain in the sampled coordinates, shape (chains, draws, d), its density, and how it came about."""
 
     chain: FloatArray
     report: SamplerReport
+    log_density: FloatArray | None = None
 
 
 def _sample(
@@ -218,7 +219,7 @@ def _sample(
         key=key,
         progress=lambda steps, share: tick(f"sampling, {steps:,} steps, {100.0 * min(share, 1.0):.0f} %"),
     )
-    return _Sampled(found.points, found.report())
+    return _Sampled(found.points, found.report(), found.log_density)
 
 
 def _uncertainties(
@@ -310,6 +311,7 @@ def with_posterior(
         covariance=np.cov(drawn.theta, rowvar=False),
         chain_names=target.names,
         chain=sampled.chain,
+        log_density=sampled.log_density,
         priors=(*prior_rows(target, points, drawn), *(() if total is None else total.priors)),
         budget=() if total is None else _budget(fitted, target, total, options),
         misfit=misfit,

@@ -9,6 +9,7 @@ Layout: one group a specimen, in the order of ``index`` (JSON text: specimen, na
         |-- draws              (n, p)             theta of the contact model, every row passive
         |-- draws_total        (n, p)             with the calibration nuisances, where they were drawn
         |-- chain              (chains, draws, d) sampled coordinates
+        |-- log_density        (chains, draws)    of the posterior, where a chain was walked
         |-- bands              (3, m)             float32: low, median, high [N] of all trials end to end
         `-- offsets            (trials + 1,)      where each trial's band begins and ends
 """
@@ -54,6 +55,7 @@ class StoredPosterior:
         At most :data:`MOST_POINTS` points.
     bands : mapping
         (path, sheet) of a trial -> shape (3, m): low, median, high [N] at the samples of its curve.
+    log_density : ndarray, shape (chains, draws), or None
     """
 
     specimen: str
@@ -63,6 +65,7 @@ class StoredPosterior:
     chain_names: tuple[str, ...]
     chain: FloatArray
     bands: Mapping[tuple[str, str | None], FloatArray] = field(default_factory=dict)
+    log_density: FloatArray | None = None
 
     def to_arviz(self) -> Any:
         """The draws as arviz knows them; see :func:`tissueid.exchange.arviz_data`."""
@@ -74,6 +77,7 @@ class StoredPosterior:
             draws_total=self.draws_total,
             chain_names=self.chain_names,
             chain=self.chain,
+            log_density=self.log_density,
             attributes={"specimen": self.specimen},
         )
 
@@ -89,6 +93,7 @@ def posteriors_of_fits(fits: Iterable[SpecimenFit]) -> tuple[StoredPosterior, ..
             chain_names=fit.posterior.chain_names,
             chain=_thinned(fit.posterior.chain),
             bands=fit.posterior.bands,
+            log_density=fit.posterior.log_density,
         )
         for fit in fits
         if fit.posterior is not None
@@ -145,8 +150,9 @@ def _columns(one: StoredPosterior) -> dict[str, NDArray[Any]]:
         "bands": bands.astype("<f4"),
         "offsets": np.concatenate([[0], np.cumsum(sizes, dtype=int)]).astype("<i8"),
     }
-    if one.draws_total is not None:
-        columns["draws_total"] = one.draws_total.astype("<f8")
+    for name, values in (("draws_total", one.draws_total), ("log_density", one.log_density)):
+        if values is not None:
+            columns[name] = values.astype("<f8")
     return columns
 
 
@@ -184,6 +190,7 @@ def _posterior(entry: Mapping[str, Any], group: Any) -> StoredPosterior:
     whole = (
         columns["draws"].shape[1:] == (size,)
         and columns["chain"].shape[2:] == (len(entry["chain_names"]),)
+        and columns.get("log_density", columns["chain"]).shape[:2] == columns["chain"].shape[:2]
         and offsets.size == len(entry["trials"]) + 1
         and columns["bands"].shape == (_BAND_ROWS, offsets[-1])
     )
@@ -202,4 +209,5 @@ def _posterior(entry: Mapping[str, Any], group: Any) -> StoredPosterior:
             trial: columns["bands"][:, start:stop].astype(np.float64)
             for trial, start, stop in zip(trials, offsets[:-1], offsets[1:], strict=True)
         },
+        log_density=columns.get("log_density"),
     )
