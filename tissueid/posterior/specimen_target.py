@@ -40,6 +40,8 @@ FREE_FACTOR = 10.0
 #: Rise of -log density at which a coordinate's scale is read off, and steps of the Hessian in that scale.
 PROBE = 0.5
 ARCTANH_LIMIT = 12.0
+#: Smallest curvature along a ridge, relative to that of its coordinates: noise and phi near 1 have 1e-3.
+LEAST_CURVATURE = 2e-3
 #: A spread of the gains below this is none; far below, its square is lost to rounding.
 LEAST_LN_GAIN_SD = math.log(1e-9)
 
@@ -422,7 +424,9 @@ def _with_mode(target: SpecimenTarget, start: FloatArray, start_sd: FloatArray) 
         },
     )
     mode = start + found.x * start_sd
-    return replace(target, mode=mode, covariance=_laplace(target, mode, start_sd))
+    # a mode at an end of phi's range has the curvature that goes on beyond it
+    beyond = replace(target, priors=replace(target.priors, phi=(0.0, 1.0)))
+    return replace(target, mode=mode, covariance=_laplace(beyond, mode, start_sd))
 
 
 def _laplace(target: SpecimenTarget, mode: FloatArray, guess: FloatArray) -> FloatArray:
@@ -462,7 +466,7 @@ def _laplace(target: SpecimenTarget, mode: FloatArray, guess: FloatArray) -> Flo
     diagonal = np.sqrt(np.maximum(np.diag(hessian), 1e-12))
     scaled = hessian / diagonal / diagonal[:, None]
     values, vectors = np.linalg.eigh(scaled)
-    inverse = (vectors / np.maximum(values, 0.02)) @ vectors.T
+    inverse = (vectors / np.maximum(values, LEAST_CURVATURE)) @ vectors.T
     return np.asarray(inverse / diagonal / diagonal[:, None])
 
 
