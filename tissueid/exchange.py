@@ -2,7 +2,8 @@
 
 Groups of one data set a specimen::
 
-    posterior                theta of the contact model, one chain of thinned draws; every draw is passive.
+    posterior                theta of the contact model, thinned; every draw is passive.  The draws of all
+                             walkers stand one after another; four quarters of them are its chains.
                              ``<name>_total``: with the calibration nuisances
     unconstrained_posterior  the coordinates that were sampled, each walker a chain, after burn-in, thinned
     sample_stats             ``lp``, the log density of those, where a chain was walked
@@ -27,6 +28,9 @@ from tissueid.errors import UsageError
 __all__ = ["arviz_data", "netcdf_bytes"]
 
 FloatArray = NDArray[np.float64]
+
+#: What arviz compares needs more than one chain.
+_QUARTERS = 4
 
 
 def arviz_data(
@@ -64,10 +68,10 @@ def arviz_data(
         arviz is not installed.
     """
     arviz, xarray = _libraries()
-    theta = dict(zip(theta_names, draws.T[:, None], strict=True))
+    theta = dict(zip(theta_names, _quarters(draws), strict=True))
     if draws_total is not None:
         totals = [f"{name}_total" for name in theta_names]
-        theta |= dict(zip(totals, draws_total.T[:, None], strict=True))
+        theta |= dict(zip(totals, _quarters(draws_total), strict=True))
     sampled = dict(zip(chain_names, chain.transpose(2, 0, 1), strict=True))
     groups = {
         "posterior": _data_set(xarray, theta, attributes),
@@ -78,6 +82,13 @@ def arviz_data(
     if int(arviz.__version__.split(".")[0]) < 1:
         return arviz.InferenceData(**groups)
     return xarray.DataTree.from_dict(groups)
+
+
+def _quarters(draws: FloatArray) -> FloatArray:
+    """Draws of shape (n, p) as chains, shape (p, 4, n // 4); fewer than four are one chain."""
+    chains = _QUARTERS if len(draws) >= _QUARTERS else 1
+    kept = len(draws) - len(draws) % chains
+    return draws[:kept].T.reshape(draws.shape[1], chains, -1)
 
 
 def netcdf_bytes(data: Any) -> bytes:

@@ -60,9 +60,11 @@ def _install(monkeypatch: pytest.MonkeyPatch, version: str) -> None:
 
 
 @pytest.mark.parametrize("version", ["0.18.0", "1.2.0"])
-def test_draws_are_one_chain_and_walkers_are_chains(monkeypatch: pytest.MonkeyPatch, version: str) -> None:
+def test_quarters_of_the_draws_are_chains_and_so_are_walkers(
+    monkeypatch: pytest.MonkeyPatch, version: str
+) -> None:
     _install(monkeypatch, version)
-    given = posterior(draws=50)
+    given = posterior(draws=53)
     made = given.to_arviz()
     groups = made.kwargs if version.startswith("0") else made.args[1]
     assert (made.args == ()) == version.startswith("0")
@@ -70,8 +72,8 @@ def test_draws_are_one_chain_and_walkers_are_chains(monkeypatch: pytest.MonkeyPa
     assert list(theta) == [*THETA_NAMES, *(f"{name}_total" for name in THETA_NAMES)]
     for k, name in enumerate(THETA_NAMES):
         assert theta[name][0] == ("chain", "draw")
-        assert np.array_equal(theta[name][1], given.draws[None, :, k])
-        assert np.array_equal(theta[f"{name}_total"][1], given.draws_total[None, :, k])
+        assert np.array_equal(theta[name][1], np.stack(np.split(given.draws[:52, k], 4)))
+        assert np.array_equal(theta[f"{name}_total"][1], given.draws_total[:52, k].reshape(4, 13))
     assert list(chain) == list(given.chain_names)
     for k, name in enumerate(given.chain_names):
         assert np.array_equal(chain[name][1], given.chain[:, :, k])
@@ -145,7 +147,7 @@ def test_arviz_reads_the_draws_of_each_specimen(tmp_path: Path) -> None:
         stored = fit.posterior
         assert stored is not None
         first = stored.theta_names[0]
-        assert np.array_equal(np.asarray(found["posterior"][first])[0], stored.draws[:, 0])
+        assert np.array_equal(np.asarray(found["posterior"][first]).ravel(), stored.draws[:, 0])
         walkers = np.asarray(found["unconstrained_posterior"][stored.chain_names[1]])
         assert np.array_equal(walkers, stored.chain[:, :, 1])
 
