@@ -32,8 +32,11 @@ _NUISANCE_WORDS: Mapping[str, str] = {
     "force_filter_s": "Filter of the force",
     "frame_compliance_mm_per_N": "Compliance of the frame",
     "sigma_N": "Standard deviation of the noise",
+    "ln_sigma": "Noise, ln of its standard deviation [N]",
     "phi": "Correlation of the noise",
     "gain_sd": "Scatter of the gain between logs",
+    "ln_gain_sd": "Scatter of the gain between logs, ln",
+    **{f"ln_relaxation_time_{k}": f"Relaxation time of branch {k}, ln [s]" for k in (1, 2, 3)},
 }
 _VERDICTS: Mapping[str, tuple[str, str]] = {
     "chosen": ("ok", "chosen"),
