@@ -134,12 +134,13 @@ class ParameterUncertainty:
     r_hat: float
 
     def as_json(self) -> dict[str, Any]:
-        """The keys that a parameter gains; a diagnostic that has no value is null."""
+        """The keys that a parameter gains; a diagnostic or an end that has no value makes null of its own."""
+        total = None if self.ci95_total is None else _finite(self.ci95_total)
         return {
             "mean": self.mean,
             "sd": self.sd,
             "ci95": list(self.ci95),
-            "ci95_total": None if self.ci95_total is None else list(self.ci95_total),
+            "ci95_total": None if total is None or None in total else total,
             "ess_bulk": _finite(self.ess_bulk),
             "ess_tail": _finite(self.ess_tail),
             "r_hat": _finite(self.r_hat),
@@ -226,7 +227,7 @@ class BudgetRow:
         return {
             "parameter": self.parameter,
             "source": self.source,
-            "sd": self.sd,
+            "sd": _finite(self.sd),
             "share": _finite(self.share),
         }
 

@@ -131,6 +131,26 @@ def test_a_diagnostic_without_a_value_is_null_and_comes_back_as_nan() -> None:
     assert back.ci95 == known.ci95
 
 
+def test_what_could_not_be_worked_out_is_null_and_loses_nothing_else() -> None:
+    fit = sampled(specimen_fit())
+    assert fit.posterior is not None
+    first, *others = fit.posterior.budget
+    budget = (replace(first, sd=float("nan")), *others)
+    known = fit.parameters[0].uncertainty
+    assert known is not None
+    odd = replace(fit.parameters[0], uncertainty=replace(known, ci95_total=(1.0, float("inf"))))
+    fit = replace(
+        fit,
+        parameters=(odd, *fit.parameters[1:]),
+        posterior=replace(fit.posterior, budget=budget),
+    )
+    document = plain_json(identification([fit]).as_json())
+    assert first_problem(document, "identification") is None
+    assert document["specimens"][0]["budget"][0]["sd"] is None
+    assert document["specimens"][0]["parameters"][0]["ci95_total"] is None
+    assert document["specimens"][0]["parameters"][0]["ci95"] == list(known.ci95)
+
+
 @pytest.mark.parametrize(
     ("pointer", "value"),
     [
