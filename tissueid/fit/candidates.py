@@ -308,7 +308,9 @@ def fit_candidate(
         found = global_minimum(objective, bounds, seeds=seeds)
         noise = replace(noise, sigma2=_variance(sums, candidate, found.value))
         return Solution(candidate=candidate, evaluation=found, noise=noise, objective=objective)
-    robust = fit_candidate(sums, replace(candidate, pooling="per-log"), seeds=seeds)
+    # without a branch a free curve for each log leaves nothing to start from
+    free = "per-log" if candidate.branches else "shared"
+    robust = fit_candidate(sums, replace(candidate, pooling=free), seeds=seeds)
     start = robust.evaluation.log_tau
     found = objective_for(sums, candidate, robust.noise).evaluate(start)
     found, noise = _with_variances(sums, candidate, found, robust.noise)

@@ -183,6 +183,8 @@ def polish(
     bounds : tuple of float
         Range of ln tau.
     """
+    if start.size == 0:
+        return objective.evaluate(start, warm)
     best, arrived = _descend(objective, objective.evaluate(start, warm), bounds)
     if not arrived:
         best = _quasi_newton(objective, best, bounds)

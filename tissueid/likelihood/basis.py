@@ -18,6 +18,7 @@ construction.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -37,6 +38,8 @@ TAU_ABOVE_LENGTH = 10.0
 TOLERANCE = 1e-10
 TIMES = 360
 CANDIDATES = 240
+#: Points of the Gauss rule that averages a kernel over a step.
+AVERAGED = 8
 #: Step and length are rounded outwards to this step in their logarithm, so that bases are reused.
 QUANTUM = 0.25
 
@@ -80,6 +83,29 @@ class KernelBasis:
         """
         columns = [_weights(self, float(value)) for value in log_tau]
         return np.column_stack([c for c, _ in columns]), np.column_stack([dc for _, dc in columns])
+
+
+    def weights_of(self, kernel: Callable[[FloatArray], FloatArray]) -> tuple[FloatArray, float]:
+        """Weights of any kernel of relaxation: a completely monotone one is a mixture of the nodes'.
+
+        Parameters
+        ----------
+        kernel : callable
+            Its values at times of any shape [s].
+
+        Returns
+        -------
+        c : ndarray, shape (n,)
+        error : float
+            Root mean square of what is left, relative to the kernel's.
+        """
+        point, share = np.polynomial.legendre.leggauss(AVERAGED)
+        inner = self._time_s[:, None] + self._step_s * 0.5 * (point + 1.0)
+        right = (kernel(inner) @ (0.5 * share)) * self._weight
+        solved = dtrsm(1.0, self._r, (self._q.T @ right)[:, None])[:, 0]
+        left = right - self._q @ (self._q.T @ right)
+        norm = _norm(np.log(self.tau_s), float(self._time_s[-1]))
+        return solved / norm, float(np.linalg.norm(left) / max(np.linalg.norm(right), 1e-300))
 
 
 @lru_cache(maxsize=8192)
