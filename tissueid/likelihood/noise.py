@@ -38,7 +38,9 @@ SEARCHED = 20_000
 #: Steps of the refinement end below this in ln(correlation time) and in the logit of the share, and below
 #: this in ln L: a hundredth of what one standard deviation would change.
 FINE, FINE_LOG_L = 1e-3, 5e-3
-EVALUATIONS = 200
+#: First step and most evaluations of the refinement on a part, and of that on all samples: where there is no
+#: white part its share has no end to be followed to.
+ON_PART, ON_ALL = (0.3, 200), (0.03, 50)
 #: White plus AR(1) is tried where this part of all links has the reference step, to which theta belongs.
 UNIFORM_SHARE = 0.95
 SAME_STEP = 0.02
@@ -237,20 +239,21 @@ def _part(chains: Sequence[NoiseChain]) -> list[NoiseChain]:
     return kept
 
 
-def _refined(chains: Sequence[NoiseChain], start: list[float], white: float | None) -> FloatArray:
-    """Maximise on all samples, from the best point of the search on a part."""
+def _refined(
+    chains: Sequence[NoiseChain], part: Sequence[NoiseChain], start: list[float], white: float | None
+) -> list[float]:
+    """Maximise on a part, from the best point of the search, and then on all samples."""
+    at = np.array(start)
+    for some, (reach, most) in ((part, ON_PART), (chains, ON_ALL)):
 
-    def minus(at: FloatArray) -> float:
-        share = _share(float(at[1])) if white is None else white
-        return -_log_likelihood(chains, _phi(float(at[0])), share)[0]
+        def minus(at: FloatArray, some: Sequence[NoiseChain] = some) -> float:
+            share = _share(float(at[1])) if white is None else white
+            return -_log_likelihood(some, _phi(float(at[0])), share)[0]
 
-    first = np.array(start)
-    simplex = first + np.vstack([np.zeros(first.size), 0.3 * np.eye(first.size)])
-    options: Any = {"initial_simplex": simplex, "xatol": FINE, "fatol": FINE_LOG_L, "maxfev": EVALUATIONS}
-    best: FloatArray = np.array(
-        minimize(minus, first, method="Nelder-Mead", options=options).x, dtype=np.float64
-    )
-    return best
+        simplex = at + np.vstack([np.zeros(at.size), reach * np.eye(at.size)])
+        options: Any = {"initial_simplex": simplex, "xatol": FINE, "fatol": FINE_LOG_L, "maxfev": most}
+        at = np.array(minimize(minus, at, method="Nelder-Mead", options=options).x, dtype=np.float64)
+    return [float(value) for value in at]
 
 
 def _times() -> list[float]:
@@ -259,13 +262,13 @@ def _times() -> list[float]:
 
 def _best_ar1(chains: Sequence[NoiseChain], part: Sequence[NoiseChain]) -> NoiseEstimate:
     start = max(_times(), key=lambda at: _log_likelihood(part, _phi(at), 0.0)[0])
-    return _fitted(chains, "ar1", _phi(float(_refined(chains, [start], 0.0)[0])), 0.0)
+    return _fitted(chains, "ar1", _phi(_refined(chains, part, [start], 0.0)[0]), 0.0)
 
 
 def _best_mixture(chains: Sequence[NoiseChain], part: Sequence[NoiseChain]) -> NoiseEstimate:
     points = [(at, share) for at in _times() for share in SHARES]
     time, share = max(points, key=lambda at: _log_likelihood(part, _phi(at[0]), at[1])[0])
-    time, logit = _refined(chains, [time, math.log(share / (1.0 - share))], None).tolist()
+    time, logit = _refined(chains, part, [time, math.log(share / (1.0 - share))], None)
     return _fitted(chains, "white+ar1", _phi(time), _share(logit))
 
 
