@@ -96,3 +96,14 @@ def test_the_log_density_of_a_chain_comes_back_and_must_fit_it(tmp_path: Path) -
     write_posteriors([replace(before, log_density=density[:, :5])], path)
     with pytest.raises(BundleError, match="does not match the numbers of 'a'"):
         load_posteriors(path)
+
+
+def test_a_long_chain_and_its_density_are_thinned_alike() -> None:
+    fit = sampled(specimen_fit("a", trials=1, samples=50))
+    assert fit.posterior is not None
+    chain = np.random.default_rng(3).standard_normal((32, 2000, 3))
+    long = replace(fit, posterior=replace(fit.posterior, chain=chain, log_density=chain.sum(axis=2)))
+    (kept,) = posteriors_of_fits([long])
+    assert kept.log_density is not None
+    assert kept.chain.shape[1] < 2000
+    assert np.array_equal(kept.log_density, kept.chain.sum(axis=2))

@@ -93,7 +93,7 @@ def posteriors_of_fits(fits: Iterable[SpecimenFit]) -> tuple[StoredPosterior, ..
             chain_names=fit.posterior.chain_names,
             chain=_thinned(fit.posterior.chain),
             bands=fit.posterior.bands,
-            log_density=fit.posterior.log_density,
+            log_density=None if fit.posterior.log_density is None else _thinned(fit.posterior.log_density),
         )
         for fit in fits
         if fit.posterior is not None
