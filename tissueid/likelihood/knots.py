@@ -37,7 +37,7 @@ CORNER_SHARE = 1e-4
 CORNER_NOISE = 6.0
 MAX_CORNERS = 60
 #: Steps from one knot to the next grow by these factors away from a corner: forwards, and backwards.
-AFTER, BEFORE = 1.35, 1.8
+AFTER, BEFORE = 1.25, 1.5
 #: Knots of equal spacing between two corners where the tool moves, and where it stands.
 MOVING, STANDING = 28, 4
 #: A stretch moves where it covers more than this fraction of the depth.

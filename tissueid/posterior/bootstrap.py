@@ -47,6 +47,8 @@ REPLICATES = 400
 STEPS = 3
 #: Largest step in ln tau.
 REACH = 0.5
+#: Curvature of ln tau below which it is not moved: its standard deviation would be a thousand.
+IDLE = 1e-6
 NORMAL_975 = 1.959963984540054
 
 
@@ -103,6 +105,9 @@ def _refitted(behind: Behind, weights: FloatArray, first: _Terms) -> tuple[Float
         for j, stated in enumerate(behind.priors.relaxation_time_s[: behind.branches]):
             curvature[p + j, p + j] += stated.sd_ln**-2.0
             slope[p + j] -= (log_tau[j] - math.log(stated.median)) * stated.sd_ln**-2.0
+        # a branch without stiffness says nothing of its relaxation time, which then stays
+        idle = p + np.flatnonzero(np.diag(curvature)[p:] < IDLE)
+        curvature[idle, idle] += 1.0
         change = inverse(curvature) @ slope
         change[p:] = np.clip(log_tau + np.clip(change[p:], -REACH, REACH), low, high) - log_tau
         block = np.ascontiguousarray(curvature[:p, :p])

@@ -26,6 +26,7 @@ from tissueid.likelihood.knots import KnotSums, packed
 from tissueid.likelihood.linearise import Optimum
 from tissueid.likelihood.passive_normal import draw_passive, log_passive_mass, passive
 from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
+from tissueid.posterior.common_static import common_static
 from tissueid.posterior.importance import importance_sample
 from tissueid.posterior.instrument import INSTRUMENT_NAMES, Behind
 from tissueid.posterior.instrument_mode import instrument_mode
@@ -201,6 +202,12 @@ def field_units(behind: Behind, theta: FloatArray, log_tau: FloatArray) -> Float
     return out
 
 
+def _passive_or_scaled(static: FloatArray, scaled: FloatArray) -> FloatArray:
+    """Curves behind their gains; the unscaled one where a stretch of depth leaves it not passive."""
+    blocks = np.array([STATIC_DEGREE], dtype=np.int64)
+    return np.where(passive(scaled, blocks)[:, None], scaled, static)
+
+
 def _prior_rows(priors: Priors, nuisances: FloatArray) -> tuple[PriorRow, ...]:
     """Each nuisance's prior beside its posterior."""
     rows = []
@@ -288,8 +295,17 @@ def total_posterior(
     instrument[:, -1] = compliance
     nuisances = np.column_stack([gains.force, gains.displacement, instrument])[picks]
     worth = 1.0 / float((weights**2).sum())
+    reported = field_units(behind, theta, points[:, : behind.branches])
+    if "static" in effects:
+        drawn = np.unique(picks)
+        static = common_static(behind, points[drawn], found.extra[drawn], rng)
+        # gains divide this curve as they do any other
+        factor = np.outer(np.log(gains.displacement[drawn]), np.arange(1.0, STATIC_DEGREE + 1))
+        factor -= np.log(gains.force[drawn])[:, None]
+        unit = optimum.scale ** -np.arange(1.0, STATIC_DEGREE + 1)
+        reported[drawn, :STATIC_DEGREE] = _passive_or_scaled(static, static * np.exp(factor)) * unit
     return TotalPosterior(
-        theta=field_units(behind, theta, points[:, : behind.branches])[picks],
+        theta=reported[picks],
         nuisances=nuisances,
         names=NUISANCES,
         sampler=SamplerReport(

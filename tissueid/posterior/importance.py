@@ -115,8 +115,8 @@ def tail_shape(excess: FloatArray) -> tuple[float, float]:
     b = b / (3.0 * quartile) + 1.0 / excess[-1]
     k = np.log1p(-b[:, None] * excess).mean(axis=1)
     likelihood = n * (np.log(-b / k) - k - 1.0)
-    weight = 1.0 / np.exp(likelihood - likelihood[:, None]).sum(axis=1)
-    best = float((b * weight).sum() / weight.sum())
+    weight = np.exp(likelihood - likelihood.max())
+    best = float(b @ weight / weight.sum())
     shape = float(np.log1p(-best * excess).mean())
     # a little prior weight for 0.5 steadies small samples
     return (n * shape + 5.0) / (n + 10.0), -shape / best

@@ -192,6 +192,7 @@ def instrument_mode(
         mode=mode,
         slope=np.zeros((p, mode.size)),
         curvature=np.zeros((0, 0)),
+        follow=np.zeros((0, 0)),
     )
     for _ in range(VARIANCE_ROUNDS):
         behind = _climb(behind)
@@ -200,7 +201,8 @@ def instrument_mode(
         behind = replace(behind, sigma2=sigma2)
         if settled:
             break
-    curvature, _, _ = _with_priors(behind, behind.mode, behind.theta)
+    curvature, _, back = _with_priors(behind, behind.mode, behind.theta)
     slope = np.zeros((p, mode.size))
     slope[:, : branches + INSTRUMENT] = -inverse(curvature[:p, :p]) @ curvature[:p, p:]
-    return replace(behind, slope=slope, curvature=curvature)
+    follow = -back[:, 0, :-1] if "gain" in effects else np.zeros((0, 0))
+    return replace(behind, slope=slope, curvature=curvature, follow=follow)
