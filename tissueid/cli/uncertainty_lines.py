@@ -93,11 +93,9 @@ def alarm_lines(fit: SpecimenFit) -> list[str]:
     lines = []
     misfit, sampler = fit.posterior.misfit, fit.posterior.sampler
     said = {flag.code for flag in fit.flags}
-    if misfit is not None and misfit.raised:
-        if "misfit" not in said:
-            seen = "; ".join(check.message.rstrip(".") for check in misfit.checks if check.raised)
-            lines.append(f"the recordings contradict this model or its noise: {seen}")
-        lines.append("no interval is given here: how sure the values are can't be said from this model")
+    if misfit is not None and misfit.raised and "misfit" not in said:
+        seen = "; ".join(check.message.rstrip(".") for check in misfit.checks if check.raised)
+        lines.append(f"no interval is given, the recordings contradict this model or its noise: {seen}")
     if not sampler.converged and "sampler_not_converged" not in said:
         reason = sampler.detail.get("reason")
         why = f": {reason}" if reason else ""
