@@ -14,6 +14,7 @@ import pytest
 from fit_factory import identification, specimen_fit
 from posterior_factory import SHARES, SOURCES, posterior, sampled
 
+from tissueid.flags import Flag
 from tissueid.report import render_report
 from tissueid.report.interval_words import bar_of, bar_scale, together
 from tissueid.report.posterior_payload import MOST_DRAWS, posterior_payload
@@ -120,6 +121,19 @@ def test_a_misfit_takes_every_interval_off_the_first_screen_and_says_what_is_see
     below = sure_section(html)
     assert "do not quote them" in below
     assert "95 % statistical" in below
+
+
+def test_an_alarm_is_not_said_again_among_the_remarks() -> None:
+    fit = sampled(specimen_fit(samples=60), misfit=True, converged=False)
+    flags = (
+        Flag("misfit", "no interval can be believed"),
+        Flag("sampler_not_converged", "intervals are rough"),
+    )
+    text = first_screen(page(replace(fit, flags=(*fit.flags, *flags))))
+    assert text.count("the force just after the peak lies 2.1 N above the model") == 1
+    assert "no interval can be believed" not in text
+    assert "intervals are rough" not in text
+    assert "frame compliance is taken as none" in text
 
 
 def test_what_is_not_identified_has_no_bar_and_no_number() -> None:

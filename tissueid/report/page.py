@@ -38,6 +38,8 @@ from tissueid.store.posteriors import StoredPosterior
 
 __all__ = ["asset", "page_environment", "plotly_script", "render_report"]
 
+#: Remarks that the part on uncertainty makes itself, above the others.
+_TOLD_APART = frozenset({"misfit", "sampler_not_converged"})
 _SUMMARY = ("static_1_N_per_mm", "relaxation_time_s", "viscosity_N_s_per_mm")
 
 
@@ -79,14 +81,15 @@ def plotly_script() -> Markup:
 
 def _view(position: int, specimen: Mapping[str, Any]) -> dict[str, Any]:
     parameters = {entry["name"]: entry for entry in specimen["parameters"]}
+    sure = uncertainty_view(specimen)
     return {
         "id": f"specimen-{position + 1}",
         "position": position,
         "data": specimen,
         "sentence": tissue_sentence(specimen),
-        "sure": uncertainty_view(specimen),
+        "sure": sure,
         "verdict": verdict(specimen),
-        "remarks": remarks(specimen),
+        "remarks": [one for one in remarks(specimen) if sure is None or one.code not in _TOLD_APART],
         "summary": [_without_error(parameters.get(name), specimen) for name in _SUMMARY],
         "quoted": quoted_tables(specimen["quoted"]),
         "cycles": cycle_table(specimen["cycles"]),
