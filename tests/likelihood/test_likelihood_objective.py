@@ -121,6 +121,18 @@ def test_gradient_of_two_branches():
         assert gradient[j] == pytest.approx(slope, rel=1e-3, abs=1e-3 * np.abs(gradient).max())
 
 
+@pytest.mark.parametrize("static", [True, False])
+@pytest.mark.parametrize("degree", [0, 1])
+@pytest.mark.parametrize("branches", [1, 2])
+def test_values_of_many_points_are_those_of_each(branches, degree, static):
+    objective = pooled(make_logs(), static=static, branches=branches, degree=degree)
+    times = (0.02, 0.1, 0.4, 3.0)
+    points = [np.log(np.array(times[i : i + branches])) for i in range(len(times) - branches + 1)]
+    expected = [objective.evaluate(point).value for point in points]
+    # one reduction and another round their Gram matrices differently
+    np.testing.assert_allclose(objective.values(points), expected, rtol=1e-9)
+
+
 def test_random_effects_held_at_zero_are_one_shared_curve():
     logs = make_logs()
     shared = pooled(logs).evaluate(np.log([0.3]))

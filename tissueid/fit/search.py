@@ -51,11 +51,7 @@ def _local_minima(values: FloatArray, count: int) -> list[int]:
 
 def _scan_single(objective: Objective, bounds: tuple[float, float]) -> list[FloatArray]:
     grid = _grid(bounds, SCAN_SINGLE)
-    warm: Evaluation | None = None
-    values = np.empty(grid.size)
-    for i, point in enumerate(grid):
-        warm = objective.evaluate(np.array([point]), warm)
-        values[i] = warm.value
+    values = objective.values([grid[i : i + 1] for i in range(grid.size)])
     return [grid[i : i + 1] for i in _local_minima(values, POLISHED)]
 
 
@@ -75,7 +71,7 @@ def _scan_several(
     if not points:
         # a range too narrow for two nodes: one start, spread over it
         return [np.linspace(*bounds, objective.branches)]
-    values = np.array([objective.evaluate(point).value for point in points])
+    values = objective.values(points)
     chosen: list[FloatArray] = []
     for i in np.argsort(values, kind="stable"):
         if all(np.abs(points[i] - other).max() > 2 * SCAN_SEVERAL for other in chosen):

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from tissueid.model.polynomial import MAX_DEGREE, minimum_on_unit
 
-__all__ = ["cone_least_squares", "support_directions"]
+__all__ = ["cone_least_squares", "least_squares_values", "support_directions"]
 
 FloatArray = NDArray[np.float64]
 
@@ -176,6 +176,39 @@ def cone_least_squares(
         count = added
     used = weights.size
     return theta, generators[:used].copy(), weights
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def least_squares_values(
+    gram: FloatArray, picks: NDArray[np.int64], blocks: NDArray[np.int64], start: FloatArray
+) -> FloatArray:
+    """Least sums of squares for many choices of columns.
+
+    Parameters
+    ----------
+    gram : ndarray, shape (m, m)
+        Of all columns; what is explained stands last.
+    picks : ndarray of int, shape (n, p)
+        Columns of each choice.
+    blocks, start
+        As in :func:`cone_least_squares`.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+    """
+    n, p = picks.shape
+    out = np.empty(n)
+    h = np.empty((p, p))
+    b = np.empty(p)
+    for i in range(n):
+        for j in range(p):
+            b[j] = gram[picks[i, j], -1]
+            for k in range(p):
+                h[j, k] = gram[picks[i, j], picks[i, k]]
+        theta, _, _ = cone_least_squares(h, b, blocks, start)
+        out[i] = gram[-1, -1] - 2.0 * (b @ theta) + theta @ (h @ theta)
+    return out
 
 
 def _active_normals(q: FloatArray, size: float) -> FloatArray:

@@ -11,6 +11,7 @@ logs of a specimen share one interface:
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 
 from tissueid.likelihood import partial
 from tissueid.likelihood.basis import KernelBasis
-from tissueid.likelihood.cone import cone_least_squares
+from tissueid.likelihood.cone import cone_least_squares, least_squares_values
 from tissueid.likelihood.sums import N_STATIC, reduction
 from tissueid.model.polynomial import generators
 
@@ -90,6 +91,10 @@ class Objective(Protocol):
 
     def evaluate(self, log_tau: FloatArray, warm: Evaluation | None = None) -> Evaluation:
         """The optimum at these relaxation times."""
+        ...
+
+    def values(self, points: Sequence[FloatArray]) -> FloatArray:
+        """(Penalised) sums of squares at many relaxation times."""
         ...
 
 
@@ -177,6 +182,26 @@ class PooledObjective:
             weights = (full * column)[N_STATIC:, N_STATIC:]
         return np.asarray(weights.T @ self.gram @ weights)
 
+    def values(self, points: Sequence[FloatArray]) -> FloatArray:
+        """Sums of squares at many relaxation times, from one reduction of the Gram matrix."""
+        every, position = np.unique(np.concatenate(points), return_inverse=True)
+        size = self.degree + 1
+        full = reduction(self.basis, every, degree=self.degree, columns_degree=self.columns_degree)
+        scale = np.tile(self.scale ** -np.arange(float(size)), every.size)
+        first = STATIC_PARAMETERS if self.static else 0
+        unit = np.concatenate([self.scale ** -np.arange(1.0, N_STATIC), scale, [1.0]])[
+            -scale.size - 1 - first :
+        ]
+        rows = slice(1 if self.static else N_STATIC, None)
+        columns = np.r_[N_STATIC - first : N_STATIC + every.size * size, full.shape[1] - 1]
+        weights = full[rows][:, columns] * unit
+        branch = position.reshape(len(points), self.branches, 1) * size + np.arange(size) + first
+        picks = np.hstack(
+            [np.tile(np.arange(first), (len(points), 1)), branch.reshape(len(points), -1)]
+        ).astype(np.int64)
+        gram = np.ascontiguousarray(weights.T @ self.gram @ weights)
+        return least_squares_values(gram, picks, self.blocks, cone_start(self.blocks))
+
     def evaluate(self, log_tau: FloatArray, warm: Evaluation | None = None) -> Evaluation:
         """The optimum at these relaxation times (``warm`` is not needed: one linear problem)."""
         del warm
@@ -250,6 +275,15 @@ class PartialObjective:
         """Reduced Gram matrices, shape (logs, r, r)."""
         weights = reduction(self.basis, log_tau, degree=self.degree, columns_degree=self.columns_degree)
         return np.ascontiguousarray(np.stack([weights.T @ (self.gram[i] @ weights) for i in self.logs]))
+
+    def values(self, points: Sequence[FloatArray]) -> FloatArray:
+        """Penalised sums of squares at many relaxation times, each started from the one before."""
+        warm: Evaluation | None = None
+        out = np.empty(len(points))
+        for i, point in enumerate(points):
+            warm = self.evaluate(point, warm)
+            out[i] = warm.value
+        return out
 
     def evaluate(self, log_tau: FloatArray, warm: Evaluation | None = None) -> Evaluation:
         """The optimum at these relaxation times, started from ``warm`` where given."""
