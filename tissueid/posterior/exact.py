@@ -153,7 +153,12 @@ class _Weights:
 
 
 def sample_exact(
-    target: Target, *, draws: int = 10_000, seed: int, max_proposals: int | None = None
+    target: Target,
+    *,
+    draws: int = 10_000,
+    seed: int,
+    max_proposals: int | None = None,
+    pilot: int = PILOT,
 ) -> ExactChain:
     """Draw independently from a posterior.
 
@@ -166,6 +171,8 @@ def sample_exact(
         At least 0; all random numbers follow from it.
     max_proposals : int, optional
         After the pilot; by default :data:`PATIENCE` for each draw.
+    pilot : int
+        Proposals that find the bound; fewer are enough for few draws.
 
     Returns
     -------
@@ -185,9 +192,9 @@ def sample_exact(
         raise ValueError(msg)
     proposal: _Proposal
     few = target.mode.size <= MAX_COORDINATES
-    proposal = cells(asked) if few else fitted_mixture(asked, rng)
+    proposal = cells(asked) if few else fitted_mixture(asked, rng, share=pilot / PILOT)
     weights = _Weights()
-    _, _, log_weight = _proposed(asked, proposal, PILOT, rng)
+    _, _, log_weight = _proposed(asked, proposal, pilot, rng)
     weights.add(log_weight)
     most = PATIENCE * draws if max_proposals is None else max_proposals
     points, density, proposed, raised = _accepted(asked, proposal, weights, draws, most, rng)

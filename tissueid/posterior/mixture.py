@@ -135,7 +135,7 @@ def _updated(mixture: Mixture, points: FloatArray, weight: FloatArray) -> Mixtur
     return Mixture(normed, np.array(means), np.array(factors))
 
 
-def fitted_mixture(target: Target, rng: np.random.Generator) -> Mixture:
+def fitted_mixture(target: Target, rng: np.random.Generator, *, share: float = 1.0) -> Mixture:
     """A mixture close to a target.
 
     Parameters
@@ -143,10 +143,12 @@ def fitted_mixture(target: Target, rng: np.random.Generator) -> Mixture:
     target : Target
         Mode and covariance are where it starts from.
     rng : numpy.random.Generator
+    share : float
+        Of the usual number of draws, where a rough one does.
     """
     d = target.mode.size
     mixture = best = _first(target, rng)
-    n = DRAWS_PER_COORDINATE * d
+    n = int(DRAWS_PER_COORDINATE * share) * d
     highest, stalled = 0.0, 0
     for _ in range(ROUNDS):
         points, log_proposal = mixture.draw(n, rng)

@@ -37,6 +37,10 @@ __all__ = ["InMemoryLog", "Inferred", "in_memory", "infer"]
 
 FloatArray = NDArray[np.float64]
 
+#: Proposals of the exact sampler's pilot: for a few hundred draws a short one finds the bound.
+PILOT = 2_048
+#: Proposals for a draw after which that pilot was too short, and the usual one is taken.
+SOON = 30
 #: Effective draws that are asked of emcee: its draws are correlated, and ranks want independent ones.
 EMCEE_DRAWS = 4 * DRAWS
 #: Largest standard deviation of ln tau that a first guess has.
@@ -150,7 +154,9 @@ def _points(check: TissueCheck, target: SpecimenTarget, seed: int) -> tuple[Floa
     if check.sampler == "exact":
         from tissueid.posterior.exact import sample_exact
 
-        exact = sample_exact(target, draws=DRAWS, seed=seed)
+        exact = sample_exact(target, draws=DRAWS, seed=seed, pilot=PILOT, max_proposals=SOON * DRAWS)
+        if not exact.converged:
+            exact = sample_exact(target, draws=DRAWS, seed=seed + 1)
         if not exact.converged:
             msg = f"the sampler did not converge: {exact.reason}"
             raise ArithmeticError(msg)
