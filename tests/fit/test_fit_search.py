@@ -186,6 +186,9 @@ class Landscape:
         self.function, self.branches, self.calls = function, branches, 0
         self.blocks = np.array([1], dtype=np.int64)
 
+    def values(self, points):
+        return np.array([self.evaluate(point).value for point in points])
+
     def evaluate(self, log_tau, warm=None):
         self.calls += 1
         log_tau = np.asarray(log_tau, dtype=float)
