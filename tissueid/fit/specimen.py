@@ -336,7 +336,9 @@ def _fit(
     told = second_pass(handles, adjustments, tissue, tick, noise=whitened.noise, depths_mm=options.depths_mm)
     sigma = whitened.noise.sigma_N
     facts = [handle.facts for handle in handles]
-    flags = specimen_flags(tissue, sums, facts, told.trials, sigma_N=sigma, optimisers=optimisers)
+    flags = specimen_flags(
+        tissue, sums, facts, told.trials, sigma_N=sigma, optimisers=optimisers, noise=whitened.noise.model
+    )
     quoted = quoted_numbers(
         tissue,
         told.holds,

@@ -134,8 +134,7 @@ def _trial_flags(
         flags.append(
             Flag(
                 "residual_correlated",
-                f"neighbouring residuals are correlated ({acf:.2f}): standard errors for white noise "
-                "are too small",
+                f"neighbouring residuals are correlated ({acf:.2f})",
                 {"residual_acf1": acf},
             )
         )

@@ -162,6 +162,7 @@ def specimen_flags(
     *,
     sigma_N: float,
     optimisers: dict[str, object],
+    noise: str = "white",
 ) -> tuple[Flag, ...]:
     """Flags of a specimen.
 
@@ -176,6 +177,8 @@ def specimen_flags(
         Noise standard deviation [N].
     optimisers : dict
         Outcome of Levenberg-Marquardt beside variable projection.
+    noise : str
+        Model of the noise that the intervals know.
     """
     flags = []
     missing = [one for one in tissue.parameters if not one.identified]
@@ -206,8 +209,12 @@ def specimen_flags(
         flags.append(
             Flag(
                 "residual_correlated",
-                f"neighbouring residuals are correlated (median {acf:.2f}): standard errors for white noise "
-                "are too small",
+                f"neighbouring residuals are correlated (median {acf:.2f}): "
+                + (
+                    "standard errors for white noise are too small"
+                    if noise == "white"
+                    else "noise with memory, which the intervals know, or a model that lacks something"
+                ),
                 {"residual_acf1": acf},
             )
         )
