@@ -64,7 +64,7 @@ FLAG_CODES: Mapping[str, str] = MappingProxyType(
         "tau_exceeds_window": "a relaxation time is longer than a third of its window",
         "window_dependent": "halving the window moves the relaxation time by more than a fifth",
         "one_tau_inadequate": "one relaxation time does not describe the hold",
-        "residual_correlated": "neighbouring residuals are correlated: noise with memory, or a model that lacks something",
+        "residual_correlated": "neighbouring residuals are correlated: noise with memory, or a lacking model",
         "residual_large": "the largest residual is more than a twentieth of the force range",
         "bound_active": "a passivity bound is active at the optimum",
         "contact_loss_ambiguous": "after the tool lets go the surface has several force-free positions",
