@@ -8,6 +8,7 @@ from typing import Any
 from tissueid.likelihood import partial
 from tissueid.likelihood.cone import cone_least_squares
 from tissueid.likelihood.kernels import fill_design
+from tissueid.likelihood.lag_kernels import filter_chain, link_rows
 from tissueid.model.kernels import branch_state
 
 __all__ = ["kernels_to_compile"]
@@ -15,6 +16,8 @@ __all__ = ["kernels_to_compile"]
 KERNELS: tuple[Any, ...] = (
     branch_state,
     fill_design,
+    filter_chain,
+    link_rows,
     cone_least_squares,
     partial.coefficients,
     partial.objective,
