@@ -149,6 +149,8 @@ def without_effects(
     value = 0.0
     low = np.zeros((q, q))
     for log in range(logs):
+        if weight[log] <= 0.0:
+            continue
         scale = weight[log] / sigma2
         value -= 0.5 * scale * square[log]
         for i in range(v):

@@ -35,7 +35,7 @@ from tissueid.posterior.specimen_target import Facts
 from tissueid.priors import CalibrationPrior, Priors
 from tissueid.uncertainty import BudgetRow
 
-__all__ = ["CLUSTER", "MIN_LOGS", "ClusterBootstrap", "cluster_bootstrap"]
+__all__ = ["CLUSTER", "MIN_LOGS", "ClusterBootstrap", "cluster_bootstrap", "refitted"]
 
 FloatArray = NDArray[np.float64]
 
@@ -86,13 +86,23 @@ class _Terms:
         return cls(*log_terms(behind.data, np.ascontiguousarray(theta), log_tau, instrument, RELAXATION))
 
 
-def _refitted(behind: Behind, weights: FloatArray, first: _Terms) -> tuple[FloatArray, FloatArray]:
-    """Theta by powers of u and ln tau of one replicate, started at the optimum."""
+def refitted(
+    behind: Behind, weights: FloatArray, first: _Terms | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Theta by powers of u and ln tau of one replicate, started at the mode, the instrument as it is there.
+
+    Parameters
+    ----------
+    behind : Behind
+    weights : ndarray, shape (logs,)
+    first : optional
+        The normal equations at the mode, where they are known.
+    """
     theta, log_tau = behind.theta, behind.mode[: behind.branches].copy()
     p = theta.size
     low, high = behind.facts.log_tau_bounds
     prior = behind.effect_prior(behind.split(behind.mode)[2])
-    terms = first
+    terms = first or _Terms.at(behind, theta, log_tau)
     for step in range(STEPS):
         if step:
             terms = _Terms.at(behind, theta, log_tau)
@@ -160,7 +170,7 @@ def cluster_bootstrap(
     log_tau = np.ascontiguousarray(behind.mode[: behind.branches])
     first = _Terms.at(behind, behind.theta, log_tau)
     weights = n * np.random.default_rng(seed).dirichlet(np.ones(n), replicates)
-    found = [_refitted(behind, one, first) for one in weights]
+    found = [refitted(behind, one, first) for one in weights]
     theta = field_units(behind, np.array([one for one, _ in found]), np.array([two for _, two in found]))
     draws = reported(model, theta)
     centre = reported(model, field_units(behind, behind.theta[None], log_tau[None]))[0]

@@ -29,7 +29,7 @@ from tissueid.posterior.calibration import TotalPosterior, truncated_moments
 from tissueid.posterior.instrument import Behind, inverse
 from tissueid.uncertainty import BudgetRow
 
-__all__ = ["SOURCES", "TOTAL", "reported", "reported_names", "uncertainty_budget"]
+__all__ = ["SOURCES", "TOTAL", "reported", "reported_names", "shapley", "uncertainty_budget"]
 
 FloatArray = NDArray[np.float64]
 
@@ -117,8 +117,19 @@ class _Variances:
         return sources + [SCATTER] * (self.prior[0].shape[1] - len(sources))
 
 
-def _shapley(variance: Callable[[tuple[bool, ...]], FloatArray], players: int) -> FloatArray:
-    """Growth of the variance by each player, averaged over all orders of joining, shape (players, r)."""
+def shapley(variance: Callable[[tuple[bool, ...]], FloatArray], players: int) -> FloatArray:
+    """Growth of a variance by each player, averaged over all orders in which they can join.
+
+    Parameters
+    ----------
+    variance : callable
+        Which players have joined -> variances, shape (r,).
+    players : int
+
+    Returns
+    -------
+    ndarray, shape (players, r)
+    """
     value = {joined: variance(joined) for joined in product((False, True), repeat=players)}
     out = np.zeros((players, value[(False,) * players].size))
     for joined, before in value.items():
@@ -179,7 +190,7 @@ def uncertainty_budget(total: TotalPosterior) -> tuple[BudgetRow, ...]:
     by_v, by_gain = _slopes(behind)
     gain_sd = np.array([behind.priors.calibration[n].sd for n in ("force_gain", "displacement_gain")])
     variance = _Variances(behind, by_v)
-    scatter, contacts, *instrument = _shapley(variance, len(ENTANGLED))
+    scatter, contacts, *instrument = shapley(variance, len(ENTANGLED))
     noise = variance((False,) * len(ENTANGLED))
     parts = np.array([noise, scatter, contacts, *(by_gain * gain_sd).T ** 2, *instrument])
     sums = parts.sum(axis=0)
