@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.likelihood.passive_normal import log_passive_mass
-from tissueid.likelihood.triangular import factor, inverse_factor
+from tissueid.likelihood.triangular import factor, inverse_factor, sparse_times, weighted_sum
 
 __all__ = ["Linearised", "conditionals", "draw_effects", "lag_weights", "log_marginals"]
 
@@ -198,22 +198,17 @@ def _without_effects(
     log_det : float
         ln det of the effects' precision after, over that before the data.
     """
-    kinds, m = data.shared.shape[0], data.shared.shape[1]
     p = weights.shape[1] - 1
     logs, q = data.cross.shape[0], data.cross.shape[2]
     back = np.zeros((logs, q, p + 1))
     spread = np.zeros((logs, q, q))
     log_det = 0.0
-    mixed = np.empty((q, m))
-    inner = np.empty((q, q))
+    if q == 0:
+        return back, spread, log_det
     for i in range(logs):
-        mixed[:] = 0.0
-        inner[:] = 0.0
-        for k in range(kinds):
-            if coefficient[k] != 0.0:
-                mixed += coefficient[k] * data.cross[i, k]
-                inner += coefficient[k] * data.own[i, k]
-        x = mixed @ weights / sigma2
+        mixed = weighted_sum(coefficient, data.cross[i])
+        inner = weighted_sum(coefficient, data.own[i])
+        x = np.ascontiguousarray(sparse_times(weights, np.ascontiguousarray(mixed.T)).T) / sigma2
         low = factor(inner / sigma2 + np.diag(precision[i]))
         for r in range(q):
             pull = precision[i, r] * data.effect_mean[i, r]
@@ -294,11 +289,8 @@ def _conditional(
     log_tau = point[: data.branches]
     weights, reference = _columns(data, log_tau)
     coefficient = lag_weights(phi, data.ratio)
-    gram = np.zeros(data.shared.shape[1:])
-    for k in range(coefficient.size):
-        if coefficient[k] != 0.0:
-            gram += coefficient[k] * data.shared[k]
-    full = np.ascontiguousarray(weights.T) @ (gram @ weights) / sigma2
+    half = sparse_times(weights, weighted_sum(coefficient, data.shared))
+    full = sparse_times(weights, np.ascontiguousarray(half.T)) / sigma2
     p = reference.size
     prior = _prior_precision(data, log_tau)
     tilt = _determined(full[:p, :p], prior) if data.has_gain else 0.0
@@ -371,6 +363,8 @@ def draw_effects(data: Linearised, points: FloatArray, theta: FloatArray, normal
     n, logs, q = normal.shape
     p = theta.shape[1]
     out = np.empty((n, logs, q))
+    if q == 0:
+        return out
     for i in range(n):
         _, _, reference, back, spread, _ = _conditional(data, points[i])
         moved = theta[i] - reference

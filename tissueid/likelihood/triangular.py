@@ -6,7 +6,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["factor", "inverse_factor"]
+__all__ = ["factor", "inverse_factor", "sparse_times", "weighted_sum"]
 
 FloatArray = NDArray[np.float64]
 
@@ -36,3 +36,29 @@ def inverse_factor(low: FloatArray) -> FloatArray:
                 inverse[i, j] -= low[i, k] * inverse[k, j]
             inverse[i, j] /= low[i, i]
     return inverse
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def weighted_sum(coefficient: FloatArray, matrices: FloatArray) -> FloatArray:
+    """Weighted sum of matrices, without a copy of any."""
+    out = np.zeros((matrices.shape[1], matrices.shape[2]))
+    for k in range(coefficient.size):
+        c = coefficient[k]
+        if c != 0.0:
+            for i in range(out.shape[0]):
+                for j in range(out.shape[1]):
+                    out[i, j] += c * matrices[k, i, j]
+    return out
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def sparse_times(weights: FloatArray, a: FloatArray) -> FloatArray:
+    """``weights.T @ a`` where most weights are zero: a coefficient of K touches the nodes of one branch."""
+    out = np.zeros((weights.shape[1], a.shape[1]))
+    for k in range(weights.shape[0]):
+        for j in range(weights.shape[1]):
+            w = weights[k, j]
+            if w != 0.0:
+                for i in range(a.shape[1]):
+                    out[j, i] += w * a[k, i]
+    return out
