@@ -18,10 +18,14 @@ from tissueid.fit.estimates import in_field_units
 from tissueid.fit.logs import LogHandle, specimen_sums
 from tissueid.fit.search import unbounded_covariance
 from tissueid.fit.specimen import adjustments_of
+from tissueid.fit.trials import Adjustment, model_force
 from tissueid.fit.whitening import Whitened, optimum_of, whiten
 from tissueid.fit.window import FittedLog
+from tissueid.likelihood.knots import knot_sums
 from tissueid.likelihood.linearise import Optimum
 from tissueid.likelihood.sums import LogData
+from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.posterior.calibration import total_posterior
 from tissueid.posterior.specimen import target_at
 from tissueid.posterior.specimen_target import SpecimenTarget
 from tissueid.posterior.target import Redrawn
@@ -127,8 +131,20 @@ def in_memory(log: ProtocolLog, data: LogData) -> InMemoryLog:
     )
 
 
-def _optimum(check: TissueCheck, handles: Sequence[LogHandle]) -> tuple[Whitened, Optimum, FloatArray]:
-    """The fit under its noise, where it is linearised, and a guess of the sd of each ln tau."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fitted:
+    """A fit under its noise, where it is linearised, and a guess of the sd of each ln tau."""
+
+    whitened: Whitened
+    optimum: Optimum
+    model: KelvinVoigt
+    theta: FloatArray
+    adjustments: Sequence[Adjustment]
+    log_tau_sd: FloatArray
+
+
+def _fitted(check: TissueCheck, handles: Sequence[LogHandle]) -> _Fitted:
+    """The steps of a fit whose model and contact points are given."""
 
     def silent(_message: str) -> None:
         return None
@@ -146,7 +162,14 @@ def _optimum(check: TissueCheck, handles: Sequence[LogHandle]) -> tuple[Whitened
     variance = np.diag(inverse)[solution.evaluation.theta.size :] * solution.noise.sigma2
     known = np.isfinite(variance) & (variance > 0.0)
     sd = np.where(known, np.sqrt(np.where(known, variance, 1.0)), WIDEST_GUESS)
-    return whitened, optimum_of(solution, adjustments, whitened.sums.depth_mm), np.minimum(sd, WIDEST_GUESS)
+    return _Fitted(
+        whitened=whitened,
+        optimum=optimum_of(solution, adjustments, whitened.sums.depth_mm),
+        model=model,
+        theta=theta,
+        adjustments=adjustments,
+        log_tau_sd=np.minimum(sd, WIDEST_GUESS),
+    )
 
 
 def _points(check: TissueCheck, target: SpecimenTarget, seed: int) -> tuple[FloatArray, dict[str, float]]:
@@ -197,13 +220,60 @@ def infer(check: TissueCheck, data: Sequence[LogData], rng: np.random.Generator)
         The sampler did not converge.
     """
     handles = [in_memory(log, one) for log, one in zip(check.logs, data, strict=True)]
-    whitened, optimum, log_tau_sd = _optimum(check, handles)
+    fitted = _fitted(check, handles)
     force = max(float(np.abs(one.force_N[one.include]).max()) for one in data)
-    target = target_at(whitened, optimum, handles, check.priors, log_tau_sd=log_tau_sd, force_N=force)
-    points, detail = _points(check, target, int(rng.integers(2**31)))
+    target = target_at(
+        fitted.whitened,
+        fitted.optimum,
+        handles,
+        check.priors,
+        log_tau_sd=fitted.log_tau_sd,
+        force_N=force,
+    )
+    seed = int(rng.integers(2**31))
+    if check.defects:
+        return _total(check, fitted, target, data, seed)
+    points, detail = _points(check, target, seed)
     drawn = target.redraw(points, rng)
     return Inferred(
         theta=drawn.theta,
         others=_others(target, points, drawn),
         detail={**detail, "passive": drawn.acceptance},
+    )
+
+
+def _total(
+    check: TissueCheck, fitted: _Fitted, target: SpecimenTarget, data: Sequence[LogData], seed: int
+) -> Inferred:
+    """Tissue and instrument together."""
+    noise = fitted.whitened.noise
+    knots = []
+    for one, handle, adjustment in zip(data, check.logs, fitted.adjustments, strict=True):
+        _, log = in_memory(handle, one).fitted()
+        residual = one.force_N - model_force(fitted.model, fitted.theta, log, adjustment)
+        knots.append(
+            knot_sums(
+                one,
+                residual,
+                phi=noise.phi,
+                reference_step_s=noise.reference_step_s,
+                moving_average=noise.moving_average,
+            )
+        )
+    found = total_posterior(
+        knots,
+        fitted.optimum,
+        target.facts,
+        target.model,
+        check.priors,
+        effects=target.effects,
+        gain_sd=fitted.whitened.solution.noise.gain_sd,
+        seed=seed,
+        draws=DRAWS,
+    )
+    worth = float(found.sampler.detail["worth"])
+    return Inferred(
+        theta=found.theta,
+        others={name: found.nuisances[:, k] for k, name in enumerate(found.names)},
+        detail={"worth": worth, "converged": float(found.sampler.converged)},
     )
