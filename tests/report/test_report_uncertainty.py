@@ -162,7 +162,7 @@ def test_sampler_noise_priors_models_and_checks_are_told() -> None:
     assert re.search(r"Gain of the force normal, mean 1, sd 0.01 default .* 2 % the data said little", text)
     assert "2 branches, K of degree 0 −0.80 ± 0.20 −0.3 ± 1.1 – i as good, undecided" in text
     assert "power law – −35.0 ± 9.0 – i beside: compared only" in text
-    assert "Early hold: the force just after the peak lies where the model puts it. (p = 0.60)" in text
+    assert "Early hold: no more than the noise makes (p = 0.60)." in text
     for claim in (
         "calibrated for the stated model and noise",
         "where the model itself is wrong they say nothing",
