@@ -5,7 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from study_folder import fit, lab, specimen
 
+from tissueid.cli.main import main
 from tissueid.errors import InputError
 from tissueid.ingest.manifest import read_study
 from tissueid.priors import Priors, SpreadPrior
@@ -150,3 +152,36 @@ def test_what_is_recorded_of_priors_is_a_valid_table_of_priors(tmp_path: Path) -
     assert document["priors"]["static_1_N_per_mm"] == {"mean": 20.0, "sd": 5.0}
     # a default that is in use is recorded as well
     assert Priors().as_json() == {"phi": {"low": 0.0, "high": 1.0}, "gain_sd": {"scale": 0.3}}
+
+
+STATED = """
+[priors.static_1_N_per_mm]
+mean = 30.0
+sd = 0.5
+
+[[priors.relaxation_time_s]]
+median = "21 ms"
+sd_ln = 0.02
+
+[calibration]
+load_cell_class = 0.5
+"""
+
+
+def test_a_stated_prior_enters_the_posterior_and_is_shown_with_its_shrinkage(tmp_path: Path) -> None:
+    folder = lab(tmp_path / "lab", STATED, a=1.0)
+    sample = ("--sampler", "emcee", "--draws", "400")
+    _, document = fit(folder, *sample, out=tmp_path / "out")
+    assert document["study"]["priors"]["static_1_N_per_mm"] == {"mean": 30.0, "sd": 0.5}
+    assert document["provenance"]["study"]["priors"] == document["study"]["priors"]
+    (found,) = document["specimens"]
+    rows = {row["name"]: row for row in found["priors"]}
+    assert rows["static_1_N_per_mm"]["stated"] is True
+    assert "30" in rows["static_1_N_per_mm"]["prior"]
+    assert rows["force_gain"]["stated"] is True
+    assert rows["displacement_gain"]["stated"] is False
+    # a relaxation time that is known to 2 % before can't be known worse after: sd of 400 draws, 3.5 % each
+    time = next(one for one in specimen(document, "a")["parameters"] if one["name"] == "relaxation_time_s")
+    sampled = time["detail"].get("posterior") or time
+    assert sampled["sd"] <= 1.15 * 0.02 * 0.021
+    assert main(["validate", str(tmp_path / "out")]) == 0
