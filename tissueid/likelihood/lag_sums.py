@@ -158,9 +158,9 @@ class _Totals:
             return
         for k in np.unique(group).tolist():
             at = np.flatnonzero(group == k)
-            later = self._add_links(k, rows[at + 1], change[at + 1])
+            later = self._add_links(k, rows.take(at + 1, axis=0), change.take(at + 1, axis=0))
             if k >= 0:
-                earlier = rows[at]
+                earlier = rows.take(at, axis=0)
                 self.excess[k] += earlier.T @ earlier - later
 
     def _add_links(self, k: int, later: FloatArray, change: FloatArray) -> FloatArray:
