@@ -36,7 +36,9 @@ class NormalMean:
         weight = PRIOR_SD**2 / (PRIOR_SD**2 + NOISE_SD**2)
         sd = np.sqrt(weight) * NOISE_SD
         draws = weight * seen + sd * (self.shift + self.width * rng.standard_normal(DRAWS))
-        return Replicate(truth={"mean": truth, "twice": 2.0 * truth}, draws={"mean": draws, "twice": 2.0 * draws})
+        return Replicate(
+            truth={"mean": truth, "twice": 2.0 * truth}, draws={"mean": draws, "twice": 2.0 * draws}
+        )
 
 
 if __name__ == "__main__":

@@ -14,9 +14,7 @@ def test_band_keeps_uniform_ranks_with_its_level(simulations: int, level: float)
     band = ecdf_band(simulations, level)
     rng = np.random.default_rng(71)
     repeats = 8000
-    kept = np.mean(
-        [band.holds(ecdf_counts(rng.integers(0, DRAWS + 1, simulations))) for _ in range(repeats)]
-    )
+    kept = np.mean([band.holds(ecdf_counts(rng.integers(0, DRAWS + 1, simulations))) for _ in range(repeats)])
     error = np.sqrt(level * (1.0 - level) / repeats)
     # counts are whole: the band holds its level and at most a little more
     assert level - 4.0 * error < kept < level + 0.003 + 4.0 * error

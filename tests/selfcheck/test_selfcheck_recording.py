@@ -1,0 +1,123 @@
+"""Simulated recordings against closed forms and the synthetic oracle, which shares no code with them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tissueid.model.base import ContactPath
+from tissueid.model.kelvin_voigt import KelvinVoigt, constant_speed_force
+from tissueid.selfcheck.recording import ProtocolLog, noise, recorded_force
+from tissueid.synth.path import Path as SynthPath
+from tissueid.synth.recipe import Branch
+from tissueid.synth.response import tissue_force
+
+MODEL = KelvinVoigt(branches=1, stiffness_degree=1, depth_mm=8.0)
+THETA = np.array([20.0, -1.2, 0.35, 63.62, 10.0, 0.2])
+SPEED, CORNER = 4.0, 1.5
+TIME = np.arange(0.0, 4.0, 0.01)
+DEPTH = np.minimum(SPEED * TIME, SPEED * CORNER)
+
+
+def log(time: np.ndarray = TIME, depth: np.ndarray = DEPTH) -> ProtocolLog:
+    return ProtocolLog("hold", time, depth, depth > 0.05, 0.01)
+
+
+def force(*, gain: float = 1.0, offset_mm: float = 0.0, one: ProtocolLog | None = None, **defects: float):
+    return recorded_force(MODEL, THETA, one or log(), gain=gain, offset_mm=offset_mm, calibration=defects)
+
+
+def test_a_perfect_chain_records_what_the_oracle_computes() -> None:
+    path = SynthPath(np.array([0.0, CORNER, 4.0]), np.array([0.0, 6.0, 6.0]))
+    expected = tissue_force(
+        path, TIME, offset_mm=0.0, static=(20.0, -1.2, 0.35), branches=(Branch((63.62, 10.0), 0.2),)
+    )
+    # closed form against recursion
+    np.testing.assert_allclose(force(), expected, atol=1e-9)
+
+
+def test_gain_scales_and_a_contact_offset_shifts_the_curves_and_not_the_motion() -> None:
+    np.testing.assert_allclose(force(gain=1.1), 1.1 * force(), rtol=1e-12)
+    state = MODEL.states(np.array([0.2]), ContactPath(TIME, DEPTH))[0]
+    x = DEPTH - 0.05
+    expected = 20.0 * x - 1.2 * x**2 + 0.35 * x**3 + (63.62 + 10.0 * x) * state
+    np.testing.assert_allclose(force(offset_mm=0.05), expected, rtol=1e-10)
+
+
+def test_gains_of_the_channels_are_recorded_over_true() -> None:
+    np.testing.assert_allclose(force(force_gain=1.02), 1.02 * force(), rtol=1e-12)
+    # 8 mm recorded by a channel that reads 2 % too much are 8 / 1.02 mm
+    smaller = log(depth=DEPTH / 1.02)
+    np.testing.assert_allclose(force(displacement_gain=1.02), force(one=smaller), rtol=1e-12)
+
+
+def test_a_late_force_is_the_force_of_before() -> None:
+    late = force(skew_s=0.02)
+    # two samples late, between corners; sub-steps are joined by lines
+    np.testing.assert_allclose(late[10:140], force()[8:138], atol=2e-3)
+
+
+def test_a_filtered_ramp_lags_by_its_time_constant() -> None:
+    elastic = KelvinVoigt(branches=1, stiffness_degree=0, depth_mm=8.0)
+    theta = np.array([10.0, 0.0, 0.0, 0.0, 1.0])
+    tau = 0.03
+    found = recorded_force(
+        elastic, theta, log(), gain=1.0, offset_mm=0.0, calibration={"force_filter_s": tau}
+    )
+    ramp = TIME < CORNER
+    # low-pass of a ramp from rest: rate (t - tau (1 - exp(-t / tau)))
+    expected = 10.0 * SPEED * (TIME + tau * np.expm1(-TIME / tau))
+    np.testing.assert_allclose(found[ramp], expected[ramp], atol=1e-9)
+
+
+def test_an_uneven_clock_is_filtered_as_exactly() -> None:
+    rng = np.random.default_rng(4)
+    time = np.sort(np.concatenate([[0.0], rng.uniform(0.0, 1.4, 300)]))
+    elastic = KelvinVoigt(branches=1, stiffness_degree=0, depth_mm=8.0)
+    theta = np.array([10.0, 0.0, 0.0, 0.0, 1.0])
+    one = log(time, SPEED * time)
+    found = recorded_force(elastic, theta, one, gain=1.0, offset_mm=0.0, calibration={"force_filter_s": 0.03})
+    np.testing.assert_allclose(found, 10.0 * SPEED * (time + 0.03 * np.expm1(-time / 0.03)), atol=1e-9)
+
+
+@pytest.mark.parametrize("give", [0.0005, 0.004, 0.02])
+def test_the_tip_is_where_the_frame_leaves_it(give: float) -> None:
+    found = force(frame_compliance_mm_per_N=give)
+    expected = MODEL.force(THETA, ContactPath(TIME, DEPTH - give * found))
+    np.testing.assert_allclose(found, expected, atol=1e-7)
+    assert found.max() < force().max()
+
+
+def test_noise_is_stationary_with_the_stated_correlation() -> None:
+    rng = np.random.default_rng(8)
+    time = np.arange(40_000) * 0.01
+    found = noise(time, sigma_N=2.0, phi=0.9, reference_step_s=0.01, white_share=0.0, rng=rng)
+    # standard error of the sd of an AR(1): sd sqrt((1 + phi^2) / (1 - phi^2) / 2 n)
+    assert found.std() == pytest.approx(2.0, abs=4 * 2.0 * np.sqrt(9.5 / 80_000))
+    assert np.corrcoef(found[1:], found[:-1])[0, 1] == pytest.approx(0.9, abs=4 * np.sqrt(0.19 / 40_000))
+    mixed = noise(time, sigma_N=2.0, phi=0.9, reference_step_s=0.01, white_share=0.5, rng=rng)
+    assert np.corrcoef(mixed[1:], mixed[:-1])[0, 1] == pytest.approx(0.45, abs=0.03)
+    white = noise(time, sigma_N=2.0, phi=0.0, reference_step_s=0.01, white_share=0.0, rng=rng)
+    assert np.corrcoef(white[1:], white[:-1])[0, 1] == pytest.approx(0.0, abs=4 / 200)
+
+
+def test_noise_on_unequal_steps_loses_correlation_with_time() -> None:
+    rng = np.random.default_rng(9)
+    time = np.concatenate([[0.0, 0.01], 0.03 + np.arange(8) * 0.01])
+    many = np.array(
+        [
+            noise(time, sigma_N=1.0, phi=0.8, reference_step_s=0.01, white_share=0.0, rng=rng)
+            for _ in range(20_000)
+        ]
+    )
+    correlation = np.corrcoef(many.T)
+    # 0.8 over 10 ms, 0.8^2 over 20 ms; standard error of a correlation
+    assert correlation[0, 1] == pytest.approx(0.8, abs=4 * 0.36 / np.sqrt(20_000))
+    assert correlation[1, 2] == pytest.approx(0.64, abs=4 * 0.59 / np.sqrt(20_000))
+    np.testing.assert_allclose(many.std(axis=0), 1.0, atol=4 / np.sqrt(40_000))
+
+
+def test_a_slow_ramp_is_the_closed_form_of_a_constant_speed() -> None:
+    ramp = TIME < CORNER
+    expected = constant_speed_force(MODEL, THETA, DEPTH[ramp], speed_mm_s=SPEED)
+    np.testing.assert_allclose(force()[ramp], expected, rtol=1e-10, atol=1e-9)
