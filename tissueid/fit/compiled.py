@@ -7,7 +7,10 @@ from typing import Any
 
 from tissueid.likelihood import partial
 from tissueid.likelihood.cone import cone_least_squares
+from tissueid.likelihood.instrument_kernels import instrument_force
 from tissueid.likelihood.kernels import fill_design
+from tissueid.likelihood.knot_kernels import accumulate, corner_flags
+from tissueid.likelihood.knot_terms import log_terms, without_effects
 from tissueid.likelihood.lag_kernels import filter_chain, link_rows
 from tissueid.model.kernels import branch_state
 
@@ -23,6 +26,11 @@ KERNELS: tuple[Any, ...] = (
     partial.objective,
     partial.assemble,
     partial.solve,
+    corner_flags,
+    accumulate,
+    instrument_force,
+    log_terms,
+    without_effects,
 )
 
 

@@ -27,6 +27,7 @@ from tissueid.likelihood.knot_terms import log_terms, without_effects
 from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt, branch_suffix
 from tissueid.posterior.calibration import TotalPosterior, truncated_moments
 from tissueid.posterior.instrument import Behind, inverse
+from tissueid.posterior.reported import reported_draws
 from tissueid.uncertainty import BudgetRow
 
 __all__ = ["SOURCES", "TOTAL", "reported", "reported_names", "shapley", "uncertainty_budget"]
@@ -43,8 +44,6 @@ SCATTER, CONTACTS = SOURCES[1:3]
 ENTANGLED = (SCATTER, CONTACTS, *SOURCES[5:])
 #: Precision of what is known, over that of what is not.
 KNOWN = 1e12
-#: Depth, as a fraction of the fitted one, at which viscosity is quoted where K varies.
-REFERENCE_DEPTH = 0.5
 
 
 def reported_names(model: KelvinVoigt) -> tuple[str, ...]:
@@ -64,14 +63,10 @@ def reported(model: KelvinVoigt, theta: FloatArray) -> FloatArray:
     Returns
     -------
     ndarray, shape (n, branches + p)
-        In the order of :func:`reported_names`; viscosity is K tau at half depth where K varies.
+        In the order of :func:`reported_names`.
     """
-    powers = (REFERENCE_DEPTH * model.depth_mm) ** np.arange(model.stiffness_degree + 1.0)
-    eta = np.empty((theta.shape[0], model.branches))
-    for j in range(model.branches):
-        block = theta[:, STATIC_DEGREE + j * model.block : STATIC_DEGREE + (j + 1) * model.block]
-        eta[:, j] = block[:, :-1] @ powers * block[:, -1]
-    return np.column_stack([eta, theta])
+    found = reported_draws(model, theta)
+    return np.column_stack([found[name] for name in reported_names(model)])
 
 
 class _Variances:
