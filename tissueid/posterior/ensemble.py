@@ -163,7 +163,7 @@ def sample_ensemble(
     workers : int
         Threads; changes nothing but the time.
     checkpoint : Path, optional
-        File that keeps the chain; a chain of the same key, seed and coordinates goes on from it.
+        File that keeps the chain; a chain of the same key, seed and optimum goes on from it.
         :func:`tissueid.posterior.checkpoint.discard` removes it.
     key : str
         Stands for all that the target depends on: hashes of data, options, version of the code.
@@ -237,10 +237,13 @@ def _kept(path: FloatArray, memory: Memory) -> FloatArray:
 
 
 def _identity(target: Target, *, key: str, seed: int, walkers: int) -> str:
+    """What makes a walk this one; a target that differs in the last bit of its optimum is another."""
     import emcee
 
+    mode, covariance = (np.asarray(of, dtype=np.float64) for of in (target.mode, target.covariance))
+    optimum = (mode.tobytes() + covariance.tobytes() + target.log_density(mode[None]).tobytes()).hex()
     versions = f"emcee {emcee.__version__}, numpy {np.__version__}, scheme {_SCHEME}"
-    return f"{key}|{seed}|{walkers}|{','.join(target.names)}|{versions}"
+    return f"{key}|{seed}|{walkers}|{','.join(target.names)}|{optimum}|{versions}"
 
 
 class _BatchDensity:
