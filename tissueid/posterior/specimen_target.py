@@ -292,7 +292,7 @@ def specimen_target(
             ]
         ).reshape(-1, 2)
         nodes = _nodes(ends, facts)
-        few = np.array([one.log_tau for one in nodes]).reshape(len(nodes), -1)
+        few = _table([one.log_tau for one in nodes])
         columns = linear_columns(logs, basis, optimum, few, effects, centred=centred)
         built = _built(columns, nodes, optimum, facts, priors, effects, correlated=correlated)
         target = _with_mode(built, start, start_sd)
@@ -318,6 +318,11 @@ def _nodes(ends: FloatArray, facts: Facts) -> list[TauNodes]:
     found = [tau_nodes(first, last, time, shape=(0, shape)) for first, last in ends]
     most = max((one.log_tau.size for one in found), default=0)
     return [tau_nodes(first, last, time, shape=(most, shape)) for first, last in ends]
+
+
+def _table(rows: list[FloatArray]) -> FloatArray:
+    """One row a branch; without a branch there is none."""
+    return np.ascontiguousarray(np.stack(rows)) if rows else np.zeros((0, 0))
 
 
 def _stacked(nodes: Sequence[TauNodes]) -> FloatArray:
@@ -357,8 +362,8 @@ def _built(
         samples=float(columns.count),
         best=np.ascontiguousarray(optimum.theta),
         best_tau=np.ascontiguousarray(optimum.log_tau),
-        nodes=np.array([one.nodes for one in nodes]).reshape(branches, -1),
-        barycentric=np.array([one.barycentric for one in nodes]).reshape(branches, -1),
+        nodes=_table([one.nodes for one in nodes]),
+        barycentric=_table([one.barycentric for one in nodes]),
         mixing=_stacked(nodes),
         prior_mean=mean,
         prior_precision=precision,
