@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
-from fit_factory import specimen_fit
+from command_line import run
+from fit_factory import identification, specimen_fit
 from posterior_factory import sampled
 
 from tissueid.cli.uncertainty_lines import alarm_lines, parameter_lines, sampling_lines
 from tissueid.flags import Flag
 from tissueid.result import SpecimenFit
+from tissueid.store.outputs import OutputSet
+from tissueid.store.results import write_results
 from tissueid.trial import Axes
 
 WIDTH = 100
@@ -92,3 +97,16 @@ def test_small_numbers_have_a_power_of_ten_that_a_terminal_can_print() -> None:
     small = replace(fit.parameters[0], value=2.5e-5, uncertainty=narrow)
     (line,) = parameter_lines(replace(fit, parameters=(small,)))
     assert line == "a1     2.500e-5 N/mm  95 % [2.400e-5, 2.600e-5]"
+
+
+def test_a_report_made_again_has_bands_and_draws_from_the_folder_alone(tmp_path: Path) -> None:
+    fits = [sampled(specimen_fit(trials=2, samples=60))]
+    with OutputSet(tmp_path / "out") as outputs:
+        write_results(outputs, identification(fits))
+        outputs.commit()
+    assert run("report", tmp_path / "out", "-o", tmp_path / "again.html").code == 0
+    html = (tmp_path / "again.html").read_text(encoding="utf-8")
+    payload = json.loads(html.split('id="curves">')[1].split("</script>")[0])
+    assert all("low" in trial and "high" in trial for trial in payload["specimens"][0])
+    assert payload["posteriors"][0]["draws"]["count"] == 1_000
+    assert "How sure" in html
