@@ -450,3 +450,39 @@ def test_no_white_noise_plus_ar1_has_such_a_theta(phi, theta):
     data = make_log(sampling("uniform", 60))
     with pytest.raises(ValueError, match="theta < phi"):
         lag_sums(data, basis_for(data), degree=0, reference_step_s=0.01, moving_average=theta, phi=phi)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("phi", [0.0, 0.9, 0.999])
+@pytest.mark.parametrize("clock", ["uniform", "three rates"])
+def test_half_a_million_samples_of_low_noise_lose_no_digits(clock, phi):
+    sigma, drop = 0.1, 49.0
+    direct = Direct(make_log(sampling(clock, 570_000, h=1e-3)), 3, 1)
+    stiffness = np.array([[30.0, 2.0], [12.0, 1.0], [6.0, 0.5]])
+    truth = direct.model.join(np.array([20.0, -1.2, 0.35]), stiffness, np.array([0.02, 0.5, 12.0]))
+    direct.data = noisy(direct, truth, sigma, phi, 3)
+    best, root = optimum(direct, truth, sigma, phi)
+    elsewhere = moved(direct, best, root, sigma, phi, np.random.default_rng(4), drop)
+    basis = kernel_basis(step_s=1e-3, length_s=float(direct.data.time_s[-1]))
+    raw = FromSums(direct.data, direct, basis=basis)
+    centred = FromSums(direct.data, direct, basis=basis, center=raw.columns(best))
+    expected = direct.log_likelihood(best, sigma, phi)
+    assert centred.log_likelihood(best, sigma, phi) == pytest.approx(expected, rel=0.0, abs=1e-4)
+    expected = direct.log_likelihood(elsewhere, sigma, phi)
+    assert centred.log_likelihood(elsewhere, sigma, phi) == pytest.approx(expected, rel=0.0, abs=1e-3)
+
+
+@needs_jit
+def test_many_gaps_cost_no_memory_and_lose_no_link():
+    # more stretches of links than are kept before they are summed
+    n = 2 * CHUNK * 40
+    breaks = np.arange(n) % (CHUNK // 2) == 100
+    data = make_log(sampling("uniform", n), breaks=breaks)
+    basis = kernel_basis(step_s=0.01, length_s=float(data.time_s[-1]), log_range=(-3.0, -2.0))
+    sums = lag_sums(data, basis, degree=0, reference_step_s=0.01)
+    expected = reference_sums(data, basis, 0)
+    for mine, one in zip(
+        (sums.start, sums.later[0], sums.earlier[0], sums.difference[0]), expected, strict=True
+    ):
+        np.testing.assert_allclose(mine, one, rtol=0.0, atol=1e-11 * np.abs(one).max())
+    assert sums.chains == 1 + breaks.sum()
