@@ -84,7 +84,6 @@ class KernelBasis:
         columns = [_weights(self, float(value)) for value in log_tau]
         return np.column_stack([c for c, _ in columns]), np.column_stack([dc for _, dc in columns])
 
-
     def weights_of(self, kernel: Callable[[FloatArray], FloatArray]) -> tuple[FloatArray, float]:
         """Weights of any kernel of relaxation: a completely monotone one is a mixture of the nodes'.
 
@@ -105,7 +104,8 @@ class KernelBasis:
         solved = dtrsm(1.0, self._r, (self._q.T @ right)[:, None])[:, 0]
         left = right - self._q @ (self._q.T @ right)
         norm = _norm(np.log(self.tau_s), float(self._time_s[-1]))
-        return solved / norm, float(np.linalg.norm(left) / max(np.linalg.norm(right), 1e-300))
+        whole = max(float(np.linalg.norm(right)), 1e-300)
+        return np.asarray(solved / norm), float(np.linalg.norm(left)) / whole
 
 
 @lru_cache(maxsize=8192)

@@ -253,7 +253,11 @@ def kernel_evidence(
     sigma2 = solution.noise.sigma2
     for _ in range(2):
         # the second round with the noise that the first one leaves
-        value, psi = _laplace(lambda at, s=sigma2: problem.log_marginal(weights_at(at), s)[0], starts, bounds)
+
+        def density(at: FloatArray, variance: float = sigma2) -> float:
+            return problem.log_marginal(weights_at(at), variance)[0]
+
+        value, psi = _laplace(density, starts, bounds)
         starts = psi[None]
         left = problem.log_marginal(weights_at(psi), sigma2)[1]
         sigma2, last = max(left / max(sums.n - used, 1), 1e-300), sigma2

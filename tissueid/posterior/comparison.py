@@ -213,6 +213,10 @@ def _difference(one: FloatArray | None, best: FloatArray | None) -> tuple[float 
     return float(difference.sum()), float(difference.std(ddof=1) * math.sqrt(difference.size))
 
 
+def _total(scores: FloatArray | None) -> float:
+    return -math.inf if scores is None else float(scores.sum())
+
+
 def _verdict(one: _Compared, chosen: _Compared) -> str:
     if one is chosen:
         return "chosen"
@@ -279,9 +283,9 @@ def _rows(found: list[_Compared], chosen: _Compared) -> tuple[ComparisonRow, ...
     known = [one for one in found if one.log_evidence is not None]
     best = max(one.log_evidence for one in known if one.log_evidence is not None)
     predicted = [one for one in known if one.logs is not None]
-    by_logs = max(predicted, key=lambda one: float(np.sum(one.logs))) if predicted else chosen
+    by_logs = max(predicted, key=lambda one: _total(one.logs)) if predicted else chosen
     at_speeds = [one for one in known if one.speeds is not None]
-    by_speeds = max(at_speeds, key=lambda one: float(np.sum(one.speeds))) if at_speeds else chosen
+    by_speeds = max(at_speeds, key=lambda one: _total(one.speeds)) if at_speeds else chosen
     rows = []
     others = sorted((one for one in known if one is not chosen), key=lambda one: -(one.log_evidence or 0.0))
     for one in [chosen, *others]:

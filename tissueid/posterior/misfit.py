@@ -117,7 +117,8 @@ def _features(logs: Sequence[ResidualBlocks], values: Sequence[FloatArray]) -> t
     speed = np.log(np.maximum([one.speed_mm_s for one in logs], 1e-12))
     depth = np.array([one.depth_mm for one in logs])
     held = np.array([key[0] for key in keys], dtype=bool)
-    features, rows = [], []
+    features: list[FloatArray] = []
+    rows: list[_Row] = []
     for kind, what in ((True, "holds"), (False, "ramps")):
         chosen = np.flatnonzero((held == kind) & (present.sum(axis=0) > 1))
         for contrast, words in (
@@ -196,7 +197,7 @@ def _ranks(values: FloatArray) -> FloatArray:
         # equal values (the same exchange drawn twice) share the worst place
         column = np.round(values[:, k], 9)
         out[:, k] = np.searchsorted(np.sort(column), column, side="left")
-    return out
+    return np.asarray(out)
 
 
 class _Projected(NamedTuple):
@@ -219,7 +220,7 @@ def _orthonormal(columns: FloatArray) -> FloatArray:
 
 
 def _project(logs: Sequence[ResidualBlocks], noise: NoiseFit) -> _Projected:
-    roots = [np.linalg.cholesky(block_covariance(one, noise)) for one in logs]
+    roots = [np.asarray(np.linalg.cholesky(block_covariance(one, noise)), dtype=np.float64) for one in logs]
     size = sum(one.count.size for one in logs)
     own = np.zeros((size, sum(one.own.shape[1] for one in logs)))
     shared, values = [], []
