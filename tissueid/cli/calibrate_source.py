@@ -107,15 +107,12 @@ def _bundle_file(path: Path) -> Path | None:
         return path if path.suffix in _BUNDLE_SUFFIXES else None
     if not (path / "identification.json").is_file():
         return None
-    bundles = sorted(path.glob("bundle*.h5"))
-    if len(bundles) != 1:
-        names = ", ".join(str(one) for one in bundles)
-        msg = (
-            f"{path} is the output of a fit with {len(bundles)} bundles: name one of them "
-            f"({names or 'none there'})"
-        )
-        raise UsageError(msg)
-    return bundles[0]
+    only = path / "bundle.h5"
+    if only.is_file():
+        return only
+    names = ", ".join(str(one) for one in sorted(path.glob("bundle*.h5")))
+    msg = f"{path} is the output of a fit of several specimens: name one bundle ({names or 'none there'})"
+    raise UsageError(msg)
 
 
 def _bundle(path: Path, flags: Mapping[str, Any], progress: _Progress) -> Found:

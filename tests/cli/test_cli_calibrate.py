@@ -1,0 +1,239 @@
+"""``tissueid calibrate``: recipe, study and bundle in; verdict, JSON and page out; resumed where it was."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from command_line import run, write_log
+
+from tissueid.priors import SpreadPrior
+from tissueid.selfcheck import inference
+from tissueid.store.schema import first_problem
+
+pytestmark = pytest.mark.needs_jit
+
+FEWEST = "20"
+RECIPE = """\
+name = "small"
+specimen = "phantom"
+rate_Hz = 50.0
+sigma_N = 0.5
+[[branches]]
+stiffness = [60.0]
+tau_s = 0.2
+[[logs]]
+name = "slow"
+moves = [{to_mm = 4.0, speed_mm_min = 240.0}]
+[[logs]]
+name = "hold"
+repeats = 2
+moves = [{to_mm = 4.0, speed_mm_min = 480.0}, {hold_s = 1.0}]
+"""
+
+
+@pytest.fixture
+def instant(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An inference that takes no time: the truth's prior itself, which is calibrated by construction."""
+
+    def of_prior(check: Any, data: Any, rng: np.random.Generator) -> inference.Inferred:
+        from tissueid.selfcheck.truth import draw_truth
+
+        offset = np.zeros(len(check.logs))
+        drawn = [
+            draw_truth(
+                check.model,
+                check.priors,
+                offset_sd_mm=offset,
+                pooling=check.pooling,
+                correlated=check.correlated,
+                defects=check.defects,
+                rng=rng,
+            )
+            for _ in range(399)
+        ]
+        return inference.Inferred(
+            theta=np.array([one.theta for one in drawn]),
+            others={"sigma_N": np.array([one.sigma_N for one in drawn])},
+            detail={"acceptance": 1.0},
+        )
+
+    monkeypatch.setattr("tissueid.selfcheck.tissue.infer", of_prior)
+
+
+def document_of(folder: Path) -> dict[str, Any]:
+    document: dict[str, Any] = json.loads((folder / "calibrate.json").read_text(encoding="utf-8"))
+    assert first_problem(document, "selfcheck") is None
+    return document
+
+
+def test_a_recipe_is_checked_by_the_fit_s_own_inference(tmp_path: Path) -> None:
+    recipe = tmp_path / "recipe.toml"
+    recipe.write_text(RECIPE, encoding="utf-8")
+    ended = run("calibrate", recipe, "-o", tmp_path / "out", "--simulations", FEWEST, "--seed", "4")
+    document = document_of(tmp_path / "out")
+    assert ended.code == 0, ended.stderr
+    assert document["verdict"] == {"calibrated": True, "reasons": []}
+    assert document["source"] == {"kind": "recipe", "path": str(recipe), "specimen": "phantom"}
+    assert document["simulations"]["failed"] == []
+    names = [one["name"] for one in document["parameters"]]
+    assert names[3:6] == ["stiffness_0_N_per_mm", "relaxation_time_s", "viscosity_N_s_per_mm"]
+    assert sum(name.startswith("force_N at ") for name in names) == 3
+    assert names[-2:] == ["sigma_N", "gain_sd"]
+    # the data say far more of a viscosity than its prior
+    viscosity = document["parameters"][5]
+    assert viscosity["contraction"] > 0.8
+    assert sum(viscosity["histogram"]) == 20
+    page = (tmp_path / "out" / "calibrate.html").read_text(encoding="utf-8")
+    assert "Calibrated." in page
+    assert "relaxation_time_s: log-normal, median 0.2, sd of ln 0.4" in ended.stdout
+
+
+def test_a_second_call_goes_on_and_another_check_is_refused(tmp_path: Path, instant: None) -> None:
+    recipe, out = tmp_path / "recipe.toml", tmp_path / "out"
+    recipe.write_text(RECIPE, encoding="utf-8")
+    assert run("calibrate", recipe, "-o", out, "--simulations", FEWEST).code == 0
+    first = (out / "calibrate.jsonl").read_bytes()
+    assert run("calibrate", recipe, "-o", out, "--simulations", "25").code == 0
+    assert (out / "calibrate.jsonl").read_bytes().startswith(first)
+    assert document_of(out)["simulations"]["done"] == 25
+    ended = run("calibrate", recipe, "-o", out, "--seed", "1")
+    assert ended.code == 2
+    assert "holds the simulations of another check" in ended.stderr
+    recipe.write_text(RECIPE.replace("sigma_N = 0.5", "sigma_N = 0.6"), encoding="utf-8")
+    assert run("calibrate", recipe, "-o", out).code == 2
+
+
+def test_intervals_that_are_too_narrow_end_with_a_code_of_their_own(
+    tmp_path: Path, instant: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recipe, out = tmp_path / "recipe.toml", tmp_path / "out"
+    recipe.write_text(RECIPE, encoding="utf-8")
+    monkeypatch.setattr("tissueid.selfcheck.tissue.infer", too_narrow)
+    ended = run("calibrate", recipe, "-o", out, "--simulations", "60")
+    assert ended.code == 4
+    assert "not calibrated: relaxation_time_s: ranks leave the family-wise 99 % band" in ended.stderr
+    assert not document_of(out)["verdict"]["calibrated"]
+    assert "Not calibrated." in (out / "calibrate.html").read_text(encoding="utf-8")
+
+
+def too_narrow(check: Any, data: Any, rng: np.random.Generator) -> inference.Inferred:
+    """Sure of the middle of the priors, whatever was recorded."""
+    middle = [check.priors.linear[name][0] for name in check.model.parameter_names[:4]]
+    theta = np.array([*middle, check.priors.relaxation_time_s[0].median])
+    return inference.Inferred(theta=theta * (1.0 + 1e-3 * rng.standard_normal((399, 5))), others={})
+
+
+def test_json_is_the_document_and_nothing_else(tmp_path: Path, instant: None) -> None:
+    recipe = tmp_path / "recipe.toml"
+    recipe.write_text(RECIPE, encoding="utf-8")
+    ended = run(
+        "calibrate", recipe, "-o", tmp_path / "out", "--simulations", FEWEST, "--json", "--interval", "total"
+    )
+    assert ended.json() == document_of(tmp_path / "out")
+    assert ended.json()["interval"] == "total"
+    said = {row["name"]: row["prior"] for row in ended.json()["priors"]}
+    assert said["frame_compliance_mm_per_N"] == "normal, 0 ± 0.004, not below 0"
+
+
+def test_a_study_keeps_its_measured_motion_and_its_priors(tmp_path: Path, instant: None) -> None:
+    lab = tmp_path / "lab"
+    write_log(lab / "a.csv", label="liver")
+    write_log(lab / "b.csv", label="liver", force_times=1.02)
+    (lab / "study.toml").write_text(
+        'schema = "tissueid/study/1"\n[priors.sigma_N]\nmedian = 1.5\nsd_ln = 0.2\n', encoding="utf-8"
+    )
+    ended = run("calibrate", lab, "-o", tmp_path / "out", "--simulations", FEWEST)
+    assert ended.code == 0, ended.stderr
+    document = document_of(tmp_path / "out")
+    assert document["source"]["kind"] == "study"
+    assert document["source"]["specimen"] == "liver"
+    assert document["protocol"]["words"] == "the measured x(t) of 2 recordings"
+    assert document["protocol"]["depth_mm"] == pytest.approx(8.0, abs=0.05)
+    assert document["protocol"]["step_s"] == pytest.approx(0.04, rel=1e-3)
+    (sigma,) = [row for row in document["priors"] if row["name"] == "sigma_N"]
+    assert sigma == {"name": "sigma_N", "prior": "log-normal, median 1.5, sd of ln 0.2", "stated": True}
+    assert SpreadPrior(1.5, 0.2).median == 1.5
+
+
+def test_several_specimens_are_named(tmp_path: Path, instant: None) -> None:
+    write_log(tmp_path / "lab" / "a.csv", label="liver")
+    write_log(tmp_path / "lab" / "b.csv", label="heart")
+    ended = run("calibrate", tmp_path / "lab", "-o", tmp_path / "out")
+    assert ended.code == 2
+    assert "holds 2 specimens: choose one with --specimen: liver, heart" in ended.stderr
+    ended = run("calibrate", tmp_path / "lab", "-o", tmp_path / "out", "--specimen", "lung")
+    assert ended.code == 2
+    assert "holds no specimen 'lung'; there are liver, heart" in ended.stderr
+
+
+def test_a_bundle_takes_its_recordings_or_says_that_a_program_stands_in(
+    tmp_path: Path, instant: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_log(tmp_path / "lab" / "a.csv", label="liver")
+    quick = ("--branches", "1", "--stiffness-degree", "0", "--sampler", "none", "-q")
+    assert run("fit", "lab", "-o", "fitted", *quick).code == 0
+    assert run("calibrate", "fitted", "-o", "there", "--simulations", FEWEST).code == 0
+    there = document_of(tmp_path / "there")
+    assert there["protocol"]["words"] == "the measured x(t) of 1 recording"
+    assert there["model"]["static_pooling"] == "shared"
+    (tmp_path / "lab" / "a.csv").unlink()
+    ended = run("calibrate", Path("fitted", "bundle.h5"), "-o", "gone", "--simulations", FEWEST)
+    assert ended.code == 0
+    gone = document_of(tmp_path / "gone")
+    assert "its recordings are not there" in ended.stderr
+    assert gone["protocol"]["words"].startswith("a ramp-and-hold program within the bundle's depth (8")
+    assert gone["protocol"]["depth_mm"] == pytest.approx(there["protocol"]["depth_mm"], rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("args", "says"),
+    [
+        (("nowhere",), "no such file, folder or recipe; recipes are paper-a-22"),
+        (("paper-a-30", "--rate", "0"), "--rate is 0.0"),
+        (("paper-a-30", "--phi", "0.9"), "--phi is the correlation of --noise ar1"),
+        (("paper-a-30", "--noise", "ar1"), "needs its correlation here: add --phi"),
+        (("paper-a-30", "--simulations", "3"), "3 is not in the range x>=20"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_with_the_way_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, args: tuple[str, ...], says: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    ended = run("calibrate", *args, "-o", "out")
+    assert ended.code == 2
+    assert says in ended.stderr
+
+
+def test_rates_are_for_recipes_and_foreign_files_stay(tmp_path: Path, instant: None) -> None:
+    write_log(tmp_path / "a.csv")
+    assert "--rate is for recipes" in run("calibrate", tmp_path / "a.csv", "--rate", "10").stderr
+    recipe, out = tmp_path / "recipe.toml", tmp_path / "out"
+    recipe.write_text(RECIPE, encoding="utf-8")
+    out.mkdir()
+    (out / "calibrate.html").write_text("mine", encoding="utf-8")
+    ended = run("calibrate", recipe, "-o", out)
+    assert ended.code == 2
+    assert (out / "calibrate.html").read_text(encoding="utf-8") == "mine"
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (("sigma_N = 0.5", "sigma_N = 0.0"), "its noise is zero"),
+        (("sigma_N = 0.5", "ar1_sigma_N = 0.5\nar1_phi = -0.4"), "negative correlation is not offered"),
+        (("stiffness = [60.0]", "stiffness = [60.0, 1.0, 1.0, 1.0]"), "degree 3 of K is not offered"),
+    ],
+)
+def test_a_recipe_that_no_posterior_has_is_refused(
+    tmp_path: Path, change: tuple[str, str], says: str
+) -> None:
+    recipe = tmp_path / "recipe.toml"
+    recipe.write_text(RECIPE.replace(*change), encoding="utf-8")
+    ended = run("calibrate", recipe, "-o", tmp_path / "out")
+    assert ended.code == 3
+    assert says in ended.stderr
