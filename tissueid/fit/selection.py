@@ -17,13 +17,13 @@ depth, and moves viscosity by a factor of three.  So K is constant there, unless
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.fit.candidates import Candidate, Solution, SpecimenSums, fit_candidate
+from tissueid.fit.candidates import Candidate, Solution, SpecimenSums, fit_candidate, refit
 from tissueid.fit.held_out import held_out_scores
 from tissueid.uncertainty import NoiseFit
 
@@ -167,14 +167,18 @@ class _Search:
         pooling: str,
         share: float | None,
         progress: Callable[[str], None] | None,
+        start: Sequence[Solution],
     ) -> None:
         self.sums, self.pooling, self.share, self.progress = sums, pooling, share, progress
+        self.start = {(one.candidate.branches, one.candidate.degree): one for one in start}
         self.fitted: dict[tuple[int, int], _Tried | None] = {}
 
     def fit(self, branches: int, degree: int) -> Solution:
         """One candidate, started from the simpler ones."""
         if self.progress is not None:
             self.progress(f"{branches} branch{'es' if branches > 1 else ''}, K of degree {degree}")
+        if (branches, degree) in self.start:
+            return refit(self.sums, self.start[branches, degree])
         seeds = [
             one.solution.evaluation.log_tau
             for (count, _), one in self.fitted.items()
@@ -201,6 +205,7 @@ def choose(
     pooling: str,
     one_speed: bool = False,
     noise: NoiseFit | None = None,
+    start: Sequence[Solution] = (),
     progress: Callable[[str], None] | None = None,
 ) -> Choice:
     """The simplest candidate that predicts about as well as the best of its neighbours.
@@ -218,6 +223,8 @@ def choose(
         that takes :data:`SEEN` off the residual.
     noise : NoiseFit, optional
         The noise that the sums are whitened for; ``None`` while it is not known.
+    start : sequence of Solution
+        Candidates that were fitted before the noise was known.
     progress : callable, optional
         Told the name of each candidate before it is fitted.
 
@@ -226,7 +233,7 @@ def choose(
     Choice
     """
     share = None if noise is None else (1.0 - noise.phi) / (1.0 + noise.phi)
-    search = _Search(sums, pooling, share, progress)
+    search = _Search(sums, pooling, share, progress, start)
     fewest, flattest = branches[0], degrees[0]
     if len(branches) * len(degrees) == 1:
         return Choice(solution=search.fit(fewest, flattest), table=())

@@ -214,7 +214,7 @@ def _orthonormal(columns: FloatArray) -> FloatArray:
     norm = np.sqrt((columns**2).sum(axis=0))
     scaled = columns[:, norm > 0.0] / norm[norm > 0.0]
     if scaled.shape[1] == 0:
-        return scaled
+        return np.zeros((columns.shape[0], 0))
     u, s, _ = np.linalg.svd(scaled, full_matrices=False)
     return np.asarray(u[:, s > 1e-9 * s[0]])
 
