@@ -191,6 +191,17 @@ def test_without_a_total_interval_nothing_speaks_of_one() -> None:
     assert "No total interval was worked out" in html
 
 
+def test_a_total_interval_that_could_not_be_sampled_is_told_with_its_reason() -> None:
+    fit = sampled(specimen_fit(samples=60), total=False)
+    assert fit.posterior is not None
+    sampler = fit.posterior.sampler
+    total = {"converged": False, "worth": 2.2, "tail_shape": 15.9}
+    told = replace(sampler, detail={**sampler.detail, "total": total})
+    text = sure_section(page(replace(fit, posterior=replace(fit.posterior, sampler=told))))
+    assert "No total interval is given" in text
+    assert "the draws are worth 2.2 independent ones" in text
+
+
 def test_a_page_without_a_posterior_has_no_such_part() -> None:
     html = page(specimen_fit(samples=60))
     assert "How sure" not in html

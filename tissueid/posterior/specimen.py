@@ -293,6 +293,11 @@ def with_posterior(
         drawn = _with_static(fitted, drawn, rng)
     noise = _sampled_noise(fitted, drawn)
     total = _total(fitted, target, options, tick) if instrument else None
+    report = sampled.report
+    if total is not None:
+        report = replace(report, detail={**report.detail, "total": _told_of(total)})
+        # a few heavy draws have the look of a narrow interval: none is given then
+        total = total if total.sampler.converged else None
     uncertainties = _uncertainties(
         fit,
         reported_draws(model, drawn.theta),
@@ -302,7 +307,7 @@ def with_posterior(
     tick("checks of the residuals")
     misfit = misfit_alarm(fitted.told.blocks, noise)
     posterior = Posterior(
-        sampler=sampled.report,
+        sampler=report,
         noise=noise,
         parameters=uncertainties,
         theta_names=fit.theta_names,
@@ -325,6 +330,11 @@ def with_posterior(
         posterior=posterior,
         flags=(*fit.flags, *posterior_flags(posterior)),
     )
+
+
+def _told_of(total: TotalPosterior) -> dict[str, object]:
+    """How far the total interval's draws may be trusted."""
+    return {"converged": total.sampler.converged, **total.sampler.detail}
 
 
 def _kept(theta: FloatArray) -> FloatArray:

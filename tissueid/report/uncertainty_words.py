@@ -135,6 +135,18 @@ def _sampler_sentence(specimen: Mapping[str, Any]) -> str:
     return f"Sampled by {sampler['name']}: {', '.join(parts)}; {end}{why}."
 
 
+def _no_total(specimen: Mapping[str, Any]) -> str:
+    """Why there is no total interval though the machine was asked about; empty where there is one."""
+    told = specimen["sampler"]["detail"].get("total")
+    if not isinstance(told, Mapping) or told.get("converged", True):
+        return ""
+    worth = told.get("worth")
+    share = "" if worth is None else f": the draws are worth {number(worth, 2)} independent ones"
+    return (
+        f"what is not known of the machine bends the model too far from the recordings to be sampled{share}"
+    )
+
+
 def _noise_sentence(specimen: Mapping[str, Any]) -> str:
     noise, force = specimen["noise"], specimen["units"]["force"]
     size = f"{number(noise['sigma_N'], 3)} {force}"
@@ -249,6 +261,7 @@ def uncertainty_view(specimen: Mapping[str, Any]) -> dict[str, Any] | None:
         "rows": rows,
         "scale": f"{100 * scale:g}",
         "total": any(row.total for row in rows),
+        "no_total": _no_total(specimen),
         "normalised": (specimen["units"]["length"], specimen["units"]["force"]) != ("mm", "N"),
         "converged": specimen["sampler"]["converged"],
         "sampler": _sampler_sentence(specimen),
