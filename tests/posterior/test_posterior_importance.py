@@ -10,6 +10,7 @@ from tissueid.posterior.importance import importance_sample, smoothed, tail_shap
 
 CORRELATION = np.array([[1.0, 0.8, -0.5], [0.8, 1.0, 0.0], [-0.5, 0.0, 1.0]])
 LOWER = np.array([-np.inf, 0.0, -np.inf])
+UPPER = np.full(3, np.inf)
 
 
 def correlated(points: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -22,7 +23,7 @@ def correlated(points: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray
 def sampled(seed: int, size: float = 1_500.0):
     start = np.array([0.5, 1.5, -0.5])
     return importance_sample(
-        correlated, start, np.eye(3) * 0.3, LOWER, np.random.default_rng(seed), size=size
+        correlated, start, np.eye(3) * 0.3, LOWER, UPPER, np.random.default_rng(seed), size=size
     )
 
 
@@ -49,6 +50,20 @@ def test_no_point_is_below_its_cut() -> None:
     assert (sampled(2).points[:, 1] >= 0.0).all()
 
 
+def test_an_upper_cut_is_folded_like_a_lower_one() -> None:
+    def mirrored(points: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        return correlated(-points, rng)
+
+    found = importance_sample(
+        mirrored, np.array([-0.5, -1.5, 0.5]), np.eye(3) * 0.3, -UPPER, -LOWER, np.random.default_rng(1),
+        size=1_500.0,
+    )  # fmt: skip
+    assert (found.points[:, 1] <= 0.0).all()
+    one = sampled(1)
+    error = 4.0 * (found.size**-0.5 + one.size**-0.5)
+    assert found.weights @ found.points == pytest.approx(-(one.weights @ one.points), abs=error)
+
+
 def test_a_seed_gives_the_same_draws() -> None:
     one, two = sampled(3), sampled(3)
     assert np.array_equal(one.points, two.points)
@@ -60,7 +75,13 @@ def test_a_tail_that_no_proposal_reaches_is_told() -> None:
         return -0.55 * np.log1p(points[:, 0] ** 2 * 1e4), points
 
     found = importance_sample(
-        heavy, np.zeros(1), np.eye(1) * 1e-4, np.array([-np.inf]), np.random.default_rng(4), size=1e9
+        heavy,
+        np.zeros(1),
+        np.eye(1) * 1e-4,
+        np.array([-np.inf]),
+        np.array([np.inf]),
+        np.random.default_rng(4),
+        size=1e9,
     )
     assert not found.converged
 

@@ -21,7 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.likelihood.instrument_kernels import INSTRUMENT
+from tissueid.likelihood.instrument_kernels import EFFECTS, INSTRUMENT
+from tissueid.likelihood.knot_terms import log_terms
 from tissueid.likelihood.knots import KnotSums, packed
 from tissueid.likelihood.linearise import Optimum
 from tissueid.likelihood.passive_normal import draw_passive, log_passive_mass, passive
@@ -271,7 +272,8 @@ def total_posterior(
         lambda inner, generator: _evaluate(behind, free, inner, generator),
         behind.mode[free],
         covariance,
-        behind.lower[free],
+        behind.cuts[0][free],
+        behind.cuts[1][free],
         rng,
         size=WORTH,
     )
@@ -334,6 +336,10 @@ def _laplace(behind: Behind) -> FloatArray:
     inverse = (vectors / np.maximum(values, 1e-10)) @ vectors.T * unit * unit[:, None]
     out[np.ix_(known, known)] = inverse
     if d > inner:
-        # the spread of n gains is known to 1 / sqrt(2 n) of itself
-        out[-1, -1] = 1.0 / max(2.0 * behind.data.gamma.size - 2.0, 1.0) + 0.02
+        # the spread of n gains is known to 1 / sqrt(2 n) of itself, and no better than single gains are
+        logs = behind.data.gamma.size
+        tau, instrument, gain_sd = behind.split(behind.mode)
+        gram = log_terms(behind.data, behind.theta, tau, instrument, EFFECTS)[0][:, 0, 0]
+        single = float(np.median(behind.sigma2 / np.maximum(gram, 1e-300)))
+        out[-1, -1] = gain_sd**2 / max(2.0 * logs - 2.0, 1.0) + 4.0 * single
     return out

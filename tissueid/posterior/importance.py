@@ -60,18 +60,24 @@ class Weighted:
         return self.shape < MAX_SHAPE
 
 
-def _signs(lower: FloatArray) -> FloatArray:
+def _signs(fold: FloatArray) -> FloatArray:
     """All ways to unfold: 1 or -1 for each coordinate that is cut."""
-    choices = [(1.0, -1.0) if np.isfinite(cut) else (1.0,) for cut in lower]
+    choices = [(1.0, -1.0) if np.isfinite(cut) else (1.0,) for cut in fold]
     return np.array(list(product(*choices)))
 
 
-def _log_t(points: FloatArray, mean: FloatArray, factor: FloatArray, lower: FloatArray) -> FloatArray:
+def _folds(mean: FloatArray, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The nearer cut of every coordinate (infinite: none), and which side of it is inside."""
+    at_lower = mean - lower <= upper - mean
+    return np.where(at_lower, lower, upper), np.where(at_lower, 1.0, -1.0)
+
+
+def _log_t(points: FloatArray, mean: FloatArray, factor: FloatArray, fold: FloatArray) -> FloatArray:
     """Ln density of the folded multivariate t with ``factor @ factor.T`` as its scale matrix."""
     d = mean.size
-    cut = np.where(np.isfinite(lower), lower, 0.0)
+    cut = np.where(np.isfinite(fold), fold, 0.0)
     parts = []
-    for sign in _signs(lower):
+    for sign in _signs(fold):
         away = cut + sign * (points - cut) - mean
         z = np.linalg.solve(factor, away.T)
         parts.append(-0.5 * (FREEDOM + d) * np.log1p((z * z).sum(axis=0) / FREEDOM))
@@ -81,13 +87,18 @@ def _log_t(points: FloatArray, mean: FloatArray, factor: FloatArray, lower: Floa
 
 
 def _draw(
-    mean: FloatArray, factor: FloatArray, lower: FloatArray, count: int, rng: np.random.Generator
+    mean: FloatArray,
+    factor: FloatArray,
+    fold: FloatArray,
+    side: FloatArray,
+    count: int,
+    rng: np.random.Generator,
 ) -> FloatArray:
     z = rng.standard_normal((count, mean.size))
     z *= np.sqrt(FREEDOM / rng.chisquare(FREEDOM, count))[:, None]
     points = mean + z @ factor.T
-    cut = np.isfinite(lower)
-    points[:, cut] = lower[cut] + np.abs(points[:, cut] - lower[cut])
+    cut = np.isfinite(fold)
+    points[:, cut] = fold[cut] + side[cut] * np.abs(points[:, cut] - fold[cut])
     return points
 
 
@@ -151,6 +162,7 @@ def importance_sample(
     mean: FloatArray,
     covariance: FloatArray,
     lower: FloatArray,
+    upper: FloatArray,
     rng: np.random.Generator,
     *,
     size: float,
@@ -164,17 +176,18 @@ def importance_sample(
         density it was drawn with), shape (n,), and what was drawn beside, shape (n, p).
     mean, covariance : ndarray, shape (d,) and (d, d)
         Of the first proposal.
-    lower : ndarray, shape (d,)
-        Cuts; ``-inf`` where there is none.
+    lower, upper : ndarray, shape (d,)
+        Cuts, infinite where there are none; proposals are folded at the one nearer to ``mean``.
     rng : numpy.random.Generator
     size : float
     """
+    fold, side = _folds(mean, lower, upper)
     proposals: list[tuple[FloatArray, FloatArray]] = [(mean, _factor(covariance))]
     points, extra, target = np.zeros((0, mean.size)), None, np.zeros(0)
     counts: list[int] = []
     while True:
         count = FIRST[len(counts)] if len(counts) < len(FIRST) else NEXT
-        fresh = _draw(*proposals[-1], lower, count, rng)
+        fresh = _draw(*proposals[-1], fold, side, count, rng)
         value, beside = density(fresh, rng)
         points = np.vstack([points, fresh])
         extra = beside if extra is None else np.vstack([extra, beside])
@@ -182,7 +195,7 @@ def importance_sample(
         counts.append(count)
         share = np.log(np.array(counts) / points.shape[0])
         mixture = np.logaddexp.reduce(
-            [part + _log_t(points, *one, lower) for part, one in zip(share, proposals, strict=True)], axis=0
+            [part + _log_t(points, *one, fold) for part, one in zip(share, proposals, strict=True)], axis=0
         )
         raw = np.where(np.isfinite(target), target, -np.inf) - mixture
         weights = np.exp(raw - raw.max())

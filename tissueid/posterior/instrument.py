@@ -37,6 +37,8 @@ INSTRUMENT_NAMES = ("skew_s", "force_filter_s", "frame_compliance_mm_per_N")
 TISSUE_ROUNDS = 6
 #: Gains below this fraction of the linearised one are taken as it.
 SMALLEST_GAIN = 0.05
+#: A spread of ln gain below this is none; its square would be lost.
+SMALLEST_SPREAD = 1e-5
 SETTLED = 0.5
 RIDGE = 1e-12
 
@@ -94,7 +96,7 @@ class Behind:
     @property
     def names(self) -> tuple[str, ...]:
         """Coordinates."""
-        spread = ("ln_gain_sd",) if "gain" in self.effects else ()
+        spread = ("gain_sd",) if "gain" in self.effects else ()
         return (*(f"ln_tau_{j + 1}" for j in range(self.branches)), *INSTRUMENT_NAMES, *spread)
 
     @property
@@ -103,12 +105,14 @@ class Behind:
         return tuple(self.priors.calibration[name] for name in INSTRUMENT_NAMES)
 
     @property
-    def lower(self) -> FloatArray:
-        """Where each coordinate is cut."""
-        cuts = [one.lower for one in self.calibration]
-        return np.array(
-            [-np.inf] * self.branches + cuts + [-np.inf] * (self.mode.size - self.branches - INSTRUMENT)
-        )
+    def cuts(self) -> tuple[FloatArray, FloatArray]:
+        """Where each coordinate is cut, lower and upper."""
+        low, high = self.facts.log_tau_bounds
+        spread = [0.0] * (self.mode.size - self.branches - INSTRUMENT)
+        lower = [low] * self.branches + [one.lower for one in self.calibration] + spread
+        upper = np.full(self.mode.size, np.inf)
+        upper[: self.branches] = high
+        return np.array(lower), upper
 
     @property
     def free(self) -> NDArray[np.bool_]:
@@ -128,7 +132,7 @@ class Behind:
         """Relaxation times (ln), instrument, and the standard deviation of the gains of one point."""
         tau = np.ascontiguousarray(point[: self.branches])
         instrument = np.ascontiguousarray(point[self.branches : self.branches + INSTRUMENT])
-        return tau, instrument, float(np.exp(point[-1])) if "gain" in self.effects else 1.0
+        return tau, instrument, max(float(point[-1]), SMALLEST_SPREAD) if "gain" in self.effects else 1.0
 
     def tissue_prior(self, log_tau: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean and precision of theta; a weak branch is known by its largest force."""
@@ -176,7 +180,9 @@ class Behind:
             if prior.sd > 0.0:
                 value -= 0.5 * ((at - prior.mean) / prior.sd) ** 2
         if "gain" in self.effects:
-            value += point[-1] - 0.5 * (gain_sd / self.priors.gain_sd) ** 2
+            if point[-1] < 0.0:
+                return -math.inf
+            value -= 0.5 * (gain_sd / self.priors.gain_sd) ** 2
         return float(value)
 
     def _data_at(self, point: FloatArray, theta: FloatArray) -> Packed:

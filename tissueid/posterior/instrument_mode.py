@@ -110,7 +110,7 @@ def _climb(behind: Behind) -> Behind:
     damping = DAMPING
     for _ in range(MODE_ROUNDS):
         curvature, slope, back = _with_priors(behind, behind.mode, behind.theta)
-        room = np.concatenate([np.full(p, -np.inf), behind.lower[:inner] - behind.mode[:inner]])
+        room = np.concatenate([np.full(p, -np.inf), behind.cuts[0][:inner] - behind.mode[:inner]])
         risen = 0.0
         while damping < STUCK:
             step = _step(curvature, slope, free, room, damping)
@@ -175,7 +175,7 @@ def instrument_mode(
         max(one.mean, one.lower + INSIDE * one.sd)
         for one in (priors.calibration[name] for name in INSTRUMENT_NAMES)
     ]
-    spread = [math.log(gain_sd)] if "gain" in effects else []
+    spread = [gain_sd] if "gain" in effects else []
     mode = np.array([*optimum.log_tau, *start, *spread])
     p = optimum.theta.size
     behind = Behind(
