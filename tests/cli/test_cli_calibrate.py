@@ -226,6 +226,7 @@ def test_rates_are_for_recipes_and_foreign_files_stay(tmp_path: Path, instant: N
     [
         (("sigma_N = 0.5", "sigma_N = 0.0"), "its noise is zero"),
         (("sigma_N = 0.5", "ar1_sigma_N = 0.5\nar1_phi = -0.4"), "negative correlation is not offered"),
+        (("[[branches]]\nstiffness = [60.0]\ntau_s = 0.2", "branches = []"), "its tissue has no branch"),
         (("stiffness = [60.0]", "stiffness = [60.0, 1.0, 1.0, 1.0]"), "degree 3 of K is not offered"),
     ],
 )

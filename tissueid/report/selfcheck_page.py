@@ -16,21 +16,21 @@ __all__ = ["render_selfcheck"]
 _KINDS = {"recipe": "Recipe", "study": "Study", "bundle": "Bundle"}
 _NOISE = {"white": "white noise", "ar1": "AR(1) noise", "white+ar1": "white and AR(1) noise"}
 _OWN_WORDS = {
-    "sigma_N": "noise, standard deviation",
-    "phi": "noise, correlation over one step",
-    "gain_sd": "spread of the logs' ln gains",
-    "force_gain": "gain of the force channel",
-    "displacement_gain": "gain of the displacement channel",
-    "skew_s": "force later than displacement [s]",
-    "force_filter_s": "time constant of the force filter [s]",
-    "frame_compliance_mm_per_N": "compliance of the frame [mm/N]",
+    "sigma_N": "Noise, standard deviation",
+    "phi": "Noise, correlation over one step",
+    "gain_sd": "Spread of the logs' ln gains",
+    "force_gain": "Gain of the force channel",
+    "displacement_gain": "Gain of the displacement channel",
+    "skew_s": "Force later than displacement [s]",
+    "force_filter_s": "Time constant of the force filter [s]",
+    "frame_compliance_mm_per_N": "Compliance of the frame [mm/N]",
 }
 
 
 def _words(name: str) -> str:
     """A checked number in plain words."""
     if name.startswith("force_N at "):
-        return f"force {name.removeprefix('force_N ')}"
+        return f"Force {name.removeprefix('force_N ')}"
     return _OWN_WORDS.get(name) or parameter_words(name)
 
 
@@ -62,7 +62,8 @@ def _facts(document: Mapping[str, Any]) -> list[tuple[str, str]]:
         f"{model['static_pooling']} static, to {number(model['depth_mm'], 3)} mm"
     )
     program = (
-        f"{protocol['words']}; {protocol['logs']} logs, {protocol['samples']:,} samples, "
+        f"{protocol['words']}; {protocol['logs']} log{'s' * (protocol['logs'] > 1)}, "
+        f"{protocol['samples']:,} samples, "
         f"step {number(protocol['step_s'], 3)} s, longest {number(protocol['duration_s'], 3)} s, "
         f"contact known to {number(protocol['contact_sd_mm'], 2)} mm"
     )

@@ -194,9 +194,12 @@ def _points(check: TissueCheck, target: SpecimenTarget, seed: int) -> tuple[Floa
     return chain.points.reshape(-1, chain.points.shape[-1]), {"acceptance": report.acceptance}
 
 
-def _others(target: SpecimenTarget, points: FloatArray, drawn: Redrawn) -> dict[str, FloatArray]:
+def _others(
+    check: TissueCheck, target: SpecimenTarget, points: FloatArray, drawn: Redrawn
+) -> dict[str, FloatArray]:
     """Sampled scales in the units they are quoted in."""
-    out = {"sigma_N": drawn.sigma_N}
+    # beside white noise sigma is that of the filtered columns, and the share of white is plugged in
+    out = {} if check.noise_model == "white+ar1" else {"sigma_N": drawn.sigma_N}
     if "arctanh_phi" in target.names:
         out["phi"] = drawn.phi
     if "ln_gain_sd" in target.names:
@@ -237,7 +240,7 @@ def infer(check: TissueCheck, data: Sequence[LogData], rng: np.random.Generator)
     drawn = target.redraw(points, rng)
     return Inferred(
         theta=drawn.theta,
-        others=_others(target, points, drawn),
+        others=_others(check, target, points, drawn),
         detail={**detail, "passive": drawn.acceptance},
     )
 

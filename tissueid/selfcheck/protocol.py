@@ -142,6 +142,9 @@ def of_recipe(recipe: Recipe, *, rate_Hz: float | None = None) -> tuple[Protocol
         words=f"the program of {recipe.name} at {rate:g} Hz",
     )
     degree = max((len(branch.stiffness) - 1 for branch in recipe.branches), default=0)
+    if not recipe.branches:
+        message = "its tissue has no branch: there is no relaxation to infer, add [[branches]]"
+        raise InputError(code="recipe", message=message, path=recipe.name)
     if recipe.ar1_phi < 0.0:
         message = f"ar1_phi is {recipe.ar1_phi}; noise of negative correlation is not offered"
         raise InputError(code="recipe", message=message, path=recipe.name)
