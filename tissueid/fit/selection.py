@@ -1,13 +1,13 @@
 """How many branches, and of what degree K is: chosen by what a model predicts, not by how it fits.
 
 Every candidate predicts each log from the others (leave one log out); a specimen with one log is cut
-into interleaved stretches of its ramp and hold instead, or, where its noise is known, judged by BIC with the
-effective number of samples.  The score is the log predictive density, the random effects of the held-out log
-integrated out.  From the simplest candidate on, one branch or one degree is added as long as that predicts
-better than chance would have it: by two standard errors between logs, or, where the sums are whitened for
-the noise, by :data:`CLEAR` (what shows in a few logs only scatters between logs as much as it counts).  A
-better NRMSD never decides: it always prefers the larger model.  Models that predict somewhat better than the
-chosen one, but not beyond chance, are named beside it: the choice is then undecided.
+into interleaved stretches of its ramp and hold instead, or, where its noise is known, judged by BIC.  The
+score is the log predictive density, the random effects of the held-out log integrated out.  From the
+simplest candidate on, one branch or one degree is added as long as that predicts better than chance would
+have it: by two standard errors between logs, or, where the sums are whitened for the noise, by :data:`CLEAR`
+(what shows in a few logs only scatters between logs as much as it counts).  A better NRMSD never decides: it
+always prefers the larger model.  Models that predict somewhat better than the chosen one, but not beyond
+chance, are named beside it: the choice is then undecided.
 
 Ramps of one speed to one depth can't tell F_s(x) from K(x) s(x) but by the form of their polynomials: there
 a contact point that is off by its error, or noise in the displacement, is told as stiffness that varies with
@@ -137,13 +137,13 @@ def _has_idle_branch(sums: SpecimenSums, solution: Solution) -> bool:
     return bool(stiffness.min() <= IDLE * stiffness.max())
 
 
-def _scores(sums: SpecimenSums, solution: Solution, share: float | None) -> FloatArray:
+def _scores(sums: SpecimenSums, solution: Solution, *, known_noise: bool) -> FloatArray:
     """Held-out scores, or for one log under known noise minus half of its BIC."""
     judged = _judged(sums, solution)
-    if share is None or sums.logs.size > 1:
+    if not known_noise or sums.logs.size > 1:
         return held_out_scores(sums, judged)
     n, sigma2 = float(sums.n), judged.noise.sigma2
-    penalty = solution.candidate.n_parameters * np.log(max(n * share, np.e))
+    penalty = solution.candidate.n_parameters * np.log(n)
     return np.array([-0.5 * (n * np.log(2.0 * np.pi * sigma2) + judged.evaluation.value / sigma2 + penalty)])
 
 
@@ -165,11 +165,11 @@ class _Search:
         self,
         sums: SpecimenSums,
         pooling: str,
-        share: float | None,
+        known_noise: bool,
         progress: Callable[[str], None] | None,
         start: Sequence[Solution],
     ) -> None:
-        self.sums, self.pooling, self.share, self.progress = sums, pooling, share, progress
+        self.sums, self.pooling, self.known_noise, self.progress = sums, pooling, known_noise, progress
         self.start = {(one.candidate.branches, one.candidate.degree): one for one in start}
         self.fitted: dict[tuple[int, int], _Tried | None] = {}
 
@@ -193,7 +193,9 @@ class _Search:
         if key not in self.fitted:
             solution = self.fit(branches, degree)
             idle = branches > fewest and _has_idle_branch(self.sums, solution)
-            self.fitted[key] = None if idle else _Tried(solution, _scores(self.sums, solution, self.share))
+            self.fitted[key] = (
+                None if idle else _Tried(solution, _scores(self.sums, solution, known_noise=self.known_noise))
+            )
         return self.fitted[key]
 
 
@@ -232,8 +234,8 @@ def choose(
     -------
     Choice
     """
-    share = None if noise is None else (1.0 - noise.phi) / (1.0 + noise.phi)
-    search = _Search(sums, pooling, share, progress, start)
+    known = noise is not None
+    search = _Search(sums, pooling, known, progress, start)
     fewest, flattest = branches[0], degrees[0]
     if len(branches) * len(degrees) == 1:
         return Choice(solution=search.fit(fewest, flattest), table=())
@@ -252,7 +254,7 @@ def choose(
             one
             for one in near
             if one is not None
-            and not _as_good(current.scores, one.scores, known_noise=noise is not None)
+            and not _as_good(current.scores, one.scores, known_noise=known)
             and not (
                 one_speed
                 and one.candidate.degree > flattest
@@ -265,9 +267,7 @@ def choose(
     tried = [one for one in search.fitted.values() if one is not None]
     simpler = sorted(tried, key=lambda one: one.candidate.n_parameters)
     chosen = next(
-        one
-        for one in simpler
-        if one is current or _as_good(one.scores, current.scores, known_noise=noise is not None)
+        one for one in simpler if one is current or _as_good(one.scores, current.scores, known_noise=known)
     )
     return Choice(
         solution=chosen.solution,

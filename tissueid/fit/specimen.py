@@ -22,6 +22,7 @@ from tissueid.fit.quoted import quoted_numbers
 from tissueid.fit.rounds import follow_surfaces, unloading_handles, unloading_verdict
 from tissueid.fit.search import polish, unbounded_covariance
 from tissueid.fit.selection import Choice, choose
+from tissueid.fit.settling import settle_choice, undecided_flags
 from tissueid.fit.summaries import Summaries, second_pass
 from tissueid.fit.trials import Adjustment
 from tissueid.fit.verdict import one_program, specimen_flags
@@ -329,6 +330,10 @@ def _fit(
     else:
         sums, choice = choice_for(handles)
     whitened = _under_its_noise(handles, sums, choice.solution, options, tick)
+    if choice.candidates and followed is None:
+        choice, settled = settle_choice(sums, whitened, choice, handles, (branches, degrees), tick)
+        if settled.candidate != whitened.solution.candidate:
+            whitened = _under_its_noise(handles, sums, settled, options, tick)
     sums = whitened.sums
     solution, optimisers = _both_optimisers(sums, whitened.solution)
     tissue = estimate_tissue(sums, solution)
@@ -347,7 +352,7 @@ def _fit(
         frequencies_Hz=options.frequencies_Hz,
     )
     quoted, said = with_moduli(quoted, tissue, options.geometry)
-    flags = (*flags, *said)
+    flags = (*flags, *undecided_flags(choice), *said)
     unloading = None
     if followed is not None:
         unloading, more = unloading_verdict(followed, tissue, adjustments, sigma_N=sigma)
