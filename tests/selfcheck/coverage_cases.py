@@ -6,7 +6,7 @@ part of the cases.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -34,7 +34,7 @@ class Case:
     """One noise, scatter or instrument.
 
     ``phi`` is the correlation over one sample, ``gain_sd`` the scale of the prior of the standard deviation
-    of the logs' ln gains.
+    of the logs' ln gains.  A frame of ``frame_N_per_mm`` stands behind every recording, unknown to the fit.
     """
 
     name: str
@@ -45,6 +45,7 @@ class Case:
     theta: tuple[float, ...] = ONE_BRANCH
     branches: int = 1
     degree: int = 1
+    frame_N_per_mm: float | None = None
 
     def check(self) -> TissueCheck:
         protocol = of_program(LOGS, rate_Hz=100.0, contact_sd_mm=CONTACT_SD_MM, words="seven logs")
@@ -58,7 +59,10 @@ class Case:
             pooling="partial",
         )
         widths = Widths(gain_sd=self.gain_sd, arctanh_phi=0.3)
-        return tissue_check(protocol, centre, widths=widths, defects=self.defects)
+        check = tissue_check(protocol, centre, widths=widths, defects=self.defects)
+        if self.frame_N_per_mm is None:
+            return check
+        return replace(check, instrument={"frame_compliance_mm_per_N": 1.0 / self.frame_N_per_mm})
 
 
 CASES = (
@@ -69,4 +73,8 @@ CASES = (
     Case("specimen CV 15 %", seed=20261105, gain_sd=0.15),
     Case("calibration defects, total interval", seed=20261106, defects=True),
     Case("two branches", seed=20261107, theta=TWO_BRANCHES, branches=2, degree=0),
+)
+FRAMES = (
+    Case("unknown frame of 200 N/mm", seed=20261108, defects=True, frame_N_per_mm=200.0),
+    Case("unknown frame of 1,000 N/mm", seed=20261109, defects=True, frame_N_per_mm=1000.0),
 )

@@ -6,7 +6,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from coverage_cases import CASES, Case
+from coverage_cases import CASES, FRAMES, Case
+from scipy.stats import beta
 
 from tissueid.selfcheck.records import Checkpoint
 from tissueid.selfcheck.run import run_simulations
@@ -17,6 +18,9 @@ pytestmark = pytest.mark.needs_jit
 FEW, MANY = 60, 1000
 #: Family-wise 99 % band of a 95 % interval over 1,000 specimens, for each parameter and noise model.
 LOW, HIGH = 0.928, 0.972
+#: Specimens behind an unknown frame, and what the lower 99 % bound of the coverage must reach.
+FRAMED, FLOOR = 300, 0.92
+TISSUE = ("static", "stiffness", "relaxation", "viscosity", "force_N at")
 
 
 def verdict_on(case: Case, simulations: int, folder: Path, *, workers: int = 1) -> Verdict:
@@ -63,3 +67,18 @@ def test_intervals_cover_over_a_thousand_specimens(case: Case, tmp_path: Path) -
     assert outside == {}
     assert [one.name for one in verdict.parameters if not one.inside_family] == []
     assert len(verdict.failed) <= MANY // 100
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", FRAMES, ids=lambda case: case.name)
+def test_total_intervals_cover_behind_a_frame_that_nobody_knows_of(case: Case, tmp_path: Path) -> None:
+    verdict = verdict_on(case, FRAMED, tmp_path, workers=2)
+    sys.stdout.write(table(case, verdict) + "\n")
+    tissue = [one for one in verdict.parameters if one.name.startswith(TISSUE)]
+    bounds = {}
+    for one in tissue:
+        covered = one.coverage[-1].covered
+        # one-sided Clopper-Pearson
+        bounds[one.name] = float(beta.ppf(0.01, covered, verdict.simulations - covered + 1))
+    assert {name: bound for name, bound in bounds.items() if bound < FLOOR} == {}
+    assert len(verdict.failed) <= FRAMED // 100

@@ -7,7 +7,8 @@ fixed: sums, optimum, whitening, the posterior's target, the sampler, and the re
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,15 @@ from tissueid.selfcheck.truth import Widths, centred_priors, draw_truth, force_p
 __all__ = ["TissueCheck", "described", "tissue_check"]
 
 FloatArray = NDArray[np.float64]
+
+#: An instrument without a defect.
+PERFECT = {
+    "force_gain": 1.0,
+    "displacement_gain": 1.0,
+    "skew_s": 0.0,
+    "force_filter_s": 0.0,
+    "frame_compliance_mm_per_N": 0.0,
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,6 +63,8 @@ class TissueCheck:
         (depth, speed) at which the force is checked.
     stated : tuple of str
         Names whose prior the study states.
+    instrument : mapping or None
+        The one instrument of every truth, instead of drawn defects: is it covered though it is unknown?
     """
 
     model: KelvinVoigt
@@ -66,6 +78,7 @@ class TissueCheck:
     reference_step_s: float
     points: tuple[tuple[float, float], ...]
     stated: tuple[str, ...] = field(default=())
+    instrument: Mapping[str, float] | None = None
 
     @property
     def noise_model(self) -> str:
@@ -93,6 +106,8 @@ class TissueCheck:
             defects=self.defects,
             rng=rng,
         )
+        if self.instrument is not None:
+            truth = replace(truth, calibration=dict(self.instrument))
         data = simulated_logs(
             self.model,
             truth,
@@ -104,7 +119,8 @@ class TissueCheck:
         found = infer(self, data, rng)
         true = {name: float(value[0]) for name, value in self._numbers(truth.theta[None]).items()}
         draws = self._numbers(found.theta)
-        own = {"sigma_N": truth.sigma_N, "phi": truth.phi, "gain_sd": truth.gain_sd, **truth.calibration}
+        own = {"sigma_N": truth.sigma_N, "phi": truth.phi, "gain_sd": truth.gain_sd}
+        own |= PERFECT | dict(truth.calibration)
         for name, values in found.others.items():
             true[name] = own[name]
             draws[name] = values
@@ -168,6 +184,7 @@ def described(check: TissueCheck) -> dict[str, Any]:
             for name, one in priors.calibration.items()
             if check.defects
         },
+        "instrument": None if check.instrument is None else dict(check.instrument),
         "sampler": check.sampler,
         "points": [list(point) for point in check.points],
         "logs": [
