@@ -34,13 +34,13 @@ def workbook(shared_data: Path) -> Path:
 
 
 def fits(
-    workbook: Path, noise: str, specimen_by: str | None, sheets: Sequence[str] = ()
+    workbook: Path, noise: str, *, branches: int, specimen_by: str | None = None, sheets: Sequence[str] = ()
 ) -> list[SpecimenFit]:
-    """Fits of the workbook with one branch, so that every column speaks of one model."""
+    """Fits of the workbook with a stated model, so that every column speaks of one."""
     trials = tissueid.read_trials(workbook, ReadOptions(specimen_by=specimen_by))
     chosen = [one for one in trials if not sheets or one.source.sheet in sheets]
     options = IdentifyOptions(
-        fit=FitOptions(branches=1, stiffness_degree=1, noise=noise),
+        fit=FitOptions(branches=branches, stiffness_degree=1, noise=noise),
         posterior=PosteriorOptions(sampler="emcee", draws=DRAWS),
     )
     return list(tissueid.identify(chosen, options=options).specimens)
@@ -98,26 +98,25 @@ def inside(fit: SpecimenFit) -> float:
     return float(np.concatenate(held).mean())
 
 
-def test_intervals_of_pooled_meat_grow_with_what_they_know(workbook: Path) -> None:
-    (white,) = fits(workbook, "white", "(230403)")
-    (found,) = fits(workbook, "auto", "(230403)")
-    rows = table(white, found)
+def test_pooled_meat_with_one_relaxation_time_raises_the_alarm(workbook: Path) -> None:
+    (white,) = fits(workbook, "white", branches=1, specimen_by="(230403)")
+    (found,) = fits(workbook, "auto", branches=1, specimen_by="(230403)")
     print(told(white, found))  # noqa: T201 -- the table is what this test is run for
     assert found.posterior is not None
-    # neighbouring residuals of these recordings are correlated, and white noise is too sure of itself
+    assert found.posterior.misfit is not None
+    # meat relaxes at many rates and neighbouring residuals are correlated: the intervals of one relaxation
+    # time are no statement about it, whatever the noise, and that must be said
     assert found.posterior.noise.model != "white"
-    eta = rows["viscosity_N_s_per_mm"]
-    assert eta[1] > eta[0]
-    for name, (_, statistical, _, total) in rows.items():
-        # a twentieth for the Monte-Carlo error of both ends
-        assert np.isnan(total) or total >= 0.95 * statistical, name
-    # bands are pointwise 95 %: samples of one log err together, so that the share itself scatters
-    assert 0.9 <= inside(found) <= 0.99
+    assert found.posterior.misfit.raised
+    # no total interval stands on a few heavy draws
+    for name, (_, statistical, _, total) in table(white, found).items():
+        assert np.isnan(total) or total >= 0.5 * statistical, name
 
 
 @pytest.mark.parametrize("sheet", SINGLE)
 def test_intervals_of_one_piece_of_meat(workbook: Path, sheet: str) -> None:
-    (white,) = fits(workbook, "white", None, (sheet,))
-    (found,) = fits(workbook, "auto", None, (sheet,))
+    (white,) = fits(workbook, "white", branches=2, sheets=(sheet,))
+    (found,) = fits(workbook, "auto", branches=2, sheets=(sheet,))
     print(told(white, found))  # noqa: T201 -- the table is what this test is run for
-    assert 0.9 <= inside(found) <= 1.0
+    # bands are pointwise 95 %; errors of one log follow each other, so that the share itself scatters
+    assert inside(found) >= 0.9

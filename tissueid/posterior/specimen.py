@@ -318,7 +318,7 @@ def with_posterior(
         chain=sampled.chain,
         log_density=sampled.log_density,
         priors=(*prior_rows(target, points, drawn), *(() if total is None else total.priors)),
-        budget=() if total is None else _budget(fitted, target, total, options),
+        budget=_budget(fitted, target, total, options) if instrument else (),
         misfit=misfit,
         bands=predictive_bands(
             model, fit.theta, fit.trials, fitted.adjustments, drawn, sigma_N=noise.sigma_N
@@ -371,7 +371,7 @@ def _total(
 
 
 def _budget(
-    fitted: FittedSpecimen, target: SpecimenTarget, total: TotalPosterior, options: PosteriorOptions
+    fitted: FittedSpecimen, target: SpecimenTarget, total: TotalPosterior | None, options: PosteriorOptions
 ) -> tuple[BudgetRow, ...]:
     """Sources of uncertainty, and the bootstrap over logs beside them."""
     bootstrap = cluster_bootstrap(
@@ -384,4 +384,5 @@ def _budget(
         gain_sd=fitted.whitened.solution.noise.gain_sd,
         seed=options.seed,
     )
-    return (*uncertainty_budget(total), *(() if bootstrap is None else bootstrap.rows))
+    sources = () if total is None else uncertainty_budget(total)
+    return (*sources, *(() if bootstrap is None else bootstrap.rows))
