@@ -37,15 +37,24 @@ NRMSD_RATIO = 2.0
 NOISE_FACTOR = 5.0
 
 
-def _gram(time_s: FloatArray, force_N: FloatArray, basis: KernelBasis) -> FloatArray:
-    """Gram matrix of (node exponentials, force), the constant eliminated."""
+def _columns(time_s: FloatArray, force_N: FloatArray, basis: KernelBasis) -> FloatArray:
+    """Constant, node exponentials and force."""
     columns = np.empty((time_s.size, basis.tau_s.size + 2))
     columns[:, 0] = 1.0
     columns[:, 1:-1] = np.exp(-time_s[:, None] / basis.tau_s)
     # the basis interpolates kernels averaged over half a step, which differ by a factor in tau
     columns[:, 1:-1] *= basis.mean_over_step(basis.tau_s)
     columns[:, -1] = force_N
-    return eliminate_static(columns.T @ columns, 1)
+    return columns
+
+
+def _basis_of(time_s: FloatArray) -> tuple[KernelBasis, tuple[float, float]]:
+    """Basis of a window, and the range of ln tau that is searched."""
+    steps = np.diff(time_s)
+    step = float(np.median(steps[steps > 0.0]))
+    length = float(time_s[-1])
+    basis = kernel_basis(step_s=step, length_s=length)
+    return basis, (np.log(step / TAU_BELOW_STEP), np.log(length * TAU_ABOVE_LENGTH))
 
 
 def exponential_ladder(
@@ -58,12 +67,20 @@ def exponential_ladder(
     list of (tau_s, model_N)
         As :func:`fit_exponentials` gives them.
     """
-    steps = np.diff(time_s)
-    step = float(np.median(steps[steps > 0.0]))
-    length = float(time_s[-1])
-    basis = kernel_basis(step_s=step, length_s=length)
-    bounds = (np.log(step / TAU_BELOW_STEP), np.log(length * TAU_ABOVE_LENGTH))
-    gram = _gram(time_s, force_N, basis)
+    basis, bounds = _basis_of(time_s)
+    columns = _columns(time_s, force_N, basis)
+    gram = eliminate_static(columns.T @ columns, 1)
+    return _ladder(gram, basis, bounds, time_s, force_N, count)
+
+
+def _ladder(
+    gram: FloatArray,
+    basis: KernelBasis,
+    bounds: tuple[float, float],
+    time_s: FloatArray,
+    force_N: FloatArray,
+    count: int,
+) -> list[tuple[FloatArray, FloatArray]]:
     fits: list[tuple[FloatArray, FloatArray]] = []
     seeds: list[FloatArray] = []
     for branches in range(1, count + 1):
@@ -155,15 +172,20 @@ def _row(trial: Trial, segmentation: Segmentation, hold: Phase, force: FloatArra
     window_force = force[start:stop]
     if time.size < MIN_SAMPLES or time[-1] <= 0.0 or np.ptp(window_force) == 0.0:
         return None
-    fits = exponential_ladder(time, window_force, MAX_EXPONENTIALS)
+    basis, bounds = _basis_of(time)
+    columns = _columns(time, window_force, basis)
+    half = int(np.searchsorted(time, time[-1] / 2.0))
+    first = columns[:half].T @ columns[:half]
+    whole = first + columns[half:].T @ columns[half:]
+    fits = _ladder(eliminate_static(whole, 1), basis, bounds, time, window_force, MAX_EXPONENTIALS)
     single = float(fits[0][0][0]) if fits[0][0].size else None
     one, two = (nrmsd(window_force, fit[1]).range for fit in fits[:2])
     flags: list[Flag] = []
     if single is not None:
-        half = int(np.searchsorted(time, time[-1] / 2.0))
         half_tau = None
         if half >= MIN_SAMPLES and np.ptp(window_force[:half]) > 0.0:
-            found = fit_exponentials(time[:half], window_force[:half], 1)[0]
+            part = eliminate_static(first, 1)
+            found = _ladder(part, basis, bounds, time[:half], window_force[:half], 1)[0][0]
             half_tau = float(found[0]) if found.size else None
         worst = float(np.abs(window_force - fits[0][1]).max())
         share = worst / float(np.ptp(window_force))
