@@ -70,7 +70,7 @@ _FILES = ("calibrate.json", "calibrate.html", "calibrate.jsonl")
 @click.option("--rate", type=float, metavar="HZ", help="Sampling rate of a recipe, where not its own.")
 @click.option(
     "--sampler", type=click.Choice(["exact", "emcee"]), default="exact", show_default=True,
-    help="Which sampler is checked.",
+    help="Which sampler is checked; where exact does not converge, emcee takes over.",
 )  # fmt: skip
 @output_options
 def command(**flags: Any) -> int:

@@ -105,9 +105,9 @@ def check_document(
 
 
 def _details(records: Sequence[Record]) -> Mapping[str, float]:
-    """Median over the simulations of what was kept of each."""
+    """Mean over the simulations of what was kept of each."""
     names = dict.fromkeys(name for record in records for name in record.detail)
     return {
-        name: float(np.median([record.detail[name] for record in records if name in record.detail]))
+        name: float(np.mean([record.detail[name] for record in records if name in record.detail]))
         for name in names
     }

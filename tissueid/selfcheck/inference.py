@@ -45,6 +45,8 @@ FloatArray = NDArray[np.float64]
 PILOT = 2_048
 #: Proposals for a draw after which that pilot was too short, and the usual one is taken.
 SOON = 30
+#: And those after which emcee is.
+LATER = 100
 #: Effective draws that are asked of emcee: its draws are correlated, and ranks want independent ones.
 EMCEE_DRAWS = 4 * DRAWS
 #: Largest standard deviation of ln tau that a first guess has.
@@ -179,11 +181,10 @@ def _points(check: TissueCheck, target: SpecimenTarget, seed: int) -> tuple[Floa
 
         exact = sample_exact(target, draws=DRAWS, seed=seed, pilot=PILOT, max_proposals=SOON * DRAWS)
         if not exact.converged:
-            exact = sample_exact(target, draws=DRAWS, seed=seed + 1)
-        if not exact.converged:
-            msg = f"the sampler did not converge: {exact.reason}"
-            raise ArithmeticError(msg)
-        return exact.points, {"acceptance": exact.acceptance}
+            exact = sample_exact(target, draws=DRAWS, seed=seed + 1, max_proposals=LATER * DRAWS)
+        if exact.converged:
+            return exact.points, {"acceptance": exact.acceptance, "by_emcee": 0.0}
+    # a posterior that the exact sampler's proposals do not cover is left to the default one
     from tissueid.posterior.ensemble import sample_ensemble
 
     chain = sample_ensemble(target, draws=EMCEE_DRAWS, seed=seed)
@@ -191,7 +192,8 @@ def _points(check: TissueCheck, target: SpecimenTarget, seed: int) -> tuple[Floa
     if not report.converged:
         msg = f"the sampler did not converge: {report.detail.get('reason', '')}"
         raise ArithmeticError(msg)
-    return chain.points.reshape(-1, chain.points.shape[-1]), {"acceptance": report.acceptance}
+    points = chain.points.reshape(-1, chain.points.shape[-1])
+    return points, {"acceptance": report.acceptance, "by_emcee": 1.0}
 
 
 def _others(
