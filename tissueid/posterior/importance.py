@@ -27,6 +27,8 @@ WIDER = 1.15
 FIRST, NEXT, MOST = (250, 350), 600, 6_000
 #: Shape of the weights' tail above which they can't be trusted.
 MAX_SHAPE = 0.7
+#: Draws the weights must be worth: fewer leave the end of a 95 % interval uncertain by a fifth of an sd.
+FEWEST = 150.0
 #: Fewer weights than this are no tail.
 SHORTEST_TAIL = 8
 
@@ -56,8 +58,8 @@ class Weighted:
 
     @property
     def converged(self) -> bool:
-        """Whether the weights can be trusted."""
-        return self.shape < MAX_SHAPE
+        """Whether the weights can be trusted, and leave enough draws for the ends of an interval."""
+        return self.shape < MAX_SHAPE and self.size >= FEWEST
 
 
 def _signs(fold: FloatArray) -> FloatArray:
