@@ -209,6 +209,21 @@ def _passive_or_scaled(static: FloatArray, scaled: FloatArray) -> FloatArray:
     return np.where(passive(scaled, blocks)[:, None], scaled, static)
 
 
+def _common_static(
+    behind: Behind,
+    points: FloatArray,
+    theta: FloatArray,
+    gains: _Gains,
+    rows: NDArray[np.int64],
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Static coefficients, in their units, of logs with a curve each: gains divide them as any other."""
+    static = common_static(behind, points[rows], theta[rows], rng)
+    powers = np.arange(1.0, STATIC_DEGREE + 1)
+    factor = np.outer(np.log(gains.displacement[rows]), powers) - np.log(gains.force[rows])[:, None]
+    return _passive_or_scaled(static, static * np.exp(factor)) * behind.optimum.scale**-powers
+
+
 def _prior_rows(priors: Priors, nuisances: FloatArray) -> tuple[PriorRow, ...]:
     """Each nuisance's prior beside its posterior."""
     rows = []
@@ -300,12 +315,7 @@ def total_posterior(
     reported = field_units(behind, theta, points[:, : behind.branches])
     if "static" in effects:
         drawn = np.unique(picks)
-        static = common_static(behind, points[drawn], found.extra[drawn], rng)
-        # gains divide this curve as they do any other
-        factor = np.outer(np.log(gains.displacement[drawn]), np.arange(1.0, STATIC_DEGREE + 1))
-        factor -= np.log(gains.force[drawn])[:, None]
-        unit = optimum.scale ** -np.arange(1.0, STATIC_DEGREE + 1)
-        reported[drawn, :STATIC_DEGREE] = _passive_or_scaled(static, static * np.exp(factor)) * unit
+        reported[drawn, :STATIC_DEGREE] = _common_static(behind, points, found.extra, gains, drawn, rng)
     return TotalPosterior(
         theta=reported[picks],
         nuisances=nuisances,
