@@ -7,7 +7,7 @@ within what it was identified on.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +21,18 @@ from tissueid.selfcheck.recording import ProtocolLog
 from tissueid.store.bundle import Bundle
 from tissueid.synth.path import crosshead_path
 from tissueid.synth.recipe import Hold, Log, Move, Recipe
+from tissueid.uncertainty import NoiseFit
 
-__all__ = ["Centre", "Protocol", "of_bundle", "of_fit", "of_handles", "of_program", "of_recipe"]
+__all__ = [
+    "Centre",
+    "Protocol",
+    "of_bundle",
+    "of_fit",
+    "of_handles",
+    "of_program",
+    "of_recipe",
+    "white_share",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -191,17 +201,28 @@ def of_handles(handles: Sequence[LogHandle], tick: Callable[[str], None]) -> Pro
     )
 
 
-def of_fit(fit: SpecimenFit, *, logs: int) -> Centre:
-    """The tissue that a fit found."""
-    return _centre(
-        KelvinVoigt(
-            branches=fit.model.branches, stiffness_degree=fit.model.stiffness_degree, depth_mm=fit.depth_mm
-        ),
-        fit.theta,
-        fit.sigma_N,
-        fit.model.static_pooling,
-        logs=logs,
+def white_share(noise: NoiseFit) -> float:
+    """Share of the variance that is white beside an AR(1), from the moving average that the two make.
+
+    White noise and an AR(1) have a lag-one correlation of ``phi (1 - share)``; theirs as an ARMA(1, 1) is
+    ``(phi - theta) (1 - phi theta) / (1 + theta^2 - 2 phi theta)``.
+    """
+    phi, theta = noise.phi, noise.moving_average
+    if noise.model != "white+ar1" or phi <= 0.0:
+        return 0.0
+    lag_one = (phi - theta) * (1.0 - phi * theta) / (1.0 + theta**2 - 2.0 * phi * theta)
+    return float(np.clip(1.0 - lag_one / phi, 0.0, 1.0))
+
+
+def of_fit(fit: SpecimenFit, noise: NoiseFit, *, logs: int) -> Centre:
+    """The tissue that a fit found, and its noise."""
+    model = KelvinVoigt(
+        branches=fit.model.branches, stiffness_degree=fit.model.stiffness_degree, depth_mm=fit.depth_mm
     )
+    centre = _centre(model, fit.theta, noise.sigma_N, fit.model.static_pooling, logs=logs)
+    if noise.model == "white":
+        return centre
+    return replace(centre, phi=noise.phi, white_share=white_share(noise))
 
 
 def _centre(model: KelvinVoigt, theta: FloatArray, sigma_N: float, pooling: str, *, logs: int) -> Centre:

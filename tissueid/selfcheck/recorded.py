@@ -9,7 +9,7 @@ from typing import Any
 from tissueid.collection import Collected, TrialCache, collect, display_names
 from tissueid.errors import InputError, UsageError
 from tissueid.fit.logs import LogHandle
-from tissueid.fit.specimen import FitOptions, fit_specimen
+from tissueid.fit.specimen import FitOptions, fit_with_state
 from tissueid.fit.tip import tip_handles
 from tissueid.manifest import Study
 from tissueid.segment import SegmentOptions
@@ -73,9 +73,9 @@ def of_recordings(
         msg = f"{where} holds no specimen {name!r}; there are {', '.join(names)}"
         raise UsageError(msg)
     handles = _handles(collected.groups[names[name]], study, progress)
-    fit = fit_specimen(name, handles, options=FitOptions(), tick=lambda text: progress(text, 0, 0))
+    fitted = fit_with_state(name, handles, options=FitOptions(), tick=lambda text: progress(text, 0, 0))
     protocol = of_handles(handles, lambda text: progress(text, 0, 0))
-    return name, protocol, of_fit(fit, logs=len(handles))
+    return name, protocol, of_fit(fitted.fit, fitted.whitened.noise, logs=len(handles))
 
 
 def inputs_there(bundle: Bundle) -> list[dict[str, Any]]:
