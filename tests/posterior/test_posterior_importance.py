@@ -111,3 +111,12 @@ def test_equal_weights_have_no_tail() -> None:
     weights, shape = smoothed(np.full(100, 0.01))
     assert weights == pytest.approx(0.01)
     assert shape == np.inf
+
+
+def test_a_weight_that_stands_for_all_is_told() -> None:
+    raw = np.exp(-600.0 * np.random.default_rng(7).random(1_000))
+    raw[0] = 1e9
+    weights, shape = smoothed(raw / raw.sum())
+    assert np.isfinite(weights).all()
+    assert weights.sum() == pytest.approx(1.0)
+    assert not shape < 0.7

@@ -224,6 +224,17 @@ def _common_static(
     return _passive_or_scaled(static, static * np.exp(factor)) * behind.optimum.scale**-powers
 
 
+def _reweighted(weights: FloatArray, more: FloatArray) -> FloatArray:
+    """Weights times ``exp(more)``, of sum one, without an overflow from draws that weigh nothing."""
+    heavy = (weights > 0.0) & np.isfinite(more)
+    if not heavy.any():
+        return weights
+    level = np.full(weights.size, -np.inf)
+    level[heavy] = np.log(weights[heavy]) + more[heavy]
+    out = np.exp(level - level.max())
+    return np.asarray(out / out.sum())
+
+
 def _prior_rows(priors: Priors, nuisances: FloatArray) -> tuple[PriorRow, ...]:
     """Each nuisance's prior beside its posterior."""
     rows = []
@@ -303,8 +314,7 @@ def total_posterior(
         optimum.branches,
     )
     theta, compliance, more = _scaled(behind, points, found.extra, gains)
-    weights = found.weights * np.exp(more - more[np.isfinite(more)].max())
-    weights /= weights.sum()
+    weights = _reweighted(found.weights, more)
     # systematic resampling: every draw within one of its share
     picks = np.searchsorted(np.cumsum(weights), (np.arange(draws) + rng.random()) / draws)
     picks = rng.permutation(np.minimum(picks, n - 1))

@@ -151,7 +151,11 @@ def smoothed(weights: FloatArray) -> tuple[FloatArray, float]:
     excess = weights[largest] - threshold
     if tail < SHORTEST_TAIL or not excess[int(tail / 4 + 0.5) - 1] > 0.0:
         return weights, math.inf
-    shape, scale = tail_shape(excess)
+    with np.errstate(all="ignore"):
+        shape, scale = tail_shape(excess)
+    if not (math.isfinite(shape) and math.isfinite(scale)):
+        # one weight stands for all
+        return weights, math.inf
     away = -np.log1p(-(np.arange(tail) + 0.5) / tail)
     quantiles = scale * (np.expm1(shape * away) / shape if abs(shape) > 1e-9 else away)
     out = weights.copy()
