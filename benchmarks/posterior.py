@@ -34,10 +34,10 @@ from fit import DEPTH, handles, logs
 from scipy.signal import lfilter
 
 from tissueid.fit.specimen import FitOptions, fit_with_state
+from tissueid.posterior.at_optimum import posterior_target
 from tissueid.posterior.diagnostics import diagnose
 from tissueid.posterior.ensemble import sample_ensemble
 from tissueid.posterior.exact import sample_exact
-from tissueid.posterior.specimen import posterior_target
 from tissueid.posterior.specimen_target import SpecimenTarget
 from tissueid.priors import Priors
 from tissueid.trial import Trial

@@ -41,7 +41,7 @@ from tissueid.fit.window import fitted_log
 from tissueid.likelihood.basis import KernelBasis, kernel_basis
 from tissueid.likelihood.lag_sums import lag_sums
 from tissueid.likelihood.sums import LogData, log_sums
-from tissueid.posterior.specimen import posterior_target
+from tissueid.posterior.at_optimum import posterior_target
 from tissueid.priors import Priors
 from tissueid.synth import as_trials, recipe, simulate
 from tissueid.trial import Contact, Phase, Segmentation, Trial

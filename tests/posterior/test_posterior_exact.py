@@ -13,10 +13,10 @@ from scipy import stats
 from tissueid.fit.logs import LogHandle
 from tissueid.fit.specimen import FitOptions, fit_with_state
 from tissueid.fit.window import fitted_log
+from tissueid.posterior.at_optimum import posterior_target
 from tissueid.posterior.diagnostics import MonteCarloErrors, monte_carlo_errors
 from tissueid.posterior.ensemble import sample_ensemble
 from tissueid.posterior.exact import sample_exact
-from tissueid.posterior.specimen import posterior_target
 from tissueid.posterior.specimen_target import SpecimenTarget
 from tissueid.priors import Priors
 from tissueid.synth import as_trials, recipe, simulate

@@ -24,22 +24,23 @@ from tissueid.errors import TissueidError
 from tissueid.fit.candidates import Candidate, Solution, SpecimenSums, fit_candidate, objective_for
 from tissueid.fit.estimates import in_field_units
 from tissueid.fit.held_out import held_out_scores
+from tissueid.fit.selection import NEGLIGIBLE, STANDARD_ERRORS
 from tissueid.fit.specimen import FittedSpecimen, adjustments_of
 from tissueid.fit.whitening import optimum_of
 from tissueid.posterior.alternatives import FAMILIES, kernel_evidence
+from tissueid.posterior.at_optimum import target_at
 from tissueid.posterior.exact import sample_exact
-from tissueid.posterior.specimen import target_at
 from tissueid.posterior.target import Target
 from tissueid.priors import Priors, SpreadPrior
+from tissueid.result import SpecimenFit
 from tissueid.uncertainty import ComparisonRow
 
-__all__ = ["compare_models", "evidence", "speed_groups"]
+__all__ = ["compare_models", "evidence", "rows_of_choice", "speed_groups"]
 
 FloatArray = NDArray[np.float64]
 
 #: Difference of log evidence that decides (odds of 20; Kass and Raftery 1995, doi 10.2307/2291091).
 DECIDES = 3.0
-STANDARD_ERRORS = 2.0
 #: Draws of the importance sampler, degrees of freedom of its Student-t, and how much wider it is.
 DRAWS, FREEDOM, WIDER = 2000, 5.0, 1.2
 #: Effective share of these draws below which a mixture is fitted instead.
@@ -277,6 +278,31 @@ def compare_models(
         tick("dashpot and other kernels")
         found += [comparison.dashpot(), *comparison.beside(chosen.log_evidence)]
     return _rows(found, chosen)
+
+
+def rows_of_choice(fit: SpecimenFit) -> tuple[ComparisonRow, ...]:
+    """What the choice of the model looked at, where nothing further was compared: held-out data alone.
+
+    A model counts as undecided where it predicts no worse than the best by more than chance would have it.
+    """
+    rows = []
+    for row in fit.selection:
+        candidate = Candidate(int(row["branches"]), int(row["stiffness_degree"]), fit.model.static_pooling)
+        score, scatter = float(row["score"]), float(row["stderr"])
+        close = -score <= max(STANDARD_ERRORS * scatter, NEGLIGIBLE)
+        rows.append(
+            ComparisonRow(
+                model=_words(candidate),
+                log_evidence=None,
+                log_evidence_se=None,
+                elpd_log=score,
+                elpd_log_se=scatter,
+                elpd_speed=None,
+                elpd_speed_se=None,
+                verdict="chosen" if row["chosen"] else "undecided" if close else "worse",
+            )
+        )
+    return tuple(sorted(rows, key=lambda one: (one.verdict != "chosen", -(one.elpd_log or 0.0))))
 
 
 def _rows(found: list[_Compared], chosen: _Compared) -> tuple[ComparisonRow, ...]:

@@ -14,40 +14,44 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.fit.estimates import second_stage_static
-from tissueid.fit.logs import LogHandle
 from tissueid.fit.specimen import FittedSpecimen
-from tissueid.fit.whitening import Whitened
-from tissueid.likelihood.linearise import Optimum
 from tissueid.likelihood.passive_normal import draw_passive
 from tissueid.model.kelvin_voigt import STATIC_DEGREE
+from tissueid.posterior.at_optimum import posterior_target
 from tissueid.posterior.bands import predictive_bands
 from tissueid.posterior.bootstrap import cluster_bootstrap
 from tissueid.posterior.budget import uncertainty_budget
 from tissueid.posterior.calibration import TotalPosterior, total_posterior
+from tissueid.posterior.comparison import compare_models, rows_of_choice
 from tissueid.posterior.diagnostics import diagnose
 from tissueid.posterior.misfit import misfit_alarm
 from tissueid.posterior.prior_rows import prior_rows
 from tissueid.posterior.remarks import posterior_flags
 from tissueid.posterior.reported import interval95, reported_draws
-from tissueid.posterior.specimen_target import Facts, SpecimenTarget, specimen_target
+from tissueid.posterior.specimen_target import SpecimenTarget
 from tissueid.posterior.target import Redrawn
 from tissueid.priors import Priors
 from tissueid.result import Estimate, SpecimenFit
-from tissueid.uncertainty import BudgetRow, NoiseFit, ParameterUncertainty, Posterior, SamplerReport
+from tissueid.uncertainty import (
+    BudgetRow,
+    ComparisonRow,
+    NoiseFit,
+    ParameterUncertainty,
+    Posterior,
+    SamplerReport,
+)
 
-__all__ = ["SAMPLERS", "PosteriorOptions", "posterior_target", "target_at", "with_posterior"]
+__all__ = ["SAMPLERS", "PosteriorOptions", "with_posterior"]
 
 FloatArray = NDArray[np.float64]
 
 SAMPLERS = ("emcee", "exact", "none")
 #: Draws that a bundle and a report keep.
 KEPT_DRAWS = 2000
+#: Independent draws that a total interval must be worth: its ends are then good to a quarter of an sd.
+LEAST_WORTH = 100.0
 #: Chains that independent draws are laid out in, for the diagnostics.
 EXACT_CHAINS = 4
-#: First guess of the standard deviation of the ln of the gains' spread, times the root of the logs.
-GAIN_GUESS = 0.8
-#: Nearest a start may be to an end of its prior, as a fraction of the range.
-EDGE = 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,104 +67,16 @@ class PosteriorOptions:
     seed : int
     workers : int
         Threads that evaluate the density; the chain does not depend on it.
+    compare : bool
+        Work out evidence and held-out predictions of the models beside a chosen one; otherwise its choice by
+        held-out data is all that is told.
     """
 
     sampler: str = "emcee"
     draws: int = 10_000
     seed: int = 0
     workers: int = 1
-
-
-def _facts(
-    whitened: Whitened, optimum: Optimum, handles: Sequence[LogHandle], *, force_N: float, offsets: bool
-) -> Facts:
-    """What the priors need to know of the logs."""
-    speeds = [
-        (speed, one.facts.depth_mm) for one in handles for speed in one.facts.speeds_mm_s if speed > 0.0
-    ]
-    sd = np.array([one.contact_sd_mm for one in handles])
-    floor = whitened.sums.offset_sd_mm[: len(handles)]
-    return Facts(
-        force_N=force_N,
-        speed_mm_s=np.array([speed for speed, _ in speeds] or [1.0]),
-        depth_mm=np.array([depth for _, depth in speeds] or [optimum.scale]),
-        log_tau_bounds=whitened.sums.log_tau_bounds,
-        offset_sd_mm=np.maximum(sd, floor) if offsets else np.zeros(len(handles)),
-        offset_mean_mm=np.array([-one.contact_shift_mm for one in handles]),
-    )
-
-
-def posterior_target(fitted: FittedSpecimen, priors: Priors) -> SpecimenTarget:
-    """The density that is sampled for a fitted specimen.
-
-    Parameters
-    ----------
-    fitted : FittedSpecimen
-    priors : Priors
-    """
-    return target_at(
-        fitted.whitened,
-        fitted.optimum,
-        fitted.handles,
-        priors,
-        log_tau_sd=np.array([interval.width for interval in fitted.tissue.intervals]) / 4.0,
-        force_N=max(float(np.abs(trial.curve.force_N).max()) for trial in fitted.told.trials),
-    )
-
-
-def target_at(
-    whitened: Whitened,
-    optimum: Optimum,
-    handles: Sequence[LogHandle],
-    priors: Priors,
-    *,
-    log_tau_sd: FloatArray,
-    force_N: float,
-) -> SpecimenTarget:
-    """The density that is sampled at an optimum.
-
-    Parameters
-    ----------
-    whitened : Whitened
-    optimum : Optimum
-    handles : sequence of LogHandle
-    priors : Priors
-    log_tau_sd : ndarray, shape (branches,)
-        First guess of the standard deviation of each ln tau.
-    force_N : float
-        Largest measured force.
-    """
-    solution = whitened.solution
-    pooling = solution.candidate.pooling
-    correlated = whitened.noise.model != "white"
-    count = sum(one.count for one in whitened.lags)
-    sigma2, phi = solution.noise.sigma2, whitened.noise.phi
-    start = [*solution.evaluation.log_tau, 0.5 * np.log(sigma2)]
-    sd = [*np.clip(log_tau_sd, 1e-5, 1.5), 1.0 / np.sqrt(2.0 * count)]
-    if correlated:
-        # an estimate outside its stated prior is no place to start from
-        low, high = priors.phi
-        edge = EDGE * (high - low) if high < 1.0 else 1e-9
-        phi = float(np.clip(phi, low + edge, high - edge))
-        start.append(np.arctanh(phi))
-        sd.append(1.0 / np.sqrt(count * max(1.0 - phi * phi, 1e-6)))
-    if pooling == "partial":
-        start.append(np.log(max(solution.noise.gain_sd, 1e-4)))
-        sd.append(GAIN_GUESS / np.sqrt(len(handles)))
-    single = len(handles) == 1 and pooling == "shared"
-    offsets = pooling == "partial" or single
-    return specimen_target(
-        whitened.lags,
-        whitened.sums.basis,
-        optimum,
-        centred=whitened.centred,
-        facts=_facts(whitened, optimum, handles, force_N=force_N, offsets=offsets),
-        priors=priors,
-        pooling=pooling,
-        correlated=correlated,
-        start=np.array(start),
-        start_sd=np.array(sd),
-    )
+    compare: bool = False
 
 
 def _with_static(fitted: FittedSpecimen, drawn: Redrawn, rng: np.random.Generator) -> Redrawn:
@@ -295,9 +211,10 @@ def with_posterior(
     total = _total(fitted, target, options, tick) if instrument else None
     report = sampled.report
     if total is not None:
-        report = replace(report, detail={**report.detail, "total": _told_of(total)})
         # a few heavy draws have the look of a narrow interval: none is given then
-        total = total if total.sampler.converged else None
+        carried = total.sampler.converged and total.sampler.detail["worth"] >= LEAST_WORTH
+        report = replace(report, detail={**report.detail, "total": _told_of(total) | {"converged": carried}})
+        total = total if carried else None
     uncertainties = _uncertainties(
         fit,
         reported_draws(model, drawn.theta),
@@ -319,6 +236,7 @@ def with_posterior(
         log_density=sampled.log_density,
         priors=(*prior_rows(target, points, drawn), *(() if total is None else total.priors)),
         budget=_budget(fitted, target, total, options) if instrument else (),
+        comparison=_compared(fitted, priors, options, tick),
         misfit=misfit,
         bands=predictive_bands(
             model, fit.theta, fit.trials, fitted.adjustments, drawn, sigma_N=noise.sigma_N
@@ -335,6 +253,18 @@ def with_posterior(
 def _told_of(total: TotalPosterior) -> dict[str, object]:
     """How far the total interval's draws may be trusted."""
     return {"converged": total.sampler.converged, **total.sampler.detail}
+
+
+def _compared(
+    fitted: FittedSpecimen, priors: Priors, options: PosteriorOptions, tick: Callable[[str], None]
+) -> tuple[ComparisonRow, ...]:
+    """The chosen model beside others: as its choice saw them, or by evidence where that is asked for."""
+    if not options.compare:
+        return rows_of_choice(fitted.fit)
+    tick("other models")
+    return compare_models(
+        fitted, priors, seed=options.seed, tick=lambda model: tick(f"other models, {model}")
+    )
 
 
 def _kept(theta: FloatArray) -> FloatArray:

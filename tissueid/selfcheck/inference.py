@@ -25,8 +25,8 @@ from tissueid.likelihood.knots import knot_sums
 from tissueid.likelihood.linearise import Optimum
 from tissueid.likelihood.sums import LogData
 from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.posterior.at_optimum import target_at
 from tissueid.posterior.calibration import total_posterior
-from tissueid.posterior.specimen import target_at
 from tissueid.posterior.specimen_target import SpecimenTarget
 from tissueid.posterior.target import Redrawn
 from tissueid.selfcheck.ranks import DRAWS
