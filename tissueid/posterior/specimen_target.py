@@ -19,7 +19,7 @@ from tissueid.likelihood.basis import KernelBasis
 from tissueid.likelihood.lag_sums import LagSums
 from tissueid.likelihood.linearise import Columns, Optimum, TauNodes, linear_columns, tau_nodes
 from tissueid.likelihood.marginal import Linearised, conditionals, draw_effects, log_marginals
-from tissueid.likelihood.passive_normal import draw_passive, log_passive_mass
+from tissueid.likelihood.passive_normal import draw_passive, log_passive_mass, passive
 from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
 from tissueid.posterior.target import Redrawn
 from tissueid.priors import WEAK_FACTOR, Priors
@@ -208,7 +208,9 @@ class SpecimenTarget:
         if "gain" in self.effects:
             # a change of all gains together is a change of theta: exactly, and not to first order
             common = effects[:, :, 0].mean(axis=1)
-            theta = (theta + common[:, None] * self.optimum.theta) * np.exp(-common)[:, None]
+            exact = (theta + common[:, None] * self.optimum.theta) * np.exp(-common)[:, None]
+            # at a bound the first order stands: it is passive, and differs by the square of the change
+            theta = np.where(passive(exact, data.blocks)[:, None], exact, theta)
             gain = np.exp(self.optimum.gamma + effects[:, :, 0])
         if "offset" in self.effects:
             offset = effects[:, :, q - 1]
