@@ -54,7 +54,8 @@ class ResidualBlocks:
     shared : ndarray, shape (k, p)
         Mean derivative of the model by its theta.
     own : ndarray, shape (k, q)
-        Mean derivative by what each log has for itself: ln gain and contact offset, or a static curve.
+        Mean derivative by what each log has for itself: ln gain and contact offset, or a static curve; and
+        by the branch states at its corners, which may lie between two samples.
     speed_mm_s, depth_mm : float
         Fastest loading and largest depth of the log.
     step_s : float
@@ -98,6 +99,24 @@ def _keys(segmentation: Segmentation, log: FittedLog) -> NDArray[np.int64]:
         )
         seen[held] += 1
     return keys
+
+
+def _corner_columns(
+    model: KelvinVoigt, theta: FloatArray, log: FittedLog, segmentation: Segmentation
+) -> FloatArray:
+    """What is left of an error of the branch states at each corner, shape (n, holds * branches).
+
+    A stop between two samples is not in the logged displacement: the states behind it are off by up to a
+    fraction of v tau, and forget that with their relaxation times.
+    """
+    time = log.data.time_s
+    _, _, tau = model.split(theta)
+    columns = []
+    for hold in segmentation.of_kind("hold"):
+        since = time - hold.start_s
+        inside = (since >= -0.5 * log.step_s) & (time <= hold.end_s + 0.5 * log.step_s)
+        columns += [np.where(inside, np.exp(-np.maximum(since, 0.0) / float(one)), 0.0) for one in tau]
+    return np.column_stack(columns) if columns else np.zeros((time.size, 0))
 
 
 def _own_columns(
@@ -151,7 +170,15 @@ def residual_blocks(
         start_s=data.time_s[used[first]],
         end_s=data.time_s[used[last]],
         shared=means(adjustment.gain * model.jacobian(theta, ContactPath(data.time_s, data.depth_mm))),
-        own=means(_own_columns(model, theta, log, adjustment, fitted)),
+        own=means(
+            np.concatenate(
+                [
+                    _own_columns(model, theta, log, adjustment, fitted),
+                    _corner_columns(model, theta, log, segmentation),
+                ],
+                axis=1,
+            )
+        ),
         speed_mm_s=max(log.speeds_mm_s),
         depth_mm=log.depth_mm,
         step_s=log.step_s,

@@ -164,10 +164,13 @@ def shared_structure(
     if len(logs) < FEWEST_LOGS:
         return None
     covariance = [block_covariance(one, noise) for one in logs]
-    plain = [one.mean_N / np.sqrt(np.diag(c)) for one, c in zip(logs, covariance, strict=True)]
+    plain = [
+        _cleared(one.mean_N / sd, one.own / sd[:, None])
+        for one, sd in zip(logs, [np.sqrt(np.diag(c)) for c in covariance], strict=True)
+    ]
     white = [
-        solve_triangular(np.linalg.cholesky(c), one.mean_N, lower=True)
-        for one, c in zip(logs, covariance, strict=True)
+        _cleared(solve_triangular(root, one.mean_N, lower=True), solve_triangular(root, one.own, lower=True))
+        for one, root in zip(logs, [np.linalg.cholesky(c) for c in covariance], strict=True)
     ]
     signs = rng.choice(np.array([-1.0, 1.0]), size=(FLIPS + 1, len(logs)))
     signs[0] = 1.0
@@ -188,6 +191,14 @@ def shared_structure(
     strongest = int(np.argmin(p_values[0, : len(rows)]))
     strength = float(sums[0, strongest] / rows[strongest].columns.size)
     return strength, float((smallest <= smallest[0]).mean()), rows[strongest].words
+
+
+def _cleared(value: FloatArray, columns: FloatArray) -> FloatArray:
+    """What is left of a log's values when what it has for itself is projected away."""
+    basis = _orthonormal(columns)
+    left = value - basis @ (basis.T @ value)
+    # what rounding leaves of nothing is no structure
+    return np.asarray(left if np.abs(left).max() > 1e-9 * np.abs(value).max() else np.zeros_like(value))
 
 
 def _ranks(values: FloatArray) -> FloatArray:
