@@ -146,8 +146,9 @@ def shared_structure(
 
     For each place of the program the squared sum over logs of the block means, over the sum of their
     squares; summed over the places of holds and of ramps, as such and weighted with speed and depth, for
-    the means and for the means whitened by the noise's covariance; and the largest of either.  The smallest
-    of these p-values is judged against its own distribution under the same exchanges.
+    the means and for the means whitened by the noise's covariance; and the largest of either.  What the
+    fit could still take out is projected away first: logs share it, and it is no error of the model.  The
+    smallest of these p-values is judged against its own distribution under the same exchanges.
 
     Parameters
     ----------
@@ -163,14 +164,11 @@ def shared_structure(
     """
     if len(logs) < FEWEST_LOGS:
         return None
-    covariance = [block_covariance(one, noise) for one in logs]
+    projected = _project(logs, noise)
+    white = np.split(projected.residual, np.cumsum([one.count.size for one in logs])[:-1])
     plain = [
-        _cleared(one.mean_N / sd, one.own / sd[:, None])
-        for one, sd in zip(logs, [np.sqrt(np.diag(c)) for c in covariance], strict=True)
-    ]
-    white = [
-        _cleared(solve_triangular(root, one.mean_N, lower=True), solve_triangular(root, one.own, lower=True))
-        for one, root in zip(logs, [np.linalg.cholesky(c) for c in covariance], strict=True)
+        (root @ value) / np.sqrt((root**2).sum(axis=1))
+        for root, value in zip(projected.roots, white, strict=True)
     ]
     signs = rng.choice(np.array([-1.0, 1.0]), size=(FLIPS + 1, len(logs)))
     signs[0] = 1.0
@@ -191,14 +189,6 @@ def shared_structure(
     strongest = int(np.argmin(p_values[0, : len(rows)]))
     strength = float(sums[0, strongest] / rows[strongest].columns.size)
     return strength, float((smallest <= smallest[0]).mean()), rows[strongest].words
-
-
-def _cleared(value: FloatArray, columns: FloatArray) -> FloatArray:
-    """What is left of a log's values when what it has for itself is projected away."""
-    basis = _orthonormal(columns)
-    left = value - basis @ (basis.T @ value)
-    # what rounding leaves of nothing is no structure
-    return np.asarray(left if np.abs(left).max() > 1e-9 * np.abs(value).max() else np.zeros_like(value))
 
 
 def _ranks(values: FloatArray) -> FloatArray:
