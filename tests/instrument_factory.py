@@ -21,7 +21,7 @@ from tissueid.model.kelvin_voigt import KelvinVoigt, constant_speed_force
 from tissueid.posterior.calibration import NUISANCES, TotalPosterior, total_posterior
 from tissueid.posterior.instrument import INSTRUMENT_NAMES
 from tissueid.posterior.instrument_mode import instrument_mode
-from tissueid.posterior.specimen_target import Facts
+from tissueid.posterior.linear_priors import Facts
 from tissueid.priors import CalibrationPrior, Priors, SpreadPrior
 
 FloatArray = NDArray[np.float64]

@@ -12,7 +12,9 @@ from tissueid.likelihood.linearise import Optimum, centre
 from tissueid.likelihood.sums import LogData
 from tissueid.model.base import ContactPath
 from tissueid.model.kelvin_voigt import KelvinVoigt
-from tissueid.posterior.specimen_target import Facts, SpecimenTarget, specimen_target
+from tissueid.posterior.building import specimen_target
+from tissueid.posterior.linear_priors import Facts
+from tissueid.posterior.specimen_target import SpecimenTarget
 from tissueid.priors import Priors
 
 pytestmark = pytest.mark.needs_jit

@@ -129,7 +129,11 @@ def _add_generators(
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
 def cone_least_squares(
-    h: FloatArray, b: FloatArray, blocks: NDArray[np.int64], start: FloatArray
+    h: FloatArray,
+    b: FloatArray,
+    blocks: NDArray[np.int64],
+    start: FloatArray,
+    tolerance: float = DUAL_TOLERANCE,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Minimise ``theta' H theta - 2 b' theta`` over passive theta.
 
@@ -142,6 +146,8 @@ def cone_least_squares(
         Sizes of the polynomial blocks (1, 2 or 3), summing to p.
     start : ndarray, shape (p, p)
         The generators every solve begins with, one a row.
+    tolerance : float
+        Reduced gradient of a generator, relative to ``b``, that counts as none.
 
     Returns
     -------
@@ -170,7 +176,7 @@ def cone_least_squares(
         theta = weights @ c
         gradient = h @ theta - b
         scale = np.abs(b).max()
-        added = _add_generators(generators, count, gradient, blocks, DUAL_TOLERANCE * scale)
+        added = _add_generators(generators, count, gradient, blocks, tolerance * scale)
         if added == count:
             break
         count = added

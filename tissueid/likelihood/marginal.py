@@ -13,94 +13,30 @@ a few such matrices (:mod:`tissueid.likelihood.lag_sums`).
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.likelihood.cone import cone_least_squares
+from tissueid.likelihood.linearised import Linearised
 from tissueid.likelihood.passive_normal import log_passive_mass
 from tissueid.likelihood.triangular import factor, inverse_factor, sparse_times, weighted_sum
 
-__all__ = ["Linearised", "conditionals", "draw_effects", "lag_weights", "log_marginals"]
+__all__ = [
+    "conditionals",
+    "draw_effects",
+    "lag_weights",
+    "log_marginals",
+    "log_peaks",
+    "log_shares",
+]
 
 FloatArray = NDArray[np.float64]
 
+#: Reduced gradient, relative, to which the nearest passive theta is sought: a distance good to some 0.01.
+NEAR_ENOUGH = 1e-7
 LOG_TWO_PI = float(np.log(2.0 * np.pi))
 STATIC_PARAMETERS = 3
-
-
-class Linearised(NamedTuple):
-    """A specimen linearised at its optimum, everything that the compiled density needs.
-
-    Columns of the sums are: the static coefficients (3, or none), then for each branch and power of u the
-    states at its nodes of ln tau, then the residual at the optimum; all in units of u = x / depth.
-
-    Attributes
-    ----------
-    branches, degree, static : int
-        Branches, degree of K, static coefficients (3 or 0).
-    shared : ndarray, shape (kinds, m, m)
-        Sums over logs; kinds as in :func:`lag_weights`.
-    cross : ndarray, shape (logs, kinds, q, m)
-        Effects of a log by columns.
-    own : ndarray, shape (logs, kinds, q, q)
-    ratio : ndarray, shape (groups,)
-        Distinct steps over the reference step.
-    links : ndarray, shape (groups,)
-        Links between samples of each step.
-    samples : float
-        Samples.
-    best, best_tau : ndarray, shape (p,) and (branches,)
-        Optimum, and its ln tau.
-    nodes, barycentric : ndarray, shape (branches, q)
-        Nodes of ln tau and their barycentric weights.
-    mixing : ndarray, shape (branches, r, q)
-        States at the nodes by those that are summed (:class:`tissueid.likelihood.linearise.TauNodes`).
-    prior_mean : ndarray, shape (p,)
-    prior_precision : ndarray, shape (p, p)
-        A weak branch's block is given for a largest state of 1 mm.
-    weak : ndarray of bool, shape (branches,)
-    prior_log_mass : float
-        ln of the prior's probability of the passive cone.
-    speed_mm_s, depth_mm : ndarray, shape (ramps,)
-        Ramps behind the largest state of a branch.
-    effect_precision, effect_mean : ndarray, shape (logs, q)
-        Priors of the effects; where the gain's spread is sampled, its column is replaced.
-    phi, has_phi : float, bool
-        Correlation where it is not sampled, and whether it is.
-    has_gain : bool
-        Whether the spread of the gains is sampled (the gain is then effect 0).
-    blocks : ndarray of int
-        Sizes of theta's polynomial blocks.
-    """
-
-    branches: int
-    degree: int
-    static: int
-    shared: FloatArray
-    cross: FloatArray
-    own: FloatArray
-    ratio: FloatArray
-    links: FloatArray
-    samples: float
-    best: FloatArray
-    best_tau: FloatArray
-    nodes: FloatArray
-    barycentric: FloatArray
-    mixing: FloatArray
-    prior_mean: FloatArray
-    prior_precision: FloatArray
-    weak: NDArray[np.bool_]
-    prior_log_mass: float
-    speed_mm_s: FloatArray
-    depth_mm: FloatArray
-    effect_precision: FloatArray
-    effect_mean: FloatArray
-    phi: float
-    has_phi: bool
-    has_gain: bool
-    blocks: NDArray[np.int64]
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
@@ -329,6 +265,49 @@ def log_marginals(data: Linearised, points: FloatArray) -> FloatArray:
             out[i] = value + log_passive_mass(mean, covariance, data.blocks) - data.prior_log_mass
         else:
             out[i] = -np.inf
+    return out
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _short_of_passive(data: Linearised, mean: FloatArray, covariance: FloatArray, start: FloatArray) -> float:
+    """Half the squared distance from theta's mean to the passive cone, in its own standard deviations."""
+    root = inverse_factor(factor(covariance))
+    precision = np.ascontiguousarray(root.T) @ root
+    b = precision @ mean
+    nearest, _, _ = cone_least_squares(precision, b, data.blocks, start, NEAR_ENOUGH)
+    away = nearest - mean
+    return 0.5 * float(away @ (precision @ away))
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def log_peaks(data: Linearised, points: FloatArray, start: FloatArray) -> FloatArray:
+    """As :func:`log_marginals`, the density at the best passive theta in the place of the passive mass.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, d)
+    start : ndarray, shape (p, p)
+        Generators of the cone (:func:`tissueid.likelihood.objective.cone_start`).
+    """
+    out = np.empty(points.shape[0])
+    for i in range(points.shape[0]):
+        mean, covariance, _, _, _, value = _conditional(data, points[i])
+        out[i] = -np.inf
+        if np.isfinite(value):
+            out[i] = value - _short_of_passive(data, mean, covariance, start)
+    return out
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def log_shares(data: Linearised, points: FloatArray, start: FloatArray) -> FloatArray:
+    """What :func:`log_marginals` has more than :func:`log_peaks`; NaN where there is no density."""
+    out = np.empty(points.shape[0])
+    for i in range(points.shape[0]):
+        mean, covariance, _, _, _, value = _conditional(data, points[i])
+        out[i] = np.nan
+        if np.isfinite(value):
+            out[i] = log_passive_mass(mean, covariance, data.blocks) - data.prior_log_mass
+            out[i] += _short_of_passive(data, mean, covariance, start)
     return out
 
 

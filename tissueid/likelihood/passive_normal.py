@@ -30,7 +30,7 @@ FAR = 8.0
 #: Logarithm of a mass of which that tail is 1e-10 at most.
 SMALL = -10.0
 #: Quasi-random points of a mass.
-POINTS = 64
+POINTS = 256
 #: Square roots of primes: the generator of Richtmyer's points; one a coordinate.
 ROOTS = np.sqrt(np.array([2.0, 3.0, 5.0, 7.0, 11.0, 13.0, 17.0, 19.0, 23.0, 29.0, 31.0, 37.0]))
 #: Newton steps to the saddle, its tolerance, and the step of its differences.

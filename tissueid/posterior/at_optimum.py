@@ -11,7 +11,9 @@ from tissueid.fit.logs import LogHandle
 from tissueid.fit.specimen import FittedSpecimen
 from tissueid.fit.whitening import Whitened
 from tissueid.likelihood.linearise import Optimum
-from tissueid.posterior.specimen_target import Facts, SpecimenTarget, specimen_target
+from tissueid.posterior.building import specimen_target
+from tissueid.posterior.linear_priors import Facts
+from tissueid.posterior.specimen_target import SpecimenTarget
 from tissueid.priors import Priors
 
 __all__ = ["posterior_target", "target_at"]

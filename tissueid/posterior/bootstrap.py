@@ -31,7 +31,7 @@ from tissueid.posterior.budget import reported, reported_names
 from tissueid.posterior.calibration import SMALLEST_GAIN_SD, field_units
 from tissueid.posterior.instrument import INSTRUMENT_NAMES, Behind, inverse
 from tissueid.posterior.instrument_mode import instrument_mode
-from tissueid.posterior.specimen_target import Facts
+from tissueid.posterior.linear_priors import Facts
 from tissueid.priors import CalibrationPrior, Priors
 from tissueid.uncertainty import BudgetRow
 

@@ -31,7 +31,7 @@ from tissueid.posterior.common_static import common_static
 from tissueid.posterior.importance import importance_sample
 from tissueid.posterior.instrument import INSTRUMENT_NAMES, Behind
 from tissueid.posterior.instrument_mode import instrument_mode
-from tissueid.posterior.specimen_target import Facts
+from tissueid.posterior.linear_priors import Facts
 from tissueid.priors import CalibrationPrior, Priors
 from tissueid.uncertainty import PriorRow, SamplerReport
 

@@ -23,7 +23,7 @@ from tissueid.likelihood.instrument_kernels import EFFECTS, INSTRUMENT, TISSUE, 
 from tissueid.likelihood.knot_terms import log_terms, without_effects
 from tissueid.likelihood.linearise import Optimum
 from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
-from tissueid.posterior.specimen_target import FREE_FACTOR, Facts
+from tissueid.posterior.linear_priors import FREE_FACTOR, Facts
 from tissueid.priors import CalibrationPrior, Priors
 
 __all__ = ["INSTRUMENT_NAMES", "SMALLEST_GAIN", "Behind", "inverse"]

@@ -17,7 +17,7 @@ from tissueid.likelihood.knot_terms import log_terms, without_effects
 from tissueid.likelihood.linearise import Optimum
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.posterior.instrument import INSTRUMENT_NAMES, SMALLEST_GAIN, Behind, inverse
-from tissueid.posterior.specimen_target import Facts, linear_prior
+from tissueid.posterior.linear_priors import Facts, linear_prior
 from tissueid.priors import Priors
 
 __all__ = ["instrument_mode"]

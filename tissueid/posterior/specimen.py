@@ -50,6 +50,8 @@ SAMPLERS = ("emcee", "exact", "none")
 KEPT_DRAWS = 2000
 #: Independent draws that a total interval must be worth: its ends are then good to a quarter of an sd.
 LEAST_WORTH = 100.0
+#: Points of a chain that are redrawn, for each effective draw that was asked for.
+REDRAWN_EACH = 1.5
 #: Chains that independent draws are laid out in, for the diagnostics.
 EXACT_CHAINS = 4
 
@@ -135,7 +137,9 @@ def _sample(
         key=key,
         progress=lambda steps, share: tick(f"sampling, {steps:,} steps, {100.0 * min(share, 1.0):.0f} %"),
     )
-    return _Sampled(found.points, found.report(), found.log_density)
+    walkers, steps = found.points.shape[:2]
+    thin = max(walkers * steps // int(REDRAWN_EACH * options.draws), 1)
+    return _Sampled(found.points[:, ::thin], found.report(), found.log_density[:, ::thin])
 
 
 def _uncertainties(
