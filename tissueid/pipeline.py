@@ -33,6 +33,7 @@ from tissueid.fit.stored_sums import stored_sums
 from tissueid.fit.tip import tip_handles
 from tissueid.manifest import Study
 from tissueid.posterior.calibration_priors import calibration_priors
+from tissueid.posterior.remarks import without_posterior
 from tissueid.posterior.specimen import PosteriorOptions, with_posterior
 from tissueid.priors import Priors
 from tissueid.result import Exit, Identification, Refusal, SpecimenFit
@@ -152,15 +153,19 @@ def _sampled(
         return fitted.fit
     priors = Priors() if study is None else study.priors
     calibration = calibration_priors(None if study is None else study.calibration)
-    return with_posterior(
-        fitted,
-        priors=replace(priors, calibration=calibration),
-        instrument=not normalised,
-        options=options.posterior,
-        checkpoint=None if checkpoint is None else checkpoint(fitted.fit.specimen),
-        key=identity,
-        tick=tick,
-    )
+    try:
+        return with_posterior(
+            fitted,
+            priors=replace(priors, calibration=calibration),
+            instrument=not normalised,
+            options=options.posterior,
+            checkpoint=None if checkpoint is None else checkpoint(fitted.fit.specimen),
+            key=identity,
+            tick=tick,
+        )
+    except (ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
+        # the fit stands without its posterior; what is lost is said
+        return replace(fitted.fit, flags=(*fitted.fit.flags, without_posterior(error)))
 
 
 def _identity(
@@ -174,7 +179,9 @@ def _identity(
     )
     said = "" if study is None else study.sha256
     versions = [__version__, *(version(name) for name in LIBRARIES)]
-    return hashlib.sha256(repr((own, said, versions, options)).encode()).hexdigest()
+    posterior = None if options.posterior is None else replace(options.posterior, workers=1)
+    asked = replace(options, posterior=posterior)
+    return hashlib.sha256(repr((own, said, versions, asked)).encode()).hexdigest()
 
 
 def _own_options(options: FitOptions, study: Study | None, name: str, axes: Axes) -> FitOptions:

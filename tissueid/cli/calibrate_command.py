@@ -134,9 +134,9 @@ def command(**flags: Any) -> int:
 def _note_first_run(quiet: int) -> None:
     from tissueid.fit.compiled import kernels_to_compile
 
-    missing = kernels_to_compile()
+    missing = kernels_to_compile(posterior=True)
     if missing:
-        note(f"First run: compiling {len(missing)} kernels, about half a minute", quiet=quiet)
+        note(f"First run: compiling {len(missing)} kernels, a minute or two", quiet=quiet)
 
 
 def _folder(name: str) -> Path:

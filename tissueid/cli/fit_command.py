@@ -131,10 +131,10 @@ def command(**flags: Any) -> int:
     study, paths = locate_study(flags["paths"], named=flags["study"], ignore=flags["no_study"])
     items = read_in_order(paths, reading, study)
     _refuse_foreign(Path(flags["out"]))
-    missing = kernels_to_compile()
+    missing = kernels_to_compile(posterior=flags["sampler"] != "none")
     if missing:
         note(
-            f"First run: compiling {len(missing)} kernels, about half a minute: {', '.join(missing)}",
+            f"First run: compiling {len(missing)} kernels, a minute or two: {', '.join(missing)}",
             quiet=quiet,
         )
     refused: list[Refusal] = []

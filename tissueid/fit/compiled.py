@@ -5,13 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from tissueid.likelihood import partial
+from tissueid.likelihood import marginal, partial
 from tissueid.likelihood.cone import cone_least_squares
 from tissueid.likelihood.instrument_kernels import instrument_force
 from tissueid.likelihood.kernels import fill_design
 from tissueid.likelihood.knot_kernels import accumulate, corner_flags
 from tissueid.likelihood.knot_terms import log_terms, without_effects
 from tissueid.likelihood.lag_kernels import filter_chain, link_rows
+from tissueid.likelihood.passive_normal import log_passive_mass
 from tissueid.model.kernels import branch_state
 
 __all__ = ["kernels_to_compile"]
@@ -28,16 +29,31 @@ KERNELS: tuple[Any, ...] = (
     partial.solve,
     corner_flags,
     accumulate,
+)
+#: A posterior needs these as well.
+POSTERIOR_KERNELS: tuple[Any, ...] = (
+    marginal.log_marginals,
+    marginal.log_peaks,
+    marginal.log_shares,
+    marginal.conditionals,
+    marginal.draw_effects,
+    log_passive_mass,
     instrument_force,
     log_terms,
     without_effects,
 )
 
 
-def kernels_to_compile() -> list[str]:
-    """Names of the kernels that the next call compiles; none where compilation is switched off."""
+def kernels_to_compile(*, posterior: bool = False) -> list[str]:
+    """Names of the kernels that the next call compiles; none where compilation is switched off.
+
+    Parameters
+    ----------
+    posterior : bool
+        Count those of a posterior in.
+    """
     missing = []
-    for kernel in KERNELS:
+    for kernel in (*KERNELS, *(POSTERIOR_KERNELS if posterior else ())):
         stats = getattr(kernel, "stats", None)
         if stats is not None and not any(Path(stats.cache_path).glob(f"*.{kernel.__name__}-*.nbi")):
             missing.append(kernel.__name__)

@@ -119,7 +119,9 @@ def _unknown(
                 f"{' and '.join(missing)} {verb} not stated, and imitate times such as {tau_s:.3g} s"
             )
         if left:
-            words.append(f"the stated {' and '.join(left)} was not taken out")
+            words.append(
+                f"the stated {' and '.join(left)} was not taken out of the values (total intervals know it)"
+            )
     return Flag("compliance_unknown", "; ".join(words), values) if words else None
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from tissueid.flags import Flag
 from tissueid.uncertainty import Posterior
 
-__all__ = ["posterior_flags"]
+__all__ = ["posterior_flags", "without_posterior"]
 
 #: Widths of the total over the statistical interval of the viscosity from which the machine dominates.
 DOMINATES = 3.0
@@ -40,8 +40,27 @@ def posterior_flags(posterior: Posterior) -> tuple[Flag, ...]:
                 {"reason": reason},
             )
         )
+    total = sampler.detail.get("total")
+    if total is not None and not total["converged"]:
+        flags.append(
+            Flag(
+                "sampler_not_converged",
+                f"no total interval is given: its draws are worth {total['worth']:.0f} independent ones; "
+                "stating the machine in [calibration] of study.toml narrows what they have to search",
+                {"total_worth": total["worth"]},
+            )
+        )
     flags += _machine(posterior)
     return tuple(flags)
+
+
+def without_posterior(error: Exception) -> Flag:
+    """What is said of a fit whose posterior could not be sampled: its numbers stand, with standard errors."""
+    return Flag(
+        "sampler_not_converged",
+        f"no posterior could be sampled ({error}): standard errors are all there is; --sampler exact may do",
+        {"reason": str(error)},
+    )
 
 
 def _machine(posterior: Posterior) -> list[Flag]:

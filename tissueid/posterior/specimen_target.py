@@ -8,6 +8,8 @@ gains' standard deviation where logs are pooled partially.
 from __future__ import annotations
 
 import math
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -31,6 +33,9 @@ FloatArray = NDArray[np.float64]
 #: ln of the range of noise that is possible where nothing is stated: twelve decades.
 LOG_SIGMA_RANGE = 12.0 * math.log(10.0)
 ARCTANH_LIMIT = 12.0
+#: Threads that redraw, and points they take at a time.
+MAX_WORKERS = 4
+PART = 1000
 #: A spread of the gains below this is none; far below, its square is lost to rounding.
 LEAST_LN_GAIN_SD = math.log(1e-9)
 
@@ -130,8 +135,14 @@ class SpecimenTarget:
         data = self.data
         points = np.ascontiguousarray(points, dtype=np.float64)
         n, (logs, q) = points.shape[0], data.effect_mean.shape
-        theta, acceptance = draw_passive(*conditionals(data, points), data.blocks, rng)
-        effects = draw_effects(data, points, theta, rng.standard_normal((n, logs, q)))
+        normal = rng.standard_normal((n, logs, q))
+        with ThreadPoolExecutor(min(os.cpu_count() or 1, MAX_WORKERS)) as pool:
+            parts = [slice(first, first + PART) for first in range(0, n, PART)]
+            found = list(pool.map(lambda part: conditionals(data, points[part]), parts))
+            mean, covariance = (np.concatenate(one) for one in zip(*found, strict=True))
+            theta, acceptance = draw_passive(mean, covariance, data.blocks, rng)
+            drawn = pool.map(lambda part: draw_effects(data, points[part], theta[part], normal[part]), parts)
+            effects = np.concatenate(list(drawn))
         gain = np.ones((n, logs))
         offset = np.zeros((n, logs))
         if "gain" in self.effects:
