@@ -333,7 +333,8 @@ def misfit_alarm(logs: Sequence[ResidualBlocks], noise: NoiseFit) -> MisfitAlarm
         )
         checks.append(MisfitCheck(name, statistic, p, message, p < LEVELS[name]))
     projected = _project(logs, noise)
-    effective = _effective(logs, noise)
+    # what the fit has taken out is lost to the estimate of the noise as well
+    effective = max(_effective(logs, noise) - projected.basis.shape[1], 1.0)
     checks.append(_within(projected, effective))
     early = [_early(one) for one in logs]
     start = [~one.hold & (one.place < START_PLACES) for one in logs]
