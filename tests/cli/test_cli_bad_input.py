@@ -179,13 +179,13 @@ def test_a_file_that_changes_between_the_passes_is_refused(
     monkeypatch.setattr(collection, "CACHE_BYTES", 0)
     first = write_log(tmp_path / "a.csv")
     write_log(tmp_path / "b.csv", force_times=1.1)
-    real = pipeline.fit_specimen
+    real = pipeline.fit_with_state
 
     def changing(*args: object, **options: object) -> object:
         write_log(first, force_times=2.0)
         return real(*args, **options)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(pipeline, "fit_specimen", changing)
+    monkeypatch.setattr(pipeline, "fit_with_state", changing)
     ended = run("fit", first, tmp_path / "b.csv", "-o", tmp_path / "out", *QUICK)
     assert ended.code == 3
     assert "a.csv" in ended.stderr

@@ -109,7 +109,8 @@ def test_fit_prints_identification_json_and_it_is_valid(fitted: tuple[Ended, Pat
     assert ended.json() == json.loads((out / "identification.json").read_bytes())
     assert ended.json()["exit"] == {"code": 0, "reasons": []}
     public = {path.name for path in out.iterdir() if not path.name.startswith(".")}
-    assert public == {"identification.json", "bundle-paper-a.h5", "bundle.h5", "curves.h5", "report.html"}
+    bundles = {"bundle-paper-a.h5", "bundle.h5"}
+    assert public == bundles | {"identification.json", "curves.h5", "sums.h5", "report.html"}
 
 
 def test_parameters_have_the_contracts_names_and_units(fitted: tuple[Ended, Path]) -> None:
@@ -178,7 +179,7 @@ def test_provenance_has_hashes_versions_options_and_no_time_stamp(fitted: tuple[
 
     provenance = fitted[0].json()["provenance"]
     assert provenance["inputs"][0]["sha256"] == hashlib.sha256(LOG.read_bytes()).hexdigest()
-    assert set(provenance["versions"]) == {"lmfit", "numba", "numpy", "scipy"}
+    assert set(provenance["versions"]) == {"emcee", "lmfit", "numba", "numpy", "scipy"}
     assert provenance["options"]["branches"] == 1
     assert provenance["options"]["seed"] == 0
 
