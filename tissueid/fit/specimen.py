@@ -18,6 +18,7 @@ from tissueid.fit.estimates import TissueEstimate, estimate_tissue, in_field_uni
 from tissueid.fit.lm import levenberg_marquardt
 from tissueid.fit.logs import LogHandle, refine_contacts, specimen_sums
 from tissueid.fit.material import DEFAULT_POISSON, Geometry, with_moduli
+from tissueid.fit.one_log_choice import choose_for_one_log
 from tissueid.fit.quoted import quoted_numbers
 from tissueid.fit.rounds import follow_surfaces, unloading_handles, unloading_verdict
 from tissueid.fit.search import polish, unbounded_covariance
@@ -233,7 +234,8 @@ def _sums_and_choice(
             return focused
     sums = specimen_sums(handles, max(degrees), tick)
     one_speed = one_program([handle.facts for handle in handles])
-    choice = choose(
+    look = choose_for_one_log if len(handles) == 1 else choose
+    choice = look(
         sums, branches=branches, degrees=degrees, pooling=pooling, one_speed=one_speed, progress=tick
     )
     return sums, choice
@@ -330,7 +332,8 @@ def _fit(
     else:
         sums, choice = choice_for(handles)
     whitened = _under_its_noise(handles, sums, choice.solution, options, tick)
-    if choice.candidates and followed is None:
+    # of one log, what a model lacks can't be told from noise with memory: its choice stands
+    if choice.candidates and followed is None and len(handles) > 1:
         choice, settled = settle_choice(sums, whitened, choice, handles, (branches, degrees), tick)
         if settled.candidate != whitened.solution.candidate:
             whitened = _under_its_noise(handles, sums, settled, options, tick)

@@ -163,7 +163,10 @@ def whiten(
         _residual_chain(handle, model, theta, adjustment, step)
         for handle, adjustment in zip(handles, adjustments, strict=True)
     ]
-    found: NoiseEstimate = estimate_noise(chains, parameters=solution.candidate.n_parameters, model=noise)
+    samples = sum(chain.residual_N.size for chain in chains)
+    # more parameters than half the residuals leave no noise to look at
+    parameters = min(solution.candidate.n_parameters, samples // 2)
+    found: NoiseEstimate = estimate_noise(chains, parameters=parameters, model=noise)
     centred = optimum_of(solution, adjustments, sums.depth_mm)
     tick("sums for correlated noise")
     lags = _sums_of_lags(handles, sums.basis, sums.columns_degree, step, centred, found)
@@ -180,7 +183,10 @@ def whiten(
         single=False,
         logs=np.arange(len(lags)),
     )
-    finished = refit(white, solution) if found.phi > NO_CORRELATION else solution
+    # of one log, what the model lacks can't be told from noise with memory, and would bend its fit: least
+    # squares stands, and only the posterior knows the correlation
+    known = found.phi > NO_CORRELATION and len(handles) > 1
+    finished = refit(white, solution) if known else solution
     return Whitened(
         noise=NoiseFit(
             model=found.model,
@@ -191,6 +197,6 @@ def whiten(
         ),
         lags=lags,
         centred=centred,
-        sums=white if found.phi > NO_CORRELATION else sums,
+        sums=white if known else sums,
         solution=finished,
     )

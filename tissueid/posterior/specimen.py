@@ -214,7 +214,9 @@ def with_posterior(
     noise = _sampled_noise(fitted, drawn)
     total = _total(fitted, target, options, tick) if instrument else None
     report = sampled.report
-    if total is not None:
+    if instrument and total is None:
+        report = replace(report, detail={**report.detail, "total": {"converged": False, "worth": 0.0}})
+    elif total is not None:
         # a few heavy draws have the look of a narrow interval: none is given then
         carried = total.sampler.converged and total.sampler.detail["worth"] >= LEAST_WORTH
         report = replace(report, detail={**report.detail, "total": _told_of(total) | {"converged": carried}})
@@ -289,19 +291,23 @@ def _total(
     target: SpecimenTarget,
     options: PosteriorOptions,
     tick: Callable[[str], None],
-) -> TotalPosterior:
-    """Tissue and instrument together."""
+) -> TotalPosterior | None:
+    """Tissue and instrument together; ``None`` where the arithmetic gives up on it."""
     tick("force channel, clock and frame")
-    return total_posterior(
-        fitted.told.knots,
-        fitted.optimum,
-        target.facts,
-        target.model,
-        target.priors,
-        effects=target.effects,
-        gain_sd=fitted.whitened.solution.noise.gain_sd,
-        seed=options.seed,
-    )
+    try:
+        with np.errstate(over="raise", invalid="raise"):
+            return total_posterior(
+                fitted.told.knots,
+                fitted.optimum,
+                target.facts,
+                target.model,
+                target.priors,
+                effects=target.effects,
+                gain_sd=fitted.whitened.solution.noise.gain_sd,
+                seed=options.seed,
+            )
+    except (ArithmeticError, ValueError, np.linalg.LinAlgError):
+        return None
 
 
 def _budget(
