@@ -27,7 +27,17 @@ from tissueid.fit.candidates import Candidate, Solution, SpecimenSums, fit_candi
 from tissueid.fit.held_out import held_out_scores
 from tissueid.uncertainty import NoiseFit
 
-__all__ = ["Choice", "choose"]
+__all__ = [
+    "IDLE",
+    "NEGLIGIBLE",
+    "SEEN",
+    "STANDARD_ERRORS",
+    "Choice",
+    "as_good",
+    "choose",
+    "has_idle_branch",
+    "judged",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -100,7 +110,7 @@ def _table(tried: list[_Tried], chosen: _Tried) -> tuple[dict[str, float | int |
     return tuple(rows)
 
 
-def _as_good(simple: FloatArray, other: FloatArray, *, known_noise: bool) -> bool:
+def as_good(simple: FloatArray, other: FloatArray, *, known_noise: bool) -> bool:
     """True where ``other`` predicts no better than chance would have it.
 
     It does better where its advantage exceeds two standard errors, or where every unit that was held
@@ -115,7 +125,7 @@ def _as_good(simple: FloatArray, other: FloatArray, *, known_noise: bool) -> boo
     return by_chance and not float(difference.min()) > NEGLIGIBLE
 
 
-def _judged(sums: SpecimenSums, solution: Solution) -> Solution:
+def judged(sums: SpecimenSums, solution: Solution) -> Solution:
     """What predicts a held-out log: under per-log pooling it has no static curve, a shared one does."""
     if solution.candidate.pooling != "per-log":
         return solution
@@ -123,7 +133,7 @@ def _judged(sums: SpecimenSums, solution: Solution) -> Solution:
     return fit_candidate(sums, shared, seeds=[solution.evaluation.log_tau])
 
 
-def _has_idle_branch(sums: SpecimenSums, solution: Solution) -> bool:
+def has_idle_branch(sums: SpecimenSums, solution: Solution) -> bool:
     """True where an added branch says nothing of the tissue.
 
     It came out without stiffness (the model with one branch fewer, named otherwise), or it is over
@@ -139,12 +149,14 @@ def _has_idle_branch(sums: SpecimenSums, solution: Solution) -> bool:
 
 def _scores(sums: SpecimenSums, solution: Solution, *, known_noise: bool) -> FloatArray:
     """Held-out scores, or for one log under known noise minus half of its BIC."""
-    judged = _judged(sums, solution)
+    predicting = judged(sums, solution)
     if not known_noise or sums.logs.size > 1:
-        return held_out_scores(sums, judged)
-    n, sigma2 = float(sums.n), judged.noise.sigma2
+        return held_out_scores(sums, predicting)
+    n, sigma2 = float(sums.n), predicting.noise.sigma2
     penalty = solution.candidate.n_parameters * np.log(n)
-    return np.array([-0.5 * (n * np.log(2.0 * np.pi * sigma2) + judged.evaluation.value / sigma2 + penalty)])
+    return np.array(
+        [-0.5 * (n * np.log(2.0 * np.pi * sigma2) + predicting.evaluation.value / sigma2 + penalty)]
+    )
 
 
 def _undecided(tried: list[_Tried], chosen: _Tried) -> tuple[Candidate, ...]:
@@ -192,7 +204,7 @@ class _Search:
         key = (branches, degree)
         if key not in self.fitted:
             solution = self.fit(branches, degree)
-            idle = branches > fewest and _has_idle_branch(self.sums, solution)
+            idle = branches > fewest and has_idle_branch(self.sums, solution)
             self.fitted[key] = (
                 None if idle else _Tried(solution, _scores(self.sums, solution, known_noise=self.known_noise))
             )
@@ -254,7 +266,7 @@ def choose(
             one
             for one in near
             if one is not None
-            and not _as_good(current.scores, one.scores, known_noise=known)
+            and not as_good(current.scores, one.scores, known_noise=known)
             and not (
                 one_speed
                 and one.candidate.degree > flattest
@@ -267,7 +279,7 @@ def choose(
     tried = [one for one in search.fitted.values() if one is not None]
     simpler = sorted(tried, key=lambda one: one.candidate.n_parameters)
     chosen = next(
-        one for one in simpler if one is current or _as_good(one.scores, current.scores, known_noise=known)
+        one for one in simpler if one is current or as_good(one.scores, current.scores, known_noise=known)
     )
     return Choice(
         solution=chosen.solution,
