@@ -1,0 +1,1 @@
+"""Devices that are felt, and the one guard through which every force passes."""

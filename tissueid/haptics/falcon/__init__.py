@@ -1,0 +1,1 @@
+"""Novint Falcon: wire protocol, firmware upload, kinematics, transports, emulator."""
