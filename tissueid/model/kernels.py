@@ -17,7 +17,14 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["branch_sensitivity", "branch_state", "step_weights", "surface_path", "tissue_step"]
+__all__ = [
+    "branch_sensitivity",
+    "branch_state",
+    "step_weights",
+    "surface_path",
+    "tissue_step",
+    "tissue_step_in",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -195,7 +202,7 @@ def _force_free_surface(
 
 
 @nb.njit(cache=True, nogil=True)
-def tissue_step(
+def tissue_step_in(
     static: FloatArray,
     stiffness: FloatArray,
     tau: FloatArray,
@@ -204,6 +211,8 @@ def tissue_step(
     states: FloatArray,
     x: float,
     h: float,
+    decayed: FloatArray,
+    gain: FloatArray,
 ) -> tuple[float, float]:
     """Advance the tissue by one step under a tool that can push but not pull.
 
@@ -230,6 +239,8 @@ def tissue_step(
         Tool position at the end of the step [mm]; negative is in air.
     h : float
         Measured step [s].
+    decayed, gain : ndarray, shape (branches,)
+        Room to work in, so that a loop allocates nothing.
 
     Returns
     -------
@@ -238,8 +249,6 @@ def tissue_step(
     """
     n = states.size
     target = max(x, 0.0)
-    decayed = np.empty(n)
-    gain = np.empty(n)
     for j in range(n):
         a, phi = step_weights(h, tau[j])
         decayed[j] = a * states[j]
@@ -257,6 +266,23 @@ def tissue_step(
 
 
 @nb.njit(cache=True, nogil=True)
+def tissue_step(
+    static: FloatArray,
+    stiffness: FloatArray,
+    tau: FloatArray,
+    depth: float,
+    surface: float,
+    states: FloatArray,
+    x: float,
+    h: float,
+) -> tuple[float, float]:
+    """:func:`tissue_step_in` with room of its own: the same step, where an allocation does no harm."""
+    decayed = np.empty(states.size)
+    gain = np.empty(states.size)
+    return tissue_step_in(static, stiffness, tau, depth, surface, states, x, h, decayed, gain)
+
+
+@nb.njit(cache=True, nogil=True)
 def surface_path(
     static: FloatArray,
     stiffness: FloatArray,
@@ -270,7 +296,7 @@ def surface_path(
     Parameters
     ----------
     static, stiffness, tau, depth
-        As in :func:`tissue_step`.
+        As in :func:`tissue_step_in`.
     time_s, tool_mm : ndarray, shape (n,)
         Non-decreasing times [s] and tool position [mm], negative in air.
 
