@@ -1,0 +1,163 @@
+"""The Falcon's 16-byte packets, compiled: one encoder and one automaton that reads byte by byte.
+
+Both directions have one shape (falcon firmware, as observed by others; no unit confirmed it here)::
+
+    byte      0     1-4, 5-8, 9-12               13                       14        15
+    host     '<'    motor 1, 2, 3                'A' + (LEDs | homing)    'A'       '>'
+    device   '<'    encoder 1, 2, 3              'A' + (homed | buttons)  anything  '>'
+
+A number is a signed 16-bit integer in four nibbles, least significant first, each plus 'A'.
+
+No byte after the first of a valid reply may be ``<``.  Two valid replies can therefore never overlap, and
+``<`` always starts a new one, whatever came before: the automaton needs no second look at a byte, finds
+every intact reply in any garbage, and is in step again with the first ``<`` that is the device's.
+"""
+
+from __future__ import annotations
+
+import numba as nb
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = [
+    "BUTTONS",
+    "DROPPED",
+    "ENCODERS",
+    "HOMED",
+    "INVALID",
+    "MOTOR_LIMIT",
+    "PACKETS",
+    "PACKET_BYTES",
+    "PARSER_SIZE",
+    "encode_into",
+    "parse_byte",
+]
+
+IntArray = NDArray[np.int64]
+ByteArray = NDArray[np.uint8]
+
+PACKET_BYTES = 16
+#: Largest motor command [motor units].
+MOTOR_LIMIT = 4095
+
+START = 0x3C  # '<'
+END = 0x3E  # '>'
+OFFSET = 0x41  # 'A': what is added to every value
+LAST_NIBBLE = 0x50  # 'P'
+#: Largest status byte: four buttons and three homed flags, all set.
+LAST_STATUS = 0xC0
+HOMING_BIT = 0x01
+SIGN = 0x8000
+RANGE = 0x10000
+STATUS_AT = 13
+UNKNOWN_AT = 14
+END_AT = 15
+
+#: Memory of the automaton, int64: bytes taken of the present candidate, the bytes themselves (by position),
+#: then the fields of the last whole reply and the counters since the memory was made.
+FILLED = 0
+ENCODERS = 16
+HOMED = 19
+BUTTONS = 20
+#: Whole replies, candidates that broke, bytes that belong to no reply.
+PACKETS = 21
+INVALID = 22
+DROPPED = 23
+PARSER_SIZE = 24
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def encode_into(motor: IntArray, leds: int, homing: bool, out: ByteArray) -> None:
+    """Write one command.
+
+    Parameters
+    ----------
+    motor : ndarray of int64, shape (3,)
+        Motor commands within +-4095.  One outside is the caller's bug, which must not become a force: then
+        all three are sent as zero.
+    leds : int
+        LED bits of the wire, 0x02 | 0x04 | 0x08; others are left out.
+    homing : bool
+        Whether the device shall be in homing mode, which it leaves with the first command without it.
+    out : ndarray of uint8, shape (16,)
+        Filled.
+    """
+    inside = True
+    for i in range(3):
+        if motor[i] < -MOTOR_LIMIT or motor[i] > MOTOR_LIMIT:
+            inside = False
+    out[0] = START
+    for i in range(3):
+        value = motor[i] % RANGE if inside else 0
+        for nibble in range(4):
+            out[1 + 4 * i + nibble] = OFFSET + ((value >> (4 * nibble)) & 0xF)
+    out[STATUS_AT] = OFFSET + (leds & 0x0E) + (HOMING_BIT if homing else 0)
+    out[UNKNOWN_AT] = OFFSET
+    out[END_AT] = END
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _fits(position: int, byte: int) -> bool:
+    """Whether a byte may stand at a position 1 to 15 of a reply."""
+    if position < STATUS_AT:
+        return OFFSET <= byte <= LAST_NIBBLE
+    if position == STATUS_AT:
+        return OFFSET <= byte <= LAST_STATUS
+    if position == UNKNOWN_AT:
+        return byte not in (START, END)
+    return byte == END
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _decode(memory: IntArray) -> None:
+    """Fields of a whole reply, from its bytes."""
+    for i in range(3):
+        value = 0
+        for nibble in range(4):
+            value += (memory[1 + 4 * i + nibble] - OFFSET) << (4 * nibble)
+        memory[ENCODERS + i] = value - RANGE if value >= SIGN else value
+    status = memory[STATUS_AT] - OFFSET
+    memory[BUTTONS] = status & 0xF
+    memory[HOMED] = (status >> 4) & 0x7
+    memory[PACKETS] += 1
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def parse_byte(memory: IntArray, byte: int) -> int:
+    """Take one byte of the device's stream.
+
+    Parameters
+    ----------
+    memory : ndarray of int64, shape (PARSER_SIZE,)
+        State of the automaton, zeros at the start; changed.
+    byte : int
+        0 to 255.
+
+    Returns
+    -------
+    int
+        1 if this byte completed a reply, whose fields are then at ``ENCODERS``, ``HOMED`` and
+        ``BUTTONS``; else 0.
+    """
+    filled = memory[FILLED]
+    if byte == START:
+        if filled > 0:
+            memory[INVALID] += 1
+            memory[DROPPED] += filled
+        memory[FILLED] = 1
+        return 0
+    if filled == 0:
+        memory[DROPPED] += 1
+        return 0
+    if not _fits(filled, byte):
+        memory[INVALID] += 1
+        memory[DROPPED] += filled + 1
+        memory[FILLED] = 0
+        return 0
+    if filled < END_AT:
+        memory[filled] = byte
+        memory[FILLED] = filled + 1
+        return 0
+    _decode(memory)
+    memory[FILLED] = 0
+    return 1
