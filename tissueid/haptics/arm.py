@@ -1,0 +1,259 @@
+"""A device's arm in a hand: mass, viscous damping, Coulomb friction, and a hand's spring and damper.
+
+::
+
+    m dv/dt = F_motor + F_hand - b v - f,      f = fc v/|v| while it slides, |f| <= fc while it sticks
+    F_hand  = -g k (x - x_t) - g c (v - v_t)   x_t(t): where the hand wants to be, g(t): its grip, 0 to 1
+
+One step of ``h`` is the Moreau-Jean scheme with theta = 1/2 (Acary & Brogliato 2008,
+doi 10.1007/978-3-540-75392-6, section 10.1): smooth forces at the midpoint, friction by the velocity at the
+end.  Mass, damping and stiffness are the same along x, y and z, so that the inclusion for friction has a
+closed solution: the velocity without friction is shortened by ``h fc / A``, to zero where it is shorter than
+that.  A resting arm stays at rest exactly, without chatter, and the energies below close to rounding::
+
+    m |v|^2 / 2  =  work of the motor + work of the hand - loss to damping - loss to friction
+
+SI units: metres, newtons, seconds.  Parameters and memory are flat float64 blocks, so that compiled loops of
+other modules can carry them; the indices are the constants below.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numba as nb
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["ARM_MEMORY", "ARM_PARAMETERS", "MAX_KNOTS", "Arm", "arm_step", "new_arm", "port_energy"]
+
+FloatArray = NDArray[np.float64]
+
+# --- parameters
+MASS, DAMPING, FRICTION, SUBSTEP = 0, 1, 2, 3
+HAND_STIFFNESS, HAND_DAMPING, RIGID = 4, 5, 6
+TREMOR, TREMOR_HZ, TREMOR_PHASE, TREMOR_AXIS = 7, 8, 9, 10  # axis: 10, 11, 12
+POINTER_ON, POINTER = 13, 14  # pointer: 14, 15, 16
+KNOTS = 17
+FIRST_KNOT = 20
+#: Columns of a knot of the hand's script: time, x, y, z, grip from here on.
+KNOT_COLUMNS = 5
+MAX_KNOTS = 64
+ARM_PARAMETERS = FIRST_KNOT + KNOT_COLUMNS * MAX_KNOTS
+
+# --- memory
+TIME, POSITION, VELOCITY = 0, 1, 4
+TARGET, TARGET_VELOCITY, HAND_FORCE = 7, 10, 13
+MOTOR_WORK, HAND_WORK, DAMPING_LOSS, FRICTION_LOSS = 16, 17, 18, 19
+CURSOR, POINTED = 20, 21  # pointed: 21, 22, 23
+ARM_MEMORY = 24
+
+#: Longest sub-step [s]: a 1000 N/m hand on 0.1 kg turns by 0.005 rad in it, its frequency is off by 2e-6.
+DEFAULT_SUBSTEP_S = 5e-5
+#: A pointer arrives at tens of pictures a second; the hand follows it with this time constant [s] ...
+POINTER_TIME_S = 0.03
+#: ... and no faster than this [m/s].
+POINTER_SPEED = 0.5
+#: A tremor grows to its amplitude in this time [s]: it must not begin with a jump.
+TREMOR_RISE_S = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class Arm:
+    """Mechanics of a device's arm, without the hand.
+
+    Attributes
+    ----------
+    mass_kg : float
+        Inertia felt at the grip.  0.25 kg is an assumption (haptics.md 4): no device was weighed.
+    damping_N_s_per_m : float
+        Viscous damping; 0.5 N s/m is the preset every passivity figure is computed with.
+    friction_N : float
+        Coulomb friction, the same in all directions.
+    substep_s : float
+        Longest step of the integration [s].
+    """
+
+    mass_kg: float = 0.25
+    damping_N_s_per_m: float = 0.5
+    friction_N: float = 0.1
+    substep_s: float = DEFAULT_SUBSTEP_S
+
+    def __post_init__(self) -> None:
+        if not (self.mass_kg > 0.0 and self.substep_s > 0.0):
+            msg = f"mass_kg and substep_s must be positive, are {self.mass_kg} and {self.substep_s}"
+            raise ValueError(msg)
+        if not (self.damping_N_s_per_m >= 0.0 and self.friction_N >= 0.0):
+            msg = (
+                f"damping and friction can't be negative, are {self.damping_N_s_per_m} and {self.friction_N}"
+            )
+            raise ValueError(msg)
+
+    def block(self) -> FloatArray:
+        """Parameters of an arm that no hand holds, shape (ARM_PARAMETERS,); a hand writes itself into it."""
+        block = np.zeros(ARM_PARAMETERS)
+        block[[MASS, DAMPING, FRICTION, SUBSTEP]] = (
+            self.mass_kg,
+            self.damping_N_s_per_m,
+            self.friction_N,
+            self.substep_s,
+        )
+        return block
+
+
+def new_arm(position_m: FloatArray) -> FloatArray:
+    """Memory of an arm at rest at a position [m], shape (ARM_MEMORY,)."""
+    memory = np.zeros(ARM_MEMORY)
+    for start in (POSITION, TARGET, POINTED):
+        memory[start : start + 3] = position_m
+    return memory
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def port_energy(memory: FloatArray) -> float:
+    """Energy [J] that went through the grip into what is rendered, and into the arm's damping and friction.
+
+    Counted on the true position, without the kinetic energy: a rendering is passive where this is never
+    negative, whatever the hand does (Colgate & Schenkel, doi 10.1002/rob.4620140110).
+    """
+    return float(memory[DAMPING_LOSS] + memory[FRICTION_LOSS] - memory[MOTOR_WORK])
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _scripted(parameters: FloatArray, knot: int, axis: int, time: float) -> float:
+    """Coordinate of the script at a time on the stretch that begins with ``knot``."""
+    at = FIRST_KNOT + KNOT_COLUMNS * knot
+    value = parameters[at + 1 + axis]
+    if knot + 1 >= int(parameters[KNOTS]):
+        return float(value)
+    after = at + KNOT_COLUMNS
+    length = parameters[after] - parameters[at]
+    if time <= parameters[at] or length <= 0.0:
+        return float(value)
+    return float(value + (parameters[after + 1 + axis] - value) * (time - parameters[at]) / length)
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _move_target(memory: FloatArray, parameters: FloatArray, h: float) -> float:
+    """Move the hand's target on by ``h`` and return its grip over that step."""
+    time = memory[TIME] + h
+    count = int(parameters[KNOTS])
+    knot = int(memory[CURSOR])
+    grip = 1.0
+    if count > 0:
+        while knot + 1 < count and parameters[FIRST_KNOT + KNOT_COLUMNS * (knot + 1)] <= time:
+            knot += 1
+        memory[CURSOR] = knot
+        grip = parameters[FIRST_KNOT + KNOT_COLUMNS * knot + 4]
+    shake = parameters[TREMOR] * min(time / TREMOR_RISE_S, 1.0)
+    shake *= math.sin(2.0 * math.pi * parameters[TREMOR_HZ] * time + parameters[TREMOR_PHASE])
+    follow = -math.expm1(-h / POINTER_TIME_S)
+    for i in range(3):
+        if parameters[POINTER_ON] > 0.0:
+            step = follow * (parameters[POINTER + i] - memory[POINTED + i])
+            memory[POINTED + i] += min(max(step, -POINTER_SPEED * h), POINTER_SPEED * h)
+            wanted = memory[POINTED + i]
+        elif count > 0:
+            wanted = _scripted(parameters, knot, i, time)
+            memory[POINTED + i] = wanted
+        else:
+            wanted = memory[POINTED + i]
+        wanted += shake * parameters[TREMOR_AXIS + i]
+        memory[TARGET_VELOCITY + i] = (wanted - memory[TARGET + i]) / h
+        memory[TARGET + i] = wanted
+    return float(grip)
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _free_step(memory: FloatArray, parameters: FloatArray, force: FloatArray, h: float, grip: float) -> None:
+    """One step of an arm in a hand that is a spring and a damper."""
+    mass, damping, friction = parameters[MASS], parameters[DAMPING], parameters[FRICTION]
+    stiffness = grip * parameters[HAND_STIFFNESS]
+    drag = grip * parameters[HAND_DAMPING]
+    inertia = mass + 0.5 * h * (damping + drag) + 0.25 * h * h * stiffness
+    square = 0.0
+    for i in range(3):
+        v = memory[VELOCITY + i]
+        middle = memory[TARGET + i] - 0.5 * h * memory[TARGET_VELOCITY + i]
+        smooth = (
+            force[i]
+            - 0.5 * (damping + drag) * v
+            - stiffness * (memory[POSITION + i] + 0.25 * h * v - middle)
+            + drag * memory[TARGET_VELOCITY + i]
+        )
+        momentum = mass * v + h * smooth
+        memory[HAND_FORCE + i] = momentum  # borrowed until the friction is known
+        square += momentum * momentum
+    length = math.sqrt(square)
+    sliding = length > h * friction
+    for i in range(3):
+        momentum = memory[HAND_FORCE + i]
+        rubbed = friction * momentum / length if sliding else momentum / h
+        before = memory[VELOCITY + i]
+        after = (momentum - h * rubbed) / inertia if sliding else 0.0
+        mean = 0.5 * (before + after)
+        middle = memory[TARGET + i] - 0.5 * h * memory[TARGET_VELOCITY + i]
+        hand = -stiffness * (memory[POSITION + i] + 0.5 * h * mean - middle) - drag * (
+            mean - memory[TARGET_VELOCITY + i]
+        )
+        memory[VELOCITY + i] = after
+        memory[POSITION + i] += h * mean
+        memory[HAND_FORCE + i] = hand
+        memory[MOTOR_WORK] += h * force[i] * mean
+        memory[HAND_WORK] += h * hand * mean
+        memory[DAMPING_LOSS] += h * damping * mean * mean
+        memory[FRICTION_LOSS] += h * rubbed * mean
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _carried_step(memory: FloatArray, parameters: FloatArray, force: FloatArray, h: float) -> None:
+    """One step of an arm that a machine carries along the target, whatever the force."""
+    mass, damping, friction = parameters[MASS], parameters[DAMPING], parameters[FRICTION]
+    speed = 0.0
+    for i in range(3):
+        v = (memory[TARGET + i] - memory[POSITION + i]) / h
+        speed += v * v
+    speed = math.sqrt(speed)
+    for i in range(3):
+        v = (memory[TARGET + i] - memory[POSITION + i]) / h
+        before = memory[VELOCITY + i]
+        rubbed = friction * v / speed if speed > 0.0 else 0.0
+        memory[HAND_FORCE + i] = mass * (v - before) / h + damping * v + rubbed - force[i]
+        memory[VELOCITY + i] = v
+        memory[POSITION + i] = memory[TARGET + i]
+        memory[MOTOR_WORK] += h * force[i] * v
+        memory[DAMPING_LOSS] += h * damping * v * v
+        memory[FRICTION_LOSS] += h * rubbed * v
+        # the speed changes at once at a corner of the path: the machine gives exactly the kinetic energy
+        memory[HAND_WORK] += (
+            0.5 * mass * (v * v - before * before) + h * (damping * v + rubbed - force[i]) * v
+        )
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def arm_step(memory: FloatArray, parameters: FloatArray, force: FloatArray, dt: float) -> None:
+    """Move the arm on by ``dt`` under a constant force of its motors.
+
+    Parameters
+    ----------
+    memory : ndarray, shape (ARM_MEMORY,) or longer
+        State; **updated in place**.
+    parameters : ndarray, shape (ARM_PARAMETERS,) or longer
+        Arm, hand and script.
+    force : ndarray, shape (3,)
+        Force of the motors on the grip [N].
+    dt : float
+        Time [s]; nothing happens where it is not positive.
+    """
+    if not dt > 0.0:
+        return
+    steps = max(1, math.ceil(dt / parameters[SUBSTEP] - 1e-9))
+    h = dt / steps
+    for _ in range(steps):
+        grip = _move_target(memory, parameters, h)
+        if parameters[RIGID] > 0.0 and grip > 0.0:
+            _carried_step(memory, parameters, force, h)
+        else:
+            _free_step(memory, parameters, force, h, grip)
+        memory[TIME] += h
