@@ -60,8 +60,19 @@ LONGEST_STEP_M = 0.05
 SINGULAR = 1e-9
 #: Angles of a guess and of an answer that are the same [rad].
 SAME_ANGLE = 1e-6
-#: Grip positions from which the forward solution starts when the guess leads nowhere: (0, 0, z) [m].
-STARTS_Z_M = (0.12, 0.16, 0.08, 0.175, 0.06, 0.14, 0.10)
+#: Grip positions from which the forward solution starts when the guess leads nowhere [m]: the axis, then
+#: the six corners of the workspace, where a shin lies almost flat.
+STARTS_M = (
+    (0.0, 0.0, 0.12),
+    (0.0, 0.0, 0.16),
+    (0.0, 0.0, 0.08),
+    (0.080, 0.030, 0.09),
+    (0.020, 0.085, 0.09),
+    (-0.070, 0.060, 0.09),
+    (-0.080, -0.030, 0.09),
+    (-0.020, -0.085, 0.09),
+    (0.070, -0.060, 0.09),
+)
 #: Share of the clamp by which rounding may exceed it; a clamp is a whole number of motor units.
 HALF = 0.5
 
@@ -246,11 +257,11 @@ def forward_kernel(angles: FloatArray, geometry: FloatArray, position: FloatArra
         Newton steps taken, or -1 where no position in front of the base has these angles.
     """
     found = np.empty(3)
-    for start in range(-1, len(STARTS_Z_M)):
+    for start in range(-1, len(STARTS_M)):
         if start < 0:
             found[:] = position
         else:
-            found[0], found[1], found[2] = 0.0, 0.0, STARTS_Z_M[start]
+            found[0], found[1], found[2] = STARTS_M[start]
         steps = _newton(angles, geometry, found)
         if steps >= 0 and _same_angles(angles, geometry, found):
             position[:] = found
