@@ -1,0 +1,337 @@
+"""Hands that hold a simulated arm, and scripts that move it like a test machine.
+
+A hand is a spring and a damper (50 to 1000 N/m is what fingers and wrists do) around a target that moves
+along straight stretches between knots.  A script is a machine: it moves the grip exactly, whatever the force, in
+**tissue** units that the motion scale turns into travel of the device::
+
+    indent 8 mm at 250 mm/min; hold 2 s; retract at 250 mm/min
+
+Positions [m] are the device's; ``inward`` is the unit vector that points into the tissue.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.errors import UsageError, printable
+from tissueid.haptics.arm import (
+    FIRST_KNOT,
+    HAND_DAMPING,
+    HAND_STIFFNESS,
+    KNOT_COLUMNS,
+    KNOTS,
+    MAX_KNOTS,
+    RIGID,
+    TREMOR,
+    TREMOR_AXIS,
+    TREMOR_HZ,
+    TREMOR_PHASE,
+)
+
+__all__ = ["PRESETS", "Hand", "Stroke", "parse_script", "preset", "scripted_hand"]
+
+FloatArray = NDArray[np.float64]
+
+#: Names of :func:`preset`.
+PRESETS = ("step", "slow press", "tap", "release", "tremor", "hold")
+#: Stiffness of a hand that is not said otherwise [N/m] (haptics.md 4).
+DEFAULT_STIFFNESS = 300.0
+#: A hand's damping as a share of the critical one of 0.25 kg on its spring; relaxed arms show 0.3 to 0.8.
+DAMPING_RATIO = 0.5
+DEFAULT_MASS_KG = 0.25
+#: Height above the tissue at which a hand starts [m].
+CLEARANCE_M = 0.003
+#: Time of rest before a hand moves [s]: longer than the guard's start-up ramp.
+REST_S = 1.2
+#: A step of the hand takes this time [s]: faster is a blow, which the overspeed rule is for.
+STEP_S = 0.03
+MM = 1e-3
+S_PER_MIN = 60.0
+#: What a script may ask for: outside this a typing error is likelier than a wish.
+MOST_SPEED_MM_S = 200.0
+MOST_HOLD_S = 3600.0
+#: Height above the tissue, in tissue units [mm], at which a script starts and to which it retracts.
+SCRIPT_CLEARANCE_MM = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Hand:
+    """A spring and a damper around a moving target, or a machine that carries the grip.
+
+    Attributes
+    ----------
+    times_s : tuple of float
+        Times of the knots, rising.
+    positions_m : tuple of (x, y, z)
+        Target at the knots [m].
+    grips : tuple of float
+        Share of stiffness and damping from each knot on: 1 holds, 0 lets go.
+    stiffness_N_per_m, damping_N_s_per_m : float
+    rigid : bool
+        Carry the grip exactly, whatever the force.
+    tremor_m, tremor_hz, tremor_phase : float
+        Amplitude [m], frequency [Hz] and phase [rad] of a tremor.
+    tremor_axis : (x, y, z)
+    """
+
+    times_s: tuple[float, ...]
+    positions_m: tuple[tuple[float, float, float], ...]
+    grips: tuple[float, ...]
+    stiffness_N_per_m: float = DEFAULT_STIFFNESS
+    damping_N_s_per_m: float = 2.0 * DAMPING_RATIO * math.sqrt(DEFAULT_STIFFNESS * DEFAULT_MASS_KG)
+    rigid: bool = False
+    tremor_m: float = 0.0
+    tremor_hz: float = 10.0
+    tremor_phase: float = 0.0
+    tremor_axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+
+    def __post_init__(self) -> None:
+        if not 1 <= len(self.times_s) <= MAX_KNOTS:
+            msg = f"a hand has 1 to {MAX_KNOTS} knots, this one {len(self.times_s)}"
+            raise ValueError(msg)
+        if not len(self.times_s) == len(self.positions_m) == len(self.grips):
+            msg = "a hand needs a time, a position and a grip at each knot"
+            raise ValueError(msg)
+        if not np.isfinite(self.knots()).all() or (np.diff(self.times_s) <= 0.0).any():
+            msg = f"times of a hand must rise and all numbers be finite: {self.times_s}"
+            raise ValueError(msg)
+
+    @property
+    def start_m(self) -> FloatArray:
+        """Where the hand starts [m], shape (3,)."""
+        return np.array(self.positions_m[0], dtype=np.float64)
+
+    @property
+    def duration_s(self) -> float:
+        """Time of the last knot [s]; the hand stays there."""
+        return self.times_s[-1]
+
+    def knots(self) -> FloatArray:
+        """Time, x, y, z and grip of every knot, shape (n, 5)."""
+        return np.column_stack([self.times_s, self.positions_m, self.grips]).astype(np.float64)
+
+    def write(self, block: FloatArray) -> FloatArray:
+        """Write the hand into an arm's block of parameters, and return that."""
+        knots = self.knots()
+        block[KNOTS] = len(knots)
+        block[FIRST_KNOT : FIRST_KNOT + KNOT_COLUMNS * len(knots)] = knots.ravel()
+        block[[HAND_STIFFNESS, HAND_DAMPING]] = self.stiffness_N_per_m, self.damping_N_s_per_m
+        block[RIGID] = float(self.rigid)
+        block[[TREMOR, TREMOR_HZ, TREMOR_PHASE]] = self.tremor_m, self.tremor_hz, self.tremor_phase
+        block[TREMOR_AXIS : TREMOR_AXIS + 3] = self.tremor_axis
+        return block
+
+
+def _along(
+    surface_m: FloatArray,
+    inward: FloatArray,
+    times_s: list[float],
+    depths_m: list[float],
+    grips: list[float] | None = None,
+) -> Hand:
+    """Hand that moves along ``inward`` through ``surface_m``: depth [m] by time [s]."""
+    axis = np.asarray(inward, dtype=np.float64)
+    points = np.asarray(surface_m)[None, :] + np.outer(depths_m, axis)
+    return Hand(
+        times_s=tuple(float(time) for time in times_s),
+        positions_m=tuple((float(x), float(y), float(z)) for x, y, z in points),
+        grips=tuple(grips or [1.0] * len(times_s)),
+        tremor_axis=(float(axis[0]), float(axis[1]), float(axis[2])),
+    )
+
+
+def preset(
+    name: str,
+    *,
+    surface_m: FloatArray,
+    inward: FloatArray,
+    depth_m: float,
+    speed_m_per_s: float = 0.02,
+    stiffness_N_per_m: float = DEFAULT_STIFFNESS,
+    damping_N_s_per_m: float | None = None,
+    tremor_m: float = 2e-4,
+    tremor_hz: float = 10.0,
+    tremor_phase: float = 0.0,
+    rest_s: float = REST_S,
+    stay_s: float = 1.0,
+) -> Hand:
+    """One of :data:`PRESETS`.
+
+    Parameters
+    ----------
+    name : str
+        ``step``: to the depth in 30 ms; ``slow press``: at ``speed_m_per_s`` (0.3 to 2 mm/s is slow);
+        ``tap``: four taps a second; ``release``: presses, then lets go; ``tremor``: holds and trembles; ``hold``.
+    surface_m, inward : ndarray, shape (3,)
+        A point of the tissue's surface [m] and the unit vector into the tissue.
+    depth_m : float
+        Depth of the target below the surface [m]; the grip stays above it by force over stiffness.
+    speed_m_per_s : float
+        Of presses and approaches [m/s].
+    stiffness_N_per_m, damping_N_s_per_m : float
+        Of the hand; half the critical damping of 0.25 kg where none is given.
+    tremor_m, tremor_hz, tremor_phase : float
+        Of ``tremor``.
+    rest_s, stay_s : float
+        Rest before the motion and stay after it [s].
+
+    Raises
+    ------
+    UsageError
+        There is no preset of that name.
+    """
+    if name not in PRESETS:
+        msg = f"there is no hand {printable(name)!r}; hands are {', '.join(PRESETS)}"
+        raise UsageError(msg)
+    clear = -CLEARANCE_M
+    if name == "slow press":
+        clear = -5e-5  # a slow hand starts where it nearly touches, or it would take seconds to arrive
+    arrival = rest_s + (STEP_S if name == "step" else (depth_m - clear) / speed_m_per_s)
+    times = [0.0, rest_s, arrival]
+    depths = [clear, clear, depth_m]
+    grips = [1.0, 1.0, 1.0]
+    if name == "tap":
+        times, depths = [0.0, rest_s], [clear, clear]
+        for beat in range(max(1, math.ceil(4.0 * stay_s))):
+            times += [rest_s + 0.25 * beat + part for part in (0.06, 0.10, 0.16, 0.249)]
+            depths += [depth_m, depth_m, clear, clear]
+        times, depths = times[:MAX_KNOTS], depths[:MAX_KNOTS]
+        grips = [1.0] * len(times)
+    elif name == "release":
+        times.append(arrival + 0.5 * stay_s)
+        depths.append(depth_m)
+        grips.append(0.0)
+    times.append(times[-1] + stay_s)
+    depths.append(depths[-1])
+    grips.append(grips[-1])
+    if damping_N_s_per_m is None:
+        damping_N_s_per_m = 2.0 * DAMPING_RATIO * math.sqrt(stiffness_N_per_m * DEFAULT_MASS_KG)
+    return replace(
+        _along(surface_m, inward, times, depths, grips),
+        stiffness_N_per_m=stiffness_N_per_m,
+        damping_N_s_per_m=damping_N_s_per_m,
+        tremor_m=tremor_m if name == "tremor" else 0.0,
+        tremor_hz=tremor_hz,
+        tremor_phase=tremor_phase,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Stroke:
+    """One line of a script, in tissue units.
+
+    Attributes
+    ----------
+    kind : {"indent", "hold", "retract"}
+    depth_mm : float
+        Depth at its end [mm]; of a hold, the depth before it.
+    duration_s : float
+    """
+
+    kind: str
+    depth_mm: float
+    duration_s: float
+
+
+_NUMBER = r"(\d+(?:\.\d*)?|\.\d+)"
+_SPEED = rf"at\s+{_NUMBER}\s*mm\s*/\s*(min|s)"
+_INDENT = re.compile(rf"indent\s+{_NUMBER}\s*mm\s+{_SPEED}")
+_RETRACT = re.compile(rf"retract\s+(?:to\s+{_NUMBER}\s*mm\s+)?{_SPEED}")
+_HOLD = re.compile(rf"hold\s+{_NUMBER}\s*s")
+
+
+def _speed(value: str, per: str, line: str) -> float:
+    speed = float(value) / (S_PER_MIN if per == "min" else 1.0)
+    if not 0.0 < speed <= MOST_SPEED_MM_S:
+        msg = f"speed of {printable(line)!r} is {speed:g} mm/s, above 0 to {MOST_SPEED_MM_S:g} is offered"
+        raise UsageError(msg)
+    return speed
+
+
+def parse_script(text: str) -> tuple[Stroke, ...]:
+    """Read a script of strokes, separated by semicolons.
+
+    Parameters
+    ----------
+    text : str
+        ``indent D mm at V mm/min``, ``hold T s``, ``retract [to D mm] at V mm/min`` (``mm/s`` as well), in
+        tissue units; depths are below the surface, and a retract without a depth leaves the tissue.
+
+    Raises
+    ------
+    UsageError
+        Naming the part that is no stroke, or leads nowhere.
+    """
+    strokes: list[Stroke] = []
+    depth = -SCRIPT_CLEARANCE_MM
+    for part in text.split(";"):
+        line = " ".join(part.split())
+        if not line:
+            continue
+        if (found := _INDENT.fullmatch(line)) is not None:
+            target, speed = float(found[1]), _speed(found[2], found[3], line)
+            if target <= depth:
+                msg = f"{line!r} does not go deeper: the tool is at {depth:g} mm there"
+                raise UsageError(msg)
+            strokes.append(Stroke("indent", target, (target - depth) / speed))
+        elif (found := _RETRACT.fullmatch(line)) is not None:
+            target = -SCRIPT_CLEARANCE_MM if found[1] is None else float(found[1])
+            speed = _speed(found[2], found[3], line)
+            if target >= depth:
+                msg = f"{line!r} does not go back: the tool is at {depth:g} mm there"
+                raise UsageError(msg)
+            strokes.append(Stroke("retract", target, (depth - target) / speed))
+        elif (found := _HOLD.fullmatch(line)) is not None and 0.0 < float(found[1]) <= MOST_HOLD_S:
+            strokes.append(Stroke("hold", depth, float(found[1])))
+        else:
+            msg = (
+                f"{printable(line)!r} is no stroke of a script; write e.g. "
+                "'indent 8 mm at 250 mm/min; hold 2 s; retract at 250 mm/min'"
+            )
+            raise UsageError(msg)
+        depth = strokes[-1].depth_mm
+    if not 1 <= len(strokes) <= MAX_KNOTS - 2:
+        msg = f"a script has 1 to {MAX_KNOTS - 2} strokes, this one {len(strokes)}"
+        raise UsageError(msg)
+    return tuple(strokes)
+
+
+def scripted_hand(
+    text: str,
+    *,
+    motion_scale: float,
+    surface_m: FloatArray,
+    inward: FloatArray,
+    rest_s: float = REST_S,
+) -> Hand:
+    """Machine that carries the grip through a script.
+
+    Parameters
+    ----------
+    text : str
+        As :func:`parse_script`.
+    motion_scale : float
+        s_x, travel of the device over depth in the tissue.
+    surface_m, inward : ndarray, shape (3,)
+        A point of the surface [m] and the unit vector into the tissue.
+    rest_s : float
+        Rest above the tissue before the first stroke [s], for the start-up ramp.
+
+    Returns
+    -------
+    Hand
+        Rigid; its last knot is the end of the script.
+    """
+    time, depth = rest_s, -SCRIPT_CLEARANCE_MM
+    times, depths = [0.0, time], [depth, depth]
+    for stroke in parse_script(text):
+        time += stroke.duration_s
+        times.append(time)
+        depths.append(stroke.depth_mm)
+    travel = [depth * MM * motion_scale for depth in depths]
+    return replace(_along(surface_m, inward, times, travel), rigid=True)
