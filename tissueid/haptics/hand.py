@@ -1,8 +1,8 @@
 """Hands that hold a simulated arm, and scripts that move it like a test machine.
 
 A hand is a spring and a damper (50 to 1000 N/m is what fingers and wrists do) around a target that moves
-along straight stretches between knots.  A script is a machine: it moves the grip exactly, whatever the force, in
-**tissue** units that the motion scale turns into travel of the device::
+along straight stretches between knots.  A script is a machine: it moves the grip exactly, whatever the force,
+in **tissue** units that the motion scale turns into travel of the device::
 
     indent 8 mm at 250 mm/min; hold 2 s; retract at 250 mm/min
 
@@ -166,7 +166,8 @@ def preset(
     ----------
     name : str
         ``step``: to the depth in 30 ms; ``slow press``: at ``speed_m_per_s`` (0.3 to 2 mm/s is slow);
-        ``tap``: four taps a second; ``release``: presses, then lets go; ``tremor``: holds and trembles; ``hold``.
+        ``tap``: four taps a second; ``release``: presses, then lets go; ``tremor``: holds and trembles;
+        ``hold``.
     surface_m, inward : ndarray, shape (3,)
         A point of the tissue's surface [m] and the unit vector into the tissue.
     depth_m : float
