@@ -21,7 +21,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.model.base import ContactPath, ParameterSpec, Stepper, register
-from tissueid.model.kernels import branch_sensitivity, branch_state, tissue_step
+from tissueid.model.kernels import (
+    LAW_SIZE,
+    STATE_SIZE,
+    branch_sensitivity,
+    branch_state,
+    pack_law,
+    tissue_step_in,
+)
 from tissueid.model.polynomial import MAX_DEGREE, minimum_on_unit
 
 __all__ = ["KEY", "STATIC_DEGREE", "KelvinVoigt", "TissueStepper", "constant_speed_force", "ramp_hold_state"]
@@ -255,29 +262,29 @@ class TissueStepper:
             msg = "theta is not passive (F_s or K negative somewhere): it can't be rendered"
             raise ValueError(msg)
         static, stiffness, tau = model.split(theta)
-        self._static = np.concatenate([[0.0], static])
-        self._stiffness = np.ascontiguousarray(stiffness)
-        self._tau = np.ascontiguousarray(tau)
-        self._depth = model.depth_mm
-        self._states = np.zeros(tau.size)
-        self._surface = 0.0
+        self._law = np.empty(LAW_SIZE)
+        pack_law(
+            np.concatenate([[0.0], static]),
+            np.array(stiffness),
+            np.array(tau),
+            model.depth_mm,
+            self._law,
+            0,
+        )
+        self._state = np.zeros(STATE_SIZE)
 
     @property
     def surface_mm(self) -> float:
         """Where the tissue surface stands [mm below its rest level]."""
-        return self._surface
+        return float(self._state[0])
 
     def step(self, depth_mm: float, dt_s: float) -> float:
         """Force [N], never negative, after ``dt_s`` s of linear motion to ``depth_mm`` (< 0: in air)."""
-        force, self._surface = tissue_step(
-            self._static, self._stiffness, self._tau, self._depth, self._surface, self._states, depth_mm, dt_s
-        )
-        return float(force)
+        return float(tissue_step_in(self._law, 0, self._state, 0, depth_mm, dt_s))
 
     def reset(self) -> None:
         """Tissue at rest."""
-        self._states[:] = 0.0
-        self._surface = 0.0
+        self._state[:] = 0.0
 
 
 def constant_speed_force(

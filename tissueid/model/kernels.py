@@ -7,6 +7,10 @@ reconstructed from Sadeghnejad et al., equations (3) and (6)).  With ``x`` linea
 
 which has no step-size error and is stable for any ``h``; ``h = 0`` is a jump (a = phi = 1).  Values
 below 1e-200 are set to zero, because denormal numbers slow the loop ninefold.
+
+A servo steps the tissue a thousand times a second, so the law and what it remembers also have a flat
+form, :func:`pack_law` and :func:`tissue_step_in`: no views, nothing allocated, and it can be part of a
+larger block.
 """
 
 from __future__ import annotations
@@ -18,8 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
+    "LAW_SIZE",
+    "STATE_SIZE",
     "branch_sensitivity",
     "branch_state",
+    "pack_law",
     "step_weights",
     "surface_path",
     "tissue_step",
@@ -120,70 +127,82 @@ def branch_sensitivity(time_s: FloatArray, depth_mm: FloatArray, tau: float) -> 
     return state, derivative
 
 
-@nb.njit(cache=True, nogil=True)
-def _continued(coefficients: FloatArray, x: float, depth: float) -> tuple[float, float]:
+# -- the law as one flat block --------------------------------------------------------------------
+LAW_SIZE = 18
+_DEPTH = 0
+_BRANCHES = 1
+_STATIC = 2
+_STATIC_SIZE = 4
+_STIFFNESS = 6
+#: Coefficients of K kept a branch, constant first; a lower degree has zeros.
+_STIFFNESS_SIZE = 3
+_TAU = 15
+_MOST_BRANCHES = 3
+
+# -- what a tissue remembers ----------------------------------------------------------------------
+STATE_SIZE = 10
+_SURFACE = 0
+_STATES = 1
+#: Room of one step: states decayed over it, and their gain by the surface's motion.
+_DECAYED = 4
+_GAIN = 7
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _continued(block: FloatArray, at: int, size: int, x: float, depth: float) -> tuple[float, float]:
     """Value and slope of a polynomial in x, continued beyond ``depth`` with its end slope, not below 0.
 
-    Below 0 the value at 0 is kept, and the slope there is returned.
+    Its ``size`` coefficients stand in ``block`` from ``at``, constant term first.  Below 0 the value at 0
+    is kept, and the slope there is returned.
     """
     inside = min(max(x, 0.0), depth)
     value = 0.0
     slope = 0.0
-    for k in range(coefficients.size - 1, -1, -1):
+    for k in range(at + size - 1, at - 1, -1):
         slope = slope * inside + value
-        value = value * inside + coefficients[k]
+        value = value * inside + block[k]
     if x > depth:
         slope = max(slope, 0.0)
         value += slope * (x - depth)
     return value, slope
 
 
-@nb.njit(cache=True, nogil=True)
+@nb.njit(cache=True, nogil=True, error_model="numpy")
 def _following_force(
-    static: FloatArray,
-    stiffness: FloatArray,
-    depth: float,
-    surface: float,
-    decayed: FloatArray,
-    gain: FloatArray,
-    y: float,
+    law: FloatArray, at: int, state: FloatArray, first: int, y: float
 ) -> tuple[float, float]:
-    """Force on a surface that moves linearly from ``surface`` to ``y`` in this step, and its slope by y."""
-    force, slope = _continued(static, y, depth)
-    for j in range(decayed.size):
-        state = decayed[j] + gain[j] * (y - surface)
-        k, dk = _continued(stiffness[j], y, depth)
-        force += k * state
-        slope += dk * state + k * gain[j]
+    """Force on a surface that moves linearly to ``y`` in this step, and its slope by y."""
+    depth = law[at + _DEPTH]
+    force, slope = _continued(law, at + _STATIC, _STATIC_SIZE, y, depth)
+    moved = y - state[first + _SURFACE]
+    for j in range(int(law[at + _BRANCHES])):
+        gain = state[first + _GAIN + j]
+        elongation = state[first + _DECAYED + j] + gain * moved
+        k, dk = _continued(law, at + _STIFFNESS + j * _STIFFNESS_SIZE, _STIFFNESS_SIZE, y, depth)
+        force += k * elongation
+        slope += dk * elongation + k * gain
     return force, slope
 
 
-@nb.njit(cache=True, nogil=True)
-def _force_free_surface(
-    static: FloatArray,
-    stiffness: FloatArray,
-    depth: float,
-    surface: float,
-    target: float,
-    decayed: FloatArray,
-    gain: FloatArray,
-) -> float:
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _force_free_surface(law: FloatArray, at: int, state: FloatArray, first: int, target: float) -> float:
     """Position deeper than ``target`` at which a free surface ends this step: bracketed Newton.
 
     The force at ``target`` is negative.  Where a fast branch still pushes while a slow one pulls, or
     where the force falls with depth, the surface may even have to end deeper than it started.
     """
+    depth = law[at + _DEPTH]
     low = target
-    high = max(surface, target)
+    high = max(state[first + _SURFACE], target)
     width = 1e-3 * depth
-    force, slope = _following_force(static, stiffness, depth, surface, decayed, gain, high)
+    force, slope = _following_force(law, at, state, first, high)
     for _ in range(MAX_DETACHED_ITERATIONS):
         if force >= 0.0:
             break
         low = high
         high += width
         width *= 2.0
-        force, slope = _following_force(static, stiffness, depth, surface, decayed, gain, high)
+        force, slope = _following_force(law, at, state, first, high)
     y = high
     resolution = 1e-14 * depth
     for _ in range(MAX_DETACHED_ITERATIONS):
@@ -197,23 +216,12 @@ def _force_free_surface(
         if not low < candidate < high:
             candidate = 0.5 * (low + high)
         y = candidate
-        force, slope = _following_force(static, stiffness, depth, surface, decayed, gain, y)
-    return y
+        force, slope = _following_force(law, at, state, first, y)
+    return float(y)
 
 
-@nb.njit(cache=True, nogil=True)
-def tissue_step_in(
-    static: FloatArray,
-    stiffness: FloatArray,
-    tau: FloatArray,
-    depth: float,
-    surface: float,
-    states: FloatArray,
-    x: float,
-    h: float,
-    decayed: FloatArray,
-    gain: FloatArray,
-) -> tuple[float, float]:
+@nb.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def tissue_step_in(law: FloatArray, at: int, state: FloatArray, first: int, x: float, h: float) -> float:
     """Advance the tissue by one step under a tool that can push but not pull.
 
     Unilateral contact (model.md 1.2, derived): force >= 0, surface >= tool, and one of the two is an
@@ -223,46 +231,72 @@ def tissue_step_in(
 
     Parameters
     ----------
-    static : ndarray, shape (4,)
-        Coefficients of F_s by powers of x, constant term first (0) [N/mm^k].
-    stiffness : ndarray, shape (branches, degree + 1)
-        Coefficients of K_j by powers of x [N/mm^(k+1)].
-    tau : ndarray, shape (branches,)
-        Relaxation times [s].
-    depth : float
-        Largest identified depth [mm]; the law is continued beyond it.
-    surface : float
-        Surface position at the start of the step [mm].
-    states : ndarray, shape (branches,)
-        Branch states [mm]; **updated in place**.
+    law : ndarray
+        Holds what :func:`pack_law` wrote, from index ``at``.
+    at : int
+    state : ndarray
+        Holds :data:`STATE_SIZE` numbers from index ``first``: the surface [mm], the branch states [mm],
+        and room to work in; all zero at rest.  **Updated in place.**
+    first : int
     x : float
         Tool position at the end of the step [mm]; negative is in air.
     h : float
         Measured step [s].
-    decayed, gain : ndarray, shape (branches,)
-        Room to work in, so that a loop allocates nothing.
 
     Returns
     -------
-    force, surface : float
-        Force on the tool [N], never negative, and the new surface position [mm], never negative.
+    float
+        Force on the tool [N], never negative.
     """
-    n = states.size
+    n = int(law[at + _BRANCHES])
     target = max(x, 0.0)
     for j in range(n):
-        a, phi = step_weights(h, tau[j])
-        decayed[j] = a * states[j]
-        gain[j] = phi
-    force, _slope = _following_force(static, stiffness, depth, surface, decayed, gain, target)
+        a, phi = step_weights(h, law[at + _TAU + j])
+        state[first + _DECAYED + j] = a * state[first + _STATES + j]
+        state[first + _GAIN + j] = phi
+    force, _slope = _following_force(law, at, state, first, target)
     y = target
     if force < 0.0 and n > 0:
-        y = _force_free_surface(static, stiffness, depth, surface, target, decayed, gain)
+        y = _force_free_surface(law, at, state, first, target)
+    moved = y - state[first + _SURFACE]
     for j in range(n):
-        states[j] = decayed[j] + gain[j] * (y - surface)
-        if abs(states[j]) < FLUSH_MM:
-            states[j] = 0.0
+        elongation = state[first + _DECAYED + j] + state[first + _GAIN + j] * moved
+        state[first + _STATES + j] = elongation if abs(elongation) >= FLUSH_MM else 0.0
+    state[first + _SURFACE] = y
     # a tool in air touches nothing, even where rounding leaves a force at the rest level
-    return (max(force, 0.0) if x >= 0.0 else 0.0), y
+    return max(force, 0.0) if x >= 0.0 else 0.0
+
+
+@nb.njit(cache=True, nogil=True)
+def pack_law(
+    static: FloatArray, stiffness: FloatArray, tau: FloatArray, depth: float, law: FloatArray, at: int
+) -> None:
+    """Write a law in its flat form.
+
+    Parameters
+    ----------
+    static : ndarray, shape (4,)
+        Coefficients of F_s by powers of x, constant term first (0) [N/mm^k].
+    stiffness : ndarray, shape (branches, degree + 1)
+        Coefficients of K_j by powers of x [N/mm^(k+1)]; at most 3 branches, degree at most 2.
+    tau : ndarray, shape (branches,)
+        Relaxation times [s].
+    depth : float
+        Largest identified depth [mm]; the law is continued beyond it.
+    law : ndarray
+        Written from index ``at``, :data:`LAW_SIZE` numbers.
+    at : int
+    """
+    for k in range(LAW_SIZE):
+        law[at + k] = 0.0
+    law[at + _DEPTH] = depth
+    law[at + _BRANCHES] = tau.size
+    for k in range(_STATIC_SIZE):
+        law[at + _STATIC + k] = static[k]
+    for j in range(min(tau.size, _MOST_BRANCHES)):
+        law[at + _TAU + j] = tau[j]
+        for k in range(stiffness.shape[1]):
+            law[at + _STIFFNESS + j * _STIFFNESS_SIZE + k] = stiffness[j, k]
 
 
 @nb.njit(cache=True, nogil=True)
@@ -276,10 +310,34 @@ def tissue_step(
     x: float,
     h: float,
 ) -> tuple[float, float]:
-    """:func:`tissue_step_in` with room of its own: the same step, where an allocation does no harm."""
-    decayed = np.empty(states.size)
-    gain = np.empty(states.size)
-    return tissue_step_in(static, stiffness, tau, depth, surface, states, x, h, decayed, gain)
+    """:func:`tissue_step_in` for a law in its parts.
+
+    Parameters
+    ----------
+    static, stiffness, tau, depth
+        As in :func:`pack_law`.
+    surface : float
+        Surface position at the start of the step [mm].
+    states : ndarray, shape (branches,)
+        Branch states [mm]; **updated in place**.
+    x, h : float
+        As in :func:`tissue_step_in`.
+
+    Returns
+    -------
+    force, surface : float
+        Force on the tool [N], never negative, and the new surface position [mm], never negative.
+    """
+    law = np.empty(LAW_SIZE)
+    pack_law(static, stiffness, tau, depth, law, 0)
+    state = np.zeros(STATE_SIZE)
+    state[_SURFACE] = surface
+    for j in range(states.size):
+        state[_STATES + j] = states[j]
+    force = tissue_step_in(law, 0, state, 0, x, h)
+    for j in range(states.size):
+        states[j] = state[_STATES + j]
+    return force, state[_SURFACE]
 
 
 @nb.njit(cache=True, nogil=True)
@@ -296,7 +354,7 @@ def surface_path(
     Parameters
     ----------
     static, stiffness, tau, depth
-        As in :func:`tissue_step_in`.
+        As in :func:`pack_law`.
     time_s, tool_mm : ndarray, shape (n,)
         Non-decreasing times [s] and tool position [mm], negative in air.
 
@@ -308,11 +366,13 @@ def surface_path(
     n = time_s.size
     surface = np.empty(n)
     force = np.empty(n)
-    states = np.zeros(tau.size)
+    law = np.empty(LAW_SIZE)
+    pack_law(static, stiffness, tau, depth, law, 0)
+    state = np.zeros(STATE_SIZE)
     surface[0] = max(tool_mm[0], 0.0)
-    force[0] = _continued(static, surface[0], depth)[0] if tool_mm[0] >= 0.0 else 0.0
+    state[_SURFACE] = surface[0]
+    force[0] = _continued(law, _STATIC, _STATIC_SIZE, surface[0], depth)[0] if tool_mm[0] >= 0.0 else 0.0
     for i in range(1, n):
-        force[i], surface[i] = tissue_step(
-            static, stiffness, tau, depth, surface[i - 1], states, tool_mm[i], time_s[i] - time_s[i - 1]
-        )
+        force[i] = tissue_step_in(law, 0, state, 0, tool_mm[i], time_s[i] - time_s[i - 1])
+        surface[i] = state[_SURFACE]
     return surface, force
