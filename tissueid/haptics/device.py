@@ -1,0 +1,392 @@
+"""A device that can be felt: what a backend writes, and what it can't get round.
+
+A backend overrides ``detect``, ``capabilities``, ``_open``, ``_close``, ``_read`` and ``_write``, and no
+more.  ``open``, ``close``, ``read`` and ``write_force`` are final: every force goes through
+:func:`tissueid.haptics.guard.guard`, every way out sends zero force.
+
+SI units (m, N, s).  Frame: x right, y up, z out toward the user, origin on the device's axis at its base.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import time
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Self, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.errors import DeviceError
+from tissueid.haptics import guard_states as machine
+from tissueid.haptics.guard import GuardLimits, guard, new_guard, observe, transition
+from tissueid.haptics.states import FAULT_WORDS, Fault, State
+from tissueid.haptics.velocity import velocity_step
+from tissueid.haptics.watchdogs import REPLY_DAMAGED, REPLY_LOST, REPLY_NONE, REPLY_VALID
+
+__all__ = [
+    "FALCON_FD",
+    "FALCON_USB",
+    "FORCE_DIMENSION",
+    "HANDLES_SIZE",
+    "SIMULATED",
+    "ZERO_COMMANDS",
+    "Capabilities",
+    "CompiledIO",
+    "DetectedDevice",
+    "DeviceSample",
+    "HapticDevice",
+]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+#: Commands of zero force on every way out: one lost packet must not leave a torque commanded.
+ZERO_COMMANDS = 20
+
+#: Kinds of :class:`CompiledIO`.
+SIMULATED, FALCON_FD, FALCON_USB, FORCE_DIMENSION = 0, 1, 2, 3
+#: Integers of :attr:`CompiledIO.handles`.
+HANDLES_SIZE = 8
+
+
+@dataclass(frozen=True, slots=True)
+class DetectedDevice:
+    """A device that could be opened, or the reason why not.
+
+    Attributes
+    ----------
+    name : str
+        Name in the registry.
+    where : str
+        USB node, file or "this program".
+    note : str
+        What stands in the way and how to remove it; empty if nothing does.
+    """
+
+    name: str
+    where: str
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceSample:
+    """One reading.
+
+    Attributes
+    ----------
+    time_s : float
+        CLOCK_MONOTONIC [s], or the device's virtual time.
+    position_m : ndarray, shape (3,)
+    counts : ndarray of int64, shape (3,)
+        Encoder counts; zeros where a device has none.
+    buttons : int
+    homed : bool
+    valid : bool
+        Whether a whole reply came; without one the other fields repeat the last.
+    damaged : int
+        Damaged replies dropped since the last reading.
+    """
+
+    time_s: float
+    position_m: FloatArray
+    counts: IntArray
+    buttons: int
+    homed: bool
+    valid: bool
+    damaged: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Capabilities:
+    """What a device can do, and whether anybody measured it.
+
+    Attributes
+    ----------
+    name : str
+    clamp_N : float
+        Largest force the guard lets through [nominal N].
+    calibrated : bool
+        Whether that newton was weighed on this unit.
+    damping_N_s_per_m : float
+        Viscous damping of the arm.
+    delay_ticks : float
+        From a position to the force it causes.
+    workspace_m : tuple of three pairs of float
+        Least and largest x, y and z [m].
+    hardware : bool
+        Whether motors move something: then consent and the dead-man button are asked for.
+    """
+
+    name: str
+    clamp_N: float
+    calibrated: bool
+    damping_N_s_per_m: float
+    delay_ticks: float
+    workspace_m: tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
+    hardware: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class CompiledIO:
+    """What the compiled servo needs to reach a device without Python.
+
+    ====  =====================  ===================================================================
+    kind  handles                constants, memory
+    ====  =====================  ===================================================================
+    0     none                   parameters and memory of :mod:`tissueid.haptics.sim_kernels`
+    1     file descriptor        :data:`~tissueid.haptics.device.UNITS_PER_NM` and the geometry block
+    2     address of             as 1
+          libusb_bulk_transfer,
+          device handle, OUT and
+          IN end points, time-out [ms]
+    3     addresses of           rows of the 3 x 3 rotation from the driver's frame to ours, then its
+          dhdGetPosition,        origin in ours [m]
+          dhdSetForce,
+          dhdGetButtonMask; ID
+    ====  =====================  ===================================================================
+
+    Attributes
+    ----------
+    kind : int
+    handles : ndarray of int64, shape (HANDLES_SIZE,)
+    constants : ndarray
+    memory : ndarray
+        Changed by the loop.
+    """
+
+    kind: int
+    handles: IntArray = field(default_factory=lambda: np.zeros(HANDLES_SIZE, np.int64))
+    constants: FloatArray = field(default_factory=lambda: np.zeros(1))
+    memory: FloatArray = field(default_factory=lambda: np.zeros(1))
+
+
+#: Constants of kinds 1 and 2: motor units for one newton metre, then the geometry block of
+#: :mod:`tissueid.haptics.falcon.kinematic_kernels`.
+UNITS_PER_NM, GEOMETRY = 0, 1
+
+_FINAL = ("open", "close", "read", "write_force", "engage", "disengage")
+
+
+class HapticDevice(ABC):
+    """Base of every device.
+
+    Parameters
+    ----------
+    limits : GuardLimits
+        What the guard lets through.
+
+    Examples
+    --------
+    >>> from tissueid.haptics.registry import open_device
+    >>> with open_device("sim") as device:  # doctest: +SKIP
+    ...     sample = device.read()
+    ...     device.write_force([0.0, 0.0, 0.0], 0.001)
+    """
+
+    #: Name in the registry.
+    name: ClassVar[str] = ""
+
+    def __init__(self, limits: GuardLimits) -> None:
+        self.limits = limits
+        #: Memory of the guard: the compiled servo works on the same.
+        self.guard_memory = new_guard()
+        self._limits = limits.block()
+        self._out = np.zeros(3)
+        self._velocity = np.zeros(3)
+        self._position = np.zeros(3)
+        self._counts = np.zeros(3, np.int64)
+        self._last_s: float | None = None
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        for method in _FINAL:
+            if method in cls.__dict__:
+                msg = f"{cls.__name__}.{method}: final, a device overrides _open, _close, _read and _write"
+                raise TypeError(msg)
+
+    # --- what a backend writes
+
+    @classmethod
+    @abstractmethod
+    def detect(cls) -> list[DetectedDevice]:
+        """Devices of this kind on this machine; never raises for one that is missing or locked."""
+
+    @property
+    @abstractmethod
+    def capabilities(self) -> Capabilities:
+        """What this device can do."""
+
+    @abstractmethod
+    def _open(self) -> None:
+        """Get hold of the device, start its firmware; DeviceError with the way out if that fails."""
+
+    @abstractmethod
+    def _close(self) -> None:
+        """Let go of the device; zero force was sent before."""
+
+    @abstractmethod
+    def _read(self) -> DeviceSample:
+        """Read once, without waiting longer than a tick; OSError or DeviceError if the device is gone."""
+
+    @abstractmethod
+    def _write(self, force_N: FloatArray) -> None:
+        """Send a force [N] that passed the guard; called by :meth:`write_force` and :meth:`close` alone."""
+
+    def compiled(self) -> CompiledIO | None:
+        """What the compiled servo needs, or None: then the loop runs uncompiled and says its rate."""
+        return None
+
+    # --- what nobody overrides
+
+    @property
+    def state(self) -> State:
+        """Where the device stands."""
+        return State(int(self.guard_memory[machine.STATE]))
+
+    @property
+    def fault(self) -> Fault:
+        """Why it went to FAULT."""
+        return Fault(int(self.guard_memory[machine.FAULT]))
+
+    @final
+    def open(self) -> None:
+        """Open the device; it then wants homing, which :meth:`read` watches.
+
+        Raises
+        ------
+        DeviceError
+            It can't be opened, with the way out.
+        """
+        if self.state is not State.CLOSED:
+            msg = f"{self.name}: is open already"
+            raise DeviceError(msg)
+        transition(self.guard_memory, self._limits, machine.OPENED)
+        try:
+            self._open()
+        except BaseException:
+            transition(self.guard_memory, self._limits, machine.SHUT)
+            raise
+        atexit.register(self.close)
+        self._last_s = None
+        transition(self.guard_memory, self._limits, machine.FIRMWARE_OK)
+        transition(self.guard_memory, self._limits, machine.HOME)
+
+    @final
+    def close(self) -> None:
+        """Send zero force :data:`ZERO_COMMANDS` times and let go; harmless on a closed device."""
+        if self.state is State.CLOSED:
+            return
+        transition(self.guard_memory, self._limits, machine.SHUT)
+        atexit.unregister(self.close)
+        for _ in range(ZERO_COMMANDS):
+            # a device that is gone has no torque to take back, and closing must come to its end
+            with contextlib.suppress(OSError, DeviceError):
+                self._write(np.zeros(3))
+        with contextlib.suppress(OSError):
+            self._close()
+
+    @final
+    def read(self) -> DeviceSample:
+        """Read the device and let the watchdogs see it.
+
+        Raises
+        ------
+        DeviceError
+            The device is closed or gone; the guard is then in FAULT.
+        """
+        self._must_be_open()
+        try:
+            sample = self._read()
+        except (OSError, DeviceError) as error:
+            self._watch(REPLY_LOST, None)
+            msg = f"{self.name}: {FAULT_WORDS[Fault.TRANSPORT]} ({error})"
+            raise DeviceError(msg) from error
+        if sample.valid:
+            self._watch(REPLY_VALID, sample)
+        else:
+            self._watch(REPLY_DAMAGED if sample.damaged else REPLY_NONE, sample)
+        return sample
+
+    @final
+    def write_force(self, force_N: Any, dt_s: float) -> FloatArray:
+        """Send a force, as far as the guard allows it.
+
+        Parameters
+        ----------
+        force_N : array_like, shape (3,)
+            Wanted force on the grip [N].
+        dt_s : float
+            Measured time since the last call [s].
+
+        Returns
+        -------
+        ndarray, shape (3,)
+            What was sent [N].
+
+        Raises
+        ------
+        DeviceError
+            The device is closed or gone.
+        ValueError
+            Not three components.
+        """
+        self._must_be_open()
+        force = np.asarray(force_N, np.float64)
+        if force.shape != (3,):
+            msg = f"force_N must have shape (3,), has {force.shape}"
+            raise ValueError(msg)
+        guard(self.guard_memory, self._limits, force, float(dt_s), self._out)
+        try:
+            self._write(self._out)
+        except (OSError, DeviceError) as error:
+            transition(self.guard_memory, self._limits, machine.TRANSPORT_LOST)
+            msg = f"{self.name}: {FAULT_WORDS[Fault.TRANSPORT]} ({error})"
+            raise DeviceError(msg) from error
+        return self._out.copy()
+
+    @final
+    def engage(self) -> None:
+        """Ask for force; it comes once the device is homed, the tool free and the button held."""
+        transition(self.guard_memory, self._limits, machine.ENGAGE)
+
+    @final
+    def disengage(self) -> None:
+        """Take the force away over the dead-man ramp."""
+        transition(self.guard_memory, self._limits, machine.DISENGAGE)
+
+    def __enter__(self) -> Self:
+        self.open()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _must_be_open(self) -> None:
+        if self.state is State.CLOSED:
+            msg = f"{self.name}: is closed; call open() first"
+            raise DeviceError(msg)
+
+    def _watch(self, reply: int, sample: DeviceSample | None) -> None:
+        """Watchdogs of one reading; the depth of the tool is not known here."""
+        now = time.monotonic() if sample is None else sample.time_s
+        dt = 0.0 if self._last_s is None else now - self._last_s
+        first = self._last_s is None
+        moved = np.zeros(3, np.int64)
+        self._last_s = now
+        homed, buttons = False, 0
+        if sample is not None and sample.valid:
+            homed, buttons = sample.homed, sample.buttons
+            # at the end of homing the coordinates jump: nothing moved
+            if first or self.state is State.HOMING:
+                self._position[:] = sample.position_m
+                self._velocity[:] = 0.0
+            else:
+                moved = sample.counts - self._counts
+            velocity_step(self._velocity, sample.position_m, self._position, dt)
+            self._counts[:] = sample.counts
+        observe(
+            self.guard_memory, self._limits, reply, homed, buttons, moved, self._velocity, float("nan"), dt
+        )

@@ -1,0 +1,190 @@
+"""State machine of the guard: its memory, the events that move it, and how it fails.
+
+The memory is one float64 block, so that a compiled loop, a device and a test share it; the indices below
+are its fields.  :mod:`tissueid.haptics.guard` has the force, :mod:`tissueid.haptics.watchdogs` what a tick
+saw.
+"""
+
+from __future__ import annotations
+
+import numba as nb
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.haptics.limits import DEAD_MAN, RAMP_S
+from tissueid.haptics.states import Fault, State
+
+__all__ = ["GUARD_SIZE", "fail", "new_guard", "transition"]
+
+FloatArray = NDArray[np.float64]
+
+#: Fields of the memory: state, fault and lamps as the numbers of :mod:`tissueid.haptics.states`.
+STATE, FAULT, LAMPS = 0, 1, 2
+#: Force that was sent last [N]: 3 values.
+PREVIOUS = 3
+#: Force the fault ramp starts from [N]: 3 values, and the time since the fault [s].
+FAULT_FORCE, FAULT_AGE_S = 6, 9
+#: Velocity of the grip [m/s]: 3 values.
+VELOCITY = 10
+#: Share of the wanted force that is let through, what it does, and how fast it rises [1/s].
+GAIN, PHASE, RISE_RATE = 13, 14, 15
+#: Fault that follows damping alone, and how long it has been damped [s].
+PENDING_FAULT, DAMPED_S = 16, 17
+#: Whether force is wanted at all; |F| the law asked for last [N]; depth of the tool [m].
+WANTED, WANTED_N, PENETRATION = 18, 19, 20
+#: Counters: homed replies in a row, damaged replies in a row, silence [s], counts standing still [s].
+HOMED_REPLIES, DAMAGED, SILENT_S, STILL_S = 21, 22, 23, 24
+#: Force when a count was last seen [N]: 3 values, and the largest change since then [N].
+STILL_FORCE, STILL_CHANGE_N = 25, 28
+#: Mean square of the force [N^2]; 1 where the dead-man button is let go.
+MEAN_SQUARE, LET_GO = 29, 30
+GUARD_SIZE = 32
+
+CLOSED, OPEN, FIRMWARE, HOMING = int(State.CLOSED), int(State.OPEN), int(State.FIRMWARE), int(State.HOMING)
+ARMED, ENGAGED, FAULTED = int(State.ARMED), int(State.ENGAGED), int(State.FAULT)
+_HEARTBEAT, _PARENT_DIED = int(Fault.HEARTBEAT), int(Fault.PARENT_DIED)
+_TRANSPORT = int(Fault.TRANSPORT)
+
+#: Phases of GAIN: up to 1; down, then ARMED; down, then up again; down, then damping, then FAULT.
+RISING, RELEASING, RECOVERING, YIELDING = 0, 1, 2, 3
+
+#: Events of :func:`transition`.
+OPENED, FIRMWARE_OK, HOME, HOMED, ENGAGE, DISENGAGE = 0, 1, 2, 3, 4, 5
+RELEASE, SWAP, HEARTBEAT_LOST, PARENT_DIED, TRANSPORT_LOST, SHUT = 6, 7, 8, 9, 10, 11
+
+#: A force nobody has asked for yet may not engage a device.
+UNKNOWN_N = np.inf
+
+
+def new_guard() -> FloatArray:
+    """Memory of a device that is closed, shape (GUARD_SIZE,)."""
+    memory = np.zeros(GUARD_SIZE)
+    memory[WANTED_N] = UNKNOWN_N
+    return memory
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def fail(memory: FloatArray, fault: int) -> None:
+    """Go to FAULT, once: the first fault is the one that is reported.
+
+    The force that was sent last is where the ramp to zero starts.
+    """
+    if memory[STATE] == FAULTED or memory[STATE] == CLOSED:
+        return
+    memory[STATE] = FAULTED
+    memory[FAULT] = fault
+    memory[FAULT_AGE_S] = 0.0
+    memory[WANTED] = 0.0
+    for i in range(3):
+        memory[FAULT_FORCE + i] = memory[PREVIOUS + i]
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def yield_to(memory: FloatArray, fault: int) -> None:
+    """Damping alone, then FAULT: for faults that leave a device answering with a hand in its grip."""
+    if memory[STATE] != ENGAGED:
+        fail(memory, fault)
+    elif memory[PHASE] != YIELDING:
+        memory[PHASE] = YIELDING
+        memory[PENDING_FAULT] = fault
+        memory[DAMPED_S] = 0.0
+        memory[WANTED] = 0.0
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def engage_now(memory: FloatArray, limits: FloatArray) -> None:
+    """ARMED to ENGAGED, from zero force."""
+    memory[STATE] = ENGAGED
+    memory[PHASE] = RISING
+    memory[GAIN] = 0.0
+    memory[RISE_RATE] = 1.0 / limits[RAMP_S]
+    memory[STILL_S] = 0.0
+    memory[STILL_CHANGE_N] = 0.0
+    for i in range(3):
+        memory[PREVIOUS + i] = 0.0
+        memory[STILL_FORCE + i] = 0.0
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _advance(memory: FloatArray, source: int, target: int) -> bool:
+    """One step of the way up, from ``source`` only."""
+    if memory[STATE] != source:
+        return False
+    memory[STATE] = target
+    return True
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _opened(memory: FloatArray) -> bool:
+    """CLOSED to OPEN, with everything forgotten."""
+    if memory[STATE] != CLOSED:
+        return False
+    memory[:] = 0.0
+    memory[WANTED_N] = UNKNOWN_N
+    memory[STATE] = OPEN
+    return True
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _let_down(memory: FloatArray) -> bool:
+    """Take the force away over the dead-man ramp; back to ARMED at its end."""
+    if memory[STATE] != ENGAGED:
+        return False
+    if memory[PHASE] != YIELDING:
+        memory[PHASE] = RELEASING
+    return True
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def transition(memory: FloatArray, limits: FloatArray, event: int) -> bool:
+    """Tell the guard what happened outside a tick.
+
+    Parameters
+    ----------
+    memory : ndarray, shape (GUARD_SIZE,)
+        Updated in place.
+    limits : ndarray, shape (LIMITS_SIZE,)
+        :meth:`tissueid.haptics.limits.GuardLimits.block`.
+    event : int
+        OPENED, FIRMWARE_OK, HOME (homing begins), HOMED; ENGAGE (force is wanted: it comes once the tool is
+        free or the force small, and the dead-man button is held), DISENGAGE, RELEASE (the button);
+        SWAP (asks whether parameters may be exchanged now, and changes nothing);
+        HEARTBEAT_LOST, PARENT_DIED, TRANSPORT_LOST; SHUT (from any state).
+
+    Returns
+    -------
+    bool
+        Whether the event was accepted in this state.
+    """
+    state = memory[STATE]
+    if event == OPENED:
+        return _opened(memory)
+    if event == FIRMWARE_OK:
+        return _advance(memory, OPEN, FIRMWARE)
+    if event == HOME:
+        memory[HOMED_REPLIES] = 0.0
+        return _advance(memory, FIRMWARE, HOMING)
+    if event == HOMED:
+        return _advance(memory, HOMING, ARMED)
+    if event == ENGAGE:
+        memory[WANTED] = 1.0 if state not in (FAULTED, CLOSED) else 0.0
+        return bool(memory[WANTED] == 1.0)
+    if event == DISENGAGE:
+        memory[WANTED] = 0.0
+        return _let_down(memory)
+    if event == RELEASE:
+        return bool(limits[DEAD_MAN] != 0.0 and _let_down(memory))
+    if event == SWAP:
+        return bool(state != ENGAGED or memory[PENETRATION] <= 0.0)
+    if event == HEARTBEAT_LOST:
+        yield_to(memory, _HEARTBEAT)
+    elif event == PARENT_DIED:
+        fail(memory, _PARENT_DIED)
+    elif event == TRANSPORT_LOST:
+        fail(memory, _TRANSPORT)
+    elif event == SHUT:
+        memory[STATE] = CLOSED
+        memory[PREVIOUS : PREVIOUS + 3] = 0.0
+    else:
+        return False
+    return True

@@ -1,0 +1,204 @@
+"""The way down to the servo: parameters and a heartbeat, never forces.
+
+Two copies of the parameters lie in shared memory.  The owner writes the one that is not in use, then
+publishes a new version with a release store; the servo copies it at a moment of its choosing (no tissue
+touched), looks whether the version is still the same, and says which version it took.  The owner writes the
+next only then, so that no copy is ever read while it is written.
+
+Layout, int64 words: magic, size, version published, version taken, heartbeat, command, then 2 x ``size``
+float64 words.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+from dataclasses import dataclass
+
+import numba as nb
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.errors import DeviceError
+from tissueid.haptics.atomic import load_acquire, store_release
+
+__all__ = [
+    "COMMAND_DISENGAGE",
+    "COMMAND_ENGAGE",
+    "COMMAND_STOP",
+    "ParameterBlock",
+    "beats",
+    "command",
+    "take",
+]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+HEAD_WORDS = 8
+#: "tissparm" as a little-endian integer.
+MAGIC = int.from_bytes(b"tissparm", "little")
+_MAGIC_AT, _SIZE_AT, _PUBLISHED_AT, _TAKEN_AT, _BEAT_AT, _COMMAND_AT = range(6)
+
+#: What the owner wants: no force; force; the end.
+COMMAND_DISENGAGE, COMMAND_ENGAGE, COMMAND_STOP = 0, 1, 2
+
+
+@nb.njit(cache=True, nogil=True)
+def beats(head: IntArray) -> int:
+    """Signs of life so far."""
+    return load_acquire(head[_BEAT_AT : _BEAT_AT + 1])
+
+
+@nb.njit(cache=True, nogil=True)
+def command(head: IntArray) -> int:
+    """What the owner wants: COMMAND_DISENGAGE, COMMAND_ENGAGE or COMMAND_STOP."""
+    return load_acquire(head[_COMMAND_AT : _COMMAND_AT + 1])
+
+
+@nb.njit(cache=True, nogil=True)
+def waiting(head: IntArray) -> bool:
+    """Whether parameters were published that the servo has not taken."""
+    return load_acquire(head[_PUBLISHED_AT : _PUBLISHED_AT + 1]) != head[_TAKEN_AT]
+
+
+@nb.njit(cache=True, nogil=True)
+def take(head: IntArray, values: FloatArray, out: FloatArray) -> int:
+    """Copy the newest parameters.
+
+    Parameters
+    ----------
+    head : ndarray of int64, shape (8,)
+    values : ndarray, shape (2, size)
+    out : ndarray, shape (size,)
+        **Written**.
+
+    Returns
+    -------
+    int
+        Version taken, counted from 1; 0 while none was published.
+    """
+    version = load_acquire(head[_PUBLISHED_AT : _PUBLISHED_AT + 1])
+    source = values[version % 2]
+    for i in range(out.size):
+        out[i] = source[i]
+    store_release(head[_TAKEN_AT : _TAKEN_AT + 1], version)
+    return version
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterBlock:
+    """Shared parameters of one session, mapped into this process.
+
+    Attributes
+    ----------
+    descriptor : int
+        Of the memory; a spawned process gets it by ``pass_fds``.
+    head : ndarray of int64, shape (8,)
+    values : ndarray, shape (2, size)
+    """
+
+    descriptor: int
+    head: IntArray
+    values: FloatArray
+
+    @classmethod
+    def create(cls, size: int) -> ParameterBlock:
+        """A new block for ``size`` parameters.
+
+        Raises
+        ------
+        DeviceError
+            The system has no such memory.
+        """
+        try:
+            descriptor = os.memfd_create("tissueid-parameters", 0)
+            os.ftruncate(descriptor, 8 * (HEAD_WORDS + 2 * size))
+        except (AttributeError, OSError) as error:
+            msg = f"no shared memory for the servo's parameters ({error}); rendering needs Linux with memfd"
+            raise DeviceError(msg) from error
+        # spawned children inherit it by pass_fds alone
+        os.set_inheritable(descriptor, False)
+        block = cls._mapped(descriptor, size)
+        block.head[_SIZE_AT] = size
+        block.head[_MAGIC_AT] = MAGIC
+        return block
+
+    @classmethod
+    def attach(cls, descriptor: int) -> ParameterBlock:
+        """The block behind an inherited descriptor.
+
+        Raises
+        ------
+        DeviceError
+            It is none.
+        """
+        total = os.fstat(descriptor).st_size
+        if total >= 8 * HEAD_WORDS:
+            head = np.frombuffer(os.pread(descriptor, 8 * HEAD_WORDS, 0), np.int64)
+            size = int(head[_SIZE_AT])
+            if head[_MAGIC_AT] == MAGIC and total == 8 * (HEAD_WORDS + 2 * size):
+                return cls._mapped(descriptor, size)
+        msg = f"descriptor {descriptor} is no parameter block of a servo"
+        raise DeviceError(msg)
+
+    @classmethod
+    def _mapped(cls, descriptor: int, size: int) -> ParameterBlock:
+        memory = mmap.mmap(descriptor, 8 * (HEAD_WORDS + 2 * size))
+        return cls(
+            descriptor,
+            np.frombuffer(memory, np.int64, HEAD_WORDS),
+            np.frombuffer(memory, np.float64, 2 * size, 8 * HEAD_WORDS).reshape(2, size),
+        )
+
+    @property
+    def published(self) -> int:
+        """Newest version; 0 before the first."""
+        return int(load_acquire(self.head[_PUBLISHED_AT : _PUBLISHED_AT + 1]))
+
+    @property
+    def taken(self) -> int:
+        """Version the servo renders; 0 before the first."""
+        return int(load_acquire(self.head[_TAKEN_AT : _TAKEN_AT + 1]))
+
+    def write(self, parameters: FloatArray) -> int:
+        """Publish parameters; the servo takes them when nothing is touched.
+
+        Parameters
+        ----------
+        parameters : ndarray, shape (size,)
+
+        Returns
+        -------
+        int
+            Their version.
+
+        Raises
+        ------
+        ValueError
+            Another size, or a number that is not finite.
+        DeviceError
+            The last ones are not taken yet.
+        """
+        if parameters.shape != self.values.shape[1:] or not np.isfinite(parameters).all():
+            msg = f"parameters must be {self.values.shape[1]} finite numbers"
+            raise ValueError(msg)
+        version = self.published
+        if version != self.taken:
+            msg = "the last parameters are still waiting for a moment at which nothing is touched"
+            raise DeviceError(msg)
+        self.values[(version + 1) % 2] = parameters
+        store_release(self.head[_PUBLISHED_AT : _PUBLISHED_AT + 1], version + 1)
+        return version + 1
+
+    def beat(self) -> None:
+        """Give a sign of life; 500 ms without one, and the servo takes the force away."""
+        store_release(self.head[_BEAT_AT : _BEAT_AT + 1], int(self.head[_BEAT_AT]) + 1)
+
+    def order(self, what: int) -> None:
+        """Tell the servo what is wanted: COMMAND_DISENGAGE, COMMAND_ENGAGE or COMMAND_STOP."""
+        store_release(self.head[_COMMAND_AT : _COMMAND_AT + 1], what)
+
+    def close(self) -> None:
+        """Give the descriptor back; the mapping lives as long as its arrays."""
+        os.close(self.descriptor)

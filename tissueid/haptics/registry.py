@@ -1,0 +1,184 @@
+"""Devices and force laws by name: a lazy table, and what other distributions add.
+
+A device named by the user is never replaced by another one; ``auto`` takes the first hardware that can be
+opened, else the simulated device, and says which and why.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+from tissueid.errors import DeviceError, UsageError
+from tissueid.haptics.device import DetectedDevice, HapticDevice
+
+__all__ = [
+    "DEVICES",
+    "DEVICE_GROUP",
+    "ENVIRONMENT_GROUP",
+    "Choice",
+    "choose_device",
+    "detect_all",
+    "device_class",
+    "device_names",
+    "environment_law",
+    "environment_names",
+    "open_device",
+]
+
+#: Entry-point groups of other distributions.
+DEVICE_GROUP = "tissueid.devices"
+ENVIRONMENT_GROUP = "tissueid.environments"
+
+#: name -> "module:class"; imported when asked for.
+DEVICES = {
+    "falcon": "tissueid.haptics.falcon.device:FalconDevice",
+    "forcedimension": "tissueid.haptics.forcedimension:ForceDimensionDevice",
+    "emulator": "tissueid.haptics.falcon.emulator.device:EmulatedFalcon",
+    "replay": "tissueid.haptics.replay:ReplayDevice",
+    "sim": "tissueid.haptics.sim:SimulatedDevice",
+}
+#: Order in which ``auto`` looks for hardware.
+HARDWARE = ("falcon", "forcedimension")
+AUTO = "auto"
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """What ``auto`` or the user took.
+
+    Attributes
+    ----------
+    name : str
+    why : str
+        One sentence for the console and the log.
+    """
+
+    name: str
+    why: str
+
+
+def _plugins(group: str) -> dict[str, EntryPoint]:
+    """Entry points of a group by name; a built-in name is not given away."""
+    return {entry.name: entry for entry in entry_points(group=group) if entry.name not in DEVICES}
+
+
+def device_names() -> list[str]:
+    """Every device that can be named, built in first."""
+    return [*DEVICES, *sorted(_plugins(DEVICE_GROUP))]
+
+
+def environment_names() -> list[str]:
+    """Every force law that another distribution adds."""
+    return sorted(entry.name for entry in entry_points(group=ENVIRONMENT_GROUP))
+
+
+def _loaded(kind: str, name: str, load: Callable[[], Any]) -> Any:
+    """Import what a name stands for, with the plug-in's own failure as the reason."""
+    try:
+        return load()
+    # a plug-in may fail in any way while it is imported, and its author needs to read how
+    except Exception as error:
+        msg = (
+            f"{kind} {name!r} is installed but can't be loaded ({type(error).__name__}: {error}); "
+            "repair or remove the distribution that provides it"
+        )
+        raise DeviceError(msg) from error
+
+
+def device_class(name: str) -> type[HapticDevice]:
+    """The class behind a name.
+
+    Raises
+    ------
+    UsageError
+        No such device; the message lists those there are.
+    DeviceError
+        A plug-in can't be imported, or is no device.
+    """
+    if name in DEVICES:
+        module, _, attribute = DEVICES[name].partition(":")
+        found = getattr(importlib.import_module(module), attribute)
+    else:
+        entry = _plugins(DEVICE_GROUP).get(name)
+        if entry is None:
+            msg = f"no device named {name!r}; there are {', '.join(device_names())} and {AUTO}"
+            raise UsageError(msg)
+        found = _loaded("device", name, entry.load)
+    if not (isinstance(found, type) and issubclass(found, HapticDevice)):
+        msg = f"device {name!r}: its entry point is no subclass of tissueid.haptics.device.HapticDevice"
+        raise DeviceError(msg)
+    return found
+
+
+def environment_law(name: str) -> Callable[..., Any]:
+    """The force law that another distribution registered under a name.
+
+    Raises
+    ------
+    UsageError
+        No such law.
+    DeviceError
+        It can't be imported, or can't be called.
+    """
+    for entry in entry_points(group=ENVIRONMENT_GROUP):
+        if entry.name == name:
+            law = _loaded("force law", name, entry.load)
+            if not callable(law):
+                msg = f"force law {name!r}: its entry point is {type(law).__name__}, not a function"
+                raise DeviceError(msg)
+            return law  # type: ignore[no-any-return]
+    there = ", ".join(environment_names()) or "none"
+    msg = f"no force law named {name!r}; installed: {there} (entry-point group {ENVIRONMENT_GROUP})"
+    raise UsageError(msg)
+
+
+def detect_all() -> Iterator[DetectedDevice]:
+    """Every device found on this machine, with what stands in its way."""
+    for name in device_names():
+        try:
+            yield from device_class(name).detect()
+        except DeviceError as error:
+            yield DetectedDevice(name, "not loaded", error.message)
+
+
+def choose_device(name: str = AUTO) -> Choice:
+    """Which device a name stands for.
+
+    Returns
+    -------
+    Choice
+        The name itself; for ``auto`` the first hardware with nothing in its way, else ``sim``.
+
+    Raises
+    ------
+    UsageError, DeviceError
+        As :func:`device_class`.
+    """
+    if name != AUTO:
+        device_class(name)
+        return Choice(name, f"device {name}: asked for by name")
+    hindered = []
+    for candidate in (*HARDWARE, *sorted(_plugins(DEVICE_GROUP))):
+        for found in device_class(candidate).detect():
+            if not found.note:
+                return Choice(candidate, f"device {candidate}: found at {found.where}")
+            hindered.append(f"{candidate} at {found.where}: {found.note}")
+    why = "; ".join(hindered) or "no haptic device was found"
+    return Choice("sim", f"device sim, simulated: {why}")
+
+
+def open_device(name: str = AUTO, **options: Any) -> HapticDevice:
+    """Make the device that a name stands for; it is opened with ``with`` or ``open()``.
+
+    Parameters
+    ----------
+    name : str
+        As :func:`choose_device`.
+    **options
+        Handed to the device's class.
+    """
+    return device_class(choose_device(name).name)(**options)

@@ -1,0 +1,198 @@
+"""The ring: records of the servo in shared memory, one writer, any number of readers.
+
+The memory is a ``memfd`` whose descriptor a spawned process inherits.  The writer never waits: it fills the
+slot after the newest and then publishes the number of records so far with a release store.  A reader copies
+what is new and then looks at that number again; records that may have been overwritten meanwhile are left
+out and counted, so that it knows by how much it was too slow.
+
+Layout: 64 bytes of head (magic, capacity, published), then ``capacity`` records of 128 bytes.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+from dataclasses import dataclass
+from typing import Any
+
+import numba as nb
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.errors import DeviceError
+from tissueid.haptics.atomic import load_acquire, store_release
+
+__all__ = ["CAPACITY", "RECORD", "Ring", "RingReader", "publish"]
+
+IntArray = NDArray[np.int64]
+
+#: One tick.  ``time_s`` is CLOCK_MONOTONIC or virtual; ``dt_s`` what was measured; ``force_N`` what the guard
+#: let through; ``depth_mm``, ``tissue_force_N`` and ``speed_mm_per_s`` are the tissue's; ``energy_J`` the
+#: passivity observer's; ``late_s`` how late the tick began; ``version`` counts exchanged parameters;
+#: ``missed`` the ticks skipped so far; ``counts`` the encoders.
+RECORD = np.dtype(
+    [
+        ("tick", "<i8"),
+        ("time_s", "<f8"),
+        ("dt_s", "<f8"),
+        ("position_m", "<f8", (3,)),
+        ("force_N", "<f8", (3,)),
+        ("depth_mm", "<f8"),
+        ("tissue_force_N", "<f8"),
+        ("speed_mm_per_s", "<f8"),
+        ("energy_J", "<f8"),
+        ("lamps", "<u4"),
+        ("state", "u1"),
+        ("fault", "u1"),
+        ("buttons", "<u2"),
+        ("late_s", "<f4"),
+        ("version", "<u2"),
+        ("missed", "<u2"),
+        ("counts", "<i2", (3,)),
+        ("label", "<u2"),
+    ]
+)
+#: 65 s at 1 kHz: far more than any reader may sleep.
+CAPACITY = 65_536
+HEAD_BYTES = 64
+#: "tissring" as a little-endian integer.
+MAGIC = int.from_bytes(b"tissring", "little")
+_MAGIC_AT, _CAPACITY_AT, _PUBLISHED_AT = 0, 1, 2
+
+
+@nb.njit(cache=True, nogil=True)
+def publish(head: IntArray, count: int) -> None:
+    """Say that ``count`` records are whole.
+
+    Parameters
+    ----------
+    head : ndarray of int64, shape (8,)
+        :attr:`Ring.head`.
+    count : int
+        Records written since the ring was made.
+    """
+    store_release(head[_PUBLISHED_AT : _PUBLISHED_AT + 1], count)
+
+
+@dataclass(frozen=True, slots=True)
+class Ring:
+    """Shared memory of one session, mapped into this process.
+
+    Attributes
+    ----------
+    descriptor : int
+        Of the memory; a spawned process gets it by ``pass_fds``.
+    head : ndarray of int64, shape (8,)
+    records : ndarray of RECORD, shape (capacity,)
+    """
+
+    descriptor: int
+    head: IntArray
+    records: NDArray[Any]
+
+    @classmethod
+    def create(cls, capacity: int = CAPACITY) -> Ring:
+        """A new ring of ``capacity`` records in anonymous memory.
+
+        Raises
+        ------
+        DeviceError
+            The system has no such memory.
+        """
+        try:
+            descriptor = os.memfd_create("tissueid-ring", 0)
+            os.ftruncate(descriptor, HEAD_BYTES + capacity * RECORD.itemsize)
+        except (AttributeError, OSError) as error:
+            msg = f"no shared memory for the servo's records ({error}); rendering needs Linux with memfd"
+            raise DeviceError(msg) from error
+        # spawned children inherit it by pass_fds alone
+        os.set_inheritable(descriptor, False)
+        ring = cls._mapped(descriptor, capacity)
+        ring.head[_CAPACITY_AT] = capacity
+        ring.head[_MAGIC_AT] = MAGIC
+        return ring
+
+    @classmethod
+    def attach(cls, descriptor: int) -> Ring:
+        """The ring behind an inherited descriptor.
+
+        Raises
+        ------
+        DeviceError
+            It is none.
+        """
+        size = os.fstat(descriptor).st_size
+        if size >= HEAD_BYTES:
+            head = np.frombuffer(os.pread(descriptor, HEAD_BYTES, 0), np.int64)
+            capacity = int(head[_CAPACITY_AT])
+            if head[_MAGIC_AT] == MAGIC and size == HEAD_BYTES + capacity * RECORD.itemsize:
+                return cls._mapped(descriptor, capacity)
+        msg = f"descriptor {descriptor} is no ring of a servo"
+        raise DeviceError(msg)
+
+    @classmethod
+    def _mapped(cls, descriptor: int, capacity: int) -> Ring:
+        memory = mmap.mmap(descriptor, HEAD_BYTES + capacity * RECORD.itemsize)
+        return cls(
+            descriptor,
+            np.frombuffer(memory, np.int64, HEAD_BYTES // 8),
+            np.frombuffer(memory, RECORD, capacity, HEAD_BYTES),
+        )
+
+    @property
+    def published(self) -> int:
+        """Records written since the ring was made."""
+        return int(load_acquire(self.head[_PUBLISHED_AT : _PUBLISHED_AT + 1]))
+
+    def append(self, record: NDArray[Any]) -> None:
+        """Write one record from Python; the servo does the same compiled."""
+        count = self.published
+        self.records[count % self.records.size] = record
+        publish(self.head, count + 1)
+
+    def reader(self, *, from_start: bool = False) -> RingReader:
+        """A reader of its own pace, from now on or from the oldest record."""
+        return RingReader(self, 0 if from_start else self.published)
+
+    def close(self) -> None:
+        """Give the descriptor back; the mapping lives as long as its arrays."""
+        os.close(self.descriptor)
+
+
+class RingReader:
+    """What is new since the last look.
+
+    Parameters
+    ----------
+    ring : Ring
+    position : int
+        Number of the first record to read.
+    """
+
+    def __init__(self, ring: Ring, position: int) -> None:
+        self._ring = ring
+        #: Number of the next record to read.
+        self.position = position
+
+    def read_new(self) -> tuple[NDArray[Any], int]:
+        """Copy what was published since the last call.
+
+        Returns
+        -------
+        records : ndarray of RECORD, shape (n,)
+            Whole records in order; none of them was overwritten while it was copied.
+        overrun : int
+            Records that were lost because this reader came too late.
+        """
+        records = self._ring.records
+        capacity = records.size
+        # the slot after the newest may be half written: capacity - 1 records are safe at any moment
+        count = self._ring.published
+        start = max(self.position, count - (capacity - 1))
+        slots = np.arange(start, count) % capacity
+        copied = records[slots]
+        oldest = self._ring.published - (capacity - 1)
+        late = min(max(oldest - start, 0), copied.size)
+        overrun = start + late - self.position
+        self.position = count
+        return copied[late:], overrun

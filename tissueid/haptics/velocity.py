@@ -1,0 +1,36 @@
+"""Velocity of the grip from positions that encoders rounded."""
+
+from __future__ import annotations
+
+import math
+
+import numba as nb
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["VELOCITY_FILTER_S", "velocity_step"]
+
+FloatArray = NDArray[np.float64]
+
+#: Time constant [s]: one 45 um count in a 1 ms tick, 45 mm/s unfiltered, is then 8 mm/s.
+VELOCITY_FILTER_S = 0.005
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def velocity_step(velocity: FloatArray, position: FloatArray, last: FloatArray, dt: float) -> None:
+    """Low-passed difference quotient, exact for any step.
+
+    Parameters
+    ----------
+    velocity : ndarray, shape (3,)
+        [m/s], updated in place.
+    position, last : ndarray, shape (3,)
+        Position now and at the last tick [m]; ``last`` is set to ``position``.
+    dt : float
+        Measured step [s]; without a positive one nothing changes but ``last``.
+    """
+    share = -math.expm1(-dt / VELOCITY_FILTER_S) if dt > 0.0 else 0.0
+    for i in range(3):
+        if share > 0.0:
+            velocity[i] += share * ((position[i] - last[i]) / dt - velocity[i])
+        last[i] = position[i]

@@ -1,0 +1,203 @@
+"""What a tick saw of the device, and what follows from it."""
+
+from __future__ import annotations
+
+import math
+
+import numba as nb
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.haptics.guard_states import (
+    ARMED,
+    DAMAGED,
+    ENGAGED,
+    FAULTED,
+    HOMED,
+    HOMED_REPLIES,
+    HOMING,
+    LET_GO,
+    PENETRATION,
+    PHASE,
+    PREVIOUS,
+    RELEASE,
+    RELEASING,
+    RISE_RATE,
+    RISING,
+    SILENT_S,
+    STATE,
+    STILL_CHANGE_N,
+    STILL_FORCE,
+    STILL_S,
+    VELOCITY,
+    WANTED,
+    WANTED_N,
+    engage_now,
+    fail,
+    transition,
+    yield_to,
+)
+from tissueid.haptics.limits import (
+    BAD_PACKETS,
+    DEAD_MAN,
+    DEAD_MAN_BUTTONS,
+    ENGAGE_BELOW_N,
+    FROZEN_CHANGE_N,
+    FROZEN_S,
+    HOMED_NEEDED,
+    JUMP_COUNTS,
+    JUMP_S,
+    NO_REPLY_S,
+    OVERSPEED,
+    RAMP_S,
+    STALL_S,
+)
+from tissueid.haptics.states import Fault
+
+__all__ = ["REPLY_DAMAGED", "REPLY_LOST", "REPLY_NONE", "REPLY_VALID", "observe"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+#: What came from the device since the last tick: a whole reply; nothing; only damaged bytes; an error.
+REPLY_VALID, REPLY_NONE, REPLY_DAMAGED, REPLY_LOST = 1, 0, -1, -2
+
+_NO_REPLY, _BAD_PACKETS = int(Fault.NO_REPLY), int(Fault.BAD_PACKETS)
+_TRANSPORT, _FROZEN = int(Fault.TRANSPORT), int(Fault.ENCODER_FROZEN)
+_JUMP, _OVERSPEED, _NOT_HOMED = int(Fault.ENCODER_JUMP), int(Fault.OVERSPEED), int(Fault.NOT_HOMED)
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def observe(
+    memory: FloatArray,
+    limits: FloatArray,
+    reply: int,
+    homed: bool,
+    buttons: int,
+    counts_moved: IntArray,
+    velocity: FloatArray,
+    penetration: float,
+    dt: float,
+) -> None:
+    """Take in what a tick saw, before :func:`tissueid.haptics.guard.guard`.
+
+    Parameters
+    ----------
+    memory, limits : ndarray
+        Of the guard; ``memory`` is updated in place.
+    reply : int
+        REPLY_VALID, REPLY_NONE, REPLY_DAMAGED or REPLY_LOST; only with the first do the next four say
+        anything.
+    homed : bool
+        Whether all legs say that they are homed.
+    buttons : int
+        Bits of the buttons held.
+    counts_moved : ndarray of int64, shape (3,)
+        Encoder counts since the last valid reply.
+    velocity : ndarray, shape (3,)
+        Of the grip [m/s].
+    penetration : float
+        Depth of the tool in what is rendered [m]; NaN where nobody knows.
+    dt : float
+        Time since the last tick [s].
+    """
+    state = memory[STATE]
+    if state < HOMING or state == FAULTED:
+        return
+    # our own stall is not the device's silence: a tick counts for no more than the longest good one
+    step = dt if 0.0 < dt <= limits[STALL_S] else limits[STALL_S]
+    _count_replies(memory, limits, reply, step)
+    if memory[STATE] == FAULTED or reply != REPLY_VALID:
+        return
+    memory[PENETRATION] = penetration
+    for i in range(3):
+        memory[VELOCITY + i] = velocity[i] if math.isfinite(velocity[i]) else 0.0
+    if state == HOMING:
+        memory[HOMED_REPLIES] = memory[HOMED_REPLIES] + 1.0 if homed else 0.0
+        if memory[HOMED_REPLIES] >= limits[HOMED_NEEDED]:
+            transition(memory, limits, HOMED)
+        return
+    _check_motion(memory, limits, homed, counts_moved, velocity, dt)
+    if memory[STATE] == ENGAGED:
+        _check_frozen(memory, limits, counts_moved, step)
+    _dead_man(memory, limits, buttons)
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _count_replies(memory: FloatArray, limits: FloatArray, reply: int, step: float) -> None:
+    """Silence, damage and loss of the transport."""
+    if reply == REPLY_LOST:
+        fail(memory, _TRANSPORT)
+        return
+    if reply == REPLY_VALID:
+        memory[SILENT_S] = 0.0
+        memory[DAMAGED] = 0.0
+        return
+    memory[SILENT_S] += step
+    if reply == REPLY_DAMAGED:
+        memory[DAMAGED] += 1.0
+    if memory[DAMAGED] >= limits[BAD_PACKETS]:
+        fail(memory, _BAD_PACKETS)
+    elif memory[SILENT_S] >= limits[NO_REPLY_S]:
+        fail(memory, _NO_REPLY)
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _check_motion(
+    memory: FloatArray,
+    limits: FloatArray,
+    homed: bool,
+    counts_moved: IntArray,
+    velocity: FloatArray,
+    dt: float,
+) -> None:
+    """Homing lost, a jump, a speed no hand has."""
+    if not homed:
+        fail(memory, _NOT_HOMED)
+        return
+    # after a long tick a hand may have gone further: the limit is a speed, and never less than one tick's
+    allowed = limits[JUMP_COUNTS] * max(1.0, dt / limits[JUMP_S])
+    for i in range(3):
+        if abs(counts_moved[i]) > allowed:
+            fail(memory, _JUMP)
+            return
+    speed2 = velocity[0] * velocity[0] + velocity[1] * velocity[1] + velocity[2] * velocity[2]
+    if memory[STATE] == ENGAGED and not speed2 <= limits[OVERSPEED] * limits[OVERSPEED]:
+        fail(memory, _OVERSPEED)
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _check_frozen(memory: FloatArray, limits: FloatArray, counts_moved: IntArray, step: float) -> None:
+    """Encoders that stand still although the force changed."""
+    if counts_moved[0] != 0 or counts_moved[1] != 0 or counts_moved[2] != 0:
+        memory[STILL_S] = 0.0
+        memory[STILL_CHANGE_N] = 0.0
+        for i in range(3):
+            memory[STILL_FORCE + i] = memory[PREVIOUS + i]
+        return
+    memory[STILL_S] += step
+    change2 = 0.0
+    for i in range(3):
+        change = memory[PREVIOUS + i] - memory[STILL_FORCE + i]
+        change2 += change * change
+    memory[STILL_CHANGE_N] = max(memory[STILL_CHANGE_N], math.sqrt(change2))
+    if memory[STILL_S] >= limits[FROZEN_S] and memory[STILL_CHANGE_N] > limits[FROZEN_CHANGE_N]:
+        yield_to(memory, _FROZEN)
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _dead_man(memory: FloatArray, limits: FloatArray, buttons: int) -> None:
+    """Release and engage: both want the button, and engaging a free tool or a small force."""
+    held = limits[DEAD_MAN] == 0.0 or (buttons & int(limits[DEAD_MAN_BUTTONS])) != 0
+    memory[LET_GO] = 0.0 if held else 1.0
+    if memory[STATE] == ENGAGED:
+        if not held:
+            transition(memory, limits, RELEASE)
+        elif memory[PHASE] == RELEASING and memory[WANTED] == 1.0:
+            memory[PHASE] = RISING
+            memory[RISE_RATE] = 1.0 / limits[RAMP_S]
+    elif memory[STATE] == ARMED and held and memory[WANTED] == 1.0:
+        # an unknown depth (NaN) is not a free tool
+        free = memory[PENETRATION] <= 0.0 or memory[WANTED_N] < limits[ENGAGE_BELOW_N]
+        if free:
+            engage_now(memory, limits)
