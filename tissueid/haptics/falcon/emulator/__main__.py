@@ -1,0 +1,98 @@
+"""An emulated Falcon on a pseudo-terminal: ``python -m tissueid.haptics.falcon.emulator``."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import sys
+import threading
+
+import numpy as np
+
+from tissueid.errors import TissueidError
+from tissueid.haptics.falcon.emulator.faults import FAULT_KINDS, parse_fault
+from tissueid.haptics.falcon.emulator.links import READY_LINE, EmulatedLink
+from tissueid.haptics.falcon.emulator.machine import EmulatorSettings
+from tissueid.haptics.hand import PRESETS, Hand, preset, scripted_hand
+
+#: Surface that the hand of an emulator aims at [m]: the middle of the workspace, seen from the user.
+SURFACE_M = np.array([0.0, 0.0, 0.130])
+INWARD = np.array([0.0, 0.0, -1.0])
+
+
+def _arguments(given: list[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="python -m tissueid.haptics.falcon.emulator",
+        description="A Falcon that is computed, on a pseudo-terminal. No real device has confirmed it.",
+    )
+    parser.add_argument(
+        "--no-firmware", action="store_true", help="switched on without firmware, as a real one"
+    )
+    parser.add_argument("--failing-tries", type=int, default=0, help="uploads that fail before one succeeds")
+    parser.add_argument("--never-homes", action="store_true", help="the emulated user does not home it")
+    parser.add_argument("--hand", choices=PRESETS, help="what the hand does after homing")
+    parser.add_argument(
+        "--depth-mm", type=float, default=10.0, help="depth the hand aims at [mm of the device]"
+    )
+    parser.add_argument("--surface-mm", type=float, default=130.0, help="z of the surface it aims at [mm]")
+    parser.add_argument("--script", help='carried like a machine: "indent 8 mm at 250 mm/min; hold 2 s"')
+    parser.add_argument("--motion-scale", type=float, default=5.0, help="device travel over tissue depth")
+    parser.add_argument(
+        "--fault",
+        action="append",
+        default=[],
+        metavar="KIND@SECONDS[:SIZE][/DURATION]",
+        help=f"one of: {', '.join(FAULT_KINDS)}",
+    )
+    parser.add_argument("--until-eof", action="store_true", help="end when standard input does")
+    return parser.parse_args(given)
+
+
+def _hand(options: argparse.Namespace) -> Hand | None:
+    surface = SURFACE_M.copy()
+    surface[2] = options.surface_mm * 1e-3
+    if options.script is not None:
+        return scripted_hand(
+            options.script, motion_scale=options.motion_scale, surface_m=surface, inward=INWARD
+        )
+    if options.hand is not None:
+        return preset(options.hand, surface_m=surface, inward=INWARD, depth_m=options.depth_mm * 1e-3)
+    return None
+
+
+def main(given: list[str] | None = None) -> int:
+    """Serve until interrupted; returns an exit code of :mod:`tissueid.errors`."""
+    options = _arguments(given)
+    try:
+        settings = EmulatorSettings(
+            hand=_hand(options),
+            firmware_loaded=not options.no_firmware,
+            failing_tries=options.failing_tries,
+            homes=not options.never_homes,
+            faults=tuple(parse_fault(text) for text in options.fault),
+        )
+    except TissueidError as error:
+        sys.stderr.write(f"error: {error}\n")
+        return error.exit_status
+    stop = threading.Event()
+    for sign in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(sign, lambda _number, _frame: stop.set())
+    if options.until_eof:
+        threading.Thread(target=_wait_for_eof, args=(stop,), daemon=True).start()
+    with EmulatedLink(settings, pty=True) as link:
+        sys.stdout.write(f"{READY_LINE}{link.path}\n")
+        sys.stdout.flush()
+        while not stop.wait(0.1) and not link.falcon.gone:
+            pass
+    return 0
+
+
+def _wait_for_eof(stop: threading.Event) -> None:
+    while os.read(sys.stdin.fileno(), 4096):
+        pass
+    stop.set()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,205 @@
+"""Where an emulated Falcon is plugged in: a pseudo-terminal or a socket pair, in a thread or a process.
+
+A pseudo-terminal has a path and a baud rate, and no modem lines; a socket pair has neither, and is what
+timing is tested on.  An unplugged device closes its end, so that a host sees what it would see: an error on
+a terminal, the end of the stream on a socket.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import select
+import socket
+import struct
+import subprocess
+import sys
+import threading
+import time
+import tty
+from collections.abc import Sequence
+from types import TracebackType
+from typing import Self
+
+from tissueid.errors import DeviceError
+from tissueid.haptics.falcon.emulator.machine import EmulatedFalcon, EmulatorSettings
+
+__all__ = ["READY_LINE", "EmulatedLink", "EmulatorProcess", "serve"]
+
+#: Beginning of the line with which an emulator's own process says where it is.
+READY_LINE = "emulated Falcon at "
+#: Longest wait for bytes before the clock and the stop sign are looked at [s].
+LOOK_S = 0.05
+READ_BYTES = 4096
+#: ``struct termios2``, the only place where Linux keeps a rate that has no name.
+TERMIOS2 = struct.Struct("4I20B2I")
+GET_TERMIOS2 = 0x802C542A
+#: Longest wait for an emulator's process to say where it is [s]; its first start compiles.
+START_S = 60.0
+
+
+def _asked_baud(descriptor: int) -> int | None:
+    """Rate a host asked of a pseudo-terminal, by the master's descriptor; None for a socket."""
+    answer = bytearray(TERMIOS2.size)
+    try:
+        fcntl.ioctl(descriptor, GET_TERMIOS2, answer)
+    except OSError:
+        return None
+    return int(TERMIOS2.unpack(answer)[-1])
+
+
+def serve(descriptor: int, falcon: EmulatedFalcon, stop: threading.Event) -> None:
+    """Exchange bytes until the host leaves, the device is unplugged or ``stop`` is set.
+
+    Parameters
+    ----------
+    descriptor : int
+        The device's end.
+    falcon : EmulatedFalcon
+        Its time is the machine's, unless its settings give every command a period.
+    stop : threading.Event
+    """
+    virtual = falcon.settings.period_s is not None
+    last = time.monotonic()
+    while not stop.is_set() and not falcon.gone:
+        readable = select.select([descriptor], [], [], LOOK_S)[0]
+        now = time.monotonic()
+        if not virtual:
+            falcon.advance(now - last)
+        last = now
+        if not readable:
+            continue
+        try:
+            data = os.read(descriptor, READ_BYTES)
+            if not falcon.running and (baud := _asked_baud(descriptor)) is not None:
+                # bytes that came with the rate of the running firmware belong to it
+                falcon.set_baud(baud)
+            answer = falcon.receive(data)
+            wait = falcon.settings.usb_latency_s + falcon.answer_delay_s
+            if wait > 0.0:
+                time.sleep(wait)
+            if answer:
+                os.write(descriptor, answer)
+        except OSError:
+            return  # the host closed its end
+        if not data:
+            return
+
+
+class EmulatedLink:
+    """An emulated Falcon served by a thread of this process.
+
+    Parameters
+    ----------
+    settings : EmulatorSettings
+    pty : bool
+        On a pseudo-terminal, which has a path; else on a socket pair.
+
+    Examples
+    --------
+    >>> with EmulatedLink(EmulatorSettings(period_s=1e-3)) as link:  # doctest: +SKIP
+    ...     os.write(link.descriptor(), b"<AAAAAAAAAAAAAA>")
+    """
+
+    def __init__(self, settings: EmulatorSettings, *, pty: bool = False) -> None:
+        self.falcon = EmulatedFalcon(settings)
+        self.path: str | None = None
+        if pty:
+            self._device, self._host = os.openpty()
+            tty.setraw(self._host)
+            self.path = os.ttyname(self._host)
+        else:
+            device, host = socket.socketpair()
+            self._device, self._host = device.detach(), host.detach()
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="emulated Falcon", daemon=True)
+
+    def descriptor(self) -> int:
+        """A new descriptor of the host's end; whoever asks closes it."""
+        return os.dup(self._host)
+
+    def _run(self) -> None:
+        try:
+            serve(self._device, self.falcon, self._stop)
+        finally:
+            if self.falcon.gone:
+                # both ends: a terminal hangs up only when its last holder lets go
+                self._close_ends()
+
+    def _close_ends(self) -> None:
+        for descriptor in (self._device, self._host):
+            if descriptor >= 0:
+                os.close(descriptor)
+        self._device = self._host = -1
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Stop serving and close both ends."""
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join()
+        self._close_ends()
+
+
+class EmulatorProcess:
+    """An emulated Falcon in a process of its own, on a pseudo-terminal.
+
+    The process ends with :meth:`close`, and by itself when the program that started it ends.
+
+    Parameters
+    ----------
+    arguments : sequence of str
+        Of ``python -m tissueid.haptics.falcon.emulator``.
+
+    Raises
+    ------
+    DeviceError
+        It did not come up; with what it said.
+    """
+
+    def __init__(self, arguments: Sequence[str] = ()) -> None:
+        self._process = subprocess.Popen(  # noqa: S603 - our own interpreter and module
+            [sys.executable, "-m", "tissueid.haptics.falcon.emulator", "--until-eof", *arguments],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+        )
+        self.path = self._wait_for_path()
+
+    @property
+    def pid(self) -> int:
+        """Process id."""
+        return self._process.pid
+
+    def _wait_for_path(self) -> str:
+        out = self._process.stdout
+        ready = out is not None and select.select([out], [], [], START_S)[0]
+        line = out.readline().decode(errors="replace").strip() if ready and out is not None else ""
+        if not line.startswith(READY_LINE):
+            self._process.kill()
+            said = self._process.communicate()[1].decode(errors="replace").strip().splitlines()
+            msg = f"the emulator did not start: {said[-1] if said else 'it said nothing'}"
+            raise DeviceError(msg)
+        return line.removeprefix(READY_LINE)
+
+    def close(self) -> None:
+        """End the process."""
+        if self._process.poll() is None:
+            self._process.terminate()
+        self._process.communicate()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

@@ -1,0 +1,306 @@
+"""The emulated Falcon itself: bytes in, bytes out, and time in between.
+
+Power-up leaves the encoders at an unknown zero.  A leg is homed once, while homing mode is commanded, the
+grip was pulled out and then pushed in; its encoder then jumps to the true angle.  Homed bits are said only
+while homing mode is commanded, and a command without it forgets the homing, which is the cautious reading of what
+is known.  The user waits for the first homing command: the hand's script and the clock of scripted faults
+begin there, with the pull and the push.
+
+Time goes by ``advance`` (a real clock), or by a fixed period at each command (virtual time), in which case a
+session depends on nothing but its settings.  SI units.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.haptics.arm import POSITION, TIME, Arm, arm_step, new_arm
+from tissueid.haptics.falcon.emulator.bootloader import BootLoader
+from tissueid.haptics.falcon.emulator.faults import ScriptedFault
+from tissueid.haptics.falcon.emulator.geometry import (
+    AZIMUTHS,
+    COUNTS_PER_RAD,
+    LENGTHS,
+    ZERO_RAD,
+    grip_force,
+    leg_angles,
+)
+from tissueid.haptics.falcon.emulator.wire import Command, CommandReader, reply_bytes
+from tissueid.haptics.hand import Hand
+
+__all__ = ["HOME_S", "START_M", "EmulatedFalcon", "EmulatorSettings", "with_homing"]
+
+FloatArray = NDArray[np.float64]
+
+#: Counts beyond which a leg counts as pulled out or pushed in; the stops are near +-1600.
+OUT_COUNTS, IN_COUNTS = 1000.0, -1000.0
+#: Where the grip hangs when the device is switched on [m].
+START_M = (0.0, 0.0, 0.12)
+PULLED_M, PUSHED_M = (0.0, 0.0, 0.178), (0.0, 0.0, 0.080)
+#: Time the emulated user takes to pull out, push in, and pull out again [s].
+HOME_S = 2.4
+#: Longest stretch of time over which the motors' force is held while the arm moves [s].
+HELD_FORCE_S = 1e-3
+#: Control requests of the USB serial chip (falcon.md 2).
+RESET, MODEM, BAUD_DIVISOR = 0, 1, 3
+DTR_HIGH = 0x0101
+DIVISOR_BAUD = {0x4138: 9600, 0x0015: 142_857, 0x0002: 1_500_000}
+
+
+@dataclass(frozen=True, slots=True)
+class EmulatorSettings:
+    """What an emulated Falcon is like.
+
+    Attributes
+    ----------
+    arm : Arm
+    hand : Hand or None
+        What holds the grip after homing; None rests it at the pulled-out end.
+    firmware_loaded : bool
+        Switched on with its firmware running.
+    firmware_bytes : int or None
+        As :class:`~tissueid.haptics.falcon.emulator.bootloader.BootLoader`.
+    failing_tries, silent_hellos : int
+    long_greeting : bool
+    homes : bool
+        False: the user never homes the device.
+    units_per_Nm : float
+        Motor units for one N m of arm torque.
+    motor_delay_s : float
+        Time from a command's arrival to its torque [s].
+    usb_latency_s : float
+        Time after which an answer reaches the host [s]; used by links that have a clock.
+    period_s : float or None
+        Time that goes by at each command (virtual time); None: only by ``advance``.
+    buttons : tuple of (float, int)
+        Times [s] and the button bits from each on.
+    faults : tuple of ScriptedFault
+    """
+
+    arm: Arm = field(default_factory=Arm)
+    hand: Hand | None = None
+    firmware_loaded: bool = True
+    firmware_bytes: int | None = None
+    failing_tries: int = 0
+    silent_hellos: int = 0
+    long_greeting: bool = False
+    homes: bool = True
+    units_per_Nm: float = 6600.0
+    motor_delay_s: float = 5e-4
+    usb_latency_s: float = 0.0
+    period_s: float | None = None
+    buttons: tuple[tuple[float, int], ...] = ((0.0, 0x04),)
+    faults: tuple[ScriptedFault, ...] = ()
+
+
+def with_homing(hand: Hand | None, *, homes: bool = True) -> Hand:
+    """Put the pull and the push of homing before a hand's own motion.
+
+    The grip is then pulled out again, and moved to where the hand starts.
+    """
+    own = hand or Hand((0.0,), (PULLED_M,), (1.0,), stiffness_N_per_m=1000.0)
+    if not homes:
+        return replace(own, times_s=(0.0,), positions_m=(START_M,), grips=(1.0,), rigid=True)
+    times = (0.0, 0.6, 0.8, 1.6, 2.0, HOME_S)
+    places = (START_M, PULLED_M, PULLED_M, PUSHED_M, PULLED_M, PULLED_M)
+    begin = HOME_S + 0.6
+    return replace(
+        own,
+        times_s=(*times, *(begin + time for time in own.times_s)),
+        positions_m=(*places, *own.positions_m),
+        grips=(*(1.0 for _ in times), *own.grips),
+    )
+
+
+class EmulatedFalcon:
+    """One device; see the module for its rules."""
+
+    def __init__(self, settings: EmulatorSettings) -> None:
+        self.settings = settings
+        self.running = settings.firmware_loaded
+        self.lamps: frozenset[str] = frozenset()
+        self.commands = 0
+        self.last_motors = (0, 0, 0)
+        self.gone = False
+        self._boot = BootLoader(
+            firmware_bytes=settings.firmware_bytes,
+            failing_tries=settings.failing_tries,
+            silent_hellos=settings.silent_hellos,
+            long_greeting=settings.long_greeting,
+        )
+        self._reader = CommandReader()
+        self.parameters = with_homing(settings.hand, homes=settings.homes).write(settings.arm.block())
+        self.memory = new_arm(np.array(START_M))
+        self._angles = np.zeros(3)
+        leg_angles(np.array(START_M), LENGTHS, AZIMUTHS, self._angles)
+        # an unknown zero: the counters start at nought wherever the grip hangs
+        self._zero = np.floor((self._angles - ZERO_RAD) * COUNTS_PER_RAD)
+        self._pulled = np.zeros(3, dtype=bool)
+        self._homed = np.zeros(3, dtype=bool)
+        self._waiting = True
+        self._homing_mode = False
+        self._under_way: deque[tuple[float, tuple[int, int, int]]] = deque()
+        self._motors = (0, 0, 0)
+        self._stuck: tuple[int, int, int] | None = None
+        self._spent: set[int] = set()
+        self.answer_delay_s = 0.0
+        self.force_N = np.zeros(3)
+
+    # --- what a test may look at
+    @property
+    def time_s(self) -> float:
+        """Time [s] since homing was first commanded."""
+        return float(self.memory[TIME])
+
+    @property
+    def position_m(self) -> FloatArray:
+        """True position of the grip [m], shape (3,)."""
+        return self.memory[POSITION : POSITION + 3].copy()
+
+    @property
+    def firmware_tries(self) -> int:
+        """Uploads that were begun."""
+        return self._boot.tries
+
+    @property
+    def dropped_bytes(self) -> int:
+        """Bytes of the host that were part of no command."""
+        return self._reader.dropped
+
+    @property
+    def homed_bits(self) -> int:
+        """Bit 0 for leg 1 and so on."""
+        return int(sum(1 << leg for leg in range(3) if self._homed[leg]))
+
+    # --- lines of the serial chip
+    def control(self, request: int, value: int) -> None:
+        """A control request of the USB serial chip, as a libusb transport sends them."""
+        if request == MODEM and value == DTR_HIGH and not self.running:
+            self._boot.restart()
+        elif request == BAUD_DIVISOR and value in DIVISOR_BAUD:
+            self.set_baud(DIVISOR_BAUD[value])
+
+    def set_baud(self, baud: int) -> None:
+        """The host chose a baud rate; that of the running firmware ends an upload."""
+        if self._boot.set_baud(baud) and not self.running:
+            self.running = True
+
+    # --- the wire
+    def receive(self, data: bytes) -> bytes:
+        """Take bytes of the host and return the answer.
+
+        ``gone`` is set where the device was unplugged meanwhile; ``answer_delay_s`` says how late a stalled
+        answer is.
+        """
+        answer = b""
+        if not self.running:
+            answer, complete = self._boot.feed(data)
+            self.running = complete
+            return answer
+        for command in self._reader.feed(data):
+            answer += self._obey(command)
+        return answer
+
+    def _obey(self, command: Command) -> bytes:
+        self.commands += 1
+        if command.homing:
+            self._waiting = False
+        if self.settings.period_s is not None:
+            self.advance(self.settings.period_s)
+        self._homing_mode = command.homing
+        if not command.homing:
+            self._pulled[:] = False
+            self._homed[:] = False
+        self.lamps = command.lamps
+        self.last_motors = command.motors
+        self._under_way.append((self.time_s + self.settings.motor_delay_s, command.motors))
+        return self._answer()
+
+    def _answer(self) -> bytes:
+        counts = self.counts()
+        homed = self.homed_bits if self._homing_mode else 0
+        fault = self._fault()
+        self.answer_delay_s = 0.0
+        kind = None if fault is None else fault.kind
+        if kind != "frozen":
+            self._stuck = None
+        elif self._stuck is None:
+            self._stuck = counts
+        if self._stuck is not None:
+            counts = self._stuck
+        if fault is not None and kind == "jump":
+            counts = (counts[0] + int(fault.size), counts[1], counts[2])
+        if kind == "unhomed":
+            homed &= 0b101
+        packet = reply_bytes(counts, buttons=self._buttons(), homed=homed)
+        return self._spoilt(packet, fault)
+
+    def _spoilt(self, packet: bytes, fault: ScriptedFault | None) -> bytes:
+        """The packet as a fault of the wire leaves it."""
+        kind = None if fault is None else fault.kind
+        if kind == "unplug":
+            self.gone = True
+            return b""
+        if kind == "silence":
+            return b""
+        if kind == "bad packets":
+            return packet[:1] + bytes(letter | 0x80 for letter in packet[1:15]) + packet[15:]
+        if kind == "short":
+            return packet[:13] + packet[15:]
+        if kind == "garbled":
+            return packet[:6] + bytes([packet[6] ^ 0x20]) + packet[7:]
+        if kind == "doubled":
+            return packet + packet
+        if fault is not None and kind == "stall":
+            self.answer_delay_s = fault.size * 1e-3
+        return packet
+
+    def _fault(self) -> ScriptedFault | None:
+        """The first scripted fault that is on; one that spoils a single answer is then used up."""
+        for index, fault in enumerate(self.settings.faults):
+            if not self._waiting and index not in self._spent and fault.active(self.time_s):
+                if fault.once:
+                    self._spent.add(index)
+                return fault
+        return None
+
+    def _buttons(self) -> int:
+        pressed = 0
+        for begin, bits in self.settings.buttons:
+            if self.time_s >= begin:
+                pressed = bits
+        return pressed
+
+    def counts(self) -> tuple[int, int, int]:
+        """Encoder counts as the device knows them: from an unknown zero on a leg that is not homed."""
+        whole = np.floor((self._angles - ZERO_RAD) * COUNTS_PER_RAD)
+        said = np.where(self._homed, whole, whole - self._zero)
+        return int(said[0]), int(said[1]), int(said[2])
+
+    # --- time
+    def advance(self, dt: float) -> None:
+        """Let ``dt`` seconds pass, once homing was commanded."""
+        if self._waiting:
+            return
+        end = self.time_s + dt
+        while self._under_way and self._under_way[0][0] <= end:
+            arrival, motors = self._under_way.popleft()
+            self._move(arrival)
+            self._motors = motors
+        self._move(end)
+
+    def _move(self, until: float) -> None:
+        """Move the arm under the present torques, which push differently as the grip moves."""
+        torque = np.array(self._motors, dtype=np.float64) / -self.settings.units_per_Nm
+        while (left := until - self.time_s) > 1e-12:
+            grip_force(self.position_m, torque, LENGTHS, AZIMUTHS, self.force_N)
+            arm_step(self.memory, self.parameters, self.force_N, min(left, HELD_FORCE_S))
+            leg_angles(self.position_m, LENGTHS, AZIMUTHS, self._angles)
+        if self._homing_mode:
+            true = (self._angles - ZERO_RAD) * COUNTS_PER_RAD
+            self._pulled |= true > OUT_COUNTS
+            self._homed |= self._pulled & (true < IN_COUNTS)

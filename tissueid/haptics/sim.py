@@ -1,0 +1,248 @@
+"""A device that is computed: an arm in a hand, behind encoders that round and a wire that delays.
+
+Guarantees
+    * Two devices with equal settings and equal forces give equal samples, bit for bit, on one machine.
+    * In virtual time nothing reads a clock: a sample depends on the settings and on the forces written, and
+      each ``write_force`` lets one period pass, however long it really took.
+    * A force written at a tick is felt ``delay_ticks`` periods later (fractions change it within a tick), and
+      until the next one arrives.
+    * The true position, the force felt and the energies of :mod:`tissueid.haptics.arm` can be read exactly.
+    * Nothing moves, needs no rights and can't hurt.
+
+Limits
+    * The arm has one mass in all directions, no gravity, no stops, no play and no flexible parts.
+    * Position is rounded along x, y and z, not at the legs' encoders; use the emulator for those.
+    * No bytes are exchanged: no packet is lost, damaged or late.
+    * In real time the arm moves only when it is read, so that it sees the loop's jitter, and two runs differ.
+    * It shows nothing about a real device that its assumed mass, damping and friction do not hold.
+
+SI units; frame: x right, y up, z out toward the user.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tissueid.haptics.arm import (
+    POINTED,
+    POINTER,
+    POINTER_ON,
+    POSITION,
+    RIGID,
+    TIME,
+    Arm,
+    new_arm,
+    port_energy,
+)
+from tissueid.haptics.device import (
+    SIMULATED,
+    Capabilities,
+    CompiledIO,
+    DetectedDevice,
+    DeviceSample,
+    HapticDevice,
+)
+from tissueid.haptics.hand import Hand
+from tissueid.haptics.limits import GuardLimits
+from tissueid.haptics.sim_kernels import (
+    BUTTONS,
+    DELAY,
+    FELT,
+    HOMED,
+    PHASE,
+    QUANTUM,
+    QUEUE_LENGTH,
+    SIM_PARAMETERS,
+    VALID,
+    new_simulated,
+    simulated_advance,
+    simulated_command,
+    simulated_sample,
+)
+
+__all__ = ["CENTRE_M", "DEFAULT_QUANTUM_M", "SimulatedDevice"]
+
+FloatArray = NDArray[np.float64]
+
+#: One count of a Falcon's encoders is 38 to 48 um at the grip (falcon.md 4).
+DEFAULT_QUANTUM_M = 45e-6
+#: Ticks from a sample to the force it causes, where nothing was measured.
+DEFAULT_DELAY_TICKS = 1.5
+DEFAULT_PERIOD_S = 1e-3
+#: Centre of the largest sphere a Falcon reaches, and the radius that is used of it [m] (falcon.md 4).
+CENTRE_M = (0.0, 0.0, 0.130)
+WORKING_RADIUS_M = 0.040
+
+
+class SimulatedDevice(HapticDevice):
+    """Simulated device; the module says what it guarantees and what it does not.
+
+    Parameters
+    ----------
+    limits : GuardLimits, optional
+        5 N and no dead-man button where none are given.
+    arm : Arm, optional
+        Mass, damping and friction.
+    hand : Hand, optional
+        What holds the grip; a resting hand at the centre of the workspace where none is given.
+    real_time : bool
+        Move with ``clock`` instead of with the forces written.
+    quantum_m : float
+        Resolution of the position [m].
+    delay_ticks : float
+        Delay from sample to felt force, in periods.
+    period_s : float
+        Period of the loop that will drive it [s].
+    seed : int
+        Of where the counts lie relative to the workspace.
+    clock : callable
+        Seconds, never falling; for ``real_time``.
+    """
+
+    name = "sim"
+
+    def __init__(
+        self,
+        limits: GuardLimits | None = None,
+        *,
+        arm: Arm | None = None,
+        hand: Hand | None = None,
+        real_time: bool = False,
+        quantum_m: float = DEFAULT_QUANTUM_M,
+        delay_ticks: float = DEFAULT_DELAY_TICKS,
+        period_s: float = DEFAULT_PERIOD_S,
+        seed: int = 0,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        super().__init__(limits or GuardLimits.simulated())
+        if not (quantum_m > 0.0 and period_s > 0.0 and 0.0 <= delay_ticks <= QUEUE_LENGTH - 2):
+            msg = (
+                f"a simulated device needs a positive quantum and period, and a delay of 0 to "
+                f"{QUEUE_LENGTH - 2} ticks; they are {quantum_m}, {period_s} and {delay_ticks}"
+            )
+            raise ValueError(msg)
+        self.arm = arm or Arm()
+        self.hand = hand or Hand((0.0,), (CENTRE_M,), (1.0,))
+        self.period_s = period_s
+        self.delay_ticks = delay_ticks
+        self.real_time = real_time
+        #: Flat blocks of :mod:`tissueid.haptics.sim_kernels`; the compiled servo works on the same.
+        self.parameters = np.zeros(SIM_PARAMETERS)
+        block = self.hand.write(self.arm.block())
+        self.parameters[: block.size] = block
+        self.parameters[QUANTUM] = quantum_m
+        self.parameters[PHASE : PHASE + 3] = np.random.default_rng(seed).random(3)
+        self.parameters[DELAY] = delay_ticks * period_s
+        self.memory = new_simulated(new_arm(self.hand.start_m))
+        self._clock = clock
+        self._clock_s: float | None = None
+        self._place = np.zeros(3)
+        self._said = np.zeros(3, np.int64)
+
+    @classmethod
+    def detect(cls) -> list[DetectedDevice]:
+        """It is always there."""
+        return [DetectedDevice(cls.name, "this program")]
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """Of the arm as it is computed: newtons are exact here."""
+        (x, y, z), r = CENTRE_M, WORKING_RADIUS_M
+        return Capabilities(
+            name=self.name,
+            clamp_N=self.limits.clamp_N,
+            calibrated=True,
+            damping_N_s_per_m=self.arm.damping_N_s_per_m,
+            delay_ticks=self.delay_ticks,
+            workspace_m=((x - r, x + r), (y - r, y + r), (z - r, z + r)),
+            hardware=False,
+        )
+
+    @property
+    def time_s(self) -> float:
+        """Time of the device [s]."""
+        return float(self.memory[TIME])
+
+    @property
+    def true_position_m(self) -> FloatArray:
+        """Position before it is rounded [m], shape (3,)."""
+        return self.memory[POSITION : POSITION + 3].copy()
+
+    @property
+    def felt_force_N(self) -> FloatArray:
+        """Force at the grip now, after the delay [N], shape (3,)."""
+        return self.memory[FELT : FELT + 3].copy()
+
+    @property
+    def port_energy_J(self) -> float:
+        """Energy that went through the true port [J]; see :func:`tissueid.haptics.arm.port_energy`."""
+        return float(port_energy(self.memory))
+
+    def set_pointer(self, position_m: ArrayLike | None) -> None:
+        """Let the hand follow a point, as a pointer on a screen says it; None gives it back to its script.
+
+        Parameters
+        ----------
+        position_m : array_like, shape (3,), or None
+            Where the hand should go [m].
+
+        Raises
+        ------
+        ValueError
+            Not three finite numbers.
+        """
+        if position_m is None:
+            self.parameters[POINTER_ON] = 0.0
+            return
+        point = np.asarray(position_m, dtype=np.float64)
+        if point.shape != (3,) or not np.isfinite(point).all():
+            msg = f"a pointer needs three finite coordinates, not {position_m!r}"
+            raise ValueError(msg)
+        if self.parameters[POINTER_ON] == 0.0:
+            # from where the hand is, not from where its script began
+            self.memory[POINTED : POINTED + 3] = self.memory[POSITION : POSITION + 3]
+        self.parameters[POINTER : POINTER + 3] = point
+        self.parameters[POINTER_ON] = 1.0
+        self.parameters[RIGID] = 0.0
+
+    def press(self, buttons: int) -> None:
+        """Hold these buttons from now on."""
+        self.parameters[BUTTONS] = buttons
+
+    def compiled(self) -> CompiledIO:
+        """The blocks of this device, for a compiled loop."""
+        return CompiledIO(SIMULATED, constants=self.parameters, memory=self.memory)
+
+    def _open(self) -> None:
+        self._clock_s = None
+
+    def _close(self) -> None:
+        """Nothing to let go of."""
+
+    def _read(self) -> DeviceSample:
+        if self.real_time:
+            now = self._clock()
+            if self._clock_s is not None:
+                simulated_advance(self.memory, self.parameters, now - self._clock_s)
+            self._clock_s = now
+        said = simulated_sample(self.memory, self.parameters, self._place, self._said)
+        if said < 0:
+            msg = "unplugged by a scripted fault"
+            raise OSError(msg)
+        return DeviceSample(
+            time_s=self.time_s,
+            position_m=self._place.copy(),
+            counts=self._said.copy(),
+            buttons=int(self.parameters[BUTTONS]),
+            homed=bool(said & HOMED),
+            valid=bool(said & VALID),
+        )
+
+    def _write(self, force_N: FloatArray) -> None:
+        simulated_command(self.memory, self.parameters, force_N)
+        if not self.real_time:
+            simulated_advance(self.memory, self.parameters, self.period_s)
