@@ -1,0 +1,188 @@
+"""Passivity observer and controller in the time domain (compiled).
+
+The observer adds up what the rendered force took from the hand, exactly for a force that is held over a
+tick (Hannaford & Ryu, doi 10.1109/70.988969)::
+
+    E[k] = E[k-1] - f[k-1] . (x[k] - x[k-1])
+
+Positions are rounded to encoder counts, so a slow press shows a deficit that no hand ever got back; it is
+allowed for: 1 uJ and k q^2 / 2 for each count q travelled.  Where E falls further the controller brakes::
+
+    f_c = -alpha v,   alpha = (deficit beyond the allowance) / (|v|^2 dt)
+
+with alpha and |f_c| capped and f_c changing by at most 0.5 N in a tick: a controller that kicks is felt as
+what it should prevent.  The ledger of a touch begins with it: what one press dissipated does not pay for
+the next.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+import numba as nb
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.haptics.velocity import velocity_step
+
+__all__ = [
+    "CONTROL_MEMORY_SIZE",
+    "CONTROL_SIZE",
+    "PassivityLimits",
+    "note_sent",
+    "passivity_step",
+]
+
+FloatArray = NDArray[np.float64]
+
+# -- parameters -----------------------------------------------------------------------------------
+CONTROL_SIZE = 6
+#: 0: the observer counts, nothing is corrected.
+ON = 0
+COUNT_M = 1
+STIFFNESS = 2
+LARGEST_DAMPING = 3
+LARGEST_CORRECTION_N = 4
+LARGEST_CHANGE_N = 5
+
+# -- memory ---------------------------------------------------------------------------------------
+CONTROL_MEMORY_SIZE = 20
+STARTED = 0
+POSITION = 1
+SENT = 4
+VELOCITY = 7
+CORRECTION = 10
+#: Energy taken from the hand since the touch began, and since the session began [J].
+TOUCH_J = 13
+TOTAL_J = 14
+ALLOWANCE_J = 15
+#: 1 in ticks that were corrected.
+ACTIVE = 16
+
+#: Deficit that a single rounding of the ledger may show [J].
+SMALLEST_ALLOWANCE_J = 1e-6
+#: Speeds below this have no direction to brake [m/s].
+AT_REST_M_S = 1e-6
+#: No limit may allow more in a tick [N].
+LARGEST_CHANGE_ALLOWED_N = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class PassivityLimits:
+    """What the controller may do.
+
+    Attributes
+    ----------
+    on : bool
+        Without it the observer counts and nothing is corrected.
+    count_m : float
+        Encoder count of the device [m].
+    stiffness_N_per_m : float
+        Largest stiffness felt at the device.
+    largest_damping_N_s_per_m : float
+        Braking coefficient; a hand feels twice a Falcon's own, and 1.5 ticks late it is still stable.
+    largest_correction_N, largest_change_N : float
+        Of the braking force, and of its change in a tick.
+    """
+
+    on: bool = True
+    count_m: float = 45e-6
+    stiffness_N_per_m: float = 500.0
+    largest_damping_N_s_per_m: float = 2.0
+    largest_correction_N: float = 1.0
+    largest_change_N: float = 0.5
+
+    def __post_init__(self) -> None:
+        for entry in fields(self):
+            value = float(getattr(self, entry.name))
+            if not 0.0 <= value < math.inf:
+                msg = f"{entry.name} must be finite and not negative, is {value}"
+                raise ValueError(msg)
+        if self.largest_change_N > LARGEST_CHANGE_ALLOWED_N:
+            msg = (
+                f"largest_change_N is {self.largest_change_N}, at most {LARGEST_CHANGE_ALLOWED_N} is allowed"
+            )
+            raise ValueError(msg)
+
+    def block(self) -> FloatArray:
+        """The limits for the kernel, shape (CONTROL_SIZE,)."""
+        return np.array([float(getattr(self, entry.name)) for entry in fields(self)])
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def passivity_step(
+    memory: FloatArray, parameters: FloatArray, position: FloatArray, force: FloatArray, dt: float
+) -> None:
+    """Count the energy of the last tick and brake where the hand got back more than it gave.
+
+    Parameters
+    ----------
+    memory : ndarray, shape (CONTROL_MEMORY_SIZE,)
+        All zero at first; updated in place.
+    parameters : ndarray, shape (CONTROL_SIZE,)
+        :meth:`PassivityLimits.block`.
+    position : ndarray, shape (3,)
+        [m], as the environment saw it.
+    force : ndarray, shape (3,)
+        Force of the environment [N]; **corrected in place**.
+    dt : float
+        Measured step [s].
+    """
+    travelled = 0.0
+    taken = 0.0
+    if memory[STARTED] > 0.0:
+        for i in range(3):
+            moved = position[i] - memory[POSITION + i]
+            taken -= memory[SENT + i] * moved
+            travelled += moved * moved
+    memory[STARTED] = 1.0
+    # the time constant of the measured velocity: a count in a tick is no speed
+    velocity_step(memory[VELOCITY : VELOCITY + 3], position, memory[POSITION : POSITION + 3], dt)
+    square = 0.0
+    for i in range(3):
+        square += memory[VELOCITY + i] * memory[VELOCITY + i]
+    memory[TOTAL_J] += taken
+    memory[TOUCH_J] += taken
+    count = parameters[COUNT_M]
+    memory[ALLOWANCE_J] += 0.5 * parameters[STIFFNESS] * count * math.sqrt(travelled)
+    deficit = -memory[TOUCH_J] - memory[ALLOWANCE_J]
+    damping = 0.0
+    if parameters[ON] > 0.0 and deficit > 0.0 and square > AT_REST_M_S * AT_REST_M_S and dt > 0.0:
+        damping = min(deficit / (square * dt), parameters[LARGEST_DAMPING])
+    _brake(memory, parameters, damping, math.sqrt(square))
+    if force[0] == 0.0 and force[1] == 0.0 and force[2] == 0.0:
+        # out of contact: what is left of the ledger was dissipated
+        memory[TOUCH_J] = 0.0
+        memory[ALLOWANCE_J] = SMALLEST_ALLOWANCE_J
+    for i in range(3):
+        force[i] += memory[CORRECTION + i]
+        memory[SENT + i] = force[i]
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _brake(memory: FloatArray, parameters: FloatArray, damping: float, speed: float) -> None:
+    """Move the correction toward ``-damping v``, within its size and its change."""
+    scale = -damping
+    if damping * speed > parameters[LARGEST_CORRECTION_N]:
+        scale = -parameters[LARGEST_CORRECTION_N] / speed
+    change = 0.0
+    for i in range(3):
+        difference = scale * memory[VELOCITY + i] - memory[CORRECTION + i]
+        change += difference * difference
+    change = math.sqrt(change)
+    share = 1.0
+    if change > parameters[LARGEST_CHANGE_N]:
+        share = parameters[LARGEST_CHANGE_N] / change
+    memory[ACTIVE] = 0.0
+    for i in range(3):
+        memory[CORRECTION + i] += share * (scale * memory[VELOCITY + i] - memory[CORRECTION + i])
+        if memory[CORRECTION + i] != 0.0:
+            memory[ACTIVE] = 1.0
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def note_sent(memory: FloatArray, sent: FloatArray) -> None:
+    """Tell the observer what the guard really let through [N]: energy is counted on that."""
+    for i in range(3):
+        memory[SENT + i] = sent[i]
