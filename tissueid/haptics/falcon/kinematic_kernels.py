@@ -130,7 +130,13 @@ def inverse_kernel(position: FloatArray, geometry: FloatArray, out: FloatArray) 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
 def _constraints(
-    x: float, y: float, z: float, angles: FloatArray, geometry: FloatArray, error: FloatArray, slope: FloatArray
+    x: float,
+    y: float,
+    z: float,
+    angles: FloatArray,
+    geometry: FloatArray,
+    error: FloatArray,
+    slope: FloatArray,
 ) -> bool:
     """Constraints of the three legs at a position, as lengths [m], and their slopes by the position.
 
@@ -187,7 +193,7 @@ def _determinant(m: FloatArray) -> float:
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
 def _largest(values: FloatArray) -> float:
-    return max(abs(values[0]), abs(values[1]), abs(values[2]))
+    return float(max(abs(values[0]), abs(values[1]), abs(values[2])))
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
@@ -233,10 +239,8 @@ def _same_angles(angles: FloatArray, geometry: FloatArray, position: FloatArray)
     back = np.empty(3)
     if not inverse_kernel(position, geometry, back):
         return False
-    for i in range(3):
-        if not abs(back[i] - angles[i]) <= SAME_ANGLE:
-            return False
-    return True
+    back -= angles
+    return _largest(back) <= SAME_ANGLE
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
@@ -372,5 +376,5 @@ def motor_units(
     for i in range(3):
         # towards zero where it was clipped, so that rounding never exceeds the clamp
         value = scale * torque[i]
-        out[i] = int(value) if clipped else int(math.floor(value + HALF))
+        out[i] = int(value) if clipped else math.floor(value + HALF)
     return clipped

@@ -123,9 +123,7 @@ def jacobian(position_m: ArrayLike, *, geometry: Geometry = DEFAULT_GEOMETRY) ->
     return out
 
 
-def torque(
-    position_m: ArrayLike, force_N: ArrayLike, *, geometry: Geometry = DEFAULT_GEOMETRY
-) -> FloatArray:
+def torque(position_m: ArrayLike, force_N: ArrayLike, *, geometry: Geometry = DEFAULT_GEOMETRY) -> FloatArray:
     """Arm torques that push the hand with a force: ``tau = (dp/dtheta)^T F``, so ``tau.dtheta = F.dp``.
 
     Parameters

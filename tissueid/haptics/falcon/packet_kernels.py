@@ -19,17 +19,23 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.haptics.states import State
+
 __all__ = [
     "BUTTONS",
     "DROPPED",
     "ENCODERS",
     "HOMED",
     "INVALID",
+    "LED_BLUE",
+    "LED_GREEN",
+    "LED_RED",
     "MOTOR_LIMIT",
     "PACKETS",
     "PACKET_BYTES",
     "PARSER_SIZE",
     "encode_into",
+    "leds_of_state",
     "parse_byte",
 ]
 
@@ -39,6 +45,11 @@ ByteArray = NDArray[np.uint8]
 PACKET_BYTES = 16
 #: Largest motor command [motor units].
 MOTOR_LIMIT = 4095
+
+#: LED bits of the wire.  Which colour is which has been read, not seen: no unit confirmed it here.
+LED_GREEN = 0x02
+LED_BLUE = 0x04
+LED_RED = 0x08
 
 START = 0x3C  # '<'
 END = 0x3E  # '>'
@@ -53,6 +64,8 @@ STATUS_AT = 13
 UNKNOWN_AT = 14
 END_AT = 15
 
+_ARMED, _ENGAGED = int(State.ARMED), int(State.ENGAGED)
+
 #: Memory of the automaton, int64: bytes taken of the present candidate, the bytes themselves (by position),
 #: then the fields of the last whole reply and the counters since the memory was made.
 FILLED = 0
@@ -64,6 +77,14 @@ PACKETS = 21
 INVALID = 22
 DROPPED = 23
 PARSER_SIZE = 24
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def leds_of_state(state: int) -> int:
+    """LED bits of a device's state: red until it is homed and after a fault, then green, blue with force."""
+    if state == _ENGAGED:
+        return LED_GREEN | LED_BLUE
+    return LED_GREEN if state == _ARMED else LED_RED
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
@@ -91,7 +112,7 @@ def encode_into(motor: IntArray, leds: int, homing: bool, out: ByteArray) -> Non
         value = motor[i] % RANGE if inside else 0
         for nibble in range(4):
             out[1 + 4 * i + nibble] = OFFSET + ((value >> (4 * nibble)) & 0xF)
-    out[STATUS_AT] = OFFSET + (leds & 0x0E) + (HOMING_BIT if homing else 0)
+    out[STATUS_AT] = OFFSET + (leds & (LED_GREEN | LED_BLUE | LED_RED)) + (HOMING_BIT if homing else 0)
     out[UNKNOWN_AT] = OFFSET
     out[END_AT] = END
 

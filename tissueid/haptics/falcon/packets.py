@@ -18,6 +18,9 @@ from tissueid.haptics.falcon.packet_kernels import (
     ENCODERS,
     HOMED,
     INVALID,
+    LED_BLUE,
+    LED_GREEN,
+    LED_RED,
     MOTOR_LIMIT,
     PACKET_BYTES,
     PACKETS,
@@ -39,10 +42,6 @@ __all__ = [
     "encode_command",
 ]
 
-#: LED bits of the wire.  Which colour is which has been read, not seen: no unit confirmed it here.
-LED_GREEN = 0x02
-LED_BLUE = 0x04
-LED_RED = 0x08
 ALL_LEDS = LED_GREEN | LED_BLUE | LED_RED
 
 #: ``Reply.homed`` with all three legs homed.
@@ -104,9 +103,9 @@ def encode_command(motor_units: Sequence[int] | NDArray[np.int64], *, leds: int,
     if bits & ~ALL_LEDS:
         msg = f"LED bits are 0x02, 0x04 and 0x08, not {bits:#04x}"
         raise ValueError(msg)
-    if not isinstance(homing, (bool, np.bool_)):
+    if homing not in (True, False):
         msg = f"homing is True or False, not {homing!r}"
-        raise ValueError(msg)  # noqa: TRY004 - one kind of error for every bad argument
+        raise ValueError(msg)
     out = np.empty(PACKET_BYTES, dtype=np.uint8)
     encode_into(np.array(motor, dtype=np.int64), bits, bool(homing), out)
     return out.tobytes()

@@ -1,0 +1,201 @@
+"""What was measured on a user's own Falcon, in one small file of the user's configuration directory.
+
+::
+
+    geometry = "stamper"            # legs: "stamper" or "martin-hillier"
+    zero_angle_deg = 35.0           # leg angle at count zero
+    units_per_Nm = 6600.0           # motor units for one N m of arm torque
+    force_calibrated = false        # whether units_per_Nm was weighed
+    damping_N_s_per_m = 0.5         # of the device itself
+    damping_measured = false
+    delay_ticks = 1.5               # from a command to its effect on the next position
+    delay_measured = false
+    confirmed = false               # whether the hardware checklist was passed on this machine
+
+What the file leaves out has the values above.  They are from the literature or assumed, no unit has confirmed
+them, and :attr:`Calibration.clamp_N` is small until a force was weighed.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+import tomllib
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from tissueid.errors import DeviceError
+from tissueid.haptics.falcon.constants import GEOMETRIES, Geometry
+from tissueid.haptics.falcon.packet_kernels import MOTOR_LIMIT
+from tissueid.haptics.limits import UNCALIBRATED_N, WORST_UNITS_PER_NM, uncalibrated_clamp_N
+
+__all__ = ["Calibration", "calibration_path", "load_calibration", "save_calibration"]
+
+#: Motor units per N m: this reproduces the vendor's "more than 8.9 N"; reports range from 3460 to 10 000.
+UNITS_PER_NM = 6600.0
+#: Largest force of a calibrated device [N], and of one whose checklist nobody has gone through.
+CALIBRATED_CLAMP_N = 8.0
+UNCONFIRMED_CLAMP_N = 2.0
+#: Largest arm torque that one newton needs anywhere in the working sphere, a radius of 40 mm about
+#: (0, 0, 0.130), in both geometries [m].
+LONGEST_ARM_M = 0.0921
+#: Ranges of the numbers: outside, the file is refused.
+RANGES = {
+    "zero_angle_deg": (20.0, 65.0),
+    "units_per_Nm": (1000.0, 30_000.0),
+    "damping_N_s_per_m": (0.0, 20.0),
+    "delay_ticks": (0.0, 10.0),
+}
+HEADER = (
+    "# Calibration of a Novint Falcon, written by tissueid devices. Delete it to go back to the presets.\n"
+)
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Numbers of one Falcon; the defaults are assumptions.
+
+    Attributes
+    ----------
+    geometry : str
+        Key of :data:`~tissueid.haptics.falcon.constants.GEOMETRIES`.
+    zero_angle_deg : float
+        Leg angle at count zero.
+    units_per_Nm : float
+        Motor units for one N m of arm torque.
+    force_calibrated : bool
+        Whether ``units_per_Nm`` was weighed on this device.
+    damping_N_s_per_m : float
+        Viscous damping of the device itself, which bounds the stiffness it can render.
+    damping_measured : bool
+    delay_ticks : float
+        From a command to its effect on the next position, in ticks of the servo.
+    delay_measured : bool
+    confirmed : bool
+        Whether the hardware checklist was passed on this machine.
+    """
+
+    geometry: str = "stamper"
+    zero_angle_deg: float = 35.0
+    units_per_Nm: float = UNITS_PER_NM
+    force_calibrated: bool = False
+    damping_N_s_per_m: float = 0.5
+    damping_measured: bool = False
+    delay_ticks: float = 1.5
+    delay_measured: bool = False
+    confirmed: bool = False
+
+    @property
+    def clamp_N(self) -> float:
+        """Largest force the guard lets pass, in newton as computed with :attr:`units_per_Nm`.
+
+        Uncalibrated it is so small that the worst constant known makes at most 5 N of it.
+        """
+        clamp = CALIBRATED_CLAMP_N if self.force_calibrated else uncalibrated_clamp_N(self.units_per_Nm)
+        return clamp if self.confirmed else min(UNCONFIRMED_CLAMP_N, clamp)
+
+    @property
+    def clamp_units(self) -> int:
+        """Largest command of one motor [motor units]."""
+        if self.force_calibrated:
+            return MOTOR_LIMIT
+        return math.floor(LONGEST_ARM_M * UNCALIBRATED_N * WORST_UNITS_PER_NM)
+
+    def legs(self) -> Geometry:
+        """The geometry with the calibrated zero angle."""
+        return GEOMETRIES[self.geometry].with_zero_angle(self.zero_angle_deg)
+
+
+def calibration_path() -> Path:
+    """The file, in the configuration directory of the platform; it need not exist."""
+    if sys.platform == "win32":
+        base = Path(os.environ.get("APPDATA") or Path.home() / "AppData" / "Roaming")
+    elif sys.platform == "darwin":
+        base = Path.home() / "Library" / "Application Support"
+    else:
+        base = Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config")
+    return base / "tissueid" / "falcon.toml"
+
+
+def load_calibration(path: Path | None = None) -> Calibration:
+    """The calibration of this user, or the assumptions where there is no file.
+
+    Raises
+    ------
+    DeviceError
+        For a file that can't be read, an unknown key, a wrong type or a number out of range: it is never
+        replaced by the assumptions, since forces depend on it.
+    """
+    path = calibration_path() if path is None else path
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        return Calibration()
+    except (OSError, UnicodeDecodeError) as error:
+        raise _refusal(path, f"can't be read ({error})") from error
+    try:
+        document = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise _refusal(path, f"is no TOML: {error}") from error
+    known = {field.name: field.default for field in fields(Calibration)}
+    for key, value in document.items():
+        if key not in known:
+            raise _refusal(path, f"has an unknown key {key!r}; known are {', '.join(known)}")
+        document[key] = _checked(path, key, value, known[key])
+    return Calibration(**document)
+
+
+def save_calibration(calibration: Calibration, path: Path | None = None) -> Path:
+    """Write the file whole or not at all.
+
+    Returns
+    -------
+    Path
+        Where it is.
+
+    Raises
+    ------
+    DeviceError
+        If it can't be written, or holds what :func:`load_calibration` would refuse.
+    """
+    from tissueid.store.files import write_file
+
+    path = calibration_path() if path is None else path
+    for key, value in asdict(calibration).items():
+        _checked(path, key, value, getattr(Calibration, key))
+    lines = [f"{key} = {_toml(value)}\n" for key, value in asdict(calibration).items()]
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_file(path, (HEADER + "".join(lines)).encode("utf-8"))
+    except OSError as error:
+        msg = f"{path}: the calibration can't be written ({error.strerror}); set XDG_CONFIG_HOME to a folder"
+        raise DeviceError(msg) from error
+    return path
+
+
+def _checked(path: Path, key: str, value: object, default: object) -> Any:
+    """A value of the right type and in range."""
+    if isinstance(default, bool):
+        if not isinstance(value, bool):
+            raise _refusal(path, f"has {key} = {value!r}, which is neither true nor false")
+        return value
+    if isinstance(default, str):
+        if value not in GEOMETRIES:
+            raise _refusal(path, f"has {key} = {value!r}; known are {', '.join(GEOMETRIES)}")
+        return value
+    low, high = RANGES[key]
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
+        raise _refusal(path, f"has {key} = {value!r}, which is no number from {low:g} to {high:g}")
+    return float(value)
+
+
+def _toml(value: object) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return f'"{value}"' if isinstance(value, str) else repr(value)
+
+
+def _refusal(path: Path, what: str) -> DeviceError:
+    return DeviceError(f"the calibration {path} {what}. Correct it, or delete it to go back to the presets")

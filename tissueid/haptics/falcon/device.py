@@ -1,0 +1,315 @@
+"""The Falcon as a device: transport, firmware, homing, positions and motors behind one guard.
+
+Everything here follows what others reported of the device; no unit has confirmed it.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.errors import DeviceError
+from tissueid.haptics.device import (
+    FALCON_FD,
+    FALCON_USB,
+    HANDLES_SIZE,
+    Capabilities,
+    CompiledIO,
+    DetectedDevice,
+    DeviceSample,
+    HapticDevice,
+)
+from tissueid.haptics.falcon.calibration import Calibration, load_calibration
+from tissueid.haptics.falcon.firmware import Firmware, ensure_running, find_firmware
+from tissueid.haptics.falcon.kinematic_kernels import angles_of_counts, forward_kernel, motor_units
+from tissueid.haptics.falcon.kinematics import GUESS_M
+from tissueid.haptics.falcon.libusb import BULK_IN, BULK_OUT, LibUsb, UsbNode, UsbTransport
+from tissueid.haptics.falcon.packet_kernels import leds_of_state
+from tissueid.haptics.falcon.packets import ALL_HOMED, PacketParser, Reply, encode_command
+from tissueid.haptics.falcon.transport import ByteTransport, FileTransport
+from tissueid.haptics.limits import GuardLimits
+from tissueid.haptics.states import FAULT_WORDS, State
+
+__all__ = ["HOMING_STEPS", "HOMING_TIMEOUT_S", "PULLED_OUT_M", "FalconDevice"]
+
+Tell = Callable[[str], None]
+
+#: What a user does to home a Falcon, in order.
+HOMING_STEPS = (
+    "Homing: pull the grip all the way out, then push it all the way in.",
+    "Now pull the grip out towards you, until the light is green.",
+)
+#: How long homing may take before it is given up [s].
+HOMING_TIMEOUT_S = 60.0
+#: Forces come only after the grip was pulled out this far: the end of homing leaves it deep inside [m].
+PULLED_OUT_M = 0.170
+#: How long a reading waits for a reply [s].
+REPLY_WAIT_S = 0.002
+#: Time-out of a transfer in the compiled loop [ms].
+TRANSFER_TIMEOUT_MS = 2
+#: Pause between two commands of homing [s].
+HOMING_TICK_S = 0.001
+#: Reach of the grip within the stops of the legs [m].
+WORKSPACE_M = ((-0.090, 0.090), (-0.090, 0.090), (0.066, 0.183))
+#: Sustained force the motors are trusted with, as a share of the clamp.
+SUSTAINED_SHARE = 0.75
+
+
+class FalconDevice(HapticDevice):
+    """A Novint Falcon over USB, a serial port, or the emulator's descriptor.
+
+    Parameters
+    ----------
+    limits : GuardLimits, optional
+        By default those of the calibration: at most 2 N until the hardware checklist was passed, with the
+        dead-man button.
+    port : str or int, optional
+        Path of a serial port or pseudo-terminal, or a descriptor of which a copy is used; USB by default.
+    firmware : path, optional
+        Firmware file; by default the environment names it, and only where the device has none.
+    calibration : Calibration, optional
+        By default the user's file.
+    tell : callable, optional
+        Told what happens during a long opening, ``tell(sentence)``.
+    """
+
+    name = "falcon"
+
+    def __init__(
+        self,
+        limits: GuardLimits | None = None,
+        *,
+        port: str | int | None = None,
+        firmware: str | os.PathLike[str] | None = None,
+        calibration: Calibration | None = None,
+        tell: Tell | None = None,
+    ) -> None:
+        self.calibration = load_calibration() if calibration is None else calibration
+        super().__init__(limits_of(self.calibration) if limits is None else limits)
+        self._port = port
+        self._firmware = firmware
+        self._tell: Tell = tell or (lambda _sentence: None)
+        self._geometry = self.calibration.legs().block()
+        self._transport: ByteTransport | None = None
+        self._usb: LibUsb | None = None
+        self._parser = PacketParser()
+        self._invalid = 0
+        self._reply = Reply((0, 0, 0), 0, 0)
+        self._grip = np.array(GUESS_M)
+        self._angles = np.empty(3)
+        self._motor = np.zeros(3, np.int64)
+
+    @classmethod
+    def detect(cls) -> list[DetectedDevice]:
+        """Falcons on the USB; a missing library or permission stands in the note."""
+        try:
+            usb = LibUsb()
+        except DeviceError as error:
+            return [DetectedDevice(cls.name, "USB, not searched", error.message)]
+        try:
+            return [DetectedDevice(cls.name, node.path, _hindrance(usb, node)) for node in usb.falcons()]
+        finally:
+            usb.close()
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """Reach, clamp and calibration."""
+        return Capabilities(
+            name=self.name,
+            clamp_N=self.limits.clamp_N,
+            calibrated=self.calibration.force_calibrated,
+            damping_N_s_per_m=self.calibration.damping_N_s_per_m,
+            delay_ticks=self.calibration.delay_ticks,
+            workspace_m=WORKSPACE_M,
+        )
+
+    def home(self, timeout_s: float = HOMING_TIMEOUT_S) -> None:
+        """Wait for the user to home the device and to pull the grip out, with zero force.
+
+        Tells what to do.  Afterwards the guard is in ARMED.  To be called between ``open`` and the first
+        force; a device that is homed already needs the pulling out only.
+
+        Parameters
+        ----------
+        timeout_s : float
+            For each of the two movements.
+
+        Raises
+        ------
+        DeviceError
+            After the time-out, or when the device is lost.
+        """
+        self._tell(HOMING_STEPS[0])
+        self._await(lambda: self.state is State.ARMED, timeout_s, self._not_homed)
+        self._tell(HOMING_STEPS[1])
+        self._await(lambda: bool(self._grip[2] > PULLED_OUT_M), timeout_s, self._not_pulled)
+
+    def compiled(self) -> CompiledIO | None:
+        """Descriptor or libusb's addresses, for the compiled loop; None when closed."""
+        handles = np.zeros(HANDLES_SIZE, np.int64)
+        if isinstance(self._transport, FileTransport):
+            kind = FALCON_FD
+            handles[0] = self._transport.descriptor
+        elif isinstance(self._transport, UsbTransport):
+            kind = FALCON_USB
+            handles[:5] = (
+                self._transport.bulk_transfer, self._transport.handle, BULK_OUT, BULK_IN,
+                TRANSFER_TIMEOUT_MS,
+            )  # fmt: skip
+        else:
+            return None
+        constants = np.concatenate([[self.calibration.units_per_Nm], self._geometry])
+        return CompiledIO(kind, handles, constants)
+
+    @property
+    def packets(self) -> int:
+        """Whole replies since it was opened."""
+        return self._parser.packets
+
+    @property
+    def damaged_replies(self) -> int:
+        """Replies that began and were none, since it was opened."""
+        return self._parser.invalid
+
+    @property
+    def dropped_bytes(self) -> int:
+        """Bytes that belong to no reply, since it was opened."""
+        return self._parser.dropped
+
+    def _open(self) -> None:
+        self._parser = PacketParser()
+        self._invalid = 0
+        try:
+            self._transport = ensure_running(
+                self._open_transport, self._find_firmware, progress=self._tell_progress
+            )
+            self._command()
+        except BaseException:
+            self._close()
+            raise
+
+    def _close(self) -> None:
+        transport, self._transport = self._transport, None
+        usb, self._usb = self._usb, None
+        if transport is not None:
+            transport.close()
+        if usb is not None:
+            usb.close()
+
+    def _read(self) -> DeviceSample:
+        transport = self._opened()
+        deadline = time.monotonic() + REPLY_WAIT_S
+        replies: list[Reply] = []
+        while not replies and (left := deadline - time.monotonic()) > 0.0:
+            replies = self._parser.feed(transport.read(left))
+        damaged, self._invalid = self._parser.invalid - self._invalid, self._parser.invalid
+        if replies:
+            self._reply = replies[-1]
+        counts = np.array(self._reply.encoders, np.int64)
+        homed = self._reply.homed == ALL_HOMED
+        angles_of_counts(counts, self._geometry, self._angles)
+        found = forward_kernel(self._angles, self._geometry, self._grip) >= 0
+        valid = bool(replies)
+        if valid and homed and not found:
+            # counts that no grip position has: as good as a damaged reply
+            valid, damaged = False, damaged + 1
+        return DeviceSample(
+            time_s=time.monotonic(),
+            position_m=self._grip.copy(),
+            counts=counts,
+            buttons=self._reply.buttons,
+            homed=homed,
+            valid=valid,
+            damaged=damaged,
+        )
+
+    def _write(self, force_N: NDArray[np.float64]) -> None:
+        motor_units(
+            force_N,
+            self._grip,
+            self._geometry,
+            self.calibration.units_per_Nm,
+            self.limits.motor_clamp,
+            self._motor,
+        )
+        self._command()
+
+    def _command(self) -> None:
+        """Send the motor values with the light of the state; homing mode stays, or homing is lost."""
+        self._opened().write(encode_command(self._motor, leds=leds_of_state(int(self.state)), homing=True))
+
+    def _opened(self) -> ByteTransport:
+        if self._transport is None:
+            msg = "the Falcon is closed"
+            raise DeviceError(msg)
+        return self._transport
+
+    def _open_transport(self) -> ByteTransport:
+        if self._port is None:
+            if self._usb is None:
+                self._usb = LibUsb()
+            return self._usb.open()
+        if isinstance(self._port, int):
+            return FileTransport(os.dup(self._port), f"descriptor {self._port}")
+        return FileTransport.open(self._port)
+
+    def _find_firmware(self) -> Firmware:
+        firmware = find_firmware(self._firmware)
+        if firmware.warning is not None:
+            self._tell(firmware.warning)
+        self._tell(f"loading firmware {firmware.path}")
+        return firmware
+
+    def _tell_progress(self, message: str, done: int, _total: int) -> None:
+        if done == 0:
+            self._tell(message)
+
+    def _await(self, reached: Callable[[], bool], timeout_s: float, why_not: Callable[[], str]) -> None:
+        deadline = time.monotonic() + timeout_s
+        zero = np.zeros(3)
+        while not reached():
+            if time.monotonic() > deadline:
+                raise DeviceError(why_not())
+            self.read()
+            if self.state is State.FAULT:
+                msg = f"homing ended: {FAULT_WORDS[self.fault]}"
+                raise DeviceError(msg)
+            self.write_force(zero, HOMING_TICK_S)
+            time.sleep(HOMING_TICK_S)
+
+    def _not_homed(self) -> str:
+        missing = [str(leg + 1) for leg in range(3) if not self._reply.homed >> leg & 1]
+        if not self._parser.packets:
+            return "homing never completed: the device does not answer. Is its power supply plugged in?"
+        which = f"leg {' and '.join(missing)}" if missing else "steadiness"
+        return (
+            f"homing never completed ({which} missing after {self._parser.packets} replies): "
+            "pull the grip all the way out, push it all the way in, and try again"
+        )
+
+    def _not_pulled(self) -> str:
+        return (
+            f"the grip was not pulled out: it is at {1e3 * self._grip[2]:.0f} mm and forces wait for "
+            f"{1e3 * PULLED_OUT_M:.0f} mm. If it is all the way out, set the zero angle (docs/devices.md)"
+        )
+
+
+def limits_of(calibration: Calibration) -> GuardLimits:
+    """Limits of the guard that a calibration allows, with the dead-man button."""
+    clamp = calibration.clamp_N
+    return GuardLimits(
+        clamp_N=clamp, rms_limit_N=SUSTAINED_SHARE * clamp, motor_clamp=calibration.clamp_units, dead_man=True
+    )
+
+
+def _hindrance(usb: LibUsb, node: UsbNode) -> str:
+    """Why a Falcon that is there can't be opened; empty if it can."""
+    try:
+        usb.open(node).close()
+    except DeviceError as error:
+        return error.message
+    return ""

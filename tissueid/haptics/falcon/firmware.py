@@ -1,0 +1,305 @@
+"""Firmware of a Falcon: is it running, and if not, load the user's file into the device.
+
+The firmware lives in the device's RAM and is lost with its power.  None is shipped or downloaded: the
+vendor's licence does not allow it, so the user names a file.  The order of baud rates, lines and bytes is
+that of open drivers; uploads are known to fail at the first try, so they are tried again on a newly opened
+transport, a bounded number of times.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from tissueid.errors import DeviceError
+from tissueid.haptics.falcon.packets import PacketParser, encode_command
+from tissueid.haptics.falcon.transport import (
+    BAUD_HELLO,
+    BAUD_RUN,
+    BAUD_UPLOAD,
+    LATENCY_RUN_MS,
+    LATENCY_UPLOAD_MS,
+    ByteTransport,
+)
+
+__all__ = [
+    "TRIES",
+    "VARIABLE",
+    "Firmware",
+    "UploadError",
+    "ensure_running",
+    "find_firmware",
+    "is_running",
+    "upload",
+]
+
+Progress = Callable[[str, int, int], None]
+
+#: Environment variable that names the file.
+VARIABLE = "TISSUEID_FALCON_FIRMWARE"
+#: Uploads tried, each on a newly opened transport.
+TRIES = 10
+#: First and last digits of the SHA-256 of files that users report to work, with their size [bytes].
+KNOWN = {("1119e39c", "96a1", 8492): "nvent_firmware.bin"}
+#: No firmware of a Falcon is near this long; a wrong file is refused before it is sent [bytes].
+LONGEST = 65_536
+
+HELLO = b"\x0aC\x0d"
+#: Some units put a zero before their answer.
+HELLO_REPLY = b"\x0aD,\x0d"
+HELLO_TRIES = 100
+READY = b"A"
+#: The device echoes every byte; this many are sent before the echo is compared.
+CHUNK = 62
+#: Longest wait for an answer to hello, and for an echo [s].
+HELLO_WAIT_S = 0.05
+ECHO_WAIT_S = 1.0
+#: Presence test: commands sent, and how long each may stay unanswered [s].
+PRESENCE_TRIES = 10
+PRESENCE_WAIT_S = 0.1
+
+
+class UploadError(DeviceError):
+    """One try of an upload failed; another may succeed."""
+
+
+@dataclass(frozen=True)
+class Firmware:
+    """A firmware file.
+
+    Attributes
+    ----------
+    path : Path
+    content : bytes
+    known_as : str or None
+        Name under which the very file is known to work; None is worth a warning.
+    """
+
+    path: Path
+    content: bytes
+    known_as: str | None
+
+    @property
+    def warning(self) -> str | None:
+        """What to tell the user of a file nobody knows."""
+        if self.known_as is not None:
+            return None
+        digest = hashlib.sha256(self.content).hexdigest()
+        return (
+            f"{self.path} is no firmware known to work ({len(self.content)} bytes, sha256 {digest[:12]}...);"
+            " it is sent as it is, since you named it"
+        )
+
+
+def find_firmware(path: str | os.PathLike[str] | None = None) -> Firmware:
+    """The file the user named, by option or environment.
+
+    Parameters
+    ----------
+    path : path, optional
+        Takes precedence over the environment variable :data:`VARIABLE`.
+
+    Raises
+    ------
+    DeviceError
+        If none is named, or it is missing, empty, unreadable or too long.
+    """
+    named = os.fspath(path) if path is not None else os.environ.get(VARIABLE)
+    if not named:
+        msg = (
+            "the Falcon runs no firmware, and no firmware file was named. It can't be shipped with tissueid:"
+            f" take the one of your vendor's driver and name it with --firmware FILE or ${VARIABLE}"
+        )
+        raise DeviceError(msg)
+    file = Path(named)
+    try:
+        content = file.read_bytes()
+    except OSError as error:
+        msg = f"firmware file {file}: {error.strerror or error}; name another with --firmware FILE"
+        raise DeviceError(msg) from error
+    if not 0 < len(content) <= LONGEST:
+        what = "is empty" if not content else f"has {len(content)} bytes, far more than a firmware"
+        msg = f"firmware file {file} {what}; name another with --firmware FILE"
+        raise DeviceError(msg)
+    digest = hashlib.sha256(content).hexdigest()
+    known = next(
+        (
+            name
+            for (first, last, size), name in KNOWN.items()
+            if digest.startswith(first) and digest.endswith(last) and len(content) == size
+        ),
+        None,
+    )
+    return Firmware(file, content, known)
+
+
+def is_running(transport: ByteTransport) -> bool:
+    """Whether the device answers commands, which only its firmware does.
+
+    Sends zero torque in homing mode: a device that was homed stays so.
+
+    Raises
+    ------
+    TransportLost
+    """
+    parser = PacketParser()
+    command = encode_command((0, 0, 0), leds=0, homing=True)
+    transport.purge()
+    for _ in range(PRESENCE_TRIES):
+        transport.write(command)
+        deadline = time.monotonic() + PRESENCE_WAIT_S
+        while (left := deadline - time.monotonic()) > 0.0:
+            if parser.feed(transport.read(left)):
+                return True
+    return False
+
+
+def upload(transport: ByteTransport, content: bytes, progress: Progress | None = None) -> None:
+    """One try to load firmware.
+
+    Parameters
+    ----------
+    transport : ByteTransport
+        Without modem lines (an emulator on a pseudo-terminal) the line and latency steps are left out.
+    content : bytes
+    progress : callable, optional
+        ``progress(message, bytes done, bytes in all)``.
+
+    Raises
+    ------
+    UploadError
+        No answer, or an echo that differs; the device must be opened anew.
+    TransportLost
+    """
+    _say_hello(transport)
+    _get_ready(transport)
+    for start in range(0, len(content), CHUNK):
+        chunk = content[start : start + CHUNK]
+        transport.write(chunk)
+        if _read_exactly(transport, len(chunk), ECHO_WAIT_S) != chunk:
+            msg = (
+                f"the echo of bytes {start} to {start + len(chunk) - 1} of the firmware is missing or differs"
+            )
+            raise UploadError(msg)
+        if progress is not None:
+            progress("firmware", start + len(chunk), len(content))
+    if transport.modem is not None:
+        transport.modem.set_latency(LATENCY_RUN_MS)
+    transport.set_baud(BAUD_RUN)
+    transport.purge()
+
+
+def ensure_running(
+    open_transport: Callable[[], ByteTransport],
+    firmware: Callable[[], Firmware],
+    *,
+    progress: Progress | None = None,
+    tries: int = TRIES,
+) -> ByteTransport:
+    """A transport to a device whose firmware runs, loaded where it did not.
+
+    Parameters
+    ----------
+    open_transport : callable
+        Opens the device; called anew after each failed upload.
+    firmware : callable
+        Finds the file; called only where one is needed.
+    progress : callable, optional
+        As of :func:`upload`; told of every failed try.
+    tries : int
+
+    Returns
+    -------
+    ByteTransport
+        The caller closes it.
+
+    Raises
+    ------
+    DeviceError
+        After ``tries`` failed uploads, with the reason of the last, or what opening raised.
+    """
+    transport = open_transport()
+    try:
+        if is_running(transport):
+            return transport
+        content = firmware().content
+        reason = ""
+        for attempt in range(1, tries + 1):
+            if attempt > 1:
+                transport.close()
+                transport = open_transport()
+            try:
+                upload(transport, content, progress)
+            except UploadError as error:
+                reason = str(error)
+            else:
+                if is_running(transport):
+                    return transport
+                reason = "the device took the firmware but does not answer"
+            if progress is not None:
+                progress(f"firmware, try {attempt} of {tries}: {reason}", 0, len(content))
+    except BaseException:
+        transport.close()
+        raise
+    transport.close()
+    msg = (
+        f"the firmware could not be loaded in {tries} tries; the last: {reason}. Take the Falcon off its "
+        "power for ten seconds, plug it into a port of the computer itself (no hub), and try again"
+    )
+    raise DeviceError(msg)
+
+
+def _say_hello(transport: ByteTransport) -> None:
+    """Reset the device by its modem lines and ask for its loader."""
+    transport.purge()
+    modem = transport.modem
+    if modem is not None:
+        modem.set_latency(LATENCY_UPLOAD_MS)
+    transport.set_baud(BAUD_HELLO)
+    if modem is not None:
+        modem.set_frame()
+        modem.set_rts(on=False)
+        modem.set_dtr(on=False)
+        modem.set_dtr(on=True)
+    received = b""
+    for _ in range(HELLO_TRIES):
+        transport.write(HELLO)
+        deadline = time.monotonic() + HELLO_WAIT_S
+        while (left := deadline - time.monotonic()) > 0.0:
+            received += transport.read(left)
+            # the zero that some units send first stands before it and does not matter
+            if HELLO_REPLY in received:
+                return
+        received = received[-len(HELLO_REPLY) :]
+    msg = f"no answer to {HELLO_TRIES} calls of the loader"
+    raise UploadError(msg)
+
+
+def _get_ready(transport: ByteTransport) -> None:
+    """Go to the speed of the upload."""
+    if transport.modem is not None:
+        transport.modem.set_dtr(on=False)
+    transport.set_baud(BAUD_UPLOAD)
+    transport.write(READY)
+    deadline = time.monotonic() + ECHO_WAIT_S
+    received = b""
+    while (left := deadline - time.monotonic()) > 0.0:
+        received += transport.read(left)
+        # a late answer to an earlier call may stand before it, and has no such byte
+        if received.endswith(READY):
+            return
+    msg = f"the loader answered {received!r} to {READY!r}"
+    raise UploadError(msg)
+
+
+def _read_exactly(transport: ByteTransport, count: int, wait_s: float) -> bytes:
+    """``count`` bytes, or what came in time."""
+    deadline = time.monotonic() + wait_s
+    received = b""
+    while len(received) < count and (left := deadline - time.monotonic()) > 0.0:
+        received += transport.read(left)
+    return received
