@@ -2,9 +2,9 @@
 
 Power-up leaves the encoders at an unknown zero.  A leg is homed once, while homing mode is commanded, the
 grip was pulled out and then pushed in; its encoder then jumps to the true angle.  Homed bits are said only
-while homing mode is commanded, and a command without it forgets the homing, which is the cautious reading of what
-is known.  The user waits for the first homing command: the hand's script and the clock of scripted faults
-begin there, with the pull and the push.
+while homing mode is commanded, and a command without it forgets the homing, which is the cautious reading of
+what is known.  The user waits for the first homing command: the hand's script and the clock of scripted
+faults begin there, with the pull and the push.
 
 Time goes by ``advance`` (a real clock), or by a fixed period at each command (virtual time), in which case a
 session depends on nothing but its settings.  SI units.
