@@ -31,10 +31,10 @@ from tissueid.haptics.falcon.libusb import BULK_IN, BULK_OUT, LibUsb, UsbNode, U
 from tissueid.haptics.falcon.packet_kernels import leds_of_state
 from tissueid.haptics.falcon.packets import ALL_HOMED, PacketParser, Reply, encode_command
 from tissueid.haptics.falcon.transport import ByteTransport, FileTransport
+from tissueid.haptics.homing import HOMING_TIMEOUT_S, await_homed, wait_with_zero_force
 from tissueid.haptics.limits import GuardLimits
-from tissueid.haptics.states import FAULT_WORDS, State
 
-__all__ = ["HOMING_STEPS", "HOMING_TIMEOUT_S", "PULLED_OUT_M", "FalconDevice"]
+__all__ = ["HOMING_STEPS", "PULLED_OUT_M", "FalconDevice"]
 
 Tell = Callable[[str], None]
 
@@ -43,16 +43,12 @@ HOMING_STEPS = (
     "Homing: pull the grip all the way out, then push it all the way in.",
     "Now pull the grip out towards you, until the light is green.",
 )
-#: How long homing may take before it is given up [s].
-HOMING_TIMEOUT_S = 60.0
 #: Forces come only after the grip was pulled out this far: the end of homing leaves it deep inside [m].
 PULLED_OUT_M = 0.170
 #: How long a reading waits for a reply [s].
 REPLY_WAIT_S = 0.002
 #: Time-out of a transfer in the compiled loop [ms].
 TRANSFER_TIMEOUT_MS = 2
-#: Pause between two commands of homing [s].
-HOMING_TICK_S = 0.001
 #: Reach of the grip within the stops of the legs [m].
 WORKSPACE_M = ((-0.090, 0.090), (-0.090, 0.090), (0.066, 0.183))
 #: Sustained force the motors are trusted with, as a share of the clamp.
@@ -144,9 +140,9 @@ class FalconDevice(HapticDevice):
             After the time-out, or when the device is lost.
         """
         self._tell(HOMING_STEPS[0])
-        self._await(lambda: self.state is State.ARMED, timeout_s, self._not_homed)
+        await_homed(self, timeout_s, self._not_homed)
         self._tell(HOMING_STEPS[1])
-        self._await(lambda: bool(self._grip[2] > PULLED_OUT_M), timeout_s, self._not_pulled)
+        wait_with_zero_force(self, lambda: bool(self._grip[2] > PULLED_OUT_M), timeout_s, self._not_pulled)
 
     def compiled(self) -> CompiledIO | None:
         """Descriptor or libusb's addresses, for the compiled loop; None when closed."""
@@ -267,19 +263,6 @@ class FalconDevice(HapticDevice):
     def _tell_progress(self, message: str, done: int, _total: int) -> None:
         if done == 0:
             self._tell(message)
-
-    def _await(self, reached: Callable[[], bool], timeout_s: float, why_not: Callable[[], str]) -> None:
-        deadline = time.monotonic() + timeout_s
-        zero = np.zeros(3)
-        while not reached():
-            if time.monotonic() > deadline:
-                raise DeviceError(why_not())
-            self.read()
-            if self.state is State.FAULT:
-                msg = f"homing ended: {FAULT_WORDS[self.fault]}"
-                raise DeviceError(msg)
-            self.write_force(zero, HOMING_TICK_S)
-            time.sleep(HOMING_TICK_S)
 
     def _not_homed(self) -> str:
         missing = [str(leg + 1) for leg in range(3) if not self._reply.homed >> leg & 1]

@@ -1,0 +1,154 @@
+"""A Falcon driven by the Force Dimension SDK.
+
+The SDK homes the device, computes its kinematics and carries its firmware.  Its frame is mapped to ours here
+and nowhere else; the mapping is from documentation, and no unit has confirmed it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.errors import DeviceError
+from tissueid.haptics.device import (
+    FORCE_DIMENSION,
+    HANDLES_SIZE,
+    Capabilities,
+    CompiledIO,
+    DetectedDevice,
+    DeviceSample,
+    HapticDevice,
+)
+from tissueid.haptics.forcedimension.sdk import Sdk
+from tissueid.haptics.homing import HOMING_TIMEOUT_S, await_homed
+from tissueid.haptics.limits import GuardLimits
+
+__all__ = ["BUTTON_NAMES", "CENTRE_BUTTON", "ORIGIN_M", "ROTATION", "ForceDimensionDevice"]
+
+#: Rows: our axes in the SDK's frame, which has x toward the user, y to the right and z up.
+ROTATION = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+#: The SDK's origin, the middle of the workspace, in our frame [m].
+ORIGIN_M = np.array([0.0, 0.0, 0.130])
+#: Bit of a button in the SDK's mask -> name.
+CENTRE_BUTTON = 0x01
+BUTTON_NAMES = {CENTRE_BUTTON: "centre", 0x02: "minus", 0x04: "forward", 0x08: "plus"}
+#: Reach around the origin [m].
+REACH_M = 0.040
+
+
+class ForceDimensionDevice(HapticDevice):
+    """The first Falcon that the SDK opens.
+
+    Parameters
+    ----------
+    limits : GuardLimits, optional
+        By default at most 2 N with the dead-man button.
+    library : str, optional
+        Path of the SDK's library; searched for by default.
+    tell : callable, optional
+        Told what the user has to do, ``tell(sentence)``.
+    """
+
+    name = "forcedimension"
+
+    def __init__(
+        self,
+        limits: GuardLimits | None = None,
+        *,
+        library: str | None = None,
+        tell: Callable[[str], None] | None = None,
+    ) -> None:
+        super().__init__(GuardLimits(dead_man_buttons=CENTRE_BUTTON) if limits is None else limits)
+        self._library = library
+        self._tell = tell or (lambda _sentence: None)
+        self._sdk: Sdk | None = None
+
+    @classmethod
+    def detect(cls) -> list[DetectedDevice]:
+        """A Falcon that the SDK can open; without the SDK there is nothing to say."""
+        try:
+            sdk = Sdk()
+        except DeviceError:
+            return []
+        try:
+            sdk.open_falcon()
+        except DeviceError:
+            return []
+        sdk.close()
+        return [DetectedDevice(cls.name, sdk.path)]
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """Reach and clamp; damping and delay are assumed."""
+        reach = [(float(middle - REACH_M), float(middle + REACH_M)) for middle in ORIGIN_M]
+        return Capabilities(
+            name=self.name,
+            clamp_N=self.limits.clamp_N,
+            calibrated=False,
+            damping_N_s_per_m=0.5,
+            delay_ticks=1.5,
+            workspace_m=(reach[0], reach[1], reach[2]),
+        )
+
+    def home(self, timeout_s: float = HOMING_TIMEOUT_S) -> None:
+        """Wait, with zero force, until the SDK knows the position.
+
+        Raises
+        ------
+        DeviceError
+            After the time-out.
+        """
+        self._tell("Homing: pull the grip all the way out, then push it all the way in.")
+        await_homed(self, timeout_s)
+
+    def compiled(self) -> CompiledIO | None:
+        """The addresses of three of the SDK's functions; None when closed."""
+        if self._sdk is None:
+            return None
+        handles = np.zeros(HANDLES_SIZE, np.int64)
+        handles[:4] = (
+            self._sdk.address("dhdGetPosition"),
+            self._sdk.address("dhdSetForce"),
+            self._sdk.address("dhdGetButtonMask"),
+            self._sdk.identity,
+        )
+        return CompiledIO(FORCE_DIMENSION, handles, np.concatenate([ROTATION.ravel(), ORIGIN_M]))
+
+    def _open(self) -> None:
+        sdk = Sdk(self._library)
+        sdk.open_falcon()
+        self._sdk = sdk
+        try:
+            sdk.prepare(self.limits.clamp_N)
+        except DeviceError:
+            self._close()
+            raise
+
+    def _close(self) -> None:
+        sdk, self._sdk = self._sdk, None
+        if sdk is not None:
+            sdk.close()
+
+    def _read(self) -> DeviceSample:
+        sdk = self._opened()
+        return DeviceSample(
+            time_s=time.monotonic(),
+            position_m=ROTATION @ np.array(sdk.position()) + ORIGIN_M,
+            counts=np.zeros(3, np.int64),
+            buttons=sdk.buttons(),
+            homed=sdk.is_homed(),
+            valid=True,
+        )
+
+    def _write(self, force_N: NDArray[np.float64]) -> None:
+        x, y, z = (ROTATION.T @ force_N).tolist()
+        self._opened().set_force(x, y, z)
+
+    def _opened(self) -> Sdk:
+        if self._sdk is None:
+            msg = "the device is closed"
+            raise DeviceError(msg)
+        return self._sdk
