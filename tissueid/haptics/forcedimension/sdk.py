@@ -181,7 +181,7 @@ def _load(library: str | None) -> tuple[str, Any]:
         except OSError:
             continue
     msg = (
-        "the Force Dimension SDK is not installed, or is in none of the usual places: set FDSDK to its folder, "
+        "the Force Dimension SDK is not installed, or in none of the usual places: set FDSDK to its folder, "
         f"or {LIBRARY_VARIABLE} to libdrd.so"
     )
     raise DeviceError(msg)
