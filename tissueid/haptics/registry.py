@@ -37,7 +37,7 @@ ENVIRONMENT_GROUP = "tissueid.environments"
 DEVICES = {
     "falcon": "tissueid.haptics.falcon.device:FalconDevice",
     "forcedimension": "tissueid.haptics.forcedimension:ForceDimensionDevice",
-    "emulator": "tissueid.haptics.falcon.emulator.device:EmulatedFalcon",
+    "emulator": "tissueid.haptics.falcon.emulator.device:EmulatorDevice",
     "replay": "tissueid.haptics.replay:ReplayDevice",
     "sim": "tissueid.haptics.sim:SimulatedDevice",
 }

@@ -1,0 +1,67 @@
+"""The driver of a Falcon, on an emulated one: ``--device emulator``.
+
+The emulator runs in a process of its own and is reached by a pseudo-terminal, so that everything between
+the force law and the bytes is what a real Falcon would be driven with.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from tissueid.haptics.device import Capabilities, DetectedDevice
+from tissueid.haptics.falcon.calibration import Calibration
+from tissueid.haptics.falcon.device import FalconDevice
+from tissueid.haptics.falcon.emulator.links import EmulatorProcess
+from tissueid.haptics.limits import GuardLimits
+
+__all__ = ["EmulatorDevice"]
+
+
+class EmulatorDevice(FalconDevice):
+    """A Falcon driver with its own emulated Falcon.
+
+    Parameters
+    ----------
+    limits, firmware, calibration, tell
+        As :class:`~tissueid.haptics.falcon.device.FalconDevice`.
+    arguments : sequence of str
+        Of ``python -m tissueid.haptics.falcon.emulator``: hand, script and faults.
+    """
+
+    name = "emulator"
+
+    def __init__(
+        self,
+        limits: GuardLimits | None = None,
+        *,
+        arguments: Sequence[str] = (),
+        firmware: str | os.PathLike[str] | None = None,
+        calibration: Calibration | None = None,
+        tell: Callable[[str], None] | None = None,
+    ) -> None:
+        super().__init__(limits, port="", firmware=firmware, calibration=calibration, tell=tell)
+        self._arguments = tuple(arguments)
+        self._process: EmulatorProcess | None = None
+
+    @classmethod
+    def detect(cls) -> list[DetectedDevice]:
+        """It is always there."""
+        return [DetectedDevice(cls.name, "a process of this program")]
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """Those of the driver; no motor moves."""
+        return replace(super().capabilities, hardware=False)
+
+    def _open(self) -> None:
+        self._process = EmulatorProcess(self._arguments)
+        self._port = self._process.path
+        super()._open()
+
+    def _close(self) -> None:
+        super()._close()
+        process, self._process = self._process, None
+        if process is not None:
+            process.close()
