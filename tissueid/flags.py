@@ -31,6 +31,7 @@ FLAG_CODES: Mapping[str, str] = MappingProxyType(
         "unit_overridden": "the file states another unit than the user did; the user's was taken",
         "normalised_axes": "the recording is normalised (strain, stress): nothing here is in mm or N",
         "spike": "single samples stand far off their neighbours",
+        "rendered": "the recording is the log of a rendered session: a force law, no measurement",
         "commanded_displacement": "the displacement is free of noise and lag: commanded, not measured?",
         "below_resolution": "displacement or force changes by few of its resolution steps",
         "below_cell_range": "the force is small against the load cell's verified range",

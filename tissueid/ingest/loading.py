@@ -13,6 +13,7 @@ from pathlib import Path
 from tissueid.errors import printable
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.text import HEAD_BYTES, foreign_kind
+from tissueid.store.session_log import HDF5_MAGIC, RAW_MAGIC
 
 __all__ = ["LARGEST_BYTES", "load_bytes"]
 
@@ -21,6 +22,8 @@ LARGEST_BYTES = 1 << 31
 _PIECE_BYTES = 1 << 24
 #: What may be opened though it is no text.
 _WORKBOOKS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
+#: ... logs of rendered sessions among them.
+_SESSIONS = (RAW_MAGIC, HDF5_MAGIC)
 
 
 def load_bytes(path: str | Path, place: Place) -> bytes:
@@ -92,7 +95,7 @@ def _read(handle: int, place: Place) -> bytes:
 
 def _refuse_foreign(head: bytes, size: int, place: Place) -> None:
     """Refuse by the first bytes what would be refused after all of them."""
-    if size <= HEAD_BYTES or head.startswith(_WORKBOOKS):
+    if size <= HEAD_BYTES or head.startswith((*_WORKBOOKS, *_SESSIONS)):
         return
     kind = foreign_kind(head)
     if kind is not None:

@@ -47,6 +47,9 @@ REFUSAL_MEANINGS: Mapping[str, str] = MappingProxyType(
         "mixed_tables": "rows of numbers stand outside the table of the recording",
         "time_backwards": "the time falls from one row to the next",
         "implausible_range": "travel or force is beyond any test machine: decimal marks or units are wrong",
+        # the log of a session
+        "damaged_log": "the log of a rendered session is damaged, changed or of another version",
+        "wrong_scale": "the log of a rendered session states a scale that its samples contradict",
         # the study
         "invalid_study": "the study file says something that can't be: a key, a unit, a value",
         "study_unmatched": "the study file names a file or a sheet that is not there",

@@ -14,6 +14,7 @@ from tissueid.ingest.mts793 import MTS_793
 from tissueid.ingest.plugins import installed_recipes, report_fault
 from tissueid.ingest.recipe import Detection, InputFile, Match, Recipe
 from tissueid.ingest.refusals import Place
+from tissueid.ingest.session import SESSION_LOG
 from tissueid.ingest.shimadzu import SHIMADZU
 from tissueid.ingest.workbook import TESTXPERT_WORKBOOK, WORKBOOK
 
@@ -72,6 +73,7 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
             MTS_793,
             SHIMADZU,
             CHIARO,
+            SESSION_LOG,
             WORKBOOK,
             COLUMNS_TEXT,
             archive_recipe(match_recipe),

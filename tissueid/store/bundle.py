@@ -51,7 +51,7 @@ _UNITS = Axes().as_json()
 MOST_DRAWS = 2_000
 
 #: What libhdf5 and h5py raise on a file that is cut, overwritten or made by hand.
-_HDF5_ERRORS = (
+HDF5_ERRORS = (
     OSError,
     KeyError,
     ValueError,
@@ -272,7 +272,7 @@ def load_bundle(path: Path | str) -> Bundle:
         raise BundleError(msg)
     try:
         text, arrays, attributes = _read(path)
-    except _HDF5_ERRORS as error:
+    except HDF5_ERRORS as error:
         msg = (
             f"{path}: cannot be read as a bundle ({error}); it is damaged, incomplete or another kind of "
             "file: copy it again or run `tissueid fit` again"

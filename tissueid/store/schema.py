@@ -34,6 +34,7 @@ SCHEMA_NAMES = (
     "outputs",
     "quantities",
     "selfcheck",
+    "session",
     "study",
     "study-check",
     "watch",

@@ -1,0 +1,175 @@
+"""Recipe for the log of a rendered session: the tissue that a hand felt, with the scales undone.
+
+A log holds positions and forces of the device, and beside them the depth and force of the tissue they stand
+for.  The recording is made from the device's side alone::
+
+    displacement = penetration / s_x,   force = |F_device| / s_F
+
+and must agree with the tissue's side, tick by tick, wherever no limit interfered: a log whose scale was
+changed, or never was the one stated, is refused with both numbers.  What comes out is the force law of a
+bundle, not a measurement: the flag ``rendered`` says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.errors import BundleError, InputError
+from tissueid.flags import Flag
+from tissueid.ingest.recipe import Detection, InputFile, Recipe, Table
+from tissueid.ingest.refusals import Place
+from tissueid.store.session_log import SessionLog, is_session_log, read_session_log
+from tissueid.trial import Protocol
+
+__all__ = ["SESSION_LOG"]
+
+FloatArray = NDArray[np.float64]
+Records = NDArray[Any]
+
+#: Engaged: the only state in which a force is felt (haptics/states.py, which ingest does not import).
+_ENGAGED = 5
+#: Lamps of ticks in which the device's force is not the tissue's: clipped, slewed, passivity, stalled, rms
+#: limit, dead-man, ramping, ruptured.
+_INTERFERED = 1 | 2 | 4 | 32 | 64 | 128 | 256 | 512
+_LAMP_WORDS = {
+    1: "clipped",
+    2: "slewed",
+    4: "corrected by the passivity controller",
+    8: "deeper than identified",
+    16: "faster than identified",
+    512: "ruptured",
+}
+#: Disagreement of the two sides that is rounding: of the largest force, and of the depth [mm].
+_FORCE_TOLERANCE = 1e-6
+_DEPTH_TOLERANCE_MM = 1e-6
+#: Ticks needed to judge a scale.
+_FEWEST_TICKS = 20
+_PLANE, _SPHERE = 0, 1
+_M_TO_MM = 1000.0
+
+
+def detect_session(file: InputFile) -> Detection:
+    """The first bytes of a raw log, or an HDF5 file that says what it is."""
+    if is_session_log(file.data):
+        return 1.0, "the file says that it is the log of a rendered session"
+    return 0.0, "no log of a rendered session"
+
+
+def read_session(file: InputFile) -> Iterator[Table | InputError]:
+    """One recording for every stretch in which one tissue was rendered."""
+    place = Place(file.path)
+    try:
+        log = read_session_log(file.data, where=file.path)
+    except BundleError as error:
+        yield place.refusal("damaged_log", error.message.removeprefix(f"{file.path}: "))
+        return
+    stretches = list(_stretches(log.records))
+    if not stretches:
+        yield place.refusal("no_rows", "the device was never engaged in this session: nothing was felt")
+        return
+    for number, stretch in enumerate(stretches, 1):
+        sheet = None if len(stretches) == 1 else str(number)
+        try:
+            yield _table(log, stretch, Place(file.path, sheet))
+        except InputError as error:
+            yield error
+
+
+def _stretches(records: Records) -> Iterator[Records]:
+    """Runs of engaged ticks with one tissue."""
+    engaged = records[records["state"] == _ENGAGED]
+    if engaged.size > 1:
+        breaks = np.flatnonzero(np.diff(engaged["label"].astype(np.int64))) + 1
+        yield from (part for part in np.split(engaged, breaks) if part.size > 1)
+
+
+def _table(log: SessionLog, records: Records, place: Place) -> Table:
+    scale = log.head["scale"]
+    if scale is None:
+        place.refuse(
+            "no_columns", "the session rendered a force law of its own: there is no tissue to identify"
+        )
+    force = np.linalg.norm(records["force_N"], axis=1) / scale["force_scale"]
+    depth = _depth(log.head["surface"], records["position_m"], scale["motion_scale"])
+    _agree(records, force, depth, place)
+    label = int(records["label"][0])
+    tissue = next(entry for entry in log.head["tissues"] if entry["label"] == label)
+    return Table(
+        time_s=records["time_s"] - records["time_s"][0],
+        displacement_mm=records["depth_mm"].copy() if depth is None else depth,
+        force_N=force,
+        columns={"time": "time_s", "displacement": "position_m", "force": "force_N"},
+        sheet=place.sheet,
+        metadata=_metadata(log.head),
+        specimen=tissue["name"],
+        flags=(_rendered(records, tissue["name"]),),
+        protocol=Protocol(kind="rendered", tip_radius_mm=tissue["tip_radius_mm"]),
+    )
+
+
+def _depth(surface: list[float], position: FloatArray, motion_scale: float) -> FloatArray | None:
+    """Depth [mm of tissue] from the device's position, ``None`` behind the faces of a box."""
+    point, normal, radius = np.array(surface[1:4]), np.array(surface[4:7]), surface[10]
+    if surface[0] == _PLANE:
+        distance = (position - point) @ normal
+    elif surface[0] == _SPHERE:
+        distance = np.linalg.norm(position - point, axis=1) - surface[7]
+    else:
+        return None
+    return np.asarray((radius - distance) / motion_scale * _M_TO_MM)
+
+
+def _agree(records: Records, force: FloatArray, depth: FloatArray | None, place: Place) -> None:
+    """Refuse a log whose device side and tissue side do not belong to one scale."""
+    free = (records["lamps"] & _INTERFERED) == 0
+    wanted = records["tissue_force_N"]
+    largest = float(max(np.abs(wanted).max(), force.max()))
+    if np.count_nonzero(free & (wanted > 0.0)) >= _FEWEST_TICKS:
+        off = float(np.abs(force - wanted)[free].max())
+        if off > _FORCE_TOLERANCE * largest:
+            _wrong_scale("force", "N", off, place)
+    if depth is not None:
+        off = float(np.abs(depth - records["depth_mm"]).max())
+        if off > max(_DEPTH_TOLERANCE_MM, _FORCE_TOLERANCE * float(np.ptp(depth))):
+            _wrong_scale("motion", "mm", off, place)
+
+
+def _wrong_scale(which: str, unit: str, off: float, place: Place) -> None:
+    place.refuse(
+        "wrong_scale",
+        f"the {which} scale that the log states does not lead from the device's side to the tissue's: they "
+        f"differ by up to {off:.3g} {unit}; the scale was changed after the session, record it again",
+    )
+
+
+def _metadata(head: Mapping[str, Any]) -> dict[str, str]:
+    scale, device = head["scale"], head["device"]
+    return {
+        "device": str(device["name"]),
+        "force scale": f"{scale['force_scale']:.6g}",
+        "motion scale": f"{scale['motion_scale']:.6g}",
+        "started": str(head["started"]),
+    }
+
+
+def _rendered(records: Records, name: str) -> Flag:
+    shares = {word: float(np.mean((records["lamps"] & bit) != 0)) for bit, word in _LAMP_WORDS.items()}
+    lit = [f"{100.0 * share:.2g} % {word}" for word, share in shares.items() if share > 0.0]
+    return Flag(
+        "rendered",
+        f"this is the force law of {name!r} as it was rendered, no measurement of tissue"
+        + (f"; of the ticks {', '.join(lit)}" if lit else ""),
+        {"specimen": name, "shares": shares},
+    )
+
+
+SESSION_LOG = Recipe(
+    "session-log",
+    "log of `tissueid render` (HDF5, or .part of a killed session)",
+    detect_session,
+    read_session,
+)

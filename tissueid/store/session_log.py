@@ -1,0 +1,314 @@
+"""The log of a session: what was rendered, tick by tick, and at which scale.
+
+While a session runs it is appended to as fixed records; a process that is killed leaves whole records::
+
+    16 bytes  "tissueid-session"
+     8 bytes  length of the head, little-endian
+     head     JSON text, padded with spaces
+     records  of head["record"], one after the other; a last one that is cut is left out
+
+At its close the log becomes one HDF5 file::
+
+    log.h5
+    |  attributes: format = "tissueid/session", schema_version = 1, content_sha256
+    |-- document   JSON text, schemas/session.schema.json: the head, and the summary of the session
+    `-- records    (n,)  compound, chunked and compressed
+
+Both are read by :func:`read_session_log`, and as a recording by ``tissueid fit``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.errors import BundleError
+from tissueid.store.bundle import HDF5_ERRORS
+from tissueid.store.files import TEMPORARY_PREFIX, json_bytes, plain_json, replace_file
+from tissueid.store.schema import check
+
+__all__ = [
+    "HDF5_MAGIC",
+    "RAW_MAGIC",
+    "SESSION_FORMAT",
+    "SESSION_SCHEMA_VERSION",
+    "SessionLog",
+    "convert_session_log",
+    "is_session_log",
+    "raw_head",
+    "read_session_log",
+]
+
+Records = NDArray[Any]
+
+SESSION_FORMAT = "tissueid/session"
+SESSION_SCHEMA_VERSION = 1
+RAW_MAGIC = b"tissueid-session"
+HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
+_LENGTH_BYTES = 8
+#: The head is padded to a multiple of this, so that records lie on cache lines.
+_HEAD_ALIGNMENT = 128
+#: A head is a few kilobytes; a larger one is no head.
+_LARGEST_HEAD = 1 << 22
+#: Records a chunk of the HDF5 file holds: half a megabyte.
+_CHUNK = 4096
+#: Records converted at a time.
+_PIECE = 1 << 16
+#: What a log must have to be read as a recording.
+_NEEDED = ("time_s", "position_m", "force_N", "depth_mm", "tissue_force_N", "lamps", "state", "label")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SessionLog:
+    """One session.
+
+    Attributes
+    ----------
+    head : mapping
+        Device, scale, surface, tissues: see ``schemas/session.schema.json``.
+    records : structured ndarray, shape (n,)
+        One a tick, fields as the head's ``record`` says.
+    summary : mapping or None
+        Of the session; None where it was killed before it could be written.
+    """
+
+    head: Mapping[str, Any]
+    records: Records
+    summary: Mapping[str, Any] | None
+
+
+def raw_head(head: Mapping[str, Any], record: np.dtype[Any]) -> bytes:
+    """Write the beginning of a raw log; records follow as they are.
+
+    Parameters
+    ----------
+    head : mapping
+        Without ``schema`` and ``record``, which are added.
+    record : dtype
+
+    Raises
+    ------
+    BundleError
+        The head does not follow its schema.
+    """
+    document = plain_json(
+        {
+            **head,
+            "schema": f"{SESSION_FORMAT}/{SESSION_SCHEMA_VERSION}",
+            "record": [[name, *_shape(record, name)] for name in record.names or ()],
+            "summary": None,
+        }
+    )
+    check(document, "session", where="session log")
+    text = json.dumps(document, ensure_ascii=False, allow_nan=False).encode("utf-8")
+    text += b" " * (-(len(text) + len(RAW_MAGIC) + _LENGTH_BYTES) % _HEAD_ALIGNMENT)
+    return RAW_MAGIC + len(text).to_bytes(_LENGTH_BYTES, "little") + text
+
+
+def is_session_log(data: bytes) -> bool:
+    """Whether bytes are those of a session's log, raw or HDF5; a damaged one counts."""
+    if data.startswith(RAW_MAGIC):
+        return True
+    if not data.startswith(HDF5_MAGIC):
+        return False
+    try:
+        with h5py.File(io.BytesIO(data), "r") as file:
+            return bool(file.attrs.get("format") == SESSION_FORMAT)
+    except HDF5_ERRORS:
+        return False
+
+
+def read_session_log(source: Path | str | bytes, *, where: str | None = None) -> SessionLog:
+    """Read a log, raw or HDF5, and refuse what no session wrote.
+
+    Parameters
+    ----------
+    source : Path, str or bytes
+        File, or its bytes.
+    where : str, optional
+        Name for messages, where bytes are given.
+
+    Returns
+    -------
+    SessionLog
+        With the whole records; a raw log's last record is left out where it was cut.
+
+    Raises
+    ------
+    BundleError
+        Naming the file, what is wrong, and the way out.
+    """
+    name = where or (str(source) if not isinstance(source, bytes) else "session log")
+    data = source if isinstance(source, bytes) else _bytes(Path(source))
+    if data.startswith(RAW_MAGIC):
+        return _read_raw(data, name)
+    try:
+        text, records, attributes = _read_hdf5(data)
+    except HDF5_ERRORS as error:
+        msg = f"{name}: cannot be read as a session log ({error}); it is damaged or another kind of file"
+        raise BundleError(msg) from error
+    if attributes.get("schema_version") != SESSION_SCHEMA_VERSION:
+        msg = (
+            f"{name}: schema version {attributes.get('schema_version')}, this tissueid reads version "
+            f"{SESSION_SCHEMA_VERSION}; use the tissueid that wrote it"
+        )
+        raise BundleError(msg)
+    if attributes.get("content_sha256") != _content_hash(text, records).hexdigest():
+        msg = f"{name}: changed since it was written (the content hash differs); record it again"
+        raise BundleError(msg)
+    document = _document(text, name)
+    return SessionLog(document, records, document["summary"])
+
+
+def convert_session_log(raw: Path, target: Path, summary: Mapping[str, Any]) -> None:
+    """Turn a raw log into the HDF5 file, whole or not at all; the raw one is left as it is.
+
+    Parameters
+    ----------
+    raw, target : Path
+    summary : mapping
+        Of the session.
+
+    Raises
+    ------
+    BundleError
+        The raw log is none, or the summary does not follow the schema.
+    OSError
+        There is no room for it.
+    """
+    head, start, record = _raw_layout(raw)
+    count = (raw.stat().st_size - start) // record.itemsize
+    document = plain_json({**head, "summary": summary})
+    check(document, "session", where=str(target))
+    text = json_bytes(document)
+    temporary = target.with_name(TEMPORARY_PREFIX + target.name)
+    try:
+        _write_hdf5(temporary, text, raw, start, record, count)
+        replace_file(temporary, target)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _write_hdf5(path: Path, text: bytes, raw: Path, start: int, record: np.dtype[Any], count: int) -> None:
+    digest = hashlib.sha256(_seal(text, record, count))
+    with h5py.File(path, "w", libver=("v110", "v110")) as file, raw.open("rb") as stream:
+        stream.seek(start)
+        kind = h5py.string_dtype("utf-8", length=len(text))
+        file.create_dataset("document", data=np.array(text, dtype=kind), track_times=False)
+        table = file.create_dataset(
+            "records",
+            shape=(count,),
+            dtype=record,
+            chunks=(_CHUNK,),
+            maxshape=(None,),
+            compression="gzip",
+            compression_opts=1,
+            shuffle=True,
+            track_times=False,
+        )
+        for first in range(0, count, _PIECE):
+            piece = stream.read(min(_PIECE, count - first) * record.itemsize)
+            digest.update(piece)
+            table[first : first + len(piece) // record.itemsize] = np.frombuffer(piece, record)
+        file.attrs["format"] = SESSION_FORMAT
+        file.attrs["schema_version"] = np.int64(SESSION_SCHEMA_VERSION)
+        file.attrs["content_sha256"] = digest.hexdigest()
+
+
+def _shape(record: np.dtype[Any], name: str) -> tuple[str, list[int]]:
+    kind = record[name]
+    return kind.base.str, list(kind.shape)
+
+
+def _seal(text: bytes, record: np.dtype[Any], count: int) -> bytes:
+    """What the content hash begins with: everything but the records themselves."""
+    about = f"{SESSION_FORMAT}/{SESSION_SCHEMA_VERSION}/{count}/{record.descr}".encode()
+    return about + len(text).to_bytes(_LENGTH_BYTES, "little") + text
+
+
+def _content_hash(text: bytes, records: Records) -> Any:
+    digest = hashlib.sha256(_seal(text, records.dtype, records.size))
+    digest.update(np.ascontiguousarray(records).tobytes())
+    return digest
+
+
+def _bytes(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        msg = f"{path}: the log can't be read ({error.strerror or error}); name the file that --log wrote"
+        raise BundleError(msg) from error
+
+
+def _read_hdf5(data: bytes) -> tuple[bytes, Records, dict[str, Any]]:
+    with h5py.File(io.BytesIO(data), "r") as file:
+        attributes = dict(file.attrs)
+        if attributes.get("format") != SESSION_FORMAT:
+            msg = f"its format is {attributes.get('format')!r}, not {SESSION_FORMAT!r}"
+            raise ValueError(msg)
+        text = bytes(file["document"][()])
+        records = np.asarray(file["records"][()])
+    _check_record(records.dtype)
+    return text, records, attributes
+
+
+def _read_raw(data: bytes, name: str) -> SessionLog:
+    try:
+        head, start, record = _parsed_head(data, name)
+    except (ValueError, TypeError, KeyError) as error:
+        msg = f"{name}: its head is damaged ({error}); nothing of this log can be read"
+        raise BundleError(msg) from error
+    count = (len(data) - start) // record.itemsize
+    return SessionLog(head, np.frombuffer(data, record, count, start).copy(), None)
+
+
+def _raw_layout(path: Path) -> tuple[dict[str, Any], int, np.dtype[Any]]:
+    with path.open("rb") as stream:
+        data = stream.read(len(RAW_MAGIC) + _LENGTH_BYTES)
+        length = int.from_bytes(data[len(RAW_MAGIC) :], "little")
+        data += stream.read(min(length, _LARGEST_HEAD))
+    try:
+        return _parsed_head(data, str(path))
+    except (ValueError, TypeError, KeyError) as error:
+        msg = f"{path}: its head is damaged ({error})"
+        raise BundleError(msg) from error
+
+
+def _parsed_head(data: bytes, name: str) -> tuple[dict[str, Any], int, np.dtype[Any]]:
+    """Head of a raw log, where its records start, and what they are."""
+    begin = len(RAW_MAGIC) + _LENGTH_BYTES
+    length = int.from_bytes(data[len(RAW_MAGIC) : begin], "little")
+    if length > _LARGEST_HEAD or len(data) < begin + length:
+        msg = "it is cut, or no head"
+        raise ValueError(msg)
+    head = _document(data[begin : begin + length], name)
+    record = np.dtype([(field, kind, tuple(shape)) for field, kind, shape in head["record"]])
+    _check_record(record)
+    return head, begin + length, record
+
+
+def _check_record(record: np.dtype[Any]) -> None:
+    missing = [name for name in _NEEDED if name not in (record.names or ())]
+    if missing or record.hasobject:
+        msg = f"its records lack {', '.join(missing) or 'a plain layout'}"
+        raise ValueError(msg)
+
+
+def _document(text: bytes, name: str) -> dict[str, Any]:
+    try:
+        document = json.loads(text)
+    except ValueError as error:
+        msg = f"{name}: its document is not JSON ({error}); record the session again"
+        raise BundleError(msg) from error
+    check(document, "session", where=name)
+    assert isinstance(document, dict)  # noqa: S101 -- what the schema demands
+    return document
