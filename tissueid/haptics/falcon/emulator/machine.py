@@ -296,11 +296,20 @@ class EmulatedFalcon:
     def _move(self, until: float) -> None:
         """Move the arm under the present torques, which push differently as the grip moves."""
         torque = np.array(self._motors, dtype=np.float64) / -self.settings.units_per_Nm
+        pushed = any(self._motors)
+        place = self.memory[POSITION : POSITION + 3]
         while (left := until - self.time_s) > 1e-12:
-            grip_force(self.position_m, torque, LENGTHS, AZIMUTHS, self.force_N)
+            if pushed:
+                grip_force(place, torque, LENGTHS, AZIMUTHS, self.force_N)
+            else:
+                self.force_N[:] = 0.0
             arm_step(self.memory, self.parameters, self.force_N, min(left, HELD_FORCE_S))
-            leg_angles(self.position_m, LENGTHS, AZIMUTHS, self._angles)
-        if self._homing_mode:
-            true = (self._angles - ZERO_RAD) * COUNTS_PER_RAD
-            self._pulled |= true > OUT_COUNTS
-            self._homed |= self._pulled & (true < IN_COUNTS)
+            leg_angles(place, LENGTHS, AZIMUTHS, self._angles)
+            if self._homing_mode:
+                self._watch_homing()
+
+    def _watch_homing(self) -> None:
+        """A leg that was pulled out and is now pushed in knows its zero."""
+        true = (self._angles - ZERO_RAD) * COUNTS_PER_RAD
+        self._pulled |= true > OUT_COUNTS
+        self._homed |= self._pulled & (true < IN_COUNTS)

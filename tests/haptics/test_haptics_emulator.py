@@ -1,0 +1,263 @@
+"""The emulated Falcon between its bytes: homing, counts, motors, delay, faults, links."""
+
+from __future__ import annotations
+
+import os
+import select
+import time
+
+import numpy as np
+import pytest
+from emulator_wire import HOME, HOMED_AFTER, ZERO, angles, command, encoders, homed_bits, homed_falcon
+
+from tissueid.errors import DeviceError, UsageError
+from tissueid.haptics.arm import Arm
+from tissueid.haptics.falcon import kinematics
+from tissueid.haptics.falcon.emulator import (
+    EmulatedFalcon,
+    EmulatedLink,
+    EmulatorProcess,
+    EmulatorSettings,
+    ScriptedFault,
+)
+from tissueid.haptics.falcon.emulator.faults import parse_fault
+from tissueid.haptics.falcon.emulator.geometry import AZIMUTHS, LENGTHS, grip_force, leg_angles
+from tissueid.haptics.hand import Hand
+
+SLIPPERY = Arm(mass_kg=0.25, damping_N_s_per_m=0.0, friction_N=0.0)
+#: Carried to a point off the axis and let go there.
+OFF_AXIS = (0.012, -0.018, 0.125)
+
+
+def places(count: int) -> np.ndarray:
+    """Points in the working sphere of 40 mm about its centre, shape (count, 3) [m]."""
+    rng = np.random.default_rng(8)
+    direction = rng.normal(size=(count, 3))
+    direction /= np.linalg.norm(direction, axis=1)[:, None]
+    return np.array([0.0, 0.0, 0.13]) + 0.04 * direction * rng.random((count, 1)) ** (1.0 / 3.0)
+
+
+def test_angles_found_by_search_are_those_of_the_closed_form():
+    found = np.zeros(3)
+    for place in places(50):
+        assert leg_angles(place, LENGTHS, AZIMUTHS, found)
+        np.testing.assert_allclose(found, kinematics.inverse(place), atol=1e-12)
+
+
+def test_torque_of_the_driver_gives_its_force_back_by_differences():
+    force = np.zeros(3)
+    wanted = np.array([1.0, -2.0, 3.0])
+    for place in places(20):
+        assert grip_force(place, kinematics.torque(place, wanted), LENGTHS, AZIMUTHS, force)
+        # truncation of a central difference over 10 um
+        np.testing.assert_allclose(force, wanted, atol=1e-6)
+
+
+@pytest.mark.parametrize("place", [[0.0, 0.0, 0.25], [0.15, 0.0, 0.1], [0.0, 0.12, 0.13]])
+def test_a_place_out_of_reach_is_said(place):
+    found, force = np.full(3, 7.0), np.ones(3)
+    assert not leg_angles(np.array(place), LENGTHS, AZIMUTHS, found)
+    assert not grip_force(np.array(place), np.ones(3), LENGTHS, AZIMUTHS, force)
+    assert (force == 0.0).all()
+
+
+def test_legs_are_homed_by_a_pull_and_a_push_and_jump_to_their_true_counts():
+    falcon = EmulatedFalcon(EmulatorSettings(period_s=1e-3))
+    flags, jumps = [], []
+    last = None
+    for _ in range(HOMED_AFTER):
+        packet = falcon.receive(HOME)
+        flags.append(homed_bits(packet))
+        counts = encoders(packet)
+        if last is not None:
+            jumps.append(max(abs(now - before) for now, before in zip(counts, last, strict=True)))
+        last = counts
+    assert flags[0] == 0
+    assert flags[-1] == 7
+    assert max(jumps) > 200  # the unknown zero of power-up goes
+    assert flags.index(7) > flags.index(max(flags)) - 1
+    np.testing.assert_allclose(kinematics.forward(angles(last)), falcon.position_m, atol=1e-4)
+
+
+def test_homed_bits_are_said_only_while_homing_is_commanded_and_forgotten_without():
+    falcon = homed_falcon()
+    assert homed_bits(falcon.receive(HOME)) == 7
+    assert homed_bits(falcon.receive(ZERO)) == 0
+    assert homed_bits(falcon.receive(HOME)) == 0
+
+
+def test_a_user_who_never_homes_is_waited_for_in_vain():
+    falcon = homed_falcon(homes=False)
+    assert homed_bits(falcon.receive(HOME)) == 0
+
+
+def test_the_user_waits_for_the_first_homing_command():
+    falcon = EmulatedFalcon(EmulatorSettings(period_s=1e-3))
+    first = encoders(falcon.receive(ZERO))
+    for _ in range(100):
+        assert encoders(falcon.receive(ZERO)) == first
+    assert falcon.time_s == 0.0
+
+
+def at_rest_off_axis(**settings: object) -> EmulatedFalcon:
+    """A homed Falcon whose grip was carried off the axis, at rest, and was just let go."""
+    hand = Hand((0.0, 0.3, 0.4), (OFF_AXIS, OFF_AXIS, OFF_AXIS), (1.0, 1.0, 0.0), rigid=True)
+    falcon = homed_falcon(hand=hand, arm=SLIPPERY, **settings)
+    falcon.advance(3.5 - falcon.time_s)
+    return falcon
+
+
+@pytest.mark.parametrize("force", [[1.5, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 2.0], [0.7, 0.9, -1.1]])
+def test_motor_units_push_the_grip_with_the_force_the_driver_meant(force):
+    falcon = at_rest_off_axis(motor_delay_s=0.0)
+    start = falcon.position_m
+    torque = kinematics.torque(start, np.array(force))
+    units = tuple(round(-6600.0 * float(value)) for value in torque)
+    falcon.receive(command(units))
+    for _ in range(20):
+        falcon.receive(command(units))
+    moved = falcon.position_m - start
+    # F/(2 m) t^2 over 20 ms from the tick after the first command; half a motor unit of 6600 is 0.1 mN m
+    np.testing.assert_allclose(moved, np.array(force) / 0.5 * 0.020**2, atol=0.02 * np.abs(moved).max())
+
+
+def test_a_torque_comes_after_the_delay_of_the_motors():
+    moved = []
+    for delay in (0.0, 0.0005, 0.0023):
+        falcon = at_rest_off_axis(motor_delay_s=delay)
+        start = falcon.position_m
+        torque = kinematics.torque(start, np.array([0.0, 0.0, 1.0]))
+        units = tuple(round(-6600.0 * float(value)) for value in torque)
+        for _ in range(11):
+            falcon.receive(command(units))
+        moved.append(falcon.position_m[2] - start[2])
+    expected = [0.5 / 0.25 * (0.010 - delay) ** 2 for delay in (0.0, 0.0005, 0.0023)]
+    np.testing.assert_allclose(moved, expected, rtol=0.02)
+
+
+def test_lamps_and_buttons_are_shown():
+    falcon = homed_falcon(buttons=((0.0, 0), (2.45, 4), (2.5, 1)))
+    pressed = [(falcon.receive(command((0, 0, 0), 1 | 2 | 8))[13] - 0x41) & 15 for _ in range(200)]
+    assert sorted(set(pressed)) == [0, 1, 4]
+    assert falcon.lamps == {"green", "red"}
+
+
+def spoilt_answers(fault: ScriptedFault, count: int = 60) -> list[bytes]:
+    falcon = homed_falcon(
+        hand=Hand((0.0, 5.0), ((0.0, 0.0, 0.17), (0.0, 0.0, 0.10)), (1.0, 1.0)), faults=(fault,)
+    )
+    falcon.advance(3.5 - falcon.time_s)
+    return [falcon.receive(HOME) for _ in range(count)]
+
+
+@pytest.mark.parametrize(("kind", "length"), [("short", 14), ("doubled", 32), ("garbled", 16), ("stall", 16)])
+def test_a_single_fault_spoils_one_answer(kind, length):
+    answers = spoilt_answers(ScriptedFault(kind, 3.52))
+    good = [
+        packet for packet in answers if len(packet) == 16 and set(packet[1:13]) <= set(b"ABCDEFGHIJKLMNOP")
+    ]
+    assert sum(len(packet) == length for packet in answers) == (1 if length != 16 else 60)
+    assert len(good) == {"short": 59, "doubled": 59, "garbled": 59, "stall": 60}[kind]
+
+
+@pytest.mark.parametrize("kind", ["silence", "bad packets"])
+def test_a_lasting_fault_ends_when_it_is_over(kind):
+    answers = spoilt_answers(ScriptedFault(kind, 3.51, duration_s=0.020))
+    good = [len(packet) == 16 and packet[1] < 0x51 for packet in answers]
+    assert good.count(False) == pytest.approx(20, abs=1)
+    assert good[0]
+    assert good[-1]
+
+
+def test_faults_of_the_encoders_and_of_homing():
+    still = spoilt_answers(ScriptedFault("frozen", 3.51))
+    assert len({packet[1:13] for packet in still[15:]}) == 1
+    plain, jumped = (
+        spoilt_answers(ScriptedFault("stall", 99.0)),
+        spoilt_answers(ScriptedFault("jump", 3.51, size=300.0)),
+    )
+    assert encoders(jumped[-1])[0] - encoders(plain[-1])[0] == 300
+    assert encoders(jumped[-1])[1:] == encoders(plain[-1])[1:]
+    assert homed_bits(spoilt_answers(ScriptedFault("unhomed", 3.51))[-1]) == 0b101
+
+
+def test_sessions_in_virtual_time_repeat_bit_for_bit():
+    def heard() -> list[bytes]:
+        falcon = EmulatedFalcon(EmulatorSettings(period_s=1e-3))
+        return [falcon.receive(command((tick % 200, -tick % 77, 0))) for tick in range(400)]
+
+    assert heard() == heard()
+
+
+def exchange(descriptor: int, data: bytes) -> bytes:
+    os.write(descriptor, data)
+    return os.read(descriptor, 512) if select.select([descriptor], [], [], 5.0)[0] else b""
+
+
+@pytest.mark.parametrize("pty", [False, True])
+def test_it_answers_over_a_link_and_hangs_up_when_unplugged(pty):
+    settings = EmulatorSettings(period_s=1e-3, faults=(ScriptedFault("unplug", 0.010),))
+    with EmulatedLink(settings, pty=pty) as link:
+        host = link.descriptor()
+        answers = [exchange(host, HOME) for _ in range(9)]
+        assert {len(packet) for packet in answers} == {16}
+        os.write(host, HOME * 2)
+        gone = False
+        deadline = time.monotonic() + 5.0
+        while not gone and time.monotonic() < deadline:
+            select.select([host], [], [], 0.1)
+            try:
+                gone = os.read(host, 512) == b""
+            except OSError:
+                gone = True
+        os.close(host)
+    assert gone
+
+
+def test_in_real_time_the_arm_moves_between_commands():
+    with EmulatedLink(EmulatorSettings(usb_latency_s=0.002)) as link:
+        host = link.descriptor()
+        exchange(host, HOME)
+        begin = link.falcon.time_s
+        start = time.monotonic()
+        time.sleep(0.2)
+        exchange(host, HOME)
+        waited = time.monotonic() - start
+        assert 0.1 < link.falcon.time_s - begin <= waited + 1e-3
+        before = time.monotonic()
+        exchange(host, HOME)
+        assert time.monotonic() - before >= 0.002
+        os.close(host)
+
+
+def test_it_runs_as_a_process_of_its_own_and_ends_with_its_owner():
+    with EmulatorProcess(["--hand", "hold", "--fault", "silence@30"]) as emulator:
+        host = os.open(emulator.path, os.O_RDWR | os.O_NOCTTY)
+        assert len(exchange(host, HOME)) == 16
+        os.close(host)
+    with pytest.raises(ProcessLookupError):
+        os.kill(emulator.pid, 0)
+
+
+def test_a_process_that_can_not_start_says_why():
+    with pytest.raises(DeviceError, match="there is no fault 'melt'"):
+        EmulatorProcess(["--fault", "melt@3"])
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("unplug@6", ScriptedFault("unplug", 6.0)),
+        ("jump@6.5:300", ScriptedFault("jump", 6.5, size=300.0)),
+        ("bad packets@5/0.5", ScriptedFault("bad packets", 5.0, 0.5)),
+        ("stall@5:100/0.2", ScriptedFault("stall", 5.0, 0.2, 100.0)),
+    ],
+)
+def test_faults_are_read(text, fault):
+    assert parse_fault(text) == fault
+
+
+@pytest.mark.parametrize("text", ["unplug", "unplug@soon", "jump@5:x", "melt@5"])
+def test_faults_that_are_none_are_refused(text):
+    with pytest.raises(UsageError, match="no fault"):
+        parse_fault(text)
