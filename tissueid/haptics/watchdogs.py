@@ -175,13 +175,15 @@ def _check_frozen(memory: FloatArray, limits: FloatArray, counts_moved: IntArray
         for i in range(3):
             memory[STILL_FORCE + i] = memory[PREVIOUS + i]
         return
-    memory[STILL_S] += step
     change2 = 0.0
     for i in range(3):
         change = memory[PREVIOUS + i] - memory[STILL_FORCE + i]
         change2 += change * change
     memory[STILL_CHANGE_N] = max(memory[STILL_CHANGE_N], math.sqrt(change2))
-    if memory[STILL_S] >= limits[FROZEN_S] and memory[STILL_CHANGE_N] > limits[FROZEN_CHANGE_N]:
+    # counted from the change on: an arm at rest needs some ticks to answer a new force with a count
+    if memory[STILL_CHANGE_N] > limits[FROZEN_CHANGE_N]:
+        memory[STILL_S] += step
+    if memory[STILL_S] >= limits[FROZEN_S]:
         yield_to(memory, _FROZEN)
 
 
