@@ -79,6 +79,7 @@ def test_legs_are_homed_by_a_pull_and_a_push_and_jump_to_their_true_counts():
     np.testing.assert_allclose(kinematics.forward(angles(last)), falcon.position_m, atol=1e-4)
 
 
+@pytest.mark.needs_jit
 def test_homed_bits_are_said_only_while_homing_is_commanded_and_forgotten_without():
     falcon = homed_falcon()
     assert homed_bits(falcon.receive(HOME)) == 7
@@ -86,6 +87,7 @@ def test_homed_bits_are_said_only_while_homing_is_commanded_and_forgotten_withou
     assert homed_bits(falcon.receive(HOME)) == 0
 
 
+@pytest.mark.needs_jit
 def test_a_user_who_never_homes_is_waited_for_in_vain():
     falcon = homed_falcon(homes=False)
     assert homed_bits(falcon.receive(HOME)) == 0
@@ -107,6 +109,7 @@ def at_rest_off_axis(**settings: object) -> EmulatedFalcon:
     return falcon
 
 
+@pytest.mark.needs_jit
 @pytest.mark.parametrize("force", [[1.5, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 2.0], [0.7, 0.9, -1.1]])
 def test_motor_units_push_the_grip_with_the_force_the_driver_meant(force):
     falcon = at_rest_off_axis(motor_delay_s=0.0)
@@ -121,6 +124,7 @@ def test_motor_units_push_the_grip_with_the_force_the_driver_meant(force):
     np.testing.assert_allclose(moved, np.array(force) / 0.5 * 0.020**2, atol=0.02 * np.abs(moved).max())
 
 
+@pytest.mark.needs_jit
 def test_a_torque_comes_after_the_delay_of_the_motors():
     moved = []
     for delay in (0.0, 0.0005, 0.0023):
@@ -135,6 +139,7 @@ def test_a_torque_comes_after_the_delay_of_the_motors():
     np.testing.assert_allclose(moved, expected, rtol=0.02)
 
 
+@pytest.mark.needs_jit
 def test_lamps_and_buttons_are_shown():
     falcon = homed_falcon(buttons=((0.0, 0), (2.45, 4), (2.5, 1)))
     pressed = [(falcon.receive(command((0, 0, 0), 1 | 2 | 8))[13] - 0x41) & 15 for _ in range(200)]
@@ -150,6 +155,7 @@ def spoilt_answers(fault: ScriptedFault, count: int = 60) -> list[bytes]:
     return [falcon.receive(HOME) for _ in range(count)]
 
 
+@pytest.mark.needs_jit
 @pytest.mark.parametrize(("kind", "length"), [("short", 14), ("doubled", 32), ("garbled", 16), ("stall", 16)])
 def test_a_single_fault_spoils_one_answer(kind, length):
     answers = spoilt_answers(ScriptedFault(kind, 3.52))
@@ -160,6 +166,7 @@ def test_a_single_fault_spoils_one_answer(kind, length):
     assert len(good) == {"short": 59, "doubled": 59, "garbled": 59, "stall": 60}[kind]
 
 
+@pytest.mark.needs_jit
 @pytest.mark.parametrize("kind", ["silence", "bad packets"])
 def test_a_lasting_fault_ends_when_it_is_over(kind):
     answers = spoilt_answers(ScriptedFault(kind, 3.51, duration_s=0.020))
@@ -169,6 +176,7 @@ def test_a_lasting_fault_ends_when_it_is_over(kind):
     assert good[-1]
 
 
+@pytest.mark.needs_jit
 def test_faults_of_the_encoders_and_of_homing():
     still = spoilt_answers(ScriptedFault("frozen", 3.51))
     assert len({packet[1:13] for packet in still[15:]}) == 1
@@ -181,6 +189,7 @@ def test_faults_of_the_encoders_and_of_homing():
     assert homed_bits(spoilt_answers(ScriptedFault("unhomed", 3.51))[-1]) == 0b101
 
 
+@pytest.mark.needs_jit
 def test_sessions_in_virtual_time_repeat_bit_for_bit():
     def heard() -> list[bytes]:
         falcon = EmulatedFalcon(EmulatorSettings(period_s=1e-3))
