@@ -176,12 +176,16 @@ def _check_frozen(memory: FloatArray, limits: FloatArray, counts_moved: IntArray
             memory[STILL_FORCE + i] = memory[PREVIOUS + i]
         return
     change2 = 0.0
+    force2 = 0.0
     for i in range(3):
         change = memory[PREVIOUS + i] - memory[STILL_FORCE + i]
         change2 += change * change
+        force2 += memory[PREVIOUS + i] * memory[PREVIOUS + i]
     memory[STILL_CHANGE_N] = max(memory[STILL_CHANGE_N], math.sqrt(change2))
-    # counted from the change on: an arm at rest needs some ticks to answer a new force with a count
-    if memory[STILL_CHANGE_N] > limits[FROZEN_CHANGE_N]:
+    # counted from the change on: an arm at rest needs some ticks to answer a new force with a count, and
+    # one that was stopped (at the end of its reach) and gets no force rests by right
+    least = limits[FROZEN_CHANGE_N]
+    if memory[STILL_CHANGE_N] > least and force2 > least * least:
         memory[STILL_S] += step
     if memory[STILL_S] >= limits[FROZEN_S]:
         yield_to(memory, _FROZEN)
