@@ -149,11 +149,12 @@ class UdpBridge:
         self.dropped = 0
         self._last_s = -math.inf
         try:
-            family, _, _, _, self._target = socket.getaddrinfo(*send_to, type=socket.SOCK_DGRAM)[0]
+            family, _, _, _, target = socket.getaddrinfo(*send_to, type=socket.SOCK_DGRAM)[0]
+            self._target: Any = target
             self._out = socket.socket(family, socket.SOCK_DGRAM)
-            self._out.setblocking(False)  # noqa: FBT003 -- the name of the socket's own method says it
+            self._out.setblocking(False)
             self._in = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-            self._in.setblocking(False)  # noqa: FBT003
+            self._in.setblocking(False)
             self._in.bind((LOOPBACK, send_to[1] + 1))
         except (OSError, OverflowError) as error:
             msg = f"--bridge {printable(send_to[0])}:{send_to[1]}: {error}; choose another port"
