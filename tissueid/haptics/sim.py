@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -76,6 +77,13 @@ DEFAULT_PERIOD_S = 1e-3
 #: Centre of the largest sphere a Falcon reaches, and the radius that is used of it [m] (falcon.md 4).
 CENTRE_M = (0.0, 0.0, 0.130)
 WORKING_RADIUS_M = 0.040
+#: Change of force [N] that no guard lets through: the watchdog for frozen encoders then never bites.
+NO_CHANGE_N = 1e3
+
+
+def carried(limits: GuardLimits) -> GuardLimits:
+    """Limits for a grip that is carried exactly: it may rest while the force on it changes."""
+    return replace(limits, frozen_change_N=NO_CHANGE_N)
 
 
 class SimulatedDevice(HapticDevice):
@@ -118,7 +126,8 @@ class SimulatedDevice(HapticDevice):
         seed: int = 0,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        super().__init__(limits or GuardLimits.simulated())
+        limits = limits or GuardLimits.simulated()
+        super().__init__(carried(limits) if hand is not None and hand.rigid else limits)
         if not (quantum_m > 0.0 and period_s > 0.0 and 0.0 <= delay_ticks <= QUEUE_LENGTH - 2):
             msg = (
                 f"a simulated device needs a positive quantum and period, and a delay of 0 to "

@@ -1,0 +1,166 @@
+"""A device that moves as a recorded session did: ``tissueid render --replay LOG``.
+
+Guarantees
+    * At a time of the log it is where the log says, and between two records on the line between them.
+    * The same log and the same times give the same samples, bit for bit; no force changes the motion.
+    * Before the first record and after the last it rests there.
+
+Limits
+    * What is felt is not fed back: the hand of the log felt its own force, not the one rendered now.
+    * Positions are those the log has, already rounded to encoder counts.
+
+SI units; frame: x right, y up, z out toward the user.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.errors import DeviceError
+from tissueid.haptics.device import Capabilities, DetectedDevice, DeviceSample, HapticDevice
+from tissueid.haptics.limits import GuardLimits
+from tissueid.haptics.sim import CENTRE_M, DEFAULT_PERIOD_S, DEFAULT_QUANTUM_M, WORKING_RADIUS_M, carried
+
+__all__ = ["ReplayDevice"]
+
+FloatArray = NDArray[np.float64]
+
+
+class ReplayDevice(HapticDevice):
+    """The motion of a log.
+
+    Parameters
+    ----------
+    limits : GuardLimits, optional
+        5 N and no dead-man button where none are given.
+    log : path, optional
+        Log of a session, raw or HDF5; needed before ``open``.
+    real_time : bool
+        Move with ``clock``; else one period a force written.
+    period_s : float
+        Period of the loop that drives it in virtual time [s].
+    clock : callable
+        Seconds, never falling.
+
+    Raises
+    ------
+    BundleError
+        The log can't be read, with the reason.
+    DeviceError
+        The log holds no motion.
+    """
+
+    name = "replay"
+
+    def __init__(
+        self,
+        limits: GuardLimits | None = None,
+        *,
+        log: str | os.PathLike[str] | None = None,
+        real_time: bool = True,
+        period_s: float = DEFAULT_PERIOD_S,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        super().__init__(carried(limits or GuardLimits.simulated()))
+        self.real_time = real_time
+        self.period_s = period_s
+        self._clock = clock
+        self._started_s: float | None = None
+        self._written = 0
+        self._time_s = np.zeros(1)
+        self._position_m = np.array([CENTRE_M])
+        self._buttons = np.zeros(1, np.int64)
+        self._loaded = False
+        if log is not None:
+            self._load(Path(log))
+
+    @classmethod
+    def detect(cls) -> list[DetectedDevice]:
+        """It is there where a log is named."""
+        return [DetectedDevice(cls.name, "this program", "needs the log of a session: --replay LOG")]
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """Of a motion that no force changes: nothing to hurt, nothing to damp."""
+        (x, y, z), r = CENTRE_M, WORKING_RADIUS_M
+        return Capabilities(
+            name=self.name,
+            clamp_N=self.limits.clamp_N,
+            calibrated=True,
+            damping_N_s_per_m=np.inf,
+            delay_ticks=0.0,
+            workspace_m=((x - r, x + r), (y - r, y + r), (z - r, z + r)),
+            hardware=False,
+        )
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first to the last record [s]."""
+        return float(self._time_s[-1])
+
+    @property
+    def longest_gap_s(self) -> float:
+        """Longest time between two records [s]."""
+        return float(np.diff(self._time_s).max(initial=0.0))
+
+    @property
+    def ended(self) -> bool:
+        """The motion is over."""
+        return self._elapsed() >= self.duration_s
+
+    def _load(self, path: Path) -> None:
+        from tissueid.store.session_log import read_session_log
+
+        records = read_session_log(path).records
+        times = np.asarray(records["time_s"], dtype=np.float64)
+        places = np.asarray(records["position_m"], dtype=np.float64)
+        sound = np.isfinite(times) & np.isfinite(places).all(axis=1)
+        times, places = times[sound], places[sound]
+        if times.size < 2 or (np.diff(times) <= 0.0).any():
+            msg = f"{path}: its {times.size} usable records hold no motion that goes forward in time"
+            raise DeviceError(msg)
+        self._time_s, self._position_m = times - times[0], places
+        if "buttons" in (records.dtype.names or ()):
+            self._buttons = records["buttons"][sound].astype(np.int64)
+        else:
+            self._buttons = np.zeros(times.size, np.int64)
+        self._loaded = True
+
+    def _elapsed(self) -> float:
+        if not self.real_time:
+            return self._written * self.period_s
+        return 0.0 if self._started_s is None else self._clock() - self._started_s
+
+    def _open(self) -> None:
+        if not self._loaded:
+            msg = "replay: no log was named; give one with --replay LOG"
+            raise DeviceError(msg)
+        self._started_s = None
+        self._written = 0
+
+    def _close(self) -> None:
+        """Nothing to let go of."""
+
+    def _read(self) -> DeviceSample:
+        if self._started_s is None:
+            self._started_s = self._clock() if self.real_time else 0.0
+        now = self._elapsed()
+        place = np.array([np.interp(now, self._time_s, self._position_m[:, axis]) for axis in range(3)])
+        at = min(int(np.searchsorted(self._time_s, now, side="right")), self._time_s.size) - 1
+        return DeviceSample(
+            time_s=now,
+            position_m=place,
+            counts=np.floor(place / DEFAULT_QUANTUM_M).astype(np.int64),
+            buttons=int(self._buttons[max(at, 0)]),
+            homed=True,
+            valid=True,
+        )
+
+    def _write(self, force_N: FloatArray) -> None:  # noqa: ARG002 - no force changes a recorded motion
+        self._written += 1
