@@ -129,8 +129,8 @@ def surface_remarks(tissue: Tissue, shape: Shape, tip_radius_mm: float | None) -
         loss = 1.0 - math.sqrt(sizes[0] / (sizes[0] + length))
         if loss > REFUSED_LOSS:
             msg = (
-                f"on a sphere of {sizes[0]:g} mm the contact would be {100.0 * loss:.0f} % softer (Hertz) than "
-                "on the flat specimen it was identified on; choose a larger one"
+                f"on a sphere of {sizes[0]:g} mm the contact would be {100.0 * loss:.0f} % softer (Hertz) "
+                "than on the flat specimen it was identified on; choose a larger one"
             )
             raise BundleError(msg)
         if loss > REMARKED_LOSS:

@@ -1,0 +1,82 @@
+"""Tissues, bundles and a stepping hand for the tests of rendering."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from fit_factory import identification, specimen_fit
+
+from tissueid.model import KelvinVoigt
+from tissueid.render import environment as env
+from tissueid.render.tissue_block import Tissue
+from tissueid.store.bundle import Bundle, bundle_from_fit
+
+DEPTH_MM = 8.0
+#: Speeds and holds of paper A.
+SPEEDS_MM_MIN = (10.0, 70.0, 100.0, 150.0, 250.0, 500.0)
+HOLDS_MM = (2.0, 4.0, 6.0, 8.0)
+HOLD_SPEED_MM_MIN = 250.0
+
+PAPER_A = Tissue(
+    KelvinVoigt(branches=1, stiffness_degree=0, depth_mm=DEPTH_MM),
+    np.array([47.42, -5.577, 0.3804, 63.62, 0.021]),
+    (10.0 / 60.0, 500.0 / 60.0),
+    tip_radius_mm=2.0,
+    name="paper-a",
+)
+_TWO = KelvinVoigt(branches=2, stiffness_degree=2, depth_mm=DEPTH_MM)
+TWO_BRANCHES = Tissue(
+    _TWO,
+    _TWO.join(
+        np.array([12.0, -1.5, 0.35]),
+        np.array([[20.0, 3.0, 0.4], [9.0, -0.8, 0.05]]),
+        np.array([0.021, 0.4]),
+    ),
+    (10.0 / 60.0, 500.0 / 60.0),
+    tip_radius_mm=2.0,
+    name="two branches",
+)
+
+
+def walk(block: np.ndarray, positions_m: np.ndarray, times_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Forces and infos of the environment along a path, first sample at rest."""
+    memory = env.new_memory()
+    force, velocity = np.zeros(3), np.zeros(3)
+    info = np.zeros(env.INFO_SIZE)
+    forces, infos = np.zeros((len(times_s), 3)), np.zeros((len(times_s), env.INFO_SIZE))
+    for i in range(len(times_s)):
+        dt = times_s[i] - times_s[i - 1] if i else 0.001
+        if i:
+            velocity = (positions_m[i] - positions_m[i - 1]) / dt
+        kind = int(block[env.KIND])
+        env.environment_step(kind, block, memory, positions_m[i].copy(), velocity, dt, force, info)
+        forces[i], infos[i] = force, info
+    return forces, infos
+
+
+def pressed(depth_mm: np.ndarray, *, motion: float, top_m: float = 0.130) -> np.ndarray:
+    """Positions above and in a plane at ``top_m``, for depths in tissue units."""
+    positions = np.zeros((len(depth_mm), 3))
+    positions[:, 2] = top_m - depth_mm * motion * 1e-3
+    return positions
+
+
+def bundle_of(tissue: Tissue, *, draws: np.ndarray | None = None, **changes: Any) -> Bundle:
+    """A bundle that holds a tissue."""
+    base = bundle_from_fit(specimen_fit(), provenance=identification([specimen_fit()]).provenance)
+    model = tissue.model
+    held = replace(
+        base,
+        specimen=tissue.name,
+        model=replace(base.model, branches=model.branches, stiffness_degree=model.stiffness_degree),
+        theta_names=tuple(model.parameter_names),
+        theta=tissue.theta,
+        covariance=np.diag((0.01 * tissue.theta) ** 2),
+        depth_mm=model.depth_mm,
+        speeds_mm_s=tissue.speeds_mm_s,
+        tip_radius_mm=tissue.tip_radius_mm,
+        draws=draws,
+    )
+    return replace(held, **changes)
