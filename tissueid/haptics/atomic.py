@@ -18,6 +18,7 @@ __all__ = ["load_acquire", "store_release"]
 IntArray = NDArray[np.int64]
 
 _WORD_BYTES = 8
+_UNCOMPILED = bool(getattr(config, "DISABLE_JIT", False))
 
 
 def _address(context: Any, builder: Any, array_type: Any, array: Any) -> Any:
@@ -56,12 +57,12 @@ def _load(typing_context, cell):  # type: ignore[no-untyped-def] # noqa: ARG001
 
 @njit(cache=True, nogil=True)
 def _store_release(cell: IntArray, value: int) -> None:
-    _store(cell, value)
+    _store(cell, value)  # type: ignore[call-arg] # the typing context is not the caller's
 
 
 @njit(cache=True, nogil=True)
 def _load_acquire(cell: IntArray) -> int:
-    return _load(cell)
+    return _load(cell)  # type: ignore[call-arg, no-any-return]
 
 
 def _plain_store(cell: IntArray, value: int) -> None:
@@ -74,6 +75,6 @@ def _plain_load(cell: IntArray) -> int:
 
 
 #: ``store_release(cell, value)``: set ``cell[0]``, int64, after everything written before.
-store_release = _plain_store if config.DISABLE_JIT else _store_release
+store_release = _plain_store if _UNCOMPILED else _store_release
 #: ``load_acquire(cell)``: ``cell[0]``, before everything read after.
-load_acquire = _plain_load if config.DISABLE_JIT else _load_acquire
+load_acquire = _plain_load if _UNCOMPILED else _load_acquire

@@ -1,7 +1,8 @@
 """A device that can be felt: what a backend writes, and what it can't get round.
 
 A backend overrides ``detect``, ``capabilities``, ``_open``, ``_close``, ``_read`` and ``_write``, and no
-more.  ``open``, ``close``, ``read`` and ``write_force`` are final: every force goes through
+more (``home`` and ``compiled`` where it has them).  ``open``, ``close``, ``read`` and ``write_force`` are
+final: every force goes through
 :func:`tissueid.haptics.guard.guard`, every way out sends zero force.
 
 SI units (m, N, s).  Frame: x right, y up, z out toward the user, origin on the device's axis at its base.
@@ -11,7 +12,6 @@ from __future__ import annotations
 
 import atexit
 import contextlib
-import time
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Self, final
@@ -24,7 +24,7 @@ from tissueid.haptics import guard_states as machine
 from tissueid.haptics.guard import GuardLimits, guard, new_guard, observe, transition
 from tissueid.haptics.states import FAULT_WORDS, Fault, State
 from tissueid.haptics.velocity import velocity_step
-from tissueid.haptics.watchdogs import REPLY_DAMAGED, REPLY_LOST, REPLY_NONE, REPLY_VALID
+from tissueid.haptics.watchdogs import REPLY_DAMAGED, REPLY_NONE, REPLY_VALID
 
 __all__ = [
     "FALCON_FD",
@@ -167,7 +167,7 @@ class CompiledIO:
 #: :mod:`tissueid.haptics.falcon.kinematic_kernels`.
 UNITS_PER_NM, GEOMETRY = 0, 1
 
-_FINAL = ("open", "close", "read", "write_force", "engage", "disengage")
+_FINAL = ("open", "close", "sample", "read", "write_force", "engage", "disengage")
 
 
 class HapticDevice(ABC):
@@ -235,6 +235,9 @@ class HapticDevice(ABC):
     def _write(self, force_N: FloatArray) -> None:
         """Send a force [N] that passed the guard; called by :meth:`write_force` and :meth:`close` alone."""
 
+    def home(self) -> None:  # noqa: B027 - most devices need no hand for it
+        """Lead the user through homing after ``open``; nothing to do where a device needs no hand for it."""
+
     def compiled(self) -> CompiledIO | None:
         """What the compiled servo needs, or None: then the loop runs uncompiled and says its rate."""
         return None
@@ -289,8 +292,8 @@ class HapticDevice(ABC):
             self._close()
 
     @final
-    def read(self) -> DeviceSample:
-        """Read the device and let the watchdogs see it.
+    def sample(self) -> DeviceSample:
+        """Read the device without its watchdogs: for a loop that has its own.
 
         Raises
         ------
@@ -299,11 +302,22 @@ class HapticDevice(ABC):
         """
         self._must_be_open()
         try:
-            sample = self._read()
+            return self._read()
         except (OSError, DeviceError) as error:
-            self._watch(REPLY_LOST, None)
+            transition(self.guard_memory, self._limits, machine.TRANSPORT_LOST)
             msg = f"{self.name}: {FAULT_WORDS[Fault.TRANSPORT]} ({error})"
             raise DeviceError(msg) from error
+
+    @final
+    def read(self) -> DeviceSample:
+        """Read the device and let the watchdogs see it.
+
+        Raises
+        ------
+        DeviceError
+            As :meth:`sample`.
+        """
+        sample = self.sample()
         if sample.valid:
             self._watch(REPLY_VALID, sample)
         else:
@@ -369,15 +383,15 @@ class HapticDevice(ABC):
             msg = f"{self.name}: is closed; call open() first"
             raise DeviceError(msg)
 
-    def _watch(self, reply: int, sample: DeviceSample | None) -> None:
+    def _watch(self, reply: int, sample: DeviceSample) -> None:
         """Watchdogs of one reading; the depth of the tool is not known here."""
-        now = time.monotonic() if sample is None else sample.time_s
+        now = sample.time_s
         dt = 0.0 if self._last_s is None else now - self._last_s
         first = self._last_s is None
         moved = np.zeros(3, np.int64)
         self._last_s = now
         homed, buttons = False, 0
-        if sample is not None and sample.valid:
+        if sample.valid:
             homed, buttons = sample.homed, sample.buttons
             # at the end of homing the coordinates jump: nothing moved
             if first or self.state is State.HOMING:

@@ -99,7 +99,7 @@ LARGEST_N = 1e150
 
 _CLIPPED, _SLEWED, _RMS = int(Lamp.CLIPPED), int(Lamp.SLEWED), int(Lamp.RMS_LIMITED)
 _STALLED, _RAMPING, _LET_GO = int(Lamp.STALLED), int(Lamp.RAMPING), int(Lamp.DEAD_MAN)
-_NOT_A_NUMBER, _OVERHEATED = int(Fault.NOT_A_NUMBER), int(Fault.OVERHEATED)
+_NOT_A_NUMBER, _OVERHEATED = float(Fault.NOT_A_NUMBER), float(Fault.OVERHEATED)
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
@@ -174,7 +174,7 @@ def _advance_gain(memory: FloatArray, limits: FloatArray, step: float, stalled: 
     elif memory[PHASE] == YIELDING:
         memory[DAMPED_S] += step
         if memory[DAMPED_S] >= limits[DAMPING_S]:
-            fail(memory, int(memory[PENDING_FAULT]))
+            fail(memory, memory[PENDING_FAULT])
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")

@@ -40,17 +40,24 @@ STILL_FORCE, STILL_CHANGE_N = 25, 28
 MEAN_SQUARE, LET_GO = 29, 30
 GUARD_SIZE = 32
 
-CLOSED, OPEN, FIRMWARE, HOMING = int(State.CLOSED), int(State.OPEN), int(State.FIRMWARE), int(State.HOMING)
-ARMED, ENGAGED, FAULTED = int(State.ARMED), int(State.ENGAGED), int(State.FAULT)
-_HEARTBEAT, _PARENT_DIED = int(Fault.HEARTBEAT), int(Fault.PARENT_DIED)
-_TRANSPORT = int(Fault.TRANSPORT)
+# numbers that compiled functions are called with are floats: numba would compile a function anew for every
+# integer constant it is called with
+CLOSED, OPEN, FIRMWARE = float(State.CLOSED), float(State.OPEN), float(State.FIRMWARE)
+HOMING, ARMED, ENGAGED, FAULTED = (
+    float(State.HOMING),
+    float(State.ARMED),
+    float(State.ENGAGED),
+    float(State.FAULT),
+)
+_HEARTBEAT, _PARENT_DIED = float(Fault.HEARTBEAT), float(Fault.PARENT_DIED)
+_TRANSPORT = float(Fault.TRANSPORT)
 
 #: Phases of GAIN: up to 1; down, then ARMED; down, then up again; down, then damping, then FAULT.
-RISING, RELEASING, RECOVERING, YIELDING = 0, 1, 2, 3
+RISING, RELEASING, RECOVERING, YIELDING = 0.0, 1.0, 2.0, 3.0
 
 #: Events of :func:`transition`.
-OPENED, FIRMWARE_OK, HOME, HOMED, ENGAGE, DISENGAGE = 0, 1, 2, 3, 4, 5
-RELEASE, SWAP, HEARTBEAT_LOST, PARENT_DIED, TRANSPORT_LOST, SHUT = 6, 7, 8, 9, 10, 11
+OPENED, FIRMWARE_OK, HOME, HOMED, ENGAGE, DISENGAGE = 0.0, 1.0, 2.0, 3.0, 4.0, 5.0
+RELEASE, SWAP, HEARTBEAT_LOST, PARENT_DIED, TRANSPORT_LOST, SHUT = 6.0, 7.0, 8.0, 9.0, 10.0, 11.0
 
 #: A force nobody has asked for yet may not engage a device.
 UNKNOWN_N = np.inf
@@ -64,7 +71,7 @@ def new_guard() -> FloatArray:
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
-def fail(memory: FloatArray, fault: int) -> None:
+def fail(memory: FloatArray, fault: float) -> None:
     """Go to FAULT, once: the first fault is the one that is reported.
 
     The force that was sent last is where the ramp to zero starts.
@@ -80,7 +87,7 @@ def fail(memory: FloatArray, fault: int) -> None:
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
-def yield_to(memory: FloatArray, fault: int) -> None:
+def yield_to(memory: FloatArray, fault: float) -> None:
     """Damping alone, then FAULT: for faults that leave a device answering with a hand in its grip."""
     if memory[STATE] != ENGAGED:
         fail(memory, fault)
@@ -106,7 +113,7 @@ def engage_now(memory: FloatArray, limits: FloatArray) -> None:
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
-def _advance(memory: FloatArray, source: int, target: int) -> bool:
+def _advance(memory: FloatArray, source: float, target: float) -> bool:
     """One step of the way up, from ``source`` only."""
     if memory[STATE] != source:
         return False
@@ -119,14 +126,15 @@ def _opened(memory: FloatArray) -> bool:
     """CLOSED to OPEN, with everything forgotten."""
     if memory[STATE] != CLOSED:
         return False
-    memory[:] = 0.0
+    for i in range(memory.size):
+        memory[i] = 0.0
     memory[WANTED_N] = UNKNOWN_N
     memory[STATE] = OPEN
     return True
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
-def _let_down(memory: FloatArray) -> bool:
+def let_down(memory: FloatArray) -> bool:
     """Take the force away over the dead-man ramp; back to ARMED at its end."""
     if memory[STATE] != ENGAGED:
         return False
@@ -136,7 +144,7 @@ def _let_down(memory: FloatArray) -> bool:
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
-def transition(memory: FloatArray, limits: FloatArray, event: int) -> bool:
+def transition(memory: FloatArray, limits: FloatArray, event: float) -> bool:
     """Tell the guard what happened outside a tick.
 
     Parameters
@@ -145,7 +153,7 @@ def transition(memory: FloatArray, limits: FloatArray, event: int) -> bool:
         Updated in place.
     limits : ndarray, shape (LIMITS_SIZE,)
         :meth:`tissueid.haptics.limits.GuardLimits.block`.
-    event : int
+    event : float
         OPENED, FIRMWARE_OK, HOME (homing begins), HOMED; ENGAGE (force is wanted: it comes once the tool is
         free or the force small, and the dead-man button is held), DISENGAGE, RELEASE (the button);
         SWAP (asks whether parameters may be exchanged now, and changes nothing);
@@ -171,9 +179,9 @@ def transition(memory: FloatArray, limits: FloatArray, event: int) -> bool:
         return bool(memory[WANTED] == 1.0)
     if event == DISENGAGE:
         memory[WANTED] = 0.0
-        return _let_down(memory)
+        return let_down(memory)
     if event == RELEASE:
-        return bool(limits[DEAD_MAN] != 0.0 and _let_down(memory))
+        return bool(limits[DEAD_MAN] != 0.0 and let_down(memory))
     if event == SWAP:
         return bool(state != ENGAGED or memory[PENETRATION] <= 0.0)
     if event == HEARTBEAT_LOST:
@@ -184,7 +192,8 @@ def transition(memory: FloatArray, limits: FloatArray, event: int) -> bool:
         fail(memory, _TRANSPORT)
     elif event == SHUT:
         memory[STATE] = CLOSED
-        memory[PREVIOUS : PREVIOUS + 3] = 0.0
+        for i in range(3):
+            memory[PREVIOUS + i] = 0.0
     else:
         return False
     return True

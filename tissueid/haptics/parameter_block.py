@@ -59,7 +59,7 @@ def command(head: IntArray) -> int:
 @nb.njit(cache=True, nogil=True)
 def waiting(head: IntArray) -> bool:
     """Whether parameters were published that the servo has not taken."""
-    return load_acquire(head[_PUBLISHED_AT : _PUBLISHED_AT + 1]) != head[_TAKEN_AT]
+    return bool(load_acquire(head[_PUBLISHED_AT : _PUBLISHED_AT + 1]) != head[_TAKEN_AT])
 
 
 @nb.njit(cache=True, nogil=True)

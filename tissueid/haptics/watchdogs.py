@@ -13,14 +13,12 @@ from tissueid.haptics.guard_states import (
     DAMAGED,
     ENGAGED,
     FAULTED,
-    HOMED,
     HOMED_REPLIES,
     HOMING,
     LET_GO,
     PENETRATION,
     PHASE,
     PREVIOUS,
-    RELEASE,
     RELEASING,
     RISE_RATE,
     RISING,
@@ -34,7 +32,7 @@ from tissueid.haptics.guard_states import (
     WANTED_N,
     engage_now,
     fail,
-    transition,
+    let_down,
     yield_to,
 )
 from tissueid.haptics.limits import (
@@ -62,9 +60,9 @@ IntArray = NDArray[np.int64]
 #: What came from the device since the last tick: a whole reply; nothing; only damaged bytes; an error.
 REPLY_VALID, REPLY_NONE, REPLY_DAMAGED, REPLY_LOST = 1, 0, -1, -2
 
-_NO_REPLY, _BAD_PACKETS = int(Fault.NO_REPLY), int(Fault.BAD_PACKETS)
-_TRANSPORT, _FROZEN = int(Fault.TRANSPORT), int(Fault.ENCODER_FROZEN)
-_JUMP, _OVERSPEED, _NOT_HOMED = int(Fault.ENCODER_JUMP), int(Fault.OVERSPEED), int(Fault.NOT_HOMED)
+_NO_REPLY, _BAD_PACKETS = float(Fault.NO_REPLY), float(Fault.BAD_PACKETS)
+_TRANSPORT, _FROZEN = float(Fault.TRANSPORT), float(Fault.ENCODER_FROZEN)
+_JUMP, _OVERSPEED, _NOT_HOMED = float(Fault.ENCODER_JUMP), float(Fault.OVERSPEED), float(Fault.NOT_HOMED)
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
@@ -115,7 +113,7 @@ def observe(
     if state == HOMING:
         memory[HOMED_REPLIES] = memory[HOMED_REPLIES] + 1.0 if homed else 0.0
         if memory[HOMED_REPLIES] >= limits[HOMED_NEEDED]:
-            transition(memory, limits, HOMED)
+            memory[STATE] = ARMED
         return
     _check_motion(memory, limits, homed, counts_moved, velocity, dt)
     if memory[STATE] == ENGAGED:
@@ -198,7 +196,7 @@ def _dead_man(memory: FloatArray, limits: FloatArray, buttons: int) -> None:
     memory[LET_GO] = 0.0 if held else 1.0
     if memory[STATE] == ENGAGED:
         if not held:
-            transition(memory, limits, RELEASE)
+            let_down(memory)
         elif memory[PHASE] == RELEASING and memory[WANTED] == 1.0:
             memory[PHASE] = RISING
             memory[RISE_RATE] = 1.0 / limits[RAMP_S]

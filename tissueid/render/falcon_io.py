@@ -1,0 +1,226 @@
+"""A Falcon in the compiled loop: whatever arrived is parsed, one command is sent, nobody waits.
+
+The device answers each command, so the answer to the last tick's command is what a tick reads.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba as nb
+import numpy as np
+from numba import types
+from numpy.typing import NDArray
+
+from tissueid.haptics.device import GEOMETRY, UNITS_PER_NM, CompiledIO
+from tissueid.haptics.falcon.kinematic_kernels import angles_of_counts, forward_kernel, motor_units
+from tissueid.haptics.falcon.packet_kernels import (
+    BUTTONS,
+    ENCODERS,
+    HOMED,
+    INVALID,
+    PACKET_BYTES,
+    PARSER_SIZE,
+    encode_into,
+    leds_of_state,
+    parse_byte,
+)
+from tissueid.haptics.foreign import by_address, libc_function
+from tissueid.haptics.guard_states import STATE
+from tissueid.haptics.limits import MOTOR_CLAMP
+from tissueid.haptics.watchdogs import REPLY_DAMAGED, REPLY_LOST, REPLY_NONE, REPLY_VALID
+
+__all__ = [
+    "DescriptorIO",
+    "UsbIO",
+    "command_descriptor",
+    "command_usb",
+    "descriptor_io",
+    "sense_descriptor",
+    "sense_usb",
+    "usb_io",
+]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+ByteArray = NDArray[np.uint8]
+
+READ_BYTES = 512
+ALL_HOMED = 0x7
+#: Every USB packet of the serial chip begins with this many bytes of modem status.
+USB_PACKET_BYTES, STATUS_BYTES = 64, 2
+#: poll(2): an int32 descriptor, int16 events and int16 returned events, here as one little-endian word.
+POLL_IN, POLL_OUT, POLL_BROKEN = 0x1, 0x4, 0x8 | 0x10 | 0x20
+EVENTS_SHIFT, RETURNED_SHIFT = 32, 48
+#: libusb: nothing came in time; the control word of a transfer that failed otherwise.
+LIBUSB_TIMEOUT = -7
+#: Flags of a tuple: the transport is gone; damaged replies already reported.
+LOST, REPORTED = 0, 1
+#: Middle of the workspace [m]: where the first Newton iteration starts.
+GUESS_M = (0.0, 0.0, 0.12)
+
+_poll = libc_function("poll", types.int32, types.int64, types.int64, types.int32)
+_read = libc_function("read", types.int64, types.int32, types.int64, types.int64)
+_write = libc_function("write", types.int64, types.int32, types.int64, types.int64)
+_bulk_transfer = by_address(
+    types.int32, types.int64, types.uint8, types.int64, types.int32, types.int64, types.uint32
+)
+
+
+class FalconParts(NamedTuple):
+    """What both transports keep: constants, parser, room for bytes and results."""
+
+    units_per_Nm: float
+    geometry: FloatArray
+    parser: IntArray
+    flags: IntArray
+    word: IntArray
+    incoming: ByteArray
+    outgoing: ByteArray
+    motor: IntArray
+    angles: FloatArray
+    grip: FloatArray
+
+
+class DescriptorIO(NamedTuple):
+    """A Falcon behind a file descriptor."""
+
+    descriptor: int
+    parts: FalconParts
+
+
+class UsbIO(NamedTuple):
+    """A Falcon behind libusb: address of the transfer function, device handle, end points, time-out [ms]."""
+
+    address: int
+    handle: int
+    bulk_out: int
+    bulk_in: int
+    timeout_ms: int
+    parts: FalconParts
+
+
+def _parts(given: CompiledIO) -> FalconParts:
+    """Fresh parts for a device."""
+    return FalconParts(
+        units_per_Nm=float(given.constants[UNITS_PER_NM]),
+        geometry=np.ascontiguousarray(given.constants[GEOMETRY:]),
+        parser=np.zeros(PARSER_SIZE, np.int64),
+        flags=np.zeros(2, np.int64),
+        word=np.zeros(1, np.int64),
+        incoming=np.zeros(READ_BYTES, np.uint8),
+        outgoing=np.zeros(PACKET_BYTES, np.uint8),
+        motor=np.zeros(3, np.int64),
+        angles=np.zeros(3),
+        grip=np.array(GUESS_M),
+    )
+
+
+def descriptor_io(given: CompiledIO) -> DescriptorIO:
+    """The tuple of a descriptor."""
+    return DescriptorIO(int(given.handles[0]), _parts(given))
+
+
+def usb_io(given: CompiledIO) -> UsbIO:
+    """The tuple of a USB device."""
+    address, handle, bulk_out, bulk_in, timeout_ms = (int(value) for value in given.handles[:5])
+    return UsbIO(address, handle, bulk_out, bulk_in, timeout_ms, _parts(given))
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _ready(descriptor: int, events: int, word: IntArray) -> int:
+    """Which of the events hold now; POLL_BROKEN bits if the other end is gone."""
+    word[0] = descriptor | (events << EVENTS_SHIFT)
+    if _poll(word.ctypes.data, 1, 0) < 0:
+        return 0
+    return int((word[0] >> RETURNED_SHIFT) & 0xFFFF)
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _understand(
+    parts: FalconParts, replies: int, position: FloatArray, counts: IntArray, words: IntArray
+) -> None:
+    """The last whole reply as position, counts and buttons."""
+    damaged = parts.parser[INVALID] - parts.flags[REPORTED]
+    parts.flags[REPORTED] = parts.parser[INVALID]
+    words[0] = REPLY_DAMAGED if damaged > 0 else REPLY_NONE
+    if replies > 0:
+        words[1] = 1 if parts.parser[HOMED] == ALL_HOMED else 0
+        words[2] = parts.parser[BUTTONS]
+        for i in range(3):
+            counts[i] = parts.parser[ENCODERS + i]
+        angles_of_counts(counts, parts.geometry, parts.angles)
+        found = forward_kernel(parts.angles, parts.geometry, parts.grip) >= 0
+        # counts that no grip position has are as good as a damaged reply; before homing they mean nothing
+        words[0] = REPLY_VALID if found or words[1] == 0 else REPLY_DAMAGED
+        for i in range(3):
+            position[i] = parts.grip[i]
+    if parts.flags[LOST] != 0:
+        words[0] = REPLY_LOST
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _packet(parts: FalconParts, guard_memory: FloatArray, limits: FloatArray, force: FloatArray) -> None:
+    """The command for a force at the grip's last position; homing mode stays, or homing is lost."""
+    motor_units(force, parts.grip, parts.geometry, parts.units_per_Nm, limits[MOTOR_CLAMP], parts.motor)
+    encode_into(parts.motor, leds_of_state(int(guard_memory[STATE])), True, parts.outgoing)
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def sense_descriptor(
+    io: DescriptorIO, dt: float, position: FloatArray, counts: IntArray, words: IntArray
+) -> None:
+    """Parse what has arrived."""
+    parts = io.parts
+    replies = 0
+    ready = _ready(io.descriptor, POLL_IN, parts.word)
+    if (ready & POLL_IN) != 0:
+        length = _read(io.descriptor, parts.incoming.ctypes.data, READ_BYTES)
+        if length <= 0:
+            parts.flags[LOST] = 1
+        for i in range(length):
+            replies += parse_byte(parts.parser, int(parts.incoming[i]))
+    elif (ready & POLL_BROKEN) != 0:
+        parts.flags[LOST] = 1
+    _understand(parts, replies, position, counts, words)
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def command_descriptor(
+    io: DescriptorIO, guard_memory: FloatArray, limits: FloatArray, force: FloatArray
+) -> None:
+    """Send one packet; where the other end takes no bytes its silence is noticed by the watchdog."""
+    parts = io.parts
+    _packet(parts, guard_memory, limits, force)
+    ready = _ready(io.descriptor, POLL_OUT, parts.word)
+    if (ready & POLL_OUT) != 0 and _write(io.descriptor, parts.outgoing.ctypes.data, PACKET_BYTES) < 0:
+        parts.flags[LOST] = 1
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def sense_usb(io: UsbIO, dt: float, position: FloatArray, counts: IntArray, words: IntArray) -> None:
+    """Parse what has arrived, without the status bytes of each USB packet."""
+    parts = io.parts
+    replies = 0
+    parts.word[0] = 0
+    where, length_at = parts.incoming.ctypes.data, parts.word.ctypes.data
+    result = _bulk_transfer(io.address, (io.handle, io.bulk_in, where, READ_BYTES, length_at, io.timeout_ms))
+    if result not in (0, LIBUSB_TIMEOUT):
+        parts.flags[LOST] = 1
+    for i in range(parts.word[0] & 0xFFFFFFFF):
+        if i % USB_PACKET_BYTES >= STATUS_BYTES:
+            replies += parse_byte(parts.parser, int(parts.incoming[i]))
+    _understand(parts, replies, position, counts, words)
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def command_usb(io: UsbIO, guard_memory: FloatArray, limits: FloatArray, force: FloatArray) -> None:
+    """Send one packet."""
+    parts = io.parts
+    _packet(parts, guard_memory, limits, force)
+    where, length_at = parts.outgoing.ctypes.data, parts.word.ctypes.data
+    result = _bulk_transfer(
+        io.address, (io.handle, io.bulk_out, where, PACKET_BYTES, length_at, io.timeout_ms)
+    )
+    if result not in (0, LIBUSB_TIMEOUT):
+        parts.flags[LOST] = 1

@@ -1,0 +1,95 @@
+"""A device of the Force Dimension driver in the compiled loop, by the addresses of its functions.
+
+The driver has no encoder counts for us: they are given in steps of its usual resolution, so that the
+watchdogs for jumps and frozen encoders work as for any device.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numba as nb
+import numpy as np
+from numba import types
+from numpy.typing import NDArray
+
+from tissueid.haptics.device import CompiledIO
+from tissueid.haptics.foreign import by_address
+from tissueid.haptics.watchdogs import REPLY_LOST, REPLY_VALID
+
+__all__ = ["ForceDimensionIO", "command_force_dimension", "force_dimension_io", "sense_force_dimension"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+#: Step that stands for one encoder count [m].
+COUNT_M = 45e-6
+#: ``dhdSetForce`` answers 0 (sent), 1 (too early, the last one holds) or 2 (motors saturated).
+LARGEST_SENT = 2
+
+_get_position = by_address(types.int32, types.int64, types.int64, types.int64, types.int8)
+_set_force = by_address(types.int32, types.float64, types.float64, types.float64, types.int8)
+_get_buttons = by_address(types.uint32, types.int8)
+
+
+class ForceDimensionIO(NamedTuple):
+    """Addresses of the driver's functions, its number of the device, and where its frame lies in ours."""
+
+    get_position: int
+    set_force: int
+    get_buttons: int
+    identity: int
+    rotation: FloatArray
+    origin: FloatArray
+    driver: FloatArray
+    flags: IntArray
+
+
+def force_dimension_io(given: CompiledIO) -> ForceDimensionIO:
+    """The tuple of a device."""
+    get_position, set_force, get_buttons, identity = (int(value) for value in given.handles[:4])
+    return ForceDimensionIO(
+        get_position,
+        set_force,
+        get_buttons,
+        identity,
+        np.ascontiguousarray(given.constants[:9]).reshape(3, 3),
+        np.ascontiguousarray(given.constants[9:12]),
+        np.zeros(3),
+        np.zeros(1, np.int64),
+    )
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def sense_force_dimension(
+    io: ForceDimensionIO, dt: float, position: FloatArray, counts: IntArray, words: IntArray
+) -> None:
+    """Ask the driver for the position and the buttons."""
+    at = io.driver.ctypes.data
+    result = _get_position(io.get_position, (at, at + 8, at + 16, io.identity))
+    words[1] = 1
+    if result < 0 or io.flags[0] != 0:
+        words[0] = REPLY_LOST
+        return
+    words[0] = REPLY_VALID
+    words[2] = int(_get_buttons(io.get_buttons, (io.identity,)))
+    for i in range(3):
+        position[i] = io.origin[i]
+        for j in range(3):
+            position[i] += io.rotation[i, j] * io.driver[j]
+        counts[i] = math.floor(position[i] / COUNT_M)
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def command_force_dimension(
+    io: ForceDimensionIO, guard_memory: FloatArray, limits: FloatArray, force: FloatArray
+) -> None:
+    """Give the driver a force in its own frame."""
+    for j in range(3):
+        io.driver[j] = 0.0
+        for i in range(3):
+            io.driver[j] += io.rotation[i, j] * force[i]
+    result = _set_force(io.set_force, (io.driver[0], io.driver[1], io.driver[2], io.identity))
+    if result < 0 or result > LARGEST_SENT:
+        io.flags[0] = 1

@@ -1,0 +1,331 @@
+"""One tick of the servo: read, velocity, force law, passivity, watchdogs, guard, command, record.
+
+Every loop (real time, virtual time, compiled or not) calls :func:`tick`, so that what is tested in virtual
+time is what runs on a device.  It allocates nothing.
+
+The force law sees the measured time since the last tick: the law's recursion is exact for any step, so that
+a late tick is no wrong force.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numba as nb
+import numpy as np
+from numba.extending import overload
+from numpy.typing import NDArray
+
+from tissueid.errors import DeviceError
+from tissueid.haptics.device import HapticDevice
+from tissueid.haptics.guard import guard, observe, transition
+from tissueid.haptics.guard_states import DISENGAGE, ENGAGE, FAULT, HOMING, LAMPS, STATE, SWAP, WANTED
+from tissueid.haptics.parameter_block import COMMAND_ENGAGE, ParameterBlock, take, waiting
+from tissueid.haptics.parameter_block import command as ordered
+from tissueid.haptics.ring import Ring, publish
+from tissueid.haptics.states import Lamp
+from tissueid.haptics.velocity import velocity_step
+from tissueid.haptics.watchdogs import REPLY_VALID
+from tissueid.render.environment import (
+    ENVIRONMENT_SIZE,
+    INFO_DEPTH_MM,
+    INFO_FLAGS,
+    INFO_LABEL,
+    INFO_PENETRATION_M,
+    INFO_SIZE,
+    INFO_SPEED_MM_S,
+    INFO_TISSUE_FORCE_N,
+    KIND,
+    MEMORY_SIZE,
+    environment_step,
+    put_at_rest,
+)
+from tissueid.render.passivity_control import (
+    ACTIVE,
+    CONTROL_MEMORY_SIZE,
+    CONTROL_SIZE,
+    TOTAL_J,
+    note_sent,
+    passivity_step,
+)
+from tissueid.render.servo_io import HOMED, PRESSED, REPLY, WORDS_SIZE, PythonIO, command, sense
+
+__all__ = ["BLOCK_SIZE", "Servo", "new_servo", "tick"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+#: Parameters of one version: the environment's, then the passivity controller's.
+BLOCK_SIZE = ENVIRONMENT_SIZE + CONTROL_SIZE
+
+#: Counters: ticks so far, ticks skipped, version of the parameters, whether a position was seen, the tissue
+#: outside its identified range, ticks with tissue touched, ticks in which the clamp bit.
+TICKS, MISSED, VERSION, SEEN, OUTSIDE, TOUCHED, CLIPPED = range(7)
+COUNTERS_SIZE = 8
+#: Longest step the force law is given [s]: after a second nothing of a stall is left in tissue.
+LONGEST_STEP_S = 1.0
+#: Shortest step [s]: a late tick and a punctual one lie so close that their difference is noise.
+SHORTEST_STEP_S = 1e-5
+#: Largest number of skipped ticks a record can hold.
+MISSED_LIMIT = 65_535
+COUNT_LIMIT = 32_767
+
+_PASSIVITY, _LATE, _CLIPPED = int(Lamp.PASSIVITY), int(Lamp.LATE), int(Lamp.CLIPPED)
+_OUTSIDE = int(Lamp.OUTSIDE_DEPTH) | int(Lamp.OUTSIDE_SPEED)
+
+
+class Servo(NamedTuple):
+    """Everything a tick remembers, as arrays that compiled code shares with Python.
+
+    Attributes
+    ----------
+    guard_memory, limits
+        Of :mod:`tissueid.haptics.guard`; the device's own.
+    environment, environment_memory
+        Of :mod:`tissueid.render.environment`.
+    control, control_memory
+        Of :mod:`tissueid.render.passivity_control`.
+    position, last_position, velocity, force, out
+        [m], [m/s], [N]; shape (3,).
+    info
+        What the environment said.
+    counts, last_counts, moved, words
+        Encoder counts; words of a reading.
+    counters : ndarray of int64
+    ring_head, records
+        Of :class:`tissueid.haptics.ring.Ring`.
+    block_head, block_values
+        Of :class:`tissueid.haptics.parameter_block.ParameterBlock`.
+    staged : ndarray, shape (BLOCK_SIZE,)
+        A version while it is taken over.
+    """
+
+    guard_memory: FloatArray
+    limits: FloatArray
+    environment: FloatArray
+    environment_memory: FloatArray
+    control: FloatArray
+    control_memory: FloatArray
+    position: FloatArray
+    last_position: FloatArray
+    velocity: FloatArray
+    force: FloatArray
+    out: FloatArray
+    info: FloatArray
+    counts: IntArray
+    last_counts: IntArray
+    moved: IntArray
+    words: IntArray
+    counters: IntArray
+    ring_head: IntArray
+    records: NDArray[Any]
+    block_head: IntArray
+    block_values: FloatArray
+    staged: FloatArray
+
+
+def new_servo(device: HapticDevice, ring: Ring, block: ParameterBlock) -> Servo:
+    """A servo at rest in free air, until parameters are published.
+
+    Parameters
+    ----------
+    device : HapticDevice
+        Its guard's memory and limits are used.
+    ring, block
+        Shared with the owner; ``block`` for BLOCK_SIZE parameters.
+    """
+    return Servo(
+        guard_memory=device.guard_memory,
+        limits=device.limits.block(),
+        environment=np.zeros(ENVIRONMENT_SIZE),
+        environment_memory=np.zeros(MEMORY_SIZE),
+        control=np.zeros(CONTROL_SIZE),
+        control_memory=np.zeros(CONTROL_MEMORY_SIZE),
+        position=np.zeros(3),
+        last_position=np.zeros(3),
+        velocity=np.zeros(3),
+        force=np.zeros(3),
+        out=np.zeros(3),
+        info=np.zeros(INFO_SIZE),
+        counts=np.zeros(3, np.int64),
+        last_counts=np.zeros(3, np.int64),
+        moved=np.zeros(3, np.int64),
+        words=np.zeros(WORDS_SIZE, np.int64),
+        counters=np.zeros(COUNTERS_SIZE, np.int64),
+        ring_head=ring.head,
+        records=ring.records,
+        block_head=block.head,
+        block_values=block.values,
+        staged=np.zeros(BLOCK_SIZE),
+    )
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _follow(servo: Servo, dt: float) -> None:
+    """Motion since the last valid reading."""
+    valid = servo.words[REPLY] == REPLY_VALID
+    # until homing ends, and at the first reading, coordinates jump: nothing moved
+    fresh = servo.counters[SEEN] == 0 or servo.guard_memory[STATE] <= HOMING
+    for i in range(3):
+        servo.moved[i] = servo.counts[i] - servo.last_counts[i] if valid and not fresh else 0
+        if valid:
+            servo.last_counts[i] = servo.counts[i]
+        if valid and fresh:
+            servo.last_position[i] = servo.position[i]
+            servo.velocity[i] = 0.0
+    if not valid:
+        return
+    servo.counters[SEEN] = 1
+    velocity_step(servo.velocity, servo.position, servo.last_position, dt)
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _obey(servo: Servo) -> None:
+    """What the owner wants: force or none, and new parameters where nothing is touched."""
+    memory = servo.guard_memory
+    wanted = ordered(servo.block_head) == COMMAND_ENGAGE
+    if wanted and memory[WANTED] == 0.0:
+        transition(memory, servo.limits, ENGAGE)
+    elif not wanted and memory[WANTED] != 0.0:
+        transition(memory, servo.limits, DISENGAGE)
+    if waiting(servo.block_head) and transition(memory, servo.limits, SWAP):
+        servo.counters[VERSION] = take(servo.block_head, servo.block_values, servo.staged)
+        for i in range(ENVIRONMENT_SIZE):
+            servo.environment[i] = servo.staged[i]
+        for i in range(CONTROL_SIZE):
+            servo.control[i] = servo.staged[ENVIRONMENT_SIZE + i]
+        put_at_rest(servo.environment_memory)
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _wish(servo: Servo, dt: float) -> None:
+    """Force of the environment."""
+    step = min(max(dt, SHORTEST_STEP_S), LONGEST_STEP_S)
+    environment_step(
+        int(servo.environment[KIND]),
+        servo.environment,
+        servo.environment_memory,
+        servo.position,
+        servo.velocity,
+        step,
+        servo.force,
+        servo.info,
+    )
+
+
+def apply_law(io: Any, servo: Servo, dt: float) -> None:
+    """Put the force of a law in Python in the place of the environment's, where there is one."""
+    law = io.law if isinstance(io, PythonIO) else None
+    if law is not None:
+        servo.force[:] = law(servo.position.copy(), servo.velocity.copy(), dt)
+        # such a law knows no depth: engaging waits for a small force, an exchange for no force at all
+        servo.info[INFO_PENETRATION_M] = np.nan
+
+
+@overload(apply_law)
+def _no_law(io, servo, dt):  # type: ignore[no-untyped-def] # noqa: ARG001
+    """A compiled loop has compiled laws only."""
+    return lambda io, servo, dt: None  # noqa: ARG005
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _restrain(servo: Servo, dt: float) -> None:
+    """Passivity and watchdogs."""
+    passivity_step(servo.control_memory, servo.control, servo.position, servo.force, dt)
+    observe(
+        servo.guard_memory,
+        servo.limits,
+        servo.words[REPLY],
+        servo.words[HOMED] != 0,
+        servo.words[PRESSED],
+        servo.moved,
+        servo.velocity,
+        servo.info[INFO_PENETRATION_M],
+        dt,
+    )
+
+
+def send(io: Any, servo: Servo, dt: float) -> None:
+    """Pass the guard and command the device: the only way from a force to a transport."""
+    if isinstance(io, PythonIO):
+        try:
+            servo.out[:] = io.device.write_force(servo.force, dt)
+        except DeviceError:
+            servo.out[:] = 0.0
+    else:
+        _send(io, servo, dt)
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _send(io: Any, servo: Servo, dt: float) -> None:
+    guard(servo.guard_memory, servo.limits, servo.force, dt, servo.out)
+    command(io, servo.guard_memory, servo.limits, servo.out)
+
+
+@overload(send)
+def _compiled_send(io, servo, dt):  # type: ignore[no-untyped-def] # noqa: ARG001
+    """Guard and command of a device the servo knows."""
+    return lambda io, servo, dt: _send(io, servo, dt)
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _record(servo: Servo, now_s: float, dt: float, late_s: float, late_lamp: int) -> None:
+    """Tell the observer what was sent, and write the record of this tick."""
+    note_sent(servo.control_memory, servo.out)
+    counters = servo.counters
+    lamps = int(servo.guard_memory[LAMPS]) | int(servo.info[INFO_FLAGS]) | late_lamp
+    if servo.control_memory[ACTIVE] != 0.0:
+        lamps |= _PASSIVITY
+    counters[OUTSIDE] += 1 if lamps & _OUTSIDE else 0
+    counters[TOUCHED] += 1 if servo.info[INFO_DEPTH_MM] > 0.0 else 0
+    counters[CLIPPED] += 1 if lamps & _CLIPPED else 0
+    count = counters[TICKS]
+    record = servo.records[count % servo.records.size]
+    record["tick"] = count
+    record["time_s"] = now_s
+    record["dt_s"] = dt
+    for i in range(3):
+        record["position_m"][i] = servo.position[i]
+        record["force_N"][i] = servo.out[i]
+        record["counts"][i] = min(max(servo.counts[i], -COUNT_LIMIT), COUNT_LIMIT)
+    record["depth_mm"] = servo.info[INFO_DEPTH_MM]
+    record["tissue_force_N"] = servo.info[INFO_TISSUE_FORCE_N]
+    record["speed_mm_per_s"] = servo.info[INFO_SPEED_MM_S]
+    record["energy_J"] = servo.control_memory[TOTAL_J]
+    record["lamps"] = lamps
+    record["state"] = int(servo.guard_memory[STATE])
+    record["fault"] = int(servo.guard_memory[FAULT])
+    record["buttons"] = servo.words[PRESSED]
+    record["late_s"] = late_s
+    record["version"] = counters[VERSION]
+    record["missed"] = min(counters[MISSED], MISSED_LIMIT)
+    record["label"] = int(servo.info[INFO_LABEL])
+    counters[TICKS] = count + 1
+    publish(servo.ring_head, count + 1)
+
+
+def _tick(io: Any, servo: Servo, now_s: float, dt: float, late_s: float, late_lamp: int) -> None:
+    """One tick.
+
+    Parameters
+    ----------
+    io : tuple
+        The device, of :mod:`tissueid.render.servo_io`.
+    servo : Servo
+    now_s, dt, late_s : float
+        Time of the tick, since the last one, and after its deadline [s].
+    late_lamp : int
+        ``Lamp.LATE`` where the tick's period was off by more than a tenth, else 0.
+    """
+    sense(io, dt, servo.position, servo.counts, servo.words)
+    _follow(servo, dt)
+    _obey(servo)
+    _wish(servo, dt)
+    apply_law(io, servo, dt)
+    _restrain(servo, dt)
+    send(io, servo, dt)
+    _record(servo, now_s, dt, late_s, late_lamp)
+
+
+#: One tick, compiled for the type of its ``io``.
+tick = nb.njit(cache=True, nogil=True, error_model="numpy")(_tick)
