@@ -30,6 +30,7 @@ COMMANDS = {
     "export": "Write a finished fit in another format.",
     "validate": "Check that an output folder is one whole run.",
     "watch": "Give a verdict after each test, beside the machine.",
+    "devices": "Find, home, test and calibrate haptic devices, or emulate one.",
     "synth": "Write synthetic recordings with a known truth.",
 }
 

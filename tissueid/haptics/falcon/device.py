@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +35,7 @@ from tissueid.haptics.falcon.transport import ByteTransport, FileTransport
 from tissueid.haptics.homing import HOMING_TIMEOUT_S, await_homed, wait_with_zero_force
 from tissueid.haptics.limits import GuardLimits
 
-__all__ = ["HOMING_STEPS", "PULLED_OUT_M", "FalconDevice"]
+__all__ = ["HOMING_STEPS", "PULLED_OUT_M", "FalconDevice", "limits_of"]
 
 Tell = Callable[[str], None]
 
@@ -53,6 +54,8 @@ TRANSFER_TIMEOUT_MS = 2
 WORKSPACE_M = ((-0.090, 0.090), (-0.090, 0.090), (0.066, 0.183))
 #: Sustained force the motors are trusted with, as a share of the clamp.
 SUSTAINED_SHARE = 0.75
+#: Time for a force that builds up slowly to lift the grip from its stop [s].
+AT_STOP_S = 5.0
 
 
 class FalconDevice(HapticDevice):
@@ -70,7 +73,9 @@ class FalconDevice(HapticDevice):
     calibration : Calibration, optional
         By default the user's file.
     tell : callable, optional
-        Told what happens during a long opening, ``tell(sentence)``.
+        Told what happens during a long opening, and what the user has to do: ``tell(sentence)``.
+    homing_timeout_s : float
+        For each of the two movements of homing.
     """
 
     name = "falcon"
@@ -83,12 +88,14 @@ class FalconDevice(HapticDevice):
         firmware: str | os.PathLike[str] | None = None,
         calibration: Calibration | None = None,
         tell: Tell | None = None,
+        homing_timeout_s: float = HOMING_TIMEOUT_S,
     ) -> None:
         self.calibration = load_calibration() if calibration is None else calibration
         super().__init__(limits_of(self.calibration) if limits is None else limits)
         self._port = port
         self._firmware = firmware
         self._tell: Tell = tell or (lambda _sentence: None)
+        self._homing_timeout_s = homing_timeout_s
         self._geometry = self.calibration.legs().block()
         self._transport: ByteTransport | None = None
         self._usb: LibUsb | None = None
@@ -123,16 +130,11 @@ class FalconDevice(HapticDevice):
             workspace_m=WORKSPACE_M,
         )
 
-    def home(self, timeout_s: float = HOMING_TIMEOUT_S) -> None:
+    def home(self) -> None:
         """Wait for the user to home the device and to pull the grip out, with zero force.
 
         Tells what to do.  Afterwards the guard is in ARMED.  To be called between ``open`` and the first
         force; a device that is homed already needs the pulling out only.
-
-        Parameters
-        ----------
-        timeout_s : float
-            For each of the two movements.
 
         Raises
         ------
@@ -140,9 +142,11 @@ class FalconDevice(HapticDevice):
             After the time-out, or when the device is lost.
         """
         self._tell(HOMING_STEPS[0])
-        await_homed(self, timeout_s, self._not_homed)
+        await_homed(self, self._homing_timeout_s, self._not_homed)
         self._tell(HOMING_STEPS[1])
-        wait_with_zero_force(self, lambda: bool(self._grip[2] > PULLED_OUT_M), timeout_s, self._not_pulled)
+        wait_with_zero_force(
+            self, lambda: bool(self._grip[2] > PULLED_OUT_M), self._homing_timeout_s, self._not_pulled
+        )
 
     def compiled(self) -> CompiledIO | None:
         """Descriptor or libusb's addresses, for the compiled loop; None when closed."""
@@ -281,12 +285,24 @@ class FalconDevice(HapticDevice):
         )
 
 
-def limits_of(calibration: Calibration) -> GuardLimits:
-    """Limits of the guard that a calibration allows, with the dead-man button."""
+def limits_of(calibration: Calibration, *, hands_off: bool = False) -> GuardLimits:
+    """Limits of the guard that a calibration allows.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    hands_off : bool
+        For measurements of the free grip: no dead-man button, and a grip that lies at its stop is given
+        :data:`AT_STOP_S` to leave it, though it looks like a frozen encoder.
+    """
     clamp = calibration.clamp_N
-    return GuardLimits(
-        clamp_N=clamp, rms_limit_N=SUSTAINED_SHARE * clamp, motor_clamp=calibration.clamp_units, dead_man=True
+    limits = GuardLimits(
+        clamp_N=clamp,
+        rms_limit_N=SUSTAINED_SHARE * clamp,
+        motor_clamp=calibration.clamp_units,
+        dead_man=True,
     )
+    return replace(limits, dead_man=False, frozen_s=AT_STOP_S) if hands_off else limits
 
 
 def _hindrance(usb: LibUsb, node: UsbNode) -> str:

@@ -105,8 +105,8 @@ _PROTOTYPES: dict[str, tuple[Any, list[Any]]] = {
 
 
 NOT_FOUND = (
-    "no Falcon is plugged in (USB 0403:cb48); check its power supply and cable, or go on without one: "
-    "--device sim"
+    "no Falcon is plugged in (USB 0403:cb48): check its power supply and cable, or go on without one, with "
+    "the device sim"
 )
 
 

@@ -50,6 +50,7 @@ class ForceDimensionDevice(HapticDevice):
         Path of the SDK's library; searched for by default.
     tell : callable, optional
         Told what the user has to do, ``tell(sentence)``.
+    homing_timeout_s : float
     """
 
     name = "forcedimension"
@@ -60,10 +61,12 @@ class ForceDimensionDevice(HapticDevice):
         *,
         library: str | None = None,
         tell: Callable[[str], None] | None = None,
+        homing_timeout_s: float = HOMING_TIMEOUT_S,
     ) -> None:
         super().__init__(GuardLimits(dead_man_buttons=CENTRE_BUTTON) if limits is None else limits)
         self._library = library
         self._tell = tell or (lambda _sentence: None)
+        self._homing_timeout_s = homing_timeout_s
         self._sdk: Sdk | None = None
 
     @classmethod
@@ -93,7 +96,7 @@ class ForceDimensionDevice(HapticDevice):
             workspace_m=(reach[0], reach[1], reach[2]),
         )
 
-    def home(self, timeout_s: float = HOMING_TIMEOUT_S) -> None:
+    def home(self) -> None:
         """Wait, with zero force, until the SDK knows the position.
 
         Raises
@@ -102,7 +105,7 @@ class ForceDimensionDevice(HapticDevice):
             After the time-out.
         """
         self._tell("Homing: pull the grip all the way out, then push it all the way in.")
-        await_homed(self, timeout_s)
+        await_homed(self, self._homing_timeout_s)
 
     def compiled(self) -> CompiledIO | None:
         """The addresses of three of the SDK's functions; None when closed."""

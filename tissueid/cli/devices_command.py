@@ -1,0 +1,257 @@
+"""``tissueid devices``: which haptic devices are there, and what they measure of themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from tissueid.cli.device_opening import (
+    FALCONS,
+    ask_consent,
+    check_savable,
+    device_options,
+    hang_mass,
+    made_device,
+    opened,
+    save,
+)
+from tissueid.cli.output import echo_json, output_options, with_error
+
+if TYPE_CHECKING:
+    from tissueid.haptics.device import HapticDevice
+    from tissueid.haptics.falcon.calibration import Calibration
+
+__all__ = ["command"]
+
+EPILOG = """\b
+Examples:
+  tissueid devices list
+  tissueid devices info falcon
+  tissueid devices home
+  tissueid devices test falcon
+  tissueid devices emulate
+"""
+
+GRAM = 1e-3
+
+
+@click.group("devices", epilog=EPILOG)
+def command() -> None:
+    """Find, home, test and calibrate haptic devices, or emulate one.
+
+    No real device has confirmed what tissueid knows of it: docs/hardware-checklist.md says how to check. The
+    motors stay without force in list, info, home and test.
+    """
+
+
+def _sub(name: str, examples: str) -> Callable[[Callable[..., int]], click.Command]:
+    """A sub-command with its examples."""
+
+    def decorate(function: Callable[..., int]) -> click.Command:
+        lines = "".join(f"  tissueid devices {line}\n" for line in examples.splitlines())
+        return command.command(name, epilog=f"\b\nExamples:\n{lines}")(output_options(function))
+
+    return decorate
+
+
+_name = click.argument("name", default="auto")
+_falcon_name = click.argument("name", type=click.Choice(FALCONS), default="falcon")
+_consent = click.option("--yes", is_flag=True, help="Do not ask: nobody holds the grip.")
+
+
+@_sub("list", "list\nlist --json")
+def list_devices(**flags: Any) -> int:
+    """List the devices of this machine, with what stands in the way of each."""
+    from tissueid.haptics.registry import detect_all, device_names
+
+    found = list(detect_all())
+    if flags["as_json"]:
+        echo_json({"known": device_names(), "found": [asdict(one) for one in found]})
+        return 0
+    for one in found:
+        click.echo(f"{one.name:16}{one.where}")
+        if one.note:
+            click.echo(f"{'':16}{one.note}")
+    missing = sorted(set(device_names()) - {one.name for one in found})
+    if missing:
+        click.echo(f"not found: {', '.join(missing)}")
+    return 0
+
+
+@_sub("info", "info\ninfo falcon --json")
+@_name
+@device_options
+def info(**flags: Any) -> int:
+    """Say what a device can do, and how much of it was measured."""
+    device = made_device(flags, stand_in=True)
+    document = _described(device)
+    if flags["as_json"]:
+        echo_json(document)
+        return 0
+    click.echo(f"{document['name']}: force at most {document['clamp_N']:.2f} N, nominal")
+    click.echo(f"damping {document['damping_N_s_per_m']:g} N s/m, delay {document['delay_ticks']:g} ticks")
+    for axis, (low, high) in zip("xyz", document["workspace_mm"], strict=True):
+        click.echo(f"{axis} from {low:.0f} to {high:.0f} mm")
+    for key, value in document.get("calibration", {}).items():
+        click.echo(f"{key} = {value}")
+    if document["hardware"] and not document["calibrated"]:
+        click.echo("not calibrated: a newton of this device may be anything from 0.5 to 2 N")
+    return 0
+
+
+@_sub("home", "home\nhome falcon --firmware firmware.bin --timeout 120")
+@_name
+@device_options
+@click.option("--timeout", type=click.FloatRange(min=1.0), default=60.0, show_default=True, metavar="S")
+def home(**flags: Any) -> int:
+    """Load firmware if needed, and home the device with your hand; the motors stay without force."""
+    with opened(made_device(flags)) as device:
+        device.home()
+        place = device.read().position_m
+    millimetres = [round(1e3 * float(value), 2) for value in place]
+    if flags["as_json"]:
+        echo_json({"name": device.name, "homed": True, "position_mm": millimetres})
+    else:
+        click.echo(f"{device.name} is homed; the grip is at {millimetres} mm")
+    return 0
+
+
+@_sub("test", "test\ntest falcon --seconds 30 --save\ntest falcon --port /dev/ttyUSB0 --json")
+@_name
+@device_options
+@click.option("--seconds", type=click.FloatRange(0.1, 3600.0), default=5.0, show_default=True, metavar="S")
+@click.option("--save", is_flag=True, help="Keep the measured delay in the calibration.")
+def test(**flags: Any) -> int:
+    """Measure rate, delay and errors of the link, without force and without homing."""
+    from tissueid.haptics.measure.link import measure_link
+
+    made = made_device(flags)
+    check_savable(made, flags, wanted=flags["save"])
+    with opened(made) as device:
+        report = measure_link(device, flags["seconds"])
+    document = {"name": device.name, **asdict(report)}
+    if flags["as_json"]:
+        echo_json(document)
+    elif not flags["quiet"]:
+        median, high, largest = report.round_trip_ms
+        click.echo(f"{report.rate_hz:.0f} replies a second, each command waiting for its answer")
+        click.echo(f"round trip {median:.3f} ms, 95 % below {high:.3f} ms, longest {largest:.3f} ms")
+        click.echo(f"delay {report.delay_ticks:.2f} ticks of 1 ms, with half a tick for the device itself")
+        unanswered = report.commands - report.replies
+        click.echo(f"{report.commands} commands, {unanswered} unanswered, {report.damaged} damaged replies")
+    if flags["save"]:
+        save(device, flags, delay_ticks=report.delay_ticks, delay_measured=True)
+    return 0
+
+
+@_sub("calibrate-force", "calibrate-force --mass 100\ncalibrate-force falcon --mass 100 --yes --json")
+@_falcon_name
+@device_options
+@_consent
+@click.option(
+    "--mass",
+    type=click.FloatRange(10.0, 1000.0),
+    required=True,
+    metavar="G",
+    help="Mass hung on the grip [g].",
+)
+def calibrate_force(**flags: Any) -> int:
+    """Weigh a known mass with the device, and keep how many motor units make a newton.
+
+    The device holds the grip, first alone, then with the mass hung on it. 50 to 150 g suit a device that was
+    never calibrated. The result goes into the calibration file.
+    """
+    from tissueid.haptics.measure.weighing import weigh
+
+    made = made_device(flags, hands_off=True)
+    ask_consent(made, flags)
+    with opened(made) as device:
+        device.home()
+        found = weigh(device, flags["mass"] * GRAM, hang_mass(flags))
+    before: Calibration = made.calibration  # type: ignore[attr-defined]
+    units = before.units_per_Nm * found.ratio
+    document = {**asdict(found), "units_per_Nm": units, "units_per_Nm_before": before.units_per_Nm}
+    if flags["as_json"]:
+        echo_json(document)
+    else:
+        ratio = with_error(found.ratio, found.stderr)
+        click.echo(
+            f"held {found.empty_N:.3f} N without and {found.loaded_N:.3f} N with {found.weight_N:.3f} N"
+        )
+        click.echo(f"{ratio} nominal newton for one true newton: {units:.0f} motor units for one N m")
+    save(made, flags, units_per_Nm=units, force_calibrated=True)
+    return 0
+
+
+@_sub("calibrate-damping", "calibrate-damping\ncalibrate-damping falcon --yes --json")
+@_falcon_name
+@device_options
+@_consent
+def calibrate_damping(**flags: Any) -> int:
+    """Let the free grip swing on a weak spring, and keep the damping of the arm.
+
+    Calibrate the force first: damping is as wrong as the newton it is measured with.
+    """
+    from tissueid.haptics.measure.motion import TICK_S
+    from tissueid.haptics.measure.ring_down import ring_down
+
+    made = made_device(flags, hands_off=True)
+    ask_consent(made, flags)
+    with opened(made) as device:
+        device.home()
+        found = ring_down(device, device.capabilities.delay_ticks * TICK_S)
+    if flags["as_json"]:
+        echo_json({**asdict(found), "safe_damping_N_s_per_m": found.safe_damping})
+    else:
+        damping = with_error(found.damping_N_s_per_m, found.damping_stderr)
+        click.echo(f"damping {damping} N s/m, of which {found.safe_damping:.3f} are relied on")
+        click.echo(f"mass {found.mass_kg:.3f} kg, friction {found.friction_N:.3f} N")
+    save(made, flags, damping_N_s_per_m=found.safe_damping, damping_measured=True)
+    return 0
+
+
+@_sub(
+    "emulate",
+    'emulate\nemulate --no-firmware --failing-tries 2\nemulate --hand "slow press" --fault unplug@6',
+)
+@click.option("--no-firmware", is_flag=True, help="Switched on without firmware, as a real one.")
+@click.option(
+    "--failing-tries", type=click.IntRange(min=0), default=0, metavar="N", help="Uploads that fail first."
+)
+@click.option("--never-homes", is_flag=True, help="The emulated user does not home it.")
+@click.option(
+    "--hand", metavar="NAME", help="What the hand does: step, slow press, tap, release, tremor, hold."
+)
+@click.option("--depth-mm", type=float, default=10.0, show_default=True, help="Depth the hand aims at.")
+@click.option(
+    "--script", metavar="TEXT", help='Carried like a machine: "indent 8 mm at 250 mm/min; hold 2 s".'
+)
+@click.option("--fault", multiple=True, metavar="KIND@S", help="Scripted fault, e.g. unplug@6 or jump@6:300.")
+def emulate(**flags: Any) -> int:
+    """Emulate a Falcon on a pseudo-terminal, print its path, and serve it until Ctrl-C.
+
+    Any program that speaks the Falcon's protocol may open the path; tissueid does with --port. Nobody has
+    compared the emulator with a real Falcon.
+    """
+    from tissueid.haptics.falcon.emulator.__main__ import main
+
+    words = [f"--{key.replace('_', '-')}" for key in ("no_firmware", "never_homes") if flags[key]]
+    for key in ("failing_tries", "hand", "depth_mm", "script"):
+        if flags[key] is not None:
+            words += [f"--{key.replace('_', '-')}", str(flags[key])]
+    for fault in flags["fault"]:
+        words += ["--fault", fault]
+    return main(words)
+
+
+def _described(device: HapticDevice) -> dict[str, Any]:
+    """What is known of a device."""
+    found = device.capabilities
+    document = asdict(found)
+    document["workspace_mm"] = [[1e3 * low, 1e3 * high] for low, high in document.pop("workspace_m")]
+    if device.name in FALCONS:
+        document["calibration"] = asdict(device.calibration)  # type: ignore[attr-defined]
+    return document
