@@ -34,7 +34,7 @@ ASSUMED_DEVICE = Demands(clamp_N=5.0, damping_N_s_per_m=0.5, delay_ticks=DEFAULT
 def _paper_a() -> Tissue:
     model = KelvinVoigt(branches=1, stiffness_degree=0, depth_mm=8.0)
     theta = model.join(np.array([47.42, -5.577, 0.3804]), np.array([[63.62]]), np.array([0.021]))
-    return Tissue(model, theta, (10.0 / 60.0, 500.0 / 60.0), tip_radius_mm=2.0, name="paper-a")
+    return Tissue(model, theta, (10.0 / 60.0, 500.0 / 60.0), name="paper-a")
 
 
 def _meat() -> Tissue:
