@@ -62,7 +62,7 @@ def _store_release(cell: IntArray, value: int) -> None:
 
 @njit(cache=True, nogil=True)
 def _load_acquire(cell: IntArray) -> int:
-    return _load(cell)  # type: ignore[call-arg, no-any-return]
+    return _load(cell)  # type: ignore[call-arg]
 
 
 def _plain_store(cell: IntArray, value: int) -> None:

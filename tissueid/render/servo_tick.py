@@ -50,7 +50,7 @@ from tissueid.render.passivity_control import (
 )
 from tissueid.render.servo_io import HOMED, PRESSED, REPLY, WORDS_SIZE, PythonIO, command, sense
 
-__all__ = ["BLOCK_SIZE", "Servo", "new_servo", "tick"]
+__all__ = ["BLOCK_SIZE", "Servo", "compiled_tick", "new_servo", "tick"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -304,7 +304,7 @@ def _record(servo: Servo, now_s: float, dt: float, late_s: float, late_lamp: int
     publish(servo.ring_head, count + 1)
 
 
-def _tick(io: Any, servo: Servo, now_s: float, dt: float, late_s: float, late_lamp: int) -> None:
+def tick(io: Any, servo: Servo, now_s: float, dt: float, late_s: float, late_lamp: int) -> None:
     """One tick.
 
     Parameters
@@ -327,5 +327,13 @@ def _tick(io: Any, servo: Servo, now_s: float, dt: float, late_s: float, late_la
     _record(servo, now_s, dt, late_s, late_lamp)
 
 
-#: One tick, compiled for the type of its ``io``.
-tick = nb.njit(cache=True, nogil=True, error_model="numpy")(_tick)
+#: One tick, compiled for the type of its ``io``; loops in Python call :func:`tick` itself.
+compiled_tick = nb.njit(cache=True, nogil=True, error_model="numpy")(tick)
+
+
+@overload(tick)
+def _tick_in_loop(io, servo, now_s, dt, late_s, late_lamp):  # type: ignore[no-untyped-def] # noqa: ARG001
+    """A compiled loop takes the compiled tick."""
+    return lambda io, servo, now_s, dt, late_s, late_lamp: compiled_tick(
+        io, servo, now_s, dt, late_s, late_lamp
+    )
