@@ -34,9 +34,11 @@ __all__ = [
     "PACKETS",
     "PACKET_BYTES",
     "PARSER_SIZE",
+    "REPLY_FIELDS",
     "encode_into",
     "leds_of_state",
     "parse_byte",
+    "parse_bytes",
 ]
 
 IntArray = NDArray[np.int64]
@@ -77,6 +79,8 @@ PACKETS = 21
 INVALID = 22
 DROPPED = 23
 PARSER_SIZE = 24
+#: Fields of a reply in a row: three encoders, homed flags, buttons.
+REPLY_FIELDS = 5
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
@@ -182,3 +186,29 @@ def parse_byte(memory: IntArray, byte: int) -> int:
     _decode(memory)
     memory[FILLED] = 0
     return 1
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def parse_bytes(memory: IntArray, data: ByteArray, replies: IntArray) -> int:
+    """Take many bytes.
+
+    Parameters
+    ----------
+    memory : ndarray of int64, shape (PARSER_SIZE,)
+        As :func:`parse_byte`.
+    data : ndarray of uint8, shape (n,)
+    replies : ndarray of int64, shape (n // 16 + 1, 5)
+        Filled from the start: three encoders, homed flags, buttons of each reply.
+
+    Returns
+    -------
+    int
+        Replies that these bytes completed.
+    """
+    count = 0
+    for byte in data:
+        if parse_byte(memory, int(byte)) == 1:
+            for k in range(REPLY_FIELDS):
+                replies[count, k] = memory[ENCODERS + k]
+            count += 1
+    return count

@@ -13,10 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.haptics.falcon.packet_kernels import (
-    BUTTONS,
     DROPPED,
-    ENCODERS,
-    HOMED,
     INVALID,
     LED_BLUE,
     LED_GREEN,
@@ -25,8 +22,9 @@ from tissueid.haptics.falcon.packet_kernels import (
     PACKET_BYTES,
     PACKETS,
     PARSER_SIZE,
+    REPLY_FIELDS,
     encode_into,
-    parse_byte,
+    parse_bytes,
 )
 
 __all__ = [
@@ -134,13 +132,12 @@ class PacketParser:
         list of Reply
             The replies that these bytes completed, in order.
         """
-        memory = self._memory
-        replies = []
-        for byte in data:
-            if parse_byte(memory, byte):
-                first, second, third, homed, buttons = memory[ENCODERS : BUTTONS + 1].tolist()
-                replies.append(Reply((first, second, third), homed, buttons))
-        return replies
+        fields = np.empty((len(data) // PACKET_BYTES + 1, REPLY_FIELDS), dtype=np.int64)
+        count = parse_bytes(self._memory, np.frombuffer(data, dtype=np.uint8), fields)
+        return [
+            Reply((first, second, third), homed, buttons)
+            for first, second, third, homed, buttons in fields[:count].tolist()
+        ]
 
     @property
     def packets(self) -> int:
@@ -156,6 +153,3 @@ class PacketParser:
     def dropped(self) -> int:
         """Bytes so far that belong to no reply."""
         return int(self._memory[DROPPED])
-
-
-assert ENCODERS + 3 == HOMED  # noqa: S101 - feed() takes the fields in one slice

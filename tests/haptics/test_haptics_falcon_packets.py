@@ -1,0 +1,234 @@
+"""Packets of the Falcon against published vectors, tables written here, and garbage."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+from tissueid.haptics.falcon.packet_kernels import PACKET_BYTES, PARSER_SIZE, encode_into, parse_byte
+from tissueid.haptics.falcon.packets import PacketParser, Reply, encode_command
+
+LETTERS = "ABCDEFGHIJKLMNOP"
+#: A whole reply, as falcon firmware is described: the oracle of what is in a stream.
+WHOLE = re.compile(rb"<[A-P]{12}[\x41-\xc0][^<>]>", re.DOTALL)
+
+
+def by_table(value: int) -> str:
+    """Four letters of a signed number, least significant first."""
+    return "".join(LETTERS[int(digit, 16)] for digit in reversed(f"{value & 0xFFFF:04x}"))
+
+
+def reply_by_table(encoders: tuple[int, int, int], homed: int, buttons: int, filler: bytes = b"A") -> bytes:
+    letters = "".join(map(by_table, encoders)).encode("ascii")
+    return b"<" + letters + bytes([0x41 + 16 * homed + buttons]) + filler + b">"
+
+
+def read_by_table(packet: bytes) -> Reply:
+    numbers = []
+    for start in (1, 5, 9):
+        digits = "".join(f"{LETTERS.index(chr(letter)):x}" for letter in reversed(packet[start : start + 4]))
+        numbers.append(int(digits, 16) - (65536 if digits[0] in "89abcdef" else 0))
+    status = packet[13] - 0x41
+    return Reply((numbers[0], numbers[1], numbers[2]), status // 16, status % 16)
+
+
+def drawn_reply(random: np.random.Generator) -> bytes:
+    filler = bytes([int(random.choice([byte for byte in range(256) if byte not in b"<>"]))])
+    first, second, third = (int(value) for value in random.integers(-32768, 32768, 3))
+    return reply_by_table(
+        (first, second, third), int(random.integers(8)), int(random.integers(16)), filler=filler
+    )
+
+
+@pytest.mark.parametrize(
+    ("packet", "encoders"),
+    [(b"<HNGPOKOPFPOPAA>", (-2345, -338, -267)), (b"<BAAAPPPPAAAAAA>", (1, -1, 0))],
+)
+def test_published_replies_are_read(packet: bytes, encoders: tuple[int, int, int]) -> None:
+    assert PacketParser().feed(packet) == [Reply(encoders, 0, 0)]
+
+
+@pytest.mark.parametrize(
+    ("leds", "homing", "letter"), [(0, False, b"A"), (0x02, True, b"D"), (0x0E, True, b"P")]
+)
+def test_published_commands_are_made(leds: int, homing: bool, letter: bytes) -> None:
+    assert encode_command((0, 0, 0), leds=leds, homing=homing) == b"<AAAAAAAAAAAA" + letter + b"A>"
+
+
+def test_every_motor_value_is_coded_as_by_the_table() -> None:
+    for value in range(-4095, 4096, 7):
+        expected = f"<{by_table(value)}{by_table(-value)}{by_table(4095)}AA>".encode("ascii")
+        assert encode_command((value, -value, 4095), leds=0, homing=False) == expected
+
+
+def test_every_encoder_value_and_status_is_read_as_by_the_table() -> None:
+    for value in range(-32768, 32768, 97):
+        packet = reply_by_table((value, -1 - value, 32767), 5, 9)
+        assert (
+            PacketParser().feed(packet)
+            == [read_by_table(packet)]
+            == [Reply((value, -1 - value, 32767), 5, 9)]
+        )
+    for homed in range(8):
+        for buttons in range(16):
+            packet = reply_by_table((0, 0, 0), homed, buttons)
+            assert PacketParser().feed(packet) == [Reply((0, 0, 0), homed, buttons)]
+
+
+@pytest.mark.parametrize(
+    ("motor", "leds", "homing"),
+    [
+        ((4096, 0, 0), 0, False),
+        ((0, -4096, 0), 0, False),
+        ((0, 0), 0, False),
+        ((0, 0, 0, 0), 0, False),
+        ((0.5, 0, 0), 0, False),
+        ((float("nan"), 0, 0), 0, False),
+        ((0, 0, 0), 0x01, False),
+        ((0, 0, 0), 0x10, False),
+        ((0, 0, 0), -2, False),
+        ((0, 0, 0), 0, "yes"),
+    ],
+)
+def test_what_no_command_holds_is_refused(motor: object, leds: int, homing: object) -> None:
+    with pytest.raises(ValueError, match=r"command|integers|LED|homing"):
+        encode_command(motor, leds=leds, homing=homing)  # type: ignore[arg-type]
+
+
+def test_numpy_integers_are_integers() -> None:
+    motor = np.array([1, -2, 4095])
+    assert encode_command(motor, leds=np.int64(4), homing=np.bool_(True)) == encode_command(
+        (1, -2, 4095), leds=4, homing=True
+    )
+
+
+def test_compiled_encoder_sends_zero_for_a_value_no_motor_has() -> None:
+    out = np.zeros(PACKET_BYTES, np.uint8)
+    encode_into(np.array([0, 4096, 17]), 0x02, True, out)
+    assert out.tobytes() == b"<AAAAAAAAAAAADA>"
+
+
+def garbage(random: np.random.Generator, length: int) -> bytes:
+    """Bytes that look like packets as much as they can: letters, brackets, pieces of replies."""
+    kind = random.integers(5)
+    if kind == 0:
+        return random.bytes(length)
+    if kind == 1:
+        return bytes(random.choice(list(b"<<>>ABCDEFGHIJKLMNOP"), length).astype(np.uint8))
+    whole = drawn_reply(random)
+    if kind == 2:
+        return whole[: int(random.integers(1, 16))]
+    if kind == 3:
+        cut = int(random.integers(16))
+        return whole[:cut] + whole[cut + 1 :]
+    cut = int(random.integers(16))
+    return whole[:cut] + random.bytes(int(random.integers(1, 3))) + whole[cut:]
+
+
+def noisy_stream(seed: int, length: int) -> tuple[bytes, list[bytes]]:
+    """Garbage of all kinds with whole replies inside."""
+    random = np.random.default_rng(seed)
+    pieces: list[bytes] = []
+    inside: list[bytes] = []
+    size = 0
+    while size < length:
+        piece = garbage(random, int(random.integers(1, 60)))
+        pieces.append(piece)
+        size += len(piece)
+        if random.random() < 0.5:
+            inside.append(drawn_reply(random))
+            pieces.append(inside[-1])
+            size += PACKET_BYTES
+    return b"".join(pieces), inside
+
+
+@pytest.mark.needs_jit
+def test_a_million_bytes_of_garbage_hide_no_packet_and_invent_none() -> None:
+    stream, inside = noisy_stream(seed=5, length=1_000_000)
+    expected = [read_by_table(found) for found in WHOLE.findall(stream)]
+    parser = PacketParser()
+    found = parser.feed(stream)
+    assert found == expected
+    # replies cannot overlap, so each that was put in is in the oracle's list, in order
+    remaining = iter(found)
+    assert all(read_by_table(packet) in remaining for packet in inside)
+    assert len(inside) > 15_000
+    assert parser.packets == len(found)
+    assert PACKET_BYTES * parser.packets + parser.dropped == pytest.approx(len(stream), abs=PACKET_BYTES)
+
+
+def test_pieces_of_any_length_give_the_same_replies() -> None:
+    stream, _ = noisy_stream(seed=6, length=20_000)
+    whole = PacketParser().feed(stream)
+    parser = PacketParser()
+    random = np.random.default_rng(7)
+    found: list[Reply] = []
+    start = 0
+    while start < len(stream):
+        end = start + int(random.integers(0, 40))
+        found += parser.feed(stream[start:end])
+        start = end
+    assert found == whole
+
+
+@pytest.mark.parametrize(
+    "before", [b"<", b"<<<<", b"<AAAAAAAAAAAAAA", b"<AAAA<A", b">", b"<AAAAAAAAAAAA<", b"\x00<"]
+)
+def test_a_bracket_before_a_packet_does_not_hide_it(before: bytes) -> None:
+    packet = b"<HNGPOKOPFPOPAA>"
+    assert PacketParser().feed(before + packet) == [Reply((-2345, -338, -267), 0, 0)]
+
+
+@pytest.mark.parametrize("position", range(16))
+@pytest.mark.parametrize("damage", ["lost", "doubled", "flipped", "two lost", "cut"])
+def test_in_step_again_within_32_bytes_of_any_damage(position: int, damage: str) -> None:
+    packets = [reply_by_table((100 * k, -k, k), 7, k) for k in range(6)]
+    hurt = packets[2]
+    changed = {
+        "lost": hurt[:position] + hurt[position + 1 :],
+        "doubled": hurt[: position + 1] + hurt[position:],
+        "flipped": hurt[:position] + bytes([hurt[position] ^ 0x80]) + hurt[position + 1 :],
+        "two lost": hurt[:position] + hurt[position + 2 :],
+        "cut": hurt[:position],
+    }[damage]
+    parser = PacketParser()
+    before = parser.feed(b"".join(packets[:2]) + changed)
+    after = [parser.feed(bytes([byte])) for byte in b"".join(packets[3:])]
+    first = next(count for count, replies in enumerate(after, start=1) if replies)
+    assert before[:2] == [read_by_table(packet) for packet in packets[:2]]
+    assert first <= 32
+    assert [reply for replies in after for reply in replies] == [read_by_table(one) for one in packets[3:]]
+    assert parser.invalid <= 2
+
+
+def test_a_reply_two_bytes_short_never_reads_as_homed() -> None:
+    # the end bracket would stand where the status byte does, and look like all legs homed
+    short = reply_by_table((5, 6, 7), 0, 0)[:13] + b">"
+    parser = PacketParser()
+    assert parser.feed(short * 50) == []
+    assert parser.invalid == 50
+    assert [reply.homed for reply in parser.feed(short + reply_by_table((5, 6, 7), 0, 3))] == [0]
+
+
+@pytest.mark.parametrize(
+    ("at", "byte"),
+    [(1, 0x40), (1, 0x51), (12, 0x61), (13, 0x40), (13, 0xC1), (14, 0x3C), (14, 0x3E), (15, 0x41)],
+)
+def test_bytes_out_of_their_range_are_dropped_and_counted(at: int, byte: int) -> None:
+    packet = bytearray(reply_by_table((1, 2, 3), 7, 0))
+    packet[at] = byte
+    parser = PacketParser()
+    assert parser.feed(bytes(packet)) == []
+    assert parser.packets == 0
+    assert parser.feed(reply_by_table((1, 2, 3), 7, 0)) == [Reply((1, 2, 3), 7, 0)]
+    # a bracket at byte 14 may begin a reply, which the last byte then breaks
+    assert parser.invalid in (1, 2)
+    assert parser.dropped == PACKET_BYTES
+
+
+def test_byte_by_byte_automaton_says_when_a_reply_is_whole() -> None:
+    memory = np.zeros(PARSER_SIZE, np.int64)
+    said = [parse_byte(memory, byte) for byte in b"<BAAAPPPPAAAAAA>"]
+    assert said == [0] * 15 + [1]
