@@ -1,0 +1,167 @@
+"""Thousands of seeded sessions: a hand, an arm, encoders, a delayed wire, the servo's tick, a fitted tissue.
+
+Energy is counted at the true port of the arm (unquantised position, force felt, its own damping and
+friction), from the beginning of each touch, so that what air dissipated pays for nothing.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from closed_loop import (
+    ALLOWANCE_J,
+    DEEPEST_MM,
+    FAULT_AT_END,
+    INWARD,
+    KEPT,
+    KICK_N,
+    LARGEST_N,
+    LEAST_J,
+    LEDGER_J,
+    MARGIN_J,
+    RISE_N,
+    STATE_AT_END,
+    SURFACE,
+    SWING,
+    Setting,
+    drawn_session,
+    in_closed_loop,
+    pool,
+)
+
+from tissueid.haptics.arm import Arm
+from tissueid.haptics.hand import PRESETS as HANDS
+from tissueid.haptics.hand import preset
+from tissueid.haptics.limits import GuardLimits
+from tissueid.haptics.sim import SimulatedDevice
+from tissueid.haptics.states import Fault, State
+from tissueid.model import KelvinVoigt
+from tissueid.render.precheck import check_before_force
+from tissueid.render.presets import ASSUMED_DEVICE, PRESETS, preset_check
+from tissueid.render.tissue_block import Tissue
+
+pytestmark = pytest.mark.needs_jit
+
+#: Hands that rest at the end of a session; a limit cycle would show in them.
+RESTING = ("step", "slow press", "hold")
+#: Rise of force a tick that the guard allows [N], and rounding.
+SLEW_N = 0.5 + 1e-9
+#: One session in five lies within a tenth of the passivity bound.
+NEAR_EVERY = 5
+
+
+def judged(count: int, *, pool_size: int, controller: bool = False) -> tuple[list[Setting], np.ndarray]:
+    """Settings and figures of sessions 0 to count - 1."""
+    sessions = [
+        drawn_session(seed, near=seed % NEAR_EVERY == 0, pool_size=pool_size, controller=controller)
+        for seed in range(count)
+    ]
+    return [setting for setting, _ in sessions], np.array([figures for _, figures in sessions])
+
+
+def told(settings: list[Setting], figures: np.ndarray) -> str:
+    """Margins by tissue and hand."""
+    head = "tissue    hand        sessions  least energy  share kept  largest rise  swing  largest force"
+    lines = [f"{head}  quantised ledger"]
+    for tissue in PRESETS:
+        for hand in HANDS:
+            rows = figures[[one.tissue == tissue and one.hand == hand for one in settings]]
+            if rows.size == 0:
+                continue
+            swing = f"{rows[:, SWING].max():5.0f}" if hand in RESTING else "    -"
+            lines.append(
+                f"{tissue:9s} {hand:11s} {len(rows):8d} {1e6 * rows[:, LEAST_J].min():10.3f} uJ "
+                f"{rows[:, KEPT].min():11.3f} {rows[:, RISE_N].max():11.3f} N {swing} "
+                f"{rows[:, LARGEST_N].max():12.2f} N {1e6 * rows[:, LEDGER_J].min():14.1f} uJ"
+            )
+    return "\n".join(lines)
+
+
+def test_sessions_are_passive_at_the_true_port_quiet_in_holds_and_rise_gently():
+    settings, figures = judged(300, pool_size=3)
+    near = np.array([setting.near for setting in settings])
+    resting = np.array([setting.hand in RESTING for setting in settings])
+    assert (figures[:, DEEPEST_MM] > 0.0).all()
+    assert figures[:, MARGIN_J].min() >= 0.0
+    assert figures[resting, SWING].max() <= 1.0
+    assert figures[:, RISE_N].max() <= SLEW_N
+    assert set(figures[:, FAULT_AT_END]) == {float(Fault.NONE)}
+    assert set(figures[:, STATE_AT_END]) == {float(State.ENGAGED)}
+    shares = np.array([setting.share_of_bound for setting in settings])
+    assert ((shares[near] >= 0.9) & (shares[near] <= 1.0)).all()
+    # every touch that ended had cost the hand something
+    assert figures[:, KEPT].min() > 0.0
+
+
+def test_the_controller_never_kicks_and_leaves_a_passive_rendering_alone():
+    _, figures = judged(60, pool_size=3, controller=True)
+    _, without = judged(60, pool_size=3)
+    assert figures[:, KICK_N].max() <= 0.5
+    assert figures[:, MARGIN_J].min() >= 0.0
+    np.testing.assert_allclose(figures[:, LARGEST_N], without[:, LARGEST_N], atol=0.5)
+
+
+def wall(*, controller: bool) -> np.ndarray:
+    """Figures of a light hand that taps an elastic wall far beyond the bound of its device."""
+    tissue = Tissue(
+        KelvinVoigt(branches=0, stiffness_degree=0, depth_mm=8.0), np.array([250.0, 0.0, 0.0]), (1.0, 10.0)
+    )
+    device = SimulatedDevice(
+        GuardLimits(clamp_N=5.0, rms_limit_N=5.0, dead_man=False, ramp_s=0.5),
+        arm=Arm(damping_N_s_per_m=0.0, friction_N=0.0),
+        hand=preset(
+            "tap",
+            surface_m=SURFACE,
+            inward=INWARD,
+            depth_m=0.004,
+            stiffness_N_per_m=200.0,
+            damping_N_s_per_m=0.1,
+            rest_s=0.6,
+        ),
+        delay_ticks=2.0,
+    )
+    return in_closed_loop(device, tissue, 0.02, np.full(2300, 1e-3), controller=controller)
+
+
+def test_a_wall_beyond_the_bound_gives_energy_and_is_caught_by_the_same_bars():
+    figures = wall(controller=False)
+    assert figures[MARGIN_J] < -1e-3
+    assert figures[KEPT] < 0.0
+    restrained = wall(controller=True)
+    assert 0.0 < restrained[KICK_N] <= 0.5
+    assert restrained[MARGIN_J] > figures[MARGIN_J]
+
+
+@pytest.mark.parametrize("name", list(PRESETS))
+def test_presets_fit_the_damping_a_device_is_assumed_to_have(name):
+    result = preset_check(name)
+    assert result.required_damping_N_s_per_m <= ASSUMED_DEVICE.damping_N_s_per_m == 0.5
+    # the pool's bound is the one that the check computes, scaled
+    tissue, needs = pool(name, 3)[0]
+    of_pool = check_before_force(tissue, ASSUMED_DEVICE)
+    assert needs[1.5] * of_pool.scaling.force == pytest.approx(of_pool.required_damping_N_s_per_m, rel=1e-9)
+
+
+@pytest.mark.slow
+def test_ten_thousand_sessions_within_the_posteriors(capsys):
+    settings, figures = judged(10_000, pool_size=40)
+    _, braked = judged(1_000, pool_size=40, controller=True)
+    near = np.array([setting.near for setting in settings])
+    shares = np.array([setting.share_of_bound for setting in settings])
+    resting = np.array([setting.hand in RESTING for setting in settings])
+    with capsys.disabled():
+        print(f"\n{told(settings, figures)}")  # noqa: T201
+        codes = figures[:, FAULT_AT_END].astype(int)
+        faults = {Fault(code).name: int((codes == code).sum()) for code in np.unique(codes)}
+        print(  # noqa: T201
+            f"{near.sum()} sessions with the bound at {100 * shares[near].min():.0f} to "
+            f"{100 * shares[near].max():.0f} % of the damping; margin to the bar "
+            f"{1e6 * figures[:, MARGIN_J].min():.3f} uJ of {1e6 * ALLOWANCE_J:.0f} uJ; "
+            f"controller: largest change {braked[:, KICK_N].max():.3f} N a tick; ends: {faults}"
+        )
+    assert (near & (shares >= 0.9) & (shares <= 1.0)).sum() >= 1_000
+    assert figures[:, MARGIN_J].min() >= 0.0
+    assert figures[:, RISE_N].max() <= SLEW_N
+    assert figures[resting, SWING].max() <= 1.0
+    assert braked[:, KICK_N].max() <= 0.5
+    assert set(figures[:, FAULT_AT_END]) == {float(Fault.NONE)}
