@@ -46,8 +46,13 @@ class Schedule:
     remedies: tuple[str, ...]
 
 
-def make_punctual() -> Schedule:
+def make_punctual(*, collect: bool = False) -> Schedule:
     """Ask for SCHED_FIFO, locked memory, one processor and exact timers for this process.
+
+    Parameters
+    ----------
+    collect : bool
+        Keep Python's garbage collection: a loop in Python makes garbage, a compiled one none.
 
     Returns
     -------
@@ -57,9 +62,9 @@ def make_punctual() -> Schedule:
     libc = ctypes.CDLL(None, use_errno=True)
     remedies = []
     libc.prctl(PR_SET_TIMERSLACK, TIMERSLACK_NS, 0, 0, 0)
-    # no collection in the middle of a session: the loop makes no garbage
     gc.collect()
-    gc.disable()
+    if not collect:
+        gc.disable()
     cpu = _bind()
     locked = _lock(libc)
     if not locked:

@@ -1,0 +1,210 @@
+"""The owner's side of the servo process: spawn, parameters, heartbeat, end.
+
+::
+
+    with ServoProcess(ServoPlan("sim")) as servo:
+        servo.block.write(parameters)
+        servo.engage()
+        while (end := servo.poll()) is None:
+            servo.beat()
+            records, overrun = servo.records.read_new()
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import select
+import subprocess
+import sys
+import time
+from typing import Any, Self
+
+from tissueid import errors
+from tissueid.errors import DeviceError
+from tissueid.haptics.parameter_block import (
+    COMMAND_DISENGAGE,
+    COMMAND_ENGAGE,
+    COMMAND_STOP,
+    ParameterBlock,
+)
+from tissueid.haptics.ring import Ring
+from tissueid.render.servo_plan import ServoEnd, ServoPlan, ServoReady, send_plan
+from tissueid.render.servo_tick import BLOCK_SIZE
+
+__all__ = ["START_TIMEOUT_S", "ServoProcess"]
+
+#: Longest time to the first tick without homing [s]: compiling on a slow machine takes half of it.
+START_TIMEOUT_S = 60.0
+#: Longest time from the wish to end to the end [s]: ramp, zero commands, closing.
+STOP_TIMEOUT_S = 5.0
+
+
+class ServoProcess:
+    """A servo in its own process.
+
+    Parameters
+    ----------
+    plan : ServoPlan
+    start_timeout_s : float
+        Until the loop runs; a device that a user must home needs more.
+    """
+
+    def __init__(self, plan: ServoPlan, *, start_timeout_s: float = START_TIMEOUT_S) -> None:
+        self.plan = plan
+        self.ring = Ring.create()
+        self.block = ParameterBlock.create(BLOCK_SIZE)
+        #: What is new in the ring.
+        self.records = self.ring.reader()
+        #: What the servo said of itself; known after ``start``.
+        self.ready: ServoReady | None = None
+        self.end: ServoEnd | None = None
+        self._start_timeout_s = start_timeout_s
+        self._process: subprocess.Popen[bytes] | None = None
+        self._owner = self._report = -1
+        self._text = b""
+
+    def start(self) -> ServoReady:
+        """Spawn the process and wait until its loop runs, with zero force.
+
+        Raises
+        ------
+        DeviceError, UsageError, BundleError
+            What the process refused, or DeviceError where it died or took too long.
+        """
+        theirs, self._owner = os.pipe()
+        self._report, reporting = os.pipe()
+        shared = (self.ring.descriptor, self.block.descriptor)
+        command = [sys.executable, "-m", "tissueid.render.servo_process", str(theirs), str(reporting)]
+        try:
+            # our own interpreter and module; nothing of it comes from a user
+            self._process = subprocess.Popen(  # noqa: S603
+                command, pass_fds=(theirs, reporting, *shared), stdin=subprocess.DEVNULL
+            )
+        finally:
+            os.close(theirs)
+            os.close(reporting)
+        with contextlib.suppress(BrokenPipeError):
+            send_plan(self._owner, self.plan, *shared)
+        words = self._next_line(self._start_timeout_s)
+        if words is None or words["event"] != "ready":
+            raise self._failure(words, f"did not start within {self._start_timeout_s:.0f} s")
+        self.ready = ServoReady(words["compiled"], words["scheduling"], tuple(words["remedies"]))
+        return self.ready
+
+    def beat(self) -> None:
+        """Sign of life; at least twice a heartbeat limit."""
+        self.block.beat()
+
+    def engage(self) -> None:
+        """Ask for force."""
+        self.block.order(COMMAND_ENGAGE)
+
+    def disengage(self) -> None:
+        """Take the force away; the loop goes on."""
+        self.block.order(COMMAND_DISENGAGE)
+
+    def poll(self) -> ServoEnd | None:
+        """How the servo ended, or None while it runs.
+
+        Raises
+        ------
+        DeviceError
+            The process died without a word.
+        """
+        if self.end is None:
+            words = self._next_line(0.0)
+            if words is not None:
+                self._ended(words)
+            elif self._process is not None and self._process.poll() is not None:
+                # the last line may have come between the two looks
+                self._ended(self._next_line(0.0))
+        return self.end
+
+    def stop(self) -> ServoEnd:
+        """Ramp down, end the loop, close the device.
+
+        Raises
+        ------
+        DeviceError
+            It did not end in time (and was killed), or died without a word.
+        """
+        self.block.order(COMMAND_STOP)
+        deadline = time.monotonic() + STOP_TIMEOUT_S
+        while self.poll() is None and time.monotonic() < deadline:
+            self.beat()
+            self._ended(self._next_line(0.05), patient=True)
+        if self.end is None:
+            raise self._failure(None, f"did not end within {STOP_TIMEOUT_S:.0f} s")
+        return self.end
+
+    def close(self) -> None:
+        """End the process if it runs, and give shared memory back; harmless when called twice."""
+        if self._owner >= 0:
+            # closing the pipe is the owner's death to the servo: zero force, whatever it was doing
+            os.close(self._owner)
+            self._owner = -1
+            self._reap()
+            os.close(self._report)
+            self.ring.close()
+            self.block.close()
+
+    def __enter__(self) -> Self:
+        try:
+            self.start()
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        try:
+            if kind is None and self.end is None:
+                self.stop()
+        finally:
+            self.close()
+
+    def _next_line(self, timeout_s: float) -> dict[str, Any] | None:
+        """The next line of the report, or None without one in time or at its end."""
+        deadline = time.monotonic() + timeout_s
+        while b"\n" not in self._text:
+            left = max(deadline - time.monotonic(), 0.0)
+            if not select.select([self._report], [], [], left)[0]:
+                return None
+            got = os.read(self._report, 65_536)
+            if not got:
+                return None
+            self._text += got
+        line, self._text = self._text.split(b"\n", 1)
+        words: dict[str, Any] = json.loads(line)
+        return words
+
+    def _ended(self, words: dict[str, Any] | None, *, patient: bool = False) -> None:
+        """Take in the last line of the report."""
+        if words is None:
+            if not patient:
+                raise self._failure(None, "died without a word")
+        elif words.pop("event") == "ended":
+            self.end = ServoEnd.from_dict(words)
+        else:
+            raise self._failure({"event": "failed", **words}, "")
+
+    def _failure(self, words: dict[str, Any] | None, otherwise: str) -> errors.TissueidError:
+        """What the process refused, or that it is gone."""
+        if words is not None and words["event"] == "failed":
+            refused: errors.TissueidError = getattr(errors, words["kind"])(words["message"])
+            return refused
+        self._reap()
+        code = None if self._process is None else self._process.returncode
+        return DeviceError(f"the servo process {otherwise} (exit code {code}); device {self.plan.device}")
+
+    def _reap(self) -> None:
+        """Wait for the process, a while kindly."""
+        if self._process is None:
+            return
+        try:
+            self._process.wait(STOP_TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()

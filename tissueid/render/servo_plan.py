@@ -1,0 +1,158 @@
+"""What the owner and the servo process tell each other, as frozen data.
+
+Down goes one plan, pickled, over a private pipe whose other end stays open: its end of file is the owner's
+death.  Up come lines of JSON: ``ready``, then ``ended`` or ``failed``.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from tissueid.haptics.states import FAULT_WORDS, Fault, State
+from tissueid.render.servo_statistics import PeriodStatistics
+
+__all__ = ["REASONS", "ServoEnd", "ServoPlan", "ServoReady", "receive_plan", "send_line", "send_plan"]
+
+#: Why a loop ended, by the numbers of :mod:`tissueid.render.servo_loop`.
+REASONS = ("fault", "stopped", "signal", "ticks")
+_LENGTH_BYTES = 8
+#: At 1 kHz more ticks than anybody's session: 24 days.
+NO_END = 2**31
+
+
+@dataclass(frozen=True, slots=True)
+class ServoPlan:
+    """One session of the servo.
+
+    Attributes
+    ----------
+    device : str
+        Name in the registry; never ``auto``, which the owner resolves and says.
+    options : dict
+        Arguments of the device's class; must pickle.
+    law : str, optional
+        Name of a force law of another distribution, in the place of the compiled environment.
+    period_ns : int
+    ticks : int
+        Most ticks to run.
+    alive_wanted : bool
+        Whether 500 ms without a sign of life take the force away.
+    """
+
+    device: str
+    options: dict[str, Any] = field(default_factory=dict)
+    law: str | None = None
+    period_ns: int = 1_000_000
+    ticks: int = NO_END
+    alive_wanted: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class ServoReady:
+    """The servo runs.
+
+    Attributes
+    ----------
+    compiled : bool
+        False for a device or a law in Python: then the loop runs uncompiled.
+    scheduling : str
+        Scheduling class.
+    remedies : tuple of str
+        What was refused, and how to get it.
+    """
+
+    compiled: bool
+    scheduling: str
+    remedies: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ServoEnd:
+    """How a session ended.
+
+    Attributes
+    ----------
+    reason : str
+        One of REASONS.
+    fault : Fault
+    state : State
+        Before the device was closed.
+    statistics : PeriodStatistics
+    outside_share, clipped_share : float
+        Of the ticks with tissue touched: outside the identified range, and at the clamp.
+    """
+
+    reason: str
+    fault: Fault
+    state: State
+    statistics: PeriodStatistics
+    outside_share: float
+    clipped_share: float
+
+    @property
+    def message(self) -> str:
+        """One sentence for the console and the log."""
+        if self.fault is not Fault.NONE:
+            return f"the servo took the force away: {FAULT_WORDS[self.fault]}"
+        return {"signal": "the servo was told to end by a signal"}.get(self.reason, "the servo ended")
+
+    def as_dict(self) -> dict[str, Any]:
+        """For a line of JSON and the log."""
+        words = asdict(self)
+        return {**words, "fault": int(self.fault), "state": int(self.state)}
+
+    @classmethod
+    def from_dict(cls, words: dict[str, Any]) -> ServoEnd:
+        """The inverse of :meth:`as_dict`."""
+        return cls(
+            **{
+                **words,
+                "fault": Fault(words["fault"]),
+                "state": State(words["state"]),
+                "statistics": PeriodStatistics(**words["statistics"]),
+            }
+        )
+
+
+def send_plan(descriptor: int, plan: ServoPlan, ring: int, block: int) -> None:
+    """Send a plan and the descriptors of the shared memories."""
+    data = pickle.dumps((plan, ring, block))
+    data = len(data).to_bytes(_LENGTH_BYTES, "little") + data
+    while data:
+        data = data[os.write(descriptor, data) :]
+
+
+def receive_plan(descriptor: int) -> tuple[ServoPlan, int, int]:
+    """The plan that :func:`send_plan` sent.
+
+    Raises
+    ------
+    EOFError
+        The owner died meanwhile.
+    """
+
+    def exactly(size: int) -> bytes:
+        data = b""
+        while len(data) < size:
+            got = os.read(descriptor, size - len(data))
+            if not got:
+                raise EOFError
+            data += got
+        return data
+
+    size = int.from_bytes(exactly(_LENGTH_BYTES), "little")
+    # the sender is the process that spawned this one, over a pipe nobody else has
+    plan, ring, block = pickle.loads(exactly(size))  # noqa: S301
+    return plan, ring, block
+
+
+def send_line(descriptor: int, **words: Any) -> None:
+    """One line of JSON; nothing happens where nobody reads any more."""
+    try:
+        os.write(descriptor, json.dumps(words).encode() + b"\n")
+    except BrokenPipeError:
+        return
