@@ -1,0 +1,195 @@
+"""The Falcon over libusb: which requests it sends, in which order, and what it says when it can't."""
+
+from __future__ import annotations
+
+import ctypes
+from pathlib import Path
+
+import numpy as np
+import pytest
+from c_library import compiled
+
+from tissueid.errors import DeviceError
+from tissueid.haptics.device import FALCON_USB
+from tissueid.haptics.falcon import firmware
+from tissueid.haptics.falcon.calibration import Calibration
+from tissueid.haptics.falcon.device import FalconDevice
+from tissueid.haptics.falcon.libusb import BULK_TRANSFER, LibUsb, UsbNode, without_status
+from tissueid.haptics.falcon.transport import TransportLost
+
+#: Requests of falcon.md 2 and 3: type, request, value, index, length.
+PURGE = ["control 40 0 0001 0 0", "control 40 0 0002 0 0"]
+LATENCY_1, LATENCY_16 = "control 40 9 0001 0 0", "control 40 9 0010 0 0"
+RUN_BAUD, HELLO_BAUD, UPLOAD_BAUD = (f"control 40 3 {divisor} 0 0" for divisor in ("0002", "4138", "0015"))
+FRAME = ["control 40 4 0008 0 0", "control 40 2 0000 0 0"]
+RTS_LOW, DTR_LOW, DTR_HIGH = (f"control 40 1 {value} 0 0" for value in ("0200", "0100", "0101"))
+OPENING = ["open", "claim 0", *PURGE, LATENCY_1, RUN_BAUD, *PURGE]
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return compiled("usb_stub", tmp_path_factory.mktemp("usb"))
+
+
+@pytest.fixture
+def stub(library: Path, monkeypatch: pytest.MonkeyPatch) -> ctypes.CDLL:
+    monkeypatch.setenv("TISSUEID_LIBUSB", str(library))
+    monkeypatch.delenv("FALCON_STUB", raising=False)
+    found = ctypes.CDLL(str(library))
+    found.stub_record.restype = ctypes.c_char_p
+    return found
+
+
+def lines(stub: ctypes.CDLL) -> list[str]:
+    text: bytes = stub.stub_record()
+    return text.decode("ascii").splitlines()
+
+
+def mode(stub: ctypes.CDLL, monkeypatch: pytest.MonkeyPatch, word: str) -> None:
+    # the stub reads its own process's environment
+    monkeypatch.setenv("FALCON_STUB", word)
+    stub.stub_clear()
+
+
+def test_opening_purges_then_sets_latency_and_baud_then_purges(stub: ctypes.CDLL) -> None:
+    usb = LibUsb()
+    transport = usb.open()
+    assert lines(stub) == OPENING
+    transport.close()
+    usb.close()
+    assert lines(stub)[len(OPENING) :] == ["release 0", "close", "exit"]
+    transport.close()
+    usb.close()
+    assert lines(stub)[-1] == "exit"
+
+
+def test_falcons_are_found_by_their_numbers_among_other_chips(stub: ctypes.CDLL) -> None:
+    usb = LibUsb()
+    assert usb.falcons() == [UsbNode(3, 7)]
+    assert usb.falcons()[0].path == "/dev/bus/usb/003/007"
+    with pytest.raises(DeviceError, match="no Falcon is plugged in"):
+        usb.open(UsbNode(9, 9))
+
+
+def test_upload_follows_the_known_order_of_lines_rates_and_bytes(
+    stub: ctypes.CDLL, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mode(stub, monkeypatch, "bare")
+    usb = LibUsb()
+    transport = usb.open()
+    content = np.random.default_rng(1).bytes(150)
+    seen: list[tuple[int, int]] = []
+    firmware.upload(transport, content, lambda _text, done, total: seen.append((done, total)))
+    assert lines(stub)[len(OPENING) :] == [
+        *PURGE, LATENCY_16, HELLO_BAUD, *FRAME, RTS_LOW, DTR_LOW, DTR_HIGH,
+        "out 0a 43 0d",
+        DTR_LOW, UPLOAD_BAUD, "out 41",
+        *("out " + content[at : at + 62].hex(" ") for at in (0, 62, 124)),
+        LATENCY_1, RUN_BAUD, *PURGE,
+    ]  # fmt: skip
+    assert seen == [(62, 150), (124, 150), (150, 150)]
+    assert firmware.is_running(transport)
+
+
+def test_status_bytes_are_taken_out_of_every_64() -> None:
+    data = bytes(range(200))
+    packets = b"".join(b"\x01\x60" + data[at : at + 62] for at in range(0, 200, 62))
+    assert without_status(packets) == data
+    assert without_status(b"\x01\x60") == b""
+    assert without_status(b"") == b""
+
+
+def test_device_reads_and_commands_over_usb(stub: ctypes.CDLL) -> None:
+    device = FalconDevice(calibration=Calibration())
+    device.open()
+    sample = device.read()
+    assert sample.counts.tolist() == [-2345, -338, -267]
+    assert (sample.valid, sample.homed, sample.buttons) == (True, False, 0)
+    device.write_force([0.0, 0.0, 1.0], 0.001)
+    # not homed: no force; homing mode and the red light
+    assert lines(stub)[-1] == "out " + b"<AAAAAAAAAAAAJA>".hex(" ")
+    device.close()
+    ended = lines(stub)
+    zeros = ended.count("out " + b"<AAAAAAAAAAAAJA>".hex(" "))
+    assert zeros >= 20
+    assert ended[-3:] == ["release 0", "close", "exit"]
+
+
+def test_compiled_servo_is_given_libusbs_own_transfer(stub: ctypes.CDLL) -> None:
+    device = FalconDevice(calibration=Calibration())
+    assert device.compiled() is None
+    device.open()
+    given = device.compiled()
+    assert given is not None
+    address, handle, bulk_out, bulk_in, timeout = given.handles[:5].tolist()
+    assert (given.kind, bulk_out, bulk_in) == (FALCON_USB, 0x02, 0x81)
+    assert 0 < timeout <= 5
+    packet = np.frombuffer(b"<BAAAPPPPAAAAAA>", np.uint8).copy()
+    moved = np.zeros(1, np.int32)
+    transfer = BULK_TRANSFER(address)
+    assert transfer(handle, bulk_out, packet.ctypes.data, 16, moved.ctypes.data, timeout) == 0
+    assert moved[0] == 16
+    assert lines(stub)[-1] == "out " + packet.tobytes().hex(" ")
+    assert given.constants[0] == 6600.0
+    assert given.constants[1:].tolist() == Calibration().legs().block().tolist()
+    device.close()
+
+
+def test_no_permission_names_the_node_and_the_udev_line(
+    stub: ctypes.CDLL, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mode(stub, monkeypatch, "access")
+    with pytest.raises(DeviceError) as refused:
+        LibUsb().open()
+    text = refused.value.message
+    assert "/dev/bus/usb/003/007" in text
+    assert 'ATTR{idVendor}=="0403", ATTR{idProduct}=="cb48", MODE="0660", TAG+="uaccess"' in text
+    (found,) = FalconDevice.detect()
+    assert found.where == "/dev/bus/usb/003/007"
+    assert found.note == text
+
+
+def test_a_falcon_in_use_says_so(stub: ctypes.CDLL, monkeypatch: pytest.MonkeyPatch) -> None:
+    mode(stub, monkeypatch, "busy")
+    with pytest.raises(DeviceError, match="in use by another program"):
+        LibUsb().open()
+    assert lines(stub) == ["open", "close"]
+
+
+def test_nothing_plugged_in_is_an_empty_list_and_a_refusal(
+    stub: ctypes.CDLL, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mode(stub, monkeypatch, "none")
+    assert FalconDevice.detect() == []
+    with pytest.raises(DeviceError, match="power supply"):
+        FalconDevice(calibration=Calibration()).open()
+
+
+def test_a_falcon_that_can_be_opened_has_no_note(stub: ctypes.CDLL) -> None:
+    assert [(found.where, found.note) for found in FalconDevice.detect()] == [("/dev/bus/usb/003/007", "")]
+
+
+def test_a_missing_library_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("TISSUEID_LIBUSB", str(tmp_path / "none.so"))
+    with pytest.raises(DeviceError, match=r"none\.so .*can't be loaded.*apt install libusb-1\.0-0"):
+        LibUsb()
+    (found,) = FalconDevice.detect()
+    assert "can't be loaded" in found.note
+
+
+def test_another_library_is_no_libusb(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TISSUEID_LIBUSB", "libc.so.6")
+    with pytest.raises(DeviceError, match="has no libusb_init"):
+        LibUsb()
+
+
+def test_unplugging_is_a_lost_transport(stub: ctypes.CDLL) -> None:
+    transport = LibUsb().open()
+    stub.stub_unplug()
+    for action in (lambda: transport.write(b"x"), lambda: transport.read(0.01), transport.purge):
+        with pytest.raises(TransportLost, match=r"/dev/bus/usb/003/007 is gone \(LIBUSB_ERROR_NO_DEVICE\)"):
+            action()
+
+
+def test_a_read_returns_nothing_after_its_time_out(stub: ctypes.CDLL) -> None:
+    assert LibUsb().open().read(0.002) == b""
