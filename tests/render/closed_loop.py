@@ -210,8 +210,8 @@ def drawn_session(
     stiffness = float(np.exp(rng.uniform(np.log(50.0), np.log(1000.0))))
     speed = float(rng.uniform(3e-4, 2e-3) if hand == "slow press" else rng.uniform(0.01, 0.1))
     depth = rng.uniform(0.1, 1.0) * tissue.model.depth_mm * MOTION_SCALE * 1e-3
-    if hand == "slow press":
-        depth = min(depth, 2e-3)
+    # a slow press would take minutes to the bottom, and 40 mm in 30 ms is no hand but an overspeed
+    depth = min(depth, {"slow press": 2e-3, "step": 0.02}.get(hand, depth))
     device = SimulatedDevice(
         GuardLimits(clamp_N=CLAMP_N, rms_limit_N=CLAMP_N, dead_man=False, ramp_s=0.5),
         arm=Arm(mass_kg=rng.uniform(0.15, 0.4), damping_N_s_per_m=damping, friction_N=rng.uniform(0.05, 0.1)),

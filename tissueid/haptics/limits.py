@@ -116,7 +116,8 @@ class GuardLimits:
         Silence, and damaged replies in a row, that are a fault.
     frozen_s, frozen_change_N : float
         No count on any leg for this long although the force changed by more than this: twice Coulomb
-        friction (0.1 N), so that a resting arm would have moved.
+        friction (0.1 N), and what moves a 1000 N/m hand by one count of 90 um, so that a resting arm would
+        have shown it.
     heartbeat_s : float
         Silence of the owning program that is a fault.
     stall_s : float
@@ -146,7 +147,7 @@ class GuardLimits:
     no_reply_s: float = 0.020
     bad_packets: int = 10
     frozen_s: float = 0.2
-    frozen_change_N: float = 0.2
+    frozen_change_N: float = 0.3
     heartbeat_s: float = 0.5
     stall_s: float = 0.005
     dead_man: bool = True
