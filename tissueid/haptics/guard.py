@@ -42,16 +42,18 @@ from tissueid.haptics.guard_states import (
     LET_GO,
     MEAN_SQUARE,
     PENDING_FAULT,
+    PENETRATION,
     PHASE,
     PREVIOUS,
+    READY,
     RECOVERING,
     RELEASING,
     RISE_RATE,
     RISING,
     STATE,
     VELOCITY,
-    WANTED_N,
     YIELDING,
+    engage_now,
     fail,
     new_guard,
     transition,
@@ -61,6 +63,7 @@ from tissueid.haptics.limits import (
     DAMPING,
     DAMPING_S,
     DEAD_MAN_S,
+    ENGAGE_BELOW_N,
     FAULT_RAMP_S,
     LIMITS_SIZE,
     RECOVERY_S,
@@ -94,7 +97,7 @@ FloatArray = NDArray[np.float64]
 FOLD_FROM = 0.8
 #: Over this multiple of it the motors are in danger whatever the fold did.
 OVERHEATED = 1.25
-#: Squares of larger forces overflow [N]; they are shortened first, which the clamp would do anyway.
+#: Squares of larger forces overflow [N].
 LARGEST_N = 1e150
 
 _CLIPPED, _SLEWED, _RMS = int(Lamp.CLIPPED), int(Lamp.SLEWED), int(Lamp.RMS_LIMITED)
@@ -128,6 +131,10 @@ def guard(memory: FloatArray, limits: FloatArray, force: FloatArray, dt: float, 
     out[0] = 0.0
     out[1] = 0.0
     out[2] = 0.0
+    # an unknown depth (NaN) is not a free tool
+    free = memory[PENETRATION] <= 0.0 or (finite and _length(force) < limits[ENGAGE_BELOW_N])
+    if memory[STATE] == ARMED and memory[READY] != 0.0 and free:
+        engage_now(memory, limits)
     if memory[STATE] == ENGAGED:
         if finite:
             _advance_gain(memory, limits, step, stalled)
@@ -141,14 +148,15 @@ def guard(memory: FloatArray, limits: FloatArray, force: FloatArray, dt: float, 
         if dt > step:
             age = dt
         lamps |= _fade(memory, limits, age, out)
-    memory[WANTED_N] = _length(force) if finite else math.inf
     _remember(memory, limits, step, out)
     memory[LAMPS] = lamps
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
 def _length(vector: FloatArray) -> float:
-    """Euclidean length; infinite where the squares overflow."""
+    """Euclidean length; infinite where the squares would overflow."""
+    if max(abs(vector[0]), abs(vector[1]), abs(vector[2])) > LARGEST_N:
+        return math.inf
     return math.sqrt(vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2])
 
 
@@ -186,9 +194,11 @@ def _engaged(memory: FloatArray, limits: FloatArray, force: FloatArray, out: Flo
         out[i] = gain * force[i] - damping * memory[VELOCITY + i]
     lamps = _RAMPING if gain < 1.0 else 0
     length = _length(out)
-    if not length <= LARGEST_N:
+    if length == math.inf:
+        # only the direction is left of it, longer than the clamp
+        largest = max(abs(out[0]), abs(out[1]), abs(out[2]))
         for i in range(3):
-            out[i] = out[i] / LARGEST_N
+            out[i] = out[i] / largest * (2.0 * limits[CLAMP_N])
         length = _length(out)
     bound = length
     if bound > limits[CLAMP_N]:

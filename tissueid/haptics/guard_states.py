@@ -30,8 +30,8 @@ VELOCITY = 10
 GAIN, PHASE, RISE_RATE = 13, 14, 15
 #: Fault that follows damping alone, and how long it has been damped [s].
 PENDING_FAULT, DAMPED_S = 16, 17
-#: Whether force is wanted at all; |F| the law asked for last [N]; depth of the tool [m].
-WANTED, WANTED_N, PENETRATION = 18, 19, 20
+#: Whether force is wanted at all; whether nothing but the tool's place keeps it back; depth of the tool [m].
+WANTED, READY, PENETRATION = 18, 19, 20
 #: Counters: homed replies in a row, damaged replies in a row, silence [s], counts standing still [s].
 HOMED_REPLIES, DAMAGED, SILENT_S, STILL_S = 21, 22, 23, 24
 #: Force when a count was last seen [N]: 3 values, and the largest change since then [N].
@@ -59,15 +59,10 @@ RISING, RELEASING, RECOVERING, YIELDING = 0.0, 1.0, 2.0, 3.0
 OPENED, FIRMWARE_OK, HOME, HOMED, ENGAGE, DISENGAGE = 0.0, 1.0, 2.0, 3.0, 4.0, 5.0
 RELEASE, SWAP, HEARTBEAT_LOST, PARENT_DIED, TRANSPORT_LOST, SHUT = 6.0, 7.0, 8.0, 9.0, 10.0, 11.0
 
-#: A force nobody has asked for yet may not engage a device.
-UNKNOWN_N = np.inf
-
 
 def new_guard() -> FloatArray:
     """Memory of a device that is closed, shape (GUARD_SIZE,)."""
-    memory = np.zeros(GUARD_SIZE)
-    memory[WANTED_N] = UNKNOWN_N
-    return memory
+    return np.zeros(GUARD_SIZE)
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
@@ -128,7 +123,6 @@ def _opened(memory: FloatArray) -> bool:
         return False
     for i in range(memory.size):
         memory[i] = 0.0
-    memory[WANTED_N] = UNKNOWN_N
     memory[STATE] = OPEN
     return True
 

@@ -19,6 +19,7 @@ from tissueid.haptics.guard_states import (
     PENETRATION,
     PHASE,
     PREVIOUS,
+    READY,
     RELEASING,
     RISE_RATE,
     RISING,
@@ -29,8 +30,6 @@ from tissueid.haptics.guard_states import (
     STILL_S,
     VELOCITY,
     WANTED,
-    WANTED_N,
-    engage_now,
     fail,
     let_down,
     yield_to,
@@ -39,7 +38,6 @@ from tissueid.haptics.limits import (
     BAD_PACKETS,
     DEAD_MAN,
     DEAD_MAN_BUTTONS,
-    ENGAGE_BELOW_N,
     FROZEN_CHANGE_N,
     FROZEN_S,
     HOMED_NEEDED,
@@ -99,6 +97,7 @@ def observe(
     dt : float
         Time since the last tick [s].
     """
+    memory[READY] = 0.0
     state = memory[STATE]
     if state < HOMING or state == FAULTED:
         return
@@ -191,7 +190,7 @@ def _check_frozen(memory: FloatArray, limits: FloatArray, counts_moved: IntArray
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
 def _dead_man(memory: FloatArray, limits: FloatArray, buttons: int) -> None:
-    """Release and engage: both want the button, and engaging a free tool or a small force."""
+    """Release, and readiness to engage."""
     held = limits[DEAD_MAN] == 0.0 or (buttons & int(limits[DEAD_MAN_BUTTONS])) != 0
     memory[LET_GO] = 0.0 if held else 1.0
     if memory[STATE] == ENGAGED:
@@ -200,8 +199,5 @@ def _dead_man(memory: FloatArray, limits: FloatArray, buttons: int) -> None:
         elif memory[PHASE] == RELEASING and memory[WANTED] == 1.0:
             memory[PHASE] = RISING
             memory[RISE_RATE] = 1.0 / limits[RAMP_S]
-    elif memory[STATE] == ARMED and held and memory[WANTED] == 1.0:
-        # an unknown depth (NaN) is not a free tool
-        free = memory[PENETRATION] <= 0.0 or memory[WANTED_N] < limits[ENGAGE_BELOW_N]
-        if free:
-            engage_now(memory, limits)
+    elif memory[STATE] == ARMED and held:
+        memory[READY] = memory[WANTED]
