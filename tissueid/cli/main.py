@@ -32,6 +32,7 @@ COMMANDS = {
     "watch": "Give a verdict after each test, beside the machine.",
     "devices": "Find, home, test and calibrate haptic devices, or emulate one.",
     "synth": "Write synthetic recordings with a known truth.",
+    "render": "Feel an identified tissue on a device, or try it on a simulated one.",
 }
 
 #: The matrices of a fit are small: threads of the linear algebra library make it ten times slower by

@@ -1,0 +1,251 @@
+"""``tissueid render``: feel an identified tissue on a device, or on the screen's simulated one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from tissueid.cli.output import echo_json, note, output_options
+
+if TYPE_CHECKING:
+    from tissueid.render.options import RenderOptions
+    from tissueid.render.session import Outcome, Session
+    from tissueid.render.session_plan import SessionPlan
+
+__all__ = ["command"]
+
+EPILOG = """\b
+Examples:
+  tissueid render bundle.h5
+  tissueid render bundle.h5 --device sim --script "indent 8 mm at 250 mm/min; hold 2 s" --log out.h5
+  tissueid render --preset paper-a --device sim --script "indent 4 mm at 250 mm/min" --virtual
+  tissueid render bundle.h5 --quantile 0.975 --of "force at 6 mm, 250 mm/min"
+  tissueid render a.h5 --against b.h5 --blind --log P17.h5
+  tissueid render bundle.h5 --replay out.h5
+  tissueid fit out.h5 -o again
+"""
+
+_FILE = click.Path(dir_okay=False, path_type=Path)
+
+#: Groups of options, each applied to the command in this order.
+_TISSUE = (
+    click.option("--preset", metavar="NAME", help="A tissue that comes along: paper-a, meat."),
+    click.option("--draw", type=int, metavar="N", help="Feel posterior draw N instead of the fitted values."),
+    click.option("--quantile", type=float, metavar="Q", help="Feel the draw nearest this quantile of --of."),
+    click.option("--of", metavar="TEXT", default="force at 6 mm, 250 mm/min", show_default=True,
+                 help="Which number the quantile, and the comparison of two tissues, is of."),
+    click.option("--against", type=_FILE, metavar="BUNDLE", help="A second tissue; Enter switches."),
+    click.option("--against-draw", type=int, metavar="N", help="... of this draw."),
+    click.option("--against-quantile", type=float, metavar="Q", help="... of this quantile."),
+    click.option("--environment", metavar="NAME", help="An installed force law instead of a tissue."),
+)  # fmt: skip
+_SCALE = (
+    click.option("--force-scale", type=float, metavar="S", help="Device force over tissue force."),
+    click.option("--motion-scale", type=float, metavar="S",
+                 help="Device travel over tissue depth. [default: 5]"),
+    click.option("--surface", metavar="TEXT", default="plane", show_default=True,
+                 help="'plane', 'sphere R mm' or 'box X x Y x Z mm', in tissue units."),
+    click.option("--tip-radius", type=click.FloatRange(min=0.0, min_open=True), metavar="MM",
+                 help="Radius of the tool tip; another than identified is refused."),
+    click.option("--no-control", is_flag=True, help="The passivity controller only watches."),
+)  # fmt: skip
+_SESSION = (
+    click.option("--device", "name", default="auto", show_default=True, metavar="NAME",
+                 help="auto, sim, emulator, falcon, forcedimension, or an installed one."),
+    click.option("--firmware", type=click.Path(), metavar="FILE", help="Firmware of a Falcon without any."),
+    click.option("--port", metavar="PATH", help="Serial port of a Falcon instead of USB."),
+    click.option("--calibration", type=click.Path(), metavar="FILE", help="Calibration of a Falcon."),
+    click.option("--script", metavar="TEXT", help="Strokes of the simulated grip, see docs/render.md."),
+    click.option("--seconds", type=float, metavar="S", help="End after this time; else with Ctrl-C."),
+    click.option("--virtual", is_flag=True, help="Run a script as fast as it can be computed."),
+    click.option("--log", type=_FILE, metavar="FILE", help="Record the session to this HDF5 file."),
+    click.option("--replay", type=_FILE, metavar="LOG", help="Render the motion of a recorded session."),
+    click.option("--bridge", metavar="PORT",
+                 help="Send positions to PORT by UDP, hear parameters on the next."),
+    click.option("--selftest", is_flag=True, help="Measure the servo on this machine, and leave."),
+    click.option("--yes", is_flag=True, help="Do not ask for consent: it was given."),
+)  # fmt: skip
+_BLIND = (
+    click.option("--blind", is_flag=True, help="Compare without telling which is felt."),
+    click.option("--presentations", type=int, metavar="N", help="How many, evenly shared. [default: 10]"),
+    click.option("--pseudonym", metavar="P17", help="Letters and a number; never a name."),
+    click.option("--key", type=_FILE, metavar="FILE", help="Where the answers go. [default: beside the log]"),
+)  # fmt: skip
+
+
+def _options(function: Callable[..., Any]) -> Callable[..., Any]:
+    for option in reversed((*_TISSUE, *_SCALE, *_SESSION, *_BLIND)):
+        function = option(function)
+    return function
+
+
+@click.command("render", epilog=EPILOG)
+@click.argument("bundle", required=False, type=_FILE)
+@_options
+@output_options
+def command(**flags: Any) -> int:
+    """Feel the tissue of a BUNDLE.
+
+    Scale and stability are checked, and printed, before any force. No real device has confirmed this
+    software: hardware starts at 2 N with the dead-man button on. Without a device, --device sim tries it all.
+    """
+    from tissueid.errors import DeviceError, exit_code
+
+    if flags["selftest"]:
+        return _selftest(flags)
+    session = _prepared(flags)
+    try:
+        outcome = session.run()
+    except DeviceError as error:
+        raise _with_way_out(error, session.plan) from error
+    finally:
+        if session.bridge is not None:
+            session.bridge.close()
+    _report(flags, session.plan, outcome)
+    codes = {5} if outcome.fault else set()
+    if outcome.summary["recording_stopped"] is not None:
+        codes.add(7)
+    if outcome.interrupted and session.plan.seconds is not None:
+        codes.add(130)
+    return exit_code(codes) or (130 if 130 in codes else 0)
+
+
+def _prepared(flags: dict[str, Any]) -> Session:
+    """Everything that can be refused before a force."""
+    from tissueid.cli.render_screen import Keyboard, StatusLine, ask_for_consent
+    from tissueid.errors import DeviceError, UsageError
+    from tissueid.render.bridge import UdpBridge, parse_address
+    from tissueid.render.plan import plan_session
+    from tissueid.render.recorder import Recorder
+    from tissueid.render.session import Session
+
+    options = _asked(flags)
+    try:
+        plan = plan_session(options)
+    except DeviceError as error:
+        if options.device in {"auto", "sim"}:
+            raise
+        raise _with_way_out(error, None) from error
+    for line in plan.lines:
+        note(line, quiet=flags["quiet"])
+    if flags["blind"] and flags["log"] is None:
+        msg = "--blind is worth nothing without a record: add --log FILE"
+        raise UsageError(msg)
+    ask_for_consent(plan, given=flags["yes"], quiet=flags["quiet"])
+    _write_key(flags, plan)
+    recorder = None if flags["log"] is None else Recorder(flags["log"], plan.head)
+    bridge = None if flags["bridge"] is None else UdpBridge(parse_address(flags["bridge"]))
+    return Session(
+        plan,
+        recorder=recorder,
+        bridge=bridge,
+        ask=Keyboard(switches=len(plan.blocks) > 1),
+        show=StatusLine(plan, quiet=bool(flags["quiet"] or flags["as_json"])),
+    )
+
+
+def _asked(flags: dict[str, Any]) -> RenderOptions:
+    from tissueid.render.options import RenderOptions
+
+    return RenderOptions(
+        bundle=flags["bundle"],
+        preset=flags["preset"],
+        draw=flags["draw"],
+        quantile=flags["quantile"],
+        of=flags["of"],
+        against=flags["against"],
+        against_draw=flags["against_draw"],
+        against_quantile=flags["against_quantile"],
+        device=flags["name"],
+        device_options=_device_options(flags),
+        script=flags["script"],
+        seconds=flags["seconds"],
+        force_scale=flags["force_scale"],
+        motion_scale=flags["motion_scale"],
+        tip_radius_mm=flags["tip_radius"],
+        surface=flags["surface"],
+        environment=flags["environment"],
+        control=not flags["no_control"],
+        blind=flags["blind"],
+        presentations=flags["presentations"],
+        pseudonym=flags["pseudonym"],
+        replay=flags["replay"],
+        virtual=flags["virtual"],
+    )
+
+
+def _device_options(flags: dict[str, Any]) -> dict[str, Any]:
+    """What a Falcon's driver takes; the device itself is made where it is used, in the servo's process."""
+    from tissueid.errors import UsageError
+
+    given = {key: flags[key] for key in ("port", "firmware") if flags[key] is not None}
+    if flags["calibration"] is not None:
+        from tissueid.haptics.falcon.calibration import load_calibration
+
+        given["calibration"] = load_calibration(Path(flags["calibration"]))
+    if given and flags["name"] not in {"falcon", "emulator"}:
+        msg = f"--{next(iter(given))} belongs to a Falcon: add --device falcon"
+        raise UsageError(msg)
+    return given
+
+
+def _with_way_out(error: Any, plan: SessionPlan | None) -> Any:
+    """A device's refusal, with what works without a device."""
+    from tissueid.errors import DeviceError
+
+    if "--device sim" in error.message or (plan is not None and not plan.capabilities.hardware):
+        return error
+    return DeviceError(f"{error.message.rstrip('.')}; without a device: --device sim")
+
+
+def _write_key(flags: dict[str, Any], plan: SessionPlan) -> None:
+    """The answer key of a blind comparison, apart from the log."""
+    from tissueid.render.blind import write_key
+
+    if plan.order is None:
+        return
+    path = flags["key"] or flags["log"].with_suffix(".key.json")
+    tissues = [
+        {
+            "tissue": number,
+            "name": each.tissue.name,
+            "bundle": str((flags["bundle"], flags["against"] or flags["bundle"])[number] or flags["preset"]),
+            "draw": each.draw,
+            "why": each.why,
+        }
+        for number, each in enumerate(plan.picked)
+    ]
+    write_key(path, plan.order, tissues)
+    note(f"answer key in {path}; pseudonym {plan.order.pseudonym}", quiet=flags["quiet"])
+
+
+def _report(flags: dict[str, Any], plan: SessionPlan, outcome: Outcome) -> None:
+    """The session in numbers."""
+    from tissueid.cli.render_screen import summary_lines
+
+    if flags["as_json"]:
+        echo_json(
+            {
+                "schema": "tissueid/render/1",
+                "device": plan.head["device"],
+                "scale": plan.head["scale"],
+                "summary": outcome.summary,
+                "log": None if outcome.log is None else str(outcome.log),
+            }
+        )
+    if not flags["quiet"]:
+        for line in summary_lines(outcome):
+            note(line)
+
+
+def _selftest(flags: dict[str, Any]) -> int:
+    """Figures of the servo on this machine."""
+    from tissueid.render.selftest import run_selftest
+
+    found = run_selftest(tell=lambda line: note(line, quiet=flags["quiet"]))
+    if flags["as_json"]:
+        echo_json(found)
+    return 0

@@ -1,0 +1,312 @@
+"""Everything that is decided before any force: which tissue, device, scale, surface, order, log.
+
+:func:`plan_session` refuses what can't be rendered (damaged bundle, missing device, unstable scale, another
+tip) while nothing moves yet; what it returns is all that :mod:`tissueid.render.session` needs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.errors import UsageError
+from tissueid.haptics.device import HapticDevice
+from tissueid.haptics.registry import choose_device, device_class, environment_law
+from tissueid.render.blind import BlindOrder, check_pseudonym, draw_order
+from tissueid.render.choice import (
+    Functional,
+    Picked,
+    as_tissue,
+    noticeable_ratio,
+    parse_functional,
+    pick_draw,
+    pick_quantile,
+)
+from tissueid.render.contact_geometry import parse_surface, place_surface, surface_remarks, travel_behind
+from tissueid.render.options import RenderOptions
+from tissueid.render.passivity_control import PassivityLimits
+from tissueid.render.precheck import Demands, Precheck, check_before_force
+from tissueid.render.presets import preset_tissue
+from tissueid.render.script import Script, read_script
+from tissueid.render.session_plan import PERIOD_S, SessionPlan, session_head
+from tissueid.render.surface import SURFACE_SIZE
+from tissueid.render.tissue_block import Plane, Sphere, Surface, free_air_block, tissue_block
+from tissueid.store.bundle import Bundle, load_bundle
+
+__all__ = ["plan_session"]
+
+FloatArray = NDArray[np.float64]
+
+MM = 1e-3
+DEFAULT_COUNT_M = 45e-6
+DEFAULT_PRESENTATIONS = 10
+#: Devices that a script can move, and that can run faster than time.
+SIMULATED = "sim"
+
+
+def plan_session(options: RenderOptions) -> SessionPlan:
+    """Decide everything, or refuse.
+
+    Raises
+    ------
+    UsageError, BundleError, DeviceError
+        Before anything moved, with the way out.
+    """
+    name = "replay" if options.replay is not None else options.device
+    if options.environment is not None:
+        return _law_session(options, name)
+    functional = parse_functional(options.of)
+    picked, hashes = _tissues(options, functional)
+    script = None if options.script is None else read_script(options.script)
+    choice, device = _device(options, name)
+    _must_fit(options, choice, script)
+    shape = parse_surface(options.surface)
+    remarks = [one for each in picked for one in surface_remarks(each.tissue, shape, options.tip_radius_mm)]
+    check, surface, radius_m = _scaled(options, picked, device, shape)
+    check = replace(check, remarks=(*check.remarks, *dict.fromkeys(remarks)))
+    order = _order(options, picked)
+    blocks = _blocks(options, picked, check, surface, radius_m, order)
+    given = dict(options.device_options)
+    if script is not None:
+        given["hand"] = script.hand(
+            motion_scale=check.scaling.motion,
+            surface_m=_touch_point(surface, radius_m),
+            inward=_inward(surface),
+        )
+    plan = SessionPlan(
+        device=choice[0],
+        device_options=given,
+        why=choice[1],
+        capabilities=device.capabilities,
+        blocks=blocks,
+        picked=picked,
+        check=check,
+        order=order,
+        head={},
+        script=script,
+        seconds=options.seconds if script is None else script.duration_s,
+        environment=None,
+        virtual=options.virtual,
+        lines=(choice[1], *_lines(options, picked, check, functional)),
+    )
+    return replace(plan, head=session_head(options, plan, surface.numbers(radius_m), hashes))
+
+
+def _tissues(
+    options: RenderOptions, functional: Functional
+) -> tuple[tuple[Picked, ...], tuple[str | None, ...]]:
+    """The tissue, and the one it is compared with; the content hashes of their bundles."""
+    if (options.bundle is None) == (options.preset is None):
+        msg = "give a bundle, or --preset, and not both: tissueid render bundle.h5"
+        raise UsageError(msg)
+    if options.preset is not None:
+        if options.draw is not None or options.quantile is not None:
+            msg = "--draw and --quantile choose among a bundle's posterior draws; a preset has none"
+            raise UsageError(msg)
+        first = Picked(preset_tissue(options.preset), None, f"preset {options.preset}")
+        bundle = None
+    else:
+        assert options.bundle is not None  # noqa: S101 -- one of the two is given
+        bundle = load_bundle(options.bundle)
+        first = _pick(bundle, options.draw, options.quantile, functional)
+    compared = (options.against, options.against_draw, options.against_quantile)
+    if all(one is None for one in compared):
+        return (first,), (_digest(options.bundle),)
+    other = bundle if options.against is None else load_bundle(options.against)
+    if other is None:
+        msg = "--against-draw and --against-quantile choose from a bundle; give one, or --against BUNDLE"
+        raise UsageError(msg)
+    second = _pick(other, options.against_draw, options.against_quantile, functional)
+    return (first, second), (_digest(options.bundle), _digest(options.against or options.bundle))
+
+
+def _pick(bundle: Bundle, draw: int | None, quantile: float | None, functional: Functional) -> Picked:
+    if draw is not None and quantile is not None:
+        msg = "give --draw or --quantile, not both"
+        raise UsageError(msg)
+    if draw is not None:
+        return pick_draw(bundle, draw)
+    if quantile is not None:
+        return pick_quantile(bundle, quantile, functional)
+    return Picked(as_tissue(bundle), None, "the fitted values")
+
+
+def _digest(path: Path | None) -> str | None:
+    from tissueid.store.files import sha256_of
+
+    return None if path is None else sha256_of(path)
+
+
+def _device(options: RenderOptions, name: str) -> tuple[tuple[str, str], HapticDevice]:
+    """The device and why it was taken; made, not opened."""
+    found = choose_device(name)
+    given = dict(options.device_options)
+    if options.replay is not None:
+        given["log"] = options.replay
+        given["real_time"] = not options.virtual
+    return (found.name, found.why), device_class(found.name)(**given)
+
+
+def _must_fit(options: RenderOptions, choice: tuple[str, str], script: Script | None) -> None:
+    """Options that belong to a simulated device."""
+    simulated = choice[0] == SIMULATED
+    if script is not None and not simulated:
+        msg = f"--script moves a simulated grip, and the device is {choice[0]}; add --device sim"
+        raise UsageError(msg)
+    if options.virtual and not (simulated and script is not None):
+        msg = "--virtual runs a script on the simulated device faster than time; add --device sim --script"
+        raise UsageError(msg)
+    if options.seconds is not None and not options.seconds > 0.0:
+        msg = f"--seconds is {options.seconds:g}, must be above 0"
+        raise UsageError(msg)
+
+
+def _scaled(
+    options: RenderOptions, picked: tuple[Picked, ...], device: HapticDevice, shape: tuple[str, Any]
+) -> tuple[Precheck, Surface, float]:
+    """One scale for all tissues: the smallest that any of them needs; the surface at that scale."""
+    capabilities = device.capabilities
+    checks = []
+    for each in picked:
+        motion = options.motion_scale
+        demands = Demands(
+            clamp_N=capabilities.clamp_N,
+            damping_N_s_per_m=capabilities.damping_N_s_per_m,
+            delay_ticks=capabilities.delay_ticks,
+            period_s=PERIOD_S,
+            calibrated=capabilities.calibrated,
+        )
+        first = check_before_force(each.tissue, demands, force_scale=options.force_scale, motion_scale=motion)
+        scale = first.scaling.motion
+        radius_m = (each.tissue.tip_radius_mm or options.tip_radius_mm or 0.0) * MM * scale
+        surface = place_surface(
+            shape,
+            capabilities,
+            depth_mm=each.tissue.model.depth_mm,
+            motion_scale=scale,
+            tool_radius_m=radius_m,
+        )
+        travel_m = travel_behind(surface, capabilities, tool_radius_m=radius_m)
+        checks.append(
+            (
+                check_before_force(
+                    each.tissue,
+                    replace(demands, travel_m=travel_m),
+                    force_scale=options.force_scale,
+                    motion_scale=motion,
+                ),
+                surface,
+                radius_m,
+            )
+        )
+    return min(checks, key=lambda one: one[0].scaling.force)
+
+
+def _order(options: RenderOptions, picked: tuple[Picked, ...]) -> BlindOrder | None:
+    if not options.blind:
+        if options.presentations is not None or options.pseudonym is not None:
+            msg = "--presentations and --pseudonym belong to --blind"
+            raise UsageError(msg)
+        return None
+    count = DEFAULT_PRESENTATIONS if options.presentations is None else options.presentations
+    pseudonym = check_pseudonym(options.pseudonym)
+    return draw_order(len(picked), count, pseudonym=pseudonym, seed=options.seed)
+
+
+def _blocks(
+    options: RenderOptions,
+    picked: tuple[Picked, ...],
+    check: Precheck,
+    surface: Surface,
+    radius_m: float,
+    order: BlindOrder | None,
+) -> tuple[FloatArray, ...]:
+    """A block for each presentation: the tissues themselves, or the blind order of them."""
+    control = PassivityLimits(
+        on=options.control,
+        count_m=DEFAULT_COUNT_M,
+        stiffness_N_per_m=check.scaling.device_stiffness_N_per_m,
+    ).block()
+    presented = range(len(picked)) if order is None else order.tissues
+    return tuple(
+        np.concatenate(
+            [
+                tissue_block(
+                    picked[tissue].tissue,
+                    surface,
+                    force_scale=check.scaling.force,
+                    motion_scale=check.scaling.motion,
+                    tool_radius_m=radius_m,
+                    label=label,
+                ),
+                control,
+            ]
+        )
+        for label, tissue in enumerate(presented, 0 if order is None else 1)
+    )
+
+
+def _touch_point(surface: Surface, radius_m: float) -> FloatArray:
+    """Where the centre of the tip is when it touches the highest point of a surface."""
+    if isinstance(surface, Plane):
+        return np.array(surface.point_m) - radius_m * _inward(surface)
+    reach = surface.radius_m if isinstance(surface, Sphere) else surface.half_widths_m[2]
+    return np.array(surface.centre_m) + np.array([0.0, 0.0, reach + radius_m])
+
+
+def _inward(surface: Surface) -> FloatArray:
+    """Unit vector into the tissue at its highest point."""
+    if isinstance(surface, Plane):
+        normal = np.asarray(surface.normal)
+        return np.asarray(-normal / np.linalg.norm(normal))
+    return np.array([0.0, 0.0, -1.0])
+
+
+def _lines(
+    options: RenderOptions, picked: tuple[Picked, ...], check: Precheck, functional: Functional
+) -> list[str]:
+    """What is printed: nothing that gives a blind comparison away."""
+    text = [] if options.blind else [f"tissue     {each.tissue.name}: {each.why}" for each in picked]
+    if len(picked) > 1:
+        one, other, ratio = noticeable_ratio(
+            picked[0].tissue, picked[1].tissue, functional, force_scale=check.scaling.force
+        )
+        forces = "" if options.blind else f"{one:.3g} against {other:.3g} N at the device, "
+        text.append(
+            f"contrast   {functional}: {forces}{ratio:.2g} times the just-noticeable difference"
+            + ("; hardly anybody would tell them apart" if ratio < 1.0 else "")
+        )
+    return text + check.lines()
+
+
+def _law_session(options: RenderOptions, name: str) -> SessionPlan:
+    """A session with an installed force law: no tissue, no scale, no precheck."""
+    if options.bundle is not None or options.preset is not None or options.blind or options.script:
+        msg = "--environment takes the place of a tissue: leave bundle, --preset, --blind and --script out"
+        raise UsageError(msg)
+    assert options.environment is not None  # noqa: S101 -- asked by the caller
+    environment_law(options.environment)
+    choice, device = _device(options, name)
+    _must_fit(options, choice, None)
+    block = np.concatenate([free_air_block(), PassivityLimits(on=options.control).block()])
+    plan = SessionPlan(
+        device=choice[0],
+        device_options=dict(options.device_options),
+        why=choice[1],
+        capabilities=device.capabilities,
+        blocks=(block,),
+        picked=(),
+        check=None,
+        order=None,
+        head={},
+        script=None,
+        seconds=options.seconds,
+        environment=options.environment,
+        virtual=False,
+        lines=(choice[1], f"law        {options.environment}: nothing is known of its stability"),
+    )
+    return replace(plan, head=session_head(options, plan, np.zeros(SURFACE_SIZE), (None,)))
