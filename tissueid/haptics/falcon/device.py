@@ -206,6 +206,9 @@ class FalconDevice(HapticDevice):
         replies: list[Reply] = []
         while not replies and (left := deadline - time.monotonic()) > 0.0:
             replies = self._parser.feed(transport.read(left))
+            if self._parser.invalid > self._invalid:
+                # the answer came, and was damaged: there is no other to wait for
+                break
         damaged, self._invalid = self._parser.invalid - self._invalid, self._parser.invalid
         if replies:
             self._reply = replies[-1]

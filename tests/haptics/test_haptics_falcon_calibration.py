@@ -1,0 +1,125 @@
+"""The calibration file: defaults, ranges, and no silent replacement."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tissueid.errors import DeviceError
+from tissueid.haptics.falcon import calibration as module
+from tissueid.haptics.falcon.calibration import (
+    Calibration,
+    calibration_path,
+    load_calibration,
+    save_calibration,
+)
+from tissueid.haptics.falcon.constants import GEOMETRIES
+from tissueid.haptics.falcon.device import limits_of
+from tissueid.haptics.falcon.kinematics import jacobian
+
+
+def test_without_a_file_the_assumptions_hold(tmp_path: Path) -> None:
+    assert load_calibration(tmp_path / "falcon.toml") == Calibration()
+
+
+def test_what_is_saved_is_loaded(tmp_path: Path) -> None:
+    file = tmp_path / "new folder" / "falcon.toml"
+    own = Calibration("martin-hillier", 41.5, 5123.4, True, 0.81, True, 1.83, True, True)
+    assert save_calibration(own, file) == file
+    assert load_calibration(file) == own
+    assert [path.name for path in file.parent.iterdir()] == ["falcon.toml"]
+
+
+def test_file_lies_in_the_configuration_directory(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(module.sys, "platform", "linux")
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    assert calibration_path() == tmp_path / "tissueid" / "falcon.toml"
+    monkeypatch.delenv("XDG_CONFIG_HOME")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert calibration_path() == tmp_path / ".config" / "tissueid" / "falcon.toml"
+    monkeypatch.setattr(module.sys, "platform", "win32")
+    monkeypatch.setenv("APPDATA", str(tmp_path / "roaming"))
+    assert calibration_path() == tmp_path / "roaming" / "tissueid" / "falcon.toml"
+    monkeypatch.setattr(module.sys, "platform", "darwin")
+    assert calibration_path() == tmp_path / "Library" / "Application Support" / "tissueid" / "falcon.toml"
+
+
+def test_a_part_of_the_keys_is_enough(tmp_path: Path) -> None:
+    file = tmp_path / "falcon.toml"
+    file.write_text("zero_angle_deg = 40\n", encoding="utf-8")
+    assert load_calibration(file) == Calibration(zero_angle_deg=40.0)
+
+
+@pytest.mark.parametrize(
+    ("line", "reason"),
+    [
+        ("units_per_Nm = 66000", "is no number from 1000 to 30000"),
+        ("units_per_Nm = nan", "is no number"),
+        ("units_per_Nm = '6600'", "is no number"),
+        ("units_per_Nm = true", "is no number"),
+        ("force_calibrated = 1", "neither true nor false"),
+        ("geometry = 'delta'", "known are stamper, martin-hillier"),
+        ("geometry = 3", "known are"),
+        ("clamp_N = 8.0", "unknown key 'clamp_N'"),
+        ("zero_angle_deg = ", "is no TOML"),
+        ("damping_N_s_per_m = -1.0", "is no number from 0 to 20"),
+    ],
+)
+def test_a_damaged_file_is_refused_with_the_way_out(line: str, reason: str, tmp_path: Path) -> None:
+    file = tmp_path / "falcon.toml"
+    file.write_text(line + "\n", encoding="utf-8")
+    with pytest.raises(DeviceError, match=reason) as refused:
+        load_calibration(file)
+    assert str(file) in refused.value.message
+    assert "delete it" in refused.value.message
+
+
+def test_what_is_no_text_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "falcon.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(DeviceError, match="can't be read"):
+        load_calibration(tmp_path / "falcon.toml")
+    with pytest.raises(DeviceError, match="can't be read"):
+        load_calibration(tmp_path)
+
+
+def test_nothing_that_would_be_refused_is_written(tmp_path: Path) -> None:
+    file = tmp_path / "falcon.toml"
+    with pytest.raises(DeviceError, match="units_per_Nm"):
+        save_calibration(Calibration(units_per_Nm=float("inf")), file)
+    assert not file.exists()
+
+
+def test_a_place_that_can_not_be_written_is_named(tmp_path: Path) -> None:
+    (tmp_path / "blocked").write_text("", encoding="utf-8")
+    with pytest.raises(DeviceError, match="can't be written"):
+        save_calibration(Calibration(), tmp_path / "blocked" / "falcon.toml")
+
+
+def test_clamp_grows_with_what_was_checked() -> None:
+    # 2 N until the checklist was passed; 5 N for the worst constant: 5 * 3460 / 6600; 8 N when weighed
+    assert Calibration().clamp_N == 2.0
+    assert Calibration(confirmed=True).clamp_N == pytest.approx(2.621, abs=1e-3)
+    assert Calibration(confirmed=True, force_calibrated=True).clamp_N == 8.0
+    assert Calibration(force_calibrated=True).clamp_N == 2.0
+    assert limits_of(Calibration()).dead_man
+    assert limits_of(Calibration()).clamp_N == 2.0
+    assert not limits_of(Calibration(), hands_off=True).dead_man
+
+
+def test_motor_clamp_bounds_the_force_even_of_the_worst_constant() -> None:
+    clamp = Calibration().clamp_units
+    random = np.random.default_rng(3)
+    worst = 0.0
+    for geometry in GEOMETRIES.values():
+        for _ in range(300):
+            direction = random.normal(size=3)
+            place = np.array([0.0, 0.0, 0.130]) + 0.04 * random.uniform() * direction / np.linalg.norm(
+                direction
+            )
+            worst = max(worst, float(np.linalg.norm(jacobian(place, geometry=geometry), axis=0).max()))
+    # 5 N along the worst direction, at 3460 units for one N m, must fit under it, and not much more
+    assert worst * 5.0 * 3460.0 == pytest.approx(clamp, rel=0.05)
+    assert limits_of(replace(Calibration(), force_calibrated=True)).motor_clamp == 4095

@@ -1,0 +1,326 @@
+"""The Falcon device over descriptors, against an emulator that shares no code with it."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import pty
+import socket
+import struct
+import time
+import tty
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tissueid.errors import DeviceError
+from tissueid.haptics.device import FALCON_FD
+from tissueid.haptics.falcon import device as module
+from tissueid.haptics.falcon.calibration import Calibration
+from tissueid.haptics.falcon.device import FalconDevice
+from tissueid.haptics.falcon.emulator import EmulatedFalcon, EmulatedLink, EmulatorSettings, ScriptedFault
+from tissueid.haptics.falcon.transport import FileTransport, TransportLost, is_socket, of_socket
+from tissueid.haptics.states import Fault, State
+
+TERMIOS2 = struct.Struct("4I20B2I")
+GET_TERMIOS2 = 0x802C542A
+
+
+class Wire:
+    """A transport straight into an emulated Falcon in virtual time."""
+
+    where = "test"
+    modem = None
+
+    def __init__(self, falcon: EmulatedFalcon) -> None:
+        self.falcon = falcon
+        self.closed = False
+        self._waiting = b""
+
+    def write(self, data: bytes) -> None:
+        self._waiting += self.falcon.receive(data)
+        if self.falcon.gone:
+            msg = "unplugged"
+            raise TransportLost(msg)
+
+    def read(self, timeout_s: float) -> bytes:
+        data, self._waiting = self._waiting, b""
+        if not data:
+            time.sleep(min(timeout_s, 1e-4))
+        return data
+
+    def purge(self) -> None:
+        self._waiting = b""
+
+    def set_baud(self, baud: int) -> None:
+        self.falcon.set_baud(baud)
+
+    def close(self) -> None:
+        self.closed = True
+
+
+@pytest.fixture(autouse=True)
+def _no_pause(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Time is the emulator's: nothing is waited for."""
+    monkeypatch.setattr("tissueid.haptics.homing.TICK_S", 0.0)
+
+
+def wired(**settings: object) -> tuple[FalconDevice, EmulatedFalcon, list[str]]:
+    """A device on an emulator in which each command takes five milliseconds."""
+    falcon = EmulatedFalcon(EmulatorSettings(period_s=5e-3, **settings))  # type: ignore[arg-type]
+    told: list[str] = []
+    device = FalconDevice(calibration=Calibration(), port=0, tell=told.append, homing_timeout_s=8.0)
+    device._open_transport = lambda: Wire(falcon)  # type: ignore[method-assign]
+    return device, falcon, told
+
+
+def test_homing_tells_what_to_do_and_ends_pulled_out() -> None:
+    device, falcon, told = wired()
+    with device:
+        assert device.state is State.HOMING
+        device.home()
+        assert device.state is State.ARMED
+        assert told == list(module.HOMING_STEPS)
+        sample = device.read()
+        assert sample.position_m[2] > 0.170
+        # one count is up to 50 um, and the two kinematics share no code
+        assert sample.position_m == pytest.approx(falcon.position_m, abs=1e-4)
+        assert falcon.lamps == {"green"}
+    assert falcon.lamps == {"red"}
+    assert falcon.last_motors == (0, 0, 0)
+
+
+def test_force_on_the_wire_pushes_the_emulated_grip_the_way_it_was_asked() -> None:
+    device, falcon, _ = wired()
+    with device:
+        device.home()
+        device.read()
+        for force in ([0.3, 0.0, 0.0], [0.0, 0.3, 0.0], [0.0, 0.0, -0.4], [0.2, -0.2, 0.1]):
+            for _ in range(4):
+                device.read()
+                device._write(np.array(force))
+            # whole motor units: one is 1/6600 N m at a lever of 25 to 90 mm; the emulator's motors push
+            # through differences of its own kinematics
+            assert falcon.force_N == pytest.approx(force, abs=0.01)
+
+
+def test_homing_that_never_comes_ends_with_the_missing_legs(monkeypatch: pytest.MonkeyPatch) -> None:
+    device, falcon, _ = wired(homes=False)
+    device._homing_timeout_s = 0.2
+    with (
+        pytest.raises(DeviceError, match=r"leg 1 and 2 and 3 missing .* pull the grip all the way out"),
+        device,
+    ):
+        device.home()
+    assert device.state is State.CLOSED
+    assert falcon.last_motors == (0, 0, 0)
+    assert falcon.lamps == {"red"}
+
+
+def test_a_grip_that_stays_in_is_not_armed_for_force(monkeypatch: pytest.MonkeyPatch) -> None:
+    device, _, told = wired()
+    monkeypatch.setattr(module, "PULLED_OUT_M", 0.30)
+    device._homing_timeout_s = 0.5
+    with pytest.raises(DeviceError, match=r"not pulled out: .* forces wait for 300 mm"), device:
+        device.home()
+    assert told[-1] == module.HOMING_STEPS[1]
+
+
+def test_every_command_keeps_homing_mode_and_no_reply_is_dropped() -> None:
+    device, falcon, _ = wired()
+    with device:
+        device.home()
+        assert falcon.homed_bits == 7
+        for _ in range(100):
+            assert device.read().homed
+            device.write_force([0.0, 0.0, 0.0], 1e-3)
+        assert (device.damaged_replies, device.dropped_bytes) == (0, 0)
+        assert device.packets > 300
+        assert falcon.dropped_bytes == 0
+
+
+def read_until_fault(device: FalconDevice, ticks: int = 400) -> Fault:
+    for _ in range(ticks):
+        device.read()
+        if device.state is State.FAULT:
+            break
+        device.write_force([0.0, 0.0, 0.0], 1e-3)
+        time.sleep(1e-4)
+    return device.fault
+
+
+@pytest.mark.parametrize(
+    ("kind", "expected"),
+    [("bad packets", Fault.BAD_PACKETS), ("silence", Fault.NO_REPLY), ("unhomed", Fault.NOT_HOMED)],
+)
+def test_lasting_faults_of_the_wire_end_in_fault(kind: str, expected: Fault) -> None:
+    device, _, _ = wired(faults=(ScriptedFault(kind, 3.5),))
+    with device:
+        device.home()
+        assert read_until_fault(device, 2500) is expected
+        assert device.state is State.FAULT
+
+
+@pytest.mark.parametrize("kind", ["short", "garbled", "doubled"])
+def test_one_spoilt_reply_is_dropped_and_counted(kind: str) -> None:
+    device, falcon, _ = wired(faults=(ScriptedFault(kind, 3.0),))
+    with device:
+        device.home()
+        while falcon.time_s < 3.2:
+            device.read()
+            device.write_force([0.0, 0.0, 0.0], 1e-3)
+        assert device.state is State.ARMED
+        assert device.damaged_replies == (0 if kind == "doubled" else 1)
+
+
+def test_counts_of_no_position_are_as_good_as_damaged() -> None:
+    device, _, _ = wired()
+    with device:
+        device.home()
+        before = device.read().position_m
+        # leg angles of 83, 35 and -19 degrees and more have no grip position
+        device._transport.read = lambda _timeout: b"<AAAIAAAIAAAA\xb1A>"  # type: ignore[method-assign,union-attr]
+        device._reply = device._reply._replace(encoders=(0, 0, 0))
+        sample = device.read()
+        assert not sample.valid
+        assert sample.damaged >= 1
+        assert sample.position_m == pytest.approx(before)
+
+
+def test_unplugging_is_a_device_error_and_closing_still_ends() -> None:
+    device, falcon, _ = wired(faults=(ScriptedFault("unplug", 3.0),))
+    with device:
+        device.home()
+        with pytest.raises(DeviceError, match="the device is gone"):
+            read_until_fault(device, 3000)
+        assert device.fault is Fault.TRANSPORT
+    assert falcon.gone
+    assert device.state is State.CLOSED
+
+
+def test_capabilities_say_that_nothing_was_measured() -> None:
+    device = FalconDevice(calibration=Calibration(), port=0)
+    found = device.capabilities
+    assert (found.name, found.clamp_N, found.calibrated, found.delay_ticks) == ("falcon", 2.0, False, 1.5)
+    assert found.hardware
+    assert device.compiled() is None
+
+
+@pytest.mark.parametrize("is_pty", [False, True])
+def test_opens_reads_and_closes_on_a_real_descriptor(is_pty: bool) -> None:
+    with EmulatedLink(EmulatorSettings(period_s=1e-3), pty=is_pty) as link:
+        port: str | int = link.path if is_pty and link.path else link.descriptor()
+        device = FalconDevice(calibration=Calibration(), port=port)
+        with device:
+            given = device.compiled()
+            assert given is not None
+            assert given.kind == FALCON_FD
+            os.fstat(int(given.handles[0]))
+            # a thread of this process answers: it may be late on a busy machine
+            assert any(device.read().valid for _ in range(500))
+            device.write_force([0.0, 0.0, 0.0], 1e-3)
+        if isinstance(port, int):
+            os.close(port)
+        deadline = time.monotonic() + 5.0
+        while link.falcon.commands < 20 and time.monotonic() < deadline:
+            time.sleep(0.001)
+        # all zero commands of closing arrive, though the port is closed at once
+        assert link.falcon.commands >= 20
+
+
+def test_firmware_is_loaded_over_a_pseudo_terminal(tmp_path: Path) -> None:
+    file = tmp_path / "firmware.bin"
+    file.write_bytes(np.random.default_rng(4).bytes(700))
+    told: list[str] = []
+    settings = EmulatorSettings(period_s=1e-3, firmware_loaded=False, failing_tries=1)
+    with EmulatedLink(settings, pty=True) as link:
+        device = FalconDevice(calibration=Calibration(), port=link.path, firmware=file, tell=told.append)
+        with device:
+            assert link.falcon.running
+            assert link.falcon.firmware_tries == 2
+    assert told[0].startswith(f"{file} is no firmware known to work (700 bytes, sha256 ")
+    assert [line for line in told if line.startswith("firmware, try")] == [
+        "firmware, try 1 of 10: the echo of bytes 186 to 247 of the firmware is missing or differs"
+    ]
+
+
+@pytest.mark.parametrize("baud", [9600, 142_857, 1_500_000])
+def test_terminal_takes_the_three_rates(baud: int) -> None:
+    master, slave = pty.openpty()
+    transport = FileTransport.open(os.ttyname(slave))
+    transport.set_baud(baud)
+    answer = bytearray(TERMIOS2.size)
+    fcntl.ioctl(master, GET_TERMIOS2, answer)
+    assert TERMIOS2.unpack(answer)[-1] == baud
+    assert transport.modem is None
+    transport.close()
+    os.close(master)
+    os.close(slave)
+
+
+def test_every_byte_passes_a_terminal_unchanged() -> None:
+    master, slave = pty.openpty()
+    tty.setraw(master)
+    transport = FileTransport.open(os.ttyname(slave))
+    everything = bytes(range(256))
+    transport.write(everything)
+    received = b""
+    while len(received) < 256:
+        received += os.read(master, 256)
+    os.write(master, everything)
+    back = b""
+    while len(back) < 256:
+        back += transport.read(1.0)
+    assert (received, back) == (everything, everything)
+    transport.close()
+    os.close(master)
+    os.close(slave)
+
+
+def test_socket_transport_purges_times_out_and_notices_the_end() -> None:
+    ours, theirs = socket.socketpair()
+    transport = of_socket(ours)
+    assert is_socket(transport.descriptor)
+    theirs.send(b"stale")
+    transport.purge()
+    assert transport.read(0.001) == b""
+    transport.set_baud(9600)
+    theirs.send(b"new")
+    assert transport.read(1.0) == b"new"
+    theirs.close()
+    with pytest.raises(TransportLost, match="closed at its other end"):
+        transport.read(1.0)
+    with pytest.raises(TransportLost, match="gone"):
+        transport.write(b"x")
+    transport.close()
+    transport.close()
+    with pytest.raises(TransportLost):
+        transport.read(0.0)
+
+
+def test_a_reader_that_never_reads_is_a_lost_transport(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tissueid.haptics.falcon.transport.WRITE_TIMEOUT_S", 0.02)
+    ours, theirs = socket.socketpair()
+    transport = of_socket(ours)
+    with pytest.raises(TransportLost, match="takes no more bytes"):
+        transport.write(bytes(50_000_000))
+    transport.close()
+    theirs.close()
+
+
+def test_ports_that_can_not_be_opened_say_why(tmp_path: Path) -> None:
+    with pytest.raises(DeviceError, match="there is no such device"):
+        FileTransport.open(str(tmp_path / "ttyUSB9"))
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    with pytest.raises(DeviceError, match="is no terminal device"):
+        FileTransport.open(str(tmp_path / "file"))
+
+
+def test_a_port_without_permission_names_the_group(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*_: object) -> int:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("tissueid.haptics.falcon.transport.os.open", refused)
+    with pytest.raises(DeviceError, match=r"no permission; join the group .*dialout"):
+        FileTransport.open("/dev/ttyUSB0")

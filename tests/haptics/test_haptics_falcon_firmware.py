@@ -1,0 +1,221 @@
+"""Firmware: is it there, which file, and an upload that fails before it succeeds."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tissueid.errors import DeviceError
+from tissueid.haptics.falcon import firmware as module
+from tissueid.haptics.falcon.emulator import EmulatedFalcon, EmulatorSettings
+from tissueid.haptics.falcon.firmware import (
+    Firmware,
+    UploadError,
+    ensure_running,
+    find_firmware,
+    is_running,
+    upload,
+)
+from tissueid.haptics.falcon.transport import TransportLost
+
+CONTENT = np.random.default_rng(2).bytes(500)
+FILE = Firmware(Path("firmware.bin"), CONTENT, None)
+
+
+class Direct:
+    """A transport whose other end answers at once, with the modem lines of the chip."""
+
+    where = "test"
+
+    def __init__(self, falcon: EmulatedFalcon, *, modem: bool = True) -> None:
+        self.falcon = falcon
+        self.said: list[str] = []
+        self.closed = False
+        self._modem = modem
+        self._waiting = b""
+
+    @property
+    def modem(self) -> Direct | None:
+        return self if self._modem else None
+
+    def write(self, data: bytes) -> None:
+        if self.falcon.gone:
+            msg = "gone"
+            raise TransportLost(msg)
+        self._waiting += self.falcon.receive(data)
+
+    def read(self, timeout_s: float) -> bytes:
+        data, self._waiting = self._waiting[:50], self._waiting[50:]
+        if not data:
+            time.sleep(min(timeout_s, 1e-3))
+        return data
+
+    def purge(self) -> None:
+        self._waiting = b""
+
+    def set_baud(self, baud: int) -> None:
+        self.said.append(f"baud {baud}")
+        self.falcon.set_baud(baud)
+
+    def set_dtr(self, on: bool) -> None:
+        self.said.append(f"dtr {on}")
+        if on:
+            self.falcon.control(1, 0x0101)
+
+    def set_rts(self, on: bool) -> None:
+        self.said.append(f"rts {on}")
+
+    def set_frame(self) -> None:
+        self.said.append("8N1")
+
+    def set_latency(self, milliseconds: int) -> None:
+        self.said.append(f"latency {milliseconds}")
+
+    def close(self) -> None:
+        self.closed = True
+
+
+@pytest.fixture(autouse=True)
+def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A silent device is given up after milliseconds, not seconds."""
+    monkeypatch.setattr(module, "PRESENCE_TRIES", 3)
+    monkeypatch.setattr(module, "PRESENCE_WAIT_S", 0.005)
+    monkeypatch.setattr(module, "HELLO_WAIT_S", 0.005)
+    monkeypatch.setattr(module, "ECHO_WAIT_S", 0.05)
+
+
+def bare(**settings: object) -> EmulatedFalcon:
+    return EmulatedFalcon(
+        EmulatorSettings(firmware_loaded=False, firmware_bytes=None, **settings)  # type: ignore[arg-type]
+    )
+
+
+def test_running_firmware_is_recognised_by_its_reply() -> None:
+    assert is_running(Direct(EmulatedFalcon(EmulatorSettings(period_s=1e-3))))
+    assert not is_running(Direct(bare()))
+
+
+@pytest.mark.parametrize("long_greeting", [False, True])
+@pytest.mark.parametrize("modem", [False, True])
+def test_an_upload_starts_the_firmware(long_greeting: bool, modem: bool) -> None:
+    transport = Direct(bare(long_greeting=long_greeting), modem=modem)
+    upload(transport, CONTENT)
+    assert transport.falcon.running
+    assert is_running(transport)
+    assert transport.said == (
+        [
+            "latency 16", "baud 9600", "8N1", "rts False", "dtr False", "dtr True",
+            "dtr False", "baud 142857", "latency 1", "baud 1500000",
+        ]
+        if modem
+        else ["baud 9600", "baud 142857", "baud 1500000"]
+    )  # fmt: skip
+
+
+def test_hello_is_said_until_it_is_answered() -> None:
+    transport = Direct(bare(silent_hellos=20))
+    upload(transport, CONTENT)
+    assert transport.falcon.running
+
+
+def test_a_loader_that_never_answers_is_given_up_after_100_calls() -> None:
+    transport = Direct(bare(silent_hellos=10_000))
+    with pytest.raises(UploadError, match="no answer to 100 calls"):
+        upload(transport, CONTENT)
+
+
+def test_a_wrong_echo_names_the_bytes() -> None:
+    with pytest.raises(UploadError, match="echo of bytes 186 to 247"):
+        upload(Direct(bare(failing_tries=1)), CONTENT)
+
+
+def test_two_failed_uploads_are_followed_by_a_third_on_a_new_transport() -> None:
+    falcon = bare(failing_tries=2)
+    opened: list[Direct] = []
+
+    def open_transport() -> Direct:
+        falcon.control(1, 0x0101)
+        opened.append(Direct(falcon))
+        return opened[-1]
+
+    told: list[str] = []
+    transport = ensure_running(
+        open_transport, lambda: FILE, progress=lambda text, _done, _all: told.append(text)
+    )
+    assert transport is opened[-1]
+    assert [one.closed for one in opened] == [True, True, False]
+    assert falcon.firmware_tries == 3
+    assert [text for text in told if "try" in text] == [
+        f"firmware, try {k} of 10: the echo of bytes 186 to 247 of the firmware is missing or differs"
+        for k in (1, 2)
+    ]
+
+
+def test_ten_failed_uploads_are_the_end_with_what_to_do() -> None:
+    falcon = bare(failing_tries=99)
+    opened: list[Direct] = []
+
+    def open_transport() -> Direct:
+        falcon.control(1, 0x0101)
+        opened.append(Direct(falcon))
+        return opened[-1]
+
+    with pytest.raises(DeviceError, match=r"in 10 tries; the last: the echo .*\(no hub\)"):
+        ensure_running(open_transport, lambda: FILE)
+    assert len(opened) == 10
+    assert all(one.closed for one in opened)
+
+
+def test_no_file_is_asked_for_where_firmware_runs() -> None:
+    def no_file() -> Firmware:
+        pytest.fail("asked for a file")
+
+    transport = Direct(EmulatedFalcon(EmulatorSettings(period_s=1e-3)))
+    assert ensure_running(lambda: transport, no_file) is transport
+
+
+def test_a_missing_file_closes_the_transport(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("TISSUEID_FALCON_FIRMWARE", raising=False)
+    transport = Direct(bare())
+    with pytest.raises(DeviceError, match=r"--firmware FILE or \$TISSUEID_FALCON_FIRMWARE"):
+        ensure_running(lambda: transport, find_firmware)
+    assert transport.closed
+
+
+def test_option_comes_before_environment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    first, second = tmp_path / "first.bin", tmp_path / "second.bin"
+    first.write_bytes(b"first")
+    second.write_bytes(b"second")
+    monkeypatch.setenv("TISSUEID_FALCON_FIRMWARE", str(second))
+    assert find_firmware(first).content == b"first"
+    assert find_firmware().content == b"second"
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [(None, "No such file"), (b"", "is empty"), (b"x" * 70_000, "has 70000 bytes, far more")],
+)
+def test_a_file_that_is_no_firmware_is_refused(content: bytes | None, reason: str, tmp_path: Path) -> None:
+    file = tmp_path / "firmware.bin"
+    if content is not None:
+        file.write_bytes(content)
+    with pytest.raises(DeviceError, match=rf"firmware\.bin.*{reason}.*--firmware FILE"):
+        find_firmware(file)
+
+
+def test_an_unknown_file_is_warned_of_and_a_known_one_is_not(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    file = tmp_path / "firmware.bin"
+    file.write_bytes(CONTENT)
+    digest = hashlib.sha256(CONTENT).hexdigest()
+    unknown = find_firmware(file)
+    assert unknown.warning is not None
+    assert digest[:12] in unknown.warning
+    monkeypatch.setattr(module, "KNOWN", {(digest[:8], digest[-4:], len(CONTENT)): "a known file"})
+    assert find_firmware(file).known_as == "a known file"
+    assert find_firmware(file).warning is None
