@@ -95,7 +95,10 @@ def test_force_on_the_wire_pushes_the_emulated_grip_the_way_it_was_asked() -> No
     device, falcon, _ = wired()
     with device:
         device.home()
-        device.read()
+        while falcon.time_s < 3.0:
+            # the emulated user still pulls
+            device.read()
+            device.write_force([0.0, 0.0, 0.0], 1e-3)
         for force in ([0.3, 0.0, 0.0], [0.0, 0.3, 0.0], [0.0, 0.0, -0.4], [0.2, -0.2, 0.1]):
             for _ in range(4):
                 device.read()
@@ -229,7 +232,8 @@ def test_opens_reads_and_closes_on_a_real_descriptor(is_pty: bool) -> None:
         assert link.falcon.commands >= 20
 
 
-def test_firmware_is_loaded_over_a_pseudo_terminal(tmp_path: Path) -> None:
+def test_firmware_is_loaded_over_a_pseudo_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tissueid.haptics.falcon.firmware.PRESENCE_TRIES", 3)
     file = tmp_path / "firmware.bin"
     file.write_bytes(np.random.default_rng(4).bytes(700))
     told: list[str] = []
