@@ -243,9 +243,31 @@ def _report(flags: dict[str, Any], plan: SessionPlan, outcome: Outcome) -> None:
 
 def _selftest(flags: dict[str, Any]) -> int:
     """Figures of the servo on this machine."""
-    from tissueid.render.selftest import run_selftest
+    from dataclasses import asdict
 
-    found = run_selftest(tell=lambda line: note(line, quiet=flags["quiet"]))
+    from tissueid.cli.output import progress_bar
+    from tissueid.render.selftest import DEFAULT_SECONDS, run_selftest
+
+    seconds = flags["seconds"] or DEFAULT_SECONDS
+    with progress_bar(show=not flags["quiet"]) as report:
+        found = run_selftest(
+            seconds,
+            lambda share: report("the servo runs, nothing moves", round(share * seconds), round(seconds)),
+        )
     if flags["as_json"]:
-        echo_json(found)
+        figures = [{**asdict(figure), "holds": figure.holds} for figure in found.figures]
+        timing = found.statistics.as_dict()
+        echo_json(
+            {"figures": figures, "timing": timing, "start_s": found.start_s, "remedies": found.remedies}
+        )
+        return 0
+    for figure in found.figures:
+        kept = "holds" if figure.holds else "NOT KEPT"
+        click.echo(f"{figure.name:20} {figure.value:8.3g} {figure.unit}, bar {figure.bar:g}: {kept}")
+    click.echo(
+        f"{found.statistics.scheduling}, {found.statistics.missed} ticks skipped, {found.statistics.label}"
+    )
+    click.echo(f"first tick after {found.start_s:.2f} s")
+    for remedy in found.remedies:
+        note(f"remedy: {remedy}", quiet=flags["quiet"])
     return 0

@@ -131,8 +131,8 @@ def summary_lines(outcome: Outcome) -> list[str]:
         f"tissue, {summary['deepest_mm']:.3g} mm deep; {1e3 * summary['energy_J']:.3g} mJ taken from the hand"
     )
     timing = (
-        f"{summary['scheduling']}; period error median {period['median']:.0f}, p99 {period['p99']:.0f}, p99.9 "
-        f"{period['p99_9']:.0f}, max {period['max']:.0f} us"
+        f"{summary['scheduling']}; period error median {period['median']:.0f}, p99 {period['p99']:.0f}, "
+        f"p99.9 {period['p99_9']:.0f}, max {period['max']:.0f} us"
         + ("; TIMING DEGRADED" if summary["timing_degraded"] else "")
     )
     text = [f"ended      {ended}", f"peak       {peak}", f"timing     {timing}"]

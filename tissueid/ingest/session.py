@@ -35,9 +35,13 @@ _ENGAGED = 5
 #: Lamps of ticks in which the device's force is not the tissue's: clipped, slewed, passivity, stalled, rms
 #: limit, dead-man, ramping, ruptured.
 _INTERFERED = 1 | 2 | 4 | 32 | 64 | 128 | 256 | 512
+#: Lamps of ticks in which the whole force is taken up or away: dead-man, ramping.
+_RAMPED = 128 | 256
 _LAMP_WORDS = {
     1: "clipped",
     2: "slewed",
+    32: "stalled",
+    256: "ramping",
     4: "corrected by the passivity controller",
     8: "deeper than identified",
     16: "faster than identified",
@@ -80,11 +84,15 @@ def read_session(file: InputFile) -> Iterator[Table | InputError]:
 
 
 def _stretches(records: Records) -> Iterator[Records]:
-    """Runs of engaged ticks with one tissue."""
+    """Runs of engaged ticks with one tissue, without the ramps of force at their ends."""
     engaged = records[records["state"] == _ENGAGED]
-    if engaged.size > 1:
-        breaks = np.flatnonzero(np.diff(engaged["label"].astype(np.int64))) + 1
-        yield from (part for part in np.split(engaged, breaks) if part.size > 1)
+    breaks = np.flatnonzero(np.diff(engaged["label"].astype(np.int64))) + 1
+    for part in np.split(engaged, breaks):
+        ramping = (part["lamps"] & _RAMPED) != 0
+        # a ramp in air, before a force, is air all the same
+        felt = np.flatnonzero(~ramping | (part["force_N"] == 0.0).all(axis=1) & (part["depth_mm"] < 0.0))
+        if felt.size > 1:
+            yield part[felt[0] : felt[-1] + 1]
 
 
 def _table(log: SessionLog, records: Records, place: Place) -> Table:
@@ -163,7 +171,7 @@ def _rendered(records: Records, name: str) -> Flag:
         "rendered",
         f"this is the force law of {name!r} as it was rendered, no measurement of tissue"
         + (f"; of the ticks {', '.join(lit)}" if lit else ""),
-        {"specimen": name, "shares": shares},
+        {"specimen": name, **{f"{word.split()[0]}_share": share for word, share in shares.items()}},
     )
 
 

@@ -253,16 +253,18 @@ def _blocks(
 def _touch_point(surface: Surface, radius_m: float) -> FloatArray:
     """Where the centre of the tip is when it touches the highest point of a surface."""
     if isinstance(surface, Plane):
-        return np.array(surface.point_m) - radius_m * _inward(surface)
-    reach = surface.radius_m if isinstance(surface, Sphere) else surface.half_widths_m[2]
-    return np.array(surface.centre_m) + np.array([0.0, 0.0, reach + radius_m])
+        top_m, reach_m = surface.point_m, radius_m
+    else:
+        size_m = surface.radius_m if isinstance(surface, Sphere) else surface.half_widths_m[2]
+        top_m, reach_m = surface.centre_m, size_m + radius_m
+    return np.asarray(np.asarray(top_m) - reach_m * _inward(surface))
 
 
 def _inward(surface: Surface) -> FloatArray:
     """Unit vector into the tissue at its highest point."""
     if isinstance(surface, Plane):
         normal = np.asarray(surface.normal)
-        return np.asarray(-normal / np.linalg.norm(normal))
+        return np.array(-normal / np.linalg.norm(normal))
     return np.array([0.0, 0.0, -1.0])
 
 
