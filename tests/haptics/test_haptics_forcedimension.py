@@ -1,0 +1,178 @@
+"""The Force Dimension backend against a stand-in for its SDK, compiled here."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from c_library import compiled
+
+from tissueid.errors import DeviceError
+from tissueid.haptics.device import FORCE_DIMENSION
+from tissueid.haptics.forcedimension import ForceDimensionDevice
+from tissueid.haptics.forcedimension.device import ORIGIN_M, ROTATION
+from tissueid.haptics.forcedimension.sdk import LIBRARY_VARIABLE, Sdk, candidates
+from tissueid.haptics.states import State
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return compiled("dhd_stub", tmp_path_factory.mktemp("dhd"))
+
+
+class Stub:
+    """The numbers inside the stand-in."""
+
+    def __init__(self, library: Path) -> None:
+        self.library = ctypes.CDLL(str(library))
+
+    def array(self, name: str) -> ctypes.Array[ctypes.c_double]:
+        return (ctypes.c_double * 3).in_dll(self.library, f"stub_{name}")
+
+    def number(self, name: str) -> ctypes.c_int:
+        return ctypes.c_int.in_dll(self.library, f"stub_{name}")
+
+
+@pytest.fixture
+def stub(library: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Stub]:
+    monkeypatch.setenv(LIBRARY_VARIABLE, str(library))
+    found = Stub(library)
+    yield found
+    for name in ("homed", "fails", "stopped", "code"):
+        found.number(name).value = 0
+    found.number("major").value = 3
+
+
+def test_sdk_is_looked_for_where_its_documentation_puts_it(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.delenv(LIBRARY_VARIABLE, raising=False)
+    monkeypatch.setattr("tissueid.haptics.forcedimension.sdk.platform.machine", lambda: "x86_64")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("FDSDK", "/opt/fd")
+    monkeypatch.setenv("FORCEDIM_SDK", "/opt/other")
+    places = list(candidates())
+    assert places[0] == "/opt/fd/lib/release/lin-x86_64-gcc/libdrd.so"
+    assert "/opt/other/lib/release/lin-x86_64-gcc/libdrd.so" in places
+    assert places.index(f"{tmp_path}/.local/lib/libdrd.so") < places.index("/usr/local/lib/libdrd.so")
+    monkeypatch.setenv(LIBRARY_VARIABLE, "/mine/libdrd.so")
+    assert list(candidates()) == ["/mine/libdrd.so"]
+
+
+def test_without_sdk_nothing_is_detected_and_opening_says_where_it_belongs(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv(LIBRARY_VARIABLE, str(tmp_path / "none.so"))
+    assert ForceDimensionDevice.detect() == []
+    with pytest.raises(DeviceError, match=r"not installed.* FDSDK .*TISSUEID_FORCEDIM"):
+        ForceDimensionDevice().open()
+
+
+def test_a_library_that_is_something_else_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(LIBRARY_VARIABLE, "libc.so.6")
+    with pytest.raises(DeviceError, match="has no dhdGetSDKVersion"):
+        Sdk()
+
+
+def test_an_old_sdk_is_refused_with_its_version(stub: Stub) -> None:
+    stub.number("major").value = 2
+    with pytest.raises(DeviceError, match=r"is 2\.17\.5\.1; 3\.16 or newer"):
+        Sdk()
+
+
+def test_no_device_is_told_in_the_sdks_words(stub: Stub) -> None:
+    stub.number("fails").value = 1
+    assert ForceDimensionDevice.detect() == []
+    with pytest.raises(DeviceError, match="no device found"):
+        ForceDimensionDevice().open()
+
+
+def test_a_device_that_opens_is_detected_and_let_go(stub: Stub, library: Path) -> None:
+    assert [(one.name, one.where, one.note) for one in ForceDimensionDevice.detect()] == [
+        ("forcedimension", str(library), "")
+    ]
+    assert stub.number("open").value == 0
+
+
+def test_axes_are_mapped_once_and_back(stub: Stub) -> None:
+    # ours: x right, y up, z to the user; theirs: x to the user, y right, z up
+    assert pytest.approx(np.eye(3)) == ROTATION @ ROTATION.T
+    assert np.linalg.det(ROTATION) == pytest.approx(1.0)
+    stub.array("position")[:] = [0.01, 0.02, 0.03]
+    with ForceDimensionDevice() as device:
+        assert device.read().position_m == pytest.approx([0.02, 0.03, ORIGIN_M[2] + 0.01])
+        device._write(np.array([1.0, 2.0, 3.0]))
+        assert list(stub.array("force")) == pytest.approx([3.0, 1.0, 2.0])
+
+
+def test_opening_switches_gravity_off_and_motors_on_under_the_clamp(stub: Stub) -> None:
+    device = ForceDimensionDevice()
+    with device:
+        assert (stub.number("gravity").value, stub.number("forces_on").value) == (0, 1)
+        assert ctypes.c_double.in_dll(stub.library, "stub_max_force").value == 2.0
+        assert stub.number("open").value == 1
+    assert (stub.number("stopped").value, stub.number("open").value) == (1, 0)
+    assert list(stub.array("force")) == [0.0, 0.0, 0.0]
+
+
+def test_homing_waits_for_the_drivers_flag_and_no_longer_than_told(
+    stub: Stub, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tissueid.haptics.homing.TICK_S", 0.0)
+    with ForceDimensionDevice(homing_timeout_s=0.05) as device:
+        with pytest.raises(DeviceError, match="homing never completed"):
+            device.home()
+        stub.number("homed").value = 1
+        device.home()
+        assert device.state is State.ARMED
+
+
+def test_answers_short_of_failure_are_taken(stub: Stub) -> None:
+    with ForceDimensionDevice() as device:
+        for code in (1, 2):
+            stub.number("code").value = code
+            assert device.read().valid
+        stub.number("code").value = 0
+
+
+def test_a_lost_device_is_an_error(stub: Stub) -> None:
+    with ForceDimensionDevice() as device:
+        stub.number("fails").value = 1
+        with pytest.raises(DeviceError, match="dhdGetPosition failed: no device found"):
+            device.read()
+
+
+def test_buttons_are_the_drivers_and_centre_is_the_dead_mans(stub: Stub) -> None:
+    with ForceDimensionDevice() as device:
+        stub.number("buttons").value = 0b1001
+        assert device.read().buttons == 0b1001
+        assert device.limits.dead_man_buttons == 0b0001
+        assert device.limits.dead_man
+        stub.number("buttons").value = 0
+
+
+def test_compiled_servo_is_given_three_addresses_and_the_mapping(stub: Stub) -> None:
+    device = ForceDimensionDevice()
+    assert device.compiled() is None
+    with device:
+        given = device.compiled()
+        assert given is not None
+        assert given.kind == FORCE_DIMENSION
+        assert given.handles[3] == 5
+        assert given.constants.tolist() == [*ROTATION.ravel().tolist(), *ORIGIN_M.tolist()]
+        prototype = ctypes.CFUNCTYPE(
+            ctypes.c_int, ctypes.c_double, ctypes.c_double, ctypes.c_double, ctypes.c_int8
+        )
+        assert prototype(int(given.handles[1]))(0.1, 0.2, 0.3, 5) == 0
+        assert list(stub.array("force")) == [0.1, 0.2, 0.3]
+
+
+def test_velocity_is_there_for_who_wants_it(stub: Stub) -> None:
+    stub.array("velocity")[:] = [1.0, 2.0, 3.0]
+    sdk = Sdk()
+    sdk.open_falcon()
+    assert sdk.velocity() == (1.0, 2.0, 3.0)
+    sdk.close()
