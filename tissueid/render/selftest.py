@@ -42,6 +42,8 @@ TICKS = 20_000
 START_TICKS = 1_500
 #: How deep the tool is in tissue while it is timed [m].
 DEPTH_M = 1e-3
+#: How far it is pressed in a force step [m].
+PRESSED_M = 1e-9
 FORCE_STEPS = 200_000
 PERIOD_S = 1e-3
 #: How often a sign of life is given [s].
@@ -204,10 +206,9 @@ def _force_step_ns(servo: Servo) -> float:
 
 @nb.njit(cache=True, nogil=True)
 def _force_steps(servo: Servo, memory: FloatArray, info: FloatArray, count: int) -> None:
-    """Tissue law and guard, on a tool that moves in contact."""
-    height = servo.position[2]
-    for k in range(count):
-        servo.position[2] = height + 1e-6 * (k % 100)
+    """Tissue law and guard, on a tool that is pressed in slowly."""
+    for _ in range(count):
+        servo.position[2] -= PRESSED_M
         environment_step(
             int(servo.environment[KIND]),
             servo.environment,

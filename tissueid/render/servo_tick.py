@@ -9,6 +9,7 @@ a late tick is no wrong force.
 
 from __future__ import annotations
 
+import contextlib
 from typing import Any, NamedTuple
 
 import numba as nb
@@ -62,6 +63,9 @@ BLOCK_SIZE = ENVIRONMENT_SIZE + CONTROL_SIZE
 #: outside its identified range, ticks with tissue touched, ticks in which the clamp bit.
 TICKS, MISSED, VERSION, SEEN, OUTSIDE, TOUCHED, CLIPPED = range(7)
 COUNTERS_SIZE = 8
+#: Readings at the start of a loop that show no motion: each command is answered once, so that only the
+#: first can be old.
+FRESH_READINGS = 2
 #: Longest step the force law is given [s]: after a second nothing of a stall is left in tissue.
 LONGEST_STEP_S = 1.0
 #: Shortest step [s]: a late tick and a punctual one lie so close that their difference is noise.
@@ -70,7 +74,7 @@ SHORTEST_STEP_S = 1e-5
 MISSED_LIMIT = 65_535
 COUNT_LIMIT = 32_767
 
-_PASSIVITY, _LATE, _CLIPPED = int(Lamp.PASSIVITY), int(Lamp.LATE), int(Lamp.CLIPPED)
+_PASSIVITY, _CLIPPED = int(Lamp.PASSIVITY), int(Lamp.CLIPPED)
 _OUTSIDE = int(Lamp.OUTSIDE_DEPTH) | int(Lamp.OUTSIDE_SPEED)
 
 
@@ -160,125 +164,106 @@ def new_servo(device: HapticDevice, ring: Ring, block: ParameterBlock) -> Servo:
     )
 
 
+# Kernels take the few arrays they work on, not the whole servo: passing it costs more than most of them.
+
+
 @nb.njit(cache=True, nogil=True, error_model="numpy")
-def _follow(servo: Servo, dt: float) -> None:
-    """Motion since the last valid reading."""
-    valid = servo.words[REPLY] == REPLY_VALID
-    # until homing ends, and at the first reading, coordinates jump: nothing moved
-    fresh = servo.counters[SEEN] == 0 or servo.guard_memory[STATE] <= HOMING
+def _count_motion(fresh: bool, valid: bool, counts: IntArray, last_counts: IntArray, moved: IntArray) -> None:
+    """Encoder counts since the last valid reading."""
     for i in range(3):
-        servo.moved[i] = servo.counts[i] - servo.last_counts[i] if valid and not fresh else 0
+        moved[i] = counts[i] - last_counts[i] if valid and not fresh else 0
         if valid:
-            servo.last_counts[i] = servo.counts[i]
-        if valid and fresh:
-            servo.last_position[i] = servo.position[i]
-            servo.velocity[i] = 0.0
-    if not valid:
-        return
-    servo.counters[SEEN] = 1
-    velocity_step(servo.velocity, servo.position, servo.last_position, dt)
+            last_counts[i] = counts[i]
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
-def _obey(servo: Servo) -> None:
-    """What the owner wants: force or none, and new parameters where nothing is touched."""
-    memory = servo.guard_memory
-    wanted = ordered(servo.block_head) == COMMAND_ENGAGE
-    if wanted and memory[WANTED] == 0.0:
-        transition(memory, servo.limits, ENGAGE)
-    elif not wanted and memory[WANTED] != 0.0:
-        transition(memory, servo.limits, DISENGAGE)
-    if waiting(servo.block_head) and transition(memory, servo.limits, SWAP):
-        servo.counters[VERSION] = take(servo.block_head, servo.block_values, servo.staged)
-        for i in range(ENVIRONMENT_SIZE):
-            servo.environment[i] = servo.staged[i]
-        for i in range(CONTROL_SIZE):
-            servo.control[i] = servo.staged[ENVIRONMENT_SIZE + i]
-        put_at_rest(servo.environment_memory)
+def _obey(guard_memory: FloatArray, limits: FloatArray, block_head: IntArray) -> bool:
+    """Want force or none as the owner does; True where new parameters may be taken now."""
+    wanted = ordered(block_head) == COMMAND_ENGAGE
+    if wanted and guard_memory[WANTED] == 0.0:
+        transition(guard_memory, limits, ENGAGE)
+    elif not wanted and guard_memory[WANTED] != 0.0:
+        transition(guard_memory, limits, DISENGAGE)
+    return bool(waiting(block_head) and transition(guard_memory, limits, SWAP))
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
-def _wish(servo: Servo, dt: float) -> None:
-    """Force of the environment."""
-    step = min(max(dt, SHORTEST_STEP_S), LONGEST_STEP_S)
-    environment_step(
-        int(servo.environment[KIND]),
-        servo.environment,
-        servo.environment_memory,
-        servo.position,
-        servo.velocity,
-        step,
-        servo.force,
-        servo.info,
-    )
+def _exchange(
+    block_head: IntArray,
+    block_values: FloatArray,
+    staged: FloatArray,
+    environment: FloatArray,
+    environment_memory: FloatArray,
+    control: FloatArray,
+) -> int:
+    """Take new parameters over, with tissue at rest; returns their version."""
+    version = take(block_head, block_values, staged)
+    for i in range(ENVIRONMENT_SIZE):
+        environment[i] = staged[i]
+    for i in range(CONTROL_SIZE):
+        control[i] = staged[ENVIRONMENT_SIZE + i]
+    put_at_rest(environment_memory)
+    return int(version)
 
 
-def apply_law(io: Any, servo: Servo, dt: float) -> None:
-    """Put the force of a law in Python in the place of the environment's, where there is one."""
+def apply_law(io: Any, position: FloatArray, velocity: FloatArray, dt: float, force: FloatArray) -> bool:
+    """Put the force of a law in Python in the place of the environment's; False where there is none."""
     law = io.law if isinstance(io, PythonIO) else None
-    if law is not None:
-        servo.force[:] = law(servo.position.copy(), servo.velocity.copy(), dt)
-        # such a law knows no depth: engaging waits for a small force, an exchange for no force at all
-        servo.info[INFO_PENETRATION_M] = np.nan
+    if law is None:
+        return False
+    force[:] = law(position.copy(), velocity.copy(), dt)
+    return True
 
 
 @overload(apply_law)
-def _no_law(io, servo, dt):  # type: ignore[no-untyped-def] # noqa: ARG001
+def _no_law(io, position, velocity, dt, force):  # type: ignore[no-untyped-def] # noqa: ARG001
     """A compiled loop has compiled laws only."""
-    return lambda io, servo, dt: None  # noqa: ARG005
+    return lambda io, position, velocity, dt, force: False  # noqa: ARG005
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
-def _restrain(servo: Servo, dt: float) -> None:
-    """Passivity and watchdogs."""
-    passivity_step(servo.control_memory, servo.control, servo.position, servo.force, dt)
-    observe(
-        servo.guard_memory,
-        servo.limits,
-        servo.words[REPLY],
-        servo.words[HOMED] != 0,
-        servo.words[PRESSED],
-        servo.moved,
-        servo.velocity,
-        servo.info[INFO_PENETRATION_M],
-        dt,
-    )
-
-
-def send(io: Any, servo: Servo, dt: float) -> None:
+def send(
+    io: Any, guard_memory: FloatArray, limits: FloatArray, force: FloatArray, dt: float, out: FloatArray
+) -> None:
     """Pass the guard and command the device: the only way from a force to a transport."""
     if isinstance(io, PythonIO):
-        try:
-            servo.out[:] = io.device.write_force(servo.force, dt)
-        except DeviceError:
-            servo.out[:] = 0.0
+        out[:] = 0.0
+        # a device that is gone gets nothing; its next reading says so to the watchdogs
+        with contextlib.suppress(DeviceError):
+            out[:] = io.device.write_force(force, dt)
     else:
-        _send(io, servo, dt)
+        _send(io, guard_memory, limits, force, dt, out)
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
-def _send(io: Any, servo: Servo, dt: float) -> None:
-    guard(servo.guard_memory, servo.limits, servo.force, dt, servo.out)
-    command(io, servo.guard_memory, servo.limits, servo.out)
+def _send(
+    io: Any, guard_memory: FloatArray, limits: FloatArray, force: FloatArray, dt: float, out: FloatArray
+) -> None:
+    guard(guard_memory, limits, force, dt, out)
+    command(io, guard_memory, limits, out)
 
 
 @overload(send)
-def _compiled_send(io, servo, dt):  # type: ignore[no-untyped-def] # noqa: ARG001
+def _compiled_send(io, guard_memory, limits, force, dt, out):  # type: ignore[no-untyped-def] # noqa: ARG001
     """Guard and command of a device the servo knows."""
-    return lambda io, servo, dt: _send(io, servo, dt)
+    return lambda io, guard_memory, limits, force, dt, out: _send(io, guard_memory, limits, force, dt, out)
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
-def _record(servo: Servo, now_s: float, dt: float, late_s: float, late_lamp: int) -> None:
-    """Tell the observer what was sent, and write the record of this tick."""
-    note_sent(servo.control_memory, servo.out)
-    counters = servo.counters
-    lamps = int(servo.guard_memory[LAMPS]) | int(servo.info[INFO_FLAGS]) | late_lamp
-    if servo.control_memory[ACTIVE] != 0.0:
+def _lamps(guard_memory: FloatArray, control_memory: FloatArray, info: FloatArray, counters: IntArray) -> int:
+    """Lamps of guard, environment and controller, counted."""
+    lamps = int(guard_memory[LAMPS]) | int(info[INFO_FLAGS])
+    if control_memory[ACTIVE] != 0.0:
         lamps |= _PASSIVITY
     counters[OUTSIDE] += 1 if lamps & _OUTSIDE else 0
-    counters[TOUCHED] += 1 if servo.info[INFO_DEPTH_MM] > 0.0 else 0
+    counters[TOUCHED] += 1 if info[INFO_DEPTH_MM] > 0.0 else 0
     counters[CLIPPED] += 1 if lamps & _CLIPPED else 0
+    return lamps
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _record(servo: Servo, now_s: float, dt: float, late_s: float, lamps: int) -> None:
+    """Write the record of this tick and publish it."""
+    counters = servo.counters
     count = counters[TICKS]
     record = servo.records[count % servo.records.size]
     record["tick"] = count
@@ -317,14 +302,44 @@ def tick(io: Any, servo: Servo, now_s: float, dt: float, late_s: float, late_lam
     late_lamp : int
         ``Lamp.LATE`` where the tick's period was off by more than a tenth, else 0.
     """
-    sense(io, dt, servo.position, servo.counts, servo.words)
-    _follow(servo, dt)
-    _obey(servo)
-    _wish(servo, dt)
-    apply_law(io, servo, dt)
-    _restrain(servo, dt)
-    send(io, servo, dt)
-    _record(servo, now_s, dt, late_s, late_lamp)
+    memory, limits, environment = servo.guard_memory, servo.limits, servo.environment
+    position, velocity, force, info, words = (
+        servo.position, servo.velocity, servo.force, servo.info, servo.words,
+    )  # fmt: skip
+    sense(io, dt, position, servo.counts, words)
+    valid = words[REPLY] == REPLY_VALID
+    # until homing ends coordinates jump, and the first reading may be an answer from before the loop began,
+    # seconds old: nothing moved
+    fresh = servo.counters[SEEN] < FRESH_READINGS or memory[STATE] <= HOMING
+    _count_motion(fresh, valid, servo.counts, servo.last_counts, servo.moved)
+    if valid:
+        servo.counters[SEEN] = min(servo.counters[SEEN] + 1, FRESH_READINGS)
+        for i in range(3):
+            if fresh:
+                servo.last_position[i] = position[i]
+                velocity[i] = 0.0
+        velocity_step(velocity, position, servo.last_position, dt)
+    if _obey(memory, limits, servo.block_head):
+        servo.counters[VERSION] = _exchange(
+            servo.block_head, servo.block_values, servo.staged, environment, servo.environment_memory,
+            servo.control,
+        )  # fmt: skip
+    step = min(max(dt, SHORTEST_STEP_S), LONGEST_STEP_S)
+    environment_step(
+        int(environment[KIND]), environment, servo.environment_memory, position, velocity, step, force, info
+    )
+    if apply_law(io, position, velocity, step, force):
+        # such a law knows no depth: engaging waits for a small force, an exchange for no force at all
+        info[INFO_PENETRATION_M] = np.nan
+    passivity_step(servo.control_memory, servo.control, position, force, dt)
+    observe(
+        memory, limits, words[REPLY], words[HOMED] != 0, words[PRESSED], servo.moved, velocity,
+        info[INFO_PENETRATION_M], dt,
+    )  # fmt: skip
+    send(io, memory, limits, force, dt, servo.out)
+    note_sent(servo.control_memory, servo.out)
+    lamps = _lamps(memory, servo.control_memory, info, servo.counters)
+    _record(servo, now_s, dt, late_s, lamps | late_lamp)
 
 
 #: One tick, compiled for the type of its ``io``; loops in Python call :func:`tick` itself.
