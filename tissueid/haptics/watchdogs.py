@@ -58,6 +58,9 @@ IntArray = NDArray[np.int64]
 #: What came from the device since the last tick: a whole reply; nothing; only damaged bytes; an error.
 REPLY_VALID, REPLY_NONE, REPLY_DAMAGED, REPLY_LOST = 1, 0, -1, -2
 
+#: Silence that is borne while a hand homes the device and no force is sent [s].
+HOMING_SILENCE_S = 0.5
+
 _NO_REPLY, _BAD_PACKETS = float(Fault.NO_REPLY), float(Fault.BAD_PACKETS)
 _TRANSPORT, _FROZEN = float(Fault.TRANSPORT), float(Fault.ENCODER_FROZEN)
 _JUMP, _OVERSPEED, _NOT_HOMED = float(Fault.ENCODER_JUMP), float(Fault.OVERSPEED), float(Fault.NOT_HOMED)
@@ -133,9 +136,10 @@ def _count_replies(memory: FloatArray, limits: FloatArray, reply: int, step: flo
     memory[SILENT_S] += step
     if reply == REPLY_DAMAGED:
         memory[DAMAGED] += 1.0
+    patience = limits[NO_REPLY_S] if memory[STATE] != HOMING else max(limits[NO_REPLY_S], HOMING_SILENCE_S)
     if memory[DAMAGED] >= limits[BAD_PACKETS]:
         fail(memory, _BAD_PACKETS)
-    elif memory[SILENT_S] >= limits[NO_REPLY_S]:
+    elif memory[SILENT_S] >= patience:
         fail(memory, _NO_REPLY)
 
 
