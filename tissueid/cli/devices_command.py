@@ -36,6 +36,8 @@ Examples:
 """
 
 GRAM = 1e-3
+#: Hands of the emulator; importing them would cost numpy.
+HANDS = ("step", "slow press", "tap", "release", "tremor", "hold")
 
 
 @click.group("devices", epilog=EPILOG)
@@ -71,6 +73,8 @@ def list_devices(**flags: Any) -> int:
     if flags["as_json"]:
         echo_json({"known": device_names(), "found": [asdict(one) for one in found]})
         return 0
+    if flags["quiet"]:
+        return 0
     for one in found:
         click.echo(f"{one.name:16}{one.where}")
         if one.note:
@@ -90,6 +94,8 @@ def info(**flags: Any) -> int:
     document = _described(device)
     if flags["as_json"]:
         echo_json(document)
+        return 0
+    if flags["quiet"]:
         return 0
     click.echo(f"{document['name']}: force at most {document['clamp_N']:.2f} N, nominal")
     click.echo(f"damping {document['damping_N_s_per_m']:g} N s/m, delay {document['delay_ticks']:g} ticks")
@@ -114,7 +120,7 @@ def home(**flags: Any) -> int:
     millimetres = [round(1e3 * float(value), 2) for value in place]
     if flags["as_json"]:
         echo_json({"name": device.name, "homed": True, "position_mm": millimetres})
-    else:
+    elif not flags["quiet"]:
         click.echo(f"{device.name} is homed; the grip is at {millimetres} mm")
     return 0
 
@@ -176,7 +182,7 @@ def calibrate_force(**flags: Any) -> int:
     document = {**asdict(found), "units_per_Nm": units, "units_per_Nm_before": before.units_per_Nm}
     if flags["as_json"]:
         echo_json(document)
-    else:
+    elif not flags["quiet"]:
         ratio = with_error(found.ratio, found.stderr)
         click.echo(
             f"held {found.empty_N:.3f} N without and {found.loaded_N:.3f} N with {found.weight_N:.3f} N"
@@ -205,7 +211,7 @@ def calibrate_damping(**flags: Any) -> int:
         found = ring_down(device, device.capabilities.delay_ticks * TICK_S)
     if flags["as_json"]:
         echo_json({**asdict(found), "safe_damping_N_s_per_m": found.safe_damping})
-    else:
+    elif not flags["quiet"]:
         damping = with_error(found.damping_N_s_per_m, found.damping_stderr)
         click.echo(f"damping {damping} N s/m, of which {found.safe_damping:.3f} are relied on")
         click.echo(f"mass {found.mass_kg:.3f} kg, friction {found.friction_N:.3f} N")
@@ -222,9 +228,7 @@ def calibrate_damping(**flags: Any) -> int:
     "--failing-tries", type=click.IntRange(min=0), default=0, metavar="N", help="Uploads that fail first."
 )
 @click.option("--never-homes", is_flag=True, help="The emulated user does not home it.")
-@click.option(
-    "--hand", metavar="NAME", help="What the hand does: step, slow press, tap, release, tremor, hold."
-)
+@click.option("--hand", type=click.Choice(HANDS), help="What the hand does after homing.")
 @click.option("--depth-mm", type=float, default=10.0, show_default=True, help="Depth the hand aims at.")
 @click.option(
     "--script", metavar="TEXT", help='Carried like a machine: "indent 8 mm at 250 mm/min; hold 2 s".'

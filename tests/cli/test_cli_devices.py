@@ -1,0 +1,289 @@
+"""``tissueid devices``: what it lists, measures and refuses, on machines without a device."""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from command_line import run, start
+
+from tissueid.cli.devices_command import HANDS
+from tissueid.haptics.falcon.calibration import Calibration, load_calibration
+from tissueid.haptics.falcon.device import FalconDevice
+from tissueid.haptics.falcon.emulator import EmulatedLink, EmulatorSettings
+from tissueid.haptics.hand import PRESETS
+from tissueid.haptics.measure.ring_down import ArmEstimate
+from tissueid.haptics.measure.weighing import Weighing
+
+
+@pytest.fixture(autouse=True)
+def configuration(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A configuration directory of this test, and no Falcon on this machine's USB."""
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+    monkeypatch.setenv("TISSUEID_FORCEDIM", str(tmp_path / "none.so"))
+    monkeypatch.setattr("tissueid.haptics.falcon.libusb.LibUsb.falcons", lambda _self: [])
+    return tmp_path / "config" / "tissueid" / "falcon.toml"
+
+
+@pytest.fixture
+def port() -> Iterator[str]:
+    """A pseudo-terminal with an emulated Falcon in virtual time."""
+    with EmulatedLink(EmulatorSettings(period_s=5e-3), pty=True) as link:
+        assert link.path is not None
+        yield link.path
+
+
+@pytest.fixture
+def homed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Homing that is over at once."""
+    monkeypatch.setattr(FalconDevice, "home", lambda _self: None)
+
+
+def test_list_names_every_device_found_or_not() -> None:
+    ended = run("devices", "list")
+    assert ended.code == 0
+    assert "this program" in ended.stdout
+    assert "not found: falcon, forcedimension" in ended.stdout
+    document = run("devices", "list", "--json").json()
+    assert set(document["known"]) >= {"falcon", "forcedimension", "emulator", "sim", "replay"}
+    assert {one["name"] for one in document["found"]} >= {"emulator", "sim"}
+    assert all(set(one) == {"name", "where", "note"} for one in document["found"])
+
+
+def test_a_missing_library_stands_in_the_list(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("TISSUEID_LIBUSB", str(tmp_path / "none.so"))
+    assert "apt install libusb-1.0-0" in run("devices", "list").stdout
+    assert run("devices", "list").code == 0
+
+
+def test_info_says_what_is_assumed(configuration: Path) -> None:
+    document = run("devices", "info", "falcon", "--json").json()
+    assert document["clamp_N"] == 2.0
+    assert document["calibrated"] is False
+    assert document["calibration"]["units_per_Nm"] == 6600.0
+    assert document["workspace_mm"][2] == pytest.approx([66.0, 183.0])
+    text = run("devices", "info", "falcon").stdout
+    assert "not calibrated: a newton of this device may be anything from" in text
+    configuration.parent.mkdir(parents=True)
+    configuration.write_text("zero_angle_deg = 41\nconfirmed = true\n", encoding="utf-8")
+    document = run("devices", "info", "falcon", "--json").json()
+    assert document["clamp_N"] == pytest.approx(2.62, abs=0.01)
+    assert document["calibration"]["zero_angle_deg"] == 41.0
+
+
+@pytest.mark.parametrize(
+    "words", [("list",), ("info", "sim"), ("home", "sim"), ("test", "sim", "--seconds", "0.1")]
+)
+def test_quiet_prints_nothing(words: tuple[str, ...]) -> None:
+    ended = run("devices", *words, "-q")
+    assert (ended.code, ended.stdout, ended.stderr) == (0, "", "")
+
+
+def test_info_without_a_name_says_what_was_taken() -> None:
+    ended = run("devices", "info")
+    assert ended.stdout.startswith("sim: force at most 5.00 N")
+    assert "device sim, simulated: no haptic device was found" in ended.stderr
+
+
+def test_a_damaged_calibration_is_exit_5(configuration: Path) -> None:
+    configuration.parent.mkdir(parents=True)
+    configuration.write_text("units_per_Nm = 1\n", encoding="utf-8")
+    ended = run("devices", "info", "falcon")
+    assert ended.code == 5
+    assert str(configuration) in ended.stderr
+
+
+@pytest.mark.parametrize("command", ["home", "test"])
+def test_no_device_is_exit_5_with_what_needs_none(command: str) -> None:
+    ended = run("devices", command)
+    assert ended.code == 5
+    assert "no haptic device was found. Name one that needs no hardware: emulator or sim" in ended.stderr
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("home", "falcon"),
+        ("test", "falcon"),
+        ("calibrate-damping", "--yes"),
+        ("calibrate-force", "--yes", "--mass", "100"),
+    ],
+)
+def test_a_named_device_that_is_missing_is_exit_5_and_never_replaced(
+    words: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tissueid.haptics.falcon.libusb.LibUsb._is_falcon", lambda _self, _device: False)
+    ended = run("devices", *words)
+    assert ended.code == 5
+    assert "no Falcon is plugged in" in ended.stderr
+    assert ended.stdout == ""
+
+
+def test_no_permission_is_exit_5_and_names_node_and_rule(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(self: FalconDevice) -> None:
+        from tissueid.haptics.falcon.libusb import ERROR_ACCESS, LibUsb, UsbNode
+
+        usb = LibUsb()
+        try:
+            message = usb._refusal(ERROR_ACCESS, UsbNode(1, 4))
+        finally:
+            usb.close()
+        from tissueid.errors import DeviceError
+
+        raise DeviceError(message)
+
+    monkeypatch.setattr(FalconDevice, "_open", refused)
+    ended = run("devices", "test", "falcon")
+    assert ended.code == 5
+    assert "/dev/bus/usb/001/004" in ended.stderr
+    assert 'ATTR{idProduct}=="cb48"' in ended.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (("home", "nonsense"), "no device named 'nonsense'"),
+        (("home", "sim", "--port", "/dev/null"), "--port belongs to a Falcon"),
+        (("test", "sim", "--firmware", "x"), "--firmware belongs to a Falcon"),
+        (("home", "emulator", "--port", "/dev/null"), "the emulator opens its own"),
+        (("test", "sim", "--save"), "--save keeps the calibration of a Falcon"),
+        (("calibrate-force", "sim", "--mass", "100"), "'sim' is not one of"),
+        (("calibrate-force", "--mass", "5000"), "5000.0 is not in the range"),
+        (("calibrate-force", "--mass", "100"), "Give --yes where nobody can be asked"),
+        (
+            ("emulate", "--hand", "fist"),
+            "'fist' is not one of 'step', 'slow press', 'tap', 'release', 'tremor', 'hold'",
+        ),
+        (("emulate", "--fault", "rain@3"), "there is no fault 'rain'"),
+    ],
+)
+def test_what_makes_no_sense_is_exit_2(
+    words: tuple[str, ...], reason: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: False))
+    ended = run("devices", *words)
+    assert (ended.code, reason in ended.stderr) == (2, True), ended.stderr
+
+
+def test_test_measures_the_link_and_keeps_the_delay(port: str, configuration: Path) -> None:
+    ended = run("devices", "test", "--port", port, "--seconds", "0.3", "--json", "--save")
+    assert ended.code == 0, ended.stderr
+    report = ended.json()
+    assert report["replies"] <= report["commands"]
+    assert report["rate_hz"] > 0.0
+    # whole ticks at least one, and half a tick for the device
+    assert report["delay_ticks"] >= 1.5
+    kept = load_calibration(configuration)
+    assert (kept.delay_ticks, kept.delay_measured) == (report["delay_ticks"], True)
+    assert f"kept in {configuration}" in ended.stderr
+
+
+def test_test_for_people_counts_what_was_lost(port: str, configuration: Path) -> None:
+    text = run("devices", "test", "falcon", "--port", port, "--seconds", "0.1").stdout
+    assert "replies a second" in text
+    assert "unanswered, 0 damaged replies" in text
+    assert not configuration.exists()
+
+
+def test_home_leads_through_homing(port: str) -> None:
+    ended = run("devices", "home", "--port", port, "--json")
+    assert ended.code == 0, ended.stderr
+    assert ended.stderr.index("pull the grip all the way out") < ended.stderr.index(
+        "until the light is green"
+    )
+    assert ended.json()["position_mm"][2] > 170.0
+
+
+def test_home_gives_up_after_its_time_out() -> None:
+    with EmulatedLink(EmulatorSettings(homes=False, period_s=1e-3), pty=True) as link:
+        ended = run("devices", "home", "--port", str(link.path), "--timeout", "1")
+    assert ended.code == 5
+    assert "homing never completed (leg 1 and 2 and 3 missing" in ended.stderr
+
+
+@pytest.mark.usefixtures("homed")
+def test_calibrate_force_keeps_what_was_weighed(
+    port: str, configuration: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[tuple[float, bool]] = []
+
+    def weighed(device: FalconDevice, mass_kg: float, _hang: object) -> Weighing:
+        seen.append((mass_kg, device.limits.dead_man))
+        return Weighing(0.4, 1.7, 0.98, 1.25, 0.01)
+
+    monkeypatch.setattr("tissueid.haptics.measure.weighing.weigh", weighed)
+    ended = run("devices", "calibrate-force", "--mass", "100", "--port", port, "--yes")
+    assert ended.code == 0, ended.stderr
+    assert seen == [(0.1, False)]
+    assert "with at most 2.0 N. Keep hands" in ended.stderr
+    assert "1.250 ± 0.010 nominal newton for one true newton: 8250 motor units" in ended.stdout
+    kept = load_calibration(configuration)
+    assert (kept.units_per_Nm, kept.force_calibrated) == (pytest.approx(1.25 * 6600.0), True)
+    # nobody has gone through the checklist: still 2 N
+    assert kept.clamp_N == 2.0
+
+
+@pytest.mark.usefixtures("homed")
+def test_an_implausible_weighing_is_not_kept(
+    port: str, configuration: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = Weighing(0.4, 1.7, 0.98, 10.0, 0.01)
+    monkeypatch.setattr("tissueid.haptics.measure.weighing.weigh", lambda *_: found)
+    ended = run("devices", "calibrate-force", "--mass", "100", "--port", port, "--yes", "-q")
+    assert ended.code == 5
+    assert "units_per_Nm = 66000.0, which is no number from 1000 to 30000" in ended.stderr
+    assert not configuration.exists()
+
+
+@pytest.mark.usefixtures("homed")
+def test_calibrate_damping_keeps_what_can_be_relied_on(
+    port: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = ArmEstimate(0.25, 0.62, 0.11, 0.02)
+    monkeypatch.setattr("tissueid.haptics.measure.ring_down.ring_down", lambda *_: found)
+    file = tmp_path / "mine.toml"
+    ended = run("devices", "calibrate-damping", "--port", port, "--yes", "--calibration", file, "--json")
+    assert ended.code == 0, ended.stderr
+    # less two standard errors, and half a tick of delay on a spring of 60 N/m
+    assert ended.json()["safe_damping_N_s_per_m"] == pytest.approx(0.62 - 0.04 - 0.03)
+    assert load_calibration(file) == Calibration(damping_N_s_per_m=pytest.approx(0.55), damping_measured=True)
+
+
+def test_emulate_prints_a_path_that_a_driver_can_open() -> None:
+    process = start("devices", "emulate", "--hand", "tap")
+    try:
+        assert process.stdout is not None
+        ready, _, _ = select.select([process.stdout], [], [], 60.0)
+        assert ready
+        line = process.stdout.readline()
+        path = line.rpartition(" ")[2].strip()
+        assert line.startswith("emulated Falcon at /dev/")
+        assert os.path.exists(path)  # noqa: PTH110 - a device
+        report = json.loads(run("devices", "test", "--port", path, "--seconds", "0.2", "--json").stdout)
+        assert report["replies"] > 10
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=30)
+    assert process.returncode == 0
+
+
+def test_hands_of_the_emulator_are_those_offered() -> None:
+    assert HANDS == PRESETS
+
+
+@pytest.mark.parametrize(
+    "name", ["list", "info", "home", "test", "calibrate-force", "calibrate-damping", "emulate"]
+)
+def test_every_sub_command_has_examples(name: str) -> None:
+    ended = run("devices", name, "--help")
+    assert ended.code == 0
+    _, _, examples = ended.stdout.partition("Examples:")
+    lines = [line.strip() for line in examples.strip().splitlines()]
+    assert lines
+    assert all(line.startswith(f"tissueid devices {name}") for line in lines)
