@@ -13,6 +13,20 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 REPOSITORY = Path(__file__).resolve().parent.parent
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Options of the tests that need a real device; see docs/hardware-checklist.md."""
+    group = parser.getgroup("falcon", "a real Novint Falcon (docs/hardware-checklist.md)")
+    group.addoption("--falcon", action="store_true", help="run the tests that move a real Falcon")
+    group.addoption("--falcon-port", metavar="PATH", help="serial port or pseudo-terminal instead of USB")
+    group.addoption("--falcon-firmware", metavar="FILE", help="firmware, where the device has none running")
+    group.addoption(
+        "--falcon-report",
+        metavar="FILE",
+        default="hardware-report.json",
+        help="where the readings are written",
+    )
+
+
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """Folder with openly licensed real recordings, which are not part of this repository."""

@@ -15,6 +15,8 @@ __all__ = ["LinkReport", "measure_link"]
 
 #: Tick of the servo [s].
 TICK_S = 0.001
+#: After this time an answer is lost, not late [s].
+PATIENCE_S = 0.05
 #: What passes inside the device, between wire, encoders and motors, is not seen here: allowed for [ticks].
 UNSEEN_TICKS = 0.5
 
@@ -27,7 +29,7 @@ class LinkReport:
     ----------
     duration_s : float
     commands, replies : int
-        Sent, and answered in time.
+        Sent, and answered.
     damaged : int
         Replies that began and were none.
     rate_hz : float
@@ -76,6 +78,9 @@ def measure_link(device: HapticDevice, duration_s: float = 5.0) -> LinkReport:
         device.write_force(zero, TICK_S)
         commands += 1
         sample = device.sample()
+        # a late answer must not count as a quick one to the next command
+        while not (sample.valid or sample.damaged) and time.monotonic() - sent < PATIENCE_S:
+            sample = device.sample()
         damaged += sample.damaged
         if sample.valid:
             trips.append(time.monotonic() - sent)
