@@ -7,7 +7,7 @@ opened, else the simulated device, and says which and why.
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
@@ -136,13 +136,19 @@ def environment_law(name: str) -> Callable[..., Any]:
     raise UsageError(msg)
 
 
+def _detected(names: Iterable[str]) -> Iterator[DetectedDevice]:
+    """What these find; one that can't be loaded hides no other."""
+    for name in names:
+        try:
+            found = device_class(name).detect()
+        except DeviceError as error:
+            found = [DetectedDevice(name, "this program", error.message)]
+        yield from found
+
+
 def detect_all() -> Iterator[DetectedDevice]:
     """Every device found on this machine, with what stands in its way."""
-    for name in device_names():
-        try:
-            yield from device_class(name).detect()
-        except DeviceError as error:
-            yield DetectedDevice(name, "not loaded", error.message)
+    return _detected(device_names())
 
 
 def choose_device(name: str = AUTO) -> Choice:
@@ -162,11 +168,10 @@ def choose_device(name: str = AUTO) -> Choice:
         device_class(name)
         return Choice(name, f"device {name}: asked for by name")
     hindered = []
-    for candidate in (*HARDWARE, *sorted(_plugins(DEVICE_GROUP))):
-        for found in device_class(candidate).detect():
-            if not found.note:
-                return Choice(candidate, f"device {candidate}: found at {found.where}")
-            hindered.append(f"{candidate} at {found.where}: {found.note}")
+    for found in _detected((*HARDWARE, *sorted(_plugins(DEVICE_GROUP)))):
+        if not found.note:
+            return Choice(found.name, f"device {found.name}: found at {found.where}")
+        hindered.append(f"{found.name} at {found.where}: {found.note}")
     why = "; ".join(hindered) or "no haptic device was found"
     return Choice("sim", f"device sim, simulated: {why}")
 

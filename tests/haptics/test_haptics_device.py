@@ -1,0 +1,198 @@
+"""The base of every device: what is final, and zero force on every way out."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fake_device import FakeDevice
+
+from tissueid.errors import DeviceError
+from tissueid.haptics import device as devices
+from tissueid.haptics.device import ZERO_COMMANDS, HapticDevice
+from tissueid.haptics.states import Fault, State
+
+SOURCES = Path(devices.__file__).parents[1]
+
+
+def engaged() -> FakeDevice:
+    """A device with 2 N on."""
+    device = FakeDevice()
+    device.open()
+    device.engage()
+    for _ in range(1100):
+        device.counts = 1 - device.counts
+        device.read()
+        device.write_force((0.0, 0.0, 0.1), 1e-3)
+    for _ in range(10):
+        device.write_force((0.0, 0.0, 2.0), 1e-3)
+    return device
+
+
+@pytest.mark.parametrize("method", ["open", "close", "sample", "read", "write_force", "engage", "disengage"])
+def test_what_is_final_can_not_be_overridden(method):
+    with pytest.raises(TypeError, match=f"{method}: final"):
+        type("Sneaky", (FakeDevice,), {method: lambda self: None})
+
+
+def test_a_device_walks_to_armed_and_to_force():
+    device = FakeDevice()
+    assert device.state is State.CLOSED
+    device.open()
+    assert device.state is State.HOMING
+    for _ in range(50):
+        device.read()
+    assert device.state is State.ARMED
+    device.close()
+    device = engaged()
+    assert device.state is State.ENGAGED
+    assert device.sent[-1].tolist() == [0.0, 0.0, 2.0]
+    device.close()
+
+
+def test_write_force_returns_what_was_sent():
+    device = engaged()
+    returned = device.write_force((0.0, 30.0, 40.0), 1e-3)
+    assert returned.tolist() == device.sent[-1].tolist()
+    assert np.linalg.norm(returned) == pytest.approx(2.0 * 0.8 + 0.5, rel=1e-12)
+    device.close()
+
+
+def test_closing_sends_zero_force_twenty_times_then_lets_go():
+    device = engaged()
+    before = len(device.sent)
+    device.close()
+    assert np.array(device.sent[before:]).tolist() == np.zeros((ZERO_COMMANDS, 3)).tolist()
+    assert device.closed == 1
+    assert device.state is State.CLOSED
+    device.close()
+    assert device.closed == 1
+
+
+def test_an_exception_in_the_users_code_ends_in_zero_force():
+    device = FakeDevice()
+    with pytest.raises(ZeroDivisionError), device:
+        device.write_force((0.0, 0.0, 0.0), 1 / 0)
+    assert len(device.sent) == ZERO_COMMANDS
+    assert device.closed == 1
+
+
+@pytest.mark.parametrize("error", [OSError("gone"), DeviceError("gone")])
+def test_a_device_that_is_gone_while_read_is_a_fault_with_its_reason(error):
+    device = engaged()
+    device.broken = error
+    with pytest.raises(DeviceError, match=r"fake: the device is gone.*gone"):
+        device.read()
+    assert device.fault is Fault.TRANSPORT
+    device.close()
+    assert device.closed == 1
+
+
+def test_a_device_that_is_gone_while_written_is_a_fault():
+    device = engaged()
+    device.broken = OSError("gone")
+    with pytest.raises(DeviceError, match="the device is gone"):
+        device.write_force((0.0, 0.0, 1.0), 1e-3)
+    assert device.fault is Fault.TRANSPORT
+    device.close()
+
+
+def test_a_device_that_can_not_be_opened_stays_closed():
+    device = FakeDevice()
+    device.refuses = DeviceError("no permission")
+    with pytest.raises(DeviceError, match="no permission"):
+        device.open()
+    assert device.state is State.CLOSED
+    assert device.sent == []
+
+
+def test_a_closed_device_and_a_misshapen_force_are_refused():
+    device = FakeDevice()
+    with pytest.raises(DeviceError, match=r"open\(\) first"):
+        device.write_force((0.0, 0.0, 0.0), 1e-3)
+    with pytest.raises(DeviceError, match=r"open\(\) first"):
+        device.read()
+    with device:
+        with pytest.raises(DeviceError, match="open already"):
+            device.open()
+        with pytest.raises(ValueError, match="shape"):
+            device.write_force((0.0, 0.0), 1e-3)
+
+
+def test_silence_and_damage_reach_the_watchdogs():
+    for answer, fault in (
+        ({"valid": False}, Fault.NO_REPLY),
+        ({"valid": False, "damaged": 1}, Fault.BAD_PACKETS),
+        ({"homed": False}, Fault.NOT_HOMED),
+    ):
+        device = engaged()
+        device.answer.update(answer)
+        for _ in range(21):
+            device.read()
+        assert device.fault is fault
+        device.close()
+
+
+def test_ending_the_interpreter_sends_zero_force():
+    program = (
+        "from fake_device import FakeDevice\n"
+        "class Told(FakeDevice):\n"
+        "    def _write(self, force_N):\n"
+        "        print(force_N.tolist())\n"
+        "device = Told()\n"
+        "device.open()\n"
+        "raise SystemExit(3)\n"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=Path(__file__).parent,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ended.returncode == 3
+    assert ended.stdout.splitlines() == ["[0.0, 0.0, 0.0]"] * ZERO_COMMANDS
+
+
+#: Who may call what reaches a transport: a call -> the modules it stands in and how often.
+TRANSPORT_CALLS = {
+    # the base class: after the guard, and with zeros on the way out (the recorder's is its file)
+    r"\._write\(": {"haptics/device.py": 2, "render/recorder.py": 2},
+    # the servo: after the guard
+    r"(?<!def )(?<![a-z_])command\(io": {"render/servo_tick.py": 1},
+    # what `_write` of a device and the servo's command make of a force
+    r"(?<!def )simulated_command\(": {"haptics/sim.py": 1, "render/servo_io.py": 1},
+    r"[._](dhd)?[sS]et_?[fF]orce\(": {
+        "haptics/forcedimension/device.py": 1,
+        "haptics/forcedimension/sdk.py": 1,
+        "render/force_dimension_io.py": 1,
+    },
+    r"(?<!def )motor_units\(": {"haptics/falcon/device.py": 1, "render/falcon_io.py": 1},
+    # the firmware's is the test whether it runs, with zeros
+    r"(?<!def )encode_(command|into)\(": {
+        "haptics/falcon/device.py": 1,
+        "haptics/falcon/firmware.py": 1,
+        "haptics/falcon/packets.py": 1,
+        "render/falcon_io.py": 1,
+    },
+}
+
+
+@pytest.mark.parametrize("call", sorted(TRANSPORT_CALLS))
+def test_nothing_but_the_guard_leads_to_a_transport(call):
+    found = {}
+    for source in SOURCES.rglob("*.py"):
+        count = len(re.findall(call, source.read_text(encoding="utf-8")))
+        if count:
+            found[source.relative_to(SOURCES).as_posix()] = count
+    assert found == TRANSPORT_CALLS[call]
+
+
+def test_every_device_of_the_registry_leaves_the_final_methods_alone():
+    for kind in HapticDevice.__subclasses__():
+        for method in ("open", "close", "sample", "read", "write_force"):
+            assert method not in kind.__dict__

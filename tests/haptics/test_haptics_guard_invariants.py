@@ -1,0 +1,144 @@
+"""What the guard never does, whatever a device, a law or a clock says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from guarded import FREE, Guarded
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tissueid.haptics import guard_states as machine
+from tissueid.haptics.states import State
+
+#: Scaling a vector to a length rounds each component once.
+ROUNDING = 1e-12
+SLEW = 0.5
+
+number = st.one_of(
+    st.floats(-20.0, 20.0),
+    st.sampled_from([np.nan, np.inf, -np.inf, 0.0, -0.0, 1e308, -1e308, 1e-308, 5e-324]),
+)
+usual = st.floats(-12.0, 12.0)
+#: Mostly good ticks: a guard that is always in FAULT shows little.
+tick = st.fixed_dictionaries(
+    {
+        "force": st.tuples(usual, usual, usual),
+        "dt": st.sampled_from([1e-3] * 8 + [2.5e-4, 4e-3, 0.1, 0.0, -1.0, np.nan, np.inf]),
+        "reply": st.sampled_from([1] * 12 + [0, -1]),
+        "homed": st.sampled_from([True] * 40 + [False]),
+        "buttons": st.sampled_from([4] * 6 + [0, 15]),
+        "moved": st.sampled_from([(1, 0, 0)] * 8 + [(0, 0, 0), (150, -199, 3), (0, 260, 0)]),
+        "velocity": st.sampled_from([(0.0, 0.0, 0.0), (0.1, -0.2, 0.3), (1.0, 1.0, 1.0), (np.nan, 0.0, 0.0)]),
+        "penetration": st.sampled_from([0.0, -1e-3, 1e-3, np.nan]),
+        "event": st.sampled_from([None] * 30 + [4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0]),
+    }
+)
+wild = st.fixed_dictionaries(
+    {
+        "force": st.tuples(number, number, number),
+        "dt": number,
+        "reply": st.integers(-3, 3),
+        "homed": st.booleans(),
+        "buttons": st.integers(0, 15),
+        "moved": st.tuples(*[st.integers(-(2**40), 2**40)] * 3),
+        "velocity": st.tuples(number, number, number),
+        "penetration": number,
+        "event": st.one_of(st.none(), st.integers(0, 14).map(float)),
+    }
+)
+clamps = st.sampled_from([0.3, 2.0, 5.0, 10.0])
+
+
+def run(clamp: float, ticks: list[dict], *, start: float = machine.ENGAGED):
+    """Every tick's wanted and sent force, state and dt, from an engaged guard with a force on."""
+    guarded = Guarded(replace(FREE, clamp_N=clamp, rms_limit_N=clamp, dead_man=True)).to(start)
+    guarded.seen["buttons"] = 4
+    before = guarded.tick((0.0, 0.0, 1.0), buttons=4)
+    sent, states, times = [before], [guarded.state], [1e-3]
+    for words in ticks:
+        given_words = {key: words[key] for key in ("reply", "homed", "buttons", "velocity", "penetration")}
+        if words["event"] is not None:
+            guarded.tell(words["event"])
+        moved = np.array(words["moved"], np.int64)
+        sent.append(guarded.tick(words["force"], dt=words["dt"], moved=moved, **given_words))
+        states.append(guarded.state)
+        times.append(words["dt"])
+    return np.array(sent), np.array(states), np.array(times)
+
+
+@settings(max_examples=120, deadline=None)
+@given(clamps, st.lists(st.one_of(tick, wild), min_size=1, max_size=60))
+def test_every_force_sent_is_finite_within_the_clamp_and_rises_no_faster_than_the_slew(clamp, ticks):
+    sent, _, _ = run(clamp, ticks)
+    size = np.linalg.norm(sent, axis=1)
+    assert np.isfinite(sent).all()
+    assert np.all(size <= clamp * (1.0 + ROUNDING))
+    assert np.all(np.diff(size) <= SLEW + ROUNDING)
+
+
+@settings(max_examples=120, deadline=None)
+@given(clamps, st.lists(st.one_of(tick, wild), min_size=1, max_size=60))
+def test_force_is_zero_in_every_state_but_engaged_and_fault(clamp, ticks):
+    sent, states, _ = run(clamp, ticks)
+    quiet = (states != State.ENGAGED) & (states != State.FAULT)
+    assert np.all(sent[quiet] == 0.0)
+
+
+@settings(max_examples=120, deadline=None)
+@given(clamps, st.lists(tick, min_size=20, max_size=60), st.sampled_from([9.0, 10.0]))
+def test_a_fault_never_rises_and_is_zero_after_20_ms(clamp, ticks, event):
+    ticks[5]["event"] = event
+    sent, states, times = run(clamp, ticks)
+    faulted = np.flatnonzero(states == State.FAULT)
+    # the tick that saw the fault counts; a tick that is no good one counts as at least 5 ms
+    age = np.cumsum(np.where((times[faulted] > 0.0) & np.isfinite(times[faulted]), times[faulted], 5e-3))
+    size = np.linalg.norm(sent[faulted], axis=1)
+    assert faulted.size > 0
+    assert np.all(states[faulted[0] :] == State.FAULT)
+    assert np.all(np.diff(size) <= ROUNDING)
+    assert np.all(size[age >= 0.020 - 1e-9] == 0.0)
+
+
+@settings(max_examples=120, deadline=None)
+@given(clamps, st.lists(st.tuples(usual, usual, usual), min_size=1, max_size=40))
+def test_what_is_sent_points_where_it_was_wanted_and_is_no_longer(clamp, forces):
+    guarded = Guarded(replace(FREE, clamp_N=clamp, rms_limit_N=clamp)).to(machine.ENGAGED)
+    for force in forces:
+        wanted = np.array(force)
+        out = guarded.tick(force)
+        across = np.linalg.norm(np.cross(out, wanted))
+        assert across <= 1e-12 * (1.0 + np.linalg.norm(wanted) * np.linalg.norm(out))
+        assert out @ wanted >= 0.0
+        assert np.linalg.norm(out) <= np.linalg.norm(wanted) * (1.0 + ROUNDING)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.lists(st.tuples(usual, usual, usual), min_size=1, max_size=20),
+    st.integers(0, 2),
+    st.sampled_from([np.nan, np.inf, -np.inf]),
+)
+def test_a_force_that_is_no_number_never_passes_and_never_comes_back(forces, axis, bad):
+    guarded = Guarded().to(machine.ENGAGED)
+    for force in forces:
+        last = guarded.tick(force)
+    broken = [1.0, 1.0, 1.0]
+    broken[axis] = bad
+    outs = np.array([guarded.tick(broken) for _ in range(25)])
+    # the straight line from the last finite force to zero
+    line = np.maximum(1.0 - np.arange(1, 26) / 20.0, 0.0)
+    assert np.abs(outs - line[:, None] * last).max() <= 1e-9
+    assert np.all(outs[19:] == 0.0)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(wild, min_size=1, max_size=40), st.sampled_from(list(State)[:5]))
+def test_no_force_comes_out_of_a_device_that_was_not_engaged(ticks, state):
+    for words in ticks:
+        words["event"] = None
+    guarded = Guarded().to(float(state))
+    for words in ticks:
+        out = guarded.tick(words["force"], dt=words["dt"], homed=words["homed"], reply=words["reply"])
+        assert out.tolist() == [0.0, 0.0, 0.0]

@@ -1,0 +1,134 @@
+"""Devices and force laws by name: what is taken, and what a missing, unknown or broken plug-in says."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from importlib.metadata import EntryPoint
+
+import fake_device
+import pytest
+from fake_device import FakeDevice
+
+from tissueid.errors import DeviceError, UsageError
+from tissueid.haptics import registry
+from tissueid.haptics.device import DetectedDevice, HapticDevice
+from tissueid.haptics.sim import SimulatedDevice
+
+BROKEN = EntryPoint("broken", "no_such_distribution:Device", registry.DEVICE_GROUP)
+NO_DEVICE = EntryPoint("nothing", "fake_device:law", registry.DEVICE_GROUP)
+PLUGIN = EntryPoint("fake", "fake_device:FakeDevice", registry.DEVICE_GROUP)
+THIEF = EntryPoint("sim", "fake_device:FakeDevice", registry.DEVICE_GROUP)
+LAW = EntryPoint("spring", "fake_device:law", registry.ENVIRONMENT_GROUP)
+NO_LAW = EntryPoint("number", "fake_device:RANGE", registry.ENVIRONMENT_GROUP)
+
+
+@pytest.fixture
+def plugins(monkeypatch):
+    """Entry points as if distributions with them were installed."""
+
+    def entry_points(*, group: str) -> list[EntryPoint]:
+        return [e for e in (BROKEN, NO_DEVICE, PLUGIN, THIEF, LAW, NO_LAW) if e.group == group]
+
+    monkeypatch.setattr(registry, "entry_points", entry_points)
+
+
+def nothing_found(monkeypatch, note: str | None = None) -> None:
+    """No hardware on this machine, or one with something in its way."""
+    found = [] if note is None else [DetectedDevice("falcon", "/dev/bus/usb/001/004", note)]
+    for name, there in (("falcon", found), ("forcedimension", [])):
+        kind = registry.device_class(name)
+        monkeypatch.setattr(kind, "detect", classmethod(lambda cls, there=there: there))
+
+
+def test_every_built_in_device_can_be_loaded():
+    for name in registry.DEVICES:
+        kind = registry.device_class(name)
+        assert issubclass(kind, HapticDevice)
+        assert kind.name == name
+
+
+def test_asking_for_names_imports_no_device():
+    program = (
+        "import sys\nfrom tissueid.haptics import registry\nregistry.device_names()\n"
+        "print([m for m in sys.modules if 'falcon' in m or 'haptics.sim' in m or 'forcedim' in m])"
+    )
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert ended.stdout.strip() == "[]"
+
+
+def test_an_unknown_device_is_told_which_there_are():
+    with pytest.raises(UsageError, match=r"'falcom'.*falcon, forcedimension.*sim.*auto"):
+        registry.device_class("falcom")
+
+
+def test_a_device_of_another_distribution_is_found_by_its_entry_point(plugins):
+    assert registry.device_class("fake") is FakeDevice
+    assert registry.device_names()[-3:] == ["broken", "fake", "nothing"]
+
+
+def test_a_plugin_can_not_take_the_name_of_a_built_in_device(plugins):
+    assert registry.device_class("sim") is SimulatedDevice
+
+
+def test_a_broken_plugin_says_what_broke_and_the_way_out(plugins):
+    with pytest.raises(DeviceError, match=r"'broken'.*ModuleNotFoundError.*repair or remove"):
+        registry.device_class("broken")
+    with pytest.raises(DeviceError, match=r"'nothing'.*HapticDevice"):
+        registry.device_class("nothing")
+
+
+def test_a_broken_plugin_hides_no_other_device(plugins, monkeypatch):
+    nothing_found(monkeypatch)
+    found = {device.name: device for device in registry.detect_all()}
+    assert {"sim", "fake", "broken", "nothing"} <= set(found)
+    assert "ModuleNotFoundError" in found["broken"].note
+
+
+def test_auto_without_hardware_takes_the_simulated_device_and_says_why(monkeypatch):
+    nothing_found(monkeypatch)
+    assert registry.choose_device() == registry.Choice(
+        "sim", "device sim, simulated: no haptic device was found"
+    )
+    assert isinstance(registry.open_device(), SimulatedDevice)
+
+
+def test_auto_takes_hardware_with_nothing_in_its_way(monkeypatch):
+    nothing_found(monkeypatch, note="")
+    assert registry.choose_device() == registry.Choice(
+        "falcon", "device falcon: found at /dev/bus/usb/001/004"
+    )
+
+
+def test_auto_says_what_stands_in_the_way_of_hardware(monkeypatch):
+    nothing_found(monkeypatch, note="no permission")
+    choice = registry.choose_device()
+    assert choice.name == "sim"
+    assert "falcon at /dev/bus/usb/001/004: no permission" in choice.why
+
+
+def test_a_device_named_by_the_user_is_never_replaced(monkeypatch):
+    nothing_found(monkeypatch)
+    assert registry.choose_device("falcon") == registry.Choice("falcon", "device falcon: asked for by name")
+    with pytest.raises(UsageError, match="no device named"):
+        registry.choose_device("flacon")
+
+
+def test_auto_does_not_stop_at_a_broken_plugin(plugins, monkeypatch):
+    nothing_found(monkeypatch)
+    choice = registry.choose_device()
+    assert choice == registry.Choice("fake", "device fake: found at this test")
+
+
+def test_a_force_law_of_another_distribution_is_found(plugins):
+    assert registry.environment_law("spring") is fake_device.law
+    assert registry.environment_names() == ["number", "spring"]
+    with pytest.raises(UsageError, match=r"'magnet'.*number, spring.*tissueid\.environments"):
+        registry.environment_law("magnet")
+    with pytest.raises(DeviceError, match=r"'number'.*tuple, not a function"):
+        registry.environment_law("number")
+
+
+def test_without_plugins_there_is_no_force_law():
+    with pytest.raises(UsageError, match="installed: none"):
+        registry.environment_law("magnet")
