@@ -174,6 +174,7 @@ def _asked(flags: dict[str, Any]) -> RenderOptions:
         pseudonym=flags["pseudonym"],
         replay=flags["replay"],
         virtual=flags["virtual"],
+        bridge=flags["bridge"] is not None,
     )
 
 

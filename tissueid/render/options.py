@@ -45,6 +45,8 @@ class RenderOptions:
         Log whose motion is rendered again.
     virtual : bool
         As fast as it can be computed.
+    bridge : bool
+        Whether another program moves the session.
     """
 
     bundle: Path | None = None
@@ -71,3 +73,4 @@ class RenderOptions:
     seed: int | None = None
     replay: Path | None = None
     virtual: bool = False
+    bridge: bool = False

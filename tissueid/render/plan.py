@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.errors import UsageError
-from tissueid.haptics.device import HapticDevice
-from tissueid.haptics.registry import choose_device, device_class, environment_law
+from tissueid.errors import DeviceError, UsageError
+from tissueid.haptics.device import Capabilities, HapticDevice
+from tissueid.haptics.registry import HARDWARE, choose_device, device_class, environment_law
 from tissueid.render.blind import BlindOrder, check_pseudonym, draw_order
 from tissueid.render.choice import (
     Functional,
@@ -33,9 +33,17 @@ from tissueid.render.precheck import Demands, Precheck, check_before_force
 from tissueid.render.presets import preset_tissue
 from tissueid.render.script import Script, read_script
 from tissueid.render.session_plan import PERIOD_S, SessionPlan, session_head
-from tissueid.render.surface import SURFACE_SIZE
-from tissueid.render.tissue_block import Plane, Sphere, Surface, free_air_block, tissue_block
+from tissueid.render.surface import SURFACE_SIZE, TOOL_RADIUS
+from tissueid.render.tissue_block import (
+    Plane,
+    Sphere,
+    Surface,
+    free_air_block,
+    surface_from,
+    tissue_block,
+)
 from tissueid.store.bundle import Bundle, load_bundle
+from tissueid.store.session_log import read_session_log
 
 __all__ = ["plan_session"]
 
@@ -43,6 +51,9 @@ FloatArray = NDArray[np.float64]
 
 MM = 1e-3
 DEFAULT_COUNT_M = 45e-6
+S_PER_MIN = 60.0
+#: Share of the identified depth that a simulated grip shows where no script was given.
+DEMONSTRATED_DEPTH = 0.75
 DEFAULT_PRESENTATIONS = 10
 #: Devices that a script can move, and that can run faster than time.
 SIMULATED = "sim"
@@ -61,16 +72,21 @@ def plan_session(options: RenderOptions) -> SessionPlan:
         return _law_session(options, name)
     functional = parse_functional(options.of)
     picked, hashes = _tissues(options, functional)
-    script = None if options.script is None else read_script(options.script)
+    options, replayed = _replayed(options)
     choice, device = _device(options, name)
+    script = _script(options, choice, picked[0])
     _must_fit(options, choice, script)
     shape = parse_surface(options.surface)
     remarks = [one for each in picked for one in surface_remarks(each.tissue, shape, options.tip_radius_mm)]
     check, surface, radius_m = _scaled(options, picked, device, shape)
+    if replayed is not None:
+        surface, radius_m = replayed
     check = replace(check, remarks=(*check.remarks, *dict.fromkeys(remarks)))
     order = _order(options, picked)
     blocks = _blocks(options, picked, check, surface, radius_m, order)
     given = dict(options.device_options)
+    if options.replay is not None:
+        given["log"] = options.replay
     if script is not None:
         given["hand"] = script.hand(
             motion_scale=check.scaling.motion,
@@ -93,7 +109,7 @@ def plan_session(options: RenderOptions) -> SessionPlan:
         virtual=options.virtual,
         lines=(choice[1], *_lines(options, picked, check, functional)),
     )
-    return replace(plan, head=session_head(options, plan, surface.numbers(radius_m), hashes))
+    return replace(plan, head=session_head(plan, surface.numbers(radius_m), hashes))
 
 
 def _tissues(
@@ -147,8 +163,42 @@ def _device(options: RenderOptions, name: str) -> tuple[tuple[str, str], HapticD
     given = dict(options.device_options)
     if options.replay is not None:
         given["log"] = options.replay
-        given["real_time"] = not options.virtual
-    return (found.name, found.why), device_class(found.name)(**given)
+    kind = device_class(found.name)
+    if found.name in HARDWARE and "port" not in given and not kind.detect():
+        msg = f"no {found.name} was found on this machine; plug it in and see `tissueid devices list`"
+        raise DeviceError(msg)
+    return (found.name, found.why), kind(**given)
+
+
+def _script(options: RenderOptions, choice: tuple[str, str], first: Picked) -> Script | None:
+    """What the user wrote; a simulated grip that nobody moves shows three quarters of the depth."""
+    if options.script is not None:
+        return read_script(options.script)
+    if choice[0] != SIMULATED or options.seconds is not None or options.bridge:
+        return None
+    depth, speed = DEMONSTRATED_DEPTH * first.tissue.model.depth_mm, S_PER_MIN * first.tissue.speeds_mm_s[1]
+    return read_script(
+        f"indent {depth:.3g} mm at {speed:.4g} mm/min; hold 1 s; retract at {speed:.4g} mm/min"
+    )
+
+
+def _replayed(options: RenderOptions) -> tuple[RenderOptions, tuple[Surface, float] | None]:
+    """A replay takes scale, surface and length from its log, where nothing else was asked for."""
+    if options.replay is None:
+        return options, None
+    log = read_session_log(options.replay)
+    scale, times = log.head["scale"], log.records["time_s"]
+    if scale is None or times.size < 2:
+        msg = f"{options.replay}: the log of a force law of its own, or an empty one, can't be replayed"
+        raise UsageError(msg)
+    numbers = np.array(log.head["surface"])
+    options = replace(
+        options,
+        force_scale=options.force_scale or scale["force_scale"],
+        motion_scale=options.motion_scale or scale["motion_scale"],
+        seconds=options.seconds or float(times[-1] - times[0]),
+    )
+    return options, (surface_from(numbers), float(numbers[TOOL_RADIUS]))
 
 
 def _must_fit(options: RenderOptions, choice: tuple[str, str], script: Script | None) -> None:
@@ -178,7 +228,7 @@ def _scaled(
             damping_N_s_per_m=capabilities.damping_N_s_per_m,
             delay_ticks=capabilities.delay_ticks,
             period_s=PERIOD_S,
-            calibrated=capabilities.calibrated,
+            known=_known(capabilities),
         )
         first = check_before_force(each.tissue, demands, force_scale=options.force_scale, motion_scale=motion)
         scale = first.scaling.motion
@@ -204,6 +254,12 @@ def _scaled(
             )
         )
     return min(checks, key=lambda one: one[0].scaling.force)
+
+
+def _known(capabilities: Capabilities) -> str:
+    if not capabilities.hardware:
+        return "as simulated"
+    return "measured on this unit" if capabilities.calibrated else "assumed, not measured on this unit"
 
 
 def _order(options: RenderOptions, picked: tuple[Picked, ...]) -> BlindOrder | None:
@@ -311,4 +367,4 @@ def _law_session(options: RenderOptions, name: str) -> SessionPlan:
         virtual=False,
         lines=(choice[1], f"law        {options.environment}: nothing is known of its stability"),
     )
-    return replace(plan, head=session_head(options, plan, np.zeros(SURFACE_SIZE), (None,)))
+    return replace(plan, head=session_head(plan, np.zeros(SURFACE_SIZE), (None,)))

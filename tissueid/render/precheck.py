@@ -19,7 +19,7 @@ from tissueid.model.passivity import required_damping
 from tissueid.model.scaling import DEFAULT_MOTION_SCALE, Scaling, largest_tangent, scaling_for
 from tissueid.render.tissue_block import Tissue
 
-__all__ = ["Demands", "Precheck", "check_before_force", "scaling_at"]
+__all__ = ["MOST_DAMPING", "Demands", "Precheck", "check_before_force", "scaling_at"]
 
 FloatArray = NDArray[np.float64]
 
@@ -31,6 +31,8 @@ SMALLEST_PEAK_N = 0.1
 LARGEST_STIFFNESS_N_PER_M = 3000.0
 N_PER_MM_TO_N_PER_M = 1000.0
 MM_PER_M = 1000.0
+#: Damping of a replayed motion, which no force moves, as far as a number can say it [N s/m].
+MOST_DAMPING = 1e6
 #: Limits of what can be asked for: outside, a typing error is likelier than a wish.
 SCALE_RANGE = (1e-6, 10.0)
 MOTION_RANGE = (0.1, 100.0)
@@ -52,8 +54,8 @@ class Demands:
         Of the servo.
     travel_m : float
         Room along the normal behind the surface [m].
-    calibrated : bool
-        Whether damping and newton were measured on this unit.
+    known : str
+        Where damping and newton come from, in words.
     """
 
     clamp_N: float
@@ -61,7 +63,7 @@ class Demands:
     delay_ticks: float
     period_s: float = 0.001
     travel_m: float = np.inf
-    calibrated: bool = False
+    known: str = "assumed, not measured on this unit"
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +112,6 @@ class Precheck:
     def lines(self) -> list[str]:
         """What is printed before force is enabled."""
         scale, device = self.scaling, self.demands
-        known = "measured" if device.calibrated else "assumed, not measured on this unit"
         felt = (
             f"felt force = measured/{self.force_over:.4g}, "
             f"felt stiffness = measured/{self.stiffness_over:.4g}, motion x{scale.motion:g}"
@@ -122,7 +123,8 @@ class Precheck:
         )
         stability = (
             f"needs {self.required_damping_N_s_per_m:.3g} N s/m of damping at {device.delay_ticks:g} ticks "
-            f"of {1e3 * device.period_s:g} ms; the device has {device.damping_N_s_per_m:.3g} N s/m ({known})"
+            f"of {1e3 * device.period_s:g} ms; the device has {device.damping_N_s_per_m:.3g} N s/m "
+            f"({device.known})"
         )
         text = [f"scale      {felt}", f"device     {limits}", f"stability  {stability}"]
         if self.lowered:
@@ -144,10 +146,10 @@ class Precheck:
             "clamp_N": self.demands.clamp_N,
             "clipped_share_expected": self.clipped_share,
             "required_damping_N_s_per_m": self.required_damping_N_s_per_m,
-            "device_damping_N_s_per_m": self.demands.damping_N_s_per_m,
+            "device_damping_N_s_per_m": min(self.demands.damping_N_s_per_m, MOST_DAMPING),
             "delay_ticks": self.demands.delay_ticks,
             "period_s": self.demands.period_s,
-            "calibrated": self.demands.calibrated,
+            "known": self.demands.known,
             "lowered_from_force_scale": self.wanted_force_scale if self.lowered else None,
             "remarks": list(self.remarks),
         }

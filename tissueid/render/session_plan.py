@@ -14,8 +14,7 @@ from tissueid import __version__
 from tissueid.haptics.device import Capabilities
 from tissueid.render.blind import BlindOrder
 from tissueid.render.choice import Picked
-from tissueid.render.options import RenderOptions
-from tissueid.render.precheck import Precheck
+from tissueid.render.precheck import MOST_DAMPING, Precheck
 from tissueid.render.script import Script
 
 __all__ = ["PERIOD_S", "SessionPlan", "session_head"]
@@ -24,8 +23,6 @@ FloatArray = NDArray[np.float64]
 
 #: The servo runs at 1 kHz.
 PERIOD_S = 0.001
-#: Damping of a replayed motion, which no force moves, as far as a number can say it [N s/m].
-MOST_DAMPING = 1e6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,14 +70,11 @@ class SessionPlan:
     lines: tuple[str, ...]
 
 
-def session_head(
-    options: RenderOptions, plan: SessionPlan, surface: FloatArray, hashes: tuple[str | None, ...]
-) -> dict[str, Any]:
+def session_head(plan: SessionPlan, surface: FloatArray, hashes: tuple[str | None, ...]) -> dict[str, Any]:
     """Head of the log; in a blind session it knows numbers of presentations alone.
 
     Parameters
     ----------
-    options : RenderOptions
     plan : SessionPlan
     surface : ndarray, shape (SURFACE_SIZE,)
     hashes : tuple
@@ -91,7 +85,7 @@ def session_head(
         "tissueid": __version__,
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
         "pseudonym": None if plan.order is None else plan.order.pseudonym,
-        "blind": options.blind,
+        "blind": plan.order is not None,
         "tissues": _tissue_entries(plan, hashes),
         "environment": plan.environment or "tissue",
         "surface": [float(value) for value in surface],
@@ -105,7 +99,7 @@ def session_head(
             "delay_ticks": float(capabilities.delay_ticks),
         },
         "scale": None if plan.check is None else plan.check.as_json(),
-        "script": options.script,
+        "script": None if plan.script is None else plan.script.text,
         "servo": {"period_s": PERIOD_S, "virtual_time": plan.virtual},
     }
 

@@ -12,7 +12,7 @@ from tissueid.model.kernels import pack_law
 from tissueid.render import environment as env
 from tissueid.render import surface as srf
 
-__all__ = ["Box", "Plane", "Sphere", "Surface", "Tissue", "free_air_block", "tissue_block"]
+__all__ = ["Box", "Plane", "Sphere", "Surface", "Tissue", "free_air_block", "surface_from", "tissue_block"]
 
 FloatArray = NDArray[np.float64]
 
@@ -118,6 +118,23 @@ class Box:
 
 
 Surface = Plane | Sphere | Box
+
+
+def surface_from(numbers: FloatArray) -> Surface:
+    """The surface behind the numbers that it wrote, :data:`~tissueid.render.surface.SURFACE_SIZE` of them.
+
+    Raises
+    ------
+    ValueError
+        They describe none.
+    """
+    point = (float(numbers[1]), float(numbers[2]), float(numbers[3]))
+    size = (float(numbers[7]), float(numbers[8]), float(numbers[9]))
+    if numbers[0] == srf.SPHERE:
+        return Sphere(point, size[0])
+    if numbers[0] == srf.BOX:
+        return Box(point, size)
+    return Plane(point, (float(numbers[4]), float(numbers[5]), float(numbers[6])))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
