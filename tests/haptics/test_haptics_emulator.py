@@ -101,6 +101,20 @@ def test_the_user_waits_for_the_first_homing_command():
     assert falcon.time_s == 0.0
 
 
+@pytest.mark.needs_jit
+def test_a_user_who_waits_for_the_blue_lamp_holds_time_up_until_it_is_lit():
+    falcon = homed_falcon(waits_for_blue=True)
+    assert falcon.time_s == pytest.approx(HOMED_AFTER * 1e-3, abs=2e-3)
+    waiting = falcon.time_s
+    for _ in range(50):
+        falcon.receive(HOME)
+    assert falcon.time_s == waiting
+    for _ in range(10):
+        falcon.receive(command((0, 0, 0), 1 | 4))
+    falcon.receive(HOME)
+    assert falcon.time_s == pytest.approx(waiting + 0.010, abs=1.1e-3)
+
+
 def at_rest_off_axis(**settings: object) -> EmulatedFalcon:
     """A homed Falcon whose grip was carried off the axis, at rest, and was just let go."""
     hand = Hand((0.0, 0.3, 0.4), (OFF_AXIS, OFF_AXIS, OFF_AXIS), (1.0, 1.0, 0.0), rigid=True)

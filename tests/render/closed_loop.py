@@ -94,7 +94,8 @@ def pool(name: str, count: int) -> list[tuple[Tissue, dict[float, float]]]:
     return found
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+# not kept on the disk: a kept loop would go on calling a tick that has changed since
+@nb.njit(nogil=True, error_model="numpy")
 def _look(io: Any, servo: Any, static: Any, factor: float, last: int, touch: Any, figures: Any) -> None:
     """Energy at the true port since this touch began, and what is allowed for the counts passed in it.
 
@@ -121,7 +122,7 @@ def _look(io: Any, servo: Any, static: Any, factor: float, last: int, touch: Any
     figures[DEEPEST_MM] = max(figures[DEEPEST_MM], inside)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@nb.njit(nogil=True, error_model="numpy")
 def run_session(
     io: Any, servo: Any, steps: Any, static: Any, factor: float, quantum: float, figures: Any
 ) -> None:

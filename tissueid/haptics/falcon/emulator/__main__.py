@@ -70,6 +70,7 @@ def main(given: list[str] | None = None) -> int:
             firmware_loaded=not options.no_firmware,
             failing_tries=options.failing_tries,
             homes=not options.never_homes,
+            waits_for_blue=True,
             faults=tuple(parse_fault(text) for text in options.fault),
         )
     except TissueidError as error:

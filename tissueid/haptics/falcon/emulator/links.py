@@ -69,21 +69,26 @@ def serve(descriptor: int, falcon: EmulatedFalcon, stop: threading.Event) -> Non
         last = now
         if not readable:
             continue
-        try:
-            data = os.read(descriptor, READ_BYTES)
-            if not falcon.running and (baud := _asked_baud(descriptor)) is not None:
-                # bytes that came with the rate of the running firmware belong to it
-                falcon.set_baud(baud)
-            answer = falcon.receive(data)
-            wait = falcon.settings.usb_latency_s + falcon.answer_delay_s
-            if wait > 0.0:
-                time.sleep(wait)
-            if answer:
-                os.write(descriptor, answer)
-        except OSError:
-            return  # the host closed its end
-        if not data:
+        if not serve_once(descriptor, falcon):
             return
+
+
+def serve_once(descriptor: int, falcon: EmulatedFalcon) -> bool:
+    """Answer the bytes that have arrived; False where the host closed its end."""
+    try:
+        data = os.read(descriptor, READ_BYTES)
+        if not falcon.running and (baud := _asked_baud(descriptor)) is not None:
+            # bytes that came with the rate of the running firmware belong to it
+            falcon.set_baud(baud)
+        answer = falcon.receive(data)
+        wait = falcon.settings.usb_latency_s + falcon.answer_delay_s
+        if wait > 0.0:
+            time.sleep(wait)
+        if answer:
+            os.write(descriptor, answer)
+    except OSError:
+        return False
+    return bool(data)
 
 
 class EmulatedLink:
@@ -141,11 +146,24 @@ class EmulatedLink:
     ) -> None:
         self.close()
 
-    def close(self) -> None:
-        """Stop serving and close both ends."""
+    def step(self) -> None:
+        """Answer what has arrived, in the caller's own thread: a session without a second thread.
+
+        The link's thread ends first, where it runs.  Nothing is waited for.
+        """
+        self._end_thread()
+        while self._device >= 0 and select.select([self._device], [], [], 0.0)[0]:
+            if not serve_once(self._device, self.falcon) or self.falcon.gone:
+                self._close_ends()
+
+    def _end_thread(self) -> None:
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join()
+
+    def close(self) -> None:
+        """Stop serving and close both ends."""
+        self._end_thread()
         self._close_ends()
 
 

@@ -68,6 +68,9 @@ class EmulatorSettings:
     long_greeting : bool
     homes : bool
         False: the user never homes the device.
+    waits_for_blue : bool
+        After homing the user waits for the blue lamp, which a driver shows with force; time stands still
+        until then.
     units_per_Nm : float
         Motor units for one N m of arm torque.
     motor_delay_s : float
@@ -89,6 +92,7 @@ class EmulatorSettings:
     silent_hellos: int = 0
     long_greeting: bool = False
     homes: bool = True
+    waits_for_blue: bool = False
     units_per_Nm: float = 6600.0
     motor_delay_s: float = 5e-4
     usb_latency_s: float = 0.0
@@ -142,6 +146,7 @@ class EmulatedFalcon:
         self._pulled = np.zeros(3, dtype=bool)
         self._homed = np.zeros(3, dtype=bool)
         self._waiting = True
+        self._held_up = settings.waits_for_blue
         self._homing_mode = False
         self._under_way: deque[tuple[float, tuple[int, int, int]]] = deque()
         self._motors = (0, 0, 0)
@@ -284,7 +289,9 @@ class EmulatedFalcon:
     # --- time
     def advance(self, dt: float) -> None:
         """Let ``dt`` seconds pass, once homing was commanded."""
-        if self._waiting:
+        if self._held_up and "blue" in self.lamps:
+            self._held_up = False
+        if self._waiting or (self._held_up and self.time_s >= HOME_S):
             return
         end = self.time_s + dt
         while self._under_way and self._under_way[0][0] <= end:

@@ -1,0 +1,124 @@
+"""A session of the servo's tick with an emulated Falcon behind a socket, in virtual time, in one thread.
+
+The driver opens the device as it would open a real one; then tick and emulator take turns, a millisecond of
+the emulator's clock for each command, so that "within 20 ms" is counted and not measured.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Self
+
+import numpy as np
+
+from tissueid.haptics.falcon.calibration import Calibration
+from tissueid.haptics.falcon.device import FalconDevice
+from tissueid.haptics.falcon.emulator import EmulatedLink, EmulatorSettings, ScriptedFault
+from tissueid.haptics.hand import Hand
+from tissueid.haptics.limits import GuardLimits
+from tissueid.haptics.parameter_block import COMMAND_ENGAGE, ParameterBlock
+from tissueid.haptics.ring import Ring
+from tissueid.haptics.states import Fault, State
+from tissueid.render.passivity_control import PassivityLimits
+from tissueid.render.presets import preset_check, preset_tissue
+from tissueid.render.servo_io import compiled_io
+from tissueid.render.servo_tick import BLOCK_SIZE, compiled_tick, new_servo
+from tissueid.render.tissue_block import Plane, tissue_block
+
+TICK_S = 1e-3
+LIMITS = GuardLimits(clamp_N=5.0, rms_limit_N=5.0, dead_man=False, ramp_s=0.5)
+#: Emulated time of homing, and of the way to where the hand starts [s].
+HOMED_S = 3.0
+
+
+def pressing(stiffness: float = 500.0) -> Hand:
+    """A hand that is in the tissue from 0.75 s after homing on, and goes on deeper slowly."""
+    return Hand(
+        times_s=(0.0, 0.6, 0.75, 3.0),
+        positions_m=((0.0, 0.0, 0.133), (0.0, 0.0, 0.133), (0.0, 0.0, 0.122), (0.0, 0.0, 0.110)),
+        grips=(1.0,) * 4,
+        stiffness_N_per_m=stiffness,
+        damping_N_s_per_m=11.0,
+    )
+
+
+class EmulatedSession:
+    """Driver, emulator and servo; a context manager.
+
+    Attributes
+    ----------
+    records : list of records
+        One a tick: state, fault, force sent, lamps.
+    motors : list of tuple
+        Motor units that had arrived at the emulator after each tick.
+    """
+
+    def __init__(
+        self,
+        *faults: ScriptedFault,
+        hand: Hand | None = None,
+        limits: GuardLimits = LIMITS,
+        tissue: str = "paper-a",
+        **settings: Any,
+    ) -> None:
+        given = EmulatorSettings(hand=hand or pressing(), period_s=TICK_S, faults=faults, **settings)
+        self.link = EmulatedLink(given)
+        self.falcon = self.link.falcon
+        self.device = FalconDevice(limits, port=self.link.descriptor(), calibration=Calibration())
+        self.limits = limits
+        self.tissue = tissue
+        self.records: list[Any] = []
+        self.motors: list[tuple[int, ...]] = []
+
+    def __enter__(self) -> Self:
+        self.link.__enter__()
+        self.device.open()
+        self.link.step()
+        # the user homes the device while nobody asks
+        self.falcon.advance(HOMED_S - self.falcon.time_s)
+        self.ring, self.block = Ring.create(1), ParameterBlock.create(BLOCK_SIZE)
+        self.servo = new_servo(self.device, self.ring, self.block)
+        given = self.device.compiled()
+        assert given is not None
+        self.io = compiled_io(given)
+        scale = preset_check(self.tissue).scaling
+        environment = tissue_block(
+            preset_tissue(self.tissue),
+            Plane(point_m=(0.0, 0.0, 0.130)),
+            force_scale=scale.force,
+            motion_scale=scale.motion,
+        )
+        self.block.write(np.concatenate([environment, PassivityLimits(on=False).block()]))
+        self.block.order(COMMAND_ENGAGE)
+        self.now_s = 0.0
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.device.close()
+        self.link.close()
+        self.ring.close()
+        self.block.close()
+
+    def tick(self, dt: float = TICK_S) -> Any:
+        """One tick of the servo, then the emulator's answer."""
+        self.now_s += dt
+        compiled_tick(self.io, self.servo, self.now_s, dt, 0.0, 0)
+        self.records.append(self.ring.records[0].copy())
+        self.link.step()
+        self.motors.append(self.falcon.last_motors)
+        return self.records[-1]
+
+    def run(self, until_s: float) -> None:
+        """Tick until the emulator's clock says so, or the clock stands still."""
+        while self.falcon.time_s < until_s and not self.falcon.gone:
+            self.tick()
+
+    def forces(self) -> np.ndarray:
+        """|F| that was sent, tick by tick [N]."""
+        return np.array([float(np.linalg.norm(record["force_N"])) for record in self.records])
+
+    def states(self) -> list[State]:
+        return [State(int(record["state"])) for record in self.records]
+
+    def first(self, fault: Fault) -> int:
+        """Tick in which a fault was first recorded; -1 for never."""
+        return next((at for at, record in enumerate(self.records) if record["fault"] == fault), -1)

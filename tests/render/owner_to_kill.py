@@ -1,0 +1,51 @@
+"""An owner for a test to kill: starts a servo on the terminal named, engages it, gives signs of life."""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from tissueid.haptics.falcon.calibration import Calibration
+from tissueid.haptics.limits import GuardLimits
+from tissueid.render.passivity_control import PassivityLimits
+from tissueid.render.presets import preset_check, preset_tissue
+from tissueid.render.servo import ServoProcess
+from tissueid.render.servo_plan import ServoPlan
+from tissueid.render.tissue_block import Plane, tissue_block
+
+#: A loaded machine starves an emulator for longer than a device would be silent.
+LIMITS = replace(GuardLimits(clamp_N=5.0, rms_limit_N=5.0, dead_man=False, ramp_s=0.5), no_reply_s=1.0)
+
+
+def parameters(tissue: str = "paper-a") -> np.ndarray:
+    """A preset's tissue below the middle of the workspace."""
+    scale = preset_check(tissue).scaling
+    block = tissue_block(
+        preset_tissue(tissue),
+        Plane(point_m=(0.0, 0.0, 0.130)),
+        force_scale=scale.force,
+        motion_scale=scale.motion,
+    )
+    return np.concatenate([block, PassivityLimits(on=False).block()])
+
+
+def plan(port: str) -> ServoPlan:
+    """The driver of a Falcon on a terminal."""
+    return ServoPlan("falcon", {"limits": LIMITS, "port": port, "calibration": Calibration()})
+
+
+def main(port: str) -> None:
+    """Hold a session until somebody ends this process."""
+    with ServoProcess(plan(port)) as servo:
+        servo.block.write(parameters())
+        servo.engage()
+        while servo.poll() is None:
+            servo.beat()
+            time.sleep(0.02)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

@@ -1,0 +1,214 @@
+"""Faults injected on an emulated Falcon in contact: what detects each, what is sent then, how it ends.
+
+Counted in ticks of the emulator's own clock, 1 ms each.  The limits are those of haptics.md 6.8.
+"""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+from emulated_session import LIMITS, TICK_S, EmulatedSession, pressing
+
+from tissueid.errors import DeviceError
+from tissueid.haptics.device import ZERO_COMMANDS
+from tissueid.haptics.falcon import firmware as firmware_module
+from tissueid.haptics.falcon.calibration import Calibration
+from tissueid.haptics.falcon.device import FalconDevice
+from tissueid.haptics.falcon.emulator import EmulatedLink, EmulatorSettings, ScriptedFault
+from tissueid.haptics.falcon.packet_kernels import INVALID, PACKETS
+from tissueid.haptics.guard_states import HEARTBEAT_LOST, PHASE, YIELDING, transition
+from tissueid.haptics.hand import preset
+from tissueid.haptics.states import FAULT_WORDS, Fault, Lamp, State
+from tissueid.render.environment import LAW
+from tissueid.render.servo_clock import CLOCK_SIZE, monotonic_ns
+
+pytestmark = pytest.mark.needs_jit
+
+#: When faults begin on the emulator's clock [s]: half a second into the tissue.
+FAULT_S = 4.5
+#: A fault's ramp to zero is over in this many ticks after detection, the tick of detection included.
+RAMP_TICKS = 20
+#: Most that |F| may change in a tick of that ramp [N].
+RAMP_STEP_N = 0.5
+
+
+def after_fault(session: EmulatedSession, detected: int) -> np.ndarray:
+    """|F| from the last tick before detection on [N]."""
+    return session.forces()[detected - 1 :]
+
+
+@pytest.mark.parametrize(
+    ("kind", "fault", "within_ticks"),
+    [
+        ("unplug", Fault.TRANSPORT, 1),
+        ("silence", Fault.NO_REPLY, 20),
+        ("bad packets", Fault.BAD_PACKETS, 20),
+        ("jump", Fault.ENCODER_JUMP, 1),
+        ("unhomed", Fault.NOT_HOMED, 1),
+    ],
+)
+def test_a_lasting_fault_in_contact_ends_in_fault_and_zero_packets(kind, fault, within_ticks):
+    with EmulatedSession(ScriptedFault(kind, FAULT_S)) as session:
+        session.run(FAULT_S - 1.5 * TICK_S)
+        assert session.states()[-1] is State.ENGAGED
+        assert session.forces()[-1] > 0.5
+        assert session.motors[-1] != (0, 0, 0)
+        begins = len(session.records)
+        for _ in range(60):
+            session.tick()
+        detected = session.first(fault)
+        # the answer of the first spoilt tick is read one tick later
+        assert 0 <= detected - begins <= within_ticks + 1
+        forces = after_fault(session, detected)
+        assert (forces[1 + RAMP_TICKS :] == 0.0).all()
+        assert np.abs(np.diff(forces)).max() <= RAMP_STEP_N
+        assert (np.diff(forces[: 1 + RAMP_TICKS]) <= 0.0).all()
+        assert session.states()[-1] is State.FAULT
+        assert FAULT_WORDS[Fault(int(session.records[-1]["fault"]))] == FAULT_WORDS[fault]
+        if kind != "unplug":
+            # it is still commanded: with zeros, and often enough to survive a lost packet
+            assert session.motors[-ZERO_COMMANDS:] == [(0, 0, 0)] * ZERO_COMMANDS
+
+
+@pytest.mark.parametrize(("kind", "damaged"), [("short", 1), ("garbled", 1), ("doubled", 0), ("stall", 0)])
+def test_one_spoilt_answer_is_dropped_and_counted_and_rendering_goes_on(kind, damaged):
+    fault = ScriptedFault(kind, FAULT_S, size=5.0)
+    with EmulatedSession(fault) as session, EmulatedSession() as plain:
+        for one in (session, plain):
+            one.run(FAULT_S + 0.2)
+        parser = session.io.parts.parser
+        assert parser[INVALID] == damaged
+        assert parser[PACKETS] == plain.io.parts.parser[PACKETS] + {"doubled": 1, "stall": 0}.get(kind, -1)
+        assert set(session.states()[-300:]) == {State.ENGAGED}
+        assert session.first(Fault.BAD_PACKETS) == session.first(Fault.NO_REPLY) == -1
+        # one tick more or less of a slow press is nothing that could be felt
+        np.testing.assert_allclose(session.forces()[-1], plain.forces()[-1], atol=0.02)
+        assert np.abs(np.diff(session.forces()[-300:])).max() < 0.05
+
+
+def test_a_frozen_encoder_is_damped_first_and_then_a_fault():
+    # a fast press into meat: its force falls by far while the encoders stand still
+    hand = preset(
+        "step", surface_m=np.array([0.0, 0.0, 0.130]), inward=np.array([0.0, 0.0, -1.0]), depth_m=0.020,
+        stiffness_N_per_m=1000.0, rest_s=0.7,
+    )  # fmt: skip
+    begins = 3.0 + 0.7 + 0.05
+    with EmulatedSession(ScriptedFault("frozen", begins), hand=hand, tissue="meat") as session:
+        session.run(begins)
+        frozen_at = len(session.records)
+        assert session.forces()[-1] > 0.5
+        yielded = -1
+        for tick in range(1500):
+            session.tick()
+            if yielded < 0 and session.servo.guard_memory[PHASE] == YIELDING:
+                yielded = tick
+            if session.states()[-1] is State.FAULT and session.forces()[-1] == 0.0:
+                break
+        detected = session.first(Fault.ENCODER_FROZEN)
+        commanded = session.forces()[frozen_at:]
+        changed = int(np.argmax(np.abs(commanded - commanded[0]) > LIMITS.frozen_change_N))
+        # 200 ms after the command has changed by more than friction could hide
+        assert 0 <= yielded - changed - round(LIMITS.frozen_s / TICK_S) <= 10
+        # damping alone meanwhile: no count moves, so that it is no force; then FAULT
+        assert detected - frozen_at - yielded >= round(LIMITS.damping_s / TICK_S)
+        assert (commanded[yielded + RAMP_TICKS + 1 :] < 1e-12).all()
+        assert commanded[-1] == 0.0
+        assert np.abs(np.diff(commanded)).max() <= RAMP_STEP_N
+        assert session.states()[-1] is State.FAULT
+
+
+def test_a_force_that_is_no_number_ramps_from_the_last_finite_one():
+    with EmulatedSession() as session:
+        session.run(FAULT_S)
+        last = session.records[-1]["force_N"].copy()
+        session.servo.environment[LAW : LAW + 8] = np.nan
+        session.tick()
+        detected = session.first(Fault.NOT_A_NUMBER)
+        assert detected == len(session.records) - 1
+        for _ in range(40):
+            session.tick()
+        forces = np.array([record["force_N"] for record in session.records[detected:]])
+        assert np.isfinite(forces).all()
+        along = forces @ last / np.linalg.norm(last) ** 2
+        np.testing.assert_allclose(
+            along[: RAMP_TICKS - 1], 1.0 - np.arange(1, RAMP_TICKS) / RAMP_TICKS, atol=1e-6
+        )
+        assert (forces[RAMP_TICKS:] == 0.0).all()
+        assert session.motors[-ZERO_COMMANDS:] == [(0, 0, 0)] * ZERO_COMMANDS
+
+
+def test_a_stall_of_a_tenth_of_a_second_ramps_the_force_and_resumes():
+    with EmulatedSession() as session:
+        session.run(FAULT_S)
+        before = session.forces()[-1]
+        session.falcon.advance(0.1)
+        stalled = session.tick(0.1)
+        assert Lamp(int(stalled["lamps"])) & Lamp.STALLED
+        for _ in range(200):
+            session.tick()
+        forces = session.forces()[-201:]
+        assert set(session.states()) >= {State.ENGAGED}
+        assert session.states()[-1] is State.ENGAGED
+        assert session.first(Fault.NO_REPLY) == -1
+        assert np.abs(np.diff(forces)).max() <= RAMP_STEP_N
+        assert forces[:60].min() < 0.1 * before
+        assert forces[-1] == pytest.approx(session.forces()[-1], abs=0.02)
+        assert forces[-1] > 0.9 * before
+
+
+def test_a_lost_heartbeat_is_damped_and_then_zero():
+    with EmulatedSession() as session:
+        session.run(FAULT_S)
+        transition(session.servo.guard_memory, session.servo.limits, HEARTBEAT_LOST)
+        for _ in range(200):
+            session.tick()
+        assert session.states()[-1] is State.FAULT
+        assert session.first(Fault.HEARTBEAT) > 0
+        assert session.motors[-ZERO_COMMANDS:] == [(0, 0, 0)] * ZERO_COMMANDS
+        assert np.abs(np.diff(session.forces()[-201:])).max() <= RAMP_STEP_N
+
+
+def test_the_loops_clock_is_the_monotonic_one_that_no_clock_jump_reaches():
+    before = time.monotonic_ns()
+    now = monotonic_ns(np.zeros(CLOCK_SIZE, np.int64))
+    assert before <= now <= time.monotonic_ns()
+
+
+def test_firmware_that_fails_twice_succeeds_on_the_third_try(tmp_path, monkeypatch):
+    monkeypatch.setattr(firmware_module, "PRESENCE_WAIT_S", 0.02)
+    firmware = tmp_path / "any.bin"
+    firmware.write_bytes(bytes(range(256)) * 2)
+    said: list[str] = []
+    settings = EmulatorSettings(firmware_loaded=False, firmware_bytes=512, failing_tries=2, period_s=TICK_S)
+    with EmulatedLink(settings) as link:
+        device = FalconDevice(
+            LIMITS, port=link.descriptor(), firmware=firmware, calibration=Calibration(), tell=said.append
+        )
+        device.open()
+        assert device.state is State.HOMING
+        assert link.falcon.firmware_tries == 3
+        device.close()
+    assert [line for line in said if "try 1 of" in line]
+    assert [line for line in said if "try 2 of" in line]
+
+
+def test_homing_that_never_completes_ends_with_what_to_do():
+    settings = EmulatorSettings(homes=False, period_s=TICK_S)
+    with EmulatedLink(settings) as link:
+        device = FalconDevice(LIMITS, port=link.descriptor(), calibration=Calibration(), homing_timeout_s=0.3)
+        device.open()
+        with pytest.raises(DeviceError, match=r"homing never completed.*pull the grip") as refused:
+            device.home()
+        assert refused.value.exit_status == 5
+        device.close()
+        assert link.falcon.last_motors == (0, 0, 0)
+
+
+def test_nothing_spoils_a_session_without_faults():
+    with EmulatedSession(hand=pressing()) as session:
+        session.run(FAULT_S + 0.3)
+        assert {int(record["fault"]) for record in session.records} == {int(Fault.NONE)}
+        assert set(session.states()) == {State.HOMING, State.ARMED, State.ENGAGED}
+        assert session.io.parts.parser[INVALID] == 0
