@@ -1,0 +1,374 @@
+"""``tissueid render``: a log that fits back, refusals before any force, and the exit codes."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from command_line import QUICK, run, start
+from rendered_tissues import PAPER_A, bundle_of
+
+from tissueid.store.bundle import load_bundle, write_bundle
+from tissueid.store.schema import check
+from tissueid.store.session_log import read_session_log
+
+PRESS = "indent 8 mm at 250 mm/min; hold 2 s"
+SHORT = "indent 1 mm at 500 mm/min; retract at 500 mm/min"
+TAU = PAPER_A.theta[4]
+
+
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("bundle") / "bundle.h5"
+    spread = 1.0 + 0.02 * np.random.default_rng(3).standard_normal((40, 1))
+    write_bundle(bundle_of(PAPER_A, draws=PAPER_A.theta * np.append(np.ones((1, 4)), [[1.0]]) * spread), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def log(bundle: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("log") / "out.h5"
+    ended = run("render", bundle, "--device", "sim", "--script", PRESS, "--virtual", "--log", path)
+    assert ended.code == 0, ended.stderr
+    return path
+
+
+def identified(path: Path, out: Path) -> dict[str, Any]:
+    ended = run("fit", path, "-o", out, *QUICK)
+    assert ended.code == 0, ended.stderr
+    specimen: dict[str, Any] = json.loads((out / "identification.json").read_text())["specimens"][0]
+    return specimen
+
+
+def test_the_log_fits_back_to_the_tissue_that_was_rendered(log: Path, tmp_path: Path) -> None:
+    specimen = identified(log, tmp_path / "again")
+    tau = next(one["value"] for one in specimen["parameters"] if one["name"] == "relaxation_time_s")
+    assert tau == pytest.approx(TAU, rel=0.02)
+    assert specimen["nrmsd"]["range"] <= 0.01
+    assert specimen["specimen"] == "paper-a"
+    assert "rendered" in {flag["code"] for trial in specimen["trials"] for flag in trial["flags"]}
+
+
+def test_the_numbers_of_scale_and_stability_are_printed_before_and_kept_in_the_log(
+    bundle: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "out.h5"
+    ended = run("render", bundle, "--device", "sim", "--script", SHORT, "--virtual", "--log", path, "--json")
+    assert ended.code == 0, ended.stderr
+    document = ended.json()
+    scale = document["scale"]
+    assert scale["required_damping_N_s_per_m"] <= scale["device_damping_N_s_per_m"]
+    assert f"felt force = measured/{1.0 / scale['force_scale']:.4g}" in ended.stderr
+    head = read_session_log(path).head
+    assert head["scale"] == scale
+    check(dict(head), "session", where="log")
+    assert document["summary"]["deepest_mm"] == pytest.approx(1.0, abs=0.01)
+    assert document["summary"]["shares"]["clipped"] == 0.0
+
+
+@pytest.mark.needs_jit
+def test_the_servo_process_renders_in_real_time_and_names_the_log(bundle: Path, tmp_path: Path) -> None:
+    path = tmp_path / "live.h5"
+    ended = run("render", bundle, "--device", "sim", "--script", SHORT, "--log", path)
+    assert ended.code == 0, ended.stderr
+    assert str(path) in ended.stderr
+    assert "period error" in ended.stderr
+    records = read_session_log(path).records
+    assert (np.diff(records["tick"]) == 1).all()
+    felt = records[(records["lamps"] & 0x5A5) == 0]
+    scale = read_session_log(path).head["scale"]["force_scale"]
+    # every tick that no limit touched carries the tissue's force at the stated scale
+    assert felt["force_N"][:, 2] == pytest.approx(felt["tissue_force_N"] * scale, rel=1e-9, abs=1e-9)
+    assert felt["tissue_force_N"].max() > 10.0
+
+
+def test_auto_says_what_it_took(bundle: Path) -> None:
+    ended = run("render", bundle, "--script", SHORT, "--virtual")
+    assert ended.code == 0
+    assert "device sim, simulated: no haptic device was found" in ended.stderr
+
+
+def test_without_a_device_the_refusal_names_the_simulated_one(bundle: Path) -> None:
+    ended = run("render", bundle, "--device", "falcon")
+    assert ended.code == 5
+    assert "--device sim" in ended.stderr
+
+
+def _truncated(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def _edited(path: Path) -> None:
+    with h5py.File(path, "r+") as file:
+        file["theta"][0] = 48.0
+
+
+def _not_a_number(path: Path) -> None:
+    with h5py.File(path, "r+") as file:
+        file["theta"][0] = np.nan
+
+
+def _another_file(path: Path) -> None:
+    path.write_text("time,force\n1,2\n")
+
+
+@pytest.mark.parametrize("harm", [_truncated, _edited, _not_a_number, _another_file])
+def test_a_bundle_that_is_no_whole_bundle_is_refused_before_any_force(
+    bundle: Path, harm: Any, tmp_path: Path
+) -> None:
+    path = tmp_path / "harmed.h5"
+    shutil.copy(bundle, path)
+    harm(path)
+    ended = run("render", path, "--device", "sim", "--script", SHORT, "--log", tmp_path / "out.h5")
+    assert ended.code == 6
+    assert "harmed.h5" in ended.stderr
+    assert not list(tmp_path.glob("out.h5*"))
+
+
+def test_a_scale_beyond_the_passivity_bound_is_refused_with_the_numbers(bundle: Path) -> None:
+    ended = run("render", bundle, "--device", "sim", "--force-scale", "0.05")
+    assert ended.code == 5
+    assert "would be unstable" in ended.stderr
+    assert "the largest that fits" in ended.stderr
+
+
+@pytest.mark.parametrize(
+    ("args", "said"),
+    [
+        (("--script", "indent 8 mm"), "no stroke of a script"),
+        (("--script", "indent 2 mm at 250 mm/min; switch"), "retract first"),
+        (("--quantile", "2"), "must lie within 0 and 1"),
+        (("--draw", "4000"), "draws 0 to 39"),
+        (("--quantile", "0.5", "--draw", "1"), "not both"),
+        (("--quantile", "0.5", "--of", "stiffness"), "is not understood"),
+        (("--quantile", "0.5", "--of", "force at 20 mm, 250 mm/min"), "deeper than"),
+        (("--device", "nope"), "no device named"),
+        (("--surface", "cube"), "sphere 60 mm"),
+        (("--motion-scale", "0"), "must lie within"),
+        (("--blind",), "--against"),
+        (("--against-draw", "1", "--blind"), "add --log"),
+        (("--against-draw", "1", "--blind", "--pseudonym", "Anna Smith"), "could be a name"),
+        (("--pseudonym", "P1"), "belong to --blind"),
+        (("--bridge", "99999", "--seconds", "1"), "give a port"),
+        (("--environment", "nope"), "takes the place of a tissue"),
+        (("--preset", "paper-a"), "not both"),
+        (("--seconds", "-1"), "must be above 0"),
+        (("--virtual", "--seconds", "1"), "--script"),
+        (("--port", "/dev/null"), "belongs to a Falcon"),
+    ],
+)
+def test_wrong_usage_is_answered_with_the_way_out(bundle: Path, args: tuple[str, ...], said: str) -> None:
+    ended = run("render", bundle, *(("--device", "sim") if "--device" not in args else ()), *args)
+    assert ended.code == 2, ended.stderr
+    assert said in ended.stderr
+
+
+@pytest.mark.parametrize(
+    ("args", "said"),
+    [
+        (("--tip-radius", "5"), "identified with a tip of 2 mm"),
+        (("--surface", "sphere 5 mm"), "too small"),
+    ],
+)
+def test_what_the_law_is_not_meant_for_is_refused(bundle: Path, args: tuple[str, ...], said: str) -> None:
+    ended = run("render", bundle, "--device", "sim", *args)
+    assert ended.code == 6, ended.stderr
+    assert said in ended.stderr
+
+
+def test_neither_bundle_nor_preset_is_refused() -> None:
+    assert run("render", "--device", "sim").code == 2
+
+
+def test_a_log_is_not_overwritten(bundle: Path, log: Path) -> None:
+    before = log.read_bytes()
+    ended = run("render", bundle, "--device", "sim", "--script", SHORT, "--virtual", "--log", log)
+    assert ended.code == 2
+    assert "exists already" in ended.stderr
+    assert log.read_bytes() == before
+
+
+def test_a_quantile_is_rendered_by_a_posterior_draw(bundle: Path, tmp_path: Path) -> None:
+    path = tmp_path / "out.h5"
+    ended = run(
+        "render",
+        bundle,
+        "--device",
+        "sim",
+        "--quantile",
+        "0.9",
+        "--script",
+        SHORT,
+        "--virtual",
+        "--log",
+        path,
+    )
+    assert ended.code == 0, ended.stderr
+    draw = read_session_log(path).head["tissues"][0]["draw"]
+    model, draws = load_bundle(bundle).contact_model(), load_bundle(bundle).draws
+    assert draws is not None
+    values = []
+    for theta in draws:
+        static, stiffness, tau = model.split(theta)  # type: ignore[attr-defined]
+        v, x = 250.0 / 60.0, 6.0
+        viscous = stiffness[0, 0] * -v * tau[0] * np.expm1(-x / (v * tau[0]))
+        values.append(static[0] * x + static[1] * x**2 + static[2] * x**3 + viscous)
+    assert draw == int(np.abs(np.array(values) - np.quantile(values, 0.9)).argmin())
+    assert f"posterior draw {draw}" in ended.stderr
+
+
+def test_two_tissues_are_compared_and_exchanged_out_of_contact(bundle: Path, tmp_path: Path) -> None:
+    path = tmp_path / "out.h5"
+    script = f"{SHORT}; switch; hold 0.6 s; {SHORT}"
+    ended = run(
+        "render", bundle, "--against-quantile", "0.99", "--device", "sim", "--script", script, "--virtual",
+        "--log", path,
+    )  # fmt: skip
+    assert ended.code == 0, ended.stderr
+    assert "times the just-noticeable difference" in ended.stderr
+    records = read_session_log(path).records
+    swapped = np.flatnonzero(np.diff(records["label"].astype(int)) != 0)
+    assert swapped.size == 1
+    assert records["depth_mm"][swapped[0]] < 0.0
+    peaks = [records["tissue_force_N"][records["label"] == label].max() for label in (0, 1)]
+    assert peaks[1] > 1.01 * peaks[0]
+
+
+def test_a_blind_session_keeps_its_answers_apart(bundle: Path, tmp_path: Path) -> None:
+    path, key = tmp_path / "P3.h5", tmp_path / "answers.json"
+    strokes = f"{SHORT}; switch; hold 0.6 s"
+    ended = run(
+        "render", bundle, "--against-quantile", "0.99", "--blind", "--presentations", "4", "--yes",
+        "--pseudonym", "P3", "--key", key, "--device", "sim", "--virtual", "--log", path,
+        "--script", "; ".join([strokes] * 3 + [SHORT]),
+    )  # fmt: skip
+    assert ended.code == 0, ended.stderr
+    assert "You may stop at any time" in ended.stderr
+    answers = json.loads(key.read_text())
+    assert sorted(one["tissue"] for one in answers["presentations"]) == [0, 0, 1, 1]
+    assert key.stat().st_mode & 0o077 == 0
+    log = read_session_log(path)
+    assert sorted(set(log.records["label"])) == [1, 2, 3, 4]
+    shown = json.dumps(log.head) + ended.stderr
+    for secret in ("paper-a", str(bundle), "posterior draw", "quantile"):
+        assert secret not in shown
+    stiffer = {one["number"] for one in answers["presentations"] if one["tissue"] == 1}
+    peaks = {
+        label: log.records["tissue_force_N"][log.records["label"] == label].max() for label in (1, 2, 3, 4)
+    }
+    assert stiffer == set(sorted(peaks, key=lambda label: peaks[label])[-2:])
+
+
+def test_consent_is_asked_for_where_somebody_can_answer(bundle: Path, tmp_path: Path) -> None:
+    ended = run(
+        "render", bundle, "--against-draw", "1", "--blind", "--presentations", "2", "--device", "sim",
+        "--log", tmp_path / "out.h5",
+    )  # fmt: skip
+    assert ended.code == 2
+    assert "give --yes where it was given" in ended.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_log_with_a_changed_scale_is_refused_as_a_recording(log: Path, tmp_path: Path) -> None:
+    from tissueid.store.session_log import convert_session_log, raw_head
+
+    original = read_session_log(log)
+    for key, which in (("force_scale", "force scale"), ("motion_scale", "motion scale")):
+        head = {
+            name: value
+            for name, value in original.head.items()
+            if name not in {"schema", "record", "summary"}
+        }
+        head["scale"] = {**head["scale"], key: 1.05 * head["scale"][key]}
+        raw, target = tmp_path / f"{key}.part", tmp_path / f"{key}.h5"
+        raw.write_bytes(raw_head(head, original.records.dtype) + original.records.tobytes())
+        assert original.summary is not None
+        convert_session_log(raw, target, original.summary)
+        for path in (raw, target):
+            ended = run("inspect", path)
+            assert ended.code == 3
+            assert f"the {which} that the log states" in ended.stdout + ended.stderr
+
+
+@pytest.mark.needs_jit
+def test_a_replay_renders_the_motion_of_a_log_at_its_scale(bundle: Path, tmp_path: Path) -> None:
+    first, second = tmp_path / "first.h5", tmp_path / "second.h5"
+    assert run("render", bundle, "--device", "sim", "--script", SHORT, "--virtual", "--log", first).code == 0
+    ended = run("render", bundle, "--replay", first, "--log", second)
+    assert ended.code == 0, ended.stderr
+    one, other = read_session_log(first), read_session_log(second)
+    assert other.head["scale"]["force_scale"] == one.head["scale"]["force_scale"]
+    assert other.summary is not None
+    assert one.summary is not None
+    assert other.summary["deepest_mm"] == pytest.approx(one.summary["deepest_mm"], abs=0.02)
+    # the same path in real time: the force differs by what the ticks' jitter moves along the ramp
+    assert other.summary["peak_tissue_force_N"] == pytest.approx(one.summary["peak_tissue_force_N"], rel=0.02)
+
+
+@pytest.mark.needs_jit
+def test_an_interrupt_ends_a_session_with_zero_force_and_a_whole_log(bundle: Path, tmp_path: Path) -> None:
+    path = tmp_path / "out.h5"
+    process = start("render", bundle, "--device", "sim", "--script", "hold 60 s", "--log", path)
+    deadline = time.monotonic() + 60.0
+    part = tmp_path / "out.h5.part"
+    while not (part.exists() and part.stat().st_size > 100_000):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=30)
+    assert process.returncode == 130, out + err
+    log = read_session_log(path)
+    assert log.records.size > 500
+    assert (log.records["force_N"][-1] == 0.0).all()
+    assert log.summary is not None
+
+
+@pytest.mark.needs_jit
+def test_a_session_that_was_killed_leaves_whole_records_that_can_be_read(
+    bundle: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "out.h5"
+    process = start("render", bundle, "--device", "sim", "--script", PRESS, "--log", path)
+    part = tmp_path / "out.h5.part"
+    deadline = time.monotonic() + 60.0
+    while not (part.exists() and part.stat().st_size > 300_000):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    process.kill()
+    process.communicate()
+    assert read_session_log(part).summary is None
+    ended = run("inspect", part)
+    assert ended.code in {0, 7}, ended.stderr
+    assert "session-log" in ended.stdout
+
+
+@pytest.mark.needs_jit
+def test_a_full_disk_ends_the_recording_and_not_the_session(bundle: Path, tmp_path: Path) -> None:
+    # room for the servo's shared memory (65,536 records), not for a log of 80 s
+    command = (
+        "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (8_500_000, 8_500_000));"
+        "from tissueid.cli.main import main; sys.exit(main(sys.argv[1:]))"
+    )
+    path = tmp_path / "out.h5"
+    shown = subprocess.run(
+        [sys.executable, "-c", command, "render", str(bundle), "--device", "sim", "--virtual",
+         "--script", f"{SHORT}; hold 80 s; {SHORT}", "--log", str(path)],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert shown.returncode == 7, shown.stderr
+    assert "RECORDING STOPPED" in shown.stderr
+    log = read_session_log(path)
+    assert 60_000 < log.records.size < 70_000
+    assert log.summary is not None
+    assert "File too large" in log.summary["recording_stopped"]
+    # rendering went on to the end
+    assert log.summary["seconds"] > 80.0
