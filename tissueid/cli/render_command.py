@@ -240,6 +240,11 @@ def _report(flags: dict[str, Any], plan: SessionPlan, outcome: Outcome) -> None:
     if not flags["quiet"]:
         for line in summary_lines(outcome):
             note(line)
+        return
+    if outcome.fault:
+        note(f"tissueid: {outcome.message}")
+    if outcome.summary["recording_stopped"] is not None:
+        note(f"tissueid: recording stopped before the end: {outcome.summary['recording_stopped']}")
 
 
 def _selftest(flags: dict[str, Any]) -> int:

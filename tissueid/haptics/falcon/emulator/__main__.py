@@ -11,6 +11,7 @@ import threading
 import numpy as np
 
 from tissueid.errors import TissueidError
+from tissueid.haptics.arm import MAX_KNOTS
 from tissueid.haptics.falcon.emulator.faults import FAULT_KINDS, parse_fault
 from tissueid.haptics.falcon.emulator.links import READY_LINE, EmulatedLink
 from tissueid.haptics.falcon.emulator.machine import EmulatorSettings
@@ -19,6 +20,9 @@ from tissueid.haptics.hand import PRESETS, Hand, preset, scripted_hand
 #: Surface that the hand of an emulator aims at [m]: the middle of the workspace, seen from the user.
 SURFACE_M = np.array([0.0, 0.0, 0.130])
 INWARD = np.array([0.0, 0.0, -1.0])
+#: Ends of a sweep along z [m], and the time from one to the other [s].
+SWEEP_M = (0.165, 0.110)
+SWEEP_S = 4.0
 
 
 def _arguments(given: list[str] | None) -> argparse.Namespace:
@@ -58,7 +62,17 @@ def _hand(options: argparse.Namespace) -> Hand | None:
         )
     if options.hand is not None:
         return preset(options.hand, surface_m=surface, inward=INWARD, depth_m=options.depth_mm * 1e-3)
-    return None
+    return _sweep() if options.sweep else None
+
+
+def _sweep() -> Hand:
+    """A hand that moves through the workspace along its axis, out of any tissue and into it, for minutes."""
+    turns = range(MAX_KNOTS)
+    return Hand(
+        times_s=tuple(SWEEP_S * turn for turn in turns),
+        positions_m=tuple((0.0, 0.0, SWEEP_M[turn % 2]) for turn in turns),
+        grips=tuple(1.0 for _ in turns),
+    )
 
 
 def main(given: list[str] | None = None) -> int:

@@ -10,6 +10,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+from tissueid.errors import UsageError
 from tissueid.haptics.device import Capabilities, DetectedDevice
 from tissueid.haptics.falcon.calibration import Calibration
 from tissueid.haptics.falcon.device import FalconDevice
@@ -27,7 +28,13 @@ class EmulatorDevice(FalconDevice):
     limits, firmware, calibration, tell
         As :class:`~tissueid.haptics.falcon.device.FalconDevice`.
     arguments : sequence of str
-        Of ``python -m tissueid.haptics.falcon.emulator``: hand, script and faults.
+        Of ``python -m tissueid.haptics.falcon.emulator``: hand, script and faults; a hand that moves through
+        the workspace where none are given.
+
+    Raises
+    ------
+    UsageError
+        A port was named: an emulator that runs already is a ``falcon`` at that port.
     """
 
     name = "emulator"
@@ -36,11 +43,15 @@ class EmulatorDevice(FalconDevice):
         self,
         limits: GuardLimits | None = None,
         *,
-        arguments: Sequence[str] = (),
+        arguments: Sequence[str] = ("--sweep",),
+        port: str | None = None,
         firmware: str | os.PathLike[str] | None = None,
         calibration: Calibration | None = None,
         tell: Callable[[str], None] | None = None,
     ) -> None:
+        if port is not None:
+            msg = f"--device emulator makes its own port; for one that runs at {port} say --device falcon"
+            raise UsageError(msg)
         super().__init__(limits, port="", firmware=firmware, calibration=calibration, tell=tell)
         self._arguments = tuple(arguments)
         self._process: EmulatorProcess | None = None

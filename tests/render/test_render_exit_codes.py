@@ -1,0 +1,183 @@
+"""Exit codes and log of `tissueid render` when a device, a bundle or a disk fails.
+
+An emulated Falcon on a terminal, a servo process of its own, real time: the watchdog for silence is set to a
+second, which a loaded machine needs.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import os
+import resource
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from emulated_session import pressing
+from owner_to_kill import LIMITS
+
+from tissueid.cli import render_command
+from tissueid.cli.main import main
+from tissueid.haptics.falcon.calibration import Calibration
+from tissueid.haptics.falcon.emulator import EmulatedLink, EmulatorSettings, ScriptedFault
+from tissueid.haptics.states import FAULT_WORDS, Fault, State
+from tissueid.store.session_log import read_session_log
+
+pytestmark = pytest.mark.needs_jit
+
+FALCON = ("render", "--preset", "paper-a", "--device", "falcon", "--yes", "--quiet")
+
+
+@dataclass(frozen=True)
+class Ended:
+    code: int
+    text: str
+
+
+def run(*arguments: str | Path) -> Ended:
+    """``tissueid`` in this process: exit code and everything it said."""
+    said = io.TextIOWrapper(io.BytesIO(), encoding="utf-8", write_through=True)
+    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+        code = main([str(argument) for argument in arguments])
+    return Ended(code, said.buffer.getvalue().decode("utf-8"))  # type: ignore[attr-defined]
+
+
+@contextlib.contextmanager
+def emulated(
+    monkeypatch: pytest.MonkeyPatch, *faults: ScriptedFault, **settings: Any
+) -> Iterator[EmulatedLink]:
+    """An emulated Falcon that ``--device falcon`` finds."""
+    device_options = {key: settings.pop(key) for key in ("homing_timeout_s", "firmware") if key in settings}
+    given = EmulatorSettings(hand=pressing(), waits_for_blue=True, faults=faults, **settings)
+    with EmulatedLink(given, pty=True) as link:
+        options = {"port": link.path, "calibration": Calibration(), "limits": LIMITS, **device_options}
+        monkeypatch.setattr(render_command, "_device_options", lambda _flags: options)
+        yield link
+
+
+def test_an_unplugged_device_is_exit_5_with_its_reason_on_the_screen_and_in_the_log(monkeypatch, tmp_path):
+    log = tmp_path / "out.h5"
+    with emulated(monkeypatch, ScriptedFault("unplug", 4.2)):
+        ended = run(*FALCON, "--seconds", "30", "--log", log)
+    assert ended.code == 5
+    assert FAULT_WORDS[Fault.TRANSPORT] in ended.text
+    kept = read_session_log(log)
+    assert kept.records["fault"][-1] == Fault.TRANSPORT
+    assert kept.records["state"][-1] == State.FAULT
+    assert (kept.records["force_N"][-1] == 0.0).all()
+    assert np.abs(kept.records["force_N"]).max() > 0.1
+    assert kept.summary is not None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("kind", "fault"),
+    [
+        ("silence", Fault.NO_REPLY),
+        ("bad packets", Fault.BAD_PACKETS),
+        ("jump", Fault.ENCODER_JUMP),
+        ("unhomed", Fault.NOT_HOMED),
+    ],
+)
+def test_a_device_that_fails_is_exit_5_with_its_reason(monkeypatch, tmp_path, kind, fault):
+    log = tmp_path / "out.h5"
+    with emulated(monkeypatch, ScriptedFault(kind, 4.2)) as link:
+        ended = run(*FALCON, "--seconds", "30", "--log", log)
+        assert link.falcon.last_motors == (0, 0, 0)
+    assert ended.code == 5
+    assert FAULT_WORDS[fault] in ended.text
+    assert read_session_log(log).records["fault"][-1] == fault
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["short", "garbled", "doubled", "stall"])
+def test_one_spoilt_answer_is_exit_0(monkeypatch, tmp_path, kind):
+    log = tmp_path / "out.h5"
+    with emulated(monkeypatch, ScriptedFault(kind, 4.2, size=100.0)):
+        ended = run(*FALCON, "--seconds", "5", "--log", log)
+    assert ended.code == 0
+    records = read_session_log(log).records
+    assert set(records["fault"]) == {Fault.NONE}
+    assert records["depth_mm"].max() > 0.5
+
+
+@pytest.mark.slow
+def test_firmware_that_fails_twice_is_exit_0(monkeypatch, tmp_path):
+    firmware = tmp_path / "any.bin"
+    firmware.write_bytes(bytes(range(256)) * 2)
+    with emulated(monkeypatch, firmware_loaded=False, failing_tries=2, firmware=firmware) as link:
+        ended = run(*FALCON, "--seconds", "1")
+        assert link.falcon.firmware_tries == 3
+    assert ended.code == 0
+
+
+def test_homing_that_never_completes_is_exit_5_and_says_what_to_do(monkeypatch):
+    with emulated(monkeypatch, homes=False, homing_timeout_s=0.3) as link:
+        ended = run(*FALCON, "--seconds", "5")
+        assert link.falcon.last_motors == (0, 0, 0)
+    assert ended.code == 5
+    assert "pull the grip all the way out, push it all the way in" in ended.text
+
+
+@pytest.mark.parametrize("spoil", ["truncated", "edited", "no numbers"])
+def test_a_damaged_bundle_is_exit_6_before_the_device_hears_anything(monkeypatch, tmp_path, spoil):
+    from rendered_tissues import PAPER_A, bundle_of
+
+    from tissueid.store.bundle import write_bundle
+
+    path = tmp_path / "bundle.h5"
+    write_bundle(bundle_of(PAPER_A), path)
+    data = bytearray(path.read_bytes())
+    if spoil == "truncated":
+        del data[len(data) // 2 :]
+    elif spoil == "edited":
+        at = data.index(np.float64(63.62).tobytes())
+        data[at : at + 8] = np.float64(-63.62).tobytes()
+    else:
+        at = data.index(np.float64(63.62).tobytes())
+        data[at : at + 8] = np.float64(np.nan).tobytes()
+    path.write_bytes(bytes(data))
+    with emulated(monkeypatch) as link:
+        ended = run("render", path, "--device", "falcon", "--yes")
+        assert link.falcon.commands == 0
+    assert ended.code == 6
+    assert str(path) in ended.text
+
+
+LIMITED = """
+import resource, sys
+from tissueid.cli.main import main
+from tissueid.render.recorder import Recorder
+made = Recorder.append
+def append(self, records):
+    # from here on, because the shared memory of the records counts as a file too
+    resource.setrlimit(resource.RLIMIT_FSIZE, (65536, 65536))
+    made(self, records)
+Recorder.append = append
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def test_a_full_disk_is_exit_7_and_the_rendering_goes_on_to_its_end(tmp_path):
+    assert resource.getrlimit(resource.RLIMIT_FSIZE)[0] in (-1, resource.RLIM_INFINITY)
+    log = tmp_path / "out.h5"
+    script = "indent 2 mm at 250 mm/min; hold 1 s"
+    command = ["render", "--preset", "paper-a", "--device", "sim", "--script", script, "--virtual", "--json"]
+    ended = subprocess.run(
+        [sys.executable, "-c", LIMITED, *command, "--log", str(log)],
+        check=False,
+        capture_output=True,
+        text=True,
+        env=os.environ,
+    )
+    assert ended.returncode == 7, ended.stderr
+    document = json.loads(ended.stdout)
+    assert document["summary"]["recording_stopped"]
+    assert document["summary"]["seconds"] > 2.5
