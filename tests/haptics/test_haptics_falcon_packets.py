@@ -11,6 +11,8 @@ from tissueid.haptics.falcon.packet_kernels import PACKET_BYTES, PARSER_SIZE, en
 from tissueid.haptics.falcon.packets import PacketParser, Reply, encode_command
 
 LETTERS = "ABCDEFGHIJKLMNOP"
+#: What may stand before the end bracket.
+FILLERS = [bytes([byte]) for byte in range(256) if byte not in b"<>"]
 #: A whole reply, as falcon firmware is described: the oracle of what is in a stream.
 WHOLE = re.compile(rb"<[A-P]{12}[\x41-\xc0][^<>]>", re.DOTALL)
 
@@ -35,7 +37,7 @@ def read_by_table(packet: bytes) -> Reply:
 
 
 def drawn_reply(random: np.random.Generator) -> bytes:
-    filler = bytes([int(random.choice([byte for byte in range(256) if byte not in b"<>"]))])
+    filler = FILLERS[random.integers(len(FILLERS))]
     first, second, third = (int(value) for value in random.integers(-32768, 32768, 3))
     return reply_by_table(
         (first, second, third), int(random.integers(8)), int(random.integers(16)), filler=filler

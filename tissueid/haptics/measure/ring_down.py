@@ -16,6 +16,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from tissueid.errors import DeviceError
@@ -156,11 +157,18 @@ def _balance(motion: Motion, begin: float, delay_s: float) -> tuple[FloatArray, 
 
 
 def _smooth(time: FloatArray, place: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Position and velocity by a parabola through the neighbours of each sample."""
+    """Position and velocity by a parabola through the neighbours of each sample; none near the ends."""
+    width = 2 * HALF_WIDTH + 1
+    middle = slice(HALF_WIDTH, len(time) - HALF_WIDTH)
+    near = sliding_window_view(time, width) - time[middle, None]
+    # in units of the window's length, so that the powers are of one size
+    scale = near[:, -1:] - near[:, :1]
+    powers = (near / scale)[:, :, None] ** np.arange(3)
+    left = np.einsum("nij,nik->njk", powers, powers)
+    right = np.einsum("nij,ni->nj", powers, sliding_window_view(place, width))
+    found = np.linalg.solve(left, right[:, :, None])[:, :, 0]
     smooth, speed = place.copy(), np.zeros_like(place)
-    for i in range(HALF_WIDTH, len(time) - HALF_WIDTH):
-        near = slice(i - HALF_WIDTH, i + HALF_WIDTH + 1)
-        _, speed[i], smooth[i] = np.polyfit(time[near] - time[i], place[near], 2)
+    smooth[middle], speed[middle] = found[:, 0], found[:, 1] / scale[:, 0]
     return smooth, speed
 
 
