@@ -36,6 +36,7 @@ def _arguments(given: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--failing-tries", type=int, default=0, help="uploads that fail before one succeeds")
     parser.add_argument("--never-homes", action="store_true", help="the emulated user does not home it")
     parser.add_argument("--hand", choices=PRESETS, help="what the hand does after homing")
+    parser.add_argument("--sweep", action="store_true", help="the hand goes in and out of the workspace")
     parser.add_argument(
         "--depth-mm", type=float, default=10.0, help="depth the hand aims at [mm of the device]"
     )
