@@ -5,12 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from guarded import FREE, Guarded
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tissueid.haptics import guard_states as machine
 from tissueid.haptics.states import State
+
+pytestmark = pytest.mark.needs_jit
 
 #: Scaling a vector to a length rounds each component once.
 ROUNDING = 1e-12

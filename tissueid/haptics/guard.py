@@ -75,7 +75,7 @@ from tissueid.haptics.limits import (
     uncalibrated_clamp_N,
 )
 from tissueid.haptics.states import Fault, Lamp
-from tissueid.haptics.watchdogs import observe
+from tissueid.haptics.watchdogs import LONGEST_STALL_S, observe
 
 __all__ = [
     "FAULT",
@@ -146,7 +146,7 @@ def guard(memory: FloatArray, limits: FloatArray, force: FloatArray, dt: float, 
         # time itself counts here, not the clamped step: a fault never waits for our own stall
         age = step
         if dt > step:
-            age = dt
+            age = min(dt, LONGEST_STALL_S)
         lamps |= _fade(memory, limits, age, out)
     _remember(memory, limits, step, out)
     memory[LAMPS] = lamps

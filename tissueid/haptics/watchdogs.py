@@ -61,6 +61,11 @@ REPLY_VALID, REPLY_NONE, REPLY_DAMAGED, REPLY_LOST = 1, 0, -1, -2
 #: Silence that is borne while a hand homes the device and no force is sent [s].
 HOMING_SILENCE_S = 0.5
 
+#: What is faster is no velocity but a broken number [m/s].
+FASTEST_M_PER_S = 1e3
+#: A longer stall allows a hand no more counts [s].
+LONGEST_STALL_S = 1.0
+
 _NO_REPLY, _BAD_PACKETS = float(Fault.NO_REPLY), float(Fault.BAD_PACKETS)
 _TRANSPORT, _FROZEN = float(Fault.TRANSPORT), float(Fault.ENCODER_FROZEN)
 _JUMP, _OVERSPEED, _NOT_HOMED = float(Fault.ENCODER_JUMP), float(Fault.OVERSPEED), float(Fault.NOT_HOMED)
@@ -111,7 +116,7 @@ def observe(
         return
     memory[PENETRATION] = penetration
     for i in range(3):
-        memory[VELOCITY + i] = velocity[i] if math.isfinite(velocity[i]) else 0.0
+        memory[VELOCITY + i] = velocity[i] if abs(velocity[i]) <= FASTEST_M_PER_S else 0.0
     if state == HOMING:
         memory[HOMED_REPLIES] = memory[HOMED_REPLIES] + 1.0 if homed else 0.0
         if memory[HOMED_REPLIES] >= limits[HOMED_NEEDED]:
@@ -157,13 +162,19 @@ def _check_motion(
         fail(memory, _NOT_HOMED)
         return
     # after a long tick a hand may have gone further: the limit is a speed, and never less than one tick's
-    allowed = limits[JUMP_COUNTS] * max(1.0, dt / limits[JUMP_S])
+    allowed = limits[JUMP_COUNTS]
+    if dt > limits[JUMP_S]:
+        allowed *= min(dt, LONGEST_STALL_S) / limits[JUMP_S]
     for i in range(3):
         if abs(counts_moved[i]) > allowed:
             fail(memory, _JUMP)
             return
-    speed2 = velocity[0] * velocity[0] + velocity[1] * velocity[1] + velocity[2] * velocity[2]
-    if memory[STATE] == ENGAGED and not speed2 <= limits[OVERSPEED] * limits[OVERSPEED]:
+    speed2 = 0.0
+    absurd = False
+    for i in range(3):
+        absurd = absurd or not abs(velocity[i]) <= FASTEST_M_PER_S
+        speed2 += memory[VELOCITY + i] * memory[VELOCITY + i]
+    if memory[STATE] == ENGAGED and (absurd or speed2 > limits[OVERSPEED] * limits[OVERSPEED]):
         fail(memory, _OVERSPEED)
 
 
