@@ -25,7 +25,6 @@ Examples:
   tissueid render bundle.h5 --quantile 0.975 --of "force at 6 mm, 250 mm/min"
   tissueid render a.h5 --against b.h5 --blind --log P17.h5
   tissueid render bundle.h5 --replay out.h5
-  tissueid fit out.h5 -o again
 """
 
 _FILE = click.Path(dir_okay=False, path_type=Path)
