@@ -20,6 +20,7 @@ from tissueid.haptics.falcon.emulator import (
     EmulatorSettings,
     ScriptedFault,
 )
+from tissueid.haptics.falcon.emulator.__main__ import main as emulator_main
 from tissueid.haptics.falcon.emulator.faults import parse_fault
 from tissueid.haptics.falcon.emulator.geometry import AZIMUTHS, LENGTHS, grip_force, leg_angles
 from tissueid.haptics.hand import Hand
@@ -260,6 +261,12 @@ def test_it_runs_as_a_process_of_its_own_and_ends_with_its_owner():
         os.close(host)
     with pytest.raises(ProcessLookupError):
         os.kill(emulator.pid, 0)
+
+
+def test_a_script_that_is_too_long_for_it_is_refused_in_one_line(capsys):
+    script = ";".join(f"indent {depth} mm at 50 mm/s; hold 0.1 s" for depth in range(1, 31))
+    assert emulator_main(["--script", script]) == 2
+    assert "58 fit" in capsys.readouterr().err
 
 
 def test_a_process_that_can_not_start_says_why():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import signal
 import sys
@@ -11,7 +12,6 @@ import threading
 import numpy as np
 
 from tissueid.errors import TissueidError
-from tissueid.haptics.arm import MAX_KNOTS
 from tissueid.haptics.falcon.emulator.faults import FAULT_KINDS, parse_fault
 from tissueid.haptics.falcon.emulator.links import READY_LINE, EmulatedLink
 from tissueid.haptics.falcon.emulator.machine import EmulatorSettings
@@ -23,6 +23,9 @@ INWARD = np.array([0.0, 0.0, -1.0])
 #: Ends of a sweep along z [m], and the time from one to the other [s].
 SWEEP_M = (0.165, 0.110)
 SWEEP_S = 4.0
+SWEEPS = 56
+#: Real-time priority, below that of a servo.
+PRIORITY = 70
 
 
 def _arguments(given: list[str] | None) -> argparse.Namespace:
@@ -68,7 +71,7 @@ def _hand(options: argparse.Namespace) -> Hand | None:
 
 def _sweep() -> Hand:
     """A hand that moves through the workspace along its axis, out of any tissue and into it, for minutes."""
-    turns = range(MAX_KNOTS)
+    turns = range(SWEEPS)
     return Hand(
         times_s=tuple(SWEEP_S * turn for turn in turns),
         positions_m=tuple((0.0, 0.0, SWEEP_M[turn % 2]) for turn in turns),
@@ -88,6 +91,7 @@ def main(given: list[str] | None = None) -> int:
             waits_for_blue=True,
             faults=tuple(parse_fault(text) for text in options.fault),
         )
+        link = EmulatedLink(settings, pty=True)
     except TissueidError as error:
         sys.stderr.write(f"error: {error}\n")
         return error.exit_status
@@ -96,12 +100,19 @@ def main(given: list[str] | None = None) -> int:
         signal.signal(sign, lambda _number, _frame: stop.set())
     if options.until_eof:
         threading.Thread(target=_wait_for_eof, args=(stop,), daemon=True).start()
-    with EmulatedLink(settings, pty=True) as link:
+    _be_punctual()
+    with link:
         sys.stdout.write(f"{READY_LINE}{link.path}\n")
         sys.stdout.flush()
         while not stop.wait(0.1) and not link.falcon.gone:
             pass
     return 0
+
+
+def _be_punctual() -> None:
+    """Run before other programs where that is allowed: a real device is not starved by a busy computer."""
+    with contextlib.suppress(OSError, AttributeError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
 
 
 def _wait_for_eof(stop: threading.Event) -> None:

@@ -18,7 +18,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.haptics.arm import POSITION, TIME, Arm, arm_step, new_arm
+from tissueid.errors import UsageError
+from tissueid.haptics.arm import MAX_KNOTS, POSITION, TIME, Arm, arm_step, new_arm
 from tissueid.haptics.falcon.emulator.bootloader import BootLoader
 from tissueid.haptics.falcon.emulator.faults import ScriptedFault
 from tissueid.haptics.falcon.emulator.geometry import (
@@ -105,6 +106,11 @@ def with_homing(hand: Hand | None, *, homes: bool = True) -> Hand:
     """Put the pull and the push of homing before a hand's own motion.
 
     The grip is then pulled out again, and moved to where the hand starts.
+
+    Raises
+    ------
+    UsageError
+        Together they have more knots than an arm's block holds.
     """
     own = hand or Hand((0.0,), (PULLED_M,), (1.0,), stiffness_N_per_m=1000.0)
     if not homes:
@@ -112,6 +118,9 @@ def with_homing(hand: Hand | None, *, homes: bool = True) -> Hand:
     times = (0.0, 0.6, 0.8, 1.6, 2.0, HOME_S)
     places = (START_M, PULLED_M, PULLED_M, PUSHED_M, PULLED_M, PULLED_M)
     begin = HOME_S + 0.6
+    if len(times) + len(own.times_s) > MAX_KNOTS:
+        msg = f"a hand of {len(own.times_s)} knots is too long for the emulator, {MAX_KNOTS - len(times)} fit"
+        raise UsageError(msg)
     return replace(
         own,
         times_s=(*times, *(begin + time for time in own.times_s)),
