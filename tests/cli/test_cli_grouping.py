@@ -114,7 +114,7 @@ def test_branches_and_degree_asked_for_are_fitted_and_reported(
     tmp_path: Path, branches: int, degree: int
 ) -> None:
     log = write_log(tmp_path / "log.csv")
-    args = ["--branches", str(branches), "--stiffness-degree", str(degree)]
+    args = ["--branches", str(branches), "--stiffness-degree", str(degree), "--sampler", "none"]
     (one,) = fit(tmp_path / "out", log, *args)["specimens"]
     assert (one["model"]["branches"], one["model"]["stiffness_degree"]) == (branches, degree)
     names = [entry["name"] for entry in one["parameters"]]

@@ -15,13 +15,15 @@ from numpy.typing import NDArray
 
 from tissueid.likelihood.cone import QUADRATIC
 
-__all__ = ["FREE", "PARABOLA", "ZERO", "is_passive", "ordered", "to_bernstein", "to_powers"]
+__all__ = ["FREE", "PARABOLA", "ZERO", "brought_inside", "is_passive", "ordered", "to_bernstein", "to_powers"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 #: Points inside (0, 1) at which a quadratic is looked at for the distance to its bound.
 GRID = 16
+#: Rounding, as a factor of the bound of c1.
+INSIDE = 1.0 - 1e-9
 #: What a coordinate is cut by: nothing, zero, or the parabola -sqrt(c0 c2) of the two before it.
 FREE, ZERO, PARABOLA = 0, 1, 2
 
@@ -84,6 +86,18 @@ def is_passive(theta: FloatArray, blocks: IntArray) -> bool:
                     return False
         start += size
     return True
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def brought_inside(bernstein: FloatArray, blocks: IntArray) -> FloatArray:
+    """Coefficients by powers of u of what rounding has put outside the passive set."""
+    c = np.maximum(bernstein, 0.0)
+    start = 0
+    for size in blocks:
+        if size == QUADRATIC:
+            c[start + 1] = max(bernstein[start + 1], -INSIDE * math.sqrt(c[start] * c[start + 2]))
+        start += size
+    return to_powers(c, blocks)
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")

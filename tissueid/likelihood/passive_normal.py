@@ -17,8 +17,18 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.likelihood.bernstein import PARABOLA, ZERO, is_passive, ordered, to_bernstein, to_powers
+from tissueid.likelihood.bernstein import (
+    PARABOLA,
+    ZERO,
+    brought_inside,
+    is_passive,
+    ordered,
+    to_bernstein,
+    to_powers,
+)
+from tissueid.likelihood.hit_and_run import walk
 from tissueid.likelihood.normal_tail import excess, hazard, log_tail, tail_quantile
+from tissueid.likelihood.triangular import solved
 
 __all__ = ["draw_passive", "log_passive_mass", "passive"]
 
@@ -39,9 +49,10 @@ SADDLE_TOLERANCE = 1e-9
 DIFFERENCE = 1e-6
 #: Plain proposals of a draw before shifted ones are tried; those are cheap, these seldom refused.
 PLAIN_TRIES = 8
-#: Shifted proposals before a draw is taken from a Metropolis chain of them, and the chain's length.
-SHIFTED_TRIES = 20_000
-CHAIN = 1_000
+#: Shifted proposals before one of them, taken by its weight, walks on to the draw, and steps of that walk a
+#: coefficient.
+SHIFTED_TRIES = 400
+STEPS = 25
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
@@ -292,22 +303,30 @@ def _draw(
         if is_passive(theta, blocks):
             return tries
     shift, level, found = _saddle(m, low, kind)
-    held = -np.inf
-    most = SHIFTED_TRIES if found else CHAIN
-    for tries in range(1, most + CHAIN + 1):
+    total = -np.inf
+    held = np.zeros(p)
+    for tries in range(1, SHIFTED_TRIES + 1):
         weight = _propose(m, low, kind, shift, y, rng)
-        against = level if found and tries <= SHIFTED_TRIES else held
-        if math.log1p(-rng.random()) < weight - against:
-            bernstein[index] = y
-            proposal = to_powers(bernstein, blocks)
-            if is_passive(proposal, blocks):
-                theta[:] = proposal
-                held = weight
-                if against == level and found:
-                    return PLAIN_TRIES + tries
-    if held == -np.inf:  # lost to rounding: the nearest thing that is passive
-        theta[:] = to_powers(np.maximum(bernstein, 0.0), blocks)
-    return PLAIN_TRIES + most + CHAIN
+        bernstein[index] = y
+        theta[:] = to_powers(bernstein, blocks)
+        if not (weight > -np.inf and is_passive(theta, blocks)):
+            continue
+        if found and math.log1p(-rng.random()) < weight - level:
+            return PLAIN_TRIES + tries
+        larger = max(total, weight)
+        total = larger + math.log(math.exp(total - larger) + math.exp(weight - larger))
+        if math.log1p(-rng.random()) < weight - total:
+            held[:] = y
+    if total == -np.inf:  # lost to rounding: the nearest thing that is passive
+        theta[:] = brought_inside(bernstein, blocks)
+        return PLAIN_TRIES + SHIFTED_TRIES
+    root = np.empty_like(low)
+    root[index] = low
+    bernstein = walk(solved(low, held - m), c, root, blocks, STEPS * p, rng)
+    theta[:] = to_powers(bernstein, blocks)
+    if not is_passive(theta, blocks):  # by rounding
+        theta[:] = brought_inside(bernstein, blocks)
+    return PLAIN_TRIES + SHIFTED_TRIES
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
@@ -344,9 +363,9 @@ def draw_passive(
 
     Notes
     -----
-    Plain draws first, then acceptance-rejection with shifted proposals; both are exact.  Where no saddle
-    point is found (masses far below 1e-30 at correlations of 0.9999) the draw is the last one of a
-    Metropolis chain of :data:`CHAIN` such proposals.
+    Plain draws first, then acceptance-rejection with shifted proposals; both are exact.  Where all
+    :data:`SHIFTED_TRIES` are refused, one of them, taken by its weight, walks on
+    (:mod:`tissueid.likelihood.hit_and_run`): that draw is exact but for what the walk forgets of its start.
     """
     mean = np.ascontiguousarray(mean, dtype=np.float64)
     theta = np.empty_like(mean)

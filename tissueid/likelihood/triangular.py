@@ -6,7 +6,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["factor", "inverse_factor", "sparse_times", "weighted_sum"]
+__all__ = ["factor", "inverse_factor", "solved", "sparse_times", "weighted_sum"]
 
 FloatArray = NDArray[np.float64]
 
@@ -36,6 +36,17 @@ def inverse_factor(low: FloatArray) -> FloatArray:
                 inverse[i, j] -= low[i, k] * inverse[k, j]
             inverse[i, j] /= low[i, i]
     return inverse
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def solved(low: FloatArray, away: FloatArray) -> FloatArray:
+    """The z of ``low @ z = away``."""
+    z = away.copy()
+    for i in range(z.size):
+        for k in range(i):
+            z[i] -= low[i, k] * z[k]
+        z[i] /= low[i, i]
+    return z
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")

@@ -19,9 +19,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.likelihood.bernstein import is_passive
+from tissueid.likelihood.cone import cone_least_squares
 from tissueid.likelihood.instrument_kernels import EFFECTS, INSTRUMENT, TISSUE, Packed
 from tissueid.likelihood.knot_terms import log_terms, without_effects
 from tissueid.likelihood.linearise import Optimum
+from tissueid.likelihood.objective import cone_start
 from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
 from tissueid.posterior.linear_priors import FREE_FACTOR, Facts
 from tissueid.priors import CalibrationPrior, Priors
@@ -41,6 +44,8 @@ SMALLEST_GAIN = 0.05
 SMALLEST_SPREAD = 1e-5
 SETTLED = 0.5
 RIDGE = 1e-12
+#: Dual tolerance of the passive theta about which is linearised.
+NEAR_ENOUGH = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,8 +74,8 @@ class Behind:
         How theta follows the coordinates.
     curvature : ndarray, shape (p + d, p + d)
         Of minus the log density at the mode, in theta and coordinates; without the spread of the gains.
-    follow : ndarray, shape (logs, p + d)
-        How the gain of each log follows them; empty before the mode is known, and without gains.
+    follow : ndarray, shape (logs, q, p + d)
+        How gain and contact offset of each log follow them; empty before the mode is known.
     """
 
     data: Packed
@@ -186,18 +191,24 @@ class Behind:
         return float(value)
 
     def _data_at(self, point: FloatArray, theta: FloatArray) -> Packed:
-        """The logs with their gains linearised where they are likely for this theta.
+        """The logs with their gains and offsets linearised where they are likely for this theta.
 
         A gain multiplies theta: where the tissue is stiffer the gains of all logs are less.  To first order
         ``u = back . change``, with the tissue by a factor 1 - u; it is 1/(1 - u) that keeps their product.
         Without this 30 gains of 15 % would move the tissue by 2 %.
         """
-        if "gain" not in self.effects or self.follow.size == 0:
+        if self.follow.size == 0:
             return self.data
         inner = self.branches + INSTRUMENT
         change = np.concatenate([theta - self.theta, (point - self.mode)[:inner]])
-        u = np.minimum(self.follow @ change, 1.0 - SMALLEST_GAIN)
-        return self.data._replace(gamma=self.data.gamma - np.log1p(-u))
+        moved = self.follow @ change
+        data, at = self.data, 0
+        if "gain" in self.effects:
+            data = data._replace(gamma=data.gamma - np.log1p(-np.minimum(moved[:, 0], 1.0 - SMALLEST_GAIN)))
+            at = 1
+        if "offset" in self.effects:
+            data = data._replace(delta=data.delta + moved[:, at])
+        return data
 
     def _normal(
         self, point: FloatArray, theta: FloatArray, kind: int
@@ -224,19 +235,32 @@ class Behind:
         return value if math.isfinite(value) else -math.inf
 
     def conditional(self, point: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Mean and covariance of theta at one point, before it is cut to the passive set."""
-        theta = self.theta + self.slope @ (point - self.mode)
+        """Mean and covariance of theta at one point, before it is cut to the passive set.
+
+        Linearised where the cut normal has most of its mass, which may be far from that mean.
+        """
+        size = self.theta.size
+        theta = self._nearest(self.theta + self.slope @ (point - self.mode), self.curvature[:size, :size])
         mean, precision = self.tissue_prior(point[: self.branches])
         rigid = point[self.branches + INSTRUMENT - 1] == 0.0
         for _ in range(TISSUE_ROUNDS):
             curvature, slope, _ = self._normal(point, theta, TISSUE)
             curvature = curvature + precision
             covariance = inverse(curvature)
-            step = covariance @ (slope + precision @ (mean - theta))
-            theta = theta + step
+            centre = theta + covariance @ (slope + precision @ (mean - theta))
+            step = self._nearest(centre, curvature) - theta
             if rigid or float(step @ curvature @ step) < SETTLED:
                 break
-        return theta, covariance
+            theta = theta + step
+        return centre, covariance
+
+    def _nearest(self, centre: FloatArray, curvature: FloatArray) -> FloatArray:
+        """The passive theta nearest to a centre: what is left of its normal lies there."""
+        if is_passive(centre, self.blocks):
+            return centre
+        curvature = np.ascontiguousarray(curvature)
+        pull = curvature @ centre
+        return cone_least_squares(curvature, pull, self.blocks, cone_start(self.blocks), NEAR_ENOUGH)[0]
 
 
 def inverse(matrix: FloatArray) -> FloatArray:

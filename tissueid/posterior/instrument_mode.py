@@ -7,14 +7,16 @@ linearised anew about their means after each.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.likelihood.cone import cone_least_squares, support_directions
 from tissueid.likelihood.instrument_kernels import ALL, EFFECTS, INSTRUMENT, Packed
 from tissueid.likelihood.knot_terms import log_terms, without_effects
 from tissueid.likelihood.linearise import Optimum
+from tissueid.likelihood.objective import cone_start
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.posterior.instrument import INSTRUMENT_NAMES, SMALLEST_GAIN, Behind, inverse
 from tissueid.posterior.linear_priors import Facts, linear_prior
@@ -61,24 +63,49 @@ def _with_priors(
     return curvature, slope, back
 
 
-def _step(
-    curvature: FloatArray, slope: FloatArray, free: NDArray[np.bool_], room: FloatArray, damping: float
-) -> FloatArray:
-    """Damped step that does not pass the cuts: what would is put onto its cut, and the others follow."""
-    step = np.zeros(slope.size)
-    moving = free.copy()
-    for _ in range(slope.size):
-        at = np.flatnonzero(moving)
-        held = np.flatnonzero(~moving)
-        part = curvature[np.ix_(at, at)]
+@dataclass(frozen=True, slots=True, eq=False)
+class _Quadratic:
+    """Minus the log density about a point: ``0.5 d' C d - g' d`` in theta, ln tau and instrument."""
+
+    curvature: FloatArray
+    slope: FloatArray
+    theta: FloatArray
+    blocks: NDArray[np.int64]
+
+    def best_theta(self, moved: FloatArray, damping: float = 0.0) -> tuple[FloatArray, FloatArray]:
+        """Passive theta after a step of the coordinates, and directions it can move in there."""
+        p = self.theta.size
+        part = np.ascontiguousarray(self.curvature[:p, :p])
         part = part + damping * np.diag(np.diag(part))
-        step[at] = inverse(part) @ (slope[at] - curvature[np.ix_(at, held)] @ step[held])
-        past = at[step[at] < room[at]]
-        if past.size == 0:
-            return step
-        step[past] = room[past]
-        moving[past] = False
-    return step
+        pull = part @ self.theta + self.slope[:p] - self.curvature[:p, p:] @ moved
+        theta, generators, weights = cone_least_squares(part, pull, self.blocks, cone_start(self.blocks))
+        return theta, support_directions(generators, weights, self.blocks)[0]
+
+    def coordinates(
+        self, directions: FloatArray, free: NDArray[np.bool_], room: FloatArray, damping: float
+    ) -> FloatArray:
+        """Damped step of the coordinates, theta following in its directions; none passes its cut.
+
+        What would pass is put onto its cut, and the others follow.
+        """
+        p, d = self.theta.size, directions.shape[1]
+        turn = np.zeros((self.slope.size, d + self.slope.size - p))
+        turn[:p, :d], turn[p:, d:] = directions, np.eye(self.slope.size - p)
+        curvature, slope = turn.T @ self.curvature @ turn, turn.T @ self.slope
+        step = np.zeros(slope.size)
+        moving = np.concatenate([np.ones(d, dtype=np.bool_), free])
+        room = np.concatenate([np.full(d, -np.inf), room])
+        for _ in range(slope.size):
+            at, held = np.flatnonzero(moving), np.flatnonzero(~moving)
+            part = curvature[np.ix_(at, at)]
+            part = part + damping * np.diag(np.diag(part))
+            step[at] = inverse(part) @ (slope[at] - curvature[np.ix_(at, held)] @ step[held])
+            past = at[step[at] < room[at]]
+            if past.size == 0:
+                break
+            step[past] = room[past]
+            moving[past] = False
+        return step[d:]
 
 
 def _relinearised(behind: Behind, back: FloatArray, change: FloatArray) -> Behind:
@@ -100,26 +127,34 @@ def _relinearised(behind: Behind, back: FloatArray, change: FloatArray) -> Behin
     )
 
 
+def _quadratic(behind: Behind) -> tuple[_Quadratic, FloatArray]:
+    """The quadratic at the present mode, and the effects' means there."""
+    curvature, slope, back = _with_priors(behind, behind.mode, behind.theta)
+    return _Quadratic(curvature, slope, behind.theta, behind.blocks), back
+
+
 def _climb(behind: Behind) -> Behind:
-    """Gauss-Newton from the present mode to the highest joint density."""
-    p, branches = behind.theta.size, behind.branches
+    """Gauss-Newton from the present mode to the highest joint density of a passive tissue."""
+    branches = behind.branches
     inner = branches + INSTRUMENT
-    free = np.concatenate([np.ones(p, dtype=np.bool_), behind.free[:inner]])
     low, high = behind.facts.log_tau_bounds
     value = behind.log_density(behind.mode, behind.theta)
     damping = DAMPING
     for _ in range(MODE_ROUNDS):
-        curvature, slope, back = _with_priors(behind, behind.mode, behind.theta)
-        room = np.concatenate([np.full(p, -np.inf), behind.cuts[0][:inner] - behind.mode[:inner]])
+        quadratic, back = _quadratic(behind)
+        room = behind.cuts[0][:inner] - behind.mode[:inner]
+        directions = quadratic.best_theta(np.zeros(inner))[1]
         risen = 0.0
         while damping < STUCK:
-            step = _step(curvature, slope, free, room, damping)
-            step *= min(1.0, REACH / max(float(np.abs(step[p : p + branches]).max(initial=0.0)), REACH))
+            step = quadratic.coordinates(directions, behind.free[:inner], room, damping)
+            step *= min(1.0, REACH / max(float(np.abs(step[:branches]).max(initial=0.0)), REACH))
             mode = behind.mode.copy()
-            mode[:inner] += step[p:]
+            mode[:inner] += step
             mode[:branches] = np.clip(mode[:branches], low, high)
-            change = np.concatenate([step[:p], mode[:inner] - behind.mode[:inner]])
-            trial = replace(_relinearised(behind, back, change), theta=behind.theta + step[:p], mode=mode)
+            moved = mode[:inner] - behind.mode[:inner]
+            theta, _ = quadratic.best_theta(moved, damping)
+            change = np.concatenate([theta - behind.theta, moved])
+            trial = replace(_relinearised(behind, back, change), theta=theta, mode=mode)
             there = trial.log_density(trial.mode, trial.theta)
             if math.isfinite(there) and there >= value - RISEN:
                 behind, risen, value = trial, there - value, there
@@ -201,8 +236,12 @@ def instrument_mode(
         behind = replace(behind, sigma2=sigma2)
         if settled:
             break
-    curvature, _, back = _with_priors(behind, behind.mode, behind.theta)
+    quadratic, back = _quadratic(behind)
+    directions = quadratic.best_theta(np.zeros(branches + INSTRUMENT))[1]
+    curvature = quadratic.curvature
     slope = np.zeros((p, mode.size))
-    slope[:, : branches + INSTRUMENT] = -inverse(curvature[:p, :p]) @ curvature[:p, p:]
-    follow = -back[:, 0, :-1] if "gain" in effects else np.zeros((0, 0))
+    slope[:, : branches + INSTRUMENT] = -directions @ (
+        inverse(directions.T @ curvature[:p, :p] @ directions) @ (directions.T @ curvature[:p, p:])
+    )
+    follow = -back[:, : ("gain" in effects) + ("offset" in effects), :-1]
     return replace(behind, slope=slope, curvature=curvature, follow=follow)
