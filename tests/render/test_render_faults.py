@@ -19,7 +19,7 @@ from tissueid.haptics.falcon.device import FalconDevice
 from tissueid.haptics.falcon.emulator import EmulatedLink, EmulatorSettings, ScriptedFault
 from tissueid.haptics.falcon.packet_kernels import INVALID, PACKETS
 from tissueid.haptics.guard_states import HEARTBEAT_LOST, PHASE, YIELDING, transition
-from tissueid.haptics.hand import preset
+from tissueid.haptics.hand import Hand, preset
 from tissueid.haptics.states import FAULT_WORDS, Fault, Lamp, State
 from tissueid.render.environment import LAW
 from tissueid.render.servo_clock import CLOCK_SIZE, monotonic_ns
@@ -212,3 +212,20 @@ def test_nothing_spoils_a_session_without_faults():
         assert {int(record["fault"]) for record in session.records} == {int(Fault.NONE)}
         assert set(session.states()) == {State.HOMING, State.ARMED, State.ENGAGED}
         assert session.io.parts.parser[INVALID] == 0
+
+
+def test_a_moving_hand_after_a_gap_in_the_answers_is_neither_too_fast_nor_a_jump():
+    # 17 ms without an answer while the hand moves at some 0.4 m/s: over 100 counts in one reading
+    hand = Hand(
+        times_s=(0.0, 1.2, 1.28),
+        positions_m=((0.0, 0.0, 0.170), (0.0, 0.0, 0.170), (0.0, 0.0, 0.140)),
+        grips=(1.0,) * 3,
+        stiffness_N_per_m=1000.0,
+        damping_N_s_per_m=20.0,
+    )
+    with EmulatedSession(ScriptedFault("silence", 4.240, duration_s=0.017), hand=hand) as session:
+        session.run(4.6)
+        assert session.states()[-1] is State.ENGAGED
+        assert {int(record["fault"]) for record in session.records} == {int(Fault.NONE)}
+        counts = np.array([record["counts"][0] for record in session.records])
+        assert 100 < np.abs(np.diff(counts[10:])).max() < 200

@@ -93,6 +93,8 @@ class Servo(NamedTuple):
         [m], [m/s], [N]; shape (3,).
     info
         What the environment said.
+    since_valid
+        Time since the last valid reading [s], shape (1,).
     counts, last_counts, moved, words
         Encoder counts; words of a reading.
     counters : ndarray of int64
@@ -116,6 +118,7 @@ class Servo(NamedTuple):
     force: FloatArray
     out: FloatArray
     info: FloatArray
+    since_valid: FloatArray
     counts: IntArray
     last_counts: IntArray
     moved: IntArray
@@ -151,6 +154,7 @@ def new_servo(device: HapticDevice, ring: Ring, block: ParameterBlock) -> Servo:
         force=np.zeros(3),
         out=np.zeros(3),
         info=np.zeros(INFO_SIZE),
+        since_valid=np.zeros(1),
         counts=np.zeros(3, np.int64),
         last_counts=np.zeros(3, np.int64),
         moved=np.zeros(3, np.int64),
@@ -312,13 +316,16 @@ def tick(io: Any, servo: Servo, now_s: float, dt: float, late_s: float, late_lam
     # seconds old: nothing moved
     fresh = servo.counters[SEEN] < FRESH_READINGS or memory[STATE] <= HOMING
     _count_motion(fresh, valid, servo.counts, servo.last_counts, servo.moved)
+    servo.since_valid[0] += dt
     if valid:
         servo.counters[SEEN] = min(servo.counters[SEEN] + 1, FRESH_READINGS)
         for i in range(3):
             if fresh:
                 servo.last_position[i] = position[i]
                 velocity[i] = 0.0
-        velocity_step(velocity, position, servo.last_position, dt)
+        # over the whole gap where readings were missing, or a slow hand would look fast after it
+        velocity_step(velocity, position, servo.last_position, servo.since_valid[0])
+        servo.since_valid[0] = 0.0
     if _obey(memory, limits, servo.block_head):
         servo.counters[VERSION] = _exchange(
             servo.block_head, servo.block_values, servo.staged, environment, servo.environment_memory,
