@@ -148,15 +148,15 @@ class UdpBridge:
         #: Datagrams that were dropped because they were no requests.
         self.dropped = 0
         self._last_s = -math.inf
+        self._in = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        for one in (self._in, self._out):
+            one.setblocking(False)
         try:
-            family, _, _, _, target = socket.getaddrinfo(*send_to, type=socket.SOCK_DGRAM)[0]
-            self._target: Any = target
-            self._out = socket.socket(family, socket.SOCK_DGRAM)
-            self._out.setblocking(False)
-            self._in = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-            self._in.setblocking(False)
+            self._target = socket.getaddrinfo(*send_to, socket.AF_INET, socket.SOCK_DGRAM)[0][4]
             self._in.bind((LOOPBACK, send_to[1] + 1))
         except (OSError, OverflowError) as error:
+            self.close()
             msg = f"--bridge {printable(send_to[0])}:{send_to[1]}: {error}; choose another port"
             raise UsageError(msg) from error
 

@@ -1,0 +1,193 @@
+"""Draws by quantile, the noticeable difference, blind orders, surfaces and scripts."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rendered_tissues import PAPER_A, TWO_BRANCHES, bundle_of
+
+from tissueid.errors import BundleError, UsageError
+from tissueid.haptics.hand import REST_S
+from tissueid.haptics.sim import SimulatedDevice
+from tissueid.render import surface as srf
+from tissueid.render.blind import check_pseudonym, draw_order, write_key
+from tissueid.render.choice import (
+    Functional,
+    as_tissue,
+    noticeable_ratio,
+    parse_functional,
+    pick_draw,
+    pick_quantile,
+)
+from tissueid.render.contact_geometry import parse_surface, place_surface, surface_remarks, travel_behind
+from tissueid.render.script import read_script
+from tissueid.render.tissue_block import Box, Plane, Sphere, surface_from
+
+SIX_MM = Functional(6.0, 250.0 / 60.0)
+
+
+def softer(share: float) -> np.ndarray:
+    """Paper A's tissue with all its forces scaled."""
+    return np.append(PAPER_A.theta[:4] * share, PAPER_A.theta[4])
+
+
+@pytest.mark.parametrize(
+    ("text", "depth", "speed"),
+    [
+        ("force at 6 mm, 250 mm/min", 6.0, 250.0 / 60.0),
+        ("  force  at 2.5mm ,  4 mm/s ", 2.5, 4.0),
+        ("force at .5 mm, 10 mm / min", 0.5, 10.0 / 60.0),
+    ],
+)
+def test_a_functional_is_read_as_it_is_said(text: str, depth: float, speed: float) -> None:
+    assert parse_functional(text) == Functional(depth, pytest.approx(speed))
+
+
+@pytest.mark.parametrize(
+    "text", ["", "stiffness", "force at 6 mm", "force at 0 mm, 250 mm/min", "force at -1 mm, 2 mm/s"]
+)
+def test_what_is_no_functional_is_refused(text: str) -> None:
+    with pytest.raises(UsageError):
+        parse_functional(text)
+
+
+def test_the_quantile_is_rendered_by_the_nearest_draw() -> None:
+    shares = np.random.default_rng(4).uniform(0.8, 1.2, 101)
+    bundle = bundle_of(PAPER_A, draws=np.array([softer(share) for share in shares]))
+    picked = pick_quantile(bundle, 0.5, SIX_MM)
+    # the functional is linear in the share, so its median is the median share, and a draw has it
+    assert picked.draw == int(np.argsort(shares)[50])
+    assert np.array_equal(picked.tissue.theta, softer(shares[picked.draw]))
+    assert np.array_equal(pick_draw(bundle, 7).tissue.theta, softer(shares[7]))
+
+
+def test_a_bundle_without_draws_has_no_quantile() -> None:
+    for pick in (lambda b: pick_quantile(b, 0.5, SIX_MM), lambda b: pick_draw(b, 0)):
+        with pytest.raises(UsageError, match="no posterior draws"):
+            pick(bundle_of(PAPER_A))
+
+
+def test_a_normalised_bundle_can_not_be_felt() -> None:
+    with pytest.raises(BundleError, match="normalised"):
+        as_tissue(bundle_of(PAPER_A, units={"length": "1", "force": "MPa", "time": "s"}))
+
+
+def test_a_difference_of_seven_percent_is_just_noticeable() -> None:
+    stiffer = replace(PAPER_A, theta=softer(1.0 / (1.0 - 0.035)))
+    softened = replace(PAPER_A, theta=softer(1.0 / (1.0 + 0.035)))
+    one, other, ratio = noticeable_ratio(stiffer, softened, SIX_MM, force_scale=0.02)
+    assert one / other == pytest.approx(1.035 / 0.965, rel=1e-9)
+    # (1/0.965 - 1/1.035) over 7 % of their mean
+    assert ratio == pytest.approx((1 / 0.965 - 1 / 1.035) / (0.07 * 0.5 * (1 / 0.965 + 1 / 1.035)), rel=1e-9)
+    # under 0.5 N the difference that is noticed no longer shrinks with the force
+    _, _, faint = noticeable_ratio(stiffer, softened, SIX_MM, force_scale=0.0002)
+    assert faint < 0.1 * ratio
+
+
+def test_a_blind_order_is_balanced_random_and_repeatable() -> None:
+    order = draw_order(2, 20, pseudonym="P1", seed=5)
+    assert sorted(order.tissues) == [0] * 10 + [1] * 10
+    assert order == draw_order(2, 20, pseudonym="P1", seed=5)
+    assert len({draw_order(2, 20, pseudonym="P1").tissues for _ in range(20)}) > 15
+
+
+@pytest.mark.parametrize(("count", "presentations"), [(1, 4), (2, 5), (2, 0), (2, 202)])
+def test_an_order_that_can_not_be_balanced_is_refused(count: int, presentations: int) -> None:
+    with pytest.raises(UsageError):
+        draw_order(count, presentations, pseudonym="P1")
+
+
+@pytest.mark.parametrize("name", ["Anna", "anna.smith", "P", "17", "P-123456", "P17 "])
+def test_a_pseudonym_that_could_be_a_name_is_refused(name: str) -> None:
+    with pytest.raises(UsageError, match="could be a name"):
+        check_pseudonym(name)
+    assert check_pseudonym("P-17") == "P-17"
+    assert check_pseudonym(check_pseudonym(None))
+
+
+def test_an_answer_key_is_for_its_owner_and_never_overwritten(tmp_path: Path) -> None:
+    order = draw_order(2, 4, pseudonym="P1", seed=1)
+    write_key(tmp_path / "key.json", order, [{"name": "a"}, {"name": "b"}])
+    document = json.loads((tmp_path / "key.json").read_text())
+    assert [one["tissue"] for one in document["presentations"]] == list(order.tissues)
+    assert (tmp_path / "key.json").stat().st_mode & 0o777 == 0o600
+    with pytest.raises(UsageError, match="never overwritten"):
+        write_key(tmp_path / "key.json", order, [])
+    with pytest.raises(UsageError, match="can't be written"):
+        write_key(tmp_path / "missing" / "key.json", order, [])
+
+
+def test_surfaces_are_read_and_refused() -> None:
+    assert parse_surface("plane") == ("plane", ())
+    assert parse_surface(" sphere 60 mm") == ("sphere", (60.0,))
+    assert parse_surface("box 60 x 50.5 x 40 mm") == ("box", (60.0, 50.5, 40.0))
+    for text in ("", "sphere", "sphere 0 mm", "box 1 x 2 mm", "sphere -3 mm", "ball 3 mm"):
+        with pytest.raises(UsageError):
+            parse_surface(text)
+
+
+@pytest.mark.parametrize("shape", [("plane", ()), ("sphere", (60.0,)), ("box", (60.0, 60.0, 40.0))])
+def test_every_surface_is_touched_at_the_same_height(shape: tuple[str, tuple[float, ...]]) -> None:
+    device = SimulatedDevice().capabilities
+    placed = place_surface(shape, device, depth_mm=8.0, motion_scale=5.0, tool_radius_m=0.01)
+    block, memory = placed.numbers(0.01), np.zeros(srf.TOUCH_SIZE)
+    # 20 mm above the middle of the workspace, so that 40 mm of travel lie around it
+    height = 0.130 + 0.020
+    assert srf.touch(block, 0, np.array([0.0, 0.0, height]), memory, 0) == pytest.approx(0.0, abs=1e-12)
+    assert memory[srf.OUTWARD :] == pytest.approx([0.0, 0.0, 1.0])
+    assert travel_behind(placed, device, tool_radius_m=0.01) == pytest.approx(0.060)
+    again = surface_from(block)
+    assert np.array_equal(again.numbers(0.01), block)
+
+
+def test_a_tip_that_was_not_identified_is_refused_and_an_unknown_one_remarked() -> None:
+    assert surface_remarks(PAPER_A, ("plane", ()), 2.0) == []
+    with pytest.raises(BundleError, match="identified with a tip of 2 mm"):
+        surface_remarks(PAPER_A, ("plane", ()), 3.0)
+    unknown = replace(PAPER_A, tip_radius_mm=None)
+    assert "does not say" in surface_remarks(unknown, ("plane", ()), None)[0]
+
+
+def test_curvature_is_remarked_then_refused_by_hertz() -> None:
+    # 1 - sqrt(R / (R + r)) for a tip of 2 mm: 2 % at R = 48.5 mm, 25 % at 2.57 mm
+    assert surface_remarks(PAPER_A, ("sphere", (60.0,)), None) == []
+    (remark,) = surface_remarks(PAPER_A, ("sphere", (30.0,)), None)
+    assert "3 % softer" in remark
+    with pytest.raises(BundleError, match="too small"):
+        surface_remarks(PAPER_A, ("sphere", (10.0,)), None)
+    large_tip = replace(PAPER_A, tip_radius_mm=40.0)
+    with pytest.raises(BundleError, match="38 % softer"):
+        surface_remarks(large_tip, ("sphere", (25.0,)), None)
+    (edge,) = surface_remarks(large_tip, ("box", (60.0, 60.0, 40.0)), None)
+    assert "edges" in edge
+
+
+def test_a_script_knows_its_strokes_switches_and_length() -> None:
+    script = read_script("indent 4 mm at 250 mm/min; retract at 5 mm/s; switch; hold 1 s")
+    down, up = 4.5 / (250.0 / 60.0), 4.5 / 5.0
+    assert script.switches_s == pytest.approx((REST_S + down + up,))
+    assert script.duration_s == pytest.approx(REST_S + down + up + 1.0 + 0.05)
+    hand = script.hand(
+        motion_scale=5.0, surface_m=np.array([0.0, 0.0, 0.15]), inward=np.array([0.0, 0.0, -1.0])
+    )
+    assert hand.rigid
+    assert hand.positions_m[2][2] == pytest.approx(0.15 - 0.020)
+
+
+def test_two_branches_can_be_compared_too() -> None:
+    one, other, ratio = noticeable_ratio(PAPER_A, TWO_BRANCHES, SIX_MM, force_scale=0.01)
+    assert one != other
+    assert ratio > 0.0
+
+
+def test_surface_types_come_back_from_their_numbers() -> None:
+    for shape in (
+        Plane((0.0, 0.1, 0.2), (0.0, 3.0, 4.0)),
+        Sphere((0.0, 0.0, 0.1), 0.02),
+        Box((0.0, 0.0, 0.1), (0.1, 0.2, 0.3)),
+    ):
+        assert np.array_equal(surface_from(shape.numbers(0.0)).numbers(0.0), shape.numbers(0.0))
