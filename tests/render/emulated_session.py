@@ -58,6 +58,7 @@ class EmulatedSession:
         hand: Hand | None = None,
         limits: GuardLimits = LIMITS,
         tissue: str = "paper-a",
+        surface_z: float = 0.130,
         **settings: Any,
     ) -> None:
         given = EmulatorSettings(hand=hand or pressing(), period_s=TICK_S, faults=faults, **settings)
@@ -66,6 +67,8 @@ class EmulatedSession:
         self.device = FalconDevice(limits, port=self.link.descriptor(), calibration=Calibration())
         self.limits = limits
         self.tissue = tissue
+        self.surface_z = surface_z
+        self.scale = preset_check(tissue).scaling
         self.records: list[Any] = []
         self.motors: list[tuple[int, ...]] = []
 
@@ -80,12 +83,11 @@ class EmulatedSession:
         given = self.device.compiled()
         assert given is not None
         self.io = compiled_io(given)
-        scale = preset_check(self.tissue).scaling
         environment = tissue_block(
             preset_tissue(self.tissue),
-            Plane(point_m=(0.0, 0.0, 0.130)),
-            force_scale=scale.force,
-            motion_scale=scale.motion,
+            Plane(point_m=(0.0, 0.0, self.surface_z)),
+            force_scale=self.scale.force,
+            motion_scale=self.scale.motion,
         )
         self.block.write(np.concatenate([environment, PassivityLimits(on=False).block()]))
         self.block.order(COMMAND_ENGAGE)
