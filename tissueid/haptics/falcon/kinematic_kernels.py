@@ -7,7 +7,9 @@ sine and a grip at (x, y, z)::
     u =  C x + S y - r        X = u + c          L(q) = d + e + sqrt(b^2 - q^2)
     v = -S x + C y - s        q = v + f          (X - a cos th)^2 + (z - a sin th)^2 = L(q)^2
 
-The last line is the whole constraint of a leg; everything here is derived from it.  [SI: m, rad, N]
+The last line is the whole constraint of a leg; everything here is derived from it.  With the rows r1, r2, r3
+of a 3 x 3 matrix its inverse has the columns r2 x r3, r3 x r1, r1 x r2, each over r1 . (r2 x r3): that is all
+the linear algebra there is.  Nothing here allocates memory.  [SI: m, rad, N]
 """
 
 from __future__ import annotations
@@ -30,6 +32,9 @@ __all__ = [
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+#: Three numbers, and three rows of them.
+Vector = tuple[float, float, float]
+Rows = tuple[Vector, Vector, Vector]
 
 #: Geometry block, float64: thigh, shin, the offsets c, d + e, f, r, s [m], angle at count zero [rad],
 #: angle of one count [rad], then cosine and sine of the three azimuths.
@@ -73,8 +78,8 @@ STARTS_M = (
     (-0.020, -0.085, 0.09),
     (0.070, -0.060, 0.09),
 )
-#: Share of the clamp by which rounding may exceed it; a clamp is a whole number of motor units.
 HALF = 0.5
+ZERO = (0.0, 0.0, 0.0)
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
@@ -85,13 +90,62 @@ def angles_of_counts(counts: IntArray, geometry: FloatArray, out: FloatArray) ->
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
-def _leg(i: int, x: float, y: float, z: float, geometry: FloatArray) -> tuple[float, float, float]:
-    """``(X, z, q)`` of a leg [m]: where the grip's pin stands in its plane, and how far beside it."""
+def _cross(a: Vector, b: Vector) -> Vector:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _dot(a: Vector, b: Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _scaled(a: Vector, factor: float) -> Vector:
+    return a[0] * factor, a[1] * factor, a[2] * factor
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _largest(a: Vector) -> float:
+    return max(abs(a[0]), abs(a[1]), abs(a[2]))
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _inverse_columns(rows: Rows) -> tuple[bool, Vector, Vector, Vector]:
+    """Columns of the inverse of a 3 x 3 matrix; False where it is singular."""
+    first = _cross(rows[1], rows[2])
+    determinant = _dot(rows[0], first)
+    if not abs(determinant) > SINGULAR:
+        return False, ZERO, ZERO, ZERO
+    over = 1.0 / determinant
+    second = _cross(rows[2], rows[0])
+    third = _cross(rows[0], rows[1])
+    return True, _scaled(first, over), _scaled(second, over), _scaled(third, over)
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _leg(i: int, p: Vector, geometry: FloatArray) -> tuple[float, float]:
+    """``(X, q)`` of a leg [m]: how far out the grip's pin stands in the leg's plane, how far beside it."""
     cosine = geometry[COSINES + i]
     sine = geometry[SINES + i]
-    along = cosine * x + sine * y - geometry[R_OFFSET] + geometry[C_OFFSET]
-    beside = -sine * x + cosine * y - geometry[S_OFFSET] + geometry[F_OFFSET]
-    return along, z, beside
+    along = cosine * p[0] + sine * p[1] - geometry[R_OFFSET] + geometry[C_OFFSET]
+    beside = -sine * p[0] + cosine * p[1] - geometry[S_OFFSET] + geometry[F_OFFSET]
+    return along, beside
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _leg_angle(i: int, p: Vector, geometry: FloatArray) -> tuple[bool, float]:
+    """Angle of a leg with its knee outward; False where it does not reach."""
+    a = geometry[THIGH]
+    b = geometry[SHIN]
+    along, beside = _leg(i, p, geometry)
+    if not abs(beside) <= b:
+        return False, 0.0
+    reach = geometry[PINS] + math.sqrt(b * b - beside * beside)
+    distance = math.hypot(along, p[2])
+    cosine = (distance * distance + a * a - reach * reach) / (2.0 * a * distance)
+    if not abs(cosine) <= 1.0:
+        return False, 0.0
+    return True, math.atan2(p[2], along) - math.acos(cosine)
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
@@ -111,136 +165,94 @@ def inverse_kernel(position: FloatArray, geometry: FloatArray, out: FloatArray) 
     Returns
     -------
     bool
-        False where no leg reaches the position.
+        False where a leg does not reach the position.
+    """
+    p = (position[0], position[1], position[2])
+    for i in range(3):
+        reached, angle = _leg_angle(i, p, geometry)
+        if not reached:
+            return False
+        out[i] = angle
+    return True
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _constraint(
+    i: int, p: Vector, cosine: float, sine: float, geometry: FloatArray
+) -> tuple[bool, float, Vector, float]:
+    """Constraint of a leg as a length [m], its slope by the position, and by the angle [m/rad].
+
+    It is written ``hypot(X - a cos th, z - a sin th) - L(q)``: its error is a distance.
     """
     a = geometry[THIGH]
     b = geometry[SHIN]
-    for i in range(3):
-        along, w, beside = _leg(i, position[0], position[1], position[2], geometry)
-        if not abs(beside) <= b:
-            return False
-        reach = geometry[PINS] + math.sqrt(b * b - beside * beside)
-        distance = math.hypot(along, w)
-        cosine = (distance * distance + a * a - reach * reach) / (2.0 * a * distance)
-        if not abs(cosine) <= 1.0:
-            return False
-        out[i] = math.atan2(w, along) - math.acos(cosine)
-    return True
+    along, beside = _leg(i, p, geometry)
+    if not abs(beside) < b:
+        return False, 0.0, ZERO, 0.0
+    root = math.sqrt(b * b - beside * beside)
+    out = along - a * cosine
+    up = p[2] - a * sine
+    length = math.hypot(out, up)
+    if not length > 0.0:
+        return False, 0.0, ZERO, 0.0
+    bend = beside / root
+    x = out / length * geometry[COSINES + i] - bend * geometry[SINES + i]
+    y = out / length * geometry[SINES + i] + bend * geometry[COSINES + i]
+    lever = a * (along * sine - p[2] * cosine) / length
+    return True, length - geometry[PINS] - root, (x, y, up / length), lever
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
 def _constraints(
-    x: float,
-    y: float,
-    z: float,
-    angles: FloatArray,
-    geometry: FloatArray,
-    error: FloatArray,
-    slope: FloatArray,
-) -> bool:
-    """Constraints of the three legs at a position, as lengths [m], and their slopes by the position.
-
-    A constraint is written ``hypot(X - a cos th, z - a sin th) - L(q)``: its error is a distance.
-    """
-    a = geometry[THIGH]
-    b = geometry[SHIN]
-    for i in range(3):
-        along, w, beside = _leg(i, x, y, z, geometry)
-        if not abs(beside) < b:
-            return False
-        root = math.sqrt(b * b - beside * beside)
-        du = along - a * math.cos(angles[i])
-        dw = w - a * math.sin(angles[i])
-        length = math.hypot(du, dw)
-        if not length > 0.0:
-            return False
-        error[i] = length - geometry[PINS] - root
-        cosine = geometry[COSINES + i]
-        sine = geometry[SINES + i]
-        bend = beside / root
-        slope[i, 0] = du / length * cosine - bend * sine
-        slope[i, 1] = du / length * sine + bend * cosine
-        slope[i, 2] = dw / length
-    return True
+    p: Vector, cosines: Vector, sines: Vector, geometry: FloatArray
+) -> tuple[bool, Vector, Rows]:
+    """Errors of the three constraints [m] and their slopes; False where a shin can't be laid."""
+    reached0, error0, slope0, _ = _constraint(0, p, cosines[0], sines[0], geometry)
+    reached1, error1, slope1, _ = _constraint(1, p, cosines[1], sines[1], geometry)
+    reached2, error2, slope2, _ = _constraint(2, p, cosines[2], sines[2], geometry)
+    return reached0 and reached1 and reached2, (error0, error1, error2), (slope0, slope1, slope2)
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
-def _solve(matrix: FloatArray, right: FloatArray, out: FloatArray) -> bool:
-    """Solve a 3 x 3 system by Cramer's rule; False where it is singular."""
-    determinant = _determinant(matrix)
-    if not abs(determinant) > SINGULAR:
-        return False
-    for k in range(3):
-        p = (k + 1) % 3
-        q = (k + 2) % 3
-        # column k replaced by the right-hand side; cyclic order keeps the sign
-        out[k] = (
-            right[0] * (matrix[1, p] * matrix[2, q] - matrix[1, q] * matrix[2, p])
-            + right[1] * (matrix[2, p] * matrix[0, q] - matrix[2, q] * matrix[0, p])
-            + right[2] * (matrix[0, p] * matrix[1, q] - matrix[0, q] * matrix[1, p])
-        ) / determinant
-    return True
-
-
-@nb.njit(cache=True, nogil=True, error_model="numpy")
-def _determinant(m: FloatArray) -> float:
-    return float(
-        m[0, 0] * (m[1, 1] * m[2, 2] - m[1, 2] * m[2, 1])
-        - m[0, 1] * (m[1, 0] * m[2, 2] - m[1, 2] * m[2, 0])
-        + m[0, 2] * (m[1, 0] * m[2, 1] - m[1, 1] * m[2, 0])
-    )
-
-
-@nb.njit(cache=True, nogil=True, error_model="numpy")
-def _largest(values: FloatArray) -> float:
-    return float(max(abs(values[0]), abs(values[1]), abs(values[2])))
-
-
-@nb.njit(cache=True, nogil=True, error_model="numpy")
-def _newton(angles: FloatArray, geometry: FloatArray, position: FloatArray) -> int:
-    """Newton with halved steps from ``position``, which is changed; steps taken, or -1."""
-    error = np.empty(3)
-    trial_error = np.empty(3)
-    slope = np.empty((3, 3))
-    trial_slope = np.empty((3, 3))
-    step = np.empty(3)
-    if not _constraints(position[0], position[1], position[2], angles, geometry, error, slope):
-        return -1
-    size = _largest(error)
+def _newton(p: Vector, angles: FloatArray, geometry: FloatArray) -> tuple[int, Vector]:
+    """Newton with halved steps from ``p``; steps taken, or -1, and where it ended."""
+    cosines = (math.cos(angles[0]), math.cos(angles[1]), math.cos(angles[2]))
+    sines = (math.sin(angles[0]), math.sin(angles[1]), math.sin(angles[2]))
+    reached, error, slope = _constraints(p, cosines, sines, geometry)
+    if not reached:
+        return -1, p
     for steps in range(MAX_STEPS):
+        size = _largest(error)
         if size <= FOUND_M:
-            return steps
-        if not _solve(slope, error, step):
-            return -1
-        factor = min(1.0, LONGEST_STEP_M / max(_largest(step), FOUND_M))
-        moved = False
+            return steps, p
+        regular, first, second, third = _inverse_columns(slope)
+        if not regular:
+            return -1, p
+        x = first[0] * error[0] + second[0] * error[1] + third[0] * error[2]
+        y = first[1] * error[0] + second[1] * error[1] + third[1] * error[2]
+        z = first[2] * error[0] + second[2] * error[1] + third[2] * error[2]
+        factor = min(1.0, LONGEST_STEP_M / max(_largest((x, y, z)), FOUND_M))
+        nearer = False
         for _ in range(MAX_HALVINGS):
-            x = position[0] - factor * step[0]
-            y = position[1] - factor * step[1]
-            z = position[2] - factor * step[2]
-            if z > 0.0 and _constraints(x, y, z, angles, geometry, trial_error, trial_slope):
-                trial = _largest(trial_error)
-                if trial < size:
-                    moved = True
-                    break
+            trial = (p[0] - factor * x, p[1] - factor * y, p[2] - factor * z)
+            reached, trial_error, trial_slope = _constraints(trial, cosines, sines, geometry)
+            if trial[2] > 0.0 and reached and _largest(trial_error) < size:
+                p, error, slope, nearer = trial, trial_error, trial_slope, True
+                break
             factor *= HALF
-        if not moved:
-            return steps if size <= GOOD_M else -1
-        position[0], position[1], position[2] = x, y, z
-        size = trial
-        error[:] = trial_error
-        slope[:] = trial_slope
-    return MAX_STEPS if size <= GOOD_M else -1
+        if not nearer:
+            return (steps if size <= GOOD_M else -1), p
+    return (MAX_STEPS if _largest(error) <= GOOD_M else -1), p
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
-def _same_angles(angles: FloatArray, geometry: FloatArray, position: FloatArray) -> bool:
-    """Whether a position that satisfies the constraints is the one with the knees outward."""
-    back = np.empty(3)
-    if not inverse_kernel(position, geometry, back):
-        return False
-    back -= angles
-    return _largest(back) <= SAME_ANGLE
+def _knees_outward(p: Vector, angles: FloatArray, geometry: FloatArray) -> bool:
+    """Whether a position that satisfies the constraints is the one of the Falcon."""
+    for i in range(3):
+        reached, angle = _leg_angle(i, p, geometry)
+        if not reached or abs(angle - angles[i]) > SAME_ANGLE:
+            return False
+    return True
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
@@ -260,22 +272,35 @@ def forward_kernel(angles: FloatArray, geometry: FloatArray, position: FloatArra
     int
         Newton steps taken, or -1 where no position in front of the base has these angles.
     """
-    found = np.empty(3)
-    for start in range(-1, len(STARTS_M)):
-        if start < 0:
-            found[:] = position
-        else:
-            found[0], found[1], found[2] = STARTS_M[start]
-        steps = _newton(angles, geometry, found)
-        if steps >= 0 and _same_angles(angles, geometry, found):
-            position[:] = found
+    start = (position[0], position[1], position[2])
+    for k in range(len(STARTS_M) + 1):
+        steps, found = _newton(start, angles, geometry)
+        if steps >= 0 and _knees_outward(found, angles, geometry):
+            position[0], position[1], position[2] = found
             return steps
+        if k < len(STARTS_M):
+            start = STARTS_M[k]
     return -1
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
+def _rates(p: Vector, geometry: FloatArray) -> tuple[bool, Vector, Vector, Vector]:
+    """Columns ``dp/dtheta_i`` [m/rad], by implicit differentiation of the constraints."""
+    rows = (ZERO, ZERO, ZERO)
+    for i in range(3):
+        reached, angle = _leg_angle(i, p, geometry)
+        if not reached:
+            return False, ZERO, ZERO, ZERO
+        reached, _error, slope, lever = _constraint(i, p, math.cos(angle), math.sin(angle), geometry)
+        if not reached or abs(lever) <= SINGULAR * geometry[THIGH]:
+            return False, ZERO, ZERO, ZERO
+        rows = (rows[1], rows[2], _scaled(slope, -1.0 / lever))
+    return _inverse_columns(rows)
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
 def jacobian_kernel(position: FloatArray, geometry: FloatArray, out: FloatArray) -> bool:
-    """``D = dp/dtheta`` at a grip position, by implicit differentiation of the constraints.
+    """``D = dp/dtheta`` at a grip position.
 
     Parameters
     ----------
@@ -290,46 +315,20 @@ def jacobian_kernel(position: FloatArray, geometry: FloatArray, out: FloatArray)
     bool
         False outside the workspace and where a leg is stretched or folded.
     """
-    angles = np.empty(3)
-    if not inverse_kernel(position, geometry, angles):
-        return False
-    error = np.empty(3)
-    rates = np.empty((3, 3))
-    if not _constraints(position[0], position[1], position[2], angles, geometry, error, rates):
-        return False
-    a = geometry[THIGH]
-    for i in range(3):
-        along, w, _beside = _leg(i, position[0], position[1], position[2], geometry)
-        cosine = math.cos(angles[i])
-        sine = math.sin(angles[i])
-        length = math.hypot(along - a * cosine, w - a * sine)
-        # slope of the constraint by the angle [m/rad]
-        lever = a * (along * sine - w * cosine) / length
-        if not abs(lever) > SINGULAR * a:
-            return False
+    regular, first, second, third = _rates((position[0], position[1], position[2]), geometry)
+    if regular:
         for k in range(3):
-            rates[i, k] = -rates[i, k] / lever
-    unit = np.zeros(3)
-    column = np.empty(3)
-    for i in range(3):
-        unit[i] = 1.0
-        if not _solve(rates, unit, column):
-            return False
-        unit[i] = 0.0
-        for k in range(3):
-            out[k, i] = column[k]
-    return True
+            out[k, 0], out[k, 1], out[k, 2] = first[k], second[k], third[k]
+    return regular
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
 def torque_kernel(position: FloatArray, force: FloatArray, geometry: FloatArray, out: FloatArray) -> bool:
     """Arm torques ``D^T F`` [N m] that push the hand with a force [N]; False where there is no Jacobian."""
-    rates = np.empty((3, 3))
-    if not jacobian_kernel(position, geometry, rates):
-        return False
-    for i in range(3):
-        out[i] = rates[0, i] * force[0] + rates[1, i] * force[1] + rates[2, i] * force[2]
-    return True
+    regular, first, second, third = _rates((position[0], position[1], position[2]), geometry)
+    push = (force[0], force[1], force[2])
+    out[0], out[1], out[2] = _dot(first, push), _dot(second, push), _dot(third, push)
+    return regular
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
@@ -362,12 +361,13 @@ def motor_units(
     bool
         Whether the command is not what was asked for.
     """
-    out[:] = 0
-    torque = np.empty(3)
-    if not torque_kernel(position, force, geometry, torque):
-        return True
+    out[0] = out[1] = out[2] = 0
+    regular, first, second, third = _rates((position[0], position[1], position[2]), geometry)
+    push = (force[0], force[1], force[2])
+    torque = (_dot(first, push), _dot(second, push), _dot(third, push))
+    finite = math.isfinite(torque[0]) and math.isfinite(torque[1]) and math.isfinite(torque[2])
     largest = units_per_Nm * _largest(torque)
-    if not largest < math.inf:
+    if not (regular and finite and largest < math.inf):
         return True
     scale = -units_per_Nm
     clipped = largest > clamp_units
