@@ -134,7 +134,7 @@ def test_a_grip_that_stays_in_is_not_armed_for_force(monkeypatch: pytest.MonkeyP
         if sentence == module.HOMING_STEPS[1]:
             device._homing_timeout_s = 0.1
 
-    device._tell = impatient
+    device.tell = impatient
     with pytest.raises(DeviceError, match=r"not pulled out: .* forces wait for 300 mm"), device:
         device.home()
     assert told[-1] == module.HOMING_STEPS[1]

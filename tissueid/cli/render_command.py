@@ -143,6 +143,8 @@ def _prepared(flags: dict[str, Any]) -> Session:
         bridge=bridge,
         ask=Keyboard(switches=len(plan.blocks) > 1),
         show=StatusLine(plan, quiet=bool(flags["quiet"] or flags["as_json"])),
+        # a hand is needed: said however quiet
+        tell=note,
     )
 
 

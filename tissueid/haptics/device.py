@@ -13,6 +13,7 @@ from __future__ import annotations
 import atexit
 import contextlib
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Self, final
 
@@ -170,6 +171,10 @@ UNITS_PER_NM, GEOMETRY = 0, 1
 _FINAL = ("open", "close", "sample", "read", "write_force", "engage", "disengage")
 
 
+def _unheard(_sentence: str) -> None:
+    """Nobody shows what a device tells."""
+
+
 class HapticDevice(ABC):
     """Base of every device.
 
@@ -191,6 +196,8 @@ class HapticDevice(ABC):
 
     def __init__(self, limits: GuardLimits) -> None:
         self.limits = limits
+        #: Told, in sentences, what the user has to do or to wait for; who can show them replaces it.
+        self.tell: Callable[[str], None] = _unheard
         #: Memory of the guard: the compiled servo works on the same.
         self.guard_memory = new_guard()
         self._limits = limits.block()

@@ -19,6 +19,7 @@ import select
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from typing import Any, Self
 
 from tissueid import errors
@@ -49,10 +50,19 @@ class ServoProcess:
     plan : ServoPlan
     start_timeout_s : float
         Until the loop runs; a device that a user must home needs more.
+    tell : callable, optional
+        Told what the device says to its user while it is opened and homed.
     """
 
-    def __init__(self, plan: ServoPlan, *, start_timeout_s: float = START_TIMEOUT_S) -> None:
+    def __init__(
+        self,
+        plan: ServoPlan,
+        *,
+        start_timeout_s: float = START_TIMEOUT_S,
+        tell: Callable[[str], None] | None = None,
+    ) -> None:
         self.plan = plan
+        self._tell = tell
         self.ring = Ring.create()
         self.block = ParameterBlock.create(BLOCK_SIZE)
         #: What is new in the ring.
@@ -87,7 +97,7 @@ class ServoProcess:
             os.close(reporting)
         with contextlib.suppress(BrokenPipeError):
             send_plan(self._owner, self.plan, *shared)
-        words = self._next_line(self._start_timeout_s)
+        words = self._start_line()
         if words is None or words["event"] != "ready":
             raise self._failure(words, f"did not start within {self._start_timeout_s:.0f} s")
         self.ready = ServoReady(words["compiled"], words["scheduling"], tuple(words["remedies"]))
@@ -164,6 +174,16 @@ class ServoProcess:
                 self.stop()
         finally:
             self.close()
+
+    def _start_line(self) -> dict[str, Any] | None:
+        """The line that says how starting ended; what the device tells its user meanwhile is handed on."""
+        deadline = time.monotonic() + self._start_timeout_s
+        while True:
+            words = self._next_line(deadline - time.monotonic())
+            if words is None or words["event"] != "told":
+                return words
+            if self._tell is not None:
+                self._tell(words["sentence"])
 
     def _next_line(self, timeout_s: float) -> dict[str, Any] | None:
         """The next line of the report, or None without one in time or at its end."""

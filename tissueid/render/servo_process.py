@@ -107,6 +107,7 @@ def run_plan(plan: ServoPlan, ring: Ring, block: ParameterBlock, owner: int, rep
     """
     with SignalWatch() as signals:
         device = device_class(plan.device)(**plan.options)
+        device.tell = lambda sentence: send_line(report, event="told", sentence=sentence)
         try:
             device.open()
             device.home()

@@ -100,6 +100,8 @@ class Session:
         What the person wants now; asked every turn, must not wait.
     show : callable
         ``show(newest record, summary)``, every turn in which something is new.
+    tell : callable, optional
+        Told what a device asks of its user while it is homed.
     """
 
     def __init__(
@@ -110,6 +112,7 @@ class Session:
         bridge: UdpBridge | None = None,
         ask: Callable[[], Wish] = Wish,
         show: Callable[[Any, SessionSummary], None] = lambda _record, _summary: None,
+        tell: Callable[[str], None] | None = None,
     ) -> None:
         self.plan = plan
         self.recorder = recorder
@@ -117,6 +120,7 @@ class Session:
         self.summary = SessionSummary(PERIOD_S)
         self._ask = ask
         self._show = show
+        self._tell = tell
         self._blocks = [block.copy() for block in plan.blocks]
         self._current = 0
         self._wanted = 0
@@ -147,7 +151,7 @@ class Session:
         plan = self.plan
         servo_plan = ServoPlan(plan.device, dict(plan.device_options), law=plan.environment)
         patience = {"start_timeout_s": HOMING_TIMEOUT_S} if plan.capabilities.hardware else {}
-        servo = ServoProcess(servo_plan, **patience)
+        servo = ServoProcess(servo_plan, tell=self._tell, **patience)
         servo.block.write(self._blocks[0])
         interrupted = False
         with _signals(), servo:

@@ -94,7 +94,8 @@ class FalconDevice(HapticDevice):
         super().__init__(limits_of(self.calibration) if limits is None else limits)
         self._port = port
         self._firmware = firmware
-        self._tell: Tell = tell or (lambda _sentence: None)
+        if tell is not None:
+            self.tell = tell
         self._homing_timeout_s = homing_timeout_s
         self._geometry = self.calibration.legs().block()
         self._transport: ByteTransport | None = None
@@ -141,9 +142,9 @@ class FalconDevice(HapticDevice):
         DeviceError
             After the time-out, or when the device is lost.
         """
-        self._tell(HOMING_STEPS[0])
+        self.tell(HOMING_STEPS[0])
         await_homed(self, self._homing_timeout_s, self._not_homed)
-        self._tell(HOMING_STEPS[1])
+        self.tell(HOMING_STEPS[1])
         wait_with_zero_force(
             self, lambda: bool(self._grip[2] > PULLED_OUT_M), self._homing_timeout_s, self._not_pulled
         )
@@ -263,13 +264,13 @@ class FalconDevice(HapticDevice):
     def _find_firmware(self) -> Firmware:
         firmware = find_firmware(self._firmware)
         if firmware.warning is not None:
-            self._tell(firmware.warning)
-        self._tell(f"loading firmware {firmware.path}")
+            self.tell(firmware.warning)
+        self.tell(f"loading firmware {firmware.path}")
         return firmware
 
     def _tell_progress(self, message: str, done: int, _total: int) -> None:
         if done == 0:
-            self._tell(message)
+            self.tell(message)
 
     def _not_homed(self) -> str:
         missing = [str(leg + 1) for leg in range(3) if not self._reply.homed >> leg & 1]

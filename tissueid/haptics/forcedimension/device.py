@@ -65,7 +65,8 @@ class ForceDimensionDevice(HapticDevice):
     ) -> None:
         super().__init__(GuardLimits(dead_man_buttons=CENTRE_BUTTON) if limits is None else limits)
         self._library = library
-        self._tell = tell or (lambda _sentence: None)
+        if tell is not None:
+            self.tell = tell
         self._homing_timeout_s = homing_timeout_s
         self._sdk: Sdk | None = None
 
@@ -104,7 +105,7 @@ class ForceDimensionDevice(HapticDevice):
         DeviceError
             After the time-out.
         """
-        self._tell("Homing: pull the grip all the way out, then push it all the way in.")
+        self.tell("Homing: pull the grip all the way out, then push it all the way in.")
         await_homed(self, self._homing_timeout_s)
 
     def compiled(self) -> CompiledIO | None:
