@@ -41,10 +41,11 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Prepared:
     return Prepared(log, (numbers[0], numbers[1]), seconds)
 
 
-def kill_and_check(prepared: Prepared, out: Path, *, kills: int, seed: int) -> None:
+def survived_kills(prepared: Prepared, out: Path, *, kills: int, seed: int) -> int:
+    """Kill fits at random moments; how many left one whole run, the old or the new."""
     rng = np.random.default_rng(seed)
     assert run("fit", prepared.log, "-o", out, "-q", *RUNS[0]).code in (0, 4)
-    shown = 0
+    shown, whole = 0, 0
     for kill in range(kills):
         # half of the kills anywhere, half in the last third, where the files are written
         begin = 0.0 if kill % 2 else 0.67
@@ -60,19 +61,21 @@ def kill_and_check(prepared: Prepared, out: Path, *, kills: int, seed: int) -> N
         bundle = run("export", out).json()["specimens"][0]["model"]["branches"]
         assert bundle == shown + 1
         assert not list(out.glob(".tmp-*"))
+        whole += 1
     # the folder is of use afterwards
     assert run("fit", prepared.log, "-o", out, "-q", *RUNS[0]).code in (0, 4)
     assert (out / "identification.json").read_bytes() == prepared.numbers[0]
     assert len(list((out / ".runs").iterdir())) == 1
+    return whole
 
 
 def test_a_killed_fit_leaves_the_old_run_or_the_new(prepared: Prepared, tmp_path: Path) -> None:
-    kill_and_check(prepared, tmp_path, kills=3, seed=20)
+    assert survived_kills(prepared, tmp_path, kills=3, seed=20) == 3
 
 
 @pytest.mark.slow
 def test_twenty_killed_fits_leave_the_old_run_or_the_new(prepared: Prepared, tmp_path: Path) -> None:
-    kill_and_check(prepared, tmp_path, kills=20, seed=21)
+    assert survived_kills(prepared, tmp_path, kills=20, seed=21) == 20
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a process can't be sent SIGINT here")

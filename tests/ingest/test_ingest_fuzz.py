@@ -72,25 +72,29 @@ def run(letter: str, count: int, folder: Path) -> Tally:
     return tally
 
 
-def conclude(letter: str, count: int, tally: Tally, what: str = "") -> None:
-    """Print the counts; no mutant misread, and neither all refused nor all read."""
+def shares(letter: str, count: int, tally: Tally, what: str = "") -> tuple[str, float, float]:
+    """Print the counts; what was misread, and the shares that were read and refused."""
     read, flagged, refused = (tally.count(o) for o in ("read", "flagged", "refused"))
     counts = f"{count} mutants, {read} read, {flagged} flagged, {refused} refused"
     print(f"\nclass ({letter}) {what}{NAMES[letter]}: {counts}\n{tally.table()}")  # noqa: T201
-    assert not tally.bugs, "\n".join([f"{len(tally.bugs)} mutants were misread", *tally.bugs[:40]])
-    assert (read + flagged) / count >= LEAST_READ[letter]
-    assert refused / count >= LEAST_REFUSED[letter]
+    return "\n".join(tally.bugs[:40]), (read + flagged) / count, refused / count
 
 
 @pytest.mark.parametrize("letter", CLASSES)
 def test_five_hundred_mutants_are_read_right_or_refused(letter: str, tmp_path: Path) -> None:
-    conclude(letter, SHORT[letter], run(letter, SHORT[letter], tmp_path))
+    misread, read, refused = shares(letter, SHORT[letter], run(letter, SHORT[letter], tmp_path))
+    assert misread == ""
+    assert read >= LEAST_READ[letter]
+    assert refused >= LEAST_REFUSED[letter]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("letter", CLASSES)
 def test_twenty_thousand_mutants_are_read_right_or_refused(letter: str, tmp_path: Path) -> None:
-    conclude(letter, LONG[letter], run(letter, LONG[letter], tmp_path))
+    misread, read, refused = shares(letter, LONG[letter], run(letter, LONG[letter], tmp_path))
+    assert misread == ""
+    assert read >= LEAST_READ[letter]
+    assert refused >= LEAST_REFUSED[letter]
 
 
 #: Workbook mutants of each class, in the short and the slow run.
@@ -115,10 +119,20 @@ def run_workbooks(letter: str, count: int, folder: Path) -> Tally:
 
 @pytest.mark.parametrize("letter", CLASSES)
 def test_workbook_mutants_are_read_right_or_refused(letter: str, tmp_path: Path) -> None:
-    conclude(letter, SHORT_WORKBOOKS, run_workbooks(letter, SHORT_WORKBOOKS, tmp_path), "workbooks, ")
+    misread, read, refused = shares(
+        letter, SHORT_WORKBOOKS, run_workbooks(letter, SHORT_WORKBOOKS, tmp_path), "workbooks, "
+    )
+    assert misread == ""
+    assert read >= LEAST_READ[letter]
+    assert refused >= LEAST_REFUSED[letter]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("letter", CLASSES)
 def test_two_thousand_workbook_mutants_are_read_right_or_refused(letter: str, tmp_path: Path) -> None:
-    conclude(letter, LONG_WORKBOOKS, run_workbooks(letter, LONG_WORKBOOKS, tmp_path), "workbooks, ")
+    misread, read, refused = shares(
+        letter, LONG_WORKBOOKS, run_workbooks(letter, LONG_WORKBOOKS, tmp_path), "workbooks, "
+    )
+    assert misread == ""
+    assert read >= LEAST_READ[letter]
+    assert refused >= LEAST_REFUSED[letter]

@@ -64,7 +64,9 @@ def test_a_specimen_in_millimetres_and_newtons_may_be_rendered(tmp_path: Path) -
     write_bundle(
         bundle_from_fit(found.specimens[0], provenance=plain_json(found.as_json())["provenance"]), path
     )
-    load_bundle(path).require_renderable()
+    bundle = load_bundle(path)
+    bundle.require_renderable()
+    assert dict(bundle.units) == {"length": "mm", "force": "N", "time": "s"}
 
 
 def test_recordings_of_other_axes_are_not_pooled() -> None:

@@ -43,23 +43,24 @@ def show(capsys: pytest.CaptureFixture[str]) -> Callable[[str], None]:
     return printed
 
 
-def within_three_standard_errors(job: Job) -> None:
-    run = run_job(job)
+def standard_errors_away(job: Job) -> dict[str, float]:
+    """Errors of a run in its own standard errors; infinite where a parameter is not identified."""
+    run, out = run_job(job), {}
     for name, truth in TRUTH.items():
         estimate, stderr, identified = getattr(run, name)
-        assert identified, (name, job.seed)
-        assert abs(estimate - truth) <= 3.0 * stderr, (name, job.seed)
+        out[name] = abs(estimate - truth) / stderr if identified else float("inf")
+    return out
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_every_error_at_100_hz_is_within_three_standard_errors(seed: int) -> None:
     (job,) = jobs("paper-a-30", range(seed, seed + 1), CONSTANT, rate_Hz=100.0)
-    within_three_standard_errors(job)
+    assert max(standard_errors_away(job).values()) <= 3.0
 
 
 def test_every_error_at_1_khz_is_within_three_standard_errors() -> None:
     (job,) = jobs("paper-a-30", range(5, 6), CONSTANT, rate_Hz=1000.0)
-    within_three_standard_errors(job)
+    assert max(standard_errors_away(job).values()) <= 3.0
 
 
 @pytest.mark.slow
