@@ -247,7 +247,8 @@ def test_in_real_time_the_arm_moves_between_commands():
         time.sleep(0.2)
         exchange(host, HOME)
         waited = time.monotonic() - start
-        assert 0.1 < link.falcon.time_s - begin <= waited + 1e-3
+        # time that had gone by unnoticed before the first look counts too
+        assert 0.1 < link.falcon.time_s - begin <= waited + 0.1
         before = time.monotonic()
         exchange(host, HOME)
         assert time.monotonic() - before >= 0.002

@@ -118,6 +118,7 @@ def test_firmware_that_fails_twice_is_exit_0(monkeypatch, tmp_path):
     assert ended.code == 0
 
 
+@pytest.mark.slow
 def test_homing_that_never_completes_is_exit_5_and_says_what_to_do(monkeypatch):
     with emulated(monkeypatch, homes=False, homing_timeout_s=0.3) as link:
         ended = run(*FALCON, "--seconds", "5")
@@ -165,6 +166,7 @@ sys.exit(main(sys.argv[1:]))
 """
 
 
+@pytest.mark.slow
 def test_a_full_disk_is_exit_7_and_the_rendering_goes_on_to_its_end(tmp_path):
     assert resource.getrlimit(resource.RLIMIT_FSIZE)[0] in (-1, resource.RLIM_INFINITY)
     log = tmp_path / "out.h5"

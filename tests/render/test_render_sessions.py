@@ -94,8 +94,8 @@ def test_sessions_are_passive_at_the_true_port_quiet_in_holds_and_rise_gently():
 
 
 def test_the_controller_never_kicks_and_leaves_a_passive_rendering_alone():
-    _, figures = judged(60, pool_size=3, controller=True)
-    _, without = judged(60, pool_size=3)
+    _, figures = judged(40, pool_size=3, controller=True)
+    _, without = judged(40, pool_size=3)
     assert figures[:, KICK_N].max() <= 0.5
     assert figures[:, MARGIN_J].min() >= 0.0
     np.testing.assert_allclose(figures[:, LARGEST_N], without[:, LARGEST_N], atol=0.5)
