@@ -7,6 +7,7 @@ import os
 import pty
 import socket
 import struct
+import termios
 import time
 import tty
 from pathlib import Path
@@ -140,6 +141,13 @@ def test_a_grip_that_stays_in_is_not_armed_for_force(monkeypatch: pytest.MonkeyP
     assert told[-1] == module.HOMING_STEPS[1]
 
 
+def test_a_fault_while_homing_is_told() -> None:
+    device, _, _ = wired(faults=(ScriptedFault("bad packets", 0.5),))
+    device._limits[NO_REPLY_S] = 10.0
+    with pytest.raises(DeviceError, match="homing ended: the device sent too many damaged packets"), device:
+        device.home()
+
+
 def test_every_command_keeps_homing_mode_and_no_reply_is_dropped() -> None:
     device, falcon, _ = wired()
     with device:
@@ -260,6 +268,8 @@ def test_firmware_is_loaded_over_a_pseudo_terminal(tmp_path: Path, monkeypatch: 
     assert [line for line in told if line.startswith("firmware, try")] == [
         "firmware, try 1 of 10: the echo of bytes 186 to 247 of the firmware is missing or differs"
     ]
+    # 62 bytes at a time, the first beyond each quarter of 700
+    assert told[-4:] == [f"firmware: {done} of 700 bytes" for done in (186, 372, 558, 700)]
 
 
 @pytest.mark.parametrize("baud", [9600, 142_857, 1_500_000])
@@ -332,6 +342,36 @@ def test_ports_that_can_not_be_opened_say_why(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("", encoding="utf-8")
     with pytest.raises(DeviceError, match="is no terminal device"):
         FileTransport.open(str(tmp_path / "file"))
+
+
+def test_modem_lines_of_a_serial_port_are_set_one_by_one(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    asked: list[tuple[int, int]] = []
+
+    def ioctl(_descriptor: int, request: int, value: object) -> int:
+        if request != termios.TIOCMGET:
+            asked.append((request, struct.unpack("I", value)[0]))  # type: ignore[arg-type]
+        return 0
+
+    master, slave = pty.openpty()
+    transport = FileTransport(slave, "serial port")
+    monkeypatch.setattr("tissueid.haptics.falcon.transport.fcntl.ioctl", ioctl)
+    modem = transport.modem
+    assert modem is not None
+    modem.set_frame()
+    modem.set_rts(on=False)
+    modem.set_dtr(on=False)
+    modem.set_dtr(on=True)
+    # there is no timer of a pseudo-terminal: no harm
+    modem.set_latency(1)
+    assert asked == [
+        (termios.TIOCMBIC, termios.TIOCM_RTS),
+        (termios.TIOCMBIC, termios.TIOCM_DTR),
+        (termios.TIOCMBIS, termios.TIOCM_DTR),
+    ]
+    transport.close()
+    os.close(master)
 
 
 def test_a_port_without_permission_names_the_group(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -102,6 +102,7 @@ class FalconDevice(HapticDevice):
         self._usb: LibUsb | None = None
         self._parser = PacketParser()
         self._invalid = 0
+        self._quarter = 0
         self._reply = Reply((0, 0, 0), 0, 0)
         self._grip = np.array(GUESS_M)
         self._angles = np.empty(3)
@@ -268,9 +269,14 @@ class FalconDevice(HapticDevice):
         self.tell(f"loading firmware {firmware.path}")
         return firmware
 
-    def _tell_progress(self, message: str, done: int, _total: int) -> None:
+    def _tell_progress(self, message: str, done: int, total: int) -> None:
+        """Tell of a failed try, and of every quarter of an upload."""
+        quarter = 4 * done // total
         if done == 0:
             self.tell(message)
+        elif quarter != self._quarter:
+            self.tell(f"{message}: {done} of {total} bytes")
+        self._quarter = quarter
 
     def _not_homed(self) -> str:
         missing = [str(leg + 1) for leg in range(3) if not self._reply.homed >> leg & 1]
