@@ -14,6 +14,8 @@ FloatArray = NDArray[np.float64]
 
 #: Time constant [s]: one 45 um count in a 1 ms tick, 45 mm/s unfiltered, is then 8 mm/s.
 VELOCITY_FILTER_S = 0.005
+#: Slower is rest [m/s]: a velocity that only fades would reach denormal numbers, which slow a tick.
+REST_M_PER_S = 1e-12
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
@@ -33,4 +35,6 @@ def velocity_step(velocity: FloatArray, position: FloatArray, last: FloatArray, 
     for i in range(3):
         if share > 0.0:
             velocity[i] += share * ((position[i] - last[i]) / dt - velocity[i])
+            if abs(velocity[i]) < REST_M_PER_S:
+                velocity[i] = 0.0
         last[i] = position[i]

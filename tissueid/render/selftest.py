@@ -207,6 +207,7 @@ def _force_step_ns(servo: Servo) -> float:
 @nb.njit(cache=True, nogil=True)
 def _force_steps(servo: Servo, memory: FloatArray, info: FloatArray, count: int) -> None:
     """Tissue law and guard, on a tool that is pressed in slowly."""
+    servo.velocity[2] = -PRESSED_M / PERIOD_S
     for _ in range(count):
         servo.position[2] -= PRESSED_M
         environment_step(

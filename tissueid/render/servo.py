@@ -83,6 +83,15 @@ class ServoProcess:
         DeviceError, UsageError, BundleError
             What the process refused, or DeviceError where it died or took too long.
         """
+        try:
+            self.ready = self._started()
+        except BaseException:
+            self.close()
+            raise
+        return self.ready
+
+    def _started(self) -> ServoReady:
+        """Spawn the process, send the plan, wait for its first line."""
         theirs, self._owner = os.pipe()
         self._report, reporting = os.pipe()
         shared = (self.ring.descriptor, self.block.descriptor)
@@ -97,11 +106,10 @@ class ServoProcess:
             os.close(reporting)
         with contextlib.suppress(BrokenPipeError):
             send_plan(self._owner, self.plan, *shared)
-        words = self._start_line()
+        words = self._next_line(self._start_timeout_s)
         if words is None or words["event"] != "ready":
             raise self._failure(words, f"did not start within {self._start_timeout_s:.0f} s")
-        self.ready = ServoReady(words["compiled"], words["scheduling"], tuple(words["remedies"]))
-        return self.ready
+        return ServoReady(words["compiled"], words["scheduling"], tuple(words["remedies"]))
 
     def beat(self) -> None:
         """Sign of life; at least twice a heartbeat limit."""
@@ -161,11 +169,7 @@ class ServoProcess:
             self.block.close()
 
     def __enter__(self) -> Self:
-        try:
-            self.start()
-        except BaseException:
-            self.close()
-            raise
+        self.start()
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:

@@ -1,0 +1,247 @@
+"""The servo's process: it starts, obeys, and ends in zero force whatever happens to it or its owner."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_render_servo_tick import tissue
+
+from tissueid.errors import DeviceError, UsageError
+from tissueid.haptics.hand import Hand
+from tissueid.haptics.parameter_block import COMMAND_ENGAGE, COMMAND_STOP, ParameterBlock
+from tissueid.haptics.ring import Ring
+from tissueid.haptics.sim import CENTRE_M
+from tissueid.haptics.states import Fault, State
+from tissueid.render import servo_process
+from tissueid.render.servo import ServoProcess
+from tissueid.render.servo_plan import ServoEnd, ServoPlan, receive_plan, send_line, send_plan
+from tissueid.render.servo_tick import BLOCK_SIZE
+
+#: A hand that presses 10 mm deep within half a second of the end of the start-up ramp.
+PRESS = Hand(
+    (0.0, 1.2, 1.5, 60.0),
+    (CENTRE_M, CENTRE_M, (0.0, 0.0, CENTRE_M[2] - 0.010), (0.0, 0.0, CENTRE_M[2] - 0.010)),
+    (1.0, 1.0, 1.0, 1.0),
+)
+PLAN = ServoPlan("sim", {"real_time": True, "hand": PRESS})
+#: Long enough for a loaded machine.
+PATIENCE_S = 20.0
+
+
+def pressed(servo: ServoProcess) -> np.ndarray:
+    """Engage on tissue and wait until a force is on; its last record."""
+    servo.block.write(tissue())
+    servo.engage()
+    deadline = time.monotonic() + PATIENCE_S
+    while time.monotonic() < deadline:
+        servo.beat()
+        time.sleep(0.02)
+        records, _ = servo.records.read_new()
+        if records.size and np.linalg.norm(records["force_N"][-1]) > 0.2:
+            return records[-1]
+    pytest.fail("no force came")
+
+
+def ended(servo: ServoProcess) -> ServoEnd:
+    """Wait for the end without a sign of life."""
+    deadline = time.monotonic() + PATIENCE_S
+    while servo.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert servo.end is not None
+    return servo.end
+
+
+def forces(servo: ServoProcess) -> np.ndarray:
+    return np.linalg.norm(servo.records.read_new()[0]["force_N"], axis=1)
+
+
+@pytest.mark.needs_jit
+class TestProcess:
+    def test_it_presses_and_ends_as_its_owner_wishes(self):
+        with ServoProcess(PLAN) as servo:
+            last = pressed(servo)
+            assert servo.ready.compiled
+            assert last["state"] == State.ENGAGED
+            assert last["version"] == servo.block.taken == 1
+        assert servo.end.reason == "stopped"
+        assert servo.end.fault is Fault.NONE
+        assert servo.end.statistics.ticks == servo.ring.published
+        assert servo.end.statistics.scheduling == servo.ready.scheduling
+
+    def test_an_owner_that_falls_silent_is_damping_then_a_fault(self):
+        with ServoProcess(PLAN) as servo:
+            pressed(servo)
+            end = ended(servo)
+            size = forces(servo)
+        assert end.fault is Fault.HEARTBEAT
+        assert np.all(size[-20:] == 0.0)
+        assert "stopped giving signs of life" in end.message
+
+    @pytest.mark.parametrize(
+        "number",
+        [
+            signal.SIGTERM,
+            pytest.param(signal.SIGINT, marks=pytest.mark.slow),
+            pytest.param(signal.SIGHUP, marks=pytest.mark.slow),
+        ],
+    )
+    def test_a_signal_ends_it_with_the_device_closed(self, number):
+        with ServoProcess(PLAN) as servo:
+            servo.engage()
+            servo.beat()
+            os.kill(servo._process.pid, number)
+            end = ended(servo)
+        assert end.reason == "signal"
+        assert servo._process.returncode == 0
+
+    def test_a_killed_process_is_told_of_and_leaves_the_owner_standing(self):
+        servo = ServoProcess(PLAN)
+        servo.start()
+        os.kill(servo._process.pid, signal.SIGKILL)
+        with pytest.raises(DeviceError, match=r"died without a word.*-9"):
+            ended(servo)
+        servo.close()
+
+    def test_a_device_that_refuses_says_so_through_the_process(self):
+        with pytest.raises(UsageError, match="no device named 'simm'"):
+            ServoProcess(ServoPlan("simm")).start()
+
+    def test_ticks_that_were_asked_for_are_the_last(self):
+        with ServoProcess(ServoPlan("sim", {"real_time": True}, ticks=30, alive_wanted=False)) as servo:
+            end = ended(servo)
+        assert end.reason == "ticks"
+        assert end.statistics.ticks == 30
+
+
+class TestInOneProcess:
+    """The process's own code, called here: what coverage and a machine without compilation can see."""
+
+    @pytest.fixture
+    def pipes(self):
+        owner, report = os.pipe(), os.pipe()
+        ring, block = Ring.create(), ParameterBlock.create(BLOCK_SIZE)
+        yield owner, report, ring, block
+        for descriptor in (*owner, *report):
+            try:
+                os.close(descriptor)
+            except OSError:
+                continue
+        ring.close()
+        block.close()
+
+    @pytest.fixture(autouse=True)
+    def same_priority(self, monkeypatch):
+        """The test's own process keeps its scheduling."""
+        got = servo_process.make_punctual.__globals__["Schedule"](
+            "SCHED_OTHER", -1, locked=False, remedies=()
+        )
+        monkeypatch.setattr(servo_process, "make_punctual", lambda *, collect: got)
+
+    def test_a_plan_is_run_to_its_last_tick_and_reported(self, pipes):
+        (theirs, ours), (reading, writing), ring, block = pipes
+        send_plan(ours, ServoPlan("sim", ticks=120, alive_wanted=False), ring.descriptor, block.descriptor)
+        block.order(COMMAND_ENGAGE)
+        assert servo_process.main([str(theirs), str(writing)]) == 0
+        lines = os.read(reading, 65_536).decode().splitlines()
+        assert [line.split('"')[3] for line in lines] == ["ready", "ended"]
+        assert ring.published == 120
+        assert ring.records["state"][119] == State.ENGAGED
+
+    def test_the_death_of_the_owner_is_a_fault(self, pipes):
+        (theirs, ours), (_, writing), ring, block = pipes
+        os.close(ours)
+        end = servo_process.run_plan(ServoPlan("sim", ticks=2000), ring, block, theirs, writing)
+        assert end.fault is Fault.PARENT_DIED
+        assert end.reason == "fault"
+        # seen within 5 ms, and 20 zeros
+        assert ring.published < 100
+
+    def test_an_owner_that_dies_before_it_sent_a_plan_ends_it(self, pipes):
+        (theirs, ours), (_, writing), _, _ = pipes
+        os.close(ours)
+        assert servo_process.main([str(theirs), str(writing)]) == 5
+
+    def test_the_wish_to_end_ends_it(self, pipes):
+        (theirs, _), (_, writing), ring, block = pipes
+        block.order(COMMAND_STOP)
+        end = servo_process.run_plan(ServoPlan("sim", ticks=2000), ring, block, theirs, writing)
+        assert end.reason == "stopped"
+        assert ring.published == 20
+
+    def test_a_signal_is_seen_by_the_loop(self, pipes):
+        (theirs, _), (_, writing), ring, block = pipes
+        killer = subprocess.Popen(
+            [sys.executable, "-c", f"import os, time; time.sleep(0.5); os.kill({os.getpid()}, 15)"]
+        )
+        end = servo_process.run_plan(
+            ServoPlan("sim", alive_wanted=False, ticks=20_000), ring, block, theirs, writing
+        )
+        killer.wait()
+        assert end.reason == "signal"
+        assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+
+    def test_what_the_device_refuses_is_reported_with_its_kind(self, pipes):
+        (theirs, ours), (reading, writing), ring, block = pipes
+        send_plan(ours, ServoPlan("flacon"), ring.descriptor, block.descriptor)
+        assert servo_process.main([str(theirs), str(writing)]) == 2
+        assert '"kind": "UsageError"' in os.read(reading, 65_536).decode()
+
+    def test_a_law_in_python_runs_uncompiled_and_says_so(self, pipes, monkeypatch):
+        (theirs, _), (reading, writing), ring, block = pipes
+        monkeypatch.setattr(servo_process, "environment_law", lambda name: lambda p, v, dt: 0.0 * p)
+        plan = ServoPlan("sim", {"real_time": True}, law="nothing", ticks=80, alive_wanted=False)
+        block.order(COMMAND_ENGAGE)
+        end = servo_process.run_plan(plan, ring, block, theirs, writing)
+        assert end.reason == "ticks"
+        assert '"compiled": false' in os.read(reading, 65_536).decode()
+
+    def test_a_law_that_raises_ends_with_the_device_closed(self, pipes, monkeypatch):
+        (theirs, _), (_, writing), ring, block = pipes
+
+        def broken(position_m, velocity_m_per_s, dt_s):
+            raise ZeroDivisionError
+
+        monkeypatch.setattr(servo_process, "environment_law", lambda name: broken)
+        plan = ServoPlan("sim", {"real_time": True}, law="broken", ticks=80, alive_wanted=False)
+        with pytest.raises(ZeroDivisionError):
+            servo_process.run_plan(plan, ring, block, theirs, writing)
+
+
+class TestPlan:
+    def test_a_plan_arrives_as_it_was_sent(self):
+        reading, writing = os.pipe()
+        send_plan(writing, PLAN, 7, 8)
+        got, ring, block = receive_plan(reading)
+        os.close(writing)
+        with pytest.raises(EOFError):
+            receive_plan(reading)
+        os.close(reading)
+        assert (got.device, got.options["real_time"], ring, block) == ("sim", True, 7, 8)
+        assert got.options["hand"].times_s == PRESS.times_s
+
+    def test_a_report_that_nobody_reads_is_no_error(self):
+        reading, writing = os.pipe()
+        os.close(reading)
+        send_line(writing, event="ready")
+        os.close(writing)
+
+
+def test_the_process_does_not_load_what_a_servo_has_no_use_for():
+    # numba itself looks at scipy's version
+    program = (
+        "import sys, tissueid.render.servo_process\n"
+        "heavy = {'scipy.optimize', 'scipy.special', 'scipy.linalg', 'pandas', 'lmfit', 'emcee', 'click',\n"
+        "         'pint', 'jinja2', 'plotly', 'h5py'}\n"
+        "print(sorted(heavy & set(sys.modules)))"
+    )
+    shown = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=Path(__file__).parent
+    )
+    assert shown.stdout.strip() == "[]"

@@ -1,0 +1,237 @@
+"""One tick and the loops: virtual time, what is recorded, exchange of parameters, compiled and not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tissueid.errors import DeviceError
+from tissueid.haptics import guard_states as machine
+from tissueid.haptics.device import CompiledIO
+from tissueid.haptics.guard import transition
+from tissueid.haptics.hand import Hand
+from tissueid.haptics.limits import GuardLimits
+from tissueid.haptics.parameter_block import COMMAND_ENGAGE, COMMAND_STOP, ParameterBlock
+from tissueid.haptics.ring import Ring
+from tissueid.haptics.sim import CENTRE_M, SimulatedDevice
+from tissueid.haptics.states import Fault, Lamp, State
+from tissueid.render.passivity_control import PassivityLimits
+from tissueid.render.presets import preset_tissue
+from tissueid.render.servo_io import PythonIO, compiled_io
+from tissueid.render.servo_loop import ENDED_FAULT, ENDED_STOPPED, ENDED_TICKS, new_watch, virtual_loop
+from tissueid.render.servo_tick import BLOCK_SIZE, CLIPPED, VERSION, new_servo, tick
+from tissueid.render.tissue_block import Plane, free_air_block, tissue_block
+
+PERIOD = 1e-3
+HAND_N_PER_M = 300.0
+FORCE_SCALE, MOTION_SCALE = 0.008, 5.0
+QUIET = PassivityLimits(on=False).block()
+ABOVE_M = 2e-3
+#: Into the tissue by 10 mm within a second, after homing and the start-up ramp; then held.
+PRESS = Hand(
+    (0.0, 1.5, 2.5, 9.0),
+    (CENTRE_M, CENTRE_M, (0.0, 0.0, CENTRE_M[2] - 0.010), (0.0, 0.0, CENTRE_M[2] - 0.010)),
+    (1.0, 1.0, 1.0, 1.0),
+)
+
+
+def tissue(label: int = 0, force_scale: float = FORCE_SCALE, above_m: float = -ABOVE_M) -> np.ndarray:
+    """Parameters of paper A's tissue ``above_m`` over the resting tool."""
+    surface = Plane((0.0, 0.0, CENTRE_M[2] + above_m))
+    block = tissue_block(
+        preset_tissue("paper-a"), surface, force_scale=force_scale, motion_scale=MOTION_SCALE, label=label
+    )
+    return np.concatenate([block, QUIET])
+
+
+class Rig:
+    """A servo on a simulated device in virtual time."""
+
+    def __init__(self, hand: Hand = PRESS, **options: object) -> None:
+        self.device = SimulatedDevice(hand=hand, **options)
+        self.device.open()
+        self.ring, self.block = Ring.create(), ParameterBlock.create(BLOCK_SIZE)
+        self.servo = new_servo(self.device, self.ring, self.block)
+        self.io = compiled_io(self.device.compiled())
+        self.records = self.ring.reader()
+        self.block.order(COMMAND_ENGAGE)
+        self.now = 0.0
+
+    def run(self, seconds: float, period: float = PERIOD) -> tuple[int, np.ndarray]:
+        steps = np.full(round(seconds / period), period)
+        ended = virtual_loop(self.io, self.servo, new_watch(), self.now, steps)
+        self.now += seconds
+        return ended, self.records.read_new()[0]
+
+
+@pytest.fixture
+def rig():
+    made = Rig()
+    yield made
+    made.ring.close()
+    made.block.close()
+
+
+class TestVirtualTime:
+    @pytest.mark.needs_jit
+    def test_a_session_homes_engages_and_presses(self, rig):
+        rig.block.write(tissue())
+        ended, records = rig.run(3.0)
+        assert ended == ENDED_TICKS
+        assert records["tick"].tolist() == list(range(3000))
+        assert records["time_s"] == pytest.approx(PERIOD * np.arange(1, 3001), abs=1e-9)
+        assert records["state"][0] == State.HOMING
+        assert np.flatnonzero(records["state"] == State.ARMED)[0] == 49
+        assert records["state"][-1] == State.ENGAGED
+        # 8 mm below the surface less what the hand's spring gives, within Coulomb friction and a count
+        given_mm = 1e3 * records["force_N"][-1, 2] / HAND_N_PER_M
+        slack_mm = 1e3 * 0.1 / HAND_N_PER_M + 0.045
+        assert records["depth_mm"][-1] == pytest.approx(
+            (8.0 - given_mm) / MOTION_SCALE, abs=slack_mm / MOTION_SCALE
+        )
+        # the force on the tool is the tissue's by the scale, along the normal, as nothing limits it
+        held = records[-500:]
+        assert held["force_N"][:, 2] == pytest.approx(FORCE_SCALE * held["tissue_force_N"], rel=1e-12)
+        assert np.all(held["force_N"][:, :2] == 0.0)
+        assert np.all(held["lamps"] == 0)
+
+    @pytest.mark.needs_jit
+    def test_a_session_repeats_bit_for_bit(self):
+        runs = []
+        for _ in range(2):
+            rig = Rig(seed=3)
+            rig.block.write(tissue())
+            runs.append(rig.run(2.0)[1].tobytes())
+            rig.ring.close()
+            rig.block.close()
+        assert runs[0] == runs[1]
+
+    def test_compiled_and_uncompiled_loops_do_the_same(self):
+        records = []
+        for compiled in (True, False):
+            rig = Rig(seed=5)
+            rig.block.write(tissue())
+            io = rig.io if compiled else PythonIO(rig.device)
+            for k in range(400):
+                # a device in Python moves when it is commanded, a compiled one when it is read
+                tick(io, rig.servo, PERIOD * k, PERIOD if k or not compiled else 0.0, 0.0, 0)
+            records.append(rig.records.read_new()[0])
+            rig.ring.close()
+            rig.block.close()
+        for name in ("position_m", "force_N", "state", "depth_mm"):
+            assert np.array_equal(records[0][name], records[1][name])
+
+    def test_the_wish_to_end_ramps_down_then_sends_zeros(self, rig):
+        rig.block.write(tissue())
+        rig.run(2.2)
+        rig.block.order(COMMAND_STOP)
+        ended, records = rig.run(3.0)
+        size = np.linalg.norm(records["force_N"], axis=1)
+        assert ended == ENDED_STOPPED
+        assert size[0] > 0.1
+        # 100 ms of ramp, then 20 commands of zero
+        assert records.size == pytest.approx(120, abs=2)
+        assert np.all(size[-20:] == 0.0)
+        assert records["state"][-1] == State.ARMED
+
+    @pytest.mark.parametrize(
+        ("event", "fault"),
+        [(machine.PARENT_DIED, Fault.PARENT_DIED), (machine.TRANSPORT_LOST, Fault.TRANSPORT)],
+    )
+    def test_a_fault_ends_the_loop_after_twenty_zeros(self, rig, event, fault):
+        rig.block.write(tissue())
+        rig.run(2.5)
+        transition(rig.servo.guard_memory, rig.servo.limits, event)
+        ended, records = rig.run(1.0)
+        size = np.linalg.norm(records["force_N"], axis=1)
+        assert ended == ENDED_FAULT
+        assert np.all(size[19:] == 0.0)
+        assert records.size == 39
+        assert set(records["fault"]) == {fault}
+
+    @pytest.mark.needs_jit
+    def test_a_stall_is_marked_and_resumes(self, rig):
+        rig.block.write(tissue())
+        rig.run(2.6)
+        rig.run(0.1, period=0.1)
+        ended, records = rig.run(0.5)
+        assert ended == ENDED_TICKS
+        assert records["state"][-1] == State.ENGAGED
+        held = np.linalg.norm(records["force_N"], axis=1)
+        # at the bottom of the ramp only damping is left, of a hand that recoils at some 10 mm/s
+        assert held.min() < 2.0 * 0.02
+        assert held[-1] == pytest.approx(FORCE_SCALE * records["tissue_force_N"][-1], rel=1e-9)
+
+
+@pytest.mark.needs_jit
+class TestExchange:
+    def test_parameters_wait_until_nothing_is_touched(self, rig):
+        rig.block.write(tissue(label=1))
+        rig.run(2.6)
+        rig.block.write(tissue(label=2, force_scale=0.5 * FORCE_SCALE))
+        _, records = rig.run(0.2)
+        assert set(records["version"]) == {1}
+        assert set(records["label"]) == {1}
+        rig.device.set_pointer((0.0, 0.0, CENTRE_M[2] + 0.02))
+        _, records = rig.run(1.0)
+        changed = np.flatnonzero(np.diff(records["version"].astype(int)))
+        assert records["version"][-1] == 2
+        assert changed.size == 1
+        assert records["depth_mm"][changed[0]] <= 0.0
+        assert rig.servo.counters[VERSION] == rig.block.taken == 2
+
+    def test_without_parameters_there_is_free_air(self, rig):
+        _, records = rig.run(2.6)
+        assert np.all(records["version"] == 0)
+        assert np.all(records["force_N"][1200:] == 0.0)
+
+    def test_free_air_can_be_asked_for(self, rig):
+        rig.block.write(np.concatenate([free_air_block(), QUIET]))
+        _, records = rig.run(2.6)
+        assert records["version"][-1] == 1
+        assert np.all(records["tissue_force_N"] == 0.0)
+
+
+class TestPythonDevices:
+    @pytest.mark.needs_jit
+    def test_a_law_in_python_takes_the_place_of_the_environment(self, rig):
+        asked = []
+
+        def spring(position_m, velocity_m_per_s, dt_s):
+            asked.append(dt_s)
+            return -100.0 * (position_m - np.array(CENTRE_M))
+
+        rig.block.write(np.concatenate([free_air_block(), QUIET]))
+        io = PythonIO(rig.device, spring)
+        for k in range(2600):
+            tick(io, rig.servo, PERIOD * k, PERIOD, 0.0, 0)
+        records = rig.records.read_new()[0]
+        offset = records["position_m"] - np.array(CENTRE_M)
+        assert asked == [PERIOD] * 2600
+        assert records["force_N"][-1] == pytest.approx(-100.0 * offset[-1], rel=1e-9)
+        assert np.linalg.norm(records["force_N"][-1]) > 0.5
+
+    def test_a_device_that_is_gone_is_a_fault_after_one_tick(self, rig):
+        io = PythonIO(rig.device)
+        for k in range(200):
+            tick(io, rig.servo, PERIOD * k, PERIOD, 0.0, 0)
+        rig.device.close()
+        tick(io, rig.servo, 0.2, PERIOD, 0.0, 0)
+        assert rig.servo.out.tolist() == [0.0, 0.0, 0.0]
+
+    def test_an_unknown_kind_of_device_is_told_the_way_out(self):
+        with pytest.raises(DeviceError, match=r"kind 9.*return None"):
+            compiled_io(CompiledIO(9))
+
+
+def test_a_clipped_tick_says_so_and_is_counted():
+    rig = Rig(limits=GuardLimits(clamp_N=0.2, rms_limit_N=0.2, dead_man=False))
+    rig.block.write(tissue())
+    _, records = rig.run(2.6)
+    clipped = (records["lamps"] & Lamp.CLIPPED) != 0
+    size = np.linalg.norm(records["force_N"], axis=1)
+    assert clipped[-1]
+    assert size[clipped] == pytest.approx(0.2, rel=1e-12)
+    assert rig.servo.counters[CLIPPED] == clipped.sum()
+    rig.ring.close()
+    rig.block.close()
