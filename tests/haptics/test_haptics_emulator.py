@@ -264,6 +264,20 @@ def test_it_runs_as_a_process_of_its_own_and_ends_with_its_owner():
         os.kill(emulator.pid, 0)
 
 
+@pytest.mark.parametrize(
+    "moved_by", [["--hand", "slow press"], ["--script", "indent 2 mm at 5 mm/s"], ["--sweep"], []]
+)
+def test_its_command_says_where_it_is_and_ends_with_its_input(monkeypatch, capsys, moved_by):
+    reading, writing = os.pipe()
+    os.close(writing)
+    monkeypatch.setattr("signal.signal", lambda *_: None)
+    monkeypatch.setattr("os.sched_setscheduler", lambda *_: None)
+    with os.fdopen(reading) as stdin:
+        monkeypatch.setattr("sys.stdin", stdin)
+        assert emulator_main(["--until-eof", "--no-firmware", *moved_by]) == 0
+    assert capsys.readouterr().out.startswith("emulated Falcon at /dev/")
+
+
 def test_a_script_that_is_too_long_for_it_is_refused_in_one_line(capsys):
     script = ";".join(f"indent {depth} mm at 50 mm/s; hold 0.1 s" for depth in range(1, 31))
     assert emulator_main(["--script", script]) == 2
