@@ -14,7 +14,6 @@ import atexit
 import contextlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import Any, ClassVar, Self, final
 
 import numpy as np
@@ -22,6 +21,19 @@ from numpy.typing import NDArray
 
 from tissueid.errors import DeviceError
 from tissueid.haptics import guard_states as machine
+from tissueid.haptics.device_facts import (
+    FALCON_FD,
+    FALCON_USB,
+    FORCE_DIMENSION,
+    GEOMETRY,
+    HANDLES_SIZE,
+    SIMULATED,
+    UNITS_PER_NM,
+    Capabilities,
+    CompiledIO,
+    DetectedDevice,
+    DeviceSample,
+)
 from tissueid.haptics.guard import GuardLimits, guard, new_guard, observe, transition
 from tissueid.haptics.states import FAULT_WORDS, Fault, State
 from tissueid.haptics.velocity import velocity_step
@@ -31,8 +43,10 @@ __all__ = [
     "FALCON_FD",
     "FALCON_USB",
     "FORCE_DIMENSION",
+    "GEOMETRY",
     "HANDLES_SIZE",
     "SIMULATED",
+    "UNITS_PER_NM",
     "ZERO_COMMANDS",
     "Capabilities",
     "CompiledIO",
@@ -46,127 +60,6 @@ IntArray = NDArray[np.int64]
 
 #: Commands of zero force on every way out: one lost packet must not leave a torque commanded.
 ZERO_COMMANDS = 20
-
-#: Kinds of :class:`CompiledIO`.
-SIMULATED, FALCON_FD, FALCON_USB, FORCE_DIMENSION = 0, 1, 2, 3
-#: Integers of :attr:`CompiledIO.handles`.
-HANDLES_SIZE = 8
-
-
-@dataclass(frozen=True, slots=True)
-class DetectedDevice:
-    """A device that could be opened, or the reason why not.
-
-    Attributes
-    ----------
-    name : str
-        Name in the registry.
-    where : str
-        USB node, file or "this program".
-    note : str
-        What stands in the way and how to remove it; empty if nothing does.
-    """
-
-    name: str
-    where: str
-    note: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class DeviceSample:
-    """One reading.
-
-    Attributes
-    ----------
-    time_s : float
-        CLOCK_MONOTONIC [s], or the device's virtual time.
-    position_m : ndarray, shape (3,)
-    counts : ndarray of int64, shape (3,)
-        Encoder counts; zeros where a device has none.
-    buttons : int
-    homed : bool
-    valid : bool
-        Whether a whole reply came; without one the other fields repeat the last.
-    damaged : int
-        Damaged replies dropped since the last reading.
-    """
-
-    time_s: float
-    position_m: FloatArray
-    counts: IntArray
-    buttons: int
-    homed: bool
-    valid: bool
-    damaged: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class Capabilities:
-    """What a device can do, and whether anybody measured it.
-
-    Attributes
-    ----------
-    name : str
-    clamp_N : float
-        Largest force the guard lets through [nominal N].
-    calibrated : bool
-        Whether that newton was weighed on this unit.
-    damping_N_s_per_m : float
-        Viscous damping of the arm.
-    delay_ticks : float
-        From a position to the force it causes.
-    workspace_m : tuple of three pairs of float
-        Least and largest x, y and z [m].
-    hardware : bool
-        Whether motors move something: then consent and the dead-man button are asked for.
-    """
-
-    name: str
-    clamp_N: float
-    calibrated: bool
-    damping_N_s_per_m: float
-    delay_ticks: float
-    workspace_m: tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
-    hardware: bool = True
-
-
-@dataclass(frozen=True, slots=True)
-class CompiledIO:
-    """What the compiled servo needs to reach a device without Python.
-
-    ====  =====================  ===================================================================
-    kind  handles                constants, memory
-    ====  =====================  ===================================================================
-    0     none                   parameters and memory of :mod:`tissueid.haptics.sim_kernels`
-    1     file descriptor        :data:`~tissueid.haptics.device.UNITS_PER_NM` and the geometry block
-    2     address of             as 1
-          libusb_bulk_transfer,
-          device handle, OUT and
-          IN end points, time-out [ms]
-    3     addresses of           rows of the 3 x 3 rotation from the driver's frame to ours, then its
-          dhdGetPosition,        origin in ours [m]
-          dhdSetForce,
-          dhdGetButtonMask; ID
-    ====  =====================  ===================================================================
-
-    Attributes
-    ----------
-    kind : int
-    handles : ndarray of int64, shape (HANDLES_SIZE,)
-    constants : ndarray
-    memory : ndarray
-        Changed by the loop.
-    """
-
-    kind: int
-    handles: IntArray = field(default_factory=lambda: np.zeros(HANDLES_SIZE, np.int64))
-    constants: FloatArray = field(default_factory=lambda: np.zeros(1))
-    memory: FloatArray = field(default_factory=lambda: np.zeros(1))
-
-
-#: Constants of kinds 1 and 2: motor units for one newton metre, then the geometry block of
-#: :mod:`tissueid.haptics.falcon.kinematic_kernels`.
-UNITS_PER_NM, GEOMETRY = 0, 1
 
 _FINAL = ("open", "close", "sample", "read", "write_force", "engage", "disengage")
 
