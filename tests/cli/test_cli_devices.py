@@ -91,6 +91,16 @@ def test_info_without_a_name_says_what_was_taken() -> None:
     assert "device sim, simulated: no haptic device was found" in ended.stderr
 
 
+def test_an_emulator_does_not_wear_the_calibration_of_the_real_device(configuration: Path) -> None:
+    configuration.parent.mkdir(parents=True)
+    configuration.write_text("units_per_Nm = 9000\n", encoding="utf-8")
+    for name, units in (("falcon", 9000.0), ("emulator", 6600.0)):
+        document = run("devices", "info", name, "--json").json()
+        assert document["calibration"]["units_per_Nm"] == units
+    document = run("devices", "info", "emulator", "--json", "--calibration", configuration).json()
+    assert document["calibration"]["units_per_Nm"] == 9000.0
+
+
 def test_a_damaged_calibration_is_exit_5(configuration: Path) -> None:
     configuration.parent.mkdir(parents=True)
     configuration.write_text("units_per_Nm = 1\n", encoding="utf-8")

@@ -76,7 +76,6 @@ def made_device(flags: dict[str, Any], *, hands_off: bool = False, stand_in: boo
     DeviceError
         None was named and none is there.
     """
-    from tissueid.haptics.falcon.calibration import load_calibration
     from tissueid.haptics.falcon.device import limits_of
     from tissueid.haptics.registry import choose_device, device_class
 
@@ -92,8 +91,7 @@ def made_device(flags: dict[str, Any], *, hands_off: bool = False, stand_in: boo
         note(choice.why, quiet=flags["quiet"])
     options: dict[str, Any] = {}
     if choice.name in FALCONS:
-        file = None if flags["calibration"] is None else Path(flags["calibration"])
-        calibration = load_calibration(file)
+        calibration = _calibration(choice.name, flags["calibration"])
         options = {"calibration": calibration, "firmware": flags["firmware"], "tell": _teller(flags)}
         options["limits"] = limits_of(calibration, hands_off=hands_off)
         if choice.name == "falcon":
@@ -109,6 +107,15 @@ def made_device(flags: dict[str, Any], *, hands_off: bool = False, stand_in: boo
     if choice.name != "emulator" and "tell" in options and flags.get("timeout") is not None:
         options["homing_timeout_s"] = flags["timeout"]
     return device_class(choice.name)(**options)
+
+
+def _calibration(name: str, file: str | None) -> Calibration:
+    """The named calibration, or the user's; that is of a real device and says nothing of an emulated one."""
+    from tissueid.haptics.falcon.calibration import Calibration, load_calibration
+
+    if name == "emulator" and file is None:
+        return Calibration()
+    return load_calibration(None if file is None else Path(file))
 
 
 def _teller(flags: dict[str, Any]) -> Callable[[str], None]:

@@ -26,7 +26,8 @@ class EmulatorDevice(FalconDevice):
     Parameters
     ----------
     limits, firmware, calibration, tell
-        As :class:`~tissueid.haptics.falcon.device.FalconDevice`.
+        As :class:`~tissueid.haptics.falcon.device.FalconDevice`; the user's calibration is of another device and
+        is not read.
     arguments : sequence of str
         Of ``python -m tissueid.haptics.falcon.emulator``: hand, script and faults; a hand that moves through
         the workspace where none are given.
@@ -52,7 +53,9 @@ class EmulatorDevice(FalconDevice):
         if port is not None:
             msg = f"--device emulator makes its own port; for one that runs at {port} say --device falcon"
             raise UsageError(msg)
-        super().__init__(limits, port="", firmware=firmware, calibration=calibration, tell=tell)
+        super().__init__(
+            limits, port="", firmware=firmware, calibration=calibration or Calibration(), tell=tell
+        )
         self._arguments = tuple(arguments)
         self._process: EmulatorProcess | None = None
 
