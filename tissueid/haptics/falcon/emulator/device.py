@@ -26,7 +26,7 @@ class EmulatorDevice(FalconDevice):
     Parameters
     ----------
     limits, firmware, calibration, tell
-        As :class:`~tissueid.haptics.falcon.device.FalconDevice`; the user's calibration is of another device and
+        As :class:`~tissueid.haptics.falcon.device.FalconDevice`; the user's calibration, of a real one,
         is not read.
     arguments : sequence of str
         Of ``python -m tissueid.haptics.falcon.emulator``: hand, script and faults; a hand that moves through
