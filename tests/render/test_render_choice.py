@@ -11,7 +11,6 @@ import pytest
 from rendered_tissues import PAPER_A, TWO_BRANCHES, bundle_of
 
 from tissueid.errors import BundleError, UsageError
-from tissueid.haptics.hand import REST_S
 from tissueid.haptics.sim import SimulatedDevice
 from tissueid.render import surface as srf
 from tissueid.render.blind import check_pseudonym, draw_order, write_key
@@ -24,7 +23,7 @@ from tissueid.render.choice import (
     pick_quantile,
 )
 from tissueid.render.contact_geometry import parse_surface, place_surface, surface_remarks, travel_behind
-from tissueid.render.script import read_script
+from tissueid.render.script import REST_S, read_script
 from tissueid.render.tissue_block import Box, Plane, Sphere, surface_from
 
 SIX_MM = Functional(6.0, 250.0 / 60.0)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from tissueid.errors import DeviceError, UsageError
 from tissueid.haptics.device import Capabilities, HapticDevice
+from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.registry import HARDWARE, choose_device, device_class, environment_law
 from tissueid.render.blind import BlindOrder, check_pseudonym, draw_order
 from tissueid.render.choice import (
@@ -31,7 +32,7 @@ from tissueid.render.options import RenderOptions
 from tissueid.render.passivity_control import PassivityLimits
 from tissueid.render.precheck import Demands, Precheck, check_before_force
 from tissueid.render.presets import preset_tissue
-from tissueid.render.script import Script, read_script
+from tissueid.render.script import RAMP_S, Script, read_script
 from tissueid.render.session_plan import PERIOD_S, SessionPlan, session_head
 from tissueid.render.surface import SURFACE_SIZE, TOOL_RADIUS
 from tissueid.render.tissue_block import (
@@ -88,6 +89,7 @@ def plan_session(options: RenderOptions) -> SessionPlan:
     if options.replay is not None:
         given["log"] = options.replay
     if script is not None:
+        given["limits"] = replace(GuardLimits.simulated(), ramp_s=RAMP_S)
         given["hand"] = script.hand(
             motion_scale=check.scaling.motion,
             surface_m=_touch_point(surface, radius_m),

@@ -16,13 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.errors import UsageError
-from tissueid.haptics.hand import REST_S, Hand, Stroke, parse_script, scripted_hand
+from tissueid.haptics.hand import Hand, Stroke, parse_script, scripted_hand
 
-__all__ = ["Script", "read_script"]
+__all__ = ["RAMP_S", "REST_S", "Script", "read_script"]
 
 FloatArray = NDArray[np.float64]
 
 SWITCH = "switch"
+#: Start-up ramp of the simulated device under a script [s]: the shortest that the guard knows.
+RAMP_S = 0.5
+#: Rest above the tissue before the first stroke [s]: homing and the ramp are over by then.
+REST_S = 0.7
 #: Time after the last stroke that is still recorded [s].
 TAIL_S = 0.05
 
@@ -52,7 +56,13 @@ class Script:
 
     def hand(self, *, motion_scale: float, surface_m: FloatArray, inward: FloatArray) -> Hand:
         """The machine that carries the simulated grip through the strokes."""
-        return scripted_hand(self.strokes_text, motion_scale=motion_scale, surface_m=surface_m, inward=inward)
+        return scripted_hand(
+            self.strokes_text,
+            motion_scale=motion_scale,
+            surface_m=surface_m,
+            inward=inward,
+            rest_s=REST_S,
+        )
 
 
 def read_script(text: str) -> Script:

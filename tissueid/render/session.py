@@ -26,6 +26,7 @@ from tissueid.haptics.states import Fault
 from tissueid.render.bridge import BridgeRequest, UdpBridge
 from tissueid.render.environment import KIND as BLOCK_KIND
 from tissueid.render.environment import SURFACE, TISSUE
+from tissueid.render.first_start import first_start
 from tissueid.render.recorder import Recorder
 from tissueid.render.servo import ServoProcess
 from tissueid.render.servo_plan import ServoPlan
@@ -138,7 +139,10 @@ class Session:
             The device could not be used.
         """
         try:
-            return self._virtual() if self.plan.virtual else self._live()
+            if self.plan.virtual:
+                return self._virtual()
+            with first_start(self.plan.device, self._tell or (lambda _sentence: None)) as uncompiled:
+                return self._live(uncompiled=uncompiled)
         except TissueidError:
             # what was recorded before the device was lost is kept whole
             if self.recorder is not None:
@@ -147,7 +151,7 @@ class Session:
                 )
             raise
 
-    def _live(self) -> Outcome:
+    def _live(self, *, uncompiled: bool) -> Outcome:
         plan = self.plan
         servo_plan = ServoPlan(plan.device, dict(plan.device_options), law=plan.environment)
         patience = {"start_timeout_s": HOMING_TIMEOUT_S} if plan.capabilities.hardware else {}
@@ -167,7 +171,7 @@ class Session:
             self._take(servo.records)
         ready = servo.ready
         return self._finish(
-            scheduling=end.statistics.scheduling,
+            scheduling=end.statistics.scheduling + (", not compiled yet" if uncompiled else ""),
             fault=end.fault,
             message=end.message,
             remedies=() if ready is None else ready.remedies,
