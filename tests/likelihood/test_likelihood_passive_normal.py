@@ -115,6 +115,7 @@ def test_mass_agrees_with_brute_force(blocks, seed):
     assert mass == pytest.approx(math.log(share), abs=4.0 * error + stated)
 
 
+@pytest.mark.needs_jit
 def test_error_of_the_mass_is_small_on_average():
     """Median over problems of the difference to brute force: not above its own noise plus 5e-3."""
     gaps, noise = [], []
@@ -129,6 +130,7 @@ def test_error_of_the_mass_is_small_on_average():
     assert np.median(gaps) <= np.median(noise) + 5e-3
 
 
+@pytest.mark.needs_jit
 def test_mass_far_inside_is_one_exactly_and_smooth_on_the_way():
     cov = np.diag([1.0, 2.0, 0.5, 1.0, 0.2])
     mean = np.array([100.0, 3.0, -2.0, 40.0, 1.0])
@@ -147,6 +149,7 @@ def test_mass_keeps_its_accuracy_under_a_change_of_scale():
     assert log_passive_mass(1e-6 * mean, 1e-12 * cov, sizes(3, 2)) == pytest.approx(here, abs=1e-9)
 
 
+@pytest.mark.needs_jit
 @pytest.mark.parametrize("blocks", [(1,), (2,), (3,), (3, 2), (3, 1, 1), (3, 3)])
 def test_draws_have_the_distribution_of_plain_rejection(blocks):
     n, lowest = 4000, 1.0

@@ -32,7 +32,8 @@ def cut_normal(low: float, high: float, u: float) -> float:
     """Quantile ``u`` of a standard normal between two bounds; accurate in either tail."""
     if low + high < 0.0:
         return -cut_normal(-high, -low, 1.0 - u)
-    above_low, above_high = log_tail(low), log_tail(high)
+    above_low = log_tail(low)
+    above_high = log_tail(high) if high < np.inf else -np.inf
     inside = -math.expm1(above_high - above_low)
     x = tail_quantile(min(above_low + math.log1p(-u * inside), -1e-300))
     return min(max(x, low), high)
