@@ -106,7 +106,7 @@ class ServoProcess:
             os.close(reporting)
         with contextlib.suppress(BrokenPipeError):
             send_plan(self._owner, self.plan, *shared)
-        words = self._next_line(self._start_timeout_s)
+        words = self._start_line()
         if words is None or words["event"] != "ready":
             raise self._failure(words, f"did not start within {self._start_timeout_s:.0f} s")
         return ServoReady(words["compiled"], words["scheduling"], tuple(words["remedies"]))
