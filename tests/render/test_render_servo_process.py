@@ -120,8 +120,9 @@ class TestProcess:
         assert end.statistics.ticks == 30
 
 
+@pytest.mark.needs_jit
 class TestInOneProcess:
-    """The process's own code, called here: what coverage and a machine without compilation can see."""
+    """The process's own code, called here, where coverage sees it."""
 
     @pytest.fixture
     def pipes(self):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import resource
+import time
 
 import numpy as np
 import pytest
@@ -85,6 +86,7 @@ class TestClock:
         assert not readable(-1, room)
 
 
+@pytest.mark.needs_jit
 class TestDeadlines:
     @pytest.fixture
     def servo(self):
@@ -101,14 +103,16 @@ class TestDeadlines:
         counts = np.zeros(BINS + 1, np.int64)
         # a microsecond a tick is more than any machine can keep
         period_ns, ticks = 1_000, 300
+        begun = time.monotonic_ns()
         assert loop(io, servo, new_watch(), counts, period_ns, ticks) == ENDED_TICKS
+        most = (time.monotonic_ns() - begun) // period_ns
         records = servo.records[:ticks]
         elapsed = records["time_s"][-1] - records["time_s"][0]
-        periods = round(elapsed * 1e9 / period_ns)
+        least = int(elapsed * 1e9 / period_ns)
         assert counts[:-1].sum() == ticks
         assert servo.counters[MISSED] > 0
-        # no burst: ticks and skipped deadlines together make up the time, but for the last tick's own
-        assert ticks + int(servo.counters[MISSED]) == pytest.approx(periods, rel=0.1)
+        # no burst: ticks and skipped deadlines together make up the time
+        assert least - 2 <= ticks + int(servo.counters[MISSED]) <= most + 2
         # the measured step is what passed
         assert np.diff(records["time_s"]) == pytest.approx(records["dt_s"][1:], abs=1e-9)
 
