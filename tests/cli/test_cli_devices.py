@@ -7,6 +7,7 @@ import os
 import select
 import signal
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,11 +16,14 @@ from command_line import run, start
 
 from tissueid.cli.devices_command import HANDS
 from tissueid.haptics.falcon.calibration import Calibration, load_calibration
-from tissueid.haptics.falcon.device import FalconDevice
+from tissueid.haptics.falcon.device import FalconDevice, limits_of
 from tissueid.haptics.falcon.emulator import EmulatedLink, EmulatorSettings
 from tissueid.haptics.hand import PRESETS
+from tissueid.haptics.limits import GuardLimits
+from tissueid.haptics.measure.link import LinkReport
 from tissueid.haptics.measure.ring_down import ArmEstimate
 from tissueid.haptics.measure.weighing import Weighing
+from tissueid.store.schema import first_problem
 
 
 @pytest.fixture(autouse=True)
@@ -29,6 +33,16 @@ def configuration(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("TISSUEID_FORCEDIM", str(tmp_path / "none.so"))
     monkeypatch.setattr("tissueid.haptics.falcon.libusb.LibUsb.falcons", lambda _self: [])
     return tmp_path / "config" / "tissueid" / "falcon.toml"
+
+
+@pytest.fixture(autouse=True)
+def _patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A busy machine starves an emulator for longer than a device may be silent."""
+
+    def limits(calibration: Calibration, *, hands_off: bool = False) -> GuardLimits:
+        return replace(limits_of(calibration, hands_off=hands_off), no_reply_s=10.0)
+
+    monkeypatch.setattr("tissueid.haptics.falcon.device.limits_of", limits)
 
 
 @pytest.fixture
@@ -51,6 +65,7 @@ def test_list_names_every_device_found_or_not() -> None:
     assert "this program" in ended.stdout
     assert "not found: falcon, forcedimension" in ended.stdout
     document = run("devices", "list", "--json").json()
+    assert first_problem(document, "devices") is None
     assert set(document["known"]) >= {"falcon", "forcedimension", "emulator", "sim", "replay"}
     assert {one["name"] for one in document["found"]} >= {"emulator", "sim"}
     assert all(set(one) == {"name", "where", "note"} for one in document["found"])
@@ -64,6 +79,8 @@ def test_a_missing_library_stands_in_the_list(monkeypatch: pytest.MonkeyPatch, t
 
 def test_info_says_what_is_assumed(configuration: Path) -> None:
     document = run("devices", "info", "falcon", "--json").json()
+    assert first_problem(document, "devices") is None
+    assert first_problem(run("devices", "info", "sim", "--json").json(), "devices") is None
     assert document["clamp_N"] == 2.0
     assert document["calibrated"] is False
     assert document["calibration"]["units_per_Nm"] == 6600.0
@@ -181,17 +198,32 @@ def test_what_makes_no_sense_is_exit_2(
     assert (ended.code, reason in ended.stderr) == (2, True), ended.stderr
 
 
-def test_test_measures_the_link_and_keeps_the_delay(port: str, configuration: Path) -> None:
-    ended = run("devices", "test", "--port", port, "--seconds", "0.3", "--json", "--save")
+def test_test_measures_the_link(port: str) -> None:
+    ended = run("devices", "test", "--port", port, "--seconds", "0.3", "--json")
     assert ended.code == 0, ended.stderr
     report = ended.json()
-    assert report["replies"] <= report["commands"]
-    assert report["rate_hz"] > 0.0
+    assert first_problem(report, "devices") is None
+    assert 0 < report["replies"] <= report["commands"]
     # whole ticks at least one, and half a tick for the device
     assert report["delay_ticks"] >= 1.5
-    kept = load_calibration(configuration)
-    assert (kept.delay_ticks, kept.delay_measured) == (report["delay_ticks"], True)
-    assert f"kept in {configuration}" in ended.stderr
+
+
+@pytest.mark.parametrize(("delay", "code"), [(1.62, 0), (11.0, 5)])
+def test_delay_is_kept_where_it_makes_sense(
+    delay: float, code: int, port: str, configuration: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = LinkReport(5.0, 5000, 4990, 0, 998.0, (1.0, 1.1, 3.0), delay)
+    monkeypatch.setattr("tissueid.haptics.measure.link.measure_link", lambda *_: found)
+    ended = run("devices", "test", "--port", port, "--save")
+    assert ended.code == code
+    assert "10 unanswered, 0 damaged" in ended.stdout
+    if code == 0:
+        kept = load_calibration(configuration)
+        assert (kept.delay_ticks, kept.delay_measured) == (delay, True)
+        assert f"kept in {configuration}" in ended.stderr
+    else:
+        assert "not kept: delay_ticks = 11.0 is not from 0.0 to 10.0" in ended.stderr
+        assert not configuration.exists()
 
 
 def test_test_for_people_counts_what_was_lost(port: str, configuration: Path) -> None:
@@ -207,6 +239,7 @@ def test_home_leads_through_homing(port: str) -> None:
     assert ended.stderr.index("pull the grip all the way out") < ended.stderr.index(
         "until the light is green"
     )
+    assert first_problem(ended.json(), "devices") is None
     assert ended.json()["position_mm"][2] > 170.0
 
 
@@ -231,11 +264,14 @@ def test_calibrate_force_keeps_what_was_weighed(
     ended = run("devices", "calibrate-force", "--mass", "100", "--port", port, "--yes")
     assert ended.code == 0, ended.stderr
     assert seen == [(0.1, False)]
+    assert load_calibration(configuration).units_per_Nm == pytest.approx(1.25 * 6600.0)
     assert "with at most 2.0 N. Keep hands" in ended.stderr
     assert "1.250 ± 0.010 nominal newton for one true newton: 8250 motor units" in ended.stdout
+    document = run("devices", "calibrate-force", "--mass", "100", "--port", port, "--yes", "--json").json()
+    assert first_problem(document, "devices") is None
     kept = load_calibration(configuration)
-    assert (kept.units_per_Nm, kept.force_calibrated) == (pytest.approx(1.25 * 6600.0), True)
-    # nobody has gone through the checklist: still 2 N
+    assert (kept.units_per_Nm, kept.force_calibrated) == (pytest.approx(1.25**2 * 6600.0), True)
+    # the second weighing began with the first; nobody has gone through the checklist: still 2 N
     assert kept.clamp_N == 2.0
 
 
@@ -247,7 +283,7 @@ def test_an_implausible_weighing_is_not_kept(
     monkeypatch.setattr("tissueid.haptics.measure.weighing.weigh", lambda *_: found)
     ended = run("devices", "calibrate-force", "--mass", "100", "--port", port, "--yes", "-q")
     assert ended.code == 5
-    assert "units_per_Nm = 66000.0, which is no number from 1000 to 30000" in ended.stderr
+    assert "not kept: units_per_Nm = 66000.0 is not from 1000.0 to 30000.0; measure again" in ended.stderr
     assert not configuration.exists()
 
 
@@ -260,6 +296,7 @@ def test_calibrate_damping_keeps_what_can_be_relied_on(
     file = tmp_path / "mine.toml"
     ended = run("devices", "calibrate-damping", "--port", port, "--yes", "--calibration", file, "--json")
     assert ended.code == 0, ended.stderr
+    assert first_problem(ended.json(), "devices") is None
     # less two standard errors, and half a tick of delay on a spring of 60 N/m
     assert ended.json()["safe_damping_N_s_per_m"] == pytest.approx(0.62 - 0.04 - 0.03)
     assert load_calibration(file) == Calibration(damping_N_s_per_m=pytest.approx(0.55), damping_measured=True)

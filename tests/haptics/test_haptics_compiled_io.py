@@ -26,7 +26,7 @@ from tissueid.render.servo_io import HOMED, PRESSED, REPLY, WORDS_SIZE, command,
 FloatArray = NDArray[np.float64]
 
 
-@nb.njit(nogil=True, error_model="numpy")
+@nb.njit(cache=True, nogil=True, error_model="numpy")
 def exchange(
     io: Any, guard_memory: FloatArray, limits: FloatArray, force: FloatArray, position: FloatArray,
     counts: NDArray[np.int64], words: NDArray[np.int64],

@@ -164,7 +164,12 @@ def save_calibration(calibration: Calibration, path: Path | None = None) -> Path
 
     path = calibration_path() if path is None else path
     for key, value in asdict(calibration).items():
-        _checked(path, key, value, getattr(Calibration, key))
+        try:
+            _checked(path, key, value, getattr(Calibration, key))
+        except DeviceError as error:
+            low, high = RANGES.get(key, (None, None))
+            msg = f"not kept: {key} = {value!r} is not from {low} to {high}; measure again"
+            raise DeviceError(msg) from error
     lines = [f"{key} = {_toml(value)}\n" for key, value in asdict(calibration).items()]
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
