@@ -21,6 +21,9 @@ from tissueid.store.bundle import load_bundle, write_bundle
 from tissueid.store.schema import check
 from tissueid.store.session_log import read_session_log
 
+#: Thousands of ticks in each test: without compilation they take minutes.
+pytestmark = pytest.mark.needs_jit
+
 PRESS = "indent 8 mm at 250 mm/min; hold 2 s"
 SHORT = "indent 1 mm at 500 mm/min; retract at 500 mm/min"
 TAU = PAPER_A.theta[4]
@@ -75,7 +78,6 @@ def test_the_numbers_of_scale_and_stability_are_printed_before_and_kept_in_the_l
     assert document["summary"]["shares"]["clipped"] == 0.0
 
 
-@pytest.mark.needs_jit
 def test_the_servo_process_renders_in_real_time_and_names_the_log(bundle: Path, tmp_path: Path) -> None:
     path = tmp_path / "live.h5"
     ended = run("render", bundle, "--device", "sim", "--script", SHORT, "--log", path)
@@ -299,7 +301,6 @@ def test_a_log_with_a_changed_scale_is_refused_as_a_recording(log: Path, tmp_pat
             assert f"the {which} that the log states" in ended.stdout + ended.stderr
 
 
-@pytest.mark.needs_jit
 def test_a_replay_renders_the_motion_of_a_log_at_its_scale(bundle: Path, tmp_path: Path) -> None:
     first, second = tmp_path / "first.h5", tmp_path / "second.h5"
     assert run("render", bundle, "--device", "sim", "--script", SHORT, "--virtual", "--log", first).code == 0
@@ -314,7 +315,6 @@ def test_a_replay_renders_the_motion_of_a_log_at_its_scale(bundle: Path, tmp_pat
     assert other.summary["peak_tissue_force_N"] == pytest.approx(one.summary["peak_tissue_force_N"], rel=0.02)
 
 
-@pytest.mark.needs_jit
 def test_an_interrupt_ends_a_session_with_zero_force_and_a_whole_log(bundle: Path, tmp_path: Path) -> None:
     path = tmp_path / "out.h5"
     process = start("render", bundle, "--device", "sim", "--script", "hold 60 s", "--log", path)
@@ -332,7 +332,6 @@ def test_an_interrupt_ends_a_session_with_zero_force_and_a_whole_log(bundle: Pat
     assert log.summary is not None
 
 
-@pytest.mark.needs_jit
 def test_a_session_that_was_killed_leaves_whole_records_that_can_be_read(
     bundle: Path, tmp_path: Path
 ) -> None:
@@ -351,7 +350,6 @@ def test_a_session_that_was_killed_leaves_whole_records_that_can_be_read(
     assert "session-log" in ended.stdout
 
 
-@pytest.mark.needs_jit
 def test_a_full_disk_ends_the_recording_and_not_the_session(bundle: Path, tmp_path: Path) -> None:
     # room for the servo's shared memory (65,536 records), not for a log of 80 s
     command = (

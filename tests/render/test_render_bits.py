@@ -108,6 +108,7 @@ def compiled_C(folder: Path) -> ctypes.CDLL:
     return ctypes.CDLL(str(library))
 
 
+@pytest.mark.needs_jit
 @pytest.mark.parametrize("tissue", [PAPER_A, TWO_BRANCHES], ids=lambda one: one.name)
 def test_numba_python_and_C_agree_bit_for_bit(tissue: Tissue, tmp_path: Path) -> None:
     times, depth = path_of()

@@ -62,6 +62,7 @@ def ode_force(
     return np.asarray(force + ((stiffness @ powers) * states).sum(axis=0))
 
 
+@pytest.mark.needs_jit
 @pytest.mark.parametrize("speed_mm_min", SPEEDS_MM_MIN)
 def test_a_ramp_is_felt_as_an_independent_integrator_computes_it(speed_mm_min: float) -> None:
     v = speed_mm_min / 60.0

@@ -87,6 +87,7 @@ def test_the_correction_never_jumps_nor_exceeds_its_limit(count_m: float) -> Non
     assert jumps.max() <= 0.5 * (1.0 + 1e-9)
 
 
+@pytest.mark.needs_jit
 def test_a_slow_press_through_rounded_positions_is_left_alone() -> None:
     # 0.8 mm/s: the rounded ledger is short of energy that no hand ever got
     times = PERIOD_S * np.arange(8000)

@@ -53,6 +53,7 @@ def test_two_tissues_share_the_smaller_scale(bundle: Path) -> None:
     assert [block[LABEL] for block in both.blocks] == [0.0, 1.0]
 
 
+@pytest.mark.needs_jit
 def test_a_session_in_virtual_time_is_the_same_every_time(bundle: Path) -> None:
     outcomes = [Session(plan_session(options(bundle))).run() for _ in range(2)]
     assert outcomes[0].summary == outcomes[1].summary
@@ -118,6 +119,7 @@ def floor(position_m, velocity_m_s, dt_s):
 """
 
 
+@pytest.mark.needs_jit
 def test_a_law_of_another_distribution_is_rendered_and_says_its_rate(tmp_path: Path) -> None:
     (tmp_path / "walls.py").write_text(LAW)
     about = tmp_path / "walls-1.0.dist-info"
