@@ -62,6 +62,7 @@ def emulated(
         yield link
 
 
+@pytest.mark.slow
 def test_an_unplugged_device_is_exit_5_with_its_reason_on_the_screen_and_in_the_log(monkeypatch, tmp_path):
     log = tmp_path / "out.h5"
     with emulated(monkeypatch, ScriptedFault("unplug", 4.2)):

@@ -41,6 +41,7 @@ def pushes(falcon: EmulatedFalcon) -> bool:
     return max(abs(units) for units in falcon.last_motors) > 60
 
 
+@pytest.mark.slow
 def test_an_owner_that_is_killed_leaves_zero_packets_behind():
     with EmulatedLink(EmulatorSettings(hand=pressing(), waits_for_blue=True), pty=True) as link:
         owner = subprocess.Popen([sys.executable, str(OWNER), str(link.path)])
