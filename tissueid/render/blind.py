@@ -33,9 +33,10 @@ This moves the grip of a haptic device with force. No real unit has confirmed th
 
 #: Read and agreed to before a blind comparison.
 CONSENT_BLIND = """\
-You will feel several tissues without being told which is which. Recorded are the movement of the grip, the
-forces and your answers, under a pseudonym; no name is asked for or stored. You may stop at any time, without
-giving a reason, and have the recording deleted. The order of the tissues is kept in a file apart."""
+You will feel several tissues without being told which is which. Recorded are the movement of the grip and the
+forces, under a pseudonym; no name is asked for or stored, and your answers stay on the sheet of whoever asks you.
+You may stop at any time, without giving a reason, and have the recording deleted. The order of the tissues is
+kept in a file apart."""
 
 _PSEUDONYM = re.compile(r"[A-Za-z]{1,3}-?\d{1,5}")
 MOST_PRESENTATIONS = 200
