@@ -106,6 +106,8 @@ def test_the_user_waits_for_the_first_homing_command():
 def test_a_user_who_waits_for_the_blue_lamp_holds_time_up_until_it_is_lit():
     falcon = homed_falcon(waits_for_blue=True)
     assert falcon.time_s == pytest.approx(HOMED_AFTER * 1e-3, abs=2e-3)
+    falcon.advance(1.0)
+    assert falcon.position_m[2] > 0.170
     waiting = falcon.time_s
     for _ in range(50):
         falcon.receive(HOME)
