@@ -34,7 +34,7 @@ This moves the grip of a haptic device with force. No real unit has confirmed th
 #: Read and agreed to before a blind comparison.
 CONSENT_BLIND = """\
 You will feel several tissues without being told which is which. Recorded are the movement of the grip and the
-forces, under a pseudonym; no name is asked for or stored, and your answers stay on the sheet of whoever asks you.
+forces, under a pseudonym; no name is asked for or stored, and your answers stay on the sheet of whoever asks.
 You may stop at any time, without giving a reason, and have the recording deleted. The order of the tissues is
 kept in a file apart."""
 
