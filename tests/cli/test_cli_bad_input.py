@@ -85,7 +85,7 @@ def test_an_empty_workbook_is_refused(tmp_path: Path) -> None:
         (["--columns", "time=Load,force=Time"], {3}),
         (["--units", "time=mm"], {2}),
         (["--contact", "500"], {3}),
-        (["--contact", "-500"], {0, 3, 4}),
+        pytest.param(["--contact", "-500"], {0, 3, 4}, marks=pytest.mark.slow),
         (["--contact", "1e300"], {2}),
         (["--contact", "-1e300"], {2}),
         (["--contact", "-9999"], {0, 3, 4}),

@@ -33,6 +33,7 @@ REMARK_TITLES: Mapping[str, str] = MappingProxyType(
     {
         "column_choice": "Choice of columns",
         "units_assumed": "Units",
+        "rendered": "No measurement",
         "undecoded_text": "Encoding",
         "rows_skipped": "Rows left out",
         "cut_row": "End of the file",
