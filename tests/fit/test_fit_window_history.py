@@ -56,6 +56,7 @@ def test_cycles_in_contact_stay_out_of_the_likelihood_and_in_the_state() -> None
     assert log.depth_mm == pytest.approx(4.0)
 
 
+@pytest.mark.needs_jit
 def test_a_test_after_cycles_gives_back_the_tissue() -> None:
     found = identify([kept_contact()]).specimens[0]
     values = {one.name: one for one in found.parameters}
@@ -70,6 +71,7 @@ def test_a_test_after_cycles_gives_back_the_tissue() -> None:
     assert "runs through them" in said[0]
 
 
+@pytest.mark.needs_jit
 def test_cycles_that_let_go_start_the_window_at_the_last_contact() -> None:
     knots = [0, 3, 6, 9, 12, 32, 35, 45]
     trial = recording(knots, [-1, 2, -1, 2, -1, -1, 2, 2], lost=True)
