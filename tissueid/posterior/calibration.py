@@ -111,8 +111,9 @@ def _evaluate(
     covariance[:] = np.eye(p)
 
     def conditionals(rows: NDArray[np.int64]) -> None:
-        for i in rows:
-            mean[i], covariance[i] = behind.conditional(points[i])
+        with np.errstate(over="ignore", invalid="ignore"):
+            for i in rows:
+                mean[i], covariance[i] = behind.conditional(points[i])
 
     _in_threads(conditionals, np.flatnonzero(inside))
     inside &= np.isfinite(mean).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2))
@@ -121,12 +122,15 @@ def _evaluate(
     out = np.full(n, -np.inf)
 
     def densities(rows: NDArray[np.int64]) -> None:
-        for i in rows:
-            away = theta[i] - mean[i]
-            log_det = float(np.linalg.slogdet(covariance[i])[1])
-            drawn = -0.5 * (float(away @ np.linalg.solve(covariance[i], away)) + log_det)
-            drawn -= log_passive_mass(mean[i], covariance[i], behind.blocks)
-            out[i] = behind.log_density(points[i], theta[i]) - drawn
+        # far out, where next to nothing is known of theta, squares overflow: such a point has no density
+        with np.errstate(over="ignore", invalid="ignore"):
+            for i in rows:
+                away = theta[i] - mean[i]
+                log_det = float(np.linalg.slogdet(covariance[i])[1])
+                drawn = -0.5 * (float(away @ np.linalg.solve(covariance[i], away)) + log_det)
+                drawn -= log_passive_mass(mean[i], covariance[i], behind.blocks)
+                value = behind.log_density(points[i], theta[i]) - drawn
+                out[i] = value if math.isfinite(value) else -math.inf
 
     _in_threads(densities, np.flatnonzero(inside))
     return out, theta
