@@ -231,8 +231,11 @@ class TestPlan:
     def test_a_report_that_nobody_reads_is_no_error(self):
         reading, writing = os.pipe()
         os.close(reading)
-        send_line(writing, event="ready")
+        assert send_line(writing, event="ready") is None
+        # the descriptor is still the caller's to close
         os.close(writing)
+        with pytest.raises(OSError, match="Bad file descriptor"):
+            os.fstat(writing)
 
 
 def test_the_process_does_not_load_what_a_servo_has_no_use_for():

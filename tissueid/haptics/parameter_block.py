@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from tissueid.errors import DeviceError
 from tissueid.haptics.atomic import load_acquire, store_release
+from tissueid.haptics.shared_memory import shared_memory
 
 __all__ = [
     "COMMAND_DISENGAGE",
@@ -111,14 +112,7 @@ class ParameterBlock:
         DeviceError
             The system has no such memory.
         """
-        try:
-            descriptor = os.memfd_create("tissueid-parameters", 0)
-            os.ftruncate(descriptor, 8 * (HEAD_WORDS + 2 * size))
-        except (AttributeError, OSError) as error:
-            msg = f"no shared memory for the servo's parameters ({error}); rendering needs Linux with memfd"
-            raise DeviceError(msg) from error
-        # spawned children inherit it by pass_fds alone
-        os.set_inheritable(descriptor, False)
+        descriptor = shared_memory("parameters", 8 * (HEAD_WORDS + 2 * size))
         block = cls._mapped(descriptor, size)
         block.head[_SIZE_AT] = size
         block.head[_MAGIC_AT] = MAGIC

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from tissueid.errors import DeviceError
 from tissueid.haptics.atomic import load_acquire, store_release
+from tissueid.haptics.shared_memory import shared_memory
 
 __all__ = ["CAPACITY", "RECORD", "Ring", "RingReader", "publish"]
 
@@ -99,14 +100,7 @@ class Ring:
         DeviceError
             The system has no such memory.
         """
-        try:
-            descriptor = os.memfd_create("tissueid-ring", 0)
-            os.ftruncate(descriptor, HEAD_BYTES + capacity * RECORD.itemsize)
-        except (AttributeError, OSError) as error:
-            msg = f"no shared memory for the servo's records ({error}); rendering needs Linux with memfd"
-            raise DeviceError(msg) from error
-        # spawned children inherit it by pass_fds alone
-        os.set_inheritable(descriptor, False)
+        descriptor = shared_memory("records", HEAD_BYTES + capacity * RECORD.itemsize)
         ring = cls._mapped(descriptor, capacity)
         ring.head[_CAPACITY_AT] = capacity
         ring.head[_MAGIC_AT] = MAGIC

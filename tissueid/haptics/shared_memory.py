@@ -1,0 +1,34 @@
+"""Anonymous memory that a spawned process inherits by its descriptor alone."""
+
+from __future__ import annotations
+
+import os
+
+from tissueid.errors import DeviceError
+
+__all__ = ["shared_memory"]
+
+
+def shared_memory(name: str, size: int) -> int:
+    """Descriptor of new memory, all zero; a spawned process gets it by ``pass_fds`` and not otherwise.
+
+    Parameters
+    ----------
+    name : str
+        What it holds, in a word.
+    size : int
+        Bytes.
+
+    Raises
+    ------
+    DeviceError
+        The system has no such memory.
+    """
+    try:
+        descriptor = os.memfd_create(f"tissueid-{name}", 0)
+        os.ftruncate(descriptor, size)
+    except (AttributeError, OSError) as error:
+        msg = f"no shared memory for the servo's {name} ({error}); rendering needs Linux with memfd"
+        raise DeviceError(msg) from error
+    os.set_inheritable(descriptor, False)
+    return descriptor
