@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import subprocess
 import sys
 import threading
@@ -28,6 +29,18 @@ def write(ring: Ring, first: int, count: int) -> None:
         for name in ("tick", "time_s", "dt_s", "energy_J", "label"):
             record[name] = tick
         ring.append(record)
+
+
+def test_no_page_of_a_new_ring_is_met_for_the_first_time_in_a_tick():
+    made = Ring.create()
+    pages = made.records.nbytes // os.sysconf("SC_PAGE_SIZE")
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    made.records["tick"].fill(1)
+    met = resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+    made.close()
+    assert pages == 2048
+    # the interpreter meets a page of its own now and then
+    assert met < pages // 20
 
 
 def test_a_record_has_128_bytes_and_a_ring_a_minute():

@@ -22,9 +22,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
+
+from tissueid.compiled import tick_kernel
 
 __all__ = ["ARM_MEMORY", "ARM_PARAMETERS", "MAX_KNOTS", "Arm", "arm_step", "new_arm", "port_energy"]
 
@@ -110,7 +111,7 @@ def new_arm(position_m: FloatArray) -> FloatArray:
     return memory
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def port_energy(memory: FloatArray) -> float:
     """Energy [J] that went through the grip into what is rendered, and into the arm's damping and friction.
 
@@ -120,7 +121,7 @@ def port_energy(memory: FloatArray) -> float:
     return float(memory[DAMPING_LOSS] + memory[FRICTION_LOSS] - memory[MOTOR_WORK])
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def _scripted(parameters: FloatArray, knot: int, axis: int, time: float) -> float:
     """Coordinate of the script at a time on the stretch that begins with ``knot``."""
     at = FIRST_KNOT + KNOT_COLUMNS * knot
@@ -134,7 +135,7 @@ def _scripted(parameters: FloatArray, knot: int, axis: int, time: float) -> floa
     return float(value + (parameters[after + 1 + axis] - value) * (time - parameters[at]) / length)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def _move_target(memory: FloatArray, parameters: FloatArray, h: float) -> float:
     """Move the hand's target on by ``h`` and return its grip over that step."""
     time = memory[TIME] + h
@@ -146,9 +147,11 @@ def _move_target(memory: FloatArray, parameters: FloatArray, h: float) -> float:
             knot += 1
         memory[CURSOR] = knot
         grip = parameters[FIRST_KNOT + KNOT_COLUMNS * knot + 4]
-    shake = parameters[TREMOR] * min(time / TREMOR_RISE_S, 1.0)
-    shake *= math.sin(2.0 * math.pi * parameters[TREMOR_HZ] * time + parameters[TREMOR_PHASE])
-    follow = -math.expm1(-h / POINTER_TIME_S)
+    shake = 0.0
+    if parameters[TREMOR] != 0.0:
+        shake = parameters[TREMOR] * min(time / TREMOR_RISE_S, 1.0)
+        shake *= math.sin(2.0 * math.pi * parameters[TREMOR_HZ] * time + parameters[TREMOR_PHASE])
+    follow = -math.expm1(-h / POINTER_TIME_S) if parameters[POINTER_ON] > 0.0 else 0.0
     for i in range(3):
         if parameters[POINTER_ON] > 0.0:
             step = follow * (parameters[POINTER + i] - memory[POINTED + i])
@@ -165,7 +168,7 @@ def _move_target(memory: FloatArray, parameters: FloatArray, h: float) -> float:
     return float(grip)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def _free_step(memory: FloatArray, parameters: FloatArray, force: FloatArray, h: float, grip: float) -> None:
     """One step of an arm in a hand that is a spring and a damper."""
     mass, damping, friction = parameters[MASS], parameters[DAMPING], parameters[FRICTION]
@@ -206,7 +209,7 @@ def _free_step(memory: FloatArray, parameters: FloatArray, force: FloatArray, h:
         memory[FRICTION_LOSS] += h * rubbed * mean
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def _carried_step(memory: FloatArray, parameters: FloatArray, force: FloatArray, h: float) -> None:
     """One step of an arm that a machine carries along the target, whatever the force."""
     mass, damping, friction = parameters[MASS], parameters[DAMPING], parameters[FRICTION]
@@ -231,7 +234,7 @@ def _carried_step(memory: FloatArray, parameters: FloatArray, force: FloatArray,
         )
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def arm_step(memory: FloatArray, parameters: FloatArray, force: FloatArray, dt: float) -> None:
     """Move the arm on by ``dt`` under a constant force of its motors.
 

@@ -24,10 +24,10 @@ from __future__ import annotations
 
 import math
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.compiled import tick_part
 from tissueid.haptics.guard_states import (
     ARMED,
     DAMPED_S,
@@ -105,7 +105,7 @@ _STALLED, _RAMPING, _LET_GO = int(Lamp.STALLED), int(Lamp.RAMPING), int(Lamp.DEA
 _NOT_A_NUMBER, _OVERHEATED = float(Fault.NOT_A_NUMBER), float(Fault.OVERHEATED)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_part
 def guard(memory: FloatArray, limits: FloatArray, force: FloatArray, dt: float, out: FloatArray) -> None:
     """The force that may be sent.
 
@@ -152,7 +152,7 @@ def guard(memory: FloatArray, limits: FloatArray, force: FloatArray, dt: float, 
     memory[LAMPS] = lamps
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_part
 def _length(vector: FloatArray) -> float:
     """Euclidean length; infinite where the squares would overflow."""
     if max(abs(vector[0]), abs(vector[1]), abs(vector[2])) > LARGEST_N:
@@ -160,7 +160,7 @@ def _length(vector: FloatArray) -> float:
     return math.sqrt(vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2])
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_part
 def _advance_gain(memory: FloatArray, limits: FloatArray, step: float, stalled: bool) -> None:
     """Move the share of the wanted force that is let through, and what follows when it is gone."""
     if stalled and memory[PHASE] == RISING:
@@ -185,7 +185,7 @@ def _advance_gain(memory: FloatArray, limits: FloatArray, step: float, stalled: 
             fail(memory, memory[PENDING_FAULT])
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_part
 def _engaged(memory: FloatArray, limits: FloatArray, force: FloatArray, out: FloatArray) -> int:
     """Crossfade with damping, then clamp, slew and sustained limit; the lamps of what bit."""
     gain = memory[GAIN]
@@ -223,7 +223,7 @@ def _engaged(memory: FloatArray, limits: FloatArray, force: FloatArray, out: Flo
     return lamps
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_part
 def _sustained(memory: FloatArray, limits: FloatArray) -> float:
     """Clamp [N] that the motors' past allows: the clamp itself, folded back to the limit of their mean."""
     share = memory[MEAN_SQUARE] / (limits[RMS_LIMIT_N] * limits[RMS_LIMIT_N])
@@ -232,7 +232,7 @@ def _sustained(memory: FloatArray, limits: FloatArray) -> float:
     return float(limits[CLAMP_N] - fold * (limits[CLAMP_N] - lowest))
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_part
 def _fade(memory: FloatArray, limits: FloatArray, dt: float, out: FloatArray) -> int:
     """Ramp of a fault: from what was sent last to zero."""
     memory[FAULT_AGE_S] += dt
@@ -245,7 +245,7 @@ def _fade(memory: FloatArray, limits: FloatArray, dt: float, out: FloatArray) ->
     return _RAMPING
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_part
 def _remember(memory: FloatArray, limits: FloatArray, step: float, out: FloatArray) -> None:
     """What was sent, and the mean square of it."""
     square = 0.0

@@ -7,10 +7,10 @@ saw.
 
 from __future__ import annotations
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.compiled import tick_kernel, tick_part
 from tissueid.haptics.limits import DEAD_MAN, RAMP_S
 from tissueid.haptics.states import Fault, State
 
@@ -65,7 +65,7 @@ def new_guard() -> FloatArray:
     return np.zeros(GUARD_SIZE)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_part
 def fail(memory: FloatArray, fault: float) -> None:
     """Go to FAULT, once: the first fault is the one that is reported.
 
@@ -81,7 +81,7 @@ def fail(memory: FloatArray, fault: float) -> None:
         memory[FAULT_FORCE + i] = memory[PREVIOUS + i]
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def yield_to(memory: FloatArray, fault: float) -> None:
     """Damping alone, then FAULT: for faults that leave a device answering with a hand in its grip."""
     if memory[STATE] != ENGAGED:
@@ -93,7 +93,7 @@ def yield_to(memory: FloatArray, fault: float) -> None:
         memory[WANTED] = 0.0
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def engage_now(memory: FloatArray, limits: FloatArray) -> None:
     """ARMED to ENGAGED, from zero force."""
     memory[STATE] = ENGAGED
@@ -107,7 +107,7 @@ def engage_now(memory: FloatArray, limits: FloatArray) -> None:
         memory[STILL_FORCE + i] = 0.0
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def _advance(memory: FloatArray, source: float, target: float) -> bool:
     """One step of the way up, from ``source`` only."""
     if memory[STATE] != source:
@@ -116,7 +116,7 @@ def _advance(memory: FloatArray, source: float, target: float) -> bool:
     return True
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def _opened(memory: FloatArray) -> bool:
     """CLOSED to OPEN, with everything forgotten."""
     if memory[STATE] != CLOSED:
@@ -127,7 +127,7 @@ def _opened(memory: FloatArray) -> bool:
     return True
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def let_down(memory: FloatArray) -> bool:
     """Take the force away over the dead-man ramp; back to ARMED at its end."""
     if memory[STATE] != ENGAGED:
@@ -137,7 +137,7 @@ def let_down(memory: FloatArray) -> bool:
     return True
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def transition(memory: FloatArray, limits: FloatArray, event: float) -> bool:
     """Tell the guard what happened outside a tick.
 

@@ -15,10 +15,10 @@ import mmap
 import os
 from dataclasses import dataclass
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.compiled import tick_kernel, tick_part
 from tissueid.errors import DeviceError
 from tissueid.haptics.atomic import load_acquire, store_release
 from tissueid.haptics.shared_memory import shared_memory
@@ -45,25 +45,25 @@ _MAGIC_AT, _SIZE_AT, _PUBLISHED_AT, _TAKEN_AT, _BEAT_AT, _COMMAND_AT = range(6)
 COMMAND_DISENGAGE, COMMAND_ENGAGE, COMMAND_STOP = 0, 1, 2
 
 
-@nb.njit(cache=True, nogil=True)
+@tick_part
 def beats(head: IntArray) -> int:
     """Signs of life so far."""
     return load_acquire(head[_BEAT_AT : _BEAT_AT + 1])
 
 
-@nb.njit(cache=True, nogil=True)
+@tick_part
 def command(head: IntArray) -> int:
     """What the owner wants: COMMAND_DISENGAGE, COMMAND_ENGAGE or COMMAND_STOP."""
     return load_acquire(head[_COMMAND_AT : _COMMAND_AT + 1])
 
 
-@nb.njit(cache=True, nogil=True)
+@tick_part
 def waiting(head: IntArray) -> bool:
     """Whether parameters were published that the servo has not taken."""
     return bool(load_acquire(head[_PUBLISHED_AT : _PUBLISHED_AT + 1]) != head[_TAKEN_AT])
 
 
-@nb.njit(cache=True, nogil=True)
+@tick_kernel
 def take(head: IntArray, values: FloatArray, out: FloatArray) -> int:
     """Copy the newest parameters.
 

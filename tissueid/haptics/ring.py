@@ -15,10 +15,10 @@ import os
 from dataclasses import dataclass
 from typing import Any
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.compiled import tick_part
 from tissueid.errors import DeviceError
 from tissueid.haptics.atomic import load_acquire, store_release
 from tissueid.haptics.shared_memory import shared_memory
@@ -61,7 +61,7 @@ MAGIC = int.from_bytes(b"tissring", "little")
 _MAGIC_AT, _CAPACITY_AT, _PUBLISHED_AT = 0, 1, 2
 
 
-@nb.njit(cache=True, nogil=True)
+@tick_part
 def publish(head: IntArray, count: int) -> None:
     """Say that ``count`` records are whole.
 
@@ -126,7 +126,9 @@ class Ring:
 
     @classmethod
     def _mapped(cls, descriptor: int, capacity: int) -> Ring:
-        memory = mmap.mmap(descriptor, HEAD_BYTES + capacity * RECORD.itemsize)
+        # every page at once: a page that is met for the first time in a tick costs more than the tick
+        shared = mmap.MAP_SHARED | mmap.MAP_POPULATE
+        memory = mmap.mmap(descriptor, HEAD_BYTES + capacity * RECORD.itemsize, flags=shared)
         return cls(
             descriptor,
             np.frombuffer(memory, np.int64, HEAD_BYTES // 8),

@@ -14,10 +14,10 @@ from __future__ import annotations
 
 import math
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.compiled import tick_kernel, tick_part
 from tissueid.haptics.arm import ARM_MEMORY, ARM_PARAMETERS, POSITION, TIME, arm_step
 
 __all__ = [
@@ -65,7 +65,7 @@ def new_simulated(arm_memory: FloatArray) -> FloatArray:
     return memory
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_part
 def simulated_sample(
     memory: FloatArray, parameters: FloatArray, position: FloatArray, counts: IntArray
 ) -> int:
@@ -105,7 +105,7 @@ def simulated_sample(
     return VALID if kind == FAULT_UNHOMED else VALID | HOMED
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_part
 def simulated_command(memory: FloatArray, parameters: FloatArray, force: FloatArray) -> None:
     """Send a force [N]; it is felt ``delay_s`` later."""
     pending = int(memory[PENDING])
@@ -119,7 +119,7 @@ def simulated_command(memory: FloatArray, parameters: FloatArray, force: FloatAr
     memory[PENDING] = pending + 1
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def simulated_advance(memory: FloatArray, parameters: FloatArray, dt: float) -> None:
     """Let ``dt`` seconds pass: forces arrive, the arm moves."""
     end = memory[TIME] + dt

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
+
+from tissueid.compiled import tick_part
 
 __all__ = ["VELOCITY_FILTER_S", "velocity_step"]
 
@@ -18,7 +19,7 @@ VELOCITY_FILTER_S = 0.005
 REST_M_PER_S = 1e-12
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_part
 def velocity_step(velocity: FloatArray, position: FloatArray, last: FloatArray, dt: float) -> None:
     """Low-passed difference quotient, exact for any step.
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.compiled import tick_part
 from tissueid.haptics.guard_states import (
     ARMED,
     DAMAGED,
@@ -71,7 +71,7 @@ _TRANSPORT, _FROZEN = float(Fault.TRANSPORT), float(Fault.ENCODER_FROZEN)
 _JUMP, _OVERSPEED, _NOT_HOMED = float(Fault.ENCODER_JUMP), float(Fault.OVERSPEED), float(Fault.NOT_HOMED)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_part
 def observe(
     memory: FloatArray,
     limits: FloatArray,
@@ -128,7 +128,7 @@ def observe(
     _dead_man(memory, limits, buttons)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_part
 def _count_replies(memory: FloatArray, limits: FloatArray, reply: int, step: float) -> None:
     """Silence, damage and loss of the transport."""
     if reply == REPLY_LOST:
@@ -148,7 +148,7 @@ def _count_replies(memory: FloatArray, limits: FloatArray, reply: int, step: flo
         fail(memory, _NO_REPLY)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_part
 def _check_motion(
     memory: FloatArray,
     limits: FloatArray,
@@ -178,7 +178,7 @@ def _check_motion(
         fail(memory, _OVERSPEED)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_part
 def _check_frozen(memory: FloatArray, limits: FloatArray, counts_moved: IntArray, step: float) -> None:
     """Encoders that stand still although the force changed."""
     if counts_moved[0] != 0 or counts_moved[1] != 0 or counts_moved[2] != 0:
@@ -203,7 +203,7 @@ def _check_frozen(memory: FloatArray, limits: FloatArray, counts_moved: IntArray
         yield_to(memory, _FROZEN)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_part
 def _dead_man(memory: FloatArray, limits: FloatArray, buttons: int) -> None:
     """Release, and readiness to engage."""
     held = limits[DEAD_MAN] == 0.0 or (buttons & int(limits[DEAD_MAN_BUTTONS])) != 0

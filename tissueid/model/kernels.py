@@ -21,6 +21,8 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.compiled import tick_kernel, tick_part
+
 __all__ = [
     "LAW_SIZE",
     "STATE_SIZE",
@@ -148,7 +150,7 @@ _DECAYED = 4
 _GAIN = 7
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@tick_part
 def _continued(block: FloatArray, at: int, size: int, x: float, depth: float) -> tuple[float, float]:
     """Value and slope of a polynomial in x, continued beyond ``depth`` with its end slope, not below 0.
 
@@ -167,7 +169,7 @@ def _continued(block: FloatArray, at: int, size: int, x: float, depth: float) ->
     return value, slope
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_part
 def _following_force(
     law: FloatArray, at: int, state: FloatArray, first: int, y: float
 ) -> tuple[float, float]:
@@ -184,7 +186,7 @@ def _following_force(
     return force, slope
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def _force_free_surface(law: FloatArray, at: int, state: FloatArray, first: int, target: float) -> float:
     """Position deeper than ``target`` at which a free surface ends this step: bracketed Newton.
 
@@ -220,7 +222,7 @@ def _force_free_surface(law: FloatArray, at: int, state: FloatArray, first: int,
     return float(y)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@tick_part
 def tissue_step_in(law: FloatArray, at: int, state: FloatArray, first: int, x: float, h: float) -> float:
     """Advance the tissue by one step under a tool that can push but not pull.
 

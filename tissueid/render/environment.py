@@ -15,10 +15,10 @@ at rest (criteria of model.md 1.5, readings: total work, or force).
 
 from __future__ import annotations
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.compiled import tick_kernel, tick_part
 from tissueid.haptics.states import Lamp
 from tissueid.model.kernels import tissue_step_in
 from tissueid.render.surface import touch
@@ -109,14 +109,14 @@ def new_memory() -> FloatArray:
     return np.zeros(MEMORY_SIZE)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def put_at_rest(memory: FloatArray) -> None:
     """Tissue whole and at rest, as before anything touched it."""
     for i in range(memory.size):
         memory[i] = 0.0
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_part
 def environment_step(
     kind: int,
     parameters: FloatArray,
@@ -155,7 +155,7 @@ def environment_step(
         _tissue(parameters, memory, position, velocity, dt, force, info)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@tick_part
 def _tissue(
     parameters: FloatArray,
     memory: FloatArray,
@@ -192,7 +192,7 @@ def _tissue(
     memory[LAST_FORCE] = tissue_force
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@tick_part
 def _rupture(parameters: FloatArray, memory: FloatArray, depth: float, tissue_force: float) -> None:
     """Count the work done on the tissue and see whether it breaks."""
     if parameters[RUPTURE_KIND] == RUPTURE_NONE:
@@ -204,7 +204,7 @@ def _rupture(parameters: FloatArray, memory: FloatArray, depth: float, tissue_fo
         memory[BROKEN] = 1.0
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@tick_part
 def _lamps(parameters: FloatArray, memory: FloatArray, depth: float, speed: float) -> float:
     """Lamps of this step: only tissue that is touched is outside what was identified."""
     flags = 0

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba as nb
 import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
+from tissueid.compiled import tick_kernel
 from tissueid.haptics.device import GEOMETRY, UNITS_PER_NM, CompiledIO
 from tissueid.haptics.falcon.kinematic_kernels import angles_of_counts, forward_kernel, motor_units
 from tissueid.haptics.falcon.packet_kernels import (
@@ -127,7 +127,7 @@ def usb_io(given: CompiledIO) -> UsbIO:
     return UsbIO(address, handle, bulk_out, bulk_in, timeout_ms, _parts(given))
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def _ready(descriptor: int, events: int, word: IntArray) -> int:
     """Which of the events hold now; POLL_BROKEN bits if the other end is gone."""
     word[0] = descriptor | (events << EVENTS_SHIFT)
@@ -136,7 +136,7 @@ def _ready(descriptor: int, events: int, word: IntArray) -> int:
     return int((word[0] >> RETURNED_SHIFT) & 0xFFFF)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def _understand(
     parts: FalconParts, replies: int, position: FloatArray, counts: IntArray, words: IntArray
 ) -> None:
@@ -159,14 +159,14 @@ def _understand(
         words[0] = REPLY_LOST
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def _packet(parts: FalconParts, guard_memory: FloatArray, limits: FloatArray, force: FloatArray) -> None:
     """The command for a force at the grip's last position; homing mode stays, or homing is lost."""
     motor_units(force, parts.grip, parts.geometry, parts.units_per_Nm, limits[MOTOR_CLAMP], parts.motor)
     encode_into(parts.motor, leds_of_state(int(guard_memory[STATE])), True, parts.outgoing)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def sense_descriptor(
     io: DescriptorIO, dt: float, position: FloatArray, counts: IntArray, words: IntArray
 ) -> None:
@@ -185,7 +185,7 @@ def sense_descriptor(
     _understand(parts, replies, position, counts, words)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def command_descriptor(
     io: DescriptorIO, guard_memory: FloatArray, limits: FloatArray, force: FloatArray
 ) -> None:
@@ -197,7 +197,7 @@ def command_descriptor(
         parts.flags[LOST] = 1
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def sense_usb(io: UsbIO, dt: float, position: FloatArray, counts: IntArray, words: IntArray) -> None:
     """Parse what has arrived, without the status bytes of each USB packet."""
     parts = io.parts
@@ -213,7 +213,7 @@ def sense_usb(io: UsbIO, dt: float, position: FloatArray, counts: IntArray, word
     _understand(parts, replies, position, counts, words)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def command_usb(io: UsbIO, guard_memory: FloatArray, limits: FloatArray, force: FloatArray) -> None:
     """Send one packet."""
     parts = io.parts

@@ -16,6 +16,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -36,7 +37,8 @@ def is_compiled() -> bool:
 
     if os.environ.get(_SWITCH, "0") not in {"", "0"}:
         return True
-    folder = Path(str(servo_loop.compiled_loop.stats.cache_path))
+    loop: Any = servo_loop.compiled_loop
+    folder = Path(str(loop.stats.cache_path))
     written = [path.stat().st_mtime for path in folder.glob("servo_loop.realtime_loop-*.nbi")]
     return bool(written) and max(written) >= Path(servo_loop.__file__).stat().st_mtime
 

@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba as nb
 import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
+from tissueid.compiled import tick_kernel
 from tissueid.haptics.device import CompiledIO
 from tissueid.haptics.foreign import by_address
 from tissueid.haptics.watchdogs import REPLY_LOST, REPLY_VALID
@@ -61,7 +61,7 @@ def force_dimension_io(given: CompiledIO) -> ForceDimensionIO:
     )
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def sense_force_dimension(
     io: ForceDimensionIO, dt: float, position: FloatArray, counts: IntArray, words: IntArray
 ) -> None:
@@ -81,7 +81,7 @@ def sense_force_dimension(
         counts[i] = math.floor(position[i] / COUNT_M)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def command_force_dimension(
     io: ForceDimensionIO, guard_memory: FloatArray, limits: FloatArray, force: FloatArray
 ) -> None:

@@ -20,10 +20,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.compiled import tick_kernel, tick_part
 from tissueid.haptics.velocity import velocity_step
 
 __all__ = [
@@ -110,7 +110,7 @@ class PassivityLimits:
         return np.array([float(getattr(self, entry.name)) for entry in fields(self)])
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def passivity_step(
     memory: FloatArray, parameters: FloatArray, position: FloatArray, force: FloatArray, dt: float
 ) -> None:
@@ -160,7 +160,7 @@ def passivity_step(
         memory[SENT + i] = force[i]
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_part
 def _brake(memory: FloatArray, parameters: FloatArray, damping: float, speed: float) -> None:
     """Move the correction toward ``-damping v``, within its size and its change."""
     scale = -damping
@@ -181,7 +181,7 @@ def _brake(memory: FloatArray, parameters: FloatArray, damping: float, speed: fl
             memory[ACTIVE] = 1.0
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_part
 def note_sent(memory: FloatArray, sent: FloatArray) -> None:
     """Tell the observer what the guard really let through [N]: energy is counted on that."""
     for i in range(3):

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import numba as nb
 import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
+from tissueid.compiled import tick_kernel
 from tissueid.haptics.foreign import libc_function
 
 __all__ = ["CLOCK_SIZE", "monotonic_ns", "readable", "sleep_until"]
@@ -28,14 +28,14 @@ _nanosleep = libc_function("clock_nanosleep", types.int32, types.int32, types.in
 _poll = libc_function("poll", types.int32, types.int64, types.int64, types.int32)
 
 
-@nb.njit(cache=True, nogil=True)
+@tick_kernel
 def monotonic_ns(room: IntArray) -> int:
     """CLOCK_MONOTONIC [ns], which no clock jump moves; ``room`` is int64, shape (CLOCK_SIZE,)."""
     _gettime(CLOCK_MONOTONIC, room.ctypes.data)
     return int(room[0] * NANOSECONDS + room[1])
 
 
-@nb.njit(cache=True, nogil=True)
+@tick_kernel
 def sleep_until(deadline_ns: int, room: IntArray) -> None:
     """Sleep to a moment of CLOCK_MONOTONIC; no spinning, which a real-time class is punished for."""
     room[0] = deadline_ns // NANOSECONDS
@@ -44,7 +44,7 @@ def sleep_until(deadline_ns: int, room: IntArray) -> None:
         pass
 
 
-@nb.njit(cache=True, nogil=True)
+@tick_kernel
 def readable(descriptor: int, room: IntArray) -> bool:
     """Whether a descriptor has bytes, or its other end is gone; False for a negative one."""
     if descriptor < 0:

@@ -12,11 +12,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import numba as nb
 import numpy as np
 from numba.extending import overload
 from numpy.typing import NDArray
 
+from tissueid.compiled import tick_kernel
 from tissueid.errors import DeviceError
 from tissueid.haptics import device as devices
 from tissueid.haptics.device import CompiledIO, HapticDevice
@@ -73,7 +73,7 @@ class PythonIO(NamedTuple):
     law: Callable[..., Any] | None = None
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def sense_simulated(
     io: SimulatedIO, dt: float, position: FloatArray, counts: IntArray, words: IntArray
 ) -> None:
@@ -85,7 +85,7 @@ def sense_simulated(
     words[PRESSED] = int(io.parameters[SIM_BUTTONS])
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def command_simulated(
     io: SimulatedIO, guard_memory: FloatArray, limits: FloatArray, force: FloatArray
 ) -> None:

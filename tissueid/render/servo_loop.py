@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.compiled import tick_kernel, tick_part
 from tissueid.haptics.device import ZERO_COMMANDS
 from tissueid.haptics.guard import transition
 from tissueid.haptics.guard_states import (
@@ -48,9 +48,9 @@ IntArray = NDArray[np.int64]
 ENDED_FAULT, ENDED_STOPPED, ENDED_SIGNAL, ENDED_TICKS = 0, 1, 2, 3
 
 #: Words of a watch: the owner's pipe and the pipe of signals (-1: none), whether signs of life are asked for,
-#: signs of life so far, when the last one came [ns], ticks of zero force at the end.
-OWNER, SIGNALS, ALIVE_WANTED, BEATS, BEAT_NS, ZEROS = range(6)
-WATCH_SIZE = 8
+#: signs of life so far, when the last one came [ns], ticks of zero force at the end, room for system calls.
+OWNER, SIGNALS, ALIVE_WANTED, BEATS, BEAT_NS, ZEROS, ROOM = range(7)
+WATCH_SIZE = ROOM + CLOCK_SIZE
 
 #: Period errors are counted in bins of 1 us; the last bin has all beyond 20 ms.
 BINS = 20_001
@@ -80,7 +80,7 @@ def new_watch(owner: int = -1, signals: int = -1, *, alive_wanted: bool = False)
     return watch
 
 
-@nb.njit(cache=True, nogil=True)
+@tick_kernel
 def _look(servo: Servo, watch: IntArray, now_ns: int, room: IntArray) -> bool:
     """Look outside; True if a signal came."""
     if readable(watch[OWNER], room):
@@ -94,7 +94,7 @@ def _look(servo: Servo, watch: IntArray, now_ns: int, room: IntArray) -> bool:
     return readable(watch[SIGNALS], room)
 
 
-@nb.njit(cache=True, nogil=True)
+@tick_part
 def _over(servo: Servo, watch: IntArray) -> bool:
     """Whether enough ticks of zero force followed a fault, or the owner's wish to end."""
     state = servo.guard_memory[STATE]
@@ -104,7 +104,7 @@ def _over(servo: Servo, watch: IntArray) -> bool:
     return bool(watch[ZEROS] >= ZERO_COMMANDS)
 
 
-@nb.njit(cache=True, nogil=True)
+@tick_part
 def _count(histogram: IntArray, error_ns: int) -> None:
     """Count one absolute period error."""
     histogram[min(error_ns // BIN_NS, histogram.size - 2)] += 1
@@ -135,7 +135,7 @@ def realtime_loop(
     int
         ENDED_FAULT, ENDED_STOPPED, ENDED_SIGNAL or ENDED_TICKS.
     """
-    room = np.zeros(CLOCK_SIZE, np.int64)
+    room = watch[ROOM:]
     last = monotonic_ns(room)
     looked = last
     deadline = last + period_ns
@@ -164,10 +164,10 @@ def realtime_loop(
 
 
 #: :func:`realtime_loop`, compiled for the type of its ``io``.
-compiled_loop = nb.njit(cache=True, nogil=True, error_model="numpy")(realtime_loop)
+compiled_loop = tick_kernel(realtime_loop)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def virtual_loop(io: Any, servo: Servo, watch: IntArray, start_s: float, steps: FloatArray) -> int:
     """Run in virtual time, as fast as it goes.
 

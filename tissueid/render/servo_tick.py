@@ -12,11 +12,11 @@ from __future__ import annotations
 import contextlib
 from typing import Any, NamedTuple
 
-import numba as nb
 import numpy as np
 from numba.extending import overload
 from numpy.typing import NDArray
 
+from tissueid.compiled import tick_kernel, tick_part
 from tissueid.errors import DeviceError
 from tissueid.haptics.device import HapticDevice
 from tissueid.haptics.guard import guard, observe, transition
@@ -171,7 +171,7 @@ def new_servo(device: HapticDevice, ring: Ring, block: ParameterBlock) -> Servo:
 # Kernels take the few arrays they work on, not the whole servo: passing it costs more than most of them.
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_part
 def _count_motion(fresh: bool, valid: bool, counts: IntArray, last_counts: IntArray, moved: IntArray) -> None:
     """Encoder counts since the last valid reading."""
     for i in range(3):
@@ -180,7 +180,7 @@ def _count_motion(fresh: bool, valid: bool, counts: IntArray, last_counts: IntAr
             last_counts[i] = counts[i]
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_part
 def _obey(guard_memory: FloatArray, limits: FloatArray, block_head: IntArray) -> bool:
     """Want force or none as the owner does; True where new parameters may be taken now."""
     wanted = ordered(block_head) == COMMAND_ENGAGE
@@ -191,7 +191,7 @@ def _obey(guard_memory: FloatArray, limits: FloatArray, block_head: IntArray) ->
     return bool(waiting(block_head) and transition(guard_memory, limits, SWAP))
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def _exchange(
     block_head: IntArray,
     block_values: FloatArray,
@@ -238,7 +238,7 @@ def send(
         _send(io, guard_memory, limits, force, dt, out)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def _send(
     io: Any, guard_memory: FloatArray, limits: FloatArray, force: FloatArray, dt: float, out: FloatArray
 ) -> None:
@@ -252,7 +252,7 @@ def _compiled_send(io, guard_memory, limits, force, dt, out):  # type: ignore[no
     return lambda io, guard_memory, limits, force, dt, out: _send(io, guard_memory, limits, force, dt, out)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_part
 def _lamps(guard_memory: FloatArray, control_memory: FloatArray, info: FloatArray, counters: IntArray) -> int:
     """Lamps of guard, environment and controller, counted."""
     lamps = int(guard_memory[LAMPS]) | int(info[INFO_FLAGS])
@@ -264,7 +264,7 @@ def _lamps(guard_memory: FloatArray, control_memory: FloatArray, info: FloatArra
     return lamps
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def _record(servo: Servo, now_s: float, dt: float, late_s: float, lamps: int) -> None:
     """Write the record of this tick and publish it."""
     counters = servo.counters
@@ -350,7 +350,7 @@ def tick(io: Any, servo: Servo, now_s: float, dt: float, late_s: float, late_lam
 
 
 #: One tick, compiled for the type of its ``io``; loops in Python call :func:`tick` itself.
-compiled_tick = nb.njit(cache=True, nogil=True, error_model="numpy")(tick)
+compiled_tick = tick_kernel(tick)
 
 
 @overload(tick)

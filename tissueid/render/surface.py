@@ -16,9 +16,10 @@ from __future__ import annotations
 
 import math
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
+
+from tissueid.compiled import tick_kernel, tick_part
 
 __all__ = ["BOX", "PLANE", "SPHERE", "SURFACE_SIZE", "TOUCH_SIZE", "touch"]
 
@@ -47,7 +48,7 @@ AT_CENTRE_M = 1e-9
 NO_FACE = 0.0
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_part
 def touch(surface: FloatArray, at: int, position: FloatArray, memory: FloatArray, first: int) -> float:
     """How deep the tool tip is in a surface.
 
@@ -83,7 +84,7 @@ def touch(surface: FloatArray, at: int, position: FloatArray, memory: FloatArray
     return float(surface[at + TOOL_RADIUS] - distance)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def _from_sphere(surface: FloatArray, at: int, position: FloatArray, memory: FloatArray, first: int) -> float:
     """Distance of a point from a sphere [m], negative inside; direction out of it."""
     square = 0.0
@@ -101,7 +102,7 @@ def _from_sphere(surface: FloatArray, at: int, position: FloatArray, memory: Flo
     return float(distance - surface[at + SIZE])
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def _from_box(surface: FloatArray, at: int, position: FloatArray, memory: FloatArray, first: int) -> float:
     """Distance of a point from a box [m], negative inside; direction out of the face that counts."""
     outside = 0.0

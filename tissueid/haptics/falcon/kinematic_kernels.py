@@ -16,9 +16,10 @@ from __future__ import annotations
 
 import math
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
+
+from tissueid.compiled import tick_kernel
 
 __all__ = [
     "GEOMETRY_SIZE",
@@ -82,34 +83,34 @@ HALF = 0.5
 ZERO = (0.0, 0.0, 0.0)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def angles_of_counts(counts: IntArray, geometry: FloatArray, out: FloatArray) -> None:
     """Leg angles [rad] of encoder counts; ``counts``, ``out`` of shape (3,)."""
     for i in range(3):
         out[i] = geometry[ZERO_ANGLE] + geometry[PER_COUNT] * counts[i]
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def _cross(a: Vector, b: Vector) -> Vector:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def _dot(a: Vector, b: Vector) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def _scaled(a: Vector, factor: float) -> Vector:
     return a[0] * factor, a[1] * factor, a[2] * factor
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def _largest(a: Vector) -> float:
     return max(abs(a[0]), abs(a[1]), abs(a[2]))
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def _inverse_columns(rows: Rows) -> tuple[bool, Vector, Vector, Vector]:
     """Columns of the inverse of a 3 x 3 matrix; False where it is singular."""
     first = _cross(rows[1], rows[2])
@@ -122,7 +123,7 @@ def _inverse_columns(rows: Rows) -> tuple[bool, Vector, Vector, Vector]:
     return True, _scaled(first, over), _scaled(second, over), _scaled(third, over)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def _leg(i: int, p: Vector, geometry: FloatArray) -> tuple[float, float]:
     """``(X, q)`` of a leg [m]: how far out the grip's pin stands in the leg's plane, how far beside it."""
     cosine = geometry[COSINES + i]
@@ -132,7 +133,7 @@ def _leg(i: int, p: Vector, geometry: FloatArray) -> tuple[float, float]:
     return along, beside
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def _leg_angle(i: int, p: Vector, geometry: FloatArray) -> tuple[bool, float]:
     """Angle of a leg with its knee outward; False where it does not reach."""
     a = geometry[THIGH]
@@ -148,7 +149,7 @@ def _leg_angle(i: int, p: Vector, geometry: FloatArray) -> tuple[bool, float]:
     return True, math.atan2(p[2], along) - math.acos(cosine)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def inverse_kernel(position: FloatArray, geometry: FloatArray, out: FloatArray) -> bool:
     """Leg angles of a grip position, in closed form.
 
@@ -176,7 +177,7 @@ def inverse_kernel(position: FloatArray, geometry: FloatArray, out: FloatArray) 
     return True
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def _constraint(
     i: int, p: Vector, cosine: float, sine: float, geometry: FloatArray
 ) -> tuple[bool, float, Vector, float]:
@@ -202,7 +203,7 @@ def _constraint(
     return True, length - geometry[PINS] - root, (x, y, up / length), lever
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def _constraints(
     p: Vector, cosines: Vector, sines: Vector, geometry: FloatArray
 ) -> tuple[bool, Vector, Rows]:
@@ -213,7 +214,7 @@ def _constraints(
     return reached0 and reached1 and reached2, (error0, error1, error2), (slope0, slope1, slope2)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def _newton(p: Vector, angles: FloatArray, geometry: FloatArray) -> tuple[int, Vector]:
     """Newton with halved steps from ``p``; steps taken, or -1, and where it ended."""
     cosines = (math.cos(angles[0]), math.cos(angles[1]), math.cos(angles[2]))
@@ -245,7 +246,7 @@ def _newton(p: Vector, angles: FloatArray, geometry: FloatArray) -> tuple[int, V
     return (MAX_STEPS if _largest(error) <= GOOD_M else -1), p
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def _knees_outward(p: Vector, angles: FloatArray, geometry: FloatArray) -> bool:
     """Whether a position that satisfies the constraints is the one of the Falcon."""
     for i in range(3):
@@ -255,7 +256,7 @@ def _knees_outward(p: Vector, angles: FloatArray, geometry: FloatArray) -> bool:
     return True
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def forward_kernel(angles: FloatArray, geometry: FloatArray, position: FloatArray) -> int:
     """Grip position of three leg angles, by Newton's method from a guess, then from fixed starts.
 
@@ -283,7 +284,7 @@ def forward_kernel(angles: FloatArray, geometry: FloatArray, position: FloatArra
     return -1
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def _rates(p: Vector, geometry: FloatArray) -> tuple[bool, Vector, Vector, Vector]:
     """Columns ``dp/dtheta_i`` [m/rad], by implicit differentiation of the constraints."""
     rows = (ZERO, ZERO, ZERO)
@@ -298,7 +299,7 @@ def _rates(p: Vector, geometry: FloatArray) -> tuple[bool, Vector, Vector, Vecto
     return _inverse_columns(rows)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def jacobian_kernel(position: FloatArray, geometry: FloatArray, out: FloatArray) -> bool:
     """``D = dp/dtheta`` at a grip position.
 
@@ -322,7 +323,7 @@ def jacobian_kernel(position: FloatArray, geometry: FloatArray, out: FloatArray)
     return regular
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def torque_kernel(position: FloatArray, force: FloatArray, geometry: FloatArray, out: FloatArray) -> bool:
     """Arm torques ``D^T F`` [N m] that push the hand with a force [N]; False where there is no Jacobian."""
     regular, first, second, third = _rates((position[0], position[1], position[2]), geometry)
@@ -331,7 +332,7 @@ def torque_kernel(position: FloatArray, force: FloatArray, geometry: FloatArray,
     return regular
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def motor_units(
     force: FloatArray,
     position: FloatArray,

@@ -15,10 +15,10 @@ every intact reply in any garbage, and is in step again with the first ``<`` tha
 
 from __future__ import annotations
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.compiled import tick_kernel
 from tissueid.haptics.states import State
 
 __all__ = [
@@ -83,7 +83,7 @@ PARSER_SIZE = 24
 REPLY_FIELDS = 5
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def leds_of_state(state: int) -> int:
     """LED bits of a device's state: red until it is homed and after a fault, then green, blue with force."""
     if state == _ENGAGED:
@@ -91,7 +91,7 @@ def leds_of_state(state: int) -> int:
     return LED_GREEN if state == _ARMED else LED_RED
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def encode_into(motor: IntArray, leds: int, homing: bool, out: ByteArray) -> None:
     """Write one command.
 
@@ -121,7 +121,7 @@ def encode_into(motor: IntArray, leds: int, homing: bool, out: ByteArray) -> Non
     out[END_AT] = END
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def _fits(position: int, byte: int) -> bool:
     """Whether a byte may stand at a position 1 to 15 of a reply."""
     if position < STATUS_AT:
@@ -133,7 +133,7 @@ def _fits(position: int, byte: int) -> bool:
     return byte == END
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def _decode(memory: IntArray) -> None:
     """Fields of a whole reply, from its bytes."""
     for i in range(3):
@@ -147,7 +147,7 @@ def _decode(memory: IntArray) -> None:
     memory[PACKETS] += 1
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def parse_byte(memory: IntArray, byte: int) -> int:
     """Take one byte of the device's stream.
 
@@ -188,7 +188,7 @@ def parse_byte(memory: IntArray, byte: int) -> int:
     return 1
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@tick_kernel
 def parse_bytes(memory: IntArray, data: ByteArray, replies: IntArray) -> int:
     """Take many bytes.
 
