@@ -5,7 +5,7 @@ The record is flat, so that a table can be joined to it on path and sheet, and o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,7 +19,15 @@ from tissueid.manifest import Study
 from tissueid.result import Estimate, Refusal, SpecimenFit
 from tissueid.store.schema import load_schema
 
-__all__ = ["Refit", "exclusion_rows", "study_flags", "study_record", "unmatched_sheets", "without_excluded"]
+__all__ = [
+    "Refit",
+    "exclusion_rows",
+    "study_document",
+    "study_flags",
+    "study_record",
+    "unmatched_sheets",
+    "without_excluded",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +80,23 @@ def study_record(
     exclusions : sequence of mapping
         From :func:`exclusion_rows`.
     """
-    shown = dict.fromkeys([*(names[name] for name in collected.groups), *study.specimens])
+    shown = [names[name] for name in collected.groups]
+    trials = [_trial_row(collected, entry, names) for entry in collected.inputs]
+    return study_document(study, shown, trials, list(exclusions))
+
+
+def study_document(study: Study, fitted: Iterable[str], trials: Any, exclusions: Any) -> dict[str, Any]:
+    """The ``study`` object from rows that are there.
+
+    Parameters
+    ----------
+    study : Study
+    fitted : iterable of str
+        Specimens as shown; those that the study names come after them.
+    trials, exclusions : list
+        Rows, gathered from wherever they were made.
+    """
+    shown = dict.fromkeys([*fitted, *study.specimens])
     stated = load_schema("identification")["$defs"]["calibration"]["properties"]
     frame = study.calibration.frame
     calibration = {key: study.calibration.values.get(key) for key in stated}
@@ -84,8 +108,8 @@ def study_record(
         "calibration": calibration | {"frame": None if frame is None else frame.as_json()},
         "priors": study.priors.as_json(),
         "specimens": [_specimen_row(study, name) for name in shown],
-        "trials": [_trial_row(collected, entry, names) for entry in collected.inputs],
-        "exclusions": list(exclusions),
+        "trials": trials,
+        "exclusions": exclusions,
     }
 
 

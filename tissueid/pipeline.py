@@ -45,7 +45,10 @@ __all__ = [
     "DEFAULT_REQUIRED",
     "REQUIRABLE",
     "IdentifyOptions",
+    "exit_of",
     "identify",
+    "run_provenance",
+    "unmet",
 ]
 
 #: Libraries whose version may change a number.
@@ -94,7 +97,8 @@ def _tip_radius(protocol_radii: Iterable[float | None]) -> float | None:
     return radii.pop() if len(radii) == 1 else None
 
 
-def _reasons(specimens: Sequence[SpecimenFit], required: Sequence[str]) -> list[str]:
+def unmet(specimens: Sequence[SpecimenFit], required: Sequence[str]) -> list[str]:
+    """What was asked for and is not identified, or did not converge, in words."""
     reasons = []
     prefixes = tuple(_PREFIX[name] for name in required)
     for fit in specimens:
@@ -109,19 +113,71 @@ def _reasons(specimens: Sequence[SpecimenFit], required: Sequence[str]) -> list[
     return reasons
 
 
-def _exit(specimens: Sequence[SpecimenFit], refused: Sequence[Refusal], required: Sequence[str]) -> Exit:
+def exit_of(fitted: int, refused: Sequence[str], missing: Sequence[str]) -> Exit:
+    """How a run ends.
+
+    Parameters
+    ----------
+    fitted : int
+        Specimens.
+    refused : sequence of str
+        What was left out, and why.
+    missing : sequence of str
+        From :func:`unmet`.
+    """
     codes: set[int] = {0}
-    reasons: list[str] = []
+    reasons = list(refused)
     if refused:
-        codes.add(7 if specimens else 3)
-        reasons += map(str, refused)
-    elif not specimens:
+        codes.add(7 if fitted else 3)
+    elif not fitted:
         codes.add(3)
         reasons.append("no recording was found")
-    missing = _reasons(specimens, required)
     if missing:
         codes.add(4)
-    return Exit(code=exit_code(codes), reasons=tuple(reasons + missing))
+    return Exit(code=exit_code(codes), reasons=(*reasons, *missing))
+
+
+def run_provenance(
+    options: IdentifyOptions, inputs: Any, record: Mapping[str, Any] | None, extra: Mapping[str, Any]
+) -> dict[str, Any]:
+    """The ``provenance`` of a run: versions, options, inputs, and what its study says of all specimens.
+
+    Parameters
+    ----------
+    options : IdentifyOptions
+    inputs : list
+        One row a recording that was fitted.
+    record : mapping or None
+        The ``study`` of the run.
+    extra : mapping
+        What the caller adds.
+    """
+    return {
+        "tissueid": __version__,
+        "versions": {name: version(name) for name in LIBRARIES},
+        "options": {
+            "branches": options.fit.branches or "auto",
+            "stiffness_degree": (
+                "auto" if options.fit.stiffness_degree is None else options.fit.stiffness_degree
+            ),
+            "static": options.fit.static,
+            "noise": options.fit.noise,
+            "sampler": "none" if options.posterior is None else options.posterior.sampler,
+            "draws": 0 if options.posterior is None else options.posterior.draws,
+            "unloading": options.fit.unloading,
+            "frequencies_Hz": list(options.fit.frequencies_Hz),
+            "depths_mm": list(options.fit.depths_mm),
+            "tip": None if options.fit.geometry is None else str(options.fit.geometry),
+            "poisson": options.fit.poisson,
+            "compression_sign": options.segment.compression_sign,
+            "contact_displacement_mm": options.segment.contact_displacement_mm,
+            "required": list(options.required),
+            "seed": options.seed,
+        },
+        "inputs": inputs,
+        **({} if record is None else {"study": {key: record[key] for key in STUDY_PROVENANCE}}),
+        **extra,
+    }
 
 
 def _fit(
@@ -248,6 +304,7 @@ def identify(
     progress: Callable[[str, int, int], None] | None = None,
     checkpoint: Checkpoints | None = None,
     keep_sums: Callable[[StoredSums], None] | None = None,
+    names: Mapping[str, str] | None = None,
 ) -> Identification:
     """Identify the contact model of every specimen among the trials.
 
@@ -270,6 +327,8 @@ def identify(
         Gives the file in which a specimen's chain is kept while it is sampled, by the specimen's name.
     keep_sums : callable, optional
         Told the sums of every specimen once it is fitted.
+    names : mapping, optional
+        Specimen of a trial -> its name as shown, where the trials are part of a larger set.
 
     Returns
     -------
@@ -287,7 +346,7 @@ def identify(
         depths_mm=options.fit.depths_mm,
         unloading=options.fit.unloading,
     )
-    names = display_names(collected.sources)
+    names = display_names(collected.sources) if names is None else names
     fits = _fit_all(collected, names, options, study, progress, checkpoint, keep_sums)
 
     def fit_again(name: str, handles: Sequence[LogHandle], fit: FitOptions, because: str) -> SpecimenFit:
@@ -303,32 +362,7 @@ def identify(
         specimens=tuple(fits),
         refused=tuple(everything),
         unfitted_cycles=tuple(collected.unfitted_cycles),
-        exit=_exit(fits, everything, options.required),
+        exit=exit_of(len(fits), [str(one) for one in everything], unmet(fits, options.required)),
         study=record,
-        provenance={
-            "tissueid": __version__,
-            "versions": {name: version(name) for name in LIBRARIES},
-            "options": {
-                "branches": options.fit.branches or "auto",
-                "stiffness_degree": (
-                    "auto" if options.fit.stiffness_degree is None else options.fit.stiffness_degree
-                ),
-                "static": options.fit.static,
-                "noise": options.fit.noise,
-                "sampler": "none" if options.posterior is None else options.posterior.sampler,
-                "draws": 0 if options.posterior is None else options.posterior.draws,
-                "unloading": options.fit.unloading,
-                "frequencies_Hz": list(options.fit.frequencies_Hz),
-                "depths_mm": list(options.fit.depths_mm),
-                "tip": None if options.fit.geometry is None else str(options.fit.geometry),
-                "poisson": options.fit.poisson,
-                "compression_sign": options.segment.compression_sign,
-                "contact_displacement_mm": options.segment.contact_displacement_mm,
-                "required": list(options.required),
-                "seed": options.seed,
-            },
-            "inputs": inputs,
-            **({} if record is None else {"study": {key: record[key] for key in STUDY_PROVENANCE}}),
-            **(provenance or {}),
-        },
+        provenance=run_provenance(options, inputs, record, provenance or {}),
     )

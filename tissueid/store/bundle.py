@@ -11,7 +11,8 @@ Layout (schema version 1)::
 
 Equal contents give equal bytes: no time stamps, no version of the library that wrote it.  The content
 hash covers the document and every number, so that an edited file is told from a written one; it is a
-seal against accidents, not a signature.
+seal against accidents, not a signature.  A group ``specimen`` may stand beside them: what else a run knows of
+the specimen (:mod:`tissueid.store.specimen_file`); whoever opens a bundle passes over it.
 """
 
 from __future__ import annotations
@@ -37,7 +38,15 @@ from tissueid.trial import Axes
 if TYPE_CHECKING:
     from tissueid.model import ContactModel
 
-__all__ = ["BUNDLE_SCHEMA_VERSION", "Bundle", "bundle_from_fit", "load_bundle", "write_bundle"]
+__all__ = [
+    "BUNDLE_SCHEMA_VERSION",
+    "SPECIMEN_GROUP",
+    "Bundle",
+    "bundle_from_fit",
+    "load_bundle",
+    "put_bundle",
+    "write_bundle",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -46,6 +55,8 @@ _FORMAT = "tissueid/bundle"
 _DOCUMENT = "document"
 _ARRAYS = ("theta", "covariance", "draws")
 _OPTIONAL = frozenset({"draws"})
+#: What a run keeps beside a bundle in the same file.
+SPECIMEN_GROUP = "specimen"
 _UNITS = Axes().as_json()
 #: Draws a bundle keeps: a 95 % bound from so many is good to 6 % of the posterior's sd.
 MOST_DRAWS = 2_000
@@ -232,21 +243,35 @@ def write_bundle(bundle: Bundle, path: Path | str) -> None:
         If the bundle could not be loaded again.
     """
     path = Path(path)
-    document = plain_json(bundle.as_json())
-    arrays = {name: getattr(bundle, name) for name in _ARRAYS if getattr(bundle, name) is not None}
-    _check_contents(bundle, document, where=str(path))
-    text = json_bytes(document)
+    document = _checked(bundle, where=str(path))
     temporary = path.with_name(TEMPORARY_PREFIX + path.name)
     # fixed library version bounds: the bytes must not depend on which HDF5 was installed
     with h5py.File(temporary, "w", libver=("v110", "v110")) as file:
-        file.attrs["format"] = _FORMAT
-        file.attrs["schema_version"] = np.int64(bundle.schema_version)
-        file.attrs["content_sha256"] = _content_hash(text, arrays)
-        kind = h5py.string_dtype("utf-8", length=len(text))
-        file.create_dataset(_DOCUMENT, data=np.array(text, dtype=kind), track_times=False)
-        for name, array in arrays.items():
-            file.create_dataset(name, data=array, dtype="<f8", track_times=False)
+        _put(file, bundle, document)
     replace_file(temporary, path)
+
+
+def put_bundle(file: Any, bundle: Bundle, *, where: str) -> None:
+    """Write a bundle into the root of an open HDF5 file, after the checks that :func:`load_bundle` makes."""
+    _put(file, bundle, _checked(bundle, where=where))
+
+
+def _checked(bundle: Bundle, *, where: str) -> dict[str, Any]:
+    document: dict[str, Any] = plain_json(bundle.as_json())
+    _check_contents(bundle, document, where=where)
+    return document
+
+
+def _put(file: Any, bundle: Bundle, document: Mapping[str, Any]) -> None:
+    arrays = {name: getattr(bundle, name) for name in _ARRAYS if getattr(bundle, name) is not None}
+    text = json_bytes(document)
+    file.attrs["format"] = _FORMAT
+    file.attrs["schema_version"] = np.int64(bundle.schema_version)
+    file.attrs["content_sha256"] = _content_hash(text, arrays)
+    kind = h5py.string_dtype("utf-8", length=len(text))
+    file.create_dataset(_DOCUMENT, data=np.array(text, dtype=kind), track_times=False)
+    for name, array in arrays.items():
+        file.create_dataset(name, data=array, dtype="<f8", track_times=False)
 
 
 def load_bundle(path: Path | str) -> Bundle:
@@ -305,7 +330,7 @@ def _content_hash(text: bytes, arrays: Mapping[str, FloatArray]) -> str:
 def _read(path: Path) -> tuple[bytes, dict[str, FloatArray], dict[str, Any]]:
     with h5py.File(path, "r") as file:
         attributes = dict(file.attrs)
-        names = set(file)
+        names = set(file) - {SPECIMEN_GROUP}
         if attributes.get("format") != _FORMAT:
             msg = f"its format is {attributes.get('format')!r}, not {_FORMAT!r}"
             raise ValueError(msg)

@@ -20,7 +20,7 @@ from tissueid.errors import BundleError
 from tissueid.result import Curve, SpecimenFit
 from tissueid.store.files import TEMPORARY_PREFIX, json_bytes, replace_file
 
-__all__ = ["TrialCurve", "curves_of_fits", "load_curves", "write_curves"]
+__all__ = ["TrialCurve", "curves_of_fits", "get_curves", "load_curves", "put_curves", "write_curves"]
 
 _FORMAT = "tissueid/curves/1"
 _QUANTITIES = ("time_s", "depth_mm", "force_N", "model_N")
@@ -62,21 +62,26 @@ def write_curves(curves: Sequence[TrialCurve], path: Path | str) -> None:
         Its folder must exist.
     """
     path = Path(path)
+    temporary = path.with_name(TEMPORARY_PREFIX + path.name)
+    with h5py.File(temporary, "w", libver=("v110", "v110")) as file:
+        put_curves(file, curves)
+    replace_file(temporary, path)
+
+
+def put_curves(group: Any, curves: Sequence[TrialCurve]) -> None:
+    """Write curves into an open HDF5 file or a group of one."""
     sizes = [entry.curve.time_s.size for entry in curves]
     index = [{"specimen": entry.specimen, "path": entry.path, "sheet": entry.sheet} for entry in curves]
     text = json_bytes(index)
-    temporary = path.with_name(TEMPORARY_PREFIX + path.name)
-    with h5py.File(temporary, "w", libver=("v110", "v110")) as file:
-        file.attrs["format"] = _FORMAT
-        kind = h5py.string_dtype("utf-8", length=len(text))
-        file.create_dataset("index", data=np.array(text, dtype=kind), track_times=False)
-        offsets = np.concatenate([[0], np.cumsum(sizes)]).astype("<i8")
-        file.create_dataset("offsets", data=offsets, track_times=False)
-        for name in (*_QUANTITIES, "fitted"):
-            parts = [np.asarray(getattr(entry.curve, name)) for entry in curves]
-            values = np.concatenate(parts) if parts else np.empty(0)
-            _write_column(file, name, values.astype("u1" if name == "fitted" else "<f8"))
-    replace_file(temporary, path)
+    group.attrs["format"] = _FORMAT
+    kind = h5py.string_dtype("utf-8", length=len(text))
+    group.create_dataset("index", data=np.array(text, dtype=kind), track_times=False)
+    offsets = np.concatenate([[0], np.cumsum(sizes)]).astype("<i8")
+    group.create_dataset("offsets", data=offsets, track_times=False)
+    for name in (*_QUANTITIES, "fitted"):
+        parts = [np.asarray(getattr(entry.curve, name)) for entry in curves]
+        values = np.concatenate(parts) if parts else np.empty(0)
+        _write_column(group, name, values.astype("u1" if name == "fitted" else "<f8"))
 
 
 def _write_column(file: Any, name: str, values: Any) -> None:
@@ -109,12 +114,17 @@ def load_curves(path: Path | str) -> tuple[TrialCurve, ...]:
 
 def _read(path: Path) -> tuple[TrialCurve, ...]:
     with h5py.File(path, "r") as file:
-        if file.attrs.get("format") != _FORMAT:
-            msg = f"its format is {file.attrs.get('format')!r}, not {_FORMAT!r}"
-            raise ValueError(msg)
-        index = json.loads(bytes(file["index"][()]))
-        offsets = np.asarray(file["offsets"][()])
-        columns = {name: np.asarray(file[name][()]) for name in (*_QUANTITIES, "fitted")}
+        return get_curves(file)
+
+
+def get_curves(group: Any) -> tuple[TrialCurve, ...]:
+    """Read what :func:`put_curves` wrote; ``ValueError`` or ``KeyError`` where it is something else."""
+    if group.attrs.get("format") != _FORMAT:
+        msg = f"its format is {group.attrs.get('format')!r}, not {_FORMAT!r}"
+        raise ValueError(msg)
+    index = json.loads(bytes(group["index"][()]))
+    offsets = np.asarray(group["offsets"][()])
+    columns = {name: np.asarray(group[name][()]) for name in (*_QUANTITIES, "fitted")}
     if offsets.size != len(index) + 1 or any(column.shape != (offsets[-1],) for column in columns.values()):
         msg = "its index does not match its numbers"
         raise ValueError(msg)

@@ -17,7 +17,7 @@ Layout: one group a specimen, in the order of ``index`` (JSON text: specimen, na
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -30,7 +30,14 @@ from tissueid.errors import BundleError
 from tissueid.result import SpecimenFit
 from tissueid.store.files import TEMPORARY_PREFIX, json_bytes, replace_file
 
-__all__ = ["StoredPosterior", "load_posteriors", "posteriors_of_fits", "write_posteriors"]
+__all__ = [
+    "StoredPosterior",
+    "get_posteriors",
+    "load_posteriors",
+    "posteriors_of_fits",
+    "put_posteriors",
+    "write_posteriors",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -108,37 +115,45 @@ def _thinned(chain: FloatArray) -> FloatArray:
     return kept
 
 
-def write_posteriors(posteriors: Sequence[StoredPosterior], path: Path | str) -> None:
+def write_posteriors(posteriors: Iterable[StoredPosterior], path: Path | str) -> None:
     """Write posteriors, whole or not at all; equal posteriors give equal bytes.
 
     Parameters
     ----------
-    posteriors : sequence of StoredPosterior
+    posteriors : iterable of StoredPosterior
+        Taken one after the other, so that a generator needs the memory of one specimen.
     path : Path or str
         Its folder must exist.
     """
     path = Path(path)
-    index = [
-        {
-            "specimen": one.specimen,
-            "theta_names": list(one.theta_names),
-            "chain_names": list(one.chain_names),
-            "trials": [{"path": where, "sheet": sheet} for where, sheet in one.bands],
-        }
-        for one in posteriors
-    ]
-    text = json_bytes(index)
     temporary = path.with_name(TEMPORARY_PREFIX + path.name)
     with h5py.File(temporary, "w", libver=("v110", "v110")) as file:
-        file.attrs["format"] = _FORMAT
-        kind = h5py.string_dtype("utf-8", length=len(text))
-        file.create_dataset("index", data=np.array(text, dtype=kind), track_times=False)
-        for position, one in enumerate(posteriors):
-            group = file.create_group(str(position), track_order=False)
-            for name, values in _columns(one).items():
-                packed = {"compression": "gzip", "shuffle": True} if values.size else {}
-                group.create_dataset(name, data=values, track_times=False, **packed)
+        put_posteriors(file, posteriors)
     replace_file(temporary, path)
+
+
+def put_posteriors(file: Any, posteriors: Iterable[StoredPosterior]) -> None:
+    """Write posteriors into an open HDF5 file or a group of one."""
+    file.attrs["format"] = _FORMAT
+    index = []
+    for position, one in enumerate(posteriors):
+        index.append(_entry(one))
+        group = file.create_group(str(position), track_order=False)
+        for name, values in _columns(one).items():
+            packed = {"compression": "gzip", "shuffle": True} if values.size else {}
+            group.create_dataset(name, data=values, track_times=False, **packed)
+    text = json_bytes(index)
+    kind = h5py.string_dtype("utf-8", length=len(text))
+    file.create_dataset("index", data=np.array(text, dtype=kind), track_times=False)
+
+
+def _entry(one: StoredPosterior) -> dict[str, Any]:
+    return {
+        "specimen": one.specimen,
+        "theta_names": list(one.theta_names),
+        "chain_names": list(one.chain_names),
+        "trials": [{"path": where, "sheet": sheet} for where, sheet in one.bands],
+    }
 
 
 def _columns(one: StoredPosterior) -> dict[str, NDArray[Any]]:
@@ -177,11 +192,16 @@ def load_posteriors(path: Path | str) -> tuple[StoredPosterior, ...]:
 
 def _read(path: Path) -> tuple[StoredPosterior, ...]:
     with h5py.File(path, "r") as file:
-        if file.attrs.get("format") != _FORMAT:
-            msg = f"its format is {file.attrs.get('format')!r}, not {_FORMAT!r}"
-            raise ValueError(msg)
-        index = json.loads(bytes(file["index"][()]))
-        return tuple(_posterior(entry, file[str(position)]) for position, entry in enumerate(index))
+        return get_posteriors(file)
+
+
+def get_posteriors(file: Any) -> tuple[StoredPosterior, ...]:
+    """Read what :func:`put_posteriors` wrote; ``ValueError`` or ``KeyError`` where it is something else."""
+    if file.attrs.get("format") != _FORMAT:
+        msg = f"its format is {file.attrs.get('format')!r}, not {_FORMAT!r}"
+        raise ValueError(msg)
+    index = json.loads(bytes(file["index"][()]))
+    return tuple(_posterior(entry, file[str(position)]) for position, entry in enumerate(index))
 
 
 def _posterior(entry: Mapping[str, Any], group: Any) -> StoredPosterior:

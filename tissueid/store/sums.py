@@ -32,7 +32,16 @@ from numpy.typing import NDArray
 from tissueid.errors import BundleError
 from tissueid.store.files import TEMPORARY_PREFIX, json_bytes, replace_file
 
-__all__ = ["SUMS_SCHEMA_VERSION", "StoredLog", "StoredSums", "read_sums", "with_logs_of", "write_sums"]
+__all__ = [
+    "SUMS_SCHEMA_VERSION",
+    "StoredLog",
+    "StoredSums",
+    "get_sums",
+    "put_sums",
+    "read_sums",
+    "with_logs_of",
+    "write_sums",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -159,24 +168,27 @@ def write_sums(sums: Iterable[StoredSums], path: Path | str) -> None:
     """
     path = Path(path)
     temporary = path.with_name(TEMPORARY_PREFIX + path.name)
-    index = []
     with h5py.File(temporary, "w", libver=("v110", "v110")) as file:
-        file.attrs["format"] = _FORMAT
-        file.attrs["schema_version"] = np.int64(SUMS_SCHEMA_VERSION)
-        for position, one in enumerate(sums):
-            entry, arrays = _entry(one), _arrays(one)
-            index.append(entry)
-            group = file.create_group(str(position), track_order=False)
-            group.attrs["content_sha256"] = _content_hash(entry, arrays)
-            for name, values in arrays.items():
-                packed = (
-                    {"compression": "gzip", "compression_opts": 1, "shuffle": True} if values.size else {}
-                )
-                group.create_dataset(name, data=values, track_times=False, **packed)
-        text = json_bytes(index)
-        kind = h5py.string_dtype("utf-8", length=len(text))
-        file.create_dataset("index", data=np.array(text, dtype=kind), track_times=False)
+        put_sums(file, sums)
     replace_file(temporary, path)
+
+
+def put_sums(file: Any, sums: Iterable[StoredSums]) -> None:
+    """Write sums into an open HDF5 file or a group of one."""
+    index = []
+    file.attrs["format"] = _FORMAT
+    file.attrs["schema_version"] = np.int64(SUMS_SCHEMA_VERSION)
+    for position, one in enumerate(sums):
+        entry, arrays = _entry(one), _arrays(one)
+        index.append(entry)
+        group = file.create_group(str(position), track_order=False)
+        group.attrs["content_sha256"] = _content_hash(entry, arrays)
+        for name, values in arrays.items():
+            packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if values.size else {}
+            group.create_dataset(name, data=values, track_times=False, **packed)
+    text = json_bytes(index)
+    kind = h5py.string_dtype("utf-8", length=len(text))
+    file.create_dataset("index", data=np.array(text, dtype=kind), track_times=False)
 
 
 def _entry(sums: StoredSums) -> dict[str, Any]:
@@ -250,20 +262,25 @@ def read_sums(path: Path | str) -> Iterator[StoredSums]:
 
 def _read(path: Path) -> Iterator[StoredSums]:
     with h5py.File(path, "r") as file:
-        if file.attrs.get("format") != _FORMAT:
-            msg = f"its format is {file.attrs.get('format')!r}, not {_FORMAT!r}"
+        yield from get_sums(file)
+
+
+def get_sums(file: Any) -> Iterator[StoredSums]:
+    """Read what :func:`put_sums` wrote; ``ValueError`` or ``KeyError`` where it is something else."""
+    if file.attrs.get("format") != _FORMAT:
+        msg = f"its format is {file.attrs.get('format')!r}, not {_FORMAT!r}"
+        raise ValueError(msg)
+    version = file.attrs.get("schema_version")
+    if version != SUMS_SCHEMA_VERSION:
+        msg = f"schema version {version}, this tissueid reads version {SUMS_SCHEMA_VERSION}"
+        raise ValueError(msg)
+    for position, entry in enumerate(json.loads(bytes(file["index"][()]))):
+        group = file[str(position)]
+        arrays = {name: np.asarray(group[name][()]) for name in _ARRAYS}
+        if group.attrs["content_sha256"] != _content_hash(entry, arrays):
+            msg = f"the sums of {entry['specimen']!r} changed since they were written"
             raise ValueError(msg)
-        version = file.attrs.get("schema_version")
-        if version != SUMS_SCHEMA_VERSION:
-            msg = f"schema version {version}, this tissueid reads version {SUMS_SCHEMA_VERSION}"
-            raise ValueError(msg)
-        for position, entry in enumerate(json.loads(bytes(file["index"][()]))):
-            group = file[str(position)]
-            arrays = {name: np.asarray(group[name][()]) for name in _ARRAYS}
-            if group.attrs["content_sha256"] != _content_hash(entry, arrays):
-                msg = f"the sums of {entry['specimen']!r} changed since they were written"
-                raise ValueError(msg)
-            yield _sums(entry, arrays)
+        yield _sums(entry, arrays)
 
 
 def _sums(entry: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> StoredSums:
