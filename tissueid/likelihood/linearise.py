@@ -20,7 +20,7 @@ from tissueid.likelihood.basis import KernelBasis
 from tissueid.likelihood.lag_sums import LagSums
 from tissueid.likelihood.sums import N_STATIC
 
-__all__ = ["Columns", "Optimum", "TauNodes", "centre", "linear_columns", "tau_nodes"]
+__all__ = ["Columns", "Optimum", "TauNodes", "centre", "effect_columns", "linear_columns", "tau_nodes"]
 
 FloatArray = NDArray[np.float64]
 
@@ -196,10 +196,22 @@ def _shared_columns(
     return out
 
 
-def _effect_columns(
+def effect_columns(
     basis: KernelBasis, columns_degree: int, optimum: Optimum, effects: tuple[str, ...], log: int
 ) -> FloatArray:
-    """Node columns of one log -> its effects: ``gain``, ``offset``, or ``static`` (a free cubic)."""
+    """Node columns of one log -> its effects: ``gain``, ``offset``, or ``static`` (a free cubic).
+
+    Parameters
+    ----------
+    basis, columns_degree, optimum, log
+        As in :func:`centre`.
+    effects : tuple of str
+
+    Returns
+    -------
+    ndarray, shape (4 + nodes * (columns_degree + 1) + 1, q)
+        The last row is that of the residual, and zero.
+    """
     full = N_STATIC + basis.tau_s.size * (columns_degree + 1) + 1
     columns = []
     if "gain" in effects:
@@ -274,7 +286,7 @@ def linear_columns(
         tissue = _shared_columns(basis, one.degree, optimum, nodes, i)
         if centred is not optimum:
             tissue[:-1, -1] = centre(basis, one.degree, centred, i) - centre(basis, one.degree, optimum, i)
-        effect = _effect_columns(basis, one.degree, optimum, effects, i)
+        effect = effect_columns(basis, one.degree, optimum, effects, i)
         kinds = _kinds(one, ratio)
         by_tissue = kinds @ tissue
         parts.append(tissue.T @ by_tissue)

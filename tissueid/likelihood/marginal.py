@@ -29,6 +29,7 @@ __all__ = [
     "log_marginals",
     "log_peaks",
     "log_shares",
+    "prior_precision",
 ]
 
 FloatArray = NDArray[np.float64]
@@ -170,8 +171,18 @@ def _without_effects(
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
-def _prior_precision(data: Linearised, log_tau: FloatArray) -> FloatArray:
-    """Prior precision of theta at these relaxation times: a weak branch is known by its largest force."""
+def prior_precision(data: Linearised, log_tau: FloatArray) -> FloatArray:
+    """Prior precision of theta at these relaxation times: a weak branch is known by its largest force.
+
+    Parameters
+    ----------
+    data : Linearised
+    log_tau : ndarray, shape (branches,)
+
+    Returns
+    -------
+    ndarray, shape (p, p)
+    """
     precision = data.prior_precision.copy()
     size = data.degree + 1
     for j in range(data.branches):
@@ -228,7 +239,7 @@ def _conditional(
     half = sparse_times(weights, weighted_sum(coefficient, data.shared))
     full = sparse_times(weights, np.ascontiguousarray(half.T)) / sigma2
     p = reference.size
-    prior = _prior_precision(data, log_tau)
+    prior = prior_precision(data, log_tau)
     tilt = _determined(full[:p, :p], prior) if data.has_gain else 0.0
     back, spread, log_det = _without_effects(data, coefficient, weights, sigma2, precision, full, tilt)
     away = data.prior_mean - reference

@@ -60,7 +60,6 @@ def predictive_bands(
     adjustments : sequence of Adjustment
         Gain and offset of each trial at the optimum.
     drawn : Redrawn
-        Offsets are changes against the optimum's.
     sigma_N : float
         Standard deviation of the noise [N].
 
@@ -79,7 +78,7 @@ def predictive_bands(
             best = _force(model, theta, curve, adjustment.gain, own)
             change = np.stack(
                 [
-                    _force(model, drawn.theta[k], curve, drawn.gain[k, i], own + drawn.offset_mm[k, i]) - best
+                    _force(model, drawn.theta[k], curve, drawn.gain[k, i], drawn.offset_mm[k, i]) - best
                     for k in rows
                 ]
             )

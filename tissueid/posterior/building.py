@@ -15,6 +15,7 @@ from tissueid.likelihood.linearise import Columns, Optimum, TauNodes, linear_col
 from tissueid.likelihood.linearised import Linearised
 from tissueid.likelihood.passive_normal import log_passive_mass
 from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
+from tissueid.posterior.joint_mode import joint_mode, towards
 from tissueid.posterior.linear_priors import Facts, effect_prior, linear_prior
 from tissueid.posterior.mass_surface import mass_surface
 from tissueid.posterior.mode import WIDEST, too_short, with_mode
@@ -28,6 +29,11 @@ FloatArray = NDArray[np.float64]
 #: Half width of the first range of ln tau around the optimum, in standard errors, and its least.
 RANGE_SD = 9.0
 NARROWEST = 0.15
+#: Distance of the linear force at the mode from the model's below which the linearisation stands, in standard
+#: deviations of the noise: no estimate is off by more of its own.
+SAME_POINT = 0.1
+#: Times it is linearised, the first included.
+ROUNDS = 12
 
 
 def specimen_target(
@@ -50,7 +56,7 @@ def specimen_target(
     logs : sequence of LagSums
     basis : KernelBasis
     optimum : Optimum
-        Where the specimen is linearised.
+        Where the specimen is linearised first; anew at the mode, where that lies elsewhere.
     centred : Optimum
         Whose residuals stand in the sums.
     facts : Facts
@@ -61,9 +67,44 @@ def specimen_target(
         Sample phi.
     start, start_sd : ndarray, shape (d,)
         First guess of the coordinates and of their standard deviations.
+
+    Raises
+    ------
+    ArithmeticError
+        However often it is linearised anew at its mode, the mode goes on elsewhere.
     """
+    about, mode = optimum, start
+    for _ in range(ROUNDS):
+        target = _over_its_range(
+            logs, basis, about, centred, facts, priors, _effects(pooling, facts), mode, start_sd,
+            correlated=correlated,
+        )  # fmt: skip
+        there = joint_mode(target, logs, basis)
+        if there.departure < SAME_POINT:
+            return replace(target, surface=mass_surface(target))
+        about, mode = towards(target, there.optimum, logs, basis, centred), target.mode
+    msg = (
+        "gains and contact points are linearised at one point, and the posterior stays "
+        f"{there.departure:.2g} standard deviations of the noise away from it"
+    )
+    raise ArithmeticError(msg)
+
+
+def _over_its_range(
+    logs: Sequence[LagSums],
+    basis: KernelBasis,
+    optimum: Optimum,
+    centred: Optimum,
+    facts: Facts,
+    priors: Priors,
+    effects: tuple[str, ...],
+    start: FloatArray,
+    start_sd: FloatArray,
+    *,
+    correlated: bool,
+) -> SpecimenTarget:
+    """The target linearised at one point, over a range of ln tau that holds it, its mode found."""
     low, high = facts.log_tau_bounds
-    effects = _effects(pooling, facts)
     half = np.clip(RANGE_SD * start_sd[: optimum.branches], NARROWEST, WIDEST)
     while True:
         ends = np.array(
@@ -79,7 +120,7 @@ def specimen_target(
         target = with_mode(built, start, start_sd)
         short = too_short(target, ends)
         if not short.any():
-            return replace(target, surface=mass_surface(target))
+            return target
         half[short] *= 2.0
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from tissueid.fit.estimates import second_stage_static
 from tissueid.fit.specimen import FittedSpecimen
 from tissueid.likelihood.passive_normal import draw_passive
-from tissueid.model.kelvin_voigt import STATIC_DEGREE
+from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
 from tissueid.posterior.at_optimum import posterior_target
 from tissueid.posterior.bands import predictive_bands
 from tissueid.posterior.bootstrap import cluster_bootstrap
@@ -30,6 +30,7 @@ from tissueid.posterior.remarks import posterior_flags
 from tissueid.posterior.reported import interval95, reported_draws
 from tissueid.posterior.specimen_target import SpecimenTarget
 from tissueid.posterior.target import Redrawn
+from tissueid.posterior.total_intervals import total_intervals
 from tissueid.priors import Priors
 from tissueid.result import Estimate, SpecimenFit
 from tissueid.uncertainty import (
@@ -225,7 +226,7 @@ def with_posterior(
         fit,
         reported_draws(model, drawn.theta),
         shape,
-        None if total is None else interval95(reported_draws(model, total.theta)),
+        None if total is None else _total_intervals(total, model),
     )
     tick("checks of the residuals")
     misfit = misfit_alarm(fitted.told.blocks, noise)
@@ -254,6 +255,12 @@ def with_posterior(
         posterior=posterior,
         flags=(*fit.flags, *posterior_flags(posterior)),
     )
+
+
+def _total_intervals(total: TotalPosterior, model: KelvinVoigt) -> dict[str, tuple[float, float]]:
+    """The total interval of each reported parameter."""
+    nuisances = dict(zip(total.names, total.nuisances.T, strict=True))
+    return total_intervals(reported_draws(model, total.theta), nuisances, total.behind.priors.calibration)
 
 
 def _told_of(total: TotalPosterior) -> dict[str, object]:

@@ -144,7 +144,7 @@ class SpecimenTarget:
             drawn = pool.map(lambda part: draw_effects(data, points[part], theta[part], normal[part]), parts)
             effects = np.concatenate(list(drawn))
         gain = np.ones((n, logs))
-        offset = np.zeros((n, logs))
+        offset = np.tile(self.optimum.delta, (n, 1))
         if "gain" in self.effects:
             # a change of all gains together is a change of theta: exactly, and not to first order
             common = effects[:, :, 0].mean(axis=1)
@@ -153,7 +153,7 @@ class SpecimenTarget:
             theta = np.where(passive(exact, data.blocks)[:, None], exact, theta)
             gain = np.exp(self.optimum.gamma + effects[:, :, 0])
         if "offset" in self.effects:
-            offset = effects[:, :, q - 1]
+            offset = self.optimum.delta + effects[:, :, q - 1]
         at = data.branches
         phi = np.tanh(points[:, at + 1]) if data.has_phi else np.full(n, data.phi)
         return Redrawn(

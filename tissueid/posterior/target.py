@@ -28,7 +28,7 @@ class Redrawn:
     gain : ndarray, shape (n, logs)
         Gain of each log (1 where it has none).
     offset_mm : ndarray, shape (n, logs)
-        Change of each contact point against the one the logs were summed with.
+        Contact point of each log against the one it was summed with.
     sigma_N, phi : ndarray, shape (n,)
     acceptance : float
         Share of proposals of the rejection step that were passive; 1 where no bound is near.

@@ -47,6 +47,8 @@ PILOT = 2_048
 SOON = 30
 #: And those after which emcee is.
 LATER = 100
+#: Total draws behind a quoted interval: as many as a fit takes.
+TOTAL_DRAWS = 4_000
 #: Effective draws that are asked of emcee: its draws are correlated, and ranks want independent ones.
 EMCEE_DRAWS = 4 * DRAWS
 #: Largest standard deviation of ln tau that a first guess has.
@@ -274,7 +276,7 @@ def _total(
         effects=target.effects,
         gain_sd=fitted.whitened.solution.noise.gain_sd,
         seed=seed,
-        draws=DRAWS,
+        draws=TOTAL_DRAWS,
     )
     worth = float(found.sampler.detail["worth"])
     return Inferred(

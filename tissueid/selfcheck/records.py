@@ -44,11 +44,14 @@ class Replicate:
         nearly so.
     detail : mapping
         Further numbers that are kept, as the acceptance of the sampler.
+    quoted : mapping
+        Some of the names -> the 95 % interval that a fit quotes, where it is not the central one.
     """
 
     truth: Mapping[str, float]
     draws: Mapping[str, FloatArray]
     detail: Mapping[str, float] = field(default_factory=dict)
+    quoted: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +69,8 @@ class Record:
     failed : str or None
         Why there is no posterior; the mappings are then empty.
     detail : mapping
+    held : mapping
+        Whether the quoted interval held the truth, for names whose interval is not the draws' central one.
     """
 
     index: int
@@ -76,6 +81,7 @@ class Record:
     seconds: float = 0.0
     failed: str | None = None
     detail: Mapping[str, float] = field(default_factory=dict)
+    held: Mapping[str, bool] = field(default_factory=dict)
 
     def line(self) -> bytes:
         """One line of the checkpoint."""
@@ -107,6 +113,9 @@ def record_of(index: int, replicate: Replicate, rng: np.random.Generator, *, sec
         rank=ranked,
         seconds=seconds,
         detail=dict(replicate.detail),
+        held={
+            name: bool(low <= replicate.truth[name] <= high) for name, (low, high) in replicate.quoted.items()
+        },
     )
 
 

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from tissueid import __version__
 from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.posterior.total_intervals import total_intervals
 from tissueid.priors import Priors
-from tissueid.selfcheck.inference import infer
+from tissueid.selfcheck.inference import Inferred, infer
 from tissueid.selfcheck.protocol import Centre, Protocol
 from tissueid.selfcheck.recording import ProtocolLog, simulated_logs
 from tissueid.selfcheck.records import Replicate
@@ -94,6 +95,12 @@ class TissueCheck:
             return numbers
         return {name: value for name, value in numbers.items() if not name.startswith(("static", "force"))}
 
+    def _quoted(self, found: Inferred) -> dict[str, tuple[float, float]]:
+        """Intervals of the tissue that a fit quotes, where they are not central ones."""
+        if not self.defects:
+            return {}
+        return total_intervals(self._numbers(found.theta), found.others, self.priors.calibration)
+
     def __call__(self, rng: np.random.Generator) -> Replicate:
         """One simulation."""
         offset_sd = np.array([log.contact_sd_mm for log in self.logs])
@@ -124,7 +131,7 @@ class TissueCheck:
         for name, values in found.others.items():
             true[name] = own[name]
             draws[name] = values
-        return Replicate(truth=true, draws=draws, detail=found.detail)
+        return Replicate(truth=true, draws=draws, detail=found.detail, quoted=self._quoted(found))
 
 
 def tissue_check(

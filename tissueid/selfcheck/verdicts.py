@@ -21,18 +21,20 @@ __all__ = ["LEVELS", "Coverage", "ParameterCheck", "Verdict", "verdict_of"]
 
 IntArray = NDArray[np.int64]
 
-#: Central intervals whose coverage is counted; each holds a whole number of the DRAWS + 1 ranks.
+#: Intervals whose coverage is counted; each holds a whole number of the DRAWS + 1 ranks.
 LEVELS = (0.5, 0.8, 0.9, 0.95)
 #: Probability that a right posterior leaves any band of its kind.
 FAMILY_ERROR = 0.01
 #: Share of simulations without a posterior beyond which nothing can be said of the others.
 MOST_FAILED = 0.01
 BINS = 20
+#: Level of the intervals that a fit quotes.
+QUOTED = 0.95
 
 
 @dataclass(frozen=True, slots=True)
 class Coverage:
-    """How often a central interval held the truth.
+    """How often an interval held the truth: central ones, and at 95 % the one that a fit quotes.
 
     Attributes
     ----------
@@ -183,11 +185,11 @@ class Verdict:
         }
 
 
-def _coverage(ranks: IntArray, level: float, error: float) -> Coverage:
-    """Count ranks in the central interval: (L + 1) * level of the L + 1 ranks."""
+def _coverage(ranks: IntArray, level: float, error: float, quoted: Sequence[bool]) -> Coverage:
+    """Count truths in the quoted interval; else ranks in the central one: (L + 1) * level of the L + 1."""
     out = round((1.0 - level) / 2.0 * (DRAWS + 1))
     low, high = binomial_interval(ranks.size, level, error)
-    covered = int(((ranks >= out) & (ranks <= DRAWS - out)).sum())
+    covered = sum(quoted) if quoted else int(((ranks >= out) & (ranks <= DRAWS - out)).sum())
     return Coverage(level=level, covered=covered, simulations=ranks.size, low=low, high=high)
 
 
@@ -200,13 +202,14 @@ def _parameter(
     ranks = np.array([record.rank[name] for record in records], dtype=np.int64)
     z = (truth - mean) / np.maximum(sd, np.finfo(float).tiny)
     counts = ecdf_counts(ranks)
+    quoted = [record.held[name] for record in records if name in record.held]
     spread = float(truth.var(ddof=1)) if truth.size > 1 else 0.0
     error = FAMILY_ERROR / (family * len(LEVELS))
     return ParameterCheck(
         name=name,
         ranks=ranks,
         counts=counts,
-        coverage=tuple(_coverage(ranks, level, error) for level in LEVELS),
+        coverage=tuple(_coverage(ranks, level, error, quoted if level == QUOTED else ()) for level in LEVELS),
         mean_z=float(z.mean()),
         spread_ratio=float(np.sqrt((z**2).mean())),
         contraction=1.0 - float((sd**2).mean()) / spread if spread > 0.0 else 0.0,
