@@ -17,7 +17,14 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
-__all__ = ["CALIBRATION_DEFAULTS", "WEAK_FACTOR", "CalibrationPrior", "Priors", "SpreadPrior"]
+__all__ = [
+    "CALIBRATION_DEFAULTS",
+    "WEAK_FACTOR",
+    "CalibrationPrior",
+    "PopulationPriors",
+    "Priors",
+    "SpreadPrior",
+]
 
 #: Standard deviation of a weak coefficient, in forces: so many times the largest measured one.
 WEAK_FACTOR = 2.0
@@ -72,6 +79,50 @@ CALIBRATION_DEFAULTS: Mapping[str, CalibrationPrior] = MappingProxyType(
         "frame_compliance_mm_per_N": CalibrationPrior(mean=0.0, sd=0.004, lower=0.0),
     }
 )
+
+
+@dataclass(frozen=True, slots=True)
+class PopulationPriors:
+    """Priors of the population that specimens are drawn from, in natural logarithms of its quantities.
+
+    Attributes
+    ----------
+    mean_sd : float
+        The mean of each ln quantity is normal around 0 (1 N, 1 N s/mm, 1 s) with this standard deviation: 10
+        says that a value within nine decades of the unit is no surprise.
+    effect_sd : float
+        Of the change by one standard deviation of a covariate, or from one group to another: normal
+        around 0, so that a factor of e is no surprise.
+    between : SpreadPrior
+        Standard deviation between specimens.  Median 0.2, and 0.05 to 0.8 in its central 95 %: coefficients
+        of variation that soft tissues are reported with.
+    level : SpreadPrior
+        The same between donors, sites or operators.
+    correlation_shape : float
+        Shape of the LKJ distribution of the correlations; 1 is uniform, 2 leans to none.
+    tail_shape, tail_rate : float
+        Gamma distribution of the degrees of freedom of a t, cut to 1 and above (Juarez & Steel 2010, J Bus
+        Econ Stat 28:52, doi 10.1198/jbes.2009.07145).
+    """
+
+    mean_sd: float = 10.0
+    effect_sd: float = 1.0
+    between: SpreadPrior = field(default_factory=lambda: SpreadPrior(0.2, 0.7))
+    level: SpreadPrior = field(default_factory=lambda: SpreadPrior(0.1, 0.7))
+    correlation_shape: float = 2.0
+    tail_shape: float = 2.0
+    tail_rate: float = 0.1
+
+    def as_json(self) -> dict[str, Any]:
+        """All priors in use, as ``[population]`` of study.toml."""
+        return {
+            "mean_sd": self.mean_sd,
+            "effect_sd": self.effect_sd,
+            "between": {"median": self.between.median, "sd_ln": self.between.sd_ln},
+            "level": {"median": self.level.median, "sd_ln": self.level.sd_ln},
+            "correlation_shape": self.correlation_shape,
+            "tails": {"shape": self.tail_shape, "rate": self.tail_rate},
+        }
 
 
 @dataclass(frozen=True, slots=True)

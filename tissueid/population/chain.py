@@ -1,0 +1,182 @@
+"""One sweep of the Markov chain over a population, and what it leaves; compiled."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numba as nb
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.population.kernels import (
+    Cohort,
+    Hyper,
+    State,
+    centre_of,
+    draw_coefficients,
+    draw_effects,
+    squares,
+    unit_factor,
+)
+from tissueid.population.moves import (
+    distance2,
+    move_among_draws,
+    move_smooth,
+    move_together,
+    smooth_likelihood,
+)
+from tissueid.population.scale_kernels import correlation_factor, draw_nu, draw_scales
+
+__all__ = ["Record", "sweeps"]
+
+FloatArray = NDArray[np.float64]
+
+
+class Record(NamedTuple):
+    """What a chain leaves: draws of the population, and running sums over its specimens.
+
+    Attributes
+    ----------
+    coefficient : ndarray, shape (steps, q, p)
+    level_log_sd : ndarray, shape (steps, L, p)
+    log_sd : ndarray, shape (steps, p)
+    correlation : ndarray, shape (steps, p, p)
+    nu : ndarray, shape (steps,)
+    phi : ndarray of float32, shape (kept, n, p)
+        Places of the specimens, evenly over the steps.
+    far, weight : ndarray, shape (n,)
+        Sums over all steps of how often a specimen was far, and of its weight.
+    deviation : ndarray, shape (n, p)
+        Sums of its deviations over D.
+    effect : ndarray, shape (G, p)
+        Sums of the groups' effects.
+    """
+
+    coefficient: FloatArray
+    level_log_sd: FloatArray
+    log_sd: FloatArray
+    correlation: FloatArray
+    nu: FloatArray
+    phi: NDArray[np.float32]
+    far: FloatArray
+    weight: FloatArray
+    deviation: FloatArray
+    effect: FloatArray
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _write_population(state: State, record: Record, step: int, low: FloatArray) -> None:
+    p = state.log_sd.size
+    record.nu[step] = state.nu[0]
+    for k in range(p):
+        record.log_sd[step, k] = state.log_sd[k]
+        for a in range(state.coefficient.shape[0]):
+            record.coefficient[step, a, k] = state.coefficient[a, k]
+        for level in range(state.level_log_sd.shape[0]):
+            record.level_log_sd[step, level, k] = state.level_log_sd[level, k]
+        for g in range(state.effect.shape[0]):
+            record.effect[g, k] += state.effect[g, k]
+        for j in range(p):
+            total = 0.0
+            for i in range(min(j, k) + 1):
+                total += low[k, i] * low[j, i]
+            record.correlation[step, k, j] = total
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _write_specimens(
+    cohort: Cohort, hyper: Hyper, state: State, record: Record, step: int, low: FloatArray
+) -> None:
+    n, p = state.phi.shape
+    kept = record.phi.shape[0]
+    thin = max(record.nu.size // max(kept, 1), 1)
+    row = step // thin if step % thin == 0 and step // thin < kept else -1
+    mean = np.zeros(p)
+    unit = unit_factor(state.log_sd, low)
+    for i in range(n):
+        centre_of(cohort, state, i, mean)
+        record.weight[i] += state.weight[i]
+        if distance2(state.phi[i], mean, unit) > hyper.far:
+            record.far[i] += 1.0
+        for k in range(p):
+            record.deviation[i, k] += (state.phi[i, k] - mean[k]) * math.exp(-state.log_sd[k])
+            if row >= 0:
+                record.phi[row, i, k] = state.phi[i, k]
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _draw_weights(
+    rng: np.random.Generator, cohort: Cohort, hyper: Hyper, state: State, unit: FloatArray
+) -> None:
+    """Degrees of freedom with the weights integrated, then the weights."""
+    p = unit.shape[0]
+    mean = np.zeros(p)
+    for i in range(state.weight.size):
+        centre_of(cohort, state, i, mean)
+        state.distance2[i] = distance2(state.phi[i], mean, unit)
+    state.nu[0] = draw_nu(rng, state.nu[0], state.distance2, p, hyper.nu[0], hyper.nu[1])
+    half = 0.5 * state.nu[0]
+    for i in range(state.weight.size):
+        drawn = rng.standard_gamma(half + 0.5 * p) / (half + 0.5 * state.distance2[i])
+        # a weight that is zero by rounding would never come back
+        state.weight[i] = max(drawn, 1e-12)
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def sweeps(
+    rng: np.random.Generator, cohort: Cohort, hyper: Hyper, state: State, record: Record, steps: int,
+    keep: bool,
+) -> None:  # fmt: skip
+    """Go on for so many sweeps.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+    cohort : Cohort
+    hyper : Hyper
+    state : State
+        Changed in place.
+    record : Record
+        Written to where ``keep``; it has room for ``steps``.
+    steps : int
+    keep : bool
+        Without it the chain settles: steps of joint moves are adapted.
+    """
+    p = state.log_sd.size
+    inverse = np.zeros((p, p))
+    any_smooth = False
+    for i in range(cohort.smooth.size):
+        if cohort.smooth[i] >= 0:
+            any_smooth = True
+            state.likelihood[i] = smooth_likelihood(cohort, i, state.phi[i])
+    for step in range(steps):
+        unit = unit_factor(state.log_sd, correlation_factor(state.partial))
+        move_among_draws(rng, cohort, hyper, state, unit)
+        if any_smooth:
+            _inverse(unit, inverse)
+            move_smooth(rng, cohort, state, unit, inverse)
+        if hyper.heavy:
+            _draw_weights(rng, cohort, hyper, state, unit)
+        if any_smooth:
+            move_together(rng, cohort, hyper, state, unit, not keep)
+        _inverse(unit, inverse)
+        draw_coefficients(rng, cohort, hyper, state, inverse)
+        draw_effects(rng, cohort, hyper, state, inverse)
+        count = float(state.weight.size)
+        low = draw_scales(rng, state.log_sd, state.partial, squares(cohort, state), count, hyper.scale)
+        if keep:
+            _write_population(state, record, step, low)
+            _write_specimens(cohort, hyper, state, record, step, low)
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _inverse(unit: FloatArray, out: FloatArray) -> None:
+    """Precision from the inverse of its covariance's Cholesky factor."""
+    p = unit.shape[0]
+    for k in range(p):
+        for j in range(p):
+            total = 0.0
+            for i in range(max(k, j), p):
+                total += unit[i, k] * unit[i, j]
+            out[k, j] = total

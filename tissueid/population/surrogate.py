@@ -1,0 +1,181 @@
+"""A smooth likelihood for specimens of which the population lies among few stage-1 draws.
+
+A recording of 10 Hz leaves the relaxation time open over decades; a population that knows it to 15 % then lies
+among a handful of that specimen's draws, too few to stand for its likelihood.  Given the relaxation times the
+posterior of stage 1 is a normal in forces and viscosities, cut to the passive set, so its likelihood is
+written as a mixture of normals, components along ln tau; the chain then walks in it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["MOST_COMPONENTS", "Mixture", "Pilot", "mixture_of"]
+
+FloatArray = NDArray[np.float64]
+
+#: Components of a mixture at the most, and draws each needs.
+MOST_COMPONENTS = 12
+DRAWS_EACH = 80
+#: ln tau that is known better than this has one component.
+NARROW = 0.3
+#: Rounds that settle components and weights.
+ROUNDS = 25
+#: Share of the whole variance that is added to that of a component.
+RIDGE = 1e-6
+#: Logarithms of numbers near zero run far out: they are cut at so many standard deviations for one normal.
+FARTHEST = 3.0
+#: Normal-consistent factor of the median absolute deviation.
+MAD_SD = 1.4826
+#: Weights are cut at so many times their mean: a draw at a bound stands for no more.
+HEAVIEST = 20.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pilot:
+    """A frozen population: multivariate t around each specimen's centre.
+
+    Attributes
+    ----------
+    mean : ndarray, shape (n, p)
+    covariance : ndarray, shape (p, p)
+    nu : float
+    """
+
+    mean: FloatArray
+    covariance: FloatArray
+    nu: float
+
+    def unit(self) -> FloatArray:
+        """Inverse Cholesky factor of the covariance."""
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(self.covariance)))
+
+    def log_density(self, phi: FloatArray, specimen: int) -> FloatArray:
+        """Ln density of points of one specimen, up to a constant; shape (n,)."""
+        z = (phi - self.mean[specimen]) @ self.unit().T
+        return np.asarray(-0.5 * (self.nu + phi.shape[1]) * np.log1p((z**2).sum(axis=1) / self.nu))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mixture:
+    """A likelihood as a mixture of normals, see :func:`tissueid.population.mixture_kernels.log_mixture`.
+
+    Attributes
+    ----------
+    centre : ndarray, shape (p,)
+    log_weight : ndarray, shape (c,)
+    mean : ndarray, shape (c, p)
+    unit : ndarray, shape (c, p, p)
+    middle : ndarray, shape (p,)
+        Of one normal in phi that proposals are made with.
+    precision : ndarray, shape (p, p)
+    """
+
+    centre: FloatArray
+    log_weight: FloatArray
+    mean: FloatArray
+    unit: FloatArray
+    middle: FloatArray
+    precision: FloatArray
+
+
+def mixture_of(
+    phi: FloatArray, log_reference: FloatArray, linear: NDArray[np.bool_], rng: np.random.Generator
+) -> Mixture:
+    """The likelihood behind stage-1 draws.
+
+    Parameters
+    ----------
+    phi : ndarray, shape (m, p)
+    log_reference : ndarray, shape (m,)
+        Ln of the density of phi that the likelihood was multiplied with.
+    linear : ndarray of bool, shape (p,)
+        Coordinates whose likelihood is normal in the quantity, not in its logarithm.
+    rng : numpy.random.Generator
+    """
+    centre = np.median(phi, axis=0)
+    x = phi - centre
+    x[:, linear] = np.exp(np.minimum(x[:, linear], 50.0))
+    # reference density in x, divided out; dx/dphi of a linear coordinate is exp(phi - centre)
+    log_w = (phi - centre)[:, linear].sum(axis=1) - log_reference
+    w = np.exp(log_w - log_w.max())
+    w /= w.mean()
+    w = np.minimum(w, HEAVIEST)
+    w /= w.sum()
+    along = phi[:, ~linear] if linear.any() else phi[:, :0]
+    share = _shares(along, w, rng)
+    floor = RIDGE * np.diag(np.maximum(np.cov(x, rowvar=False, aweights=w).diagonal(), 1e-12))
+    for _ in range(ROUNDS if share.shape[1] > 1 else 1):
+        log_weight, mean, unit = _components(x, w, share, floor)
+        if share.shape[1] > 1:
+            share = _responsibilities(x, log_weight, mean, unit)
+    return Mixture(centre, log_weight, mean, unit, *_one_normal(phi, log_reference))
+
+
+def _one_normal(phi: FloatArray, log_reference: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Mean and precision of phi under the likelihood, its far tails cut."""
+    w = np.exp(log_reference.min() - log_reference)
+    w = np.minimum(w / w.mean(), HEAVIEST)
+    middle = np.median(phi, axis=0)
+    reach = FARTHEST * MAD_SD * np.median(np.abs(phi - middle), axis=0)
+    near = np.clip(phi, middle - reach, middle + reach)
+    covariance = np.cov(near, rowvar=False, aweights=w)
+    covariance = covariance + RIDGE * np.diag(covariance.diagonal() + 1e-12)
+    return np.average(near, axis=0, weights=w), np.asarray(np.linalg.inv(covariance))
+
+
+def _shares(along: FloatArray, w: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """First memberships: cells of equal weight along the widest open direction."""
+    count = min(MOST_COMPONENTS, w.size // DRAWS_EACH)
+    if along.shape[1] == 0 or count < 2:
+        return np.ones((w.size, 1))
+    middle = np.average(along, axis=0, weights=w)
+    sd = np.sqrt(np.average((along - middle) ** 2, axis=0, weights=w))
+    if sd.max() < NARROW:
+        return np.ones((w.size, 1))
+    values, vectors = np.linalg.eigh(np.cov(along.T, aweights=w).reshape(along.shape[1], -1))
+    line = along @ vectors[:, int(values.argmax())] + 1e-9 * rng.standard_normal(w.size)
+    # half by weight, half by length: tails get components of their own
+    order = np.argsort(line)
+    by_weight = np.empty(w.size)
+    by_weight[order] = np.cumsum(w[order])
+    by_length = (line - line.min()) / np.ptp(line)
+    cell = np.minimum((0.5 * (by_weight + by_length) * count).astype(int), count - 1)
+    found = [k for k in range(count) if (cell == k).sum() >= DRAWS_EACH // 4]
+    share = np.stack([cell == k for k in found], axis=1).astype(np.float64)
+    share[share.sum(axis=1) == 0.0] = 1.0 / len(found)
+    return share
+
+
+def _components(
+    x: FloatArray, w: FloatArray, share: FloatArray, floor: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    p, count = x.shape[1], share.shape[1]
+    log_weight, mean, unit = np.empty(count), np.empty((count, p)), np.empty((count, p, p))
+    for c in range(count):
+        own = w * share[:, c]
+        total = max(float(own.sum()), 1e-300)
+        mean[c] = own @ x / total
+        away = x - mean[c]
+        covariance = (away * own[:, None]).T @ away / total + floor
+        unit[c] = np.linalg.inv(np.linalg.cholesky(covariance))
+        log_weight[c] = np.log(total) + np.log(unit[c].diagonal()).sum()
+    return log_weight, mean, unit
+
+
+def _responsibilities(
+    x: FloatArray, log_weight: FloatArray, mean: FloatArray, unit: FloatArray
+) -> FloatArray:
+    level = np.stack(
+        [
+            log_weight[c] - 0.5 * (((x - mean[c]) @ unit[c].T) ** 2).sum(axis=1)
+            for c in range(log_weight.size)
+        ],
+        axis=1,
+    )
+    level -= level.max(axis=1, keepdims=True)
+    share = np.exp(level)
+    return np.asarray(share / share.sum(axis=1, keepdims=True))
