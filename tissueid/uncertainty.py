@@ -345,6 +345,8 @@ class Posterior:
         samples of its curve.
     log_density : ndarray, shape (chains, draws), or None
         Log posterior density of the chain's draws, where a chain was walked.
+    log_prior : ndarray, shape (n,), or None
+        Log prior density of the rows of ``draws``, up to a constant: what another prior is divided by.
     """
 
     sampler: SamplerReport
@@ -362,6 +364,7 @@ class Posterior:
     misfit: MisfitAlarm | None = None
     bands: Mapping[tuple[str, str | None], FloatArray] = field(default_factory=dict)
     log_density: FloatArray | None = None
+    log_prior: FloatArray | None = None
 
     def to_arviz(self) -> Any:
         """The draws as arviz knows them, with the groups of :mod:`tissueid.exchange`.

@@ -147,7 +147,7 @@ class Coordinates:
     def passive(self, theta: FloatArray) -> NDArray[np.bool_]:
         """Which tissues are passive on [0, d], with their relaxation times ascending; shape (n,)."""
         model, ends = self.model, [last for _, last in self._blocks()]
-        ascending = (np.diff(theta[:, ends], axis=1) > 0.0).all(axis=1)
+        ascending = (np.diff(theta[:, ends], axis=1) > 0.0).all(axis=1).tolist()
         return np.array(
             [bool(up) and model.is_passive(row) for up, row in zip(ascending, theta, strict=True)]
         )

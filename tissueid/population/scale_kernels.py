@@ -77,7 +77,7 @@ def _at_log_sd(
 ) -> float:  # fmt: skip
     log_sd[k] = value
     away = (value - prior[0]) / prior[1]
-    return _log_likelihood(log_sd, low, root, count, x) - 0.5 * away * away
+    return float(_log_likelihood(log_sd, low, root, count, x) - 0.5 * away * away)
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
@@ -91,7 +91,7 @@ def _at_correlation(
     _factor_row(w, i, low)
     # Beta(b, b) on (-1, 1), times d w / d arctanh w
     b = lkj + 0.5 * (w.shape[0] - 2 - j)
-    return _log_likelihood(log_sd, low, root, count, x) - 2.0 * b * math.log(math.cosh(value))
+    return float(_log_likelihood(log_sd, low, root, count, x) - 2.0 * b * math.log(math.cosh(value)))
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")

@@ -30,6 +30,7 @@ from tissueid.posterior.remarks import posterior_flags
 from tissueid.posterior.reported import interval95, reported_draws
 from tissueid.posterior.specimen_target import SpecimenTarget
 from tissueid.posterior.target import Redrawn
+from tissueid.posterior.theta_prior import log_theta_prior
 from tissueid.posterior.total_intervals import total_intervals
 from tissueid.priors import Priors
 from tissueid.result import Estimate, SpecimenFit
@@ -236,6 +237,7 @@ def with_posterior(
         parameters=uncertainties,
         theta_names=fit.theta_names,
         draws=_kept(drawn.theta),
+        log_prior=log_theta_prior(target, _kept(drawn.theta)),
         draws_total=None if total is None else _kept(total.theta),
         covariance=np.cov(drawn.theta, rowvar=False),
         chain_names=target.names,

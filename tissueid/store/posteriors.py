@@ -7,6 +7,7 @@ Layout: one group a specimen, in the order of ``index`` (JSON text: specimen, na
     |-- index                  JSON text
     `-- 0, 1, ...
         |-- draws              (n, p)             theta of the contact model, every row passive
+        |-- log_prior          (n,)              of each of them, up to a constant
         |-- draws_total        (n, p)             with the calibration nuisances, where they were drawn
         |-- chain              (chains, draws, d) sampled coordinates
         |-- log_density        (chains, draws)    of the posterior, where a chain was walked
@@ -63,6 +64,8 @@ class StoredPosterior:
     bands : mapping
         (path, sheet) of a trial -> shape (3, m): low, median, high [N] at the samples of its curve.
     log_density : ndarray, shape (chains, draws), or None
+    log_prior : ndarray, shape (n,), or None
+        Log prior density of the rows of ``draws``, up to a constant; files of older runs have none.
     """
 
     specimen: str
@@ -73,6 +76,7 @@ class StoredPosterior:
     chain: FloatArray
     bands: Mapping[tuple[str, str | None], FloatArray] = field(default_factory=dict)
     log_density: FloatArray | None = None
+    log_prior: FloatArray | None = None
 
     def to_arviz(self) -> Any:
         """The draws as arviz knows them; see :func:`tissueid.exchange.arviz_data`."""
@@ -101,6 +105,7 @@ def posteriors_of_fits(fits: Iterable[SpecimenFit]) -> tuple[StoredPosterior, ..
             chain=_thinned(fit.posterior.chain),
             bands=fit.posterior.bands,
             log_density=None if fit.posterior.log_density is None else _thinned(fit.posterior.log_density),
+            log_prior=fit.posterior.log_prior,
         )
         for fit in fits
         if fit.posterior is not None
@@ -165,7 +170,8 @@ def _columns(one: StoredPosterior) -> dict[str, NDArray[Any]]:
         "bands": bands.astype("<f4"),
         "offsets": np.concatenate([[0], np.cumsum(sizes, dtype=int)]).astype("<i8"),
     }
-    for name, values in (("draws_total", one.draws_total), ("log_density", one.log_density)):
+    optional = {"draws_total": one.draws_total, "log_density": one.log_density, "log_prior": one.log_prior}
+    for name, values in optional.items():
         if values is not None:
             columns[name] = values.astype("<f8")
     return columns
@@ -211,6 +217,7 @@ def _posterior(entry: Mapping[str, Any], group: Any) -> StoredPosterior:
         columns["draws"].shape[1:] == (size,)
         and columns["chain"].shape[2:] == (len(entry["chain_names"]),)
         and columns.get("log_density", columns["chain"]).shape[:2] == columns["chain"].shape[:2]
+        and columns.get("log_prior", columns["draws"]).shape[:1] == columns["draws"].shape[:1]
         and offsets.size == len(entry["trials"]) + 1
         and columns["bands"].shape == (_BAND_ROWS, offsets[-1])
     )
@@ -230,4 +237,5 @@ def _posterior(entry: Mapping[str, Any], group: Any) -> StoredPosterior:
             for trial, start, stop in zip(trials, offsets[:-1], offsets[1:], strict=True)
         },
         log_density=columns.get("log_density"),
+        log_prior=columns.get("log_prior"),
     )

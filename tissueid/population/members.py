@@ -1,0 +1,171 @@
+"""Specimens as a cohort takes them: a posterior, what was tested, and what is known of them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.population.coordinates import Coordinates
+from tissueid.population.stage_one import StageOne
+from tissueid.result import Curve, ModelChoice
+
+__all__ = ["FEWEST_SPECIMENS", "LeftOut", "Member", "TrialRow", "common_model", "fit_for_cohort", "stage_one"]
+
+FloatArray = NDArray[np.float64]
+
+#: Two specimens have one difference, and no spread to speak of.
+FEWEST_SPECIMENS = 3
+#: Draws taken of each specimen, all together: single precision keeps them below some 200 MB.
+MOST_DRAWS_IN_ALL = 6_000_000
+FEWEST_DRAWS = 500
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrialRow:
+    """One fitted log of a specimen.
+
+    Attributes
+    ----------
+    path : str
+    sheet : str or None
+    gain : float
+        Its force over that of the specimen's common tissue; 1 where pooling leaves no gain.
+    speed_mm_s, depth_mm : float
+    run : int or None
+        Place in the order of testing.
+    site : str or None
+    curve : Curve or None
+        Decimated recording.
+    """
+
+    path: str
+    sheet: str | None
+    gain: float
+    speed_mm_s: float
+    depth_mm: float
+    run: int | None = None
+    site: str | None = None
+    curve: Curve | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Member:
+    """One specimen of a cohort.
+
+    Attributes
+    ----------
+    specimen : str
+    model : ModelChoice
+    depth_mm : float
+        Its model is claimed on [0, depth_mm].
+    draws : ndarray, shape (n, p)
+        Statistical posterior draws of theta.
+    log_prior : ndarray, shape (n,), or None
+        Ln of their stage-1 prior density, up to a constant.
+    draws_total : ndarray, shape (m, p), or None
+        With the calibration nuisances.
+    covariates : mapping
+        What the study says of it; ``None`` for what is not stated.
+    trials : tuple of TrialRow
+    speeds_mm_s : tuple of float
+    tip_radius_mm : float or None
+    sigma_N : float
+    units : mapping
+        Of length and force; a cohort has one kind.
+    """
+
+    specimen: str
+    model: ModelChoice
+    depth_mm: float
+    draws: FloatArray
+    log_prior: FloatArray | None
+    draws_total: FloatArray | None = None
+    covariates: Mapping[str, Any] = field(default_factory=dict)
+    trials: tuple[TrialRow, ...] = ()
+    speeds_mm_s: tuple[float, float] = (0.0, 0.0)
+    tip_radius_mm: float | None = None
+    sigma_N: float = 0.0
+    units: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def order(self) -> tuple[int, int]:
+        """Branches, and degree of K."""
+        return self.model.branches, self.model.stiffness_degree
+
+
+@dataclass(frozen=True, slots=True)
+class LeftOut:
+    """A specimen that takes no part, and why."""
+
+    specimen: str
+    reason: str
+
+    def as_json(self) -> dict[str, str]:
+        """A row of ``left_out``."""
+        return {"specimen": self.specimen, "reason": self.reason}
+
+
+def common_model(members: Sequence[Member]) -> tuple[int, int]:
+    """The commonest order of the model, (branches, degree of K); of equally common ones the simplest."""
+    counts = Counter(member.order for member in members)
+    most = max(counts.values(), default=0)
+    return min((order for order, count in counts.items() if count == most), default=(1, 0))
+
+
+def fit_for_cohort(members: Sequence[Member]) -> tuple[tuple[Member, ...], tuple[LeftOut, ...]]:
+    """The members that can stand in one population, and the others with the reason."""
+    order = common_model([one for one in members if one.draws.size])
+    units = Counter(tuple(sorted(one.units.items())) for one in members).most_common(1)
+    kept, left = [], []
+    for one in members:
+        reason = None
+        if not one.draws.size:
+            reason = "it has no posterior; fit it with a sampler"
+        elif one.log_prior is None:
+            reason = "its posterior was kept without its prior, by an older run; fit it again"
+        elif tuple(sorted(one.units.items())) != units[0][0]:
+            reason = "its recordings are in other units than those of most specimens"
+        elif one.order != order:
+            reason = (
+                f"its model has {_order_words(one.order)}, that of most specimens {_order_words(order)}; "
+                f"fit all with --branches {order[0]} --stiffness-degree {order[1]}"
+            )
+        if reason is None:
+            kept.append(one)
+        else:
+            left.append(LeftOut(one.specimen, reason))
+    return tuple(kept), tuple(left)
+
+
+def _order_words(order: tuple[int, int]) -> str:
+    return f"{order[0]} branch{'es' * (order[0] > 1)} and K of degree {order[1]}"
+
+
+def stage_one(members: Sequence[Member], coordinates: Coordinates) -> tuple[StageOne, dict[str, int]]:
+    """Draws of all members in the population's coordinates.
+
+    Returns
+    -------
+    stage : StageOne
+    floored : dict
+        Specimen -> draws of which a number was zero and was set to its floor.
+    """
+    most = max(MOST_DRAWS_IN_ALL // max(len(members), 1), FEWEST_DRAWS)
+    phi: list[NDArray[Any]] = []
+    reference: list[FloatArray] = []
+    floored: dict[str, int] = {}
+    for one in members:
+        rows = np.linspace(0, len(one.draws) - 1, min(most, len(one.draws))).astype(np.int64)
+        values, low = coordinates.to_phi(one.draws[rows])
+        assert one.log_prior is not None  # noqa: S101 -- fit_for_cohort saw to it
+        phi.append(values.astype(np.float32))
+        reference.append(one.log_prior[rows] + coordinates.log_jacobian(values))
+        if low:
+            floored[one.specimen] = low
+    times = np.array([name.startswith("relaxation_time") for name in coordinates.names])
+    return StageOne(tuple(phi), tuple(reference), ~times, np.flatnonzero(times)), floored

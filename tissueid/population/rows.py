@@ -1,0 +1,271 @@
+"""The numbers of a population that are quoted: a row a quantity, a specimen, an effect."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.population.coordinates import Coordinates
+from tissueid.population.design import Described
+from tissueid.population.members import Member
+from tissueid.population.sampler import PopulationDraws
+from tissueid.population.shared_instrument import SharedInstrument
+from tissueid.population.stage_one import StageOne
+
+__all__ = [
+    "OUTLIER_PROBABILITY",
+    "EffectRow",
+    "QuantityRow",
+    "SpecimenRow",
+    "effect_rows",
+    "quantity_rows",
+    "specimen_rows",
+]
+
+FloatArray = NDArray[np.float64]
+Interval = tuple[float, float]
+
+#: A specimen is named as an outlier where it is more likely than not beyond the 99 % of a normal core.
+OUTLIER_PROBABILITY = 0.5
+#: Groups of which every pair is compared; of more, each is compared with the largest.
+MOST_PAIRED = 4
+
+
+def _plain(row: Any) -> dict[str, Any]:
+    return {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(row).items()}
+
+
+def _interval(values: FloatArray) -> Interval:
+    low, high = np.quantile(values, [0.025, 0.975])
+    return float(low), float(high)
+
+
+@dataclass(frozen=True, slots=True)
+class QuantityRow:
+    """One quantity of the population.
+
+    Attributes
+    ----------
+    name, words, unit : str
+    median : float
+        Of the typical tissue.
+    ci95, ci95_total : tuple of float
+        Statistical, and with the machine that measured all; the latter ``None`` where it is not known.
+    sd_ln : float
+        D: standard deviation of the natural logarithm between specimens, in the core of the distribution.
+    sd_ln_ci95 : tuple of float
+    cv : float
+        Coefficient of variation of that core.
+    cv_ci95 : tuple of float
+    levels : dict
+        Level -> standard deviation of ln between its groups, with its interval.
+    """
+
+    name: str
+    words: str
+    unit: str
+    median: float
+    ci95: Interval
+    ci95_total: Interval | None
+    sd_ln: float
+    sd_ln_ci95: Interval
+    cv: float
+    cv_ci95: Interval
+    levels: dict[str, dict[str, Any]]
+
+    def as_json(self) -> dict[str, Any]:
+        """A row of ``quantities``."""
+        return _plain(self)
+
+
+def quantity_rows(
+    draws: PopulationDraws,
+    coordinates: Coordinates,
+    described: Described,
+    instrument: SharedInstrument | None,
+    rng: np.random.Generator,
+) -> tuple[QuantityRow, ...]:
+    """Mean and spread of each quantity."""
+    p = coordinates.size
+    mean, sd = draws.mean, draws.sd.reshape(-1, p)
+    total = None if instrument is None else np.exp(instrument.added_to(mean, rng))
+    level_sd = draws.level_sd.reshape(len(mean), -1, p)
+    rows = []
+    for k, name in enumerate(coordinates.names):
+        cv = np.sqrt(np.expm1(np.minimum(sd[:, k], 5.0) ** 2))
+        rows.append(
+            QuantityRow(
+                name=name,
+                words=coordinates.words[k],
+                unit=coordinates.units[k],
+                median=float(np.exp(np.median(mean[:, k]))),
+                ci95=_interval(np.exp(mean[:, k])),
+                ci95_total=None if total is None else _interval(total[:, k]),
+                sd_ln=float(np.median(sd[:, k])),
+                sd_ln_ci95=_interval(sd[:, k]),
+                cv=float(np.median(cv)),
+                cv_ci95=_interval(cv),
+                levels={
+                    key: {"sd_ln": float(np.median(one)), "ci95": list(_interval(one))}
+                    for key, one in zip(described.design.levels, level_sd[:, :, k].T, strict=True)
+                },
+            )
+        )
+    return tuple(rows)
+
+
+@dataclass(frozen=True, slots=True)
+class SpecimenRow:
+    """One specimen, alone and as one of the population.
+
+    Attributes
+    ----------
+    specimen : str
+    separate, pooled : tuple of float
+        Median of each quantity from its own logs, and with the population.
+    separate_ci95, pooled_ci95 : tuple of tuple of float
+    shrinkage : tuple of float
+        Share of its variance (of the logarithm) that the population takes away.
+    far : float
+        Probability that it is beyond the 99 % of a normal core.
+    outlier : str or None
+        The quantity in which it is farthest, where it is an outlier.
+    deviation : float
+        Of that quantity, in standard deviations between specimens; of the farthest one where it is none.
+    smoothed : bool
+        Its likelihood was written as a mixture of normals.
+    worth : float
+        Effective stage-1 draws under the population.
+    """
+
+    specimen: str
+    separate: tuple[float, ...]
+    separate_ci95: tuple[Interval, ...]
+    pooled: tuple[float, ...]
+    pooled_ci95: tuple[Interval, ...]
+    shrinkage: tuple[float, ...]
+    far: float
+    outlier: str | None
+    deviation: float
+    smoothed: bool
+    worth: float
+
+    def as_json(self) -> dict[str, Any]:
+        """A row of ``specimens``."""
+        document = _plain(self)
+        for key in ("separate_ci95", "pooled_ci95"):
+            document[key] = [list(one) for one in getattr(self, key)]
+        return document
+
+
+def _intervals(values: FloatArray) -> tuple[Interval, ...]:
+    low, high = np.quantile(values, [0.025, 0.975], axis=0)
+    return tuple(zip(low.tolist(), high.tolist(), strict=True))
+
+
+def specimen_rows(
+    members: Sequence[Member], stage: StageOne, draws: PopulationDraws, coordinates: Coordinates
+) -> tuple[SpecimenRow, ...]:
+    """Every specimen, alone and pooled."""
+    smoothed = set(draws.smoothed.tolist())
+    rows = []
+    for i, one in enumerate(members):
+        own = np.asarray(stage.phi[i], dtype=np.float64)
+        pooled = draws.specimens[:, i]
+        farthest = int(np.abs(draws.deviation[i]).argmax())
+        spread = np.maximum(own.var(axis=0), 1e-300)
+        rows.append(
+            SpecimenRow(
+                specimen=one.specimen,
+                separate=tuple(np.exp(np.median(own, axis=0)).tolist()),
+                separate_ci95=_intervals(np.exp(own)),
+                pooled=tuple(np.exp(np.median(pooled, axis=0)).tolist()),
+                pooled_ci95=_intervals(np.exp(pooled)),
+                shrinkage=tuple(np.clip(1.0 - pooled.var(axis=0) / spread, 0.0, 1.0).tolist()),
+                far=float(draws.far[i]),
+                outlier=coordinates.names[farthest] if draws.far[i] > OUTLIER_PROBABILITY else None,
+                deviation=float(draws.deviation[i, farthest]),
+                smoothed=i in smoothed,
+                worth=float(draws.worth[i]),
+            )
+        )
+    return tuple(rows)
+
+
+@dataclass(frozen=True, slots=True)
+class EffectRow:
+    """What a covariate, or being in another group, does to one quantity.
+
+    Attributes
+    ----------
+    name : str
+        Of the quantity.
+    covariate : str
+    of, against : str or None
+        Groups; ``None`` for a number.
+    per : float or None
+        Change of the covariate that the ratio is of: one standard deviation.
+    ratio : float
+    ci95 : tuple of float
+    probability : float
+        That the ratio is above 1.
+    """
+
+    name: str
+    covariate: str
+    of: str | None
+    against: str | None
+    per: float | None
+    ratio: float
+    ci95: Interval
+    probability: float
+
+    def as_json(self) -> dict[str, Any]:
+        """A row of ``effects``."""
+        return _plain(self)
+
+
+def effect_rows(
+    draws: PopulationDraws, coordinates: Coordinates, described: Described
+) -> tuple[EffectRow, ...]:
+    """Ratios between groups, and for one standard deviation of each number."""
+    coefficient = draws.coefficient.reshape(-1, *draws.coefficient.shape[2:])
+    rows: list[EffectRow] = []
+
+    def add(
+        values: FloatArray, covariate: str, of: str | None, against: str | None, per: float | None
+    ) -> None:
+        for k, name in enumerate(coordinates.names):
+            ratio = np.exp(values[:, k])
+            above = float((values[:, k] > 0.0).mean())
+            rows.append(
+                EffectRow(name, covariate, of, against, per, float(np.median(ratio)), _interval(ratio), above)
+            )
+
+    titles = list(described.design.column_names)
+    zero = np.zeros_like(coefficient[:, 0])
+    grouped = {f"{described.group_by}: {group}" for group in described.groups[1:]}
+    by_group = dict.fromkeys(described.groups[:1], zero) | {
+        group: coefficient[:, titles.index(f"{described.group_by}: {group}")]
+        for group in described.groups[1:]
+    }
+    pairs = list(combinations(described.groups, 2))
+    if len(described.groups) > MOST_PAIRED:
+        pairs = [pair for pair in pairs if pair[0] == described.groups[0]]
+    for against, of in pairs:
+        add(by_group[of] - by_group[against], str(described.group_by), of, against, None)
+    for a, title in enumerate(titles[1:], start=1):
+        if title in grouped:
+            continue
+        scale = described.scales.get(title)
+        if scale is not None:
+            add(coefficient[:, a], title, None, None, scale[1])
+        else:
+            key, group = title.split(": ", 1)
+            add(coefficient[:, a], key, group, "the largest group", None)
+    return tuple(rows)
