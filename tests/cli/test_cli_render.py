@@ -174,6 +174,12 @@ def test_wrong_usage_is_answered_with_the_way_out(bundle: Path, args: tuple[str,
     assert said in ended.stderr
 
 
+def test_a_refused_option_leaves_no_log_behind(bundle: Path, tmp_path: Path) -> None:
+    args = ("--seconds", "1", "--bridge", "99999", "--log", tmp_path / "out.h5")
+    assert run("render", bundle, "--device", "sim", *args).code == 2
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize(
     ("args", "said"),
     [

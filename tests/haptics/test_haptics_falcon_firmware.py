@@ -170,6 +170,19 @@ def test_ten_failed_uploads_are_the_end_with_what_to_do() -> None:
     assert all(one.closed for one in opened)
 
 
+def test_a_device_that_stays_silent_gets_no_ten_tries(monkeypatch: pytest.MonkeyPatch) -> None:
+    # a try is 100 calls of 5 ms here, and of 40 ms in use: 8 s are two of them
+    monkeypatch.setattr(module, "SILENT_S", 0.8)
+    told: list[str] = []
+    with pytest.raises(DeviceError, match=r"in 2 tries; the last: no answer to 100 calls .*\(no hub\)"):
+        ensure_running(
+            lambda: Direct(bare(silent_hellos=10_000)),
+            lambda: FILE,
+            progress=lambda text, _done, _all: told.append(text),
+        )
+    assert told == [f"firmware, try {k} of 10: no answer to 100 calls of the loader" for k in (1, 2)]
+
+
 def test_no_file_is_asked_for_where_firmware_runs() -> None:
     def no_file() -> Firmware:
         pytest.fail("asked for a file")

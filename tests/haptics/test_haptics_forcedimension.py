@@ -12,9 +12,11 @@ from c_library import compiled
 
 from tissueid.errors import DeviceError
 from tissueid.haptics.device import FORCE_DIMENSION
+from tissueid.haptics.falcon.packets import BUTTON_NAMES
 from tissueid.haptics.forcedimension import ForceDimensionDevice
 from tissueid.haptics.forcedimension.device import ORIGIN_M, ROTATION
 from tissueid.haptics.forcedimension.sdk import LIBRARY_VARIABLE, Sdk, candidates
+from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.states import State
 
 
@@ -145,13 +147,22 @@ def test_a_lost_device_is_an_error(stub: Stub) -> None:
             device.read()
 
 
-def test_buttons_are_the_drivers_and_centre_is_the_dead_mans(stub: Stub) -> None:
-    with ForceDimensionDevice() as device:
-        stub.number("buttons").value = 0b1001
-        assert device.read().buttons == 0b1001
-        assert device.limits.dead_man_buttons == 0b0001
-        assert device.limits.dead_man
-        stub.number("buttons").value = 0
+def test_buttons_are_those_of_the_wire_and_centre_is_the_dead_mans(stub: Stub) -> None:
+    # the SDK's number of a button: centre 0, left 1, up 2, right 3
+    names = {0: "centre", 1: "minus", 2: "forward", 3: "plus"}
+    bits = {name: bit for bit, name in BUTTON_NAMES.items()}
+    for limits in (None, GuardLimits()):
+        with ForceDimensionDevice(limits) as device:
+            read = {}
+            for index in names:
+                stub.number("buttons").value = 1 << index
+                read[index] = device.read().buttons
+            assert read == {index: bits[name] for index, name in names.items()}
+            stub.number("buttons").value = 0b1001
+            assert device.read().buttons == bits["centre"] | bits["plus"]
+            assert device.limits.dead_man_buttons == bits["centre"]
+            assert device.limits.dead_man
+            stub.number("buttons").value = 0
 
 
 def test_compiled_servo_is_given_three_addresses_and_the_mapping(stub: Stub) -> None:

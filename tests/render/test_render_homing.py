@@ -1,25 +1,60 @@
-"""A device that is homed in the servo's process tells its user what to do."""
+"""A device that is homed in the servo's process tells its user what to do, and does not outlive its owner."""
 
 from __future__ import annotations
 
+import os
+import socket
+import threading
+import time
 from dataclasses import replace
 
 import pytest
 
+from tissueid.errors import DeviceError
 from tissueid.haptics.falcon.calibration import Calibration
 from tissueid.haptics.falcon.device import HOMING_STEPS, limits_of
 from tissueid.haptics.falcon.emulator import EmulatedLink, EmulatorSettings
+from tissueid.haptics.parameter_block import ParameterBlock
+from tissueid.haptics.ring import Ring
 from tissueid.render.servo import ServoProcess
 from tissueid.render.servo_plan import ServoPlan
+from tissueid.render.servo_process import run_plan
+from tissueid.render.servo_tick import BLOCK_SIZE
+
+#: A busy machine starves an emulator for longer than a device may be silent.
+LIMITS = replace(limits_of(Calibration()), no_reply_s=10.0)
+
+
+def test_an_owner_that_dies_during_homing_ends_it_with_zero_force() -> None:
+    theirs, ours = socket.socketpair()
+    reading, writing = os.pipe()
+    ring, block = Ring.create(), ParameterBlock.create(BLOCK_SIZE)
+    with EmulatedLink(EmulatorSettings(homes=False), pty=True) as link:
+        options = {"port": link.path, "calibration": Calibration(), "limits": LIMITS}
+        threading.Timer(0.5, ours.close).start()
+        begun = time.monotonic()
+        with pytest.raises(DeviceError, match="the program that owns the session ended"):
+            run_plan(ServoPlan("falcon", options), ring, block, theirs.fileno(), writing)
+        took = time.monotonic() - begun
+        time.sleep(0.1)
+        last = link.falcon.last_motors
+    theirs.close()
+    told = os.read(reading, 65_536).decode()
+    for descriptor in (reading, writing):
+        os.close(descriptor)
+    ring.close()
+    block.close()
+    assert "pull the grip" in told
+    # homing itself would be given up after a minute
+    assert 0.5 <= took < 20.0
+    assert last == (0, 0, 0)
 
 
 @pytest.mark.slow
 def test_instructions_of_homing_come_out_of_the_servo_process() -> None:
     told: list[str] = []
     with EmulatedLink(EmulatorSettings(), pty=True) as link:
-        # a busy machine starves an emulator for longer than a device may be silent
-        limits = replace(limits_of(Calibration()), no_reply_s=10.0)
-        plan = ServoPlan("falcon", {"port": link.path, "calibration": Calibration(), "limits": limits})
+        plan = ServoPlan("falcon", {"port": link.path, "calibration": Calibration(), "limits": LIMITS})
         with ServoProcess(plan, tell=told.append) as servo:
             servo.beat()
             assert servo.ready is not None

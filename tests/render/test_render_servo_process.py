@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -22,6 +23,7 @@ from tissueid.haptics.states import Fault, State
 from tissueid.render import servo_process
 from tissueid.render.servo import ServoProcess
 from tissueid.render.servo_plan import ServoEnd, ServoPlan, receive_plan, send_line, send_plan
+from tissueid.render.servo_spawn import spawn_servo
 from tissueid.render.servo_tick import BLOCK_SIZE
 
 #: A hand that presses 10 mm deep within half a second of the end of the start-up ramp.
@@ -56,6 +58,12 @@ def ended(servo: ServoProcess) -> ServoEnd:
         time.sleep(0.01)
     assert servo.end is not None
     return servo.end
+
+
+def sockets() -> tuple[int, int]:
+    """Both ends of an owner's socket."""
+    theirs, ours = socket.socketpair()
+    return theirs.detach(), ours.detach()
 
 
 def forces(servo: ServoProcess) -> np.ndarray:
@@ -96,15 +104,15 @@ class TestProcess:
         with ServoProcess(PLAN) as servo:
             servo.engage()
             servo.beat()
-            os.kill(servo._process.pid, number)
+            os.kill(servo._spawned.process.pid, number)
             end = ended(servo)
         assert end.reason == "signal"
-        assert servo._process.returncode == 0
+        assert servo._spawned.process.returncode == 0
 
     def test_a_killed_process_is_told_of_and_leaves_the_owner_standing(self):
         servo = ServoProcess(PLAN)
         servo.start()
-        os.kill(servo._process.pid, signal.SIGKILL)
+        os.kill(servo._spawned.process.pid, signal.SIGKILL)
         with pytest.raises(DeviceError, match=r"died without a word.*-9"):
             ended(servo)
         servo.close()
@@ -119,6 +127,47 @@ class TestProcess:
         assert end.reason == "ticks"
         assert end.statistics.ticks == 30
 
+    def test_a_process_that_waited_for_its_plan_runs_it(self):
+        spawned = spawn_servo()
+        plan = ServoPlan("sim", {"real_time": True}, ticks=30, alive_wanted=False)
+        with ServoProcess(plan, spawned=spawned) as servo:
+            end = ended(servo)
+        assert end.statistics.ticks == 30
+        assert spawned.process.returncode == 0
+        assert spawned.close() is None
+
+
+def test_a_process_that_may_not_compile_says_so(monkeypatch):
+    monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
+    plan = ServoPlan("sim", {"real_time": True}, ticks=20, alive_wanted=False)
+    with ServoProcess(plan) as servo:
+        assert not servo.ready.compiled
+        assert ended(servo).reason == "ticks"
+
+
+class TestSpawned:
+    def test_a_process_that_gets_no_plan_is_ended_without_a_word(self, capfd):
+        spawned = spawn_servo()
+        spawned.close()
+        assert spawned.process.returncode == -signal.SIGTERM
+        assert capfd.readouterr() == ("", "")
+
+    def test_ctrl_c_before_the_plan_ends_it_without_a_traceback(self, capfd):
+        spawned = spawn_servo()
+        time.sleep(0.3)
+        os.kill(spawned.process.pid, signal.SIGINT)
+        assert spawned.reap() == -signal.SIGINT
+        spawned.close()
+        assert capfd.readouterr() == ("", "")
+
+    @pytest.mark.needs_jit
+    def test_an_owner_that_dies_before_the_plan_ends_it(self, capfd):
+        spawned = spawn_servo()
+        os.close(spawned.owner)
+        assert spawned.process.wait(PATIENCE_S) == 5
+        os.close(spawned.report)
+        assert capfd.readouterr() == ("", "")
+
 
 @pytest.mark.needs_jit
 class TestInOneProcess:
@@ -126,7 +175,7 @@ class TestInOneProcess:
 
     @pytest.fixture
     def pipes(self):
-        owner, report = os.pipe(), os.pipe()
+        owner, report = sockets(), os.pipe()
         ring, block = Ring.create(), ParameterBlock.create(BLOCK_SIZE)
         yield owner, report, ring, block
         for descriptor in (*owner, *report):
@@ -218,15 +267,28 @@ class TestInOneProcess:
 
 class TestPlan:
     def test_a_plan_arrives_as_it_was_sent(self):
-        reading, writing = os.pipe()
-        send_plan(writing, PLAN, 7, 8)
-        got, ring, block = receive_plan(reading)
+        reading, writing = sockets()
+        shared = [os.memfd_create(name) for name in ("ring", "block")]
+        send_plan(writing, PLAN, *shared)
+        got, *received = receive_plan(reading)
         os.close(writing)
         with pytest.raises(EOFError):
             receive_plan(reading)
         os.close(reading)
-        assert (got.device, got.options["real_time"], ring, block) == ("sim", True, 7, 8)
+        same = [os.path.sameopenfile(*two) for two in zip(shared, received, strict=True)]
+        for descriptor in (*shared, *received):
+            os.close(descriptor)
+        assert same == [True, True]
+        assert (got.device, got.options["real_time"]) == ("sim", True)
         assert got.options["hand"].times_s == PRESS.times_s
+
+    def test_an_owner_that_dies_in_the_middle_of_a_plan_sent_none(self):
+        reading, writing = sockets()
+        os.write(writing, (1000).to_bytes(8, "little") + b"half a plan")
+        os.close(writing)
+        with pytest.raises(EOFError):
+            receive_plan(reading)
+        os.close(reading)
 
     def test_a_report_that_nobody_reads_is_no_error(self):
         reading, writing = os.pipe()

@@ -22,10 +22,12 @@ from tissueid.render.environment import FORCE_SCALE, LABEL, SURFACE
 from tissueid.render.first_start import first_start, is_compiled
 from tissueid.render.options import RenderOptions
 from tissueid.render.plan import plan_session
+from tissueid.render.recorder import Recorder
 from tissueid.render.session import Session, Wish
 from tissueid.render.summary import SessionSummary, period_statistics
 from tissueid.render.tissue_block import Plane
 from tissueid.store.bundle import write_bundle
+from tissueid.store.session_log import read_session_log
 
 SHORT = "indent 1 mm at 500 mm/min; retract at 500 mm/min"
 
@@ -110,6 +112,20 @@ def test_a_person_can_end_a_live_session(bundle: Path) -> None:
     assert outcome.summary["end_state"] in {"armed", "engaged"}
 
 
+def test_a_failure_of_our_own_keeps_the_log_whole(bundle: Path, tmp_path: Path) -> None:
+    plan = plan_session(options(bundle))
+    recorder = Recorder(tmp_path / "out.h5", plan.head)
+
+    def show(_record: Any, summary: SessionSummary) -> None:
+        if summary.ticks >= 1000:
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        Session(plan, recorder=recorder, show=show).run()
+    assert [path.name for path in tmp_path.iterdir()] == ["out.h5"]
+    assert read_session_log(tmp_path / "out.h5").records.size == 1000
+
+
 LAW = """
 import numpy as np
 
@@ -164,8 +180,6 @@ def test_only_the_simulated_device_begins_uncompiled(monkeypatch: pytest.MonkeyP
 
 @pytest.mark.slow
 def test_the_first_start_renders_at_once_and_compiles_for_the_next(bundle: Path, tmp_path: Path) -> None:
-    from tissueid.store.session_log import read_session_log
-
     waits = []
     for name in ("cold", "warm"):
         log = tmp_path / f"{name}.h5"

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,7 @@ from tissueid.cli.output import echo_json, note, output_options
 
 if TYPE_CHECKING:
     from tissueid.render.options import RenderOptions
+    from tissueid.render.servo_spawn import SpawnedServo
     from tissueid.render.session import Outcome, Session
     from tissueid.render.session_plan import SessionPlan
 
@@ -95,14 +97,15 @@ def command(**flags: Any) -> int:
 
     if flags["selftest"]:
         return _selftest(flags)
-    session = _prepared(flags)
-    try:
-        outcome = session.run()
-    except DeviceError as error:
-        raise _with_way_out(error, session.plan) from error
-    finally:
-        if session.bridge is not None:
-            session.bridge.close()
+    with _waiting_servo(flags) as spawned:
+        session = _prepared(flags, spawned)
+        try:
+            outcome = session.run()
+        except DeviceError as error:
+            raise _with_way_out(error, session.plan) from error
+        finally:
+            if session.bridge is not None:
+                session.bridge.close()
     _report(flags, session.plan, outcome)
     codes = {5} if outcome.fault else set()
     if outcome.summary["recording_stopped"] is not None:
@@ -112,7 +115,19 @@ def command(**flags: Any) -> int:
     return exit_code(codes) or (130 if 130 in codes else 0)
 
 
-def _prepared(flags: dict[str, Any]) -> Session:
+@contextmanager
+def _waiting_servo(flags: dict[str, Any]) -> Iterator[SpawnedServo | None]:
+    """A servo's process that loads while the plan is made; none where no clock runs."""
+    from tissueid.render.servo_spawn import spawn_servo
+
+    if flags["virtual"]:
+        yield None
+        return
+    with closing(spawn_servo()) as spawned:
+        yield spawned
+
+
+def _prepared(flags: dict[str, Any], spawned: SpawnedServo | None) -> Session:
     """Everything that can be refused before a force."""
     from tissueid.cli.render_screen import Keyboard, StatusLine, ask_for_consent
     from tissueid.errors import DeviceError, UsageError
@@ -135,8 +150,9 @@ def _prepared(flags: dict[str, Any]) -> Session:
         raise UsageError(msg)
     ask_for_consent(plan, given=flags["yes"], quiet=flags["quiet"])
     _write_key(flags, plan)
-    recorder = None if flags["log"] is None else Recorder(flags["log"], plan.head)
     bridge = None if flags["bridge"] is None else UdpBridge(parse_address(flags["bridge"]))
+    # last of all: what is refused after it would leave an empty log behind
+    recorder = None if flags["log"] is None else Recorder(flags["log"], plan.head)
     return Session(
         plan,
         recorder=recorder,
@@ -145,6 +161,7 @@ def _prepared(flags: dict[str, Any]) -> Session:
         show=StatusLine(plan, quiet=bool(flags["quiet"] or flags["as_json"])),
         # a hand is needed: said however quiet
         tell=note,
+        spawned=spawned,
     )
 
 

@@ -68,6 +68,10 @@ def _unheard(_sentence: str) -> None:
     """Nobody shows what a device tells."""
 
 
+def _nothing() -> None:
+    """Nobody ends a wait."""
+
+
 class HapticDevice(ABC):
     """Base of every device.
 
@@ -91,6 +95,8 @@ class HapticDevice(ABC):
         self.limits = limits
         #: Told, in sentences, what the user has to do or to wait for; who can show them replaces it.
         self.tell: Callable[[str], None] = _unheard
+        #: Called again and again while the device waits for its user; an exception ends the wait.
+        self.while_waiting: Callable[[], None] = _nothing
         #: Memory of the guard: the compiled servo works on the same.
         self.guard_memory = new_guard()
         self._limits = limits.block()

@@ -37,13 +37,14 @@ def wait_with_zero_force(
     Raises
     ------
     DeviceError
-        After the time-out, on a fault, or when the device is lost.
+        After the time-out, on a fault, or when the device is lost; and what ``device.while_waiting`` raises.
     """
     deadline = time.monotonic() + timeout_s
     zero = np.zeros(3)
     while not reached():
         if time.monotonic() > deadline:
             raise DeviceError(why_not())
+        device.while_waiting()
         device.read()
         if device.state is State.FAULT:
             msg = f"homing ended: {FAULT_WORDS[device.fault]}"

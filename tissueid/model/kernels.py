@@ -269,7 +269,6 @@ def tissue_step_in(law: FloatArray, at: int, state: FloatArray, first: int, x: f
     return max(force, 0.0) if x >= 0.0 else 0.0
 
 
-@nb.njit(cache=True, nogil=True)
 def pack_law(
     static: FloatArray, stiffness: FloatArray, tau: FloatArray, depth: float, law: FloatArray, at: int
 ) -> None:
@@ -299,6 +298,10 @@ def pack_law(
         law[at + _TAU + j] = tau[j]
         for k in range(stiffness.shape[1]):
             law[at + _STIFFNESS + j * _STIFFNESS_SIZE + k] = stiffness[j, k]
+
+
+#: For compiled callers; writing one law from Python is not worth setting numba up for.
+_pack_law = nb.njit(cache=True, nogil=True)(pack_law)
 
 
 @nb.njit(cache=True, nogil=True)
@@ -331,7 +334,7 @@ def tissue_step(
         Force on the tool [N], never negative, and the new surface position [mm], never negative.
     """
     law = np.empty(LAW_SIZE)
-    pack_law(static, stiffness, tau, depth, law, 0)
+    _pack_law(static, stiffness, tau, depth, law, 0)
     state = np.zeros(STATE_SIZE)
     state[_SURFACE] = surface
     for j in range(states.size):
@@ -369,7 +372,7 @@ def surface_path(
     surface = np.empty(n)
     force = np.empty(n)
     law = np.empty(LAW_SIZE)
-    pack_law(static, stiffness, tau, depth, law, 0)
+    _pack_law(static, stiffness, tau, depth, law, 0)
     state = np.zeros(STATE_SIZE)
     surface[0] = max(tool_mm[0], 0.0)
     state[_SURFACE] = surface[0]

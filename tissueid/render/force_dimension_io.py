@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from tissueid.compiled import tick_kernel
 from tissueid.haptics.device import CompiledIO
+from tissueid.haptics.forcedimension.buttons import wire_buttons
 from tissueid.haptics.foreign import by_address
 from tissueid.haptics.watchdogs import REPLY_LOST, REPLY_VALID
 
@@ -73,7 +74,7 @@ def sense_force_dimension(
         words[0] = REPLY_LOST
         return
     words[0] = REPLY_VALID
-    words[2] = int(_get_buttons(io.get_buttons, (io.identity,)))
+    words[2] = wire_buttons(int(_get_buttons(io.get_buttons, (io.identity,))))
     for i in range(3):
         position[i] = io.origin[i]
         for j in range(3):

@@ -25,8 +25,8 @@ FloatArray = NDArray[np.float64]
 SWITCH = "switch"
 #: Start-up ramp of the simulated device under a script [s]: the shortest that the guard knows.
 RAMP_S = 0.5
-#: Rest above the tissue before the first stroke [s]: homing and the ramp are over by then.
-REST_S = 0.7
+#: Rest above the tissue before the first stroke [s]: homing (0.05 s) and the ramp are over by then.
+REST_S = 0.6
 #: Time after the last stroke that is still recorded [s].
 TAIL_S = 0.05
 

@@ -16,8 +16,6 @@ import contextlib
 import json
 import os
 import select
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from typing import Any, Self
@@ -32,14 +30,13 @@ from tissueid.haptics.parameter_block import (
 )
 from tissueid.haptics.ring import Ring
 from tissueid.render.servo_plan import ServoEnd, ServoPlan, ServoReady, send_plan
+from tissueid.render.servo_spawn import REAP_S, SpawnedServo, spawn_servo
 from tissueid.render.servo_tick import BLOCK_SIZE
 
 __all__ = ["START_TIMEOUT_S", "ServoProcess"]
 
 #: Longest time to the first tick without homing [s]: compiling on a slow machine takes half of it.
 START_TIMEOUT_S = 60.0
-#: Longest time from the wish to end to the end [s]: ramp, zero commands, closing.
-STOP_TIMEOUT_S = 5.0
 
 
 class ServoProcess:
@@ -52,6 +49,8 @@ class ServoProcess:
         Until the loop runs; a device that a user must home needs more.
     tell : callable, optional
         Told what the device says to its user while it is opened and homed.
+    spawned : SpawnedServo, optional
+        A process that waits for a plan; without it one is spawned by ``start``.
     """
 
     def __init__(
@@ -60,6 +59,7 @@ class ServoProcess:
         *,
         start_timeout_s: float = START_TIMEOUT_S,
         tell: Callable[[str], None] | None = None,
+        spawned: SpawnedServo | None = None,
     ) -> None:
         self.plan = plan
         self._tell = tell
@@ -71,12 +71,12 @@ class ServoProcess:
         self.ready: ServoReady | None = None
         self.end: ServoEnd | None = None
         self._start_timeout_s = start_timeout_s
-        self._process: subprocess.Popen[bytes] | None = None
-        self._owner = self._report = -1
+        self._spawned = spawned
+        self._closed = False
         self._text = b""
 
     def start(self) -> ServoReady:
-        """Spawn the process and wait until its loop runs, with zero force.
+        """Send the plan and wait until the loop runs, with zero force.
 
         Raises
         ------
@@ -91,21 +91,12 @@ class ServoProcess:
         return self.ready
 
     def _started(self) -> ServoReady:
-        """Spawn the process, send the plan, wait for its first line."""
-        theirs, self._owner = os.pipe()
-        self._report, reporting = os.pipe()
-        shared = (self.ring.descriptor, self.block.descriptor)
-        command = [sys.executable, "-m", "tissueid.render.servo_process", str(theirs), str(reporting)]
-        try:
-            # our own interpreter and module; nothing of it comes from a user
-            self._process = subprocess.Popen(  # noqa: S603
-                command, pass_fds=(theirs, reporting, *shared), stdin=subprocess.DEVNULL
-            )
-        finally:
-            os.close(theirs)
-            os.close(reporting)
-        with contextlib.suppress(BrokenPipeError):
-            send_plan(self._owner, self.plan, *shared)
+        """Send the plan, wait for the first line."""
+        if self._spawned is None:
+            self._spawned = spawn_servo()
+        self._spawned.planned = True
+        with contextlib.suppress(BrokenPipeError, ConnectionResetError):
+            send_plan(self._spawned.owner, self.plan, self.ring.descriptor, self.block.descriptor)
         words = self._start_line()
         if words is None or words["event"] != "ready":
             raise self._failure(words, f"did not start within {self._start_timeout_s:.0f} s")
@@ -135,7 +126,7 @@ class ServoProcess:
             words = self._next_line(0.0)
             if words is not None:
                 self._ended(words)
-            elif self._process is not None and self._process.poll() is not None:
+            elif self._spawned is not None and self._spawned.process.poll() is not None:
                 # the last line may have come between the two looks
                 self._ended(self._next_line(0.0))
         return self.end
@@ -149,24 +140,23 @@ class ServoProcess:
             It did not end in time (and was killed), or died without a word.
         """
         self.block.order(COMMAND_STOP)
-        deadline = time.monotonic() + STOP_TIMEOUT_S
+        deadline = time.monotonic() + REAP_S
         while self.poll() is None and time.monotonic() < deadline:
             self.beat()
             self._ended(self._next_line(0.05), patient=True)
         if self.end is None:
-            raise self._failure(None, f"did not end within {STOP_TIMEOUT_S:.0f} s")
+            raise self._failure(None, f"did not end within {REAP_S:.0f} s")
         return self.end
 
     def close(self) -> None:
         """End the process if it runs, and give shared memory back; harmless when called twice."""
-        if self._owner >= 0:
-            # closing the pipe is the owner's death to the servo: zero force, whatever it was doing
-            os.close(self._owner)
-            self._owner = -1
-            self._reap()
-            os.close(self._report)
-            self.ring.close()
-            self.block.close()
+        if self._closed:
+            return
+        self._closed = True
+        if self._spawned is not None:
+            self._spawned.close()
+        self.ring.close()
+        self.block.close()
 
     def __enter__(self) -> Self:
         self.start()
@@ -191,12 +181,13 @@ class ServoProcess:
 
     def _next_line(self, timeout_s: float) -> dict[str, Any] | None:
         """The next line of the report, or None without one in time or at its end."""
+        assert self._spawned is not None  # noqa: S101 -- only a started servo reports
         deadline = time.monotonic() + timeout_s
         while b"\n" not in self._text:
             left = max(deadline - time.monotonic(), 0.0)
-            if not select.select([self._report], [], [], left)[0]:
+            if not select.select([self._spawned.report], [], [], left)[0]:
                 return None
-            got = os.read(self._report, 65_536)
+            got = os.read(self._spawned.report, 65_536)
             if not got:
                 return None
             self._text += got
@@ -219,16 +210,5 @@ class ServoProcess:
         if words is not None and words["event"] == "failed":
             refused: errors.TissueidError = getattr(errors, words["kind"])(words["message"])
             return refused
-        self._reap()
-        code = None if self._process is None else self._process.returncode
+        code = None if self._spawned is None else self._spawned.reap()
         return DeviceError(f"the servo process {otherwise} (exit code {code}); device {self.plan.device}")
-
-    def _reap(self) -> None:
-        """Wait for the process, a while kindly."""
-        if self._process is None:
-            return
-        try:
-            self._process.wait(STOP_TIMEOUT_S)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()

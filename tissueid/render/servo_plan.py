@@ -1,7 +1,8 @@
 """What the owner and the servo process tell each other, as frozen data.
 
-Down goes one plan, pickled, over a private pipe whose other end stays open: its end of file is the owner's
-death.  Up come lines of JSON: ``ready``, then ``ended`` or ``failed``.
+Down goes one plan, pickled, with the descriptors of the shared memories, over a private socket whose other
+end stays open: its end of file is the owner's death.  Up come lines of JSON: ``ready``, then ``ended`` or
+``failed``.
 """
 
 from __future__ import annotations
@@ -9,6 +10,9 @@ from __future__ import annotations
 import json
 import os
 import pickle
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -58,7 +62,7 @@ class ServoReady:
     Attributes
     ----------
     compiled : bool
-        False for a device or a law in Python: then the loop runs uncompiled.
+        False for a device or a law in Python, and where compiling is switched off: the loop runs uncompiled.
     scheduling : str
         Scheduling class.
     remedies : tuple of str
@@ -119,35 +123,46 @@ class ServoEnd:
 
 
 def send_plan(descriptor: int, plan: ServoPlan, ring: int, block: int) -> None:
-    """Send a plan and the descriptors of the shared memories."""
-    data = pickle.dumps((plan, ring, block))
-    data = len(data).to_bytes(_LENGTH_BYTES, "little") + data
-    while data:
-        data = data[os.write(descriptor, data) :]
+    """Send a plan and the descriptors of the shared memories through the owner's socket."""
+    data = pickle.dumps(plan)
+    with _socket(descriptor) as there:
+        socket.send_fds(there, [len(data).to_bytes(_LENGTH_BYTES, "little")], [ring, block])
+        there.sendall(data)
 
 
 def receive_plan(descriptor: int) -> tuple[ServoPlan, int, int]:
-    """The plan that :func:`send_plan` sent.
+    """The plan that :func:`send_plan` sent, and this process's own descriptors of the shared memories.
 
     Raises
     ------
     EOFError
         The owner died meanwhile.
     """
-
-    def exactly(size: int) -> bytes:
-        data = b""
+    data = b""
+    with _socket(descriptor) as there:
+        head, shared, _, _ = socket.recv_fds(there, _LENGTH_BYTES, 2)
+        if len(head) < _LENGTH_BYTES:
+            raise EOFError
+        size = int.from_bytes(head, "little")
         while len(data) < size:
-            got = os.read(descriptor, size - len(data))
+            got = there.recv(size - len(data))
             if not got:
                 raise EOFError
             data += got
-        return data
-
-    size = int.from_bytes(exactly(_LENGTH_BYTES), "little")
-    # the sender is the process that spawned this one, over a pipe nobody else has
-    plan, ring, block = pickle.loads(exactly(size))  # noqa: S301
+    # the sender is the process that spawned this one, over a socket nobody else has
+    plan: ServoPlan = pickle.loads(data)  # noqa: S301
+    ring, block = shared
     return plan, ring, block
+
+
+@contextmanager
+def _socket(descriptor: int) -> Iterator[socket.socket]:
+    """The socket behind a descriptor, which stays open."""
+    there = socket.socket(fileno=descriptor)
+    try:
+        yield there
+    finally:
+        there.detach()
 
 
 def send_line(descriptor: int, **words: Any) -> None:

@@ -8,18 +8,23 @@ firmware or its power plug takes it away.
 from __future__ import annotations
 
 import os
+import select
 import signal
-import sys
 from types import FrameType
-from typing import Any, NoReturn, Self
+from typing import Any, Self
 
+import numba
 import numpy as np
 
 from tissueid.errors import DeviceError, TissueidError
 from tissueid.haptics.device import HapticDevice
+from tissueid.haptics.guard import new_guard, transition
+from tissueid.haptics.guard_states import SHUT
+from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.parameter_block import ParameterBlock
 from tissueid.haptics.registry import device_class, environment_law
 from tissueid.haptics.ring import Ring
+from tissueid.haptics.states import FAULT_WORDS, Fault
 from tissueid.render.servo_io import PythonIO, compiled_io
 from tissueid.render.servo_loop import BINS, compiled_loop, new_watch, realtime_loop
 from tissueid.render.servo_plan import REASONS, ServoEnd, ServoPlan, receive_plan, send_line
@@ -64,12 +69,25 @@ class SignalWatch:
             raise Signalled
 
 
+def _must_be_owned(owner: int) -> None:
+    """Refuse to wait for anything once the owner is dead.
+
+    Raises
+    ------
+    DeviceError
+        Nothing but the end of file ever comes after the plan.
+    """
+    if select.select([owner], [], [], 0.0)[0]:
+        raise DeviceError(FAULT_WORDS[Fault.PARENT_DIED])
+
+
 def _reach(device: HapticDevice, law: str | None) -> tuple[Any, bool]:
     """How the loop reaches an open device, and whether it is compiled."""
     if law is not None:
         return PythonIO(device, environment_law(law)), False
     given = device.compiled()
-    return (PythonIO(device), False) if given is None else (compiled_io(given), True)
+    compiles = not getattr(numba.config, "DISABLE_JIT", False)
+    return (PythonIO(device), False) if given is None else (compiled_io(given), compiles)
 
 
 def _end(reason: int, servo: Servo, device: HapticDevice, plan: ServoPlan, timing: Any) -> ServoEnd:
@@ -108,6 +126,7 @@ def run_plan(plan: ServoPlan, ring: Ring, block: ParameterBlock, owner: int, rep
     with SignalWatch() as signals:
         device = device_class(plan.device)(**plan.options)
         device.tell = lambda sentence: send_line(report, event="told", sentence=sentence)
+        device.while_waiting = lambda: _must_be_owned(owner)
         try:
             device.open()
             device.home()
@@ -135,7 +154,7 @@ def run_plan(plan: ServoPlan, ring: Ring, block: ParameterBlock, owner: int, rep
 
 
 def main(arguments: list[str]) -> int:
-    """Entry of the spawned process: two descriptors, the owner's pipe and the report's.
+    """The spawned process: two descriptors, the owner's socket and the report's pipe.
 
     Returns
     -------
@@ -143,6 +162,8 @@ def main(arguments: list[str]) -> int:
         Exit code of :mod:`tissueid.errors`.
     """
     owner, report = (int(word) for word in arguments)
+    # numba sets itself up at the first call: while the owner decides, not when it waits
+    transition(new_guard(), GuardLimits().block(), SHUT)
     try:
         plan, ring, block = receive_plan(owner)
         end = run_plan(plan, Ring.attach(ring), ParameterBlock.attach(block), owner, report)
@@ -153,11 +174,3 @@ def main(arguments: list[str]) -> int:
         return DeviceError.exit_status
     send_line(report, event="ended", **end.as_dict())
     return 0 if end.fault == 0 else DeviceError.exit_status
-
-
-def _exit() -> NoReturn:
-    sys.exit(main(sys.argv[1:]))
-
-
-if __name__ == "__main__":
-    _exit()

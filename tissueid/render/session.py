@@ -20,7 +20,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.errors import TissueidError
 from tissueid.haptics.ring import RingReader
 from tissueid.haptics.states import Fault
 from tissueid.render.bridge import BridgeRequest, UdpBridge
@@ -30,6 +29,7 @@ from tissueid.render.first_start import first_start
 from tissueid.render.recorder import Recorder
 from tissueid.render.servo import ServoProcess
 from tissueid.render.servo_plan import ServoPlan
+from tissueid.render.servo_spawn import SpawnedServo
 from tissueid.render.session_plan import PERIOD_S, SessionPlan
 from tissueid.render.summary import SessionSummary
 from tissueid.render.surface import SURFACE_SIZE, TOOL_RADIUS
@@ -103,6 +103,8 @@ class Session:
         ``show(newest record, summary)``, every turn in which something is new.
     tell : callable, optional
         Told what a device asks of its user while it is homed.
+    spawned : SpawnedServo, optional
+        A process that waits for the plan; its owner closes it, whether it was taken or not.
     """
 
     def __init__(
@@ -114,6 +116,7 @@ class Session:
         ask: Callable[[], Wish] = Wish,
         show: Callable[[Any, SessionSummary], None] = lambda _record, _summary: None,
         tell: Callable[[str], None] | None = None,
+        spawned: SpawnedServo | None = None,
     ) -> None:
         self.plan = plan
         self.recorder = recorder
@@ -122,6 +125,7 @@ class Session:
         self._ask = ask
         self._show = show
         self._tell = tell
+        self._spawned = spawned
         self._blocks = [block.copy() for block in plan.blocks]
         self._current = 0
         self._wanted = 0
@@ -143,8 +147,8 @@ class Session:
                 return self._virtual()
             with first_start(self.plan.device, self._tell or (lambda _sentence: None)) as uncompiled:
                 return self._live(uncompiled=uncompiled)
-        except TissueidError:
-            # what was recorded before the device was lost is kept whole
+        except BaseException:
+            # what was recorded before the device was lost, or we failed, is kept whole
             if self.recorder is not None:
                 self.recorder.finish(
                     self.summary.as_json(scheduling="unknown", virtual_time=self.plan.virtual)
@@ -155,7 +159,11 @@ class Session:
         plan = self.plan
         servo_plan = ServoPlan(plan.device, dict(plan.device_options), law=plan.environment)
         patience = {"start_timeout_s": HOMING_TIMEOUT_S} if plan.capabilities.hardware else {}
-        servo = ServoProcess(servo_plan, tell=self._tell, **patience)
+        if uncompiled and self._spawned is not None:
+            # whether a process compiles is settled when it starts: this one would
+            self._spawned.close()
+            self._spawned = None
+        servo = ServoProcess(servo_plan, tell=self._tell, spawned=self._spawned, **patience)
         servo.block.write(self._blocks[0])
         interrupted = False
         with _signals(), servo:

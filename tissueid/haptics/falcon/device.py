@@ -271,6 +271,7 @@ class FalconDevice(HapticDevice):
 
     def _tell_progress(self, message: str, done: int, total: int) -> None:
         """Tell of a failed try, and of every quarter of an upload."""
+        self.while_waiting()
         quarter = 4 * done // total
         if done == 0:
             self.tell(message)

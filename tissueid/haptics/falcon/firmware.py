@@ -55,9 +55,12 @@ HELLO_TRIES = 100
 READY = b"A"
 #: The device echoes every byte; this many are sent before the echo is compared.
 CHUNK = 62
-#: Longest wait for an answer to hello, and for an echo [s].
-HELLO_WAIT_S = 0.05
+#: Longest wait for an answer to hello, and for an echo [s]; 4 bytes at 9600 baud behind a latency of 16 ms
+#: take 20 ms.
+HELLO_WAIT_S = 0.04
 ECHO_WAIT_S = 1.0
+#: A device from which not one byte came for this long gets no further try [s].
+SILENT_S = 8.0
 #: Presence test: commands sent, and how long each may stay unanswered [s].
 PRESENCE_TRIES = 10
 PRESENCE_WAIT_S = 0.1
@@ -65,6 +68,10 @@ PRESENCE_WAIT_S = 0.1
 
 class UploadError(DeviceError):
     """One try of an upload failed; another may succeed."""
+
+
+class NoLoaderError(UploadError):
+    """The loader answered none of the calls."""
 
 
 @dataclass(frozen=True)
@@ -211,6 +218,7 @@ def ensure_running(
     progress : callable, optional
         As of :func:`upload`; told of every failed try.
     tries : int
+        Fewer where the device stays silent for :data:`SILENT_S`.
 
     Returns
     -------
@@ -220,7 +228,7 @@ def ensure_running(
     Raises
     ------
     DeviceError
-        After ``tries`` failed uploads, with the reason of the last, or what opening raised.
+        After ``tries`` failed uploads, with the reason of the last, after silence, or what opening raised.
     """
     transport = open_transport()
     try:
@@ -228,6 +236,7 @@ def ensure_running(
             return transport
         content = firmware().content
         reason = ""
+        heard_s = time.monotonic()
         for attempt in range(1, tries + 1):
             if attempt > 1:
                 transport.close()
@@ -236,18 +245,22 @@ def ensure_running(
                 upload(transport, content, progress)
             except UploadError as error:
                 reason = str(error)
+                heard_s = heard_s if isinstance(error, NoLoaderError) else time.monotonic()
             else:
                 if is_running(transport):
                     return transport
                 reason = "the device took the firmware but does not answer"
+                heard_s = time.monotonic()
             if progress is not None:
                 progress(f"firmware, try {attempt} of {tries}: {reason}", 0, len(content))
+            if time.monotonic() - heard_s >= SILENT_S:
+                break
     except BaseException:
         transport.close()
         raise
     transport.close()
     msg = (
-        f"the firmware could not be loaded in {tries} tries; the last: {reason}. Take the Falcon off its "
+        f"the firmware could not be loaded in {attempt} tries; the last: {reason}. Take the Falcon off its "
         "power for ten seconds, plug it into a port of the computer itself (no hub), and try again"
     )
     raise DeviceError(msg)
@@ -276,7 +289,7 @@ def _say_hello(transport: ByteTransport) -> None:
                 return
         received = received[-len(HELLO_REPLY) :]
     msg = f"no answer to {HELLO_TRIES} calls of the loader"
-    raise UploadError(msg)
+    raise NoLoaderError(msg)
 
 
 def _get_ready(transport: ByteTransport) -> None:

@@ -22,19 +22,17 @@ from tissueid.haptics.device import (
     DeviceSample,
     HapticDevice,
 )
+from tissueid.haptics.forcedimension.buttons import wire_buttons
 from tissueid.haptics.forcedimension.sdk import Sdk
 from tissueid.haptics.homing import HOMING_TIMEOUT_S, await_homed
 from tissueid.haptics.limits import GuardLimits
 
-__all__ = ["BUTTON_NAMES", "CENTRE_BUTTON", "ORIGIN_M", "ROTATION", "ForceDimensionDevice"]
+__all__ = ["ORIGIN_M", "ROTATION", "ForceDimensionDevice"]
 
 #: Rows: our axes in the SDK's frame, which has x toward the user, y to the right and z up.
 ROTATION = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
 #: The SDK's origin, the middle of the workspace, in our frame [m].
 ORIGIN_M = np.array([0.0, 0.0, 0.130])
-#: Bit of a button in the SDK's mask -> name.
-CENTRE_BUTTON = 0x01
-BUTTON_NAMES = {CENTRE_BUTTON: "centre", 0x02: "minus", 0x04: "forward", 0x08: "plus"}
 #: Reach around the origin [m].
 REACH_M = 0.040
 
@@ -63,7 +61,7 @@ class ForceDimensionDevice(HapticDevice):
         tell: Callable[[str], None] | None = None,
         homing_timeout_s: float = HOMING_TIMEOUT_S,
     ) -> None:
-        super().__init__(GuardLimits(dead_man_buttons=CENTRE_BUTTON) if limits is None else limits)
+        super().__init__(GuardLimits() if limits is None else limits)
         self._library = library
         if tell is not None:
             self.tell = tell
@@ -142,7 +140,7 @@ class ForceDimensionDevice(HapticDevice):
             time_s=time.monotonic(),
             position_m=ROTATION @ np.array(sdk.position()) + ORIGIN_M,
             counts=np.zeros(3, np.int64),
-            buttons=sdk.buttons(),
+            buttons=wire_buttons(sdk.buttons()),
             homed=sdk.is_homed(),
             valid=True,
         )
