@@ -89,9 +89,9 @@ FLAG_CODES: Mapping[str, str] = MappingProxyType(
         "prior_dominated": "a prior decides this more than the data do",
         # the cohort
         "speed_confounded": "speeds were tested on specimens of their own: speed can't be told from specimen",
-        "population_not_converged": "the chains over the population did not converge: its intervals are rough",
+        "population_not_converged": "chains over the population did not converge: its intervals are rough",
         "specimen_outlier": "a specimen is far from the others",
-        "likelihood_smoothed": "the population lies among few draws of a specimen; its likelihood was smoothed",
+        "likelihood_smoothed": "population lies among few draws of a specimen: its likelihood was smoothed",
         "draws_floored": "a force or stiffness is zero in draws; it was set to a small share of its median",
         "population_not_passive": "specimens drawn from the population were not passive and were drawn again",
         "covariate_missing": "a covariate is not stated of all specimens; its mean was taken",

@@ -147,10 +147,8 @@ class Coordinates:
     def passive(self, theta: FloatArray) -> NDArray[np.bool_]:
         """Which tissues are passive on [0, d], with their relaxation times ascending; shape (n,)."""
         model, ends = self.model, [last for _, last in self._blocks()]
-        ascending = (np.diff(theta[:, ends], axis=1) > 0.0).all(axis=1).tolist()
-        return np.array(
-            [bool(up) and model.is_passive(row) for up, row in zip(ascending, theta, strict=True)]
-        )
+        ascending = np.asarray((np.diff(theta[:, ends], axis=1) > 0.0).all(axis=1))
+        return np.array([bool(ascending[i]) and model.is_passive(row) for i, row in enumerate(theta)])
 
     def _blocks(self) -> list[tuple[int, int]]:
         """First coefficient of K, and the relaxation time, of each branch."""

@@ -82,9 +82,9 @@ def predictive_specimens(
         # a specimen that overflows is as little passive as one with a negative force
         with np.errstate(over="ignore", invalid="ignore"):
             theta = coordinates.to_theta(_drawn(draws, min(BATCH, 2 * count), rng))
-            finite = np.isfinite(theta).all(axis=1)
+            finite = np.asarray(np.isfinite(theta).all(axis=1))
             theta = np.where(finite[:, None], theta, 0.0)
-            good = coordinates.passive(theta) & finite
+            good = np.asarray(coordinates.passive(theta) & finite)
         tried += len(theta)
         used = (
             int(np.searchsorted(np.cumsum(good), count - found)) + 1

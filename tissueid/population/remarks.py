@@ -78,7 +78,8 @@ def population_flags(
             Flag("draws_floored", message, {"specimens": list(floored), "draws": list(floored.values())})
         )
     if predictive.refused_share > MANY_REFUSED or predictive.typical_is_drawn:
-        message = f"{100 * predictive.refused_share:.0f} % of the specimens drawn were not passive and were drawn again"
+        share = 100 * predictive.refused_share
+        message = f"{share:.0f} % of the specimens drawn were not passive and were drawn again"
         if predictive.typical_is_drawn:
             message += (
                 "; the medians of all quantities are no passive tissue, the nearest drawn one stands for it"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,7 @@ class StageOne:
     Attributes
     ----------
     phi : tuple of ndarray, shapes (m_i, p)
+        Single precision will do.
     log_reference : tuple of ndarray, shapes (m_i,)
         Ln of the density of phi that the likelihood was multiplied with, up to a constant a specimen.
     linear : ndarray of bool, shape (p,)
@@ -41,7 +43,7 @@ class StageOne:
         Coordinates that ascend within a specimen.
     """
 
-    phi: tuple[FloatArray, ...]
+    phi: tuple[NDArray[Any], ...]
     log_reference: tuple[FloatArray, ...]
     linear: NDArray[np.bool_]
     ascending: IntArray

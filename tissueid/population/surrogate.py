@@ -1,9 +1,9 @@
 """A smooth likelihood for specimens of which the population lies among few stage-1 draws.
 
 A recording of 10 Hz leaves the relaxation time open over decades; a population that knows it to 15 % then
-lies among a handful of that specimen's draws, too few to stand for its likelihood.  Given the relaxation times
-the posterior of stage 1 is a normal in forces and viscosities, cut to the passive set; its likelihood is
-written as a mixture of normals, components along ln tau; the chain then walks in it.
+lies among a handful of that specimen's draws, too few to stand for its likelihood.  Given the relaxation
+times the posterior of stage 1 is a normal in forces and viscosities, cut to the passive set; its likelihood
+is written as a mixture of normals, components along ln tau, and the chain then walks in it.
 """
 
 from __future__ import annotations
