@@ -143,7 +143,7 @@ static void punctual(void) {
     struct sched_param priority = {.sched_priority = 80};
     cpu_set_t set;
     int last = 0;
-    prctl(PR_SET_TIMERSLACK, 1000, 0, 0, 0);
+    prctl(PR_SET_TIMERSLACK, 1, 0, 0, 0);
     sched_getaffinity(0, sizeof set, &set);
     for (int i = 0; i < CPU_SETSIZE; i++) if (CPU_ISSET(i, &set)) last = i;
     CPU_ZERO(&set);

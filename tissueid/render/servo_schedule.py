@@ -18,8 +18,8 @@ __all__ = ["Schedule", "make_punctual"]
 PRIORITY = 80
 #: mlockall(2): what is mapped now and later.
 MCL_CURRENT, MCL_FUTURE = 1, 2
-#: prctl(2): slack of timers [ns]; 50,000 by default, which would show in every period.
-PR_SET_TIMERSLACK, TIMERSLACK_NS = 29, 1_000
+#: prctl(2): slack of timers [ns]; 50,000 by default, which would show in every period, and 0 means that.
+PR_SET_TIMERSLACK, TIMERSLACK_NS = 29, 1
 #: Memory that the servo locks, with room [bytes].
 LOCKED_BYTES = 1 << 30
 
