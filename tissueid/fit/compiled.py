@@ -7,8 +7,9 @@ from typing import Any
 
 from tissueid.likelihood import marginal, partial
 from tissueid.likelihood.cone import cone_least_squares
+from tissueid.likelihood.gram_kernels import places, tiled_grams
 from tissueid.likelihood.instrument_kernels import instrument_force
-from tissueid.likelihood.kernels import fill_design
+from tissueid.likelihood.kernels import fill_powers, fill_states
 from tissueid.likelihood.knot_kernels import accumulate, corner_flags
 from tissueid.likelihood.knot_terms import log_terms, without_effects
 from tissueid.likelihood.lag_kernels import filter_chain, link_rows
@@ -19,7 +20,10 @@ __all__ = ["kernels_to_compile"]
 
 KERNELS: tuple[Any, ...] = (
     branch_state,
-    fill_design,
+    fill_powers,
+    fill_states,
+    tiled_grams,
+    places,
     filter_chain,
     link_rows,
     cone_least_squares,
@@ -30,10 +34,9 @@ KERNELS: tuple[Any, ...] = (
     corner_flags,
     accumulate,
 )
-#: A posterior needs these as well.
+#: A posterior needs these as well; others only where a tissue is close to the edge of what is passive.
 POSTERIOR_KERNELS: tuple[Any, ...] = (
     marginal.log_marginals,
-    marginal.log_peaks,
     marginal.log_shares,
     marginal.conditionals,
     marginal.draw_effects,

@@ -1,4 +1,4 @@
-"""Compiled loops over correlated noise: design rows and their differences, and the filter of a residual."""
+"""Compiled loops over correlated noise: linked design rows, and the filter of rows and of a residual."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ import math
 import numba as nb
 import numpy as np
 from numpy.typing import NDArray
+
+from tissueid.likelihood.gram_kernels import TILE
 
 __all__ = ["filter_chain", "filter_rows", "link_rows"]
 
@@ -17,26 +19,26 @@ SETTLED = 1e-15
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
-def link_rows(group: NDArray[np.int64], rows: FloatArray, change: FloatArray) -> None:
-    """Take the differences of neighbouring design rows.
+def link_rows(rows: FloatArray, place: NDArray[np.int64], before: float, now: float, out: FloatArray) -> None:
+    """Put the same weighted sum of every sample and the one before where the sample's place is.
 
     Parameters
     ----------
-    group : ndarray of int, shape (k,)
-        -1 where a row starts a chain.
-    rows : ndarray, shape (chunk + 1, m)
-        Row ``i + 1`` belongs to ``group[i]``; row 0 is the last row of the chunk before.
-    change : ndarray, shape (chunk + 1, m)
-        Receives ``z_n - z_(n-1)``, zero where a row starts a chain.
+    rows : ndarray, shape (m, chunk + 1)
+        Design rows; column ``i + 1`` belongs to ``place[i]``, column 0 ends the chunk before.
+    place : ndarray of int, shape (k,)
+    before, now : float
+        Weights.
+    out : ndarray, shape (m, samples)
     """
-    m = rows.shape[1]
-    for i in range(group.size):
-        row = rows[i + 1]
-        before = rows[i]
-        difference = change[i + 1]
-        linked = 1.0 if group[i] >= 0 else 0.0
-        for k in range(m):
-            difference[k] = linked * (row[k] - before[k])
+    count = place.size
+    ordered = (place == np.arange(count)).all()
+    for k in range(rows.shape[0]):
+        linked = before * rows[k, :count] + now * rows[k, 1 : count + 1]
+        if ordered:
+            out[k, :count] = linked
+        else:
+            out[k][place] = linked
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
@@ -58,7 +60,7 @@ def filter_rows(
     Parameters
     ----------
     group : ndarray of int, shape (k,)
-        Group of a row's link, -1 where it starts a chain.
+        Group of a sample's link, -1 where it starts a chain.
     rho : ndarray, shape (groups,)
         Correlation of the AR(1) part over the step of each group.
     white : float
@@ -66,30 +68,41 @@ def filter_rows(
     variance : float
         Variance of zeta.
     left : float
-        Variance that the filter leaves after the row before.
+        Variance that the filter leaves after the sample before.
     mean : ndarray, shape (m,)
-        The filter's state after the row before; updated in place.
-    rows : ndarray, shape (chunk + 1, m)
-        Row ``i + 1`` belongs to ``group[i]``; row 0 is the last filtered row of the chunk before.
+        The filter's state after the sample before; updated in place.
+    rows : ndarray, shape (m, chunk + 1)
+        Column ``i + 1`` belongs to ``group[i]``; column 0 is the last filtered one of the chunk before.
 
     Returns
     -------
     float
-        Variance that the filter leaves after the last row.
+        Variance that the filter leaves after the last sample.
     """
-    m = rows.shape[1]
+    weight = np.empty((3, group.size))
     for i in range(group.size):
         r = rho[group[i]] if group[i] >= 0 else 0.0
         expected = r * r * left + (1.0 - white) * (1.0 - r * r)
         gain = expected / (expected + white)
-        scale = math.sqrt(variance * (1.0 - r * r) / (expected + white))
         left = gain * white
-        row = rows[i + 1]
-        before = rows[i]
-        for k in range(m):
-            innovation = row[k] - r * mean[k]
-            mean[k] = r * mean[k] + gain * innovation
-            row[k] = scale * innovation + r * before[k]
+        weight[0, i] = r
+        weight[1, i] = gain
+        weight[2, i] = math.sqrt(variance * (1.0 - r * r) / (expected + white))
+    # four rows at a time: each of them waits for its sample before
+    for k in range(0, mean.size, TILE):
+        row0, row1, row2, row3 = rows[k], rows[k + 1], rows[k + 2], rows[k + 3]
+        m0, m1, m2, m3 = mean[k], mean[k + 1], mean[k + 2], mean[k + 3]
+        for i in range(group.size):
+            r, gain, scale = weight[0, i], weight[1, i], weight[2, i]
+            v0, v1 = row0[i + 1] - r * m0, row1[i + 1] - r * m1
+            v2, v3 = row2[i + 1] - r * m2, row3[i + 1] - r * m3
+            m0, m1 = r * m0 + gain * v0, r * m1 + gain * v1
+            m2, m3 = r * m2 + gain * v2, r * m3 + gain * v3
+            row0[i + 1] = scale * v0 + r * row0[i]
+            row1[i + 1] = scale * v1 + r * row1[i]
+            row2[i + 1] = scale * v2 + r * row2[i]
+            row3[i + 1] = scale * v3 + r * row3[i]
+        mean[k], mean[k + 1], mean[k + 2], mean[k + 3] = m0, m1, m2, m3
     return left
 
 

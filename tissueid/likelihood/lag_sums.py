@@ -10,15 +10,18 @@ A and B are the Gram matrices of the later and of the earlier sample of every li
 distinct sampling step h gives rho = phi^(h / reference step); chains are broken at gaps, at samples that
 take no part, and at event rows.
 
-Over a stretch of links of one step B is A, plus the row before the stretch, less its last row: two matrix
-products a chunk, A and D, make the sums of a log of few rates; where steps alternate B is a third.  Work:
-samples x columns^2 multiply-adds for A and as many for D, memory flat.
+Two products are enough.  With m and d the mean and the difference of the samples of a link the sum is::
+
+    (1 - rho) / (1 + rho) sum m m' + (1 + rho) / (1 - rho) sum d d' / 4 + (A - B) / 2
+
+and A - B telescopes along a chain whatever its steps.  A and B are put together from that: of one
+step they are the Gram matrices above; of several, A - B is shared out among the steps by their links, because
+only its sum counts.  Work: samples x columns^2 / 2 multiply-adds for each product, memory flat.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -26,7 +29,16 @@ from numpy.typing import NDArray
 
 from tissueid.likelihood.basis import KernelBasis
 from tissueid.likelihood.chains import linked_samples
-from tissueid.likelihood.kernels import fill_design
+from tissueid.likelihood.gram_kernels import (
+    LANES,
+    add_grams,
+    chunk_samples,
+    clear_gaps,
+    mirrored,
+    places,
+    tiled_rows,
+)
+from tissueid.likelihood.kernels import fill_powers, fill_states
 from tissueid.likelihood.lag_kernels import filter_rows, link_rows
 from tissueid.likelihood.noise import white_part
 from tissueid.likelihood.step_groups import lag_groups
@@ -36,12 +48,8 @@ __all__ = ["LagSums", "lag_sums"]
 
 FloatArray = NDArray[np.float64]
 
-#: Rows of one matrix product; design rows and differences stay near the second-level cache.
-CHUNK = 640
-#: A chunk with more stretches of equal steps is sorted by step instead.
-MAX_STRETCHES = 8
-#: Rows at the ends of stretches are summed by so many.
-EDGE_ROWS = 256
+#: So many times more samples at a time where they are sorted by step, at most: each step is summed by itself.
+MOST_CHUNKS = 4
 #: Step ratios that agree to so many digits of their logarithm are one.
 RATIO_DIGITS = 9
 
@@ -55,7 +63,7 @@ class LagSums:
     start : ndarray, shape (m, m)
         Gram matrix of the samples that start a chain.
     later, earlier, difference : ndarray, shape (groups, m, m)
-        A, B and D of every distinct step.
+        A, B and D of every distinct step; of several steps A - B counts in the sum alone.
     ratio : ndarray, shape (groups,)
         Step over the reference step.
     links : ndarray of int, shape (groups,)
@@ -137,49 +145,39 @@ class LagSums:
 
 
 class _Totals:
-    """Sums as they grow: ``excess`` is what B has more than A."""
+    """Sums as they grow, in columns filled up to whole tiles."""
 
-    def __init__(self, groups: int, columns: int) -> None:
-        self.start = np.zeros((columns, columns))
-        self.later, self.excess, self.difference = np.zeros((3, groups, columns, columns))
-        self._edges: list[tuple[int, FloatArray, FloatArray]] = []
+    def __init__(self, groups: int, columns: int, samples: int) -> None:
+        self.start, self.end = np.zeros((2, columns, columns))
+        self.middle, self.difference = np.zeros((2, groups, columns, columns))
+        self._linked = np.zeros((columns, samples + LANES * (groups + 1)))
+        self._inside = False
 
-    def add(self, rows: FloatArray, change: FloatArray, group: NDArray[np.int64]) -> None:
-        """Count a chunk in; ``rows`` and ``change`` have one row in front, ``group`` is -1 at starts."""
-        bounds = [0, *(np.flatnonzero(np.diff(group)) + 1).tolist(), group.size]
-        if len(bounds) <= MAX_STRETCHES + 1:
-            for first, last in pairwise(bounds):
-                k = int(group[first])
-                self._add_links(k, rows[first + 1 : last + 1], change[first + 1 : last + 1])
-                if k >= 0:
-                    self._edges.append((k, rows[first].copy(), rows[last].copy()))
-            if len(self._edges) > EDGE_ROWS:
-                self.add_edges()
-            return
-        for k in np.unique(group).tolist():
-            at = np.flatnonzero(group == k)
-            later = self._add_links(k, rows.take(at + 1, axis=0), change.take(at + 1, axis=0))
-            if k >= 0:
-                earlier = rows.take(at, axis=0)
-                self.excess[k] += earlier.T @ earlier - later
+    def add(self, rows: FloatArray, group: NDArray[np.int64]) -> None:
+        """Count a chunk in; ``rows`` has one column in front, ``group`` is -1 at starts."""
+        groups = self.middle.shape[0]
+        starts = np.flatnonzero(group < 0)
+        if starts.size:
+            self.start += _gram(rows[:, starts + 1])
+            # before a start a chain ends, but for the first of all
+            self.end += _gram(rows[:, starts if self._inside else starts[1:]])
+            self._inside = True
+        place, bound = places(np.where(group < 0, groups, group), groups + 1)
+        for before, now, out in ((0.5, 0.5, self.middle), (-1.0, 1.0, self.difference)):
+            link_rows(rows, place, before, now, self._linked)
+            clear_gaps(self._linked, bound)
+            for k in range(groups):
+                stop = -(-bound[k, 1] // LANES) * LANES
+                add_grams(self._linked, rows[0], rows.shape[0], bound[k, 0], stop, out[k : k + 1])
 
-    def _add_links(self, k: int, later: FloatArray, change: FloatArray) -> FloatArray:
-        gram = later.T @ later
-        if k < 0:
-            self.start += gram
-        else:
-            self.later[k] += gram
-            self.difference[k] += change.T @ change
-        return gram
+    def close(self, last: FloatArray) -> None:
+        """Count the last sample of all in as the end of its chain."""
+        if self._inside:
+            self.end += np.outer(last, last)
 
-    def add_edges(self) -> None:
-        """Count the ends of stretches in: the row before one, less its last row."""
-        for k in range(self.excess.shape[0]):
-            ends = np.array([(a, b) for group, a, b in self._edges if group == k])
-            if ends.size:
-                first, last = ends[:, 0], ends[:, 1]
-                self.excess[k] += first.T @ first - last.T @ last
-        self._edges.clear()
+
+def _gram(columns: FloatArray) -> FloatArray:
+    return np.asarray(columns @ columns.T)
 
 
 def lag_sums(
@@ -221,40 +219,53 @@ def lag_sums(
         With ``4 + nodes * (degree + 1) + 1`` columns, at most
         :data:`~tissueid.likelihood.step_groups.MAX_LAG_GROUPS` distinct steps.
     """
-    tau = basis.tau_s
+    nodes = basis.tau_s.size
+    # the last node fills the last tile
+    tau = np.pad(basis.tau_s, (0, tiled_rows(nodes) - nodes), mode="edge")
     step = np.diff(data.time_s, prepend=data.time_s[0])
     tables = step_tables(step, tau, float(data.time_s[-1] - data.time_s[0]))
     linked = linked_samples(data)
     group, mean_s = lag_groups(step, linked)
-    columns = N_STATIC + tau.size * (degree + 1) + 1
-    totals = _Totals(mean_s.size, columns)
+    columns = N_STATIC + nodes * (degree + 1) + 1
+    height = tiled_rows(columns + tau.size - nodes)
+    chunk = chunk_samples(height) * min(max(mean_s.size, 1), MOST_CHUNKS)
+    rows = np.zeros((height, chunk + 1))
+    totals = _Totals(mean_s.size, rows.shape[0], chunk)
     white, variance = white_part(phi, moving_average)
-    rho, left, mean = phi ** (mean_s / reference_step_s), 0.0, np.zeros(columns)
-    state = np.zeros(tau.size)
-    rows, change = np.zeros((2, CHUNK + 1, columns))
-    for first in range(0, step.size, CHUNK):
-        last = min(first + CHUNK, step.size)
-        count = fill_design(
-            data.depth_mm, step, *tables, tau, state, first, last,
-            data.include, data.force_N, degree, rows[1:],
-        )  # fmt: skip
-        if count == 0:
+    rho, left, mean = phi ** (mean_s / reference_step_s), 0.0, np.zeros(rows.shape[0])
+    state, one, order = np.zeros(tau.size), np.ones(step.size), np.arange(chunk)
+    for first in range(0, step.size, chunk):
+        last = min(first + chunk, step.size)
+        inside = group[first:last][data.include[first:last]]
+        used = inside.size
+        after = rows[:, 1 : used + 1]
+        fill_powers(one, data.depth_mm, first, last, data.include, order, rows[:N_STATIC, 1:])
+        fill_states(
+            data.depth_mm, step, *tables, tau, state, first, last, data.include, order, rows[N_STATIC:, 1:]
+        )
+        for power in range(1, degree + 1):
+            block = N_STATIC + power * nodes
+            np.multiply(after[block - nodes : block], after[1], out=after[block : block + nodes])
+        after[columns - 1] = data.force_N[first:last][data.include[first:last]]
+        if used == 0:
             continue
         if center is not None:
-            rows[1 : count + 1, -1] -= rows[1 : count + 1, :-1] @ center
-        inside = group[first:last][data.include[first:last]]
+            after[columns - 1] -= center @ after[: columns - 1]
         if white > 0.0:
             left = filter_rows(inside, rho, white, variance, left, mean, rows)
-        link_rows(inside, rows, change)
-        totals.add(rows[: count + 1], change[: count + 1], inside)
-        rows[0] = rows[count]
-    totals.add_edges()
+        totals.add(rows[:, : used + 1], inside)
+        rows[:, 0] = rows[:, used]
+    totals.close(rows[:, 0])
     links = np.bincount(group[linked], minlength=mean_s.size)
+    keep = slice(columns), slice(columns)
+    middle, difference = (mirrored(part)[:, *keep] for part in (totals.middle, totals.difference))
+    mean_square = middle + 0.25 * difference
+    excess = np.multiply.outer(links / max(links.sum(), 1), 0.5 * (totals.end - totals.start)[keep])
     return LagSums(
-        start=totals.start,
-        later=totals.later,
-        earlier=totals.later + totals.excess,
-        difference=totals.difference,
+        start=totals.start[keep].copy(),
+        later=mean_square + excess,
+        earlier=mean_square - excess,
+        difference=difference.copy(),
         ratio=mean_s / reference_step_s,
         links=links.astype(np.int64),
         chains=int(data.include.sum() - links.sum()),

@@ -50,8 +50,8 @@ def lag_groups(step_s: FloatArray, linked: NDArray[np.bool_]) -> tuple[NDArray[n
         group[linked] = 0
         return group, np.array([steps.mean()])
     place = np.log(steps / shortest) / BIN
-    filled, bin_of = np.unique(np.floor(place + 0.5).astype(np.int64), return_inverse=True)
-    del filled
+    bins = np.floor(place + 0.5).astype(np.int64)
+    bin_of = (np.cumsum(np.bincount(bins) > 0) - 1)[bins]
     links = np.bincount(bin_of).astype(np.float64)
     mean = np.bincount(bin_of, weights=steps) / links
     member, mean = _merge(links, mean)

@@ -4,7 +4,9 @@ The model is linear in all but the relaxation times, and the branch state of any
 weighted sum of the states at the nodes of a :class:`~tissueid.likelihood.basis.KernelBasis`.  The
 Gram matrix of ``[1, x, x^2, x^3, s_k x^p, force]`` therefore holds the sum of squared residuals of
 every candidate model; its size does not depend on the number of samples, and logs are merged by
-adding.  Work: samples x columns^2, done by one matrix product a chunk, memory flat.
+adding.  The columns s_k x^p are one set of states times powers of x: all their products are the Gram
+matrices ``sum x^q s_k s_l`` for q up to twice the degree.  Work: samples x nodes^2 / 2 multiply-adds
+for each of them, memory flat.
 """
 
 from __future__ import annotations
@@ -16,7 +18,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.likelihood.basis import KernelBasis
-from tissueid.likelihood.kernels import fill_design
+from tissueid.likelihood.gram_kernels import (
+    LANES,
+    add_grams,
+    chunk_samples,
+    clear_gaps,
+    mirrored,
+    places,
+    tiled_rows,
+)
+from tissueid.likelihood.kernels import fill_powers, fill_states
 
 __all__ = ["N_STATIC", "LogData", "LogSums", "StepTables", "log_sums", "reduction", "step_tables"]
 
@@ -24,8 +35,6 @@ FloatArray = NDArray[np.float64]
 
 #: Static columns 1, x, x^2, x^3: the constant is there because a shifted cubic has one.
 N_STATIC = 4
-#: Rows of one matrix product; twice what the blocking of common BLAS libraries takes at once.
-CHUNK = 640
 #: More distinct sampling steps than this are an irregular clock.
 MAX_STEP_GROUPS = 256
 #: Distance in ln(step) of the steps that are tabulated for it: exp(-dh/tau) then is a polynomial of degree 5
@@ -108,9 +117,12 @@ def step_tables(step_s: FloatArray, tau_s: FloatArray, duration_s: float) -> Ste
         step_s = step_s.copy()
         step_s[0] = step_s[1]
     else:
-        keys, group = np.unique(np.round(step_s / resolution), return_inverse=True)
-    if keys.size > MAX_STEP_GROUPS:
-        return _irregular_tables(step_s, tau_s)
+        rounded = np.round(step_s / resolution)
+        ordered = np.sort(rounded)
+        keys = ordered[np.append(True, np.diff(ordered) > 0.0)]
+        if keys.size > MAX_STEP_GROUPS:
+            return _irregular_tables(step_s, tau_s)
+        group = np.searchsorted(keys, rounded)
     mean = np.bincount(group, weights=step_s) / np.bincount(group)
     ratio = mean[:, None] / tau_s
     positive = ratio > 0.0
@@ -127,7 +139,9 @@ def _irregular_tables(step_s: FloatArray, tau_s: FloatArray) -> StepTables:
     """Tables at steps :data:`NEAR_STEP` apart in ln(step), from which the weights of any step follow."""
     shortest = float(step_s[step_s > 0.0].min())
     place = np.log(np.maximum(step_s, shortest) / shortest) / NEAR_STEP
-    filled, group = np.unique(np.round(place).astype(np.int64), return_inverse=True)
+    bins = np.round(place).astype(np.int64)
+    occupied = np.bincount(bins) > 0
+    filled, group = np.flatnonzero(occupied), (np.cumsum(occupied) - 1)[bins]
     centre = shortest * np.exp(filled * NEAR_STEP)
     ratio = centre[:, None] / tau_s
     return StepTables(
@@ -153,31 +167,48 @@ def log_sums(data: LogData, basis: KernelBasis, *, degree: int) -> LogSums:
     LogSums
         With ``4 + nodes * (degree + 1) + 1`` columns.
     """
-    tau = basis.tau_s
-    n = data.time_s.size
+    nodes, n = basis.tau_s.size, data.time_s.size
+    # the last node fills the last tile
+    tau = np.pad(basis.tau_s, (0, tiled_rows(nodes) - nodes), mode="edge")
     step = np.diff(data.time_s, prepend=data.time_s[0])
     tables = step_tables(step, tau, float(data.time_s[-1] - data.time_s[0]))
-    columns = N_STATIC + tau.size * (degree + 1) + 1
     folds = int(data.fold.max()) + 1
-    gram = np.zeros((folds, columns, columns))
     count = np.bincount(data.fold[data.include], minlength=folds).astype(np.int64)
-    state = np.zeros(tau.size)
-    chunk = np.empty((CHUNK, columns))
-    for first in range(0, n, CHUNK):
-        last = min(first + CHUNK, n)
-        rows = fill_design(
-            data.depth_mm, step, *tables, tau, state, first, last,
-            data.include, data.force_N, degree, chunk,
-        )  # fmt: skip
-        block = chunk[:rows]
-        if folds == 1:
-            gram[0] += block.T @ block
-        else:
-            fold = data.fold[first:last][data.include[first:last]]
-            for index in np.unique(fold):
-                part = block[fold == index]
-                gram[index] += part.T @ part
+    plain = tiled_rows(N_STATIC + 1 + 2 * degree)
+    chunk = chunk_samples(plain + tau.size)
+    rows = np.zeros((plain + tau.size, chunk + LANES * folds))
+    moments = np.zeros((folds, 2 * degree + 1, rows.shape[0], rows.shape[0]))
+    force = N_STATIC + degree
+    state, one = np.zeros(tau.size), np.ones(n)
+    for first in range(0, n, chunk):
+        last = min(first + chunk, n)
+        place, bound = places(data.fold[first:last][data.include[first:last]], folds)
+        for value, at in ((one, slice(0, force)), (data.force_N, slice(force, force + degree + 1))):
+            fill_powers(value, data.depth_mm, first, last, data.include, place, rows[at])
+        fill_states(data.depth_mm, step, *tables, tau, state, first, last, data.include, place, rows[plain:])
+        clear_gaps(rows, bound)
+        for index, (start, stop) in enumerate(bound):
+            add_grams(rows, rows[1], plain, start, -(-stop // LANES) * LANES, moments[index])
+    gram = _of_columns(mirrored(moments), plain, nodes, degree)
     return LogSums(gram=gram, count=count, degree=degree)
+
+
+def _of_columns(moments: FloatArray, plain: int, nodes: int, degree: int) -> FloatArray:
+    """Gram matrix of ``[1, x, x^2, x^3, s_k x^p, force]`` from the moments; shape (folds, m, m)."""
+    force = N_STATIC + degree
+    power = np.repeat(np.arange(degree + 1), nodes)
+    node = plain + np.tile(np.arange(nodes), degree + 1)
+    static = np.append(np.arange(N_STATIC), force)
+    outer = np.append(np.arange(N_STATIC), N_STATIC + node.size + np.zeros(1, dtype=np.int64))
+    inner = N_STATIC + np.arange(node.size)
+    size = N_STATIC + node.size + 1
+    gram = np.empty((moments.shape[0], size, size))
+    gram[:, outer[:, None], outer] = moments[:, 0][:, static[:, None], static]
+    across = moments[:, 0][:, static[:, None] + power, node]
+    gram[:, outer[:, None], inner] = across
+    gram[:, inner[:, None], outer] = np.swapaxes(across, 1, 2)
+    gram[:, inner[:, None], inner] = moments[:, power[:, None] + power, node[:, None], node]
+    return gram
 
 
 def reduction(basis: KernelBasis, log_tau: FloatArray, *, degree: int, columns_degree: int) -> FloatArray:
