@@ -150,7 +150,7 @@ def test_a_scale_beyond_the_passivity_bound_is_refused_with_the_numbers(bundle: 
         (("--script", "indent 2 mm at 250 mm/min; switch"), "retract first"),
         (("--quantile", "2"), "must lie within 0 and 1"),
         (("--draw", "4000"), "draws 0 to 39"),
-        (("--quantile", "0.5", "--draw", "1"), "not both"),
+        (("--quantile", "0.5", "--draw", "1"), "give one of"),
         (("--quantile", "0.5", "--of", "stiffness"), "is not understood"),
         (("--quantile", "0.5", "--of", "force at 20 mm, 250 mm/min"), "deeper than"),
         (("--device", "nope"), "no device named"),

@@ -27,6 +27,7 @@ Examples:
   tissueid render bundle.h5 --quantile 0.975 --of "force at 6 mm, 250 mm/min"
   tissueid render a.h5 --against b.h5 --blind --log P17.h5
   tissueid render bundle.h5 --replay out.h5
+  tissueid render out/population.h5 --draw-specimen 7
 """
 
 _FILE = click.Path(dir_okay=False, path_type=Path)
@@ -35,6 +36,8 @@ _FILE = click.Path(dir_okay=False, path_type=Path)
 _TISSUE = (
     click.option("--preset", metavar="NAME", help="A tissue that comes along: paper-a, meat."),
     click.option("--draw", type=int, metavar="N", help="Feel posterior draw N instead of the fitted values."),
+    click.option("--draw-specimen", metavar="[SEED]", is_flag=False, flag_value="new",
+                 help="Feel a specimen drawn from a population.h5; without a seed another each time."),
     click.option("--quantile", type=float, metavar="Q", help="Feel the draw nearest this quantile of --of."),
     click.option("--of", metavar="TEXT", default="force at 6 mm, 250 mm/min", show_default=True,
                  help="Which number the quantile, and the comparison of two tissues, is of."),
@@ -172,6 +175,7 @@ def _asked(flags: dict[str, Any]) -> RenderOptions:
         bundle=flags["bundle"],
         preset=flags["preset"],
         draw=flags["draw"],
+        draw_specimen=flags["draw_specimen"],
         quantile=flags["quantile"],
         of=flags["of"],
         against=flags["against"],

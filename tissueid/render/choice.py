@@ -22,12 +22,14 @@ from tissueid.store.bundle import Bundle
 
 __all__ = [
     "DEFAULT_FUNCTIONAL",
+    "NEW_SPECIMEN",
     "Functional",
     "Picked",
     "as_tissue",
     "noticeable_ratio",
     "parse_functional",
     "pick_draw",
+    "pick_specimen",
     "pick_quantile",
 ]
 
@@ -67,6 +69,8 @@ class Functional:
 
 
 DEFAULT_FUNCTIONAL = "force at 6 mm, 250 mm/min"
+#: What ``--draw-specimen`` means without a number.
+NEW_SPECIMEN = "new"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,6 +151,37 @@ def pick_draw(bundle: Bundle, number: int) -> Picked:
         msg = f"--draw {number}: the bundle has draws 0 to {len(draws) - 1}"
         raise UsageError(msg)
     return Picked(as_tissue(bundle, draws[number]), number, f"posterior draw {number} of {len(draws)}")
+
+
+def pick_specimen(bundle: Bundle, seed: str) -> Picked:
+    """One specimen drawn from a population.
+
+    Parameters
+    ----------
+    bundle : Bundle
+        Of a population.
+    seed : str
+        A whole number; :data:`NEW_SPECIMEN` takes another one each time, which ``why`` tells.
+
+    Raises
+    ------
+    UsageError
+        The bundle is of one specimen, or the seed no number.
+    """
+    if not bundle.is_population:
+        msg = (
+            f"--draw-specimen: the bundle of {bundle.specimen} holds one specimen; `tissueid cohort OUT` writes "
+            "population.h5, and --draw chooses among what is known of one"
+        )
+        raise UsageError(msg)
+    draws = _draws(bundle, "--draw-specimen")
+    if seed != NEW_SPECIMEN and not (seed.isascii() and seed.isdigit()):
+        msg = f"--draw-specimen {printable(seed)!r}: the seed is a whole number, or nothing for a new one"
+        raise UsageError(msg)
+    known = int(np.random.SeedSequence().generate_state(1)[0]) if seed == NEW_SPECIMEN else int(seed)
+    number = int(np.random.default_rng(known).integers(len(draws)))
+    why = f"specimen {number} of {len(draws)} drawn from the {bundle.specimen} (--draw-specimen {known})"
+    return Picked(as_tissue(bundle, draws[number]), number, why)
 
 
 def pick_quantile(bundle: Bundle, quantile: float, functional: Functional) -> Picked:

@@ -20,6 +20,8 @@ class RenderOptions:
     ----------
     bundle : Path or None
     preset : str or None
+    draw_specimen : str or None
+        Seed of a specimen drawn from a population, or ``new``.
     draw, quantile, of
         Which tissue of the bundle's posterior.
     against, against_draw, against_quantile
@@ -52,6 +54,7 @@ class RenderOptions:
     bundle: Path | None = None
     preset: str | None = None
     draw: int | None = None
+    draw_specimen: str | None = None
     quantile: float | None = None
     of: str = DEFAULT_FUNCTIONAL
     against: Path | None = None

@@ -25,6 +25,7 @@ from tissueid.render.choice import (
     noticeable_ratio,
     parse_functional,
     pick_draw,
+    pick_specimen,
     pick_quantile,
 )
 from tissueid.render.contact_geometry import parse_surface, place_surface, surface_remarks, travel_behind
@@ -122,15 +123,15 @@ def _tissues(
         msg = "give a bundle, or --preset, and not both: tissueid render bundle.h5"
         raise UsageError(msg)
     if options.preset is not None:
-        if options.draw is not None or options.quantile is not None:
-            msg = "--draw and --quantile choose among a bundle's posterior draws; a preset has none"
+        if (options.draw, options.quantile, options.draw_specimen) != (None, None, None):
+            msg = "--draw, --quantile and --draw-specimen choose among a bundle's draws; a preset has none"
             raise UsageError(msg)
         first = Picked(preset_tissue(options.preset), None, f"preset {options.preset}")
         bundle = None
     else:
         assert options.bundle is not None  # noqa: S101 -- one of the two is given
         bundle = load_bundle(options.bundle)
-        first = _pick(bundle, options.draw, options.quantile, functional)
+        first = _pick(bundle, options.draw, options.quantile, functional, options.draw_specimen)
     compared = (options.against, options.against_draw, options.against_quantile)
     if all(one is None for one in compared):
         return (first,), (_digest(options.bundle),)
@@ -142,15 +143,24 @@ def _tissues(
     return (first, second), (_digest(options.bundle), _digest(options.against or options.bundle))
 
 
-def _pick(bundle: Bundle, draw: int | None, quantile: float | None, functional: Functional) -> Picked:
-    if draw is not None and quantile is not None:
-        msg = "give --draw or --quantile, not both"
+def _pick(
+    bundle: Bundle,
+    draw: int | None,
+    quantile: float | None,
+    functional: Functional,
+    specimen: str | None = None,
+) -> Picked:
+    if [draw, quantile, specimen].count(None) < 2:
+        msg = "give one of --draw, --quantile and --draw-specimen"
         raise UsageError(msg)
+    if specimen is not None:
+        return pick_specimen(bundle, specimen)
     if draw is not None:
         return pick_draw(bundle, draw)
     if quantile is not None:
         return pick_quantile(bundle, quantile, functional)
-    return Picked(as_tissue(bundle), None, "the fitted values")
+    why = "the typical tissue of the population" if bundle.is_population else "the fitted values"
+    return Picked(as_tissue(bundle), None, why)
 
 
 def _digest(path: Path | None) -> str | None:

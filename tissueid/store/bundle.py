@@ -7,8 +7,10 @@ Layout (schema version 1)::
     |-- document     JSON text, schemas/bundle.schema.json
     |-- theta        (p,)    float64   parameters of the contact model, in the order of theta_names
     |-- covariance   (p, p)  float64   of the posterior where one was sampled, else of the optimum
-    `-- draws        (n, p)  float64   only where a posterior was sampled; every row is passive
+    |-- draws        (n, p)  float64   only where a posterior was sampled; every row is passive
+    `-- population_mean, population_sd  (m, p)  of a population only: draws of mean and spread of ln quantities
 
+The draws of a population's bundle are specimens drawn from it; its covariance is theirs.
 Equal contents give equal bytes: no time stamps, no version of the library that wrote it.  The content
 hash covers the document and every number, so that an edited file is told from a written one; it is a
 seal against accidents, not a signature.  A group ``specimen`` may stand beside them: what else a run knows of
@@ -53,8 +55,8 @@ FloatArray = NDArray[np.float64]
 BUNDLE_SCHEMA_VERSION = 1
 _FORMAT = "tissueid/bundle"
 _DOCUMENT = "document"
-_ARRAYS = ("theta", "covariance", "draws")
-_OPTIONAL = frozenset({"draws"})
+_OPTIONAL = ("draws", "population_mean", "population_sd")
+_ARRAYS = ("theta", "covariance", *_OPTIONAL)
 #: What a run keeps beside a bundle in the same file.
 SPECIMEN_GROUP = "specimen"
 _UNITS = Axes().as_json()
@@ -63,15 +65,8 @@ MOST_DRAWS = 2_000
 
 #: What libhdf5 and h5py raise on a file that is cut, overwritten or made by hand.
 HDF5_ERRORS = (
-    OSError,
-    KeyError,
-    ValueError,
-    TypeError,
-    RuntimeError,
-    AttributeError,
-    OverflowError,
-    MemoryError,
-)
+    OSError, KeyError, ValueError, TypeError, RuntimeError, AttributeError, OverflowError, MemoryError
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,7 +94,9 @@ class Bundle:
     provenance : mapping
         Input hashes, versions, options, seed.
     draws : ndarray, shape (n, p), or None
-        Posterior draws of theta.
+        Posterior draws of theta; of a population, specimens drawn from it.
+    population_mean, population_sd : ndarray, shape (m, p), or None
+        In the coordinates of :mod:`tissueid.population.coordinates`.
     rupture : None
         Reserved for a rupture law.
     units : mapping
@@ -119,6 +116,8 @@ class Bundle:
     flags: tuple[Mapping[str, Any], ...]
     provenance: Mapping[str, Any]
     draws: FloatArray | None = None
+    population_mean: FloatArray | None = None
+    population_sd: FloatArray | None = None
     rupture: None = None
     units: Mapping[str, str] = field(default_factory=lambda: dict(_UNITS))
     schema_version: int = BUNDLE_SCHEMA_VERSION
@@ -130,6 +129,11 @@ class Bundle:
                 array = np.array(values, dtype=np.float64, copy=True)
                 array.flags.writeable = False
                 object.__setattr__(self, name, array)
+
+    @property
+    def is_population(self) -> bool:
+        """Whether its draws are specimens of a population, and not what is known of one."""
+        return self.population_mean is not None
 
     def contact_model(self) -> ContactModel:
         """Build the contact model these parameters belong to, as it was fitted."""
@@ -334,7 +338,7 @@ def _read(path: Path) -> tuple[bytes, dict[str, FloatArray], dict[str, Any]]:
         if attributes.get("format") != _FORMAT:
             msg = f"its format is {attributes.get('format')!r}, not {_FORMAT!r}"
             raise ValueError(msg)
-        missing = {_DOCUMENT, *_ARRAYS} - _OPTIONAL - names
+        missing = {_DOCUMENT, *_ARRAYS} - set(_OPTIONAL) - names
         unknown = names - {_DOCUMENT, *_ARRAYS}
         if missing or unknown:
             msg = f"data sets missing: {sorted(missing)}, unknown: {sorted(unknown)}"
@@ -380,6 +384,8 @@ def _from_document(document: Mapping[str, Any], arrays: Mapping[str, FloatArray]
         flags=tuple(document["flags"]),
         provenance=document["provenance"],
         draws=arrays.get("draws"),
+        population_mean=arrays.get("population_mean"),
+        population_sd=arrays.get("population_sd"),
         units=document["units"],
     )
 

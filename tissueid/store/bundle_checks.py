@@ -25,7 +25,14 @@ def array_problem(bundle: Bundle) -> str | None:
     shapes: Sequence[tuple[str, FloatArray | None, tuple[int, ...]]] = (
         ("theta", bundle.theta, (size,)),
         ("covariance", bundle.covariance, (size, size)),
-        ("draws", bundle.draws, (-1 if bundle.draws is None else len(bundle.draws), size)),
+        *(
+            (name, array, (-1 if array is None else len(array), size))
+            for name, array in (
+                ("draws", bundle.draws),
+                ("population_mean", bundle.population_mean),
+                ("population_sd", bundle.population_sd),
+            )
+        ),
     )
     for name, array, shape in shapes:
         if array is None:
