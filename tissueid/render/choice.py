@@ -29,8 +29,8 @@ __all__ = [
     "noticeable_ratio",
     "parse_functional",
     "pick_draw",
-    "pick_specimen",
     "pick_quantile",
+    "pick_specimen",
 ]
 
 FloatArray = NDArray[np.float64]
@@ -170,8 +170,8 @@ def pick_specimen(bundle: Bundle, seed: str) -> Picked:
     """
     if not bundle.is_population:
         msg = (
-            f"--draw-specimen: the bundle of {bundle.specimen} holds one specimen; `tissueid cohort OUT` writes "
-            "population.h5, and --draw chooses among what is known of one"
+            f"--draw-specimen: the bundle of {bundle.specimen} holds one specimen; `tissueid cohort OUT` "
+            "writes population.h5, and --draw chooses among what is known of one"
         )
         raise UsageError(msg)
     draws = _draws(bundle, "--draw-specimen")

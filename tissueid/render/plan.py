@@ -25,8 +25,8 @@ from tissueid.render.choice import (
     noticeable_ratio,
     parse_functional,
     pick_draw,
-    pick_specimen,
     pick_quantile,
+    pick_specimen,
 )
 from tissueid.render.contact_geometry import parse_surface, place_surface, surface_remarks, travel_behind
 from tissueid.render.options import RenderOptions

@@ -8,7 +8,7 @@ Layout (schema version 1)::
     |-- theta        (p,)    float64   parameters of the contact model, in the order of theta_names
     |-- covariance   (p, p)  float64   of the posterior where one was sampled, else of the optimum
     |-- draws        (n, p)  float64   only where a posterior was sampled; every row is passive
-    `-- population_mean, population_sd  (m, p)  of a population only: draws of mean and spread of ln quantities
+    `-- population_mean, population_sd  (m, p)  of a population: draws of mean and spread of ln quantities
 
 The draws of a population's bundle are specimens drawn from it; its covariance is theirs.
 Equal contents give equal bytes: no time stamps, no version of the library that wrote it.  The content
