@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -201,14 +200,3 @@ def _population(
         repeatability=repeatability(members, sd[:, STATIC_AT_DEPTH], rng),
         sizes=size_rows(coordinates.names, sd, np.asarray(own_sd, dtype=np.float64)),
     )
-
-
-def as_mapping(options: CohortOptions) -> Mapping[str, Any]:
-    """Options as population.json keeps them."""
-    return {
-        "group_by": options.group_by,
-        "covariates": list(options.covariates),
-        "tails": options.sampler.tails,
-        "seed": options.sampler.seed,
-        "priors": options.priors.as_json(),
-    }

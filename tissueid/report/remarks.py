@@ -19,13 +19,14 @@ LEVELS = ("ok", "note", "caution", "serious")
 _SERIOUS = frozenset(
     {"not_converged", "optimisers_disagree", "single_speed", "no_contact", "clipped_force", "no_decimals"}
     | {"quantised_force", "too_few_samples", "no_ramp", "misfit"}
+    | {"speed_confounded", "population_not_converged"}
 )
 #: Flags that only state what was assumed.
 _REMARKS = frozenset(
     {"column_choice", "units_assumed", "undecoded_text", "rows_skipped", "cut_row", "event_rows"}
     | {"compliance_unknown", "no_hold", "cyclic", "several_steps", "starts_in_contact", "preload"}
     | {"normalised_axes", "load_limit_stop", "preconditioned", "decision_overridden", "frame_corrected"}
-    | {"model_undecided", "calibration_dominates"}
+    | {"model_undecided", "calibration_dominates", "likelihood_smoothed", "draws_floored"}
 )
 
 #: Code -> what it is about, without a verb.
@@ -98,6 +99,13 @@ REMARK_TITLES: Mapping[str, str] = MappingProxyType(
         "model_undecided": "Choice of the model",
         "calibration_dominates": "Calibration",
         "prior_dominated": "Prior",
+        "speed_confounded": "Speed and specimen",
+        "population_not_converged": "Convergence",
+        "specimen_outlier": "Outliers",
+        "likelihood_smoothed": "Smoothed likelihood",
+        "draws_floored": "Zero force",
+        "population_not_passive": "Passivity",
+        "covariate_missing": "Missing covariate",
         "compliance_unknown": "Machine",
     }
 )

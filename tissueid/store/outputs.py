@@ -238,6 +238,11 @@ class OutputSet:
         """Write one file of the set."""
         write_file(self.path(name), content)
 
+    @property
+    def previous_names(self) -> tuple[str, ...]:
+        """Public names of the current set, which this one will replace."""
+        return () if self._previous is None else tuple(self._previous.files)
+
     def carry_over(self, names: Iterable[str] | None = None) -> None:
         """Take files of the current set into this one as they are (all of them by default)."""
         if self._previous is None:

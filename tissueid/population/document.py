@@ -1,0 +1,231 @@
+"""A cohort as ``population.json`` and ``population.h5``, and the specimens of a finished fit as a cohort."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from tissueid import __version__
+from tissueid.model.kelvin_voigt import KEY, STATIC_DEGREE
+from tissueid.population.cohort import CohortFit, CohortOptions, Population
+from tissueid.population.members import Member, TrialRow
+from tissueid.population.sampler import ESS_A_CHAIN, R_HAT
+from tissueid.priors import PopulationPriors, SpreadPrior
+from tissueid.result import Estimate, ModelChoice
+from tissueid.store.bundle import Bundle
+from tissueid.store.curves import TrialCurve
+from tissueid.store.posteriors import StoredPosterior
+
+__all__ = ["as_document", "members_of", "population_bundle", "population_priors"]
+
+#: Draws of mean and spread that a bundle keeps.
+KEPT_DRAWS = 4000
+_NO_UNITS: Mapping[str, str] = {"length": "mm", "force": "N", "time": "s"}
+
+
+def members_of(
+    document: Mapping[str, Any], curves: Sequence[TrialCurve], posteriors: Sequence[StoredPosterior]
+) -> tuple[Member, ...]:
+    """The specimens of a finished fit.
+
+    Parameters
+    ----------
+    document : mapping
+        identification.json.
+    curves : sequence of TrialCurve
+    posteriors : sequence of StoredPosterior
+    """
+    study = document["study"] or {"specimens": [], "trials": [], "study": {}}
+    covariates = {row["specimen"]: dict(row) for row in study["specimens"]}
+    trials = {(row["path"], row["sheet"]): row for row in study["trials"]}
+    drawn = {one.specimen: one for one in posteriors}
+    curve = {(one.specimen, one.path, one.sheet): one.curve for one in curves}
+    members = []
+    for entry in document["specimens"]:
+        name, posterior = entry["specimen"], drawn.get(entry["specimen"])
+        known = {"operator": study["study"].get("operator")} | covariates.get(name, {})
+        known.pop("specimen", None)
+        rows = []
+        for trial in entry["trials"]:
+            said = trials.get((trial["path"], trial["sheet"]), {})
+            rows.append(
+                TrialRow(
+                    path=trial["path"],
+                    sheet=trial["sheet"],
+                    gain=trial["gain"],
+                    speed_mm_s=trial["speed_mm_s"],
+                    depth_mm=trial["depth_mm"],
+                    run=said.get("run"),
+                    site=said.get("site"),
+                    curve=curve.get((name, trial["path"], trial["sheet"])),
+                )
+            )
+        validity = entry["validity"]
+        slowest, fastest = validity["speeds_mm_s"]
+        members.append(
+            Member(
+                specimen=name,
+                model=ModelChoice(**entry["model"]),
+                depth_mm=validity["depth_mm"],
+                draws=np.empty((0, 0)) if posterior is None else posterior.draws,
+                log_prior=None if posterior is None else posterior.log_prior,
+                draws_total=None if posterior is None else posterior.draws_total,
+                covariates=known,
+                trials=tuple(rows),
+                speeds_mm_s=(slowest, fastest),
+                tip_radius_mm=validity["tip_radius_mm"],
+                sigma_N=entry["sigma_N"],
+                units=entry["units"],
+            )
+        )
+    return tuple(members)
+
+
+def population_priors(document: Mapping[str, Any]) -> PopulationPriors:
+    """Priors of the population as the study stated them, defaults where it is silent."""
+    stated = (document["study"] or {}).get("population")
+    if stated is None:
+        return PopulationPriors()
+    return PopulationPriors(
+        mean_sd=stated["mean_sd"],
+        effect_sd=stated["effect_sd"],
+        between=SpreadPrior(**stated["between"]),
+        level=SpreadPrior(**stated["level"]),
+        correlation_shape=stated["correlation_shape"],
+        tail_shape=stated["tails"]["shape"],
+        tail_rate=stated["tails"]["rate"],
+    )
+
+
+def as_document(fit: CohortFit, options: CohortOptions, *, source: str) -> dict[str, Any]:
+    """The document of ``schemas/population.schema.json``.
+
+    Parameters
+    ----------
+    fit : CohortFit
+    options : CohortOptions
+    source : str
+        SHA-256 of the identification.json it was made from.
+    """
+    found = fit.population
+    return {
+        "schema": "tissueid/population/1",
+        "specimens_used": [one.specimen for one in fit.members],
+        "left_out": [one.as_json() for one in fit.left_out],
+        "reason": fit.reason,
+        "population": None if found is None else _population(found),
+        "agreement": None if fit.agreement is None else fit.agreement.as_json(),
+        "order": None if fit.order is None else fit.order.as_json(),
+        "confounding": None if fit.confounding is None else fit.confounding.as_json(),
+        "flags": [flag.as_json() for flag in fit.flags],
+        "provenance": {
+            "tissueid": __version__,
+            "identification_sha256": source,
+            "group_by": options.group_by,
+            "covariates": list(options.covariates),
+            "tails": options.sampler.tails,
+            "seed": options.sampler.seed,
+            "priors": options.priors.as_json(),
+        },
+    }
+
+
+def _population(found: Population) -> dict[str, Any]:
+    coordinates, draws = found.coordinates, found.draws
+    heavy = bool(np.isfinite(draws.nu).all())
+    correlation = np.median(draws.correlation.reshape(-1, coordinates.size, coordinates.size), axis=0)
+    low, high = np.quantile(draws.nu, [0.025, 0.975]) if heavy else (0.0, 0.0)
+    return {
+        "model": {"branches": coordinates.branches, "stiffness_degree": coordinates.stiffness_degree},
+        "depth_mm": coordinates.depth_mm,
+        "quantities": [row.as_json() for row in found.quantities],
+        "correlation": np.clip(correlation, -1.0, 1.0).tolist(),
+        "degrees_of_freedom": (
+            {"median": float(np.median(draws.nu)), "ci95": [float(low), float(high)]} if heavy else None
+        ),
+        "groups": list(found.described.groups),
+        "effects": [row.as_json() for row in found.effects],
+        "specimens": [row.as_json() for row in found.specimens],
+        "repeatability": None if found.repeatability is None else found.repeatability.as_json(),
+        "held_out": None if found.held_out is None else found.held_out.as_json(),
+        "cohort_size": [row.as_json() for row in found.sizes],
+        "predictive": {
+            "specimens": len(found.predictive.theta),
+            "refused": found.predictive.refused,
+            "typical_is_drawn": found.predictive.typical_is_drawn,
+        },
+        "sampler": {
+            "converged": draws.converged,
+            "chains": int(draws.nu.shape[0]),
+            "sweeps": int(draws.nu.shape[1]),
+            "r_hat": max(one.r_hat for one in draws.diagnostics.values()),
+            "r_hat_wanted": R_HAT,
+            "ess": min(min(one.ess_bulk, one.ess_tail) for one in draws.diagnostics.values()),
+            "ess_wanted": ESS_A_CHAIN * draws.nu.shape[0],
+        },
+    }
+
+
+def population_bundle(fit: CohortFit, document: Mapping[str, Any]) -> Bundle | None:
+    """The population as a bundle: typical tissue, covariance between specimens, specimens drawn from it.
+
+    Parameters
+    ----------
+    fit : CohortFit
+    document : mapping
+        From :func:`as_document`.
+
+    Returns
+    -------
+    Bundle or None
+        ``None`` without a population, or where hardly any drawn specimen is passive.
+    """
+    found = fit.population
+    if found is None or len(found.predictive.theta) < 2:
+        return None
+    coordinates, theta = found.coordinates, found.predictive.theta
+    rows = np.linspace(0, len(found.draws.mean) - 1, min(KEPT_DRAWS, len(found.draws.mean))).astype(int)
+    mean = found.draws.mean[rows]
+    # t tails of few degrees of freedom have no variance: the covariance is that of the central 99 %
+    low, high = np.quantile(theta, [0.005, 0.995], axis=0)
+    spread = coordinates.to_theta(mean).std(axis=0)
+    tips = {one.tip_radius_mm for one in fit.members}
+    return Bundle(
+        specimen=f"population of {len(fit.members)} specimens",
+        model=ModelChoice(KEY, coordinates.branches, STATIC_DEGREE, coordinates.stiffness_degree, "shared"),
+        theta_names=coordinates.model.parameter_names,
+        theta=found.predictive.typical,
+        covariance=np.cov(np.clip(theta, low, high), rowvar=False),
+        parameters=tuple(
+            Estimate(spec.name, spec.symbol, spec.unit, float(value), float(error), identified=True)
+            for spec, value, error in zip(
+                coordinates.model.parameters, found.predictive.typical, spread, strict=True
+            )
+        ),
+        depth_mm=coordinates.depth_mm,
+        speeds_mm_s=(
+            min(one.speeds_mm_s[0] for one in fit.members),
+            max(one.speeds_mm_s[1] for one in fit.members),
+        ),
+        tip_radius_mm=tips.pop() if len(tips) == 1 else None,
+        sigma_N=float(np.median([one.sigma_N for one in fit.members])),
+        flags=tuple(document["flags"]),
+        provenance=_provenance(document),
+        draws=theta,
+        population_mean=mean,
+        population_sd=found.draws.sd.reshape(-1, coordinates.size)[rows],
+        units=dict(fit.members[0].units) or dict(_NO_UNITS),
+    )
+
+
+def _provenance(document: Mapping[str, Any]) -> dict[str, Any]:
+    said = document["provenance"]
+    options = {key: said[key] for key in ("group_by", "covariates", "tails", "seed", "priors")}
+    return {
+        "tissueid": said["tissueid"],
+        "versions": {},
+        "options": options | {"identification_sha256": said["identification_sha256"]},
+        "inputs": [],
+    }

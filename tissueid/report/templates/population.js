@@ -1,0 +1,102 @@
+"use strict";
+// Figures of a population, drawn when they come into view.
+(() => {
+  const found = JSON.parse(document.getElementById("population").textContent);
+  const chosen = document.getElementById("quantity");
+  const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
+  const faint = (name, opacity) => colour(name).replace(/^#(..)(..)(..)$/, (_, r, g, b) => `rgba(${[r, g, b].map((part) => parseInt(part, 16)).join(",")},${opacity})`);
+  const level = (y, dash, width) => ({ type: "line", xref: "paper", x0: 0, x1: 1, y0: y, y1: y, line: { color: colour("model"), width: width, dash: dash } });
+  const bar = (low, high, value) => ({ type: "data", symmetric: false, array: high.map((v, i) => v - value[i]), arrayminus: low.map((v, i) => value[i] - v), thickness: 1, width: 0 });
+
+  const figures = {
+    bands: () => {
+      const band = found.bands;
+      const line = (k, extra) => ({ x: band.depth_mm, y: band.quantiles[k], mode: "lines", line: { width: 0 }, hoverinfo: "skip", showlegend: false, ...extra });
+      return {
+        traces: [line(0), line(4, { fill: "tonexty", fillcolor: faint("data", 0.25), name: "95 % of specimens", showlegend: true }),
+          line(1), line(3, { fill: "tonexty", fillcolor: faint("data", 0.45), name: "68 % of specimens", showlegend: true }),
+          { x: band.depth_mm, y: band.typical, mode: "lines", line: { color: colour("model"), width: 2.5 }, name: "typical tissue", hovertemplate: "%{x:.2f} mm: %{y:.4g} N<extra></extra>" }],
+        x: "Depth [mm]", y: "Force [N]",
+      };
+    },
+    correlation: () => {
+      const words = found.quantities.map((one) => one.words);
+      return {
+        traces: [{ type: "heatmap", z: found.correlation, x: words, y: words, zmin: -1, zmax: 1, zmid: 0,
+          colorscale: [[0, "#0072b2"], [0.5, colour("paper")], [1, "#d55e00"]], colorbar: { title: { text: "r" }, thickness: 12 },
+          text: found.correlation.map((row) => row.map((r) => r.toFixed(2))), texttemplate: "%{text}", hovertemplate: "%{x}, %{y}: %{z:.2f}<extra></extra>" }],
+        x: "", y: "", layout: { yaxis: { autorange: "reversed", automargin: true }, xaxis: { automargin: true, tickangle: -30 } },
+      };
+    },
+    shrinkage: () => {
+      const k = Number(chosen.value);
+      const one = found.quantities[k];
+      const order = found.specimens.map((row, i) => i).sort((a, b) => found.specimens[a].pooled[k] - found.specimens[b].pooled[k]);
+      const rows = order.map((i) => found.specimens[i]);
+      const trace = (kind, words, symbol, name, shift) => {
+        const value = rows.map((row) => row[kind][k]);
+        return { x: rows.map((_, i) => i + shift), y: value, mode: "markers", name: words,
+          marker: { symbol: symbol, size: 7, color: rows.map((row) => row.outlier && kind === "pooled" ? colour("serious") : colour(name)) },
+          error_y: { ...bar(rows.map((row) => row[`${kind}_ci95`][k][0]), rows.map((row) => row[`${kind}_ci95`][k][1]), value), color: colour(name) },
+          text: rows.map((row) => row.name), hovertemplate: `%{text}: %{y:.4g} ${one.unit}<extra>${words}</extra>` };
+      };
+      const top = one.median * Math.exp(one.sd);
+      const low = one.median * Math.exp(-one.sd);
+      return {
+        traces: [trace("separate", "alone", "circle-open", "aside", -0.18), trace("pooled", "with the population", "circle", "data", 0.18)],
+        x: "Specimen", y: `${one.words} [${one.unit}]`,
+        layout: {
+          shapes: [level(one.median, "solid", 1.5), { type: "rect", xref: "paper", x0: 0, x1: 1, y0: low, y1: top, fillcolor: faint("model", 0.1), line: { width: 0 }, layer: "below" }],
+          yaxis: { type: "log" },
+          xaxis: rows.length <= 40 ? { tickvals: rows.map((_, i) => i), ticktext: rows.map((row) => row.name) } : { showticklabels: false },
+        },
+      };
+    },
+    agreement: () => {
+      const one = found.agreement;
+      const percent = (value) => 100 * value;
+      return {
+        traces: [{ x: one.pairs.map((pair) => pair.force_N), y: one.pairs.map((pair) => percent(pair.ln_ratio)), mode: "markers", marker: { color: colour("data"), size: 7 },
+          text: one.pairs.map((pair) => pair.specimen), hovertemplate: "%{text}: %{y:.2f} %<extra></extra>", showlegend: false }],
+        x: "Mean force of the pair at the common depth [N]", y: "Later less earlier [% of ln force]",
+        layout: { shapes: [level(percent(one.bias), "solid", 1.5), level(percent(one.lower), "dash", 1.5), level(percent(one.upper), "dash", 1.5)] },
+      };
+    },
+    held_out: () => {
+      const one = found.held_out;
+      const box = (values, words, name) => ({ type: "box", x: values, name: words, boxpoints: values.length <= 400 ? "all" : "outliers", jitter: 0.4, pointpos: 0,
+        marker: { color: colour(name), size: 4 }, line: { color: colour(name) }, showlegend: false, hovertemplate: "%{x:.2f} %<extra></extra>" });
+      return {
+        traces: [box(one.mean, "by mean", "aside"), box(one.range, "by range", "data")],
+        x: "NRMSD of the typical tissue of the others [%]", y: "",
+        layout: { shapes: [{ type: "rect", yref: "paper", y0: 0, y1: 1, x0: one.paper_a[0], x1: one.paper_a[1], fillcolor: faint("model", 0.15), line: { width: 0 }, layer: "below" }], xaxis: { rangemode: "tozero" } },
+      };
+    },
+  };
+
+  const axis = (title) => ({ title: { text: title }, gridcolor: colour("line"), zerolinecolor: colour("soft"), linecolor: colour("line"), automargin: true });
+  const draw = (box) => {
+    const figure = figures[box.dataset.figure]();
+    const extra = figure.layout ?? {};
+    const layout = {
+      margin: { l: 56, r: 12, t: 28, b: 48 }, paper_bgcolor: colour("paper"), plot_bgcolor: colour("paper"),
+      font: { color: colour("ink"), family: "system-ui, sans-serif", size: 13 },
+      legend: { orientation: "h", x: 0, y: 1.02, yanchor: "bottom" }, hovermode: "closest", ...extra,
+      xaxis: { ...axis(figure.x), ...extra.xaxis }, yaxis: { ...axis(figure.y), ...extra.yaxis },
+    };
+    box.dataset.drawn = "yes";
+    return Plotly.react(box, figure.traces, layout, { responsive: true, displaylogo: false, displayModeBar: "hover", modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"] });
+  };
+  const boxes = [...document.querySelectorAll("[data-figure]")];
+  const seen = new IntersectionObserver((entries) => {
+    for (const entry of entries) {
+      if (entry.isIntersecting && !entry.target.dataset.drawn) draw(entry.target);
+    }
+  }, { rootMargin: "300px" });
+  boxes.forEach((box) => seen.observe(box));
+  const again = () => boxes.filter((box) => box.dataset.drawn).forEach(draw);
+  chosen.addEventListener("change", again);
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", again);
+  matchMedia("print").addEventListener("change", again);
+  addEventListener("beforeprint", () => boxes.forEach(draw));
+})();
