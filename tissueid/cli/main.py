@@ -22,6 +22,7 @@ __all__ = ["cli", "main"]
 #: Sub-command -> what it does; its module is ``tissueid.cli.<name>_command``.
 COMMANDS = {
     "fit": "Identify the tissue behind recordings: bundle, numbers, report.",
+    "cohort": "Say what the specimens of a fit have in common: population, report.",
     "study": "Write, check, correct and publish the study file.",
     "calibrate": "Check whether intervals hold what they claim, for your protocol.",
     "calibrate-frame": "Measure how far machine and fixture give.",

@@ -33,6 +33,7 @@ SCHEMA_NAMES = (
     "identification",
     "inspect",
     "outputs",
+    "population",
     "quantities",
     "selfcheck",
     "session",
