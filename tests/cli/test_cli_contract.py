@@ -110,7 +110,8 @@ def test_fit_prints_identification_json_and_it_is_valid(fitted: tuple[Ended, Pat
     assert ended.json()["exit"] == {"code": 0, "reasons": []}
     public = {path.name for path in out.iterdir() if not path.name.startswith(".")}
     bundles = {"bundle-paper-a.h5", "bundle.h5"}
-    assert public == bundles | {"identification.json", "curves.h5", "sums.h5", "report.html"}
+    run_of_it = {"specimens.csv", "specimens", "index.sqlite"}
+    assert public == bundles | run_of_it | {"identification.json", "curves.h5", "sums.h5", "report.html"}
 
 
 def test_parameters_have_the_contracts_names_and_units(fitted: tuple[Ended, Path]) -> None:

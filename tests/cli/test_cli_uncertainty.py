@@ -28,41 +28,45 @@ def test_viscosity_comes_first_with_both_intervals_to_one_place() -> None:
     assert known.ci95_total is not None
     low, high = known.ci95
     wide_low, wide_high = known.ci95_total
-    first = parameter_lines(fit)[0]
+    first = parameter_lines(fit.as_json())[0]
     expected = f"9.00 N s/mm [{low:.2f}, {high:.2f}] [{wide_low:.2f}, {wide_high:.2f}]"
     # sd 0.27: two digits of it end at the second decimal
     assert " ".join(first.replace("95 %", "").replace("total", "").split()) == f"eta {expected}"
 
 
 def test_without_a_posterior_the_standard_error_stands_as_before() -> None:
-    lines = parameter_lines(specimen_fit())
+    lines = parameter_lines(specimen_fit().as_json())
     assert lines[0] == "eta    9.00 ± 0.11 N s/mm"
-    assert sampling_lines(specimen_fit()) == []
-    assert alarm_lines(specimen_fit()) == []
+    assert sampling_lines(specimen_fit().as_json()) == []
+    assert alarm_lines(specimen_fit().as_json()) == []
 
 
 def test_no_interval_stands_where_nothing_is_identified_or_the_model_is_contradicted() -> None:
-    (tau,) = [line for line in parameter_lines(sampled(specimen_fit(identified=False))) if "tau" in line]
+    (tau,) = [
+        line for line in parameter_lines(sampled(specimen_fit(identified=False)).as_json()) if "tau" in line
+    ]
     assert tau == "tau    not identified"
     fit = sampled(specimen_fit(), misfit=True)
-    assert not any("95 %" in line or "total" in line or "±" in line for line in parameter_lines(fit))
-    (line,) = alarm_lines(fit)
+    assert not any(
+        "95 %" in line or "total" in line or "±" in line for line in parameter_lines(fit.as_json())
+    )
+    (line,) = alarm_lines(fit.as_json())
     assert line.endswith("the force just after the peak lies 2.1 N above the model")
     assert line.startswith("no interval is given")
     # a flag that says the same is not said again
     flagged = replace(fit, flags=(*fit.flags, Flag("misfit", "the residuals show a slow mode")))
-    assert alarm_lines(flagged) == []
+    assert alarm_lines(flagged.as_json()) == []
 
 
 def test_a_sampler_that_stopped_early_is_told_with_its_reason() -> None:
     fit = sampled(specimen_fit(), converged=False)
-    (line,) = alarm_lines(fit)
+    (line,) = alarm_lines(fit.as_json())
     assert line.endswith("intervals are rough: R-hat of ln_tau_1 is 1.08 after 20,000 steps")
-    assert "not converged" in sampling_lines(fit)[0]
+    assert "not converged" in sampling_lines(fit.as_json())[0]
 
 
 def test_sampler_and_noise_are_one_line_each() -> None:
-    assert sampling_lines(sampled(specimen_fit())) == [
+    assert sampling_lines(sampled(specimen_fit()).as_json()) == [
         "emcee  4,000 draws, R-hat at most 1.001, 34 % accepted, converged",
         "noise  ar1, 0.3 N, correlation 0.6 over 0.01 s",
     ]
@@ -70,10 +74,10 @@ def test_sampler_and_noise_are_one_line_each() -> None:
 
 def test_normalised_results_are_said_in_their_units() -> None:
     fit = replace(sampled(specimen_fit(), total=False), axes=Axes("1", "MPa"))
-    lines = parameter_lines(fit)
+    lines = parameter_lines(fit.as_json())
     assert lines[0].startswith("eta    9.00 MPa s")
     assert not any("total" in line or "mm" in line for line in lines)
-    assert sampling_lines(fit)[1].startswith("noise  ar1, 0.3 MPa")
+    assert sampling_lines(fit.as_json())[1].startswith("noise  ar1, 0.3 MPa")
 
 
 @pytest.mark.parametrize(
@@ -85,7 +89,7 @@ def test_normalised_results_are_said_in_their_units() -> None:
     ],
 )
 def test_lines_of_numbers_fit_a_terminal_of_a_hundred_columns(fit: SpecimenFit) -> None:
-    for line in (*parameter_lines(fit), *sampling_lines(fit)):
+    for line in (*parameter_lines(fit.as_json()), *sampling_lines(fit.as_json())):
         assert len(f"  {line}") <= WIDTH
 
 
@@ -95,7 +99,7 @@ def test_small_numbers_have_a_power_of_ten_that_a_terminal_can_print() -> None:
     assert known is not None
     narrow = replace(known, sd=5e-7, ci95=(2.4e-5, 2.6e-5), ci95_total=None)
     small = replace(fit.parameters[0], value=2.5e-5, uncertainty=narrow)
-    (line,) = parameter_lines(replace(fit, parameters=(small,)))
+    (line,) = parameter_lines(replace(fit, parameters=(small,)).as_json())
     assert line == "a1     2.500e-5 N/mm  95 % [2.400e-5, 2.600e-5]"
 
 

@@ -3,32 +3,27 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from tissueid.cli.output import echo_json, note, output_options, progress_bar, with_error
-from tissueid.cli.quoted_lines import quoted_lines
+from tissueid.cli.fit_summary import print_summary
+from tissueid.cli.output import echo_bytes, note, output_options, progress_bar
 from tissueid.cli.quoting import quoting_options, quoting_values
 from tissueid.cli.reading import (
     READING,
-    read_all,
-    read_in_order,
+    PatternCheck,
+    inputs_in_order,
     read_options,
     reading_options,
     segment_options,
 )
-from tissueid.cli.uncertainty_lines import alarm_lines, parameter_lines, sampling_lines
-from tissueid.errors import UsageError, printable
+from tissueid.errors import UsageError
 
 if TYPE_CHECKING:
     from tissueid.pipeline import IdentifyOptions
     from tissueid.posterior.specimen import PosteriorOptions
-    from tissueid.result import Identification, Refusal, SpecimenFit
-    from tissueid.store.sums import StoredSums
 
 __all__ = ["command"]
 
@@ -41,16 +36,6 @@ Examples:
   tissueid fit odd.csv --columns "time=t,displacement=pos,force=F" --units "force=mN"
 """
 
-
-#: Remarks on trials that every other recording has; ``inspect`` and the report show them.
-UNREMARKABLE = {
-    "starts_in_contact",
-    "no_hold",
-    "several_steps",
-    "event_rows",
-    "column_choice",
-    "undecoded_text",
-}
 REQUIRED = ["viscosity", "static", "stiffness", "relaxation-time", "none"]
 
 
@@ -100,6 +85,14 @@ def _count(auto: str) -> click.Choice[str]:
     "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of everything random."
 )
 @click.option(
+    "--workers", type=click.IntRange(min=1), metavar="N",
+    help="Processes that compute specimens. [default: as many as processors, where the work is worth it]",
+)  # fmt: skip
+@click.option(
+    "--scheduler", metavar="ADDRESS", default="local", show_default=True,
+    help="Compute on a Dask cluster, as tcp://HOST:8786 (pip install 'tissueid[cluster]').",
+)  # fmt: skip
+@click.option(
     "--study", type=click.Path(), metavar="FILE",
     help="Study file. [default: study.toml of the folder that is fitted]",
 )  # fmt: skip
@@ -116,20 +109,17 @@ def command(**flags: Any) -> int:
     output folder, all at once or not at all.
     """
     from tissueid.fit.compiled import kernels_to_compile
-    from tissueid.pipeline import identify
-    from tissueid.report import render_report
-    from tissueid.store.curves import curves_of_fits
-    from tissueid.store.files import plain_json
     from tissueid.store.outputs import OutputSet
-    from tissueid.store.posteriors import posteriors_of_fits
-    from tissueid.store.results import REPORT, write_results
-    from tissueid.study.recordings import locate_study, read_decided_one
+    from tissueid.study.batch import fit_cohort, prune_specimens
+    from tissueid.study.pages import write_report
+    from tissueid.study.recordings import locate_study
+    from tissueid.study.request import Request
 
     quiet: int = flags["quiet"]
     reading = read_options(flags)
     options = _identify_options(flags)
     study, paths = locate_study(flags["paths"], named=flags["study"], ignore=flags["no_study"])
-    items = read_in_order(paths, reading, study)
+    files = inputs_in_order(paths, study)
     _refuse_foreign(Path(flags["out"]))
     missing = kernels_to_compile(posterior=flags["sampler"] != "none")
     if missing:
@@ -137,50 +127,32 @@ def command(**flags: Any) -> int:
             f"First run: compiling {len(missing)} kernels, a minute or two: {', '.join(missing)}",
             quiet=quiet,
         )
-    refused: list[Refusal] = []
-    sums: list[StoredSums] = []
-    with OutputSet(flags["out"]) as run, progress_bar(show=not quiet) as progress:
-        identification = identify(
-            read_all(items, refused),
-            study=study,
-            options=options,
-            reload=lambda source: read_decided_one(source.path, source.sheet, reading, study),
-            refused=refused,
-            provenance={"reading": {key: flags[key] for key in READING}},
-            progress=progress,
-            checkpoint=run.sampling,
-            keep_sums=sums.append,
-        )
-        document: dict[str, Any] = plain_json(identification.as_json())
-        if identification.specimens:
-            progress("writing the report", 0, 0)
-            document = write_results(run, identification, sums)
-            curves = curves_of_fits(identification.specimens)
-            posteriors = posteriors_of_fits(identification.specimens)
-            created = datetime.now(UTC).isoformat(timespec="seconds")
-            page = render_report(document, curves, posteriors, created=created)
-            run.write(REPORT, page.encode("utf-8"))
+    by_pattern = PatternCheck(reading.specimen_by, study)
+    request = Request(
+        files,
+        reading,
+        study,
+        options,
+        provenance={"reading": {key: flags[key] for key in READING}},
+        workers=flags["workers"],
+        scheduler=flags["scheduler"],
+        read=by_pattern.add,
+        all_read=by_pattern.say,
+    )
+    with OutputSet(flags["out"]) as run:
+        with progress_bar(show=not quiet) as progress:
+            found = fit_cohort(request, run, progress)
+            if found.fitted:
+                progress("writing the report", 0, 0)
+                write_report(run, found)
+        if found.fitted:
             run.commit()
-    if flags["as_json"]:
-        echo_json(document)
-    else:
-        _note_unlisted(identification, quiet=quiet)
-        if not quiet:
-            _print(identification, flags["out"], verbose=flags["verbose"])
-        _print_reasons(identification, quiet=quiet)
-    return identification.exit.code
-
-
-def _note_unlisted(identification: Identification, *, quiet: int) -> None:
-    """Recordings that the study does not name were read as well: say so."""
-    rows = () if identification.study is None else identification.study["trials"]
-    beside = sum(not row["listed"] for row in rows)
-    if 0 < beside < len(rows):
-        note(
-            f"{beside} of {len(rows)} trials are not named by the study and were fitted as well "
-            "(only_listed = true leaves them out)",
-            quiet=quiet,
-        )
+            prune_specimens(run.out)
+        if flags["as_json"]:
+            echo_bytes(found.document.read_bytes())
+        else:
+            print_summary(found, flags["out"], quiet=quiet, verbose=flags["verbose"])
+    return found.exit.code
 
 
 def _refuse_foreign(out: Path) -> None:
@@ -229,79 +201,3 @@ def _identify_options(flags: dict[str, Any]) -> IdentifyOptions:
         required=required if flags["require"] else DEFAULT_REQUIRED,
         seed=flags["seed"],
     )
-
-
-def _print(identification: Identification, out: str, *, verbose: int) -> None:
-    from rich.console import Console
-
-    console = Console(highlight=False, soft_wrap=True)
-    for fit in identification.specimens:
-        _print_specimen(console, fit, verbose=verbose)
-    for row in (identification.study or {}).get("exclusions", ()):
-        _print_exclusion(console, row)
-    if identification.specimens:
-        console.print(f"\nReport: {out}/report.html", markup=False)
-
-
-def _print_exclusion(console: Any, row: Mapping[str, Any]) -> None:
-    """A trial that was left out, why, and what the specimen's numbers would be with it."""
-    where = row["path"] if row["sheet"] is None else f"{row['path']} [{row['sheet']}]"
-    console.print(f"\nexcluded  {where}: {row['because']}", markup=False)
-    if row["note"]:
-        console.print(f"  {row['note']}", markup=False)
-    for one in row["with_it"]:
-        before = "not identified" if one["without"] is None else f"{one['without']:.4g}"
-        after = "not identified" if one["with"] is None else with_error(one["with"], one["with_stderr"])
-        console.print(f"  {one['symbol']:<6} with it {after} {one['unit']} (without: {before})", markup=False)
-
-
-def _print_reasons(identification: Identification, *, quiet: int) -> None:
-    """On stderr: every refused input, and why else the exit code is not 0."""
-    for one in identification.refused:
-        click.secho(f"refused ({one.code})  {one}", fg="red", err=True)
-    told = {str(one) for one in identification.refused}
-    same: dict[str, list[str]] = {}
-    for reason in identification.exit.reasons:
-        if reason not in told:
-            specimen, separator, missing = reason.rpartition(": not identified: ")
-            same.setdefault(missing if separator else "", []).append(specimen if separator else reason)
-    for reason in same.pop("", []):
-        note(printable(reason), quiet=quiet)
-    for missing, specimens in same.items():
-        # each is named, however many they are
-        note(f"{printable('; '.join(specimens))}: not identified: {missing}", quiet=quiet)
-
-
-def _print_specimen(console: Any, fit: SpecimenFit, *, verbose: int) -> None:
-    model = fit.model
-    plural = "es" if model.branches > 1 else ""
-    console.print(
-        f"\n[bold]{_escaped(fit.specimen)}[/bold]  {len(fit.trials)} log{'s' * (len(fit.trials) > 1)}, "
-        f"{model.branches} branch{plural}, K of degree {model.stiffness_degree}, "
-        f"{model.static_pooling} static, NRMSD {100 * fit.nrmsd.range:.2f} % of range",
-    )
-    for line in (*parameter_lines(fit), *sampling_lines(fit), *quoted_lines(fit)):
-        console.print(f"  {line}", markup=False)
-    for line in alarm_lines(fit):
-        console.print(f"  ! {line}", style="bold red", markup=False)
-    for flag in fit.flags:
-        console.print(f"  ! {flag.message}", style="yellow", markup=False)
-    said = {flag.code for flag in fit.flags} | UNREMARKABLE
-    for code in dict.fromkeys(flag.code for trial in fit.trials for flag in trial.flags):
-        if code in said:
-            continue
-        of_code = [(trial, flag) for trial in fit.trials for flag in trial.flags if flag.code == code]
-        trial, flag = of_code[0]
-        more = f" (and {len(of_code) - 1} more logs)" if len(of_code) > 1 else ""
-        console.print(f"  ! {trial.path}: {flag.message}{more}", style="yellow", markup=False)
-    if verbose:
-        for row in fit.relaxation:
-            tau = "none" if row.tau_single_s is None else f"{row.tau_single_s:.4g} s"
-            window = f"{row.window_s[0]:g} to {row.window_s[1]:g} s"
-            console.print(f"  hold {window}: one exponential {tau}", markup=False)
-
-
-def _escaped(text: str) -> str:
-    from rich.markup import escape
-
-    return escape(text)

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 __all__ = [
     "READERS",
     "READING",
+    "PatternCheck",
+    "inputs_in_order",
     "picked_sheet",
     "read_all",
     "read_in_order",
@@ -178,6 +180,17 @@ def read_in_order(
     UsageError
         At once, where a path does not exist.
     """
+    return _read(inputs_in_order(paths, study), options, study)
+
+
+def inputs_in_order(paths: tuple[str, ...], study: Study | None = None) -> list[_Named | Refusal]:
+    """Files of all paths, each with the sheet that was named; a refusal stands where something was refused.
+
+    Raises
+    ------
+    UsageError
+        Where a path does not exist.
+    """
     from tissueid.errors import InputError
     from tissueid.ingest import find_inputs
     from tissueid.ingest.manifest import unmatched_files
@@ -190,7 +203,7 @@ def read_in_order(
         except InputError as error:
             # a folder without recordings does not stop the others
             found[_refusal(error)] = None
-    return _read(list(found), options, study)
+    return list(found)
 
 
 def picked_sheet(path: str) -> tuple[str, str | None]:
@@ -203,11 +216,10 @@ def _read(
     found: list[_Named | Refusal], options: ReadOptions, study: Study | None
 ) -> Iterator[Trial | Refusal]:
     from tissueid.errors import InputError
-    from tissueid.ingest import reader_faults
     from tissueid.result import Refusal
     from tissueid.study.recordings import read_decided
 
-    by_pattern = _PatternCheck(options.specimen_by, study)
+    by_pattern = PatternCheck(options.specimen_by, study)
     for one in found:
         if isinstance(one, Refusal):
             yield one
@@ -218,14 +230,12 @@ def _read(
             if isinstance(item, InputError):
                 yield _refusal(item)
             else:
-                by_pattern.add(item)
+                by_pattern.add(item.source.path, item.source.sheet)
                 yield item
     by_pattern.say()
-    for fault in reader_faults():
-        click.secho(f"warning: {fault}", fg="yellow", err=True)
 
 
-class _PatternCheck:
+class PatternCheck:
     """Whether ``--specimen-by`` named the specimens it was given for; what a study names is not its own."""
 
     def __init__(self, pattern: str | None, study: Study | None) -> None:
@@ -235,23 +245,28 @@ class _PatternCheck:
         self._named = 0
         self._missed: list[str] = []
 
-    def add(self, trial: Trial) -> None:
+    def add(self, path: str, sheet: str | None) -> None:
+        """Count one recording."""
         if self._pattern is None:
             return
-        source = trial.source
-        if self._study is not None and "specimen" in self._study.decision(source.path, source.sheet).trial:
+        if self._study is not None and "specimen" in self._study.decision(path, sheet).trial:
             self._stated += 1
             return
-        name = (
-            trial.source.path if trial.source.sheet is None else f"{trial.source.path}::{trial.source.sheet}"
-        )
+        name = path if sheet is None else f"{path}::{sheet}"
         if re.search(self._pattern, name):
             self._named += 1
         else:
             self._missed.append(name)
 
     def say(self) -> None:
-        """Refuse a pattern that fits nothing; name what one that fits some leaves by itself."""
+        """Refuse a pattern that fits nothing; name what it leaves by itself, and readers that are broken."""
+        from tissueid.ingest import reader_faults
+
+        self._say()
+        for fault in reader_faults():
+            click.secho(f"warning: {fault}", fg="yellow", err=True)
+
+    def _say(self) -> None:
         if self._study is not None and self._stated:
             count = "1 recording" if self._stated == 1 else f"{self._stated} recordings"
             message = f"{self._study.path} names the specimen of {count}: --specimen-by does not apply there"

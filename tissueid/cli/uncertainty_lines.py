@@ -7,12 +7,9 @@ interval, all to one place; where the residuals contradict the model, or nothing
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from tissueid.cli.output import with_error
-
-if TYPE_CHECKING:
-    from tissueid.result import SpecimenFit
 
 __all__ = ["alarm_lines", "parameter_lines", "sampling_lines"]
 
@@ -39,17 +36,17 @@ def _cells(entry: Mapping[str, Any], *, intervals: bool) -> tuple[str, str, str]
     return said, f"[{', '.join(texts[:2])}]", total
 
 
-def parameter_lines(fit: SpecimenFit) -> list[str]:
+def parameter_lines(document: Mapping[str, Any]) -> list[str]:
     """One line a parameter, viscosity first; columns are aligned.
 
     Parameters
     ----------
-    fit : SpecimenFit
+    document : mapping
+        A specimen of identification.json.
     """
     from tissueid.report.uncertainty_words import reported_order
     from tissueid.report.wording import misfit_raised
 
-    document = fit.as_json()
     entries = reported_order(document["parameters"])
     cells = [_cells(entry, intervals=not misfit_raised(document)) for entry in entries]
     wide = [max(len(row[column]) for row in cells) for column in range(3)]
@@ -69,35 +66,36 @@ def parameter_lines(fit: SpecimenFit) -> list[str]:
     return lines
 
 
-def sampling_lines(fit: SpecimenFit) -> list[str]:
+def sampling_lines(document: Mapping[str, Any]) -> list[str]:
     """How the posterior was sampled, and the noise in it; none without a posterior."""
-    if fit.posterior is None:
+    sampler, noise = document["sampler"], document["noise"]
+    if sampler is None:
         return []
-    sampler, noise = fit.posterior.sampler, fit.posterior.noise
-    known = [one.uncertainty for one in fit.parameters if one.uncertainty is not None]
-    parts = [f"{sampler.draws:,} draws"]
+    known = [one["detail"].get("posterior", one)["r_hat"] for one in document["parameters"]]
+    known = [r_hat for r_hat in known if r_hat is not None]
+    parts = [f"{sampler['draws']:,} draws"]
     if known:
-        parts.append(f"R-hat at most {max(one.r_hat for one in known):.3f}")
-    parts.append(f"{100.0 * sampler.acceptance:.0f} % accepted")
-    parts.append("converged" if sampler.converged else "not converged")
-    said = f"noise  {noise.model}, {noise.sigma_N:.3g} {fit.axes.unit('N')}"
-    if noise.model != "white":
-        said += f", correlation {noise.phi:.3g} over {noise.reference_step_s:.3g} s"
-    return [f"{sampler.name}  {', '.join(parts)}", said]
+        parts.append(f"R-hat at most {max(known):.3f}")
+    parts.append(f"{100.0 * sampler['acceptance']:.0f} % accepted")
+    parts.append("converged" if sampler["converged"] else "not converged")
+    said = f"noise  {noise['model']}, {noise['sigma_N']:.3g} {document['units']['force']}"
+    if noise["model"] != "white":
+        said += f", correlation {noise['phi']:.3g} over {noise['reference_step_s']:.3g} s"
+    return [f"{sampler['name']}  {', '.join(parts)}", said]
 
 
-def alarm_lines(fit: SpecimenFit) -> list[str]:
+def alarm_lines(document: Mapping[str, Any]) -> list[str]:
     """What takes the intervals away or makes them rough, in a sentence each."""
-    if fit.posterior is None:
+    sampler, misfit = document["sampler"], document["misfit"]
+    if sampler is None:
         return []
     lines = []
-    misfit, sampler = fit.posterior.misfit, fit.posterior.sampler
-    said = {flag.code for flag in fit.flags}
-    if misfit is not None and misfit.raised and "misfit" not in said:
-        seen = "; ".join(check.message.rstrip(".") for check in misfit.checks if check.raised)
+    said = {flag["code"] for flag in document["flags"]}
+    if misfit is not None and misfit["raised"] and "misfit" not in said:
+        seen = "; ".join(check["message"].rstrip(".") for check in misfit["checks"] if check["raised"])
         lines.append(f"no interval is given, the recordings contradict this model or its noise: {seen}")
-    if not sampler.converged and "sampler_not_converged" not in said:
-        reason = sampler.detail.get("reason")
+    if not sampler["converged"] and "sampler_not_converged" not in said:
+        reason = sampler["detail"].get("reason")
         why = f": {reason}" if reason else ""
         lines.append(f"the sampler stopped before its rule was met, intervals are rough{why}")
     return lines

@@ -2,14 +2,15 @@
 
 ``identification.json`` (the numbers), ``bundle-<specimen>.h5`` (the models), ``bundle.h5`` where there is
 one specimen, ``curves.h5`` (what a report draws), ``posteriors.h5`` (draws, where a posterior was sampled),
-``sums.h5`` (all that the likelihood needs of the samples).
-A report is written into the same set by whoever made it.
+``sums.h5`` (all that the likelihood needs of the samples), ``specimens.csv`` (which files of ``specimens/``
+belong to the run: each holds all of these for one specimen).  A large cohort has the document, the list and
+the files of specimens only.  A report is written into the same set by whoever made it.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from tissueid.result import Identification
 from tissueid.store.bundle import bundle_from_fit, load_bundle, write_bundle
 from tissueid.store.curves import TrialCurve, curves_of_fits, load_curves, write_curves
 from tissueid.store.files import json_bytes, plain_json, sha256_of
+from tissueid.store.merged import LISTED, SPECIMENS, read_listed
 from tissueid.store.names import bundle_names
 from tissueid.store.outputs import CommittedRun, OutputSet, complete_refresh, current_run
 from tissueid.store.posteriors import (
@@ -27,6 +29,7 @@ from tissueid.store.posteriors import (
     write_posteriors,
 )
 from tissueid.store.schema import check
+from tissueid.store.specimen_file import load_specimen
 from tissueid.store.sums import StoredSums, write_sums
 
 __all__ = [
@@ -35,6 +38,7 @@ __all__ = [
     "ONLY_BUNDLE",
     "POSTERIORS",
     "REPORT",
+    "each_result",
     "output_problems",
     "read_results",
     "validate_outputs",
@@ -99,6 +103,8 @@ def read_results(
 ) -> tuple[dict[str, Any], tuple[TrialCurve, ...], tuple[StoredPosterior, ...]]:
     """Read the identification document, the curves and the draws of an output folder.
 
+    All of them at once: :func:`each_result` is for cohorts.
+
     Raises
     ------
     BundleError
@@ -106,7 +112,56 @@ def read_results(
     """
     run = _committed(Path(out))
     document = _identification(run.folder / IDENTIFICATION)
-    return document, load_curves(run.folder / CURVES), _posteriors(run)
+    if CURVES in run.files:
+        return document, load_curves(run.folder / CURVES), _posteriors(run)
+    curves: list[TrialCurve] = []
+    posteriors = []
+    for _, own, posterior in each_result(out):
+        curves += own
+        posteriors += [] if posterior is None else [posterior]
+    return document, tuple(curves), tuple(posteriors)
+
+
+def each_result(
+    out: Path | str,
+) -> Iterator[tuple[dict[str, Any], tuple[TrialCurve, ...], StoredPosterior | None]]:
+    """Read the fitted specimens of an output folder one at a time, however large the cohort is.
+
+    Parameters
+    ----------
+    out : Path or str
+
+    Yields
+    ------
+    document : dict
+        A specimen of identification.json.
+    curves : tuple of TrialCurve
+    posterior : StoredPosterior or None
+
+    Raises
+    ------
+    BundleError
+        If there is no committed set or it is damaged.
+    """
+    run = _committed(Path(out))
+    if LISTED not in run.files:
+        yield from _of_merged(run)
+        return
+    for one in read_listed(run.folder / LISTED):
+        if one.fitted:
+            record, curves, posterior = load_specimen(Path(out) / SPECIMENS / one.file)
+            yield record["fitted"], curves, posterior
+
+
+def _of_merged(
+    run: CommittedRun,
+) -> Iterator[tuple[dict[str, Any], tuple[TrialCurve, ...], StoredPosterior | None]]:
+    """The specimens of a set whose files are merged."""
+    curves = load_curves(run.folder / CURVES)
+    posteriors = {one.specimen: one for one in _posteriors(run)}
+    for entry in _identification(run.folder / IDENTIFICATION)["specimens"]:
+        name = entry["specimen"]
+        yield entry, tuple(one for one in curves if one.specimen == name), posteriors.get(name)
 
 
 def validate_outputs(out: Path | str) -> None:
@@ -146,6 +201,8 @@ def output_problems(out: Path | str) -> list[str]:
     problems = list(_hash_problems(out, run))
     if problems:
         return problems
+    if CURVES not in run.files:
+        return _large_problems(out, run)
     try:
         document = _identification(out / IDENTIFICATION)
         curves = load_curves(out / CURVES)
@@ -153,6 +210,7 @@ def output_problems(out: Path | str) -> list[str]:
     except BundleError as error:
         return [error.message]
     return [
+        *_specimen_problems(out, run),
         *_bundle_problems(out, run, document),
         *_curve_problems(document, curves),
         *_posterior_problems(document, posteriors),
@@ -190,8 +248,40 @@ def _hash_problems(out: Path, run: CommittedRun) -> Iterable[str]:
         elif path.stat().st_size != entry["bytes"] or sha256_of(path) != entry["sha256"]:
             yield f"{name} is not the one this run wrote (a copy is in {run.folder})"
     for name in (IDENTIFICATION, CURVES):
-        if name not in run.files:
+        if name not in run.files and not (name == CURVES and LISTED in run.files):
             yield f"{name} was never part of the set"
+
+
+def _specimen_problems(out: Path, run: CommittedRun) -> Iterator[str]:
+    """What is wrong with the files of specimens that the run lists."""
+    if LISTED not in run.files:
+        return
+    for one in read_listed(run.folder / LISTED):
+        path = out / SPECIMENS / one.file
+        if not path.is_file():
+            yield f"{SPECIMENS}/{one.file} ({one.specimen}) is missing"
+        elif path.stat().st_size != one.bytes or sha256_of(path) != one.sha256:
+            yield f"{SPECIMENS}/{one.file} ({one.specimen}) is not the one this run wrote"
+
+
+def _large_problems(out: Path, run: CommittedRun) -> list[str]:
+    """A set without merged files: every listed specimen stands in the document, in its order."""
+    problems = list(_specimen_problems(out, run))
+    if problems:
+        return problems
+    try:
+        listed = [one for one in read_listed(run.folder / LISTED) if one.fitted]
+        document = json.loads((out / IDENTIFICATION).read_bytes())
+        if [one.specimen for one in listed] != [entry["specimen"] for entry in document["specimens"]]:
+            return [f"{LISTED} and {IDENTIFICATION} name different specimens"]
+        problems += [
+            f"{SPECIMENS}/{one.file} is not of specimen {one.specimen!r}"
+            for one in listed
+            if load_bundle(out / SPECIMENS / one.file).specimen != one.specimen
+        ]
+    except (BundleError, OSError, ValueError, KeyError, TypeError) as error:
+        problems.append(f"{IDENTIFICATION} can't be checked ({error}); {_WAY_OUT}")
+    return problems
 
 
 def _bundle_problems(out: Path, run: CommittedRun, document: dict[str, Any]) -> Iterable[str]:

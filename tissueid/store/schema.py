@@ -37,6 +37,7 @@ SCHEMA_NAMES = (
     "quantities",
     "selfcheck",
     "session",
+    "status",
     "study",
     "study-check",
     "watch",

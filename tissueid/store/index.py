@@ -1,0 +1,383 @@
+"""``OUT/index.sqlite``: what a run has read, what it still has to compute, and which results it holds.
+
+::
+
+    runs        one row a run: when, by which process, how it ended
+    recordings  what each file was found to hold, by content, so that a file is parsed once; and, for the
+                latest run, where it stands in the order of files and which specimen it belongs to
+    jobs        the latest run: one row a specimen, with its state (waiting, running, done, failed)
+    results     key of a file in ``specimens/`` -> hash and size of its bytes, seconds it took
+
+One process writes (it holds the folder's lock); others read at any time, since the file is written ahead of
+(WAL) and every change is a transaction.  The index is a memory, not a result: without it a run computes
+everything again and ends the same.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import sqlite3
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from tissueid.errors import BundleError
+
+__all__ = ["INDEX", "INDEX_SCHEMA_VERSION", "Index", "JobRow", "RecordingRow", "open_for_reading"]
+
+INDEX = "index.sqlite"
+INDEX_SCHEMA_VERSION = 1
+#: How long a statement waits for another one's transaction [s].
+_BUSY_S = 20.0
+_TABLES = """
+CREATE TABLE runs (
+    id INTEGER PRIMARY KEY, started REAL NOT NULL, ended REAL, state TEXT NOT NULL, process TEXT NOT NULL,
+    files INTEGER NOT NULL DEFAULT 0, surveyed INTEGER NOT NULL DEFAULT 0, reason TEXT
+);
+CREATE TABLE recordings (
+    path TEXT NOT NULL, reading TEXT NOT NULL, number INTEGER NOT NULL, sha256 TEXT NOT NULL, sheet TEXT,
+    raw TEXT NOT NULL, samples INTEGER NOT NULL, refusal TEXT,
+    run INTEGER NOT NULL, position INTEGER NOT NULL, specimen TEXT NOT NULL, kind TEXT NOT NULL,
+    PRIMARY KEY (path, reading, number)
+) WITHOUT ROWID;
+CREATE INDEX recordings_of_run ON recordings (run, specimen, position, number);
+CREATE TABLE jobs (
+    position INTEGER PRIMARY KEY, key TEXT NOT NULL, specimen TEXT NOT NULL, state TEXT NOT NULL,
+    attempts INTEGER NOT NULL DEFAULT 0, worker TEXT, began REAL, seconds REAL, reason TEXT
+);
+CREATE INDEX jobs_by_state ON jobs (state);
+CREATE TABLE results (
+    key TEXT PRIMARY KEY, sha256 TEXT NOT NULL, bytes INTEGER NOT NULL, seconds REAL NOT NULL
+) WITHOUT ROWID;
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingRow:
+    """One recording of a file, or the refusal in its place.
+
+    Attributes
+    ----------
+    path, sheet, sha256 : str, str or None, str
+    raw : str
+        Specimen as the file was read; ``specimen`` is what the study calls it.
+    samples : int
+    kind : str
+        ``trial``, ``excluded``, ``unlisted`` (the study wants none but listed ones) or ``refused``.
+    specimen : str
+    refusal : mapping or None
+        Fields of :class:`tissueid.result.Refusal`.
+    """
+
+    path: str
+    sheet: str | None
+    sha256: str
+    raw: str
+    samples: int
+    kind: str
+    specimen: str
+    refusal: Mapping[str, Any] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class JobRow:
+    """One specimen of the latest run; ``position`` is its place in the results."""
+
+    position: int
+    key: str
+    specimen: str
+    state: str
+    reason: str | None
+
+
+class Index:
+    """The index of an output folder, open for writing.
+
+    Parameters
+    ----------
+    out : Path
+        Output folder, whose lock the caller holds.
+
+    Attributes
+    ----------
+    remark : str or None
+        What others must do without on this file system.
+
+    Raises
+    ------
+    BundleError
+        The file is of another schema version, or this file system can't hold it.
+    """
+
+    def __init__(self, out: Path) -> None:
+        self.path = out / INDEX
+        self.remark: str | None = None
+        self._run = 0
+        try:
+            self._open()
+        except sqlite3.DatabaseError as error:
+            if isinstance(error, sqlite3.OperationalError):
+                raise BundleError(_unusable(self.path, error)) from error
+            # cut or overwritten: it is a memory only, so a new one is begun
+            _remove(self.path)
+            self.remark = f"{self.path} was damaged ({error}) and is begun anew"
+            self._open()
+
+    def _open(self) -> None:
+        self._database = sqlite3.connect(self.path, timeout=_BUSY_S, isolation_level=None)
+        self._database.row_factory = sqlite3.Row
+        mode = self._database.execute("PRAGMA journal_mode=WAL").fetchone()[0]
+        if mode != "wal":
+            self.remark = (
+                f"{self.path}: this file system can't share memory between processes (journal mode {mode}); "
+                "`tissueid status` waits for the writer at times"
+            )
+        # a commit survives a killed process; a crash of the machine may lose the last ones, not the file
+        self._database.execute("PRAGMA synchronous=NORMAL")
+        version = self._database.execute("PRAGMA user_version").fetchone()[0]
+        if version == 0:
+            self._database.executescript(
+                f"BEGIN; {_TABLES} PRAGMA user_version={INDEX_SCHEMA_VERSION}; COMMIT;"
+            )
+        elif version != INDEX_SCHEMA_VERSION:
+            self._database.close()
+            msg = (
+                f"{self.path}: schema version {version}, this tissueid writes {INDEX_SCHEMA_VERSION}; run "
+                f"`tissueid migrate {self.path.parent}`"
+            )
+            raise BundleError(msg)
+        self._run = self._database.execute("SELECT MAX(id) FROM runs").fetchone()[0] or 0
+
+    def _do(self, statement: str, values: tuple[Any, ...] = ()) -> sqlite3.Cursor:
+        """Execute a statement; a disk that is full is an error of the system like any other file's."""
+        try:
+            return self._database.execute(statement, values)
+        except sqlite3.OperationalError as error:
+            number = errno.ENOSPC if "full" in str(error) else errno.EIO
+            raise OSError(number, str(error), str(self.path)) from error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._database.close()
+
+    @contextmanager
+    def batch(self) -> Iterator[None]:
+        """Many changes in one transaction."""
+        self._do("BEGIN IMMEDIATE")
+        try:
+            yield
+        except BaseException:
+            with suppress(OSError):
+                self._do("ROLLBACK")
+            raise
+        self._do("COMMIT")
+
+    def begin_run(self, now: float, process: Mapping[str, Any], files: int) -> None:
+        """Open a run over so many files; what the runs before it found stays known."""
+        with self.batch():
+            self._do("UPDATE runs SET state = 'stopped', ended = ? WHERE state = 'running'", (now,))
+            cursor = self._do(
+                "INSERT INTO runs (started, state, process, files) VALUES (?, 'running', ?, ?)",
+                (now, json.dumps(process), files),
+            )
+            self._do("DELETE FROM jobs")
+        self._run = int(cursor.lastrowid or 0)
+
+    def end_run(self, now: float, state: str, reason: str | None = None) -> None:
+        """Close the run: ``finished``, ``interrupted`` or ``failed``."""
+        self._do(
+            "UPDATE runs SET state = ?, ended = ?, reason = ? WHERE id = ?", (state, now, reason, self._run)
+        )
+
+    def knows_files(self) -> bool:
+        """Whether an earlier run has left anything to go by."""
+        return self._do("SELECT 1 FROM recordings LIMIT 1").fetchone() is not None
+
+    def known_file(self, path: str, reading: str) -> list[RecordingRow]:
+        """What a file, read in one way, held when it was last looked at; empty where it never was."""
+        rows = self._do(
+            "SELECT * FROM recordings WHERE path = ? AND reading = ? ORDER BY number", (path, reading)
+        )
+        return [_recording(row) for row in rows]
+
+    def add_file(self, position: int, path: str, reading: str, rows: Iterable[RecordingRow]) -> None:
+        """Put down what the file at ``position`` holds."""
+        self._do("DELETE FROM recordings WHERE path = ? AND reading = ?", (path, reading))
+        for number, row in enumerate(rows):
+            self._do(
+                "INSERT OR REPLACE INTO recordings VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+                (
+                    path,
+                    reading,
+                    number,
+                    row.sha256,
+                    row.sheet,
+                    row.raw,
+                    row.samples,
+                    None if row.refusal is None else json.dumps(dict(row.refusal)),
+                    self._run,
+                    position,
+                    row.specimen,
+                    row.kind,
+                ),
+            )
+        self._do("UPDATE runs SET surveyed = surveyed + 1 WHERE id = ?", (self._run,))
+
+    def specimens(self) -> list[tuple[str, str, str | None]]:
+        """Specimens of the run in the order of their first recording, with that recording.
+
+        Specimens of which everything is excluded come last.
+        """
+        rows = self._do(
+            # path and sheet are those of the row with the least place
+            "SELECT specimen, path, sheet, MIN((kind = 'excluded') * 1000000000000000000"
+            " + position * 10000000 + number) AS place"
+            " FROM recordings WHERE run = ? AND kind IN ('trial', 'excluded')"
+            " GROUP BY specimen ORDER BY place",
+            (self._run,),
+        )
+        return [(row["specimen"], row["path"], row["sheet"]) for row in rows]
+
+    def recordings_of(self, specimen: str) -> list[RecordingRow]:
+        """Recordings of one specimen of the run in the order of files, excluded ones among them."""
+        rows = self._do(
+            "SELECT * FROM recordings WHERE run = ? AND specimen = ? AND kind IN ('trial', 'excluded')"
+            " ORDER BY position, number",
+            (self._run, specimen),
+        )
+        return [_recording(row) for row in rows]
+
+    def refused(self) -> Iterator[RecordingRow]:
+        """Refusals of the readers, in the order of files."""
+        rows = self._do(
+            "SELECT * FROM recordings WHERE run = ? AND kind = 'refused' ORDER BY position, number",
+            (self._run,),
+        )
+        return (_recording(row) for row in rows)
+
+    def named(self) -> Iterator[tuple[str, str | None]]:
+        """Path and sheet of everything the run has found and the study does not leave out unlisted."""
+        rows = self._do(
+            "SELECT path, sheet FROM recordings WHERE run = ? AND kind != 'unlisted'", (self._run,)
+        )
+        return ((row["path"], row["sheet"]) for row in rows)
+
+    def samples(self) -> int:
+        """Samples of all recordings of the run."""
+        row = self._do(
+            "SELECT TOTAL(samples) FROM recordings WHERE run = ? AND kind IN ('trial', 'excluded')",
+            (self._run,),
+        ).fetchone()
+        return int(row[0])
+
+    def plan(self, job: JobRow) -> None:
+        """Add one job of the run."""
+        self._do(
+            "INSERT INTO jobs (position, key, specimen, state, reason) VALUES (?, ?, ?, ?, ?)",
+            (job.position, job.key, job.specimen, job.state, job.reason),
+        )
+
+    def jobs(self, state: str) -> Iterator[JobRow]:
+        """Jobs of the run in one state, in their order; jobs may change while they are gone through."""
+        positions = self._do(
+            "SELECT position FROM jobs WHERE state = ? ORDER BY position", (state,)
+        ).fetchall()
+        for (position,) in positions:
+            row = self._do("SELECT * FROM jobs WHERE position = ?", (position,)).fetchone()
+            yield JobRow(position, row["key"], row["specimen"], row["state"], row["reason"])
+
+    def count(self, state: str) -> int:
+        """How many jobs of the run are in a state."""
+        found: int = self._do("SELECT COUNT(*) FROM jobs WHERE state = ?", (state,)).fetchone()[0]
+        return found
+
+    def start(self, position: int, worker: str, now: float) -> None:
+        """Say that a job is being computed."""
+        self._do(
+            "UPDATE jobs SET state = 'running', worker = ?, began = ?, attempts = attempts + 1 "
+            "WHERE position = ?",
+            (worker, now, position),
+        )
+
+    def finish(self, job: JobRow, digest: str, size: int, seconds: float) -> None:
+        """Say that the file of a job is there, whole."""
+        with self.batch():
+            self._do("INSERT OR REPLACE INTO results VALUES (?, ?, ?, ?)", (job.key, digest, size, seconds))
+            self._do(
+                "UPDATE jobs SET state = 'done', seconds = ? WHERE position = ?", (seconds, job.position)
+            )
+
+    def fail(self, position: int, reason: str) -> None:
+        """Say why a job has no result."""
+        self._do("UPDATE jobs SET state = 'failed', reason = ? WHERE position = ?", (reason, position))
+
+    def result(self, key: str) -> tuple[str, int] | None:
+        """SHA-256 and size of the file of a key, ``None`` where no run has finished it."""
+        row = self._do("SELECT sha256, bytes FROM results WHERE key = ?", (key,)).fetchone()
+        return None if row is None else (row["sha256"], row["bytes"])
+
+    def forget_unused(self) -> None:
+        """Drop results that no job of the run names, and files it did not look at."""
+        with self.batch():
+            self._do("DELETE FROM results WHERE key NOT IN (SELECT key FROM jobs)")
+            self._do("DELETE FROM recordings WHERE run != ?", (self._run,))
+
+    def used_keys(self) -> set[str]:
+        """Keys of all jobs of the run."""
+        return {row["key"] for row in self._do("SELECT key FROM jobs")}
+
+
+def _recording(row: sqlite3.Row) -> RecordingRow:
+    refusal = None if row["refusal"] is None else json.loads(row["refusal"])
+    names = ("path", "sheet", "sha256", "raw", "samples", "kind", "specimen")
+    return RecordingRow(**{name: row[name] for name in names}, refusal=refusal)
+
+
+def _remove(path: Path) -> None:
+    for suffix in ("", "-wal", "-shm"):
+        path.with_name(path.name + suffix).unlink(missing_ok=True)
+
+
+def _unusable(path: Path, error: Exception) -> str:
+    return (
+        f"{path}: can't be used as a database ({error}); some network file systems have no locks for it: "
+        "write to a local folder and copy the result"
+    )
+
+
+def open_for_reading(out: Path) -> sqlite3.Connection:
+    """Open the index of a folder for queries, also while a run writes it.
+
+    Raises
+    ------
+    BundleError
+        There is none, or it can't be read.
+    """
+    path = out / INDEX
+    if not path.is_file():
+        msg = f"{out}: holds no index of a run; `tissueid fit ... -o {out}` makes one"
+        raise BundleError(msg)
+    problem: sqlite3.Error | None = None
+    # a folder that can't be written to holds no writer either: then the file alone is the whole truth
+    for way in ("mode=ro", "immutable=1"):
+        try:
+            database = sqlite3.connect(f"{path.resolve().as_uri()}?{way}", uri=True, timeout=_BUSY_S)
+            database.row_factory = sqlite3.Row
+            version = database.execute("PRAGMA user_version").fetchone()[0]
+        except sqlite3.Error as error:
+            problem = error
+            continue
+        if version != INDEX_SCHEMA_VERSION:
+            database.close()
+            msg = f"{path}: schema version {version}, this tissueid reads {INDEX_SCHEMA_VERSION}"
+            raise BundleError(msg)
+        return database
+    raise BundleError(_unusable(path, problem or OSError("no way to open it")))

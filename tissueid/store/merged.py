@@ -1,0 +1,151 @@
+"""The public files of a set put together from those of its specimens, one specimen in memory at a time.
+
+Compressed columns are copied as they are: what a specimen's file holds is what the public file holds.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import IO, Any
+
+import h5py
+import numpy as np
+
+from tissueid.errors import BundleError
+from tissueid.store.bundle import HDF5_ERRORS, SPECIMEN_GROUP, load_bundle, write_bundle
+from tissueid.store.curves import get_curves, write_curves
+from tissueid.store.files import TEMPORARY_PREFIX, json_bytes, replace_file
+from tissueid.store.names import bundle_names
+from tissueid.store.outputs import OutputSet
+
+__all__ = ["LISTED", "SPECIMENS", "ListedSpecimen", "list_specimens", "merge_files", "read_listed"]
+
+#: Folder of the files of specimens, in the output folder.
+SPECIMENS = "specimens"
+#: Which of them belong to the run: part of the set.
+LISTED = "specimens.csv"
+_COLUMNS = ("specimen", "file", "fitted", "sha256", "bytes")
+
+
+@dataclass(frozen=True, slots=True)
+class ListedSpecimen:
+    """One file of ``specimens/`` that belongs to a run.
+
+    Attributes
+    ----------
+    specimen : str
+    file : str
+        Its name in the folder.
+    fitted : bool
+        Whether a model was identified in it.
+    sha256, bytes : str, int
+    """
+
+    specimen: str
+    file: str
+    fitted: bool
+    sha256: str
+    bytes: int
+
+
+def list_specimens(rows: Iterable[ListedSpecimen], stream: IO[str]) -> None:
+    """Write ``specimens.csv``, a row as it comes."""
+    writer = csv.writer(stream)
+    writer.writerow(_COLUMNS)
+    for row in rows:
+        fitted = "TRUE" if row.fitted else "FALSE"
+        writer.writerow((row.specimen, row.file, fitted, row.sha256, row.bytes))
+
+
+def read_listed(path: Path) -> Iterator[ListedSpecimen]:
+    """Read what :func:`list_specimens` wrote.
+
+    Raises
+    ------
+    BundleError
+        It is damaged or another kind of file.
+    """
+    try:
+        with path.open(encoding="utf-8", newline="") as stream:
+            reader = csv.reader(stream)
+            next(reader)
+            for specimen, file, fitted, digest, size in reader:
+                yield ListedSpecimen(specimen, file, fitted == "TRUE", digest, int(size))
+    except (OSError, ValueError, StopIteration) as error:
+        msg = f"{path}: cannot be read as a list of specimens ({error}); run `tissueid fit` again"
+        raise BundleError(msg) from error
+
+
+def merge_files(
+    run: OutputSet, fitted: Mapping[str, Path], inputs: Mapping[str, Any], provenance: Mapping[str, Any]
+) -> None:
+    """Write bundles, curves, posteriors and sums of a set from the files of its specimens.
+
+    Parameters
+    ----------
+    run : OutputSet
+    fitted : mapping
+        Specimen -> its file, in the order of the set.
+    inputs : mapping
+        Specimen -> rows of its inputs.
+    provenance : mapping
+        Of the run, without inputs.
+
+    Raises
+    ------
+    BundleError
+        A file is damaged.
+    """
+    from tissueid.store.results import CURVES, ONLY_BUNDLE, POSTERIORS, SUMS
+
+    names = bundle_names(fitted)
+    for specimen, path in fitted.items():
+        bundle = replace(load_bundle(path), provenance={**provenance, "inputs": inputs[specimen]})
+        write_bundle(bundle, run.path(names[specimen]))
+        if len(names) == 1:
+            write_bundle(bundle, run.path(ONLY_BUNDLE))
+    paths = list(fitted.values())
+    try:
+        write_curves([curve for path in paths for curve in _curves(path)], run.path(CURVES))
+        _merge(paths, "posterior", run.path(POSTERIORS))
+        _merge(paths, "sums", run.path(SUMS))
+    except HDF5_ERRORS as error:
+        if isinstance(error, OSError) and error.errno is not None:
+            raise
+        msg = f"a specimen's file can't be read ({error}); run the same `tissueid fit` again"
+        raise BundleError(msg) from error
+
+
+def _curves(path: Path) -> Sequence[Any]:
+    with h5py.File(path, "r") as file:
+        group = file[SPECIMEN_GROUP]
+        return get_curves(group["curves"]) if "curves" in group else ()
+
+
+def _merge(paths: Iterable[Path], name: str, target: Path) -> None:
+    """Numbered groups of many files in one, with one index; no file where no specimen has any."""
+    index: list[Any] = []
+    temporary = target.with_name(TEMPORARY_PREFIX + target.name)
+    with h5py.File(temporary, "w", libver=("v110", "v110")) as merged:
+        for path in paths:
+            with h5py.File(path, "r") as file:
+                group = file[SPECIMEN_GROUP].get(name)
+                if group is None:
+                    continue
+                for key, value in group.attrs.items():
+                    merged.attrs[key] = value
+                for position, entry in enumerate(json.loads(bytes(group["index"][()]))):
+                    # a copy of compressed chunks, not of numbers
+                    merged.copy(group[str(position)], merged, name=str(len(index)))
+                    index.append(entry)
+        text = json_bytes(index)
+        kind = h5py.string_dtype("utf-8", length=len(text))
+        merged.create_dataset("index", data=np.array(text, dtype=kind), track_times=False)
+    if index:
+        replace_file(temporary, target)
+    else:
+        temporary.unlink()

@@ -1,0 +1,160 @@
+"""One specimen of a run in one HDF5 file, ``OUT/specimens/<key>.h5``, named by a hash of what made it.
+
+The root is a bundle, so that ``tissueid render`` opens the file as it is; what else the run found stands in a
+group beside it::
+
+    <key>.h5
+    |  document, theta, covariance, draws      as in a bundle; none of them where nothing could be fitted
+    `-- specimen/
+        |  attributes: format = "tissueid/specimen", schema_version = 1
+        |-- record       JSON text: its entry of identification.json, refusals, inputs, rows of the study
+        |-- curves/      as curves.h5
+        |-- posterior/   as posteriors.h5, where one was sampled
+        `-- sums/        as sums.h5
+
+A file is written and read as bytes, so that whoever computes it needs no folder of the run.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from tissueid.errors import BundleError
+from tissueid.store.bundle import HDF5_ERRORS, SPECIMEN_GROUP, Bundle, put_bundle
+from tissueid.store.curves import TrialCurve, get_curves, put_curves
+from tissueid.store.files import json_bytes
+from tissueid.store.posteriors import StoredPosterior, get_posteriors, put_posteriors
+from tissueid.store.sums import StoredSums, get_sums, put_sums
+
+__all__ = [
+    "SPECIMEN_SCHEMA_VERSION",
+    "SpecimenResult",
+    "load_record",
+    "load_specimen",
+    "load_specimen_sums",
+    "specimen_bytes",
+]
+
+SPECIMEN_SCHEMA_VERSION = 1
+_FORMAT = "tissueid/specimen"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SpecimenResult:
+    """What one job found.
+
+    Attributes
+    ----------
+    record : dict
+        ``specimen`` (name as shown), ``fitted`` (entry of identification.json, or ``None``), ``refused``,
+        ``unfitted_cycles``, ``inputs``, ``reasons`` (why its exit code is not 0), ``trials`` and
+        ``exclusions`` (rows of the study).
+    bundle : Bundle or None
+    curves : tuple of TrialCurve
+    posterior : StoredPosterior or None
+    sums : StoredSums or None
+    """
+
+    record: dict[str, Any]
+    bundle: Bundle | None = None
+    curves: tuple[TrialCurve, ...] = ()
+    posterior: StoredPosterior | None = None
+    sums: StoredSums | None = None
+
+
+def specimen_bytes(result: SpecimenResult) -> bytes:
+    """The bytes of a specimen's file; equal results give equal bytes.
+
+    Raises
+    ------
+    BundleError
+        If its bundle could not be loaded again.
+    """
+    buffer = io.BytesIO()
+    with h5py.File(buffer, "w", libver=("v110", "v110")) as file:
+        if result.bundle is not None:
+            put_bundle(file, result.bundle, where=result.bundle.specimen)
+        group = file.create_group(SPECIMEN_GROUP)
+        group.attrs["format"] = _FORMAT
+        group.attrs["schema_version"] = np.int64(SPECIMEN_SCHEMA_VERSION)
+        text = json_bytes(result.record)
+        kind = h5py.string_dtype("utf-8", length=len(text))
+        group.create_dataset("record", data=np.array(text, dtype=kind), track_times=False)
+        if result.curves:
+            put_curves(group.create_group("curves"), result.curves)
+        if result.posterior is not None:
+            put_posteriors(group.create_group("posterior"), [result.posterior])
+        if result.sums is not None:
+            put_sums(group.create_group("sums"), [result.sums])
+    return buffer.getvalue()
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """The group of a specimen's file; whatever libhdf5 says of a damaged one becomes a BundleError."""
+    try:
+        with h5py.File(path, "r") as file:
+            group = file[SPECIMEN_GROUP]
+            version = group.attrs.get("schema_version")
+            if group.attrs.get("format") != _FORMAT or version != SPECIMEN_SCHEMA_VERSION:
+                msg = f"format {group.attrs.get('format')!r}, schema version {version}"
+                raise ValueError(msg)
+            yield group
+    except HDF5_ERRORS as error:
+        msg = (
+            f"{path}: cannot be read as a specimen of a run ({error}); run the same `tissueid fit` again, "
+            "which computes it anew"
+        )
+        raise BundleError(msg) from error
+
+
+def _record(group: Any) -> dict[str, Any]:
+    record: dict[str, Any] = json.loads(bytes(group["record"][()]))
+    return record
+
+
+def load_record(path: Path) -> dict[str, Any]:
+    """The JSON of a specimen's file alone.
+
+    Raises
+    ------
+    BundleError
+        If the file is missing, damaged or another kind of file.
+    """
+    with _opened(path) as group:
+        return _record(group)
+
+
+def load_specimen(path: Path) -> tuple[dict[str, Any], tuple[TrialCurve, ...], StoredPosterior | None]:
+    """Record, curves and draws of a specimen's file: all that a report draws.
+
+    Raises
+    ------
+    BundleError
+        If the file is missing, damaged or another kind of file.
+    """
+    with _opened(path) as group:
+        curves = get_curves(group["curves"]) if "curves" in group else ()
+        posteriors = get_posteriors(group["posterior"]) if "posterior" in group else ()
+        return _record(group), curves, posteriors[0] if posteriors else None
+
+
+def load_specimen_sums(path: Path) -> StoredSums | None:
+    """Sums of a specimen's file, where it has any.
+
+    Raises
+    ------
+    BundleError
+        If the file is missing, damaged or another kind of file.
+    """
+    with _opened(path) as group:
+        return next(get_sums(group["sums"]), None) if "sums" in group else None

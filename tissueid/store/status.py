@@ -1,0 +1,124 @@
+"""How far a run is, read from its index while it goes on or after it ended.
+
+Every answer is of one moment: one transaction of the index, which holds finished results only.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import sqlite3
+import time
+from pathlib import Path
+from typing import Any
+
+from tissueid.errors import BundleError
+from tissueid.store.index import INDEX, open_for_reading
+
+__all__ = ["read_status"]
+
+#: Finished jobs that the rate is taken over.
+_RECENT = 50
+#: Failures that are listed.
+_LISTED = 100
+
+
+def read_status(out: Path) -> dict[str, Any]:
+    """The document of ``schemas/status.schema.json``.
+
+    Parameters
+    ----------
+    out : Path
+        Output folder.
+
+    Raises
+    ------
+    BundleError
+        There is no index, or it can't be read.
+    """
+    database = open_for_reading(out)
+    try:
+        database.execute("BEGIN")
+        run = database.execute("SELECT * FROM runs ORDER BY id DESC LIMIT 1").fetchone()
+        if run is None:
+            msg = f"{out}: no run has begun here"
+            raise BundleError(msg)
+        counts = dict(database.execute("SELECT state, COUNT(*) FROM jobs GROUP BY state").fetchall())
+        running = database.execute(
+            "SELECT specimen, worker, began, attempts FROM jobs WHERE state = 'running' ORDER BY position"
+        ).fetchall()
+        failed = database.execute(
+            "SELECT specimen, reason FROM jobs WHERE state = 'failed' ORDER BY position LIMIT ?", (_LISTED,)
+        ).fetchall()
+        ends = database.execute(
+            "SELECT began + seconds FROM jobs WHERE state = 'done' AND began IS NOT NULL"
+            " ORDER BY began + seconds DESC LIMIT ?",
+            (_RECENT,),
+        ).fetchall()
+        known = database.execute(
+            "SELECT COUNT(*) FROM jobs WHERE state = 'done' AND seconds IS NULL"
+        ).fetchone()[0]
+    except sqlite3.Error as error:
+        msg = f"{out / INDEX}: can't be read ({error}); the next `tissueid fit` begins it anew"
+        raise BundleError(msg) from error
+    finally:
+        database.close()
+    alive = _alive(json.loads(run["process"]))
+    state = "stopped" if run["state"] == "running" and alive is False else run["state"]
+    going = state == "running"
+    left = counts.get("waiting", 0) + counts.get("running", 0)
+    rate = _rate(run["started"], [end for (end,) in ends]) if going else None
+    return {
+        "schema": "tissueid/status/1",
+        "state": state,
+        "started": run["started"],
+        "ended": run["ended"],
+        "writer": json.loads(run["process"]) if going else None,
+        "reason": run["reason"],
+        "files": {"looked_into": run["surveyed"], "total": run["files"]},
+        "specimens": {
+            "total": sum(counts.values()),
+            "done": counts.get("done", 0),
+            "known_before": known,
+            "running": counts.get("running", 0) if going else 0,
+            "waiting": left if not going else counts.get("waiting", 0),
+            "failed": counts.get("failed", 0),
+        },
+        "specimens_per_minute": None if rate is None else 60.0 * rate,
+        "left_s": None if not rate else left / rate,
+        "running": [
+            {
+                "specimen": row["specimen"],
+                "worker": row["worker"],
+                "attempts": row["attempts"],
+                "seconds": max(time.time() - row["began"], 0.0),
+            }
+            for row in (running if going else ())
+        ],
+        "failures": [
+            {"specimen": row["specimen"], "reason": json.loads(row["reason"])["message"]} for row in failed
+        ],
+    }
+
+
+def _alive(process: dict[str, Any]) -> bool | None:
+    """Whether a process still runs; ``None`` where it is one of another machine."""
+    if process.get("host") != platform.node():
+        return None
+    try:
+        os.kill(int(process["pid"]), 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, KeyError, ValueError):
+        return None
+    return True
+
+
+def _rate(started: float, ends: list[float]) -> float | None:
+    """Specimens a second over the last ones that were finished."""
+    if not ends:
+        return None
+    first = started if len(ends) < _RECENT else ends[-1]
+    passed = time.time() - first
+    return len(ends) / passed if passed > 0.0 else None

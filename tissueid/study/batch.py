@@ -1,0 +1,235 @@
+"""A cohort: files to specimens, specimens to files of their own, those to the set that is public.
+
+Three passes, each over whatever is not known yet: a survey (which recording belongs to which specimen), one
+job a specimen, and the assembly.  Every result is written and put down in the index as it comes, so that a
+run that ends early, for whatever reason, is gone on with by the same command.  Results are taken in the order
+of the files whichever order they came in, and a specimen's numbers depend on its own recordings only: who
+computed them, and how many at a time, changes nothing.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import hashlib
+import json
+import os
+import platform
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from tissueid.collection import display_names
+from tissueid.errors import BundleError
+from tissueid.result import Identification, Refusal
+from tissueid.store.files import sha256_of, write_file
+from tissueid.store.index import Index, JobRow
+from tissueid.store.merged import SPECIMENS
+from tissueid.store.outputs import OutputSet
+from tissueid.store.specimen_file import specimen_bytes
+from tissueid.store.sums import StoredSums
+from tissueid.study.assembly import Assembled, assemble, specimen_path
+from tissueid.study.inventory import Inventory
+from tissueid.study.one_specimen import SeveralSpecimensError, fit_while_read
+from tissueid.study.partition import StudyParts
+from tissueid.study.request import Progress, Request, Workplace, expected_seconds
+from tissueid.study.specimen_job import RecentTrials, SpecimenJob, fit_here, result_of
+from tissueid.study.tasks import Fault, Outcome, Task, packed, unpacked
+from tissueid.trial import Source
+
+__all__ = ["fit_cohort", "prune_specimens"]
+
+_FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
+
+
+def fit_cohort(request: Request, run: OutputSet, progress: Progress) -> Assembled:
+    """Fit every specimen among some files and put the public set together, without committing it.
+
+    Parameters
+    ----------
+    request : Request
+    run : OutputSet
+        Open; its folder keeps the index and the files of specimens whether or not it is committed.
+    progress : callable
+        ``progress(message, done, total)``.
+
+    Raises
+    ------
+    BundleError
+        The output can't be written, a full disk included; what is finished is kept.
+    """
+    with Index(run.out) as index:
+        process = {"pid": os.getpid(), "host": platform.node()}
+        index.begin_run(time.time(), process, len(request.found))
+        state, reason = "failed", None
+        try:
+            found = _Cohort(request, run, index, progress).fit()
+            state = "finished"
+        except OSError as error:
+            reason = _lost_output(run.out, index, error)
+            raise BundleError(reason) from error
+        except KeyboardInterrupt:
+            state = "interrupted"
+            raise
+        finally:
+            # where the disk is full the run stays "running" in the index, and its process is gone
+            with contextlib.suppress(OSError):
+                index.end_run(time.time(), state, reason)
+        return found
+
+
+def prune_specimens(out: Path) -> None:
+    """Remove files of specimens that the committed set does not name; call it after the commit."""
+    with Index(out) as index:
+        index.forget_unused()
+        used = {f"{key}.h5" for key in index.used_keys()}
+    for path in (out / SPECIMENS).iterdir():
+        if path.name not in used:
+            path.unlink(missing_ok=True)
+
+
+def _lost_output(out: Path, index: Index, error: OSError) -> str:
+    """What became of the run where a file could not be written."""
+    done = index.count("done")
+    kept = f"{done} finished specimen{'s' * (done != 1)} are kept" if done else "nothing was finished"
+    way_out = "free space and run" if error.errno in _FULL else "run"
+    return f"{error.filename or out}: {error.strerror or error}; {kept}: {way_out} the same command again"
+
+
+class _Cohort:
+    """One run over some files."""
+
+    def __init__(self, request: Request, run: OutputSet, index: Index, progress: Progress) -> None:
+        self.request, self.run, self.index, self.progress = request, run, index, progress
+        self.parts = None if request.study is None else StudyParts(request.study)
+        self.recent = RecentTrials()
+        self.specimens: list[tuple[str, str, str | None]] = []
+        self.names: dict[str, str] = {}
+        self.chains: Path | None = None
+
+    def fit(self) -> Assembled:
+        """Survey, jobs, assembly."""
+        (self.run.out / SPECIMENS).mkdir(exist_ok=True)
+        inventory = Inventory(self.request, self.index, self.parts)
+        new = not self.index.knows_files()
+        inventory.put_down_refusals()
+        with Workplace(self.request.workers, self.request.scheduler) as workplace:
+            if workplace.shared_disk:
+                self.chains = self.run.sampling("").parent
+            at_once = self._while_read(inventory) if new and self.chains is not None else None
+            if at_once is None:
+                inventory.complete(workplace, self.recent, self.progress)
+                self.request.all_read()
+            self._plan()
+            if at_once is not None:
+                self._keep_at_once(*at_once)
+            self._compute(workplace)
+        self.progress("putting the results together", 0, 0)
+        return assemble(
+            self.run,
+            self.index,
+            study=self.request.study,
+            options=self.request.options,
+            provenance=self.request.provenance,
+        )
+
+    def _while_read(self, inventory: Inventory) -> tuple[Identification, list[StoredSums]] | None:
+        assert self.chains is not None  # noqa: S101  (asked before)
+        try:
+            return fit_while_read(inventory, self.chains, self.recent, self.progress)
+        except SeveralSpecimensError:
+            return None
+
+    def _job(self, position: int) -> SpecimenJob:
+        """The job of the specimen at a position, made anew whenever it is needed."""
+        specimen = self.specimens[position][0]
+        shown = self.names[specimen]
+        recordings = tuple((row.path, row.sheet, row.sha256) for row in self.index.recordings_of(specimen))
+        study = None
+        if self.parts is not None:
+            study = self.parts.of_specimen(shown, [(path, sheet) for path, sheet, _ in recordings])
+        return SpecimenJob(
+            specimen=specimen,
+            shown=shown,
+            recordings=recordings,
+            study=study,
+            reading=self.request.reading,
+            options=self.request.options,
+            provenance=self.request.provenance,
+            chains=None if self.chains is None else str(self.chains),
+        )
+
+    def _plan(self) -> None:
+        """One job a specimen; those whose result is there, whole, are done."""
+        self.specimens = self.index.specimens()
+        sources = [(name, Source(path=path, sheet=sheet)) for name, path, sheet in self.specimens]
+        self.names = display_names(sources)
+        with self.index.batch():
+            for position, (specimen, _, _) in enumerate(self.specimens):
+                key = self._job(position).key()
+                state = "done" if self._is_whole(key) else "waiting"
+                self.index.plan(JobRow(position, key, self.names[specimen], state, None))
+
+    def _is_whole(self, key: str) -> bool:
+        known = self.index.result(key)
+        path = specimen_path(self.run.out, key)
+        if known is None or not path.is_file():
+            return False
+        return path.stat().st_size == known[1] and sha256_of(path) == known[0]
+
+    def _keep_at_once(self, identification: Identification, sums: list[StoredSums]) -> None:
+        """Put down the specimen that was fitted while it was read."""
+        for job in self.index.jobs("waiting"):
+            result = result_of(identification, sums, shown=job.specimen, options=self.request.options)
+            self._keep(job, specimen_bytes(result), 0.0)
+
+    def _keep(self, job: JobRow, content: bytes, seconds: float) -> None:
+        write_file(specimen_path(self.run.out, job.key), content)
+        self.index.finish(job, hashlib.sha256(content).hexdigest(), len(content), seconds)
+
+    def _compute(self, workplace: Workplace) -> None:
+        """Compute every job that waits."""
+        total = len(self.specimens)
+        waiting = {job.position: job for job in self.index.jobs("waiting")}
+        if not waiting:
+            return
+        samples = self.index.samples()
+        seconds = expected_seconds(samples * len(waiting) // total, len(waiting), self.request.options)
+        done = total - len(waiting)
+
+        def here(_what: str, payload: bytes) -> bytes:
+            result = fit_here(
+                unpacked(payload),
+                recent=self.recent,
+                progress=lambda message, _done, _total: self.progress(message, done, total),
+            )
+            return specimen_bytes(result)
+
+        running: dict[int, str] = {}
+
+        def started(number: int, worker: str) -> None:
+            self.index.start(number, worker, time.time())
+            running[number] = waiting[number].specimen
+            self.progress(", ".join(running.values()), done, total)
+
+        def tasks() -> Iterator[Task]:
+            for position, job in waiting.items():
+                yield Task(position, "specimen", packed(self._job(position)), job.specimen)
+
+        crew = workplace.workforce(len(waiting), seconds, here, asked=True)
+        for outcome in crew.run(tasks(), started):
+            running.pop(outcome.number, None)
+            done += 1
+            self._take(waiting[outcome.number], outcome)
+            self.progress(", ".join(running.values()), done, total)
+
+    def _take(self, job: JobRow, outcome: Outcome) -> None:
+        if outcome.result is not None:
+            self._keep(job, outcome.result, outcome.seconds)
+            return
+        fault = outcome.fault or Fault("job_failed", "no reason is known")
+        _, path, sheet = self.specimens[job.position]
+        message = f"specimen {job.specimen!r} could not be fitted: {fault.message}"
+        refusal = Refusal(path, sheet, fault.code, message)
+        fields = {name: getattr(refusal, name) for name in refusal.__dataclass_fields__}
+        self.index.fail(job.position, json.dumps(fields))

@@ -1,0 +1,229 @@
+"""Tasks in this process, one after the other, or in spawned processes of this machine.
+
+Every process has a pipe of its own, so that a death is that of a known task: the process is replaced, the
+task tried once more, and named if it dies again.  Workers ignore Ctrl-C, which is the parent's to answer, and
+end when the parent does, however that ends.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from multiprocessing import connection, get_context, parent_process
+from types import TracebackType
+from typing import Any, Protocol, Self
+
+from tissueid.study.tasks import Fault, Outcome, Task, attempt, packed, perform, unpacked
+
+__all__ = ["InThisProcess", "LocalProcesses", "Started", "Workforce"]
+
+#: Times a task may take its process with it.
+ATTEMPTS = 2
+#: How long a process may take to end by itself [s].
+_GRACE_S = 2.0
+
+#: Told the number of a task and who begins it.
+Started = Callable[[int, str], None]
+
+
+class Workforce(Protocol):
+    """Whoever computes tasks, so many at a time."""
+
+    @property
+    def size(self) -> int:
+        """Tasks computed at once."""
+        ...
+
+    def run(self, tasks: Iterable[Task], started: Started) -> Iterator[Outcome]:
+        """Outcomes as they come, in any order; tasks are taken from the iterable as they are needed."""
+        ...
+
+
+class InThisProcess:
+    """No process but this one.
+
+    Parameters
+    ----------
+    function : callable
+        Word and payload of a task -> its result.
+    """
+
+    size = 1
+
+    def __init__(self, function: Callable[[str, bytes], bytes] = perform) -> None:
+        self._function = function
+
+    def run(self, tasks: Iterable[Task], started: Started) -> Iterator[Outcome]:
+        """Outcomes in the order of the tasks."""
+        for task in tasks:
+            started(task.number, "this process")
+            yield attempt(task, "this process", self._function)
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    if parent is not None:
+        connection.wait([parent.sentinel])
+    os._exit(1)
+
+
+def _serve(pipe: Any) -> None:
+    """A worker: tasks in, outcomes out, until the pipe is closed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(1):
+        while True:
+            try:
+                task = unpacked(pipe.recv_bytes())
+            except EOFError:
+                return
+            outcome = packed(attempt(task))
+            pipe.send_bytes(outcome)
+
+
+@dataclass(slots=True, eq=False)
+class _Worker:
+    """A process, its pipe, and the task it computes."""
+
+    process: Any
+    pipe: Any
+    task: Task | None = None
+
+    @property
+    def name(self) -> str:
+        return f"process {self.process.pid}"
+
+
+class LocalProcesses:
+    """Spawned processes of this machine.
+
+    Parameters
+    ----------
+    workers : int
+        How many.
+    """
+
+    def __init__(self, workers: int) -> None:
+        self.size = workers
+        self._context = get_context("spawn")
+        self._workers: list[_Worker] = []
+        self._attempts: dict[int, int] = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for worker in self._workers:
+            worker.pipe.close()
+            if worker.task is not None:
+                worker.process.kill()
+        deadline = time.monotonic() + _GRACE_S
+        for worker in self._workers:
+            worker.process.join(max(deadline - time.monotonic(), 0.0))
+            if worker.process.is_alive():
+                worker.process.kill()
+                worker.process.join()
+            worker.process.close()
+        self._workers.clear()
+
+    def _spawned(self) -> _Worker:
+        ours, theirs = self._context.Pipe()
+        process = self._context.Process(target=_serve, args=(theirs,), daemon=True)
+        process.start()
+        theirs.close()
+        return _Worker(process, ours)
+
+    def run(self, tasks: Iterable[Task], started: Started) -> Iterator[Outcome]:
+        """Outcomes as they come; a process that dies is replaced and its task tried once more."""
+        source = iter(tasks)
+        again: deque[Task] = deque()
+        self._attempts.clear()
+        while True:
+            self._hand_out(source, again, started)
+            busy = [worker for worker in self._workers if worker.task is not None]
+            if not busy:
+                return
+            ready = connection.wait([worker.pipe for worker in busy])
+            outcomes = [self._received(worker, again) for worker in busy if worker.pipe in ready]
+            # nobody waits for what the caller does with the results
+            self._hand_out(source, again, started)
+            yield from (outcome for outcome in outcomes if outcome is not None)
+
+    def _hand_out(self, source: Iterator[Task], again: deque[Task], started: Started) -> None:
+        """Give every process that has nothing to do a task."""
+        while True:
+            idle = next((worker for worker in self._workers if worker.task is None), None)
+            if idle is None and len(self._workers) == self.size:
+                return
+            task = again.popleft() if again else next(source, None)
+            if task is None:
+                return
+            if idle is None:
+                idle = self._spawned()
+                self._workers.append(idle)
+            try:
+                idle.pipe.send_bytes(packed(task))
+            except OSError:
+                # it died while it had nothing to do
+                again.appendleft(task)
+                self._remove(idle)
+                continue
+            idle.task = task
+            started(task.number, idle.name)
+
+    def _received(self, worker: _Worker, again: deque[Task]) -> Outcome | None:
+        """The outcome a process has sent; ``None`` where it died and its task is tried again."""
+        try:
+            outcome: Outcome = unpacked(worker.pipe.recv_bytes())
+        except (EOFError, OSError):
+            return self._buried(worker, again)
+        worker.task = None
+        self._attempts.pop(outcome.number, None)
+        return outcome
+
+    def _remove(self, worker: _Worker) -> int | None:
+        self._workers.remove(worker)
+        worker.pipe.close()
+        worker.process.join(_GRACE_S)
+        code: int | None = worker.process.exitcode
+        if code is None:
+            worker.process.kill()
+            worker.process.join()
+        worker.process.close()
+        return code
+
+    def _buried(self, worker: _Worker, again: deque[Task]) -> Outcome | None:
+        """Take a dead process away; what it computed is tried once more, or named."""
+        name, task = worker.name, worker.task
+        code = self._remove(worker)
+        assert task is not None  # noqa: S101  (only those that compute are waited for)
+        tried = self._attempts.get(task.number, 0) + 1
+        self._attempts[task.number] = tried
+        if tried < ATTEMPTS:
+            again.append(task)
+            return None
+        message = (
+            f"the process that computed it died {tried} times ({_how(code)}); the likely reason is memory: "
+            "use fewer --workers, or a larger machine"
+        )
+        return Outcome(task.number, None, Fault("worker_killed", message), 0.0, name)
+
+
+def _how(code: int | None) -> str:
+    """How a process ended, in words."""
+    if code is None or code >= 0 or sys.platform == "win32":
+        return f"exit code {code}"
+    try:
+        return f"signal {-code}, {signal.Signals(-code).name}"
+    except ValueError:
+        return f"signal {-code}"

@@ -1,0 +1,131 @@
+"""What a user asks of a cohort, and who computes it: this process, others of this machine, or a cluster."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from tissueid.ingest import ReadOptions
+from tissueid.manifest import Study
+from tissueid.pipeline import IdentifyOptions
+from tissueid.result import Refusal
+from tissueid.study.processes import InThisProcess, LocalProcesses, Workforce
+
+__all__ = ["LOCAL", "Progress", "Request", "Workplace", "expected_seconds"]
+
+#: The scheduler that is no scheduler.
+LOCAL = "local"
+#: Processes are worth their start from so much work on [s]: each imports for two seconds.
+WORTH_PROCESSES_S = 8.0
+#: What a job is expected to cost: reading, segmenting and fitting [s a sample], and sampling [s].
+SECONDS_A_SAMPLE = 5e-6
+SECONDS_SAMPLING: Mapping[str, float] = {"emcee": 2.5, "exact": 1.0, "none": 0.2}
+
+Progress = Callable[[str, int, int], None]
+
+
+def _nothing(*_: Any) -> None:
+    """Told, and silent."""
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What is to be fitted, and how.
+
+    Attributes
+    ----------
+    found : sequence of (path, sheet or None) or Refusal
+        Files in their order; a refusal stands in the place of what was refused.
+    reading : ReadOptions
+    study : Study or None
+    options : IdentifyOptions
+    provenance : mapping
+        Added to the provenance of the run.
+    workers : int or None
+        Processes; ``None`` takes as many as there are processors, where the work is worth their start.
+    scheduler : str
+        ``local``, or the address of a Dask scheduler.
+    read : callable
+        Told path and sheet of every recording.
+    all_read : callable
+        Told once, when every file was looked into and nothing is fitted yet.
+    """
+
+    found: Sequence[tuple[Path, str | None] | Refusal]
+    reading: ReadOptions
+    study: Study | None
+    options: IdentifyOptions
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    workers: int | None = None
+    scheduler: str = LOCAL
+    read: Callable[[str, str | None], None] = _nothing
+    all_read: Callable[[], None] = _nothing
+
+
+def expected_seconds(samples: int, specimens: int, options: IdentifyOptions) -> float:
+    """Roughly what some specimens cost on one processor [s]."""
+    sampler = "none" if options.posterior is None else options.posterior.sampler
+    return samples * SECONDS_A_SAMPLE + specimens * SECONDS_SAMPLING.get(sampler, 1.0)
+
+
+class Workplace:
+    """Where a run computes; processes and connections are opened when they are first needed.
+
+    Parameters
+    ----------
+    workers : int or None
+    scheduler : str
+    """
+
+    def __init__(self, workers: int | None, scheduler: str) -> None:
+        self._workers, self._scheduler = workers, scheduler
+        self._stack = ExitStack()
+        self._opened: Workforce | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.__exit__(kind, error, trace)
+
+    @property
+    def shared_disk(self) -> bool:
+        """Whether workers see the folders of this process."""
+        return self._scheduler == LOCAL
+
+    def workforce(
+        self, tasks: int, seconds: float, function: Callable[[str, bytes], bytes], *, asked: bool
+    ) -> Workforce:
+        """Who computes some tasks.
+
+        Parameters
+        ----------
+        tasks : int
+            How many there are.
+        seconds : float
+            What they are expected to cost together.
+        function : callable
+            How this process computes one: word and payload -> result.
+        asked : bool
+            Whether the number of processes that the user asked for is meant for these tasks, however small.
+        """
+        if self._opened is None and self._scheduler != LOCAL:
+            from tissueid.study.cluster import DaskWorkers
+
+            self._opened = self._stack.enter_context(DaskWorkers(self._scheduler))
+        if self._scheduler == LOCAL and self._opened is None:
+            workers = min(self._workers or os.cpu_count() or 1, tasks)
+            small = seconds < WORTH_PROCESSES_S and (self._workers is None or not asked)
+            if workers < 2 or small:
+                return InThisProcess(function)
+            most = self._workers or os.cpu_count() or 1
+            self._opened = self._stack.enter_context(LocalProcesses(most))
+        assert self._opened is not None  # noqa: S101  (opened above)
+        return self._opened

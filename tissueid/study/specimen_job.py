@@ -1,0 +1,234 @@
+"""The job of a cohort: one specimen from its recordings to the bytes of its file.
+
+A job is everything :func:`tissueid.pipeline.identify` needs to know of one specimen; its key is a hash of all
+that may change the result, so that what is there already is not computed again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+from tissueid.errors import InputError
+from tissueid.ingest import ReadOptions
+from tissueid.manifest import Study
+from tissueid.pipeline import IdentifyOptions, identify, unmet
+from tissueid.result import Identification, Refusal
+from tissueid.store.bundle import bundle_from_fit
+from tissueid.store.curves import curves_of_fits
+from tissueid.store.files import json_bytes, plain_json
+from tissueid.store.posteriors import posteriors_of_fits
+from tissueid.store.schema import check
+from tissueid.store.specimen_file import SPECIMEN_SCHEMA_VERSION, SpecimenResult, specimen_bytes
+from tissueid.store.sums import StoredSums
+from tissueid.study.partition import facts_of
+from tissueid.study.recordings import read_decided, read_decided_one
+from tissueid.study.survey import refusal_of
+from tissueid.study.tasks import unpacked, versions
+from tissueid.trial import Trial
+
+__all__ = ["RecentTrials", "SpecimenJob", "chain_file", "fit_here", "fit_specimen_job", "result_of"]
+
+#: Samples kept between a survey and the jobs of one process [bytes].
+RECENT_BYTES = 16 * 2**20
+#: What the readers would say of a sheet that another job reads.
+_NOT_OURS = "study_unmatched"
+
+
+@dataclass(frozen=True, slots=True)
+class SpecimenJob:
+    """One specimen.
+
+    Attributes
+    ----------
+    specimen, shown : str
+        As its recordings name it, and its name among all others of the run.
+    recordings : tuple of (path, sheet, sha256)
+        In the order of files, excluded ones among them.
+    study : Study or None
+        What the study says of this specimen.
+    reading : ReadOptions
+    options : IdentifyOptions
+    provenance : mapping
+        Added to the provenance of its bundle.
+    chains : str or None
+        Folder for chains that are being sampled; ``None`` where none is shared.
+    """
+
+    specimen: str
+    shown: str
+    recordings: tuple[tuple[str, str | None, str], ...]
+    study: Study | None
+    reading: ReadOptions
+    options: IdentifyOptions
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    chains: str | None = None
+
+    def key(self) -> str:
+        """SHA-256 of everything that may change the result."""
+        posterior = self.options.posterior
+        if posterior is not None:
+            posterior = replace(posterior, workers=1)
+        document = {
+            "schema": SPECIMEN_SCHEMA_VERSION,
+            "specimen": self.shown,
+            "recordings": [list(one) for one in self.recordings],
+            "study": None if self.study is None else facts_of(self.study),
+            "reading": repr(self.reading),
+            "options": repr(replace(self.options, posterior=posterior)),
+            "provenance": dict(self.provenance),
+            "versions": versions(),
+        }
+        return hashlib.sha256(json_bytes(document)).hexdigest()
+
+
+class RecentTrials:
+    """Trials that were just read, up to a number of bytes, so that a small study is read once."""
+
+    def __init__(self) -> None:
+        self._trials: OrderedDict[tuple[str, str | None], Trial] = OrderedDict()
+        self._bytes = 0
+
+    def keep(self, trial: Trial) -> None:
+        """Remember a trial; the oldest give way."""
+        self._trials[trial.source.path, trial.source.sheet] = trial
+        self._bytes += 3 * trial.time_s.nbytes
+        while self._bytes > RECENT_BYTES:
+            _, oldest = self._trials.popitem(last=False)
+            self._bytes -= 3 * oldest.time_s.nbytes
+
+    def take(self, path: str, sheet: str | None) -> Trial | None:
+        """Give a trial away."""
+        trial = self._trials.pop((path, sheet), None)
+        if trial is not None:
+            self._bytes -= 3 * trial.time_s.nbytes
+        return trial
+
+    def clear(self) -> None:
+        """Forget all of them."""
+        self._trials.clear()
+        self._bytes = 0
+
+
+def chain_file(folder: str | Path, specimen: str) -> Path:
+    """Where the chain of a specimen is kept while it is sampled."""
+    return Path(folder) / f"{hashlib.sha256(specimen.encode()).hexdigest()[:16]}.npz"
+
+
+def _own_trials(job: SpecimenJob, recent: RecentTrials | None) -> Iterator[Trial | InputError]:
+    """The recordings of the job in its order, each file opened once."""
+    for path, group in groupby(job.recordings, key=lambda one: one[0]):
+        wanted = {sheet: digest for _, sheet, digest in group}
+        there = [] if recent is None else [recent.take(path, sheet) for sheet in wanted]
+        items: Iterable[Trial | InputError] = [one for one in there if one is not None]
+        if not there or None in there:
+            items = read_decided(Path(path), job.reading, job.study)
+        for item in items:
+            sheet = item.sheet if isinstance(item, InputError) else item.source.sheet
+            if isinstance(item, InputError) and (sheet is None or sheet in wanted):
+                yield item
+            elif isinstance(item, Trial) and sheet in wanted:
+                if item.source.sha256 != wanted.pop(sheet):
+                    message = "the file changed since its specimen was looked up; run again when it is whole"
+                    raise InputError(code="unreadable_file", message=message, path=path, sheet=sheet)
+                yield item
+            if not wanted:
+                break
+
+
+def fit_here(
+    job: SpecimenJob,
+    *,
+    recent: RecentTrials | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> SpecimenResult:
+    """Fit the specimen of a job in this process.
+
+    Parameters
+    ----------
+    job : SpecimenJob
+    recent : RecentTrials, optional
+        Trials that need not be read again.
+    progress : callable, optional
+        ``progress(message, done, total)`` of this job.
+
+    Raises
+    ------
+    InputError
+        A file is not the one that was looked at.
+    """
+    refused: list[Refusal] = []
+
+    def trials() -> Iterator[Trial]:
+        for item in _own_trials(job, recent):
+            if isinstance(item, InputError):
+                refused.append(refusal_of(item))
+            else:
+                yield item
+
+    sums: list[StoredSums] = []
+    folder = job.chains
+    identification = identify(
+        trials(),
+        study=job.study,
+        options=job.options,
+        reload=lambda source: read_decided_one(source.path, source.sheet, job.reading, job.study),
+        refused=refused,
+        provenance=job.provenance,
+        progress=progress,
+        checkpoint=None if folder is None else lambda name: chain_file(folder, name),
+        keep_sums=sums.append,
+        names={job.specimen: job.shown},
+    )
+    return result_of(identification, sums, shown=job.shown, options=job.options)
+
+
+def result_of(
+    identification: Identification,
+    sums: Iterable[StoredSums],
+    *,
+    shown: str,
+    options: IdentifyOptions,
+) -> SpecimenResult:
+    """What is kept of an identification of one specimen.
+
+    Raises
+    ------
+    BundleError
+        The result breaks its schema.
+    """
+    document = plain_json(identification.as_json())
+    check(document, "identification", where=shown)
+    study = document["study"]
+    fits = identification.specimens
+    record = {
+        "specimen": shown,
+        "fitted": document["specimens"][0] if fits else None,
+        "refused": [one for one in document["refused"] if one["error"]["code"] != _NOT_OURS],
+        "unfitted_cycles": document["unfitted_cycles"],
+        "inputs": document["provenance"]["inputs"],
+        "reasons": unmet(fits, options.required),
+        "trials": [] if study is None else study["trials"],
+        "exclusions": [] if study is None else study["exclusions"],
+    }
+    if not fits:
+        return SpecimenResult(record)
+    posteriors = posteriors_of_fits(fits)
+    return SpecimenResult(
+        record,
+        bundle=bundle_from_fit(fits[0], provenance=identification.provenance),
+        curves=curves_of_fits(fits),
+        posterior=posteriors[0] if posteriors else None,
+        sums=next(iter(sums), None),
+    )
+
+
+def fit_specimen_job(payload: bytes) -> bytes:
+    """The task: a packed :class:`SpecimenJob` in, the bytes of its file out."""
+    job: SpecimenJob = unpacked(payload)
+    return specimen_bytes(fit_here(job))
