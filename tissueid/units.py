@@ -1,8 +1,8 @@
 """Units as laboratories print them, converted once at the boundary to s, mm and N.
 
-Not a unit system of our own: the factors are pint's, and pint is loaded on the first unit that is not
-already the internal one (it costs 0.3 s).  What is ours is the list of spellings that pint does not
-read: ``(sec)``, ``gf``, ``毫米``.
+Not a unit system of our own: the factors are pint's.  Those of the units that machines print are kept
+here, and pint is loaded on the first other one (it costs half a second).  What is ours is the list of
+spellings that pint does not read: ``(sec)``, ``gf``, ``毫米``.
 """
 
 from __future__ import annotations
@@ -13,7 +13,15 @@ from functools import cache
 from types import MappingProxyType
 from typing import Any, Literal, get_args
 
-__all__ = ["INTERNAL_UNITS", "Quantity", "bare_unit", "factor_to", "quantity_of"]
+__all__ = [
+    "INTERNAL_UNITS",
+    "KNOWN_UNITS",
+    "KNOWN_WORDS",
+    "Quantity",
+    "bare_unit",
+    "factor_to",
+    "quantity_of",
+]
 
 #: What can be converted: the three channels of a recording, the rate of a protocol, and the channels of a
 #: normalised recording.
@@ -59,6 +67,25 @@ _SPELLINGS: Mapping[str, str] = MappingProxyType(
         "Newton": "newton",
         "Newtons": "newton",
     }
+)
+#: What machines print most: what it measures, and pint's factor.
+KNOWN_UNITS: Mapping[str, tuple[Quantity, float]] = MappingProxyType(
+    {
+        "sec": ("time", 1.0),
+        "ms": ("time", 0.001),
+        "min": ("time", 60.0),
+        "um": ("displacement", 0.001),
+        "µm": ("displacement", 0.001),
+        "m": ("displacement", 1000.0),
+        "kN": ("force", 1000.0),
+        "mN": ("force", 0.001),
+        "mm/min": ("speed", 1.0 / 60.0),
+        "mm/sec": ("speed", 1.0),
+    }
+)
+#: Words over columns that are no unit, though they are shaped like one.
+KNOWN_WORDS = frozenset(
+    {"Time", "Extension", "Load", "Displacement", "Force", "Position", "Depth", "Strain", "Stress"}
 )
 _BRACKETS = re.compile(r"^\s*[(\[]\s*(.*?)\s*[)\]]\s*$", re.DOTALL)
 #: A unit is a short word, perhaps a product of powers: never hand anything else to a parser.
@@ -120,6 +147,9 @@ def factor_to(unit_text: str, quantity: Quantity) -> float:
     internal = INTERNAL_UNITS[quantity]
     if unit == internal:
         return 1.0
+    known = KNOWN_UNITS.get(unit)
+    if known is not None and known[0] == quantity:
+        return known[1]
     parsed = _parsed(unit)
     if parsed is None:
         msg = f"unknown unit {unit!r} of {quantity}: write a unit such as {_examples(quantity)}"
@@ -138,7 +168,9 @@ def quantity_of(unit_text: str) -> Quantity | Literal["other"] | None:
     for quantity, internal in INTERNAL_UNITS.items():
         if unit == internal:
             return quantity
-    parsed = _parsed(unit)
+    if unit in KNOWN_UNITS:
+        return KNOWN_UNITS[unit][0]
+    parsed = None if unit in KNOWN_WORDS else _parsed(unit)
     if parsed is None:
         return None
     for quantity, internal in INTERNAL_UNITS.items():

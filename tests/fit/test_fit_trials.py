@@ -34,7 +34,7 @@ def recorded(sigma=0.0, n=5000, spike=None, seed=0):
 
 def summary(trial, segmentation, log, adjustment=NEITHER, totals=None):
     return summarise_trial(
-        trial, segmentation, log, model=MODEL, theta=THETA, adjustment=adjustment,
+        trial, segmentation, log, fitted=model_force(MODEL, THETA, log, adjustment), adjustment=adjustment,
         totals=ResidualTotals() if totals is None else totals,
     )  # fmt: skip
 

@@ -71,8 +71,9 @@ def fitted_blocks(logs):
         one = Adjustment()
         if pooling == "partial":
             one = Adjustment(gain=float(np.exp(found.gamma[i])), contact_offset_mm=float(found.delta[i]))
-        blocks.append(residual_blocks(handle.segmentation, log, model, theta, one))
-        residual = log.data.force_N - model_force(model, theta, log, one)
+        fitted = model_force(model, theta, log, one)
+        blocks.append(residual_blocks(handle.segmentation, log, model, theta, one, fitted))
+        residual = log.data.force_N - fitted
         chains.append(noise_chain(log.data, residual, reference_step_s=sums.step_s))
     noise = estimate_noise(chains, parameters=5, model="auto")
     return blocks, NoiseFit(noise.model, noise.sigma_N, noise.phi, sums.step_s, noise.moving_average)
@@ -141,8 +142,9 @@ def test_blocks_hold_the_mean_residual_of_their_samples():
     sums = specimen_sums([handle], 0, lambda _: None, cut=False)
     solution = fit_candidate(sums, Candidate(1, 0, "shared"))
     model, theta, _, _, _ = in_field_units(sums, solution)
-    blocks = residual_blocks(handle.segmentation, fitted, model, theta, Adjustment())
-    residual = fitted.data.force_N - model_force(model, theta, fitted, Adjustment())
+    force = model_force(model, theta, fitted, Adjustment())
+    blocks = residual_blocks(handle.segmentation, fitted, model, theta, Adjustment(), force)
+    residual = fitted.data.force_N - force
     hold = handle.segmentation.of_kind("hold")[0]
     since = fitted.data.time_s[hold.start + 1 : hold.stop] - hold.start_s
     place = np.floor(HOLD_BLOCKS_PER_DECADE * np.log10(since) + 1e-12)

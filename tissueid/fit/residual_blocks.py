@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.fit.trials import Adjustment, model_force
+from tissueid.fit.trials import Adjustment
 from tissueid.fit.window import FittedLog
 from tissueid.model.base import ContactPath
 from tissueid.model.kelvin_voigt import KelvinVoigt
@@ -133,7 +133,12 @@ def _own_columns(
 
 
 def residual_blocks(
-    segmentation: Segmentation, log: FittedLog, model: KelvinVoigt, theta: FloatArray, adjustment: Adjustment
+    segmentation: Segmentation,
+    log: FittedLog,
+    model: KelvinVoigt,
+    theta: FloatArray,
+    adjustment: Adjustment,
+    fitted: FloatArray,
 ) -> ResidualBlocks:
     """Block means of one log under its specimen's model.
 
@@ -145,9 +150,10 @@ def residual_blocks(
         The specimen's tissue.
     adjustment : Adjustment
         The log's own gain and contact offset, or static curve.
+    fitted : ndarray, shape (n,)
+        Force of all that along the log (:func:`~tissueid.fit.trials.model_force`) [N].
     """
     data = log.data
-    fitted = model_force(model, theta, log, adjustment)
     keys = _keys(segmentation, log)
     used = np.flatnonzero(data.include & (keys[:, 0] >= 0))
     keys = keys[used]

@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+import os
+from collections import deque
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from tissueid.fit.cycles import cycle_rows
 from tissueid.fit.estimates import TissueEstimate
 from tissueid.fit.holds import HoldNumbers, hold_numbers
-from tissueid.fit.logs import LogHandle
+from tissueid.fit.logs import MAX_WORKERS, LogHandle
 from tissueid.fit.loop_area import with_model_viscosity
 from tissueid.fit.relaxation import relaxation_rows
 from tissueid.fit.residual_blocks import ResidualBlocks, residual_blocks
 from tissueid.fit.trials import Adjustment, ResidualTotals, model_force, summarise_trial
+from tissueid.fit.window import FittedLog
 from tissueid.likelihood.knots import KnotSums, knot_sums
 from tissueid.quantities import CycleRow, RelaxationRow
 from tissueid.result import Nrmsd, TrialFit
+from tissueid.trial import Segmentation, Trial
 from tissueid.uncertainty import NoiseFit
 
 __all__ = ["Summaries", "second_pass"]
@@ -51,6 +57,18 @@ class Summaries:
     knots: tuple[KnotSums, ...]
 
 
+class _OneLog(NamedTuple):
+    """What is kept of one log."""
+
+    totals: ResidualTotals
+    trial: TrialFit
+    relaxation: tuple[RelaxationRow, ...]
+    cycles: tuple[CycleRow, ...]
+    holds: HoldNumbers
+    blocks: ResidualBlocks
+    knots: KnotSums
+
+
 def second_pass(
     handles: Sequence[LogHandle],
     adjustments: Sequence[Adjustment],
@@ -60,7 +78,7 @@ def second_pass(
     noise: NoiseFit,
     depths_mm: Sequence[float] = (),
 ) -> Summaries:
-    """Load every log once more and keep what a report needs of it.
+    """Load every log once more and keep what a report needs of it; the logs are looked at in threads.
 
     Parameters
     ----------
@@ -75,42 +93,22 @@ def second_pass(
     depths_mm : sequence of float
         Depths at which the stiffness of each loop is wanted.
     """
+    workers = min(os.cpu_count() or 1, len(handles), MAX_WORKERS)
+    running: deque[Future[_OneLog]] = deque()
+    found: list[_OneLog] = []
+    with ThreadPoolExecutor(workers) as pool:
+        for handle, adjustment in zip(handles, adjustments, strict=True):
+            trial, log = handle.fitted()
+            tick(f"residuals of {trial.name}")
+            running.append(
+                pool.submit(_one_log, trial, handle.segmentation, log, adjustment, tissue, noise, depths_mm)
+            )
+            while len(running) > workers:
+                found.append(running.popleft().result())
+        found += [one.result() for one in running]
     totals = ResidualTotals()
-    trials: list[TrialFit] = []
-    rows: list[RelaxationRow] = []
-    cycles: list[CycleRow] = []
-    holds: list[HoldNumbers] = []
-    blocks: list[ResidualBlocks] = []
-    knots: list[KnotSums] = []
-    for handle, adjustment in zip(handles, adjustments, strict=True):
-        trial, log = handle.fitted()
-        segmentation = handle.segmentation
-        tick(f"residuals of {trial.name}")
-        trials.append(
-            summarise_trial(
-                trial,
-                segmentation,
-                log,
-                model=tissue.model,
-                theta=tissue.theta,
-                adjustment=adjustment,
-                totals=totals,
-            )
-        )
-        rows += relaxation_rows(trial, segmentation)
-        found = cycle_rows(trial, segmentation, depths_mm=depths_mm)
-        cycles += with_model_viscosity(trial, segmentation, found, tissue.model, tissue.theta, adjustment)
-        holds.append(hold_numbers(trial, segmentation))
-        blocks.append(residual_blocks(segmentation, log, tissue.model, tissue.theta, adjustment))
-        knots.append(
-            knot_sums(
-                log.data,
-                log.data.force_N - model_force(tissue.model, tissue.theta, log, adjustment),
-                phi=noise.phi,
-                reference_step_s=noise.reference_step_s,
-                moving_average=noise.moving_average,
-            )
-        )
+    for one in found:
+        totals.merge(one.totals)
     rmse = float(np.sqrt(totals.squares / totals.count))
     spread, mean = totals.high - totals.low, abs(totals.force / totals.count)
     overall = Nrmsd(
@@ -119,5 +117,42 @@ def second_pass(
         rmse_N=rmse,
     )
     return Summaries(
-        tuple(trials), tuple(rows), tuple(cycles), tuple(holds), overall, tuple(blocks), tuple(knots)
+        trials=tuple(one.trial for one in found),
+        relaxation=tuple(row for one in found for row in one.relaxation),
+        cycles=tuple(row for one in found for row in one.cycles),
+        holds=tuple(one.holds for one in found),
+        nrmsd=overall,
+        blocks=tuple(one.blocks for one in found),
+        knots=tuple(one.knots for one in found),
+    )
+
+
+def _one_log(
+    trial: Trial,
+    segmentation: Segmentation,
+    log: FittedLog,
+    adjustment: Adjustment,
+    tissue: TissueEstimate,
+    noise: NoiseFit,
+    depths_mm: Sequence[float],
+) -> _OneLog:
+    """What is kept of one log; it touches nothing else, so that logs may be looked at in threads."""
+    model, theta = tissue.model, tissue.theta
+    fitted = model_force(model, theta, log, adjustment)
+    totals = ResidualTotals()
+    cycles = cycle_rows(trial, segmentation, depths_mm=depths_mm)
+    return _OneLog(
+        totals=totals,
+        trial=summarise_trial(trial, segmentation, log, fitted=fitted, adjustment=adjustment, totals=totals),
+        relaxation=relaxation_rows(trial, segmentation),
+        cycles=tuple(with_model_viscosity(trial, segmentation, cycles, model, theta, adjustment)),
+        holds=hold_numbers(trial, segmentation),
+        blocks=residual_blocks(segmentation, log, model, theta, adjustment, fitted),
+        knots=knot_sums(
+            log.data,
+            log.data.force_N - fitted,
+            phi=noise.phi,
+            reference_step_s=noise.reference_step_s,
+            moving_average=noise.moving_average,
+        ),
     )

@@ -65,6 +65,14 @@ class ResidualTotals:
         self.low = min(self.low, float(force.min()))
         self.high = max(self.high, float(force.max()))
 
+    def merge(self, other: ResidualTotals) -> None:
+        """Count the trials of other totals in."""
+        self.squares += other.squares
+        self.force += other.force
+        self.count += other.count
+        self.low = min(self.low, other.low)
+        self.high = max(self.high, other.high)
+
 
 def model_force(model: KelvinVoigt, theta: FloatArray, log: FittedLog, adjustment: Adjustment) -> FloatArray:
     """Force of the specimen's model along one log, with the log's own gain and offset [N]."""
@@ -146,8 +154,7 @@ def summarise_trial(
     segmentation: Segmentation,
     log: FittedLog,
     *,
-    model: KelvinVoigt,
-    theta: FloatArray,
+    fitted: FloatArray,
     adjustment: Adjustment,
     totals: ResidualTotals,
 ) -> TrialFit:
@@ -157,8 +164,8 @@ def summarise_trial(
     ----------
     trial, segmentation, log
         The recording, its phases and its fitted part.
-    model, theta
-        The specimen's tissue.
+    fitted : ndarray, shape (n,)
+        Force of the model along it (:func:`model_force`) [N].
     adjustment : Adjustment
     totals : ResidualTotals
         Updated.
@@ -168,7 +175,6 @@ def summarise_trial(
     TrialFit
     """
     data = log.data
-    fitted = model_force(model, theta, log, adjustment)
     include = data.include
     force, predicted = data.force_N[include], fitted[include]
     totals.add(force, predicted)

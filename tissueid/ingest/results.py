@@ -79,8 +79,13 @@ def is_units_row(row: Row) -> bool:
         return False
     if all(_BRACKETED.fullmatch(cell) for cell in filled):
         return True
-    known = sum(quantity_of(cell) is not None or _BRACKETED.fullmatch(cell) is not None for cell in filled)
-    return len(filled) >= 2 and known >= 2 and 2 * known > len(filled)
+    unknown = 0
+    for cell in filled:
+        if quantity_of(cell) is None and _BRACKETED.fullmatch(cell) is None:
+            unknown += 1
+            if 2 * unknown >= len(filled):
+                return False
+    return len(filled) - unknown >= 2
 
 
 def _is_text(row: Row) -> bool:
@@ -189,6 +194,10 @@ def results_flag(first: int, last: int) -> Flag:
 
 def _opens_results(rows: Sequence[Row], index: int) -> bool:
     row = rows[index]
+    opening = next((cell for cell in row if cell.strip()), None)
+    if opening is None or looks_numeric(opening):
+        # titles, statistics and heads begin with a word: nearly all lines are samples, and done with here
+        return False
     if is_title(row) or is_statistics(row):
         return True
     named = _is_text(row) and len(_filled(row)) >= 2

@@ -144,31 +144,37 @@ def filter_chain(
     before = -1.0
     variance = 1.0
     gain = slow
-    log_variance = 0.0
+    kept = 0.0
+    # innovations of one variance are summed before they are divided by it
+    pending = 0.0
+    held = 0
     for n in range(residual.size):
+        moving = starts[n] or ratio[n] != last_ratio or abs(left - before) > SETTLED * variance
+        if moving:
+            square += pending / variance
+            log_det += held * math.log(variance)
+            pending = 0.0
+            held = 0
         if starts[n]:
             mean = 0.0
             variance = 1.0
             gain = slow
+            kept = 0.0
             left = slow * white
-            log_variance = 0.0
             before = -1.0
-        else:
+        elif moving:
             if ratio[n] != last_ratio:
                 last_ratio = ratio[n]
                 rho = math.exp(decay * last_ratio)
                 fresh = -slow * math.expm1(2.0 * decay * last_ratio)
-                before = -1.0
-            mean *= rho
-            if abs(left - before) > SETTLED * variance:
-                before = left
-                expected = rho * rho * left + fresh
-                variance = expected + white
-                gain = expected / variance
-                left = expected * (white / variance)
-                log_variance = math.log(variance)
-        innovation = residual[n] - mean
-        square += innovation * innovation / variance
-        log_det += log_variance
-        mean += gain * innovation
-    return square, log_det
+            before = left
+            expected = rho * rho * left + fresh
+            variance = expected + white
+            gain = expected / variance
+            kept = rho * white / variance
+            left = expected * (white / variance)
+        innovation = residual[n] if starts[n] else residual[n] - rho * mean
+        mean = kept * mean + gain * residual[n]
+        pending += innovation * innovation
+        held += 1
+    return square + pending / variance, log_det + held * math.log(variance)
