@@ -274,9 +274,7 @@ class PartialObjective:
     def reduced(self, log_tau: FloatArray) -> FloatArray:
         """Reduced Gram matrices, shape (logs, r, r)."""
         weights = reduction(self.basis, log_tau, degree=self.degree, columns_degree=self.columns_degree)
-        # one product for all logs, the few that are held out as well
-        half = (self.gram.reshape(-1, weights.shape[0]) @ weights).reshape(-1, *weights.shape)
-        return np.ascontiguousarray(weights.T @ half[self.logs])
+        return np.ascontiguousarray(np.stack([weights.T @ (self.gram[i] @ weights) for i in self.logs]))
 
     def values(self, points: Sequence[FloatArray]) -> FloatArray:
         """Penalised sums of squares at many relaxation times, each started from the one before."""
