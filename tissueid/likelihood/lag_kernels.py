@@ -32,13 +32,17 @@ def link_rows(rows: FloatArray, place: NDArray[np.int64], before: float, now: fl
     out : ndarray, shape (m, samples)
     """
     count = place.size
-    ordered = (place == np.arange(count)).all()
+    ordered = True
+    for i in range(count):
+        ordered = ordered and place[i] == i
     for k in range(rows.shape[0]):
-        linked = before * rows[k, :count] + now * rows[k, 1 : count + 1]
+        row, linked = rows[k], out[k]
         if ordered:
-            out[k, :count] = linked
+            for i in range(count):
+                linked[i] = before * row[i] + now * row[i + 1]
         else:
-            out[k][place] = linked
+            for i in range(count):
+                linked[place[i]] = before * row[i] + now * row[i + 1]
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
@@ -79,7 +83,7 @@ def filter_rows(
     float
         Variance that the filter leaves after the last sample.
     """
-    weight = np.empty((3, group.size))
+    weight = np.empty((4, group.size))
     for i in range(group.size):
         r = rho[group[i]] if group[i] >= 0 else 0.0
         expected = r * r * left + (1.0 - white) * (1.0 - r * r)
@@ -87,21 +91,25 @@ def filter_rows(
         left = gain * white
         weight[0, i] = r
         weight[1, i] = gain
-        weight[2, i] = math.sqrt(variance * (1.0 - r * r) / (expected + white))
+        weight[2, i] = r * white / (expected + white)
+        weight[3, i] = math.sqrt(variance * (1.0 - r * r) / (expected + white))
     # four rows at a time: each of them waits for its sample before
     for k in range(0, mean.size, TILE):
         row0, row1, row2, row3 = rows[k], rows[k + 1], rows[k + 2], rows[k + 3]
         m0, m1, m2, m3 = mean[k], mean[k + 1], mean[k + 2], mean[k + 3]
+        f0, f1, f2, f3 = row0[0], row1[0], row2[0], row3[0]
         for i in range(group.size):
-            r, gain, scale = weight[0, i], weight[1, i], weight[2, i]
-            v0, v1 = row0[i + 1] - r * m0, row1[i + 1] - r * m1
-            v2, v3 = row2[i + 1] - r * m2, row3[i + 1] - r * m3
-            m0, m1 = r * m0 + gain * v0, r * m1 + gain * v1
-            m2, m3 = r * m2 + gain * v2, r * m3 + gain * v3
-            row0[i + 1] = scale * v0 + r * row0[i]
-            row1[i + 1] = scale * v1 + r * row1[i]
-            row2[i + 1] = scale * v2 + r * row2[i]
-            row3[i + 1] = scale * v3 + r * row3[i]
+            r, gain, kept, scale = weight[0, i], weight[1, i], weight[2, i], weight[3, i]
+            z0, z1, z2, z3 = row0[i + 1], row1[i + 1], row2[i + 1], row3[i + 1]
+            f0 = scale * (z0 - r * m0) + r * f0
+            f1 = scale * (z1 - r * m1) + r * f1
+            f2 = scale * (z2 - r * m2) + r * f2
+            f3 = scale * (z3 - r * m3) + r * f3
+            m0 = kept * m0 + gain * z0
+            m1 = kept * m1 + gain * z1
+            m2 = kept * m2 + gain * z2
+            m3 = kept * m3 + gain * z3
+            row0[i + 1], row1[i + 1], row2[i + 1], row3[i + 1] = f0, f1, f2, f3
         mean[k], mean[k + 1], mean[k + 2], mean[k + 3] = m0, m1, m2, m3
     return left
 
