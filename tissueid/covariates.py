@@ -107,6 +107,7 @@ def study_document(study: Study, fitted: Iterable[str], trials: Any, exclusions:
         "tip": dict(study.tip),
         "calibration": calibration | {"frame": None if frame is None else frame.as_json()},
         "priors": study.priors.as_json(),
+        **({} if study.population is None else {"population": study.population.as_json()}),
         "specimens": [_specimen_row(study, name) for name in shown],
         "trials": trials,
         "exclusions": exclusions,

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.priors import Priors
+from tissueid.priors import PopulationPriors, Priors
 from tissueid.trial import Protocol, frozen_array
 
 __all__ = ["Calibration", "Decision", "Entry", "FrameCurve", "Study"]
@@ -185,6 +185,8 @@ class Study:
     calibration : Calibration
     priors : Priors
         ``[priors]``; defaults where nothing is stated.
+    population : PopulationPriors or None
+        ``[population]``; ``None`` where nothing is stated.
     specimens : mapping
         Name -> its ``[[specimen]]`` table.
     protocols : mapping
@@ -198,6 +200,7 @@ class Study:
     tip: Mapping[str, Any] = field(default_factory=dict)
     calibration: Calibration = field(default_factory=Calibration)
     priors: Priors = field(default_factory=Priors)
+    population: PopulationPriors | None = None
     specimens: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     protocols: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     trials: tuple[Entry, ...] = ()

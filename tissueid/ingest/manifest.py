@@ -21,7 +21,7 @@ from tissueid.errors import InputError, UsageError
 from tissueid.ingest.frame_file import read_frame
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.stated import canonical_key, in_unit, unit_of
-from tissueid.ingest.stated_priors import PriorError, plain_priors, priors_of
+from tissueid.ingest.stated_priors import PriorError, plain_priors, population_of, priors_of
 from tissueid.ingest.toml_lines import TomlPath, line_of, lines_of_toml
 from tissueid.manifest import Calibration, Entry, FrameCurve, Study
 from tissueid.model.frame import linear_frame
@@ -113,6 +113,7 @@ def read_study(path: str | Path) -> Study:
         tip=document.get("tip", {}),
         calibration=_calibration(document.get("calibration", {}), folder, refuser),
         priors=_priors(document.get("priors", {}), refuser),
+        population=population_of(document["population"]) if "population" in document else None,
         specimens={entry["name"]: entry for entry in document.get("specimen", ())},
         protocols={entry["name"]: entry for entry in document.get("protocol", ())},
         trials=_entries(document, "trial", folder, refuser),

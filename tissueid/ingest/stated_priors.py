@@ -14,9 +14,9 @@ from itertools import pairwise
 from typing import Any
 
 from tissueid.ingest.stated import in_unit, unit_of, without_unit
-from tissueid.priors import Priors, SpreadPrior
+from tissueid.priors import PopulationPriors, Priors, SpreadPrior
 
-__all__ = ["PriorError", "plain_priors", "priors_of"]
+__all__ = ["PriorError", "plain_priors", "population_of", "priors_of"]
 
 #: Keys of a prior that are in the unit of its parameter.
 _IN_UNIT = ("mean", "sd", "median")
@@ -138,3 +138,18 @@ def priors_of(plain: Mapping[str, Any]) -> Priors:
         phi=default.phi if phi is None else (phi["low"], phi["high"]),
         gain_sd=plain["gain_sd"]["scale"] if "gain_sd" in plain else default.gain_sd,
     )
+
+
+def population_of(plain: Mapping[str, Any]) -> PopulationPriors:
+    """Priors of the population from a ``[population]`` table that the schema has passed.
+
+    Parameters
+    ----------
+    plain : mapping
+        What is missing keeps its default.
+    """
+    known = {key: plain[key] for key in ("mean_sd", "effect_sd", "correlation_shape") if key in plain}
+    spreads = {key: SpreadPrior(**plain[key]) for key in ("between", "level") if key in plain}
+    tails = plain.get("tails")
+    heavy = {} if tails is None else {"tail_shape": tails["shape"], "tail_rate": tails["rate"]}
+    return PopulationPriors(**known, **spreads, **heavy)
