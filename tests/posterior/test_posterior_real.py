@@ -51,7 +51,8 @@ def half(interval: tuple[float, float] | None) -> float:
 
 
 def bootstrap(fit: SpecimenFit, name: str) -> float:
-    assert fit.posterior is not None
+    if fit.posterior is None:
+        return float("nan")
     rows = [
         one.sd for one in fit.posterior.budget if (one.parameter, one.source) == (name, "cluster bootstrap")
     ]
@@ -63,27 +64,30 @@ def table(white: SpecimenFit, found: SpecimenFit) -> dict[str, tuple[float, floa
     rows = {}
     for one in found.parameters:
         before, after = white.parameter(one.name).uncertainty, one.uncertainty
-        assert before is not None
-        assert after is not None
-        total = half(after.ci95_total)
-        rows[one.name] = (half(before.ci95), half(after.ci95), bootstrap(found, one.name), total)
+        widths = (half(before and before.ci95), half(after and after.ci95))
+        rows[one.name] = (*widths, bootstrap(found, one.name), half(after and after.ci95_total))
     return rows
 
 
 def told(white: SpecimenFit, found: SpecimenFit) -> str:
     """The table in words, with the share of samples that the bands hold."""
-    assert found.posterior is not None
-    noise, misfit = found.posterior.noise, found.posterior.misfit
-    alarm = "not looked at" if misfit is None else "raised" if misfit.raised else "quiet"
+    raised = any(flag.code == "misfit" for flag in found.flags)
     head = ("95 % half-width", "value", "white", "found", "bootstrap", "total")
     who = f"{found.specimen}: {len(found.trials)} logs, {found.n_samples} samples"
-    law = f"noise {noise.model} {noise.sigma_N:.3g} N, phi {noise.phi:.3g}; misfit alarm {alarm}"
+    law = "no posterior"
+    if found.posterior is not None:
+        noise = found.posterior.noise
+        law = f"noise {noise.model} {noise.sigma_N:.3g} N, phi {noise.phi:.3g}"
+    law += f"; misfit alarm {'raised' if raised else 'quiet'}"
     lines = ["", f"{who}, {law}", f"{head[0]:<34}" + "".join(f"{cell:>11}" for cell in head[1:])]
     for name, widths in table(white, found).items():
         one = found.parameter(name)
         cells = "".join(f"{value:>11.4g}" for value in (one.detail["estimate"], *widths))
         lines.append(f"{name:<34}{cells}{'' if one.identified else '  not identified'}")
-    lines.append(f"within the predictive band: {100 * inside(found):.1f} % of the fitted samples")
+    if found.posterior is not None:
+        lines.append(f"within the predictive band: {100 * inside(found):.1f} % of the fitted samples")
+    for fit, noise in ((white, "white"), (found, "found")):
+        lines += [f"{noise}: {flag.message}" for flag in fit.flags if flag.code == "sampler_not_converged"]
     return "\n".join(lines)
 
 
@@ -98,19 +102,25 @@ def inside(fit: SpecimenFit) -> float:
     return float(np.concatenate(held).mean())
 
 
+def assert_total_is_no_narrower(white: SpecimenFit, found: SpecimenFit) -> None:
+    """Where one is given: knowing less of the machine can't tell more of the tissue."""
+    for name, (_, statistical, _, total) in table(white, found).items():
+        # ends of an interval from a thousand draws are good to 0.07 sd each, 5 % of a half-width in all; a
+        # filter takes its share of a relaxation time, whose spread goes with it
+        assert np.isnan(total) or total >= 0.85 * statistical, name
+
+
 def test_pooled_meat_with_one_relaxation_time_raises_the_alarm(workbook: Path) -> None:
     (white,) = fits(workbook, "white", branches=1, specimen_by="(230403)")
     (found,) = fits(workbook, "auto", branches=1, specimen_by="(230403)")
     print(told(white, found))  # noqa: T201 -- the table is what this test is run for
-    assert found.posterior is not None
-    assert found.posterior.misfit is not None
     # meat relaxes at many rates and neighbouring residuals are correlated: the intervals of one relaxation
     # time are no statement about it, whatever the noise, and that must be said
-    assert found.posterior.noise.model != "white"
-    assert found.posterior.misfit.raised
-    # no total interval stands on a few heavy draws
-    for name, (_, statistical, _, total) in table(white, found).items():
-        assert np.isnan(total) or total >= 0.5 * statistical, name
+    codes = {flag.code for flag in found.flags}
+    assert "misfit" in codes
+    # an interval stands on enough draws about the right point, or there is none and the reason is told
+    assert found.posterior is not None or "sampler_not_converged" in codes
+    assert_total_is_no_narrower(white, found)
 
 
 @pytest.mark.parametrize("sheet", SINGLE)
@@ -120,3 +130,4 @@ def test_intervals_of_one_piece_of_meat(workbook: Path, sheet: str) -> None:
     print(told(white, found))  # noqa: T201 -- the table is what this test is run for
     # bands are pointwise 95 %; errors of one log follow each other, so that the share itself scatters
     assert inside(found) >= 0.9
+    assert_total_is_no_narrower(white, found)

@@ -22,7 +22,7 @@ from tissueid.posterior.mode import WIDEST, too_short, with_mode
 from tissueid.posterior.specimen_target import SpecimenTarget
 from tissueid.priors import Priors
 
-__all__ = ["specimen_target"]
+__all__ = ["NotLinearError", "specimen_target"]
 
 FloatArray = NDArray[np.float64]
 
@@ -33,7 +33,11 @@ NARROWEST = 0.15
 #: deviations of the noise: no estimate is off by more of its own.
 SAME_POINT = 0.1
 #: Times it is linearised, the first included.
-ROUNDS = 12
+ROUNDS = 8
+
+
+class NotLinearError(ArithmeticError):
+    """No point of linearisation agrees with the mode that it leads to."""
 
 
 def specimen_target(
@@ -70,7 +74,7 @@ def specimen_target(
 
     Raises
     ------
-    ArithmeticError
+    NotLinearError
         However often it is linearised anew at its mode, the mode goes on elsewhere.
     """
     about, mode = optimum, start
@@ -84,10 +88,10 @@ def specimen_target(
             return replace(target, surface=mass_surface(target))
         about, mode = towards(target, there.optimum, logs, basis, centred), target.mode
     msg = (
-        "gains and contact points are linearised at one point, and the posterior stays "
-        f"{there.departure:.2g} standard deviations of the noise away from it"
+        "gains and contact points are linear about one point only, and the posterior's mode keeps "
+        f"{there.departure:.2g} standard deviations of the noise away from any"
     )
-    raise ArithmeticError(msg)
+    raise NotLinearError(msg)
 
 
 def _over_its_range(

@@ -32,6 +32,7 @@ from tissueid.posterior.importance import importance_sample
 from tissueid.posterior.instrument import INSTRUMENT_NAMES, Behind
 from tissueid.posterior.instrument_mode import instrument_mode
 from tissueid.posterior.linear_priors import Facts
+from tissueid.posterior.loose_noise import LooseNoise
 from tissueid.priors import CalibrationPrior, Priors
 from tissueid.uncertainty import PriorRow, SamplerReport
 
@@ -265,6 +266,8 @@ def total_posterior(
     gain_sd: float,
     seed: int,
     draws: int = 4_000,
+    start: Optimum | None = None,
+    noise: LooseNoise | None = None,
 ) -> TotalPosterior:
     """Draw tissue and instrument.
 
@@ -285,6 +288,10 @@ def total_posterior(
     seed : int
     draws : int
         To return.
+    start : Optimum, optional
+        Where to look for the mode first, if not at ``optimum``.
+    noise : LooseNoise, optional
+        Scale and correlation of the noise as coordinates, where they are open.
 
     Returns
     -------
@@ -294,7 +301,16 @@ def total_posterior(
     data = packed(knots, optimum, effects)
     count = sum(one.count for one in knots)
     behind = instrument_mode(
-        data, optimum, facts, model, priors, effects, count=count, gain_sd=max(gain_sd, SMALLEST_GAIN_SD)
+        data,
+        optimum,
+        facts,
+        model,
+        priors,
+        effects,
+        count=count,
+        gain_sd=max(gain_sd, SMALLEST_GAIN_SD),
+        start=start,
+        noise=noise,
     )
     free = behind.free
     covariance = _laplace(behind)[np.ix_(free, free)]
@@ -359,11 +375,14 @@ def _laplace(behind: Behind) -> FloatArray:
     values, vectors = np.linalg.eigh(part * unit * unit[:, None])
     inverse = (vectors / np.maximum(values, 1e-10)) @ vectors.T * unit * unit[:, None]
     out[np.ix_(known, known)] = inverse
-    if d > inner:
+    if "gain" in behind.effects:
         # the spread of n gains is known to 1 / sqrt(2 n) of itself, and no better than single gains are
         logs = behind.data.gamma.size
         tau, instrument, gain_sd = behind.split(behind.mode)
         gram = log_terms(behind.data, behind.theta, tau, instrument, EFFECTS)[0][:, 0, 0]
         single = float(np.median(behind.sigma2 / np.maximum(gram, 1e-300)))
-        out[-1, -1] = gain_sd**2 / max(2.0 * logs - 2.0, 1.0) + 4.0 * single
+        out[inner, inner] = gain_sd**2 / max(2.0 * logs - 2.0, 1.0) + 4.0 * single
+    if behind.noise is not None:
+        first = d - behind.noise.mode.size
+        out[first:, first:] = behind.noise.covariance
     return out

@@ -2,9 +2,10 @@
 
 Coordinates are ln tau of each branch, skew, filter, compliance, and the spread of the gains where it is
 free. Given those the tissue's coefficients are nearly normal: exactly for a rigid frame, and linearised at
-their best values behind one that gives, because the frame is deflected by the tissue's own force.  The
-noise's variance is taken anew at the mode of all, its correlation is held at the estimate: both are known
-far better than the instrument.
+their best values behind one that gives, because the frame is deflected by the tissue's own force.  Of a
+long recording the noise is known far better than the instrument: its variance is taken anew at the mode of
+all, its correlation is held at the estimate.  Else they are coordinates as well
+(:mod:`tissueid.posterior.loose_noise`).
 
 A gain of force or displacement is no coordinate.  Recorded as ``y = g_f F`` and ``x = g_x x'``, a tissue
 a_k, b_k behind a frame c can't be told from ``a_k g_f / g_x^k``, ``b_k g_f / g_x^(k+1)`` and ``c g_x /
@@ -27,6 +28,7 @@ from tissueid.likelihood.linearise import Optimum
 from tissueid.likelihood.objective import cone_start
 from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
 from tissueid.posterior.linear_priors import FREE_FACTOR, Facts
+from tissueid.posterior.loose_noise import LooseNoise
 from tissueid.priors import CalibrationPrior, Priors
 
 __all__ = ["INSTRUMENT_NAMES", "SMALLEST_GAIN", "Behind", "inverse"]
@@ -76,6 +78,8 @@ class Behind:
         Of minus the log density at the mode, in theta and coordinates; without the spread of the gains.
     follow : ndarray, shape (logs, q, p + d)
         How gain and contact offset of each log follow them; empty before the mode is known.
+    noise : LooseNoise or None
+        Scale and correlation as coordinates; ``None`` holds them.
     """
 
     data: Packed
@@ -92,6 +96,7 @@ class Behind:
     slope: FloatArray
     curvature: FloatArray
     follow: FloatArray
+    noise: LooseNoise | None = None
 
     @property
     def branches(self) -> int:
@@ -102,7 +107,8 @@ class Behind:
     def names(self) -> tuple[str, ...]:
         """Coordinates."""
         spread = ("gain_sd",) if "gain" in self.effects else ()
-        return (*(f"ln_tau_{j + 1}" for j in range(self.branches)), *INSTRUMENT_NAMES, *spread)
+        noise = () if self.noise is None else self.noise.names
+        return (*(f"ln_tau_{j + 1}" for j in range(self.branches)), *INSTRUMENT_NAMES, *spread, *noise)
 
     @property
     def calibration(self) -> tuple[CalibrationPrior, ...]:
@@ -113,11 +119,14 @@ class Behind:
     def cuts(self) -> tuple[FloatArray, FloatArray]:
         """Where each coordinate is cut, lower and upper."""
         low, high = self.facts.log_tau_bounds
-        spread = [0.0] * (self.mode.size - self.branches - INSTRUMENT)
-        lower = [low] * self.branches + [one.lower for one in self.calibration] + spread
-        upper = np.full(self.mode.size, np.inf)
+        spread = [0.0] if "gain" in self.effects else []
+        lower = np.array([low] * self.branches + [one.lower for one in self.calibration] + spread)
+        upper = np.full(lower.size, np.inf)
         upper[: self.branches] = high
-        return np.array(lower), upper
+        if self.noise is None:
+            return lower, upper
+        first, last = self.noise.cuts(self.priors)
+        return np.concatenate([lower, first]), np.concatenate([upper, last])
 
     @property
     def free(self) -> NDArray[np.bool_]:
@@ -137,7 +146,16 @@ class Behind:
         """Relaxation times (ln), instrument, and the standard deviation of the gains of one point."""
         tau = np.ascontiguousarray(point[: self.branches])
         instrument = np.ascontiguousarray(point[self.branches : self.branches + INSTRUMENT])
-        return tau, instrument, max(float(point[-1]), SMALLEST_SPREAD) if "gain" in self.effects else 1.0
+        at = self.branches + INSTRUMENT
+        return tau, instrument, max(float(point[at]), SMALLEST_SPREAD) if "gain" in self.effects else 1.0
+
+    def noise_of(self, point: FloatArray) -> FloatArray:
+        """Ln sigma (and arctanh phi) of one point; empty where they are held."""
+        return point[self.branches + INSTRUMENT + ("gain" in self.effects) :]
+
+    def sigma2_of(self, point: FloatArray) -> float:
+        """Noise variance at one point [N^2]."""
+        return self.sigma2 if self.noise is None else math.exp(2.0 * float(self.noise_of(point)[0]))
 
     def tissue_prior(self, log_tau: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean and precision of theta; a weak branch is known by its largest force."""
@@ -185,9 +203,15 @@ class Behind:
             if prior.sd > 0.0:
                 value -= 0.5 * ((at - prior.mean) / prior.sd) ** 2
         if "gain" in self.effects:
-            if point[-1] < 0.0:
+            if point[self.branches + INSTRUMENT] < 0.0:
                 return -math.inf
             value -= 0.5 * (gain_sd / self.priors.gain_sd) ** 2
+        if self.noise is not None:
+            at = self.noise_of(point)
+            first, last = self.noise.cuts(self.priors)
+            if (at < first).any() or (at > last).any():
+                return -math.inf
+            value += self.noise.log_weight(at, self.priors)
         return float(value)
 
     def _data_at(self, point: FloatArray, theta: FloatArray) -> Packed:
@@ -197,12 +221,13 @@ class Behind:
         ``u = back . change``, with the tissue by a factor 1 - u; it is 1/(1 - u) that keeps their product.
         Without this 30 gains of 15 % would move the tissue by 2 %.
         """
+        data = self.data if self.noise is None else self.noise.at(self.data, self.noise_of(point))
         if self.follow.size == 0:
-            return self.data
+            return data
         inner = self.branches + INSTRUMENT
         change = np.concatenate([theta - self.theta, (point - self.mode)[:inner]])
         moved = self.follow @ change
-        data, at = self.data, 0
+        at = 0
         if "gain" in self.effects:
             data = data._replace(gamma=data.gamma - np.log1p(-np.minimum(moved[:, 0], 1.0 - SMALLEST_GAIN)))
             at = 1
@@ -219,7 +244,7 @@ class Behind:
         terms = log_terms(data, np.ascontiguousarray(theta), tau, instrument, kind)
         ones = np.ones(data.gamma.size)
         curvature, slope, value, _ = without_effects(
-            *terms, ones, *self.effect_prior(gain_sd, data), self.sigma2
+            *terms, ones, *self.effect_prior(gain_sd, data), self.sigma2_of(point)
         )
         return curvature, slope, float(value)
 

@@ -20,6 +20,7 @@ from tissueid.likelihood.objective import cone_start
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.posterior.instrument import INSTRUMENT_NAMES, SMALLEST_GAIN, Behind, inverse
 from tissueid.posterior.linear_priors import Facts, linear_prior
+from tissueid.posterior.loose_noise import LooseNoise
 from tissueid.priors import Priors
 
 __all__ = ["instrument_mode"]
@@ -178,6 +179,14 @@ def _variance(behind: Behind) -> float:
     return max(float(left.sum()) / max(behind.count - used, 1), 1e-300)
 
 
+def _with_variance(behind: Behind, sigma2: float) -> Behind:
+    """The same with another noise variance, as a coordinate too where it is one."""
+    mode = behind.mode.copy()
+    if behind.noise is not None:
+        mode[mode.size - behind.noise.mode.size] = 0.5 * math.log(sigma2)
+    return replace(behind, sigma2=sigma2, mode=mode)
+
+
 def instrument_mode(
     data: Packed,
     optimum: Optimum,
@@ -188,6 +197,8 @@ def instrument_mode(
     *,
     count: int,
     gain_sd: float,
+    start: Optimum | None = None,
+    noise: LooseNoise | None = None,
 ) -> Behind:
     """The density of a specimen behind its instrument, its mode found.
 
@@ -204,14 +215,23 @@ def instrument_mode(
         Samples.
     gain_sd : float
         Estimate of the spread of the gains, where they are effects.
+    start : Optimum, optional
+        Where to begin, if not at ``optimum``.
+    noise : LooseNoise, optional
+        Scale and correlation as coordinates.
     """
+    start = optimum if start is None else start
+    data = data._replace(gamma=start.gamma.copy(), delta=start.delta.copy())
+    if noise is not None:
+        data = noise.at(data, noise.mode)
     branches = optimum.branches
-    start = [
+    instrument = [
         max(one.mean, one.lower + INSIDE * one.sd)
         for one in (priors.calibration[name] for name in INSTRUMENT_NAMES)
     ]
     spread = [gain_sd] if "gain" in effects else []
-    mode = np.array([*optimum.log_tau, *start, *spread])
+    scales = np.zeros(0) if noise is None else noise.mode
+    mode = np.array([*start.log_tau, *instrument, *spread, *scales])
     p = optimum.theta.size
     behind = Behind(
         data=data,
@@ -222,18 +242,21 @@ def instrument_mode(
         effects=effects,
         linear=linear_prior(priors, model, optimum, facts),
         count=count,
-        sigma2=max(float(data.square.sum()) / max(count - p, 1), 1e-300),
-        theta=optimum.theta.copy(),
+        sigma2=max(float(data.square.sum()) / max(count - p, 1), 1e-300)
+        if noise is None
+        else math.exp(2.0 * noise.mode[0]),
+        theta=start.theta.copy(),
         mode=mode,
         slope=np.zeros((p, mode.size)),
         curvature=np.zeros((0, 0)),
         follow=np.zeros((0, 0)),
+        noise=noise,
     )
     for _ in range(VARIANCE_ROUNDS):
         behind = _climb(behind)
         sigma2 = _variance(behind)
         settled = abs(math.log(sigma2 / behind.sigma2)) < 0.01
-        behind = replace(behind, sigma2=sigma2)
+        behind = _with_variance(behind, sigma2)
         if settled:
             break
     quadratic, back = _quadratic(behind)

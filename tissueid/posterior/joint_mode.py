@@ -114,8 +114,8 @@ def towards(
             delta=about.delta + step * (there.delta - about.delta),
         )
         value, theta = exact.best(point)
-        tried.append((value, step, replace(point, theta=theta)))
-    return max(tried, key=lambda one: one[:2])[2]
+        tried.append((value, replace(point, theta=theta)))
+    return max(tried, key=lambda one: one[0])[1]
 
 
 def _with_effects(linear: Optimum, about: Optimum, effects: FloatArray, target: SpecimenTarget) -> Optimum:
@@ -149,6 +149,7 @@ class _Exact:
     def at_mode(
         cls, target: SpecimenTarget, logs: Sequence[LagSums], basis: KernelBasis, centred: Optimum
     ) -> _Exact:
+        """Sums at the mode of the sampled coordinates."""
         data, grams = target.data, []
         at = data.branches
         phi = math.tanh(float(target.mode[at + 1])) if data.has_phi else data.phi

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from tissueid.flags import Flag
-from tissueid.uncertainty import Posterior
+from tissueid.uncertainty import MisfitAlarm, Posterior
 
-__all__ = ["posterior_flags", "without_posterior"]
+__all__ = ["not_linear", "posterior_flags", "without_posterior"]
 
 #: Widths of the total over the statistical interval of the viscosity from which the machine dominates.
 DOMINATES = 3.0
@@ -19,17 +19,8 @@ def posterior_flags(posterior: Posterior) -> tuple[Flag, ...]:
     ----------
     posterior : Posterior
     """
-    flags = []
-    misfit, sampler = posterior.misfit, posterior.sampler
-    if misfit is not None and misfit.raised:
-        raised = [check for check in misfit.checks if check.raised]
-        flags.append(
-            Flag(
-                "misfit",
-                "no interval can be believed: " + "; ".join(check.message for check in raised),
-                {"checks": [check.name for check in raised]},
-            )
-        )
+    sampler = posterior.sampler
+    flags = _misfit(posterior.misfit)
     if not sampler.converged:
         reason = str(sampler.detail.get("reason", "its rule was not met"))
         flags.append(
@@ -52,6 +43,31 @@ def posterior_flags(posterior: Posterior) -> tuple[Flag, ...]:
         )
     flags += _machine(posterior)
     return tuple(flags)
+
+
+def _misfit(alarm: MisfitAlarm | None) -> list[Flag]:
+    """The alarm, where it is raised."""
+    if alarm is None or not alarm.raised:
+        return []
+    raised = [check for check in alarm.checks if check.raised]
+    return [
+        Flag(
+            "misfit",
+            "no interval can be believed: " + "; ".join(check.message for check in raised),
+            {"checks": [check.name for check in raised]},
+        )
+    ]
+
+
+def not_linear(error: Exception, alarm: MisfitAlarm) -> tuple[Flag, ...]:
+    """What is said of a fit whose posterior lies nowhere near a point it can be linearised about."""
+    said = Flag(
+        "sampler_not_converged",
+        f"no interval is given ({error}): fewer branches, a smaller contact_sd_mm in [[override]], or logs "
+        "of one specimen only may do; standard errors are all there is",
+        {"reason": str(error)},
+    )
+    return (said, *_misfit(alarm))
 
 
 def without_posterior(error: Exception) -> Flag:

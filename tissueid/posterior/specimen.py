@@ -15,18 +15,22 @@ from numpy.typing import NDArray
 
 from tissueid.fit.estimates import second_stage_static
 from tissueid.fit.specimen import FittedSpecimen
+from tissueid.fit.trials import model_force
+from tissueid.likelihood.knots import KnotSums, knot_sums
 from tissueid.likelihood.passive_normal import draw_passive
 from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
 from tissueid.posterior.at_optimum import posterior_target
 from tissueid.posterior.bands import predictive_bands
 from tissueid.posterior.bootstrap import cluster_bootstrap
 from tissueid.posterior.budget import uncertainty_budget
+from tissueid.posterior.building import NotLinearError
 from tissueid.posterior.calibration import TotalPosterior, total_posterior
 from tissueid.posterior.comparison import compare_models, rows_of_choice
 from tissueid.posterior.diagnostics import diagnose
+from tissueid.posterior.loose_noise import LooseNoise, loose_noise
 from tissueid.posterior.misfit import misfit_alarm
 from tissueid.posterior.prior_rows import prior_rows
-from tissueid.posterior.remarks import posterior_flags
+from tissueid.posterior.remarks import not_linear, posterior_flags
 from tissueid.posterior.reported import interval95, reported_draws
 from tissueid.posterior.specimen_target import SpecimenTarget
 from tissueid.posterior.target import Redrawn
@@ -204,7 +208,11 @@ def with_posterior(
     fit, model = fitted.fit, fitted.tissue.model
     if options.sampler == "none" or model.branches == 0:
         return fit
-    target = posterior_target(fitted, priors)
+    try:
+        target = posterior_target(fitted, priors)
+    except NotLinearError as error:
+        alarm = misfit_alarm(fitted.told.blocks, fitted.whitened.noise)
+        return replace(fit, flags=(*fit.flags, *not_linear(error, alarm)))
     sampled = _sample(target, options, checkpoint, key, tick)
     tick("drawing the tissue")
     shape = sampled.chain.shape[:2]
@@ -295,6 +303,30 @@ def _sampled_noise(fitted: FittedSpecimen, drawn: Redrawn) -> NoiseFit:
     return replace(noise, sigma_N=sigma, phi=phi)
 
 
+def _open_noise(fitted: FittedSpecimen, target: SpecimenTarget) -> LooseNoise | None:
+    """Scale and correlation of the noise as coordinates, where the logs leave them open."""
+    noise, tissue = fitted.whitened.noise, fitted.tissue
+
+    def knots_at(phi: float) -> list[KnotSums]:
+        out = []
+        for handle, adjustment in zip(fitted.handles, fitted.adjustments, strict=True):
+            _, log = handle.fitted()
+            residual = log.data.force_N - model_force(tissue.model, tissue.theta, log, adjustment)
+            out.append(
+                knot_sums(
+                    log.data,
+                    residual,
+                    phi=phi,
+                    reference_step_s=noise.reference_step_s,
+                    moving_average=noise.moving_average,
+                )
+            )
+        return out
+
+    count = sum(one.count for one in fitted.told.knots)
+    return loose_noise(target, (target.data.ratio, target.data.links), count, knots_at)
+
+
 def _total(
     fitted: FittedSpecimen,
     target: SpecimenTarget,
@@ -314,6 +346,8 @@ def _total(
                 effects=target.effects,
                 gain_sd=fitted.whitened.solution.noise.gain_sd,
                 seed=options.seed,
+                start=target.optimum,
+                noise=_open_noise(fitted, target),
             )
     except (ArithmeticError, ValueError, np.linalg.LinAlgError):
         return None

@@ -88,7 +88,9 @@ def total_intervals(
         for excess in absent:
             away = excess - excess.mean()
             slope = float(away @ values) / float(away @ away)
-            found.append(np.quantile(values - slope * excess, ends))
+            # a line may leave the passive set, which no draw does
+            moved = np.clip(values - slope * excess, values.min(), values.max())
+            found.append(np.quantile(moved, ends))
         low, high = np.array(found).T
         out[name] = (float(low.min()), float(high.max()))
     return out
