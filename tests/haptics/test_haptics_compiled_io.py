@@ -96,7 +96,8 @@ def test_compiled_servo_reads_and_pushes_through_the_sdk(
         force = np.array([0.3, -0.2, 0.5])
         exchange(io, engaged_memory(), device.limits.block(), force, position, counts, words)
         assert words[REPLY] == REPLY_VALID
-        assert words[PRESSED] == 1
+        # the SDK's first button is the centre, 4 on the wire
+        assert words[PRESSED] == device.read().buttons == 4
         assert position == pytest.approx(device.read().position_m, abs=1e-15)
         assert list(pushed) == [0.5, 0.3, -0.2]
         ctypes.c_int.in_dll(stub, "stub_fails").value = 1
