@@ -21,12 +21,13 @@ from tissueid.fit.specimen import adjustments_of
 from tissueid.fit.trials import Adjustment, model_force
 from tissueid.fit.whitening import Whitened, optimum_of, whiten
 from tissueid.fit.window import FittedLog
-from tissueid.likelihood.knots import knot_sums
+from tissueid.likelihood.knots import KnotSums, knot_sums
 from tissueid.likelihood.linearise import Optimum
 from tissueid.likelihood.sums import LogData
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.posterior.at_optimum import target_at
 from tissueid.posterior.calibration import total_posterior
+from tissueid.posterior.loose_noise import loose_noise
 from tissueid.posterior.specimen_target import SpecimenTarget
 from tissueid.posterior.target import Redrawn
 from tissueid.selfcheck.ranks import DRAWS
@@ -254,19 +255,25 @@ def _total(
 ) -> Inferred:
     """Tissue and instrument together."""
     noise = fitted.whitened.noise
-    knots = []
-    for one, handle, adjustment in zip(data, check.logs, fitted.adjustments, strict=True):
-        _, log = in_memory(handle, one).fitted()
-        residual = one.force_N - model_force(fitted.model, fitted.theta, log, adjustment)
-        knots.append(
+    residuals = [
+        one.force_N - model_force(fitted.model, fitted.theta, in_memory(handle, one).fitted()[1], adjustment)
+        for one, handle, adjustment in zip(data, check.logs, fitted.adjustments, strict=True)
+    ]
+
+    def knots_at(phi: float) -> list[KnotSums]:
+        return [
             knot_sums(
                 one,
-                residual,
-                phi=noise.phi,
+                left,
+                phi=phi,
                 reference_step_s=noise.reference_step_s,
                 moving_average=noise.moving_average,
             )
-        )
+            for one, left in zip(data, residuals, strict=True)
+        ]
+
+    knots = knots_at(noise.phi)
+    links = (target.data.ratio, target.data.links)
     found = total_posterior(
         knots,
         fitted.optimum,
@@ -277,6 +284,8 @@ def _total(
         gain_sd=fitted.whitened.solution.noise.gain_sd,
         seed=seed,
         draws=TOTAL_DRAWS,
+        start=target.optimum,
+        noise=loose_noise(target, links, sum(one.count for one in knots), knots_at),
     )
     worth = float(found.sampler.detail["worth"])
     return Inferred(
