@@ -19,9 +19,10 @@ from tissueid.cli.reading import (
     reading_options,
     segment_options,
 )
-from tissueid.errors import UsageError
+from tissueid.errors import NotIdentifiedError, UsageError, exit_code
 
 if TYPE_CHECKING:
+    from tissueid.manifest import Study
     from tissueid.pipeline import IdentifyOptions
     from tissueid.posterior.specimen import PosteriorOptions
 
@@ -36,6 +37,8 @@ Examples:
   tissueid fit odd.csv --columns "time=t,displacement=pos,force=F" --units "force=mN"
 """
 
+#: A study of so many specimens is a cohort.
+COHORT_FROM = 5
 REQUIRED = ["viscosity", "static", "stiffness", "relaxation-time", "none"]
 
 
@@ -93,6 +96,10 @@ def _count(auto: str) -> click.Choice[str]:
     help="Compute on a Dask cluster, as tcp://HOST:8786 (pip install 'tissueid[cluster]').",
 )  # fmt: skip
 @click.option(
+    "--population", type=click.Choice(["auto", "yes", "no"]), default="auto", show_default=True,
+    help="What the specimens have in common, as tissueid cohort says it; auto does it for a study of five.",
+)  # fmt: skip
+@click.option(
     "--study", type=click.Path(), metavar="FILE",
     help="Study file. [default: study.toml of the folder that is fitted]",
 )  # fmt: skip
@@ -144,7 +151,7 @@ def command(**flags: Any) -> int:
             found = fit_cohort(request, run, progress)
             if found.fitted:
                 progress("writing the report", 0, 0)
-                write_report(run, found)
+                write_report(run, [str(one) for one in found.refused])
         if found.fitted:
             run.commit()
             prune_specimens(run.out)
@@ -152,7 +159,30 @@ def command(**flags: Any) -> int:
             echo_bytes(found.document.read_bytes())
         else:
             print_summary(found, flags["out"], quiet=quiet, verbose=flags["verbose"])
-    return found.exit.code
+    return exit_code({found.exit.code, _population(flags, study, found.fitted)})
+
+
+def _population(flags: dict[str, Any], study: Study | None, fitted: int) -> int:
+    """Write the population of the specimens beside them where it is wanted; its exit code."""
+    wanted = flags["population"]
+    if wanted == "auto":
+        named = study is not None and fitted >= COHORT_FROM and flags["sampler"] != "none"
+        wanted = "yes" if named else "no"
+    if wanted == "no" or not fitted:
+        return 0
+    from tissueid.cli.population_lines import print_population
+    from tissueid.study.cohort import PopulationRequest, write_population
+
+    quiet = flags["quiet"]
+    try:
+        with progress_bar(show=not quiet) as progress:
+            written = write_population(Path(flags["out"]), PopulationRequest(seed=flags["seed"]), progress)
+    except NotIdentifiedError as error:
+        note(error.message, quiet=quiet)
+        return error.exit_status if flags["population"] == "yes" else 0
+    if not flags["as_json"]:
+        print_population(written, flags["out"], quiet=quiet)
+    return 0 if written.converged else NotIdentifiedError.exit_status
 
 
 def _refuse_foreign(out: Path) -> None:

@@ -1,0 +1,95 @@
+"""From a study to its population on the command line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from command_line import Ended, run, write_log
+
+from tissueid.store.bundle import load_bundle
+
+#: One branch, constant K, few draws: what is tested is the way from a study to its population.
+SMALL = ("--branches", "1", "--stiffness-degree", "0", "--sampler", "exact", "--draws", "400")
+#: Forces of the specimens, in those of the first.
+TIMES = (0.8, 0.9, 1.0, 1.1, 1.25)
+
+
+def a_study(folder: Path, times: tuple[float, ...]) -> Path:
+    """One log a specimen, the same but for its force."""
+    lines = ['schema = "tissueid/study/1"']
+    for number, factor in enumerate(times, 1):
+        write_log(folder / f"{number}.csv", label=None, force_times=factor)
+        lines += [
+            f'[[specimen]]\nname = "head {number}"\nage_years = {50 + number}',
+            f'[[trial]]\nfile = "{number}.csv"\nspecimen = "head {number}"',
+        ]
+    (folder / "study.toml").write_text("\n".join(lines), encoding="utf-8")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def cohort(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Ended]:
+    folder = tmp_path_factory.mktemp("cohort")
+    ended = run("fit", a_study(folder / "heads", TIMES), "-o", folder / "out", *SMALL)
+    return folder / "out", ended
+
+
+def files_of(out: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in out.iterdir() if path.suffix in {".h5", ".json", ".csv"}}
+
+
+def test_a_study_of_five_gets_its_population(cohort: tuple[Path, Ended]) -> None:
+    out, ended = cohort
+    document: dict[str, Any] = json.loads((out / "population.json").read_text(encoding="utf-8"))
+    assert "population of 5 specimens" in ended.stdout
+    assert sorted(document["specimens_used"]) == [f"head {number}" for number in range(1, 6)]
+    assert (out / "cohort.html").is_file()
+    assert run("validate", out).code == 0
+
+
+def test_its_typical_tissue_and_its_spread_are_those_of_the_forces(cohort: tuple[Path, Ended]) -> None:
+    out, _ = cohort
+    rows = json.loads((out / "population.json").read_text(encoding="utf-8"))["population"]["quantities"]
+    own = load_bundle(out / "bundle-head_3.h5")
+    typical = load_bundle(out / "population.h5")
+    geometric_mean = float(np.exp(np.mean(np.log(TIMES))))
+    depth = float(typical.depth_mm)
+    powers = depth ** np.arange(1.0, 4.0)
+    force_N = float(own.theta[:3] @ powers)
+    # the factors' own mean, within the noise of one log each
+    assert rows[2]["median"] == pytest.approx(force_N * geometric_mean, rel=0.05)
+    assert float(typical.theta[:3] @ powers) == pytest.approx(force_N * geometric_mean, rel=0.05)
+    low, high = rows[2]["cv_ci95"]
+    assert low < float(np.std(np.log(TIMES), ddof=1)) < high
+
+
+def test_a_cohort_is_drawn_again_without_touching_the_fit(cohort: tuple[Path, Ended]) -> None:
+    out, _ = cohort
+    before = files_of(out)
+    ended = run("cohort", out, "--tails", "normal", "--covariate", "age_years", "--no-held-out", "--json")
+    after = files_of(out)
+    changed = {name for name in after if after[name] != before.get(name)}
+    assert ended.code in {0, 4}, ended.stderr
+    assert ended.json()["population"]["held_out"] is None
+    assert changed <= {"population.json", "population.h5"}
+    assert "population.json" in changed
+
+
+def test_two_specimens_are_no_population_and_their_fit_stays(tmp_path: Path) -> None:
+    study = a_study(tmp_path / "heads", TIMES[:2])
+    ended = run("fit", study, "-o", tmp_path / "out", *SMALL, "--population", "yes")
+    assert ended.code == 4
+    assert "no population" in ended.stderr
+    assert not (tmp_path / "out" / "population.json").exists()
+    assert run("validate", tmp_path / "out").code == 0
+
+
+def test_a_folder_without_a_run_has_no_cohort(tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    ended = run("cohort", tmp_path / "empty")
+    assert ended.code == 6
+    assert "tissueid fit" in ended.stderr

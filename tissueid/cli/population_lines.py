@@ -1,0 +1,63 @@
+"""A population on the terminal."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from tissueid.cli.output import note
+from tissueid.errors import printable
+
+if TYPE_CHECKING:
+    from tissueid.study.cohort import WrittenPopulation
+
+__all__ = ["print_population"]
+
+
+def print_population(written: WrittenPopulation, out: str, *, quiet: int) -> None:
+    """Quantities with their spread, held-out specimens, remarks; specimens that take no part go to stderr.
+
+    Parameters
+    ----------
+    written : WrittenPopulation
+    out : str
+        The output folder, as it was named.
+    quiet : int
+        1 leaves the table out, 2 the specimens too.
+    """
+    if not quiet:
+        _print_table(written, out)
+    for one in written.fit.left_out:
+        note(f"left out: {printable(one.specimen)}: {one.reason}", quiet=quiet)
+
+
+def _print_table(written: WrittenPopulation, out: str) -> None:
+    from rich.console import Console
+
+    console = Console(highlight=False, soft_wrap=True)
+    document = written.document
+    found = document["population"]
+    count = len(document["specimens_used"])
+    console.print(f"\n[bold]population of {count} specimens[/bold], to {found['depth_mm']:.3g} mm")
+    for row in found["quantities"]:
+        low, high = row["ci95"]
+        first, last = row["cv_ci95"]
+        total = (
+            ""
+            if row["ci95_total"] is None
+            else "; with the machine {:.4g} to {:.4g}".format(*row["ci95_total"])
+        )
+        console.print(
+            f"  {row['words']:<34} {row['median']:.4g} {row['unit']} (95 %: {low:.4g} to {high:.4g}{total}), "
+            f"between specimens CV {100 * row['cv']:.1f} % ({100 * first:.1f} to {100 * last:.1f})",
+            markup=False,
+        )
+    if found["held_out"] is not None:
+        by = found["held_out"]["nrmsd_range"]
+        console.print(
+            f"  held-out specimens: NRMSD {100 * by['median']:.1f} % of range "
+            f"(68 %: {100 * by['low68']:.1f} to {100 * by['high68']:.1f})",
+            markup=False,
+        )
+    for flag in document["flags"]:
+        console.print(f"  ! {flag['message']}", style="yellow", markup=False)
+    console.print(f"\nReport: {out}/cohort.html", markup=False)

@@ -1,0 +1,116 @@
+"""From the specimens of a finished fit to their population, written into the same output folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from tissueid.errors import NotIdentifiedError, printable
+from tissueid.population.cohort import CohortFit, CohortOptions, cohort
+from tissueid.population.document import as_document, members_of, population_bundle, population_priors
+from tissueid.population.sampler import SamplerOptions
+from tissueid.report.population_page import render_population
+from tissueid.store.bundle import write_bundle
+from tissueid.store.files import json_bytes, plain_json, sha256_of
+from tissueid.store.outputs import OutputSet
+from tissueid.store.results import IDENTIFICATION, read_results
+from tissueid.store.schema import check
+
+__all__ = ["POPULATION_FILES", "PopulationRequest", "WrittenPopulation", "write_population"]
+
+_DOCUMENT, _BUNDLE, _PAGE = "population.json", "population.h5", "cohort.html"
+#: What is written into the output folder.
+POPULATION_FILES = (_DOCUMENT, _BUNDLE, _PAGE)
+
+
+@dataclass(frozen=True, slots=True)
+class PopulationRequest:
+    """What is asked of a cohort.
+
+    Attributes
+    ----------
+    group_by : str or None
+        Covariate whose groups are compared.
+    covariates : tuple of str
+    tails : str
+        ``t`` or ``normal``.
+    seed : int
+    hold_out : bool
+        Predict every specimen from the others.
+    """
+
+    group_by: str | None = None
+    covariates: tuple[str, ...] = ()
+    tails: str = "t"
+    seed: int = 0
+    hold_out: bool = True
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WrittenPopulation:
+    """population.json as it was written, and the cohort behind it."""
+
+    document: dict[str, Any]
+    fit: CohortFit
+
+    @property
+    def converged(self) -> bool:
+        """Whether the chains met their rule."""
+        return bool(self.document["population"]["sampler"]["converged"])
+
+
+def write_population(
+    out: Path, request: PopulationRequest, progress: Callable[[str, int, int], None]
+) -> WrittenPopulation:
+    """Draw the population of the specimens in an output folder and write it beside them.
+
+    Parameters
+    ----------
+    out : Path
+        Of a finished fit; its other files stay as they are.
+    request : PopulationRequest
+    progress : callable
+        ``progress(message, done, total)``.
+
+    Raises
+    ------
+    NotIdentifiedError
+        There are too few specimens with a posterior; each that takes no part is named.
+    BundleError
+        The folder is not whole, or another process writes into it.
+    """
+    with OutputSet(out) as run:
+        identification, curves, posteriors = read_results(out)
+        options = CohortOptions(
+            group_by=request.group_by,
+            covariates=request.covariates,
+            priors=population_priors(identification),
+            sampler=SamplerOptions(tails=request.tails, seed=request.seed),
+            hold_out=request.hold_out,
+        )
+        members = members_of(identification, curves, posteriors)
+        fit = cohort(members, options, lambda text: progress(text, 0, 0))
+        source = sha256_of(out / IDENTIFICATION)
+        document: dict[str, Any] = plain_json(as_document(fit, options, source=source))
+        if fit.population is None:
+            raise NotIdentifiedError(_no_population(document))
+        check(document, "population", where=_DOCUMENT)
+        progress("writing the report", 0, 0)
+        run.carry_over(name for name in run.previous_names if name not in POPULATION_FILES)
+        run.write(_DOCUMENT, json_bytes(document))
+        bundle = population_bundle(fit, document)
+        if bundle is not None:
+            write_bundle(bundle, run.path(_BUNDLE))
+        created = datetime.now(UTC).isoformat(timespec="seconds")
+        run.write(_PAGE, render_population(document, bundle, created=created).encode("utf-8"))
+        run.commit()
+    return WrittenPopulation(document=document, fit=fit)
+
+
+def _no_population(document: dict[str, Any]) -> str:
+    """Why there is none, and each specimen that takes no part."""
+    left = "".join(f"; {printable(row['specimen'])}: {row['reason']}" for row in document["left_out"])
+    return f"no population: {document['reason']}{left}"
