@@ -94,7 +94,7 @@ class ParameterBlock:
     Attributes
     ----------
     descriptor : int
-        Of the memory; a spawned process gets it by ``pass_fds``.
+        Of the memory; the servo's process is sent one of its own.
     head : ndarray of int64, shape (8,)
     values : ndarray, shape (2, size)
     """

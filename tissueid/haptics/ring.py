@@ -82,7 +82,7 @@ class Ring:
     Attributes
     ----------
     descriptor : int
-        Of the memory; a spawned process gets it by ``pass_fds``.
+        Of the memory; the servo's process is sent one of its own.
     head : ndarray of int64, shape (8,)
     records : ndarray of RECORD, shape (capacity,)
     """

@@ -10,7 +10,7 @@ __all__ = ["shared_memory"]
 
 
 def shared_memory(name: str, size: int) -> int:
-    """Descriptor of new memory, all zero; a spawned process gets it by ``pass_fds`` and not otherwise.
+    """Descriptor of new memory, all zero; another process gets it only where it is handed over.
 
     Parameters
     ----------
