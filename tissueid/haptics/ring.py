@@ -1,6 +1,6 @@
 """The ring: records of the servo in shared memory, one writer, any number of readers.
 
-The memory is a ``memfd`` whose descriptor a spawned process inherits.  The writer never waits: it fills the
+The memory is a ``memfd`` whose descriptor the servo's process is sent.  The writer never waits: it fills the
 slot after the newest and then publishes the number of records so far with a release store.  A reader copies
 what is new and then looks at that number again; records that may have been overwritten meanwhile are left
 out and counted, so that it knows by how much it was too slow.
