@@ -29,6 +29,7 @@ COMMANDS = {
     "inspect": "Say what a recording holds and how it was read.",
     "report": "Write the HTML report of a finished fit again.",
     "export": "Write a finished fit in another format.",
+    "status": "Say how far a fit is, also while it goes on.",
     "validate": "Check that an output folder is one whole run.",
     "watch": "Give a verdict after each test, beside the machine.",
     "devices": "Find, home, test and calibrate haptic devices, or emulate one.",

@@ -26,22 +26,37 @@ def command(**flags: Any) -> int:
     """Write the HTML report of a finished fit again, from its output folder alone."""
     from pathlib import Path
 
+    from tissueid.errors import BundleError
     from tissueid.report import render_report
-    from tissueid.store.outputs import OutputSet
-    from tissueid.store.results import REPORT, read_results
+    from tissueid.store.outputs import OutputSet, current_run
+    from tissueid.store.results import CURVES, REPORT, read_results
+    from tissueid.study.pages import write_report
 
-    document, curves, posteriors = read_results(flags["out"])
-    created = datetime.now(UTC).isoformat(timespec="seconds")
-    page = render_report(document, curves, posteriors, created=created).encode("utf-8")
-    target = flags["output"]
-    if target is not None:
-        write_output(target, page)
-    else:
-        with OutputSet(flags["out"]) as run:
+    target, out = flags["output"], Path(flags["out"])
+    committed = current_run(out)
+    large = committed is not None and CURVES not in committed.files
+    if target is None and large:
+        with OutputSet(out) as run:
             run.carry_over()
-            run.write(REPORT, page)
+            write_report(run)
             run.commit()
-        target = str(Path(flags["out"]) / REPORT)
+        target = out / REPORT
+        page = target.read_bytes()
+    else:
+        if large:
+            msg = f"{out}: the report of a large cohort leads to pages in the same folder; leave out -o"
+            raise BundleError(msg)
+        document, curves, posteriors = read_results(out)
+        created = datetime.now(UTC).isoformat(timespec="seconds")
+        page = render_report(document, curves, posteriors, created=created).encode("utf-8")
+        if target is not None:
+            write_output(target, page)
+        else:
+            with OutputSet(out) as run:
+                run.carry_over()
+                run.write(REPORT, page)
+                run.commit()
+            target = str(out / REPORT)
     if flags["as_json"]:
         echo_json({"report": str(target), "bytes": len(page)})
     else:

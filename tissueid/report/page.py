@@ -133,6 +133,7 @@ def render_report(
     posteriors: Sequence[StoredPosterior] = (),
     *,
     created: str | None = None,
+    script_file: str | None = None,
 ) -> str:
     """Write the report of one run as one self-contained HTML page.
 
@@ -146,6 +147,8 @@ def render_report(
         From ``posteriors.h5``: draws, chains and predictive bands.
     created : str, optional
         Time stamp to print; without it equal input gives an equal page.
+    script_file : str, optional
+        Where the drawing library stands, from the page; without it the page holds it.
 
     Returns
     -------
@@ -174,7 +177,8 @@ def render_report(
         created=created,
         style=asset("page.css"),
         scripts=[asset("posterior.js"), asset("figures.js")],
-        plotly=plotly_script(),
+        plotly="" if script_file else plotly_script(),
+        script_file=script_file,
     )
 
 

@@ -23,7 +23,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import h5py
 import numpy as np
@@ -56,8 +56,8 @@ class SpecimenResult:
     ----------
     record : dict
         ``specimen`` (name as shown), ``fitted`` (entry of identification.json, or ``None``), ``refused``,
-        ``unfitted_cycles``, ``inputs``, ``reasons`` (why its exit code is not 0), ``trials`` and
-        ``exclusions`` (rows of the study).
+        ``unfitted_cycles``, ``inputs``, ``provenance``, ``reasons`` (why its exit code is not 0), ``trials``
+        and ``exclusions`` (rows of the study).
     bundle : Bundle or None
     curves : tuple of TrialCurve
     posterior : StoredPosterior or None
@@ -99,7 +99,7 @@ def specimen_bytes(result: SpecimenResult) -> bytes:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[Any]:
+def _opened(path: Path | IO[bytes]) -> Iterator[Any]:
     """The group of a specimen's file; whatever libhdf5 says of a damaged one becomes a BundleError."""
     try:
         with h5py.File(path, "r") as file:
@@ -134,8 +134,15 @@ def load_record(path: Path) -> dict[str, Any]:
         return _record(group)
 
 
-def load_specimen(path: Path) -> tuple[dict[str, Any], tuple[TrialCurve, ...], StoredPosterior | None]:
+def load_specimen(
+    path: Path | IO[bytes],
+) -> tuple[dict[str, Any], tuple[TrialCurve, ...], StoredPosterior | None]:
     """Record, curves and draws of a specimen's file: all that a report draws.
+
+    Parameters
+    ----------
+    path : Path or binary file
+        Where it stands, or its bytes.
 
     Raises
     ------

@@ -28,17 +28,20 @@ from tissueid.store.merged import SPECIMENS
 from tissueid.store.outputs import OutputSet
 from tissueid.store.specimen_file import specimen_bytes
 from tissueid.store.sums import StoredSums
-from tissueid.study.assembly import Assembled, assemble, specimen_path
+from tissueid.study.assembly import LARGE, Assembled, assemble, specimen_path
 from tissueid.study.inventory import Inventory
 from tissueid.study.one_specimen import SeveralSpecimensError, fit_while_read
+from tissueid.study.pages import PAGES, write_pages
 from tissueid.study.partition import StudyParts
 from tissueid.study.request import Progress, Request, Workplace, expected_seconds
 from tissueid.study.specimen_job import RecentTrials, SpecimenJob, fit_here, result_of
-from tissueid.study.tasks import Fault, Outcome, Task, packed, unpacked
+from tissueid.study.tasks import Fault, Outcome, Task, packed, perform, unpacked
 from tissueid.trial import Source
 
 __all__ = ["fit_cohort", "prune_specimens"]
 
+#: What a page is expected to cost [s].
+SECONDS_A_PAGE = 0.05
 _FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 
 
@@ -79,12 +82,17 @@ def fit_cohort(request: Request, run: OutputSet, progress: Progress) -> Assemble
 
 
 def prune_specimens(out: Path) -> None:
-    """Remove files of specimens that the committed set does not name; call it after the commit."""
+    """Remove files and pages of specimens that the committed set does not name; call it after the commit."""
     with Index(out) as index:
         index.forget_unused()
-        used = {f"{key}.h5" for key in index.used_keys()}
-    for path in (out / SPECIMENS).iterdir():
-        if path.name not in used:
+        used = index.used_keys()
+    for folder in (SPECIMENS, PAGES):
+        _remove_others(out / folder, used)
+
+
+def _remove_others(folder: Path, used: set[str]) -> None:
+    for path in folder.iterdir() if folder.is_dir() else ():
+        if path.stem not in used and path.suffix in {".h5", ".html"}:
             path.unlink(missing_ok=True)
 
 
@@ -124,6 +132,8 @@ class _Cohort:
             if at_once is not None:
                 self._keep_at_once(*at_once)
             self._compute(workplace)
+            if len(self.specimens) > LARGE:
+                self._make_pages(workplace)
         self.progress("putting the results together", 0, 0)
         return assemble(
             self.run,
@@ -222,6 +232,14 @@ class _Cohort:
             done += 1
             self._take(waiting[outcome.number], outcome)
             self.progress(", ".join(running.values()), done, total)
+
+    def _make_pages(self, workplace: Workplace) -> None:
+        """A page for every specimen of a large cohort that has none yet."""
+        out, total = self.run.out, self.index.count("done")
+        files = (specimen_path(out, job.key) for job in self.index.jobs("done"))
+        crew = workplace.workforce(total, SECONDS_A_PAGE * total, perform, asked=True)
+        for made in write_pages(out, files, crew):
+            self.progress("pages of the report", made, total)
 
     def _take(self, job: JobRow, outcome: Outcome) -> None:
         if outcome.result is not None:

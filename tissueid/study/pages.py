@@ -1,35 +1,126 @@
-"""The report of a set: one page, or for a large cohort an index with a page a specimen."""
+"""The report of a set: one page, or for a large cohort an index with a page a specimen.
+
+Pages stand in ``OUT/pages/`` under the keys of the files they were made from, so that a page is made once;
+the drawing library stands beside them once for all.
+"""
 
 from __future__ import annotations
 
+import io
 import json
+from collections.abc import Iterable, Iterator, Sequence
 from datetime import UTC, datetime
+from pathlib import Path
 
 from tissueid.report import render_report
+from tissueid.report.cohort_page import cohort_row, render_cohort
+from tissueid.report.page import plotly_script
 from tissueid.store.curves import load_curves
+from tissueid.store.files import write_file
+from tissueid.store.merged import LISTED, SPECIMENS, read_listed
 from tissueid.store.outputs import OutputSet
 from tissueid.store.posteriors import load_posteriors
-from tissueid.store.results import CURVES, POSTERIORS, REPORT
-from tissueid.study.assembly import Assembled
+from tissueid.store.results import CURVES, IDENTIFICATION, POSTERIORS, REPORT
+from tissueid.store.specimen_file import load_record, load_specimen
+from tissueid.study.processes import Workforce
+from tissueid.study.tasks import Task
 
-__all__ = ["write_report"]
+__all__ = ["PAGES", "page_path", "specimen_page", "write_pages", "write_report"]
+
+#: Folder of the pages, in the output folder.
+PAGES = "pages"
+_LIBRARY = "plotly.min.js"
 
 
-def write_report(run: OutputSet, found: Assembled) -> None:
+def page_path(out: Path, file: str) -> Path:
+    """The page of a specimen's file."""
+    return out / PAGES / f"{Path(file).stem}.html"
+
+
+def specimen_page(payload: bytes) -> bytes:
+    """The task: the bytes of a specimen's file in, its page out; empty where nothing was fitted."""
+    record, curves, posterior = load_specimen(io.BytesIO(payload))
+    if record["fitted"] is None:
+        return b""
+    document = {
+        "specimens": [record["fitted"]],
+        "refused": record["refused"],
+        "unfitted_cycles": record["unfitted_cycles"],
+        "study": None,
+        "provenance": record["provenance"] | {"inputs": record["inputs"]},
+        "exit": {"code": 0, "reasons": record["reasons"]},
+    }
+    page = render_report(document, curves, () if posterior is None else (posterior,), script_file=_LIBRARY)
+    return page.encode("utf-8")
+
+
+def write_pages(out: Path, files: Iterable[Path], crew: Workforce) -> Iterator[int]:
+    """Make the pages that are not there; yields how many are made, one by one.
+
+    Parameters
+    ----------
+    out : Path
+    files : iterable of Path
+        Files of specimens.
+    crew : Workforce
+    """
+    folder = out / PAGES
+    folder.mkdir(exist_ok=True)
+    write_file(folder / _LIBRARY, str(plotly_script()).encode("utf-8"))
+    names: dict[int, Path] = {}
+
+    def tasks() -> Iterator[Task]:
+        for number, path in enumerate(files):
+            target = page_path(out, path.name)
+            if not target.exists():
+                names[number] = target
+                yield Task(number, "page", path.read_bytes(), path.name)
+
+    for made, outcome in enumerate(crew.run(tasks(), lambda *_: None), 1):
+        target = names.pop(outcome.number)
+        said = b"" if outcome.fault is None else f"<p>no page: {outcome.fault.message}</p>".encode()
+        write_file(target, outcome.result or said)
+        yield made
+
+
+def write_report(run: OutputSet, refused: Sequence[str] | None = None) -> None:
     """Write the report of an assembled set into it.
 
     Parameters
     ----------
     run : OutputSet
-    found : Assembled
+        That holds the other files of the set already.
+    refused : sequence of str, optional
+        What was left out, where the caller knows it; read from the document else.
     """
     created = datetime.now(UTC).isoformat(timespec="seconds")
-    document = json.loads(found.document.read_bytes())
-    sampled = run.path(POSTERIORS)
-    page = render_report(
-        document,
-        load_curves(run.path(CURVES)),
-        load_posteriors(sampled) if sampled.is_file() else (),
-        created=created,
-    )
+    if run.path(CURVES).is_file():
+        sampled = run.path(POSTERIORS)
+        page = render_report(
+            json.loads(run.path(IDENTIFICATION).read_bytes()),
+            load_curves(run.path(CURVES)),
+            load_posteriors(sampled) if sampled.is_file() else (),
+            created=created,
+        )
+    else:
+        page = _index_page(run, _refused(run) if refused is None else refused, created)
     run.write(REPORT, page.encode("utf-8"))
+
+
+def _refused(run: OutputSet) -> list[str]:
+    document = json.loads(run.path(IDENTIFICATION).read_bytes())
+    return [
+        f"{entry['path'] if entry['sheet'] is None else entry['path'] + ' [' + entry['sheet'] + ']'}: "
+        f"{entry['error']['message']}"
+        for entry in document["refused"]
+    ]
+
+
+def _index_page(run: OutputSet, refused: Sequence[str], created: str) -> str:
+    rows = []
+    for one in read_listed(run.path(LISTED)):
+        record = load_record(run.out / SPECIMENS / one.file)
+        if record["fitted"] is not None:
+            page = page_path(run.out, one.file).relative_to(run.out).as_posix()
+            rows.append(cohort_row(record["fitted"], page))
+    return render_cohort(rows, refused, created=created)

@@ -38,6 +38,8 @@ __all__ = ["RecentTrials", "SpecimenJob", "chain_file", "fit_here", "fit_specime
 RECENT_BYTES = 16 * 2**20
 #: What the readers would say of a sheet that another job reads.
 _NOT_OURS = "study_unmatched"
+#: What stands in a provenance and is more than one specimen's.
+_OF_THE_RUN = ("inputs", "study")
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,6 +214,7 @@ def result_of(
         "refused": [one for one in document["refused"] if one["error"]["code"] != _NOT_OURS],
         "unfitted_cycles": document["unfitted_cycles"],
         "inputs": document["provenance"]["inputs"],
+        "provenance": {key: value for key, value in document["provenance"].items() if key not in _OF_THE_RUN},
         "reasons": unmet(fits, options.required),
         "trials": [] if study is None else study["trials"],
         "exclusions": [] if study is None else study["exclusions"],
