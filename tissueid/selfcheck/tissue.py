@@ -99,7 +99,12 @@ class TissueCheck:
         """Intervals of the tissue that a fit quotes, where they are not central ones."""
         if not self.defects:
             return {}
-        return total_intervals(self._numbers(found.theta), found.others, self.priors.calibration)
+        return total_intervals(
+            self._numbers(found.theta),
+            found.others,
+            self.priors.calibration,
+            worth=found.detail["worth"],
+        )
 
     def __call__(self, rng: np.random.Generator) -> Replicate:
         """One simulation."""
