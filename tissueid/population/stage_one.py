@@ -20,6 +20,10 @@ IntArray = NDArray[np.int64]
 #: likelihood is smoothed.
 LEAST_WORTH = 500.0
 LEAST_SHARE = 0.25
+#: Where a typical specimen's own standard deviation of a coordinate is more than this share of that between
+#: specimens all are smoothed: the population then follows its specimens as much as they follow it, and joint
+#: moves carry smooth ones only.
+WEAK_SHARE = 1.0
 #: The pilot is wider than the population it was made from, and has heavy tails, so that it covers it.
 PILOT_WIDER = 1.5
 PILOT_NU = 5.0
@@ -100,7 +104,7 @@ def first_pilot(stage: StageOne, spread: float) -> Pilot:
         Least standard deviation of a coordinate.
     """
     middle = np.array([np.median(one, axis=0) for one in stage.phi])
-    own = np.array([MAD_SD * np.median(np.abs(one - np.median(one, axis=0)), axis=0) for one in stage.phi])
+    own = np.array([_spread(one) for one in stage.phi])
     variance = np.full(stage.size, spread**2)
     mean = np.median(middle, axis=0)
     for _ in range(5):
@@ -110,6 +114,11 @@ def first_pilot(stage: StageOne, spread: float) -> Pilot:
         variance = np.maximum(excess, spread**2)
     centre = np.tile(mean, (len(stage.phi), 1))
     return Pilot(centre, np.diag(2.0 * PILOT_WIDER * variance), PILOT_NU)
+
+
+def _spread(phi: NDArray[Any]) -> FloatArray:
+    """Standard deviation of each coordinate, far draws aside."""
+    return np.asarray(MAD_SD * np.median(np.abs(phi - np.median(phi, axis=0)), axis=0), dtype=np.float64)
 
 
 def _weights(stage: StageOne, pilot: Pilot, i: int) -> tuple[FloatArray, FloatArray]:
@@ -145,6 +154,16 @@ def _mixtures(found: list[Mixture], size: int) -> dict[str, FloatArray]:
     }
 
 
+def _poor(stage: StageOne, pilot: Pilot) -> IntArray:
+    """Specimens that need a smooth likelihood."""
+    own = np.median([_spread(one) for one in stage.phi], axis=0)
+    between = np.sqrt(pilot.covariance.diagonal() / PILOT_WIDER)
+    if (own > WEAK_SHARE * between).any():
+        return np.arange(len(stage.phi))
+    enough = np.minimum(LEAST_WORTH, LEAST_SHARE * np.array([len(one) for one in stage.phi]))
+    return np.flatnonzero(worths(stage, pilot) < enough)
+
+
 def packed(stage: StageOne, design: Design, pilot: Pilot, seed: int) -> Cohort:
     """Everything the compiled chain reads, single precision where a draw is meant.
 
@@ -154,8 +173,7 @@ def packed(stage: StageOne, design: Design, pilot: Pilot, seed: int) -> Cohort:
     """
     sizes = [len(one) for one in stage.phi]
     rng = np.random.default_rng([seed, 2])
-    enough = np.minimum(LEAST_WORTH, LEAST_SHARE * np.array(sizes))
-    poor = np.flatnonzero(worths(stage, pilot) < enough)
+    poor = _poor(stage, pilot)
     smooth = np.full(len(stage.phi), -1, dtype=np.int64)
     smooth[poor] = np.arange(poor.size)
     mixtures = [

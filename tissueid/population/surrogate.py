@@ -107,7 +107,7 @@ def mixture_of(
     w /= w.sum()
     along = phi[:, ~linear] if linear.any() else phi[:, :0]
     share = _shares(along, w, rng)
-    floor = RIDGE * np.diag(np.maximum(np.cov(x, rowvar=False, aweights=w).diagonal(), 1e-12))
+    floor = RIDGE * np.diag(np.maximum(np.atleast_2d(np.cov(x, rowvar=False, aweights=w)).diagonal(), 1e-12))
     for _ in range(ROUNDS if share.shape[1] > 1 else 1):
         log_weight, mean, unit = _components(x, w, share, floor)
         if share.shape[1] > 1:
@@ -122,7 +122,7 @@ def _one_normal(phi: FloatArray, log_reference: FloatArray) -> tuple[FloatArray,
     middle = np.median(phi, axis=0)
     reach = FARTHEST * MAD_SD * np.median(np.abs(phi - middle), axis=0)
     near = np.clip(phi, middle - reach, middle + reach)
-    covariance = np.cov(near, rowvar=False, aweights=w)
+    covariance = np.atleast_2d(np.cov(near, rowvar=False, aweights=w))
     covariance = covariance + RIDGE * np.diag(covariance.diagonal() + 1e-12)
     return np.average(near, axis=0, weights=w), np.asarray(np.linalg.inv(covariance))
 

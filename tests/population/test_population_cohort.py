@@ -1,0 +1,197 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cohort_factory import COORDINATES, TYPICAL, members
+
+from tissueid.errors import UsageError
+from tissueid.population.cohort import CohortFit, CohortOptions, cohort
+from tissueid.population.design import design_of
+from tissueid.population.document import as_document, population_bundle
+from tissueid.population.held_out import prediction_error
+from tissueid.population.members import common_model
+from tissueid.population.sampler import SamplerOptions
+from tissueid.store.bundle import load_bundle, write_bundle
+from tissueid.store.files import plain_json
+from tissueid.store.schema import first_problem
+
+SHORT = SamplerOptions(settle=150, sweeps=400, blocks=2)
+
+
+@pytest.fixture(scope="module")
+def found() -> CohortFit:
+    return cohort(members(8, seed=2), CohortOptions(group_by="sex", covariates=("age_years",), sampler=SHORT))
+
+
+def test_the_document_keeps_its_schema(found: CohortFit) -> None:
+    document = plain_json(as_document(found, CohortOptions(sampler=SHORT), source="0" * 64))
+
+    assert first_problem(document, "population") is None
+    assert document["specimens_used"] == [f"head {k}" for k in range(1, 9)]
+    assert [row["name"] for row in document["population"]["quantities"]] == list(COORDINATES.names)
+
+
+def test_the_typical_tissue_is_near_the_truth(found: CohortFit) -> None:
+    assert found.population is not None
+    rows = {row.name: row for row in found.population.quantities}
+    truth = dict(zip(COORDINATES.names, COORDINATES.quantities(TYPICAL)[0], strict=True))
+
+    # eight specimens that differ by 15 %: three standard errors of 5.3 %
+    assert rows["static_force_3_N"].median == pytest.approx(truth["static_force_3_N"], rel=0.16)
+    assert rows["static_force_3_N"].ci95[0] < truth["static_force_3_N"] < rows["static_force_3_N"].ci95[1]
+    assert 0.05 < rows["static_force_3_N"].cv < 0.45
+
+
+def test_a_bundle_of_the_population_is_written_and_read(found: CohortFit, tmp_path: Path) -> None:
+    document = plain_json(as_document(found, CohortOptions(sampler=SHORT), source="0" * 64))
+    bundle = population_bundle(found, document)
+    assert bundle is not None
+
+    write_bundle(bundle, tmp_path / "population.h5")
+    back = load_bundle(tmp_path / "population.h5")
+
+    assert back.is_population
+    assert back.draws is not None
+    assert len(back.draws) == 2000
+    assert bool(COORDINATES.passive(back.draws).all())
+    assert back.population_mean is not None
+    assert np.array_equal(back.population_mean, bundle.population_mean)
+    # specimens drawn differ as the population does: ln force at depth
+    spread = np.log(COORDINATES.quantities(back.draws)[:, 2]).std()
+    assert found.population is not None
+    assert spread == pytest.approx(found.population.quantities[2].sd_ln, rel=0.4)
+
+
+def test_specimens_shrink_where_their_own_logs_say_little(found: CohortFit) -> None:
+    assert found.population is not None
+    shrinkage = np.array([row.shrinkage for row in found.population.specimens])
+
+    # force is known to 1 % each, tau to 20 % where specimens differ by 15 %
+    assert shrinkage[:, 2].max() < 0.2
+    assert np.median(shrinkage[:, 4]) > 0.2
+
+
+def test_groups_are_compared_as_ratios(found: CohortFit) -> None:
+    assert found.population is not None
+    rows = [row for row in found.population.effects if row.covariate == "sex"]
+
+    assert len(rows) == COORDINATES.size
+    assert all(row.ci95[0] < row.ratio < row.ci95[1] for row in rows)
+    assert all(0.0 <= row.probability <= 1.0 for row in rows)
+
+
+def test_held_out_specimens_are_predicted_from_the_others(found: CohortFit) -> None:
+    assert found.population is not None
+    held = found.population.held_out
+    assert held is not None
+
+    assert held.folds == 8
+    assert len(held.rows) == 24
+    document = held.as_json()
+    assert document["nrmsd_mean"]["median"] > document["nrmsd_range"]["median"] > 0.0
+
+
+def test_prediction_error_of_a_scaled_tissue_is_in_closed_form() -> None:
+    trial = members(1, seed=1, repeats=1, draws=100)[0].trials[0]
+    assert trial.curve is not None
+    force = trial.curve.force_N
+    own = trial.curve.model_N
+    theta = COORDINATES.to_theta(COORDINATES.to_phi(TYPICAL)[0])[0]
+    from tissueid.model.base import ContactPath
+
+    made = COORDINATES.model.force(theta, ContactPath(trial.curve.time_s, trial.curve.depth_mm))
+    scaled = replace(trial, curve=replace(trial.curve, force_N=1.1 * made))
+
+    error = prediction_error(COORDINATES, theta, scaled)
+
+    # a tenth more force: root mean square of a tenth of it, over range and mean of eleven tenths
+    rms = 0.1 * np.sqrt((made**2).mean())
+    assert error == pytest.approx((rms / (1.1 * np.ptp(made)), rms / (1.1 * made.mean())), rel=1e-9)
+    assert own.shape == force.shape
+
+
+def test_two_specimens_make_no_population() -> None:
+    found = cohort(members(2, draws=100))
+
+    assert found.population is None
+    assert found.reason is not None
+    assert "2 specimens" in found.reason
+    assert population_bundle(found, {}) is None
+
+
+def test_specimens_of_another_model_are_left_out_and_named() -> None:
+    four = members(4, draws=300)
+    other = replace(four[1], model=replace(four[1].model, branches=2))
+    old = replace(four[2], log_prior=None)
+
+    found = cohort((four[0], other, old, four[3]), CohortOptions(sampler=SHORT))
+
+    assert common_model((four[0], other, four[3])) == (1, 0)
+    assert [row.specimen for row in found.left_out] == ["head 2", "head 3"]
+    assert "--branches 1 --stiffness-degree 0" in found.left_out[0].reason
+    assert "fit it again" in found.left_out[1].reason
+    assert found.population is None
+
+
+def test_equally_common_models_give_way_to_the_simplest() -> None:
+    four = members(4, draws=100)
+    two = [replace(one, model=replace(one.model, stiffness_degree=1)) for one in four[:2]]
+
+    assert common_model([*two, *four[2:]]) == (1, 0)
+
+
+def test_a_covariate_that_nobody_states_is_refused_with_those_there_are() -> None:
+    with pytest.raises(UsageError, match="no specimen states 'weight'; stated are age_years, donor, sex"):
+        design_of(members(3, draws=100), None, ("weight",))
+
+
+def test_a_group_that_all_belong_to_is_refused() -> None:
+    same = tuple(replace(one, covariates={"sex": "f"}) for one in members(3, draws=100))
+
+    with pytest.raises(UsageError, match="nothing to compare"):
+        design_of(same, "sex", ())
+
+
+def test_missing_numbers_get_the_mean_and_are_named() -> None:
+    three = members(5, draws=100)
+    gap = (replace(three[0], covariates={**three[0].covariates, "age_years": None}), *three[1:])
+
+    described = design_of(gap, None, ("age_years",))
+
+    assert described.missing == {"age_years": ("head 1",)}
+    assert described.design.columns[0, 1] == 0.0
+    # 61 to 64 years: mean 62.5, standard deviation root of 1.25
+    assert described.scales["age_years"] == pytest.approx((62.5, np.sqrt(1.25)))
+    assert described.design.columns[1:, 1] == pytest.approx(np.array([-1.5, -0.5, 0.5, 1.5]) / np.sqrt(1.25))
+
+
+def test_donors_of_several_specimens_are_a_level_and_single_ones_none() -> None:
+    six = members(6, draws=100)
+    alone = tuple(replace(one, covariates={"donor": one.specimen}) for one in six)
+
+    assert design_of(six, None, ()).design.levels == ("donor",)
+    assert design_of(six, None, ()).design.group.tolist() == [[0, 0, 1, 1, 2, 2]]
+    assert design_of(alone, None, ()).design.levels == ()
+
+
+def test_the_machine_s_part_does_not_average_out() -> None:
+    rng = np.random.default_rng(5)
+    made = members(6, seed=3, own=(0.01, 0.01, 0.01, 0.01, 0.01), between=0.02)
+    # one unknown gain of 3 % for all, in every specimen's total posterior
+    total = []
+    for one in made:
+        phi, _ = COORDINATES.to_phi(one.draws)
+        gained = COORDINATES.to_theta(phi + np.outer(0.03 * rng.standard_normal(len(phi)), [1, 1, 1, 1, 0]))
+        total.append(replace(one, draws_total=gained))
+
+    found = cohort(tuple(total), CohortOptions(sampler=SHORT, hold_out=False))
+
+    assert found.population is not None
+    row = found.population.quantities[2]
+    assert row.ci95_total is not None
+    statistical = np.log(row.ci95[1] / row.ci95[0]) / 3.92
+    with_machine = np.log(row.ci95_total[1] / row.ci95_total[0]) / 3.92
+    assert with_machine == pytest.approx(np.hypot(statistical, 0.03), rel=0.15)

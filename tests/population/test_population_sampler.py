@@ -1,0 +1,192 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from cohort_factory import lkj_factor, normal_stage
+
+from tissueid.population.sampler import SamplerOptions, sample_population
+from tissueid.population.scale_kernels import draw_scales
+from tissueid.population.stage_one import Design, StageOne
+from tissueid.posterior.diagnostics import monte_carlo_errors
+from tissueid.priors import PopulationPriors, SpreadPrior
+
+
+def on_a_grid(y: np.ndarray, own: np.ndarray, priors: PopulationPriors) -> dict[str, float]:
+    """Mean of mu and of ln D of a normal population in one dimension, by summation over a fine grid."""
+    log_sd = np.linspace(np.log(0.005), np.log(3.0), 1200)
+    mu = np.linspace(y.mean() - 2.0, y.mean() + 2.0, 2001)
+    variance = np.exp(2.0 * log_sd)[:, None] + own**2
+    level = -0.5 * np.log(variance).sum(axis=1)[:, None] - 0.5 * (
+        ((y[None, None, :] - mu[None, :, None]) ** 2) / variance[:, None, :]
+    ).sum(axis=2)
+    between = priors.between
+    level = level - 0.5 * (((log_sd - np.log(between.median)) / between.sd_ln) ** 2)[:, None]
+    level = level - 0.5 * (mu / priors.mean_sd) ** 2
+    weight = np.exp(level - level.max())
+    weight /= weight.sum()
+    return {
+        "mean": float((weight.sum(axis=0) * mu).sum()),
+        "ln_sd": float((weight.sum(axis=1) * log_sd).sum()),
+    }
+
+
+# Draws alone, and smooth likelihoods alone: the recordings tell less than the population, or more.
+@pytest.mark.parametrize(("own", "smooth"), [(0.05, 0), (0.8, 12)])
+def test_a_normal_population_of_one_number_is_that_of_a_grid(own: float, smooth: int) -> None:
+    rng = np.random.default_rng(4)
+    y = 1.0 + 0.2 * rng.standard_normal(12) + own * rng.standard_normal(12)
+    # quantiles of each likelihood as its draws: no Monte-Carlo error of stage 1
+    from scipy.stats import norm
+
+    unit = norm.ppf((np.arange(4000) + 0.5) / 4000)
+    stage = StageOne(
+        tuple((one + own * unit)[:, None] for one in y),
+        tuple(np.zeros(4000) for _ in y),
+        np.zeros(1, bool),
+        np.zeros(0, np.int64),
+    )
+    priors = PopulationPriors()
+
+    found = sample_population(
+        stage, Design.plain(12), priors, SamplerOptions(tails="normal", sweeps=3000, blocks=2)
+    )
+
+    assert found.smoothed.size == smooth
+    assert found.converged
+    draws = {"mean": found.coefficient[:, :, 0, 0], "ln_sd": np.log(found.sd[:, :, 0])}
+    error = monte_carlo_errors(draws)
+    expected = on_a_grid(y, np.full(12, own), priors)
+    for name, values in draws.items():
+        # four Monte-Carlo errors, and 0.5 % for 4000 quantiles that end at 3.7 sd
+        assert values.mean() == pytest.approx(expected[name], abs=4.0 * error[name].mean + 0.005)
+
+
+def test_scales_follow_prior_and_data_together() -> None:
+    # simulation-based calibration of the part for spreads and correlations alone: ranks are uniform
+    rng = np.random.default_rng(5)
+    p, n, prior = 3, 12, np.array([np.log(0.15), 0.3, 2.0])
+    ranks = []
+    for _ in range(150):
+        log_sd, low = rng.normal(prior[0], prior[1], p), lkj_factor(rng, p, prior[2])
+        deviations = (rng.standard_normal((n, p)) @ low.T) * np.exp(log_sd)
+        sums = deviations.T @ deviations
+        state, partial = np.full(p, prior[0]), np.zeros((p, p))
+        above = np.zeros(p + 1)
+        for sweep in range(240):
+            factor = draw_scales(rng, state, partial, sums, float(n), prior)
+            if sweep >= 40:
+                above[:p] += state < log_sd
+                above[p] += (factor @ factor.T)[1, 0] < (low @ low.T)[1, 0]
+        ranks.append(above / 200.0)
+    ranks = np.array(ranks)
+
+    inside = ((ranks > 0.05) & (ranks < 0.95)).mean(axis=0)
+    # 90 % of 150: a standard deviation of 2.4 %, four numbers, 3.5 of them
+    assert inside == pytest.approx(0.9, abs=0.086)
+    # means of uniform ranks: 0.5 with 0.29 / sqrt(150) = 0.024
+    assert ranks.mean(axis=0) == pytest.approx(0.5, abs=0.083)
+
+
+def test_mean_spread_and_correlation_are_recovered_where_one_number_is_hardly_measured() -> None:
+    rng = np.random.default_rng(7)
+    p, n = 3, 60
+    mean, sd = np.array([3.0, 1.0, 0.5]), np.array([0.1, 0.2, 0.3])
+    low = lkj_factor(rng, p, 1.0)
+    places = mean + sd * (rng.standard_normal((n, p)) @ low.T)
+    stage = normal_stage(places, np.array([0.03, 0.05, 0.6]), rng, draws=600)
+
+    found = sample_population(stage, Design.plain(n), None, SamplerOptions(sweeps=1000, blocks=4))
+
+    assert found.converged
+    # posterior standard deviations, four of them
+    away = (np.median(found.mean, axis=0) - mean) / found.mean.std(axis=0)
+    assert np.abs(away).max() < 4.0
+    spread = np.log(found.sd.reshape(-1, p))
+    assert np.abs((np.median(spread, axis=0) - np.log(sd)) / spread.std(axis=0)).max() < 4.0
+    r = found.correlation.reshape(-1, p, p)
+    expected = low @ low.T
+    off = np.tril_indices(p, -1)
+    assert np.abs((r.mean(axis=0) - expected)[off] / r.std(axis=0)[off]).max() < 4.0
+
+
+def test_heavy_tails_are_found_and_the_outlier_is_named() -> None:
+    rng = np.random.default_rng(8)
+    places = 0.1 * rng.standard_normal((30, 2))
+    places[13] = (1.2, -0.9)
+    stage = normal_stage(places, np.full(2, 0.02), rng, draws=600)
+
+    found = sample_population(stage, Design.plain(30), None, SamplerOptions(sweeps=800, blocks=2))
+
+    assert int(found.far.argmax()) == 13
+    assert found.far[13] > 0.99
+    # the others make the mean: nine standard deviations off would move it by 0.04
+    assert np.abs(np.median(found.mean, axis=0)).max() < 0.06
+    assert np.median(found.nu) < 10.0
+
+
+def test_effects_of_covariates_and_levels_are_told_apart() -> None:
+    rng = np.random.default_rng(9)
+    n = 60
+    x = rng.standard_normal(n)
+    x = (x - x.mean()) / x.std()
+    donor = np.arange(n) // 4
+    level = 0.3 * rng.standard_normal((15, 2))
+    places = (
+        np.array([1.0, 2.0]) + np.outer(x, [0.2, -0.1]) + level[donor] + 0.1 * rng.standard_normal((n, 2))
+    )
+    stage = normal_stage(places, np.full(2, 0.02), rng, draws=500)
+    names = tuple(f"d{k}" for k in range(15))
+    design = Design(np.column_stack([np.ones(n), x]), ("mean", "x"), donor[None, :], ("donor",), (names,))
+
+    found = sample_population(stage, design, None, SamplerOptions(sweeps=800, blocks=2))
+
+    slope = found.coefficient[:, :, 1].reshape(-1, 2)
+    assert np.abs((slope.mean(axis=0) - [0.2, -0.1]) / slope.std(axis=0)).max() < 4.0
+    between = np.log(found.level_sd[:, :, 0].reshape(-1, 2))
+    assert np.abs((between.mean(axis=0) - np.log(0.3)) / between.std(axis=0)).max() < 4.0
+    own = np.log(found.sd.reshape(-1, 2))
+    assert np.abs((own.mean(axis=0) - np.log(0.1)) / own.std(axis=0)).max() < 4.0
+
+
+def test_the_same_seed_gives_the_same_draws_whatever_the_threads() -> None:
+    rng = np.random.default_rng(10)
+    stage = normal_stage(0.2 * rng.standard_normal((6, 2)), np.array([0.02, 3.0]), rng, draws=600)
+    short = {"settle": 50, "sweeps": 60, "blocks": 1, "seed": 3}
+
+    one = sample_population(stage, Design.plain(6), None, SamplerOptions(workers=1, **short))
+    two = sample_population(stage, Design.plain(6), None, SamplerOptions(workers=2, **short))
+
+    assert one.smoothed.size > 0
+    assert np.array_equal(one.coefficient, two.coefficient)
+    assert np.array_equal(one.nu, two.nu)
+
+
+def test_single_precision_of_the_draws_is_harmless() -> None:
+    rng = np.random.default_rng(12)
+    stage = normal_stage(4.0 + 0.05 * rng.standard_normal((8, 3)), np.full(3, 0.02), rng, draws=500)
+    rounded = StageOne(
+        tuple(one.astype(np.float32).astype(np.float64) for one in stage.phi),
+        stage.log_reference,
+        stage.linear,
+        stage.ascending,
+    )
+    sd = 0.05
+
+    exact = np.concatenate(stage.phi)
+    change = 0.5 * (((np.concatenate(rounded.phi) - 4.0) / sd) ** 2 - ((exact - 4.0) / sd) ** 2).sum(axis=1)
+
+    # ln density of a draw in a population as narrow as 5 %: what a Metropolis step sees of the rounding
+    assert np.abs(change).max() < 1e-3
+
+
+def test_stated_priors_are_used() -> None:
+    rng = np.random.default_rng(13)
+    stage = normal_stage(0.4 * rng.standard_normal((4, 2)), np.full(2, 0.02), rng, draws=500)
+    tight = PopulationPriors(between=SpreadPrior(0.05, 0.05))
+
+    found = sample_population(
+        stage, Design.plain(4), tight, SamplerOptions(tails="normal", sweeps=400, blocks=1)
+    )
+
+    # a prior of 5 % on the spread outweighs four specimens that spread eight times as far
+    assert np.median(found.sd) < 0.075
