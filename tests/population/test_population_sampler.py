@@ -93,9 +93,9 @@ def test_mean_spread_and_correlation_are_recovered_where_one_number_is_hardly_me
     mean, sd = np.array([3.0, 1.0, 0.5]), np.array([0.1, 0.2, 0.3])
     low = lkj_factor(rng, p, 1.0)
     places = mean + sd * (rng.standard_normal((n, p)) @ low.T)
-    stage = normal_stage(places, np.array([0.03, 0.05, 0.6]), rng, draws=600)
+    stage = normal_stage(places, np.array([0.03, 0.05, 0.4]), rng, draws=600)
 
-    found = sample_population(stage, Design.plain(n), None, SamplerOptions(sweeps=1000, blocks=4))
+    found = sample_population(stage, Design.plain(n), None, SamplerOptions(sweeps=1500, blocks=4))
 
     assert found.converged
     # posterior standard deviations, four of them

@@ -1,0 +1,91 @@
+"""An output folder of several specimens with posteriors, made by hand: no recording, no fitting."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from fit_factory import THETA, identification, specimen_fit
+from posterior_factory import sampled
+
+from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.result import SpecimenFit
+from tissueid.store.outputs import OutputSet
+from tissueid.store.results import write_results
+
+#: Relative uncertainty of F_s, K and tau in each specimen's own posterior.
+OWN = np.array([0.01, 0.01, 0.01, 0.03, 0.03])
+
+
+def cohort_fits(count: int, *, between: float = 0.12, seed: int = 0) -> tuple[SpecimenFit, ...]:
+    """Fits whose posteriors scatter around specimens that differ by a factor in force and in stiffness."""
+    rng = np.random.default_rng(seed)
+    model = KelvinVoigt(1, 0, 6.0)
+    fits = []
+    for i in range(count):
+        force, stiffness = np.exp(between * rng.standard_normal(2))
+        scale = np.array([force, force, force, stiffness, 1.0])
+        draws = THETA * scale * np.exp(OWN * rng.standard_normal((600, 5)))
+        assert all(model.is_passive(one) for one in draws)
+        fit = sampled(specimen_fit(f"head {i + 1}", samples=60, seed=seed + 3 * i), seed=i)
+        posterior = fit.posterior
+        assert posterior is not None
+        gains = np.exp(0.03 * rng.standard_normal(len(fit.trials)))
+        fits.append(
+            replace(
+                fit,
+                posterior=replace(posterior, draws=draws, draws_total=draws, log_prior=np.zeros(len(draws))),
+                trials=tuple(
+                    replace(trial, gain=float(gain), speed_mm_s=2.0)
+                    for trial, gain in zip(fit.trials, gains, strict=True)
+                ),
+            )
+        )
+    return tuple(fits)
+
+
+def cohort_folder(folder: Path, count: int, *, study: bool = True) -> Path:
+    """The output folder of such fits, with a study that states sex and donor."""
+    fits = cohort_fits(count)
+    known = identification(fits)
+    if study:
+        known = replace(known, study=study_of(fits))
+    with OutputSet(folder) as run:
+        write_results(run, known)
+        run.commit()
+    return folder
+
+
+def study_of(fits: tuple[SpecimenFit, ...]) -> dict[str, object]:
+    """What a study says of these specimens."""
+    from tissueid.store.schema import load_schema
+
+    rows = load_schema("identification")["$defs"]["study"]["properties"]["specimens"]["items"]["properties"]
+    row = dict.fromkeys(rows)
+    trial = dict.fromkeys(("site", "protocol", "rest_s", "because", "notes"))
+    return {
+        "path": "study.toml",
+        "sha256": "",
+        "study": {},
+        "tip": {},
+        "calibration": dict.fromkeys(_calibration()),
+        "priors": {},
+        "specimens": [
+            row | {"specimen": fit.specimen, "sex": "fm"[i % 2], "donor": f"d{i // 2}"}
+            for i, fit in enumerate(fits)
+        ],
+        "trials": [
+            {"path": one.path, "sheet": one.sheet, "specimen": fit.specimen, **trial}
+            | {"run": k + 1, "listed": True, "overridden": []}
+            for fit in fits
+            for k, one in enumerate(fit.trials)
+        ],
+        "exclusions": [],
+    }
+
+
+def _calibration() -> list[str]:
+    from tissueid.store.schema import load_schema
+
+    return list(load_schema("identification")["$defs"]["calibration"]["properties"])

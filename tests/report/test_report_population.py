@@ -1,0 +1,109 @@
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from cohort_outputs import cohort_fits, study_of
+from fit_factory import identification
+
+from tissueid.population.cohort import CohortOptions, cohort
+from tissueid.population.document import as_document, members_of, population_bundle
+from tissueid.population.sampler import SamplerOptions
+from tissueid.report.population_page import held_out_sentence, render_population
+from tissueid.report.population_payload import MOST_DRAWN, population_payload
+from tissueid.store.bundle import Bundle
+from tissueid.store.curves import curves_of_fits
+from tissueid.store.files import plain_json
+from tissueid.store.posteriors import posteriors_of_fits
+
+pytestmark = pytest.mark.needs_jit
+
+
+@pytest.fixture(scope="module")
+def found() -> tuple[dict[str, Any], Bundle]:
+    fits = cohort_fits(6)
+    document = plain_json(identification(fits).as_json()) | {"study": study_of(fits)}
+    options = CohortOptions(group_by="sex", sampler=SamplerOptions(settle=100, sweeps=250, blocks=1))
+    fit = cohort(members_of(document, curves_of_fits(fits), posteriors_of_fits(fits)), options)
+    told: dict[str, Any] = plain_json(as_document(fit, options, source="0" * 64))
+    bundle = population_bundle(fit, told)
+    assert bundle is not None
+    return told, bundle
+
+
+def test_the_page_asks_the_network_for_nothing_and_says_its_numbers(
+    found: tuple[dict[str, Any], Bundle],
+) -> None:
+    document, bundle = found
+
+    page = render_population(document, bundle)
+
+    # what stands before the drawing library, whose own text holds addresses
+    assert re.findall(r'(?:src|href)="(?!data:|#)', page.partition("<script>")[0]) == []
+    assert "Population of 6 specimens" in page
+    row = document["population"]["quantities"][2]
+    assert row["words"] in page
+    assert "Intraclass correlation" in page
+    assert "sex: m against f" in page
+    assert "4.23 to 10.95 %" in page
+    assert render_population(document, bundle) == page
+
+
+def test_paper_a_is_compared_with_and_not_claimed() -> None:
+    spread = {"median": 0.05, "low68": 0.02, "high68": 0.13}
+    wide = {"median": 0.4, "low68": 0.2, "high68": 0.5}
+    held: dict[str, Any] = {"paper_a_percent": [4.23, 10.95], "nrmsd_range": spread, "nrmsd_mean": wide}
+
+    assert "is consistent with that, which proves nothing" in held_out_sentence({"held_out": held})
+    assert "lies outside that" in held_out_sentence({"held_out": held | {"nrmsd_range": wide}})
+
+
+def test_bands_of_force_hold_the_typical_tissue(found: tuple[dict[str, Any], Bundle]) -> None:
+    document, bundle = found
+
+    bands = population_payload(document, bundle)["bands"]
+
+    assert bands is not None
+    low, high = bands["quantiles"][0], bands["quantiles"][4]
+    assert all(a <= b <= c for a, b, c in zip(low[1:], bands["typical"][1:], high[1:], strict=True))
+
+
+def test_a_large_cohort_draws_its_outliers_and_an_even_choice(found: tuple[dict[str, Any], Bundle]) -> None:
+    document, _ = found
+    row = document["population"]["specimens"][0]
+    many = [
+        row | {"specimen": f"s{k}", "outlier": "relaxation_time_s" if k == 777 else None} for k in range(900)
+    ]
+    large = document | {"population": document["population"] | {"specimens": many}}
+
+    shown = population_payload(large, None)["specimens"]
+
+    assert len(shown) == MOST_DRAWN
+    assert [one["name"] for one in shown if one["outlier"]] == ["s777"]
+
+
+@pytest.mark.browser
+def test_figures_draw_themselves_without_an_error(
+    browser: Any, tmp_path: Path, found: tuple[dict[str, Any], Bundle]
+) -> None:
+    path = tmp_path / "cohort.html"
+    path.write_text(render_population(*found), encoding="utf-8")
+    page = browser.new_page(viewport={"width": 1200, "height": 6000})
+    problems: list[str] = []
+    page.on("pageerror", lambda error: problems.append(str(error)))
+    page.on("console", lambda message: problems.append(message.text) if message.type == "error" else None)
+    page.goto(path.as_uri())
+    page.wait_for_function("document.querySelectorAll('[data-drawn]').length === 5", timeout=60_000)
+    page.select_option("#quantity", "4")
+    page.wait_for_timeout(300)
+    axis = page.evaluate("document.querySelector('[data-figure=shrinkage]').layout.yaxis.title.text")
+    points = page.evaluate(
+        "document.querySelector('[data-figure=shrinkage]').querySelectorAll('.scatterlayer .point').length"
+    )
+    page.close()
+    assert problems == []
+    assert axis == "relaxation time [s]"
+    # six specimens, alone and with the population
+    assert points == 12
