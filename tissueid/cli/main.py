@@ -31,6 +31,7 @@ COMMANDS = {
     "export": "Write a finished fit in another format.",
     "status": "Say how far a fit is, also while it goes on.",
     "validate": "Check that an output folder is one whole run.",
+    "migrate": "Bring a folder or a bundle of an earlier version to this one.",
     "watch": "Give a verdict after each test, beside the machine.",
     "devices": "Find, home, test and calibrate haptic devices, or emulate one.",
     "synth": "Write synthetic recordings with a known truth.",

@@ -45,6 +45,7 @@ __all__ = [
     "SPECIMEN_GROUP",
     "Bundle",
     "bundle_from_fit",
+    "bundle_of_document",
     "load_bundle",
     "put_bundle",
     "write_bundle",
@@ -317,7 +318,7 @@ def load_bundle(path: Path | str) -> Bundle:
         msg = f"{path}: its document is not JSON ({error}); run `tissueid fit` again"
         raise BundleError(msg) from error
     check(document, "bundle", where=str(path))
-    bundle = _from_document(document, arrays)
+    bundle = bundle_of_document(document, arrays)
     _check_contents(bundle, document, where=str(path))
     return bundle
 
@@ -338,6 +339,9 @@ def _read(path: Path) -> tuple[bytes, dict[str, FloatArray], dict[str, Any]]:
         if attributes.get("format") != _FORMAT:
             msg = f"its format is {attributes.get('format')!r}, not {_FORMAT!r}"
             raise ValueError(msg)
+        if attributes.get("schema_version") != BUNDLE_SCHEMA_VERSION:
+            # what another version holds is not for this one to judge; its header is refused
+            return b"", {}, attributes
         missing = {_DOCUMENT, *_ARRAYS} - set(_OPTIONAL) - names
         unknown = names - {_DOCUMENT, *_ARRAYS}
         if missing or unknown:
@@ -358,8 +362,8 @@ def _check_header(path: Path, attributes: Mapping[str, Any]) -> None:
     version = attributes.get("schema_version")
     if version != BUNDLE_SCHEMA_VERSION:
         msg = (
-            f"{path}: schema version {version}, this tissueid reads version {BUNDLE_SCHEMA_VERSION}; "
-            "use the tissueid that wrote it, or fit again"
+            f"{path}: schema version {version}, this tissueid reads version {BUNDLE_SCHEMA_VERSION}; run "
+            f"`tissueid migrate {path}`, or fit again"
         )
         raise BundleError(msg)
     if "content_sha256" not in attributes:
@@ -367,7 +371,8 @@ def _check_header(path: Path, attributes: Mapping[str, Any]) -> None:
         raise BundleError(msg)
 
 
-def _from_document(document: Mapping[str, Any], arrays: Mapping[str, FloatArray]) -> Bundle:
+def bundle_of_document(document: Mapping[str, Any], arrays: Mapping[str, FloatArray]) -> Bundle:
+    """The bundle that a document of this schema version and its arrays describe, not yet checked."""
     validity = document["validity"]
     slowest, fastest = validity["speeds_mm_s"]
     return Bundle(

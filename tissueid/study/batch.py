@@ -34,7 +34,7 @@ from tissueid.study.one_specimen import SeveralSpecimensError, fit_while_read
 from tissueid.study.pages import PAGES, write_pages
 from tissueid.study.partition import StudyParts
 from tissueid.study.request import Progress, Request, Workplace, expected_seconds
-from tissueid.study.specimen_job import RecentTrials, SpecimenJob, fit_here, result_of
+from tissueid.study.specimen_job import FIT, RecentTrials, SpecimenJob, fit_here, result_of
 from tissueid.study.tasks import Fault, Outcome, Task, packed, perform, unpacked
 from tissueid.trial import Source
 
@@ -224,7 +224,7 @@ class _Cohort:
 
         def tasks() -> Iterator[Task]:
             for position, job in waiting.items():
-                yield Task(position, "specimen", packed(self._job(position)), job.specimen)
+                yield Task(position, FIT, packed(self._job(position)), job.specimen)
 
         crew = workplace.workforce(len(waiting), seconds, here, asked=True)
         for outcome in crew.run(tasks(), started):

@@ -181,7 +181,7 @@ class DaskWorkers:
                 task = again.popleft() if again else next(source, None)
                 if task is None:
                     break
-                key = f"tissueid-{os.getpid()}-{run}-{task.what}-{task.number}"
+                key = f"tissueid-{os.getpid()}-{id(self)}-{run}-{task.number}"
                 future = self._client.submit(compute, packed(task), folder, wanted, key=key, pure=False)
                 in_hand[future] = task
                 started(task.number, self._address)

@@ -15,6 +15,7 @@ from tissueid.study.partition import StudyParts
 from tissueid.study.request import Progress, Request, Workplace
 from tissueid.study.specimen_job import RecentTrials
 from tissueid.study.survey import (
+    SURVEY,
     Found,
     NamedFile,
     found_again,
@@ -105,7 +106,7 @@ class Inventory:
                 else:
                     chunk = [waiting.popleft() for _ in range(min(FILES_A_TASK, len(waiting)))]
                 tasks[chunk[0]] = chunk
-                yield Task(chunk[0], "survey", packed([self._known(position) for position in chunk]))
+                yield Task(chunk[0], SURVEY, packed([self._known(position) for position in chunk]))
 
         total = len(waiting)
         while waiting or alone:

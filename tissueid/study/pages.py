@@ -29,6 +29,8 @@ __all__ = ["PAGES", "page_path", "specimen_page", "write_pages", "write_report"]
 
 #: Folder of the pages, in the output folder.
 PAGES = "pages"
+#: The task of this module.
+PAGE = "tissueid.study.pages:specimen_page"
 _LIBRARY = "plotly.min.js"
 
 
@@ -74,7 +76,7 @@ def write_pages(out: Path, files: Iterable[Path], crew: Workforce) -> Iterator[i
             target = page_path(out, path.name)
             if not target.exists():
                 names[number] = target
-                yield Task(number, "page", path.read_bytes(), path.name)
+                yield Task(number, PAGE, path.read_bytes(), path.name)
 
     for made, outcome in enumerate(crew.run(tasks(), lambda *_: None), 1):
         target = names.pop(outcome.number)

@@ -32,10 +32,12 @@ from tissueid.study.survey import refusal_of
 from tissueid.study.tasks import unpacked, versions
 from tissueid.trial import Trial
 
-__all__ = ["RecentTrials", "SpecimenJob", "chain_file", "fit_here", "fit_specimen_job", "result_of"]
+__all__ = ["FIT", "RecentTrials", "SpecimenJob", "chain_file", "fit_here", "fit_specimen_job", "result_of"]
 
 #: Samples kept between a survey and the jobs of one process [bytes].
 RECENT_BYTES = 16 * 2**20
+#: The task of this module.
+FIT = "tissueid.study.specimen_job:fit_specimen_job"
 #: What the readers would say of a sheet that another job reads.
 _NOT_OURS = "study_unmatched"
 #: What stands in a provenance and is more than one specimen's.

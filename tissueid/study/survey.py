@@ -23,6 +23,7 @@ from tissueid.study.tasks import packed, unpacked, versions
 from tissueid.trial import Trial
 
 __all__ = [
+    "SURVEY",
     "Found",
     "NamedFile",
     "found_again",
@@ -34,6 +35,8 @@ __all__ = [
     "survey_files",
 ]
 
+#: The task of this module.
+SURVEY = "tissueid.study.survey:survey_files"
 #: Keys of ``[[override]]`` that decide how a file is read.
 _READING = ("columns", "units", "axes")
 

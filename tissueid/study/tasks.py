@@ -1,6 +1,6 @@
 """A task is bytes in, bytes out: the same in this process, in a spawned one and on a cluster.
 
-``perform`` finds the function by its word and runs it; ``attempt`` turns whatever it raises into a
+``perform`` finds the function by its name and runs it; ``attempt`` turns whatever it raises into a
 :class:`Fault`, so that one specimen never stops the others.  Who computes checks first that it has the
 versions of who asked: numbers of other libraries would not be the same numbers.
 """
@@ -25,12 +25,6 @@ from tissueid.errors import InputError, TissueidError
 
 __all__ = ["Fault", "Outcome", "Task", "attempt", "packed", "perform", "unpacked", "versions"]
 
-#: Word of a task -> the function from bytes to bytes.
-_FUNCTIONS = {
-    "survey": "tissueid.study.survey:survey_files",
-    "specimen": "tissueid.study.specimen_job:fit_specimen_job",
-    "page": "tissueid.study.pages:specimen_page",
-}
 #: Libraries whose version may change a number or a byte of a result.
 _LIBRARIES = ("emcee", "h5py", "lmfit", "numba", "numpy", "pandas", "scipy")
 
@@ -44,7 +38,7 @@ class Task:
     number : int
         By which its outcome is known.
     what : str
-        ``survey``, ``specimen`` or ``page``.
+        Function from bytes to bytes, as ``module:name``.
     payload : bytes
         From :func:`packed`.
     label : str
@@ -117,8 +111,8 @@ def versions() -> dict[str, str]:
 
 
 def perform(what: str, payload: bytes) -> bytes:
-    """Run the function behind a word."""
-    module, _, name = _FUNCTIONS[what].partition(":")
+    """Run the function of a task."""
+    module, _, name = what.partition(":")
     result: bytes = getattr(import_module(module), name)(payload)
     return result
 

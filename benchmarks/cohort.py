@@ -1,0 +1,186 @@
+"""What a cohort costs: surveys, jobs, assembly, one and two workers, Dask against local, memory by size.
+
+Every specimen has the logs of ``paper-a-22``, with the forces of one template scaled, so that generation
+costs next to nothing.  Three parts:
+
+* ``workers``: the jobs of some specimens on one process and on two, in turn, and on Dask workers beside them.
+  The ratio is of the wall time of the jobs alone; the whole command is told as well.
+* ``memory``: peak resident memory of every process at two sizes of cohort.
+* ``paper``: 17 specimens of 22 logs at 1 kHz, from CSV to bundles and report, with the breakdown.
+
+    python benchmarks/cohort.py [--part workers|memory|paper] [--specimens 24] [--json]
+
+Load of the machine is told with every figure: trust ratios of one run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import sqlite3
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from tissueid.synth import DIALECTS, bluehill_csv, recipe, simulate
+
+#: Specimens of short logs: the sampler that needs no chain, one branch.
+SHORT = ("--sampler", "exact", "--draws", "400", "--branches", "1", "--stiffness-degree", "0")
+PAPER = ("--sampler", "exact")
+PORT = 18_787
+SAMPLE_S = 0.2
+
+
+def write_cohort(folder: Path, specimens: int, rate_Hz: float) -> int:
+    """Every specimen is one template with its force scaled; returns the number of samples."""
+    decimals = (5, 5, 5) if rate_Hz > 100.0 else (3, 5, 4)
+    template = replace(recipe("paper-a-22"), rate_Hz=rate_Hz, decimals=decimals)
+    logs = simulate(template, rng=np.random.default_rng(1))
+    rng = np.random.default_rng(2)
+    for number in range(specimens):
+        scale, own = float(np.exp(rng.normal(0.0, 0.15))), folder / f"head-{number:05d}"
+        own.mkdir(parents=True)
+        for log in logs:
+            one = replace(log, specimen=own.name, force_N=scale * log.force_N)
+            (own / f"{log.name}.csv").write_bytes(
+                bluehill_csv(one, dialect=DIALECTS["bare"], decimals=decimals)
+            )
+    return specimens * sum(log.time_s.size for log in logs)
+
+
+@dataclass
+class Memory:
+    """Peak resident memory of a process and of those it started [MB]."""
+
+    parent: float = 0.0
+    children: dict[int, float] = field(default_factory=dict)
+
+    def look(self, pid: int) -> None:
+        with suppress(OSError, ValueError, IndexError):
+            self.parent = max(self.parent, peak_MB(pid))
+            for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split():
+                self.children[int(child)] = max(self.children.get(int(child), 0.0), peak_MB(int(child)))
+
+
+def peak_MB(pid: int) -> float:
+    """High-water mark of resident memory."""
+    for line in Path(f"/proc/{pid}/status").read_text().splitlines():
+        if line.startswith("VmHWM:"):
+            return float(line.split()[1]) / 1024.0
+    return 0.0
+
+
+def fit(data: Path, out: Path, *args: str) -> dict[str, object]:
+    """One whole ``tissueid fit`` in a process of its own, with what its index says of its stages."""
+    shutil.rmtree(out, ignore_errors=True)
+    command = [sys.executable, "-m", "tissueid", "fit", str(data), "-o", str(out), "-q", *args]
+    memory, begin = Memory(), time.time()
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
+        done = threading.Event()
+
+        def watch() -> None:
+            while not done.wait(SAMPLE_S):
+                memory.look(process.pid)
+
+        thread = threading.Thread(target=watch)
+        thread.start()
+        _, errors = process.communicate()
+        done.set()
+        thread.join()
+    wall = time.time() - begin
+    if process.returncode not in {0, 4}:
+        sys.exit(errors)
+    with sqlite3.connect(out / "index.sqlite") as index:
+        started, ended = index.execute("SELECT started, ended FROM runs ORDER BY id DESC").fetchone()
+        first, last, cpu, jobs = index.execute(
+            "SELECT MIN(began), MAX(began + seconds), SUM(seconds), COUNT(*) FROM jobs"
+            " WHERE began IS NOT NULL"
+        ).fetchone()
+    return {
+        "wall_s": wall,
+        "start_s": started - begin,
+        "survey_s": first - started,
+        "jobs_s": last - first,
+        "jobs_sum_s": cpu,
+        "assembly_s": ended - last,
+        "report_and_commit_s": begin + wall - ended,
+        "jobs": jobs,
+        "parent_MB": memory.parent,
+        "worker_MB": max(memory.children.values(), default=0.0),
+        "out_MB": sum(path.stat().st_size for path in out.rglob("*") if path.is_file()) / 2**20,
+        "load": os.getloadavg()[0],
+    }
+
+
+def cluster(stack: ExitStack, workers: int) -> str:
+    """A scheduler and some workers of one thread each, until the stack is closed."""
+    address = f"tcp://127.0.0.1:{PORT}"
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    dask = [sys.executable, "-m", "dask"]
+    commands = [["scheduler", "--host", "127.0.0.1", "--port", str(PORT), "--no-dashboard"]]
+    commands += [["worker", address, "--nthreads", "1", "--no-dashboard"]] * workers
+    for command in commands:
+        process = subprocess.Popen([*dask, *command], **quiet)
+        stack.callback(process.wait)
+        stack.callback(process.terminate)
+        time.sleep(3.0)
+    return address
+
+
+def workers_part(data: Path, out: Path, repeats: int) -> dict[str, object]:
+    """One process against two, and two against two workers of Dask; medians of the ratios."""
+    rows: dict[str, list[dict[str, object]]] = {"one": [], "two": [], "dask": []}
+    with ExitStack() as stack:
+        address = cluster(stack, 2)
+        # the first task of a worker imports
+        fit(data, out, *SHORT, "--scheduler", address)
+        for _ in range(repeats):
+            rows["one"].append(fit(data, out, *SHORT, "--workers", "1"))
+            rows["two"].append(fit(data, out, *SHORT, "--workers", "2"))
+            rows["dask"].append(fit(data, out, *SHORT, "--scheduler", address))
+
+    def ratio(a: str, b: str) -> float:
+        return float(np.median([x["jobs_s"] / y["jobs_s"] for x, y in zip(rows[a], rows[b], strict=True)]))
+
+    return {"one_over_two": ratio("one", "two"), "dask_over_two": ratio("dask", "two"), "runs": rows}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--part", choices=["workers", "memory", "paper"], default="workers")
+    parser.add_argument("--specimens", type=int, default=24)
+    parser.add_argument("--times", type=float, default=5.0, help="second size of cohort in --part memory")
+    parser.add_argument("--rate", type=float, default=10.0, help="sampling rate of short logs [Hz]")
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        data, out = Path(folder) / "data", Path(folder) / "out"
+        if options.part == "paper":
+            samples = write_cohort(data, 17, 1000.0)
+            result: dict[str, object] = {"samples": samples, "run": fit(data, out, *PAPER, "--workers", "2")}
+        elif options.part == "workers":
+            samples = write_cohort(data, options.specimens, options.rate)
+            result = {"samples": samples, **workers_part(data, out, options.repeats)}
+        else:
+            sizes = (options.specimens, round(options.specimens * options.times))
+            runs = []
+            for size in sizes:
+                shutil.rmtree(data, ignore_errors=True)
+                write_cohort(data, size, options.rate)
+                runs.append(fit(data, out, *SHORT, "--workers", "2"))
+            result = {"sizes": sizes, "runs": runs}
+    print(json.dumps(result, indent=2 if options.json else None))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,79 @@
+"""A folder of small specimens, two short logs each, tasks for workers, and what two output folders share."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from study_folder import LOG
+
+from tissueid.store.results import each_result
+
+HEADER_LINES = 6
+ROWS, STRIDE = 1600, 16
+
+
+def write_specimen(folder: Path, number: int, *, times: float = 1.0) -> list[Path]:
+    """Two 6 Hz logs of specimen ``head-<number>``, forces scaled by specimen and by log."""
+    folder.mkdir(parents=True, exist_ok=True)
+    lines = LOG.read_text(encoding="ascii").splitlines()[HEADER_LINES : HEADER_LINES + ROWS : STRIDE]
+    paths = []
+    for log in range(2):
+        scale = times * (1.0 + 0.05 * number + 0.01 * log)
+        cells = [line.split(",") for line in lines]
+        rows = [f"{t},{x},{float(f) * scale:.4f}" for t, x, f in cells]
+        head = f'Text Inputs : Specimen label,"head-{number}"'
+        text = "\n".join([head, "", "Time,Extension,Load", "(sec),(mm),(N)", *rows, ""])
+        path = folder / f"h{number}-{log}.csv"
+        path.write_text(text, encoding="ascii")
+        paths.append(path)
+    return paths
+
+
+def write_cohort(folder: Path, specimens: int) -> Path:
+    for number in range(specimens):
+        write_specimen(folder, number)
+    return folder
+
+
+def numbers_of(out: Path) -> dict[str, Any]:
+    """Everything a run found, without times: the document, and hashes of every curve and draw."""
+    found: dict[str, Any] = {"document": json.loads((out / "identification.json").read_bytes())}
+    for document, curves, posterior in each_result(out):
+        arrays = [getattr(one.curve, name) for one in curves for name in ("time_s", "force_N", "model_N")]
+        if posterior is not None:
+            arrays += [posterior.draws, posterior.chain]
+        found[document["specimen"]] = [np.ascontiguousarray(array).tobytes() for array in arrays]
+    return found
+
+
+def doubled(payload: bytes) -> bytes:
+    """A task that ends well."""
+    return payload * 2
+
+
+def killed(payload: bytes) -> bytes:
+    """A task that takes its process with it."""
+    os.kill(os.getpid(), signal.SIGKILL)
+    return payload
+
+
+def killed_once(payload: bytes) -> bytes:
+    """A task that takes its first process with it: the payload names a file that says it did."""
+    mark = Path(payload.decode())
+    if mark.exists():
+        return b"second time"
+    mark.touch()
+    return killed(payload)
+
+
+def out_of_memory(payload: bytes) -> bytes:
+    raise MemoryError
+
+
+def with_a_bug(payload: bytes) -> bytes:
+    return payload[len(payload) + 1 :] + bytes([payload[len(payload)]])

@@ -1,0 +1,194 @@
+"""A cohort is computed once, specimen by specimen, and its results are those of ``identify``."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import shutil
+import sys
+from pathlib import Path
+
+import pytest
+from cohort_lab import numbers_of, write_cohort, write_specimen
+from study_folder import QUICK
+
+import tissueid
+from tissueid.cli.main import main
+from tissueid.fit.specimen import FitOptions
+from tissueid.pipeline import IdentifyOptions
+from tissueid.store.bundle import load_bundle
+from tissueid.store.files import plain_json
+from tissueid.store.results import each_result, read_results
+from tissueid.store.status import read_status
+from tissueid.study import assembly, batch
+
+
+def fit(data: Path, out: Path, *args: str) -> int:
+    return main(["fit", str(data), "-o", str(out), *QUICK, "-q", *args])
+
+
+def keys(out: Path) -> dict[str, float]:
+    """Name of every specimen's file -> when it was written."""
+    return {path.stem: path.stat().st_mtime_ns for path in (out / "specimens").iterdir()}
+
+
+@pytest.fixture(scope="module")
+def cohort(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three specimens, fitted in this process from the folder they are in."""
+    folder = tmp_path_factory.mktemp("cohort")
+    write_cohort(folder / "lab", 3)
+    with contextlib.chdir(folder):
+        assert fit(Path("lab"), Path("out")) in (0, 4)
+    return folder
+
+
+@pytest.fixture
+def again(cohort: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy of them, to change; seen from its folder the recordings are named as they were."""
+    shutil.copytree(cohort, tmp_path / "copy")
+    monkeypatch.chdir(tmp_path / "copy")
+    return Path()
+
+
+def test_jobs_find_what_identify_finds_over_all_recordings_at_once(cohort: Path) -> None:
+    options = IdentifyOptions(fit=FitOptions(branches=1, stiffness_degree=0))
+    with contextlib.chdir(cohort):
+        expected = tissueid.identify(tissueid.read_trials("lab"), options=options)
+    found = json.loads((cohort / "out" / "identification.json").read_bytes())
+    document = plain_json(expected.as_json())
+    for key in ("specimens", "refused", "unfitted_cycles", "study", "exit"):
+        assert found[key] == document[key], key
+    assert found["provenance"] | {"reading": None} == document["provenance"] | {"reading": None}
+
+
+def test_the_file_of_a_specimen_is_a_bundle(cohort: Path) -> None:
+    for path in (cohort / "out" / "specimens").iterdir():
+        alone = load_bundle(path)
+        public = load_bundle(cohort / "out" / f"bundle-{alone.specimen}.h5")
+        assert (alone.theta == public.theta).all()
+        assert alone.as_json()["parameters"] == public.as_json()["parameters"]
+
+
+def test_what_is_there_is_not_computed_again(again: Path) -> None:
+    before, numbers = keys(again / "out"), numbers_of(again / "out")
+    assert fit(again / "lab", again / "out") in (0, 4)
+    assert keys(again / "out") == before
+    assert numbers_of(again / "out") == numbers
+    assert read_status(again / "out")["specimens"]["known_before"] == 3
+
+
+def test_a_new_specimen_leaves_the_others_alone_and_a_changed_one_is_computed_again(again: Path) -> None:
+    before = keys(again / "out")
+    write_specimen(again / "lab", 3)
+    fit(again / "lab", again / "out")
+    added = keys(again / "out")
+    assert len(added) == 4
+    assert before.items() <= added.items()
+    write_specimen(again / "lab", 1, times=1.1)
+    fit(again / "lab", again / "out")
+    changed = keys(again / "out")
+    # files of nobody are gone with the commit
+    assert len(changed) == 4
+    assert len(added.items() & changed.items()) == 3
+    assert main(["validate", str(again / "out"), "-q"]) == 0
+
+
+def test_a_study_that_speaks_of_one_specimen_changes_that_one_only(again: Path) -> None:
+    study = again / "lab" / "study.toml"
+    study.write_text('schema = "tissueid/study/1"\n[study]\ntitle = "heads"\n', encoding="utf-8")
+    fit(again / "lab", again / "out")
+    before = keys(again / "out")
+    entry = "[[override]]\nfile = 'h1-*.csv'\ncontact_mm = 0.0\nbecause = 'seen'\n"
+    study.write_text(study.read_text(encoding="utf-8") + entry, encoding="utf-8")
+    fit(again / "lab", again / "out")
+    assert len(before.items() & keys(again / "out").items()) == 2
+
+
+def test_a_damaged_file_of_a_specimen_is_found_and_computed_again(again: Path) -> None:
+    numbers = numbers_of(again / "out")
+    first, second, _ = sorted((again / "out" / "specimens").iterdir())
+    first.write_bytes(first.read_bytes()[:5_000])
+    content = bytearray(second.read_bytes())
+    content[len(content) // 2] ^= 0xFF
+    second.write_bytes(content)
+    assert main(["validate", str(again / "out"), "-q"]) == 6
+    fit(again / "lab", again / "out")
+    assert main(["validate", str(again / "out"), "-q"]) == 0
+    assert numbers_of(again / "out") == numbers
+
+
+def test_a_damaged_index_costs_time_and_no_result(again: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    numbers = numbers_of(again / "out")
+    (again / "out" / "index.sqlite").write_bytes(b"not a database, but long enough to be looked at" * 20)
+    assert fit(again / "lab", again / "out") in (0, 4)
+    assert numbers_of(again / "out") == numbers
+
+
+def test_a_large_cohort_has_pages_and_the_same_numbers(again: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    numbers = numbers_of(again / "out")
+    for module in (assembly, batch):
+        monkeypatch.setattr(module, "LARGE", 2)
+    fit(again / "lab", again / "out")
+    out = again / "out"
+    public = {path.name for path in out.iterdir() if not path.name.startswith(".")}
+    files = {"identification.json", "report.html", "specimens.csv", "specimens", "pages", "index.sqlite"}
+    assert public == files
+    assert {path.stem for path in (out / "pages").glob("*.html")} == set(keys(out))
+    assert numbers_of(out) == numbers
+    assert main(["validate", str(out), "-q"]) == 0
+    page = (out / "report.html").read_text(encoding="utf-8")
+    for key in keys(out):
+        assert f"pages/{key}.html" in page
+    assert main(["report", str(out), "-q"]) == 0
+    document, curves, posteriors = read_results(out)
+    assert len(curves) == sum(len(one["trials"]) for one in document["specimens"]) == 6
+    assert posteriors == ()
+    assert [one["specimen"] for one, _, _ in each_result(out)] == ["head-0", "head-1", "head-2"]
+
+
+def test_a_bad_specimen_is_named_and_the_others_are_there(
+    again: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    real = batch.fit_here
+
+    def fails_once(job: object, **options: object) -> object:
+        if getattr(job, "shown", "") == "head-3":
+            raise MemoryError
+        return real(job, **options)  # type: ignore[arg-type]
+
+    write_specimen(again / "lab", 3)
+    with monkeypatch.context() as patch:
+        patch.setattr(batch, "fit_here", fails_once)
+        assert fit(again / "lab", again / "out") == 7
+    said = capsys.readouterr().err
+    assert "refused (out_of_memory)" in said
+    assert "specimen 'head-3'" in said
+    document = json.loads((again / "out" / "identification.json").read_bytes())
+    assert [one["specimen"] for one in document["specimens"]] == ["head-0", "head-1", "head-2"]
+    assert document["exit"]["code"] == 7
+    status = read_status(again / "out")
+    assert status["specimens"]["failed"] == 1
+    assert [one["specimen"] for one in status["failures"]] == ["head-3"]
+    assert fit(again / "lab", again / "out") in (0, 4)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no limits of resources here")
+def test_a_full_disk_is_named_and_the_same_command_goes_on_later(
+    again: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import resource
+
+    numbers = numbers_of(again / "out")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    # smaller than the file of a specimen: the system refuses the write as it would on a full disk
+    resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, hard))
+    try:
+        code = fit(again / "lab", again / "new")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert code == 6
+    assert "the same command again" in capsys.readouterr().err
+    assert not (again / "new" / "identification.json").exists()
+    assert not list((again / "new").rglob(".tmp-*"))
+    assert fit(again / "lab", again / "new") in (0, 4)
+    assert numbers_of(again / "new") == numbers

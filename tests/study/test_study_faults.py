@@ -1,0 +1,194 @@
+"""Killed at any moment, a run over several processes is resumed by the same command, and ends the same."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cohort_lab import numbers_of, write_cohort
+from study_folder import QUICK, REPOSITORY
+
+from tissueid.cli.main import main
+from tissueid.errors import BundleError
+from tissueid.store.status import read_status
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes are killed by SIGKILL")
+
+SPECIMENS = 4
+PATIENCE_S = 300.0
+
+
+def started(lab: Path, out: Path) -> subprocess.Popen[str]:
+    """The fit by two processes, in a group of its own so that all of it can be killed."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "tissueid", "fit", lab, "-o", out, *QUICK, "-q", "--workers", "2"],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        env=os.environ | {"PYTHONPATH": str(REPOSITORY)},
+    )
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, object]]:
+    """A cohort, and what a run that nothing disturbs finds."""
+    folder = tmp_path_factory.mktemp("undisturbed")
+    lab = write_cohort(folder / "lab", SPECIMENS)
+    assert main(["fit", str(lab), "-o", str(folder / "out"), *QUICK, "-q"]) in (0, 4)
+    return lab, numbers_of(folder / "out")
+
+
+def progress_of(out: Path) -> dict[str, object] | None:
+    try:
+        return read_status(out)
+    except BundleError:
+        return None
+
+
+def wait_for(out: Path, process: subprocess.Popen[str], *, done: int) -> dict[str, object] | None:
+    """The status once so many specimens are done and another is running; ``None`` where the run has ended."""
+    until = time.monotonic() + PATIENCE_S
+    while process.poll() is None and time.monotonic() < until:
+        status = progress_of(out) if out.is_dir() else None
+        if status is not None and status["running"] and status["specimens"]["done"] >= done:  # type: ignore[index]
+            return status
+        time.sleep(0.01)
+    return None
+
+
+def kill_workers(status: dict[str, object] | None) -> list[int]:
+    """Kill one process that computes; which ones were there."""
+    pids = [int(row["worker"].split()[1]) for row in (status or {}).get("running", [])]  # type: ignore[attr-defined]
+    if pids:
+        os.kill(pids[0], signal.SIGKILL)
+    return pids
+
+
+def test_a_run_that_loses_a_worker_its_client_and_everything_in_turn_ends_as_if_nothing_had_been(
+    undisturbed: tuple[Path, dict[str, object]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lab, expected = undisturbed
+    out = tmp_path / "out"
+    with started(lab, out) as process:
+        assert kill_workers(wait_for(out, process, done=0))
+        assert main(["fit", str(lab), "-o", str(out), *QUICK, "-q"]) == 6
+        assert f"process {process.pid} on" in capsys.readouterr().err
+        assert wait_for(out, process, done=1) is not None
+        process.kill()
+    assert read_status(out)["state"] == "stopped"
+    with started(lab, out) as process:
+        assert wait_for(out, process, done=2) is not None
+        os.killpg(process.pid, signal.SIGKILL)
+    assert not (out / "identification.json").exists()
+    assert main(["fit", str(lab), "-o", str(out), *QUICK, "-q"]) in (0, 4)
+    assert numbers_of(out) == expected
+    assert read_status(out)["specimens"]["known_before"] >= 2
+    assert main(["validate", str(out), "-q"]) == 0
+
+
+@pytest.mark.slow
+def test_a_killed_worker_is_replaced_and_the_run_ends_as_if_nothing_had_been(
+    undisturbed: tuple[Path, dict[str, object]], tmp_path: Path
+) -> None:
+    lab, expected = undisturbed
+    with started(lab, tmp_path / "out") as process:
+        killed = kill_workers(wait_for(tmp_path / "out", process, done=0))
+        assert process.wait(PATIENCE_S) in (0, 4)
+    assert killed
+    assert numbers_of(tmp_path / "out") == expected
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("who", ["client", "everything"])
+def test_a_killed_run_is_gone_on_with_by_the_same_command(
+    undisturbed: tuple[Path, dict[str, object]], tmp_path: Path, who: str
+) -> None:
+    lab, expected = undisturbed
+    out = tmp_path / "out"
+    with started(lab, out) as process:
+        status = wait_for(out, process, done=1)
+        pids = [int(row["worker"].split()[1]) for row in (status or {})["running"]]  # type: ignore[attr-defined]
+        os.killpg(process.pid, signal.SIGKILL) if who == "everything" else process.kill()
+    assert not (out / "identification.json").exists()
+    # a worker does not outlive who it works for
+    until = time.monotonic() + 10.0
+    while any(Path(f"/proc/{pid}").exists() for pid in pids) and time.monotonic() < until:
+        time.sleep(0.02)
+    assert not any(Path(f"/proc/{pid}").exists() for pid in pids)
+    assert read_status(out)["state"] == "stopped"
+    assert main(["fit", str(lab), "-o", str(out), *QUICK, "-q"]) in (0, 4)
+    assert numbers_of(out) == expected
+    assert read_status(out)["specimens"]["known_before"] >= 1
+    assert main(["validate", str(out), "-q"]) == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("who", ["worker", "client", "everything"])
+def test_kills_at_twenty_random_moments(
+    undisturbed: tuple[Path, dict[str, object]], tmp_path: Path, who: str
+) -> None:
+    lab, expected = undisturbed
+    rng = np.random.default_rng([23, len(who)])
+    begin = time.monotonic()
+    with started(lab, tmp_path / "timed") as process:
+        assert process.wait(PATIENCE_S) in (0, 4)
+    seconds = time.monotonic() - begin
+    same = 0
+    for number in range(20):
+        out = tmp_path / str(number)
+        with started(lab, out) as process:
+            time.sleep(seconds * float(rng.uniform(0.2, 1.0)))
+            if who == "worker":
+                kill_workers(progress_of(out) if out.is_dir() else None)
+                assert process.wait(PATIENCE_S) in (0, 4)
+            elif who == "client":
+                process.kill()
+            else:
+                os.killpg(process.pid, signal.SIGKILL)
+        assert main(["fit", str(lab), "-o", str(out), *QUICK, "-q"]) in (0, 4)
+        assert not list(out.rglob(".tmp-*"))
+        same += numbers_of(out) == expected
+    assert same == 20
+
+
+@pytest.mark.slow
+def test_ctrl_c_ends_in_one_line_and_the_same_command_goes_on(
+    undisturbed: tuple[Path, dict[str, object]], tmp_path: Path
+) -> None:
+    lab, expected = undisturbed
+    out = tmp_path / "out"
+    with started(lab, out) as process:
+        assert wait_for(out, process, done=1) is not None
+        # as a terminal does: to the whole group
+        os.killpg(process.pid, signal.SIGINT)
+        _, errors = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 130
+    assert errors.strip() == "tissueid: interrupted; what was finished is kept"
+    assert read_status(out)["state"] == "interrupted"
+    assert main(["fit", str(lab), "-o", str(out), *QUICK, "-q"]) in (0, 4)
+    assert numbers_of(out) == expected
+
+
+@pytest.mark.slow
+def test_a_second_writer_is_refused_by_name_and_readers_see_whole_results(
+    undisturbed: tuple[Path, dict[str, object]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lab, expected = undisturbed
+    out = tmp_path / "out"
+    with started(lab, out) as process:
+        assert wait_for(out, process, done=0) is not None
+        assert main(["fit", str(lab), "-o", str(out), *QUICK, "-q"]) == 6
+        assert f"process {process.pid} on" in capsys.readouterr().err
+        assert main(["status", str(out), "--json"]) == 0
+        status = json.loads(capsys.readouterr().out)
+        assert status["specimens"]["total"] == SPECIMENS
+        assert process.wait(PATIENCE_S) in (0, 4)
+    assert numbers_of(out) == expected

@@ -1,0 +1,71 @@
+"""Tasks in processes of this machine: whatever happens to one, the others end well."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from tissueid.study.processes import InThisProcess, LocalProcesses
+from tissueid.study.tasks import Outcome, Task
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes are killed by SIGKILL")
+
+
+def task(number: int, name: str, payload: bytes = b"ab") -> Task:
+    return Task(number, f"cohort_lab:{name}", payload)
+
+
+def outcomes(tasks: list[Task], workers: int = 2) -> dict[int, Outcome]:
+    with LocalProcesses(workers) as crew:
+        return {one.number: one for one in crew.run(tasks, lambda *_: None)}
+
+
+def test_a_task_that_kills_its_process_twice_is_named_and_the_others_end_well() -> None:
+    found = outcomes([task(0, "killed"), *(task(number, "doubled") for number in range(1, 6))])
+    assert [found[number].result for number in range(1, 6)] == [b"abab"] * 5
+    fault = found[0].fault
+    assert fault is not None
+    assert fault.code == "worker_killed"
+    assert "died 2 times (signal 9, SIGKILL)" in fault.message
+    assert "memory" in fault.message
+
+
+def test_a_task_whose_process_died_once_is_computed_in_another(tmp_path: Path) -> None:
+    found = outcomes([task(0, "killed_once", str(tmp_path / "mark").encode())], workers=1)
+    assert found[0].result == b"second time"
+    assert found[0].fault is None
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_errors_are_faults_of_their_task_alone(workers: int) -> None:
+    tasks = [task(0, "out_of_memory"), task(1, "with_a_bug"), task(2, "doubled")]
+    found = outcomes(tasks, workers)
+    here = {one.number: one for one in InThisProcess().run(tasks, lambda *_: None)}
+    for one in (found, here):
+        assert [fault.code if (fault := one[n].fault) else None for n in range(3)] == [
+            "out_of_memory",
+            "job_failed",
+            None,
+        ]
+        assert one[2].result == b"abab"
+    assert "IndexError" in str(found[1].fault)
+
+
+def test_every_task_is_taken_when_somebody_is_free_for_it_and_not_before() -> None:
+    taken: list[int] = []
+
+    def tasks() -> list[Task]:
+        return [task(number, "doubled") for number in range(9)]
+
+    def noticed() -> object:
+        for one in tasks():
+            taken.append(one.number)
+            yield one
+
+    with LocalProcesses(2) as crew:
+        ahead = [len(taken) - done for done, _ in enumerate(crew.run(noticed(), lambda *_: None), 1)]  # type: ignore[arg-type]
+    assert len(ahead) == 9
+    # two are computed while a third has just been handed over
+    assert max(ahead) <= 3

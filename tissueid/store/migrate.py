@@ -1,0 +1,182 @@
+"""Files of earlier schema versions made into those of this one, version by version.
+
+A step takes the document and the arrays of one version to those of the next; steps are never removed, so
+that a bundle of any released version can be read for ever.  The new file is written beside the old one, read
+back with every check, and only then moved over it: at every moment one of the two is there, whole.
+"""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.errors import BundleError
+from tissueid.store.bundle import (
+    BUNDLE_SCHEMA_VERSION,
+    HDF5_ERRORS,
+    Bundle,
+    bundle_of_document,
+    load_bundle,
+    write_bundle,
+)
+from tissueid.store.files import TEMPORARY_PREFIX, replace_file
+from tissueid.store.index import INDEX, INDEX_SCHEMA_VERSION
+from tissueid.store.lock import FolderLock
+from tissueid.store.outputs import OutputSet, current_run
+
+__all__ = ["BUNDLE_STEPS", "INDEX_STEPS", "Migrated", "migrate_bundle", "migrate_folder"]
+
+FloatArray = NDArray[np.float64]
+#: Document and arrays of one version -> those of the next.
+Step = Callable[[dict[str, Any], dict[str, FloatArray]], tuple[dict[str, Any], dict[str, FloatArray]]]
+
+#: Version -> the step to the next one.  Version 1 is the first that was released.
+BUNDLE_STEPS: Mapping[int, Step] = MappingProxyType({})
+#: Version -> SQL statements to the next one.
+INDEX_STEPS: Mapping[int, str] = MappingProxyType({})
+
+
+@dataclass(frozen=True, slots=True)
+class Migrated:
+    """One file that was of another version: which, and which it was."""
+
+    path: Path
+    version: int
+
+
+def _contents(path: Path) -> tuple[int, dict[str, Any], dict[str, FloatArray]]:
+    """Version, document and arrays of a bundle of any version."""
+    try:
+        with h5py.File(path, "r") as file:
+            if file.attrs.get("format") != "tissueid/bundle":
+                msg = f"its format is {file.attrs.get('format')!r}"
+                raise ValueError(msg)
+            version = int(file.attrs["schema_version"])
+            document = json.loads(bytes(file["document"][()]))
+            arrays = {
+                name: np.asarray(data[()], dtype=np.float64)
+                for name, data in file.items()
+                if isinstance(data, h5py.Dataset) and name != "document"
+            }
+    except HDF5_ERRORS as error:
+        msg = f"{path}: can't be read as a bundle ({error}); copy it again or fit again"
+        raise BundleError(msg) from error
+    return version, document, arrays
+
+
+def _step_from(path: Path, version: int, steps: Mapping[int, Any], newest: int) -> Any:
+    if version > newest:
+        msg = f"{path}: schema version {version} is newer than this tissueid ({newest}); install a newer one"
+        raise BundleError(msg)
+    if version not in steps:
+        msg = f"{path}: no way is known from schema version {version} to {newest}; fit again"
+        raise BundleError(msg)
+    return steps[version]
+
+
+def migrate_bundle(path: Path, *, steps: Mapping[int, Step] = BUNDLE_STEPS) -> Migrated | None:
+    """Bring a bundle to this version, in place; ``None`` where it is there already.
+
+    Parameters
+    ----------
+    path : Path
+    steps : mapping
+        Version -> the step to the next.
+
+    Raises
+    ------
+    BundleError
+        It is damaged, newer, or no step is known; the file is as it was.
+    """
+    was, document, arrays = _contents(path)
+    if was == BUNDLE_SCHEMA_VERSION:
+        return None
+    version = was
+    while version != BUNDLE_SCHEMA_VERSION:
+        step: Step = _step_from(path, version, steps, BUNDLE_SCHEMA_VERSION)
+        document, arrays = step(document, arrays)
+        version += 1
+    temporary = path.with_name(f"{TEMPORARY_PREFIX}{path.name}")
+    try:
+        bundle: Bundle = bundle_of_document(document, arrays)
+        write_bundle(bundle, temporary)
+        load_bundle(temporary)
+        replace_file(temporary, path)
+    except (KeyError, TypeError, ValueError) as error:
+        msg = f"{path}: can't be brought to version {BUNDLE_SCHEMA_VERSION} ({error}); fit again"
+        raise BundleError(msg) from error
+    finally:
+        temporary.unlink(missing_ok=True)
+    return Migrated(path, was)
+
+
+def _migrate_index(path: Path, steps: Mapping[int, str]) -> Migrated | None:
+    """Bring an index to this version: on a copy, which then takes its place."""
+    temporary = path.with_name(f"{TEMPORARY_PREFIX}{path.name}")
+    try:
+        with sqlite3.connect(path) as old:
+            was = int(old.execute("PRAGMA user_version").fetchone()[0])
+            if was == INDEX_SCHEMA_VERSION:
+                return None
+            with sqlite3.connect(temporary) as new:
+                old.backup(new)
+                for version in range(was, INDEX_SCHEMA_VERSION):
+                    new.executescript(_step_from(path, version, steps, INDEX_SCHEMA_VERSION))
+                new.execute(f"PRAGMA user_version={INDEX_SCHEMA_VERSION}")
+                if new.execute("PRAGMA integrity_check").fetchone()[0] != "ok":
+                    msg = "the new file is not whole"
+                    raise sqlite3.DatabaseError(msg)
+            new.close()
+        old.close()
+        if was > INDEX_SCHEMA_VERSION:
+            _step_from(path, was, steps, INDEX_SCHEMA_VERSION)
+        replace_file(temporary, path)
+    except sqlite3.Error as error:
+        msg = f"{path}: can't be migrated ({error}); delete it, and the next `tissueid fit` computes again"
+        raise BundleError(msg) from error
+    finally:
+        temporary.unlink(missing_ok=True)
+    return Migrated(path, was)
+
+
+def migrate_folder(
+    out: Path, *, bundles: Mapping[int, Step] = BUNDLE_STEPS, index: Mapping[int, str] = INDEX_STEPS
+) -> list[Migrated]:
+    """Bring the committed set and the index of an output folder to this version.
+
+    Bundles change all at once, as a new set.  Files in ``specimens/`` are named by their version too: the
+    next ``tissueid fit`` computes those of an older one again.
+
+    Raises
+    ------
+    BundleError
+        A file can't be migrated, or another process writes; the folder is as it was.
+    """
+    found: list[Migrated] = []
+    if (out / INDEX).is_file():
+        with FolderLock(out):
+            one = _migrate_index(out / INDEX, index)
+        found += [] if one is None else [one]
+    committed = current_run(out)
+    if committed is None:
+        return found
+    names = [name for name in committed.files if name.startswith("bundle") and name.endswith(".h5")]
+    if all(_contents(committed.folder / name)[0] == BUNDLE_SCHEMA_VERSION for name in names):
+        return found
+    with OutputSet(out) as run:
+        run.carry_over()
+        for name in names:
+            changed = migrate_bundle(run.path(name), steps=bundles)
+            if changed is not None:
+                found.append(Migrated(out / name, changed.version))
+        run.commit()
+    return found
