@@ -13,8 +13,8 @@ Layout (schema version 1)::
 The draws of a population's bundle are specimens drawn from it; its covariance is theirs.
 Equal contents give equal bytes: no time stamps, no version of the library that wrote it.  The content
 hash covers the document and every number, so that an edited file is told from a written one; it is a
-seal against accidents, not a signature.  A group ``specimen`` may stand beside them: what else a run knows of
-the specimen (:mod:`tissueid.store.specimen_file`); whoever opens a bundle passes over it.
+seal against accidents, not a signature.  A group ``specimen`` may stand beside them
+(:mod:`tissueid.store.specimen_file`), which who opens a bundle passes over.
 """
 
 from __future__ import annotations
@@ -58,7 +58,6 @@ _FORMAT = "tissueid/bundle"
 _DOCUMENT = "document"
 _OPTIONAL = ("draws", "population_mean", "population_sd")
 _ARRAYS = ("theta", "covariance", *_OPTIONAL)
-#: What a run keeps beside a bundle in the same file.
 SPECIMEN_GROUP = "specimen"
 _UNITS = Axes().as_json()
 #: Draws a bundle keeps: a 95 % bound from so many is good to 6 % of the posterior's sd.
@@ -340,7 +339,6 @@ def _read(path: Path) -> tuple[bytes, dict[str, FloatArray], dict[str, Any]]:
             msg = f"its format is {attributes.get('format')!r}, not {_FORMAT!r}"
             raise ValueError(msg)
         if attributes.get("schema_version") != BUNDLE_SCHEMA_VERSION:
-            # what another version holds is not for this one to judge; its header is refused
             return b"", {}, attributes
         missing = {_DOCUMENT, *_ARRAYS} - set(_OPTIONAL) - names
         unknown = names - {_DOCUMENT, *_ARRAYS}
