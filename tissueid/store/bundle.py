@@ -13,8 +13,7 @@ Layout (schema version 1)::
 The draws of a population's bundle are specimens drawn from it; its covariance is theirs.
 Equal contents give equal bytes: no time stamps, no version of the library that wrote it.  The content
 hash covers the document and every number, so that an edited file is told from a written one; it is a
-seal against accidents, not a signature.  A group ``specimen`` may stand beside them
-(:mod:`tissueid.store.specimen_file`), which who opens a bundle passes over.
+seal against accidents, not a signature.  A group ``specimen`` beside them is passed over.
 """
 
 from __future__ import annotations
