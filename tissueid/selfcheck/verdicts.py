@@ -21,6 +21,8 @@ __all__ = ["LEVELS", "Coverage", "ParameterCheck", "Verdict", "verdict_of"]
 
 IntArray = NDArray[np.int64]
 
+#: Relative difference below which truths are the same.
+SAME = 1e-12
 #: Intervals whose coverage is counted; each holds a whole number of the DRAWS + 1 ranks.
 LEVELS = (0.5, 0.8, 0.9, 0.95)
 #: Probability that a right posterior leaves any band of its kind.
@@ -203,7 +205,9 @@ def _parameter(
     z = (truth - mean) / np.maximum(sd, np.finfo(float).tiny)
     counts = ecdf_counts(ranks)
     quoted = [record.held[name] for record in records if name in record.held]
-    spread = float(truth.var(ddof=1)) if truth.size > 1 else 0.0
+    # a truth that is the same in every simulation has no spread but that of rounding
+    varies = truth.size > 1 and float(np.ptp(truth)) > SAME * float(np.abs(truth).max())
+    spread = float(truth.var(ddof=1)) if varies else 0.0
     error = FAMILY_ERROR / (family * len(LEVELS))
     return ParameterCheck(
         name=name,
