@@ -18,6 +18,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import resource
 import shutil
 import sqlite3
 import subprocess
@@ -33,9 +34,8 @@ import numpy as np
 
 from tissueid.synth import DIALECTS, bluehill_csv, recipe, simulate
 
-#: Specimens of short logs: the sampler that needs no chain, one branch.
-SHORT = ("--sampler", "exact", "--draws", "400", "--branches", "1", "--stiffness-degree", "0")
-PAPER = ("--sampler", "exact")
+#: Specimens of short logs: one branch.
+SHORT = ("--draws", "400", "--branches", "1", "--stiffness-degree", "0", "--sampler")
 PORT = 18_787
 SAMPLE_S = 0.2
 
@@ -84,6 +84,7 @@ def fit(data: Path, out: Path, *args: str) -> dict[str, object]:
     shutil.rmtree(out, ignore_errors=True)
     command = [sys.executable, "-m", "tissueid", "fit", str(data), "-o", str(out), "-q", *args]
     memory, begin = Memory(), time.time()
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
         done = threading.Event()
 
@@ -97,6 +98,7 @@ def fit(data: Path, out: Path, *args: str) -> dict[str, object]:
         done.set()
         thread.join()
     wall = time.time() - begin
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
     if process.returncode not in {0, 4}:
         sys.exit(errors)
     with sqlite3.connect(out / "index.sqlite") as index:
@@ -107,6 +109,7 @@ def fit(data: Path, out: Path, *args: str) -> dict[str, object]:
         ).fetchone()
     return {
         "wall_s": wall,
+        "processor_s": sum(after[:2]) - sum(before[:2]),
         "start_s": started - begin,
         "survey_s": first - started,
         "jobs_s": last - first,
@@ -136,17 +139,18 @@ def cluster(stack: ExitStack, workers: int) -> str:
     return address
 
 
-def workers_part(data: Path, out: Path, repeats: int) -> dict[str, object]:
+def workers_part(data: Path, out: Path, sampler: str, repeats: int) -> dict[str, object]:
     """One process against two, and two against two workers of Dask; medians of the ratios."""
+    short = (*SHORT, sampler)
     rows: dict[str, list[dict[str, object]]] = {"one": [], "two": [], "dask": []}
     with ExitStack() as stack:
         address = cluster(stack, 2)
         # the first task of a worker imports
-        fit(data, out, *SHORT, "--scheduler", address)
+        fit(data, out, *short, "--scheduler", address)
         for _ in range(repeats):
-            rows["one"].append(fit(data, out, *SHORT, "--workers", "1"))
-            rows["two"].append(fit(data, out, *SHORT, "--workers", "2"))
-            rows["dask"].append(fit(data, out, *SHORT, "--scheduler", address))
+            rows["one"].append(fit(data, out, *short, "--workers", "1"))
+            rows["two"].append(fit(data, out, *short, "--workers", "2"))
+            rows["dask"].append(fit(data, out, *short, "--scheduler", address))
 
     def ratio(a: str, b: str) -> float:
         return float(np.median([x["jobs_s"] / y["jobs_s"] for x, y in zip(rows[a], rows[b], strict=True)]))
@@ -157,27 +161,29 @@ def workers_part(data: Path, out: Path, repeats: int) -> dict[str, object]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--part", choices=["workers", "memory", "paper"], default="workers")
-    parser.add_argument("--specimens", type=int, default=24)
+    parser.add_argument("--specimens", type=int, default=17)
     parser.add_argument("--times", type=float, default=5.0, help="second size of cohort in --part memory")
     parser.add_argument("--rate", type=float, default=10.0, help="sampling rate of short logs [Hz]")
+    parser.add_argument("--sampler", choices=["emcee", "exact", "none"], default="exact")
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         data, out = Path(folder) / "data", Path(folder) / "out"
         if options.part == "paper":
-            samples = write_cohort(data, 17, 1000.0)
-            result: dict[str, object] = {"samples": samples, "run": fit(data, out, *PAPER, "--workers", "2")}
+            samples = write_cohort(data, options.specimens, 1000.0)
+            found = fit(data, out, "--sampler", options.sampler, "--workers", "2")
+            result: dict[str, object] = {"samples": samples, "run": found}
         elif options.part == "workers":
             samples = write_cohort(data, options.specimens, options.rate)
-            result = {"samples": samples, **workers_part(data, out, options.repeats)}
+            result = {"samples": samples, **workers_part(data, out, options.sampler, options.repeats)}
         else:
             sizes = (options.specimens, round(options.specimens * options.times))
             runs = []
             for size in sizes:
                 shutil.rmtree(data, ignore_errors=True)
                 write_cohort(data, size, options.rate)
-                runs.append(fit(data, out, *SHORT, "--workers", "2"))
+                runs.append(fit(data, out, *SHORT, options.sampler, "--workers", "2"))
             result = {"sizes": sizes, "runs": runs}
     print(json.dumps(result, indent=2 if options.json else None))
 

@@ -1,0 +1,177 @@
+"""A cohort on Dask finds what this process finds, through lost workers and schedulers."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from cohort_lab import numbers_of, write_cohort
+from study_folder import QUICK, REPOSITORY
+
+from tissueid.cli.main import main
+from tissueid.errors import BundleError, UsageError
+from tissueid.store.status import read_status
+from tissueid.study import cluster
+from tissueid.study.cluster import DaskWorkers
+from tissueid.study.tasks import Task, versions
+
+pytest.importorskip("distributed", reason="Dask is not installed: pip install 'tissueid[cluster]'")
+
+PATIENCE_S = 120.0
+
+
+def free_port() -> int:
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        return int(one.getsockname()[1])
+
+
+def dask(*args: str) -> subprocess.Popen[bytes]:
+    """A process of the cluster, which finds tissueid and the tasks of these tests."""
+    paths = os.pathsep.join([str(REPOSITORY), str(Path(__file__).parent)])
+    return subprocess.Popen(
+        [sys.executable, "-m", "dask", *args, "--no-dashboard"],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+        env=os.environ | {"PYTHONPATH": paths},
+    )
+
+
+def scheduler(port: int) -> subprocess.Popen[bytes]:
+    return dask("scheduler", "--host", "127.0.0.1", "--port", str(port))
+
+
+def worker(address: str) -> subprocess.Popen[bytes]:
+    return dask("worker", address, "--nthreads", "1", "--no-nanny", "--death-timeout", "60")
+
+
+def end(*processes: subprocess.Popen[bytes]) -> None:
+    for process in processes:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait(PATIENCE_S)
+
+
+@pytest.fixture
+def address() -> Iterator[str]:
+    """A scheduler with one worker, in processes of their own."""
+    port = free_port()
+    found = f"tcp://127.0.0.1:{port}"
+    processes = [scheduler(port), worker(found)]
+    yield found
+    end(*processes)
+
+
+def test_tasks_on_a_cluster_end_well_and_badly_as_here_and_other_versions_are_refused(
+    address: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tasks = [Task(number, "cohort_lab:doubled", bytes([number])) for number in range(9)]
+    tasks.append(Task(9, "cohort_lab:with_a_bug", b""))
+    with DaskWorkers(address) as crew:
+        found = {one.number: one for one in crew.run(tasks, lambda *_: None)}
+    assert [found[number].result for number in range(9)] == [bytes([number]) * 2 for number in range(9)]
+    fault = found[9].fault
+    assert fault is not None
+    assert fault.code == "job_failed"
+    other = versions() | {"numpy": "1.0"}
+    monkeypatch.setattr(cluster, "versions", lambda: other)
+    with pytest.raises(UsageError, match=r"other versions: tcp://.*numpy .* \(here 1.0\)"):
+        DaskWorkers(address).__enter__()
+
+
+def test_an_address_without_a_scheduler_is_refused_with_the_way_out(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(cluster, "CONNECT_S", 0.5)
+    with pytest.raises(UsageError, match="dask scheduler"):
+        DaskWorkers(f"tcp://127.0.0.1:{free_port()}").__enter__()
+    with pytest.raises(UsageError, match="tcp://HOST:8786"):
+        DaskWorkers("localhost:8786")
+
+
+@pytest.mark.slow
+def test_a_cohort_on_a_cluster_has_the_numbers_of_this_process(address: str, tmp_path: Path) -> None:
+    lab = write_cohort(tmp_path / "lab", 4)
+    options = (*QUICK, "-q")
+    codes = [
+        main(["fit", str(lab), "-o", str(tmp_path / out), *options, *more])
+        for out, more in (("here", ()), ("there", ("--scheduler", address)))
+    ]
+    assert set(codes) <= {0, 4}
+    assert numbers_of(tmp_path / "there") == numbers_of(tmp_path / "here")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lost", ["worker", "scheduler"])
+def test_a_cluster_that_loses_a_part_goes_on_when_it_is_back(tmp_path: Path, lost: str) -> None:
+    lab = write_cohort(tmp_path / "lab", 6)
+    assert main(["fit", str(lab), "-o", str(tmp_path / "here"), *QUICK, "-q"]) in (0, 4)
+    port = free_port()
+    address = f"tcp://127.0.0.1:{port}"
+    processes = [scheduler(port), worker(address), worker(address)]
+
+    def disturb() -> None:
+        until = time.monotonic() + PATIENCE_S
+        while time.monotonic() < until:
+            with contextlib.suppress(BundleError):
+                if read_status(tmp_path / "there")["specimens"]["done"] >= 1:
+                    break
+            time.sleep(0.02)
+        if lost == "worker":
+            end(processes[1])
+        else:
+            end(*processes)
+            processes[:] = [scheduler(port), worker(address), worker(address)]
+
+    thread = threading.Thread(target=disturb)
+    thread.start()
+    try:
+        code = main(["fit", str(lab), "-o", str(tmp_path / "there"), *QUICK, "-q", "--scheduler", address])
+        thread.join()
+    finally:
+        end(*processes)
+    assert code in (0, 4)
+    assert numbers_of(tmp_path / "there") == numbers_of(tmp_path / "here")
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_stays_away_ends_the_run_with_what_is_finished_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(cluster, "RECONNECT_S", 0.2)
+    monkeypatch.setattr(cluster, "CONNECT_S", 2.0)
+    lab = write_cohort(tmp_path / "lab", 6)
+    port = free_port()
+    address = f"tcp://127.0.0.1:{port}"
+    processes = [scheduler(port), worker(address)]
+    out = tmp_path / "out"
+
+    def disturb() -> None:
+        until = time.monotonic() + PATIENCE_S
+        while time.monotonic() < until:
+            with contextlib.suppress(BundleError):
+                if read_status(out)["specimens"]["done"] >= 2:
+                    break
+            time.sleep(0.02)
+        end(*processes)
+
+    time.sleep(3.0)
+    monkeypatch.setattr(cluster, "CONNECT_S", 10.0)
+    thread = threading.Thread(target=disturb)
+    thread.start()
+    code = main(["fit", str(lab), "-o", str(out), *QUICK, "-q", "--scheduler", address])
+    thread.join()
+    assert code == 6
+    assert "what was finished is kept" in capsys.readouterr().err
+    assert main(["fit", str(lab), "-o", str(out), *QUICK, "-q"]) in (0, 4)
+    assert read_status(out)["specimens"]["known_before"] >= 2
