@@ -1,105 +1,95 @@
-"""``tissueid cohort``: one set with the fit it was made from, refusals, specimens to feel."""
+"""From a study to its population on the command line."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
-from cohort_outputs import cohort_folder
-from command_line import Ended, run
+from command_line import Ended, run, write_log
 
 from tissueid.store.bundle import load_bundle
-from tissueid.store.results import validate_outputs
-from tissueid.store.schema import check
 
-# chains of thousands of sweeps
-pytestmark = pytest.mark.needs_jit
+#: One branch, constant K, few draws: what is tested is the way from a study to its population.
+SMALL = ("--branches", "1", "--stiffness-degree", "0", "--sampler", "exact", "--draws", "400")
+#: Forces of the specimens, in those of the first.
+TIMES = (0.8, 0.9, 1.0, 1.1, 1.25)
+
+
+def a_study(folder: Path, times: tuple[float, ...]) -> Path:
+    """One log a specimen, the same but for its force."""
+    lines = ['schema = "tissueid/study/1"']
+    for number, factor in enumerate(times, 1):
+        write_log(folder / f"{number}.csv", label=None, force_times=factor)
+        lines += [
+            f'[[specimen]]\nname = "head {number}"\nage_years = {50 + number}',
+            f'[[trial]]\nfile = "{number}.csv"\nspecimen = "head {number}"',
+        ]
+    (folder / "study.toml").write_text("\n".join(lines), encoding="utf-8")
+    return folder
 
 
 @pytest.fixture(scope="module")
-def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return cohort_folder(tmp_path_factory.mktemp("cohort") / "out", 6)
+def cohort(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Ended]:
+    folder = tmp_path_factory.mktemp("cohort")
+    ended = run("fit", a_study(folder / "heads", TIMES), "-o", folder / "out", *SMALL)
+    return folder / "out", ended
 
 
-@pytest.fixture(scope="module")
-def ended(out: Path) -> Ended:
-    return run("cohort", out, "--group-by", "sex", "--no-held-out", "--json")
+def files_of(out: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in out.iterdir() if path.suffix in {".h5", ".json", ".csv"}}
 
 
-def test_the_population_joins_the_set_of_the_fit(ended: Ended, out: Path) -> None:
-    assert ended.code == 0, ended.stderr
-    validate_outputs(out)
-    assert {"population.json", "population.h5", "cohort.html", "identification.json", "report.html"} - {
-        "report.html"
-    } <= {path.name for path in out.iterdir()}
-    assert ended.json() == json.loads((out / "population.json").read_text(encoding="utf-8"))
-    check(ended.json(), "population", where="stdout")
+def test_a_study_of_five_gets_its_population(cohort: tuple[Path, Ended]) -> None:
+    out, ended = cohort
+    document: dict[str, Any] = json.loads((out / "population.json").read_text(encoding="utf-8"))
+    assert "population of 5 specimens" in ended.stdout
+    assert sorted(document["specimens_used"]) == [f"head {number}" for number in range(1, 6)]
+    assert (out / "cohort.html").is_file()
+    assert run("validate", out).code == 0
 
 
-def test_the_numbers_are_those_of_the_specimens(ended: Ended) -> None:
-    rows = {row["name"]: row for row in ended.json()["population"]["quantities"]}
-
-    # F_s(6) = 4*6 + 0.8*36 + 0.05*216 = 63.6 N, specimens differ by 12 %: three errors of 4.9 %
-    assert rows["static_force_3_N"]["median"] == pytest.approx(63.6, rel=0.15)
-    assert rows["relaxation_time_s"]["median"] == pytest.approx(1.5, rel=0.08)
-    assert 0.04 < rows["static_force_3_N"]["cv"] < 0.35
-    assert "donor" in rows["static_force_3_N"]["levels"]
-
-
-def test_running_it_again_gives_the_same_numbers(ended: Ended, out: Path) -> None:
-    again = run("cohort", out, "--group-by", "sex", "--no-held-out", "--json")
-
-    assert again.json() == ended.json()
-
-
-def test_a_specimen_of_the_population_is_rendered(ended: Ended, out: Path) -> None:
-    bundle = load_bundle(out / "population.h5")
-    assert bundle.draws is not None
-
-    felt = run(
-        "render", out / "population.h5", "--draw-specimen", "7", "--device", "sim", "--virtual",
-        "--script", "indent 1 mm at 500 mm/min; retract at 500 mm/min", "--json",
-    )  # fmt: skip
-
-    assert felt.code == 0, felt.stderr
-    assert f"of {len(bundle.draws)} drawn from the population of 6 specimens" in felt.stderr + felt.stdout
+def test_its_typical_tissue_and_its_spread_are_those_of_the_forces(cohort: tuple[Path, Ended]) -> None:
+    out, _ = cohort
+    rows = json.loads((out / "population.json").read_text(encoding="utf-8"))["population"]["quantities"]
+    own = load_bundle(out / "bundle-head_3.h5")
+    typical = load_bundle(out / "population.h5")
+    geometric_mean = float(np.exp(np.mean(np.log(TIMES))))
+    depth = float(typical.depth_mm)
+    powers = depth ** np.arange(1.0, 4.0)
+    force_N = float(own.theta[:3] @ powers)
+    # the factors' own mean, within the noise of one log each
+    assert rows[2]["median"] == pytest.approx(force_N * geometric_mean, rel=0.05)
+    assert float(typical.theta[:3] @ powers) == pytest.approx(force_N * geometric_mean, rel=0.05)
+    low, high = rows[2]["cv_ci95"]
+    assert low < float(np.std(np.log(TIMES), ddof=1)) < high
 
 
-def test_a_bundle_of_one_specimen_has_none_to_draw(out: Path) -> None:
-    felt = run("render", out / "bundle-head_1.h5", "--draw-specimen", "--device", "sim", "--virtual")
-
-    assert felt.code == 2
-    assert "tissueid cohort OUT" in felt.stderr
-
-
-def test_a_seed_that_is_no_number_is_refused(ended: Ended, out: Path) -> None:
-    felt = run("render", out / "population.h5", "--draw-specimen", "seven", "--device", "sim", "--virtual")
-
-    assert felt.code == 2
-    assert "the seed is a whole number" in felt.stderr
+def test_a_cohort_is_drawn_again_without_touching_the_fit(cohort: tuple[Path, Ended]) -> None:
+    out, _ = cohort
+    before = files_of(out)
+    ended = run("cohort", out, "--tails", "normal", "--covariate", "age_years", "--no-held-out", "--json")
+    after = files_of(out)
+    changed = {name for name in after if after[name] != before.get(name)}
+    assert ended.code in {0, 4}, ended.stderr
+    assert ended.json()["population"]["held_out"] is None
+    assert changed <= {"population.json", "population.h5"}
+    assert "population.json" in changed
 
 
-def test_two_specimens_are_refused_and_the_set_stays(tmp_path: Path) -> None:
-    folder = cohort_folder(tmp_path / "two", 2, study=False)
-
-    ended = run("cohort", folder, "-q")
-
+def test_two_specimens_are_no_population_and_their_fit_stays(tmp_path: Path) -> None:
+    study = a_study(tmp_path / "heads", TIMES[:2])
+    ended = run("fit", study, "-o", tmp_path / "out", *SMALL, "--population", "yes")
     assert ended.code == 4
-    assert "a population takes 3 at least" in ended.stderr
-    assert not (folder / "population.json").exists()
-    validate_outputs(folder)
+    assert "no population" in ended.stderr
+    assert not (tmp_path / "out" / "population.json").exists()
+    assert run("validate", tmp_path / "out").code == 0
 
 
-def test_an_unknown_covariate_names_those_there_are(out: Path) -> None:
-    ended = run("cohort", out, "--covariate", "weight")
-
-    assert ended.code == 2
-    assert "stated are donor, sex" in ended.stderr
-
-
-def test_a_folder_without_a_run_says_how_one_is_made(tmp_path: Path) -> None:
-    ended = run("cohort", tmp_path)
-
+def test_a_folder_without_a_run_has_no_cohort(tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    ended = run("cohort", tmp_path / "empty")
     assert ended.code == 6
     assert "tissueid fit" in ended.stderr

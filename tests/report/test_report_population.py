@@ -26,7 +26,11 @@ def found() -> tuple[dict[str, Any], Bundle]:
     fits = cohort_fits(6)
     document = plain_json(identification(fits).as_json()) | {"study": study_of(fits)}
     options = CohortOptions(group_by="sex", sampler=SamplerOptions(settle=100, sweeps=250, blocks=1))
-    fit = cohort(members_of(document, curves_of_fits(fits), posteriors_of_fits(fits)), options)
+    results = [
+        (entry, curves_of_fits([one]), posteriors_of_fits([one])[0])
+        for entry, one in zip(document["specimens"], fits, strict=True)
+    ]
+    fit = cohort(members_of(document, results), options)
     told: dict[str, Any] = plain_json(as_document(fit, options, source="0" * 64))
     bundle = population_bundle(fit, told)
     assert bundle is not None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,10 +10,10 @@ import numpy as np
 from tissueid import __version__
 from tissueid.model.kelvin_voigt import KEY, STATIC_DEGREE
 from tissueid.population.cohort import CohortFit, CohortOptions, Population
-from tissueid.population.members import Member, TrialRow
+from tissueid.population.members import FEWEST_DRAWS, MOST_DRAWS_IN_ALL, Member, TrialRow
 from tissueid.population.sampler import ESS_A_CHAIN, R_HAT
 from tissueid.priors import PopulationPriors, SpreadPrior
-from tissueid.result import Estimate, ModelChoice
+from tissueid.result import Curve, Estimate, ModelChoice
 from tissueid.store.bundle import Bundle
 from tissueid.store.curves import TrialCurve
 from tissueid.store.posteriors import StoredPosterior
@@ -22,58 +22,45 @@ __all__ = ["as_document", "members_of", "population_bundle", "population_priors"
 
 #: Draws of mean and spread that a bundle keeps.
 KEPT_DRAWS = 4000
+#: Specimens whose curves are kept, to be predicted from the others; of more an even choice.
+MOST_WITH_CURVES = 200
 _NO_UNITS: Mapping[str, str] = {"length": "mm", "force": "N", "time": "s"}
 
 
 def members_of(
-    document: Mapping[str, Any], curves: Sequence[TrialCurve], posteriors: Sequence[StoredPosterior]
+    document: Mapping[str, Any],
+    results: Iterable[tuple[Mapping[str, Any], Sequence[TrialCurve], StoredPosterior | None]],
 ) -> tuple[Member, ...]:
-    """The specimens of a finished fit.
+    """The specimens of a finished fit, with as many draws as a cohort of that size can use.
 
     Parameters
     ----------
     document : mapping
         identification.json.
-    curves : sequence of TrialCurve
-    posteriors : sequence of StoredPosterior
+    results : iterable
+        Each specimen of it, its curves and its draws: :func:`tissueid.store.results.each_result`.
     """
     study = document["study"] or {"specimens": [], "trials": [], "study": {}}
     covariates = {row["specimen"]: dict(row) for row in study["specimens"]}
     trials = {(row["path"], row["sheet"]): row for row in study["trials"]}
-    drawn = {one.specimen: one for one in posteriors}
-    curve = {(one.specimen, one.path, one.sheet): one.curve for one in curves}
+    count = len(document["specimens"])
+    most = max(MOST_DRAWS_IN_ALL // max(count, 1), FEWEST_DRAWS)
+    with_curves = set(np.linspace(0, count - 1, min(count, MOST_WITH_CURVES)).astype(int).tolist())
     members = []
-    for entry in document["specimens"]:
-        name, posterior = entry["specimen"], drawn.get(entry["specimen"])
-        known = {"operator": study["study"].get("operator")} | covariates.get(name, {})
+    for place, (entry, curves, posterior) in enumerate(results):
+        known = {"operator": study["study"].get("operator")} | covariates.get(entry["specimen"], {})
         known.pop("specimen", None)
-        rows = []
-        for trial in entry["trials"]:
-            said = trials.get((trial["path"], trial["sheet"]), {})
-            rows.append(
-                TrialRow(
-                    path=trial["path"],
-                    sheet=trial["sheet"],
-                    gain=trial["gain"],
-                    speed_mm_s=trial["speed_mm_s"],
-                    depth_mm=trial["depth_mm"],
-                    run=said.get("run"),
-                    site=said.get("site"),
-                    curve=curve.get((name, trial["path"], trial["sheet"])),
-                )
-            )
+        drawn = {(one.path, one.sheet): one.curve for one in curves if place in with_curves}
         validity = entry["validity"]
         slowest, fastest = validity["speeds_mm_s"]
         members.append(
             Member(
-                specimen=name,
+                specimen=entry["specimen"],
                 model=ModelChoice(**entry["model"]),
                 depth_mm=validity["depth_mm"],
-                draws=np.empty((0, 0)) if posterior is None else posterior.draws,
-                log_prior=None if posterior is None else posterior.log_prior,
-                draws_total=None if posterior is None else posterior.draws_total,
+                **_draws(posterior, most),
                 covariates=known,
-                trials=tuple(rows),
+                trials=tuple(_trial(trial, trials, drawn) for trial in entry["trials"]),
                 speeds_mm_s=(slowest, fastest),
                 tip_radius_mm=validity["tip_radius_mm"],
                 sigma_N=entry["sigma_N"],
@@ -81,6 +68,43 @@ def members_of(
             )
         )
     return tuple(members)
+
+
+def _draws(posterior: StoredPosterior | None, most: int) -> dict[str, Any]:
+    """Draws of a member, evenly thinned."""
+    if posterior is None:
+        return {"draws": np.empty((0, 0)), "log_prior": None, "draws_total": None}
+
+    def thin(values: Any) -> Any:
+        if values is None:
+            return None
+        return values[np.linspace(0, len(values) - 1, min(most, len(values))).astype(int)].copy()
+
+    return {
+        "draws": thin(posterior.draws),
+        "log_prior": thin(posterior.log_prior),
+        "draws_total": thin(posterior.draws_total),
+    }
+
+
+def _trial(
+    trial: Mapping[str, Any],
+    rows: Mapping[tuple[str, str | None], Mapping[str, Any]],
+    curves: Mapping[tuple[str, str | None], Curve],
+) -> TrialRow:
+    """One log, with what the study says of it."""
+    key = (trial["path"], trial["sheet"])
+    said = rows.get(key, {})
+    return TrialRow(
+        path=trial["path"],
+        sheet=trial["sheet"],
+        gain=trial["gain"],
+        speed_mm_s=trial["speed_mm_s"],
+        depth_mm=trial["depth_mm"],
+        run=said.get("run"),
+        site=said.get("site"),
+        curve=curves.get(key),
+    )
 
 
 def population_priors(document: Mapping[str, Any]) -> PopulationPriors:

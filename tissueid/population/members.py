@@ -14,7 +14,17 @@ from tissueid.population.coordinates import Coordinates
 from tissueid.population.stage_one import StageOne
 from tissueid.result import Curve, ModelChoice
 
-__all__ = ["FEWEST_SPECIMENS", "LeftOut", "Member", "TrialRow", "common_model", "fit_for_cohort", "stage_one"]
+__all__ = [
+    "FEWEST_DRAWS",
+    "FEWEST_SPECIMENS",
+    "MOST_DRAWS_IN_ALL",
+    "LeftOut",
+    "Member",
+    "TrialRow",
+    "common_model",
+    "fit_for_cohort",
+    "stage_one",
+]
 
 FloatArray = NDArray[np.float64]
 

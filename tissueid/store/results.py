@@ -40,6 +40,7 @@ __all__ = [
     "REPORT",
     "each_result",
     "output_problems",
+    "read_identification",
     "read_results",
     "validate_outputs",
     "write_results",
@@ -96,6 +97,17 @@ def write_results(
     if kept:
         write_sums(kept, run.path(SUMS))
     return document
+
+
+def read_identification(out: Path | str) -> dict[str, Any]:
+    """Read the identification document of an output folder alone.
+
+    Raises
+    ------
+    BundleError
+        If there is no committed set or it is damaged.
+    """
+    return _identification(_committed(Path(out)).folder / IDENTIFICATION)
 
 
 def read_results(

@@ -16,7 +16,7 @@ from tissueid.report.population_page import render_population
 from tissueid.store.bundle import write_bundle
 from tissueid.store.files import json_bytes, plain_json, sha256_of
 from tissueid.store.outputs import OutputSet
-from tissueid.store.results import IDENTIFICATION, read_results
+from tissueid.store.results import IDENTIFICATION, each_result, read_identification
 from tissueid.store.schema import check
 
 __all__ = ["POPULATION_FILES", "PopulationRequest", "WrittenPopulation", "write_population"]
@@ -83,7 +83,7 @@ def write_population(
         The folder is not whole, or another process writes into it.
     """
     with OutputSet(out) as run:
-        identification, curves, posteriors = read_results(out)
+        identification = read_identification(out)
         options = CohortOptions(
             group_by=request.group_by,
             covariates=request.covariates,
@@ -91,7 +91,7 @@ def write_population(
             sampler=SamplerOptions(tails=request.tails, seed=request.seed),
             hold_out=request.hold_out,
         )
-        members = members_of(identification, curves, posteriors)
+        members = members_of(identification, each_result(out))
         fit = cohort(members, options, lambda text: progress(text, 0, 0))
         source = sha256_of(out / IDENTIFICATION)
         document: dict[str, Any] = plain_json(as_document(fit, options, source=source))
