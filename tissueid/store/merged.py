@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -107,7 +108,7 @@ def merge_files(
         bundle = replace(load_bundle(path), provenance={**provenance, "inputs": inputs[specimen]})
         write_bundle(bundle, run.path(names[specimen]))
         if len(names) == 1:
-            write_bundle(bundle, run.path(ONLY_BUNDLE))
+            shutil.copyfile(run.path(names[specimen]), run.path(ONLY_BUNDLE))
     paths = list(fitted.values())
     try:
         write_curves([curve for path in paths for curve in _curves(path)], run.path(CURVES))
