@@ -148,8 +148,14 @@ def population_of(plain: Mapping[str, Any]) -> PopulationPriors:
     plain : mapping
         What is missing keeps its default.
     """
-    known = {key: plain[key] for key in ("mean_sd", "effect_sd", "correlation_shape") if key in plain}
-    spreads = {key: SpreadPrior(**plain[key]) for key in ("between", "level") if key in plain}
+    default = PopulationPriors()
     tails = plain.get("tails")
-    heavy = {} if tails is None else {"tail_shape": tails["shape"], "tail_rate": tails["rate"]}
-    return PopulationPriors(**known, **spreads, **heavy)
+    return PopulationPriors(
+        mean_sd=plain.get("mean_sd", default.mean_sd),
+        effect_sd=plain.get("effect_sd", default.effect_sd),
+        between=SpreadPrior(**plain["between"]) if "between" in plain else default.between,
+        level=SpreadPrior(**plain["level"]) if "level" in plain else default.level,
+        correlation_shape=plain.get("correlation_shape", default.correlation_shape),
+        tail_shape=default.tail_shape if tails is None else tails["shape"],
+        tail_rate=default.tail_rate if tails is None else tails["rate"],
+    )
