@@ -58,7 +58,7 @@ def instant(monkeypatch: pytest.MonkeyPatch) -> None:
         return inference.Inferred(
             theta=np.array([one.theta for one in drawn]),
             others={"sigma_N": np.array([one.sigma_N for one in drawn])},
-            detail={"acceptance": 1.0},
+            detail={"acceptance": 1.0, "worth": 399.0},
         )
 
     monkeypatch.setattr("tissueid.selfcheck.tissue.infer", of_prior)
@@ -133,6 +133,7 @@ def test_json_is_the_document_and_nothing_else(tmp_path: Path, instant: None) ->
     ended = run(
         "calibrate", recipe, "-o", tmp_path / "out", "--simulations", FEWEST, "--json", "--interval", "total"
     )
+    assert ended.code == 0, ended.stderr
     assert ended.json() == document_of(tmp_path / "out")
     assert ended.json()["interval"] == "total"
     said = {row["name"]: row["prior"] for row in ended.json()["priors"]}

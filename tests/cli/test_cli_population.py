@@ -14,7 +14,7 @@ from tissueid.store.results import validate_outputs
 from tissueid.store.schema import check
 
 # chains of thousands of sweeps
-pytestmark = pytest.mark.needs_jit
+pytestmark = [pytest.mark.needs_jit, pytest.mark.slow]
 
 
 @pytest.fixture(scope="module")

@@ -87,6 +87,7 @@ def test_scales_follow_prior_and_data_together() -> None:
     assert ranks.mean(axis=0) == pytest.approx(0.5, abs=0.083)
 
 
+@pytest.mark.slow
 def test_mean_spread_and_correlation_are_recovered_where_one_number_is_hardly_measured() -> None:
     rng = np.random.default_rng(7)
     p, n = 3, 60
@@ -124,6 +125,7 @@ def test_heavy_tails_are_found_and_the_outlier_is_named() -> None:
     assert np.median(found.nu) < 10.0
 
 
+@pytest.mark.slow
 def test_effects_of_covariates_and_levels_are_told_apart() -> None:
     rng = np.random.default_rng(9)
     n = 60
@@ -161,6 +163,7 @@ def test_the_same_seed_gives_the_same_draws_whatever_the_threads() -> None:
     assert np.array_equal(one.nu, two.nu)
 
 
+@pytest.mark.slow
 def test_single_precision_of_the_draws_is_harmless() -> None:
     rng = np.random.default_rng(12)
     stage = normal_stage(4.0 + 0.05 * rng.standard_normal((8, 3)), np.full(3, 0.02), rng, draws=500)

@@ -15,7 +15,6 @@ EPILOG = """\b
 Examples:
   tissueid cohort out
   tissueid cohort out --group-by sex --covariate age_years
-  tissueid render out/population.h5 --draw-specimen 7
 """
 
 NOT_CONVERGED = 4
@@ -38,7 +37,8 @@ def command(**flags: Any) -> int:
     """Say what specimens have in common and how they differ.
 
     OUT is the output folder of `tissueid fit` with three specimens or more and their posteriors.  Writes
-    population.json, population.h5 and cohort.html into it, all at once or not at all.
+    population.json, population.h5 and cohort.html into it, all at once or not at all; tissueid render draws
+    a specimen from population.h5 and makes it felt.
     """
     from tissueid.cli.population_lines import print_population
     from tissueid.study.cohort import PopulationRequest, write_population

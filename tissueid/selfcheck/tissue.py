@@ -99,10 +99,11 @@ class TissueCheck:
         """Intervals of the tissue that a fit quotes, where they are not central ones."""
         if not self.defects:
             return {}
+        priors = self.priors.calibration
         return total_intervals(
             self._numbers(found.theta),
-            found.others,
-            self.priors.calibration,
+            {name: values for name, values in found.others.items() if name in priors},
+            priors,
             worth=found.detail["worth"],
         )
 
