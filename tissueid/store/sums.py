@@ -13,8 +13,8 @@ Layout: one group a specimen, in the order of ``index`` (JSON text: specimen, lo
 
 The matrices stand log by log: the samples that start a chain, then the later samples of the links of every
 step, then the earlier ones, then the differences (of logs with several steps only the sum over steps of later
-less earlier is theirs: it is shared out by links).  Columns are 1, x, x^2, x^3, the node states by power of x,
-and the force less ``columns @ center``.  Read back, they are the same bits.
+less earlier is theirs: it is shared out by links).  Columns are 1, x, x^2, x^3, the node states by power of
+x, and the force less ``columns @ center``.  Read back, they are the same bits.
 """
 
 from __future__ import annotations
