@@ -79,6 +79,7 @@ def test_a_cohort_is_drawn_again_without_touching_the_fit(cohort: tuple[Path, En
     assert "population.json" in changed
 
 
+@pytest.mark.slow
 def test_two_specimens_are_no_population_and_their_fit_stays(tmp_path: Path) -> None:
     study = a_study(tmp_path / "heads", TIMES[:2])
     ended = run("fit", study, "-o", tmp_path / "out", *SMALL, "--population", "yes")

@@ -109,6 +109,7 @@ def broken() -> Trial:
     )
 
 
+@pytest.mark.needs_jit
 def test_samples_from_the_first_rupture_on_take_no_part() -> None:
     trial = broken()
     divided = segment(trial)

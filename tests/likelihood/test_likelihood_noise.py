@@ -90,6 +90,7 @@ def test_white_plus_ar1_is_told_apart(phi, white, slow):
 
 
 @pytest.mark.parametrize("n", [200, 5_000 if not JIT_OFF else 300])
+@pytest.mark.needs_jit
 def test_white_noise_is_called_white(n):
     # a penalty of ln(N)/2 lets 0.1 to 1 % of white records pass as correlated
     rng = np.random.default_rng(13)
@@ -98,6 +99,7 @@ def test_white_noise_is_called_white(n):
 
 
 @pytest.mark.parametrize("phi", [0.5, 0.9])
+@pytest.mark.needs_jit
 def test_one_short_log_is_enough(phi):
     rng = np.random.default_rng(14)
     found = [estimate_noise([chain(rng, 200, phi)]) for _ in range(SEEDS)]

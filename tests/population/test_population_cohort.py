@@ -26,6 +26,7 @@ def found() -> CohortFit:
     return cohort(members(8, seed=2), CohortOptions(group_by="sex", covariates=("age_years",), sampler=SHORT))
 
 
+@pytest.mark.slow
 def test_the_document_keeps_its_schema(found: CohortFit) -> None:
     document = plain_json(as_document(found, CohortOptions(sampler=SHORT), source="0" * 64))
 
@@ -34,6 +35,7 @@ def test_the_document_keeps_its_schema(found: CohortFit) -> None:
     assert [row["name"] for row in document["population"]["quantities"]] == list(COORDINATES.names)
 
 
+@pytest.mark.slow
 def test_the_typical_tissue_is_near_the_truth(found: CohortFit) -> None:
     assert found.population is not None
     rows = {row.name: row for row in found.population.quantities}
@@ -45,6 +47,7 @@ def test_the_typical_tissue_is_near_the_truth(found: CohortFit) -> None:
     assert 0.05 < rows["static_force_3_N"].cv < 0.45
 
 
+@pytest.mark.slow
 def test_a_bundle_of_the_population_is_written_and_read(found: CohortFit, tmp_path: Path) -> None:
     document = plain_json(as_document(found, CohortOptions(sampler=SHORT), source="0" * 64))
     bundle = population_bundle(found, document)
@@ -69,6 +72,7 @@ def test_a_bundle_of_the_population_is_written_and_read(found: CohortFit, tmp_pa
     assert 0.5 * (high - low) == pytest.approx(expected, rel=0.3)
 
 
+@pytest.mark.slow
 def test_specimens_shrink_where_their_own_logs_say_little(found: CohortFit) -> None:
     assert found.population is not None
     shrinkage = np.array([row.shrinkage for row in found.population.specimens])
@@ -78,6 +82,7 @@ def test_specimens_shrink_where_their_own_logs_say_little(found: CohortFit) -> N
     assert np.median(shrinkage[:, 4]) > 0.2
 
 
+@pytest.mark.slow
 def test_groups_are_compared_as_ratios(found: CohortFit) -> None:
     assert found.population is not None
     rows = [row for row in found.population.effects if row.covariate == "sex"]
@@ -87,6 +92,7 @@ def test_groups_are_compared_as_ratios(found: CohortFit) -> None:
     assert all(0.0 <= row.probability <= 1.0 for row in rows)
 
 
+@pytest.mark.slow
 def test_held_out_specimens_are_predicted_from_the_others(found: CohortFit) -> None:
     assert found.population is not None
     held = found.population.held_out

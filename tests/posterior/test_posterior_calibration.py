@@ -198,6 +198,7 @@ def test_gains_of_the_logs_do_not_move_the_tissue(scatter: float) -> None:
     assert log_force.std() == pytest.approx(1.1 * spread, rel=0.3)
 
 
+@pytest.mark.slow
 def test_poolings_and_models_are_all_served() -> None:
     """A log of its own, free cubics, K of degree 2, and two branches: draws are finite and passive."""
     specimen = one_specimen(8, Case(hold_s=2.0))
