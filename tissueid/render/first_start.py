@@ -12,13 +12,14 @@ from __future__ import annotations
 
 import os
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from tissueid.haptics.own_process import own_process
 
 __all__ = ["compile_loop", "first_start", "is_compiled"]
 
@@ -66,7 +67,7 @@ def first_start(device: str, tell: Callable[[str], None]) -> Iterator[bool]:
         return
     tell(FIRST_WORDS)
     # our own interpreter and module; nothing of it comes from a user
-    command = [sys.executable, "-m", "tissueid.render.first_start"]
+    command = own_process("tissueid.render.first_start")
     compiling = subprocess.Popen(  # noqa: S603
         command, stdin=subprocess.DEVNULL, start_new_session=True
     )

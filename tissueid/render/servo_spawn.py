@@ -16,6 +16,8 @@ import subprocess
 import sys
 from dataclasses import dataclass
 
+from tissueid.haptics.own_process import own_process
+
 __all__ = ["REAP_S", "SpawnedServo", "spawn_servo"]
 
 #: How long the end of a process is waited for before it is killed [s]: ramp, zero commands, closing.
@@ -68,7 +70,7 @@ def spawn_servo() -> SpawnedServo:
     """Start a servo's process, without a plan."""
     theirs, ours = socket.socketpair()
     report, reporting = os.pipe()
-    command = [sys.executable, "-m", __name__, str(theirs.fileno()), str(reporting)]
+    command = own_process(__name__, str(theirs.fileno()), str(reporting))
     try:
         # our own interpreter and module; nothing of it comes from a user
         process = subprocess.Popen(  # noqa: S603

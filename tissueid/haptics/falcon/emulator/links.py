@@ -13,7 +13,6 @@ import select
 import socket
 import struct
 import subprocess
-import sys
 import threading
 import time
 import tty
@@ -23,6 +22,7 @@ from typing import Self
 
 from tissueid.errors import DeviceError
 from tissueid.haptics.falcon.emulator.machine import EmulatedFalcon, EmulatorSettings
+from tissueid.haptics.own_process import own_process
 
 __all__ = ["READY_LINE", "EmulatedLink", "EmulatorProcess", "serve"]
 
@@ -185,7 +185,7 @@ class EmulatorProcess:
 
     def __init__(self, arguments: Sequence[str] = ()) -> None:
         self._process = subprocess.Popen(  # noqa: S603 - our own interpreter and module
-            [sys.executable, "-m", "tissueid.haptics.falcon.emulator", "--until-eof", *arguments],
+            own_process("tissueid.haptics.falcon.emulator", "--until-eof", *arguments),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,

@@ -1,0 +1,35 @@
+"""Processes of our own that run the same files as the one that starts them.
+
+``python -m`` puts the folder one stands in before everything installed: beside a checkout another guard would
+run than the one the session's owner checked, and a loop would be compiled where nobody looks for it.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+__all__ = ["own_process"]
+
+
+def own_process(module: str, *arguments: str) -> list[str]:
+    """Command line of a new process of this interpreter that runs a module.
+
+    Parameters
+    ----------
+    module : str
+        A module or package, run as ``python -m`` would.
+    *arguments : str
+        For the module.
+
+    Returns
+    -------
+    list of str
+        The modules come from where they come from here, whatever the folder one stands in.
+    """
+    places = [place or str(Path.cwd()) for place in sys.path]
+    code = (
+        f"import runpy, sys; sys.path[:] = {places!r}; "
+        f"runpy.run_module({module!r}, run_name='__main__', alter_sys=True)"
+    )
+    return [sys.executable, "-P", "-c", code, *arguments]
