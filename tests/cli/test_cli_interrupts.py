@@ -60,12 +60,12 @@ def survived_kills(prepared: Prepared, out: Path, *, kills: int, seed: int) -> i
         shown = prepared.numbers.index(numbers)
         bundle = run("export", out).json()["specimens"][0]["model"]["branches"]
         assert bundle == shown + 1
-        assert not list(out.glob(".tmp-*"))
         whole += 1
     # the folder is of use afterwards
     assert run("fit", prepared.log, "-o", out, "-q", *RUNS[0]).code in (0, 4)
     assert (out / "identification.json").read_bytes() == prepared.numbers[0]
     assert len(list((out / ".runs").iterdir())) == 1
+    assert not list(out.glob(".tmp-*"))
     return whole
 
 

@@ -12,8 +12,9 @@ from tissueid.population.cohort import CohortFit, CohortOptions, cohort
 from tissueid.population.design import design_of
 from tissueid.population.document import as_document, population_bundle
 from tissueid.population.held_out import prediction_error
-from tissueid.population.members import common_model
+from tissueid.population.members import Member, common_model
 from tissueid.population.sampler import SamplerOptions
+from tissueid.population.shared_instrument import shared_instrument
 from tissueid.store.bundle import load_bundle, write_bundle
 from tissueid.store.files import plain_json
 from tissueid.store.schema import first_problem
@@ -187,17 +188,38 @@ def test_donors_of_several_specimens_are_a_level_and_single_ones_none() -> None:
     assert design_of(alone, None, ()).design.levels == ()
 
 
-def test_the_machine_s_part_does_not_average_out() -> None:
-    rng = np.random.default_rng(5)
-    made = members(6, seed=3, own=(0.01, 0.01, 0.01, 0.01, 0.01), between=0.02)
-    # one unknown gain of 3 % for all, in every specimen's total posterior
-    total = []
+def with_one_gain(made: tuple[Member, ...], sd: float, rng: np.random.Generator) -> tuple[Member, ...]:
+    """One unknown gain for all in every specimen's total posterior; relaxation times know no gain."""
+    out = []
     for one in made:
         phi, _ = COORDINATES.to_phi(one.draws)
-        gained = COORDINATES.to_theta(phi + np.outer(0.03 * rng.standard_normal(len(phi)), [1, 1, 1, 1, 0]))
-        total.append(replace(one, draws_total=gained))
+        gained = COORDINATES.to_theta(phi + np.outer(sd * rng.standard_normal(len(phi)), [1, 1, 1, 1, 0]))
+        out.append(replace(one, draws_total=gained))
+    return tuple(out)
 
-    found = cohort(tuple(total), CohortOptions(sampler=SHORT, hold_out=False))
+
+def test_what_all_specimens_share_is_the_machine_s() -> None:
+    made = with_one_gain(members(6, seed=3, between=0.02), 0.03, np.random.default_rng(5))
+
+    found = shared_instrument(made, COORDINATES)
+
+    assert found is not None
+    assert found.specimens == 6
+    # a variance of 4 % relative standard error each, clipped to the central 99 %
+    assert np.sqrt(np.diag(found.covariance))[:4] == pytest.approx(np.full(4, 0.03), rel=0.1)
+    mean = found.added_to(np.zeros((4000, 5)), np.random.default_rng(6))
+    assert mean.std(axis=0)[:4] == pytest.approx(np.full(4, 0.03), rel=0.12)
+    assert np.corrcoef(mean[:, 0], mean[:, 1])[0, 1] > 0.95
+    few = (replace(made[0]), *(replace(one, draws_total=None) for one in made[1:]))
+    assert shared_instrument(few, COORDINATES) is None
+
+
+@pytest.mark.slow
+def test_the_machine_s_part_does_not_average_out() -> None:
+    made = members(6, seed=3, own=(0.01, 0.01, 0.01, 0.01, 0.01), between=0.02)
+    total = with_one_gain(made, 0.03, np.random.default_rng(5))
+
+    found = cohort(total, CohortOptions(sampler=SHORT, hold_out=False))
 
     assert found.population is not None
     row = found.population.quantities[2]
