@@ -11,8 +11,8 @@ section 4.7).
 Draws without a filter are the draws moved to its absence along their linear regression on it (Beaumont,
 Zhang & Balding 2002, Genetics 162: 2025): a slope does not depend on where its regressor is cut.
 
-An interval whose ends come from few draws would hold less than it says as often as more; its ends are moved
-out by their Monte-Carlo standard error, some 2 % of the width each for a thousand draws.
+Ends are quantiles of the draws as they are: their Monte-Carlo error moves them in as often as out, and leaves
+how often an interval holds the truth alone.
 """
 
 from __future__ import annotations
@@ -69,7 +69,6 @@ def total_intervals(
     priors: Mapping[str, CalibrationPrior],
     *,
     level: float = 0.95,
-    worth: float = math.inf,
 ) -> dict[str, tuple[float, float]]:
     """The total interval of every parameter.
 
@@ -83,11 +82,8 @@ def total_intervals(
         Calibration nuisance -> its prior.
     level : float
         Of the central interval under each hypothesis.
-    worth : float
-        Independent draws that the draws stand for: each end is moved out by the standard error of a quantile.
     """
     tail = 0.5 * (1.0 - level)
-    tail = max(tail - math.sqrt(tail * (1.0 - tail) / worth), 0.0)
     ends = tail, 1.0 - tail
     absent = [nuisances[name] - priors[name].lower for name in plausible_edges(nuisances, priors)]
     out = {}
