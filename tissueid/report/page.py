@@ -176,7 +176,7 @@ def render_report(
         study=study_view(identification["study"]),
         created=created,
         style=asset("page.css"),
-        scripts=[asset("posterior.js"), asset("figures.js")],
+        scripts=[asset("boxes.js"), asset("posterior.js"), asset("figures.js")],
         plotly="" if script_file else plotly_script(),
         script_file=script_file,
     )

@@ -164,6 +164,6 @@ def render_population(
             created=created,
             style=asset("page.css") + asset("selfcheck.css"),
             plotly=plotly_script(),
-            script=asset("population.js"),
+            scripts=[asset("boxes.js"), asset("population.js")],
         )
     )

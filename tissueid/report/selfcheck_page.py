@@ -125,7 +125,7 @@ def render_selfcheck(document: Mapping[str, Any], *, created: str | None = None)
             payload=payload,
             created=created,
             style=asset("page.css") + asset("selfcheck.css"),
-            script=asset("selfcheck.js"),
+            scripts=[asset("boxes.js"), asset("selfcheck.js")],
             plotly=plotly_script(),
         )
     )

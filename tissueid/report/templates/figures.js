@@ -14,7 +14,6 @@
     }
     return opened.get(specimen);
   };
-  const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
   const chosen = (specimen) => {
     const choice = document.querySelector(`select[data-choice="${specimen}"]`);
     const all = curves(specimen);
@@ -74,31 +73,15 @@
     if (!units || (units.length === "mm" && units.force === "N")) return label;
     return label.replace("[N]", `[${units.force}]`).replace("Depth [mm]", units.length === "1" ? "Strain" : "Depth [mm]");
   };
-  const axis = (title) => ({ title: { text: title }, gridcolor: colour("line"), zerolinecolor: colour("soft"), linecolor: colour("line"), automargin: true });
-  const draw = (box) => {
+  const redraw = figureBoxes((box) => {
     const kind = kinds[box.dataset.figure];
-    // a grid of small axes brings its own, and says how high it is
-    const own = kind.own ? kind.own(Number(box.dataset.specimen), box) : null;
-    if (own) box.style.height = `${own.height}px`;
-    const plain = own ? {} : { xaxis: axis(inUnits(kind.x, box.dataset.specimen)), yaxis: axis(inUnits(kind.y, box.dataset.specimen)) };
-    const layout = {
-      margin: { l: 56, r: 12, t: 28, b: 48 }, paper_bgcolor: colour("paper"), plot_bgcolor: colour("paper"),
-      font: { color: colour("ink"), family: "system-ui, sans-serif", size: 13 }, ...plain,
-      legend: { orientation: "h", x: 0, y: 1.02, yanchor: "bottom" }, hovermode: "closest", ...(own ? own.layout : {}),
-    };
-    box.dataset.drawn = "yes";
-    return Plotly.react(box, kind.traces(Number(box.dataset.specimen)), layout, { responsive: true, displaylogo: false, displayModeBar: "hover", modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"] });
-  };
-  const boxes = [...document.querySelectorAll("[data-figure]")];
-  const redraw = (wanted) => boxes.filter((box) => box.dataset.drawn && wanted(box)).forEach(draw);
-
-  const seen = new IntersectionObserver((entries) => {
-    for (const entry of entries) {
-      if (entry.isIntersecting && !entry.target.dataset.drawn) draw(entry.target);
-    }
-  }, { rootMargin: "300px" });
-  boxes.forEach((box) => seen.observe(box));
-
+    const specimen = Number(box.dataset.specimen);
+    const own = kind.own ? kind.own(specimen, box) : null;
+    if (!own) return { traces: kind.traces(specimen), x: inUnits(kind.x, specimen), y: inUnits(kind.y, specimen) };
+    // a grid of small axes says how high it is
+    box.style.height = `${own.height}px`;
+    return { traces: kind.traces(specimen), layout: own.layout };
+  });
   document.querySelectorAll("select[data-choice]").forEach((choice) => {
     choice.addEventListener("change", () => redraw((box) => box.dataset.specimen === choice.dataset.choice && box.dataset.figure !== "overview"));
   });
@@ -108,11 +91,4 @@
   };
   addEventListener("hashchange", follow);
   follow();
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => redraw(() => true));
-  // a printed page shows everything, in the colours of paper
-  matchMedia("print").addEventListener("change", () => redraw(() => true));
-  addEventListener("beforeprint", () => {
-    document.querySelectorAll("details").forEach((details) => { details.open = true; });
-    boxes.forEach(draw);
-  });
 })();

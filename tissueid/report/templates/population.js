@@ -3,8 +3,6 @@
 (() => {
   const found = JSON.parse(document.getElementById("population").textContent);
   const chosen = document.getElementById("quantity");
-  const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
-  const faint = (name, opacity) => colour(name).replace(/^#(..)(..)(..)$/, (_, r, g, b) => `rgba(${[r, g, b].map((part) => parseInt(part, 16)).join(",")},${opacity})`);
   const level = (y, dash, width) => ({ type: "line", xref: "paper", x0: 0, x1: 1, y0: y, y1: y, line: { color: colour("model"), width: width, dash: dash } });
   const bar = (low, high, value) => ({ type: "data", symmetric: false, array: high.map((v, i) => v - value[i]), arrayminus: low.map((v, i) => value[i] - v), thickness: 1, width: 0 });
 
@@ -74,29 +72,6 @@
     },
   };
 
-  const axis = (title) => ({ title: { text: title }, gridcolor: colour("line"), zerolinecolor: colour("soft"), linecolor: colour("line"), automargin: true });
-  const draw = (box) => {
-    const figure = figures[box.dataset.figure]();
-    const extra = figure.layout ?? {};
-    const layout = {
-      margin: { l: 56, r: 12, t: 28, b: 48 }, paper_bgcolor: colour("paper"), plot_bgcolor: colour("paper"),
-      font: { color: colour("ink"), family: "system-ui, sans-serif", size: 13 },
-      legend: { orientation: "h", x: 0, y: 1.02, yanchor: "bottom" }, hovermode: "closest", ...extra,
-      xaxis: { ...axis(figure.x), ...extra.xaxis }, yaxis: { ...axis(figure.y), ...extra.yaxis },
-    };
-    box.dataset.drawn = "yes";
-    return Plotly.react(box, figure.traces, layout, { responsive: true, displaylogo: false, displayModeBar: "hover", modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"] });
-  };
-  const boxes = [...document.querySelectorAll("[data-figure]")];
-  const seen = new IntersectionObserver((entries) => {
-    for (const entry of entries) {
-      if (entry.isIntersecting && !entry.target.dataset.drawn) draw(entry.target);
-    }
-  }, { rootMargin: "300px" });
-  boxes.forEach((box) => seen.observe(box));
-  const again = () => boxes.filter((box) => box.dataset.drawn).forEach(draw);
-  chosen.addEventListener("change", again);
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", again);
-  matchMedia("print").addEventListener("change", again);
-  addEventListener("beforeprint", () => boxes.forEach(draw));
+  const redraw = figureBoxes((box) => figures[box.dataset.figure]());
+  chosen.addEventListener("change", () => redraw());
 })();

@@ -4,7 +4,6 @@
   const check = JSON.parse(document.getElementById("check").textContent);
   const total = check.simulations;
   const z = check.bands.points;
-  const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
   const difference = (counts) => [0, ...counts.map((count, i) => count / total - z[i]), 0];
   const abscissa = [0, ...z, 1];
 
@@ -12,7 +11,7 @@
     const low = difference(check.bands[name].low);
     const high = difference(check.bands[name].high);
     const hidden = { mode: "lines", line: { width: 0 }, hoverinfo: "skip" };
-    const fill = colour("data").replace(/^#(..)(..)(..)$/, (_, r, g, b) => `rgba(${[r, g, b].map((part) => parseInt(part, 16)).join(",")},${opacity})`);
+    const fill = faint("data", opacity);
     return [
       { ...hidden, x: abscissa, y: low, showlegend: false },
       { ...hidden, x: abscissa, y: high, fill: "tonexty", fillcolor: fill, name: words },
@@ -39,27 +38,5 @@
     },
   };
 
-  const axis = (title) => ({ title: { text: title }, gridcolor: colour("line"), zerolinecolor: colour("soft"), linecolor: colour("line"), automargin: true });
-  const draw = (box) => {
-    const figure = figures[box.dataset.figure](check.parameters[Number(box.dataset.parameter)]);
-    const layout = {
-      margin: { l: 56, r: 12, t: 28, b: 48 }, paper_bgcolor: colour("paper"), plot_bgcolor: colour("paper"),
-      font: { color: colour("ink"), family: "system-ui, sans-serif", size: 13 },
-      xaxis: { ...axis(figure.x), range: [0, 1] }, yaxis: axis(figure.y),
-      legend: { orientation: "h", x: 0, y: 1.02, yanchor: "bottom" }, hovermode: "closest",
-    };
-    box.dataset.drawn = "yes";
-    return Plotly.react(box, figure.traces, layout, { responsive: true, displaylogo: false, displayModeBar: "hover", modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"] });
-  };
-  const boxes = [...document.querySelectorAll("[data-figure]")];
-  const seen = new IntersectionObserver((entries) => {
-    for (const entry of entries) {
-      if (entry.isIntersecting && !entry.target.dataset.drawn) draw(entry.target);
-    }
-  }, { rootMargin: "300px" });
-  boxes.forEach((box) => seen.observe(box));
-  const again = () => boxes.filter((box) => box.dataset.drawn).forEach(draw);
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", again);
-  matchMedia("print").addEventListener("change", again);
-  addEventListener("beforeprint", () => boxes.forEach(draw));
+  figureBoxes((box) => ({ layout: { xaxis: { range: [0, 1] } }, ...figures[box.dataset.figure](check.parameters[Number(box.dataset.parameter)]) }));
 })();
