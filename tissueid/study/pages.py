@@ -13,7 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from tissueid.report import render_report
-from tissueid.report.cohort_page import cohort_row, render_cohort
+from tissueid.report.index_page import index_row, render_index
 from tissueid.report.page import plotly_script
 from tissueid.store.curves import load_curves
 from tissueid.store.files import write_file
@@ -124,5 +124,5 @@ def _index_page(run: OutputSet, refused: Sequence[str], created: str) -> str:
         record = load_record(run.out / SPECIMENS / one.file)
         if record["fitted"] is not None:
             page = page_path(run.out, one.file).relative_to(run.out).as_posix()
-            rows.append(cohort_row(record["fitted"], page))
-    return render_cohort(rows, refused, created=created)
+            rows.append(index_row(record["fitted"], page))
+    return render_index(rows, refused, created=created)

@@ -9,7 +9,7 @@ from typing import Any
 from tissueid.report.page import asset, page_environment, plotly_script
 from tissueid.report.wording import misfit_raised, verdict
 
-__all__ = ["cohort_row", "render_cohort"]
+__all__ = ["index_row", "render_index"]
 
 #: Parameters of the table.
 _SHOWN = ("static_1_N_per_mm", "relaxation_time_s", "viscosity_N_s_per_mm")
@@ -17,7 +17,7 @@ _SHOWN = ("static_1_N_per_mm", "relaxation_time_s", "viscosity_N_s_per_mm")
 _LISTED = 500
 
 
-def cohort_row(specimen: Mapping[str, Any], page: str) -> dict[str, Any]:
+def index_row(specimen: Mapping[str, Any], page: str) -> dict[str, Any]:
     """A specimen of identification.json as a row of the table.
 
     Parameters
@@ -42,7 +42,7 @@ def cohort_row(specimen: Mapping[str, Any], page: str) -> dict[str, Any]:
     }
 
 
-def render_cohort(
+def render_index(
     rows: Sequence[Mapping[str, Any]],
     refused: Sequence[str],
     *,
@@ -53,7 +53,7 @@ def render_cohort(
     Parameters
     ----------
     rows : sequence of mapping
-        From :func:`cohort_row`.
+        From :func:`index_row`.
     refused : sequence of str
         What was left out, and why.
     created : str, optional
@@ -67,7 +67,7 @@ def render_cohort(
     tally = Counter((row["level"], row["verdict"]) for row in rows)
     return (
         page_environment()
-        .get_template("cohort.html.j2")
+        .get_template("index.html.j2")
         .render(
             title=f"Contact mechanics of {len(rows):,} specimens",
             count=len(rows),
@@ -77,7 +77,7 @@ def render_cohort(
             payload={"rows": rows},
             created=created,
             style=asset("page.css"),
-            script=asset("cohort.js"),
+            script=asset("index.js"),
             plotly=plotly_script(),
         )
     )
