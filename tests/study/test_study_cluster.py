@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 from cohort_lab import numbers_of, write_cohort
-from study_folder import QUICK, REPOSITORY
+from study_folder import QUICK, REPOSITORY, SAMPLED
 
 from tissueid.cli.main import main
 from tissueid.errors import BundleError, UsageError
@@ -109,6 +109,20 @@ def test_a_cohort_on_a_cluster_has_the_numbers_of_this_process(address: str, tmp
     ]
     assert set(codes) <= {0, 4}
     assert numbers_of(tmp_path / "there") == numbers_of(tmp_path / "here")
+
+
+@pytest.mark.slow
+def test_posteriors_of_one_process_of_two_and_of_a_cluster_are_the_same_bits(
+    address: str, tmp_path: Path
+) -> None:
+    lab = write_cohort(tmp_path / "lab", 3)
+    ways = {"one": ("--workers", "1"), "two": ("--workers", "2"), "cluster": ("--scheduler", address)}
+    for out, way in ways.items():
+        assert main(["fit", str(lab), "-o", str(tmp_path / out), *SAMPLED, "-q", *way]) in (0, 4)
+    one = numbers_of(tmp_path / "one")
+    assert [entry["sampler"]["name"] for entry in one["document"]["specimens"]] == ["exact"] * 3
+    assert numbers_of(tmp_path / "two") == one
+    assert numbers_of(tmp_path / "cluster") == one
 
 
 @pytest.mark.slow

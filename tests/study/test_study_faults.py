@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cohort_lab import numbers_of, write_cohort
-from study_folder import QUICK, REPOSITORY
+from study_folder import QUICK, REPOSITORY, SAMPLED
 
 from tissueid.cli.main import main
 from tissueid.errors import BundleError
@@ -25,10 +25,10 @@ SPECIMENS = 4
 PATIENCE_S = 300.0
 
 
-def started(lab: Path, out: Path) -> subprocess.Popen[str]:
+def started(lab: Path, out: Path, options: tuple[str, ...] = QUICK) -> subprocess.Popen[str]:
     """The fit by two processes, in a group of its own so that all of it can be killed."""
     return subprocess.Popen(
-        [sys.executable, "-m", "tissueid", "fit", lab, "-o", out, *QUICK, "-q", "--workers", "2"],
+        [sys.executable, "-m", "tissueid", "fit", lab, "-o", out, *options, "-q", "--workers", "2"],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
@@ -157,6 +157,24 @@ def test_kills_at_twenty_random_moments(
         assert not list(out.rglob(".tmp-*"))
         same += numbers_of(out) == expected
     assert same == 20
+
+
+@pytest.mark.slow
+def test_kills_while_posteriors_are_drawn_change_no_bit_of_them(tmp_path: Path) -> None:
+    lab = write_cohort(tmp_path / "lab", 3)
+    assert main(["fit", str(lab), "-o", str(tmp_path / "once"), *SAMPLED, "-q"]) in (0, 4)
+    out = tmp_path / "out"
+    rng = np.random.default_rng(29)
+    killed = 0
+    for done in (0, 1, 1, 2):
+        with started(lab, out, SAMPLED) as process:
+            if wait_for(out, process, done=done) is not None:
+                time.sleep(float(rng.uniform(0.0, 5.0)))
+                killed += process.poll() is None
+                os.killpg(process.pid, signal.SIGKILL)
+    assert killed >= 2
+    assert main(["fit", str(lab), "-o", str(out), *SAMPLED, "-q"]) in (0, 4)
+    assert numbers_of(out) == numbers_of(tmp_path / "once")
 
 
 @pytest.mark.slow

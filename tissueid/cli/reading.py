@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -13,13 +13,13 @@ import click
 from tissueid.errors import UsageError
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from tissueid.errors import InputError
     from tissueid.ingest import ReadOptions
     from tissueid.manifest import Study
     from tissueid.result import Refusal
     from tissueid.segment import SegmentOptions
+    from tissueid.study.file_list import FileList, Named
+    from tissueid.study.partition import StudyParts
     from tissueid.trial import Trial
 
 __all__ = [
@@ -35,8 +35,6 @@ __all__ = [
     "segment_options",
 ]
 
-#: A file, and the sheet the user named with it.
-_Named = tuple["Path", "str | None"]
 #: Names shown where a pattern fits none.
 FEW_NAMES = 5
 #: No test machine travels ten metres.
@@ -183,7 +181,7 @@ def read_in_order(
     return _read(inputs_in_order(paths, study), options, study)
 
 
-def inputs_in_order(paths: tuple[str, ...], study: Study | None = None) -> list[_Named | Refusal]:
+def inputs_in_order(paths: tuple[str, ...], study: Study | None = None) -> FileList:
     """Files of all paths, each with the sheet that was named; a refusal stands where something was refused.
 
     Raises
@@ -194,16 +192,26 @@ def inputs_in_order(paths: tuple[str, ...], study: Study | None = None) -> list[
     from tissueid.errors import InputError
     from tissueid.ingest import find_inputs
     from tissueid.ingest.manifest import unmatched_files
+    from tissueid.study.file_list import FileList
 
-    found: dict[_Named | Refusal, None] = {} if study is None else dict.fromkeys(unmatched_files(study))
+    found = FileList([] if study is None else dict.fromkeys(unmatched_files(study)))
+    seen: set[tuple[str, str | None] | Refusal] = set()
     for path in paths:
         name, sheet = picked_sheet(path)
         try:
-            found.update(dict.fromkeys((file, sheet) for file in find_inputs([name])))
+            items: Iterable[Named | Refusal] = ((file, sheet) for file in find_inputs([name]))
         except InputError as error:
             # a folder without recordings does not stop the others
-            found[_refusal(error)] = None
-    return list(found)
+            items = [_refusal(error)]
+        for item in items:
+            # one path names no file twice: nothing of it need be remembered
+            if len(paths) > 1:
+                key = (str(item[0]), sheet) if isinstance(item, tuple) else item
+                if key in seen:
+                    continue
+                seen.add(key)
+            found.add(item)
+    return found
 
 
 def picked_sheet(path: str) -> tuple[str, str | None]:
@@ -212,9 +220,7 @@ def picked_sheet(path: str) -> tuple[str, str | None]:
     return (name, sheet) if mark and not os.path.lexists(path) else (path, None)
 
 
-def _read(
-    found: list[_Named | Refusal], options: ReadOptions, study: Study | None
-) -> Iterator[Trial | Refusal]:
+def _read(found: FileList, options: ReadOptions, study: Study | None) -> Iterator[Trial | Refusal]:
     from tissueid.errors import InputError
     from tissueid.result import Refusal
     from tissueid.study.recordings import read_decided
@@ -241,6 +247,11 @@ class PatternCheck:
     def __init__(self, pattern: str | None, study: Study | None) -> None:
         self._pattern = pattern
         self._study = study
+        self._parts: StudyParts | None = None
+        if pattern is not None and study is not None:
+            from tissueid.study.partition import StudyParts
+
+            self._parts = StudyParts(study)
         self._stated = 0
         self._named = 0
         self._missed: list[str] = []
@@ -249,13 +260,14 @@ class PatternCheck:
         """Count one recording."""
         if self._pattern is None:
             return
-        if self._study is not None and "specimen" in self._study.decision(path, sheet).trial:
+        # the part of a study that speaks of this file: asking all of it each time would be quadratic
+        if self._parts is not None and "specimen" in self._parts.of_file(path).decision(path, sheet).trial:
             self._stated += 1
             return
         name = path if sheet is None else f"{path}::{sheet}"
         if re.search(self._pattern, name):
             self._named += 1
-        else:
+        elif len(self._missed) <= FEW_NAMES:
             self._missed.append(name)
 
     def say(self) -> None:

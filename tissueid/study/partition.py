@@ -28,11 +28,12 @@ class StudyParts:
 
     def __init__(self, study: Study) -> None:
         self.study = study
-        self._naming: dict[str, dict[str, list[int]]] = {table: {} for table in _TABLES}
+        # table -> file -> the entries that name it, each with the file's place among those it names
+        self._naming: dict[str, dict[str, list[tuple[int, int]]]] = {table: {} for table in _TABLES}
         for table in _TABLES:
             for number, entry in enumerate(getattr(study, table)):
-                for file in entry.files:
-                    self._naming[table].setdefault(file, []).append(number)
+                for place, file in enumerate(entry.files):
+                    self._naming[table].setdefault(file, []).append((number, place))
 
     def of_file(self, path: str) -> Study:
         """What is said of one file, all its sheets included."""
@@ -49,11 +50,16 @@ class StudyParts:
         tables: dict[str, Any] = {}
         for table in _TABLES:
             entries: tuple[Entry, ...] = getattr(self.study, table)
-            numbers = sorted({number for file in files for number in self._naming[table].get(file, ())})
+            named: dict[int, list[tuple[int, str]]] = {}
+            for file in files:
+                for number, place in self._naming[table].get(file, ()):
+                    named.setdefault(number, []).append((place, file))
+            parts = [
+                replace(entries[number], files=tuple(file for _, file in sorted(named[number])))
+                for number in sorted(named)
+            ]
             tables[table] = tuple(
-                replace(entries[number], files=tuple(file for file in entries[number].files if file in files))
-                for number in numbers
-                if own is None or any(entries[number].names(*one) for one in own)
+                part for part in parts if own is None or any(part.names(*one) for one in own)
             )
         rows = {name: self.study.specimens[name] for name in specimens if name in self.study.specimens}
         return replace(self.study, specimens=rows, **tables)

@@ -40,7 +40,8 @@ class Request:
     Attributes
     ----------
     found : sequence of (path, sheet or None) or Refusal
-        Files in their order; a refusal stands in the place of what was refused.
+        Files in their order; a refusal stands in the place of what was refused.  A
+        :class:`tissueid.study.file_list.FileList` is small however many they are.
     reading : ReadOptions
     study : Study or None
     options : IdentifyOptions

@@ -1,0 +1,78 @@
+"""What a large cohort costs the process that asks: bytes and time a file, not a square of files."""
+
+from __future__ import annotations
+
+import os
+import time
+import tracemalloc
+from pathlib import Path
+
+import pytest
+
+from tissueid.cli.reading import PatternCheck
+from tissueid.manifest import Entry, Study
+from tissueid.result import Refusal
+from tissueid.study.file_list import FileList
+from tissueid.study.partition import StudyParts
+
+FOLDER = Path(os.path.realpath("/")) / "cohort"
+
+
+def names(count: int) -> list[str]:
+    return [str(FOLDER / f"head-{number // 22:05d}" / f"hold-{number % 22}.csv") for number in range(count)]
+
+
+def study(count: int) -> Study:
+    """One table that names all files, one each for every second of them, and an exclusion."""
+    files = tuple(names(count))
+    trials = [Entry({"file": "*", "speed_mm_s": 4.0}, files, 1)]
+    trials += [Entry({"file": one, "specimen": "s"}, (one,), 2) for one in files[::2]]
+    return Study("study.toml", trials=tuple(trials), exclusions=(Entry({"because": "x"}, files[:1], 3),))
+
+
+def test_a_list_of_files_gives_back_what_was_put_in() -> None:
+    refusal = Refusal("b.csv", None, "no_recording", "nothing there")
+    odd = Path(os.fsdecode(b"\xff\xc3\xa9.csv"))
+    items = [(Path("a.csv"), None), refusal, (Path("meat.xlsx"), "FF1A"), (odd, None)]
+    found = FileList(items)
+    assert list(found) == items
+    assert found[-1] == (odd, None)
+    assert list(found[1:3]) == items[1:3]
+    assert len(found) == 4
+    with pytest.raises(IndexError):
+        found[4]
+
+
+def test_a_list_of_files_takes_little_more_than_their_paths() -> None:
+    files = names(20_000)
+    length = sum(map(len, files)) / len(files)
+    tracemalloc.start()
+    found = FileList((Path(file), None) for file in files)
+    held, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert len(found) == 20_000
+    # 8 bytes of place, an eighth of room to grow in each of two arrays, and half as much again for safety
+    assert held / len(files) < 1.5 * (length + 8.0)
+
+
+def test_a_part_of_a_study_decides_as_the_whole_of_it() -> None:
+    whole = study(60)
+    parts = StudyParts(whole)
+    for file in names(62):
+        assert parts.of_file(file).decision(file, None) == whole.decision(file, None)
+    two = names(2)
+    part = parts.of_specimen("s", [(file, None) for file in two])
+    assert [entry.files for entry in part.trials] == [tuple(two), tuple(two[:1])]
+
+
+def test_asking_of_every_file_costs_a_time_for_each_and_not_for_each_pair() -> None:
+    def seconds(count: int) -> float:
+        check = PatternCheck(r"head-\d+", study(count))
+        begin = time.process_time()
+        for file in names(count):
+            check.add(file, None)
+        return time.process_time() - begin
+
+    seconds(100)
+    # eight times the files: 8 times the time, or 64
+    assert seconds(8_000) < 24.0 * seconds(1_000)
