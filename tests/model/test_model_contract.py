@@ -11,9 +11,17 @@ from passive_tissues import DEPTH_MM, tissue
 from tissueid.model import ContactModel, ContactPath, build_model, model_keys
 
 #: A passive theta for (branches, degree of K); a newly registered model enters its own.
-PASSIVE_THETA = {"kelvin-voigt": lambda branches, degree: tissue(branches, degree)[1]}
+PASSIVE_THETA = {
+    "kelvin-voigt": lambda branches, degree: tissue(branches, degree)[1],
+    # chi = 0.69: a withdrawal at any speed keeps the force above zero
+    "hertz-impact": lambda _branches, _degree: np.array([12.0, 1.5, 0.7]),
+}
 
-CASES = list(itertools.product(model_keys(), (1, 2, 3), (0, 1, 2)))
+CASES = [
+    (key, branches, degree)
+    for key, branches, degree in itertools.product(model_keys(), (1, 2, 3), (0, 1, 2))
+    if key == "kelvin-voigt" or (branches, degree) == (1, 0)
+]
 
 
 def loading_path() -> ContactPath:
@@ -25,9 +33,7 @@ def loading_path() -> ContactPath:
         [np.linspace(0.0, 7.5, 120), np.full(40, 7.5), 7.5 - 0.01 * np.arange(1, 21), np.full(20, 7.3)]
     )
     time = np.concatenate([[0.0], np.cumsum(step)])
-    return ContactPath(
-        time, depth, velocity_mm_s=np.gradient(depth, np.maximum.accumulate(time + 1e-9 * np.arange(200)))
-    )
+    return ContactPath(time, depth)
 
 
 @pytest.fixture(params=CASES, ids=lambda case: "-".join(map(str, case)))

@@ -10,11 +10,13 @@ from tissueid.model.base import (
     build_model,
     model_keys,
 )
+from tissueid.model.impact import HertzImpact
 from tissueid.model.kelvin_voigt import KelvinVoigt
 
 __all__ = [
     "ContactModel",
     "ContactPath",
+    "HertzImpact",
     "KelvinVoigt",
     "ParameterSpec",
     "Stepper",
