@@ -10,12 +10,15 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tissueid.cli.output import echo_json, note, output_options
+from tissueid.cli.viewer_serving import served, viewer_options
 
 if TYPE_CHECKING:
     from tissueid.render.options import RenderOptions
+    from tissueid.render.servo import ServoProcess
     from tissueid.render.servo_spawn import SpawnedServo
     from tissueid.render.session import Outcome, Session
     from tissueid.render.session_plan import SessionPlan
+    from tissueid.viewer.serving import ServedViewer
 
 __all__ = ["command"]
 
@@ -28,7 +31,14 @@ Examples:
   tissueid render a.h5 --against b.h5 --blind --log P17.h5
   tissueid render bundle.h5 --replay out.h5
   tissueid render out/population.h5 --draw-specimen 7
+  tissueid render bundle.h5 --device falcon --viewer --host 192.0.2.7
+  tissueid render                                  a tissue that comes along, moved by the mouse
 """
+
+#: Options that choose among the draws of bundles.
+_CHOICES = ("draw", "draw_specimen", "quantile", "against", "against_draw", "against_quantile")
+#: What is felt where nothing was asked for.
+DEMONSTRATED = "paper-a"
 
 _FILE = click.Path(dir_okay=False, path_type=Path)
 
@@ -69,6 +79,7 @@ _SESSION = (
     click.option("--replay", type=_FILE, metavar="LOG", help="Render the motion of a recorded session."),
     click.option("--bridge", metavar="PORT",
                  help="Send positions to PORT by UDP, hear parameters on the next."),
+    click.option("--viewer", is_flag=True, help="Show the session in a browser; a mouse leads --device sim."),
     click.option("--selftest", is_flag=True, help="Measure the servo on this machine, and leave."),
     click.option("--yes", is_flag=True, help="Do not ask for consent: it was given."),
 )  # fmt: skip
@@ -89,10 +100,12 @@ def _options(function: Callable[..., Any]) -> Callable[..., Any]:
 @click.command("render", epilog=EPILOG)
 @click.argument("bundle", required=False, type=_FILE)
 @_options
+@viewer_options
 @output_options
 def command(**flags: Any) -> int:
     """Feel the tissue of a BUNDLE.
 
+    Without a BUNDLE, a tissue that comes along opens in a browser, moved by the mouse.
     Scale and stability are checked, and printed, before any force. No real device has confirmed this
     software: hardware starts at 2 N with the dead-man button on. Without a device, --device sim tries it all.
     """
@@ -100,8 +113,9 @@ def command(**flags: Any) -> int:
 
     if flags["selftest"]:
         return _selftest(flags)
-    with _waiting_servo(flags) as spawned:
-        session = _prepared(flags, spawned)
+    _choose_demonstration(flags)
+    with _viewer(flags) as viewer, _waiting_servo(flags) as spawned:
+        session = _prepared(flags, spawned, viewer)
         try:
             outcome = session.run()
         except DeviceError as error:
@@ -118,6 +132,28 @@ def command(**flags: Any) -> int:
     return exit_code(codes) or (130 if 130 in codes else 0)
 
 
+def _choose_demonstration(flags: dict[str, Any]) -> None:
+    """Nothing asked for: the first thing to see is a tissue that moves under the mouse, without motors."""
+    tissue = ("bundle", "preset", "environment", "replay", "script", *_CHOICES)
+    if flags["name"] == "auto" and not flags["virtual"] and all(flags[name] is None for name in tissue):
+        flags |= {"preset": DEMONSTRATED, "name": "sim", "viewer": True}
+
+
+@contextmanager
+def _viewer(flags: dict[str, Any]) -> Iterator[ServedViewer | None]:
+    """The viewer, where one is wanted."""
+    from tissueid.errors import UsageError
+
+    if not flags["viewer"]:
+        yield None
+        return
+    if flags["virtual"]:
+        msg = "--virtual is over before it is seen: add --log FILE, then `tissueid view FILE`"
+        raise UsageError(msg)
+    with served(flags) as viewer:
+        yield viewer
+
+
 @contextmanager
 def _waiting_servo(flags: dict[str, Any]) -> Iterator[SpawnedServo | None]:
     """A servo's process that loads while the plan is made; none where no clock runs."""
@@ -130,7 +166,7 @@ def _waiting_servo(flags: dict[str, Any]) -> Iterator[SpawnedServo | None]:
         yield spawned
 
 
-def _prepared(flags: dict[str, Any], spawned: SpawnedServo | None) -> Session:
+def _prepared(flags: dict[str, Any], spawned: SpawnedServo | None, viewer: ServedViewer | None) -> Session:
     """Everything that can be refused before a force."""
     from tissueid.cli.render_screen import Keyboard, StatusLine, ask_for_consent
     from tissueid.errors import DeviceError, UsageError
@@ -165,7 +201,16 @@ def _prepared(flags: dict[str, Any], spawned: SpawnedServo | None) -> Session:
         # a hand is needed: said however quiet
         tell=note,
         spawned=spawned,
+        watch=lambda servo: _show(viewer, plan, servo, flags["bundle"]),
     )
+
+
+def _show(viewer: ServedViewer | None, plan: SessionPlan, servo: ServoProcess, bundle: Path | None) -> None:
+    """Show a servo on the viewer, where there is one."""
+    if viewer is not None:
+        from tissueid.viewer.showing import show_session
+
+        show_session(viewer, plan, servo, bundle)
 
 
 def _asked(flags: dict[str, Any]) -> RenderOptions:
@@ -197,6 +242,7 @@ def _asked(flags: dict[str, Any]) -> RenderOptions:
         replay=flags["replay"],
         virtual=flags["virtual"],
         bridge=flags["bridge"] is not None,
+        led=flags["viewer"],
     )
 
 

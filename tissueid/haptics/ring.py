@@ -10,6 +10,7 @@ Layout: 64 bytes of head (magic, capacity, published), then ``capacity`` records
 
 from __future__ import annotations
 
+import fcntl
 import mmap
 import os
 from dataclasses import dataclass
@@ -108,7 +109,7 @@ class Ring:
 
     @classmethod
     def attach(cls, descriptor: int) -> Ring:
-        """The ring behind an inherited descriptor.
+        """The ring behind an inherited descriptor; one that can only be read is mapped for reading.
 
         Raises
         ------
@@ -128,7 +129,10 @@ class Ring:
     def _mapped(cls, descriptor: int, capacity: int) -> Ring:
         # every page at once: a page that is met for the first time in a tick costs more than the tick
         shared = mmap.MAP_SHARED | mmap.MAP_POPULATE
-        memory = mmap.mmap(descriptor, HEAD_BYTES + capacity * RECORD.itemsize, flags=shared)
+        protection = mmap.PROT_READ
+        if fcntl.fcntl(descriptor, fcntl.F_GETFL) & os.O_ACCMODE == os.O_RDWR:
+            protection |= mmap.PROT_WRITE
+        memory = mmap.mmap(descriptor, HEAD_BYTES + capacity * RECORD.itemsize, flags=shared, prot=protection)
         return cls(
             descriptor,
             np.frombuffer(memory, np.int64, HEAD_BYTES // 8),
@@ -145,6 +149,10 @@ class Ring:
         count = self.published
         self.records[count % self.records.size] = record
         publish(self.head, count + 1)
+
+    def read_only(self) -> int:
+        """A new descriptor of the memory through which nobody can write."""
+        return os.open(f"/proc/self/fd/{self.descriptor}", os.O_RDONLY | os.O_CLOEXEC)
 
     def reader(self, *, from_start: bool = False) -> RingReader:
         """A reader of its own pace, from now on or from the oldest record."""

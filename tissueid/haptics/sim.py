@@ -49,6 +49,7 @@ from tissueid.haptics.device import (
 )
 from tissueid.haptics.hand import Hand
 from tissueid.haptics.limits import GuardLimits
+from tissueid.haptics.shared_hand import SharedHand
 from tissueid.haptics.sim_kernels import (
     BUTTONS,
     DELAY,
@@ -217,6 +218,11 @@ class SimulatedDevice(HapticDevice):
         self.parameters[POINTER : POINTER + 3] = point
         self.parameters[POINTER_ON] = 1.0
         self.parameters[RIGID] = 0.0
+
+    def share(self, hand: SharedHand) -> None:
+        """Work on parameters in shared memory from now on, so that another process can lead the hand."""
+        hand.parameters[:] = self.parameters
+        self.parameters = hand.parameters
 
     def press(self, buttons: int) -> None:
         """Hold these buttons from now on."""

@@ -49,6 +49,8 @@ class RenderOptions:
         As fast as it can be computed.
     bridge : bool
         Whether another program moves the session.
+    led : bool
+        Whether a pointer may lead the hand of the simulated device, where no script does.
     """
 
     bundle: Path | None = None
@@ -77,3 +79,4 @@ class RenderOptions:
     replay: Path | None = None
     virtual: bool = False
     bridge: bool = False
+    led: bool = False

@@ -15,8 +15,10 @@ from numpy.typing import NDArray
 
 from tissueid.errors import DeviceError, UsageError
 from tissueid.haptics.device import Capabilities, HapticDevice
+from tissueid.haptics.hand import Hand
 from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.registry import HARDWARE, choose_device, device_class, environment_law
+from tissueid.haptics.sim import carried
 from tissueid.render.blind import BlindOrder, check_pseudonym, draw_order
 from tissueid.render.choice import (
     Functional,
@@ -57,6 +59,8 @@ S_PER_MIN = 60.0
 #: Share of the identified depth that a simulated grip shows where no script was given.
 DEMONSTRATED_DEPTH = 0.75
 DEFAULT_PRESENTATIONS = 10
+#: Height above the tissue at which a hand waits for a pointer [m].
+REST_M = 0.005
 #: Devices that a script can move, and that can run faster than time.
 SIMULATED = "sim"
 
@@ -96,6 +100,12 @@ def plan_session(options: RenderOptions) -> SessionPlan:
             surface_m=_touch_point(surface, radius_m),
             inward=_inward(surface),
         )
+    led = options.led and script is None and choice[0] == SIMULATED
+    if led:
+        rest_m = _touch_point(surface, radius_m) - REST_M * _inward(surface)
+        # a hand that is led may rest while the tissue relaxes: its encoders then stand still in good health
+        given["limits"] = carried(GuardLimits.simulated())
+        given["hand"] = Hand((0.0,), ((float(rest_m[0]), float(rest_m[1]), float(rest_m[2])),), (1.0,))
     plan = SessionPlan(
         device=choice[0],
         device_options=given,
@@ -111,6 +121,7 @@ def plan_session(options: RenderOptions) -> SessionPlan:
         environment=None,
         virtual=options.virtual,
         lines=(choice[1], *_lines(options, picked, check, functional)),
+        led=led,
     )
     return replace(plan, head=session_head(plan, surface.numbers(radius_m), hashes))
 
@@ -186,7 +197,7 @@ def _script(options: RenderOptions, choice: tuple[str, str], first: Picked) -> S
     """What the user wrote; a simulated grip that nobody moves shows three quarters of the depth."""
     if options.script is not None:
         return read_script(options.script)
-    if choice[0] != SIMULATED or options.seconds is not None or options.bridge:
+    if choice[0] != SIMULATED or options.seconds is not None or options.bridge or options.led:
         return None
     depth, speed = DEMONSTRATED_DEPTH * first.tissue.model.depth_mm, S_PER_MIN * first.tissue.speeds_mm_s[1]
     return read_script(

@@ -29,6 +29,7 @@ from tissueid.haptics.parameter_block import (
     ParameterBlock,
 )
 from tissueid.haptics.ring import Ring
+from tissueid.haptics.shared_hand import SharedHand
 from tissueid.render.servo_plan import ServoEnd, ServoPlan, ServoReady, send_plan
 from tissueid.render.servo_spawn import REAP_S, SpawnedServo, spawn_servo
 from tissueid.render.servo_tick import BLOCK_SIZE
@@ -65,6 +66,8 @@ class ServoProcess:
         self._tell = tell
         self.ring = Ring.create()
         self.block = ParameterBlock.create(BLOCK_SIZE)
+        #: Through which a pointer leads the simulated device; None where none may.
+        self.hand = SharedHand.create() if plan.shared_hand else None
         #: What is new in the ring.
         self.records = self.ring.reader()
         #: What the servo said of itself; known after ``start``.
@@ -95,8 +98,9 @@ class ServoProcess:
         if self._spawned is None:
             self._spawned = spawn_servo()
         self._spawned.planned = True
+        shared = [one.descriptor for one in (self.ring, self.block, self.hand) if one is not None]
         with contextlib.suppress(BrokenPipeError, ConnectionResetError):
-            send_plan(self._spawned.owner, self.plan, self.ring.descriptor, self.block.descriptor)
+            send_plan(self._spawned.owner, self.plan, *shared)
         words = self._start_line()
         if words is None or words["event"] != "ready":
             raise self._failure(words, f"did not start within {self._start_timeout_s:.0f} s")
@@ -157,6 +161,8 @@ class ServoProcess:
             self._spawned.close()
         self.ring.close()
         self.block.close()
+        if self.hand is not None:
+            self.hand.close()
 
     def __enter__(self) -> Self:
         self.start()

@@ -45,6 +45,8 @@ class ServoPlan:
         Most ticks to run.
     alive_wanted : bool
         Whether 500 ms without a sign of life take the force away.
+    shared_hand : bool
+        Whether the hand of the simulated device lies in shared memory, for a pointer; no other device's does.
     """
 
     device: str
@@ -53,6 +55,7 @@ class ServoPlan:
     period_ns: int = 1_000_000
     ticks: int = NO_END
     alive_wanted: bool = True
+    shared_hand: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,16 +125,16 @@ class ServoEnd:
         )
 
 
-def send_plan(descriptor: int, plan: ServoPlan, ring: int, block: int) -> None:
+def send_plan(descriptor: int, plan: ServoPlan, ring: int, block: int, *hand: int) -> None:
     """Send a plan and the descriptors of the shared memories through the owner's socket."""
     data = pickle.dumps(plan)
     with _socket(descriptor) as there:
-        socket.send_fds(there, [len(data).to_bytes(_LENGTH_BYTES, "little")], [ring, block])
+        socket.send_fds(there, [len(data).to_bytes(_LENGTH_BYTES, "little")], [ring, block, *hand])
         there.sendall(data)
 
 
-def receive_plan(descriptor: int) -> tuple[ServoPlan, int, int]:
-    """The plan that :func:`send_plan` sent, and this process's own descriptors of the shared memories.
+def receive_plan(descriptor: int) -> tuple[ServoPlan, list[int]]:
+    """The plan that :func:`send_plan` sent, and this process's own descriptors: ring, block, perhaps a hand.
 
     Raises
     ------
@@ -140,7 +143,7 @@ def receive_plan(descriptor: int) -> tuple[ServoPlan, int, int]:
     """
     data = b""
     with _socket(descriptor) as there:
-        head, shared, _, _ = socket.recv_fds(there, _LENGTH_BYTES, 2)
+        head, shared, _, _ = socket.recv_fds(there, _LENGTH_BYTES, 3)
         if len(head) < _LENGTH_BYTES:
             raise EOFError
         size = int.from_bytes(head, "little")
@@ -151,8 +154,7 @@ def receive_plan(descriptor: int) -> tuple[ServoPlan, int, int]:
             data += got
     # the sender is the process that spawned this one, over a socket nobody else has
     plan: ServoPlan = pickle.loads(data)  # noqa: S301
-    ring, block = shared
-    return plan, ring, block
+    return plan, shared
 
 
 @contextmanager

@@ -24,6 +24,8 @@ from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.parameter_block import ParameterBlock
 from tissueid.haptics.registry import device_class, environment_law
 from tissueid.haptics.ring import Ring
+from tissueid.haptics.shared_hand import SharedHand
+from tissueid.haptics.sim import SimulatedDevice
 from tissueid.haptics.states import FAULT_WORDS, Fault
 from tissueid.render.kernel_cache import forget_stale_kernels, kernel_modules
 from tissueid.render.servo_io import PythonIO, compiled_io
@@ -91,6 +93,20 @@ def _reach(device: HapticDevice, law: str | None) -> tuple[Any, bool]:
     return (PythonIO(device), False) if given is None else (compiled_io(given), compiles)
 
 
+def _share_hand(device: HapticDevice, hand: SharedHand) -> None:
+    """Let a pointer lead a simulated hand.
+
+    Raises
+    ------
+    DeviceError
+        The device is another: only a hand of a real person moves it.
+    """
+    if not isinstance(device, SimulatedDevice):
+        msg = f"{device.name}: a pointer leads the simulated device alone"
+        raise DeviceError(msg)
+    device.share(hand)
+
+
 def _end(reason: int, servo: Servo, device: HapticDevice, plan: ServoPlan, timing: Any) -> ServoEnd:
     """The figures of a session."""
     counters = servo.counters
@@ -106,7 +122,14 @@ def _end(reason: int, servo: Servo, device: HapticDevice, plan: ServoPlan, timin
     )
 
 
-def run_plan(plan: ServoPlan, ring: Ring, block: ParameterBlock, owner: int, report: int) -> ServoEnd:
+def run_plan(
+    plan: ServoPlan,
+    ring: Ring,
+    block: ParameterBlock,
+    owner: int,
+    report: int,
+    hand: SharedHand | None = None,
+) -> ServoEnd:
     """Open the device, run the loop, close the device.
 
     Parameters
@@ -118,14 +141,18 @@ def run_plan(plan: ServoPlan, ring: Ring, block: ParameterBlock, owner: int, rep
         Descriptor whose end of file is the owner's death.
     report : int
         Descriptor for lines of JSON.
+    hand : SharedHand, optional
+        Through which a pointer leads the simulated device.
 
     Raises
     ------
     DeviceError, UsageError
-        The device can't be used.
+        The device can't be used, or is none that a pointer may lead.
     """
     with SignalWatch() as signals:
         device = device_class(plan.device)(**plan.options)
+        if hand is not None:
+            _share_hand(device, hand)
         device.tell = lambda sentence: send_line(report, event="told", sentence=sentence)
         device.while_waiting = lambda: _must_be_owned(owner)
         try:
@@ -168,8 +195,10 @@ def main(arguments: list[str]) -> int:
     # numba sets itself up at the first call: while the owner decides, not when it waits
     transition(new_guard(), GuardLimits().block(), SHUT)
     try:
-        plan, ring, block = receive_plan(owner)
-        end = run_plan(plan, Ring.attach(ring), ParameterBlock.attach(block), owner, report)
+        plan, shared = receive_plan(owner)
+        ring, block = shared[:2]
+        hand = SharedHand.attach(shared[2]) if len(shared) > 2 else None
+        end = run_plan(plan, Ring.attach(ring), ParameterBlock.attach(block), owner, report, hand)
     except TissueidError as error:
         send_line(report, event="failed", kind=type(error).__name__, message=error.message)
         return error.exit_status

@@ -105,6 +105,8 @@ class Session:
         Told what a device asks of its user while it is homed.
     spawned : SpawnedServo, optional
         A process that waits for the plan; its owner closes it, whether it was taken or not.
+    watch : callable, optional
+        Given the servo before its first tick, for its records and, in a simulation, its hand.
     """
 
     def __init__(
@@ -117,6 +119,7 @@ class Session:
         show: Callable[[Any, SessionSummary], None] = lambda _record, _summary: None,
         tell: Callable[[str], None] | None = None,
         spawned: SpawnedServo | None = None,
+        watch: Callable[[ServoProcess], None] = lambda _servo: None,
     ) -> None:
         self.plan = plan
         self.recorder = recorder
@@ -126,6 +129,7 @@ class Session:
         self._show = show
         self._tell = tell
         self._spawned = spawned
+        self._watch = watch
         self._blocks = [block.copy() for block in plan.blocks]
         self._current = 0
         self._wanted = 0
@@ -157,7 +161,9 @@ class Session:
 
     def _live(self, *, uncompiled: bool) -> Outcome:
         plan = self.plan
-        servo_plan = ServoPlan(plan.device, dict(plan.device_options), law=plan.environment)
+        servo_plan = ServoPlan(
+            plan.device, dict(plan.device_options), law=plan.environment, shared_hand=plan.led
+        )
         patience = {"start_timeout_s": HOMING_TIMEOUT_S} if plan.capabilities.hardware else {}
         if uncompiled and self._spawned is not None:
             # whether a process compiles is settled when it starts: this one would
@@ -165,6 +171,7 @@ class Session:
             self._spawned = None
         servo = ServoProcess(servo_plan, tell=self._tell, spawned=self._spawned, **patience)
         servo.block.write(self._blocks[0])
+        self._watch(servo)
         interrupted = False
         with _signals(), servo:
             # asked for before the loop's first ticks are over; the guard waits until it may

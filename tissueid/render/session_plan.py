@@ -52,6 +52,8 @@ class SessionPlan:
     virtual : bool
     lines : tuple of str
         What is printed before force.
+    led : bool
+        Whether a pointer on a screen leads the hand of the simulated device.
     """
 
     device: str
@@ -68,6 +70,7 @@ class SessionPlan:
     environment: str | None
     virtual: bool
     lines: tuple[str, ...]
+    led: bool = False
 
 
 def session_head(plan: SessionPlan, surface: FloatArray, hashes: tuple[str | None, ...]) -> dict[str, Any]:

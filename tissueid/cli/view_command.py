@@ -1,0 +1,62 @@
+"""``tissueid view``: a recorded session, or one that runs elsewhere, in a browser."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from tissueid.cli.output import note, output_options
+from tissueid.cli.viewer_serving import open_browser, served, viewer_options
+
+__all__ = ["command"]
+
+EPILOG = """\b
+Examples:
+  tissueid view out.h5
+  tissueid view 192.0.2.7:8765 --token ABC
+"""
+
+
+@click.command("view", epilog=EPILOG)
+@click.argument("what", metavar="LOG|HOST:PORT")
+@click.option("--token", metavar="TEXT", help="Of the session elsewhere, as its terminal shows it.")
+@viewer_options
+@output_options
+def command(**flags: Any) -> int:
+    """Look at a recorded LOG, or at the session that HOST:PORT serves.
+
+    A log is played as it was felt; the session elsewhere must have been started with --viewer and --host.
+    """
+    what = str(flags["what"])
+    if Path(what).exists() or not _is_address(what):
+        return _play(flags, Path(what))
+    return _open_elsewhere(flags, what)
+
+
+def _is_address(text: str) -> bool:
+    _, colon, port = text.removeprefix("http://").removeprefix("https://").partition("/")[0].rpartition(":")
+    return bool(colon) and port.isascii() and port.isdigit()
+
+
+def _play(flags: dict[str, Any], path: Path) -> int:
+    """Serve a log until Ctrl-C."""
+    from tissueid.viewer.showing import check_log, show_log
+
+    log = check_log(path)
+    with served(flags) as viewer:
+        show_log(viewer, log, path)
+        note("Ctrl-C: end", quiet=flags["quiet"])
+        return viewer.wait()
+
+
+def _open_elsewhere(flags: dict[str, Any], what: str) -> int:
+    """Open the page of a session that is served already, once it answers."""
+    from tissueid.viewer.elsewhere import reach
+
+    url = reach(what, flags["token"])
+    click.echo(f"viewer     {url}", err=True)
+    if not flags["no_browser"]:
+        open_browser(url)
+    return 0

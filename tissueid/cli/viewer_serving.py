@@ -1,0 +1,84 @@
+"""The viewer for sub-commands: its options, its address in the terminal, a browser that opens it."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from tissueid.cli.output import note
+
+if TYPE_CHECKING:
+    from tissueid.viewer.serving import ServedViewer
+
+__all__ = ["open_browser", "served", "viewer_options"]
+
+_FILE = click.Path(dir_okay=False, path_type=Path)
+#: One of these is set where a browser has a screen.
+SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
+
+
+def viewer_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Where a viewer is served, and to whom."""
+    for option in reversed(
+        (
+            click.option("--no-browser", is_flag=True, help="Print the viewer's address, open nothing."),
+            click.option("--host", metavar="ADDRESS", default="127.0.0.1", show_default=True,
+                         help="Serve the viewer to other machines, with a token in its address."),
+            click.option("--viewer-port", type=click.IntRange(1, 65535), metavar="N",
+                         help="Of the viewer. [default: 8765, or a free one]"),
+            click.option("--certificate", type=_FILE, metavar="FILE", help="Serve the viewer by TLS ..."),
+            click.option("--certificate-key", type=_FILE, metavar="FILE", help="... with this key."),
+        )
+    ):  # fmt: skip
+        function = option(function)
+    return function
+
+
+@contextmanager
+def served(flags: dict[str, Any]) -> Iterator[ServedViewer]:
+    """A viewer that is served from now on; its address is printed."""
+    from tissueid.viewer.bundling import BUNDLE
+    from tissueid.viewer.serving import ServedViewer, ViewerOptions
+
+    options = ViewerOptions(
+        flags["host"], flags["viewer_port"], flags["certificate"], flags["certificate_key"]
+    )
+    with ServedViewer(options) as viewer:
+        # what was asked for is told however quiet: nobody guesses a token
+        click.echo(f"viewer     {viewer.url}", err=True)
+        if viewer.access.token is not None:
+            _show_code(viewer.url)
+            if not viewer.access.tls:
+                note(
+                    "the picture goes over the network unencrypted: --certificate and --certificate-key "
+                    "encrypt it",
+                    quiet=flags["quiet"],
+                )
+        if not (BUNDLE / "index.html").is_file():
+            note("the viewer's page was not built here: `python -m tissueid.viewer.bundling` builds it")
+        elif not flags["no_browser"]:
+            open_browser(viewer.url)
+        yield viewer
+
+
+def _show_code(url: str) -> None:
+    """A QR code of the address, on a terminal only."""
+    if sys.stderr.isatty():
+        from tissueid.viewer.code import terminal_code
+
+        click.echo(terminal_code(url), err=True)
+
+
+def open_browser(url: str) -> None:
+    """Open the user's browser, where there is a screen for it."""
+    if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in SCREENS):
+        return
+    import webbrowser
+
+    webbrowser.open(url)

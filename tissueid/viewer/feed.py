@@ -1,0 +1,161 @@
+"""The newest samples for every client, each at its own pace: nobody waits for anybody.
+
+A feed keeps the last seconds of samples.  A client has a cursor of its own; whoever falls behind by more than
+:data:`MOST_SAMPLES` goes on with the newest and knows how many were left out.  How many frames a client may
+have unanswered is limited (:data:`MOST_UNANSWERED`): a slow or hung one is not sent what it can't draw, so
+that nothing old piles up in its connection and what it sees first afterwards is the present.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.haptics.ring import Ring
+from tissueid.viewer.frames import SAMPLE, samples_of, write_frame
+
+__all__ = ["MOST_SAMPLES", "MOST_UNANSWERED", "Client", "LiveFeed", "Source"]
+
+Samples = NDArray[Any]
+
+#: Samples in one frame, and the furthest a client may lie behind: 2 s at 1 kHz, 144 kB.
+MOST_SAMPLES = 2000
+#: Frames on their way to a client that has not answered: a picture of 60 ms at 100 frames/s, and a network.
+MOST_UNANSWERED = 12
+#: Samples kept: some more than any client may ask for.
+KEPT = 4096
+
+
+class Source(Protocol):
+    """Where a client's samples come from."""
+
+    @property
+    def published(self) -> int:
+        """Number of samples so far."""
+
+    @property
+    def ended(self) -> bool:
+        """Whether no more will come."""
+
+    def now_s(self) -> float:
+        """The clock of the samples' times [s]."""
+
+    def between(self, first: int, end: int) -> Samples:
+        """Samples ``first`` to ``end``, which lie among the last :data:`MOST_SAMPLES`."""
+
+
+class LiveFeed:
+    """Samples of a running servo.
+
+    Parameters
+    ----------
+    ring : Ring
+        Read, never written.
+    """
+
+    def __init__(self, ring: Ring) -> None:
+        self._reader = ring.reader(from_start=True)
+        self._kept = np.zeros(KEPT, SAMPLE)
+        self._published = 0
+        self._ended = False
+
+    @property
+    def published(self) -> int:
+        """Number of samples so far, those that came too fast for this feed included."""
+        return self._published
+
+    @property
+    def ended(self) -> bool:
+        """Whether the session has ended."""
+        return self._ended
+
+    def end(self) -> None:
+        """No more samples will come."""
+        self.pump()
+        self._ended = True
+
+    def now_s(self) -> float:
+        """CLOCK_MONOTONIC, the servo's [s]."""
+        return time.monotonic()
+
+    def pump(self) -> int:
+        """Take what is new in the ring; how much that was."""
+        records, overrun = self._reader.read_new()
+        new = samples_of(records[-KEPT:])
+        self._published += records.size + overrun
+        slots = np.arange(self._published - new.size, self._published) % KEPT
+        self._kept[slots] = new
+        return int(records.size)
+
+    def between(self, first: int, end: int) -> Samples:
+        """Samples ``first`` to ``end``."""
+        return self._kept[np.arange(first, end) % KEPT]
+
+
+class Client:
+    """Cursor and credit of one client.
+
+    Parameters
+    ----------
+    source : Source
+    name : str
+        Where it is, for messages.
+    """
+
+    def __init__(self, source: Source, name: str) -> None:
+        self.source = source
+        self.name = name
+        #: Samples this client was too slow for.
+        self.dropped = 0
+        self.sent = self.answered = 0
+        self._cursor = max(source.published - MOST_SAMPLES, 0)
+        self._sent_s: deque[float] = deque()
+        self._round_trip_s = 0.0
+        self._said_ended = False
+
+    def next_frame(self) -> bytes | None:
+        """The frame to send now; None where nothing is new, or where too many are unanswered."""
+        if self.sent - self.answered >= MOST_UNANSWERED:
+            return None
+        end, ended = self.source.published, self.source.ended
+        if end == self._cursor and (not ended or self._said_ended):
+            return None
+        first = max(self._cursor, end - MOST_SAMPLES)
+        self.dropped += first - self._cursor
+        samples = self.source.between(first, end)
+        self._cursor, self._said_ended = end, ended
+        self.sent += 1
+        self._sent_s.append(time.monotonic())
+        return write_frame(
+            samples,
+            first=first,
+            now_s=self.source.now_s(),
+            dropped=self.dropped,
+            round_trip_us=round(1e6 * self._round_trip_s),
+            ended=ended,
+        )
+
+    def rewind(self) -> None:
+        """The source has moved: go on with what is newest there."""
+        self._cursor = max(self.source.published - MOST_SAMPLES, 0)
+        self._said_ended = False
+
+    def answer(self, count: int) -> bool:
+        """The client has drawn that many frames; False where it can't have.
+
+        Parameters
+        ----------
+        count : int
+            Frames received since the connection began.
+        """
+        if not self.answered <= count <= self.sent:
+            return False
+        now = time.monotonic()
+        for _ in range(count - self.answered):
+            self._round_trip_s = now - self._sent_s.popleft()
+        self.answered = count
+        return True

@@ -1,0 +1,166 @@
+"""Records of the servo as binary frames of a websocket, version 1.
+
+One message is a head of 32 bytes and ``count`` samples of 72 bytes, all little-endian::
+
+    head    magic "TF" (2 bytes), version u1, flags u1 (bit 0: the source has ended), count u4,
+            first u8 (number of the first sample since the session began), dropped u4 (samples this client
+            was too slow for, so far), round_trip_us u4 (from a frame to its answer; 0 before the first),
+            now_s f8 (the source's clock when the frame was made)
+    sample  see SAMPLE: time f8, then f4, then integers, each aligned to its size
+
+``time_s`` and ``now_s`` share a clock (CLOCK_MONOTONIC of the servo's machine, or the time of a log), so that
+their difference is the age of a sample.  Positions, forces and the like are rounded to f4, which holds a
+force of 5 N to 0.5 uN.  Before the first frame comes one text message, the hello
+(:mod:`tissueid.viewer.hello`), which repeats this layout: a page reads fields by their names.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["ENDED", "HEAD", "SAMPLE", "VERSION", "Frame", "layout", "read_frame", "samples_of", "write_frame"]
+
+Samples = NDArray[Any]
+
+VERSION = 1
+MAGIC = b"TF"
+#: Flag of a head: no further samples will come.
+ENDED = 1
+
+HEAD = np.dtype(
+    [
+        ("magic", "S2"),
+        ("version", "u1"),
+        ("flags", "u1"),
+        ("count", "<u4"),
+        ("first", "<u8"),
+        ("dropped", "<u4"),
+        ("round_trip_us", "<u4"),
+        ("now_s", "<f8"),
+    ]
+)
+#: One tick, as :data:`tissueid.haptics.ring.RECORD` without the encoders; ``tick`` counts modulo 2**32.
+SAMPLE = np.dtype(
+    [
+        ("time_s", "<f8"),
+        ("tick", "<u4"),
+        ("dt_s", "<f4"),
+        ("position_m", "<f4", (3,)),
+        ("force_N", "<f4", (3,)),
+        ("depth_mm", "<f4"),
+        ("tissue_force_N", "<f4"),
+        ("speed_mm_per_s", "<f4"),
+        ("energy_J", "<f4"),
+        ("lamps", "<u4"),
+        ("missed", "<u2"),
+        ("label", "<u2"),
+        ("buttons", "<u2"),
+        ("state", "u1"),
+        ("fault", "u1"),
+    ]
+)
+_TICKS = 2**32
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """A frame that was read.
+
+    Attributes
+    ----------
+    first : int
+        Number of the first sample since the session began.
+    samples : ndarray of SAMPLE, shape (n,)
+    dropped : int
+        Samples this client was too slow for, so far.
+    round_trip_us : int
+    now_s : float
+        The source's clock when the frame was made [s].
+    ended : bool
+    """
+
+    first: int
+    samples: Samples
+    dropped: int
+    round_trip_us: int
+    now_s: float
+    ended: bool
+
+
+def layout() -> list[list[Any]]:
+    """Name, numpy type, shape and offset of every field of a sample, for the hello."""
+    assert SAMPLE.fields is not None  # noqa: S101 -- a structured type has fields
+    return [
+        [name, kind.base.str, list(kind.shape), offset] for name, (kind, offset, *_) in SAMPLE.fields.items()
+    ]
+
+
+def samples_of(records: NDArray[Any]) -> Samples:
+    """Records of a ring or a log as samples.
+
+    Parameters
+    ----------
+    records : structured ndarray, shape (n,)
+        Fields by name; what it lacks is 0.
+    """
+    samples = np.zeros(records.size, SAMPLE)
+    for name in set(SAMPLE.names or ()) & set(records.dtype.names or ()):
+        samples[name] = records[name] % _TICKS if name == "tick" else records[name]
+    return samples
+
+
+def write_frame(
+    samples: Samples,
+    *,
+    first: int,
+    now_s: float,
+    dropped: int = 0,
+    round_trip_us: int = 0,
+    ended: bool = False,
+) -> bytes:
+    """One message.
+
+    Parameters
+    ----------
+    samples : ndarray of SAMPLE, shape (n,)
+    first, dropped, round_trip_us, now_s, ended
+        As in :class:`Frame`.
+    """
+    head = np.zeros((), HEAD)
+    head["magic"], head["version"] = MAGIC, VERSION
+    head["flags"] = ENDED if ended else 0
+    head["count"], head["first"], head["now_s"] = samples.size, first, now_s
+    head["dropped"], head["round_trip_us"] = min(dropped, _TICKS - 1), min(round_trip_us, _TICKS - 1)
+    return head.tobytes() + samples.tobytes()
+
+
+def read_frame(data: bytes) -> Frame:
+    """The inverse of :func:`write_frame`.
+
+    Raises
+    ------
+    ValueError
+        It is no frame of this version, or not whole.
+    """
+    if len(data) < HEAD.itemsize:
+        msg = f"a frame has a head of {HEAD.itemsize} bytes, this one is {len(data)} bytes long"
+        raise ValueError(msg)
+    head = np.frombuffer(data, HEAD, 1)[0]
+    if head["magic"] != MAGIC or head["version"] != VERSION:
+        msg = f"no frame of version {VERSION}: it begins with {data[:4]!r}"
+        raise ValueError(msg)
+    if len(data) != HEAD.itemsize + int(head["count"]) * SAMPLE.itemsize:
+        msg = f"a frame of {head['count']} samples can't have {len(data)} bytes"
+        raise ValueError(msg)
+    return Frame(
+        int(head["first"]),
+        np.frombuffer(data, SAMPLE, offset=HEAD.itemsize),
+        int(head["dropped"]),
+        int(head["round_trip_us"]),
+        float(head["now_s"]),
+        bool(head["flags"] & ENDED),
+    )

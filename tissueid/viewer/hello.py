@@ -1,0 +1,152 @@
+"""The first message to a page: what the session holds, so that the page draws no more and no less.
+
+One JSON object, ``{"type": "hello", "v": 1, ...}``:
+
+``session``
+    title, device, scale, tissues, whether it is hardware, blind, a replay, and may be led by a pointer.
+``scene``
+    ``objects``, each with a ``kind`` the page knows how to draw (``surface``, ``tool``, ``workspace``), in
+    metres of the device's frame; a page leaves out kinds it does not know.
+``strips``
+    what is drawn over time: an id, a title, a unit, and ``traces`` with the field of a sample.
+``lamps``
+    an id, a word, what it means, and the bits of ``lamps`` (or ``fault``) that light it.
+``band``
+    :mod:`tissueid.viewer.band`.
+``sample``
+    layout of a sample (:mod:`tissueid.viewer.frames`).
+
+Another scene is another list of objects, strips and lamps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from tissueid.haptics.sim import CENTRE_M, WORKING_RADIUS_M
+from tissueid.haptics.states import FAULT_WORDS, Lamp, State
+from tissueid.viewer.frames import SAMPLE, layout
+
+__all__ = ["PROTOCOL", "Workspace", "hello"]
+
+PROTOCOL = 1
+Workspace = Sequence[tuple[float, float]]
+#: Kinds of surfaces by the number in their block.
+SURFACES = ("plane", "sphere", "box")
+
+#: id, word, meaning, bits.
+LAMPS = (
+    ("saturation", "Saturated", "the force is cut at the device's clamp", Lamp.CLIPPED | Lamp.RMS_LIMITED),
+    ("passivity", "Passivity control", "the controller brakes: energy would be made", Lamp.PASSIVITY),
+    (
+        "outside",
+        "Outside validity",
+        "deeper or faster than the tissue was identified",
+        Lamp.OUTSIDE_DEPTH | Lamp.OUTSIDE_SPEED,
+    ),
+    ("rupture", "Ruptured", "the tissue broke: no force until it is put back", Lamp.RUPTURED),
+    ("timing", "Late tick", "the servo's tick began late, or stalled", Lamp.LATE | Lamp.STALLED),
+)
+STRIPS = (
+    ("force", "Force", "N", (("device_N", "device", "force_N"), ("tissue_N", "tissue", "tissue_force_N"))),
+    ("depth", "Depth in tissue", "mm", (("depth_mm", "depth", "depth_mm"),)),
+    ("loop", "Force over depth", "N, mm", (("loop_N", "tissue", "tissue_force_N"),)),
+    ("energy", "Energy taken from the hand", "mJ", (("energy_mJ", "energy", "energy_J"),)),
+    ("period", "Error of the servo's period", "us", (("period_us", "period", "dt_s"),)),
+)
+
+
+def hello(
+    head: Mapping[str, Any],
+    *,
+    workspace_m: Workspace | None = None,
+    pointer: bool = False,
+    band: Mapping[str, Any] | None = None,
+    replay_s: float | None = None,
+) -> dict[str, Any]:
+    """The hello of a session.
+
+    Parameters
+    ----------
+    head : mapping
+        Of its log, ``schemas/session.schema.json``.
+    workspace_m : sequence of pairs, optional
+        Range along x, y and z; a Falcon's where a log does not say.
+    pointer : bool
+        Whether a page may lead the hand.
+    band : mapping, optional
+    replay_s : float, optional
+        Length of a log that is replayed [s].
+    """
+    if workspace_m is None:
+        workspace_m = [(middle - WORKING_RADIUS_M, middle + WORKING_RADIUS_M) for middle in CENTRE_M]
+    device, tissues = head["device"], head["tissues"]
+    return {
+        "type": "hello",
+        "v": PROTOCOL,
+        "session": {
+            "title": _title(head),
+            "started": head["started"],
+            "device": {key: device[key] for key in ("name", "hardware", "calibrated", "clamp_N")},
+            "scale": head["scale"],
+            "tissues": [
+                {key: tissue[key] for key in ("label", "name", "depth_mm", "fastest_mm_s")}
+                for tissue in tissues
+            ],
+            "blind": bool(head["blind"]),
+            "period_s": head["servo"]["period_s"],
+            "pointer": pointer,
+            "replay_s": replay_s,
+        },
+        "scene": {"kind": "tissue", "objects": _objects(head, workspace_m)},
+        "strips": [
+            {
+                "id": name,
+                "title": title,
+                "unit": unit,
+                "traces": [{"id": one, "label": label, "field": field} for one, label, field in traces],
+            }
+            for name, title, unit, traces in STRIPS
+        ],
+        "lamps": [
+            {"id": name, "word": word, "meaning": meaning, "bits": int(bits)}
+            for name, word, meaning, bits in LAMPS
+        ],
+        "states": {int(state): state.name.lower() for state in State},
+        "faults": {int(fault): words for fault, words in FAULT_WORDS.items()},
+        "band": band,
+        "sample": {"bytes": SAMPLE.itemsize, "fields": layout()},
+    }
+
+
+def _title(head: Mapping[str, Any]) -> str:
+    if head["blind"]:
+        return "blind comparison"
+    if head["environment"] != "tissue":
+        return str(head["environment"])
+    return " against ".join(str(tissue["name"]) for tissue in head["tissues"])
+
+
+def _objects(head: Mapping[str, Any], workspace_m: Workspace) -> list[dict[str, Any]]:
+    """Surface, tool and workspace [m, device frame]."""
+    kind, numbers = int(head["surface"][0]), [float(value) for value in head["surface"]]
+    radius_m = numbers[10]
+    objects: list[dict[str, Any]] = [
+        {"kind": "workspace", "ranges_m": [[float(low), float(high)] for low, high in workspace_m]},
+        {"kind": "tool", "radius_m": radius_m, "force_field": "force_N", "position_field": "position_m"},
+    ]
+    if head["environment"] != "tissue":
+        return objects
+    scale = head["scale"]
+    objects.append(
+        {
+            "kind": "surface",
+            "shape": SURFACES[kind],
+            "point_m": numbers[1:4],
+            "normal": numbers[4:7] if kind == 0 else [0.0, 0.0, 1.0],
+            "size_m": numbers[7:10],
+            "motion_scale": 1.0 if scale is None else float(scale["motion_scale"]),
+        }
+    )
+    return objects

@@ -1,0 +1,158 @@
+"""Who may see a session: this machine by default; another one with a secret that the terminal shows.
+
+* A server listens on loopback unless it is told an address, and then asks for a token of 192 random bits,
+  which stands in the address that is printed.
+* The ``Host`` of every request must be the address that is served: a name that somebody else's DNS turned to
+  this machine (DNS rebinding) is none.  The ``Origin`` of a websocket, which every browser sends, must be the
+  page's own.
+* What is refused is refused before a connection is accepted, and counted; the log tells the first
+  :data:`MOST_TOLD` of each kind.
+"""
+
+from __future__ import annotations
+
+import hmac
+import ipaddress
+import secrets
+import sys
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from tissueid.errors import printable
+
+__all__ = ["LOOPBACK", "Access", "RefusalLog", "is_loopback", "new_token"]
+
+LOOPBACK = "127.0.0.1"
+#: Names of this machine for itself.
+LOCAL_NAMES = ("localhost", "127.0.0.1", "::1")
+TOKEN_BYTES = 24
+#: Refusals of one kind that are told one by one: a flood must not fill a disk.
+MOST_TOLD = 20
+#: What is quoted of a header at most.
+MOST_QUOTED = 120
+
+
+def is_loopback(host: str) -> bool:
+    """Whether an address is reached from this machine alone."""
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def new_token() -> str:
+    """A secret of 192 random bits, fit for an address."""
+    return secrets.token_urlsafe(TOKEN_BYTES)
+
+
+@dataclass(frozen=True, slots=True)
+class Access:
+    """The rules of one server.
+
+    Attributes
+    ----------
+    host : str
+        Address that is listened on; ``0.0.0.0`` and ``::`` are all of this machine.
+    port : int
+    token : str or None
+        None on loopback alone.
+    tls : bool
+    """
+
+    host: str
+    port: int
+    token: str | None = None
+    tls: bool = False
+
+    def __post_init__(self) -> None:
+        if self.token is None and not is_loopback(self.host):
+            msg = f"{self.host} is reached from other machines: a token is needed"
+            raise ValueError(msg)
+
+    def refusal(self, headers: Mapping[str, str], token: str | None, *, websocket: bool) -> str | None:
+        """Why a request is refused, in words for the log; None where it is welcome.
+
+        Parameters
+        ----------
+        headers : mapping
+            Names in small letters.
+        token : str or None
+            From the address of the request.
+        websocket : bool
+            Only these carry data, and an ``Origin``.
+        """
+        host = headers.get("host", "")
+        if not self.names(host):
+            return f"foreign Host {quoted(host)}"
+        if websocket:
+            origin = headers.get("origin")
+            # a program that is no browser sends none, and needs the token all the same
+            if origin is not None and origin.lower() != f"{'https' if self.tls else 'http'}://{host.lower()}":
+                return f"foreign Origin {quoted(origin)}"
+        if self.token is None:
+            return None
+        if token is None:
+            return "no token"
+        return None if hmac.compare_digest(token.encode(), self.token.encode()) else "wrong token"
+
+    def names(self, host: str) -> bool:
+        """Whether a ``Host`` header names this server: an address it listens on, and its port."""
+        name, port = _split(host.lower())
+        if port != self.port:
+            return False
+        if is_loopback(self.host):
+            return name in LOCAL_NAMES or name == self.host
+        if name == self.host.lower():
+            return True
+        try:
+            address = ipaddress.ip_address(name)
+        except ValueError:
+            # any other name could have been turned to this machine by somebody else's DNS
+            return False
+        return self.host in {"0.0.0.0", "::"} or address == _address(self.host)  # noqa: S104
+
+
+def _address(host: str) -> object:
+    try:
+        return ipaddress.ip_address(host)
+    except ValueError:
+        return None
+
+
+def _split(host: str) -> tuple[str, int | None]:
+    """Name and port of a ``Host`` header; None for a port that is none."""
+    name, colon, port = host.rpartition(":")
+    if not colon or name.endswith(":") or (name.startswith("[") and not name.endswith("]")):
+        return host, None
+    return name.strip("[]"), int(port) if port.isascii() and port.isdigit() and len(port) < 6 else None
+
+
+def quoted(text: str) -> str:
+    """A header's value for a log: one line, cut."""
+    return repr(printable(text[:MOST_QUOTED]))
+
+
+class RefusalLog:
+    """Counts what was refused, and tells the first of each kind on standard error."""
+
+    def __init__(self) -> None:
+        self.counts: Counter[str] = Counter()
+
+    def note(self, client: str, why: str) -> None:
+        """Note a refusal.
+
+        Parameters
+        ----------
+        client : str
+            Address of the client.
+        why : str
+            What was wrong with it; its first two words are its kind.
+        """
+        kind = " ".join(why.split()[:2])
+        self.counts[kind] += 1
+        if self.counts[kind] <= MOST_TOLD:
+            last = "; further ones are counted only" if self.counts[kind] == MOST_TOLD else ""
+            print(f"viewer: refused {printable(client)}: {why}{last}", file=sys.stderr, flush=True)  # noqa: T201

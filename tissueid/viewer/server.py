@@ -1,0 +1,289 @@
+"""The server: one page, its bundle, and a websocket that carries samples down and little up.
+
+``/`` is the page, ``/static/`` its bundle, ``/ws`` the samples.  Every request passes
+:class:`tissueid.viewer.security.Access` first.  A message that is none closes its connection with a code
+and is logged: 1003 binary, 1007 no message, 1008 not allowed or too many, 1009 too long.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.responses import FileResponse, HTMLResponse, PlainTextResponse, Response
+from starlette.routing import Mount, Route, WebSocketRoute
+from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from tissueid.viewer.bundling import BUNDLE, missing_bundle_words
+from tissueid.viewer.feed import Client
+from tissueid.viewer.messages import LARGEST_MESSAGE, Answer, Play, Pointer, parse_message
+from tissueid.viewer.playback import Playback
+from tissueid.viewer.security import Access
+from tissueid.viewer.stage import Stage
+
+__all__ = ["MOST_CLIENTS", "TlsFiles", "ViewerServer", "viewer_app"]
+
+MOST_CLIENTS = 16
+#: Messages a client may send in a second: answers at 100 frames/s, and a pointer at twice a screen's rate.
+MOST_MESSAGES = 400
+#: Connections at a time, pages and bundles included.
+MOST_CONNECTIONS = 64
+BINARY, NO_MESSAGE, NOT_ALLOWED, TOO_LONG = 1003, 1007, 1008, 1009
+#: Nothing but the page's own files: what an injected text could load is nothing.
+CONTENT_POLICY = (
+    b"default-src 'self'; script-src 'self'; img-src 'self' data: blob:; style-src 'self'; "
+    b"object-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+
+HEADERS = (
+    (b"content-security-policy", CONTENT_POLICY),
+    (b"x-content-type-options", b"nosniff"),
+    (b"referrer-policy", b"no-referrer"),
+    (b"cross-origin-opener-policy", b"same-origin"),
+    (b"cache-control", b"no-cache"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class TlsFiles:
+    """Files of a certificate and its key."""
+
+    certificate: Path
+    key: Path
+
+
+class Guarded:
+    """Refuses what :class:`Access` refuses, before anything else sees it.
+
+    Parameters
+    ----------
+    app : ASGIApp
+    access : Access
+    stage : Stage
+    """
+
+    def __init__(self, app: ASGIApp, access: Access, stage: Stage) -> None:
+        self._app, self._access, self._stage = app, access, stage
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass on what is welcome."""
+        if scope["type"] not in {"http", "websocket"}:
+            await self._app(scope, receive, send)
+            return
+        why = self._refusal(scope)
+        if why is not None:
+            self._stage.log.note(_name(scope), why)
+            await _refuse(scope, receive, send, why)
+        elif scope["type"] == "websocket":
+            await self._app(scope, receive, send)
+        else:
+            await self._app(scope, receive, _with_headers(send))
+
+    def _refusal(self, scope: Scope) -> str | None:
+        headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
+        if [name for name, _ in scope["headers"]].count(b"host") != 1:
+            return "foreign Host, not one of them"
+        websocket = scope["type"] == "websocket"
+        if websocket and len(self._stage.clients) >= MOST_CLIENTS:
+            return "too many clients"
+        # the bundle is no secret, and no address but the page's carries the token
+        token = self._access.token if scope["path"].startswith("/static/") else _token(scope)
+        return self._access.refusal(headers, token, websocket=websocket)
+
+
+def _token(scope: Scope) -> str | None:
+    from urllib.parse import parse_qs
+
+    found = parse_qs(scope["query_string"].decode("latin-1"), max_num_fields=8).get("token", [])
+    return found[0] if len(found) == 1 else None
+
+
+def _name(scope: Scope) -> str:
+    client = scope.get("client")
+    return "a client" if client is None else f"{client[0]}:{client[1]}"
+
+
+async def _refuse(scope: Scope, receive: Receive, send: Send, why: str) -> None:
+    if scope["type"] == "websocket":
+        # before it is accepted: the handshake is answered with 403
+        await receive()
+        await send({"type": "websocket.close", "code": NOT_ALLOWED, "reason": why[:100]})
+        return
+    words = f"refused: {why}. Open the address that the terminal shows.\n"
+    await PlainTextResponse(words, status_code=403)(scope, receive, _with_headers(send))
+
+
+def _with_headers(send: Send) -> Send:
+    async def sent(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            message["headers"] = [*message.get("headers", ()), *HEADERS]
+        await send(message)
+
+    return sent
+
+
+def viewer_app(stage: Stage, access: Access, *, bundle: Path = BUNDLE) -> ASGIApp:
+    """The application.
+
+    Parameters
+    ----------
+    stage : Stage
+        What is shown.
+    access : Access
+        To whom.
+    bundle : Path
+        Folder of the page.
+    """
+
+    async def page(_request: object) -> Response:
+        file = bundle / "index.html"
+        if not file.is_file():
+            return HTMLResponse(missing_bundle_words(), status_code=503)
+        return FileResponse(file)
+
+    async def samples(websocket: WebSocket) -> None:
+        await _serve_client(websocket, stage)
+
+    @asynccontextmanager
+    async def running(_app: Starlette) -> AsyncIterator[None]:
+        task = asyncio.create_task(stage.run())
+        yield
+        task.cancel()
+
+    app = Starlette(
+        routes=[
+            Route("/", page, methods=["GET"]),
+            Mount("/static", StaticFiles(directory=bundle, check_dir=False)),
+            WebSocketRoute("/ws", samples),
+        ],
+        lifespan=running,
+    )
+    return Guarded(app, access, stage)
+
+
+async def _serve_client(websocket: WebSocket, stage: Stage) -> None:
+    """One client, from its welcome to its end."""
+    name = _name(websocket.scope)
+    await websocket.accept()
+    stage.clients.add(websocket)
+    sending = asyncio.create_task(_send(websocket, stage))
+    try:
+        await _hear(websocket, stage, name)
+    except WebSocketDisconnect as gone:
+        if gone.code == TOO_LONG:
+            stage.log.note(name, f"too long a message, of more than {LARGEST_MESSAGE} bytes")
+    finally:
+        sending.cancel()
+        stage.clients.discard(websocket)
+        if stage.leader is websocket and stage.pointer is not None:
+            # a hand that nobody leads any more leaves the tissue
+            stage.pointer.lead(None)
+            stage.leader = None
+
+
+async def _send(websocket: WebSocket, stage: Stage) -> None:
+    """Hello, then frames as the client can take them."""
+    source = await stage.source()
+    websocket.state.client = client = Client(source, _name(websocket.scope))
+    told = 0
+    # gone while it was sent to: the hearing side ends the client
+    with suppress(WebSocketDisconnect, RuntimeError):
+        assert stage.hello is not None  # noqa: S101 -- known with its source
+        await websocket.send_text(stage.hello)
+        while True:
+            for status in stage.statuses(told):
+                told += 1
+                await websocket.send_text(status)
+            frame = client.next_frame()
+            if frame is not None:
+                await websocket.send_bytes(frame)
+            await stage.news()
+
+
+async def _hear(websocket: WebSocket, stage: Stage, name: str) -> None:
+    """Messages of a client, until one is none."""
+    second, heard = time.monotonic(), 0
+    while True:
+        message = await websocket.receive()
+        if message["type"] == "websocket.disconnect":
+            raise WebSocketDisconnect(message.get("code") or 1000)
+        now = time.monotonic()
+        if now - second >= 1.0:
+            second, heard = now, 0
+        heard += 1
+        code, why = (
+            (NOT_ALLOWED, "too many messages") if heard > MOST_MESSAGES else _obey(websocket, stage, message)
+        )
+        if code:
+            stage.log.note(name, why)
+            await websocket.close(code, why[:100])
+            return
+
+
+def _obey(websocket: WebSocket, stage: Stage, message: Any) -> tuple[int, str]:
+    """Do what a message asks for; else the code to close with, and why."""
+    text = message.get("text")
+    if text is None:
+        return BINARY, "binary message: pages send text"
+    asked = parse_message(text)
+    client: Client | None = getattr(websocket.state, "client", None)
+    if isinstance(asked, Answer) and client is not None and client.answer(asked.count):
+        return 0, ""
+    if isinstance(asked, Pointer):
+        if stage.pointer is None:
+            return NOT_ALLOWED, "pointer refused: no simulated hand is led here"
+        stage.leader = websocket
+        stage.pointer.lead(asked.position_m)
+        return 0, ""
+    if isinstance(asked, Play) and client is not None:
+        if not isinstance(client.source, Playback):
+            return NOT_ALLOWED, "play refused: this is no log"
+        client.source.play(asked)
+        client.rewind()
+        return 0, ""
+    return NO_MESSAGE, "malformed message"
+
+
+class ViewerServer(uvicorn.Server):
+    """The server of one session; signals belong to whoever runs it.
+
+    Parameters
+    ----------
+    stage : Stage
+    access : Access
+    tls : TlsFiles, optional
+    """
+
+    def __init__(self, stage: Stage, access: Access, tls: TlsFiles | None = None) -> None:
+        super().__init__(
+            uvicorn.Config(
+                viewer_app(stage, access),
+                log_config=None,
+                log_level="warning",
+                access_log=False,
+                server_header=False,
+                http="h11",
+                loop="asyncio",
+                ws="websockets-sansio",
+                ws_max_size=LARGEST_MESSAGE,
+                ws_per_message_deflate=False,
+                limit_concurrency=MOST_CONNECTIONS,
+                timeout_graceful_shutdown=1,
+                ssl_certfile=None if tls is None else str(tls.certificate),
+                ssl_keyfile=None if tls is None else str(tls.key),
+            )
+        )
+
+    @contextmanager
+    def capture_signals(self) -> Any:
+        """Leave signals alone."""
+        yield

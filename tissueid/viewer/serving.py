@@ -1,0 +1,197 @@
+"""The owner's side of a viewer: an address, a process that serves it, and what is told to it."""
+
+from __future__ import annotations
+
+import json
+import socket
+import subprocess
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Self
+
+from tissueid.errors import UsageError, printable
+from tissueid.haptics.own_process import own_process
+from tissueid.viewer.security import LOOPBACK, Access, is_loopback, new_token
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+__all__ = ["DEFAULT_PORT", "ServedViewer", "ViewerOptions"]
+
+#: Taken where it is free, so that a page finds a session that was started again.
+DEFAULT_PORT = 8765
+#: The server closes its connections in this time [s], or is killed.
+REAP_S = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class ViewerOptions:
+    """Where a viewer is served.
+
+    Attributes
+    ----------
+    host : str
+        Address to listen on.
+    port : int or None
+        None for :data:`DEFAULT_PORT`, or any that is free.
+    certificate, key : Path or None
+        Files for TLS, both or none.
+    """
+
+    host: str = LOOPBACK
+    port: int | None = None
+    certificate: Path | None = None
+    key: Path | None = None
+
+    def __post_init__(self) -> None:
+        if (self.certificate is None) != (self.key is None):
+            msg = "TLS needs two files: --certificate FILE and --certificate-key FILE"
+            raise UsageError(msg)
+        for file in (self.certificate, self.key):
+            if file is not None and not file.is_file():
+                msg = f"{printable(str(file))}: there is no such file"
+                raise UsageError(msg)
+
+
+class ServedViewer:
+    """A running server, before and while there is a session.
+
+    Parameters
+    ----------
+    options : ViewerOptions
+
+    Raises
+    ------
+    UsageError
+        The address is none of this machine, or its port is taken.
+    """
+
+    def __init__(self, options: ViewerOptions) -> None:
+        listening = _listen(options)
+        port = listening.getsockname()[1]
+        self.access = Access(
+            options.host,
+            port,
+            None if is_loopback(options.host) else new_token(),
+            tls=options.certificate is not None,
+        )
+        theirs, self._link = socket.socketpair()
+        command = own_process("tissueid.viewer.server_process", str(theirs.fileno()), str(listening.fileno()))
+        try:
+            # our own interpreter and module; a session of its own, so that Ctrl-C is the owner's alone
+            self._process = subprocess.Popen(  # noqa: S603
+                command,
+                pass_fds=(theirs.fileno(), listening.fileno()),
+                stdin=subprocess.DEVNULL,
+                start_new_session=True,
+            )
+        finally:
+            theirs.close()
+            listening.close()
+        access = {"host": options.host, "port": port, "token": self.access.token, "tls": self.access.tls}
+        tls = None if options.certificate is None else [str(options.certificate), str(options.key)]
+        self._send({"access": access, "tls": tls})
+
+    @property
+    def url(self) -> str:
+        """Address of the page, with its token."""
+        host = {"0.0.0.0": _own_name(), "::": _own_name()}.get(self.access.host, self.access.host)  # noqa: S104
+        host = f"[{host}]" if ":" in host else host
+        token = "" if self.access.token is None else f"?token={self.access.token}"
+        return f"{'https' if self.access.tls else 'http'}://{host}:{self.access.port}/{token}"
+
+    def show_live(
+        self,
+        hello: Mapping[str, Any],
+        descriptors: list[int],
+        *,
+        rest_m: list[float] | None,
+        workspace_m: list[list[float]],
+    ) -> None:
+        """Show a servo: a ring to be read and, where a page may lead it, the simulated hand."""
+        words = {"hello": hello, "rest_m": rest_m, "workspace_m": workspace_m}
+        self._send({"live": words}, descriptors)
+
+    def show_log(self, hello: Mapping[str, Any], path: Path) -> None:
+        """Play a log."""
+        self._send({"log": {"hello": hello, "path": str(path)}})
+
+    def tell(self, **words: Any) -> None:
+        """A status for all pages."""
+        self._send({"status": words})
+
+    def wait(self) -> int:
+        """Until the server ends; its exit code."""
+        return self._process.wait()
+
+    @property
+    def runs(self) -> bool:
+        """Whether the server is there."""
+        return self._process.poll() is None
+
+    def _send(self, words: Mapping[str, Any], descriptors: list[int] | None = None) -> None:
+        data = json.dumps(words, allow_nan=False).encode() + b"\n"
+        try:
+            sent = socket.send_fds(self._link, [data], descriptors or [])
+            self._link.sendall(data[sent:])
+        except OSError:
+            # a server that died takes the picture away and nothing else: the session goes on
+            return
+
+    def close(self) -> None:
+        """End the server; harmless when called twice."""
+        if self._link.fileno() < 0:
+            return
+        self._send({"end": True})
+        self._link.close()
+        try:
+            self._process.wait(REAP_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _listen(options: ViewerOptions) -> socket.socket:
+    """A socket that listens, on the port wanted or on a free one."""
+    wanted = [options.port] if options.port is not None else [DEFAULT_PORT, 0]
+    for last, port in zip([False] * (len(wanted) - 1) + [True], wanted, strict=True):
+        try:
+            family, kind, protocol, _, address = socket.getaddrinfo(
+                options.host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+            )[0]
+            listening = socket.socket(family, kind, protocol)
+        except (OSError, OverflowError) as error:
+            msg = f"--host {printable(options.host)}: {error}"
+            raise UsageError(msg) from error
+        try:
+            listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            listening.bind(address)
+            listening.listen()
+        except (OSError, OverflowError) as error:
+            listening.close()
+            if last:
+                msg = (
+                    f"the viewer can't listen on {printable(options.host)}, port {port} "
+                    f"({getattr(error, 'strerror', error)}); choose another with --viewer-port or --host"
+                )
+                raise UsageError(msg) from error
+        else:
+            return listening
+    raise AssertionError  # the last port is returned or refused
+
+
+def _own_name() -> str:
+    """An address of this machine that others may reach: that of its default way out."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
+        try:
+            # no packet is sent: a datagram socket that is connected knows its own address
+            asked.connect(("192.0.2.1", 9))
+        except OSError:
+            return LOOPBACK
+        return str(asked.getsockname()[0])

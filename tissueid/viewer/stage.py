@@ -1,0 +1,97 @@
+"""What a server shows at the moment, and the clock that says when there is something new to send."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from tissueid.viewer.feed import LiveFeed, Source
+from tissueid.viewer.pointer import HandPointer
+from tissueid.viewer.security import RefusalLog
+
+__all__ = ["Stage"]
+
+#: Between two looks at the ring [s]: half of it is the mean age it adds, its inverse the frames a second.
+TURN_S = 0.01
+
+
+class Stage:
+    """One session, for all clients.
+
+    Attributes
+    ----------
+    hello : str or None
+        The first message; None until the session is known.
+    pointer : HandPointer or None
+        None where no page may lead a hand.
+    log : RefusalLog
+    clients : set
+        Those connected.
+    """
+
+    def __init__(self) -> None:
+        self.hello: str | None = None
+        self.pointer: HandPointer | None = None
+        self.log = RefusalLog()
+        self.clients: set[object] = set()
+        #: Who led the hand last.
+        self.leader: object = None
+        self._source: Callable[[], Source] | None = None
+        self._feed: LiveFeed | None = None
+        self._known = asyncio.Event()
+        self._news = asyncio.Event()
+        self._statuses: list[str] = []
+
+    def show_live(self, hello: Mapping[str, Any], feed: LiveFeed, pointer: HandPointer | None = None) -> None:
+        """Show a running servo."""
+        self._feed, self.pointer = feed, pointer
+        self._show(hello, lambda: feed)
+
+    def show_log(self, hello: Mapping[str, Any], source: Callable[[], Source]) -> None:
+        """Show a log: a source of its own for each client."""
+        self._show(hello, source)
+
+    def _show(self, hello: Mapping[str, Any], source: Callable[[], Source]) -> None:
+        self.hello, self._source = json.dumps(hello, allow_nan=False), source
+        self._known.set()
+
+    def end(self) -> None:
+        """The servo has ended."""
+        if self._feed is not None:
+            self._feed.end()
+
+    def tell(self, words: Mapping[str, Any]) -> None:
+        """A status for all clients, now and later."""
+        self._statuses.append(json.dumps({"type": "status", **words}, allow_nan=False))
+        self._wake()
+
+    def statuses(self, seen: int) -> list[str]:
+        """Statuses after the first ``seen``."""
+        return self._statuses[seen:]
+
+    async def source(self) -> Source:
+        """A source for a new client, as soon as there is a session."""
+        await self._known.wait()
+        assert self._source is not None  # noqa: S101 -- set before the event
+        if self._feed is not None:
+            self._feed.pump()
+        return self._source()
+
+    async def news(self) -> None:
+        """Wait until there may be something to send."""
+        await self._news.wait()
+
+    async def run(self) -> None:
+        """Look for what is new, for ever; without a client nothing is looked for."""
+        while True:
+            await asyncio.sleep(TURN_S)
+            if self.clients:
+                if self._feed is not None:
+                    self._feed.pump()
+                self._wake()
+
+    def _wake(self) -> None:
+        waiting, self._news = self._news, asyncio.Event()
+        waiting.set()
