@@ -29,9 +29,10 @@ IntArray = NDArray[np.int64]
 EFFECTS, TISSUE, RELAXATION, ALL = 0, 1, 2, 3
 #: Skew, filter and compliance, in this order.
 INSTRUMENT = 3
-#: Newton steps for the force behind a frame, and the change, relative, that ends them.
+#: Newton steps for the force behind a frame, and the change, relative, that ends them: what is left after
+#: it is less than its square.
 NEWTON_STEPS = 40
-NEWTON_DONE = 1e-13
+NEWTON_DONE = 1e-7
 #: Static polynomial: constant to cube.
 STATIC_TERMS = 4
 
@@ -144,42 +145,47 @@ def _balanced(
     phi: FloatArray,
     state: FloatArray,
     k_now: FloatArray,
-) -> tuple[float, float, float]:
-    """Force of a tissue behind a frame, its depth, and its slope; started from a force ``f``."""
+) -> tuple[float, float, float, float]:
+    """Force of a tissue behind a frame, its depth, its slope, and that with the states following.
+
+    Started from a force ``f``.  Slopes are those before the last step, which is too small to change them.
+    """
     w = x - compliance * f
+    tangent = 0.0
+    slope = 0.0
     for _ in range(NEWTON_STEPS):
         law, slope = _law(static, stiffness, w - delta, w - w_old, decayed, phi, state, k_now)
-        if compliance == 0.0:
-            return law, w, slope
         tangent = slope
         for j in range(state.size):
             tangent += k_now[j] * phi[j]
+        if compliance == 0.0:
+            return law, w, slope, tangent
         step = (law - f) / (1.0 + compliance * tangent)
         f += step
         w = x - compliance * f
+        for j in range(state.size):
+            state[j] -= phi[j] * compliance * step
         if abs(step) <= NEWTON_DONE * (1.0 + abs(f)):
             break
-    _, slope = _law(static, stiffness, w - delta, w - w_old, decayed, phi, state, k_now)
-    return f, w, slope
+    return f, w, slope, tangent
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
 def _direct(
-    data: Packed, log: int, theta: FloatArray, f: float, slope: float, w: float, state: FloatArray,
-    kind: int, row: FloatArray,
+    effects: tuple[bool, bool, bool], terms: tuple[int, int], gain: float, u: float, f: float, slope: float,
+    state: FloatArray, kind: int, row: FloatArray,
 ) -> int:  # fmt: skip
     """What each parameter does to the force at a given depth and history; how many come before ln tau."""
-    row[:] = 0.0
-    u = (w - data.delta[log]) / data.scale
-    gain = np.exp(data.gamma[log])
+    with_gain, with_offset, free = effects
+    static, size = terms
     at = 0
-    if data.gain:
+    if with_gain:
         row[0] = f
         at = 1
-    if data.offset:
+    if with_offset:
         row[at] = -slope
         at += 1
-    if data.free:
+    if free:
         power = 1.0
         for k in range(STATIC_TERMS):
             row[at + k] = power
@@ -188,16 +194,17 @@ def _direct(
     if kind < TISSUE:
         return at
     power = gain * u
-    for k in range(data.static):
+    for k in range(static):
         row[at + k] = power
         power *= u
-    size = data.degree + 1
-    for j in range(data.branches):
+    at += static
+    for j in range(state.size):
         power = gain * state[j]
         for k in range(size):
-            row[at + data.static + j * size + k] = power
+            row[at + k] = power
             power *= u
-    return at + theta.size
+        at += size
+    return at
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
@@ -213,24 +220,27 @@ def _by_time(h: float, tau: float, a: float, phi: float, old: float, moved: floa
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
 def _rates(
-    data: Packed, at: int, first: int, last: int, slope: float, compliance: float,
+    before: float, after: float, slope: float, compliance: float,
     k_now: FloatArray, state: FloatArray, tau: FloatArray,
 ) -> tuple[float, float]:  # fmt: skip
-    """Rates of force before and after a knot: the tool's speed there, and branches that let go [N/s]."""
+    """Rates of force before and after a knot, from the tool's speeds and the branches that let go [N/s]."""
     loss = 0.0
     for j in range(state.size):
         slope += k_now[j]
         loss += k_now[j] * state[j] / tau[j]
-    give = 1.0 + compliance * slope
-    left = 0.0
-    right = 0.0
-    if at > first:
-        span = data.time_s[at] - data.time_s[at - 1]
-        left = (slope * (data.depth_mm[at] - data.depth_mm[at - 1]) / span - loss) / give
-    if at < last:
-        span = data.time_s[at + 1] - data.time_s[at]
-        right = (slope * (data.depth_mm[at + 1] - data.depth_mm[at]) / span - loss) / give
-    return left, right
+    give = 1.0 / (1.0 + compliance * slope)
+    return (slope * before - loss) * give, (slope * after - loss) * give
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _weights(time_s: FloatArray, tau: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Weights of every branch over the steps that end at the knots, shape (n, branches)."""
+    a, phi = np.zeros((2, time_s.size, tau.size))
+    # before the first knot the tissue is at rest, wherever the tool is
+    for i in range(1, time_s.size):
+        for j in range(tau.size):
+            a[i, j], phi[i, j] = step_weights(time_s[i] - time_s[i - 1], tau[j])
+    return a, phi
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
@@ -256,52 +266,53 @@ def tissue_path(
     kind : int
         Derivatives that are wanted; negative for none.
     rates : ndarray, shape (3, n)
-        Written: force, its rate before and its rate after each knot.
+        Written: force, its rate before and its rate after each knot; after the last the tool goes on.
     columns : ndarray, shape (c, n)
         Written: derivatives by the effects of the log, by theta, by ln tau, as far as ``kind`` goes.
     """
-    first, last = data.first[log], data.first[log + 1] - 1
-    branches = data.branches
+    time_s = data.time_s[data.first[log] : data.first[log + 1]]
+    depth_mm = data.depth_mm[data.first[log] : data.first[log + 1]]
+    last = time_s.size - 1
+    branches, delta, gain = data.branches, data.delta[log], np.exp(data.gamma[log])
+    effects, terms = (data.gain, data.offset, data.free), (data.static, data.degree + 1)
     static, stiffness = _coefficients(data, log, theta)
     tau = np.exp(log_tau)
+    weights, gains = _weights(time_s, tau)
     total = columns.shape[0] if kind >= EFFECTS else 0
-    state, old, decayed, phi, a, k_now = np.zeros((6, branches))
+    state, old, decayed, k_now = np.zeros((4, branches))
     row, by_depth = np.zeros((2, max(total, 1)))
     by_state = np.zeros((branches, max(total, 1)))
     w = 0.0
     f = 0.0
-    for i in range(last - first + 1):
-        h = data.time_s[first + i] - data.time_s[first + i - 1] if i > 0 else 0.0
+    speed = 0.0
+    for i in range(last + 1):
+        a, phi = weights[i], gains[i]
         for j in range(branches):
             old[j] = state[j]
-            if i > 0:
-                # before the first knot the tissue is at rest, wherever the tool is
-                a[j], phi[j] = step_weights(h, tau[j])
             decayed[j] = a[j] * old[j]
         w_old = w
-        f, w, slope = _balanced(
-            static, stiffness, data.depth_mm[first + i], w_old, data.delta[log], compliance, f,
-            decayed, phi, state, k_now,
-        )  # fmt: skip
+        f, w, slope, tangent = _balanced(
+            static, stiffness, depth_mm[i], w_old, delta, compliance, f, decayed, phi, state, k_now
+        )
+        before = speed
+        h = time_s[i] - time_s[i - 1] if i > 0 else 0.0
+        if i < last:
+            speed = (depth_mm[i + 1] - depth_mm[i]) / (time_s[i + 1] - time_s[i])
         rates[0, i] = f
-        rates[1, i], rates[2, i] = _rates(
-            data, first + i, first, last, slope, compliance, k_now, state, tau
-        )  # fmt: skip
+        rates[1, i], rates[2, i] = _rates(before, speed, slope, compliance, k_now, state, tau)
         if total == 0:
             continue
-        times = _direct(data, log, theta, f, slope, w, state, kind, row)
-        tangent = slope
-        for j in range(branches):
-            tangent += k_now[j] * phi[j]
+        times = _direct(effects, terms, gain, (w - delta) / data.scale, f, slope, state, kind, row)
+        give = 1.0 / (1.0 + compliance * tangent)
         for q in range(total):
-            value = row[q]
+            value = row[q] if q < times else 0.0
             for j in range(branches):
                 carried = a[j] * by_state[j, q] - phi[j] * by_depth[q]
                 if kind >= RELAXATION and q == times + j:
                     carried += _by_time(h, tau[j], a[j], phi[j], old[j], w - w_old)
                 by_state[j, q] = carried
                 value += k_now[j] * carried
-            value /= 1.0 + compliance * tangent
+            value *= give
             columns[q, i] = value
             moved = -compliance * value
             for j in range(branches):

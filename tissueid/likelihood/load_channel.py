@@ -18,13 +18,15 @@ FloatArray = NDArray[np.float64]
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
-def _lag(lag: float, start: float, end: float, span: float, elapsed: float, filter_s: float) -> float:
-    """How far the low-pass is behind, for a rate of force that goes from ``start`` to ``end`` over a span."""
-    ratio = elapsed / filter_s
-    keep = math.exp(-ratio)
-    lost = -filter_s * math.expm1(-ratio)
+def _lag(
+    lag: float, start: float, end: float, span: float, elapsed: float, filter_s: float, lost: float
+) -> float:
+    """How far the low-pass is behind, for a rate of force that goes from ``start`` to ``end`` over a span.
+
+    ``lost`` is what it forgets in the time that has elapsed.
+    """
     bend = (end - start) / span
-    return keep * lag + start * lost + bend * filter_s * (elapsed - lost)
+    return (1.0 - lost) * lag + filter_s * (start * lost + bend * (elapsed - filter_s * lost))
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
@@ -39,10 +41,9 @@ def _lags(
         return lag, lags
     for i in range(1, n):
         h = time_s[i] - time_s[i - 1]
-        lag[i] = _lag(lag[i - 1], rates[2, i - 1], rates[1, i], h, h, filter_s)
-        ratio = h / filter_s
-        keep = math.exp(-ratio)
-        mean = -math.expm1(-ratio) / ratio
+        lost = -math.expm1(-h / filter_s)
+        lag[i] = _lag(lag[i - 1], rates[2, i - 1], rates[1, i], h, h, filter_s, lost)
+        keep, mean = 1.0 - lost, lost * filter_s / h
         for q in range(columns.shape[0]):
             lags[q, i] = keep * lags[q, i - 1] + mean * (columns[q, i] - columns[q, i - 1])
     return lag, lags
@@ -90,9 +91,9 @@ def channel(
         keep = 0.0
         mean = 0.0
         if filter_s > 0.0:
-            y[i] -= _lag(lag[j], rates[2, j], rates[1, j + 1], h, elapsed, filter_s)
-            keep = math.exp(-elapsed / filter_s)
-            mean = (1.0 - keep) * filter_s / h
+            lost = -math.expm1(-elapsed / filter_s)
+            y[i] -= _lag(lag[j], rates[2, j], rates[1, j + 1], h, elapsed, filter_s, lost)
+            keep, mean = 1.0 - lost, lost * filter_s / h
         # beyond the last knot the force goes on as it did
         beyond = time_s[i] - skew_s - time_s[n - 1]
         if beyond > 0.0:
