@@ -1,0 +1,233 @@
+"""Guidance to an axis: against a continuous reference, over closed paths, through the bone."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from tissueid.render import guidance as gd
+from tissueid.render.guidance import GUIDANCE_MEMORY, axial_stiffness, guidance_step
+from tissueid.render.guidance_block import Bone, Funnel, Guidance, Pull
+
+#: A funnel nothing here comes near to.
+WIDE = Funnel(radius_m=0.5, offset_m=0.0, slope=0.01)
+NO_BONE = Bone(radius_m=0.0)
+PULL = Guidance((0.0, 0.0, 0.0), funnel=WIDE, bone=NO_BONE, pull=Pull(100.0, 500.0, 0.02))
+TISSUE_DT = 1e-3
+
+
+class Guided:
+    """A running copy of the environment."""
+
+    def __init__(self, plan: Guidance) -> None:
+        self.block, self.memory = plan.numbers(), np.zeros(GUIDANCE_MEMORY)
+        self.said = np.zeros(5)
+
+    def step(self, position: np.ndarray, dt: float) -> np.ndarray:
+        force = np.zeros(3)
+        guidance_step(self.block, 0, self.memory, np.asarray(position, dtype=float), dt, force, self.said, 0)
+        return force
+
+
+def elastic(plan: Guidance) -> Guidance:
+    """Without the term in the velocity."""
+    return replace(plan, pull=replace(plan.pull, tau_s=0.0))
+
+
+def energy_of_loop(plan: Guidance, loop: np.ndarray) -> float:
+    """Work the environment does on the hand over a closed path [J], by Simpson's rule a piece."""
+    guided = Guided(elastic(plan))
+    forces = np.array([guided.step(point, 0.0) for point in loop])
+    middle = np.array([guided.step(point, 0.0) for point in 0.5 * (loop[1:] + loop[:-1])])
+    mean = (forces[1:] + forces[:-1] + 4.0 * middle) / 6.0
+    return float((mean * np.diff(loop, axis=0)).sum())
+
+
+def square_loop(radius: float, height: float, n: int = 400) -> np.ndarray:
+    """Out at a height, down, in, up."""
+    corners = np.array([[0, 0, height], [radius, 0, height], [radius, 0, 0], [0, 0, 0], [0, 0, height]])
+    return np.concatenate([np.linspace(a, b, n) for a, b in itertools.pairwise(corners)])
+
+
+def test_the_stiffness_rises_as_the_height_falls_and_ends_flat() -> None:
+    block = PULL.numbers()
+    heights = np.array([0.2, 0.05, 0.03, 0.01, 0.0, -0.02])
+    found = [axial_stiffness(block, 0, z, False) for z in heights]
+    assert found[0] == pytest.approx(100.0, abs=1e-6)
+    assert found[-2:] == [500.0, 500.0]
+    assert (np.diff(found[:-1]) > 0.0).all()
+    for z in (0.05, 0.01, 1e-4):
+        difference = (
+            axial_stiffness(block, 0, z + 1e-7, False) - axial_stiffness(block, 0, z - 1e-7, False)
+        ) / 2e-7
+        assert axial_stiffness(block, 0, z, True) == pytest.approx(difference, rel=1e-5)
+    assert axial_stiffness(block, 0, 1e-9, True) == pytest.approx(0.0, abs=1e-2)
+
+
+def test_no_closed_path_gives_energy_but_in_the_paper_s_variant() -> None:
+    rng = np.random.default_rng(7)
+    waves = rng.normal(0.0, 0.01, (3, 3)), rng.normal(0.0, 0.01, (3, 3))
+    angle = np.linspace(0.0, 2.0 * math.pi, 1500)[:, None]
+    order = np.arange(1, 4)
+    tangle = np.sin(angle * order) @ waves[0] + np.cos(angle * order) @ waves[1] + [0.0, 0.0, 0.02]
+    for loop in (square_loop(0.02, 0.05), tangle):
+        assert abs(energy_of_loop(PULL, loop)) <= 1e-6
+    printed = replace(PULL, pull=replace(PULL.pull, conservative=False))
+    # out against K(50 mm), in along K(0): the difference of two springs
+    block = PULL.numbers()
+    expected = 0.5 * (500.0 - axial_stiffness(block, 0, 0.05, False)) * 0.02**2
+    assert energy_of_loop(printed, square_loop(0.02, 0.05)) == pytest.approx(expected, rel=1e-6)
+    assert expected > 0.07
+
+
+def test_wall_and_pull_together_are_conservative_without_damping() -> None:
+    narrow = replace(PULL, funnel=Funnel(restitution=1.0))
+    assert abs(energy_of_loop(narrow, square_loop(0.012, 0.02, 3000))) <= 1e-6
+
+
+def test_the_force_is_that_of_a_continuous_reference_with_the_same_filter() -> None:
+    pull = PULL.pull
+
+    def place(t: float) -> np.ndarray:
+        return np.array(
+            [0.012 * math.sin(5.0 * t), 0.007 * math.cos(8.0 * t) - 0.007, 0.03 - 0.015 * math.sin(3.0 * t)]
+        )
+
+    def filtered(t: float, rate: np.ndarray) -> np.ndarray:
+        speed = np.array([0.06 * math.cos(5.0 * t), -0.056 * math.sin(8.0 * t)])
+        return (speed - rate) / pull.filter_s
+
+    times = np.arange(0.0, 2.0, TISSUE_DT)
+    # the tip rests before it moves
+    rate = solve_ivp(filtered, (0.0, 2.0), np.zeros(2), t_eval=times, rtol=1e-9, atol=1e-12).y
+    guided = Guided(PULL)
+    guided.step(place(0.0), 0.0)
+    worst, peak = 0.0, 0.0
+    for k in range(1, times.size):
+        force = guided.step(place(times[k]), TISSUE_DT)
+        x, y, z = place(times[k])
+        share = math.exp(-0.5 * (z / pull.reach_m) ** 2)
+        stiffness = 100.0 + 400.0 * share
+        expected = np.array(
+            [
+                -stiffness * (x + pull.tau_s * rate[0, k]),
+                -stiffness * (y + pull.tau_s * rate[1, k]),
+                0.5 * 400.0 * share * z / pull.reach_m**2 * (x * x + y * y),
+            ]
+        )
+        worst = max(worst, float(np.abs(force - expected).max()))
+        peak = max(peak, float(np.abs(expected).max()))
+    assert worst <= 0.005 * peak
+
+
+def test_an_axis_anywhere_is_the_same_environment_turned() -> None:
+    rng = np.random.default_rng(3)
+    axis = np.array([0.3, -0.5, 0.8])
+    axis /= np.linalg.norm(axis)
+    # a rotation that takes z to the axis
+    turn = np.column_stack([np.cross([0.0, 1.0, 0.0], axis), np.zeros(3), axis])
+    turn[:, 0] /= np.linalg.norm(turn[:, 0])
+    turn[:, 1] = np.cross(axis, turn[:, 0])
+    entry = np.array([0.01, -0.02, 0.13])
+    plain = Guided(Guidance((0.0, 0.0, 0.0)))
+    turned = Guided(Guidance(tuple(entry), tuple(axis)))
+    path = np.array([0.005, 0.0, 0.004]) + np.cumsum(rng.normal(0.0, 4e-4, (300, 3)), axis=0)
+    for point in path:
+        expected = turn @ plain.step(point, TISSUE_DT)
+        np.testing.assert_allclose(turned.step(entry + turn @ point, TISSUE_DT), expected, atol=1e-9)
+
+
+def test_the_pull_is_zero_on_the_axis_and_steeper_below() -> None:
+    slopes = []
+    for z in (0.05, 0.03, 0.015, 0.0):
+        force = Guided(elastic(PULL)).step(np.array([0.0, 0.0, z]), 0.0)
+        np.testing.assert_array_equal(force, np.zeros(3))
+        slopes.append(-Guided(elastic(PULL)).step(np.array([1e-3, 0.0, z]), 0.0)[0] / 1e-3)
+    assert (np.diff(slopes) > 0.0).all()
+
+
+def test_the_wall_is_felt_outside_the_funnel_only_and_toward_the_axis() -> None:
+    walled = Guidance((0.0, 0.0, 0.0), pull=Pull(0.0, 0.0, 0.02), bone=NO_BONE)
+    guided = Guided(walled)
+    for r in np.arange(0.0, 0.0039, 1e-4):
+        np.testing.assert_array_equal(guided.step(np.array([0.0, r, 0.0]), TISSUE_DT), np.zeros(3))
+    force = guided.step(np.array([0.0, 0.006, 0.0]), TISSUE_DT)
+    assert force[1] < 0.0
+    assert force[2] > 0.0
+    assert force[0] == 0.0
+
+
+def test_the_weight_is_carried_everywhere() -> None:
+    plan = replace(
+        PULL,
+        weight_N=(0.0, 0.0, 1.2),
+        weight_slope_N_per_m=((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, -4.0)),
+        pull=Pull(0.0, 0.0, 0.02),
+    )
+    np.testing.assert_allclose(Guided(plan).step(np.array([0.0, 0.0, 0.05]), 0.0), [0.0, 0.0, 1.0])
+
+
+BONE = Bone(0.024, 800.0, 0.003, 400.0, 0.02)
+DRILLED = Guidance((0.0, 0.0, 0.0), pull=Pull(0.0, 0.0, 0.02), bone=BONE)
+
+
+def test_drilling_is_a_spring_on_a_dashpot_until_the_wire_is_through() -> None:
+    guided, speed, dt = Guided(DRILLED), 0.01, 0.7e-3
+    lag = BONE.resistance_N_s_per_m / BONE.stiffness_N_per_m
+    through = None
+    for k in range(4000):
+        time = k * dt
+        force = guided.step(np.array([0.0, 0.0, 0.001 - speed * time]), dt)
+        pressed = max(time - 0.1, 0.0)
+        # the front lags behind a tip that moves at constant speed: closed form
+        front = speed * (pressed - lag * (1.0 - math.exp(-pressed / lag)))
+        if front < BONE.drill_depth_m:
+            expected = BONE.resistance_N_s_per_m * speed * (1.0 - math.exp(-pressed / lag))
+            assert force[2] == pytest.approx(expected, abs=1e-9)
+        else:
+            through = through or time
+            assert force[2] == 0.0
+    assert through is not None
+    # a second way down the drilled hole is free
+    for z in np.linspace(0.01, -0.015, 200):
+        assert guided.step(np.array([0.0, 0.0, z]), dt)[2] == 0.0
+
+
+def test_the_hole_holds_the_tip_sideways_and_the_ball_pushes_it_off() -> None:
+    guided = Guided(replace(DRILLED, funnel=WIDE))
+    for z in np.linspace(0.002, -0.01, 600):
+        guided.step(np.array([0.0, 0.0, z]), 5e-3)
+    aside = guided.step(np.array([0.0035, 0.0, -0.01]), 1e-9)
+    assert aside[0] == pytest.approx(-BONE.stiffness_N_per_m * 0.0005)
+    # beside the hole the ball is met from above
+    guided = Guided(replace(DRILLED, funnel=WIDE))
+    for z in np.linspace(0.002, -0.003, 50):
+        force = guided.step(np.array([0.006, 0.0, z]), 5e-3)
+    distance = math.hypot(0.006, 0.024 - 0.003)
+    expected = BONE.stiffness_N_per_m * (0.024 - distance)
+    np.testing.assert_allclose(force, expected * np.array([0.006, 0.0, 0.021]) / distance, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"axis": (0.0, 0.0, 0.0)}, "direction"),
+        ({"pull": Pull(500.0, 100.0, 0.02)}, "rise toward the entry"),
+        ({"pull": Pull(tau_s=-0.1)}, "negative"),
+        ({"bone": Bone(hole_radius_m=0.05)}, "narrower"),
+        ({"entry_m": (math.nan, 0.0, 0.0)}, "finite"),
+        ({"funnel": Funnel(kind="cone", slope=0.0)}, "cone"),
+    ],
+)
+def test_numbers_that_guide_nowhere_are_refused(change: dict[str, object], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        replace(PULL, **change)  # type: ignore[arg-type]
+
+
+def test_the_block_has_its_size() -> None:
+    assert PULL.numbers().shape == (gd.GUIDANCE_SIZE,)
