@@ -20,7 +20,13 @@ from numpy.typing import NDArray
 from tissueid.likelihood.cone import cone_least_squares
 from tissueid.likelihood.linearised import Linearised
 from tissueid.likelihood.passive_normal import log_passive_mass
-from tissueid.likelihood.triangular import factor, inverse_factor, sparse_times, weighted_sum
+from tissueid.likelihood.triangular import (
+    factor,
+    inverse_factor,
+    sparse_times,
+    weigh,
+    weighted_sum,
+)
 
 __all__ = [
     "conditionals",
@@ -33,6 +39,7 @@ __all__ = [
 ]
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 #: Reduced gradient, relative, to which the nearest passive theta is sought: a distance good to some 0.01.
 NEAR_ENOUGH = 1e-7
@@ -113,6 +120,30 @@ def _determined(gram: FloatArray, prior: FloatArray) -> float:
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
+def _effects_of(
+    cross: FloatArray, own: FloatArray, coefficient: FloatArray, weights: FloatArray, filled: IntArray,
+    sigma2: float, precision: FloatArray, mixed: FloatArray, x: FloatArray, low: FloatArray,
+) -> None:  # fmt: skip
+    """Effects of one log by theta's columns into ``x``, and the factor of their precision into ``low``."""
+    weigh(coefficient, cross, mixed)
+    for r in range(x.shape[0]):
+        for at in range(filled.shape[0]):
+            x[r, filled[at, 1]] += weights[filled[at, 0], filled[at, 1]] * mixed[r, filled[at, 0]]
+        for u in range(x.shape[1]):
+            x[r, u] /= sigma2
+        for t in range(r + 1):
+            value = 0.0
+            for c in range(coefficient.size):
+                value += coefficient[c] * own[c, r, t]
+            value /= sigma2
+            if t == r:
+                value += precision[r]
+            for k in range(t):
+                value -= low[r, k] * low[t, k]
+            low[r, t] = np.sqrt(value) if t == r else value / low[t, t]
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
 def _without_effects(
     data: Linearised,
     coefficient: FloatArray,
@@ -142,11 +173,14 @@ def _without_effects(
     log_det = 0.0
     if q == 0:
         return back, spread, log_det
+    # a coefficient of K touches the nodes of one branch
+    filled = np.argwhere(weights)
+    mixed = np.empty(data.cross.shape[2:])
     for i in range(logs):
-        mixed = weighted_sum(coefficient, data.cross[i])
-        inner = weighted_sum(coefficient, data.own[i])
-        x = np.ascontiguousarray(sparse_times(weights, np.ascontiguousarray(mixed.T)).T) / sigma2
-        low = factor(inner / sigma2 + np.diag(precision[i]))
+        x, low = back[i], spread[i]
+        _effects_of(
+            data.cross[i], data.own[i], coefficient, weights, filled, sigma2, precision[i], mixed, x, low
+        )
         for r in range(q):
             pull = precision[i, r] * data.effect_mean[i, r]
             x[r, p] += pull
@@ -154,19 +188,19 @@ def _without_effects(
                 x[r, p] -= tilt / logs
             full[p, p] += pull * data.effect_mean[i, r]
             log_det += 2.0 * np.log(low[r, r]) - np.log(precision[i, r])
-            for t in range(r):
-                x[r] -= low[r, t] * x[t]
-            x[r] /= low[r, r]
+            for u in range(p + 1):
+                for t in range(r):
+                    x[r, u] -= low[r, t] * x[t, u]
+                x[r, u] /= low[r, r]
         for r in range(q):
             for u in range(p + 1):
                 for v in range(p + 1):
                     full[u, v] -= x[r, u] * x[r, v]
         for r in range(q - 1, -1, -1):
-            for t in range(r + 1, q):
-                x[r] -= low[t, r] * x[t]
-            x[r] /= low[r, r]
-        back[i] = x
-        spread[i] = low
+            for u in range(p + 1):
+                for t in range(r + 1, q):
+                    x[r, u] -= low[t, r] * x[t, u]
+                x[r, u] /= low[r, r]
     return back, spread, log_det
 
 

@@ -6,7 +6,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["factor", "inverse_factor", "solved", "sparse_times", "weighted_sum"]
+__all__ = ["factor", "inverse_factor", "solved", "sparse_times", "weigh", "weighted_sum"]
 
 FloatArray = NDArray[np.float64]
 
@@ -50,15 +50,22 @@ def solved(low: FloatArray, away: FloatArray) -> FloatArray:
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
-def weighted_sum(coefficient: FloatArray, matrices: FloatArray) -> FloatArray:
-    """Weighted sum of matrices, without a copy of any."""
-    out = np.zeros((matrices.shape[1], matrices.shape[2]))
+def weigh(coefficient: FloatArray, matrices: FloatArray, out: FloatArray) -> None:
+    """Write the weighted sum of matrices, without a copy of any."""
+    out[:] = 0.0
     for k in range(coefficient.size):
         c = coefficient[k]
         if c != 0.0:
             for i in range(out.shape[0]):
                 for j in range(out.shape[1]):
                     out[i, j] += c * matrices[k, i, j]
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def weighted_sum(coefficient: FloatArray, matrices: FloatArray) -> FloatArray:
+    """Weighted sum of matrices."""
+    out = np.empty(matrices.shape[1:])
+    weigh(coefficient, matrices, out)
     return out
 
 
