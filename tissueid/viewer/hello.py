@@ -8,7 +8,7 @@ One JSON object, ``{"type": "hello", "v": 1, ...}``:
     ``objects``, each with a ``kind`` the page knows how to draw (``surface``, ``tool``, ``workspace``), in
     metres of the device's frame; a page leaves out kinds it does not know.
 ``strips``
-    what is drawn over time: an id, a title, a unit, and ``traces`` with the field of a sample.
+    what is drawn over time, or over another field: an id, a title, a unit, and ``traces``.
 ``lamps``
     an id, a word, what it means, and the bits of ``lamps`` (or ``fault``) that light it.
 ``band``
@@ -48,12 +48,44 @@ LAMPS = (
     ("rupture", "Ruptured", "the tissue broke: no force until it is put back", Lamp.RUPTURED),
     ("timing", "Late tick", "the servo's tick began late, or stalled", Lamp.LATE | Lamp.STALLED),
 )
-STRIPS = (
-    ("force", "Force", "N", (("device_N", "device", "force_N"), ("tissue_N", "tissue", "tissue_force_N"))),
-    ("depth", "Depth in tissue", "mm", (("depth_mm", "depth", "depth_mm"),)),
-    ("loop", "Force over depth", "N, mm", (("loop_N", "tissue", "tissue_force_N"),)),
-    ("energy", "Energy taken from the hand", "mJ", (("energy_mJ", "energy", "energy_J"),)),
-    ("period", "Error of the servo's period", "us", (("period_us", "period", "dt_s"),)),
+#: Traces: a sample's ``field`` (of a vector its length), less ``minus``, times ``factor``; ``over`` another field
+#: instead of the time; ``axis`` right where the unit is another.
+STRIPS: tuple[dict[str, Any], ...] = (
+    {
+        "id": "force",
+        "title": "Force",
+        "unit": "N",
+        "traces": [
+            {"id": "device_N", "label": "device", "field": "force_N"},
+            {"id": "tissue_N", "label": "tissue", "field": "tissue_force_N", "axis": "right"},
+        ],
+    },
+    {
+        "id": "depth",
+        "title": "Depth in tissue",
+        "unit": "mm",
+        "traces": [{"id": "depth_mm", "label": "depth", "field": "depth_mm"}],
+    },
+    {
+        "id": "loop",
+        "title": "Tissue force over depth",
+        "unit": "N over mm",
+        "traces": [{"id": "loop_N", "label": "felt", "field": "tissue_force_N", "over": "depth_mm"}],
+    },
+    {
+        "id": "energy",
+        "title": "Energy taken from the hand",
+        "unit": "mJ",
+        "traces": [{"id": "energy_mJ", "label": "energy", "field": "energy_J", "factor": 1e3}],
+    },
+    {
+        "id": "period",
+        "title": "Error of the servo's period",
+        "unit": "\u00b5s",
+        "traces": [
+            {"id": "period_us", "label": "error", "field": "dt_s", "factor": 1e6, "minus_period": True}
+        ],
+    },
 )
 
 
@@ -100,15 +132,7 @@ def hello(
             "replay_s": replay_s,
         },
         "scene": {"kind": "tissue", "objects": _objects(head, workspace_m)},
-        "strips": [
-            {
-                "id": name,
-                "title": title,
-                "unit": unit,
-                "traces": [{"id": one, "label": label, "field": field} for one, label, field in traces],
-            }
-            for name, title, unit, traces in STRIPS
-        ],
+        "strips": list(STRIPS),
         "lamps": [
             {"id": name, "word": word, "meaning": meaning, "bits": int(bits)}
             for name, word, meaning, bits in LAMPS

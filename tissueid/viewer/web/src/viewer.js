@@ -1,12 +1,204 @@
-const ws = new WebSocket(`ws://${location.host}/ws${location.search}`);
-ws.binaryType = "arraybuffer";
-let n = 0;
-ws.onmessage = (m) => {
-  if (typeof m.data === "string") { window.hello = JSON.parse(m.data); return; }
-  n += 1;
-  const v = new DataView(m.data);
-  const count = v.getUint32(4, true);
-  const at = 32 + (count - 1) * 72;
-  document.getElementById("force").textContent = count ? v.getFloat32(at + 40, true).toFixed(3) : "";
-  ws.send(JSON.stringify({ v: 1, answer: n }));
+// The page: what comes in, what is drawn, and what a person does.
+
+import { Connection } from "./connection.js";
+import { Hand } from "./hand.js";
+import { History } from "./history.js";
+import { Panel } from "./panel.js";
+import { saveData, savePicture } from "./saving.js";
+import { TissueScene } from "./scene.js";
+import { Strips } from "./strips.js";
+import { startTheme } from "./theme.js";
+
+// older than this is no picture of the present
+const STALE_S = 0.5;
+const AGES = 4096;
+
+const byId = (id) => document.getElementById(id);
+const marks = [];
+const panel = new Panel();
+const scene = new TissueScene(byId("scene"));
+const strips = new Strips(byId("strips"), marks);
+const ages = [];
+let hello = null;
+let history = null;
+let link = "connecting";
+let pausedAt = null;
+let lampsSince = 0;
+let drawn = 0;
+let lastMs = performance.now();
+
+const connection = new Connection({
+  hello(message) {
+    hello = message;
+    history = new History(message);
+    lampsSince = 0;
+    pausedAt = null;
+    marks.length = 0;
+    panel.show(message);
+    scene.show(message);
+    strips.show(message);
+    hand.allow(message.session.pointer);
+    byId("pause").setAttribute("aria-pressed", "false");
+    showReplay(message.session.replay_s);
+    byId("hint").textContent = message.session.pointer
+      ? "Drag the tool down into the tissue · arrow keys: press, lift, slide · right button: turn · wheel: zoom"
+      : "Drag: turn · wheel: zoom";
+  },
+  frame(buffer, head) {
+    history.add(buffer, head);
+  },
+  status(message) {
+    if (message.recording_stopped) panel.recordingStopped = message.recording_stopped;
+  },
+  state(word, sentence) {
+    link = word;
+    byId("link").dataset.state = word;
+    byId("link-word").textContent = sentence;
+    if (word === "lost") panel.statusMs = -Infinity;
+  },
+});
+
+const end = () => (pausedAt === null ? history.end : Math.max(pausedAt, history.begin + 1));
+const hand = new Hand(
+  scene,
+  () => (history && history.size ? history.vector("position_m", history.end - 1) : null),
+  (words) => connection.say(words),
+);
+hand.allow(false);
+const switchTheme = startTheme(() => { scene.recolour?.(); strips.rebuild(); });
+
+/** Everything the picture is made of, at one sample. */
+function stateAt(n) {
+  const ageS = connection.nowS() - history.value("time_s", history.end - 1);
+  const replay = hello.session.replay_s !== null;
+  return {
+    position_m: history.vector("position_m", n),
+    force_N: history.vector("force_N", n),
+    device_N: history.reader("force_N")(n),
+    tissue_N: history.value("tissue_force_N", n),
+    depth_mm: history.value("depth_mm", n),
+    tick: history.value("tick", n),
+    state: history.value("state", n),
+    fault: history.value("fault", n),
+    ruptured: isRuptured(history.value("lamps", n)),
+    target_m: hand.target,
+    ageS,
+    replay,
+    link,
+    ended: connection.ended,
+    paused: pausedAt !== null || (replay && connection.standsStill),
+    stale: link !== "live" || (!connection.ended && !replay && ageS > STALE_S),
+  };
+}
+
+function isRuptured(lamps) {
+  const lamp = hello.lamps.find((one) => one.id === "rupture");
+  return lamp !== undefined && (lamps & lamp.bits) !== 0;
+}
+
+function picture(nowMs) {
+  requestAnimationFrame(picture);
+  hand.step((nowMs - lastMs) / 1000);
+  lastMs = nowMs;
+  if (history === null || !history.size) return;
+  const n = end() - 1;
+  const state = stateAt(n);
+  let lamps = 0;
+  for (let i = Math.max(lampsSince, history.begin); i < history.end; i += 1) lamps |= history.value("lamps", i);
+  lampsSince = history.end;
+  panel.light(pausedAt === null ? lamps : 0, state, nowMs);
+  panel.update(state, nowMs);
+  veil(state);
+  scene.place(state);
+  strips.update(history, n + 1, nowMs);
+  if (scene.draw() && pausedAt === null && link === "live") {
+    drawn += 1;
+    ages.push(connection.nowS() - history.value("time_s", n));
+    if (ages.length > AGES) ages.shift();
+  }
+  if (state.replay) followReplay(n);
+}
+
+/** A picture that is not of the present is greyed, and says why. */
+function veil(state) {
+  const words = state.stale ? (link === "live" ? "stale: nothing new has come" : byId("link-word").textContent) : state.ended ? "the session has ended" : state.paused ? "paused" : "";
+  byId("veil").hidden = words === "";
+  if (byId("veil").textContent !== words) byId("veil").textContent = words;
+  document.body.classList.toggle("stale", state.stale);
+}
+
+function pause() {
+  if (!history) return;
+  if (hello.session.replay_s !== null) {
+    connection.standsStill = !connection.standsStill;
+    connection.say({ play: { paused: connection.standsStill } });
+    byId("pause").setAttribute("aria-pressed", String(connection.standsStill));
+    return;
+  }
+  pausedAt = pausedAt === null ? history.end : null;
+  byId("pause").setAttribute("aria-pressed", String(pausedAt !== null));
+}
+
+function annotate() {
+  if (!history || !history.size) return;
+  const time_s = history.value("time_s", end() - 1);
+  const dialog = byId("note");
+  byId("note-text").value = "";
+  dialog.onclose = () => {
+    const text = byId("note-text").value.trim();
+    if (dialog.returnValue === "keep" && text) marks.push({ time_s, text });
+  };
+  dialog.returnValue = "";
+  dialog.showModal();
+}
+
+function showReplay(lengthS) {
+  connection.standsStill = false;
+  byId("replay").hidden = lengthS === null;
+  if (lengthS !== null) byId("seek").max = String(lengthS);
+}
+
+let beginS = null;
+function followReplay(n) {
+  if (history.begin === 0) beginS = history.value("time_s", 0);
+  const at = beginS === null ? 0 : history.value("time_s", n) - beginS;
+  if (document.activeElement !== byId("seek")) byId("seek").value = String(at);
+  byId("at").textContent = `${at.toFixed(1)} of ${hello.session.replay_s.toFixed(1)} s`;
+}
+
+byId("seek").addEventListener("change", () => {
+  connection.say({ play: { at_s: Number(byId("seek").value), paused: connection.standsStill } });
+  byId("seek").blur();
+});
+
+const actions = {
+  p: pause,
+  a: annotate,
+  s: () => history && saveData(hello, history, end(), marks),
+  i: () => savePicture(scene),
+  t: switchTheme,
+  1: () => scene.look("oblique"),
+  2: () => scene.look("front"),
+  3: () => scene.look("side"),
+  4: () => scene.look("top"),
 };
+for (const [id, key] of [["pause", "p"], ["annotate", "a"], ["save", "s"], ["picture", "i"], ["theme", "t"]]) byId(id).addEventListener("click", actions[key]);
+for (const button of document.querySelectorAll("[data-camera]")) button.addEventListener("click", () => scene.look(button.dataset.camera));
+window.addEventListener("keydown", (event) => {
+  if (event.target.matches("input, dialog *") || event.ctrlKey || event.metaKey || event.altKey) return;
+  const action = actions[event.key.toLowerCase()];
+  if (action) {
+    event.preventDefault();
+    action();
+  }
+});
+
+/** What the page holds, for whoever wants to check it: nothing here changes anything. */
+window.tissueid = {
+  read: () => (history === null || !history.size ? null : {
+    link, drawn, dropped: connection.dropped, frames: connection.frames, samples: history.end,
+    newest: stateAt(history.end - 1), traces: strips.read(), ages: [...ages], marks: [...marks],
+    surface: scene.surface ? scene.surface.deformed : null,
+  }),
+};
+requestAnimationFrame(picture);

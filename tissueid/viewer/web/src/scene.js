@@ -1,0 +1,309 @@
+// The scene: tissue, tool, force, contact, workspace.  World: millimetres of the device, y up.
+// The device's frame is x right, y up, z toward the user: what lies in front of the user lies below here.
+
+import {
+  AmbientLight, ArrowHelper, Box3, Box3Helper, BoxGeometry, BufferAttribute, Color, CylinderGeometry,
+  DirectionalLight, Group, HemisphereLight, LineBasicMaterial, LineSegments, BufferGeometry, Mesh,
+  MeshLambertMaterial, MeshBasicMaterial, PerspectiveCamera, PlaneGeometry, RingGeometry, Scene,
+  SphereGeometry, Vector3, WebGLRenderer, DoubleSide,
+} from "three";
+import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+import { colour } from "./theme.js";
+
+const MM = 1000;
+// a tip is drawn at least this large, or it could not be seen
+const SMALLEST_TIP_MM = 6;
+const SHAFT_MM = 90;
+// 5 N is half of the workspace
+const ARROW_MM_PER_N = 12;
+const SMALLEST_ARROW_N = 0.02;
+const PATCH_MM = 120;
+const SLAB_MM = 42;
+const SEGMENTS = 60;
+// every so many lines of the mesh one is drawn: bent lines show what shading alone does not
+const LINE_EVERY = 4;
+// a picture that takes longer is drawn at fewer pixels
+const SLOW_MS = 24;
+const LEAST_RATIO = 0.5;
+
+const CAMERAS = { oblique: [105, 95, 165], front: [0, 26, 230], side: [230, 26, 0.01], top: [0, 240, 0.01] };
+// what is looked at lies a little above the surface: the tool is there
+const RAISED_MM = 6;
+
+/** From the device's frame [m] to the world [mm]. */
+export const toWorld = ([x, y, z]) => new Vector3(x * MM, z * MM, -y * MM);
+/** The inverse. */
+export const toDevice = (point) => [point.x / MM, -point.z / MM, point.y / MM];
+
+export class TissueScene {
+  constructor(canvas) {
+    this.canvas = canvas;
+    this.renderer = new WebGLRenderer({ canvas, antialias: true, preserveDrawingBuffer: false });
+    this.scene = new Scene();
+    this.camera = new PerspectiveCamera(38, 1, 1, 2000);
+    this.controls = new OrbitControls(this.camera, canvas);
+    this.controls.enableDamping = false;
+    this.controls.minDistance = 40;
+    this.controls.maxDistance = 600;
+    this.scene.add(new AmbientLight(0xffffff, 0.9), new HemisphereLight(0xffffff, 0x806060, 1.1));
+    const sun = new DirectionalLight(0xffffff, 1.8);
+    sun.position.set(60, 140, 90);
+    this.scene.add(sun);
+    this.content = new Group();
+    this.scene.add(this.content);
+    this.ratio = Math.min(window.devicePixelRatio || 1, 2);
+    this.took = 0;
+    this.changed = true;
+    this.surface = this.tool = null;
+    this.centre = new Vector3();
+    this.up = new Vector3(0, 1, 0);
+    this.controls.addEventListener("change", () => { this.changed = true; });
+    this.view = "oblique";
+    new ResizeObserver(() => this.resize()).observe(canvas.parentElement);
+  }
+
+  /** Build what a hello lists; kinds this page does not know are left out. */
+  show(hello) {
+    this.content.clear();
+    this.surface = null;
+    this.tool = null;
+    this.up = new Vector3(0, 1, 0);
+    this.centre = new Vector3();
+    const builders = { workspace: (o) => this.buildWorkspace(o), tool: (o) => this.buildTool(o), surface: (o) => this.buildSurface(o) };
+    for (const object of hello.scene.objects) builders[object.kind]?.(object);
+    this.recolour();
+    this.look(this.view);
+    this.resize();
+  }
+
+  buildWorkspace({ ranges_m: ranges }) {
+    const box = new Box3().setFromPoints([toWorld(ranges.map((one) => one[0])), toWorld(ranges.map((one) => one[1]))]);
+    this.workspace = new Box3Helper(box, 0x888888);
+    this.workspace.material.transparent = true;
+    this.workspace.material.opacity = 0.45;
+    this.content.add(this.workspace);
+    box.getCenter(this.centre);
+  }
+
+  buildTool({ radius_m: radius }) {
+    this.tipRadius = radius * MM;
+    this.drawnRadius = Math.max(this.tipRadius, SMALLEST_TIP_MM);
+    this.tool = new Group();
+    this.toolMaterial = new MeshLambertMaterial();
+    const tip = new Mesh(new SphereGeometry(this.drawnRadius, 32, 20), this.toolMaterial);
+    const shaft = new Mesh(new CylinderGeometry(this.drawnRadius * 0.45, this.drawnRadius * 0.45, SHAFT_MM, 24), this.toolMaterial);
+    shaft.position.y = SHAFT_MM / 2;
+    this.tool.add(tip, shaft);
+    this.arrow = new ArrowHelper(new Vector3(0, 1, 0), new Vector3(), 1, 0xffffff);
+    this.arrow.line.material.linewidth = 3;
+    this.arrow.visible = false;
+    // the arrow is seen through the tool: it starts inside it
+    for (const part of [this.arrow.line, this.arrow.cone]) { part.material.depthTest = false; part.renderOrder = 5; }
+    this.contact = new Mesh(new RingGeometry(this.drawnRadius * 1.1, this.drawnRadius * 1.3, 40), new MeshBasicMaterial({ side: DoubleSide, depthTest: false }));
+    this.contact.renderOrder = 4;
+    this.target = new Mesh(new SphereGeometry(2.2, 16, 12), new MeshBasicMaterial({ depthTest: false, transparent: true, opacity: 0.85 }));
+    this.spring = new LineSegments(new BufferGeometry().setAttribute("position", new BufferAttribute(new Float32Array(6), 3)), new LineBasicMaterial({ depthTest: false }));
+    this.spring.frustumCulled = false;
+    for (const part of [this.target, this.spring]) { part.visible = false; part.renderOrder = 6; }
+    const cross = [-1, 0, -1, 1, 0, 1, -1, 0, 1, 1, 0, -1].map((value) => value * this.drawnRadius * 1.6);
+    this.rupture = new LineSegments(new BufferGeometry().setAttribute("position", new BufferAttribute(new Float32Array(cross), 3)), new LineBasicMaterial({ depthTest: false }));
+    this.rupture.renderOrder = 7;
+    this.rupture.visible = false;
+    this.content.add(this.tool, this.arrow, this.contact, this.target, this.spring, this.rupture);
+  }
+
+  buildSurface(object) {
+    const size = object.size_m.map((value) => value * MM);
+    const point = toWorld(object.point_m);
+    this.up = toWorld(object.normal).normalize();
+    let geometry;
+    if (object.shape === "sphere") geometry = new SphereGeometry(size[0], 96, 64).translate(...point);
+    else if (object.shape === "box") geometry = new BoxGeometry(2 * size[0], 2 * size[2], 2 * size[1], SEGMENTS, 12, SEGMENTS).translate(...point);
+    else {
+      geometry = new PlaneGeometry(PATCH_MM, PATCH_MM, SEGMENTS, SEGMENTS).rotateX(-Math.PI / 2);
+      geometry.applyQuaternion(new Group().quaternion.clone().setFromUnitVectors(new Vector3(0, 1, 0), this.up)).translate(...point);
+    }
+    this.tissueMaterial = new MeshLambertMaterial({ vertexColors: true, side: DoubleSide, transparent: true, opacity: 0.8 });
+    const mesh = new Mesh(geometry, this.tissueMaterial);
+    geometry.setAttribute("color", new BufferAttribute(new Float32Array(geometry.attributes.position.array.length), 3));
+    mesh.frustumCulled = false;
+    this.content.add(mesh);
+    this.surface = { object, point, mesh, rest: geometry.attributes.position.array.slice(), deformed: -1, reach: object.shape === "plane" ? PATCH_MM / 2 : 2 * Math.min(...size.filter((one) => one > 0)) };
+    if (object.shape === "plane") this.addSlab(geometry, point);
+  }
+
+  /** Lines on a flat tissue, and the block it belongs to. */
+  addSlab(geometry, point) {
+    const index = [];
+    const row = SEGMENTS + 1;
+    for (let i = 0; i <= SEGMENTS; i += LINE_EVERY) {
+      for (let j = 0; j < SEGMENTS; j += 1) index.push(i * row + j, i * row + j + 1, j * row + i, (j + 1) * row + i);
+    }
+    const lines = new BufferGeometry();
+    lines.setAttribute("position", geometry.attributes.position);
+    lines.setIndex(index);
+    this.lineMaterial = new LineBasicMaterial({ transparent: true, opacity: 0.35 });
+    const grid = new LineSegments(lines, this.lineMaterial);
+    grid.frustumCulled = false;
+    this.slabMaterial = new MeshLambertMaterial({ side: DoubleSide, transparent: true, opacity: 0.55, depthWrite: false });
+    const walls = new Group();
+    for (const [x, z, turn] of [[0, 1, 0], [0, -1, 0], [1, 0, Math.PI / 2], [-1, 0, Math.PI / 2]]) {
+      const wall = new Mesh(new PlaneGeometry(PATCH_MM, SLAB_MM), this.slabMaterial);
+      wall.position.set((x * PATCH_MM) / 2, -SLAB_MM / 2, (z * PATCH_MM) / 2);
+      wall.rotation.y = turn;
+      walls.add(wall);
+    }
+    walls.quaternion.setFromUnitVectors(new Vector3(0, 1, 0), this.up);
+    walls.position.copy(point);
+    this.content.add(grid, walls);
+  }
+
+  recolour() {
+    this.scene.background = new Color(colour("scene"));
+    this.tissueColour = new Color(colour("tissue"));
+    this.pressedColour = new Color(colour("pressed"));
+    this.toolMaterial?.color.set(colour("tool"));
+    this.lineMaterial?.color.set(colour("mesh"));
+    this.slabMaterial?.color.set(colour("slab"));
+    this.workspace?.material.color.set(colour("faint"));
+    if (this.arrow) {
+      this.arrow.setColor(colour("device"));
+      this.contact.material.color.set(colour("device"));
+      this.target.material.color.set(colour("hand"));
+      this.spring.material.color.set(colour("hand"));
+      this.rupture.material.color.set(colour("alarm"));
+    }
+    if (this.surface) this.surface.deformed = -1;
+    this.changed = true;
+  }
+
+  look(name) {
+    this.view = name;
+    const target = this.surface ? this.surface.point.clone() : this.centre.clone();
+    if (this.surface && this.surface.object.shape !== "plane") target.copy(this.centre);
+    const narrow = Math.max(1, 1.15 / Math.max(this.camera.aspect, 0.2));
+    target.addScaledVector(this.up, RAISED_MM);
+    this.controls.target.copy(target);
+    this.camera.position.copy(target).add(new Vector3(...CAMERAS[name]).multiplyScalar(narrow));
+    this.controls.update();
+    this.changed = true;
+  }
+
+  resize() {
+    const { clientWidth: width, clientHeight: height } = this.canvas.parentElement;
+    if (!width || !height) return;
+    const before = this.camera.aspect;
+    this.camera.aspect = width / height;
+    this.camera.updateProjectionMatrix();
+    this.renderer.setPixelRatio(this.ratio);
+    this.renderer.setSize(width, height, false);
+    if (Math.abs(before - this.camera.aspect) > 0.01) this.look(this.view);
+    this.changed = true;
+  }
+
+  /** Millimetres of the world that one pixel covers where the tool is. */
+  mmPerPixel() {
+    const distance = this.camera.position.distanceTo(this.controls.target);
+    return (2 * distance * Math.tan((this.camera.fov * Math.PI) / 360)) / this.canvas.clientHeight;
+  }
+
+  /** Place everything as a sample says. state: { position_m, force_N, depth_mm, ruptured, target_m } */
+  place(state) {
+    if (!this.tool || Number.isNaN(state.position_m[0])) return;
+    const grip = toWorld(state.position_m);
+    const out = this.outward(grip, state.force_N);
+    const force = toWorld(state.force_N).divideScalar(MM);
+    this.tool.position.copy(grip).addScaledVector(out, this.drawnRadius - this.tipRadius);
+    this.tool.quaternion.setFromUnitVectors(new Vector3(0, 1, 0), out);
+    const newtons = force.length();
+    this.arrow.visible = newtons > SMALLEST_ARROW_N;
+    if (this.arrow.visible) {
+      const length = newtons * ARROW_MM_PER_N + 6;
+      this.arrow.position.copy(this.tool.position);
+      this.arrow.setDirection(force.normalize());
+      this.arrow.setLength(length + this.drawnRadius, 6, 5);
+    }
+    const tip = grip.clone().addScaledVector(out, -this.tipRadius);
+    const scale = this.surface ? this.surface.object.motion_scale : 1;
+    const depth = Math.max(state.depth_mm, 0) * scale;
+    this.contact.visible = depth > 0;
+    this.contact.position.copy(tip).addScaledVector(out, depth);
+    this.contact.quaternion.setFromUnitVectors(new Vector3(0, 0, 1), out);
+    this.rupture.visible = state.ruptured;
+    this.rupture.position.copy(this.contact.position);
+    if (this.surface) this.deform(this.contact.position, out, depth);
+    this.placeTarget(state.target_m, grip);
+    this.changed = true;
+  }
+
+  placeTarget(target, grip) {
+    this.target.visible = this.spring.visible = target !== null;
+    if (target === null) return;
+    const end = toWorld(target);
+    this.target.position.copy(end);
+    this.spring.geometry.attributes.position.array.set([grip.x, grip.y, grip.z, end.x, end.y, end.z]);
+    this.spring.geometry.attributes.position.needsUpdate = true;
+  }
+
+  /** Direction out of the tissue at the tool. */
+  outward(grip, force) {
+    const shape = this.surface?.object.shape;
+    if (shape === "sphere") return grip.clone().sub(this.surface.point).normalize();
+    const push = toWorld(force);
+    if (shape === "box" && push.length() > SMALLEST_ARROW_N * MM) return push.normalize();
+    return this.up.clone();
+  }
+
+  /** Press the surface in around a point: outside the contact as under a sphere on a half space (Hertz). */
+  deform(at, out, depth) {
+    const { mesh, rest, reach } = this.surface;
+    if (depth === this.surface.deformed && depth === 0) return;
+    this.surface.deformed = depth;
+    const radius = Math.sqrt(this.drawnRadius * depth);
+    const positions = mesh.geometry.attributes.position;
+    const colours = mesh.geometry.attributes.color;
+    const { array } = positions;
+    const tint = new Color();
+    for (let i = 0; i < array.length; i += 3) {
+      const r = Math.hypot(rest[i] - at.x, rest[i + 1] - at.y, rest[i + 2] - at.z);
+      const down = depth === 0 ? 0 : pressed(r, radius, depth, this.drawnRadius) * Math.max(0, 1 - (r / reach) ** 2);
+      array[i] = rest[i] - down * out.x;
+      array[i + 1] = rest[i + 1] - down * out.y;
+      array[i + 2] = rest[i + 2] - down * out.z;
+      tint.copy(this.tissueColour).lerp(this.pressedColour, Math.min(1, down / 30));
+      colours.array[i] = tint.r;
+      colours.array[i + 1] = tint.g;
+      colours.array[i + 2] = tint.b;
+    }
+    positions.needsUpdate = colours.needsUpdate = true;
+    mesh.geometry.computeVertexNormals();
+  }
+
+  /** Draw, where anything has changed; fewer pixels on a machine that is slow at it. */
+  draw() {
+    if (!this.changed) return false;
+    this.changed = false;
+    const begun = performance.now();
+    this.renderer.render(this.scene, this.camera);
+    this.took += 0.1 * (performance.now() - begun - this.took);
+    if (this.took > SLOW_MS && this.ratio > LEAST_RATIO) {
+      this.ratio = Math.max(LEAST_RATIO, this.ratio * 0.75);
+      this.took = 0;
+      this.resize();
+    }
+    return true;
+  }
+
+  /** The scene as a PNG. */
+  picture() {
+    this.renderer.render(this.scene, this.camera);
+    return new Promise((done) => { this.canvas.toBlob(done, "image/png"); });
+  }
+}
+
+/** How far a half space is pressed in at a distance r from a sphere's axis: Hertz, as Johnson 1985, 3.42. */
+function pressed(r, radius, depth, sphere) {
+  if (r <= radius) return depth - (r * r) / (2 * sphere);
+  const ratio = radius / r;
+  return (depth / Math.PI) * ((2 - 1 / (ratio * ratio)) * Math.asin(ratio) + Math.sqrt(1 - ratio * ratio) / ratio);
+}
