@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from tissueid.render import environment as env
 from tissueid.render import guidance as gd
 from tissueid.render.guidance import GUIDANCE_MEMORY, axial_stiffness, guidance_step
-from tissueid.render.guidance_block import Bone, Funnel, Guidance, Pull
+from tissueid.render.guidance_block import Bone, Funnel, Guidance, Pull, guidance_block
 
 #: A funnel nothing here comes near to.
 WIDE = Funnel(radius_m=0.5, offset_m=0.0, slope=0.01)
@@ -229,5 +230,16 @@ def test_numbers_that_guide_nowhere_are_refused(change: dict[str, object], words
         replace(PULL, **change)  # type: ignore[arg-type]
 
 
-def test_the_block_has_its_size() -> None:
-    assert PULL.numbers().shape == (gd.GUIDANCE_SIZE,)
+def test_the_environment_is_the_guidance_where_its_block_is_one() -> None:
+    plan = Guidance((0.0, 0.0, 0.13))
+    assert plan.numbers().shape == (gd.GUIDANCE_SIZE,)
+    block, memory = guidance_block(plan, label=3), env.new_memory()
+    alone, force, info = Guided(plan), np.zeros(3), np.zeros(env.INFO_SIZE)
+    rng = np.random.default_rng(5)
+    for point in np.array([0.004, 0.0, 0.134]) + np.cumsum(rng.normal(0.0, 2e-4, (200, 3)), axis=0):
+        env.environment_step(int(block[env.KIND]), block, memory, point, np.zeros(3), TISSUE_DT, force, info)
+        np.testing.assert_array_equal(force, alone.step(point, TISSUE_DT))
+        assert info[env.INFO_DEPTH_MM] == pytest.approx(1e3 * (0.13 - point[2]))
+        assert info[env.INFO_LABEL] == 3
+        # it knows no depth of a contact: nothing is exchanged while it pulls
+        assert np.isnan(info[env.INFO_PENETRATION_M])

@@ -5,6 +5,8 @@ One step: penetration and normal of the tip in the surface, depth of the tissue 
 the normal.  Unloading, loss of contact and recovery are the law's own; beyond the identified depth the
 law is continued and the tick is marked.  No friction: the force has the direction of the normal.
 
+A guided axis (:mod:`tissueid.render.guidance`) takes the place of the tissue where the block is one of it.
+
 Everything a step needs stands in one flat, versioned block (:data:`ENVIRONMENT_SIZE` numbers, written by
 :mod:`tissueid.render.tissue_block`) so that it can be exchanged while the loop runs, at zero penetration;
 what a step remembers stands in a memory of :data:`MEMORY_SIZE` numbers, all zero for tissue at rest.
@@ -15,18 +17,23 @@ at rest (criteria of model.md 1.5, readings: total work, or force).
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.compiled import tick_kernel, tick_part
 from tissueid.haptics.states import Lamp
 from tissueid.model.kernels import tissue_step_in
+from tissueid.render.guidance import GUIDANCE_MEMORY, SAID_BONE_N, SAID_HEIGHT_M, guidance_step
 from tissueid.render.surface import touch
 
 __all__ = [
     "BLOCK_VERSION",
     "ENVIRONMENT_SIZE",
     "FREE_AIR",
+    "GUIDANCE",
+    "GUIDED",
     "INFO_SIZE",
     "MEMORY_SIZE",
     "OUTSIDE_DEPTH",
@@ -43,6 +50,7 @@ FloatArray = NDArray[np.float64]
 #: Kinds of environment the compiled loop knows.
 FREE_AIR = 0
 TISSUE = 1
+GUIDANCE = 2
 
 # -- the block ------------------------------------------------------------------------------------
 BLOCK_VERSION = 1
@@ -62,6 +70,9 @@ SURFACE = 10
 #: :data:`~tissueid.model.kernels.LAW_SIZE` numbers.
 LAW = 24
 
+#: :data:`~tissueid.render.guidance.GUIDANCE_SIZE` numbers, in the place of everything from the surface on.
+GUIDED = 10
+
 #: Criteria of rupture: none; work done on the tissue [N mm]; force on the tissue [N].
 RUPTURE_NONE = 0.0
 RUPTURE_WORK = 1.0
@@ -79,6 +90,8 @@ BROKEN = 14
 #: :data:`~tissueid.render.surface.TOUCH_SIZE` numbers, the face first, then the normal.
 TOUCH = 15
 NORMAL = 16
+#: What guidance says of a step; its own memory stands before it.
+SAID = GUIDANCE_MEMORY
 
 # -- what a step says -----------------------------------------------------------------------------
 INFO_SIZE = 8
@@ -132,7 +145,7 @@ def environment_step(
     Parameters
     ----------
     kind : int
-        :data:`FREE_AIR` or :data:`TISSUE`; any other number is free air.
+        :data:`FREE_AIR`, :data:`TISSUE` or :data:`GUIDANCE`; any other number is free air.
     parameters : ndarray, shape (ENVIRONMENT_SIZE,)
     memory : ndarray, shape (MEMORY_SIZE,)
         Updated in place.
@@ -153,6 +166,13 @@ def environment_step(
     info[INFO_LABEL] = parameters[LABEL]
     if kind == TISSUE:
         _tissue(parameters, memory, position, velocity, dt, force, info)
+    elif kind == GUIDANCE:
+        guidance_step(parameters, GUIDED, memory, position, dt, force, memory, SAID)
+        # a pull reaches everywhere: engaging waits for a small force, an exchange for none
+        info[INFO_PENETRATION_M] = np.nan
+        info[INFO_DEPTH_MM] = -memory[SAID + SAID_HEIGHT_M] * M_TO_MM
+        info[INFO_TISSUE_FORCE_N] = memory[SAID + SAID_BONE_N]
+        info[INFO_DEVICE_FORCE_N] = math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
 
 
 @tick_part

@@ -33,11 +33,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.compiled import tick_part
+from tissueid.compiled import tick_kernel, tick_part
 from tissueid.model.impact import IMPACT_SIZE, IMPACT_STATE, impact_step
 from tissueid.render.funnel import FUNNEL_SIZE, funnel_touch
 
-__all__ = ["GUIDANCE_MEMORY", "GUIDANCE_SIZE", "axial_stiffness", "guidance_step"]
+__all__ = ["GUIDANCE_MEMORY", "GUIDANCE_SIZE", "SAID_SIZE", "axial_stiffness", "guidance_step"]
 
 FloatArray = NDArray[np.float64]
 
@@ -92,11 +92,12 @@ M_TO_MM = 1000.0
 ON_AXIS_M = 1e-9
 
 # -- what a step says, from an index on -----------------------------------------------------------
-INFO_HEIGHT_M = 0
-INFO_OFF_AXIS_M = 1
-INFO_WALL_N = 2
-INFO_PULL_N = 3
-INFO_BONE_N = 4
+SAID_HEIGHT_M = 0
+SAID_OFF_AXIS_M = 1
+SAID_WALL_N = 2
+SAID_PULL_N = 3
+SAID_BONE_N = 4
+SAID_SIZE = 5
 
 
 @tick_part
@@ -112,7 +113,7 @@ def axial_stiffness(block: FloatArray, at: int, z: float, derivative: bool) -> f
     )
 
 
-@tick_part
+@tick_kernel
 def guidance_step(
     block: FloatArray,
     at: int,
@@ -174,11 +175,11 @@ def guidance_step(
         force[i] += sideways * memory[RHO + i] + along * block[at + AXIS + i] + block[at + WEIGHT + i]
         for j in range(3):
             force[i] += block[at + WEIGHT_SLOPE + 3 * i + j] * (position[j] - block[at + ORIGIN + j])
-    said[first + INFO_HEIGHT_M] = z
-    said[first + INFO_OFF_AXIS_M] = r
-    said[first + INFO_WALL_N] = wall
-    said[first + INFO_PULL_N] = math.sqrt(pull)
-    said[first + INFO_BONE_N] = math.sqrt(memory[FROM_BONE] ** 2 + memory[FROM_BONE + 1] ** 2)
+    said[first + SAID_HEIGHT_M] = z
+    said[first + SAID_OFF_AXIS_M] = r
+    said[first + SAID_WALL_N] = wall
+    said[first + SAID_PULL_N] = math.sqrt(pull)
+    said[first + SAID_BONE_N] = math.sqrt(memory[FROM_BONE] ** 2 + memory[FROM_BONE + 1] ** 2)
 
 
 @tick_part

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.model.impact import DampingLaw, damping_factor, pack_impact
+from tissueid.render import environment as env
 from tissueid.render import guidance as gd
 from tissueid.render.funnel import CONE, HYPERBOLOID, hyperboloid_constants
 
-__all__ = ["ASSUMED", "Bone", "Funnel", "Guidance", "Pull"]
+__all__ = ["ASSUMED", "Bone", "Funnel", "Guidance", "Pull", "guidance_block"]
 
 FloatArray = NDArray[np.float64]
 
@@ -220,3 +221,22 @@ class Guidance:
             bone.drill_depth_m,
         )
         return out
+
+
+def guidance_block(plan: Guidance, *, label: int = 0) -> FloatArray:
+    """The block of an environment that is this guidance, shape (ENVIRONMENT_SIZE,).
+
+    Parameters
+    ----------
+    plan : Guidance
+    label : int
+        Which of the things to be compared it is.
+    """
+    block = np.zeros(env.ENVIRONMENT_SIZE)
+    block[env.VERSION] = env.BLOCK_VERSION
+    block[env.KIND] = env.GUIDANCE
+    block[env.LABEL] = label
+    # nothing is scaled: forces and motion are the device's own
+    block[env.FORCE_SCALE] = block[env.MOTION_SCALE] = 1.0
+    block[env.GUIDED : env.GUIDED + gd.GUIDANCE_SIZE] = plan.numbers()
+    return block
