@@ -270,7 +270,12 @@ def with_posterior(
 def _total_intervals(total: TotalPosterior, model: KelvinVoigt) -> dict[str, tuple[float, float]]:
     """The total interval of each reported parameter."""
     nuisances = dict(zip(total.names, total.nuisances.T, strict=True))
-    return total_intervals(reported_draws(model, total.theta), nuisances, total.behind.priors.calibration)
+    return total_intervals(
+        reported_draws(model, total.theta),
+        nuisances,
+        total.behind.priors.calibration,
+        worth=float(total.sampler.detail["worth"]),
+    )
 
 
 def _told_of(total: TotalPosterior) -> dict[str, object]:
