@@ -41,6 +41,9 @@ FINE, FINE_LOG_L = 1e-3, 5e-3
 #: First step and most evaluations of the refinement on a part, and of that on all samples: where there is no
 #: white part its share has no end to be followed to.
 ON_PART, ON_ALL = (0.3, 200), (0.03, 50)
+#: Decimals of a step over the reference step: what is beyond them is the rounding of the time stamps, and
+#: would keep the filter's gain from settling.
+RATIO_DECIMALS = 9
 #: White plus AR(1) is tried where this part of all links has the reference step, to which theta belongs.
 UNIFORM_SHARE = 0.95
 SAME_STEP = 0.02
@@ -112,7 +115,7 @@ def noise_chain(data: LogData, residual_N: FloatArray, *, reference_step_s: floa
     return NoiseChain(
         residual_N=np.ascontiguousarray(residual_N[used]),
         starts=~linked_samples(data)[used],
-        ratio=step[used] / reference_step_s,
+        ratio=np.round(step[used] / reference_step_s, RATIO_DECIMALS),
     )
 
 
