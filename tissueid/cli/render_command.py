@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tissueid.cli.output import echo_json, note, output_options
-from tissueid.cli.viewer_serving import served, viewer_options
+from tissueid.cli.viewer_serving import served, telling_stop, viewer_options
 
 if TYPE_CHECKING:
     from tissueid.render.options import RenderOptions
@@ -197,7 +197,7 @@ def _prepared(flags: dict[str, Any], spawned: SpawnedServo | None, viewer: Serve
         recorder=recorder,
         bridge=bridge,
         ask=Keyboard(switches=len(plan.blocks) > 1),
-        show=StatusLine(plan, quiet=bool(flags["quiet"] or flags["as_json"])),
+        show=telling_stop(viewer, recorder, StatusLine(plan, quiet=bool(flags["quiet"] or flags["as_json"]))),
         # a hand is needed: said however quiet
         tell=note,
         spawned=spawned,

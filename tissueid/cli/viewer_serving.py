@@ -14,9 +14,10 @@ import click
 from tissueid.cli.output import note
 
 if TYPE_CHECKING:
+    from tissueid.render.recorder import Recorder
     from tissueid.viewer.serving import ServedViewer
 
-__all__ = ["open_browser", "served", "viewer_options"]
+__all__ = ["open_browser", "served", "telling_stop", "viewer_options"]
 
 _FILE = click.Path(dir_okay=False, path_type=Path)
 #: One of these is set where a browser has a screen.
@@ -65,6 +66,22 @@ def served(flags: dict[str, Any]) -> Iterator[ServedViewer]:
         elif not flags["no_browser"]:
             open_browser(viewer.url)
         yield viewer
+
+
+def telling_stop(
+    viewer: ServedViewer | None, recorder: Recorder | None, show: Callable[[Any, Any], None]
+) -> Callable[[Any, Any], None]:
+    """What shows a record, and says on the viewer too that a recording has stopped."""
+    told = False
+
+    def shown(record: Any, summary: Any) -> None:
+        nonlocal told
+        show(record, summary)
+        if viewer is not None and recorder is not None and recorder.stopped is not None and not told:
+            told = True
+            viewer.tell(recording_stopped=recorder.stopped)
+
+    return shown
 
 
 def _show_code(url: str) -> None:

@@ -73,7 +73,8 @@ def missing_bundle_words() -> str:
         "<!doctype html><meta charset=utf-8><title>tissueid</title>"
         "<p>This installation of tissueid has no viewer: its page was not built, because node and npm, "
         "or their registry, were out of reach. With both at hand run"
-        "<pre>python -m tissueid.viewer.bundling</pre>and load this page again. The session itself goes on.</p>\n"
+        "<pre>python -m tissueid.viewer.bundling</pre>"
+        "and load this page again. The session itself goes on.</p>\n"
     )
 
 

@@ -48,8 +48,8 @@ LAMPS = (
     ("rupture", "Ruptured", "the tissue broke: no force until it is put back", Lamp.RUPTURED),
     ("timing", "Late tick", "the servo's tick began late, or stalled", Lamp.LATE | Lamp.STALLED),
 )
-#: Traces: a sample's ``field`` (of a vector its length), less ``minus``, times ``factor``; ``over`` another field
-#: instead of the time; ``axis`` right where the unit is another.
+#: Traces: a sample's ``field`` (of a vector its length), less the period where ``minus_period`` is set, times
+#: ``factor``; ``over`` another field instead of the time; ``axis`` right where the unit is another.
 STRIPS: tuple[dict[str, Any], ...] = (
     {
         "id": "force",

@@ -10,13 +10,14 @@ const SILENCE_MS = 4000;
 const OFFSET_FRAMES = 600;
 
 export class Connection {
-  /** hears: { hello, frame(buffer, head), status, state(word, sentence) } */
+  /** hears: { hello, frame(buffer, head), status, state(word, sentence, why) } */
   constructor(hears) {
     this.hears = hears;
     this.pauseMs = FIRST_PAUSE_MS;
     this.frames = 0;
     this.dropped = 0;
     this.ended = false;
+    this.offsets = [Infinity, Infinity];
     setInterval(() => this.watch(), 1000);
     this.open();
   }
@@ -29,7 +30,6 @@ export class Connection {
     this.socket = socket;
     socket.binaryType = "arraybuffer";
     this.frames = 0;
-    this.offsets = [Infinity, Infinity];
     this.heardMs = performance.now();
     socket.onmessage = (event) => this.hear(event.data);
     socket.onclose = (event) => this.lost(event);
@@ -42,6 +42,7 @@ export class Connection {
       if (message.type === "hello") {
         this.pauseMs = FIRST_PAUSE_MS;
         this.ended = false;
+        this.offsets = [Infinity, Infinity];
         this.hears.hello(message);
         this.hears.state("live", "connected");
       } else this.hears.status(message);
@@ -79,7 +80,7 @@ export class Connection {
 
   lost(event) {
     const why = event.reason || "the session is not served at this address any more, or its token changed";
-    this.hears.state("lost", `not connected: ${why}; trying again`);
+    this.hears.state("lost", "not connected", `${why}; trying again`);
     const refused = event.code >= 1002 && event.code <= 1009 && event.code !== 1006 && event.code !== 1005;
     setTimeout(() => this.open(), refused ? LONGEST_PAUSE_MS : this.pauseMs);
     this.pauseMs = Math.min(this.pauseMs * 1.5, LONGEST_PAUSE_MS);

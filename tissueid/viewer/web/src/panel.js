@@ -25,7 +25,7 @@ export class Panel {
       session.blind ? "blind" : "",
     ].filter(Boolean).join(" · ");
     byId("scale").textContent = session.scale === null ? "a force law of its own: no scale is known" : scaleWords(session);
-    this.lamps = [...hello.lamps, { id: "stale", word: "Stale", meaning: "nothing new has come" }, { id: "fault", word: "Fault", meaning: "the device is off" }].map((lamp) => {
+    this.lamps = [...hello.lamps, { id: "stale", word: "Stale", meaning: "nothing new has come" }, { id: "fault", word: "Fault", meaning: "the device is off" }, { id: "recording", word: "Recording stopped", meaning: "the session goes on unrecorded" }].map((lamp) => {
       const item = document.createElement("li");
       item.id = `lamp-${lamp.id}`;
       item.textContent = lamp.word;
@@ -42,7 +42,9 @@ export class Panel {
     this.lit = [];
     for (const lamp of this.lamps) {
       if (lamp.bits && lamps & lamp.bits) lamp.litMs = nowMs;
-      const lit = lamp.id === "stale" ? state.stale : lamp.id === "fault" ? state.fault !== 0 : nowMs - lamp.litMs < AFTERGLOW_MS;
+      const own = { stale: state.stale, fault: state.fault !== 0, recording: this.recordingStopped !== null };
+      const lit = own[lamp.id] ?? nowMs - lamp.litMs < AFTERGLOW_MS;
+      if (lamp.id === "recording") lamp.item.hidden = !lit;
       lamp.item.classList.toggle("lit", lit);
       if (lit) this.lit.push(lamp.word.toLowerCase());
     }

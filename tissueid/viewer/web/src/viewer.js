@@ -22,6 +22,7 @@ const ages = [];
 let hello = null;
 let history = null;
 let link = "connecting";
+let linkWhy = "";
 let pausedAt = null;
 let lampsSince = 0;
 let drawn = 0;
@@ -48,10 +49,11 @@ const connection = new Connection({
     history.add(buffer, head);
   },
   status(message) {
-    if (message.recording_stopped) panel.recordingStopped = message.recording_stopped;
+    panel.recordingStopped = message.recording_stopped ?? panel.recordingStopped;
   },
-  state(word, sentence) {
+  state(word, sentence, why = "") {
     link = word;
+    linkWhy = why;
     byId("link").dataset.state = word;
     byId("link-word").textContent = sentence;
     if (word === "lost") panel.statusMs = -Infinity;
@@ -121,7 +123,7 @@ function picture(nowMs) {
 
 /** A picture that is not of the present is greyed, and says why. */
 function veil(state) {
-  const words = state.stale ? (link === "live" ? "stale: nothing new has come" : byId("link-word").textContent) : state.ended ? "the session has ended" : state.paused ? "paused" : "";
+  const words = state.stale ? (link === "live" ? "stale: nothing new has come" : `${byId("link-word").textContent}: ${linkWhy}`) : state.ended ? "the session has ended" : state.paused ? "paused" : "";
   byId("veil").hidden = words === "";
   if (byId("veil").textContent !== words) byId("veil").textContent = words;
   document.body.classList.toggle("stale", state.stale);

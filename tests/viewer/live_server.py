@@ -1,0 +1,97 @@
+"""A server on a free port of this machine with a ring that the test writes, and clients of it."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from session_heads import head_of
+from websockets.sync.client import ClientConnection, connect
+
+from tissueid.haptics.ring import RECORD, Ring
+from tissueid.viewer.feed import LiveFeed
+from tissueid.viewer.frames import Frame, read_frame
+from tissueid.viewer.hello import hello
+from tissueid.viewer.pointer import HandPointer
+from tissueid.viewer.security import Access
+from tissueid.viewer.server import ViewerServer
+from tissueid.viewer.stage import Stage
+
+PATIENCE_S = 20.0
+
+
+@dataclass
+class Live:
+    """A running server and what it shows."""
+
+    ring: Ring
+    stage: Stage
+    access: Access
+    server: ViewerServer
+
+    @property
+    def ws(self) -> str:
+        return f"ws://127.0.0.1:{self.access.port}/ws"
+
+    def write(self, count: int, first: int = 0) -> None:
+        """Append records whose numbers can be told from their tick."""
+        for number in range(first, first + count):
+            self.ring.append(record(number))
+
+
+def record(number: int) -> Any:
+    """A record: tick, depth and force follow from its number."""
+    one = np.zeros((), RECORD)
+    one["tick"], one["time_s"], one["dt_s"] = number, time.monotonic(), 1e-3
+    one["depth_mm"], one["tissue_force_N"] = 0.001 * number, 0.01 * number
+    one["force_N"] = (0.0, 0.0, 0.0001 * number)
+    return one
+
+
+@contextmanager
+def served(*, token: str | None = None, pointer: HandPointer | None = None, port: int = 0) -> Iterator[Live]:
+    """Serve until the test is over."""
+    listening = socket.create_server(("127.0.0.1", port))
+    access = Access("127.0.0.1", listening.getsockname()[1], token)
+    stage, ring = Stage(), Ring.create()
+    stage.show_live(hello(head_of(), pointer=pointer is not None), LiveFeed(ring), pointer)
+    server = ViewerServer(stage, access)
+    thread = threading.Thread(target=lambda: asyncio.run(server.serve(sockets=[listening])))
+    thread.start()
+    try:
+        until(lambda: server.started)
+        yield Live(ring, stage, access, server)
+    finally:
+        server.should_exit = True
+        thread.join()
+        listening.close()
+        ring.close()
+
+
+def until(true: Any, patience_s: float = PATIENCE_S) -> None:
+    """Wait until something is true."""
+    deadline = time.monotonic() + patience_s
+    while not true():
+        assert time.monotonic() < deadline, "waited in vain"
+        time.sleep(0.005)
+
+
+@contextmanager
+def client(url: str, **options: Any) -> Iterator[ClientConnection]:
+    """A client that is no browser; pings are answered by a thread of its own."""
+    with connect(url, max_size=None, open_timeout=PATIENCE_S, compression=None, **options) as connection:
+        yield connection
+
+
+def frame_of(connection: ClientConnection) -> Frame:
+    """The next frame, answered by nobody."""
+    data = connection.recv(PATIENCE_S)
+    assert isinstance(data, bytes)
+    return read_frame(data)

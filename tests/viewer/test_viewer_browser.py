@@ -1,0 +1,235 @@
+"""The page in a browser: what is drawn is what the servo recorded, and a mouse presses the tissue."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from live_server import served
+
+from tissueid.haptics.states import Fault, State
+from tissueid.store.session_log import SessionLog, read_session_log
+
+pytestmark = pytest.mark.browser
+
+WIDTHS = ((1400, 900), (800, 1000), (400, 850))
+PATIENCE_S = 60.0
+#: Digits are renewed every 60 ms; a slow picture, or a machine with other work, doubles that a few times.
+OLDEST_DIGITS_TICKS = 1000
+
+
+@pytest.fixture(scope="module")
+def page(chromium: Any, session: Any) -> Iterator[Any]:
+    opened = chromium.new_page(viewport={"width": 1400, "height": 900})
+    opened.said = []
+    opened.on("console", lambda said: opened.said.append(said.text) if said.type == "error" else None)
+    opened.on("pageerror", lambda error: opened.said.append(str(error)))
+    opened.goto(session.url)
+    wait(
+        opened,
+        lambda now: now["samples"] > 1500 and now["drawn"] > 3 and now["newest"]["state"] == State.ENGAGED,
+    )
+    yield opened
+    opened.close()
+
+
+def now(page: Any) -> dict[str, Any] | None:
+    """What the page holds."""
+    found: dict[str, Any] | None = page.evaluate("window.tissueid ? window.tissueid.read() : null")
+    return found
+
+
+def wait(page: Any, true: Any, meanwhile: Any = lambda: None) -> dict[str, Any]:
+    """Until the page shows something; meanwhile something goes on."""
+    deadline = time.monotonic() + PATIENCE_S
+    while True:
+        meanwhile()
+        found = now(page)
+        if found is not None and true(found):
+            return found
+        assert time.monotonic() < deadline, found
+        time.sleep(0.05)
+
+
+def press(page: Any, pixels: float) -> dict[str, Any]:
+    """Drag the tool down, and keep it there."""
+    box = page.locator("#scene").bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    for part in range(1, 11):
+        page.mouse.move(x, y + pixels * part / 10)
+        time.sleep(0.02)
+    return wait(page, lambda now: now["newest"]["depth_mm"] > 0.3)
+
+
+def test_a_mouse_drag_presses_the_tissue_and_the_force_rises(page: Any) -> None:
+    before = now(page)
+    assert before is not None
+    assert before["newest"]["depth_mm"] < 0.0
+    assert before["newest"]["device_N"] == 0.0
+    shallow = press(page, 110)
+    page.mouse.move(700, 400 + 230, steps=5)
+    deep = wait(page, lambda now: now["newest"]["device_N"] > 1.3 * shallow["newest"]["device_N"])
+    assert deep["newest"]["depth_mm"] > shallow["newest"]["depth_mm"]
+    assert deep["newest"]["tissue_N"] > 10.0
+    # the surface that is drawn went down with the tool: five times the tissue's depth
+    drawn = wait(page, lambda now: now["surface"] > 0.0)
+    assert drawn["surface"] > 1.0
+    page.mouse.up()
+    # let go, the hand leaves the tissue
+    gone = wait(page, lambda now: now["newest"]["depth_mm"] < 0.0)
+    assert gone["newest"]["device_N"] == 0.0
+
+
+def test_keys_press_the_tissue_too(page: Any) -> None:
+    page.locator("#scene").focus()
+    page.keyboard.down("ArrowDown")
+    wait(page, lambda now: now["newest"]["depth_mm"] > 0.2)
+    page.keyboard.up("ArrowDown")
+    page.keyboard.press("Escape")
+    left = wait(page, lambda now: now["newest"]["depth_mm"] < 0.0)
+    assert left["newest"]["state"] == State.ENGAGED
+
+
+def test_pause_marks_theme_and_cameras_answer_to_keys(page: Any) -> None:
+    page.keyboard.press("p")
+    assert page.locator("#pause").get_attribute("aria-pressed") == "true"
+    page.keyboard.press("p")
+    page.keyboard.press("a")
+    page.locator("#note-text").fill("first touch")
+    page.keyboard.press("Enter")
+    assert [mark["text"] for mark in wait(page, lambda now: now["marks"])["marks"]] == ["first touch"]
+    before = page.locator("html").get_attribute("data-theme")
+    page.keyboard.press("t")
+    assert page.locator("html").get_attribute("data-theme") != before
+    page.keyboard.press("t")
+    with page.expect_download() as saved:
+        page.locator("#save").click()
+    text = Path(saved.value.path()).read_text(encoding="utf-8")
+    assert "# mark at" in text
+    assert "first touch" in text
+    header = next(line for line in text.splitlines() if not line.startswith("#"))
+    assert header.startswith("time_s,tick,dt_s,position_m.0")
+    for key in "2341":
+        page.keyboard.press(key)
+
+
+@pytest.mark.parametrize(("width", "height"), WIDTHS)
+def test_the_page_fits_its_window_and_a_screen_reader_hears_the_state(
+    page: Any, width: int, height: int
+) -> None:
+    page.set_viewport_size({"width": width, "height": height})
+    wait(page, lambda now: now["drawn"] > 0)
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    assert page.locator("#status").get_attribute("aria-live") == "polite"
+    deadline = time.monotonic() + PATIENCE_S
+    while "N at the device" not in page.locator("#status").text_content():
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+    words = page.locator("#scale").text_content()
+    assert "felt force = tissue force × 0.0127" in words
+    assert "% of the depth clipped" in words
+
+
+def wrong_points(traces: dict[str, Any], log: SessionLog, period_s: float = 0.001) -> int:
+    """Number of points of the traces that are no record of the servo."""
+    records = log.records
+    force = np.linalg.norm(records["force_N"].astype(np.float32).astype(np.float64), axis=1)
+    fields = {
+        "device_N": force,
+        "tissue_N": records["tissue_force_N"],
+        "loop_N": records["tissue_force_N"],
+        "depth_mm": records["depth_mm"],
+        "energy_mJ": 1e3 * records["energy_J"],
+        "period_us": 1e6 * (records["dt_s"].astype(np.float32) - period_s),
+    }
+    wrong = 0
+    for trace in traces.values():
+        at = np.array(trace["numbers"])
+        # a difference of two times of 1e5 s carries 2e-11 s
+        wrong += int(np.count_nonzero(np.abs(records["time_s"][at] - trace["time_s"]) > 1e-9))
+        for name, values in trace["values"].items():
+            given, kept = np.array(values), fields[name][at]
+            # 4 bytes carry seven digits; microseconds of a period of 1 ms four after the point
+            wrong += int(
+                np.count_nonzero(np.abs(given - kept) > 2e-7 * np.abs(kept) + 1e-3 * (name == "period_us"))
+            )
+    return wrong
+
+
+def test_traces_and_digits_are_the_servos_records(page: Any, session: Any) -> None:
+    page.set_viewport_size({"width": 1400, "height": 900})
+    press(page, 160)
+    deadline = time.monotonic() + PATIENCE_S
+    while float(page.locator("#device-force").text_content()) < 0.3:
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    read = page.evaluate(
+        """() => {
+            const digits = document.getElementById("device-force");
+            return {
+                now: window.tissueid.read(), text: digits.textContent, tick: Number(digits.dataset.tick),
+                tissue: document.getElementById("tissue-force").textContent,
+                depth: document.getElementById("depth").textContent,
+            };
+        }"""
+    )
+    page.mouse.up()
+    errors = list(page.said)
+    page.close()
+    assert session.end() in {0, 130}, session.said
+    log = read_session_log(session.printed.with_name("out.h5"))
+    assert set(read["now"]["traces"]) == {"force", "depth", "loop", "energy", "period"}
+    assert min(len(trace["numbers"]) for trace in read["now"]["traces"].values()) > 100
+    assert wrong_points(read["now"]["traces"], log) == 0
+    # one corrupted value is found
+    read["now"]["traces"]["force"]["values"]["device_N"][50] += 0.001
+    assert wrong_points(read["now"]["traces"], log) == 1
+    row = int(np.flatnonzero(log.records["tick"] == read["tick"])[0])
+    record = log.records[row]
+    assert read["text"] == f"{np.linalg.norm(record['force_N']):.2f}"
+    assert read["tissue"] == f"{record['tissue_force_N']:.1f}"
+    assert read["depth"] == f"{record['depth_mm']:.2f}"
+    assert read["now"]["newest"]["tick"] - read["tick"] <= OLDEST_DIGITS_TICKS
+    assert read["now"]["dropped"] == 0
+    assert log.summary is not None
+    assert log.summary["lost_records"] == 0
+    assert log.records["fault"].max() == Fault.NONE
+    assert errors == []
+
+
+def test_a_page_finds_a_session_that_was_started_again(chromium: Any) -> None:
+    page = chromium.new_page(viewport={"width": 800, "height": 700})
+    with served() as first:
+        page.goto(f"http://127.0.0.1:{first.access.port}/")
+        shown = wait(page, lambda now: now["link"] == "live" and now["drawn"] > 0, lambda: first.write(1))
+        assert not shown["newest"]["stale"]
+    lost = wait(page, lambda now: now["link"] != "live")
+    assert lost["newest"]["stale"]
+    page.locator("#lamp-stale.lit").wait_for()
+    assert "stale" in page.locator("body").get_attribute("class")
+    assert page.locator("#link-word").text_content() in {"not connected", "connecting"}
+    with served(port=first.access.port) as second:
+        again = wait(page, lambda now: not now["newest"]["stale"], lambda: second.write(1, 7000))
+        assert again["newest"]["tick"] == 7000
+        assert again["newest"]["ageS"] < 5.0
+        page.locator("body:not(.stale)").wait_for()
+    page.close()
+
+
+def test_a_picture_that_gets_old_is_greyed_and_says_so(chromium: Any) -> None:
+    with served() as live:
+        page = chromium.new_page(viewport={"width": 800, "height": 700})
+        page.goto(f"http://127.0.0.1:{live.access.port}/")
+        wait(page, lambda now: now["drawn"] > 0, lambda: live.write(1))
+        live.write(1)
+        old = wait(page, lambda now: now["newest"]["stale"])
+        assert old["newest"]["ageS"] > 0.5
+        page.locator("#veil", has_text="stale").wait_for()
+        assert "Stale" in page.locator("#lamps .lit").all_text_contents()
+        page.close()

@@ -1,0 +1,202 @@
+"""The feed: every client at its own pace, the newest first, nobody waits."""
+
+from __future__ import annotations
+
+import json
+import time
+
+import numpy as np
+import pytest
+from live_server import client, frame_of, record, served, until
+
+from tissueid.haptics.ring import RECORD, Ring
+from tissueid.viewer.feed import KEPT, MOST_SAMPLES, MOST_UNANSWERED, Client, LiveFeed
+from tissueid.viewer.frames import read_frame, samples_of
+from tissueid.viewer.messages import Play
+from tissueid.viewer.playback import Playback
+
+
+@pytest.fixture
+def ring() -> Ring:
+    return Ring.create(capacity=8192)
+
+
+def fill(ring: Ring, count: int, first: int = 0) -> None:
+    for number in range(first, first + count):
+        ring.append(record(number))
+
+
+def test_a_client_gets_every_sample_in_order(ring: Ring) -> None:
+    feed = LiveFeed(ring)
+    one = Client(feed, "one")
+    seen: list[int] = []
+    for turn in range(20):
+        fill(ring, 13, 13 * turn)
+        feed.pump()
+        data = one.next_frame()
+        assert data is not None
+        frame = read_frame(data)
+        assert frame.first == len(seen)
+        seen += frame.samples["tick"].tolist()
+        assert one.answer(turn + 1)
+    assert seen == list(range(260))
+    assert one.dropped == 0
+    assert one.next_frame() is None
+
+
+def test_a_client_that_hung_goes_on_with_the_newest_and_knows_what_it_missed(ring: Ring) -> None:
+    feed = LiveFeed(ring)
+    hung, awake = Client(feed, "hung"), Client(feed, "awake")
+    received = 0
+    sent = 0
+    while (data := hung.next_frame()) is not None or sent < MOST_UNANSWERED:
+        sent += 1
+        fill(ring, 10, 10 * (sent - 1))
+        feed.pump()
+        if data is not None:
+            received += read_frame(data).samples.size
+    # more than it is kept for passes while it draws nothing
+    for turn in range(5):
+        fill(ring, 1000, 10 * sent + 1000 * turn)
+        feed.pump()
+        assert hung.next_frame() is None
+        frame = awake.next_frame()
+        assert frame is not None
+        assert awake.answer(awake.sent)
+    total = feed.published
+    assert hung.answer(hung.sent)
+    data = hung.next_frame()
+    assert data is not None
+    frame = read_frame(data)
+    assert frame.samples.size == MOST_SAMPLES
+    assert frame.samples["tick"][-1] == total - 1
+    assert frame.dropped == total - MOST_SAMPLES - received
+    assert awake.dropped == 0
+
+
+def test_what_the_ring_lost_is_counted_and_does_not_shift_numbers() -> None:
+    ring = Ring.create(capacity=64)
+    feed = LiveFeed(ring)
+    one = Client(feed, "one")
+    fill(ring, 200)
+    feed.pump()
+    assert feed.published == 200
+    data = one.next_frame()
+    assert data is not None
+    # only what the ring still held is known; its number is its tick
+    assert feed.between(199, 200)["tick"].tolist() == [199]
+    assert feed.between(140, 200)["tick"].tolist() == list(range(140, 200))
+
+
+def test_numbers_stay_right_when_the_kept_samples_go_round(ring: Ring) -> None:
+    feed = LiveFeed(ring)
+    for turn in range(4):
+        fill(ring, 3000, 3000 * turn)
+        feed.pump()
+    end = feed.published
+    assert end > 2 * KEPT
+    assert feed.between(end - MOST_SAMPLES, end)["tick"].tolist() == list(range(end - MOST_SAMPLES, end))
+
+
+def test_an_answer_that_cannot_be_is_refused(ring: Ring) -> None:
+    one = Client(LiveFeed(ring), "one")
+    assert not one.answer(1)
+    fill(ring, 5)
+    one.source.pump()
+    assert one.next_frame() is not None
+    assert one.answer(1)
+    assert not one.answer(0)
+    assert not one.answer(2)
+
+
+def test_the_end_is_said_once(ring: Ring) -> None:
+    feed = LiveFeed(ring)
+    one = Client(feed, "one")
+    fill(ring, 3)
+    feed.end()
+    data = one.next_frame()
+    assert data is not None
+    frame = read_frame(data)
+    assert (frame.samples.size, frame.ended) == (3, True)
+    assert one.next_frame() is None
+
+
+def test_five_clients_one_of_them_hung_and_the_others_miss_nothing() -> None:
+    with served() as live, client(live.ws) as hung:
+        hung.recv()
+        others = [client(live.ws) for _ in range(4)]
+        opened = [one.__enter__() for one in others]
+        for one in opened:
+            one.recv()
+        seen: list[list[int]] = [[] for _ in opened]
+        written = 0
+        begun = time.monotonic()
+        while time.monotonic() - begun < 1.5:
+            live.write(50, written)
+            written += 50
+            for ticks, one in zip(seen, opened, strict=True):
+                frame = frame_of(one)
+                ticks += frame.samples["tick"].tolist()
+                assert frame.dropped == 0
+                live_answer(one)
+        for ticks, one in zip(seen, opened, strict=True):
+            while ticks[-1] < written - 1:
+                ticks += frame_of(one).samples["tick"].tolist()
+                live_answer(one)
+            assert ticks == list(range(written))
+        for one in others:
+            one.__exit__(None, None, None)
+        until(lambda: len(live.stage.clients) == 1)
+        # the hung one got what it may have unanswered and no more
+        waiting = 0
+        while waiting < MOST_UNANSWERED:
+            frame_of(hung)
+            waiting += 1
+        with pytest.raises(TimeoutError):
+            hung.recv(0.2)
+        hung.send(json.dumps({"v": 1, "answer": waiting}))
+        live.write(1, written)
+        newest = frame_of(hung)
+        while newest.samples["tick"][-1] != written:
+            newest = frame_of(hung)
+        assert newest.samples["tick"][-1] == written
+
+
+def live_answer(one: object) -> None:
+    """Answer all frames that were received on a connection."""
+    one.answered = getattr(one, "answered", 0) + 1  # type: ignore[attr-defined]
+    one.send(json.dumps({"v": 1, "answer": one.answered}))  # type: ignore[attr-defined]
+
+
+class TestPlayback:
+    def samples(self) -> np.ndarray:
+        records = np.zeros(1000, RECORD)
+        records["tick"], records["time_s"] = np.arange(1000), 50.0 + 1e-3 * np.arange(1000)
+        return samples_of(records)
+
+    def test_samples_come_when_they_came(self) -> None:
+        now = [0.0]
+        play = Playback(self.samples(), lambda: now[0])
+        assert play.published == 1
+        now[0] = 0.2505
+        assert play.published == 251
+        assert not play.ended
+        now[0] = 5.0
+        assert (play.published, play.ended) == (1000, True)
+
+    def test_it_stands_still_goes_on_and_goes_back(self) -> None:
+        now = [0.1]
+        play = Playback(self.samples(), lambda: now[0])
+        play.play(Play(0.5, paused=True))
+        now[0] = 9.0
+        assert play.now_s() == pytest.approx(50.5)
+        play.play(Play(None, paused=False))
+        now[0] = 9.2005
+        assert play.published == 701
+        one = Client(play, "one")
+        assert one.next_frame() is not None
+        play.play(Play(0.0, paused=True))
+        one.rewind()
+        data = one.next_frame()
+        assert data is not None
+        assert read_frame(data).samples["tick"].tolist() == [0]

@@ -1,0 +1,348 @@
+"""Who is let in, what may be said, and that nothing said reaches a device."""
+
+from __future__ import annotations
+
+import json
+import socket
+import ssl
+import subprocess
+import time
+import urllib.error
+import urllib.request
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+from live_server import Live, client, frame_of, record, served, until
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import ClientConnection
+
+from tissueid.errors import UsageError
+from tissueid.haptics.shared_hand import SharedHand
+from tissueid.viewer.messages import LARGEST_MESSAGE, Answer, Play, Pointer, parse_message
+from tissueid.viewer.pointer import HandPointer
+from tissueid.viewer.security import MOST_TOLD, Access, RefusalLog, new_token
+from tissueid.viewer.server import HEADERS, MOST_CLIENTS, MOST_MESSAGES
+from tissueid.viewer.serving import ServedViewer, ViewerOptions
+
+TOKEN = "T0ken" * 8
+OPEN = Access("127.0.0.1", 8765)
+REMOTE = Access("192.0.2.7", 8765, TOKEN)
+ALL = Access("0.0.0.0", 8765, TOKEN)
+
+
+@pytest.mark.parametrize(
+    ("access", "host", "welcome"),
+    [
+        (OPEN, "127.0.0.1:8765", True),
+        (OPEN, "localhost:8765", True),
+        (OPEN, "[::1]:8765", True),
+        (OPEN, "localhost", False),
+        (OPEN, "127.0.0.1:80", False),
+        (OPEN, "evil.example:8765", False),
+        (OPEN, "127.0.0.1.evil.example:8765", False),
+        (OPEN, "", False),
+        (OPEN, "192.0.2.7:8765", False),
+        (REMOTE, "192.0.2.7:8765", True),
+        (REMOTE, "192.0.2.8:8765", False),
+        (REMOTE, "rebound.example:8765", False),
+        (ALL, "192.0.2.7:8765", True),
+        (ALL, "[2001:db8::1]:8765", True),
+        (ALL, "rebound.example:8765", False),
+        (ALL, "192.0.2.7:999999", False),
+        (ALL, "192.0.2.7:٨٧٦٥", False),
+    ],
+)
+def test_only_its_own_address_is_a_host(access: Access, host: str, *, welcome: bool) -> None:
+    assert access.names(host) is welcome
+    assert (access.refusal({"host": host}, access.token, websocket=True) is None) is welcome
+
+
+@pytest.mark.parametrize(
+    ("origin", "welcome"),
+    [
+        (None, True),
+        ("http://127.0.0.1:8765", True),
+        ("https://127.0.0.1:8765", False),
+        ("http://127.0.0.1:8766", False),
+        ("http://evil.example", False),
+        ("null", False),
+        ("", False),
+        ("http://127.0.0.1:8765.evil.example", False),
+    ],
+)
+def test_a_websocket_comes_from_the_own_page_or_from_no_browser(origin: str | None, *, welcome: bool) -> None:
+    headers = {"host": "127.0.0.1:8765"} | ({} if origin is None else {"origin": origin})
+    assert (OPEN.refusal(headers, None, websocket=True) is None) is welcome
+
+
+@pytest.mark.parametrize(
+    ("token", "why"), [(None, "no token"), ("", "wrong token"), (TOKEN[:-1], "wrong token")]
+)
+def test_another_machine_needs_the_token(token: str | None, why: str) -> None:
+    assert REMOTE.refusal({"host": "192.0.2.7:8765"}, token, websocket=False) == why
+    assert REMOTE.refusal({"host": "192.0.2.7:8765"}, TOKEN, websocket=False) is None
+
+
+def test_an_address_of_others_without_a_token_cannot_be_served() -> None:
+    with pytest.raises(ValueError, match="a token is needed"):
+        Access("192.0.2.7", 8765)
+    tokens = {new_token() for _ in range(100)}
+    assert len(tokens) == 100
+    assert min(map(len, tokens)) >= 32
+
+
+def refused(live: Live, url: str, code: int = 403, **options: object) -> None:
+    """Assert that a handshake is refused."""
+    with pytest.raises(InvalidStatus) as status, client(url, **options):
+        pass
+    assert status.value.response.status_code == code
+    assert not live.stage.clients
+
+
+def test_handshakes_of_strangers_are_refused_and_logged(capfd: pytest.CaptureFixture[str]) -> None:
+    with served(token=TOKEN) as live:
+        refused(live, live.ws)
+        refused(live, f"{live.ws}?token=wrong")
+        refused(live, f"{live.ws}?token={TOKEN}&token={TOKEN}")
+        refused(live, f"{live.ws}?token={TOKEN}", origin="http://evil.example")
+        rebound = socket.create_connection(("127.0.0.1", live.access.port))
+        refused(live, f"ws://evil.example:{live.access.port}/ws?token={TOKEN}", sock=rebound)
+        with client(f"{live.ws}?token={TOKEN}", origin=f"http://127.0.0.1:{live.access.port}") as welcome:
+            assert json.loads(welcome.recv())["type"] == "hello"
+    said = capfd.readouterr().err
+    assert "no token" in said
+    assert "wrong token" in said
+    assert "foreign Origin 'http://evil.example'" in said
+    assert "foreign Host 'evil.example:" in said
+    assert TOKEN not in said
+
+
+def fetched(url: str, **headers: str) -> tuple[int, dict[str, str], bytes]:
+    """Status, headers and body of a page."""
+    try:
+        with urllib.request.urlopen(urllib.request.Request(url, headers=headers), timeout=10) as answer:
+            return answer.status, dict(answer.headers), answer.read()
+    except urllib.error.HTTPError as error:
+        with error:
+            return error.code, dict(error.headers), error.read()
+
+
+def test_the_page_needs_the_token_and_forbids_everything_foreign() -> None:
+    with served(token=TOKEN) as live:
+        base = f"http://127.0.0.1:{live.access.port}"
+        status, headers, body = fetched(f"{base}/")
+        assert (status, b"no token" in body) == (403, True)
+        for name, value in HEADERS:
+            assert headers[name.decode()] == value.decode()
+        assert fetched(f"{base}/?token={TOKEN}")[0] in {200, 503}
+        assert fetched(f"{base}/?token={TOKEN}", Host="evil.example")[0] == 403
+        assert fetched(f"{base}/static/../server.py?token={TOKEN}")[0] == 404
+        assert fetched(f"{base}/static/%2e%2e/server.py?token={TOKEN}")[0] == 404
+        assert fetched(f"{base}/ws?token={TOKEN}")[0] == 404
+
+
+CLOSED = [
+    ("not JSON", 1007),
+    ("[]", 1007),
+    ('{"v": 1}', 1007),
+    ('{"v": 2, "answer": 0}', 1007),
+    ('{"v": 1, "answer": 99}', 1007),
+    ('{"v": 1, "answer": -1}', 1007),
+    ('{"v": true, "pointer": null}', 1007),
+    ('{"v": 1, "force_N": [0, 0, 9]}', 1007),
+    ('{"v": 1, "pointer": [0, 0, 1e9]}', 1007),
+    ('{"v": 1, "pointer": null}', 1008),
+    ('{"v": 1, "pointer": [0, 0, 0.1]}', 1008),
+    ('{"v": 1, "play": {"at_s": 0}}', 1008),
+    (b"\x00\x01\x02", 1003),
+    ("x" * (LARGEST_MESSAGE + 1), 1009),
+    (b"x" * 1_000_000, 1009),
+]
+
+
+def code_of(connection: ClientConnection) -> int | None:
+    """The code that a connection is closed with."""
+    try:
+        while True:
+            connection.recv(10)
+    except ConnectionClosed as closed:
+        return None if closed.rcvd is None else closed.rcvd.code
+
+
+def test_what_is_no_message_closes_with_its_code_and_harms_no_other(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    with served() as live, client(live.ws) as other:
+        other.recv()
+        for message, code in CLOSED:
+            with client(live.ws) as bad:
+                bad.recv()
+                bad.send(message)
+                assert code_of(bad) == code, message[:60]
+        live.write(3)
+        assert frame_of(other).samples["tick"].tolist()[-1] <= 2
+    said = capfd.readouterr().err
+    assert "malformed message" in said
+    assert "pointer refused" in said
+    assert "too long a message" in said
+    assert "binary message" in said
+
+
+def test_a_flood_of_messages_is_ended() -> None:
+    hand = SharedHand.create()
+    corner = np.full(3, 0.1)
+    with served(pointer=HandPointer(hand, corner, corner, corner)) as live, client(live.ws) as one:
+        one.recv()
+        with suppress(ConnectionClosed):
+            for _ in range(20 * MOST_MESSAGES):
+                one.send('{"v": 1, "pointer": null}')
+        assert code_of(one) == 1008
+    hand.close()
+
+
+def test_more_clients_than_places_are_refused() -> None:
+    with served() as live:
+        opened = [client(live.ws) for _ in range(MOST_CLIENTS)]
+        for one in opened:
+            one.__enter__()
+        with pytest.raises(InvalidStatus):
+            client(live.ws).__enter__()
+        for one in opened:
+            one.__exit__(None, None, None)
+        until(lambda: not live.stage.clients)
+        with client(live.ws) as again:
+            assert json.loads(again.recv())["type"] == "hello"
+
+
+def fuzz(count: int, seed: int) -> None:
+    """Random and nearly right messages to a server whose device nothing may lead, while another looks on."""
+    chance = np.random.default_rng(seed)
+    right = ['{"v": 1, "answer": 1}', '{"v": 1, "pointer": [0, 0, 0.1]}', '{"v": 1, "play": {"at_s": 1}}']
+    with served() as live, client(live.ws) as watcher:
+        watcher.recv()
+        live.stage.log.note = lambda _client, _why: None  # type: ignore[method-assign]
+        sent = 0
+        while sent < count:
+            with client(live.ws) as one:
+                try:
+                    for _ in range(50):
+                        data = bytearray(right[chance.integers(3)].encode())
+                        for _ in range(chance.integers(1, 8)):
+                            data[chance.integers(len(data))] = chance.integers(256)
+                        size = int(chance.integers(0, 300))
+                        kind = chance.integers(3)
+                        if kind == 0:
+                            one.send(bytes(data))
+                        elif kind == 1:
+                            one.send(bytes(data).decode("latin-1"))
+                        else:
+                            one.send(chance.bytes(size))
+                        sent += 1
+                except ConnectionClosed:
+                    pass
+        live.write(5)
+        assert frame_of(watcher).samples["tick"][0] == 0
+        assert live.server.started
+
+
+def test_two_thousand_messages_of_noise_leave_the_server_as_it_was() -> None:
+    fuzz(2000, seed=1)
+
+
+@pytest.mark.slow
+def test_a_hundred_thousand_messages_of_noise_leave_the_server_as_it_was() -> None:
+    fuzz(100_000, seed=2)
+
+
+def test_noise_is_never_taken_for_a_message_that_moves_anything() -> None:
+    chance = np.random.default_rng(3)
+    for _ in range(5000):
+        text = chance.bytes(int(chance.integers(0, 80))).decode("latin-1")
+        assert parse_message(text) is None
+    assert parse_message("[" * 200) is None
+    assert parse_message('{"v": 1, "answer": 3}') == Answer(3)
+    assert parse_message('{"v": 1, "pointer": [0, 0.1, -0.2]}') == Pointer((0.0, 0.1, -0.2))
+    assert parse_message('{"v": 1, "pointer": [NaN, 0, 0]}') is None
+    assert parse_message('{"v": 1, "play": {"at_s": Infinity}}') is None
+    assert parse_message('{"v": 1, "play": {"paused": true}}') == Play(None, paused=True)
+
+
+def test_a_pointer_leads_the_hand_within_the_workspace_and_is_let_go_with_its_page() -> None:
+    hand = SharedHand.create()
+    rest, low, high = np.array([0.0, 0.0, 0.15]), np.full(3, -0.04), np.full(3, 0.17)
+    with served(pointer=HandPointer(hand, rest, low, high)) as live:
+        with client(live.ws) as one:
+            one.recv()
+            one.send('{"v": 1, "pointer": [0.01, 0.02, 0.12]}')
+            until(lambda: hand.parameters[13] == 1.0)
+            assert hand.parameters[14:17].tolist() == [0.01, 0.02, 0.12]
+            one.send('{"v": 1, "pointer": [0.01, 0.02, -0.3]}')
+            until(lambda: hand.parameters[16] < 0.1)
+            assert hand.parameters[16] == pytest.approx(-0.06)
+        until(lambda: hand.parameters[16] == 0.15)
+        assert hand.parameters[14:17].tolist() == rest.tolist()
+    hand.close()
+
+
+def test_refusals_of_a_kind_are_told_up_to_a_number(capfd: pytest.CaptureFixture[str]) -> None:
+    log = RefusalLog()
+    for _ in range(10 * MOST_TOLD):
+        log.note("a\nb", "wrong token")
+    lines = capfd.readouterr().err.splitlines()
+    assert len(lines) == MOST_TOLD
+    assert "a\\nb" in lines[0]
+    assert log.counts["wrong token"] == 10 * MOST_TOLD
+
+
+def test_an_address_that_is_not_ours_is_refused_with_the_way_out() -> None:
+    with pytest.raises(UsageError, match="--host"):
+        ServedViewer(ViewerOptions("192.0.2.7"))
+    with pytest.raises(UsageError, match="TLS needs two files"):
+        ViewerOptions(certificate=Path("a.pem"))
+    with pytest.raises(UsageError, match="no such file"):
+        ViewerOptions(certificate=Path("no.pem"), key=Path("no.key"))
+
+
+def test_a_page_is_served_by_tls_where_files_are_given(tmp_path: Path) -> None:
+    certificate, key = tmp_path / "c.pem", tmp_path / "k.pem"
+    made = subprocess.run(
+        ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj", "/CN=127.0.0.1",
+         "-addext", "subjectAltName=IP:127.0.0.1", "-keyout", key, "-out", certificate],
+        capture_output=True, check=False,
+    )  # fmt: skip
+    if made.returncode:
+        pytest.skip("openssl makes no certificate here")
+    trusting = ssl.create_default_context(cafile=certificate)
+    with ServedViewer(ViewerOptions(certificate=certificate, key=key)) as viewer:
+        assert viewer.url.startswith("https://127.0.0.1:")
+        begun = time.monotonic()
+        while True:
+            try:
+                with urllib.request.urlopen(viewer.url, timeout=5, context=trusting) as answer:
+                    status = answer.status
+            except urllib.error.HTTPError as error:
+                with error:
+                    status = error.code
+            except OSError:
+                assert time.monotonic() - begun < 20.0
+                time.sleep(0.05)
+                continue
+            break
+        assert status in {200, 503}
+        assert viewer.runs
+    assert not viewer.runs
+
+
+def test_a_ring_that_was_handed_out_for_reading_cannot_be_written() -> None:
+    from tissueid.haptics.ring import Ring
+
+    ring = Ring.create(capacity=64)
+    ring.append(record(7))
+    reading = Ring.attach(ring.read_only())
+    assert reading.reader(from_start=True).read_new()[0]["tick"].tolist() == [7]
+    with pytest.raises(ValueError, match="read-only"):
+        reading.records[0] = record(8)
+    reading.close()
+    ring.close()
