@@ -14,6 +14,7 @@ from tissueid.cli.viewer_serving import served, telling_stop, viewer_options
 
 if TYPE_CHECKING:
     from tissueid.render.options import RenderOptions
+    from tissueid.render.scene import Scene
     from tissueid.render.servo import ServoProcess
     from tissueid.render.servo_spawn import SpawnedServo
     from tissueid.render.session import Outcome, Session
@@ -30,6 +31,7 @@ Examples:
   tissueid render bundle.h5 --quantile 0.975 --of "force at 6 mm, 250 mm/min"
   tissueid render a.h5 --against b.h5 --blind --log P17.h5
   tissueid render bundle.h5 --replay out.h5
+  tissueid render --scene hip-resurfacing --plan patient.toml --device sim --viewer
   tissueid render out/population.h5 --draw-specimen 7
   tissueid render bundle.h5 --device falcon --viewer --host 192.0.2.7
   tissueid render                                  a tissue that comes along, moved by the mouse
@@ -55,13 +57,17 @@ _TISSUE = (
     click.option("--against-draw", type=int, metavar="N", help="... of this draw."),
     click.option("--against-quantile", type=float, metavar="Q", help="... of this quantile."),
     click.option("--environment", metavar="NAME", help="An installed force law instead of a tissue."),
+    click.option("--scene", metavar="NAME|FILE",
+                 help="A scene.toml, or one that comes along: hip-resurfacing, meat, orbital-floor."),
+    click.option("--plan", type=_FILE, metavar="FILE",
+                 help="Axis and entry point to be guided to, instead of the scene's."),
 )  # fmt: skip
 _SCALE = (
     click.option("--force-scale", type=float, metavar="S", help="Device force over tissue force."),
     click.option("--motion-scale", type=float, metavar="S",
                  help="Device travel over tissue depth. [default: 5]"),
-    click.option("--surface", metavar="TEXT", default="plane", show_default=True,
-                 help="'plane', 'sphere R mm' or 'box X x Y x Z mm', in tissue units."),
+    click.option("--surface", metavar="TEXT",
+                 help="'plane', 'sphere R mm' or 'box X x Y x Z mm', in tissue units. [default: plane]"),
     click.option("--tip-radius", type=click.FloatRange(min=0.0, min_open=True), metavar="MM",
                  help="Radius of the tool tip; another than identified is refused."),
     click.option("--no-control", is_flag=True, help="The passivity controller only watches."),
@@ -134,7 +140,7 @@ def command(**flags: Any) -> int:
 
 def _choose_demonstration(flags: dict[str, Any]) -> None:
     """Nothing asked for: the first thing to see is a tissue that moves under the mouse, without motors."""
-    tissue = ("bundle", "preset", "environment", "replay", "script", *_CHOICES)
+    tissue = ("bundle", "preset", "environment", "scene", "replay", "script", *_CHOICES)
     if flags["name"] == "auto" and not flags["virtual"] and all(flags[name] is None for name in tissue):
         flags |= {"preset": DEMONSTRATED, "name": "sim", "viewer": True}
 
@@ -216,9 +222,23 @@ def _show(viewer: ServedViewer | None, plan: SessionPlan, servo: ServoProcess, b
 def _asked(flags: dict[str, Any]) -> RenderOptions:
     from tissueid.render.options import RenderOptions
 
+    scene = _scene(flags)
+    if scene is not None and scene.device is not None and flags["name"] == "auto":
+        flags["name"] = scene.device
+    asked = {
+        "bundle": flags["bundle"],
+        "preset": flags["preset"],
+        "force_scale": flags["force_scale"],
+        "motion_scale": flags["motion_scale"],
+        "tip_radius_mm": flags["tip_radius"],
+        "surface": flags["surface"],
+    }
+    if scene is not None:
+        # what is said on the command line comes before what the scene says
+        asked = {**scene.tissue, **{key: value for key, value in asked.items() if value is not None}}
     return RenderOptions(
-        bundle=flags["bundle"],
-        preset=flags["preset"],
+        **{"surface": "plane", **{key: value for key, value in asked.items() if value is not None}},
+        scene=scene,
         draw=flags["draw"],
         draw_specimen=flags["draw_specimen"],
         quantile=flags["quantile"],
@@ -230,10 +250,6 @@ def _asked(flags: dict[str, Any]) -> RenderOptions:
         device_options=_device_options(flags),
         script=flags["script"],
         seconds=flags["seconds"],
-        force_scale=flags["force_scale"],
-        motion_scale=flags["motion_scale"],
-        tip_radius_mm=flags["tip_radius"],
-        surface=flags["surface"],
         environment=flags["environment"],
         control=not flags["no_control"],
         blind=flags["blind"],
@@ -244,6 +260,23 @@ def _asked(flags: dict[str, Any]) -> RenderOptions:
         bridge=flags["bridge"] is not None,
         led=flags["viewer"],
     )
+
+
+def _scene(flags: dict[str, Any]) -> Scene | None:
+    """The scene that was asked for; it brings its own tissue, or guidance in its place."""
+    from tissueid.errors import UsageError
+
+    if flags["scene"] is None:
+        if flags["plan"] is not None:
+            msg = "--plan is an axis to be guided to: add --scene hip-resurfacing, or a scene of your own"
+            raise UsageError(msg)
+        return None
+    from tissueid.render.scene import load_scene
+
+    if flags["bundle"] is not None or flags["preset"] is not None or flags["environment"] is not None:
+        msg = "--scene brings what is felt: leave bundle, --preset and --environment out"
+        raise UsageError(msg)
+    return load_scene(flags["scene"], plan=flags["plan"])
 
 
 def _device_options(flags: dict[str, Any]) -> dict[str, Any]:

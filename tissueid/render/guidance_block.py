@@ -23,10 +23,10 @@ M_TO_MM = 1000.0
 UNIT_TOLERANCE = 1e-9
 
 #: What Pires et al. print: the form of the contact law, the form of the surface and tau = 0.05 s.  All other
-#: numbers below are assumed.
+#: numbers below are assumed, forces such that a device of which nothing was measured renders them stably.
 ASSUMED = (
-    "radius_m", "offset_m", "slope", "stiffness_N_per_m_n", "exponent", "restitution", "far_N_per_m",
-    "near_N_per_m", "reach_m", "filter_s", "bone",
+    "radius_m", "offset_m", "slope", "stiffness_N_per_m_n", "exponent", "restitution", "slowest_m_s",
+    "far_N_per_m", "near_N_per_m", "reach_m", "filter_s", "bone",
 )  # fmt: skip
 
 
@@ -46,16 +46,19 @@ class Funnel:
     restitution : float
         e.
     law : {"flores", "exact"}
+    slowest_m_s : float
+        Floor of the speed at contact [m/s].
     """
 
     kind: Literal["hyperboloid", "cone"] = "hyperboloid"
     radius_m: float = 0.004
     offset_m: float = 0.006
     slope: float = 0.35
-    stiffness_N_per_m_n: float = 20_000.0
+    stiffness_N_per_m_n: float = 400.0
     exponent: float = 1.5
-    restitution: float = 0.5
+    restitution: float = 0.9
     law: DampingLaw = "flores"
+    slowest_m_s: float = 0.05
 
     def numbers(self) -> FloatArray:
         """Shape of :mod:`tissueid.render.funnel`, shape (FUNNEL_SIZE,).
@@ -91,8 +94,8 @@ class Pull:
         With the axial force; without it the paper's variant.
     """
 
-    far_N_per_m: float = 50.0
-    near_N_per_m: float = 300.0
+    far_N_per_m: float = 10.0
+    near_N_per_m: float = 75.0
     reach_m: float = 0.02
     tau_s: float = 0.05
     filter_s: float = 0.05
@@ -117,9 +120,9 @@ class Bone:
     """
 
     radius_m: float = 0.024
-    stiffness_N_per_m: float = 800.0
+    stiffness_N_per_m: float = 200.0
     hole_radius_m: float = 0.003
-    resistance_N_s_per_m: float = 400.0
+    resistance_N_s_per_m: float = 300.0
     drill_depth_m: float = 0.02
 
 
@@ -175,6 +178,21 @@ class Guidance:
             msg = f"a bone needs stiffness and resistance above 0 and a hole narrower than itself, got {bone}"
             raise ValueError(msg)
 
+    def unit_axis(self) -> FloatArray:
+        """Unit vector out of the bone, shape (3,).
+
+        Raises
+        ------
+        ValueError
+            The axis has no direction.
+        """
+        axis = np.asarray(self.axis, dtype=np.float64)
+        length = float(np.linalg.norm(axis))
+        if not (np.isfinite(length) and length > UNIT_TOLERANCE):
+            msg = f"an axis needs a direction, got {self.axis}"
+            raise ValueError(msg)
+        return np.asarray(axis / length)
+
     def numbers(self) -> FloatArray:
         """The block of :mod:`tissueid.render.guidance`, shape (GUIDANCE_SIZE,).
 
@@ -183,14 +201,9 @@ class Guidance:
         ValueError
             The axis has no direction, or no surface has the funnel's numbers.
         """
-        axis = np.asarray(self.axis, dtype=np.float64)
-        length = float(np.linalg.norm(axis))
-        if not (np.isfinite(length) and length > UNIT_TOLERANCE):
-            msg = f"an axis needs a direction, got {self.axis}"
-            raise ValueError(msg)
         out = np.empty(gd.GUIDANCE_SIZE)
         out[gd.ORIGIN : gd.ORIGIN + 3] = self.entry_m
-        out[gd.AXIS : gd.AXIS + 3] = axis / length
+        out[gd.AXIS : gd.AXIS + 3] = self.unit_axis()
         out[gd.FUNNEL : gd.CONTACT] = self.funnel.numbers()
         funnel, pull, bone = self.funnel, self.pull, self.bone
         pack_impact(
@@ -200,6 +213,7 @@ class Guidance:
             damping_factor(funnel.restitution, funnel.law),
             out,
             gd.CONTACT,
+            slowest_mm_s=funnel.slowest_m_s * M_TO_MM,
             filter_s=pull.filter_s,
             hysteresis_mm=0.2,
         )

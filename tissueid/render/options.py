@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from tissueid.render.choice import DEFAULT_FUNCTIONAL
+from tissueid.render.scene import Scene
 
 __all__ = ["RenderOptions"]
 
@@ -36,6 +37,8 @@ class RenderOptions:
     surface : str
     environment : str or None
         Installed force law, instead of a tissue.
+    scene : Scene or None
+        Where the tissue or the guidance comes from.
     control : bool
         Whether the passivity controller may brake.
     blind : bool
@@ -71,6 +74,7 @@ class RenderOptions:
     tip_radius_mm: float | None = None
     surface: str = "plane"
     environment: str | None = None
+    scene: Scene | None = None
     control: bool = True
     blind: bool = False
     presentations: int | None = None

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.errors import DeviceError, UsageError
-from tissueid.haptics.device import Capabilities, HapticDevice
+from tissueid.haptics.device import HapticDevice
 from tissueid.haptics.hand import Hand
 from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.registry import HARDWARE, choose_device, device_class, environment_law
@@ -31,18 +31,18 @@ from tissueid.render.choice import (
     pick_specimen,
 )
 from tissueid.render.contact_geometry import parse_surface, place_surface, surface_remarks, travel_behind
+from tissueid.render.law_session import demands_of, guided_session, law_session
 from tissueid.render.options import RenderOptions
 from tissueid.render.passivity_control import PassivityLimits
-from tissueid.render.precheck import Demands, Precheck, check_before_force
+from tissueid.render.precheck import Precheck, check_before_force
 from tissueid.render.presets import preset_tissue
 from tissueid.render.script import RAMP_S, Script, read_script
-from tissueid.render.session_plan import PERIOD_S, SessionPlan, session_head
-from tissueid.render.surface import SURFACE_SIZE, TOOL_RADIUS
+from tissueid.render.session_plan import SessionPlan, session_head
+from tissueid.render.surface import TOOL_RADIUS
 from tissueid.render.tissue_block import (
     Plane,
     Sphere,
     Surface,
-    free_air_block,
     surface_from,
     tissue_block,
 )
@@ -74,8 +74,12 @@ def plan_session(options: RenderOptions) -> SessionPlan:
         Before anything moved, with the way out.
     """
     name = "replay" if options.replay is not None else options.device
-    if options.environment is not None:
-        return _law_session(options, name)
+    guided = options.scene is not None and options.scene.guidance is not None
+    if guided or options.environment is not None:
+        _must_be_alone(options)
+        choice, device = _device(options, name)
+        _must_fit(options, choice, None)
+        return (guided_session if guided else law_session)(options, choice, device)
     functional = parse_functional(options.of)
     picked, hashes = _tissues(options, functional)
     options, replayed = _replayed(options)
@@ -120,7 +124,11 @@ def plan_session(options: RenderOptions) -> SessionPlan:
         seconds=options.seconds if script is None else script.duration_s,
         environment=None,
         virtual=options.virtual,
-        lines=(choice[1], *_lines(options, picked, check, functional)),
+        lines=(
+            choice[1],
+            *(() if options.scene is None else options.scene.lines()),
+            *_lines(options, picked, check, functional),
+        ),
         led=led,
     )
     return replace(plan, head=session_head(plan, surface.numbers(radius_m), hashes))
@@ -246,13 +254,7 @@ def _scaled(
     checks = []
     for each in picked:
         motion = options.motion_scale
-        demands = Demands(
-            clamp_N=capabilities.clamp_N,
-            damping_N_s_per_m=capabilities.damping_N_s_per_m,
-            delay_ticks=capabilities.delay_ticks,
-            period_s=PERIOD_S,
-            known=_known(capabilities),
-        )
+        demands = demands_of(capabilities)
         first = check_before_force(each.tissue, demands, force_scale=options.force_scale, motion_scale=motion)
         scale = first.scaling.motion
         radius_m = (each.tissue.tip_radius_mm or options.tip_radius_mm or 0.0) * MM * scale
@@ -277,12 +279,6 @@ def _scaled(
             )
         )
     return min(checks, key=lambda one: one[0].scaling.force)
-
-
-def _known(capabilities: Capabilities) -> str:
-    if not capabilities.hardware:
-        return "as simulated"
-    return "measured on this unit" if capabilities.calibrated else "assumed, not measured on this unit"
 
 
 def _order(options: RenderOptions, picked: tuple[Picked, ...]) -> BlindOrder | None:
@@ -364,30 +360,14 @@ def _lines(
     return text + check.lines()
 
 
-def _law_session(options: RenderOptions, name: str) -> SessionPlan:
-    """A session with an installed force law: no tissue, no scale, no precheck."""
-    if options.bundle is not None or options.preset is not None or options.blind or options.script:
-        msg = "--environment takes the place of a tissue: leave bundle, --preset, --blind and --script out"
+def _must_be_alone(options: RenderOptions) -> None:
+    """A force law takes the place of everything that belongs to a tissue."""
+    if options.environment is not None:
+        environment_law(options.environment)
+    given = (options.bundle, options.preset, options.script, options.replay)
+    if options.blind or any(one is not None for one in given):
+        word = "--environment" if options.environment is not None else "a scene with guidance"
+        msg = (
+            f"{word} takes the place of a tissue: leave bundle, --preset, --blind, --replay and --script out"
+        )
         raise UsageError(msg)
-    assert options.environment is not None  # noqa: S101 -- asked by the caller
-    environment_law(options.environment)
-    choice, device = _device(options, name)
-    _must_fit(options, choice, None)
-    block = np.concatenate([free_air_block(), PassivityLimits(on=options.control).block()])
-    plan = SessionPlan(
-        device=choice[0],
-        device_options=dict(options.device_options),
-        why=choice[1],
-        capabilities=device.capabilities,
-        blocks=(block,),
-        picked=(),
-        check=None,
-        order=None,
-        head={},
-        script=None,
-        seconds=options.seconds,
-        environment=options.environment,
-        virtual=False,
-        lines=(choice[1], f"law        {options.environment}: nothing is known of its stability"),
-    )
-    return replace(plan, head=session_head(plan, np.zeros(SURFACE_SIZE), (None,)))

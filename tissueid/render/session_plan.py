@@ -54,6 +54,8 @@ class SessionPlan:
         What is printed before force.
     led : bool
         Whether a pointer on a screen leads the hand of the simulated device.
+    guided : bool
+        Whether the block is a guided axis.
     """
 
     device: str
@@ -71,6 +73,7 @@ class SessionPlan:
     virtual: bool
     lines: tuple[str, ...]
     led: bool = False
+    guided: bool = False
 
 
 def session_head(plan: SessionPlan, surface: FloatArray, hashes: tuple[str | None, ...]) -> dict[str, Any]:
@@ -90,7 +93,7 @@ def session_head(plan: SessionPlan, surface: FloatArray, hashes: tuple[str | Non
         "pseudonym": None if plan.order is None else plan.order.pseudonym,
         "blind": plan.order is not None,
         "tissues": _tissue_entries(plan, hashes),
-        "environment": plan.environment or "tissue",
+        "environment": plan.environment or ("guidance" if plan.guided else "tissue"),
         "surface": [float(value) for value in surface],
         "device": {
             "name": plan.device,
@@ -116,7 +119,9 @@ def _tissue_entries(plan: SessionPlan, hashes: tuple[str | None, ...]) -> list[d
             for number in range(1, len(plan.order.tissues) + 1)
         ]
     if not plan.picked:
-        return [{**nothing, "label": 0, "name": str(plan.environment)}]
+        # what was felt can be computed again from the block; of an installed law nothing is known
+        known = {"name": "guidance", "block": plan.blocks[0].tolist()} if plan.guided else {}
+        return [{**nothing, "label": 0, "name": str(plan.environment), **known}]
     return [
         {
             "label": label,

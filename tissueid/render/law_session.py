@@ -1,0 +1,114 @@
+"""Sessions without a tissue: an installed force law, and guidance along a planned axis."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from tissueid.haptics.device import Capabilities, HapticDevice
+from tissueid.haptics.hand import Hand
+from tissueid.haptics.limits import GuardLimits
+from tissueid.haptics.sim import carried
+from tissueid.render.guidance_block import Guidance, guidance_block
+from tissueid.render.guidance_check import check_guidance
+from tissueid.render.options import RenderOptions
+from tissueid.render.passivity_control import PassivityLimits
+from tissueid.render.precheck import Demands
+from tissueid.render.session_plan import PERIOD_S, SessionPlan, session_head
+from tissueid.render.surface import SURFACE_SIZE
+from tissueid.render.tissue_block import free_air_block
+
+__all__ = ["demands_of", "guided_session", "law_session"]
+
+#: Height above the entry point at which a simulated hand begins [m].
+BEGIN_M = 0.03
+
+
+def law_session(options: RenderOptions, choice: tuple[str, str], device: HapticDevice) -> SessionPlan:
+    """A session with an installed force law: no tissue, no scale, no precheck."""
+    block = np.concatenate([free_air_block(), PassivityLimits(on=options.control).block()])
+    line = f"law        {options.environment}: nothing is known of its stability"
+    return _plan(options, choice, device, block, (line,), environment=options.environment)
+
+
+def guided_session(options: RenderOptions, choice: tuple[str, str], device: HapticDevice) -> SessionPlan:
+    """A session with guidance along a planned axis.
+
+    The passivity controller only watches: what the pull stored before the hand engaged would count as
+    energy that was made.
+
+    Raises
+    ------
+    DeviceError
+        Nothing that could be felt is stable on this device.
+    """
+    scene = options.scene
+    assert scene is not None  # noqa: S101 -- asked by the caller
+    assert scene.guidance is not None  # noqa: S101 -- asked by the caller
+    guidance, check = check_guidance(scene.guidance, demands_of(device.capabilities))
+    block = np.concatenate([guidance_block(guidance), PassivityLimits(on=False).block()])
+    lines = (*scene.lines(), *_told_of(guidance), *check.lines())
+    given = dict(options.device_options)
+    if options.led:
+        begin = np.array(guidance.entry_m) + BEGIN_M * guidance.unit_axis()
+        given["limits"] = carried(GuardLimits.simulated())
+        given["hand"] = Hand((0.0,), ((float(begin[0]), float(begin[1]), float(begin[2])),), (1.0,))
+    return _plan(options, choice, device, block, lines, given=given, guided=True)
+
+
+def demands_of(capabilities: Capabilities) -> Demands:
+    """What the checks before force need of a device."""
+    known = "measured on this unit" if capabilities.calibrated else "assumed, not measured on this unit"
+    return Demands(
+        clamp_N=capabilities.clamp_N,
+        damping_N_s_per_m=capabilities.damping_N_s_per_m,
+        delay_ticks=capabilities.delay_ticks,
+        period_s=PERIOD_S,
+        known=known if capabilities.hardware else "as simulated",
+    )
+
+
+def _told_of(guidance: Guidance) -> tuple[str, ...]:
+    pull, funnel = guidance.pull, guidance.funnel
+    axial = "conservative" if pull.conservative else "as printed, which gives energy in a loop"
+    stiffness = f"{pull.far_N_per_m:.3g} N/m far off, {pull.near_N_per_m:.3g} N/m at the entry"
+    width = f"{funnel.kind}, {1e3 * funnel.radius_m:g} mm in radius at the entry"
+    return (
+        f"pull       {stiffness} over {1e3 * pull.reach_m:g} mm; {axial}",
+        f"wall       {width}, {funnel.stiffness_N_per_m_n:.3g} N/m^{funnel.exponent:g}",
+    )
+
+
+def _plan(
+    options: RenderOptions,
+    choice: tuple[str, str],
+    device: HapticDevice,
+    block: Any,
+    lines: tuple[str, ...],
+    *,
+    given: Mapping[str, Any] | None = None,
+    environment: str | None = None,
+    guided: bool = False,
+) -> SessionPlan:
+    plan = SessionPlan(
+        device=choice[0],
+        device_options=dict(options.device_options if given is None else given),
+        why=choice[1],
+        capabilities=device.capabilities,
+        blocks=(block,),
+        picked=(),
+        check=None,
+        order=None,
+        head={},
+        script=None,
+        seconds=options.seconds,
+        environment=environment,
+        virtual=False,
+        lines=(choice[1], *lines),
+        led=options.led,
+        guided=guided,
+    )
+    return replace(plan, head=session_head(plan, np.zeros(SURFACE_SIZE), (None,)))
