@@ -27,7 +27,7 @@ def stored_sums(fitted: FittedSpecimen, hashes: Mapping[tuple[str, str | None], 
     whitened, sums = fitted.whitened, fitted.whitened.sums
     degree, nodes = fitted.optimum.degree, sums.basis.tau_s.size
     keep: NDArray[np.int64] = np.append(
-        np.arange(N_STATIC + nodes * (degree + 1)), N_STATIC + nodes * (sums.columns_degree + 1)
+        np.arange(N_STATIC + nodes * (degree + 1)), N_STATIC + nodes * (whitened.lags[0].degree + 1)
     )
     logs = []
     for i, (one, trial) in enumerate(zip(whitened.lags, fitted.fit.trials, strict=True)):
@@ -43,7 +43,7 @@ def stored_sums(fitted: FittedSpecimen, hashes: Mapping[tuple[str, str | None], 
                 ratio=one.ratio,
                 links=one.links,
                 chains=one.chains,
-                center=centre(sums.basis, sums.columns_degree, whitened.centred, i)[keep[:-1]],
+                center=centre(sums.basis, one.degree, whitened.centred, i)[keep[:-1]],
             )
         )
     return StoredSums(

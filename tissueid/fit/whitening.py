@@ -28,7 +28,7 @@ from tissueid.likelihood.sums import N_STATIC
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.uncertainty import NoiseFit
 
-__all__ = ["Whitened", "optimum_of", "whiten"]
+__all__ = ["Whitened", "for_all_degrees", "optimum_of", "whiten"]
 
 FloatArray = NDArray[np.float64]
 
@@ -44,11 +44,12 @@ class Whitened:
     ----------
     noise : NoiseFit
     lags : tuple of LagSums
-        One a log, centred at ``centred``.
+        One a log, centred at ``centred``; for the chosen degree of K where nothing but the posterior needs
+        them (:func:`for_all_degrees`).
     centred : Optimum
         Whose residuals stand in the sums: that of the first fit.
     sums : SpecimenSums
-        Whitened at the estimated correlation.
+        Whitened at the estimated correlation, where there is one.
     solution : Solution
         The fit under them.
     """
@@ -93,7 +94,7 @@ def _sums_of_lags(
     degree: int,
     step_s: float,
     centred: Optimum,
-    noise: NoiseEstimate,
+    noise: NoiseEstimate | NoiseFit,
 ) -> tuple[LagSums, ...]:
     """One pass over the logs; loaded one after the other, summed in threads."""
     running: deque[Future[LagSums]] = deque()
@@ -125,6 +126,22 @@ def _with_force(gram: FloatArray, weights: FloatArray) -> FloatArray:
     to = np.eye(gram.shape[0])
     to[:-1, -1] = weights
     return np.asarray(to.T @ gram @ to)
+
+
+def _whitened_sums(sums: SpecimenSums, lags: Sequence[LagSums], phi: float, centred: Optimum) -> SpecimenSums:
+    """Sums of the logs under noise of one correlation, the force in the last column."""
+    gram = [
+        _with_force(one.whitened(phi)[0], centre(sums.basis, one.degree, centred, i))
+        for i, one in enumerate(lags)
+    ]
+    return replace(
+        sums,
+        gram=np.stack(gram),
+        count=np.array([one.count for one in lags], dtype=np.int64),
+        offset_sd_mm=sums.offset_sd_mm[: len(lags)],
+        single=False,
+        logs=np.arange(len(lags)),
+    )
 
 
 def whiten(
@@ -168,25 +185,15 @@ def whiten(
     parameters = min(solution.candidate.n_parameters, samples // 2)
     found: NoiseEstimate = estimate_noise(chains, parameters=parameters, model=noise)
     centred = optimum_of(solution, adjustments, sums.depth_mm)
-    tick("sums for correlated noise")
-    lags = _sums_of_lags(handles, sums.basis, sums.columns_degree, step, centred, found)
-    white = replace(
-        sums,
-        gram=np.stack(
-            [
-                _with_force(one.whitened(found.phi)[0], centre(sums.basis, sums.columns_degree, centred, i))
-                for i, one in enumerate(lags)
-            ]
-        ),
-        count=np.array([one.count for one in lags], dtype=np.int64),
-        offset_sd_mm=sums.offset_sd_mm[: len(lags)],
-        single=False,
-        logs=np.arange(len(lags)),
-    )
     # of one log, what the model lacks can't be told from noise with memory, and would bend its fit: least
     # squares stands, and only the posterior knows the correlation
     known = found.phi > NO_CORRELATION and len(handles) > 1
-    finished = refit(white, solution) if known else solution
+    tick("sums for correlated noise")
+    degree = sums.columns_degree if known else solution.candidate.degree
+    lags = _sums_of_lags(handles, sums.basis, degree, step, centred, found)
+    if known:
+        sums = _whitened_sums(sums, lags, found.phi, centred)
+        solution = refit(sums, solution)
     return Whitened(
         noise=NoiseFit(
             model=found.model,
@@ -197,6 +204,24 @@ def whiten(
         ),
         lags=lags,
         centred=centred,
-        sums=white if known else sums,
-        solution=finished,
+        sums=sums,
+        solution=solution,
     )
+
+
+def for_all_degrees(whitened: Whitened, handles: Sequence[LogHandle]) -> Whitened:
+    """The same with sums of every degree of K that was looked at: one more pass, where they are not there.
+
+    Parameters
+    ----------
+    whitened : Whitened
+    handles : sequence of LogHandle
+        Those of :func:`whiten`.
+    """
+    sums, noise = whitened.sums, whitened.noise
+    if whitened.lags[0].degree == sums.columns_degree:
+        return whitened
+    lags = _sums_of_lags(
+        handles, sums.basis, sums.columns_degree, noise.reference_step_s, whitened.centred, noise
+    )
+    return replace(whitened, lags=lags)

@@ -26,7 +26,7 @@ from tissueid.fit.estimates import in_field_units
 from tissueid.fit.held_out import held_out_scores
 from tissueid.fit.selection import NEGLIGIBLE, STANDARD_ERRORS
 from tissueid.fit.specimen import FittedSpecimen, adjustments_of
-from tissueid.fit.whitening import optimum_of
+from tissueid.fit.whitening import for_all_degrees, optimum_of
 from tissueid.posterior.alternatives import FAMILIES, kernel_evidence
 from tissueid.posterior.at_optimum import target_at
 from tissueid.posterior.exact import sample_exact
@@ -259,7 +259,8 @@ def compare_models(
     whitened = fitted.whitened
     if whitened.sums.log_range is not None:
         return ()
-    comparison = _Comparison(fitted, priors, seed)
+    whitened = for_all_degrees(whitened, fitted.handles)
+    comparison = _Comparison(replace(fitted, whitened=whitened), priors, seed)
     single = len(fitted.handles) == 1
     chosen_as = whitened.solution.candidate
     found: list[_Compared] = []
