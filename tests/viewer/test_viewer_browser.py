@@ -207,8 +207,10 @@ def test_a_page_finds_a_session_that_was_started_again(chromium: Any) -> None:
     page = chromium.new_page(viewport={"width": 800, "height": 700})
     with served() as first:
         page.goto(f"http://127.0.0.1:{first.access.port}/")
-        shown = wait(page, lambda now: now["link"] == "live" and now["drawn"] > 0, lambda: first.write(1))
-        assert not shown["newest"]["stale"]
+        shown = wait(
+            page, lambda now: now["drawn"] > 0 and not now["newest"]["stale"], lambda: first.write(1)
+        )
+        assert shown["link"] == "live"
     lost = wait(page, lambda now: now["link"] != "live")
     assert lost["newest"]["stale"]
     page.locator("#lamp-stale.lit").wait_for()

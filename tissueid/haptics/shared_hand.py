@@ -1,9 +1,9 @@
 """The hand of a simulated device in shared memory, so that a pointer in another process can lead it.
 
 The memory holds the parameters of :mod:`tissueid.haptics.sim_kernels`, which the simulated device reads at
-every tick.  A target is three float64 words, each written whole; a tick that meets the new x beside the old y
-sees a target between the two, and the hand follows any target smoothly (30 ms, 0.5 m/s at most).  No other device
-has such a memory: what has motors can't be led.
+every tick.  A target is three float64 words, each written whole; a tick that meets the new x with the old y
+sees a target between the two, and the hand follows any target smoothly (30 ms, 0.5 m/s at most).  No other
+device has such a memory: what has motors can't be led.
 """
 
 from __future__ import annotations

@@ -1,0 +1,211 @@
+"""What the viewer costs the servo, and how old its picture is: figures of this machine, beside its load.
+
+    python benchmarks/viewer.py [--seconds 120] [--pairs 5] [--browser]
+
+* age: time.monotonic() at a client less the time of each sample when it arrives (one client, simulated
+  session); samples that were left out in that time.
+* servo: p99 of the absolute period error with five clients, one of them hung, against none, in interleaved
+  sessions; medians of both.  ``--thread`` serves from a thread of the session's owner instead of a process.
+* picture (``--browser``): from the start of ``tissueid render`` to the first drawn sample in a browser that
+  runs already, and p99 of the age of the sample behind each picture, drawn without a graphics card.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from websockets.sync.client import connect
+
+from tissueid.render.options import RenderOptions
+from tissueid.render.plan import plan_session
+from tissueid.render.session import Session
+from tissueid.viewer.frames import read_frame
+from tissueid.viewer.serving import ServedViewer, ViewerOptions
+from tissueid.viewer.showing import show_session
+
+S_TO_MS = 1e3
+CLIENT = "--client"
+
+
+def load() -> str:
+    """What else this machine does."""
+    return f"load {os.getloadavg()[0]:.1f}"
+
+
+def one_client(url: str, seconds: float, *, hung: bool) -> None:
+    """A client in a process of its own: prints ages [ms] and what was left out."""
+    ages: list[float] = []
+    dropped = frames = 0
+    with connect(url, max_size=None, compression=None) as link:
+        begun = time.monotonic()
+        while time.monotonic() - begun < seconds:
+            if hung and frames:
+                time.sleep(0.2)
+                continue
+            with contextlib.suppress(TimeoutError):
+                data = link.recv(0.5)
+                if isinstance(data, bytes):
+                    arrived = time.monotonic()
+                    frame = read_frame(data)
+                    frames += 1
+                    dropped = frame.dropped
+                    if arrived - begun > 1.0:
+                        ages += (arrived - frame.samples["time_s"]).tolist()
+                    link.send(json.dumps({"v": 1, "answer": frames}))
+    sys.stdout.write(json.dumps({"ages_ms": [round(S_TO_MS * age, 3) for age in ages], "dropped": dropped}))
+
+
+@contextlib.contextmanager
+def threaded_viewer() -> Iterator[Any]:
+    """The server in a thread of the owner, to compare with."""
+    import socket
+
+    from tissueid.viewer.feed import LiveFeed
+    from tissueid.viewer.hello import hello
+    from tissueid.viewer.security import Access
+    from tissueid.viewer.server import ViewerServer
+    from tissueid.viewer.stage import Stage
+
+    listening = socket.create_server(("127.0.0.1", 0))
+    port, stage = listening.getsockname()[1], Stage()
+    server = ViewerServer(stage, Access("127.0.0.1", port))
+
+    class Threaded:
+        url = f"http://127.0.0.1:{port}/"
+
+        def show(self, plan: Any, servo: Any) -> None:
+            stage.show_live(hello(plan.head), LiveFeed(servo.ring))
+
+    thread = threading.Thread(target=lambda: asyncio.run(server.serve(sockets=[listening])))
+    thread.start()
+    yield Threaded()
+    server.should_exit = True
+    thread.join()
+
+
+@contextlib.contextmanager
+def spawned_viewer() -> Iterator[Any]:
+    """The server as it is used."""
+    with ServedViewer(ViewerOptions()) as viewer:
+
+        class Spawned:
+            url = viewer.url
+
+            def show(self, plan: Any, servo: Any) -> None:
+                show_session(viewer, plan, servo, None)
+
+        yield Spawned()
+
+
+def session(
+    seconds: float, clients: int, *, hung: int = 0, thread: bool = False
+) -> tuple[dict[str, Any], list[Any]]:
+    """A simulated session with clients; its summary and what they found."""
+    plan = plan_session(RenderOptions(preset="paper-a", device="sim", seconds=seconds + 3.0, led=True))
+    found: list[Any] = []
+    with threaded_viewer() if thread else spawned_viewer() as viewer:
+        url = viewer.url.replace("http", "ws") + "ws"
+        running: list[subprocess.Popen[str]] = []
+
+        def watch(servo: Any) -> None:
+            viewer.show(plan, servo)
+            for number in range(clients):
+                words = [sys.executable, __file__, CLIENT, url, str(seconds), str(int(number < hung))]
+                running.append(subprocess.Popen(words, stdout=subprocess.PIPE, text=True))
+
+        outcome = Session(plan, watch=watch).run()
+        found = [json.loads(one.communicate()[0]) for one in running]
+    return outcome.summary, found
+
+
+def picture_age() -> None:
+    """Start to picture, and the age of pictures, in chromium without a graphics card."""
+    from playwright.sync_api import sync_playwright
+
+    flags = [
+        "--no-sandbox",
+        "--use-angle=swiftshader",
+        "--enable-unsafe-swiftshader",
+        "--ignore-gpu-blocklist",
+    ]
+    with sync_playwright() as engine:
+        browser = engine.chromium.launch(executable_path="/usr/bin/chromium", args=flags)
+        for cache in ("empty", "empty", "warm", "warm", "warm"):
+            with tempfile.TemporaryDirectory() as folder:
+                environment = dict(os.environ)
+                if cache == "empty":
+                    environment["NUMBA_CACHE_DIR"] = folder
+                page = browser.new_page(viewport={"width": 1400, "height": 900})
+                begun = time.monotonic()
+                command = [sys.executable, "-m", "tissueid", "render", "--no-browser", "--seconds", "60"]
+                running = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment)
+                assert running.stderr is not None
+                url = running.stderr.readline().split()[1]
+                while True:
+                    with contextlib.suppress(Exception):
+                        page.goto(url)
+                        break
+                while not page.evaluate("window.tissueid?.read()?.drawn > 1"):
+                    time.sleep(0.01)
+                print(f"start to picture, {cache} cache: {time.monotonic() - begun:.2f} s, {load()}")
+                if cache == "warm":
+                    time.sleep(12.0)
+                    ages = S_TO_MS * np.array(page.evaluate("window.tissueid.read().ages"))[30:]
+                    median, p99 = np.quantile(ages, [0.5, 0.99])
+                    print(f"sample to frame, {ages.size} pictures: median {median:.1f} ms, p99 {p99:.1f} ms")
+                page.close()
+                running.terminate()
+                running.communicate()
+        browser.close()
+
+
+def main() -> None:
+    """Measure and print."""
+    if CLIENT in sys.argv:
+        url, seconds, hung = sys.argv[2:5]
+        one_client(url, float(seconds), hung=bool(int(hung)))
+        return
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--seconds", type=float, default=120.0)
+    parser.add_argument("--pairs", type=int, default=5)
+    parser.add_argument("--pair-seconds", type=float, default=15.0)
+    parser.add_argument("--thread", action="store_true")
+    parser.add_argument("--browser", action="store_true")
+    asked = parser.parse_args()
+    print(f"{load()}, {os.cpu_count()} cores, {Path(sys.executable)}")
+    if asked.browser:
+        picture_age()
+        return
+    if asked.seconds > 0.0:
+        _, found = session(asked.seconds, 1, thread=asked.thread)
+        median, p99 = np.quantile(found[0]["ages_ms"], [0.5, 0.99])
+        print(
+            f"sample age at a client over {asked.seconds:g} s: median {median:.1f} ms, p99 {p99:.1f} ms, "
+            f"{found[0]['dropped']} left out, {load()}"
+        )
+    alone, watched = [], []
+    for _ in range(asked.pairs):
+        alone.append(session(asked.pair_seconds, 0, thread=asked.thread)[0]["period_us"]["p99"])
+        watched.append(session(asked.pair_seconds, 5, hung=1, thread=asked.thread)[0]["period_us"]["p99"])
+        print(f"servo p99: {alone[-1]:.0f} us alone, {watched[-1]:.0f} us with five clients, {load()}")
+    if alone:
+        middle = [statistics.median(found) for found in (alone, watched)]
+        print(f"medians: {middle[0]:.0f} us alone, {middle[1]:.0f} us with five clients")
+
+
+if __name__ == "__main__":
+    main()
