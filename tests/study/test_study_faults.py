@@ -183,7 +183,10 @@ def test_ctrl_c_ends_in_one_line_and_the_same_command_goes_on(
 ) -> None:
     lab, expected = undisturbed
     out = tmp_path / "out"
+    # a shell that runs these tests in the background lets its processes ignore it
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
     with started(lab, out) as process:
+        signal.signal(signal.SIGINT, before)
         assert wait_for(out, process, done=1) is not None
         # as a terminal does: to the whole group
         os.killpg(process.pid, signal.SIGINT)

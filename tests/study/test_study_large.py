@@ -12,7 +12,7 @@ import pytest
 from tissueid.cli.reading import PatternCheck
 from tissueid.manifest import Entry, Study
 from tissueid.result import Refusal
-from tissueid.study.file_list import FileList
+from tissueid.study.file_list import FileList, Named
 from tissueid.study.partition import StudyParts
 
 FOLDER = Path(os.path.realpath("/")) / "cohort"
@@ -33,7 +33,7 @@ def study(count: int) -> Study:
 def test_a_list_of_files_gives_back_what_was_put_in() -> None:
     refusal = Refusal("b.csv", None, "no_recording", "nothing there")
     odd = Path(os.fsdecode(b"\xff\xc3\xa9.csv"))
-    items = [(Path("a.csv"), None), refusal, (Path("meat.xlsx"), "FF1A"), (odd, None)]
+    items: list[Named | Refusal] = [(Path("a.csv"), None), refusal, (Path("meat.xlsx"), "FF1A"), (odd, None)]
     found = FileList(items)
     assert list(found) == items
     assert found[-1] == (odd, None)

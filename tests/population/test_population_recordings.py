@@ -1,0 +1,151 @@
+"""From simulated recordings to a population: what it covers, and whether it helps where little is said.
+
+Two short logs a specimen at 10 to 100 Hz, each specimen fitted by itself and sampled exactly; a third log of
+every specimen, at another speed and never fitted, is then predicted from its own fit and with the population.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from cohort_factory import COORDINATES, TYPICAL, lkj_factor
+
+from tissueid.fit.specimen import FitOptions
+from tissueid.pipeline import IdentifyOptions, identify
+from tissueid.population.members import Member, stage_one
+from tissueid.population.sampler import SamplerOptions, sample_population
+from tissueid.population.stage_one import Design
+from tissueid.posterior import specimen as posterior_of_specimen
+from tissueid.posterior.specimen import PosteriorOptions
+from tissueid.priors import PopulationPriors, SpreadPrior
+from tissueid.selfcheck.ranks import binomial_interval
+from tissueid.synth.recipe import Branch, Hold, Log, Move, Recipe
+from tissueid.synth.simulate import as_trials, simulate
+
+COHORTS, SPECIMENS = 20, 17
+#: Spread between specimens of some 15 %.
+STATED = PopulationPriors(between=SpreadPrior(0.15, 0.3))
+#: Typical tissues scatter by 20 % around paper A's between cohorts: the prior of a mean, e^10, is no tissue.
+MEAN_SD = 0.2
+SIGMA_N = 1.0
+FITTED = (Log("fast", (Move(8.0, 250.0), Hold(2.0))), Log("slow", (Move(8.0, 60.0), Hold(2.0))))
+HELD_OUT = (Log("held", (Move(8.0, 500.0), Hold(2.0))),)
+OPTIONS = IdentifyOptions(
+    fit=FitOptions(branches=1, stiffness_degree=0), posterior=PosteriorOptions(sampler="exact", draws=2000)
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """A population, and the tissues of its specimens."""
+
+    mean: np.ndarray
+    sd: np.ndarray
+    places: np.ndarray
+
+
+def drawn(rng: np.random.Generator) -> Truth:
+    """A population whose typical tissue is passive, and as many passive specimens of it."""
+    size = COORDINATES.size
+    while True:
+        mean = COORDINATES.to_phi(TYPICAL)[0][0] + MEAN_SD * rng.standard_normal(size)
+        sd = np.exp(rng.normal(np.log(STATED.between.median), STATED.between.sd_ln, size))
+        low = sd[:, None] * lkj_factor(rng, size, STATED.correlation_shape)
+        nu = max(rng.gamma(STATED.tail_shape, 1.0 / STATED.tail_rate), 1.0)
+        weight = rng.gamma(0.5 * nu, 2.0 / nu, 2 * SPECIMENS)
+        places = mean + (rng.standard_normal((2 * SPECIMENS, size)) / np.sqrt(weight)[:, None]) @ low.T
+        good = places[COORDINATES.passive(COORDINATES.to_theta(places))][:SPECIMENS]
+        if COORDINATES.passive(COORDINATES.to_theta(mean))[0] and len(good) == SPECIMENS:
+            return Truth(mean, sd, good)
+
+
+def recipe(phi: np.ndarray, logs: tuple[Log, ...], rate_Hz: float, sigma_N: float) -> Recipe:
+    theta = COORDINATES.to_theta(phi)[0]
+    branch = Branch((float(theta[3]),), float(theta[4]))
+    return Recipe(
+        "s", logs, rate_Hz=rate_Hz, static=tuple(map(float, theta[:3])), branches=(branch,), sigma_N=sigma_N
+    )
+
+
+def held_out_error(guess: np.ndarray, truth: np.ndarray) -> float:
+    """NRMSD by range of a log at another speed, free of noise."""
+    forces = [
+        simulate(recipe(one, HELD_OUT, 1000.0, 0.0), rng=np.random.default_rng(0))[0].force_clean_N
+        for one in (guess, truth)
+    ]
+    return float(np.sqrt(np.mean((forces[0] - forces[1]) ** 2)) / np.ptp(forces[1]))
+
+
+def fitted(name: str, phi: np.ndarray, rate_Hz: float, rng: np.random.Generator) -> Member | None:
+    """A specimen as a cohort takes it; ``None`` where its recordings allow no posterior."""
+    logs = simulate(recipe(phi, FITTED, rate_Hz, SIGMA_N), rng=rng)
+    (fit,) = identify(as_trials(logs, specimen=name), options=OPTIONS).specimens
+    if fit.posterior is None or fit.posterior.log_prior is None:
+        return None
+    return Member(name, fit.model, 8.0, fit.posterior.draws, fit.posterior.log_prior)
+
+
+def cohort_of_recordings(seed: int) -> SimpleNamespace:
+    """Whether 95 % intervals hold the truth, and held-out errors with the population and without."""
+    rng = np.random.default_rng([55, seed])
+    truth = drawn(rng)
+    rate_Hz = round(float(np.exp(rng.uniform(np.log(10.0), np.log(100.0)))), 1)
+    found = [fitted(f"s{i}", place, rate_Hz, rng) for i, place in enumerate(truth.places)]
+    places = [place for place, one in zip(truth.places, found, strict=True) if one is not None]
+    members = [one for one in found if one is not None]
+    stage, _ = stage_one(members, COORDINATES)
+    options = SamplerOptions(seed=seed, workers=1)
+    population = sample_population(stage, Design.plain(len(members)), STATED, options)
+    draws = np.concatenate([population.mean, population.sd.reshape(-1, COORDINATES.size)], axis=1)
+    first, last = np.quantile(draws, [0.025, 0.975], axis=0)
+    expected = np.concatenate([truth.mean, truth.sd])
+    guesses = {
+        "pooled": np.median(population.specimens, axis=0),
+        "separate": np.array([np.median(np.asarray(one, np.float64), axis=0) for one in stage.phi]),
+    }
+    errors = {
+        name: float(np.mean([held_out_error(g, t) for g, t in zip(guess, places, strict=True)]))
+        for name, guess in guesses.items()
+    }
+    held = [int(one) for one in (first <= expected) & (expected <= last)]
+    return SimpleNamespace(
+        seed=seed,
+        rate_Hz=rate_Hz,
+        specimens=len(members),
+        converged=population.converged,
+        held=held,
+        **errors,
+    )
+
+
+@pytest.fixture
+def without_the_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A population is drawn from statistical posteriors: the machine's part of each would be thrown away."""
+    monkeypatch.setattr(posterior_of_specimen, "_total", lambda *_: None)
+    monkeypatch.setattr(posterior_of_specimen, "_budget", lambda *_: ())
+
+
+@pytest.mark.slow
+@pytest.mark.needs_jit
+@pytest.mark.usefixtures("without_the_machine")
+def test_populations_of_recordings_cover_and_predict_better_than_separate_fits(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    rows = []
+    for seed in range(COHORTS):
+        rows.append(cohort_of_recordings(seed))
+        with capsys.disabled():
+            sys.stdout.write(json.dumps(vars(rows[-1])) + "\n")
+
+    held = np.array([one.held for one in rows]).sum(axis=0)
+    # 99 % for ten numbers together
+    low, high = binomial_interval(COHORTS, 0.95, 0.01 / held.size)
+    assert ((low <= held) & (held <= high)).all(), held
+    better = sum(one.pooled < one.separate for one in rows)
+    # nine tenths of cohorts
+    assert better >= 0.9 * COHORTS
