@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tissueid.haptics.own_process import own_process
+from tissueid.own_process import own_process
 from tissueid.render import servo_spawn
 
 

@@ -154,7 +154,7 @@ def test_workers_change_nothing_but_the_clock(tmp_path: Path) -> None:
 def test_a_killed_run_goes_on_to_the_same_end(tmp_path: Path) -> None:
     path = tmp_path / "calibrate.jsonl"
     script = Path(__file__).with_name("conjugate_check.py")
-    arguments = [sys.executable, str(script), str(path), "60"]
+    arguments = [sys.executable, str(script), str(path), "60", "1"]
     environment = os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[2])}
     running = subprocess.Popen(arguments, env=environment)
     deadline = time.monotonic() + 120.0
@@ -170,3 +170,30 @@ def test_a_killed_run_goes_on_to_the_same_end(tmp_path: Path) -> None:
     with Checkpoint(path, "killed") as checkpoint:
         found = [(r.truth, r.rank) for r in checkpoint.first(60)]
     assert found == [(r.truth, r.rank) for r in records_of(NormalMean(), 60, seed=5)]
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="children are looked up in /proc")
+def test_workers_end_with_a_run_that_is_killed(tmp_path: Path) -> None:
+    path = tmp_path / "calibrate.jsonl"
+    script = Path(__file__).with_name("conjugate_check.py")
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[2])}
+    running = subprocess.Popen([sys.executable, str(script), str(path), "100000", "2"], env=environment)
+    children = Path(f"/proc/{running.pid}/task/{running.pid}/children")
+    deadline = time.monotonic() + 120.0
+    while not (path.exists() and path.read_bytes().count(b"\n") > 4):
+        assert time.monotonic() < deadline, "nothing was simulated"
+        time.sleep(0.05)
+    workers = [Path(f"/proc/{number}/stat") for number in children.read_text().split()]
+    assert len(workers) >= 2
+    running.kill()
+    running.wait()
+
+    def alive(stat: Path) -> bool:
+        try:
+            return stat.read_text().rsplit(")", 1)[1].split()[0] != "Z"
+        except (FileNotFoundError, ProcessLookupError):
+            return False
+
+    while any(alive(worker) for worker in workers):
+        assert time.monotonic() < deadline, "a worker lives on"
+        time.sleep(0.05)

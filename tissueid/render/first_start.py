@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from tissueid.haptics.own_process import own_process
+from tissueid.own_process import own_process
 
 __all__ = ["compile_loop", "first_start", "is_compiled"]
 

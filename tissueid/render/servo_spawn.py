@@ -16,7 +16,7 @@ import subprocess
 import sys
 from dataclasses import dataclass
 
-from tissueid.haptics.own_process import own_process
+from tissueid.own_process import own_process
 
 __all__ = ["REAP_S", "SpawnedServo", "spawn_servo"]
 

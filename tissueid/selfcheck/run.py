@@ -14,6 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from tissueid.own_process import end_with_parent
 from tissueid.selfcheck.records import Checkpoint, Record, Replicate, record_of
 
 __all__ = ["Check", "one_record", "run_simulations"]
@@ -55,6 +56,7 @@ _check: Any = None
 def _begin(packed: bytes) -> None:
     """Unpack the check once a worker; an interrupt is the parent's to answer."""
     global _check
+    end_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threadpool_limits(limits=1, user_api="blas")
     _check = pickle.loads(packed)  # noqa: S301 -- packed by the parent process

@@ -7,18 +7,17 @@ end when the parent does, however that ends.
 
 from __future__ import annotations
 
-import os
 import signal
 import sys
-import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from multiprocessing import connection, get_context, parent_process
+from multiprocessing import connection, get_context
 from types import TracebackType
 from typing import Any, Protocol, Self
 
+from tissueid.own_process import end_with_parent
 from tissueid.study.tasks import Fault, Outcome, Task, attempt, packed, perform, unpacked
 
 __all__ = ["InThisProcess", "LocalProcesses", "Started", "Workforce"]
@@ -66,17 +65,10 @@ class InThisProcess:
             yield attempt(task, "this process", self._function)
 
 
-def _end_with_parent() -> None:
-    parent = parent_process()
-    if parent is not None:
-        connection.wait([parent.sentinel])
-    os._exit(1)
-
-
 def _serve(pipe: Any) -> None:
     """A worker: tasks in, outcomes out, until the pipe is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    end_with_parent()
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(1):

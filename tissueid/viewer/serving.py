@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
 from tissueid.errors import UsageError, printable
-from tissueid.haptics.own_process import own_process
+from tissueid.own_process import own_process
 from tissueid.viewer.security import LOOPBACK, Access, is_loopback, new_token
 
 if TYPE_CHECKING:

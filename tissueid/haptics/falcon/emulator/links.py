@@ -22,7 +22,7 @@ from typing import Self
 
 from tissueid.errors import DeviceError
 from tissueid.haptics.falcon.emulator.machine import EmulatedFalcon, EmulatorSettings
-from tissueid.haptics.own_process import own_process
+from tissueid.own_process import own_process
 
 __all__ = ["READY_LINE", "EmulatedLink", "EmulatorProcess", "serve"]
 

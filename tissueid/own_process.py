@@ -1,4 +1,4 @@
-"""Processes of our own that run the same files as the one that starts them.
+"""Processes of our own: they run the same files as the one that starts them, and end with it.
 
 ``python -m`` puts the folder one stands in before everything installed: beside a checkout another guard would
 run than the one the session's owner checked, and a loop would be compiled where nobody looks for it.
@@ -6,10 +6,13 @@ run than the one the session's owner checked, and a loop would be compiled where
 
 from __future__ import annotations
 
+import os
 import sys
+import threading
+from multiprocessing import connection, parent_process
 from pathlib import Path
 
-__all__ = ["own_process"]
+__all__ = ["end_with_parent", "own_process"]
 
 
 def own_process(module: str, *arguments: str) -> list[str]:
@@ -33,3 +36,19 @@ def own_process(module: str, *arguments: str) -> list[str]:
         f"runpy.run_module({module!r}, run_name='__main__', alter_sys=True)"
     )
     return [sys.executable, "-P", "-c", code, *arguments]
+
+
+def end_with_parent() -> None:
+    """Let this process of :mod:`multiprocessing` end when the one that started it does, however that ended.
+
+    A worker that waits for its next task hears nothing of a parent that was killed: workers hold each other's
+    ends of the pipes.
+    """
+    threading.Thread(target=_wait_for_parent, daemon=True).start()
+
+
+def _wait_for_parent() -> None:
+    parent = parent_process()
+    if parent is not None:
+        connection.wait([parent.sentinel])
+    os._exit(1)
