@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 
 import numpy as np
 import pytest
@@ -79,6 +80,43 @@ def test_a_restitution_without_a_bounded_force_is_refused(restitution: float) ->
 def test_a_negative_factor_is_refused() -> None:
     with pytest.raises(ValueError, match="negative"):
         reached_restitution(-0.1)
+
+
+def rendered_drop(
+    stiffness_SI: float, restitution: float, *, delay_ticks: int, speed_m_s: float = 0.2
+) -> float:
+    """The same mass against the law held from tick to tick at 1 kHz, its force some ticks late."""
+    law, memory = np.empty(IMPACT_SIZE), np.zeros(IMPACT_STATE)
+    chi = damping_factor(restitution)
+    pack_impact(stiffness_SI * 1000.0**-1.5, 1.5, chi, law, 0, slowest_mm_s=1.0)
+    depth_m, speed, dt = -0.9 * speed_m_s * 1e-3, speed_m_s, 1e-3
+    waiting = [0.0] * delay_ticks
+    for _ in range(100_000):
+        waiting.append(impact_step(law, 0, memory, 0, 1e3 * depth_m, dt))
+        acceleration = -waiting.pop(0) / MASS_KG
+        depth_m += speed * dt + 0.5 * acceleration * dt * dt
+        speed += acceleration * dt
+        if depth_m < 0.0 and speed < 0.0 and not any(waiting):
+            return -speed / speed_m_s
+    raise AssertionError("the mass never left")
+
+
+def test_a_servo_s_contact_is_right_where_it_is_soft_and_makes_energy_where_it_is_stiff() -> None:
+    # a contact of some 90 ms: a tick is a phase of a few percent
+    assert rendered_drop(2e3, 0.5, delay_ticks=0) == pytest.approx(REACHED[0.5], rel=0.06)
+    assert rendered_drop(2e5, 1.0, delay_ticks=0) > 1.05
+
+
+@pytest.mark.slow
+def test_what_a_servo_at_1_khz_makes_of_restitution() -> None:
+    sys.stdout.write("\nreached restitution, 0.6 kg at 0.2 m/s, k in N/m^1.5, at 1 kHz; fine steps first\n")
+    for restitution in (0.3, 0.5, 0.7, 0.9, 1.0):
+        row = [f"e {restitution:.1f}  fine {reached_restitution(damping_factor(restitution)):.3f}"]
+        for stiffness in (5e3, 2e4, 5e4, 2e5):
+            found = [rendered_drop(stiffness, restitution, delay_ticks=ticks) for ticks in (0, 1)]
+            row.append(f"k {stiffness:.0e}: {found[0]:.3f}, a tick late {found[1]:.3f}")
+            assert 0.0 < found[0] < 2.0
+        sys.stdout.write("  ".join(row) + "\n")
 
 
 def forces(
