@@ -55,9 +55,9 @@ class Session:
         return self.printed.read_text(encoding="utf-8")
 
     def end(self) -> int:
-        """End it as Ctrl-C does."""
+        """End it as Ctrl-C does; a signal that a shell in the background does not take away."""
         if self.process.poll() is None:
-            os.kill(self.process.pid, signal.SIGINT)
+            os.kill(self.process.pid, signal.SIGTERM)
         return self.process.wait(30)
 
 

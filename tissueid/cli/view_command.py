@@ -42,13 +42,20 @@ def _is_address(text: str) -> bool:
 
 def _play(flags: dict[str, Any], path: Path) -> int:
     """Serve a log until Ctrl-C."""
+    from tissueid.errors import DeviceError
     from tissueid.viewer.showing import check_log, show_log
 
     log = check_log(path)
     with served(flags) as viewer:
         show_log(viewer, log, path)
         note("Ctrl-C: end", quiet=flags["quiet"])
-        return viewer.wait()
+        try:
+            viewer.wait()
+        except KeyboardInterrupt:
+            return 0
+    # it ends with us; before us only where something took it away
+    msg = "the viewer's server ended by itself"
+    raise DeviceError(msg)
 
 
 def _open_elsewhere(flags: dict[str, Any], what: str) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import socket
+import ssl
 import subprocess
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -51,6 +52,22 @@ class ViewerOptions:
             if file is not None and not file.is_file():
                 msg = f"{printable(str(file))}: there is no such file"
                 raise UsageError(msg)
+        if self.certificate is not None:
+            self._check_pair()
+
+    def _check_pair(self) -> None:
+        """Refuse files that the server could not use."""
+        try:
+            ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(
+                str(self.certificate), str(self.key), password=_no_password
+            )
+        except (OSError, ValueError) as error:
+            msg = (
+                f"{printable(str(self.certificate))} and its key can't be used "
+                f"({getattr(error, 'reason', None) or error}); give a certificate and its own key, as PEM, "
+                "without a password"
+            )
+            raise UsageError(msg) from error
 
 
 class ServedViewer:
@@ -155,6 +172,12 @@ class ServedViewer:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def _no_password() -> str:
+    """A key that asks for one can't be used by a process that nobody answers."""
+    msg = "the key has a password"
+    raise ValueError(msg)
 
 
 def _listen(options: ViewerOptions) -> socket.socket:

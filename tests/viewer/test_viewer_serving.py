@@ -1,0 +1,274 @@
+"""The server's process and its owner: what is sent is shown, and it ends with its owner."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import socket
+import threading
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from live_server import client, frame_of, record, served, until
+from rendered_tissues import PAPER_A, bundle_of
+from session_heads import head_of, indentation, records_of, summary_of
+
+from tissueid.errors import BundleError, UsageError
+from tissueid.haptics.ring import RECORD, Ring
+from tissueid.haptics.shared_hand import SharedHand
+from tissueid.model.kelvin_voigt import constant_speed_force
+from tissueid.render.options import RenderOptions
+from tissueid.render.plan import plan_session
+from tissueid.render.recorder import Recorder
+from tissueid.store.bundle import write_bundle
+from tissueid.viewer import server_process, serving
+from tissueid.viewer.band import band_of
+from tissueid.viewer.code import terminal_code
+from tissueid.viewer.elsewhere import reach
+from tissueid.viewer.hello import hello
+from tissueid.viewer.security import LOOPBACK
+from tissueid.viewer.serving import ServedViewer, ViewerOptions
+from tissueid.viewer.showing import check_log, show_log, show_session
+
+REST_M = [0.0, 0.0, 0.155]
+WORKSPACE_M = [[-0.04, 0.04], [-0.04, 0.04], [0.09, 0.17]]
+
+
+def recorded(folder: Path) -> Path:
+    """A log of an indentation."""
+    records = records_of(indentation())
+    recorder = Recorder(folder / "out.h5", head_of())
+    recorder.append(records)
+    return recorder.finish(summary_of(records))
+
+
+def ws(viewer: ServedViewer) -> str:
+    return viewer.url.replace("http", "ws").replace("/?", "/ws?").removesuffix("/") + (
+        "" if "?" in viewer.url else "/ws"
+    )
+
+
+def test_a_process_shows_what_its_owner_hands_over_and_ends_with_it() -> None:
+    ring, hand = Ring.create(), SharedHand.create()
+    reading = ring.read_only()
+    with ServedViewer(ViewerOptions(port=None)) as viewer:
+        viewer.show_live(
+            hello(head_of(), pointer=True), [reading, hand.descriptor], rest_m=REST_M, workspace_m=WORKSPACE_M
+        )
+        os.close(reading)
+        with client(ws(viewer)) as one:
+            assert json.loads(one.recv())["session"]["pointer"] is True
+            for number in range(5):
+                ring.append(record(number))
+            seen: list[int] = []
+            while len(seen) < 5:
+                seen += frame_of(one).samples["tick"].tolist()
+            assert seen == [0, 1, 2, 3, 4]
+            one.send('{"v": 1, "pointer": [0.0, 0.0, 0.12]}')
+            until(lambda: hand.parameters[16] == 0.12)
+            viewer.tell(recording_stopped="the disk is full")
+            status = one.recv(10)
+            assert isinstance(status, str)
+            assert json.loads(status) == {"type": "status", "recording_stopped": "the disk is full"}
+            viewer.close()
+            assert frame_of(one).ended
+    assert not viewer.runs
+    viewer.close()
+    hand.close()
+    ring.close()
+
+
+def test_a_process_plays_a_log(tmp_path: Path) -> None:
+    path = recorded(tmp_path)
+    log = check_log(path)
+    with ServedViewer(ViewerOptions()) as viewer:
+        show_log(viewer, log, path)
+        with client(ws(viewer)) as one:
+            session = json.loads(one.recv())["session"]
+            assert session["replay_s"] == pytest.approx(log.records["time_s"][-1] - log.records["time_s"][0])
+            one.send(json.dumps({"v": 1, "play": {"at_s": session["replay_s"], "paused": True}}))
+            frame = frame_of(one)
+            while not frame.ended:
+                frame = frame_of(one)
+            assert frame.samples["depth_mm"][-1] == np.float32(log.records["depth_mm"][-1])
+
+
+def test_the_process_hears_its_owner_line_by_line(tmp_path: Path) -> None:
+    ours, theirs = socket.socketpair()
+    listening = socket.create_server((LOOPBACK, 0))
+    port = listening.getsockname()[1]
+    ring, hand = Ring.create(), SharedHand.create()
+    thread = threading.Thread(target=lambda: asyncio.run(server_process._serve(theirs, listening)))
+    live = {"hello": hello(head_of()), "rest_m": REST_M, "workspace_m": WORKSPACE_M}
+    access = {"host": LOOPBACK, "port": port, "token": None, "tls": False}
+    first = json.dumps({"access": access, "tls": None}) + "\n" + json.dumps({"status": {"one": 1}}) + "\n"
+    ours.sendall(first.encode())
+    thread.start()
+    with client(f"ws://{LOOPBACK}:{port}/ws") as one:
+        # a page that came first is told when there is a session
+        data = json.dumps({"live": live}).encode() + b"\n"
+        socket.send_fds(ours, [data[:40]], [ring.descriptor, hand.descriptor])
+        ours.sendall(data[40:])
+        assert json.loads(one.recv(10))["type"] == "hello"
+        assert json.loads(one.recv(10)) == {"type": "status", "one": 1}
+        ring.append(record(3))
+        assert frame_of(one).samples["tick"].tolist() == [3]
+        ours.sendall(b'{"end": true}\n')
+        assert frame_of(one).ended
+    ours.close()
+    thread.join(20.0)
+    assert not thread.is_alive()
+    listening.close()
+    theirs.close()
+    hand.close()
+    ring.close()
+
+
+def test_an_owner_that_never_said_a_word_serves_nothing() -> None:
+    ours, theirs = socket.socketpair()
+    ours.close()
+    listening = socket.create_server((LOOPBACK, 0))
+    asyncio.run(server_process._serve(theirs, listening))
+    theirs.close()
+    # nobody took the connection, which the system holds for whoever listens
+    with socket.create_connection(listening.getsockname(), 1.0) as unheard:
+        unheard.settimeout(0.2)
+        with pytest.raises(TimeoutError):
+            unheard.recv(1)
+    listening.close()
+
+
+def test_a_server_that_died_takes_nothing_else_away() -> None:
+    with ServedViewer(ViewerOptions()) as viewer:
+        viewer._process.kill()
+        viewer.wait()
+        assert not viewer.runs
+        viewer.tell(recording_stopped="nobody hears it")
+        viewer.tell(recording_stopped="nor this")
+
+
+def test_a_port_that_is_taken_is_refused_where_it_was_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    taken = socket.create_server((LOOPBACK, 0))
+    port = taken.getsockname()[1]
+    with pytest.raises(UsageError, match="--viewer-port"):
+        ServedViewer(ViewerOptions(port=port))
+    monkeypatch.setattr(serving, "DEFAULT_PORT", port)
+    with ServedViewer(ViewerOptions()) as viewer:
+        assert viewer.access.port != port
+    taken.close()
+    with pytest.raises(UsageError, match="--host"):
+        ServedViewer(ViewerOptions("no.such.host.invalid"))
+
+
+def test_the_address_of_another_machine_carries_its_token() -> None:
+    with ServedViewer(ViewerOptions("0.0.0.0")) as viewer:
+        token = viewer.access.token
+        assert token is not None
+        assert viewer.url.endswith(f"/?token={token}")
+        assert "0.0.0.0" not in viewer.url
+        lines = terminal_code(viewer.url).splitlines()
+        # a square code, two rows a line
+        assert len(lines) * 2 >= 33
+        assert terminal_code(viewer.url) != terminal_code(viewer.url + "x")
+
+
+def test_files_that_are_no_certificate_are_refused(tmp_path: Path) -> None:
+    for name in ("c.pem", "k.pem"):
+        (tmp_path / name).write_text("nothing of the kind", encoding="ascii")
+    with pytest.raises(UsageError, match="can't be used"):
+        ViewerOptions(certificate=tmp_path / "c.pem", key=tmp_path / "k.pem")
+
+
+def test_a_session_elsewhere_is_opened_once_it_answers(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    from tissueid.viewer import server
+
+    (tmp_path / "index.html").write_text("a page", encoding="ascii")
+    monkeypatch.setattr(server.viewer_app, "__kwdefaults__", {"bundle": tmp_path})
+    with served(token="secret") as live:
+        address = f"127.0.0.1:{live.access.port}"
+        with pytest.raises(UsageError, match="no token"):
+            reach(address, None)
+        with pytest.raises(UsageError, match="wrong token"):
+            reach(address, "guess")
+        assert reach(address, "secret") == f"http://{address}/?token=secret"
+        assert reach(f"http://{address}/?token=secret", None) == f"http://{address}/?token=secret"
+    with pytest.raises(UsageError, match="nothing answers"):
+        reach(address, "secret")
+    with pytest.raises(UsageError, match="neither a log nor"):
+        reach("ftp://127.0.0.1:1", None)
+
+
+class TestShowing:
+    def test_the_band_is_the_quantiles_of_the_draws_at_both_speeds(self) -> None:
+        shares = np.linspace(0.8, 1.2, 201)
+        draws = np.array([np.append(share * PAPER_A.theta[:4], PAPER_A.theta[4]) for share in shares])
+        band = band_of(PAPER_A, draws)
+        assert band["draws"] == 201
+        assert [curve["speed_mm_s"] for curve in band["curves"]] == [10.0 / 60.0, 500.0 / 60.0]
+        curve = band["curves"][1]
+        depth = np.array(curve["depth_mm"])
+        force = constant_speed_force(PAPER_A.model, PAPER_A.theta, depth, speed_mm_s=500.0 / 60.0)
+        # the force is linear in all but tau: its quantiles are those of the factor, exactly
+        assert curve["low_N"] == pytest.approx(0.81 * force, rel=1e-9)
+        assert curve["high_N"] == pytest.approx(1.19 * force, rel=1e-9)
+        assert curve["force_N"] == pytest.approx(force, rel=1e-12)
+
+    def test_without_draws_there_is_no_band(self) -> None:
+        band = band_of(PAPER_A, None)
+        assert band["draws"] == 0
+        assert all("low_N" not in curve for curve in band["curves"])
+
+    def test_a_led_session_hands_over_its_hand_and_a_scripted_one_does_not(self, tmp_path: Path) -> None:
+        draws = np.array([PAPER_A.theta, 1.1 * PAPER_A.theta])
+        write_bundle(bundle_of(PAPER_A, draws=draws), tmp_path / "bundle.h5")
+        options = RenderOptions(bundle=tmp_path / "bundle.h5", device="sim", led=True)
+        shown: list[Any] = []
+
+        class Watched:
+            def show_live(self, words: Any, descriptors: Any, **places: Any) -> None:
+                for number in descriptors:
+                    os.fstat(number)
+                shown.append((words, len(descriptors), places))
+
+        for given in (options, replace(options, script="indent 1 mm at 500 mm/min")):
+            plan = plan_session(given)
+            servo = Servo(led=plan.led)
+            show_session(Watched(), plan, servo, given.bundle)  # type: ignore[arg-type]
+            servo.close()
+        (led, led_count, places), (scripted, scripted_count, _) = shown
+        assert (led["session"]["pointer"], led_count) == (True, 2)
+        assert (scripted["session"]["pointer"], scripted_count) == (False, 1)
+        assert led["band"]["draws"] == 2
+        # the hand waits above the surface, within the workspace
+        surface = next(one for one in led["scene"]["objects"] if one["kind"] == "surface")
+        tool = next(one for one in led["scene"]["objects"] if one["kind"] == "tool")
+        height_m = places["rest_m"][2] - surface["point_m"][2] - tool["radius_m"]
+        assert height_m == pytest.approx(0.005)
+        low, high = places["workspace_m"][2]
+        assert low < places["rest_m"][2] < high
+
+    def test_an_empty_log_is_refused(self, tmp_path: Path) -> None:
+        recorder = Recorder(tmp_path / "out.h5", head_of())
+        recorder.append(np.zeros(1, RECORD))
+        path = recorder.finish(summary_of(records_of(np.zeros(2))))
+        with pytest.raises(BundleError, match="nothing to see"):
+            check_log(path)
+
+
+class Servo:
+    """The memories of a servo without its process."""
+
+    def __init__(self, *, led: bool) -> None:
+        self.ring = Ring.create()
+        self.hand = SharedHand.create() if led else None
+
+    def close(self) -> None:
+        self.ring.close()
+        if self.hand is not None:
+            self.hand.close()
