@@ -80,6 +80,19 @@ def test_logs_held_out_together_are_predicted_from_the_others():
 
 
 @needs_jit
+def test_candidates_of_the_same_sums_are_not_fitted_again():
+    sums = sums_of(TWO[:1], degree=0, seed=2)
+    options = {"branches": (1, 2), "degrees": (0,), "pooling": "shared", "noise": WHITE}
+    first = choose(sums, **options)
+    again = choose(sums, **options, ready=(*first.candidates, *first.idle))
+    assert len(first.candidates) + len(first.idle) == 2
+    assert again.solution is first.solution
+    assert all(a is b for a, b in zip(again.candidates, first.candidates, strict=True))
+    assert all(a is b for a, b in zip(again.idle, first.idle, strict=True))
+    assert again.table == first.table
+
+
+@needs_jit
 def test_rivals_are_named_where_the_data_do_not_decide():
     sums = sums_of(TWO[:1], degree=0, seed=4)
     solution = fit_candidate(sums, Candidate(1, 0, "shared"))

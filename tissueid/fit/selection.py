@@ -68,12 +68,15 @@ class Choice:
         Those of the table, in its order.
     undecided : tuple of Candidate
         Models that these data can't rule out beside the chosen one; none where the choice is clear.
+    idle : tuple of Solution
+        Candidates with a branch that says nothing.
     """
 
     solution: Solution
     table: tuple[dict[str, float | int | bool | None], ...]
     candidates: tuple[Solution, ...] = ()
     undecided: tuple[Candidate, ...] = ()
+    idle: tuple[Solution, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,15 +183,21 @@ class _Search:
         known_noise: bool,
         progress: Callable[[str], None] | None,
         start: Sequence[Solution],
+        ready: Sequence[Solution],
     ) -> None:
         self.sums, self.pooling, self.known_noise, self.progress = sums, pooling, known_noise, progress
-        self.start = {(one.candidate.branches, one.candidate.degree): one for one in start}
+        self.start, self.ready = (
+            {(one.candidate.branches, one.candidate.degree): one for one in some} for some in (start, ready)
+        )
         self.fitted: dict[tuple[int, int], _Tried | None] = {}
+        self.idle: list[Solution] = []
 
     def fit(self, branches: int, degree: int) -> Solution:
         """One candidate, started from the simpler ones."""
         if self.progress is not None:
             self.progress(f"{branches} branch{'es' if branches > 1 else ''}, K of degree {degree}")
+        if (branches, degree) in self.ready:
+            return self.ready[branches, degree]
         if (branches, degree) in self.start:
             return refit(self.sums, self.start[branches, degree])
         seeds = [
@@ -204,11 +213,32 @@ class _Search:
         key = (branches, degree)
         if key not in self.fitted:
             solution = self.fit(branches, degree)
-            idle = branches > fewest and has_idle_branch(self.sums, solution)
-            self.fitted[key] = (
-                None if idle else _Tried(solution, _scores(self.sums, solution, known_noise=self.known_noise))
-            )
+            if branches > fewest and has_idle_branch(self.sums, solution):
+                self.idle.append(solution)
+                self.fitted[key] = None
+            else:
+                scores = _scores(self.sums, solution, known_noise=self.known_noise)
+                self.fitted[key] = _Tried(solution, scores)
         return self.fitted[key]
+
+    def better(self, near: Sequence[_Tried | None], than: _Tried, *, flattest: int | None) -> list[_Tried]:
+        """Neighbours that predict better; one whose K varies with depth must show it, if it may.
+
+        ``flattest`` is the least degree where depth and speed vary together, else ``None``.
+        """
+        flat = min(
+            one.solution.noise.sigma2
+            for one in self.fitted.values()
+            if one is not None and flattest in (None, one.candidate.degree)
+        )
+        out = []
+        for one in near:
+            if one is None or as_good(than.scores, one.scores, known_noise=self.known_noise):
+                continue
+            bends = flattest is not None and one.candidate.degree > flattest
+            if not (bends and one.solution.noise.sigma2 > (1.0 - SEEN) ** 2 * flat):
+                out.append(one)
+        return out
 
 
 def choose(
@@ -220,6 +250,7 @@ def choose(
     one_speed: bool = False,
     noise: NoiseFit | None = None,
     start: Sequence[Solution] = (),
+    ready: Sequence[Solution] = (),
     progress: Callable[[str], None] | None = None,
 ) -> Choice:
     """The simplest candidate that predicts about as well as the best of its neighbours.
@@ -239,6 +270,8 @@ def choose(
         The noise that the sums are whitened for; ``None`` while it is not known.
     start : sequence of Solution
         Candidates that were fitted before the noise was known.
+    ready : sequence of Solution
+        Candidates that were fitted to these very sums.
     progress : callable, optional
         Told the name of each candidate before it is fitted.
 
@@ -247,7 +280,7 @@ def choose(
     Choice
     """
     known = noise is not None
-    search = _Search(sums, pooling, known, progress, start)
+    search = _Search(sums, pooling, known, progress, start, ready)
     fewest, flattest = branches[0], degrees[0]
     if len(branches) * len(degrees) == 1:
         return Choice(solution=search.fit(fewest, flattest), table=())
@@ -257,22 +290,7 @@ def choose(
         here = current.candidate
         ways = [(here.branches + 1, here.degree), (here.branches, here.degree + 1)]
         near = [search.tried(*way, fewest=fewest) for way in ways if way[0] in branches and way[1] in degrees]
-        flat = min(
-            one.solution.noise.sigma2
-            for one in search.fitted.values()
-            if one is not None and one.candidate.degree == flattest
-        )
-        better = [
-            one
-            for one in near
-            if one is not None
-            and not as_good(current.scores, one.scores, known_noise=known)
-            and not (
-                one_speed
-                and one.candidate.degree > flattest
-                and one.solution.noise.sigma2 > (1.0 - SEEN) ** 2 * flat
-            )
-        ]
+        better = search.better(near, current, flattest=flattest if one_speed else None)
         if not better:
             break
         current = max(better, key=lambda one: float(one.scores.sum()))
@@ -286,4 +304,5 @@ def choose(
         table=_table(tried, chosen),
         candidates=tuple(one.solution for one in tried),
         undecided=_undecided(tried, chosen),
+        idle=tuple(search.idle),
     )

@@ -48,6 +48,8 @@ def settle_choice(
         Of the chosen candidate, for white noise.
     """
     branches, degrees = options
+    # white noise leaves the sums as they are
+    same = whitened.sums is sums
     again = choose(
         whitened.sums,
         branches=branches,
@@ -55,7 +57,8 @@ def settle_choice(
         pooling=choice.solution.candidate.pooling,
         one_speed=one_program([handle.facts for handle in handles]),
         noise=whitened.noise,
-        start=choice.candidates,
+        start=() if same else choice.candidates,
+        ready=(*choice.candidates, *choice.idle) if same else (),
         progress=tick,
     )
     wanted = again.solution.candidate
