@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numba as nb
 import numpy as np
 
-from tissueid.render.guidance import GUIDANCE_MEMORY, guidance_step
+from tissueid.render.guidance import GUIDANCE_MEMORY, SAID_SIZE, guidance_step
 
 HAND_N_PER_M, HAND_N_S_PER_M = 300.0, 5.0
 #: Moving mass with the fingers' share [kg], the arm's damping [N s/m], the guard's clamp [N].
@@ -56,7 +56,7 @@ class Aim:
 @nb.njit
 def _run(block, start, direction, tremor, phase, frequency, ticks, guided, track):  # type: ignore[no-untyped-def]
     position, velocity = start.copy(), np.zeros(3)
-    memory, said = np.zeros(GUIDANCE_MEMORY), np.zeros(5)
+    memory, said = np.zeros(GUIDANCE_MEMORY), np.zeros(SAID_SIZE)
     force, held = np.zeros(3), np.zeros(3)
     weight = 1.0 / MASS_KG
     h = TICK_S / SUBSTEPS

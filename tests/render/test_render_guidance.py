@@ -27,7 +27,7 @@ class Guided:
 
     def __init__(self, plan: Guidance) -> None:
         self.block, self.memory = plan.numbers(), np.zeros(GUIDANCE_MEMORY)
-        self.said = np.zeros(5)
+        self.said = np.zeros(gd.SAID_SIZE)
 
     def step(self, position: np.ndarray, dt: float) -> np.ndarray:
         force = np.zeros(3)
@@ -241,5 +241,17 @@ def test_the_environment_is_the_guidance_where_its_block_is_one() -> None:
         np.testing.assert_array_equal(force, alone.step(point, TISSUE_DT))
         assert info[env.INFO_DEPTH_MM] == pytest.approx(1e3 * (0.13 - point[2]))
         assert info[env.INFO_LABEL] == 3
-        # it knows no depth of a contact: nothing is exchanged while it pulls
-        assert np.isnan(info[env.INFO_PENETRATION_M])
+        assert info[env.INFO_PENETRATION_M] == alone.said[gd.SAID_PENETRATION_M]
+    assert env.MEMORY_SIZE >= GUIDANCE_MEMORY + gd.SAID_SIZE
+
+
+def test_a_pull_is_no_contact_and_wall_and_bone_are() -> None:
+    guided = Guided(Guidance((0.0, 0.0, 0.0)))
+    places = [(0.001, 0.0, 0.01), (0.012, 0.0, 0.0), (0.001, 0.0, -0.002)]
+    found = []
+    for place in places:
+        guided.step(np.array(place), TISSUE_DT)
+        found.append(guided.said[gd.SAID_PENETRATION_M])
+    assert found[0] < 0.0
+    assert found[1] > 0.0
+    assert found[2] == pytest.approx(0.002)

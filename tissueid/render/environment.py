@@ -25,7 +25,13 @@ from numpy.typing import NDArray
 from tissueid.compiled import tick_kernel, tick_part
 from tissueid.haptics.states import Lamp
 from tissueid.model.kernels import tissue_step_in
-from tissueid.render.guidance import GUIDANCE_MEMORY, SAID_BONE_N, SAID_HEIGHT_M, guidance_step
+from tissueid.render.guidance import (
+    GUIDANCE_MEMORY,
+    SAID_BONE_N,
+    SAID_HEIGHT_M,
+    SAID_PENETRATION_M,
+    guidance_step,
+)
 from tissueid.render.surface import touch
 
 __all__ = [
@@ -168,8 +174,7 @@ def environment_step(
         _tissue(parameters, memory, position, velocity, dt, force, info)
     elif kind == GUIDANCE:
         guidance_step(parameters, GUIDED, memory, position, dt, force, memory, SAID)
-        # a pull reaches everywhere: engaging waits for a small force, an exchange for none
-        info[INFO_PENETRATION_M] = np.nan
+        info[INFO_PENETRATION_M] = memory[SAID + SAID_PENETRATION_M]
         info[INFO_DEPTH_MM] = -memory[SAID + SAID_HEIGHT_M] * M_TO_MM
         info[INFO_TISSUE_FORCE_N] = memory[SAID + SAID_BONE_N]
         info[INFO_DEVICE_FORCE_N] = math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)

@@ -97,7 +97,9 @@ SAID_OFF_AXIS_M = 1
 SAID_WALL_N = 2
 SAID_PULL_N = 3
 SAID_BONE_N = 4
-SAID_SIZE = 5
+#: How deep the tip is in wall or bone [m], negative in neither; the pull alone is no contact.
+SAID_PENETRATION_M = 5
+SAID_SIZE = 6
 
 
 @tick_part
@@ -140,8 +142,8 @@ def guidance_step(
     force : ndarray, shape (3,)
         Written [N].
     said : ndarray
-        Written from index ``first``: height [m], distance from the axis [m], and the magnitudes of wall, pull
-        and bone [N].
+        :data:`SAID_SIZE` numbers, written from index ``first``: height [m], distance from the axis [m], the
+        magnitudes of wall, pull and bone [N], penetration [m].
     first : int
     """
     z = 0.0
@@ -175,6 +177,7 @@ def guidance_step(
         force[i] += sideways * memory[RHO + i] + along * block[at + AXIS + i] + block[at + WEIGHT + i]
         for j in range(3):
             force[i] += block[at + WEIGHT_SLOPE + 3 * i + j] * (position[j] - block[at + ORIGIN + j])
+    said[first + SAID_PENETRATION_M] = depth if memory[WAY_IN] == OUTSIDE else max(depth, -z)
     said[first + SAID_HEIGHT_M] = z
     said[first + SAID_OFF_AXIS_M] = r
     said[first + SAID_WALL_N] = wall
