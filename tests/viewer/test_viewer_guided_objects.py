@@ -1,0 +1,32 @@
+"""What is drawn of a guided axis lies where it is felt."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from tissueid.render.funnel import funnel_touch
+from tissueid.render.guidance_block import Bone, Funnel, Guidance, guidance_block
+from tissueid.viewer.guided_objects import guided_objects
+
+
+@pytest.mark.parametrize("kind", ["hyperboloid", "cone"])
+def test_the_drawn_funnel_is_the_one_that_is_felt(kind: str) -> None:
+    funnel = Funnel(kind=kind)  # type: ignore[arg-type]
+    plan = Guidance((0.01, 0.0, 0.12), (0.0, 0.6, 0.8), funnel=funnel)
+    axis, drawn, bone = guided_objects(guidance_block(plan).tolist())
+    json.dumps([axis, drawn, bone])
+    assert [one["kind"] for one in (axis, drawn, bone)] == ["axis", "funnel", "bone"]
+    np.testing.assert_allclose(drawn["entry_m"], plan.entry_m)
+    np.testing.assert_allclose(drawn["axis"], [0.0, 0.6, 0.8])
+    for r, z in drawn["profile_m"]:
+        assert abs(funnel_touch(funnel.numbers(), 0, r, z, np.zeros(2), 0)) < 1e-9
+    assert axis["from_m"] == -plan.bone.drill_depth_m
+    assert bone["radius_m"] == plan.bone.radius_m
+
+
+def test_where_there_is_no_bone_none_is_drawn() -> None:
+    plan = Guidance((0.0, 0.0, 0.13), bone=Bone(radius_m=0.0))
+    assert [one["kind"] for one in guided_objects(guidance_block(plan))] == ["axis", "funnel"]
