@@ -22,7 +22,7 @@ from tissueid.population.sampler import SamplerOptions, sample_population
 from tissueid.population.stage_one import Design
 from tissueid.posterior import specimen as posterior_of_specimen
 from tissueid.posterior.specimen import PosteriorOptions
-from tissueid.priors import PopulationPriors, SpreadPrior
+from tissueid.priors import PopulationPriors, Priors, SpreadPrior
 from tissueid.selfcheck.ranks import binomial_interval
 from tissueid.synth.recipe import Branch, Hold, Log, Move, Recipe
 from tissueid.synth.simulate import as_trials, simulate
@@ -30,6 +30,8 @@ from tissueid.synth.simulate import as_trials, simulate
 COHORTS, SPECIMENS = 20, 17
 #: Spread between specimens of some 15 %.
 STATED = PopulationPriors(between=SpreadPrior(0.15, 0.3))
+#: Scale of the half-normal prior of the sd of a log's ln gain: logs scatter as the fit believes.
+GAIN_SD = Priors().gain_sd
 #: Typical tissues scatter by 20 % around paper A's between cohorts: the prior of a mean, e^10, is no tissue.
 MEAN_SD = 0.2
 SIGMA_N = 1.0
@@ -64,11 +66,19 @@ def drawn(rng: np.random.Generator) -> Truth:
             return Truth(mean, sd, good)
 
 
-def recipe(phi: np.ndarray, logs: tuple[Log, ...], rate_Hz: float, sigma_N: float) -> Recipe:
+def recipe(
+    phi: np.ndarray, logs: tuple[Log, ...], rate_Hz: float, sigma_N: float, gain_sd: float = 0.0
+) -> Recipe:
     theta = COORDINATES.to_theta(phi)[0]
-    branch = Branch((float(theta[3]),), float(theta[4]))
     return Recipe(
-        "s", logs, rate_Hz=rate_Hz, static=tuple(map(float, theta[:3])), branches=(branch,), sigma_N=sigma_N
+        "s",
+        logs,
+        rate_Hz=rate_Hz,
+        static=tuple(map(float, theta[:3])),
+        branches=(Branch((float(theta[3]),), float(theta[4])),),
+        sigma_N=sigma_N,
+        # log-normal of median 1: the tissue is the median of its logs
+        cv_both=float(np.sqrt(np.expm1(gain_sd**2))),
     )
 
 
@@ -83,7 +93,8 @@ def held_out_error(guess: np.ndarray, truth: np.ndarray) -> float:
 
 def fitted(name: str, phi: np.ndarray, rate_Hz: float, rng: np.random.Generator) -> Member | None:
     """A specimen as a cohort takes it; ``None`` where its recordings allow no posterior."""
-    logs = simulate(recipe(phi, FITTED, rate_Hz, SIGMA_N), rng=rng)
+    gain_sd = GAIN_SD * abs(float(rng.standard_normal()))
+    logs = simulate(recipe(phi, FITTED, rate_Hz, SIGMA_N, gain_sd), rng=rng)
     (fit,) = identify(as_trials(logs, specimen=name), options=OPTIONS).specimens
     if fit.posterior is None or fit.posterior.log_prior is None:
         return None

@@ -28,10 +28,14 @@ ROUNDS = 25
 RIDGE = 1e-6
 #: Logarithms of numbers near zero run far out: they are cut at so many standard deviations for one normal.
 FARTHEST = 3.0
+#: And upwards in the quantity itself, of which one number fifteen times as large would be all the variance.
+FARTHEST_LINEAR = 5.0
 #: Normal-consistent factor of the median absolute deviation.
 MAD_SD = 1.4826
 #: Weights are cut at so many times their mean: a draw at a bound stands for no more.
 HEAVIEST = 20.0
+#: And at once where their logarithm is so far above the median: no number overflows.
+FARTHEST_WEIGHT = 100.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,13 +102,10 @@ def mixture_of(
     """
     centre = np.median(phi, axis=0)
     x = phi - centre
-    x[:, linear] = np.exp(np.minimum(x[:, linear], 50.0))
+    reach = FARTHEST_LINEAR * MAD_SD * np.median(np.abs(x), axis=0)
+    x[:, linear] = np.exp(np.minimum(x, reach)[:, linear])
     # reference density in x, divided out; dx/dphi of a linear coordinate is exp(phi - centre)
-    log_w = (phi - centre)[:, linear].sum(axis=1) - log_reference
-    w = np.exp(log_w - log_w.max())
-    w /= w.mean()
-    w = np.minimum(w, HEAVIEST)
-    w /= w.sum()
+    w = _weights((phi - centre)[:, linear].sum(axis=1) - log_reference)
     along = phi[:, ~linear] if linear.any() else phi[:, :0]
     share = _shares(along, w, rng)
     floor = RIDGE * np.diag(np.maximum(np.atleast_2d(np.cov(x, rowvar=False, aweights=w)).diagonal(), 1e-12))
@@ -115,10 +116,22 @@ def mixture_of(
     return Mixture(centre, log_weight, mean, unit, *_one_normal(phi, log_reference))
 
 
+def _weights(log_weight: FloatArray) -> FloatArray:
+    """Weights of sum 1, none above :data:`HEAVIEST` times the mean of what is left after all cuts.
+
+    One draw far out in the prior, where the prior says next to nothing, would else stand for all others: a
+    single cut at the mean does not help where that draw is the mean.
+    """
+    w = np.exp(np.minimum(log_weight - np.median(log_weight), FARTHEST_WEIGHT))
+    # each cut divides the outliers' share by some n / HEAVIEST; more than that many are no outliers
+    while w.max() > 1.01 * HEAVIEST * w.mean() and (w == w.max()).sum() * HEAVIEST < w.size:
+        w = np.minimum(w, HEAVIEST * w.mean())
+    return np.asarray(w / w.sum())
+
+
 def _one_normal(phi: FloatArray, log_reference: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Mean and precision of phi under the likelihood, its far tails cut."""
-    w = np.exp(log_reference.min() - log_reference)
-    w = np.minimum(w / w.mean(), HEAVIEST)
+    w = _weights(-log_reference)
     middle = np.median(phi, axis=0)
     reach = FARTHEST * MAD_SD * np.median(np.abs(phi - middle), axis=0)
     near = np.clip(phi, middle - reach, middle + reach)
