@@ -3,7 +3,7 @@
     python benchmarks/viewer.py [--seconds 120] [--pairs 5] [--browser]
 
 * age: time.monotonic() at a client less the time of each sample when it arrives (one client, simulated
-  session); samples that were left out in that time.
+  session); samples that were left out in that time; beside it, how late a process goes on that only sleeps.
 * servo: p99 of the absolute period error with five clients, one of them hung, against none, in interleaved
   sessions; medians of both.  ``--thread`` serves from a thread of the session's owner instead of a process.
 * picture (``--browser``): from the start of ``tissueid render`` to the first drawn sample in a browser that
@@ -44,6 +44,16 @@ CLIENT = "--client"
 def load() -> str:
     """What else this machine does."""
     return f"load {os.getloadavg()[0]:.1f}"
+
+
+def sleeper(seconds: float) -> None:
+    """A process that does nothing but sleep 10 ms at a time: how late this machine lets it go on [ms]."""
+    late = []
+    begun = time.monotonic()
+    while (now := time.monotonic()) - begun < seconds:
+        time.sleep(0.01)
+        late.append(S_TO_MS * (time.monotonic() - now - 0.01))
+    sys.stdout.write(json.dumps(late))
 
 
 def one_client(url: str, seconds: float, *, hung: bool) -> None:
@@ -176,6 +186,9 @@ def picture_age() -> None:
 def main() -> None:
     """Measure and print."""
     if CLIENT in sys.argv:
+        if len(sys.argv) == 3:
+            sleeper(float(sys.argv[2]))
+            return
         url, seconds, hung = sys.argv[2:5]
         one_client(url, float(seconds), hung=bool(int(hung)))
         return
@@ -191,7 +204,11 @@ def main() -> None:
         picture_age()
         return
     if asked.seconds > 0.0:
+        words = [sys.executable, __file__, CLIENT, str(asked.seconds)]
+        control = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
         _, found = session(asked.seconds, 1, thread=asked.thread)
+        late = np.quantile(json.loads(control.communicate()[0]), 0.99)
+        print(f"a process that only sleeps goes on late by {late:.1f} ms, p99")
         median, p99 = np.quantile(found[0]["ages_ms"], [0.5, 0.99])
         print(
             f"sample age at a client over {asked.seconds:g} s: median {median:.1f} ms, p99 {p99:.1f} ms, "

@@ -22,9 +22,11 @@ const SLAB_MM = 42;
 const SEGMENTS = 60;
 // every so many lines of the mesh one is drawn: bent lines show what shading alone does not
 const LINE_EVERY = 4;
-// a picture that takes longer is drawn at fewer pixels
-const SLOW_MS = 24;
+// pictures that come slower are drawn with fewer pixels; without a graphics card that is where it begins
+const SLOW_MS = 45;
 const LEAST_RATIO = 0.5;
+const SOFTWARE_RATIO = 0.75;
+const SOFTWARE = /swiftshader|llvmpipe|software|basic render/i;
 
 const CAMERAS = { oblique: [105, 95, 165], front: [0, 26, 230], side: [230, 26, 0.01], top: [0, 240, 0.01] };
 // what is looked at lies a little above the surface: the tool is there
@@ -38,7 +40,8 @@ export const toDevice = (point) => [point.x / MM, -point.z / MM, point.y / MM];
 export class TissueScene {
   constructor(canvas) {
     this.canvas = canvas;
-    this.renderer = new WebGLRenderer({ canvas, antialias: true, preserveDrawingBuffer: false });
+    const software = isSoftware();
+    this.renderer = new WebGLRenderer({ canvas, antialias: !software });
     this.scene = new Scene();
     this.camera = new PerspectiveCamera(38, 1, 1, 2000);
     this.controls = new OrbitControls(this.camera, canvas);
@@ -51,8 +54,9 @@ export class TissueScene {
     this.scene.add(sun);
     this.content = new Group();
     this.scene.add(this.content);
-    this.ratio = Math.min(window.devicePixelRatio || 1, 2);
-    this.took = 0;
+    this.ratio = Math.min(window.devicePixelRatio || 1, 2) * (software ? SOFTWARE_RATIO : 1);
+    this.intervalMs = 0;
+    this.drawnMs = performance.now();
     this.changed = true;
     this.surface = this.tool = null;
     this.centre = new Vector3();
@@ -123,7 +127,7 @@ export class TissueScene {
       geometry = new PlaneGeometry(PATCH_MM, PATCH_MM, SEGMENTS, SEGMENTS).rotateX(-Math.PI / 2);
       geometry.applyQuaternion(new Group().quaternion.clone().setFromUnitVectors(new Vector3(0, 1, 0), this.up)).translate(...point);
     }
-    this.tissueMaterial = new MeshLambertMaterial({ vertexColors: true, side: DoubleSide, transparent: true, opacity: 0.8 });
+    this.tissueMaterial = new MeshLambertMaterial({ vertexColors: true, side: DoubleSide, transparent: true, opacity: 0.8, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 });
     const mesh = new Mesh(geometry, this.tissueMaterial);
     geometry.setAttribute("color", new BufferAttribute(new Float32Array(geometry.attributes.position.array.length), 3));
     mesh.frustumCulled = false;
@@ -280,15 +284,17 @@ export class TissueScene {
   }
 
   /** Draw, where anything has changed; fewer pixels on a machine that is slow at it. */
-  draw() {
+  draw(nowMs) {
     if (!this.changed) return false;
     this.changed = false;
-    const begun = performance.now();
     this.renderer.render(this.scene, this.camera);
-    this.took += 0.1 * (performance.now() - begun - this.took);
-    if (this.took > SLOW_MS && this.ratio > LEAST_RATIO) {
-      this.ratio = Math.max(LEAST_RATIO, this.ratio * 0.75);
-      this.took = 0;
+    // a long rest between two pictures says nothing about how long they take
+    const interval = Math.min(nowMs - this.drawnMs, 4 * SLOW_MS);
+    this.drawnMs = nowMs;
+    this.intervalMs += 0.05 * (interval - this.intervalMs);
+    if (this.intervalMs > SLOW_MS && this.ratio > LEAST_RATIO) {
+      this.ratio = Math.max(LEAST_RATIO, this.ratio * 0.8);
+      this.intervalMs = 0;
       this.resize();
     }
     return true;
@@ -299,6 +305,15 @@ export class TissueScene {
     this.renderer.render(this.scene, this.camera);
     return new Promise((done) => { this.canvas.toBlob(done, "image/png"); });
   }
+}
+
+/** Whether pictures are computed without a graphics card. */
+function isSoftware() {
+  const probe = document.createElement("canvas").getContext("webgl2");
+  const facts = probe?.getExtension("WEBGL_debug_renderer_info");
+  const name = facts ? probe.getParameter(facts.UNMASKED_RENDERER_WEBGL) : "";
+  probe?.getExtension("WEBGL_lose_context")?.loseContext();
+  return SOFTWARE.test(name);
 }
 
 /** How far a half space is pressed in at a distance r from a sphere's axis: Hertz, as Johnson 1985, 3.42. */

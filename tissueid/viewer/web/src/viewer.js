@@ -113,7 +113,7 @@ function picture(nowMs) {
   veil(state);
   scene.place(state);
   strips.update(history, n + 1, nowMs);
-  if (scene.draw() && pausedAt === null && link === "live") {
+  if (scene.draw(nowMs) && pausedAt === null && link === "live") {
     drawn += 1;
     ages.push(connection.nowS() - history.value("time_s", n));
     if (ages.length > AGES) ages.shift();
