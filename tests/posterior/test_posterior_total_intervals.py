@@ -65,17 +65,17 @@ def test_odds_are_those_of_the_densities_at_the_edge() -> None:
         assert plausible_edges({"f": draws}, {"f": FILTER}) == (("f",) if plausible else ())
 
 
-def test_ends_from_few_draws_are_moved_out_by_half_of_their_standard_error() -> None:
+def test_ends_from_few_draws_are_moved_out_by_their_standard_error() -> None:
     draws = {"tau": np.random.default_rng(12).standard_normal(N)}
     low, high = total_intervals(draws, {}, {}, worth=1000.0)["tau"]
     # error of a quantile: that of its level over the normal density there
     density = math.exp(-0.5 * TWO_SIDED_95**2) / math.sqrt(2.0 * math.pi)
-    error = 0.5 * math.sqrt(0.025 * 0.975 / 1000.0) / density
+    error = math.sqrt(0.025 * 0.975 / 1000.0) / density
     # to first order; 40,000 draws know the end to 0.013
-    assert high == pytest.approx(TWO_SIDED_95 + error, abs=0.03)
-    assert low == pytest.approx(-TWO_SIDED_95 - error, abs=0.03)
+    assert high == pytest.approx(TWO_SIDED_95 + error, abs=0.04)
+    assert low == pytest.approx(-TWO_SIDED_95 - error, abs=0.04)
     # and fewer reach as far as there are any
-    assert total_intervals(draws, {}, {}, worth=5.0)["tau"] == (draws["tau"].min(), draws["tau"].max())
+    assert total_intervals(draws, {}, {}, worth=20.0)["tau"] == (draws["tau"].min(), draws["tau"].max())
 
 
 def test_no_end_lies_beyond_the_draws() -> None:
