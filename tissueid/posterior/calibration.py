@@ -28,7 +28,7 @@ from tissueid.likelihood.linearise import Optimum
 from tissueid.likelihood.passive_normal import draw_passive, log_passive_mass, passive
 from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
 from tissueid.posterior.common_static import common_static
-from tissueid.posterior.importance import importance_sample
+from tissueid.posterior.importance import Weighted, importance_sample
 from tissueid.posterior.instrument import INSTRUMENT_NAMES, Behind
 from tissueid.posterior.instrument_mode import instrument_mode
 from tissueid.posterior.linear_priors import Facts
@@ -255,6 +255,29 @@ def _prior_rows(priors: Priors, nuisances: FloatArray) -> tuple[PriorRow, ...]:
     return tuple(rows)
 
 
+def _weighted_draws(behind: Behind, rng: np.random.Generator) -> tuple[Weighted, FloatArray]:
+    """Weighted draws of what is not known exactly, and the points in all coordinates, shape (n, d)."""
+    free = behind.free
+    found = importance_sample(
+        lambda inner, generator: _evaluate(behind, free, inner, generator),
+        behind.mode[free],
+        _laplace(behind)[np.ix_(free, free)],
+        behind.cuts[0][free],
+        behind.cuts[1][free],
+        rng,
+        size=WORTH,
+    )
+    points = np.tile(behind.mode, (found.points.shape[0], 1))
+    points[:, free] = found.points
+    return found, points
+
+
+def _resampled(weights: FloatArray, draws: int, rng: np.random.Generator) -> NDArray[np.int64]:
+    """Systematic resampling, in random order: each is drawn within one of its share."""
+    picks = np.searchsorted(np.cumsum(weights), (np.arange(draws) + rng.random()) / draws)
+    return rng.permutation(np.minimum(picks, weights.size - 1))
+
+
 def total_posterior(
     knots: Sequence[KnotSums],
     optimum: Optimum,
@@ -312,20 +335,8 @@ def total_posterior(
         start=start,
         noise=noise,
     )
-    free = behind.free
-    covariance = _laplace(behind)[np.ix_(free, free)]
-    found = importance_sample(
-        lambda inner, generator: _evaluate(behind, free, inner, generator),
-        behind.mode[free],
-        covariance,
-        behind.cuts[0][free],
-        behind.cuts[1][free],
-        rng,
-        size=WORTH,
-    )
-    n = found.points.shape[0]
-    points = np.tile(behind.mode, (n, 1))
-    points[:, free] = found.points
+    found, points = _weighted_draws(behind, rng)
+    n = points.shape[0]
     gains = _Gains(
         _draw_gain(priors.calibration["force_gain"], n, rng),
         _draw_gain(priors.calibration["displacement_gain"], n, rng),
@@ -335,9 +346,7 @@ def total_posterior(
     )
     theta, compliance, more = _scaled(behind, points, found.extra, gains)
     weights = _reweighted(found.weights, more)
-    # systematic resampling: every draw within one of its share
-    picks = np.searchsorted(np.cumsum(weights), (np.arange(draws) + rng.random()) / draws)
-    picks = rng.permutation(np.minimum(picks, n - 1))
+    picks = _resampled(weights, draws, rng)
     instrument = points[:, behind.branches : behind.branches + INSTRUMENT].copy()
     instrument[:, -1] = compliance
     nuisances = np.column_stack([gains.force, gains.displacement, instrument])[picks]
