@@ -36,6 +36,7 @@ COMMANDS = {
     "devices": "Find, home, test and calibrate haptic devices, or emulate one.",
     "synth": "Write synthetic recordings with a known truth.",
     "render": "Feel an identified tissue on a device, or try it on a simulated one.",
+    "training": "Measure guided sessions: error, angle, time, smoothness, learning.",
     "view": "Look at a session in a browser: one that was recorded, or runs elsewhere.",
 }
 

@@ -12,6 +12,7 @@ from tissueid.haptics.device import Capabilities, HapticDevice
 from tissueid.haptics.hand import Hand
 from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.sim import carried
+from tissueid.render.blind import check_pseudonym
 from tissueid.render.guidance_block import Guidance, guidance_block
 from tissueid.render.guidance_check import check_guidance
 from tissueid.render.options import RenderOptions
@@ -110,5 +111,6 @@ def _plan(
         lines=(choice[1], *lines),
         led=options.led,
         guided=guided,
+        pseudonym=None if options.pseudonym is None else check_pseudonym(options.pseudonym),
     )
     return replace(plan, head=session_head(plan, np.zeros(SURFACE_SIZE), (None,)))

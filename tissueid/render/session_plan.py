@@ -56,6 +56,8 @@ class SessionPlan:
         Whether a pointer on a screen leads the hand of the simulated device.
     guided : bool
         Whether the block is a guided axis.
+    pseudonym : str or None
+        Of the person who is guided; a blind order has its own.
     """
 
     device: str
@@ -74,6 +76,7 @@ class SessionPlan:
     lines: tuple[str, ...]
     led: bool = False
     guided: bool = False
+    pseudonym: str | None = None
 
 
 def session_head(plan: SessionPlan, surface: FloatArray, hashes: tuple[str | None, ...]) -> dict[str, Any]:
@@ -90,7 +93,7 @@ def session_head(plan: SessionPlan, surface: FloatArray, hashes: tuple[str | Non
     return {
         "tissueid": __version__,
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
-        "pseudonym": None if plan.order is None else plan.order.pseudonym,
+        "pseudonym": plan.pseudonym if plan.order is None else plan.order.pseudonym,
         "blind": plan.order is not None,
         "tissues": _tissue_entries(plan, hashes),
         "environment": plan.environment or ("guidance" if plan.guided else "tissue"),

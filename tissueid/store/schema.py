@@ -41,6 +41,7 @@ SCHEMA_NAMES = (
     "status",
     "study",
     "study-check",
+    "training",
     "watch",
 )
 

@@ -1,0 +1,93 @@
+"""``tissueid training``: a table of attempts, their learning, and the logs that hold none."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import run
+
+from tissueid.haptics.ring import RECORD
+from tissueid.haptics.states import State
+from tissueid.render.options import RenderOptions
+from tissueid.render.plan import plan_session
+from tissueid.render.recorder import Recorder
+from tissueid.render.scene import load_scene
+from tissueid.render.summary import SessionSummary
+from tissueid.store.schema import first_problem
+
+#: The shipped plan: 10 mm below the middle of the workspace.
+ENTRY_M = np.array([0.0, 0.0, 0.12])
+
+
+def session(
+    path: Path, *, error_mm: float, seconds: float, pseudonym: str = "P7", deep_mm: float = 21.0
+) -> Path:
+    """A log of a tip that comes down beside the axis."""
+    options = RenderOptions(
+        device="sim", seconds=1.0, scene=load_scene("hip-resurfacing"), pseudonym=pseudonym
+    )
+    plan = plan_session(options)
+    count = int(1000 * seconds)
+    records = np.zeros(count, RECORD)
+    records["tick"] = np.arange(count)
+    records["time_s"], records["dt_s"] = 1e-3 * np.arange(count), 1e-3
+    records["state"] = State.ENGAGED
+    height = np.linspace(50.0, -deep_mm, count)
+    records["position_m"] = ENTRY_M + 1e-3 * np.column_stack([np.full(count, error_mm), 0.0 * height, height])
+    summary = SessionSummary(0.001)
+    summary.add(records, 0)
+    recorder = Recorder(path, plan.head)
+    recorder.append(records)
+    recorder.finish(summary.as_json(scheduling="virtual time", virtual_time=True))
+    return path
+
+
+def test_attempts_are_measured_and_learning_is_found(tmp_path: Path) -> None:
+    for number in range(1, 6):
+        session(tmp_path / f"{number}.h5", error_mm=4.0 / number, seconds=3.0)
+    ended = run("training", tmp_path, "--json")
+    assert ended.code == 0, ended.stderr
+    document = ended.json()
+    assert first_problem(document, "training") is None
+    errors = [row["end_error_mm"] for row in document["attempts"]]
+    # all began in the same second: then by the name of the file
+    assert errors == pytest.approx([4.0 / number for number in range(1, 6)], abs=1e-6)
+    assert {row["pseudonym"] for row in document["attempts"]} == {"P7"}
+    assert all(row["complete"] for row in document["attempts"])
+    (curve,) = [one for one in document["learning"] if one["measure"] == "end_error_mm"]
+    assert curve["exponent"] == pytest.approx(-1.0, abs=1e-6)
+    shown = run("training", tmp_path)
+    assert "P7" in shown.stdout
+    assert "attempt^-1.00" in shown.stdout
+
+
+def test_a_log_without_an_attempt_does_not_stop_the_others(tmp_path: Path) -> None:
+    good = session(tmp_path / "good.h5", error_mm=1.0, seconds=2.0)
+    short = session(tmp_path / "short.h5", error_mm=1.0, seconds=2.0, deep_mm=-45.0)
+    torn = tmp_path / "torn.h5"
+    torn.write_bytes(good.read_bytes()[:2000])
+    ended = run("training", good, short, torn, "--json")
+    assert ended.code == 7
+    document = json.loads(ended.stdout)
+    assert [Path(row["file"]).name for row in document["attempts"]] == ["good.h5"]
+    assert {Path(one["file"]).name for one in document["refused"]} == {"short.h5", "torn.h5"}
+    assert "never came" in ended.stderr
+
+
+def test_a_session_of_tissue_is_named_as_such(tmp_path: Path) -> None:
+    log = tmp_path / "meat.h5"
+    run("render", "--preset", "meat", "--device", "sim", "--script", "indent 1 mm at 72 mm/min", "--virtual",
+        "--log", log)  # fmt: skip
+    ended = run("training", log)
+    assert ended.code == 7
+    assert "not guided" in ended.stderr
+
+
+def test_a_folder_without_logs_and_a_name_are_refused(tmp_path: Path) -> None:
+    assert run("training", tmp_path).code == 2
+    ended = run("render", "--scene", "hip-resurfacing", "--device", "sim", "--pseudonym", "Anna Smith")
+    assert ended.code == 2
+    assert "could be a name" in ended.stderr

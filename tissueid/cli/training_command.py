@@ -1,0 +1,123 @@
+"""``tissueid training``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from tissueid.cli.output import echo_json, note, output_options
+
+if TYPE_CHECKING:
+    from tissueid.training.measures import Attempt
+
+__all__ = ["command"]
+
+EPILOG = """\b
+Examples:
+  tissueid training hip-*.h5
+  tissueid training sessions/ --json
+  tissueid render --scene hip-resurfacing --pseudonym P17 --log sessions/P17-1.h5
+"""
+#: Measures that practice is looked for in, with their words.
+LEARNED = {"end_error_mm": "end error", "angle_deg": "angle", "seconds": "time"}
+
+
+@click.command("training", epilog=EPILOG)
+@click.argument("logs", nargs=-1, required=True, type=click.Path(exists=True))
+@click.option("--cone-entry", type=click.FloatRange(min=0.0, min_open=True), default=40.0, show_default=True,
+              metavar="MM", help="Height above the bone at which an attempt begins.")  # fmt: skip
+@output_options
+def command(**flags: Any) -> int:
+    """Measure guided sessions: error, angle of the track, time, path, force, smoothness, learning.
+
+    LOGS are logs of `tissueid render --scene hip-resurfacing`, or folders of them. A Falcon knows no
+    orientation: the angle is that of the chord from the cone's entry to the end of the drilling. Exit code 7
+    where a log holds no attempt. For research: no number here says that somebody may operate.
+    """
+    from tissueid.errors import BundleError, UsageError, exit_code
+    from tissueid.store.session_log import read_session_log
+    from tissueid.training.measures import measured
+
+    rows: list[dict[str, Any]] = []
+    refused: list[dict[str, str]] = []
+    for path in _files(flags["logs"]):
+        try:
+            log = read_session_log(path)
+            attempt = measured(log.head, log.records, cone_entry_mm=flags["cone_entry"])
+        except (BundleError, ValueError) as error:
+            refused.append({"file": str(path), "reason": getattr(error, "message", str(error))})
+            continue
+        rows.append(
+            {"file": str(path), "pseudonym": log.head["pseudonym"], "started": log.head["started"]}
+            | _without_nan(attempt)
+        )
+    if not rows and not refused:
+        msg = "there is no session log (.h5) in what was given; record one with tissueid render --log FILE"
+        raise UsageError(msg)
+    rows.sort(key=lambda row: (row["pseudonym"] or "", row["started"], row["file"]))
+    document = {
+        "schema": "tissueid/training/1",
+        "cone_entry_mm": flags["cone_entry"],
+        "attempts": rows,
+        "learning": _learning(rows),
+        "refused": refused,
+    }
+    if flags["as_json"]:
+        echo_json(document)
+    elif not flags["quiet"]:
+        click.echo("\n".join(_lines(document)))
+    for one in refused:
+        note(f"{one['file']}: {one['reason']}")
+    return exit_code({7} if refused else set())
+
+
+def _files(given: Sequence[str]) -> Iterator[Path]:
+    for one in map(Path, given):
+        yield from sorted(one.glob("*.h5")) if one.is_dir() else [one]
+
+
+def _without_nan(attempt: Attempt) -> dict[str, Any]:
+    return {
+        key: None if isinstance(value, float) and math.isnan(value) else value
+        for key, value in asdict(attempt).items()
+    }
+
+
+def _learning(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """A curve for each person and measure, where there are attempts enough."""
+    from tissueid.training.learning import learning_curve
+
+    found = []
+    for who in dict.fromkeys(row["pseudonym"] for row in rows):
+        own = [row for row in rows if row["pseudonym"] == who]
+        for measure in LEARNED:
+            curve = learning_curve([math.nan if row[measure] is None else row[measure] for row in own])
+            if curve is not None:
+                found.append({"pseudonym": who, "measure": measure, **asdict(curve)})
+    return found
+
+
+def _lines(document: Mapping[str, Any]) -> list[str]:
+    head = (
+        f"{'who':<8}{'started':<21}{'end error':>10}{'angle':>16}{'time':>9}{'path':>7}{'peak':>8}{'jerk':>7}"
+    )
+    lines = [head]
+    for row in document["attempts"]:
+        jerk = "-" if row["log_jerk"] is None else f"{row['log_jerk']:.1f}"
+        lines.append(
+            f"{row['pseudonym'] or '-':<8}{row['started'][:19]:<21}{row['end_error_mm']:>7.2f} mm"
+            f"{row['angle_deg']:>7.2f} \u00b1 {row['angle_se_deg']:.2f} deg{row['seconds']:>7.1f} s"
+            f"{row['path_over_chord']:>7.2f}{row['peak_force_N']:>6.2f} N{jerk:>7}"
+            + ("" if row["complete"] else "  not through")
+        )
+    return lines + [
+        f"{curve['pseudonym'] or 'all'}: {LEARNED[curve['measure']]} goes with attempt^"
+        f"{curve['exponent']:.2f} \u00b1 {curve['exponent_se']:.2f} from {curve['first']:.3g} at the first of "
+        f"{curve['attempts']}"
+        for curve in document["learning"]
+    ]

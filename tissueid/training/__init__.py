@@ -1,0 +1,1 @@
+"""What a guided session says of the hand: how near, how straight, how fast, how smooth."""

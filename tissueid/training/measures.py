@@ -1,0 +1,190 @@
+"""Measures of one attempt: the tip's way from the cone's entry to the end of the drilling, against the plan.
+
+A device with three degrees of freedom knows no orientation: the angle of a track is that of the chord between
+two places of the tip, with a standard error that follows from how well a short stretch of the record places
+each of them.  The noise of a record has a memory: its samples are counted by their lag-one correlation.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.haptics.states import State
+from tissueid.render import guidance as gd
+from tissueid.render.environment import GUIDED
+
+__all__ = ["CONE_ENTRY_MM", "Attempt", "measured"]
+
+FloatArray = NDArray[np.float64]
+
+#: Height above the entry point of the bone at which the cone begins [mm] (assumed).
+CONE_ENTRY_MM = 40.0
+#: Half of the stretch that places one end of a chord, and half of the window of the smoothed path [s].
+STRETCH_S = 0.05
+SMOOTHED_S = 0.025
+#: Half of the window of the jerk, whose third derivative is that of a local polynomial of this degree.
+JERK_S = 0.1
+JERK_DEGREE = 5
+JERK_STEP_S = 0.01
+MM = 1000.0
+
+
+@dataclass(frozen=True, slots=True)
+class Attempt:
+    """One way to the end of the drilling.
+
+    Attributes
+    ----------
+    complete : bool
+        Whether the wire went through; else the way ends at the deepest place.
+    seconds : float
+        From the cone's entry to the end.
+    entry_error_mm, end_error_mm : float
+        Distance from the axis at the entry point of the bone (NaN where it was not reached), and at the end.
+    angle_deg, angle_se_deg : float
+        Of the chord from the cone's entry to the end, against the axis.
+    path_mm, path_over_chord : float
+        Length of the way, smoothed over 50 ms.
+    mean_force_N, peak_force_N : float
+        At the device.
+    log_jerk : float
+        Less the logarithm of the dimensionless jerk ``D^5 / A^2`` times the integral of its square (Hogan &
+        Sternad 2009, doi 10.3200/35-09-004-RC): nearer zero is smoother.
+    """
+
+    complete: bool
+    seconds: float
+    entry_error_mm: float
+    end_error_mm: float
+    angle_deg: float
+    angle_se_deg: float
+    path_mm: float
+    path_over_chord: float
+    mean_force_N: float
+    peak_force_N: float
+    log_jerk: float
+
+
+def measured(
+    head: Mapping[str, Any], records: NDArray[Any], *, cone_entry_mm: float = CONE_ENTRY_MM
+) -> Attempt:
+    """Measures of a session's log.
+
+    Parameters
+    ----------
+    head : mapping
+        Of the log.
+    records : ndarray
+        Of the log.
+    cone_entry_mm : float
+        Where an attempt begins, above the entry point of the bone.
+
+    Raises
+    ------
+    ValueError
+        The session was not guided, or the tip never came from the cone's entry toward the bone.
+    """
+    if head["environment"] != "guidance":
+        msg = (
+            f"the session was not guided (it was {head['environment']}): there is no plan to compare it with"
+        )
+        raise ValueError(msg)
+    numbers = np.asarray(head["tissues"][0]["block"])[GUIDED : GUIDED + gd.GUIDANCE_SIZE]
+    felt = records[(records["state"] == State.ENGAGED) & np.isfinite(records["position_m"]).all(axis=1)]
+    time, place = felt["time_s"], _along_axis(numbers, felt["position_m"])
+    first, last, complete = _ends(place[:, 2], cone_entry_mm, MM * float(numbers[gd.DRILL_END]))
+    begin, begin_se = _placed(time, place, first)
+    end, end_se = _placed(time, place, last)
+    chord = end - begin
+    length = float(np.linalg.norm(chord))
+    sideways = float(np.hypot(chord[0], chord[1]))
+    way = slice(first, last + 1)
+    smooth = _smoothed(time, place)[way]
+    path = float(np.linalg.norm(np.diff(smooth, axis=0), axis=1).sum())
+    force = np.linalg.norm(felt["force_N"][way], axis=1)
+    entered = np.flatnonzero(place[way, 2] <= 0.0)
+    entry = first + int(entered[0]) if entered.size else None
+    return Attempt(
+        complete=complete,
+        seconds=float(time[last] - time[first]),
+        entry_error_mm=math.nan if entry is None else float(np.hypot(*_placed(time, place, entry)[0][:2])),
+        end_error_mm=float(np.hypot(end[0], end[1])),
+        angle_deg=math.degrees(math.atan2(sideways, -chord[2])),
+        angle_se_deg=math.degrees(math.hypot(begin_se, end_se) / length),
+        path_mm=path,
+        path_over_chord=path / length,
+        mean_force_N=float(force.mean()),
+        peak_force_N=float(force.max()),
+        log_jerk=_log_jerk(time[way], smooth),
+    )
+
+
+def _along_axis(numbers: FloatArray, position_m: FloatArray) -> FloatArray:
+    """Two coordinates across the planned axis and the height along it [mm], shape (n, 3)."""
+    axis = numbers[gd.AXIS : gd.AXIS + 3]
+    # any direction that is not the axis gives a frame; no measure depends on which
+    helper = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    across = np.cross(axis, helper)
+    across /= np.linalg.norm(across)
+    frame = np.stack([across, np.cross(axis, across), axis])
+    return np.asarray(MM * (position_m - numbers[gd.ORIGIN : gd.ORIGIN + 3]) @ frame.T)
+
+
+def _ends(height: FloatArray, cone_entry_mm: float, drill_mm: float) -> tuple[int, int, bool]:
+    """First and last sample of the attempt, and whether the drilling came to its end."""
+    through = np.flatnonzero(-height >= drill_mm) if drill_mm > 0.0 else np.zeros(0, np.int64)
+    last = int(through[0]) if through.size else int(np.argmin(height)) if height.size else 0
+    above = np.flatnonzero(height[:last] > cone_entry_mm)
+    if not above.size or not height[last] < cone_entry_mm:
+        msg = (
+            f"the tip never came from {cone_entry_mm:g} mm above the entry point toward the bone: there is "
+            "no attempt in this session"
+        )
+        raise ValueError(msg)
+    return int(above[-1]) + 1, last, bool(through.size)
+
+
+def _placed(time: FloatArray, place: FloatArray, at: int) -> tuple[FloatArray, float]:
+    """Where the tip was at a sample [mm], by a line through a short stretch; its error across the axis."""
+    near = np.abs(time - time[at]) <= STRETCH_S
+    t = time[near] - time[at]
+    design = np.column_stack([np.ones_like(t), t])
+    if t.size < 4:
+        return place[at].copy(), 0.0
+    line, *_ = np.linalg.lstsq(design, place[near], rcond=None)
+    left = (place[near] - design @ line)[:, :2]
+    spread = (left**2).sum(axis=0)
+    lag = np.divide((left[1:] * left[:-1]).sum(axis=0), spread, out=np.zeros(2), where=spread > 0.0)
+    lag = np.clip(lag, 0.0, 0.98)
+    variance = spread / (t.size - 2) * (1.0 + lag) / (1.0 - lag) * np.linalg.inv(design.T @ design)[0, 0]
+    return line[0], float(np.sqrt(variance.sum()))
+
+
+def _smoothed(time: FloatArray, place: FloatArray) -> FloatArray:
+    """Running mean of the places: encoder counts and tremor are no way."""
+    count = max(int(SMOOTHED_S / max(float(np.median(np.diff(time))), 1e-6)), 1)
+    padded = np.pad(place, ((count, count), (0, 0)), mode="edge")
+    total = np.cumsum(np.vstack([np.zeros(3), padded]), axis=0)
+    return np.asarray((total[2 * count + 1 :] - total[: -2 * count - 1]) / (2 * count + 1))
+
+
+def _log_jerk(time: FloatArray, smooth: FloatArray) -> float:
+    """Less ln of the dimensionless jerk of a smoothed way; NaN where it is shorter than the window."""
+    from scipy.signal import savgol_filter
+
+    # a hundred samples a second hold all of a hand, and a local polynomial over them is well conditioned
+    even = np.arange(time[0], time[-1], JERK_STEP_S)
+    window = 2 * round(JERK_S / JERK_STEP_S) + 1
+    if even.size < window:
+        return math.nan
+    places = np.column_stack([np.interp(even, time, smooth[:, k]) for k in range(3)])
+    jerk = savgol_filter(places, window, JERK_DEGREE, deriv=3, delta=JERK_STEP_S, axis=0)
+    span, length = float(time[-1] - time[0]), float(np.linalg.norm(smooth[-1] - smooth[0]))
+    energy = float((jerk**2).sum()) * JERK_STEP_S
+    return math.nan if length == 0.0 or energy == 0.0 else -math.log(energy * span**5 / length**2)
