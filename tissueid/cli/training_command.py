@@ -117,7 +117,7 @@ def _lines(document: Mapping[str, Any]) -> list[str]:
         )
     return lines + [
         f"{curve['pseudonym'] or 'all'}: {LEARNED[curve['measure']]} goes with attempt^"
-        f"{curve['exponent']:.2f} \u00b1 {curve['exponent_se']:.2f} from {curve['first']:.3g} at the first of "
-        f"{curve['attempts']}"
+        f"{curve['exponent']:.2f} \u00b1 {curve['exponent_se']:.2f} from {curve['first']:.3g} at the first "
+        f"of {curve['attempts']}"
         for curve in document["learning"]
     ]

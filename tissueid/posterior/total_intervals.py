@@ -11,8 +11,8 @@ section 4.7).
 Draws without a filter are the draws moved to its absence along their linear regression on it (Beaumont,
 Zhang & Balding 2002, Genetics 162: 2025): a slope does not depend on where its regressor is cut.
 
-The ends of a quoted interval are moved out by their Monte-Carlo standard error, some 2 % of the width each for
-a thousand draws: of ends that are wrong by chance it is better to be wrong outward.  Half an error, and none,
+The ends of a quoted interval are moved out by their Monte-Carlo standard error, some 2 % of the width each
+for a thousand draws: of ends that are wrong by chance it is better to be wrong outward.  Half an error, and none,
 left some intervals behind an unknown frame that held the truth too rarely (docs/uncertainty.md).
 """
 
