@@ -12,8 +12,8 @@ Draws without a filter are the draws moved to its absence along their linear reg
 Zhang & Balding 2002, Genetics 162: 2025): a slope does not depend on where its regressor is cut.
 
 The ends of a quoted interval are moved out by their Monte-Carlo standard error, some 2 % of the width each
-for a thousand draws: of ends that are wrong by chance it is better to be wrong outward.  Half an error, and none,
-left some intervals behind an unknown frame that held the truth too rarely (docs/uncertainty.md).
+for a thousand draws: of ends that are wrong by chance it is better to be wrong outward.  Half an error left
+some intervals behind an unknown frame that held the truth too rarely, and so did none (docs/uncertainty.md).
 """
 
 from __future__ import annotations
