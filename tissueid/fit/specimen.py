@@ -13,15 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from tissueid.fit.agreement import both_optimisers
 from tissueid.fit.candidates import Candidate, Solution, SpecimenSums, fit_candidate, sum_of_logs
 from tissueid.fit.estimates import TissueEstimate, estimate_tissue, in_field_units
-from tissueid.fit.lm import levenberg_marquardt
 from tissueid.fit.logs import LogHandle, refine_contacts, specimen_sums
 from tissueid.fit.material import DEFAULT_POISSON, Geometry, with_moduli
 from tissueid.fit.one_log_choice import choose_for_one_log
 from tissueid.fit.quoted import quoted_numbers
 from tissueid.fit.rounds import follow_surfaces, unloading_handles, unloading_verdict
-from tissueid.fit.search import polish, unbounded_covariance
+from tissueid.fit.search import unbounded_covariance
 from tissueid.fit.selection import Choice, choose
 from tissueid.fit.settling import settle_choice, undecided_flags
 from tissueid.fit.summaries import Summaries, second_pass
@@ -54,11 +54,6 @@ FOCUS_FROM = 100_000
 THINNED_TO = 50_000
 FOCUS = 0.4
 FOCUS_SD = 6.0
-#: Levenberg-Marquardt starts from the optimum moved to this grid in ln tau.
-LM_START_GRID = 0.25
-#: Agreement of the two optimisers: relative sum of squares, and standard errors of ln tau.
-AGREE_VALUE = 1e-7
-AGREE_SD = 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,36 +119,6 @@ class FittedSpecimen:
     tissue: TissueEstimate
     adjustments: tuple[Adjustment, ...]
     told: Summaries
-
-
-def _both_optimisers(sums: SpecimenSums, solution: Solution) -> tuple[Solution, dict[str, object]]:
-    """Run Levenberg-Marquardt beside the variable projection and keep the better optimum."""
-    bounds = sums.log_tau_bounds
-    found = solution.evaluation
-    rough = np.clip(np.round(found.log_tau / LM_START_GRID) * LM_START_GRID, *bounds)
-    lm = levenberg_marquardt(solution.objective, solution.objective.evaluate(rough, found), bounds)
-    if lm.value < found.value * (1.0 - AGREE_VALUE):
-        better = polish(solution.objective, np.sort(lm.log_tau), bounds, warm=found)
-        if better.value < found.value:
-            found = better
-            solution = replace(solution, evaluation=found)
-    inverse, bounded = unbounded_covariance(found, solution.objective.blocks)
-    variance = np.diag(inverse)[found.theta.size :] * solution.noise.sigma2
-    sd = np.sqrt(np.where(np.isfinite(variance), np.maximum(variance, 1e-24), 1.0))
-    difference = (lm.value - found.value) / found.value if found.value > 0.0 else 0.0
-    apart = float((np.abs(np.sort(lm.log_tau) - found.log_tau) / sd).max(initial=0.0))
-    agree = bool(abs(difference) <= AGREE_VALUE and apart <= AGREE_SD)
-    return solution, {
-        "method": "Levenberg-Marquardt (lmfit) and variable projection",
-        "lm_sum_of_squares_N2": lm.value,
-        "vp_sum_of_squares_N2": found.value,
-        "relative_difference": float(difference),
-        "lm_evaluations": lm.evaluations,
-        "lm_converged": lm.converged,
-        "agree": None if bounded and not agree else agree,
-        "bound_active": bounded,
-        "sigma_gain": solution.noise.gain_sd if solution.candidate.pooling == "partial" else None,
-    }
 
 
 def adjustments_of(
@@ -310,6 +275,24 @@ def _under_its_noise(
     return whiten(handles, sums, solution, model, theta, adjustments, tick, noise=options.noise)
 
 
+def _settled(
+    handles: Sequence[LogHandle],
+    sums: SpecimenSums,
+    choice: Choice,
+    asked: tuple[tuple[int, ...], tuple[int, ...]],
+    options: FitOptions,
+    tick: Callable[[str], None],
+) -> tuple[Whitened, Choice]:
+    """The fit under its noise, and the choice of ``asked`` branches and degrees made again under it."""
+    whitened = _under_its_noise(handles, sums, choice.solution, options, tick)
+    # of one log, what a model lacks can't be told from noise with memory: its choice stands
+    if choice.candidates and not options.unloading and len(handles) > 1:
+        choice, settled = settle_choice(sums, whitened, choice, handles, asked, tick)
+        if settled.candidate != whitened.solution.candidate:
+            whitened = _under_its_noise(handles, sums, settled, options, tick)
+    return whitened, choice
+
+
 def _fit(
     specimen: str, handles: list[LogHandle], options: FitOptions, tick: Callable[[str], None]
 ) -> FittedSpecimen:
@@ -331,14 +314,9 @@ def _fit(
         handles, sums, choice = followed.handles, followed.sums, followed.choice
     else:
         sums, choice = choice_for(handles)
-    whitened = _under_its_noise(handles, sums, choice.solution, options, tick)
-    # of one log, what a model lacks can't be told from noise with memory: its choice stands
-    if choice.candidates and followed is None and len(handles) > 1:
-        choice, settled = settle_choice(sums, whitened, choice, handles, (branches, degrees), tick)
-        if settled.candidate != whitened.solution.candidate:
-            whitened = _under_its_noise(handles, sums, settled, options, tick)
+    whitened, choice = _settled(handles, sums, choice, (branches, degrees), options, tick)
     sums = whitened.sums
-    solution, optimisers = _both_optimisers(sums, whitened.solution)
+    solution, optimisers = both_optimisers(sums, whitened.solution)
     tissue = estimate_tissue(sums, solution)
     adjustments = adjustments_of(sums, solution, (tissue.model, tissue.theta), handles)
     told = second_pass(handles, adjustments, tissue, tick, noise=whitened.noise, depths_mm=options.depths_mm)
