@@ -9,6 +9,8 @@ One JSON object, ``{"type": "hello", "v": 1, ...}``:
     metres of the device's frame; a page leaves out kinds it does not know.
 ``strips``
     what is drawn over time, or over another field: an id, a title, a unit, and ``traces``.
+``digits``
+    what the second and the third of the big numbers are.
 ``lamps``
     an id, a word, what it means, and the bits of ``lamps`` (or ``fault``) that light it.
 ``band``
@@ -27,6 +29,7 @@ from typing import Any
 from tissueid.haptics.sim import CENTRE_M, WORKING_RADIUS_M
 from tissueid.haptics.states import FAULT_WORDS, Lamp, State
 from tissueid.viewer.frames import SAMPLE, layout
+from tissueid.viewer.guided_objects import guided_objects
 
 __all__ = ["PROTOCOL", "Workspace", "hello"]
 
@@ -48,6 +51,9 @@ LAMPS = (
     ("rupture", "Ruptured", "the tissue broke: no force until it is put back", Lamp.RUPTURED),
     ("timing", "Late tick", "the servo's tick began late, or stalled", Lamp.LATE | Lamp.STALLED),
 )
+#: What the second and the third of the big numbers are.
+DIGITS = {"tissue": "N of tissue", "depth": "mm deep"}
+GUIDED_DIGITS = {"tissue": "N of the bone", "depth": "mm below the entry"}
 #: Traces: a sample's ``field`` (of a vector its length), less the period where ``minus_period`` is set, times
 #: ``factor``; ``over`` another field instead of the time; ``axis`` right where the unit is another.
 STRIPS: tuple[dict[str, Any], ...] = (
@@ -131,8 +137,9 @@ def hello(
             "pointer": pointer,
             "replay_s": replay_s,
         },
-        "scene": {"kind": "tissue", "objects": _objects(head, workspace_m)},
-        "strips": list(STRIPS),
+        "scene": {"kind": str(head["environment"]), "objects": _objects(head, workspace_m)},
+        "strips": _strips(head),
+        "digits": GUIDED_DIGITS if head["environment"] == "guidance" else DIGITS,
         "lamps": [
             {"id": name, "word": word, "meaning": meaning, "bits": int(bits)}
             for name, word, meaning, bits in LAMPS
@@ -142,6 +149,16 @@ def hello(
         "band": band,
         "sample": {"bytes": SAMPLE.itemsize, "fields": layout()},
     }
+
+
+def _strips(head: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The strips, in the words of what is felt."""
+    if head["environment"] != "guidance":
+        return list(STRIPS)
+    titles = {"depth": "Below the entry point", "loop": "Force of the bone over depth"}
+    strips = [{**strip, "title": titles.get(strip["id"], strip["title"])} for strip in STRIPS]
+    strips[0] = {**strips[0], "traces": [strips[0]["traces"][0], {**strips[0]["traces"][1], "label": "bone"}]}
+    return strips
 
 
 def _title(head: Mapping[str, Any]) -> str:
@@ -160,6 +177,8 @@ def _objects(head: Mapping[str, Any], workspace_m: Workspace) -> list[dict[str, 
         {"kind": "workspace", "ranges_m": [[float(low), float(high)] for low, high in workspace_m]},
         {"kind": "tool", "radius_m": radius_m, "force_field": "force_N", "position_field": "position_m"},
     ]
+    if head["environment"] == "guidance":
+        return objects + guided_objects(head["tissues"][0]["block"])
     if head["environment"] != "tissue":
         return objects
     scale = head["scale"]

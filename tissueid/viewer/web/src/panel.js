@@ -24,7 +24,9 @@ export class Panel {
       session.device.calibrated ? "" : "not calibrated",
       session.blind ? "blind" : "",
     ].filter(Boolean).join(" · ");
-    byId("scale").textContent = session.scale === null ? "a force law of its own: no scale is known" : scaleWords(session);
+    byId("tissue-words").textContent = hello.digits.tissue;
+    byId("depth-words").textContent = hello.digits.depth;
+    byId("scale").textContent = session.scale !== null ? scaleWords(session) : hello.scene.kind === "guidance" ? "forces and motion are the device's own" : "a force law of its own: no scale is known";
     this.lamps = [...hello.lamps, { id: "stale", word: "Stale", meaning: "nothing new has come" }, { id: "fault", word: "Fault", meaning: "the device is off" }, { id: "recording", word: "Recording stopped", meaning: "the session goes on unrecorded" }].map((lamp) => {
       const item = document.createElement("li");
       item.id = `lamp-${lamp.id}`;
@@ -71,9 +73,9 @@ export class Panel {
     if (state.link !== "live") return byId("link-word").textContent;
     const parts = [
       this.hello.states[state.state],
-      state.depth_mm > 0 ? `${number(state.depth_mm, 1)} mm deep` : "not touching",
+      state.depth_mm > 0 ? `${number(state.depth_mm, 1)} ${this.hello.digits.depth}` : "not touching",
       `${number(state.device_N, 1)} N at the device`,
-      this.hello.session.blind ? "" : `${number(state.tissue_N, 0)} N of tissue`,
+      this.hello.session.blind ? "" : `${number(state.tissue_N, 0)} ${this.hello.digits.tissue}`,
       ...(this.lit ?? []),
       state.fault ? this.hello.faults[state.fault] : "",
       state.paused ? "picture paused" : "",

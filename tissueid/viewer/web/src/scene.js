@@ -8,6 +8,7 @@ import {
   SphereGeometry, Vector3, WebGLRenderer, DoubleSide,
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+import { guidedBuilders } from "./guided.js";
 import { colour } from "./theme.js";
 
 const MM = 1000;
@@ -73,7 +74,15 @@ export class TissueScene {
     this.tool = null;
     this.up = new Vector3(0, 1, 0);
     this.centre = new Vector3();
+    this.coloured = [];
     const builders = { workspace: (o) => this.buildWorkspace(o), tool: (o) => this.buildTool(o), surface: (o) => this.buildSurface(o) };
+    for (const [kind, build] of Object.entries(guidedBuilders(toWorld))) {
+      builders[kind] = (object) => {
+        const { group, recolour } = build(object);
+        this.content.add(group);
+        this.coloured.push(recolour);
+      };
+    }
     for (const object of hello.scene.objects) builders[object.kind]?.(object);
     this.recolour();
     this.look(this.view);
@@ -178,6 +187,7 @@ export class TissueScene {
       this.rupture.material.color.set(colour("alarm"));
     }
     if (this.surface) this.surface.deformed = -1;
+    this.coloured?.forEach((recolour) => recolour());
     this.changed = true;
   }
 
