@@ -1,14 +1,17 @@
 """What a cohort costs: surveys, jobs, assembly, one and two workers, Dask against local, memory by size.
 
 Every specimen has the logs of ``paper-a-22``, with the forces of one template scaled, so that generation
-costs next to nothing.  Three parts:
+costs next to nothing.  Four parts:
 
 * ``workers``: the jobs of some specimens on one process and on two, in turn, and on Dask workers beside them.
   The ratio is of the wall time of the jobs alone; the whole command is told as well.
 * ``memory``: peak resident memory of every process at two sizes of cohort.
 * ``paper``: 17 specimens of 22 logs at 1 kHz, from CSV to bundles and report, with the breakdown.
+* ``overhead``: tasks that compute nothing and return as many bytes as a specimen's file, on two local
+  processes and on two workers of Dask: what handing out and taking back costs, whatever the machine does
+  beside it an upper bound.
 
-    python benchmarks/cohort.py [--part workers|memory|paper] [--specimens 24] [--json]
+    python benchmarks/cohort.py [--part workers|memory|paper|overhead] [--specimens 24] [--json]
 
 Load of the machine is told with every figure: trust ratios of one run.
 """
@@ -29,6 +32,7 @@ import time
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -38,6 +42,8 @@ from tissueid.synth import DIALECTS, bluehill_csv, recipe, simulate
 SHORT = ("--draws", "400", "--branches", "1", "--stiffness-degree", "0", "--sampler")
 PORT = 18_787
 SAMPLE_S = 0.2
+#: Bytes of a job and of its result: 22 recordings by name, and a file of 22 short logs.
+JOB_BYTES, RESULT_BYTES = 8_000, 670_000
 
 
 def write_cohort(folder: Path, specimens: int, rate_Hz: float) -> int:
@@ -127,8 +133,11 @@ def fit(data: Path, out: Path, *args: str) -> dict[str, object]:
 def cluster(stack: ExitStack, workers: int) -> str:
     """A scheduler and some workers of one thread each, until the stack is closed."""
     address = f"tcp://127.0.0.1:{PORT}"
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    quiet: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     dask = [sys.executable, "-m", "dask"]
+    # a worker finds the task of this file
+    paths = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
+    quiet["env"] = os.environ | {"PYTHONPATH": paths}
     commands = [["scheduler", "--host", "127.0.0.1", "--port", str(PORT), "--no-dashboard"]]
     commands += [["worker", address, "--nthreads", "1", "--no-dashboard"]] * workers
     for command in commands:
@@ -158,9 +167,39 @@ def workers_part(data: Path, out: Path, sampler: str, repeats: int) -> dict[str,
     return {"one_over_two": ratio("one", "two"), "dask_over_two": ratio("dask", "two"), "runs": rows}
 
 
+def nothing(payload: bytes) -> bytes:
+    """A task that is only handed out and taken back."""
+    return payload[:1] * RESULT_BYTES
+
+
+def overhead_part(tasks: int, repeats: int) -> dict[str, object]:
+    """Wall time a task that computes nothing [ms], by two local processes and by two workers of Dask."""
+    from tissueid.study.cluster import DaskWorkers
+    from tissueid.study.processes import LocalProcesses
+    from tissueid.study.tasks import Task
+
+    found: dict[str, list[float]] = {"local_ms": [], "dask_ms": []}
+    with ExitStack() as stack:
+        crews = {
+            "local_ms": stack.enter_context(LocalProcesses(2)),
+            "dask_ms": stack.enter_context(DaskWorkers(cluster(stack, 2))),
+        }
+        # the first round starts processes and imports
+        for number in range(repeats + 1):
+            for name, crew in crews.items():
+                work = [Task(one, "cohort:nothing", bytes(JOB_BYTES)) for one in range(tasks)]
+                begin = time.monotonic()
+                done = sum(len(one.result or b"") == RESULT_BYTES for one in crew.run(work, lambda *_: None))
+                if done != tasks:
+                    sys.exit(f"{name}: {tasks - done} tasks have no result")
+                if number:
+                    found[name].append(1e3 * (time.monotonic() - begin) / tasks)
+    return {**found, "load": os.getloadavg()[0]}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--part", choices=["workers", "memory", "paper"], default="workers")
+    parser.add_argument("--part", choices=["workers", "memory", "paper", "overhead"], default="workers")
     parser.add_argument("--specimens", type=int, default=17)
     parser.add_argument("--times", type=float, default=5.0, help="second size of cohort in --part memory")
     parser.add_argument("--rate", type=float, default=10.0, help="sampling rate of short logs [Hz]")
@@ -168,6 +207,9 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
+    if options.part == "overhead":
+        print(json.dumps(overhead_part(options.specimens, options.repeats)))
+        return
     with tempfile.TemporaryDirectory() as folder:
         data, out = Path(folder) / "data", Path(folder) / "out"
         if options.part == "paper":
