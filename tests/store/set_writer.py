@@ -10,8 +10,9 @@ from pathlib import Path
 
 from fit_factory import identification, specimen_fit
 
+from tissueid.store.names import REPORT
 from tissueid.store.outputs import OutputSet
-from tissueid.store.results import REPORT, write_results
+from tissueid.store.results import write_results
 
 
 def write_set(out: Path, number: int) -> None:

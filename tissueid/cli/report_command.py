@@ -28,8 +28,9 @@ def command(**flags: Any) -> int:
 
     from tissueid.errors import BundleError
     from tissueid.report import render_report
+    from tissueid.store.names import CURVES, REPORT
     from tissueid.store.outputs import OutputSet, current_run
-    from tissueid.store.results import CURVES, REPORT, read_results
+    from tissueid.store.results import read_results
     from tissueid.study.pages import write_report
 
     target, out = flags["output"], Path(flags["out"])

@@ -21,9 +21,9 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import h5py
 import numpy as np
@@ -32,12 +32,15 @@ from numpy.typing import NDArray
 from tissueid.errors import BundleError
 from tissueid.result import Estimate, ModelChoice, SpecimenFit
 from tissueid.store.bundle_checks import array_problem, model_problem
+from tissueid.store.bundle_content import (
+    ARRAYS,
+    BUNDLE_FORMAT,
+    BUNDLE_SCHEMA_VERSION,
+    OPTIONAL,
+    Bundle,
+)
 from tissueid.store.files import TEMPORARY_PREFIX, json_bytes, plain_json, replace_file
 from tissueid.store.schema import check
-from tissueid.trial import Axes
-
-if TYPE_CHECKING:
-    from tissueid.model import ContactModel
 
 __all__ = [
     "BUNDLE_SCHEMA_VERSION",
@@ -52,13 +55,8 @@ __all__ = [
 
 FloatArray = NDArray[np.float64]
 
-BUNDLE_SCHEMA_VERSION = 1
-_FORMAT = "tissueid/bundle"
 _DOCUMENT = "document"
-_OPTIONAL = ("draws", "population_mean", "population_sd")
-_ARRAYS = ("theta", "covariance", *_OPTIONAL)
 SPECIMEN_GROUP = "specimen"
-_UNITS = Axes().as_json()
 #: Draws a bundle keeps: a 95 % bound from so many is good to 6 % of the posterior's sd.
 MOST_DRAWS = 2_000
 
@@ -66,127 +64,6 @@ MOST_DRAWS = 2_000
 HDF5_ERRORS = (
     OSError, KeyError, ValueError, TypeError, RuntimeError, AttributeError, OverflowError, MemoryError
 )  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Bundle:
-    """One identified tissue.
-
-    Attributes
-    ----------
-    specimen : str
-    model : ModelChoice
-        Key and options of the contact model.
-    theta_names : tuple of str
-    theta : ndarray, shape (p,)
-    covariance : ndarray, shape (p, p)
-    parameters : tuple of Estimate
-        What was reported, in the words of identification.json.
-    depth_mm : float
-        The model is claimed on [0, depth_mm].
-    speeds_mm_s : tuple of float
-        Slowest and fastest loading speed it was fitted to [mm/s].
-    tip_radius_mm : float or None
-    sigma_N : float
-        Residual standard deviation [N].
-    flags : tuple of mapping
-    provenance : mapping
-        Input hashes, versions, options, seed.
-    draws : ndarray, shape (n, p), or None
-        Posterior draws of theta; of a population, specimens drawn from it.
-    population_mean, population_sd : ndarray, shape (m, p), or None
-        In the coordinates of :mod:`tissueid.population.coordinates`.
-    rupture : None
-        Reserved for a rupture law.
-    units : mapping
-    schema_version : int
-    """
-
-    specimen: str
-    model: ModelChoice
-    theta_names: tuple[str, ...]
-    theta: FloatArray
-    covariance: FloatArray
-    parameters: tuple[Estimate, ...]
-    depth_mm: float
-    speeds_mm_s: tuple[float, float]
-    tip_radius_mm: float | None
-    sigma_N: float
-    flags: tuple[Mapping[str, Any], ...]
-    provenance: Mapping[str, Any]
-    draws: FloatArray | None = None
-    population_mean: FloatArray | None = None
-    population_sd: FloatArray | None = None
-    rupture: None = None
-    units: Mapping[str, str] = field(default_factory=lambda: dict(_UNITS))
-    schema_version: int = BUNDLE_SCHEMA_VERSION
-
-    def __post_init__(self) -> None:
-        for name in _ARRAYS:
-            values = getattr(self, name)
-            if values is not None:
-                array = np.array(values, dtype=np.float64, copy=True)
-                array.flags.writeable = False
-                object.__setattr__(self, name, array)
-
-    @property
-    def is_population(self) -> bool:
-        """Whether its draws are specimens of a population, and not what is known of one."""
-        return self.population_mean is not None
-
-    def contact_model(self) -> ContactModel:
-        """Build the contact model these parameters belong to, as it was fitted."""
-        from tissueid.model import build_model
-
-        return build_model(
-            self.model.key,
-            branches=self.model.branches,
-            stiffness_degree=self.model.stiffness_degree,
-            depth_mm=self.depth_mm,
-        )
-
-    def require_renderable(self) -> None:
-        """Check that a device could render this tissue.
-
-        Raises
-        ------
-        BundleError
-            The recording was normalised: a device moves millimetres and pushes newtons.
-        """
-        if dict(self.units) != _UNITS:
-            units = ", ".join(f"{key} in {unit}" for key, unit in self.units.items())
-            msg = (
-                f"{self.specimen}: the recordings were normalised ({units}), and a device renders mm and N; "
-                "fit recordings of displacement and force to feel this tissue"
-            )
-            raise BundleError(msg)
-
-    def parameter(self, name: str) -> Estimate:
-        """Return the reported parameter of that name (``KeyError`` where there is none)."""
-        for estimate in self.parameters:
-            if estimate.name == name:
-                return estimate
-        raise KeyError(name)
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the document of ``schemas/bundle.schema.json``."""
-        return {
-            "schema": f"{_FORMAT}/{self.schema_version}",
-            "specimen": self.specimen,
-            "model": self.model.as_json(),
-            "theta_names": list(self.theta_names),
-            "parameters": [estimate.as_json() for estimate in self.parameters],
-            "validity": {
-                "depth_mm": self.depth_mm,
-                "speeds_mm_s": list(self.speeds_mm_s),
-                "tip_radius_mm": self.tip_radius_mm,
-            },
-            "sigma_N": self.sigma_N,
-            "units": dict(self.units),
-            "flags": [dict(flag) for flag in self.flags],
-            "provenance": dict(self.provenance),
-            "rupture": self.rupture,
-        }
 
 
 def bundle_from_fit(fit: SpecimenFit, *, provenance: Mapping[str, Any]) -> Bundle:
@@ -266,9 +143,9 @@ def _checked(bundle: Bundle, *, where: str) -> dict[str, Any]:
 
 
 def _put(file: Any, bundle: Bundle, document: Mapping[str, Any]) -> None:
-    arrays = {name: getattr(bundle, name) for name in _ARRAYS if getattr(bundle, name) is not None}
+    arrays = {name: getattr(bundle, name) for name in ARRAYS if getattr(bundle, name) is not None}
     text = json_bytes(document)
-    file.attrs["format"] = _FORMAT
+    file.attrs["format"] = BUNDLE_FORMAT
     file.attrs["schema_version"] = np.int64(bundle.schema_version)
     file.attrs["content_sha256"] = _content_hash(text, arrays)
     kind = h5py.string_dtype("utf-8", length=len(text))
@@ -322,7 +199,7 @@ def load_bundle(path: Path | str) -> Bundle:
 
 
 def _content_hash(text: bytes, arrays: Mapping[str, FloatArray]) -> str:
-    digest = hashlib.sha256(f"{_FORMAT}/{BUNDLE_SCHEMA_VERSION}".encode())
+    digest = hashlib.sha256(f"{BUNDLE_FORMAT}/{BUNDLE_SCHEMA_VERSION}".encode())
     digest.update(len(text).to_bytes(8, "little") + text)
     for name in sorted(arrays):
         array = np.ascontiguousarray(arrays[name], dtype="<f8")
@@ -334,13 +211,13 @@ def _read(path: Path) -> tuple[bytes, dict[str, FloatArray], dict[str, Any]]:
     with h5py.File(path, "r") as file:
         attributes = dict(file.attrs)
         names = set(file) - {SPECIMEN_GROUP}
-        if attributes.get("format") != _FORMAT:
-            msg = f"its format is {attributes.get('format')!r}, not {_FORMAT!r}"
+        if attributes.get("format") != BUNDLE_FORMAT:
+            msg = f"its format is {attributes.get('format')!r}, not {BUNDLE_FORMAT!r}"
             raise ValueError(msg)
         if attributes.get("schema_version") != BUNDLE_SCHEMA_VERSION:
             return b"", {}, attributes
-        missing = {_DOCUMENT, *_ARRAYS} - set(_OPTIONAL) - names
-        unknown = names - {_DOCUMENT, *_ARRAYS}
+        missing = {_DOCUMENT, *ARRAYS} - set(OPTIONAL) - names
+        unknown = names - {_DOCUMENT, *ARRAYS}
         if missing or unknown:
             msg = f"data sets missing: {sorted(missing)}, unknown: {sorted(unknown)}"
             raise ValueError(msg)

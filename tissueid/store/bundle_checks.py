@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from tissueid.store.bundle import Bundle
+from tissueid.store.bundle_content import Bundle
 
 __all__ = ["array_problem", "model_problem"]
 

@@ -20,7 +20,7 @@ from tissueid.errors import BundleError
 from tissueid.store.bundle import HDF5_ERRORS, SPECIMEN_GROUP, load_bundle, write_bundle
 from tissueid.store.curves import get_curves, write_curves
 from tissueid.store.files import TEMPORARY_PREFIX, json_bytes, replace_file
-from tissueid.store.names import bundle_names
+from tissueid.store.names import CURVES, ONLY_BUNDLE, POSTERIORS, SUMS, bundle_names
 from tissueid.store.outputs import OutputSet
 
 __all__ = ["LISTED", "SPECIMENS", "ListedSpecimen", "list_specimens", "merge_files", "read_listed"]
@@ -101,8 +101,6 @@ def merge_files(
     BundleError
         A file is damaged.
     """
-    from tissueid.store.results import CURVES, ONLY_BUNDLE, POSTERIORS, SUMS
-
     names = bundle_names(fitted)
     for specimen, path in fitted.items():
         bundle = replace(load_bundle(path), provenance={**provenance, "inputs": inputs[specimen]})

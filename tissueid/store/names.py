@@ -1,4 +1,4 @@
-"""File names for specimens: readable, unique, and valid on every file system.
+"""File names of a run; those of specimens are readable, unique, and valid on every file system.
 
 A specimen may be called anything a lab writes into a header field: with slashes, in Chinese, ``CON``,
 400 characters long, or like another but for its case.
@@ -10,7 +10,25 @@ import hashlib
 import unicodedata
 from collections.abc import Iterable
 
-__all__ = ["bundle_names", "file_names", "safe_name"]
+__all__ = [
+    "CURVES",
+    "IDENTIFICATION",
+    "ONLY_BUNDLE",
+    "POSTERIORS",
+    "REPORT",
+    "SUMS",
+    "bundle_names",
+    "file_names",
+    "safe_name",
+]
+
+#: Public files of a run.
+IDENTIFICATION = "identification.json"
+CURVES = "curves.h5"
+POSTERIORS = "posteriors.h5"
+SUMS = "sums.h5"
+REPORT = "report.html"
+ONLY_BUNDLE = "bundle.h5"
 
 # Device names that Windows keeps for itself, whatever their extension
 _RESERVED = frozenset(

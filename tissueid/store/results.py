@@ -20,7 +20,14 @@ from tissueid.store.bundle import bundle_from_fit, load_bundle, write_bundle
 from tissueid.store.curves import TrialCurve, curves_of_fits, load_curves, write_curves
 from tissueid.store.files import json_bytes, plain_json, sha256_of
 from tissueid.store.merged import LISTED, SPECIMENS, read_listed
-from tissueid.store.names import bundle_names
+from tissueid.store.names import (
+    CURVES,
+    IDENTIFICATION,
+    ONLY_BUNDLE,
+    POSTERIORS,
+    SUMS,
+    bundle_names,
+)
 from tissueid.store.outputs import CommittedRun, OutputSet, complete_refresh, current_run
 from tissueid.store.posteriors import (
     StoredPosterior,
@@ -33,11 +40,6 @@ from tissueid.store.specimen_file import load_specimen
 from tissueid.store.sums import StoredSums, write_sums
 
 __all__ = [
-    "CURVES",
-    "IDENTIFICATION",
-    "ONLY_BUNDLE",
-    "POSTERIORS",
-    "REPORT",
     "each_result",
     "output_problems",
     "read_identification",
@@ -45,13 +47,6 @@ __all__ = [
     "validate_outputs",
     "write_results",
 ]
-
-IDENTIFICATION = "identification.json"
-CURVES = "curves.h5"
-POSTERIORS = "posteriors.h5"
-SUMS = "sums.h5"
-REPORT = "report.html"
-ONLY_BUNDLE = "bundle.h5"
 
 _LONGEST_LIST = 8
 _WAY_OUT = "run `tissueid fit` again"

@@ -28,8 +28,8 @@ from tissueid.result import Exit, Refusal
 from tissueid.store.files import TEMPORARY_PREFIX, plain_json, replace_file
 from tissueid.store.index import Index, JobRow
 from tissueid.store.merged import LISTED, SPECIMENS, ListedSpecimen, list_specimens, merge_files
+from tissueid.store.names import IDENTIFICATION
 from tissueid.store.outputs import OutputSet
-from tissueid.store.results import IDENTIFICATION
 from tissueid.store.schema import check
 from tissueid.store.specimen_file import load_record
 from tissueid.store.streamed_json import JsonList, write_json

@@ -15,8 +15,9 @@ from tissueid.population.sampler import SamplerOptions
 from tissueid.report.population_page import render_population
 from tissueid.store.bundle import write_bundle
 from tissueid.store.files import json_bytes, plain_json, sha256_of
+from tissueid.store.names import IDENTIFICATION
 from tissueid.store.outputs import OutputSet
-from tissueid.store.results import IDENTIFICATION, each_result, read_identification
+from tissueid.store.results import each_result, read_identification
 from tissueid.store.schema import check
 
 __all__ = ["POPULATION_FILES", "PopulationRequest", "WrittenPopulation", "write_population"]

@@ -18,9 +18,9 @@ from tissueid.report.page import plotly_script
 from tissueid.store.curves import load_curves
 from tissueid.store.files import write_file
 from tissueid.store.merged import LISTED, SPECIMENS, read_listed
+from tissueid.store.names import CURVES, IDENTIFICATION, POSTERIORS, REPORT
 from tissueid.store.outputs import OutputSet
 from tissueid.store.posteriors import load_posteriors
-from tissueid.store.results import CURVES, IDENTIFICATION, POSTERIORS, REPORT
 from tissueid.store.specimen_file import load_record, load_specimen
 from tissueid.study.processes import Workforce
 from tissueid.study.tasks import Task
