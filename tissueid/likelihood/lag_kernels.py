@@ -1,4 +1,4 @@
-"""Compiled loops over correlated noise: linked design rows, and the filter of rows and of a residual."""
+"""Compiled loops over correlated noise: linked rows, the filter of rows and of residuals, weights of sums."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tissueid.likelihood.gram_kernels import TILE
 
-__all__ = ["filter_chain", "filter_rows", "link_rows"]
+__all__ = ["filter_chain", "filter_rows", "lag_weights", "link_rows"]
 
 FloatArray = NDArray[np.float64]
 
@@ -186,3 +186,16 @@ def filter_chain(
         pending += innovation * innovation
         held += 1
     return square + pending / variance, log_det + held * math.log(variance)
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def lag_weights(phi: float, ratio: FloatArray) -> FloatArray:
+    """Weights of (start, then later, earlier, difference of each step) in the whitened Gram matrix."""
+    out = np.empty(1 + 3 * ratio.size)
+    out[0] = 1.0
+    for k in range(ratio.size):
+        rho = phi ** ratio[k] if phi > 0.0 else 0.0
+        out[1 + 3 * k] = 1.0 / (1.0 + rho)
+        out[2 + 3 * k] = -rho / (1.0 + rho)
+        out[3 + 3 * k] = rho / (1.0 - rho * rho)
+    return out

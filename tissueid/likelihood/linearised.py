@@ -23,7 +23,7 @@ class Linearised(NamedTuple):
     branches, degree, static : int
         Branches, degree of K, static coefficients (3 or 0).
     shared : ndarray, shape (kinds, m, m)
-        Sums over logs; kinds as in :func:`tissueid.likelihood.marginal.lag_weights`.
+        Sums over logs; kinds as in :func:`tissueid.likelihood.lag_kernels.lag_weights`.
     cross : ndarray, shape (logs, kinds, q, m)
         Effects of a log by columns.
     own : ndarray, shape (logs, kinds, q, q)

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.likelihood.cone import cone_least_squares
+from tissueid.likelihood.lag_kernels import lag_weights
 from tissueid.likelihood.linearised import Linearised
 from tissueid.likelihood.passive_normal import log_passive_mass
 from tissueid.likelihood.triangular import (
@@ -31,7 +32,6 @@ from tissueid.likelihood.triangular import (
 __all__ = [
     "conditionals",
     "draw_effects",
-    "lag_weights",
     "log_marginals",
     "log_peaks",
     "log_shares",
@@ -45,19 +45,6 @@ IntArray = NDArray[np.int64]
 NEAR_ENOUGH = 1e-7
 LOG_TWO_PI = float(np.log(2.0 * np.pi))
 STATIC_PARAMETERS = 3
-
-
-@nb.njit(cache=True, nogil=True, error_model="numpy")
-def lag_weights(phi: float, ratio: FloatArray) -> FloatArray:
-    """Weights of (start, then later, earlier, difference of each step) in the whitened Gram matrix."""
-    out = np.empty(1 + 3 * ratio.size)
-    out[0] = 1.0
-    for k in range(ratio.size):
-        rho = phi ** ratio[k] if phi > 0.0 else 0.0
-        out[1 + 3 * k] = 1.0 / (1.0 + rho)
-        out[2 + 3 * k] = -rho / (1.0 + rho)
-        out[3 + 3 * k] = rho / (1.0 - rho * rho)
-    return out
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
