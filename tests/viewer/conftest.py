@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -79,8 +79,15 @@ def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
 
 
 @pytest.fixture(scope="module")
-def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
-    folder = tmp_path_factory.mktemp("session")
-    running = Session("--log", folder / "out.h5", "--seconds", "240", folder=folder)
-    yield running
-    running.end()
+def sessions(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[], Session]]:
+    """Starts a session; one more where a machine with other work starved the last one of its heartbeat."""
+    started: list[Session] = []
+
+    def start() -> Session:
+        folder = tmp_path_factory.mktemp("session")
+        started.append(Session("--log", folder / "out.h5", "--seconds", "240", folder=folder))
+        return started[-1]
+
+    yield start
+    for one in started:
+        one.end()
