@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -189,8 +189,6 @@ def inputs_in_order(paths: tuple[str, ...], study: Study | None = None) -> FileL
     UsageError
         Where a path does not exist.
     """
-    from tissueid.errors import InputError
-    from tissueid.ingest import find_inputs
     from tissueid.ingest.manifest import unmatched_files
     from tissueid.study.file_list import FileList
 
@@ -198,12 +196,7 @@ def inputs_in_order(paths: tuple[str, ...], study: Study | None = None) -> FileL
     seen: set[tuple[str, str | None] | Refusal] = set()
     for path in paths:
         name, sheet = picked_sheet(path)
-        try:
-            items: Iterable[Named | Refusal] = ((file, sheet) for file in find_inputs([name]))
-        except InputError as error:
-            # a folder without recordings does not stop the others
-            items = [_refusal(error)]
-        for item in items:
+        for item in _each_or_refusal(name, sheet):
             # one path names no file twice: nothing of it need be remembered
             if len(paths) > 1:
                 key = (str(item[0]), sheet) if isinstance(item, tuple) else item
@@ -212,6 +205,17 @@ def inputs_in_order(paths: tuple[str, ...], study: Study | None = None) -> FileL
                 seen.add(key)
             found.add(item)
     return found
+
+
+def _each_or_refusal(name: str, sheet: str | None) -> Iterator[Named | Refusal]:
+    from tissueid.errors import InputError
+    from tissueid.ingest import each_input
+
+    try:
+        yield from ((file, sheet) for file in each_input([name]))
+    except InputError as error:
+        # a folder without recordings does not stop the others
+        yield _refusal(error)
 
 
 def picked_sheet(path: str) -> tuple[str, str | None]:

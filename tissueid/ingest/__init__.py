@@ -4,7 +4,7 @@ A reader is a recipe in :data:`RECIPES`; the surest one reads a file, and what c
 refused with line and column (:data:`REFUSAL_CODES`), never repaired.
 """
 
-from tissueid.ingest.discovery import find_inputs
+from tissueid.ingest.discovery import each_input, find_inputs
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.plugins import forget_readers, reader_faults
 from tissueid.ingest.reading import match_of, read_each, read_one, read_trials
@@ -21,6 +21,7 @@ __all__ = [
     "ReadOptions",
     "Recipe",
     "Table",
+    "each_input",
     "find_inputs",
     "forget_readers",
     "match_of",

@@ -7,6 +7,8 @@ import re
 import stat
 import zipfile
 from collections.abc import Iterable, Iterator
+from hashlib import blake2b
+from itertools import chain
 from pathlib import Path, PurePosixPath
 from typing import Literal
 
@@ -17,7 +19,7 @@ from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.text import HEAD_BYTES, decode_text
 
-__all__ = ["SUFFIXES", "find_inputs", "natural_key"]
+__all__ = ["SUFFIXES", "each_input", "find_inputs", "natural_key"]
 
 #: Suffixes taken from a directory.
 SUFFIXES = (".csv", ".tsv", ".tra", ".xls", ".xlsx", ".xlsm", ".xlsb", ".ods", ".zip", ".dat", ".txt")
@@ -31,14 +33,23 @@ _NO_TABLE = ("not_an_export", "empty_file")
 _OWN_OUTPUT = (".current", "identification.json")
 
 
-def natural_key(path: Path) -> tuple[tuple[int, int, str], ...]:
-    """Sort key in which ``Specimen_2`` stands before ``Specimen_10``."""
-    pieces = re.split(r"(\d+)", path.as_posix().casefold())
-    return tuple((0, int(piece), "") if piece.isdecimal() else (1, 0, piece) for piece in pieces)
+def natural_key(name: str) -> str:
+    """Sort key in which ``Specimen_2`` stands before ``Specimen_10``: numbers stand behind their length."""
+
+    def counted(match: re.Match[str]) -> str:
+        digits = str(int(match[0]))
+        return f"\0{chr(len(digits))}{digits}"
+
+    return re.sub(r"\d+", counted, name.casefold())
 
 
 def find_inputs(paths: Iterable[str | Path]) -> list[Path]:
-    """The recordings among and under some paths.
+    """The recordings among and under some paths, see :func:`each_input`."""
+    return list(each_input(paths))
+
+
+def each_input(paths: Iterable[str | Path]) -> Iterator[Path]:
+    """The recordings among and under some paths, one by one: one folder is in memory at a time.
 
     Parameters
     ----------
@@ -46,10 +57,10 @@ def find_inputs(paths: Iterable[str | Path]) -> list[Path]:
         Files are taken as named, whatever their suffix.  Directories are searched through: known
         suffixes, natural order, without hidden files, lock files and tissueid's own output.
 
-    Returns
-    -------
-    list of Path
-        Without repetitions.
+    Yields
+    ------
+    Path
+        Each file once, whatever links lead to it.
 
     Raises
     ------
@@ -58,54 +69,71 @@ def find_inputs(paths: Iterable[str | Path]) -> list[Path]:
     InputError
         A directory holds no recording (``no_recording``).
     """
-    found: dict[Path, None] = {}
+    seen: set[bytes] = set()
     for path in map(Path, paths):
         if path.is_dir():
-            inside = sorted(_recordings(path), key=natural_key)
-            if not inside:
+            files = _recordings(path)
+            first = next(files, None)
+            if first is None:
                 Place(str(path)).refuse(
                     "no_recording",
                     f"the directory holds no recording: no {', '.join(SUFFIXES[:-1])} file and no table"
                     f" in a .txt"
                     " file; name the files themselves",
                 )
-            found.update(dict.fromkeys(inside))
+            files = chain([first], files)
         elif path.exists():
-            found[path] = None
+            files = iter([path])
         else:
             msg = f"{printable(str(path))}: there is no such file or directory"
             raise UsageError(msg)
-    # unlike Path.resolve, realpath bears a link to itself
-    return list({os.path.realpath(path): path for path in reversed(found)}.values())[::-1]
+        for file in files:
+            # unlike Path.resolve, realpath bears a link to itself; a digest is shorter than a path
+            digest = blake2b(os.fsencode(os.path.realpath(file)), digest_size=16).digest()
+            if digest not in seen:
+                seen.add(digest)
+                yield file
 
 
 def _recordings(directory: Path) -> Iterator[Path]:
     """Recordings below a directory, and what can't be looked into, for it to be refused by name."""
-    waiting, seen = [directory], set()
+    # folders and files still to come, the next one last; links may lead in circles
+    waiting, seen = [(directory, "folder")], set()
     while waiting:
-        folder = waiting.pop()
+        path, kind = waiting.pop()
+        if kind != "folder":
+            # pipes and broken links are refused by name later
+            if kind == "other" or _is_recording(path):
+                yield path
+            continue
         try:
-            status = folder.stat()
-            entries = list(folder.iterdir())
+            status = path.stat()
+            entries = list(path.iterdir())
         except OSError as error:
-            if folder == directory:
+            if path == directory:
                 Place(str(directory)).refuse(
                     "unreadable_file", f"the directory can't be listed: {error.strerror}; check its rights"
                 )
-            yield folder
+            yield path
             continue
-        # links may lead in circles
         if (status.st_dev, status.st_ino) in seen or any(entry.name in _OWN_OUTPUT for entry in entries):
             continue
         seen.add((status.st_dev, status.st_ino))
-        for entry in entries:
-            if entry.name.startswith((".", "~$")):
-                continue
-            kind = _kind(entry)
-            if kind == "folder":
-                waiting.append(entry)
-            elif entry.suffix.lower() in SUFFIXES and (kind != "file" or _is_recording(entry)):
-                yield entry
+        waiting += reversed(_in_order(entries))
+
+
+def _in_order(entries: Iterable[Path]) -> list[tuple[Path, str]]:
+    """What is worth a look among the entries of a folder, each with its kind."""
+    found = []
+    for entry in entries:
+        if entry.name.startswith((".", "~$")):
+            continue
+        kind = _kind(entry)
+        if kind == "folder" or entry.suffix.lower() in SUFFIXES:
+            # as the whole paths would be sorted
+            key = natural_key(entry.name + "/" * (kind == "folder"))
+            found.append((key, entry.name, entry, kind))
+    return [(entry, kind) for _, _, entry, kind in sorted(found)]
 
 
 def _kind(entry: Path) -> Literal["folder", "file", "other"]:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from tissueid.errors import InputError, UsageError
-from tissueid.ingest import ReadOptions, find_inputs, read_each, read_one
+from tissueid.ingest import ReadOptions, each_input, read_each, read_one
 from tissueid.ingest.manifest import MANIFEST, read_study
 from tissueid.manifest import Study
 from tissueid.trial import Trial
@@ -90,7 +90,7 @@ def _to_read(study: Study, paths: Sequence[str], manifest_named: bool) -> tuple[
 
 def _holds_recordings(folder: str) -> bool:
     try:
-        return bool(find_inputs([folder]))
+        return any(True for _ in each_input([folder]))
     except InputError:
         return False
 
