@@ -21,7 +21,7 @@ EPILOG = """\b
 Examples:
   tissueid training hip-*.h5
   tissueid training sessions/ --json
-  tissueid render --scene hip-resurfacing --pseudonym P17 --log sessions/P17-1.h5
+  tissueid training P17-*.h5 --cone-entry 30
 """
 #: Measures that practice is looked for in, with their words.
 LEARNED = {"end_error_mm": "end error", "angle_deg": "angle", "seconds": "time"}
