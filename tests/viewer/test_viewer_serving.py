@@ -91,9 +91,11 @@ def test_a_process_plays_a_log(tmp_path: Path) -> None:
             session = json.loads(one.recv())["session"]
             assert session["replay_s"] == pytest.approx(log.records["time_s"][-1] - log.records["time_s"][0])
             one.send(json.dumps({"v": 1, "play": {"at_s": session["replay_s"], "paused": True}}))
-            frame = frame_of(one)
+            frame, received = frame_of(one), 1
             while not frame.ended:
-                frame = frame_of(one)
+                # as a page does: a client that leaves a dozen unanswered is sent no more
+                one.send(json.dumps({"v": 1, "answer": received}))
+                frame, received = frame_of(one), received + 1
             assert frame.samples["depth_mm"][-1] == np.float32(log.records["depth_mm"][-1])
 
 
