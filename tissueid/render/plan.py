@@ -362,8 +362,6 @@ def _lines(
 
 def _must_be_alone(options: RenderOptions) -> None:
     """A force law takes the place of everything that belongs to a tissue."""
-    if options.environment is not None:
-        environment_law(options.environment)
     given = (options.bundle, options.preset, options.script, options.replay)
     if options.blind or any(one is not None for one in given):
         word = "--environment" if options.environment is not None else "a scene with guidance"
@@ -371,3 +369,5 @@ def _must_be_alone(options: RenderOptions) -> None:
             f"{word} takes the place of a tissue: leave bundle, --preset, --blind, --replay and --script out"
         )
         raise UsageError(msg)
+    if options.environment is not None:
+        environment_law(options.environment)
