@@ -14,7 +14,8 @@ from live_server import served
 from tissueid.haptics.states import Fault, State
 from tissueid.store.session_log import SessionLog, read_session_log
 
-pytestmark = pytest.mark.browser
+# a page that is drawn without a graphics card takes every core there is: not beside other tests
+pytestmark = [pytest.mark.browser, pytest.mark.slow]
 
 WIDTHS = ((1400, 900), (800, 1000), (400, 850))
 PATIENCE_S = 60.0
