@@ -46,13 +46,13 @@ def _play(flags: dict[str, Any], path: Path) -> int:
     from tissueid.viewer.showing import check_log, show_log
 
     log = check_log(path)
-    with served(flags) as viewer:
-        show_log(viewer, log, path)
-        note("Ctrl-C: end", quiet=flags["quiet"])
-        try:
+    try:
+        with served(flags) as viewer:
+            show_log(viewer, log, path)
+            note("Ctrl-C: end", quiet=flags["quiet"])
             viewer.wait()
-        except KeyboardInterrupt:
-            return 0
+    except KeyboardInterrupt:
+        return 0
     # it ends with us; before us only where something took it away
     msg = "the viewer's server ended by itself"
     raise DeviceError(msg)
