@@ -189,6 +189,23 @@ def preset(
     if name not in PRESETS:
         msg = f"there is no hand {printable(name)!r}; hands are {', '.join(PRESETS)}"
         raise UsageError(msg)
+    times, depths, grips = _targets(name, depth_m, speed_m_per_s, rest_s, stay_s)
+    if damping_N_s_per_m is None:
+        damping_N_s_per_m = 2.0 * DAMPING_RATIO * math.sqrt(stiffness_N_per_m * DEFAULT_MASS_KG)
+    return replace(
+        _along(surface_m, inward, times, depths, grips),
+        stiffness_N_per_m=stiffness_N_per_m,
+        damping_N_s_per_m=damping_N_s_per_m,
+        tremor_m=tremor_m if name == "tremor" else 0.0,
+        tremor_hz=tremor_hz,
+        tremor_phase=tremor_phase,
+    )
+
+
+def _targets(
+    name: str, depth_m: float, speed_m_per_s: float, rest_s: float, stay_s: float
+) -> tuple[list[float], list[float], list[float]]:
+    """When [s] a preset wants to be how deep [m], and how firmly it grips (0 to 1)."""
     clear = -CLEARANCE_M
     if name == "slow press":
         clear = -5e-5  # a slow hand starts where it nearly touches, or it would take seconds to arrive
@@ -207,19 +224,7 @@ def preset(
         times.append(arrival + 0.5 * stay_s)
         depths.append(depth_m)
         grips.append(0.0)
-    times.append(times[-1] + stay_s)
-    depths.append(depths[-1])
-    grips.append(grips[-1])
-    if damping_N_s_per_m is None:
-        damping_N_s_per_m = 2.0 * DAMPING_RATIO * math.sqrt(stiffness_N_per_m * DEFAULT_MASS_KG)
-    return replace(
-        _along(surface_m, inward, times, depths, grips),
-        stiffness_N_per_m=stiffness_N_per_m,
-        damping_N_s_per_m=damping_N_s_per_m,
-        tremor_m=tremor_m if name == "tremor" else 0.0,
-        tremor_hz=tremor_hz,
-        tremor_phase=tremor_phase,
-    )
+    return [*times, times[-1] + stay_s], [*depths, depths[-1]], [*grips, grips[-1]]
 
 
 @dataclass(frozen=True, slots=True)
