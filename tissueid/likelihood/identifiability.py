@@ -7,7 +7,7 @@ nearly every fit whose true relative error is 50 % and none of 10 % (statistics.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,7 +91,6 @@ def profile_interval(
     bounds : tuple of float
         Range of ln tau.
     """
-    here = optimum.log_tau[branch]
     variance = inverse[branch, branch]
     ridge = (
         inverse[:, branch] / variance
@@ -100,40 +99,55 @@ def profile_interval(
     )
     ridge = np.where(np.isfinite(ridge), ridge, 0.0)
     ridge[branch] = 1.0
-    target = LEVEL_95 * sigma2
-    last = optimum
-
-    def rise(at: float) -> float:
-        nonlocal last
-        point = np.clip(optimum.log_tau + ridge * (at - here), *bounds)
-        point[branch] = at
-        last = objective.evaluate(point, last)
-        return last.value - optimum.value - target
-
+    profile = _Profile(objective, optimum, branch, ridge, bounds, LEVEL_95 * sigma2)
     sd = float(np.sqrt(sigma2 * variance)) if np.isfinite(variance) and variance > 0.0 else np.inf
     first = float(np.clip(FIRST_BRACKET * sd, SMALLEST_STEP, 1.0))
+    low, open_low = profile.end(-1.0, first)
+    high, open_high = profile.end(1.0, first)
+    return ProfileInterval(low=low, high=high, open_low=open_low, open_high=open_high)
 
-    def end(direction: float, bound: float) -> tuple[float, bool]:
-        inside, step = here, first
+
+@dataclass(slots=True)
+class _Profile:
+    """The objective along ln tau of one branch, above its optimum and a level."""
+
+    objective: Objective
+    optimum: Evaluation
+    branch: int
+    ridge: FloatArray
+    bounds: tuple[float, float]
+    target: float
+    last: Evaluation = field(init=False)
+
+    def rise(self, at: float) -> float:
+        """Above the level, started from the point that was looked at last."""
+        moved = self.optimum.log_tau + self.ridge * (at - self.optimum.log_tau[self.branch])
+        point = np.clip(moved, *self.bounds)
+        point[self.branch] = at
+        self.last = self.objective.evaluate(point, self.last)
+        return self.last.value - self.optimum.value - self.target
+
+    def end(self, direction: float, step: float) -> tuple[float, bool]:
+        """Where the level is crossed on one side, and whether a bound comes first."""
+        self.last = self.optimum
+        bound = self.bounds[0] if direction < 0.0 else self.bounds[1]
+        here = inside = self.optimum.log_tau[self.branch]
         while True:
             outside = here + direction * step
             reached = direction * (outside - bound) >= 0.0
             outside = bound if reached else outside
-            if rise(outside) > 0.0:
-                if rise(inside) > 0.0:
-                    # the objective is flat to its rounding: the step itself is the interval's end
-                    return outside, False
-                try:
-                    found = brentq(rise, inside, outside, xtol=1e-4 * max(step, 1e-3), rtol=1e-6)
-                except ValueError:
-                    # started elsewhere, the same point came out below the level: rounding again
-                    return outside, False
-                return float(found), False
+            if self.rise(outside) > 0.0:
+                return self._between(inside, outside, step), False
             if reached:
                 return bound, True
             inside, step = outside, step * GROWTH
 
-    low, open_low = end(-1.0, bounds[0])
-    last = optimum
-    high, open_high = end(1.0, bounds[1])
-    return ProfileInterval(low=low, high=high, open_low=open_low, open_high=open_high)
+    def _between(self, inside: float, outside: float, step: float) -> float:
+        if self.rise(inside) > 0.0:
+            # the objective is flat to its rounding: the step itself is the interval's end
+            return outside
+        try:
+            return float(brentq(self.rise, inside, outside, xtol=1e-4 * max(step, 1e-3), rtol=1e-6))
+        except ValueError:
+            # started elsewhere, the same point came out below the level: rounding again
+            return outside

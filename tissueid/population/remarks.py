@@ -41,27 +41,7 @@ def population_flags(
     floored : mapping
         Specimen -> draws of which a number was zero.
     """
-    flags = []
-    if not draws.converged:
-        worst = max(draws.diagnostics.values(), key=lambda one: one.r_hat)
-        least = min(min(one.ess_bulk, one.ess_tail) for one in draws.diagnostics.values())
-        wanted = ESS_A_CHAIN * draws.nu.shape[0]
-        message = (
-            f"the chains over the population did not converge (R-hat {worst.r_hat:.3f}, wanted {R_HAT}; "
-            f"{least:.0f} effective draws, wanted {wanted:.0f}): its intervals are rough"
-        )
-        flags.append(Flag("population_not_converged", message, {"r_hat": worst.r_hat, "ess": least}))
-    outliers = [row for row in specimens if row.outlier is not None]
-    if outliers:
-        said = "; ".join(
-            f"{row.specimen} (probability {row.far:.2f}, {row.outlier} {row.deviation:+.1f} sd)"
-            for row in sorted(outliers, key=lambda row: -row.far)[:LONGEST_LIST]
-        )
-        more = f"; and {len(outliers) - LONGEST_LIST} more" if len(outliers) > LONGEST_LIST else ""
-        message = (
-            f"far from the others: {said}{more}; of a normal population {0.01 * len(specimens):.2g} would be"
-        )
-        flags.append(Flag("specimen_outlier", message, {"specimens": [row.specimen for row in outliers]}))
+    flags = [*_of_chains(draws), *_of_outliers(specimens)]
     smoothed = [row.specimen for row in specimens if row.smoothed]
     if smoothed:
         message = (
@@ -95,3 +75,31 @@ def population_flags(
         message = f"{key} is not stated of {_listed(who)}: its mean over the others was taken"
         flags.append(Flag("covariate_missing", message, {"covariate": key, "specimens": list(who)}))
     return flags
+
+
+def _of_chains(draws: PopulationDraws) -> list[Flag]:
+    if draws.converged:
+        return []
+    worst = max(draws.diagnostics.values(), key=lambda one: one.r_hat)
+    least = min(min(one.ess_bulk, one.ess_tail) for one in draws.diagnostics.values())
+    wanted = ESS_A_CHAIN * draws.nu.shape[0]
+    message = (
+        f"the chains over the population did not converge (R-hat {worst.r_hat:.3f}, wanted {R_HAT}; "
+        f"{least:.0f} effective draws, wanted {wanted:.0f}): its intervals are rough"
+    )
+    return [Flag("population_not_converged", message, {"r_hat": worst.r_hat, "ess": least})]
+
+
+def _of_outliers(specimens: Sequence[SpecimenRow]) -> list[Flag]:
+    outliers = [row for row in specimens if row.outlier is not None]
+    if not outliers:
+        return []
+    said = "; ".join(
+        f"{row.specimen} (probability {row.far:.2f}, {row.outlier} {row.deviation:+.1f} sd)"
+        for row in sorted(outliers, key=lambda row: -row.far)[:LONGEST_LIST]
+    )
+    more = f"; and {len(outliers) - LONGEST_LIST} more" if len(outliers) > LONGEST_LIST else ""
+    message = (
+        f"far from the others: {said}{more}; of a normal population {0.01 * len(specimens):.2g} would be"
+    )
+    return [Flag("specimen_outlier", message, {"specimens": [row.specimen for row in outliers]})]

@@ -10,6 +10,7 @@ import os
 import platform
 import sqlite3
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -44,21 +45,7 @@ def read_status(out: Path) -> dict[str, Any]:
         if run is None:
             msg = f"{out}: no run has begun here"
             raise BundleError(msg)
-        counts = dict(database.execute("SELECT state, COUNT(*) FROM jobs GROUP BY state").fetchall())
-        running = database.execute(
-            "SELECT specimen, worker, began, attempts FROM jobs WHERE state = 'running' ORDER BY position"
-        ).fetchall()
-        failed = database.execute(
-            "SELECT specimen, reason FROM jobs WHERE state = 'failed' ORDER BY position LIMIT ?", (_LISTED,)
-        ).fetchall()
-        ends = database.execute(
-            "SELECT began + seconds FROM jobs WHERE state = 'done' AND began IS NOT NULL"
-            " ORDER BY began + seconds DESC LIMIT ?",
-            (_RECENT,),
-        ).fetchall()
-        known = database.execute(
-            "SELECT COUNT(*) FROM jobs WHERE state = 'done' AND seconds IS NULL"
-        ).fetchone()[0]
+        jobs = _read_jobs(database)
     except sqlite3.Error as error:
         msg = f"{out / INDEX}: can't be read ({error}); the next `tissueid fit` begins it anew"
         raise BundleError(msg) from error
@@ -67,8 +54,9 @@ def read_status(out: Path) -> dict[str, Any]:
     alive = _alive(json.loads(run["process"]))
     state = "stopped" if run["state"] == "running" and alive is False else run["state"]
     going = state == "running"
+    counts = jobs.counts
     left = counts.get("waiting", 0) + counts.get("running", 0)
-    rate = _rate(run["started"], [end for (end,) in ends]) if going else None
+    rate = _rate(run["started"], jobs.ends) if going else None
     return {
         "schema": "tissueid/status/1",
         "state": state,
@@ -80,26 +68,58 @@ def read_status(out: Path) -> dict[str, Any]:
         "specimens": {
             "total": sum(counts.values()),
             "done": counts.get("done", 0),
-            "known_before": known,
+            "known_before": jobs.known,
             "running": counts.get("running", 0) if going else 0,
             "waiting": left if not going else counts.get("waiting", 0),
             "failed": counts.get("failed", 0),
         },
         "specimens_per_minute": None if rate is None else 60.0 * rate,
         "left_s": None if not rate else left / rate,
-        "running": [
+        "running": jobs.running if going else [],
+        "failures": jobs.failures,
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class _Jobs:
+    """What an index says of its jobs: how many in which state, those that run, and the newest ends."""
+
+    counts: dict[str, int]
+    running: list[dict[str, Any]]
+    failures: list[dict[str, Any]]
+    ends: list[float]
+    known: int
+
+
+def _read_jobs(database: sqlite3.Connection) -> _Jobs:
+    counts = dict(database.execute("SELECT state, COUNT(*) FROM jobs GROUP BY state").fetchall())
+    running = database.execute(
+        "SELECT specimen, worker, began, attempts FROM jobs WHERE state = 'running' ORDER BY position"
+    )
+    failed = database.execute(
+        "SELECT specimen, reason FROM jobs WHERE state = 'failed' ORDER BY position LIMIT ?", (_LISTED,)
+    )
+    ends = database.execute(
+        "SELECT began + seconds FROM jobs WHERE state = 'done' AND began IS NOT NULL"
+        " ORDER BY began + seconds DESC LIMIT ?",
+        (_RECENT,),
+    )
+    known = database.execute("SELECT COUNT(*) FROM jobs WHERE state = 'done' AND seconds IS NULL")
+    return _Jobs(
+        counts,
+        [
             {
                 "specimen": row["specimen"],
                 "worker": row["worker"],
                 "attempts": row["attempts"],
                 "seconds": max(time.time() - row["began"], 0.0),
             }
-            for row in (running if going else ())
+            for row in running
         ],
-        "failures": [
-            {"specimen": row["specimen"], "reason": json.loads(row["reason"])["message"]} for row in failed
-        ],
-    }
+        [{"specimen": row["specimen"], "reason": json.loads(row["reason"])["message"]} for row in failed],
+        [end for (end,) in ends],
+        known.fetchone()[0],
+    )
 
 
 def _alive(process: dict[str, Any]) -> bool | None:
