@@ -256,19 +256,25 @@ def lag_sums(
         totals.add(rows[:, : used + 1], inside)
         rows[:, 0] = rows[:, used]
     totals.close(rows[:, 0])
-    links = np.bincount(group[linked], minlength=mean_s.size)
-    keep = slice(columns), slice(columns)
-    middle, difference = (mirrored(part)[:, *keep] for part in (totals.middle, totals.difference))
-    mean_square = middle + 0.25 * difference
-    excess = np.multiply.outer(links / max(links.sum(), 1), 0.5 * (totals.end - totals.start)[keep])
+    links = np.bincount(group[linked], minlength=mean_s.size).astype(np.int64)
+    later, earlier, start, difference = _split(totals, links, columns)
     return LagSums(
-        start=totals.start[keep].copy(),
-        later=mean_square + excess,
-        earlier=mean_square - excess,
-        difference=difference.copy(),
+        start=start,
+        later=later,
+        earlier=earlier,
+        difference=difference,
         ratio=mean_s / reference_step_s,
-        links=links.astype(np.int64),
+        links=links,
         chains=int(data.include.sum() - links.sum()),
         degree=degree,
         reference_step_s=reference_step_s,
     )
+
+
+def _split(totals: _Totals, links: NDArray[np.int64], columns: int) -> tuple[FloatArray, ...]:
+    """Sums over the later and the earlier samples of links, over starts of chains, and over differences."""
+    keep = slice(columns), slice(columns)
+    middle, difference = (mirrored(part)[:, *keep] for part in (totals.middle, totals.difference))
+    mean_square = middle + 0.25 * difference
+    excess = np.multiply.outer(links / max(links.sum(), 1), 0.5 * (totals.end - totals.start)[keep])
+    return mean_square + excess, mean_square - excess, totals.start[keep].copy(), difference.copy()

@@ -121,6 +121,28 @@ def objective(
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
+def _derivatives(
+    theta: FloatArray, gamma: float, delta: float, scale: float, degree: int, branches: int
+) -> tuple[FloatArray, FloatArray]:
+    """Of one log's columns' weights, by (theta, ln tau) and by its two nuisances."""
+    size = branches * (degree + 1)
+    m = STATIC_COLUMNS + size
+    p = theta.size
+    matrix, shifted = coefficients(gamma, delta, scale, degree, branches)
+    beta = matrix @ theta
+    a = np.zeros((m + size, p + branches))
+    a[:m, :p] = matrix
+    for j in range(branches):
+        for k in range(degree + 1):
+            at = j * (degree + 1) + k
+            a[m + at, p + j] = beta[STATIC_COLUMNS + at]
+    n = np.zeros((m + size, NUISANCES))
+    n[:m, 0] = beta
+    n[:m, 1] = shifted @ theta
+    return a, n
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
 def assemble(
     q: FloatArray,
     theta: FloatArray,
@@ -148,32 +170,19 @@ def assemble(
         Sum over logs of ln det(nuisance curvature), for the marginal likelihood.
     """
     logs = q.shape[0]
-    size = branches * (degree + 1)
-    m = STATIC_COLUMNS + size
-    full = m + size
+    full = STATIC_COLUMNS + 2 * branches * (degree + 1)
     y = q.shape[1] - 1
-    p = theta.size
-    v = p + branches
+    v = theta.size + branches
     h = np.zeros((v, v))
     b = np.zeros(v)
     c = 0.0
     back = np.zeros((logs, NUISANCES, v + 1))
     log_det = 0.0
     for i in range(logs):
-        matrix, shifted = coefficients(gamma[i], delta[i], scale, degree, branches)
-        a = np.zeros((full, v))
-        a[:m, :p] = matrix
-        beta = matrix @ theta
-        for j in range(branches):
-            for k in range(degree + 1):
-                at = j * (degree + 1) + k
-                a[m + at, p + j] = beta[STATIC_COLUMNS + at]
+        a, n = _derivatives(theta, gamma[i], delta[i], scale, degree, branches)
         g = np.ascontiguousarray(q[i, :full, :full])
         qy = np.ascontiguousarray(q[i, :full, y])
         ga = g @ a
-        n = np.zeros((full, NUISANCES))
-        n[:m, 0] = beta
-        n[:m, 1] = shifted @ theta
         gn = g @ n
         nt = np.ascontiguousarray(n.T)
         now = np.array([gamma[i], delta[i]])
@@ -205,6 +214,18 @@ def assemble(
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
+def _nuisances(back: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Logarithmic gain and contact offset of every log that belong to theta, at the same relaxation times."""
+    logs, p = back.shape[0], theta.size
+    gamma = np.zeros(logs)
+    delta = np.zeros(logs)
+    for i in range(logs):
+        gamma[i] = np.sum(back[i, 0, :p] * theta) + back[i, 0, back.shape[2] - 1]
+        delta[i] = np.sum(back[i, 1, :p] * theta) + back[i, 1, back.shape[2] - 1]
+    return gamma, delta
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
 def solve(
     q: FloatArray,
     theta: FloatArray,
@@ -232,7 +253,6 @@ def solve(
         Support of theta (see :mod:`tissueid.likelihood.cone`).
     """
     p = theta.size
-    logs = q.shape[0]
     value = np.inf
     generators = start
     weights = np.zeros(p)
@@ -246,11 +266,7 @@ def solve(
         bp = np.ascontiguousarray(b[:p])
         new_theta, new_generators, new_weights = cone_least_squares(hp, bp, blocks, start)
         expected = c - 2.0 * np.sum(bp * new_theta) + np.sum(new_theta * (hp @ new_theta))
-        new_gamma = np.zeros(logs)
-        new_delta = np.zeros(logs)
-        for i in range(logs):
-            new_gamma[i] = np.sum(back[i, 0, :p] * new_theta) + back[i, 0, p + branches]
-            new_delta[i] = np.sum(back[i, 1, :p] * new_theta) + back[i, 1, p + branches]
+        new_gamma, new_delta = _nuisances(back, new_theta)
         fraction = 1.0
         best = np.inf
         trial_theta, trial_gamma, trial_delta = new_theta, new_gamma, new_delta
