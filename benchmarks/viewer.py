@@ -1,13 +1,16 @@
 """What the viewer costs the servo, and how old its picture is: figures of this machine, beside its load.
 
-    python benchmarks/viewer.py [--seconds 120] [--pairs 5] [--browser]
+    python benchmarks/viewer.py [--seconds 120] [--pairs 5] [--start] [--browser]
 
 * age: time.monotonic() at a client less the time of each sample when it arrives (one client, simulated
   session); samples that were left out in that time; beside it, how late a process goes on that only sleeps.
 * servo: p99 of the absolute period error with five clients, one of them hung, against none, in interleaved
   sessions; medians of both.  ``--thread`` serves from a thread of the session's owner instead of a process.
-* picture (``--browser``): from the start of ``tissueid render`` to the first drawn sample in a browser that
-  runs already, and p99 of the age of the sample behind each picture, drawn without a graphics card.
+* start (``--start``): from the start of ``tissueid render --no-browser`` as a process to the second frame of
+  samples at a websocket client that runs already, with an empty and a warm cache of compiled functions.
+* picture (``--browser``): from the same start until requestAnimationFrame has drawn the second sample, in a
+  chromium that runs already (its own start is the browser's affair), and p99 of the age of the sample behind
+  each picture, drawn without a graphics card.
 """
 
 from __future__ import annotations
@@ -39,6 +42,8 @@ from tissueid.viewer.showing import show_session
 
 S_TO_MS = 1e3
 CLIENT = "--client"
+#: Caches of compiled functions a start is measured with; warm ones belong to this checkout.
+STARTS = ("empty", "empty", "warm", "warm", "warm", "warm", "warm")
 
 
 def load() -> str:
@@ -142,6 +147,34 @@ def session(
     return outcome.summary, found
 
 
+@contextlib.contextmanager
+def started(cache: str) -> Iterator[tuple[str, float]]:
+    """``tissueid render`` without arguments: its address, and when it was started."""
+    with tempfile.TemporaryDirectory() as folder:
+        environment = {**os.environ, "NUMBA_CACHE_DIR": folder} if cache == "empty" else dict(os.environ)
+        command = [sys.executable, "-m", "tissueid", "render", "--no-browser", "--seconds", "60"]
+        begun = time.monotonic()
+        running = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment)
+        assert running.stderr is not None
+        try:
+            yield running.stderr.readline().split()[1], begun
+        finally:
+            running.terminate()
+            running.communicate()
+
+
+def start_times() -> None:
+    """Start to moving data at a client."""
+    for cache in STARTS:
+        with started(cache) as (url, begun), connect(url.replace("http", "ws") + "ws", max_size=None) as link:
+            frames = 0
+            while frames < 2:
+                data = link.recv()
+                frames += isinstance(data, bytes) and read_frame(data).samples.size > 0
+            took = time.monotonic() - begun
+        print(f"start to moving data at a client, {cache} cache: {took:.2f} s, {load()}")
+
+
 def picture_age() -> None:
     """Start to picture, and the age of pictures, in chromium without a graphics card."""
     from playwright.sync_api import sync_playwright
@@ -154,21 +187,11 @@ def picture_age() -> None:
     ]
     with sync_playwright() as engine:
         browser = engine.chromium.launch(executable_path="/usr/bin/chromium", args=flags)
-        for cache in ("empty", "empty", "warm", "warm", "warm"):
-            with tempfile.TemporaryDirectory() as folder:
-                environment = dict(os.environ)
-                if cache == "empty":
-                    environment["NUMBA_CACHE_DIR"] = folder
-                page = browser.new_page(viewport={"width": 1400, "height": 900})
-                begun = time.monotonic()
-                command = [sys.executable, "-m", "tissueid", "render", "--no-browser", "--seconds", "60"]
-                running = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment)
-                assert running.stderr is not None
-                url = running.stderr.readline().split()[1]
-                while True:
-                    with contextlib.suppress(Exception):
-                        page.goto(url)
-                        break
+        for cache in STARTS:
+            page = browser.new_page(viewport={"width": 1400, "height": 900})
+            with started(cache) as (url, begun):
+                # it listens before it says so: what is asked of it early waits
+                page.goto(url, wait_until="commit")
                 while not page.evaluate("window.tissueid?.read()?.drawn > 1"):
                     time.sleep(0.01)
                 print(f"start to picture, {cache} cache: {time.monotonic() - begun:.2f} s, {load()}")
@@ -177,9 +200,7 @@ def picture_age() -> None:
                     ages = S_TO_MS * np.array(page.evaluate("window.tissueid.read().ages"))[30:]
                     median, p99 = np.quantile(ages, [0.5, 0.99])
                     print(f"sample to frame, {ages.size} pictures: median {median:.1f} ms, p99 {p99:.1f} ms")
-                page.close()
-                running.terminate()
-                running.communicate()
+            page.close()
         browser.close()
 
 
@@ -197,11 +218,15 @@ def main() -> None:
     parser.add_argument("--pairs", type=int, default=5)
     parser.add_argument("--pair-seconds", type=float, default=15.0)
     parser.add_argument("--thread", action="store_true")
+    parser.add_argument("--start", action="store_true")
     parser.add_argument("--browser", action="store_true")
     asked = parser.parse_args()
     print(f"{load()}, {os.cpu_count()} cores, {Path(sys.executable)}")
+    if asked.start:
+        start_times()
     if asked.browser:
         picture_age()
+    if asked.start or asked.browser:
         return
     if asked.seconds > 0.0:
         words = [sys.executable, __file__, CLIENT, str(asked.seconds)]

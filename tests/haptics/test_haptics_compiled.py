@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numba
 import numpy as np
 import pytest
@@ -36,3 +39,21 @@ def test_a_function_works_on_the_array_of_its_caller(compiled):
     values = np.array([1.0, 2.0, 4.0])
     assert compiled(doubles_in_place)(values[1:]) == 8.0
     assert values.tolist() == [1.0, 4.0, 8.0]
+
+
+def test_scipy_is_out_of_reach_only_while_numba_sets_itself_up():
+    program = (
+        "import importlib.util, sys\n"
+        "from tissueid.compiled import without_scipy\n"
+        "from tissueid.haptics.guard import new_guard, transition\n"
+        "from tissueid.haptics.guard_states import SHUT\n"
+        "from tissueid.haptics.limits import GuardLimits\n"
+        "with without_scipy():\n"
+        "    transition(new_guard(), GuardLimits().block(), SHUT)\n"
+        "print([name for name in sys.modules if name.startswith('scipy.linalg')])\n"
+        "import scipy.linalg\n"
+        "with without_scipy():\n"
+        "    print(sys.modules['scipy.linalg'] is scipy.linalg)\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert ended.stdout == "[]\nTrue\n"

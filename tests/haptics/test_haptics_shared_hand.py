@@ -10,7 +10,8 @@ import pytest
 from tissueid.errors import DeviceError
 from tissueid.haptics.shared_hand import SharedHand
 from tissueid.haptics.sim import CENTRE_M, SimulatedDevice
-from tissueid.haptics.sim_kernels import SIM_PARAMETERS, simulated_advance
+from tissueid.haptics.sim_kernels import simulated_advance
+from tissueid.haptics.simulated_layout import SIM_PARAMETERS
 from tissueid.render.servo_plan import ServoPlan
 from tissueid.render.servo_process import _share_hand
 

@@ -7,13 +7,14 @@ import pytest
 
 from tissueid.errors import DeviceError
 from tissueid.haptics import sim_kernels as k
-from tissueid.haptics.arm import POINTER_ON, TIME, Arm
+from tissueid.haptics.arm import TIME, Arm
 from tissueid.haptics.device import SIMULATED
 from tissueid.haptics.guard import GuardLimits
 from tissueid.haptics.hand import Hand, preset
 from tissueid.haptics.registry import open_device
 from tissueid.haptics.sim import CENTRE_M, SimulatedDevice
 from tissueid.haptics.sim_kernels import simulated_advance, simulated_command, simulated_sample
+from tissueid.haptics.simulated_layout import PHASE, POINTER_ON
 from tissueid.haptics.states import State
 
 SURFACE = np.array(CENTRE_M)
@@ -119,7 +120,7 @@ def test_the_compiled_blocks_are_the_device():
         simulated_advance(io.memory, io.constants, 1e-3)
     assert device.time_s == pytest.approx(0.05, abs=1e-12)
     assert (
-        device.read().counts == np.floor(device.true_position_m / 45e-6 + io.constants[k.PHASE : k.PHASE + 3])
+        device.read().counts == np.floor(device.true_position_m / 45e-6 + io.constants[PHASE : PHASE + 3])
     ).all()
 
 

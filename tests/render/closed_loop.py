@@ -21,7 +21,7 @@ from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.parameter_block import COMMAND_ENGAGE, ParameterBlock
 from tissueid.haptics.ring import Ring
 from tissueid.haptics.sim import CENTRE_M, SimulatedDevice
-from tissueid.haptics.sim_kernels import QUANTUM
+from tissueid.haptics.simulated_layout import QUANTUM
 from tissueid.model.passivity import required_damping
 from tissueid.model.scaling import scaling_for
 from tissueid.render.environment import INFO_DEPTH_MM

@@ -6,6 +6,8 @@ import asyncio
 import json
 import os
 import socket
+import subprocess
+import sys
 import threading
 from dataclasses import replace
 from pathlib import Path
@@ -128,6 +130,16 @@ def test_the_process_hears_its_owner_line_by_line(tmp_path: Path) -> None:
     theirs.close()
     hand.close()
     ring.close()
+
+
+def test_the_process_loads_no_compiler() -> None:
+    program = (
+        "import sys, tissueid.viewer.server_process, tissueid.viewer.server, tissueid.haptics.ring\n"
+        "import tissueid.haptics.shared_hand\n"
+        "print({'numba', 'scipy'} & set(sys.modules))\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert ended.stdout == "set()\n"
 
 
 def test_an_owner_that_never_said_a_word_serves_nothing() -> None:

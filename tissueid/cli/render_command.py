@@ -120,7 +120,7 @@ def command(**flags: Any) -> int:
     if flags["selftest"]:
         return _selftest(flags)
     _choose_demonstration(flags)
-    with _viewer(flags) as viewer, _waiting_servo(flags) as spawned:
+    with _waiting_servo(flags) as spawned, _viewer(flags) as viewer:
         session = _prepared(flags, spawned, viewer)
         try:
             outcome = session.run()

@@ -14,7 +14,7 @@ that.  A resting arm stays at rest exactly, without chatter, and the energies be
     m |v|^2 / 2  =  work of the motor + work of the hand - loss to damping - loss to friction
 
 SI units: metres, newtons, seconds.  Parameters and memory are flat float64 blocks, so that compiled loops of
-other modules can carry them; the indices are the constants below.
+other modules can carry them; the indices of the memory are the constants below.
 """
 
 from __future__ import annotations
@@ -26,22 +26,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.compiled import tick_kernel
+from tissueid.haptics.simulated_layout import (
+    ARM_PARAMETERS,
+    DAMPING,
+    FIRST_KNOT,
+    FRICTION,
+    HAND_DAMPING,
+    HAND_STIFFNESS,
+    KNOT_COLUMNS,
+    KNOTS,
+    MASS,
+    MAX_KNOTS,
+    POINTER,
+    POINTER_ON,
+    RIGID,
+    SUBSTEP,
+    TREMOR,
+    TREMOR_AXIS,
+    TREMOR_HZ,
+    TREMOR_PHASE,
+)
 
 __all__ = ["ARM_MEMORY", "ARM_PARAMETERS", "MAX_KNOTS", "Arm", "arm_step", "new_arm", "port_energy"]
 
 FloatArray = NDArray[np.float64]
-
-# --- parameters
-MASS, DAMPING, FRICTION, SUBSTEP = 0, 1, 2, 3
-HAND_STIFFNESS, HAND_DAMPING, RIGID = 4, 5, 6
-TREMOR, TREMOR_HZ, TREMOR_PHASE, TREMOR_AXIS = 7, 8, 9, 10  # axis: 10, 11, 12
-POINTER_ON, POINTER = 13, 14  # pointer: 14, 15, 16
-KNOTS = 17
-FIRST_KNOT = 20
-#: Columns of a knot of the hand's script: time, x, y, z, grip from here on.
-KNOT_COLUMNS = 5
-MAX_KNOTS = 64
-ARM_PARAMETERS = FIRST_KNOT + KNOT_COLUMNS * MAX_KNOTS
 
 # --- memory
 TIME, POSITION, VELOCITY = 0, 1, 4

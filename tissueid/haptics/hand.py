@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.errors import UsageError, printable
-from tissueid.haptics.arm import (
+from tissueid.haptics.simulated_layout import (
     FIRST_KNOT,
     HAND_DAMPING,
     HAND_STIFFNESS,

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from tissueid.compiled import tick_kernel, tick_part
 from tissueid.errors import DeviceError
 from tissueid.haptics.atomic import load_acquire, store_release
+from tissueid.haptics.ordered_words import read_ordered, write_ordered
 from tissueid.haptics.shared_memory import shared_memory
 
 __all__ = [
@@ -148,12 +149,12 @@ class ParameterBlock:
     @property
     def published(self) -> int:
         """Newest version; 0 before the first."""
-        return int(load_acquire(self.head[_PUBLISHED_AT : _PUBLISHED_AT + 1]))
+        return read_ordered(self.head, _PUBLISHED_AT)
 
     @property
     def taken(self) -> int:
         """Version the servo renders; 0 before the first."""
-        return int(load_acquire(self.head[_TAKEN_AT : _TAKEN_AT + 1]))
+        return read_ordered(self.head, _TAKEN_AT)
 
     def write(self, parameters: FloatArray) -> int:
         """Publish parameters; the servo takes them when nothing is touched.
@@ -182,16 +183,16 @@ class ParameterBlock:
             msg = "the last parameters are still waiting for a moment at which nothing is touched"
             raise DeviceError(msg)
         self.values[(version + 1) % 2] = parameters
-        store_release(self.head[_PUBLISHED_AT : _PUBLISHED_AT + 1], version + 1)
+        write_ordered(self.head, _PUBLISHED_AT, version + 1)
         return version + 1
 
     def beat(self) -> None:
         """Give a sign of life; 500 ms without one, and the servo takes the force away."""
-        store_release(self.head[_BEAT_AT : _BEAT_AT + 1], int(self.head[_BEAT_AT]) + 1)
+        write_ordered(self.head, _BEAT_AT, int(self.head[_BEAT_AT]) + 1)
 
     def order(self, what: int) -> None:
         """Tell the servo what is wanted: COMMAND_DISENGAGE, COMMAND_ENGAGE or COMMAND_STOP."""
-        store_release(self.head[_COMMAND_AT : _COMMAND_AT + 1], what)
+        write_ordered(self.head, _COMMAND_AT, what)
 
     def close(self) -> None:
         """Give the descriptor back; the mapping lives as long as its arrays."""

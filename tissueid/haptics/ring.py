@@ -19,12 +19,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.compiled import tick_part
 from tissueid.errors import DeviceError
-from tissueid.haptics.atomic import load_acquire, store_release
+from tissueid.haptics.ordered_words import read_ordered, write_ordered
 from tissueid.haptics.shared_memory import shared_memory
 
-__all__ = ["CAPACITY", "RECORD", "Ring", "RingReader", "publish"]
+__all__ = ["CAPACITY", "PUBLISHED_AT", "RECORD", "Ring", "RingReader"]
 
 IntArray = NDArray[np.int64]
 
@@ -59,21 +58,7 @@ CAPACITY = 65_536
 HEAD_BYTES = 64
 #: "tissring" as a little-endian integer.
 MAGIC = int.from_bytes(b"tissring", "little")
-_MAGIC_AT, _CAPACITY_AT, _PUBLISHED_AT = 0, 1, 2
-
-
-@tick_part
-def publish(head: IntArray, count: int) -> None:
-    """Say that ``count`` records are whole.
-
-    Parameters
-    ----------
-    head : ndarray of int64, shape (8,)
-        :attr:`Ring.head`.
-    count : int
-        Records written since the ring was made.
-    """
-    store_release(head[_PUBLISHED_AT : _PUBLISHED_AT + 1], count)
+_MAGIC_AT, _CAPACITY_AT, PUBLISHED_AT = 0, 1, 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,13 +127,13 @@ class Ring:
     @property
     def published(self) -> int:
         """Records written since the ring was made."""
-        return int(load_acquire(self.head[_PUBLISHED_AT : _PUBLISHED_AT + 1]))
+        return read_ordered(self.head, PUBLISHED_AT)
 
     def append(self, record: NDArray[Any]) -> None:
         """Write one record from Python; the servo does the same compiled."""
         count = self.published
         self.records[count % self.records.size] = record
-        publish(self.head, count + 1)
+        write_ordered(self.head, PUBLISHED_AT, count + 1)
 
     def read_only(self) -> int:
         """A new descriptor of the memory through which nobody can write."""

@@ -1,8 +1,8 @@
 """The hand of a simulated device in shared memory, so that a pointer in another process can lead it.
 
-The memory holds the parameters of :mod:`tissueid.haptics.sim_kernels`, which the simulated device reads at
-every tick.  A target is three float64 words, each written whole; a tick that meets the new x with the old y
-sees a target between the two, and the hand follows any target smoothly (30 ms, 0.5 m/s at most).  No other
+The memory holds the parameters of :mod:`tissueid.haptics.simulated_layout`, which the simulated device reads
+at every tick.  A target is three float64 words, each written whole; a tick that meets the new x with the old
+y sees a target between the two, and the hand follows any target smoothly (30 ms, 0.5 m/s at most).  No other
 device has such a memory: what has motors can't be led.
 """
 
@@ -17,9 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.errors import DeviceError
-from tissueid.haptics.arm import POINTER, POINTER_ON
 from tissueid.haptics.shared_memory import shared_memory
-from tissueid.haptics.sim_kernels import SIM_PARAMETERS
+from tissueid.haptics.simulated_layout import POINTER, POINTER_ON, SIM_PARAMETERS
 
 __all__ = ["SharedHand"]
 

@@ -30,10 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tissueid.haptics.arm import (
     POINTED,
-    POINTER,
-    POINTER_ON,
     POSITION,
-    RIGID,
     TIME,
     Arm,
     new_arm,
@@ -51,19 +48,24 @@ from tissueid.haptics.hand import Hand
 from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.shared_hand import SharedHand
 from tissueid.haptics.sim_kernels import (
-    BUTTONS,
-    DELAY,
     FELT,
     HOMED,
-    PHASE,
-    QUANTUM,
     QUEUE_LENGTH,
-    SIM_PARAMETERS,
     VALID,
     new_simulated,
     simulated_advance,
     simulated_command,
     simulated_sample,
+)
+from tissueid.haptics.simulated_layout import (
+    BUTTONS,
+    DELAY,
+    PHASE,
+    POINTER,
+    POINTER_ON,
+    QUANTUM,
+    RIGID,
+    SIM_PARAMETERS,
 )
 
 __all__ = ["CENTRE_M", "DEFAULT_QUANTUM_M", "SimulatedDevice"]

@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.compiled import tick_kernel, tick_part
-from tissueid.haptics.arm import ARM_MEMORY, ARM_PARAMETERS, POSITION, TIME, arm_step
+from tissueid.haptics.arm import ARM_MEMORY, POSITION, TIME, arm_step
+from tissueid.haptics.simulated_layout import DELAY, FAULT_AT, FAULT_KIND, FAULT_SIZE, PHASE, QUANTUM
 
 __all__ = [
     "SIM_MEMORY",
-    "SIM_PARAMETERS",
     "new_simulated",
     "simulated_advance",
     "simulated_command",
@@ -31,13 +31,6 @@ __all__ = [
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-
-# --- parameters behind the arm's
-QUANTUM, PHASE = ARM_PARAMETERS, ARM_PARAMETERS + 1  # phase: 3 values, in counts
-DELAY, BUTTONS = ARM_PARAMETERS + 4, ARM_PARAMETERS + 5
-#: A scripted fault: its kind and the time [s] it begins at.
-FAULT_KIND, FAULT_AT, FAULT_SIZE = ARM_PARAMETERS + 6, ARM_PARAMETERS + 7, ARM_PARAMETERS + 8
-SIM_PARAMETERS = ARM_PARAMETERS + 12
 
 #: Kinds of scripted faults: none; the device is gone; it is silent; its encoders stand still; encoder 1 jumps
 #: by FAULT_SIZE counts; it is no longer homed.

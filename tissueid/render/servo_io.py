@@ -21,9 +21,6 @@ from tissueid.errors import DeviceError
 from tissueid.haptics import device as devices
 from tissueid.haptics.device import CompiledIO, HapticDevice
 from tissueid.haptics.sim_kernels import (
-    BUTTONS as SIM_BUTTONS,
-)
-from tissueid.haptics.sim_kernels import (
     HOMED as SIM_HOMED,
 )
 from tissueid.haptics.sim_kernels import (
@@ -31,6 +28,7 @@ from tissueid.haptics.sim_kernels import (
     simulated_command,
     simulated_sample,
 )
+from tissueid.haptics.simulated_layout import BUTTONS as SIM_BUTTONS
 from tissueid.haptics.watchdogs import REPLY_DAMAGED, REPLY_LOST, REPLY_NONE, REPLY_VALID
 from tissueid.render.falcon_io import (
     DescriptorIO,

@@ -16,6 +16,7 @@ from typing import Any, Self
 import numba
 import numpy as np
 
+from tissueid.compiled import without_scipy
 from tissueid.errors import DeviceError, TissueidError
 from tissueid.haptics.device import HapticDevice
 from tissueid.haptics.guard import new_guard, transition
@@ -193,7 +194,8 @@ def main(arguments: list[str]) -> int:
     # the guard that runs is the guard that stands in the file
     forget_stale_kernels(kernel_modules())
     # numba sets itself up at the first call: while the owner decides, not when it waits
-    transition(new_guard(), GuardLimits().block(), SHUT)
+    with without_scipy():
+        transition(new_guard(), GuardLimits().block(), SHUT)
     try:
         plan, shared = receive_plan(owner)
         ring, block = shared[:2]

@@ -23,7 +23,8 @@ from tissueid.haptics.guard import guard, observe, transition
 from tissueid.haptics.guard_states import DISENGAGE, ENGAGE, FAULT, HOMING, LAMPS, STATE, SWAP, WANTED
 from tissueid.haptics.parameter_block import COMMAND_ENGAGE, ParameterBlock, take, waiting
 from tissueid.haptics.parameter_block import command as ordered
-from tissueid.haptics.ring import Ring, publish
+from tissueid.haptics.ring import Ring
+from tissueid.haptics.ring_publishing import publish
 from tissueid.haptics.states import Lamp
 from tissueid.haptics.velocity import velocity_step
 from tissueid.haptics.watchdogs import REPLY_VALID

@@ -1,5 +1,7 @@
 """The server in a process of its own: what strangers send is read where no device and no recording is.
 
+It loads no compiler, so that a page is answered while the servo still starts.
+
 It is sent the listening socket, a ring that it can only read and, in a simulation, the hand; it lives as long
 as the socket to its owner.  Its priority is lower than the servo's.  Lines of JSON from the owner::
 
@@ -106,19 +108,6 @@ def _show_live(stage: Stage, words: dict[str, Any], descriptors: list[int]) -> N
     stage.show_live(words["hello"], LiveFeed(Ring.attach(descriptors[0])), pointer)
 
 
-def _warm_up() -> None:
-    """Load what a live session needs, while there is none yet; compiled reads come from the disk."""
-    from tissueid.haptics.ring import Ring
-    from tissueid.viewer import feed, pointer
-
-    del feed, pointer
-    ring = Ring.create(capacity=2)
-    reading = Ring.attach(ring.read_only())
-    reading.reader().read_new()
-    reading.close()
-    ring.close()
-
-
 async def _serve(link: socket.socket, listening: socket.socket) -> None:
     from tissueid.viewer.security import Access
     from tissueid.viewer.server import TlsFiles, ViewerServer
@@ -144,9 +133,7 @@ async def _serve(link: socket.socket, listening: socket.socket) -> None:
         obey(stage, words, owner.descriptors() if "live" in words else [])
     link.setblocking(False)
     asyncio.get_running_loop().add_reader(link, heard)
-    warming = asyncio.create_task(asyncio.to_thread(_warm_up))
     await server.serve(sockets=[listening])
-    await warming
 
 
 def main(arguments: list[str]) -> int:

@@ -1,0 +1,53 @@
+"""One 64-bit integer that other processes see in order, read and written from Python.
+
+x86-64 keeps loads in the order of the program, and stores too (Intel 64 Architectures Software Developer's
+Manual, volume 3, 10.2.2): a plain aligned word is an acquire and a release, and between two steps of the
+interpreter no compiler moves anything.  Elsewhere the compiled ones of :mod:`tissueid.haptics.atomic` are
+taken.  Loading those costs a process half a second, which most readers of a ring would spend on nothing else.
+"""
+
+from __future__ import annotations
+
+import platform
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["read_ordered", "write_ordered"]
+
+IntArray = NDArray[np.int64]
+
+_KEEPS_ORDER = platform.machine().lower() in {"x86_64", "amd64"}
+
+
+def read_ordered(words: IntArray, at: int) -> int:
+    """``words[at]``, before everything read after.
+
+    Parameters
+    ----------
+    words : ndarray of int64
+        Shared.
+    at : int
+    """
+    if _KEEPS_ORDER:
+        return int(words[at])
+    from tissueid.haptics.atomic import load_acquire
+
+    return int(load_acquire(words[at : at + 1]))
+
+
+def write_ordered(words: IntArray, at: int, value: int) -> None:
+    """Set ``words[at]``, after everything written before.
+
+    Parameters
+    ----------
+    words : ndarray of int64
+        Shared.
+    at, value : int
+    """
+    if _KEEPS_ORDER:
+        words[at] = value
+        return
+    from tissueid.haptics.atomic import store_release
+
+    store_release(words[at : at + 1], value)

@@ -1,0 +1,26 @@
+"""How the servo's tick says that a record of the ring is whole."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.compiled import tick_part
+from tissueid.haptics.atomic import store_release
+from tissueid.haptics.ring import PUBLISHED_AT
+
+__all__ = ["publish"]
+
+
+@tick_part
+def publish(head: NDArray[np.int64], count: int) -> None:
+    """Say that ``count`` records are whole.
+
+    Parameters
+    ----------
+    head : ndarray of int64, shape (8,)
+        :attr:`tissueid.haptics.ring.Ring.head`.
+    count : int
+        Records written since the ring was made.
+    """
+    store_release(head[PUBLISHED_AT : PUBLISHED_AT + 1], count)
