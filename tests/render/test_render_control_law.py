@@ -1,0 +1,287 @@
+"""The equations themselves: regressor, Lyapunov equality, and the loop against an independent solver."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from tissueid.render.control import (
+    ControlRun,
+    ControlSettings,
+    Gains,
+    Mechanics,
+    PlanarArm,
+    Signal,
+    simulate,
+)
+from tissueid.render.control.plant import damping_form, generalised_force, inertia, solve
+from tissueid.render.control.simulation import loop_block
+from tissueid.render.presets import preset_tissue
+
+PAPER_A = preset_tissue("paper-a")
+#: Large gains and estimates from 0, so that the adaptation's share of V' is large.
+LEARNING = Gains(adaptation=(1.0, 100.0, 1000.0), projection=False, sigma_start=2.0)
+HUM = Signal((0.0,), (1.0,), (7.0,))
+#: A device and a hand of two axes whose matrices are not diagonal.
+SKEWED = Mechanics([[1.2, 0.2], [0.2, 0.9]], [[20.0, 3.0], [3.0, 15.0]], [[30.0, -4.0], [-4.0, 20.0]])
+HAND = Mechanics([[0.9, 0.1], [0.1, 0.6]], [[4.0, 0.0], [0.0, 3.0]], [[60.0, 5.0], [5.0, 40.0]])
+ARM = PlanarArm((0.30, 0.25), (0.20, 0.06, 0.05), (0.35, 0.20))
+#: Damping and stiffness beside the arm's own inertia.
+JOINTS = Mechanics(np.zeros((2, 2)), [[6.0, 1.0], [1.0, 5.0]], np.zeros((2, 2)))
+
+
+def learning(variant: str, scale: float, sign: int = 1, step_s: float = 5e-6) -> ControlRun:
+    return simulate(
+        ControlSettings(
+            PAPER_A,
+            stiffness_scale=scale,
+            variant=variant,
+            gains=replace(LEARNING, adaptation_sign=sign),
+            start_estimates=np.zeros(3),
+            disturbance=HUM,
+            continuous_step_s=step_s,
+            rate_Hz=1.0 / step_s,
+            seconds=1.0,
+        )
+    )
+
+
+def drift(run: ControlRun) -> float:
+    """How far V leaves the integral of what (I-4) says of it, as a share of that integral."""
+    rate, dt = run.lyapunov_rate, np.diff(run.time_s)
+    said = np.cumsum(0.5 * (rate[1:] + rate[:-1]) * dt)
+    return float(np.abs(run.lyapunov[1:] - run.lyapunov[0] - said).max() / np.abs(said).max())
+
+
+def by_hand(run: ControlRun) -> tuple[np.ndarray, np.ndarray]:
+    """V and the right side of (I-4) of one axis, from the recorded motion and nothing else of the package."""
+    s = run.settings
+    total = {"A": (1.158 + 1.25, 115.4 + 2.0, 31.46 + 30.0), "B": (1.158, 115.4, 31.46)}[s.variant]
+    rho = run.tool_velocity_m_s[:, 0] + 50.0 * (run.tool_position_m - run.position_m)[:, 0]
+    rho = rho - run.velocity_m_s[:, 0]
+    wrong = np.array(total) - run.estimates
+    V = 0.5 * total[0] * rho**2 + 0.5 * (wrong**2 / np.array(s.gains.adaptation)).sum(axis=1)
+    delta = {"A": 25.0, "B": 3.0}[s.variant]
+    robust = delta**2 * rho / (delta * np.abs(rho) + 2.0 * np.exp(-0.5 * run.time_s))
+    push = run.push_N[:, 0] if s.variant == "A" else 0.0
+    unknown = push - np.sin(2.0 * np.pi * 7.0 * run.time_s)
+    return V, -(100.0 + total[1]) * rho**2 - rho * unknown - rho * robust
+
+
+@pytest.mark.needs_jit
+@pytest.mark.parametrize("variant", ["A", "B"])
+@pytest.mark.parametrize("scale", [1.0, 100.0])
+def test_the_equality_of_the_proof_holds_along_the_run(variant: str, scale: float) -> None:
+    run = learning(variant, scale)
+    V, rate = by_hand(run)
+
+    slope = np.diff(V) / np.diff(run.time_s)
+    said = 0.5 * (rate[1:] + rate[:-1])
+    # 1e-4 is asked for; Heun's steps of 5 us leave 5e-8 at x1 and 4e-5 of the largest at x100
+    assert np.abs(slope - said).max() <= 1e-4 * np.abs(said).max()
+    assert drift(run) <= 1e-4
+    # the kernel's own V and rate are those numbers
+    np.testing.assert_allclose(run.lyapunov, V, rtol=1e-9)
+    np.testing.assert_allclose(run.lyapunov_rate, rate, rtol=1e-6, atol=1e-9 * np.abs(rate).max())
+
+
+@pytest.mark.needs_jit
+@pytest.mark.parametrize("variant", ["A", "B"])
+@pytest.mark.parametrize("sign", [0, -1])
+def test_the_equality_fails_where_nothing_or_the_wrong_way_is_learnt(variant: str, sign: int) -> None:
+    run = learning(variant, 1.0, sign, step_s=2e-5)
+    V, rate = by_hand(run)
+
+    slope = np.diff(V) / np.diff(run.time_s)
+    said = 0.5 * (rate[1:] + rate[:-1])
+    # without adaptation V' lacks all of the term, with the other sign it has it twice
+    assert np.abs(slope - said).max() > 0.5 * np.abs(said).max()
+    assert drift(run) > 0.5
+
+
+def arm_inertia(x: np.ndarray) -> np.ndarray:
+    """M at the tip, from the arm's angles found by a solver: no closed form of the package."""
+    l1, l2 = ARM.links_m
+    p1, p2, p3 = ARM.inertia_kg_m2
+    target = x + np.array(ARM.base_m)
+    q = np.array([0.2, 1.0])
+    for _ in range(40):
+        tip = np.array([l1 * np.cos(q[0]) + l2 * np.cos(q.sum()), l1 * np.sin(q[0]) + l2 * np.sin(q.sum())])
+        J = np.array(
+            [
+                [-l1 * np.sin(q[0]) - l2 * np.sin(q.sum()), -l2 * np.sin(q.sum())],
+                [l1 * np.cos(q[0]) + l2 * np.cos(q.sum()), l2 * np.cos(q.sum())],
+            ]
+        )
+        q = q + np.linalg.solve(J, target - tip)
+    c2 = np.cos(q[1])
+    joints = np.array([[p1 + 2.0 * p3 * c2, p2 + p3 * c2], [p2 + p3 * c2, p2]])
+    inverse = np.linalg.inv(J)
+    return inverse.T @ joints @ inverse
+
+
+def test_an_arm_has_the_inertia_of_its_joints_and_makes_no_energy() -> None:
+    settings = ControlSettings(PAPER_A, device=JOINTS, operator=HAND, arm=ARM)
+    block = loop_block(settings, period_s=1e-3, substeps=1)
+    theta = np.array([*ARM.inertia_kg_m2, *np.zeros(9)])
+    Y, spare, M, out = np.zeros((2, 12)), np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2)
+    x, v, a = np.array([0.03, -0.02]), np.array([0.4, -0.7]), np.array([2.0, 5.0])
+
+    inertia(block, theta, x, spare, Y, M)
+    np.testing.assert_allclose(M, arm_inertia(x), rtol=1e-10)
+
+    # M' - 2 C is skew: what the forces do is what the kinetic energy gains
+    generalised_force(block, theta, x, v, v, a, Y, out)
+    h = 1e-5
+    energy = [0.5 * (v + s * a) @ arm_inertia(x + s * v + 0.5 * s * s * a) @ (v + s * a) for s in (-h, h)]
+    assert v @ out == pytest.approx((energy[1] - energy[0]) / (2.0 * h), rel=1e-7)
+    # and C(x, v) belongs to v alone: with another reference the force is linear in it
+    r1, r2, nothing = np.array([0.3, 0.1]), np.array([-0.2, 0.5]), np.zeros(2)
+    forces = []
+    for r in (r1, r2, r1 + r2):
+        generalised_force(block, theta, x, v, r, nothing, Y, out)
+        forces.append(out.copy())
+    np.testing.assert_allclose(forces[0] + forces[1], forces[2], atol=1e-12)
+
+
+def test_matrices_of_several_axes_come_back_from_their_parameters() -> None:
+    n = 3
+    rng = np.random.default_rng(5)
+    parts = [one @ one.T + np.eye(n) for one in rng.normal(size=(3, n, n))]
+    settings = ControlSettings(PAPER_A, device=Mechanics(*parts), operator=Mechanics(*parts))
+    block = loop_block(settings, period_s=1e-3, substeps=1)
+    theta, _ = settings.true_parameters()
+    x, v, vr, ar = rng.normal(size=(4, n))
+    Y, out = np.zeros((n, theta.size)), np.zeros(n)
+
+    generalised_force(block, theta, x, v, vr, ar, Y, out)
+
+    np.testing.assert_allclose(out, parts[0] @ ar + parts[1] @ vr + parts[2] @ x, rtol=1e-12)
+    assert damping_form(theta, x) == pytest.approx(x @ parts[1] @ x, rel=1e-12)
+    b = out.copy()
+    solve(parts[0].copy(), b)
+    np.testing.assert_allclose(parts[0] @ b, out, rtol=1e-9)
+    solve(A := np.array([[0.0, 2.0], [3.0, 1.0]]), b := np.array([2.0, 5.0]))
+    np.testing.assert_allclose(b, [4.0 / 3.0, 1.0], rtol=1e-12)
+    assert A.shape == (2, 2)
+
+
+@pytest.mark.needs_jit
+@pytest.mark.parametrize(
+    ("device", "operator", "arm"), [(SKEWED, HAND, None), (JOINTS, HAND, ARM)], ids=["matrices", "arm"]
+)
+@pytest.mark.parametrize("variant", ["A", "B"])
+def test_the_equality_holds_for_two_axes_and_an_arm(
+    device: Mechanics, operator: Mechanics, arm: PlanarArm | None, variant: str
+) -> None:
+    size = 9 if arm is None else 12
+    settings = ControlSettings(
+        PAPER_A,
+        variant=variant,
+        device=device,
+        operator=operator,
+        arm=arm,
+        push=Signal((10.0, 1.0), (8.0, 3.0), (1.0, 0.7)),
+        disturbance=Signal((0.0, 0.2), (0.5, 0.5), (7.0, 5.0)),
+        gains=replace(LEARNING, arm_adaptation=0.5),
+        start_estimates=np.zeros(size),
+        continuous_step_s=1e-5,
+        rate_Hz=1e5,
+        seconds=0.4,
+    )
+
+    run = simulate(settings)
+    wrong = simulate(replace(settings, gains=replace(settings.gains, adaptation_sign=-1)))
+
+    assert run.estimates.shape == (40000, size)
+    assert drift(run) <= 1e-4
+    assert drift(wrong) > 0.5
+
+
+@pytest.mark.needs_jit
+def test_axes_that_know_nothing_of_each_other_move_as_one_axis_does() -> None:
+    one = ControlSettings(PAPER_A, variant="B", seconds=1.0)
+    two = replace(
+        one,
+        device=Mechanics(np.diag([1.158, 2.0]), np.diag([115.4, 20.0]), np.diag([31.46, 10.0])),
+        operator=Mechanics(np.diag([1.25, 0.8]), np.diag([2.0, 1.0]), np.diag([30.0, 20.0])),
+    )
+
+    alone, first = simulate(one), simulate(two)
+
+    np.testing.assert_allclose(first.position_m[:, 0], alone.position_m[:, 0], atol=1e-15)
+    np.testing.assert_array_equal(first.position_m[:, 1], 0.0)
+    np.testing.assert_allclose(first.control_force_N[:, 0], alone.control_force_N[:, 0], atol=1e-9)
+
+
+def radau(settings: ControlSettings, times: np.ndarray) -> np.ndarray:
+    """x of one axis in lasting contact, from the differential equations of docs/control.md and scipy."""
+    scale = settings.stiffness_scale
+    a = scale * np.array([47.42e3, -5.577e6, 0.3804e9])
+    K, tau = scale * 63.62e3, 0.021
+    Md, Bd, Kd, Mh, Bh, Kh, Mt = 1.158, 115.4, 31.46, 1.25, 2.0, 30.0, 2.0
+    B = settings.variant == "B"
+    delta, floor, gamma = settings.disturbance_bound_N(), settings.sigma_floor(), (0.05, 5.0, 50.0)
+    offset, amplitude = 8.0, 4.0
+
+    def slope(t: float, z: np.ndarray) -> list[float]:
+        x, v, xe, ve, s, *th = z
+        push = min(t / 0.5, 1.0) * (offset + amplitude * np.sin(2.0 * np.pi * t))
+        touched = a[0] * xe + a[1] * xe**2 + a[2] * xe**3 + K * s
+        vr = ve + 50.0 * (xe - x)
+        rho = vr - v
+        robust = delta**2 * rho / (delta * abs(rho) + max(5.0 * np.exp(-0.5 * t), floor))
+
+        def command(acceleration: float) -> tuple[float, float, float]:
+            hand = push - Mh * acceleration - Bh * v - Kh * x
+            ar = (hand - touched) / Mt + 50.0 * (ve - v)
+            return th[0] * ar + th[1] * vr + th[2] * x + 100.0 * rho + robust - B * hand, hand, ar
+
+        # what is left of Newton's law is linear in the acceleration: two points give its root
+        def left(acceleration: float) -> float:
+            u = command(acceleration)[0]
+            return (Md + Mh) * acceleration + (Bd + Bh) * v + (Kd + Kh) * x - push - u
+
+        acceleration = -left(0.0) / (left(1.0) - left(0.0))
+        _u, hand, ar = command(acceleration)
+        return [
+            v, acceleration, ve, (hand - touched) / Mt, ve - s / tau,
+            gamma[0] * ar * rho, gamma[1] * vr * rho, gamma[2] * x * rho,
+        ]  # fmt: skip
+
+    start = np.concatenate([np.zeros(5), 0.5 * settings.estimated_truth()])
+    found = solve_ivp(slope, (0.0, times[-1]), start, "Radau", times, rtol=1e-9, atol=1e-13, max_step=2e-3)
+    return np.asarray(found.y[0])
+
+
+@pytest.mark.needs_jit
+@pytest.mark.parametrize("variant", ["A", "B"])
+def test_the_sampled_loop_tends_to_the_solution_of_the_differential_equations(variant: str) -> None:
+    base = ControlSettings(
+        PAPER_A,
+        variant=variant,
+        gains=Gains(projection=False, sigma_floor=0.4),
+        push=Signal((8.0,), (4.0,), (1.0,)),
+        seconds=1.0,
+    )
+    times = np.arange(1000) / 1000.0
+    right = radau(base, times)
+    size = np.sqrt(np.mean(right**2))
+
+    def off(run: ControlRun) -> float:
+        every = round(run.settings.rate_Hz / 1000.0)
+        return float(np.sqrt(np.mean((run.position_m[::every, 0] - right) ** 2)) / size)
+
+    shares = [
+        off(simulate(replace(base, rate_Hz=rate))) for rate in (1000.0, 2000.0, 4000.0, 8000.0, 16000.0)
+    ]
+    fine = [off(simulate(replace(base, continuous_step_s=step))) for step in (1e-4, 2e-5, 5e-6)]
+
+    assert all(later < 0.7 * earlier for earlier, later in pairwise(shares)), shares
+    assert shares[-1] <= 0.01
+    assert fine[0] > fine[-1]
+    assert fine[-1] <= 1e-4
