@@ -86,37 +86,42 @@ class Packed(NamedTuple):
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
 def _law(
-    static: FloatArray,
+    static: tuple[float, float, float, float],
     stiffness: FloatArray,
     z: float,
     move: float,
     decayed: FloatArray,
-    gain: FloatArray,
-    state: FloatArray,
+    gains: FloatArray,
+    i: int,
     k_now: FloatArray,
-) -> tuple[float, float]:
-    """Force, and its slope by z with the states as they are; states and K_j are written."""
-    force = 0.0
-    slope = 0.0
-    for k in range(STATIC_TERMS - 1, -1, -1):
-        slope = slope * z + force
-        force = force * z + static[k]
+) -> tuple[float, float, float]:
+    """Force, its slope by z with the states as they are, and that with the states following; K_j are written.
+
+    ``gains[i]`` are those of the step: a row of its own would be made anew at every knot.
+    """
+    a, b, c, d = static
+    force = a + z * (b + z * (c + z * d))
+    slope = b + z * (2.0 * c + z * 3.0 * d)
+    follow = 0.0
     for j in range(stiffness.shape[0]):
         value = 0.0
         rise = 0.0
         for k in range(stiffness.shape[1] - 1, -1, -1):
             rise = rise * z + value
             value = value * z + stiffness[j, k]
-        state[j] = decayed[j] + gain[j] * move
+        state = decayed[j] + gains[i, j] * move
         k_now[j] = value
-        force += value * state[j]
-        slope += rise * state[j]
-    return force, slope
+        force += value * state
+        slope += rise * state
+        follow += value * gains[i, j]
+    return force, slope, slope + follow
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
-def _coefficients(data: Packed, log: int, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Static (4,) and stiffness coefficients (branches, degree + 1) of one log, by powers of depth."""
+def _coefficients(
+    data: Packed, log: int, theta: FloatArray
+) -> tuple[tuple[float, float, float, float], FloatArray]:
+    """Static (4) and stiffness coefficients (branches, degree + 1) of one log, by powers of depth."""
     gain = np.exp(data.gamma[log])
     static = np.zeros(STATIC_TERMS)
     for k in range(STATIC_TERMS):
@@ -129,12 +134,12 @@ def _coefficients(data: Packed, log: int, theta: FloatArray) -> tuple[FloatArray
     for j in range(data.branches):
         for k in range(size):
             stiffness[j, k] = gain * theta[data.static + j * size + k] * data.scale**-k
-    return static, stiffness
+    return (static[0], static[1], static[2], static[3]), stiffness
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
 def _balanced(
-    static: FloatArray,
+    static: tuple[float, float, float, float],
     stiffness: FloatArray,
     x: float,
     w_old: float,
@@ -142,8 +147,8 @@ def _balanced(
     compliance: float,
     f: float,
     decayed: FloatArray,
-    phi: FloatArray,
-    state: FloatArray,
+    gains: FloatArray,
+    i: int,
     k_now: FloatArray,
 ) -> tuple[float, float, float, float]:
     """Force of a tissue behind a frame, its depth, its slope, and that with the states following.
@@ -151,20 +156,15 @@ def _balanced(
     Started from a force ``f``.  Slopes are those before the last step, which is too small to change them.
     """
     w = x - compliance * f
-    tangent = 0.0
     slope = 0.0
+    tangent = 0.0
     for _ in range(NEWTON_STEPS):
-        law, slope = _law(static, stiffness, w - delta, w - w_old, decayed, phi, state, k_now)
-        tangent = slope
-        for j in range(state.size):
-            tangent += k_now[j] * phi[j]
+        law, slope, tangent = _law(static, stiffness, w - delta, w - w_old, decayed, gains, i, k_now)
         if compliance == 0.0:
             return law, w, slope, tangent
         step = (law - f) / (1.0 + compliance * tangent)
         f += step
         w = x - compliance * f
-        for j in range(state.size):
-            state[j] -= phi[j] * compliance * step
         if abs(step) <= NEWTON_DONE * (1.0 + abs(f)):
             break
     return f, w, slope, tangent
@@ -286,14 +286,15 @@ def tissue_path(
     f = 0.0
     speed = 0.0
     for i in range(last + 1):
-        a, phi = weights[i], gains[i]
         for j in range(branches):
             old[j] = state[j]
-            decayed[j] = a[j] * old[j]
+            decayed[j] = weights[i, j] * old[j]
         w_old = w
         f, w, slope, tangent = _balanced(
-            static, stiffness, depth_mm[i], w_old, delta, compliance, f, decayed, phi, state, k_now
+            static, stiffness, depth_mm[i], w_old, delta, compliance, f, decayed, gains, i, k_now
         )
+        for j in range(branches):
+            state[j] = decayed[j] + gains[i, j] * (w - w_old)
         before = speed
         h = time_s[i] - time_s[i - 1] if i > 0 else 0.0
         if i < last:
@@ -307,16 +308,16 @@ def tissue_path(
         for q in range(total):
             value = row[q] if q < times else 0.0
             for j in range(branches):
-                carried = a[j] * by_state[j, q] - phi[j] * by_depth[q]
+                carried = weights[i, j] * by_state[j, q] - gains[i, j] * by_depth[q]
                 if kind >= RELAXATION and q == times + j:
-                    carried += _by_time(h, tau[j], a[j], phi[j], old[j], w - w_old)
+                    carried += _by_time(h, tau[j], weights[i, j], gains[i, j], old[j], w - w_old)
                 by_state[j, q] = carried
                 value += k_now[j] * carried
             value *= give
             columns[q, i] = value
             moved = -compliance * value
             for j in range(branches):
-                by_state[j, q] += phi[j] * moved
+                by_state[j, q] += gains[i, j] * moved
             by_depth[q] = moved
 
 

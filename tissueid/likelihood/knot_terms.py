@@ -26,15 +26,48 @@ STEPS = (1e-5, 1e-5, 1e-7)
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
-def _times_band(band: FloatArray, v: FloatArray, out: FloatArray) -> None:
-    """Product of a symmetric band matrix with a vector."""
-    n, width = band.shape
+def _times_band(band: FloatArray, begin: int, v: FloatArray, out: FloatArray) -> None:
+    """Product of a symmetric band matrix, that of the log beginning there, with a vector."""
+    n, width = v.size, band.shape[1]
     for k in range(n):
-        out[k] = band[k, 0] * v[k]
+        out[k] = band[begin + k, 0] * v[k]
     for d in range(1, width):
         for k in range(n - d):
-            out[k] += band[k, d] * v[k + d]
-            out[k + d] += band[k, d] * v[k]
+            out[k] += band[begin + k, d] * v[k + d]
+            out[k + d] += band[begin + k, d] * v[k]
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _products(
+    data: Packed, begin: int, y: FloatArray, shown: FloatArray, gram: FloatArray, pull: FloatArray
+) -> float:
+    """Write normal equations of one log; what its sum of squares has more than about the optimum.
+
+    The matrices are too small for BLAS: its calls would cost more than their work.
+    """
+    columns, n = shown.shape
+    change, white = np.empty(n), np.empty(n)
+    for k in range(n):
+        change[k] = y[k] - data.base[begin + k]
+    _times_band(data.band, begin, change, white)
+    more = 0.0
+    for k in range(n):
+        left = data.pull[begin + k] - white[k]
+        more -= change[k] * (data.pull[begin + k] + left)
+        change[k] = left
+    for q in range(columns):
+        _times_band(data.band, begin, shown[q], white)
+        for r in range(q + 1):
+            total = 0.0
+            for k in range(n):
+                total += shown[r, k] * white[k]
+            gram[q, r] = total
+            gram[r, q] = total
+        total = 0.0
+        for k in range(n):
+            total += shown[q, k] * change[k]
+        pull[q] = total
+    return more
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
@@ -91,19 +124,8 @@ def log_terms(
             channel(time_s, rates, none, moved[0], moved[1], other, none)
             for k in range(n):
                 other[k] = (other[k] - y[k]) / STEPS[which]
-        band = data.band[begin:end]
-        change = y - data.base[begin:end]
-        left = np.empty(n)
-        _times_band(band, change, left)
-        left = data.pull[begin:end] - left
         square[log] = data.square[log]
-        for k in range(n):
-            square[log] -= change[k] * (data.pull[begin + k] + left[k])
-        whitened = np.empty((columns, n))
-        for q in range(columns):
-            _times_band(band, shown[q], whitened[q])
-        pull[log] = shown @ left
-        gram[log] = shown @ whitened.T
+        square[log] += _products(data, begin, y, shown, gram[log], pull[log])
     return gram, pull, square
 
 
