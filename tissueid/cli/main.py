@@ -37,6 +37,7 @@ COMMANDS = {
     "synth": "Write synthetic recordings with a known truth.",
     "render": "Feel an identified tissue on a device, or try it on a simulated one.",
     "training": "Measure guided sessions: error, angle, time, smoothness, learning.",
+    "reproduce": "Recompute the two papers this project starts from.",
     "view": "Look at a session in a browser: one that was recorded, or runs elsewhere.",
 }
 

@@ -35,6 +35,7 @@ SCHEMA_NAMES = (
     "outputs",
     "population",
     "quantities",
+    "reproduction",
     "scene",
     "selfcheck",
     "session",

@@ -1,0 +1,124 @@
+"""The page of ``tissueid reproduce``: published beside recomputed, and what stands behind each number.
+
+Self-contained like the report.  Kinds are told apart by word, mark, colour and edge, never by colour alone.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from itertools import groupby
+from typing import Any
+
+from tissueid.report.page import asset, page_environment, plotly_script
+from tissueid.report.wording import Verdict, number
+
+__all__ = ["KINDS", "render_reproduction"]
+
+#: Kind -> class of its look, mark, and what it means.
+KINDS: Mapping[str, tuple[str, str, str]] = {
+    "reproduced": ("reproduced", "✓", "computed from what the paper states, without the number itself"),
+    "round trip": (
+        "round-trip",
+        "↻",
+        "the published number is among the inputs: it comes back because it was put in",
+    ),
+    "assumed": ("assumed", "~", "an input is printed by no paper; change it and the number changes"),
+    "not reproducible": ("lost", "✕", "its inputs are lost or were never printed"),
+}
+#: Significant digits of a recomputed number.
+DIGITS = 5
+
+
+def _value(value: float | Sequence[float] | None) -> str:
+    """A number or a range in words; nothing where there is none."""
+    if value is None:
+        return "–"
+    if isinstance(value, int | float):
+        return number(float(value), DIGITS)
+    return f"{number(value[0], 4)} to {number(value[1], 4)}"
+
+
+def _verdict(items: Sequence[Mapping[str, Any]]) -> Verdict:
+    """What agreeing numbers are worth."""
+    compared = [item for item in items if item["published"] is not None and item["agrees"] is not None]
+    agreeing = Counter(item["kind"] for item in compared if item["agrees"])
+    differing = [item["words"] for item in compared if not item["agrees"]]
+    claims = [item for item in items if item["published"] is None and item["agrees"] is not None]
+    unborne = [item for item in claims if not item["agrees"]]
+    told = ", ".join(f"{agreeing[kind]} {kind}" for kind in KINDS if agreeing[kind]) or "none"
+    text = (
+        f"{len(compared)} printed numbers have a recomputed one beside them; {sum(agreeing.values())} agree "
+        f"({told}). A round trip shows that the method returns what was put in, nothing about the tissue. "
+        f"Of {len(claims)} sentences without a number, {len(unborne)} are not borne out as they stand."
+    )
+    if differing:
+        return Verdict("caution", "Not everything agrees", f"{text} Differing: {'; '.join(differing)}.")
+    return Verdict("note", "Consistent, mostly by construction", text)
+
+
+def _groups(items: Sequence[Mapping[str, Any]]) -> list[tuple[str, list[Mapping[str, Any]]]]:
+    """Rows by table or figure, in the order they came."""
+    return [(where, list(rows)) for where, rows in groupby(items, key=lambda item: item["where"])]
+
+
+def _remarks(item: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """What is said under a row."""
+    said = [
+        ("Decided", item["rule"]),
+        ("Reading", item["reading"]),
+        ("Assumed", "; ".join(item["assumed"]) or None),
+        ("An instrument alone?", item["instrument"]),
+        ("Note", item["note"]),
+    ]
+    return [(name, words) for name, words in said if words]
+
+
+def render_reproduction(document: Mapping[str, Any], *, created: str | None = None) -> str:
+    """Write the page.
+
+    Parameters
+    ----------
+    document : mapping
+        The document of ``schemas/reproduction.schema.json``.
+    created : str, optional
+        Time stamp to print; without it equal input gives an equal page.
+
+    Returns
+    -------
+    str
+        HTML, UTF-8.
+    """
+    papers = [
+        {
+            **paper,
+            "groups": _groups([item for item in document["items"] if item["paper"] == paper["name"]]),
+            "figures": [
+                {**figure, "place": place}
+                for place, figure in enumerate(document["figures"])
+                if figure["paper"] == paper["name"]
+            ],
+        }
+        for paper in document["papers"]
+    ]
+    return (
+        page_environment()
+        .get_template("reproduction.html.j2")
+        .render(
+            title="Two papers, recomputed"
+            if len(papers) > 1
+            else f"{papers[0]['name'].title()} et al., recomputed",
+            run=document,
+            verdict=_verdict(document["items"]),
+            kinds=KINDS,
+            counts=Counter(item["kind"] for item in document["items"]),
+            papers=papers,
+            value=_value,
+            remarks=_remarks,
+            payload={"figures": document["figures"]},
+            created=created,
+            style=asset("page.css") + asset("reproduction.css"),
+            scripts=[asset("boxes.js"), asset("reproduction.js")],
+            plotly=plotly_script(),
+        )
+    )

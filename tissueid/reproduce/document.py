@@ -1,0 +1,111 @@
+"""Everything that is recomputed, as one document."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from tissueid import __version__
+from tissueid.reproduce.hip import guidance_forces, restitutions
+from tissueid.reproduce.identification import identified_table
+from tissueid.reproduce.items import Figure, Item, Kind
+from tissueid.reproduce.published import PIRES, PUBLISHED, SADEGHNEJAD, Published
+from tissueid.reproduce.readings import Readings
+from tissueid.reproduce.recordings import Effort
+from tissueid.reproduce.relaxation import relaxation_tests
+from tissueid.reproduce.specimens import specimen_scatter
+from tissueid.reproduce.speeds import force_displacement, peak_against_speed
+
+__all__ = ["PAPERS", "PAPER_WORDS", "reproduction"]
+
+PAPERS = (SADEGHNEJAD, PIRES)
+PAPER_WORDS: Mapping[str, str] = {
+    SADEGHNEJAD: "Sadeghnejad et al.: Phenomenological Contact Model Characterization and Haptic Simulation of "
+    "an Endoscopic Sinus and Skull Base Surgery Virtual System",
+    PIRES: "Pires et al.: Haptic Positioning Environment for the Hip Resurfacing Surgery",
+}
+#: What of the papers can't be had at all.
+LOST = (
+    "the recordings of either paper",
+    "standard deviations of Fig. 4, and every number on the axes of Figs. 3 to 5",
+    "the coefficients of the static force",
+    "the inputs and the virtual mass of the controller's simulation",
+    "stiffness, surface and scales of the guidance environment",
+)
+
+
+def reproduction(
+    papers: tuple[str, ...],
+    readings: Readings,
+    effort: Effort,
+    numbers: Mapping[str, Published] = PUBLISHED,
+) -> dict[str, Any]:
+    """Recompute papers.
+
+    Parameters
+    ----------
+    papers : tuple of str
+        Of :data:`PAPERS`.
+    readings : Readings
+    effort : Effort
+    numbers : mapping
+        Published numbers.
+
+    Returns
+    -------
+    dict
+        The document of ``schemas/reproduction.schema.json``.
+    """
+    began = time.perf_counter()
+    items: list[Item] = []
+    figures: list[Figure] = []
+    if SADEGHNEJAD in papers:
+        _sinus(items, figures, readings, effort, numbers)
+    if PIRES in papers:
+        effort.progress("Paper B: restitution and guidance")
+        items += restitutions(numbers)
+        _add(items, figures, guidance_forces(readings, numbers))
+    return {
+        "schema": "tissueid/reproduction/1",
+        "tissueid": __version__,
+        "papers": [{"name": name, "words": PAPER_WORDS[name]} for name in papers],
+        "seed": effort.seed,
+        "seconds": time.perf_counter() - began,
+        "readings": readings.as_json(),
+        "items": [item.as_json() for item in items],
+        "figures": [figure.as_json() for figure in figures],
+        "lost": list(LOST),
+    }
+
+
+def _add(items: list[Item], figures: list[Figure], found: tuple[list[Item], Figure]) -> None:
+    items += found[0]
+    figures.append(found[1])
+
+
+def _sinus(
+    items: list[Item],
+    figures: list[Figure],
+    readings: Readings,
+    effort: Effort,
+    numbers: Mapping[str, Published],
+) -> None:
+    """Paper A in the order of its tables and figures."""
+    figures.append(_drawn("figure-1", "Fig. 1: the modified Kelvin-Voigt model", "schematic"))
+    _add(items, figures, relaxation_tests(readings, effort, numbers))
+    _add(items, figures, force_displacement(readings, numbers))
+    _add(items, figures, peak_against_speed(readings, numbers))
+    items += identified_table(readings, effort, numbers)
+    _add(items, figures, specimen_scatter(readings, effort, numbers))
+
+
+def _drawn(key: str, title: str, drawing: str) -> Figure:
+    return Figure(
+        key,
+        SADEGHNEJAD,
+        title,
+        Kind.REPRODUCED,
+        "Drawn from the paper's words; nothing is computed.",
+        drawing=drawing,
+    )

@@ -1,0 +1,181 @@
+"""Paper B: restitution of the contact law, and the two forces of its Fig. 4, by the servo's own kernels."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.model.impact import IMPACT_SIZE, IMPACT_STATE, damping_factor, impact_step, pack_impact
+from tissueid.render import guidance as gd
+from tissueid.render.funnel import hyperboloid_constants
+from tissueid.render.guidance_block import Bone, Funnel, Guidance, Pull
+from tissueid.reproduce.items import Figure, Item, Kind, Trace, near
+from tissueid.reproduce.published import PIRES, PUBLISHED, Ledger, Published
+from tissueid.reproduce.readings import Readings
+
+__all__ = ["guidance_forces", "restitutions"]
+
+FloatArray = NDArray[np.float64]
+
+RESTITUTIONS = (0.3, 0.5, 0.7, 0.9)
+#: A free mass [kg] at this speed [mm/s] on a Hertz contact [N/mm^1.5], in steps [s] that converge to 1 %.
+MASS_KG, SPEED_MM_S, STIFFNESS, EXPONENT, STEP_S = 0.6, 200.0, 600.0, 1.5, 2e-6
+MOST_STEPS = 1_000_000
+#: Heights above the entry point [mm] and radial errors [mm] of the sweep.
+HEIGHTS_MM = (40.0, 20.0, 10.0, 0.0)
+MOST_ERROR_MM, SWEEP = 20.0, 201
+#: A sweep as slow as this shows the springs and not the damper [s a step].
+SLOW_STEP_S = 10.0
+
+
+def restitutions(numbers: Mapping[str, Published] = PUBLISHED) -> list[Item]:
+    """Speed after a drop over that before it, under the law as printed.
+
+    Parameters
+    ----------
+    numbers : mapping
+    """
+    items = []
+    for asked in RESTITUTIONS:
+        ledger = Ledger(PIRES, numbers)
+        ledger.read("8 (1 - e) / (5 e) multiplies v / v0, the speed at contact")
+        mass = ledger.assume(
+            f"a free mass of {MASS_KG} kg at {SPEED_MM_S:g} mm/s on {STIFFNESS:g} N/mm^{EXPONENT}", MASS_KG
+        )
+        items.append(
+            ledger.item(
+                f"restitution/{asked}",
+                _after_drop(damping_factor(asked), mass),
+                words=f"Restitution reached where e = {asked} is asked for",
+                where="Equation (1)",
+                note="below what is asked for: the factor as printed holds for e near 1; mass, stiffness and "
+                "speed do not enter",
+            )
+        )
+    return items
+
+
+def _after_drop(chi: float, mass_kg: float) -> float:
+    """Speed of a free mass after the contact over that before it, by velocity Verlet."""
+    law, memory = np.empty(IMPACT_SIZE), np.zeros(IMPACT_STATE)
+    pack_impact(STIFFNESS, EXPONENT, chi, law, 0, slowest_mm_s=1.0)
+    depth, speed, force = -2.0 * SPEED_MM_S * STEP_S, SPEED_MM_S, 0.0
+    # N over kg in mm/s2: a thousand, halved by the rule
+    push = 500.0 / mass_kg * STEP_S
+    for _ in range(MOST_STEPS):
+        depth += STEP_S * (speed - push * force)
+        after = impact_step(law, 0, memory, 0, depth, STEP_S)
+        speed -= push * (force + after)
+        force = after
+        if depth < 0.0 and speed < 0.0:
+            break
+    return -speed / SPEED_MM_S
+
+
+def guidance_forces(
+    readings: Readings, numbers: Mapping[str, Published] = PUBLISHED
+) -> tuple[list[Item], Figure]:
+    """Fig. 4: force of the impedance and of the surface against radial error, at four heights.
+
+    Parameters
+    ----------
+    readings : Readings
+    numbers : mapping
+    """
+    ledger = Ledger(PIRES, numbers)
+    ledger.read(readings.words("surface"))
+    kind = cast("Literal['hyperboloid', 'cone']", readings.surface)
+    plan = ledger.assume(
+        "surface, stiffness and reach of the guidance: those of the scene hip-resurfacing, without bone",
+        Guidance(entry_m=(0.0, 0.0, 0.0), funnel=Funnel(kind=kind), bone=Bone(radius_m=0.0)),
+    )
+    error = np.linspace(0.0, MOST_ERROR_MM, SWEEP)
+    swept = {height: _sweep(plan, height, error) for height in HEIGHTS_MM}
+    traces = []
+    for name, column in (("impedance", 0), ("surface", 1)):
+        for height in HEIGHTS_MM:
+            force = tuple(round(float(value), 5) for value in swept[height][:, column])
+            style = "line" if column == 0 else "dash"
+            traces.append(Trace(f"{name}, {height:g} mm", tuple(float(e) for e in error), force, style))
+    slopes = [float(swept[height][1, 0] / (1e-3 * error[1])) for height in HEIGHTS_MM]
+    inside = max(
+        float(pushed[_within(plan, height, error), 1].max(initial=0.0)) for height, pushed in swept.items()
+    )
+    items = [
+        ledger.claim(
+            "guidance/steeper",
+            "The stiffness rises as the axial displacement falls: least rise from height to height",
+            "Section III",
+            float(np.diff(slopes).min()),
+            lambda least: least > 0.0,
+            "greater than zero",
+            unit="N/m",
+        ),
+        ledger.claim(
+            "guidance/free-inside",
+            "No contact, no force of the surface: largest force within it",
+            "Section III",
+            inside,
+            lambda force: force == 0.0,
+            "zero",
+            unit="N",
+        ),
+        _time_constant(numbers),
+    ]
+    figure = Figure(
+        "paper-b-figure-4",
+        PIRES,
+        "Fig. 4: impedance and surface force against radial error",
+        Kind.ASSUMED,
+        f"Shape only, stiffness and surface are not printed. {readings.words('surface').capitalize()}.",
+        "Radial error [mm]",
+        "Force [N]",
+        tuple(traces),
+    )
+    return items, figure
+
+
+def _sweep(plan: Guidance, height_mm: float, error_mm: FloatArray) -> FloatArray:
+    """Forces of pull and wall at radial errors of one height, moved slowly, shape (errors, 2) [N]."""
+    block, memory = plan.numbers(), np.zeros(gd.GUIDANCE_MEMORY)
+    force, said = np.zeros(3), np.zeros(gd.SAID_SIZE)
+    found = np.empty((error_mm.size, 2))
+    for k, error in enumerate(error_mm):
+        position = np.array([1e-3 * error, 0.0, 1e-3 * height_mm])
+        gd.guidance_step(block, 0, memory, position, SLOW_STEP_S, force, said, 0)
+        found[k] = said[gd.SAID_PULL_N], said[gd.SAID_WALL_N]
+    return found
+
+
+def _within(plan: Guidance, height_mm: float, error_mm: FloatArray) -> NDArray[np.bool_]:
+    """Radial errors on the free side of the surface, by its closed form."""
+    funnel, z = plan.funnel, 1e-3 * height_mm
+    if funnel.kind == "cone":
+        radius = funnel.slope * (z + funnel.offset_m)
+    else:
+        throat, offset, opening = hyperboloid_constants(funnel.radius_m, funnel.offset_m, funnel.slope)
+        radius = throat * np.hypot(1.0, (z + offset) / opening)
+    return np.asarray(1e-3 * error_mm < radius)
+
+
+def _time_constant(numbers: Mapping[str, Published]) -> Item:
+    """Damping over stiffness of the pull, from its force at rest and in steady motion."""
+    ledger = Ledger(PIRES, numbers)
+    plan = Guidance(
+        entry_m=(0.0, 0.0, 0.0),
+        pull=Pull(tau_s=ledger.printed("guidance/tau"), filter_s=0.0),
+        bone=Bone(radius_m=0.0),
+    )
+    block, memory = plan.numbers(), np.zeros(gd.GUIDANCE_MEMORY)
+    force, said = np.zeros(3), np.zeros(gd.SAID_SIZE)
+    # off by two millimetres within the surface, and out at 10 mm/s
+    gd.guidance_step(block, 0, memory, np.array([2e-3, 0.0, 0.02]), 1e-3, force, said, 0)
+    at_rest = said[gd.SAID_PULL_N]
+    gd.guidance_step(block, 0, memory, np.array([2.01e-3, 0.0, 0.02]), 1e-3, force, said, 0)
+    stiffness = at_rest / 2e-3
+    return ledger.item(
+        "guidance/tau", float((said[gd.SAID_PULL_N] / stiffness - 2.01e-3) / 0.01), judge=near(1e-6, "s")
+    )

@@ -1,0 +1,230 @@
+"""Rows and figures of a comparison with a paper."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+__all__ = ["Figure", "Item", "Judgement", "Kind", "Trace", "near", "overlaps", "rounded", "within_interval"]
+
+Value = float | tuple[float, float]
+Interval = tuple[float, float] | None
+
+
+class Kind(StrEnum):
+    """What stands behind a recomputed number."""
+
+    #: Computed from what the paper states, without the number itself.
+    REPRODUCED = "reproduced"
+    #: The number itself, or what was made from it, is among the inputs.
+    ROUND_TRIP = "round trip"
+    #: An input is printed by no paper.
+    ASSUMED = "assumed"
+    #: Its inputs are lost, or were never printed.
+    NOT_REPRODUCIBLE = "not reproducible"
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """How agreement is decided, in words and as a function of (published, recomputed, interval)."""
+
+    words: str
+    holds: Callable[[Value, Value, Interval], bool]
+
+
+def near(tolerance: float, unit: str) -> Judgement:
+    """Within a tolerance."""
+
+    def holds(published: Value, recomputed: Value, _interval: Interval) -> bool:
+        return abs(_single(published) - _single(recomputed)) <= tolerance
+
+    return Judgement(f"within {tolerance:g} {unit}".rstrip(), holds)
+
+
+def within_interval() -> Judgement:
+    """The published number lies in the interval of the recomputed one."""
+
+    def holds(published: Value, _recomputed: Value, interval: Interval) -> bool:
+        return interval is not None and interval[0] <= _single(published) <= interval[1]
+
+    return Judgement("the published number lies inside the 99 % interval", holds)
+
+
+def overlaps() -> Judgement:
+    """Two ranges share something: they are consistent, which is no proof."""
+
+    def holds(published: Value, recomputed: Value, _interval: Interval) -> bool:
+        (low, high), (least, most) = _pair(published), _pair(recomputed)
+        return low <= most and least <= high
+
+    return Judgement("the ranges overlap (consistent with, no more)", holds)
+
+
+def rounded(digits: int) -> Judgement:
+    """Equal once rounded as it is printed."""
+
+    def holds(published: Value, recomputed: Value, _interval: Interval) -> bool:
+        return round(_single(recomputed), digits) == round(_single(published), digits)
+
+    return Judgement(f"equal when rounded to {digits} decimals", holds)
+
+
+def _single(value: Value) -> float:
+    if isinstance(value, tuple):
+        msg = "a range can't be judged as a number"
+        raise TypeError(msg)
+    return value
+
+
+def _pair(value: Value) -> tuple[float, float]:
+    return value if isinstance(value, tuple) else (value, value)
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """One row: published beside recomputed.
+
+    Attributes
+    ----------
+    item : str
+        Stable key, as ``table-1/tau-2mm``.
+    paper : str
+    where : str
+        Table, figure or section of the paper.
+    words, unit : str
+    published : float, tuple of float or None
+        ``None`` where the paper prints no number.
+    recomputed : float, tuple of float or None
+    interval : tuple of float or None
+        99 % interval.
+    agrees : bool or None
+        ``None`` where there is nothing to compare.
+    kind : Kind
+    rule : str or None
+        How agreement was decided.
+    reading : str or None
+        Interpretations of lost equations it rests on.
+    inputs : tuple of str
+        Published numbers that it was computed from.
+    assumed : tuple of str
+        Inputs that no paper prints.
+    instrument : str or None
+        Could an instrument alone give this?
+    note : str or None
+    """
+
+    item: str
+    paper: str
+    where: str
+    words: str
+    unit: str
+    published: Value | None
+    recomputed: Value | None
+    interval: Interval
+    agrees: bool | None
+    kind: Kind
+    rule: str | None
+    reading: str | None
+    inputs: tuple[str, ...]
+    assumed: tuple[str, ...]
+    instrument: str | None
+    note: str | None
+
+    def as_json(self) -> dict[str, Any]:
+        """The ``items`` object of ``schemas/reproduction.schema.json``."""
+        return {
+            "item": self.item,
+            "paper": self.paper,
+            "where": self.where,
+            "words": self.words,
+            "unit": self.unit,
+            "published": _listed(self.published),
+            "recomputed": _listed(self.recomputed),
+            "interval": _listed(self.interval),
+            "agrees": self.agrees,
+            "kind": str(self.kind),
+            "rule": self.rule,
+            "reading": self.reading,
+            "inputs": list(self.inputs),
+            "assumed": list(self.assumed),
+            "instrument": self.instrument,
+            "note": self.note,
+        }
+
+
+def _listed(value: Value | None) -> float | list[float] | None:
+    return list(value) if isinstance(value, tuple) else value
+
+
+@dataclass(frozen=True, slots=True)
+class Trace:
+    """One line of a figure.
+
+    Attributes
+    ----------
+    name : str
+    x, y : tuple of float
+    style : {"line", "dash", "points"}
+    band : tuple of two tuples, or None
+        Lower and upper edge beside y.
+    """
+
+    name: str
+    x: tuple[float, ...]
+    y: tuple[float, ...]
+    style: str = "line"
+    band: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """The ``traces`` object of the schema."""
+        band = None if self.band is None else {"low": list(self.band[0]), "high": list(self.band[1])}
+        return {"name": self.name, "x": list(self.x), "y": list(self.y), "style": self.style, "band": band}
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """A figure of a paper, drawn again.
+
+    Attributes
+    ----------
+    key : str
+        As ``figure-2``.
+    paper, title : str
+    kind : Kind
+    caption : str
+        What was computed from what, and what can't be read off it.
+    x_title, y_title : str
+    traces : tuple of Trace
+        Empty for a drawing.
+    drawing : str or None
+        Name of a drawing of the page: a schematic or a block diagram.
+    x_log : bool
+    """
+
+    key: str
+    paper: str
+    title: str
+    kind: Kind
+    caption: str
+    x_title: str = ""
+    y_title: str = ""
+    traces: tuple[Trace, ...] = ()
+    drawing: str | None = None
+    x_log: bool = False
+
+    def as_json(self) -> dict[str, Any]:
+        """The ``figures`` object of the schema."""
+        return {
+            "key": self.key,
+            "paper": self.paper,
+            "title": self.title,
+            "kind": str(self.kind),
+            "caption": self.caption,
+            "x_title": self.x_title,
+            "y_title": self.y_title,
+            "x_log": self.x_log,
+            "traces": [trace.as_json() for trace in self.traces],
+            "drawing": self.drawing,
+        }

@@ -1,0 +1,231 @@
+"""Figs. 3 and 4: force against displacement and peak force against speed, and the sentences about them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from tissueid.reproduce.items import Figure, Item, Kind, Trace
+from tissueid.reproduce.published import PUBLISHED, SADEGHNEJAD, Ledger, Published
+from tissueid.reproduce.readings import Readings
+from tissueid.reproduce.tissue import DEPTHS_MM, SPEEDS_MM_MIN, Tissue, cubic_through_peaks, read_branch
+
+__all__ = ["force_displacement", "peak_against_speed", "rupture_force"]
+
+FloatArray = NDArray[np.float64]
+
+#: A static curve whose tangent exceeds its secant, in place of the lost coefficients [N/mm3].
+HARDENING = (0.0, 0.0, 0.43)
+#: Depth at which a tissue that is indented infinitely slowly ruptures [mm].
+RUPTURE_DEPTH_MM = 6.0
+#: Weight of the branch's force in the weighted-force criterion.
+BRANCH_WEIGHT = 1.5
+#: Steps of depth in the integral of work, and of the drawn curves.
+STEPS = 4000
+DRAWN = 161
+
+
+def force_displacement(
+    readings: Readings, numbers: Mapping[str, Published] = PUBLISHED
+) -> tuple[list[Item], Figure]:
+    """Fig. 3: six speeds to 8 mm, and whether force grows with speed.
+
+    Parameters
+    ----------
+    readings : Readings
+    numbers : mapping
+    """
+    ledger = Ledger(SADEGHNEJAD, numbers)
+    branch = read_branch(ledger, readings)
+    tissue = Tissue(cubic_through_peaks(ledger, branch), branch)
+    depth = np.linspace(0.0, float(DEPTHS_MM[-1]), DRAWN)
+    curves = np.array([tissue.force(depth, speed) for speed in SPEEDS_MM_MIN])
+    items = [
+        ledger.item(
+            f"figure-3/increment-{speed:.0f}",
+            float(curve[-1] - curves[0, -1]),
+            words=f"Force at 8 mm and {speed:.0f} mm/min above that at 10 mm/min",
+            unit="N",
+            where="Fig. 3",
+            note="the paper prints no numbers on the axes of this figure",
+        )
+        for speed, curve in zip(SPEEDS_MM_MIN[1:], curves[1:], strict=True)
+    ]
+    items.append(
+        ledger.claim(
+            "figure-3/grows",
+            "Force at a given displacement grows with speed: least growth from speed to speed, from 1 mm on",
+            "Section IV.A",
+            float(np.diff(curves[:, depth >= 1.0], axis=0).min()),
+            lambda least: least > 0.0,
+            "greater than zero everywhere",
+            unit="N",
+        )
+    )
+    traces = tuple(
+        Trace(f"{speed:.0f} mm/min", _rounded(depth), _rounded(curve))
+        for speed, curve in zip(SPEEDS_MM_MIN, curves, strict=True)
+    )
+    caption = (
+        "A cubic through the peaks of Table 1, less what the branch carries (residuals up to 8 N: the peaks "
+        "come from different specimens or places), and the branch of Table 2, by equation (7)."
+    )
+    figure = Figure(
+        "figure-3",
+        SADEGHNEJAD,
+        "Fig. 3: force against displacement, six speeds",
+        Kind.REPRODUCED,
+        caption,
+        "Displacement [mm]",
+        "Force [N]",
+        traces,
+    )
+    return items, figure
+
+
+def rupture_force(tissue: Tissue, speed_mm_min: float, criterion: str, slow_depth_mm: float) -> float:
+    """Force at which a tissue ruptures that would, infinitely slowly, rupture at a given depth [N].
+
+    Parameters
+    ----------
+    tissue : Tissue
+    speed_mm_min : float
+    criterion : str
+        A choice of the reading ``criterion``: work by integral of F dx; weighted force ``F_s + 1.5 F_d``;
+        stored energy ``U_s + integral of K (y - x_d) dy``; depth.
+    slow_depth_mm : float
+
+    Notes
+    -----
+    No criterion follows from the model: equation (7) alone lets force grow with speed at any depth.
+    """
+    deepest = 2.0 * slow_depth_mm
+    depth = np.linspace(0.0, deepest, STEPS + 1)
+    slow = _static(tissue, depth)
+    force = tissue.force(depth, speed_mm_min)
+    if criterion == "depth":
+        return float(np.interp(slow_depth_mm, depth, force))
+    if criterion == "work":
+        load, level = _integral(force, depth), np.interp(slow_depth_mm, depth, _integral(slow, depth))
+    elif criterion == "weighted-force":
+        load = slow + BRANCH_WEIGHT * (force - slow)
+        level = np.interp(slow_depth_mm, depth, slow)
+    else:
+        load = _integral(slow, depth) + _stored_in_branch(tissue, depth, speed_mm_min)
+        level = np.interp(slow_depth_mm, depth, _integral(slow, depth))
+    at = brentq(lambda x: float(np.interp(x, depth, load)) - level, 0.0, deepest)
+    return float(np.interp(at, depth, force))
+
+
+def _static(tissue: Tissue, depth: FloatArray) -> FloatArray:
+    return np.asarray(tissue.model.static_force(tissue.theta, depth))
+
+
+def _integral(values: FloatArray, depth: FloatArray) -> FloatArray:
+    steps = 0.5 * (values[1:] + values[:-1]) * np.diff(depth)
+    return np.concatenate(([0.0], np.cumsum(steps)))
+
+
+def _stored_in_branch(tissue: Tissue, depth: FloatArray, speed_mm_min: float) -> FloatArray:
+    """Integral of K(y) (y - x_d) from x_d to x [N mm], what the law stores with K outside."""
+    length = speed_mm_min / 60.0 * tissue.branch.tau_s
+    extension = -length * np.expm1(-depth / length)
+    behind = depth - extension
+    total = np.zeros_like(depth)
+    for power, k in enumerate(tissue.branch.stiffness):
+        # antiderivative of k y^power (y - x_d)
+        total += k * (
+            (depth ** (power + 2) - behind ** (power + 2)) / (power + 2)
+            - behind * (depth ** (power + 1) - behind ** (power + 1)) / (power + 1)
+        )
+    return total
+
+
+def peak_against_speed(
+    readings: Readings, numbers: Mapping[str, Published] = PUBLISHED
+) -> tuple[list[Item], Figure]:
+    """Fig. 4 under the chosen criterion, for two static curves, and the sentence that (7) predicts a fall.
+
+    Parameters
+    ----------
+    readings : Readings
+    numbers : mapping
+    """
+    items: list[Item] = []
+    traces: list[Trace] = []
+    for name, words in (("hardening", "0.43 x^3"), ("table-1", "cubic through Table 1")):
+        ledger = Ledger(SADEGHNEJAD, numbers)
+        branch = read_branch(ledger, readings)
+        ledger.read(readings.words("criterion"))
+        static = (
+            ledger.assume(f"static curve {words} N", HARDENING)
+            if name == "hardening"
+            else cubic_through_peaks(ledger, branch)
+        )
+        slow = ledger.assume("rupture at 6 mm when indented infinitely slowly", RUPTURE_DEPTH_MM)
+        tissue = Tissue(static, branch)
+        peaks = [rupture_force(tissue, speed, readings.criterion, slow) for speed in SPEEDS_MM_MIN]
+        for speed, peak in ((SPEEDS_MM_MIN[0], peaks[0]), (SPEEDS_MM_MIN[-1], peaks[-1])):
+            items.append(
+                ledger.item(
+                    f"figure-4/{name}-{speed:.0f}",
+                    peak,
+                    words=f"Peak force at {speed:.0f} mm/min, {words}",
+                    unit="N",
+                    where="Fig. 4",
+                    note="the paper prints no numbers on the axes of this figure",
+                )
+            )
+        items.append(
+            ledger.claim(
+                f"figure-4/{name}-falls",
+                f"Peak force falls with speed, {words}: from 10 to 500 mm/min it changes by",
+                "Section IV.A",
+                peaks[-1] - peaks[0],
+                lambda change: change < 0.0,
+                "less than zero",
+                unit="N",
+            )
+        )
+        traces.append(Trace(words, SPEEDS_MM_MIN, _rounded(np.array(peaks))))
+    items.append(_by_seven(readings, numbers))
+    figure = Figure(
+        "figure-4",
+        SADEGHNEJAD,
+        "Fig. 4: peak force against speed",
+        Kind.ASSUMED,
+        f"Reading: {readings.words('criterion')}. Under constant work the static curve decides: the peak "
+        "falls where the tangent stiffness exceeds the secant at rupture (x F_s'/F > 1). Constant work contradicts "
+        "the model's own source, by which the absorbed energy falls with speed.",
+        "Speed [mm/min]",
+        "Peak force [N]",
+        tuple(traces),
+    )
+    return items, figure
+
+
+def _by_seven(readings: Readings, numbers: Mapping[str, Published]) -> Item:
+    """What (7) alone says of a peak at a fixed depth."""
+    ledger = Ledger(SADEGHNEJAD, numbers)
+    branch = read_branch(ledger, readings)
+    tissue = Tissue(cubic_through_peaks(ledger, branch), branch)
+    slow, fast = (tissue.force(np.array([RUPTURE_DEPTH_MM]), SPEEDS_MM_MIN[k])[0] for k in (0, -1))
+    return ledger.claim(
+        "figure-4/by-equation-7",
+        "Average maximum force is a decreasing function of velocity, as predicted by (7): at 6 mm, from 10 "
+        "to 500 mm/min, (7) changes the force by",
+        "Section IV.A",
+        float(fast - slow),
+        lambda change: change < 0.0,
+        "less than zero",
+        unit="N",
+        note="equation (7) alone lets force grow with speed at every depth; a fall needs a criterion of "
+        "rupture, and under constant work a static curve that hardens",
+    )
+
+
+def _rounded(values: FloatArray) -> tuple[float, ...]:
+    return tuple(round(float(value), 4) for value in values)
