@@ -123,7 +123,7 @@ def _copy(source: FloatArray, target: FloatArray) -> None:
 def continuous_room(
     axes: int, start: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, tuple[FloatArray, ...]]:
-    """Room of a run: motions, forces, inertias, regressor; estimates and tissue with their trials, at rest."""
+    """Room of a run: motions, forces, inertias, regressor; estimates and tissue, each with its trials."""
     return (
         np.zeros((4, MOTION_ROWS, axes)),
         np.zeros((FORCE_ROWS, axes)),

@@ -62,7 +62,7 @@ class Mechanics:
     @property
     def axes(self) -> int:
         """How many axes, n."""
-        return self.mass_kg.shape[0]
+        return len(self.mass_kg)
 
     def parameters(self) -> FloatArray:
         """Upper triangles of the three, row by row, shape (3 n (n + 1) / 2,)."""

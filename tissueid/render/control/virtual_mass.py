@@ -83,7 +83,7 @@ def check_virtual_mass(settings: ControlSettings) -> float:
     if settings.continuous_step_s is None and not settings.unchecked and settings.tool.mass_kg <= bound:
         hand = float(np.linalg.eigvalsh(settings.operator.mass_kg)[-1])
         msg = (
-            f"a virtual mass of {settings.tool.mass_kg:.3g} kg is unstable: the sampled force sensor feeds the "
+            f"a virtual mass of {settings.tool.mass_kg:.3g} kg is unstable: the sampled force feeds the "
             f"inertia of the hand ({hand:.3g} kg) back, which variant {settings.variant} bears from "
             f"{bound:.3g} kg on; take {MARGIN * bound:.3g} kg or more (--virtual-mass)"
         )

@@ -1,0 +1,317 @@
+"""What the sampled loop does: tracking, hard impacts, the virtual mass, many hands and tissues."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tissueid.errors import UsageError
+from tissueid.model import KelvinVoigt
+from tissueid.model.polynomial import from_coordinates
+from tissueid.render.control import (
+    ControlRun,
+    ControlSettings,
+    Gains,
+    Mechanics,
+    PlanarArm,
+    Signal,
+    VirtualTool,
+    simulate,
+)
+from tissueid.render.control.measures import measured
+from tissueid.render.control.virtual_mass import turn_multiplier, virtual_mass_bound
+from tissueid.render.presets import preset_tissue
+from tissueid.render.tissue_block import Tissue
+
+PAPER_A = preset_tissue("paper-a")
+M_D, M_H = 1.158, 1.25
+SCALES = [1.0, 100.0]
+
+
+def table_3(variant: str, scale: float = 1.0) -> ControlSettings:
+    return ControlSettings(PAPER_A, variant=variant, stiffness_scale=scale)
+
+
+@pytest.mark.needs_jit
+@pytest.mark.parametrize("scale", SCALES)
+@pytest.mark.parametrize(("variant", "bar_mm"), [("A", 0.30), ("B", 0.003)])
+def test_sustained_contact_is_tracked_whatever_the_stiffness(
+    variant: str, bar_mm: float, scale: float
+) -> None:
+    found = measured(simulate(table_3(variant, scale).task("sustained")))
+
+    assert found.diverged_s is None
+    assert found.error_rms_mm <= bar_mm
+    # the hand presses with 20 N and this is what the tissue gives back, less what moves hand and tool
+    assert found.environment_force_max_N == pytest.approx(20.0, rel=0.01)
+
+
+@pytest.mark.needs_jit
+@pytest.mark.parametrize("scale", SCALES)
+def test_free_motion_and_contact_in_turn_are_tracked(scale: float) -> None:
+    run = simulate(replace(table_3("B", scale).task("free-contact"), seconds=20.0))
+
+    assert measured(run).error_rms_mm <= 0.35
+    assert run.tool_position_m.min() < -0.01
+    assert run.environment_force_N.max() > 4.0
+
+
+@pytest.mark.needs_jit
+def test_learning_halves_the_error_where_the_robust_term_does_not_cover_the_dynamics() -> None:
+    settings = replace(
+        table_3("B"),
+        gains=Gains(adaptation=(5.0, 500.0, 5000.0), disturbance_bound_N=1.0, damping_N_s_per_m=20.0),
+        start_estimates=np.zeros(3),
+        push=Signal((2.0,), (3.0,), (1.0,)),
+        # within what the robust term covers
+        disturbance=Signal((0.0,), (0.5,), (3.0,)),
+    )
+
+    adaptive, frozen = simulate(settings), simulate(settings.frozen())
+
+    assert measured(adaptive).error_rms_mm <= 0.5 * measured(frozen).error_rms_mm
+    np.testing.assert_array_equal(frozen.estimates, 0.0)
+    # it learns towards the device: its damping, where most of the force is
+    assert 20.0 < adaptive.estimates[-1, 1] <= 2.0 * 115.4
+
+
+@pytest.mark.needs_jit
+@pytest.mark.parametrize("variant", ["A", "B"])
+@pytest.mark.parametrize("scale", SCALES)
+def test_the_bound_of_the_proof_is_broken_by_sampling_and_v_stays_bounded(
+    variant: str, scale: float
+) -> None:
+    found = measured(simulate(replace(table_3(variant, scale).task("free-contact"), seconds=20.0)))
+
+    # the sensor's sample is one tick old, and contact begins within a tick: in variant A a robust term of 25 N
+    # hides it on soft tissue, elsewhere V' is above its bound after few ticks, by much where tissue is stiff
+    print(f"{variant} x{scale:g}: V' broken after {found.violated_share:.2%}, {found.violation_max_W:.3g} W")
+    assert found.violated_share < 0.01
+    assert (found.violation_max_W > 0.0) == (variant == "B" or scale > 1.0)
+    assert found.violation_max_W < 100.0
+    assert found.lyapunov_max <= 1.01 * found.lyapunov_start
+
+
+@pytest.mark.needs_jit
+def test_the_bound_of_the_proof_holds_where_nothing_is_sampled() -> None:
+    settings = replace(
+        table_3("A"), continuous_step_s=5e-6, rate_Hz=2e5, seconds=1.0, gains=Gains(sigma_start=2.0)
+    )
+
+    assert measured(simulate(settings)).violated_share == 0.0
+
+
+@pytest.mark.needs_jit
+def test_hard_impacts_on_stiff_tissue_are_bounded_with_projection_and_diverge_without() -> None:
+    hard = replace(table_3("A", 100.0).task("impacts"), seconds=20.0, sensor_noise_N=0.05, seed=3)
+
+    kept = simulate(hard)
+    lost = simulate(replace(hard, gains=Gains(projection=False)))
+
+    assert kept.diverged_s is None
+    assert measured(kept).error_max_mm < 20.0
+    assert lost.diverged_s is not None
+    bounds = hard.estimate_bounds()
+    assert (kept.estimates >= bounds[0]).all()
+    assert (kept.estimates <= bounds[1]).all()
+
+
+def test_the_bound_of_the_virtual_mass_has_its_closed_forms() -> None:
+    assert virtual_mass_bound(table_3("A")) == pytest.approx(M_H, rel=1e-9)
+    assert virtual_mass_bound(table_3("B")) == pytest.approx(M_D * M_H / (M_D + 2.0 * M_H), rel=1e-9)
+    # a wrong estimate moves it in proportion
+    assert virtual_mass_bound(table_3("A"), estimate=1.25) == pytest.approx(1.25 * M_H, rel=1e-9)
+    assert turn_multiplier(table_3("A"), 2.0) == pytest.approx(M_H / 2.0, rel=1e-9)
+    massless = replace(table_3("B"), operator=Mechanics(0.0, 2.0, 30.0))
+    assert virtual_mass_bound(massless) == 0.0
+    # of several axes that don't mix the worst counts
+    two = ControlSettings(
+        PAPER_A,
+        variant="A",
+        device=Mechanics(np.diag([1.0, 2.0]), np.eye(2), np.eye(2)),
+        operator=Mechanics(np.diag([0.5, 1.7]), np.eye(2), np.eye(2)),
+    )
+    assert virtual_mass_bound(two) == pytest.approx(1.7, rel=1e-9)
+
+
+@pytest.mark.needs_jit
+@pytest.mark.parametrize(("variant", "bound_kg"), [("A", M_H), ("B", M_D * M_H / (M_D + 2.0 * M_H))])
+def test_below_the_bound_a_loop_is_refused_and_would_be_unstable(variant: str, bound_kg: float) -> None:
+    # from th = truth: from smaller estimates the same loop may look stable for a while
+    settings = table_3(variant)
+    settings = replace(settings, start_estimates=settings.estimated_truth(), seconds=6.0)
+    light = replace(settings, tool=VirtualTool(0.96 * bound_kg))
+
+    with pytest.raises(UsageError, match=rf"virtual mass of .* take {1.5 * bound_kg:.3g} kg or more"):
+        simulate(light)
+
+    assert simulate(replace(light, unchecked=True)).diverged_s is not None
+    assert simulate(replace(settings, tool=VirtualTool(1.5 * bound_kg))).diverged_s is None
+
+
+@pytest.mark.needs_jit
+def test_a_tool_that_is_stepped_once_a_tick_is_unstable_on_stiff_tissue() -> None:
+    # omega T = sqrt(100 x 111e3 / 2) x 1 ms = 2.36 > 2; 20 sub-steps are taken where none are given
+    hard = table_3("B", 100.0).task("sustained")
+    coarse = simulate(replace(hard, substeps=1, seconds=3.0))
+    # the tool bounces and makes energy: the tissue is hit with far more than the hand's 20 N
+    assert coarse.environment_force_N.max() > 40.0
+    fine = simulate(replace(hard, seconds=3.0))
+    assert fine.environment_force_N.max() < 21.0
+    assert hard.tool_substeps() >= 20
+    assert replace(hard, stiffness_scale=1e4).tool_substeps() > 100
+
+
+@pytest.mark.needs_jit
+def test_a_saturated_control_force_never_passes_its_limit() -> None:
+    settings = replace(table_3("B").task("free-contact"), gains=Gains(saturation_N=60.0), seconds=8.0)
+    weak = replace(settings, gains=Gains(saturation_N=8.0))
+
+    found, limited = measured(simulate(settings)), measured(simulate(weak))
+
+    assert found.control_force_max_N <= 60.0 * (1.0 + 1e-12)
+    assert found.error_rms_mm < 0.35
+    assert limited.control_force_max_N == pytest.approx(8.0, rel=1e-12)
+    assert limited.saturated_share > 0.01
+
+
+@pytest.mark.needs_jit
+def test_sigma_below_its_floor_chatters() -> None:
+    settings = replace(table_3("A"), seconds=14.0)
+    floor = settings.chatter_floor()
+    assert floor == pytest.approx(25.0**2 * 1e-3 / (2.0 * (M_D + M_H) - 0.1), rel=1e-12)
+
+    def jumps(run: ControlRun) -> float:
+        return float(np.sqrt(np.mean(np.diff(run.control_force_N[-5000:, 0]) ** 2)))
+
+    below = simulate(replace(settings, gains=Gains(sigma_floor=0.2 * floor)))
+    above = simulate(settings)
+
+    assert settings.sigma_floor() == pytest.approx(3.0 * floor)
+    assert jumps(below) > 50.0 * jumps(above)
+
+
+@pytest.mark.needs_jit
+def test_an_impedance_type_environment_is_felt_and_bears_less_stiffness() -> None:
+    """As the source of the controller has it: admittance renders markedly stiffer contacts."""
+    base = replace(table_3("B"), environment="impedance", tool=VirtualTool(2.0, 60.0), seconds=6.0)
+
+    found = measured(simulate(base))
+    # the device follows the velocity of the virtual tool, and the tissue carries the push
+    assert found.velocity_error_rms_mm_s < 0.5
+    assert found.environment_force_max_N == pytest.approx(20.0, rel=0.01)
+
+    bouncing = simulate(replace(base, stiffness_scale=100.0))
+    steady = simulate(replace(base, stiffness_scale=100.0, environment="admittance"))
+    assert steady.environment_force_N.max() == pytest.approx(20.0, rel=0.05)
+    assert bouncing.environment_force_N.max() > 50.0 * steady.environment_force_N.max()
+
+
+@pytest.mark.needs_jit
+def test_an_arm_in_the_plane_presses_and_slides() -> None:
+    arm = PlanarArm((0.30, 0.25), (0.20, 0.06, 0.05), (0.35, 0.20))
+    settings = ControlSettings(
+        PAPER_A,
+        device=Mechanics(np.zeros((2, 2)), np.diag([6.0, 5.0]), np.zeros((2, 2))),
+        operator=Mechanics(np.diag([0.8, 0.8]), np.diag([3.0, 3.0]), np.diag([60.0, 60.0])),
+        arm=arm,
+        push=Signal((10.0, 0.0), (6.0, 2.0), (1.0, 0.5)),
+        seconds=6.0,
+    )
+
+    run = simulate(settings)
+
+    assert run.diverged_s is None
+    # 3 N of robust term cover what half the true estimates leave but for a tenth of a millimetre
+    assert measured(run).error_rms_mm < 0.15
+    assert np.ptp(run.position_m[3000:, 1]) > 0.02
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"variant": "C"}, "no variant 'C'; give A or B"),
+        ({"environment": "other"}, "give admittance or impedance"),
+        ({"stiffness_scale": 0.0}, "stiffness scale is 0, must be above 0"),
+        ({"seconds": float("nan")}, "length of the run is nan"),
+        ({"device": Mechanics(0.0, 1.0, 1.0)}, "device needs a mass"),
+        ({"device": Mechanics(np.eye(2), np.eye(2), np.eye(2))}, "device has 2 axes and the hand 1"),
+        ({"arm": PlanarArm((0.3, 0.3), (1.0, 1.0, 1.0), (0.3, 0.3))}, "two axes"),
+        ({"continuous_step_s": 1e-5, "gains": Gains(saturation_N=5.0)}, "leave the continuous step out"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_with_the_way_out(wrong: dict[str, object], words: str) -> None:
+    with pytest.raises(UsageError, match=words):
+        replace(table_3("B"), **wrong)
+
+
+def test_gains_that_overshoot_in_one_sample_and_odd_matrices_are_refused() -> None:
+    with pytest.raises(UsageError, match="overshoots within one sample"):
+        replace(table_3("B"), gains=Gains(damping_N_s_per_m=3000.0)).chatter_floor()
+    with pytest.raises(UsageError, match="symmetric"):
+        Mechanics([[1.0, 0.5], [0.0, 1.0]], np.eye(2), np.eye(2))
+    with pytest.raises(UsageError, match="alike"):
+        Mechanics(np.eye(2), 1.0, 1.0)
+
+
+def some_tissues(count: int, seed: int) -> list[Tissue]:
+    """Passive tissues from soft to the paper's: one to three branches, K of degree 0 to 2."""
+    rng = np.random.default_rng(seed)
+    found = []
+    for k in range(count):
+        branches, degree, depth = 1 + k % 3, (k // 3) % 3, rng.uniform(3.0, 10.0)
+        model = KelvinVoigt(branches=branches, stiffness_degree=degree, depth_mm=depth)
+        strength = 10.0 ** rng.uniform(-0.5, 1.7)
+        coordinates = rng.uniform(0.2, 1.5, size=(branches + 1, 3))
+        static = strength * from_coordinates(coordinates[0]) / depth ** np.arange(3)
+        stiffness = [
+            strength * from_coordinates(one[: degree + 1]) / depth ** np.arange(degree + 1)
+            for one in coordinates[1:]
+        ]
+        tau = 10.0 ** rng.uniform(-2.0, 0.7, branches)
+        theta = model.join(static, np.array(stiffness), np.sort(tau))
+        assert model.is_passive(theta)
+        found.append(Tissue(model, theta, (1.0, 10.0), name=f"tissue {k}"))
+    return found
+
+
+def some_operators(count: int, seed: int) -> list[Mechanics]:
+    rng = np.random.default_rng(seed)
+    low, high = np.log([0.3, 0.5, 5.0]), np.log([3.0, 20.0, 600.0])
+    return [Mechanics(*np.exp(rng.uniform(low, high))) for _ in range(count)]
+
+
+def bounded(variant: str, operators: list[Mechanics], tissues: list[Tissue], scale: float) -> list[str]:
+    """Who diverged, or had V leave where it began, with 1.5 times the bound and th1 = M at the start."""
+    lost = []
+    for i, operator in enumerate(operators):
+        for tissue in tissues:
+            settings = ControlSettings(tissue, variant=variant, operator=operator, stiffness_scale=scale)
+            settings = replace(
+                settings,
+                tool=VirtualTool(1.5 * virtual_mass_bound(settings)),
+                start_estimates=settings.estimated_truth(),
+                seconds=6.0,
+            )
+            for task in ("sustained", "free-contact"):
+                run = simulate(settings.task(task))
+                if run.diverged_s is not None or measured(run).error_max_mm > 20.0:
+                    lost.append(f"operator {i}, {tissue.name}, {task}")
+    return lost
+
+
+@pytest.mark.needs_jit
+@pytest.mark.parametrize("variant", ["A", "B"])
+def test_some_hands_on_some_tissues_are_bounded(variant: str) -> None:
+    assert bounded(variant, some_operators(3, seed=1), some_tissues(2, seed=2), 1.0) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("variant", ["A", "B"])
+def test_200_hands_on_20_tissues_are_bounded(variant: str) -> None:
+    lost = bounded(variant, some_operators(200, seed=1), some_tissues(20, seed=2), 1.0)
+
+    print(f"variant {variant}: 200 hands x 20 tissues x 2 tasks, {len(lost)} not bounded")
+    assert lost == []
