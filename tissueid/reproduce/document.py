@@ -21,8 +21,8 @@ __all__ = ["PAPERS", "PAPER_WORDS", "reproduction"]
 
 PAPERS = (SADEGHNEJAD, PIRES)
 PAPER_WORDS: Mapping[str, str] = {
-    SADEGHNEJAD: "Sadeghnejad et al.: Phenomenological Contact Model Characterization and Haptic Simulation of "
-    "an Endoscopic Sinus and Skull Base Surgery Virtual System",
+    SADEGHNEJAD: "Sadeghnejad et al.: Phenomenological Contact Model Characterization and Haptic Simulation "
+    "of an Endoscopic Sinus and Skull Base Surgery Virtual System",
     PIRES: "Pires et al.: Haptic Positioning Environment for the Hip Resurfacing Surgery",
 }
 #: What of the papers can't be had at all.

@@ -198,8 +198,8 @@ def peak_against_speed(
         "Fig. 4: peak force against speed",
         Kind.ASSUMED,
         f"Reading: {readings.words('criterion')}. Under constant work the static curve decides: the peak "
-        "falls where the tangent stiffness exceeds the secant at rupture (x F_s'/F > 1). Constant work contradicts "
-        "the model's own source, by which the absorbed energy falls with speed.",
+        "falls where the tangent stiffness exceeds the secant at rupture (x F_s'/F > 1). Constant work "
+        "contradicts the model's own source, by which the absorbed energy falls with speed.",
         "Speed [mm/min]",
         "Peak force [N]",
         tuple(traces),
