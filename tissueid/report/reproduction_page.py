@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from itertools import groupby
 from typing import Any
 
 from tissueid.report.page import asset, page_environment, plotly_script
@@ -57,9 +56,30 @@ def _verdict(items: Sequence[Mapping[str, Any]]) -> Verdict:
     return Verdict("note", "Consistent, mostly by construction", text)
 
 
-def _groups(items: Sequence[Mapping[str, Any]]) -> list[tuple[str, list[Mapping[str, Any]]]]:
-    """Rows by table or figure, in the order they came."""
-    return [(where, list(rows)) for where, rows in groupby(items, key=lambda item: item["where"])]
+def _printed(value: float | Sequence[float] | None) -> str:
+    """A published number as it is printed."""
+    if isinstance(value, int | float) or value is None:
+        return "not printed" if value is None else f"{value:g}"
+    return " to ".join(f"{one:g}" for one in value)
+
+
+def _places(paper: Mapping[str, Any], document: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Rows and figures of a paper by the table or figure they stand beside."""
+    items = [item for item in document["items"] if item["paper"] == paper["name"]]
+    figures = [
+        {**figure, "place": place}
+        for place, figure in enumerate(document["figures"])
+        if figure["paper"] == paper["name"]
+    ]
+    return [
+        {
+            "where": where,
+            "id": f"{paper['name']}-{where.lower().replace('.', '').replace(' ', '-')}",
+            "items": [item for item in items if item["where"] == where],
+            "figures": [figure for figure in figures if figure["where"] == where],
+        }
+        for where in paper["places"]
+    ]
 
 
 def _remarks(item: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -89,18 +109,7 @@ def render_reproduction(document: Mapping[str, Any], *, created: str | None = No
     str
         HTML, UTF-8.
     """
-    papers = [
-        {
-            **paper,
-            "groups": _groups([item for item in document["items"] if item["paper"] == paper["name"]]),
-            "figures": [
-                {**figure, "place": place}
-                for place, figure in enumerate(document["figures"])
-                if figure["paper"] == paper["name"]
-            ],
-        }
-        for paper in document["papers"]
-    ]
+    papers = [{**paper, "places": _places(paper, document)} for paper in document["papers"]]
     return (
         page_environment()
         .get_template("reproduction.html.j2")
@@ -114,6 +123,7 @@ def render_reproduction(document: Mapping[str, Any], *, created: str | None = No
             counts=Counter(item["kind"] for item in document["items"]),
             papers=papers,
             value=_value,
+            printed=_printed,
             remarks=_remarks,
             payload={"figures": document["figures"]},
             created=created,

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from tissueid import __version__
+from tissueid.reproduce.controller import controlled_contact, table_3
 from tissueid.reproduce.hip import guidance_forces, restitutions
 from tissueid.reproduce.identification import identified_table
 from tissueid.reproduce.items import Figure, Item, Kind
@@ -24,6 +25,14 @@ PAPER_WORDS: Mapping[str, str] = {
     SADEGHNEJAD: "Sadeghnejad et al.: Phenomenological Contact Model Characterization and Haptic Simulation "
     "of an Endoscopic Sinus and Skull Base Surgery Virtual System",
     PIRES: "Pires et al.: Haptic Positioning Environment for the Hip Resurfacing Surgery",
+}
+#: Tables and figures in the order of a page.
+PLACES: Mapping[str, tuple[str, ...]] = {
+    SADEGHNEJAD: (
+        *("Fig. 1", "Table 1", "Fig. 2", "Fig. 3", "Fig. 4", "Table 2"),
+        *("Fig. 5", "Table 3", "Fig. 6", "Fig. 7"),
+    ),
+    PIRES: ("Equation (1)", "Fig. 4"),
 }
 #: What of the papers can't be had at all.
 LOST = (
@@ -69,7 +78,9 @@ def reproduction(
     return {
         "schema": "tissueid/reproduction/1",
         "tissueid": __version__,
-        "papers": [{"name": name, "words": PAPER_WORDS[name]} for name in papers],
+        "papers": [
+            {"name": name, "words": PAPER_WORDS[name], "places": list(PLACES[name])} for name in papers
+        ],
         "seed": effort.seed,
         "seconds": time.perf_counter() - began,
         "readings": readings.as_json(),
@@ -92,18 +103,24 @@ def _sinus(
     numbers: Mapping[str, Published],
 ) -> None:
     """Paper A in the order of its tables and figures."""
-    figures.append(_drawn("figure-1", "Fig. 1: the modified Kelvin-Voigt model", "schematic"))
+    figures.append(_drawn("figure-1", "Fig. 1", "The modified Kelvin-Voigt model", "schematic"))
     _add(items, figures, relaxation_tests(readings, effort, numbers))
     _add(items, figures, force_displacement(readings, numbers))
     _add(items, figures, peak_against_speed(readings, numbers))
     items += identified_table(readings, effort, numbers)
     _add(items, figures, specimen_scatter(readings, effort, numbers))
+    items += table_3(readings, numbers)
+    figures.append(_drawn("figure-6", "Fig. 6", "The controller of an admittance display", "block-diagram"))
+    rows, runs = controlled_contact(readings, effort, numbers)
+    items += rows
+    figures += runs
 
 
-def _drawn(key: str, title: str, drawing: str) -> Figure:
+def _drawn(key: str, where: str, title: str, drawing: str) -> Figure:
     return Figure(
         key,
         SADEGHNEJAD,
+        where,
         title,
         Kind.REPRODUCED,
         "Drawn from the paper's words; nothing is computed.",

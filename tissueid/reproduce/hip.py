@@ -108,7 +108,7 @@ def guidance_forces(
         ledger.claim(
             "guidance/steeper",
             "The stiffness rises as the axial displacement falls: least rise from height to height",
-            "Section III",
+            "Fig. 4",
             float(np.diff(slopes).min()),
             lambda least: least > 0.0,
             "greater than zero",
@@ -117,7 +117,7 @@ def guidance_forces(
         ledger.claim(
             "guidance/free-inside",
             "No contact, no force of the surface: largest force within it",
-            "Section III",
+            "Fig. 4",
             inside,
             lambda force: force == 0.0,
             "zero",
@@ -128,7 +128,8 @@ def guidance_forces(
     figure = Figure(
         "paper-b-figure-4",
         PIRES,
-        "Fig. 4: impedance and surface force against radial error",
+        "Fig. 4",
+        "Impedance and surface force against radial error",
         Kind.ASSUMED,
         f"Shape only, stiffness and surface are not printed. {readings.words('surface').capitalize()}.",
         "Radial error [mm]",

@@ -191,7 +191,7 @@ class Figure:
     ----------
     key : str
         As ``figure-2``.
-    paper, title : str
+    paper, where, title : str
     kind : Kind
     caption : str
         What was computed from what, and what can't be read off it.
@@ -205,6 +205,7 @@ class Figure:
 
     key: str
     paper: str
+    where: str
     title: str
     kind: Kind
     caption: str
@@ -219,6 +220,7 @@ class Figure:
         return {
             "key": self.key,
             "paper": self.paper,
+            "where": self.where,
             "title": self.title,
             "kind": str(self.kind),
             "caption": self.caption,

@@ -64,8 +64,8 @@ def _catalogue() -> dict[str, Published]:
     numbers["table-2/tau"] = Published("Table 2", 0.021, "s", "Relaxation time")
     for place, value in enumerate(_TABLE_3, start=1):
         numbers[f"table-3/{place}"] = Published("Table 3", value, "", f"Number {place} of the row")
-    numbers["figure-5/nrmsd"] = Published("Section IV", (4.23, 10.95), "%", "NRMSD of model and recordings")
-    numbers["guidance/tau"] = Published("Section III", 0.05, "s", "Time constant of the radial guidance")
+    numbers["figure-5/nrmsd"] = Published("Fig. 5", (4.23, 10.95), "%", "NRMSD of model and recordings")
+    numbers["guidance/tau"] = Published("Fig. 4", 0.05, "s", "Time constant of the radial guidance")
     return numbers
 
 

@@ -155,7 +155,8 @@ def _figure(traces: list[Trace]) -> Figure:
     return Figure(
         "figure-2",
         SADEGHNEJAD,
-        "Fig. 2: force against time, four depths",
+        "Fig. 2",
+        "Force against time, four depths",
         Kind.ROUND_TRIP if traces else Kind.NOT_REPRODUCIBLE,
         "Synthesised so that each peak is the printed one. With the branch of Table 2 all that relaxes is "
         "over some 60 ms after the ramp; the recordings of the paper are not published.",

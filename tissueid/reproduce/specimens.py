@@ -145,7 +145,8 @@ def _figure(fits: Sequence[SpecimenFit]) -> Figure:
     return Figure(
         "figure-5",
         SADEGHNEJAD,
-        "Fig. 5: the model beside three specimens it has not seen",
+        "Fig. 5",
+        "The model beside three specimens it has not seen",
         Kind.ASSUMED,
         "Simulated specimens that scatter by 15 %; each dashed line is the mean of the other specimens. The "
         "paper's own recordings are not published.",

@@ -58,7 +58,7 @@ def force_displacement(
         ledger.claim(
             "figure-3/grows",
             "Force at a given displacement grows with speed: least growth from speed to speed, from 1 mm on",
-            "Section IV.A",
+            "Fig. 3",
             float(np.diff(curves[:, depth >= 1.0], axis=0).min()),
             lambda least: least > 0.0,
             "greater than zero everywhere",
@@ -76,7 +76,8 @@ def force_displacement(
     figure = Figure(
         "figure-3",
         SADEGHNEJAD,
-        "Fig. 3: force against displacement, six speeds",
+        "Fig. 3",
+        "Force against displacement, six speeds",
         Kind.REPRODUCED,
         caption,
         "Displacement [mm]",
@@ -183,7 +184,7 @@ def peak_against_speed(
             ledger.claim(
                 f"figure-4/{name}-falls",
                 f"Peak force falls with speed, {words}: from 10 to 500 mm/min it changes by",
-                "Section IV.A",
+                "Fig. 4",
                 peaks[-1] - peaks[0],
                 lambda change: change < 0.0,
                 "less than zero",
@@ -195,7 +196,8 @@ def peak_against_speed(
     figure = Figure(
         "figure-4",
         SADEGHNEJAD,
-        "Fig. 4: peak force against speed",
+        "Fig. 4",
+        "Peak force against speed",
         Kind.ASSUMED,
         f"Reading: {readings.words('criterion')}. Under constant work the static curve decides: the peak "
         "falls where the tangent stiffness exceeds the secant at rupture (x F_s'/F > 1). Constant work "
@@ -217,7 +219,7 @@ def _by_seven(readings: Readings, numbers: Mapping[str, Published]) -> Item:
         "figure-4/by-equation-7",
         "Average maximum force is a decreasing function of velocity, as predicted by (7): at 6 mm, from 10 "
         "to 500 mm/min, (7) changes the force by",
-        "Section IV.A",
+        "Fig. 4",
         float(fast - slow),
         lambda change: change < 0.0,
         "less than zero",
