@@ -16,7 +16,7 @@ from tissueid.flags import Flag
 from tissueid.population.agreement import SAME_SHARE
 from tissueid.population.members import Member
 
-__all__ = ["Confounding", "speed_confounding"]
+__all__ = ["Confounding", "confounding_of", "speed_confounding"]
 
 S_PER_MIN = 60.0
 
@@ -92,12 +92,12 @@ def _distinct(speeds: Sequence[float]) -> list[float]:
 
 def speed_confounding(members: Sequence[Member]) -> Confounding | None:
     """Connected parts of the graph of speeds and specimens; ``None`` where no speed is known."""
-    tested = [
-        (who, trial.speed_mm_s)
-        for who, one in enumerate(members)
-        for trial in one.trials
-        if trial.speed_mm_s > 0.0
-    ]
+    return confounding_of([[trial.speed_mm_s for trial in one.trials] for one in members])
+
+
+def confounding_of(speeds_of: Sequence[Sequence[float]]) -> Confounding | None:
+    """The same from the speeds of each specimen's tests [mm/s]."""
+    tested = [(who, speed) for who, own in enumerate(speeds_of) for speed in own if speed > 0.0]
     speeds = _distinct([speed for _, speed in tested])
     if not speeds:
         return None

@@ -10,7 +10,7 @@ from tissueid.synth.dataset import write_set
 from tissueid.synth.dialects import DIALECTS, Dialect
 from tissueid.synth.exports import EXPORTS, Export
 from tissueid.synth.protocols import RECIPES, recipe
-from tissueid.synth.recipe import Branch, Hold, Log, Move, Recipe, dump_recipe, load_recipe
+from tissueid.synth.recipe import Branch, Hold, Log, Move, Recipe, Rupture, dump_recipe, load_recipe
 from tissueid.synth.simulate import SyntheticLog, as_trials, simulate
 
 __all__ = [
@@ -24,6 +24,7 @@ __all__ = [
     "Log",
     "Move",
     "Recipe",
+    "Rupture",
     "SyntheticLog",
     "as_trials",
     "bluehill_csv",

@@ -14,6 +14,11 @@
     repeats = 3
     moves = [{to_mm = 4.0, speed_mm_min = 250.0}, {hold_s = 30.0}]
 
+    [rupture]                              # only where the tissue is to break
+    criterion = "work"
+    threshold = 150.0                      # [N mm]
+    cv = 0.1
+
 The data follow the modified Kelvin-Voigt law F = F_s(x) + sum_j K_j(x) s_j, tau_j s_j' + s_j = tau_j x'.
 This package shares no code with the reader and the contact models that are tested against it.
 """
@@ -28,7 +33,7 @@ from typing import Any
 
 from tissueid.errors import InputError
 
-__all__ = ["Branch", "Hold", "Log", "Move", "Recipe", "dump_recipe", "load_recipe"]
+__all__ = ["RUPTURES", "Branch", "Hold", "Log", "Move", "Recipe", "Rupture", "dump_recipe", "load_recipe"]
 
 SECONDS_PER_MINUTE = 60.0
 NONNEGATIVE = (
@@ -70,6 +75,47 @@ class Branch:
 
     stiffness: tuple[float, ...]
     tau_s: float
+
+
+#: What a threshold of rupture may be of.
+RUPTURES = ("work", "weighted-force", "stored-energy", "depth")
+
+
+@dataclass(frozen=True, slots=True)
+class Rupture:
+    """The tissue breaks when a measure of its loading first reaches a threshold.
+
+    Attributes
+    ----------
+    criterion : str
+        ``work`` [N mm], ``weighted-force`` F_s + w F_d [N], ``stored-energy`` [N mm] or ``depth`` [mm].
+    threshold : float
+        Median.
+    cv, cv_specimen : float
+        Coefficient of variation of log-normal factors (median 1) of each test and of each specimen.
+    weight : float
+        w of the weighted force.
+    residual : float
+        Share of the force that is left.
+    """
+
+    criterion: str
+    threshold: float
+    cv: float = 0.0
+    cv_specimen: float = 0.0
+    weight: float = 1.5
+    residual: float = 0.2
+
+    def __post_init__(self) -> None:
+        if self.criterion not in RUPTURES:
+            msg = f"rupture: criterion is {self.criterion!r}, must be one of {', '.join(RUPTURES)}"
+            raise ValueError(msg)
+        if not (self.threshold > 0.0 and min(self.cv, self.cv_specimen, self.weight) >= 0.0):
+            msg = f"rupture: threshold must be > 0 and cv, cv_specimen, weight >= 0, is {self}"
+            raise ValueError(msg)
+        if not 0.0 <= self.residual <= 1.0:
+            msg = f"rupture: residual is {self.residual}, must lie within 0 to 1"
+            raise ValueError(msg)
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +170,8 @@ class Recipe:
         Sign of the recorded displacement and force under compression.
     decimals : tuple of int
         Printed decimals of time, displacement and force.
+    rupture : Rupture, optional
+        Where the tissue breaks in the first loading.
     """
 
     name: str
@@ -146,6 +194,7 @@ class Recipe:
     force_filter_s: float = 0.0
     compression_sign: int = 1
     decimals: tuple[int, int, int] = (5, 5, 5)
+    rupture: Rupture | None = None
 
     def __post_init__(self) -> None:
         problem = _problem(self)
@@ -233,6 +282,8 @@ def _from_table(table: Mapping[str, Any]) -> Recipe:
     if "decimals" in table:
         time, displacement, force = table["decimals"]
         values["decimals"] = (int(time), int(displacement), int(force))
+    if "rupture" in table:
+        values["rupture"] = Rupture(**table["rupture"])
     return Recipe(**values)
 
 
@@ -243,7 +294,7 @@ def _step(table: Mapping[str, float]) -> Move | Hold:
 
 def dump_recipe(recipe: Recipe) -> str:
     """The TOML text of a recipe; :func:`load_recipe` reads it back equal."""
-    tables = ("branches", "logs")
+    tables = ("branches", "logs", "rupture")
     lines = [
         f"{field.name} = {_toml(getattr(recipe, field.name))}"
         for field in fields(Recipe)
@@ -253,6 +304,9 @@ def dump_recipe(recipe: Recipe) -> str:
         lines.append("branches = []")
     for branch in recipe.branches:
         lines += ["", "[[branches]]", *(f"{key} = {_toml(value)}" for key, value in asdict(branch).items())]
+    if recipe.rupture is not None:
+        rupture = asdict(recipe.rupture)
+        lines += ["", "[rupture]", *(f"{key} = {_toml(value)}" for key, value in rupture.items())]
     for log in recipe.logs:
         moves = ", ".join(
             "{" + ", ".join(f"{key} = {_toml(value)}" for key, value in asdict(move).items()) + "}"

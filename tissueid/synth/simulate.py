@@ -15,6 +15,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.synth.failure import after_rupture, rupture_of
 from tissueid.synth.path import Path, crosshead_path
 from tissueid.synth.recipe import Hold, Log, Move, Recipe
 from tissueid.synth.response import low_pass, oversampled, tissue_force
@@ -40,7 +41,8 @@ class SyntheticLog:
         Force without noise, after the load channel's filter.
     truth : mapping
         ``gain`` (of the static force), ``gain_stiffness`` (of the branches), ``contact_offset_mm``,
-        ``speed_mm_s`` and ``depth_mm`` of the first move, ``hold_s`` of the first hold (0 without).
+        ``speed_mm_s`` and ``depth_mm`` of the first move, ``hold_s`` of the first hold (0 without); of tissue
+        that can break :meth:`tissueid.synth.failure.Broken.as_truth` as well.
     """
 
     name: str
@@ -75,11 +77,12 @@ def simulate(recipe: Recipe, *, rng: np.random.Generator) -> list[SyntheticLog]:
     for specimen in range(1, recipe.specimens + 1):
         label = recipe.specimen if recipe.specimens == 1 else f"{recipe.specimen}-{specimen:02d}"
         gain = _gain(recipe.cv_specimen, rng)
+        tough = 1.0 if recipe.rupture is None else _gain(recipe.rupture.cv_specimen, rng)
         for repeat in range(1, max(log.repeats for log in recipe.logs) + 1):
             for log in recipe.logs:
                 if repeat <= log.repeats:
                     name = f"{log.name}-{repeat}" if recipe.specimens == 1 else f"{label}-{log.name}-{repeat}"
-                    logs.append(_one_log(recipe, log, name=name, specimen=label, gain=gain, rng=rng))
+                    logs.append(_one_log(recipe, log, name, label, gain=gain, tough=tough, rng=rng))
     return logs
 
 
@@ -89,7 +92,14 @@ def _gain(cv: float, rng: np.random.Generator) -> float:
 
 
 def _one_log(
-    recipe: Recipe, log: Log, *, name: str, specimen: str, gain: float, rng: np.random.Generator
+    recipe: Recipe,
+    log: Log,
+    name: str,
+    specimen: str,
+    *,
+    gain: float,
+    tough: float,
+    rng: np.random.Generator,
 ) -> SyntheticLog:
     both = gain * _gain(recipe.cv_both, rng)
     truth = {
@@ -102,7 +112,10 @@ def _one_log(
         truth["contact_offset_mm"] += recipe.contact_offset_sd_mm * float(rng.standard_normal())
     travel = crosshead_path(log, rounding_s=recipe.crosshead_rounding_s)
     time_s = np.arange(0.0, travel.time_s[-1], 1.0 / recipe.rate_Hz)
-    clean = _clean_force(recipe, travel, time_s, truth)
+    threshold = (
+        0.0 if recipe.rupture is None else recipe.rupture.threshold * tough * _gain(recipe.rupture.cv, rng)
+    )
+    clean = _clean_force(recipe, travel, time_s, truth, threshold)
     displacement = travel.at(time_s)
     if recipe.sigma_mm > 0.0:
         displacement = displacement + recipe.sigma_mm * rng.standard_normal(time_s.size)
@@ -129,19 +142,26 @@ def _plan(log: Log) -> dict[str, float]:
     }
 
 
-def _clean_force(recipe: Recipe, travel: Path, time_s: FloatArray, truth: Mapping[str, float]) -> FloatArray:
-    """Tissue force behind the load channel's filter, without noise."""
+def _clean_force(
+    recipe: Recipe, travel: Path, time_s: FloatArray, truth: dict[str, float], threshold: float
+) -> FloatArray:
+    """Tissue force behind the load channel's filter, without noise; adds to ``truth`` where it broke."""
     static = tuple(truth["gain"] * a for a in recipe.static)
     branches = tuple(
         replace(branch, stiffness=tuple(truth["gain_stiffness"] * k for k in branch.stiffness))
         for branch in recipe.branches
     )
-    offset_mm = truth["contact_offset_mm"]
-    if recipe.force_filter_s == 0.0:
-        return tissue_force(travel, time_s, offset_mm=offset_mm, static=static, branches=branches)
-    fine = oversampled(time_s)
-    force = tissue_force(travel, fine, offset_mm=offset_mm, static=static, branches=branches)
-    return low_pass(fine, force, recipe.force_filter_s)[:: (fine.size - 1) // (time_s.size - 1)]
+    offset_mm, rupture = truth["contact_offset_mm"], recipe.rupture
+    filtered = recipe.force_filter_s > 0.0
+    times = oversampled(time_s) if filtered else time_s
+    force = tissue_force(travel, times, offset_mm=offset_mm, static=static, branches=branches)
+    if rupture is not None:
+        broken = rupture_of(rupture, threshold, travel, offset_mm=offset_mm, static=static, branches=branches)
+        truth |= broken.as_truth()
+        force = after_rupture(broken, rupture.residual, times, force)
+    if not filtered:
+        return force
+    return low_pass(times, force, recipe.force_filter_s)[:: (times.size - 1) // (time_s.size - 1)]
 
 
 def _noise(recipe: Recipe, size: int, rng: np.random.Generator) -> FloatArray:

@@ -1,0 +1,195 @@
+"""What loading does to a tissue until it ruptures: work, weighted force, stored energy, depth along a path.
+
+Paper A's force law alone has no rupture, and at a fixed depth its force grows with speed. A criterion says
+which measure of the loading reaches a threshold (model.md 1.5, derived; the criteria themselves are
+readings)::
+
+    work            W = int F dx
+    weighted force  F_s + w F_d
+    stored energy   V = int F_s dx + sum_j int_0^{s_j} K_j(x - s_j + u) u du
+    depth           x
+
+For v tau << x under constant work, dF/dv = K tau (1 - x F_s'/F): the force at rupture falls with speed where
+the static tangent exceeds the secant (:func:`hardening_ratio` above 1), and rises elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.model.base import ContactPath
+from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.rupture_law import CRITERIA, DEFAULT_WEIGHT
+
+__all__ = [
+    "RupturePoint",
+    "hardening_ratio",
+    "peak_force_against_speed",
+    "rupture_at_speed",
+    "rupture_measures",
+]
+
+FloatArray = NDArray[np.float64]
+
+#: Depths at which a ramp is examined: the force at rupture is then good to 1e-5 of itself.
+RAMP_DEPTHS = 4001
+#: Two Gauss points integrate K_j(y) u exactly: degree 3 at the most.
+GAUSS_AT = ((1.0 - 3.0**-0.5) / 2.0, (1.0 + 3.0**-0.5) / 2.0)
+
+
+@dataclass(frozen=True, slots=True)
+class RupturePoint:
+    """Where a ramp ends in a rupture.
+
+    Attributes
+    ----------
+    speed_mm_s, depth_mm, force_N : float
+    dynamic_N : float
+        Part of the force that relaxes.
+    work_N_mm : float
+        From contact.
+    """
+
+    speed_mm_s: float
+    depth_mm: float
+    force_N: float
+    dynamic_N: float
+    work_N_mm: float
+
+
+def rupture_measures(
+    model: KelvinVoigt, theta: FloatArray, path: ContactPath, *, weight: float = DEFAULT_WEIGHT
+) -> dict[str, FloatArray]:
+    """Measures of loading along a path in contact that starts at rest at depth 0.
+
+    Parameters
+    ----------
+    model : KelvinVoigt
+    theta : ndarray, shape (p,)
+    path : ContactPath
+        Of n samples.
+    weight : float
+        w of the weighted force.
+
+    Returns
+    -------
+    dict of ndarray, shape (n,)
+        :data:`~tissueid.rupture_law.CRITERIA`, and ``force`` and ``dynamic``, the force and its relaxing
+        part [N].
+    """
+    x = path.depth_mm
+    static, _, tau = model.split(theta)
+    states = model.states(tau, path)
+    dynamic = (model.stiffness(theta, x) * states).sum(axis=0)
+    elastic = model.static_force(theta, x)
+    force = elastic + dynamic
+    steps = 0.5 * (force[1:] + force[:-1]) * np.diff(x)
+    stored = x * x * (static[0] / 2.0 + x * (static[1] / 3.0 + x * static[2] / 4.0))
+    for share in GAUSS_AT:
+        for branch, state in enumerate(states):
+            stored = (
+                stored + 0.5 * share * state**2 * model.stiffness(theta, x - (1.0 - share) * state)[branch]
+            )
+    return {
+        "work": np.concatenate([[0.0], np.cumsum(steps)]),
+        "weighted-force": elastic + weight * dynamic,
+        "stored-energy": stored,
+        "depth": x,
+        "force": force,
+        "dynamic": dynamic,
+    }
+
+
+def rupture_at_speed(
+    model: KelvinVoigt,
+    theta: FloatArray,
+    criterion: str,
+    threshold: float,
+    *,
+    speed_mm_s: float,
+    weight: float = DEFAULT_WEIGHT,
+) -> RupturePoint | None:
+    """Where a ramp at constant speed from rest first reaches the threshold of a criterion.
+
+    Parameters
+    ----------
+    model : KelvinVoigt
+    theta : ndarray, shape (p,)
+    criterion : str
+        One of :data:`~tissueid.rupture_law.CRITERIA`.
+    threshold : float
+        [N mm], [N] or [mm].
+    speed_mm_s : float
+        Above 0.
+    weight : float
+
+    Returns
+    -------
+    RupturePoint or None
+        ``None`` where the threshold is not reached within the model's depth.
+
+    Raises
+    ------
+    ValueError
+        No such criterion.
+    """
+    if criterion not in CRITERIA:
+        msg = f"no criterion of rupture {criterion!r}; there are {', '.join(CRITERIA)}"
+        raise ValueError(msg)
+    depth = np.linspace(0.0, model.depth_mm, RAMP_DEPTHS)
+    measures = rupture_measures(model, theta, ContactPath(depth / speed_mm_s, depth), weight=weight)
+    reached = measures[criterion] >= threshold
+    if not reached.any():
+        return None
+    k = max(int(np.argmax(reached)), 1)
+    low, high = measures[criterion][k - 1], measures[criterion][k]
+    share = float((threshold - low) / (high - low))
+
+    def between(name: str) -> float:
+        values = measures[name]
+        return float(values[k - 1] + share * (values[k] - values[k - 1]))
+
+    return RupturePoint(speed_mm_s, between("depth"), between("force"), between("dynamic"), between("work"))
+
+
+def peak_force_against_speed(
+    model: KelvinVoigt,
+    theta: FloatArray,
+    criterion: str,
+    threshold: float,
+    speeds_mm_s: Sequence[float],
+    *,
+    weight: float = DEFAULT_WEIGHT,
+) -> FloatArray:
+    """Force at rupture over speed: Fig. 4 of paper A for a tissue and a criterion.
+
+    Parameters
+    ----------
+    model, theta, criterion, threshold, weight
+        As of :func:`rupture_at_speed`.
+    speeds_mm_s : sequence of float, length n
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        [N]; NaN where the tissue does not rupture within the model's depth.
+    """
+    points = [
+        rupture_at_speed(model, theta, criterion, threshold, speed_mm_s=speed, weight=weight)
+        for speed in speeds_mm_s
+    ]
+    return np.array([np.nan if point is None else point.force_N for point in points])
+
+
+def hardening_ratio(model: KelvinVoigt, theta: FloatArray, depth_mm: float, force_N: float) -> float:
+    """Static tangent over secant stiffness at a depth, x F_s'(x) / F [1].
+
+    Above 1 the force at rupture under constant work falls with speed, below 1 it rises (model.md 1.5).
+    """
+    static, _, _ = model.split(theta)
+    slope = static[0] + depth_mm * (2.0 * static[1] + 3.0 * static[2] * depth_mm)
+    return float(depth_mm * slope / force_N)

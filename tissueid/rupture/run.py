@@ -1,0 +1,158 @@
+"""From recordings to a study of their ruptures: each is segmented up to its end, each specimen's law fitted.
+
+The fit is that of ``tissueid fit`` without a sampler; what its law does not know comes from its covariance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from tissueid.collection import decided_options, decided_trial, why_excluded
+from tissueid.errors import NotIdentifiedError
+from tissueid.manifest import Study
+from tissueid.model import build_model
+from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.pipeline import IdentifyOptions, identify
+from tissueid.result import Identification, Refusal, SpecimenFit
+from tissueid.rupture.failures import Failure, SpecimenLaw, failures_of
+from tissueid.rupture.loading import LoadedTest, loaded_test
+from tissueid.rupture.study import RuptureStudy, rupture_study
+from tissueid.rupture_law import DEFAULT_WEIGHT
+from tissueid.segment import SegmentOptions, segment
+from tissueid.trial import Source, Trial
+
+__all__ = ["RuptureRun", "run_rupture"]
+
+_Key = tuple[str, str | None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RuptureRun:
+    """A study of ruptures and the fit behind it.
+
+    Attributes
+    ----------
+    study : RuptureStudy
+    identification : Identification
+    left_out : tuple of (str, str, str)
+        Path, sheet (or empty) and reason of fitted recordings that no measure could be taken of.
+    """
+
+    study: RuptureStudy
+    identification: Identification
+    left_out: tuple[tuple[str, str, str], ...]
+
+
+@dataclass(slots=True)
+class _Ends:
+    """Tests up to their end, picked up while the recordings pass by."""
+
+    study: Study | None
+    options: SegmentOptions
+    found: dict[_Key, LoadedTest] = field(default_factory=dict)
+
+    def watch(self, trials: Iterable[Trial]) -> Iterator[Trial]:
+        """The same trials; what each did to the tissue is kept."""
+        for raw in trials:
+            self._add(raw)
+            yield raw
+
+    def _add(self, raw: Trial) -> None:
+        trial, own = raw, self.options
+        if self.study is not None:
+            decision = self.study.decision(raw.source.path, raw.source.sheet)
+            if why_excluded(raw, decision, self.study) is not None:
+                return
+            trial = decided_trial(raw, decision, self.study)
+            own = decided_options(own, decision)
+        try:
+            test = loaded_test(trial, segment(trial, options=own))
+        except (ArithmeticError, np.linalg.LinAlgError):
+            return  # the fit refuses the same recording, and says why
+        if test is not None:
+            self.found[raw.source.path, raw.source.sheet] = test
+
+
+def run_rupture(
+    trials: Iterable[Trial],
+    *,
+    study: Study | None = None,
+    options: IdentifyOptions | None = None,
+    reload: Callable[[Source], Trial] | None = None,
+    refused: Sequence[Refusal] = (),
+    asked: str = "none",
+    weight: float = DEFAULT_WEIGHT,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> RuptureRun:
+    """Study the ruptures of a cohort.
+
+    Parameters
+    ----------
+    trials : iterable of Trial
+        All tests, also those that did not rupture.
+    study : Study, optional
+    options : IdentifyOptions, optional
+        Of the fit; a posterior is not sampled.
+    reload, refused, progress
+        As of :func:`tissueid.pipeline.identify`.
+    asked : str
+        One of :data:`~tissueid.rupture.study.ASKED`.
+    weight : float
+        w of the weighted force.
+
+    Raises
+    ------
+    NotIdentifiedError
+        Too few tests ruptured, or the recordings are normalised.
+    """
+    fit_options = replace(options or IdentifyOptions(), posterior=None, required=())
+    ends = _Ends(study, fit_options.segment)
+    identification = identify(
+        ends.watch(trials),
+        study=study,
+        options=fit_options,
+        reload=reload,
+        refused=refused,
+        progress=progress,
+    )
+    failures: list[Failure] = []
+    left_out: list[tuple[str, str, str]] = []
+    for fit in identification.specimens:
+        if fit.axes.normalised:
+            msg = f"{fit.specimen}: the recordings are normalised, and a rupture is measured in mm and N"
+            raise NotIdentifiedError(msg)
+        law = _law(fit)
+        tests = []
+        for trial in fit.trials:
+            test = ends.found.get((trial.path, trial.sheet))
+            why = None if test is None else _why_not(test, trial.contact_offset_mm)
+            if test is None or why is not None:
+                left_out.append((trial.path, trial.sheet or "", why or "no loading to a depth was found"))
+            else:
+                tests.append((test, trial.contact_offset_mm))
+        failures += failures_of(law, tests, weight=weight)
+    found = rupture_study(failures, weight=weight, asked=asked)
+    return RuptureRun(found, identification, tuple(left_out))
+
+
+def _why_not(test: LoadedTest, offset_mm: float) -> str | None:
+    """Why nothing can be measured at the end of a test."""
+    if not test.end_mm > offset_mm:
+        return "its contact point lies below its deepest sample"
+    if not (test.force_N > 0.0 and test.work_N_mm > 0.0):
+        return "no force or work is left at its end"
+    return None
+
+
+def _law(fit: SpecimenFit) -> SpecimenLaw:
+    model = build_model(
+        fit.model.key,
+        branches=fit.model.branches,
+        stiffness_degree=fit.model.stiffness_degree,
+        depth_mm=fit.depth_mm,
+    )
+    assert isinstance(model, KelvinVoigt)  # noqa: S101 -- the only law that is fitted
+    return SpecimenLaw(fit.specimen, model, np.asarray(fit.theta), np.asarray(fit.covariance))

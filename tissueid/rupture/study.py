@@ -1,0 +1,166 @@
+"""Everything that is said of the ruptures of a cohort, and the law that goes into its bundles."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissueid.errors import NotIdentifiedError
+from tissueid.flags import Flag
+from tissueid.population.confounding import Confounding, confounding_of
+from tissueid.rupture.decision import Decision, decide
+from tissueid.rupture.evidence import Threshold, threshold_of
+from tissueid.rupture.failures import Failure
+from tissueid.rupture.speeds import (
+    AtSpeed,
+    Change,
+    Hardening,
+    change_with_speed,
+    hardening_of,
+    per_speed,
+)
+from tissueid.rupture_law import CRITERIA, RuptureLaw
+
+__all__ = ["ASKED", "RuptureStudy", "rupture_study"]
+
+#: What may be asked for: no law, the one that the evidence decides for, or a named one.
+ASKED = ("none", "auto", *CRITERIA)
+#: Fewest ruptures with a mean and two spreads.
+FEWEST_RUPTURES = 4
+
+
+@dataclass(frozen=True, slots=True)
+class RuptureStudy:
+    """Ruptures of a cohort.
+
+    Attributes
+    ----------
+    failures : tuple of Failure
+        Every test, censored ones among them.
+    weight : float
+        w of the weighted force.
+    confounding : Confounding
+    speeds : tuple of AtSpeed
+    changes : tuple of Change
+        Inside specimens; empty where nothing can be said.
+    hardening : Hardening or None
+    thresholds : tuple of Threshold
+        One for each criterion.
+    decision : Decision
+    asked : str
+        One of :data:`ASKED`.
+    laws : mapping of str to RuptureLaw
+        By specimen; empty where there is none.
+    flags : tuple of Flag
+    """
+
+    failures: tuple[Failure, ...]
+    weight: float
+    confounding: Confounding
+    speeds: tuple[AtSpeed, ...]
+    changes: tuple[Change, ...]
+    hardening: Hardening | None
+    thresholds: tuple[Threshold, ...]
+    decision: Decision
+    asked: str
+    laws: Mapping[str, RuptureLaw]
+    flags: tuple[Flag, ...]
+
+    @property
+    def taken(self) -> str:
+        """Criterion of the bundles, or ``none``."""
+        return next((law.criterion for law in self.laws.values()), "none")
+
+
+def rupture_study(failures: Sequence[Failure], *, weight: float, asked: str = "none") -> RuptureStudy:
+    """Describe and compare.
+
+    Parameters
+    ----------
+    failures : sequence of Failure
+        Of all specimens, measured with ``weight``.
+    weight : float
+    asked : str
+        One of :data:`ASKED`.
+
+    Raises
+    ------
+    NotIdentifiedError
+        Too few tests ruptured.
+    """
+    broken = [one for one in failures if one.ruptured]
+    if len(broken) < FEWEST_RUPTURES:
+        msg = (
+            f"{len(broken)} of {len(failures)} tests end in a rupture, and {FEWEST_RUPTURES} are needed; "
+            "`tissueid inspect` shows where the force falls, and `rupture = false` in an override denies one"
+        )
+        raise NotIdentifiedError(msg)
+    names = list(dict.fromkeys(one.specimen for one in broken))
+    confounding = confounding_of(
+        [[one.test.speed_mm_s for one in broken if one.specimen == name] for name in names]
+    )
+    assert confounding is not None  # noqa: S101 -- a loaded test has a speed
+    thresholds = tuple(threshold_of(failures, criterion) for criterion in CRITERIA)
+    decision = decide(thresholds, hindrance=_hindrance(confounding))
+    told = confounding.kind in {"none", "partly"}
+    return RuptureStudy(
+        failures=tuple(failures),
+        weight=weight,
+        confounding=confounding,
+        speeds=tuple(per_speed(failures, _all_speeds(failures))),
+        changes=tuple(change_with_speed(failures)) if told else (),
+        hardening=hardening_of(failures),
+        thresholds=thresholds,
+        decision=decision,
+        asked=asked,
+        laws=_laws(failures, thresholds, decision, weight, asked),
+        flags=tuple(confounding.flags()),
+    )
+
+
+def _all_speeds(failures: Sequence[Failure]) -> Confounding:
+    """Speeds of all tests, of those that did not rupture as well."""
+    found = confounding_of([[one.test.speed_mm_s] for one in failures])
+    assert found is not None  # noqa: S101 -- a loaded test has a speed
+    return found
+
+
+def _hindrance(confounding: Confounding) -> str | None:
+    """Why the criteria can't be told apart, whatever the numbers are."""
+    if confounding.kind == "single speed":
+        return "all tests were loaded at one speed, and only speed tells the criteria apart"
+    if confounding.kind == "confounded":
+        return (
+            "each speed was tested on specimens of its own: what tells the criteria apart may as well be a "
+            "difference between specimens"
+        )
+    return None
+
+
+def _laws(
+    failures: Sequence[Failure],
+    thresholds: Sequence[Threshold],
+    decision: Decision,
+    weight: float,
+    asked: str,
+) -> dict[str, RuptureLaw]:
+    criterion = decision.criterion if asked == "auto" else asked
+    found = next((one for one in thresholds if one.criterion == criterion), None)
+    if found is None:
+        return {}
+    residual = float(np.median([one.test.residual for one in failures if one.test.residual is not None]))
+    return {
+        name: RuptureLaw(
+            criterion=found.criterion,
+            threshold=value,
+            weight=weight,
+            sd_ln=found.sd_ln,
+            specimen_sd_ln=found.specimen_sd_ln,
+            population=found.median,
+            population_ci95=found.ci95,
+            residual=residual,
+        )
+        for name, value in found.specimens.items()
+    }

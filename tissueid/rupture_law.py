@@ -1,0 +1,84 @@
+"""When a tissue ruptures, as frozen data: criterion, threshold, how it scatters, what resists afterwards.
+
+Criteria are readings (model.md 1.5): none of them is stated by Sadeghnejad et al., whose force law alone
+makes the force at any depth grow with speed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from types import MappingProxyType
+from typing import Any
+
+__all__ = ["CRITERIA", "DEFAULT_WEIGHT", "THRESHOLD_UNITS", "RuptureLaw"]
+
+#: Unit of a threshold, by criterion.
+THRESHOLD_UNITS: Mapping[str, str] = MappingProxyType(
+    {"work": "N mm", "weighted-force": "N", "stored-energy": "N mm", "depth": "mm"}
+)
+#: Work done on the tissue; F_s + w F_d; energy stored in springs; depth.
+CRITERIA = tuple(THRESHOLD_UNITS)
+#: w of the weighted force: the dynamic force counts half as much again (a reading).
+DEFAULT_WEIGHT = 1.5
+
+
+@dataclass(frozen=True, slots=True)
+class RuptureLaw:
+    """A tissue breaks when a measure of its loading first reaches a threshold.
+
+    Attributes
+    ----------
+    criterion : str
+        One of :data:`CRITERIA`.
+    threshold : float
+        Median over tests of this specimen [:data:`THRESHOLD_UNITS`].
+    weight : float
+        w of the weighted force; of no effect elsewhere.
+    sd_ln : float
+        Standard deviation of ln threshold from test to test.
+    specimen_sd_ln : float
+        The same between specimens.
+    population : float
+        Median over specimens.
+    population_ci95 : tuple of float
+        Its 95 % interval.
+    residual : float
+        Share of the force that is left after the rupture, 0 to 1.
+    """
+
+    criterion: str
+    threshold: float
+    weight: float
+    sd_ln: float
+    specimen_sd_ln: float
+    population: float
+    population_ci95: tuple[float, float]
+    residual: float
+
+    def __post_init__(self) -> None:
+        if self.criterion not in CRITERIA:
+            msg = f"no criterion of rupture {self.criterion!r}; there are {', '.join(CRITERIA)}"
+            raise ValueError(msg)
+        if not (self.threshold > 0.0 and self.weight >= 0.0 and 0.0 <= self.residual <= 1.0):
+            msg = (
+                "a threshold must be above 0, a weight not below 0 and a residual share within 0 to 1, got "
+                f"{self.threshold}, {self.weight} and {self.residual}"
+            )
+            raise ValueError(msg)
+
+    @property
+    def unit(self) -> str:
+        """Unit of the threshold."""
+        return THRESHOLD_UNITS[self.criterion]
+
+    def as_json(self) -> dict[str, Any]:
+        """The ``rupture`` object of ``schemas/bundle.schema.json``."""
+        return asdict(self) | {"unit": self.unit, "population_ci95": list(self.population_ci95)}
+
+    @classmethod
+    def from_json(cls, document: Mapping[str, Any]) -> RuptureLaw:
+        """Inverse of :meth:`as_json`."""
+        low, high = document["population_ci95"]
+        said = {key: value for key, value in document.items() if key != "unit"}
+        return cls(**{**said, "population_ci95": (low, high)})
