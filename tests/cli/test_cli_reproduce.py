@@ -1,0 +1,36 @@
+"""``tissueid reproduce``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from command_line import run
+
+from tissueid.store.schema import check
+
+
+def test_a_paper_is_recomputed_and_written(tmp_path: Path) -> None:
+    ended = run("reproduce", "pires", "-o", tmp_path / "out", "--json", "--set", "surface=cone")
+    assert ended.code == 0, ended.stderr
+    document = json.loads(ended.stdout)
+    check(document, "reproduction", where="reproduction.json")
+    assert document == json.loads((tmp_path / "out" / "reproduction.json").read_text(encoding="utf-8"))
+    assert document["readings"]["surface"]["choice"] == "cone"
+    assert [paper["name"] for paper in document["papers"]] == ["pires"]
+    assert "recomputed" in (tmp_path / "out" / "reproduction.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("args", "said"),
+    [
+        (("reproduce", "shakespeare"), "sadeghnejad"),
+        (("reproduce", "pires", "--set", "surface=torus"), "hyperboloid, cone"),
+        (("reproduce", "pires", "-o", "/dev/null/out"), "choose another folder"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(args: tuple[str, ...], said: str) -> None:
+    ended = run(*args)
+    assert ended.code == 2
+    assert said in ended.stderr

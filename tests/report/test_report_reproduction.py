@@ -1,0 +1,107 @@
+"""The page of recomputed papers: kinds told apart, figures that are what the document says."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tissueid.report.reproduction_page import KINDS, render_reproduction
+from tissueid.reproduce.document import PAPER_WORDS, PLACES
+from tissueid.reproduce.hip import guidance_forces, restitutions
+from tissueid.reproduce.items import rounded
+from tissueid.reproduce.published import PIRES, SADEGHNEJAD, Ledger
+from tissueid.reproduce.readings import Readings
+from tissueid.reproduce.speeds import force_displacement, peak_against_speed
+from tissueid.store.files import plain_json
+from tissueid.store.schema import check
+
+#: What plotly drew, line by line.
+DRAWN = (
+    "key => document.querySelector(`[data-figure='${key}']`).data"
+    ".map(one => ({name: one.name, x: Array.from(one.x), y: Array.from(one.y)}))"
+)
+
+
+@pytest.fixture(scope="module")
+def document() -> dict[str, Any]:
+    readings = Readings()
+    ledger = Ledger(SADEGHNEJAD)
+    items, figures = [ledger.item("table-2/tau", 0.0234, judge=rounded(3))], []
+    for rows, figure in (
+        force_displacement(readings),
+        peak_against_speed(readings),
+        guidance_forces(readings),
+    ):
+        items += rows
+        figures.append(figure)
+    items += restitutions()
+    found: dict[str, Any] = plain_json(
+        {
+            "schema": "tissueid/reproduction/1",
+            "tissueid": "0",
+            "papers": [
+                {"name": name, "words": PAPER_WORDS[name], "places": list(PLACES[name])}
+                for name in (SADEGHNEJAD, PIRES)
+            ],
+            "seed": 1,
+            "seconds": 1.0,
+            "readings": readings.as_json(),
+            "items": [item.as_json() for item in items],
+            "figures": [figure.as_json() for figure in figures],
+            "lost": ["everything"],
+        }
+    )
+    check(found, "reproduction", where="reproduction.json")
+    return found
+
+
+def test_every_row_says_its_kind_in_words_and_asks_the_network_for_nothing(document: dict[str, Any]) -> None:
+    page = render_reproduction(document)
+    assert re.findall(r'(?:src|href)="(?!data:|#)', page.partition("<script>")[0]) == []
+    for item in document["items"]:
+        row = page.partition(f'data-item="{item["item"]}"')[2].partition("</tr>")[0]
+        assert f"{KINDS[item['kind']][1]}</i>{item['kind']}</span>" in row
+        assert ("not printed" in row) is (item["published"] is None)
+    assert render_reproduction(document) == page
+
+
+def test_a_number_that_differs_comes_first(document: dict[str, Any]) -> None:
+    page = render_reproduction(document)
+    assert "Not everything agrees" in page
+    assert "Differing: Relaxation time." in page
+    right = {**document, "items": document["items"][1:]}
+    assert "Not everything agrees" not in render_reproduction(right)
+
+
+@pytest.mark.browser
+def test_figures_are_drawn_from_the_document(browser: Any, document: dict[str, Any], tmp_path: Path) -> None:
+    path = tmp_path / "reproduction.html"
+    path.write_text(render_reproduction(document), encoding="utf-8")
+    page = browser.new_page(viewport={"width": 1200, "height": 6000})
+    problems: list[str] = []
+    page.on("pageerror", lambda error: problems.append(str(error)))
+    page.on("console", lambda message: problems.append(message.text) if message.type == "error" else None)
+    page.on(
+        "request",
+        lambda one: problems.append(one.url) if not one.url.startswith(("file:", "data:", "blob:")) else None,
+    )
+    page.goto(path.as_uri())
+    page.wait_for_function("document.querySelectorAll('[data-drawn]').length === 3", timeout=60_000)
+    drawn = {figure["key"]: page.evaluate(DRAWN, figure["key"]) for figure in document["figures"]}
+    titles = page.evaluate("[...document.querySelectorAll('.xtitle')].map(one => one.textContent)")
+    overflow = {}
+    for width in (1400, 800, 400):
+        page.set_viewport_size({"width": width, "height": 900})
+        # figures follow a moment later
+        page.wait_for_function("document.documentElement.scrollWidth <= innerWidth", timeout=30_000)
+        overflow[width] = page.evaluate("document.documentElement.scrollWidth - innerWidth")
+    page.close()
+    assert problems == []
+    for figure in document["figures"]:
+        wanted = [{key: trace[key] for key in ("name", "x", "y")} for trace in figure["traces"]]
+        assert drawn[figure["key"]] == wanted
+    assert titles == [figure["x_title"] for figure in document["figures"]]
+    assert overflow == dict.fromkeys((1400, 800, 400), 0)

@@ -1,0 +1,182 @@
+"""Recomputed numbers against closed forms and against another way to compute them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.optimize import brentq
+
+from tissueid.reproduce.controller import controlled_contact, table_3
+from tissueid.reproduce.document import reproduction
+from tissueid.reproduce.hip import guidance_forces, restitutions
+from tissueid.reproduce.identification import identified_table
+from tissueid.reproduce.instrument import hold_exponential, settling_force
+from tissueid.reproduce.items import Item, Kind
+from tissueid.reproduce.published import SADEGHNEJAD, Ledger
+from tissueid.reproduce.readings import Readings
+from tissueid.reproduce.recordings import Effort
+from tissueid.reproduce.speeds import force_displacement, peak_against_speed, rupture_force
+from tissueid.reproduce.tissue import Tissue, cubic_through_peaks, read_branch
+from tissueid.store.files import plain_json
+from tissueid.store.schema import check
+from tissueid.synth.recipe import Branch
+
+K, TAU = 63.62, 0.021
+
+
+def keyed(items: list[Item]) -> dict[str, Item]:
+    return {one.item: one for one in items}
+
+
+def test_the_cubic_goes_through_the_peaks_as_nearly_as_a_cubic_can() -> None:
+    ledger = Ledger(SADEGHNEJAD)
+    static = np.array(cubic_through_peaks(ledger, read_branch(ledger, Readings())))
+    depth = np.array([2.0, 4.0, 6.0, 8.0])
+    speed = 250.0 / 60.0
+    rest = np.array([86.64, 122.32, 176.76, 221.37]) - K * speed * TAU * -np.expm1(-depth / (speed * TAU))
+    columns = depth[:, None] ** np.arange(1, 4)
+    # a least-squares residual is orthogonal to the columns
+    assert columns.T @ (rest - columns @ static) == pytest.approx(np.zeros(3), abs=1e-6)
+
+
+def test_force_grows_by_viscosity_times_the_difference_of_speeds() -> None:
+    found = keyed(force_displacement(Readings())[0])
+    for speed in (70, 100, 150, 250, 500):
+        expected = K * TAU * (speed - 10.0) / 60.0
+        assert found[f"figure-3/increment-{speed}"].recomputed == pytest.approx(expected, rel=1e-6)
+    assert found["figure-3/grows"].agrees is True
+
+
+def test_constant_work_lets_a_hardening_tissue_s_peak_fall_and_table_1_s_rise() -> None:
+    found = keyed(peak_against_speed(Readings())[0])
+    assert found["figure-4/hardening-10"].recomputed == pytest.approx(92.4, abs=0.15)
+    assert found["figure-4/hardening-500"].recomputed == pytest.approx(73.9, abs=0.15)
+    assert found["figure-4/table-1-10"].recomputed == pytest.approx(166.0, abs=0.15)
+    assert found["figure-4/table-1-500"].recomputed == pytest.approx(169.1, abs=0.15)
+    assert found["figure-4/hardening-falls"].agrees is True
+    assert found["figure-4/table-1-falls"].agrees is False
+    assert found["figure-4/by-equation-7"].agrees is False
+
+
+def reference(static: tuple[float, float, float], speed: float, criterion: str, slow: float) -> float:
+    """Force at rupture by quadrature and a root, from the equations alone."""
+    length = speed / 60.0 * TAU
+
+    def static_force(x: float) -> float:
+        return static[0] * x + static[1] * x**2 + static[2] * x**3
+
+    def branch(x: float) -> float:
+        return float(K * length * (1.0 - np.exp(-x / length)))
+
+    def load(x: float) -> float:
+        if criterion == "depth":
+            return x
+        if criterion == "work":
+            return float(quad(lambda y: static_force(y) + branch(y), 0.0, x, limit=200)[0])
+        if criterion == "weighted-force":
+            return static_force(x) + 1.5 * branch(x)
+        return float(quad(static_force, 0.0, x)[0]) + 0.5 * branch(x) ** 2 / K
+
+    level = {
+        "depth": slow,
+        "weighted-force": static_force(slow),
+    }.get(criterion, quad(static_force, 0.0, slow)[0])
+    at = brentq(lambda x: load(x) - level, 0.01, 2.0 * slow)
+    return static_force(at) + branch(at)
+
+
+@pytest.mark.parametrize("criterion", ["work", "weighted-force", "stored-energy", "depth"])
+@pytest.mark.parametrize("speed", [10.0, 500.0])
+def test_force_at_rupture_is_that_of_the_criterion(criterion: str, speed: float) -> None:
+    static = (5.0, -0.4, 0.43)
+    tissue = Tissue(static, Branch((K,), TAU))
+    expected = reference(static, speed, criterion, 6.0)
+    # trapezoids of 3 um in depth
+    assert rupture_force(tissue, speed, criterion, 6.0) == pytest.approx(expected, rel=1e-5)
+
+
+def test_an_exponential_is_found_in_a_hold() -> None:
+    time = np.arange(0.0, 0.5, 1e-3)
+    assert hold_exponential(time, 80.0 + 5.0 * np.exp(-time / 0.03)) == pytest.approx((5.0, 0.03), rel=1e-6)
+
+
+def test_an_elastic_tissue_behind_a_settling_crosshead_relaxes_in_appearance() -> None:
+    time, force = settling_force((40.0,), 2.0, 0.1, 0.02)
+    # linear: an exponential through a first-order filter that starts at the full overshoot
+    lag, filter_s = 0.02, 0.005
+    expected = 80.0 + 4.0 * (lag * np.exp(-time / lag) - filter_s * np.exp(-time / filter_s)) / (
+        lag - filter_s
+    )
+    # forces are held over steps of 0.1 ms
+    assert force == pytest.approx(expected, abs=0.05)
+
+
+def test_restitution_is_lambert_s_and_the_guidance_holds_its_sentences() -> None:
+    reached = [one.recomputed for one in restitutions()]
+    assert reached == pytest.approx([0.256, 0.470, 0.683, 0.894], rel=0.01)
+    for surface in ("hyperboloid", "cone"):
+        found, figure = guidance_forces(Readings(surface=surface))
+        assert [one.agrees for one in found] == [True, True, True]
+        impedance = [trace for trace in figure.traces if trace.name.startswith("impedance")]
+        assert [trace.y[0] for trace in impedance] == [0.0] * 4
+        # K of the pull: 10 N/m far, 65 N/m more near, by a bell of 20 mm
+        stiffness = [10.0 + 65.0 * np.exp(-0.5 * (height / 20.0) ** 2) for height in (40.0, 20.0, 10.0, 0.0)]
+        assert [1e3 * trace.y[-1] / 20.0 for trace in impedance] == pytest.approx(stiffness, rel=1e-3)
+
+
+def test_the_virtual_mass_is_bounded_by_the_hand_s() -> None:
+    found = keyed(table_3(Readings()))
+    assert found["table-3/virtual-mass-A"].recomputed == pytest.approx(1.25)
+    assert found["table-3/virtual-mass-B"].recomputed == pytest.approx(1.158 * 1.25 / (1.158 + 2.5))
+    assert found["table-3/5"].words == "Damping of the device [N s/m]"
+    swapped = keyed(table_3(Readings(device="mass-stiffness-damping")))
+    assert swapped["table-3/5"].words == "Stiffness of the device [N/m]"
+
+
+@pytest.mark.needs_jit
+@pytest.mark.parametrize("device", ["mass-damping-stiffness", "mass-stiffness-damping"])
+def test_both_variants_bear_a_hundred_times_the_stiffness(device: str) -> None:
+    found, figures = controlled_contact(Readings(device=device), Effort())
+    rows = keyed(found)
+    assert [one.agrees for one in found if one.item.endswith("stable")] == [True] * 4
+    assert rows["figure-7/A-sustained-x1"].recomputed < 0.35  # type: ignore[operator]
+    assert rows["figure-7/B-sustained-x100"].recomputed < 0.003  # type: ignore[operator]
+    assert [figure.key for figure in figures] == ["figure-7a", "figure-7a-error", "figure-7b"]
+    assert all(len(trace.x) == len(trace.y) > 500 for figure in figures for trace in figure.traces)
+
+
+def test_table_2_comes_back_from_the_whole_protocol() -> None:
+    found = keyed(identified_table(Readings(), Effort(rate_Hz=100.0, draws=2000)))
+    for key in ("table-2/stiffness", "table-2/tau"):
+        assert (found[key].kind, found[key].agrees) == (Kind.ROUND_TRIP, True)
+    # a thousandth: one standard error of K tau at 100 Hz is 0.4 %, of which three
+    assert found["table-2/viscosity"].recomputed == pytest.approx(K * TAU, rel=0.012)
+    assert found["table-2/a1"].kind is Kind.NOT_REPRODUCIBLE
+
+
+@pytest.mark.slow
+def test_everything_comes_out_as_it_must() -> None:
+    document = plain_json(reproduction(("sadeghnejad", "pires"), Readings(), Effort()))
+    check(document, "reproduction", where="reproduction.json")
+    rows = {one["item"]: one for one in document["items"]}
+    for depth, peak, tau in (
+        (2, 86.64, 0.0214),
+        (4, 122.32, 0.0212),
+        (6, 176.76, 0.0206),
+        (8, 221.37, 0.0209),
+    ):
+        assert rows[f"table-1/peak-{depth}mm"]["recomputed"] == pytest.approx(peak, abs=0.5)
+        low, high = rows[f"table-1/tau-{depth}mm"]["interval"]
+        assert low <= tau <= high
+    for key, value in (("table-2/stiffness", 63.62), ("table-2/tau", 0.021)):
+        low, high = rows[key]["interval"]
+        assert low <= value <= high
+    least, most = rows["figure-5/nrmsd-by-range"]["recomputed"]
+    assert least < 10.95
+    assert most > 4.23
+    assert document["seconds"] < 180.0
+    assert {figure["key"] for figure in document["figures"]} == {
+        *("figure-1", "figure-2", "figure-3", "figure-4", "figure-5", "figure-6"),
+        *("figure-7a", "figure-7a-error", "figure-7b", "paper-b-figure-4"),
+    }
