@@ -80,14 +80,12 @@ def test_learning_halves_the_error_where_the_robust_term_does_not_cover_the_dyna
 @pytest.mark.needs_jit
 @pytest.mark.parametrize("variant", ["A", "B"])
 @pytest.mark.parametrize("scale", SCALES)
-def test_the_bound_of_the_proof_is_broken_by_sampling_and_v_stays_bounded(
-    variant: str, scale: float
-) -> None:
+def test_the_bound_of_the_proof_is_broken_by_sampling_and_v_stays_bounded(variant: str, scale: float) -> None:
     found = measured(simulate(replace(table_3(variant, scale).task("free-contact"), seconds=20.0)))
 
-    # the sensor's sample is one tick old, and contact begins within a tick: in variant A a robust term of 25 N
+    # the sensor's sample is a tick old, and contact begins within a tick: in variant A a robust term of 25 N
     # hides it on soft tissue, elsewhere V' is above its bound after few ticks, by much where tissue is stiff
-    print(f"{variant} x{scale:g}: V' broken after {found.violated_share:.2%}, {found.violation_max_W:.3g} W")
+    print(f"{variant} x{scale:g}: V' broken after {found.violated_share:.2%}, {found.violation_max_W:.3g} W")  # noqa: T201
     assert found.violated_share < 0.01
     assert (found.violation_max_W > 0.0) == (variant == "B" or scale > 1.0)
     assert found.violation_max_W < 100.0
@@ -283,12 +281,12 @@ def some_operators(count: int, seed: int) -> list[Mechanics]:
     return [Mechanics(*np.exp(rng.uniform(low, high))) for _ in range(count)]
 
 
-def bounded(variant: str, operators: list[Mechanics], tissues: list[Tissue], scale: float) -> list[str]:
-    """Who diverged, or had V leave where it began, with 1.5 times the bound and th1 = M at the start."""
-    lost = []
-    for i, operator in enumerate(operators):
+def largest_errors_mm(variant: str, operators: list[Mechanics], tissues: list[Tissue]) -> np.ndarray:
+    """Of every loop with 1.5 times the bound, from th = truth (so th1 = M); infinite where it diverged."""
+    found = []
+    for operator in operators:
         for tissue in tissues:
-            settings = ControlSettings(tissue, variant=variant, operator=operator, stiffness_scale=scale)
+            settings = ControlSettings(tissue, variant=variant, operator=operator)
             settings = replace(
                 settings,
                 tool=VirtualTool(1.5 * virtual_mass_bound(settings)),
@@ -297,21 +295,31 @@ def bounded(variant: str, operators: list[Mechanics], tissues: list[Tissue], sca
             )
             for task in ("sustained", "free-contact"):
                 run = simulate(settings.task(task))
-                if run.diverged_s is not None or measured(run).error_max_mm > 20.0:
-                    lost.append(f"operator {i}, {tissue.name}, {task}")
-    return lost
+                found.append(np.inf if run.diverged_s is not None else float(run.error_mm.max()))
+    return np.array(found)
+
+
+#: A loop counts as bounded while its device stays this near to the virtual tool [mm].
+NEAR_MM = 20.0
 
 
 @pytest.mark.needs_jit
 @pytest.mark.parametrize("variant", ["A", "B"])
 def test_some_hands_on_some_tissues_are_bounded(variant: str) -> None:
-    assert bounded(variant, some_operators(3, seed=1), some_tissues(2, seed=2), 1.0) == []
+    errors = largest_errors_mm(variant, some_operators(3, seed=1), some_tissues(2, seed=2))
+
+    assert errors.size == 12
+    assert errors.max() < NEAR_MM
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("variant", ["A", "B"])
 def test_200_hands_on_20_tissues_are_bounded(variant: str) -> None:
-    lost = bounded(variant, some_operators(200, seed=1), some_tissues(20, seed=2), 1.0)
+    errors = largest_errors_mm(variant, some_operators(200, seed=1), some_tissues(20, seed=2))
 
-    print(f"variant {variant}: 200 hands x 20 tissues x 2 tasks, {len(lost)} not bounded")
-    assert lost == []
+    print(  # noqa: T201
+        f"variant {variant}: {errors.size} loops (200 hands, 20 tissues, 2 pushes), {np.isinf(errors).sum()} "
+        f"diverged; largest error {np.median(errors):.3g} mm in the median, {errors.max():.3g} mm at most"
+    )
+    assert errors.size == 8000
+    assert errors.max() < NEAR_MM

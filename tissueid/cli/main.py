@@ -36,6 +36,7 @@ COMMANDS = {
     "devices": "Find, home, test and calibrate haptic devices, or emulate one.",
     "synth": "Write synthetic recordings with a known truth.",
     "render": "Feel an identified tissue on a device, or try it on a simulated one.",
+    "control": "Simulate the adaptive controller of admittance rendering against a tissue.",
     "training": "Measure guided sessions: error, angle, time, smoothness, learning.",
     "reproduce": "Recompute the two papers this project starts from.",
     "view": "Look at a session in a browser: one that was recorded, or runs elsewhere.",

@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tissueid.haptics.arm import (
+    HAND_FORCE,
     POINTED,
     POSITION,
     TIME,
@@ -188,6 +189,11 @@ class SimulatedDevice(HapticDevice):
     def felt_force_N(self) -> FloatArray:
         """Force at the grip now, after the delay [N], shape (3,)."""
         return self.memory[FELT : FELT + 3].copy()
+
+    @property
+    def sensed_force_N(self) -> FloatArray:
+        """Force of the hand on the grip now [N], shape (3,): an ideal force sensor, which a Falcon has not."""
+        return self.memory[HAND_FORCE : HAND_FORCE + 3].copy()
 
     @property
     def port_energy_J(self) -> float:

@@ -27,6 +27,7 @@ __all__ = ["SCHEMA_NAMES", "SchemaProblem", "check", "first_problem", "load_sche
 #: Every schema, by the name :func:`load_schema` takes.
 SCHEMA_NAMES = (
     "bundle",
+    "control",
     "devices",
     "flag",
     "frame",

@@ -12,24 +12,11 @@ from numpy.typing import NDArray
 
 from tissueid.compiled import tick_kernel
 from tissueid.model.kernels import STATE_SIZE
-from tissueid.render.control.block import PERIOD, SUBSTEPS, TOUCHED_BY_DEVICE, VARIANT, VARIANT_B
-from tissueid.render.control.drive import (
-    advance_tool,
-    disturbance,
-    environment_force,
-    hand_push,
-    tool_acceleration,
-)
-from tissueid.render.control.law import (
-    adapt,
-    control_force,
-    lyapunov,
-    reference,
-    robust_term,
-    saturate,
-    sigma_at,
-)
-from tissueid.render.control.plant import generalised_force, inertia, regress, solve
+from tissueid.render.control.block import PERIOD, SUBSTEPS, VARIANT, VARIANT_B
+from tissueid.render.control.command import command
+from tissueid.render.control.drive import disturbance, hand_push
+from tissueid.render.control.law import adapt, lyapunov, sigma_at
+from tissueid.render.control.plant import generalised_force, inertia, solve
 from tissueid.render.control.row import record_row
 
 __all__ = ["LARGEST_M", "run_sampled", "sampled_room"]
@@ -83,10 +70,11 @@ def _advance_plant(
 
 def sampled_room(
     axes: int, start: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, tuple[FloatArray, FloatArray]]:
-    """Room of a run: vectors, regressor, inertia; the estimates and the tissue at rest."""
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, tuple[FloatArray, FloatArray]]:
+    """Room of a run: vectors, regressor twice, inertia; the estimates and the tissue at rest."""
     return (
         np.zeros((VECTOR_ROWS, axes)),
+        np.zeros((axes, start.size)),
         np.zeros((axes, start.size)),
         np.zeros((axes, axes)),
         (start.copy(), np.zeros(STATE_SIZE)),
@@ -101,7 +89,7 @@ def run_sampled(
     adaptation: tuple[FloatArray, FloatArray],
     drive: FloatArray,
     noise: FloatArray,
-    room: tuple[FloatArray, FloatArray, FloatArray, tuple[FloatArray, FloatArray]],
+    room: tuple[FloatArray, FloatArray, FloatArray, FloatArray, tuple[FloatArray, FloatArray]],
     out: FloatArray,
 ) -> int:
     """Run a loop from rest at the surface of the tissue.
@@ -129,7 +117,7 @@ def run_sampled(
         Rows written; fewer than ticks where the loop diverged.
     """
     n = drive.shape[1]
-    rows, Y, M, lists = room
+    rows, Y, Z, M, lists = room
     gains, bounds = adaptation
     truth = parameters[2]
     x, v, hand, sensed = rows[0], rows[1], rows[2], rows[3]
@@ -138,7 +126,7 @@ def run_sampled(
     u, robust, push, disturbed, unknown = rows[10], rows[11], rows[12], rows[13], rows[14]
     was = (rows[15], rows[16])
     spare = rows[17:19]
-    plant_room = (rows[19], rows[20], rows[21], spare, Y, M)
+    plant_room = (rows[19], rows[20], rows[21], spare, Z, M)
     estimates, state = lists
     touched = 0.0
     for tick in range(out.shape[0]):
@@ -148,26 +136,18 @@ def run_sampled(
         for i in range(n):
             sensed[i] = hand[i] + noise[tick, i]
             unknown[i] = -disturbed[i] if block[VARIANT] == VARIANT_B else push[i] - disturbed[i]
-        if block[TOUCHED_BY_DEVICE] > 0.0:
-            touched = environment_force(block, law, state, x, block[PERIOD])
         before = touched
         for i in range(n):
             was[0][i], was[1][i] = tool[0][i], tool[1][i]
-        # the command is held until the next tick, so it aims at where the tool will be then
-        touched = advance_tool(block, law, state, tool, sensed, touched)
-        tool_acceleration(block, tool[1], sensed, touched, tool[2])
-        reference(block, (x, v), tool, wanted)
-        sigma = sigma_at(block, time)
-        robust_term(block, wanted[2], sigma, robust)
-        V, rate = lyapunov(block, x, wanted[2], robust, unknown, truth, estimates, gains, spare, Y, M)
-        regress(block, x, v, wanted[0], wanted[1], Y)
-        control_force(block, Y, estimates, wanted[2], robust, sensed, u)
-        saturate(block, u)
+        touched = command(
+            block, law, state, time, (x, v), sensed, touched, tool, wanted, robust, estimates, Y, u
+        )
+        V, rate = lyapunov(block, x, wanted[2], robust, unknown, truth, estimates, gains, spare, Z, M)
         record_row(
             out[tick],
             time,
             (x, v, was[0], was[1], sensed, u, wanted[2], push, disturbed),
-            (before, sigma, V, rate),
+            (before, sigma_at(block, time), V, rate),
             estimates,
         )
         adapt(block, Y, wanted[2], gains, bounds, block[PERIOD], estimates)

@@ -180,7 +180,8 @@ def simulate(settings: ControlSettings) -> ControlRun:
 
 
 def _as_run(settings: ControlSettings, rows: FloatArray, *, complete: bool) -> ControlRun:
-    """Name the columns."""
+    """Name the columns; what a diverging loop wrote last may be no number."""
+    rows = rows[np.isfinite(rows).all(axis=1)]
     n = settings.axes
     vectors = {name: rows[:, 1 + k * n : 1 + (k + 1) * n] for k, name in enumerate(VECTORS)}
     first = 1 + n * len(VECTORS)

@@ -1,0 +1,127 @@
+"""``tissueid control``: loops of the adaptive controller, their document, page and refusals."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from command_line import run
+from rendered_tissues import PAPER_A, bundle_of
+
+from tissueid.store.bundle import write_bundle
+from tissueid.store.schema import first_problem
+
+pytestmark = pytest.mark.needs_jit
+
+
+def test_a_bundle_runs_beside_the_frozen_controller_and_its_own_stiffness(tmp_path: Path) -> None:
+    path = tmp_path / "bundle.h5"
+    write_bundle(bundle_of(PAPER_A), path)
+    page = tmp_path / "control.html"
+
+    ended = run("control", path, "--stiffness-scale", "100", "--html", page, "--json", "--seconds", "4")
+
+    assert ended.code == 0, ended.stderr
+    document = ended.json()
+    assert first_problem(document, "control") is None
+    assert [one["name"] for one in document["runs"]] == ["adaptive", "frozen", "unscaled"]
+    assert [one["stiffness_scale"] for one in document["runs"]] == [100.0, 100.0, 1.0]
+    assert document["runs"][0]["measures"]["error_rms_mm"] < 0.01
+    for estimate in document["runs"][1]["estimates"]:
+        assert estimate["start"] == estimate["end"]
+    table = {row["name"]: (row["value"], row["kind"]) for row in document["numbers"]}
+    assert table["operator mass"] == (1.25, "reading")
+    assert table["device damping"] == (115.4, "reading")
+    assert table["virtual mass"] == (2.0, "assumed")
+    assert table["saturation"] == (None, "assumed")
+    text = page.read_text(encoding="utf-8")
+    assert re.findall(r'(?:src|href)="(?!data:|#)', text.partition("<script>")[0]) == []
+    assert "Table 3; which number is which, and the units, are a reading" in text
+
+
+def test_what_the_user_states_is_called_stated() -> None:
+    ended = run(
+        "control", "--preset", "paper-a", "--json", "--seconds", "2", "--operator", "2", "5", "100",
+        "--virtual-mass", "3", "--gamma", "1", "2", "3", "--saturation", "50", "--frozen", "--start", "zero",
+    )  # fmt: skip
+
+    document = ended.json()
+    table = {row["name"]: (row["value"], row["kind"]) for row in document["numbers"]}
+    assert table["operator damping"] == (5.0, "stated")
+    assert table["device mass"] == (1.158, "reading")
+    assert table["virtual mass"] == (3.0, "stated")
+    assert table["Gamma of stiffness"] == (3.0, "stated")
+    assert table["saturation"] == (50.0, "stated")
+    assert [one["name"] for one in document["runs"]] == ["frozen", "adaptive"]
+    assert [one["start"] for one in document["runs"][0]["estimates"]] == [0.0, 0.0, 0.0]
+
+
+def test_a_loop_that_diverges_is_said_and_ends_with_4(tmp_path: Path) -> None:
+    given = (
+        "control",
+        "--preset",
+        "paper-a",
+        "--variant",
+        "A",
+        "--stiffness-scale",
+        "100",
+        "--task",
+        "impacts",
+    )
+    noise = ("--seconds", "20", "--noise", "0.05", "--seed", "3")
+
+    kept = run(*given, *noise)
+    lost = run(*given, *noise, "--no-projection", "--html", tmp_path / "lost.html")
+
+    assert kept.code == 0, kept.stderr
+    assert "DIVERGED" not in kept.stdout.splitlines()[3]
+    assert lost.code == 4
+    assert re.search(r"^adaptive .*; DIVERGED at \d+\.\d+ s$", lost.stdout, re.MULTILINE)
+    assert "Diverged." in (tmp_path / "lost.html").read_text(encoding="utf-8")
+
+
+def test_a_device_with_a_force_sensor_is_rendered_on_and_another_refused() -> None:
+    ended = run("control", "--preset", "paper-a", "--device", "sim", "--seconds", "2", "--json")
+    assert ended.json()["device"]["error_rms_mm"] < 0.3
+    assert "shaped by the guard" in run("control", "--preset", "paper-a", "--device", "sim").stdout
+
+    refused = run("control", "--preset", "paper-a", "--device", "falcon")
+    assert refused.code == 5
+    assert "falcon has no force sensor" in refused.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((), "give a bundle, or --preset, and not both"),
+        (("--preset", "nonsense"), "there is no preset 'nonsense'"),
+        (("--preset", "paper-a", "--virtual-mass", "0.3"), "variant B bears from 0.396 kg on; take 0.594 kg"),
+        (("--preset", "paper-a", "--variant", "A", "--virtual-mass", "1.2"), "or variant B"),
+        (("--preset", "paper-a", "--interface", "0", "1", "1"), "the device needs a mass"),
+        (("--preset", "paper-a", "--kr", "4000"), "overshoots within one sample"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_with_the_way_out(arguments: tuple[str, ...], words: str) -> None:
+    ended = run("control", *arguments)
+
+    assert ended.code == 2
+    assert words in ended.stderr
+
+
+def test_too_little_margin_and_a_tissue_left_behind_are_said() -> None:
+    ended = run("control", "--preset", "paper-a", "--virtual-mass", "0.5", "--stiffness-scale", "0.02")
+
+    assert "less than 1.5 times it" in ended.stdout
+    assert "deeper than the 8 mm that were identified" in ended.stdout
+
+
+def test_the_document_is_json_whatever_happens() -> None:
+    ended = run(
+        "control", "--preset", "paper-a", "--environment", "impedance", "--stiffness-scale", "100", "--json"
+    )  # fmt: skip
+
+    document = json.loads(ended.stdout)
+    assert first_problem(document, "control") is None
+    assert ended.code == (0 if document["runs"][0]["measures"]["diverged_s"] is None else 4)
