@@ -102,14 +102,16 @@ def test_the_bound_of_the_proof_holds_where_nothing_is_sampled() -> None:
 
 
 @pytest.mark.needs_jit
-def test_hard_impacts_on_stiff_tissue_are_bounded_with_projection_and_diverge_without() -> None:
-    hard = replace(table_3("A", 100.0).task("impacts"), seconds=20.0, sensor_noise_N=0.05, seed=3)
+@pytest.mark.parametrize("variant", ["A", "B"])
+def test_hard_impacts_on_stiff_tissue_are_bounded_with_projection_and_diverge_without(variant: str) -> None:
+    hard = replace(table_3(variant, 100.0).task("impacts"), seconds=25.0, sensor_noise_N=0.05, seed=3)
+    hard = replace(hard, start_estimates=hard.estimated_truth())
 
     kept = simulate(hard)
     lost = simulate(replace(hard, gains=Gains(projection=False)))
 
     assert kept.diverged_s is None
-    assert measured(kept).error_max_mm < 20.0
+    assert kept.error_mm.max() < 20.0
     assert lost.diverged_s is not None
     bounds = hard.estimate_bounds()
     assert (kept.estimates >= bounds[0]).all()
