@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from tissueid.cli.contact_law import LAWS, fit_law
 from tissueid.cli.fit_summary import print_summary
 from tissueid.cli.output import echo_bytes, note, output_options, progress_bar
 from tissueid.cli.quoting import quoting_options, quoting_values
@@ -34,6 +35,7 @@ Examples:
   tissueid fit "session 3/"*.csv --branches 2 --stiffness-degree 1
   tissueid fit lab_data/study.toml -o out
   tissueid fit meat.xlsx --json > meat.json
+  tissueid fit rig/ --contact-law hertz-impact -o wall
   tissueid fit odd.csv --columns "time=t,displacement=pos,force=F" --units "force=mN"
 """
 
@@ -51,6 +53,10 @@ def _count(auto: str) -> click.Choice[str]:
 @click.option(
     "-o", "--out", type=click.Path(file_okay=False), default="tissueid-out", show_default=True,
     help="Output folder.",
+)  # fmt: skip
+@click.option(
+    "--contact-law", type=click.Choice(LAWS), default=LAWS[0], show_default=True,
+    help="Law that is identified; hertz-impact gives k, n and e of a hard body, and contact-law.json.",
 )  # fmt: skip
 @click.option(
     "--branches", type=_count("123"), default="auto", show_default=True,
@@ -115,6 +121,8 @@ def command(**flags: Any) -> int:
     identification.json, one bundle a specimen, curves.h5, posteriors.h5, sums.h5 and report.html to the
     output folder, all at once or not at all.
     """
+    if flags["contact_law"] != LAWS[0]:
+        return fit_law(flags)
     from tissueid.fit.compiled import kernels_to_compile
     from tissueid.store.outputs import OutputSet
     from tissueid.study.batch import fit_cohort, prune_specimens

@@ -5,7 +5,7 @@ model has the same norm, and the same Gauss-Newton matrix, as the residual over 
 sees a few hundred rows instead of millions; degrees of freedom are corrected to the number of samples.
 Parameters are the cone coordinates of the passive polynomials, ln tau, and the random effects.
 
-This is the only module that sees lmfit.
+Beside it only :mod:`tissueid.fit.contact_law` sees lmfit.
 """
 
 from __future__ import annotations

@@ -6,6 +6,7 @@ their name; what no source states is listed in the scene under ``assumed``, and 
 
 from __future__ import annotations
 
+import json
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -103,7 +104,7 @@ def load_scene(given: str, *, plan: Path | None = None) -> Scene:
         assumed=tuple(document.get("assumed", ())),
         device=document.get("device"),
         tissue=_tissue(document.get("tissue", {}), folder),
-        guidance=_guidance(document, given),
+        guidance=_guidance(document, given, folder),
     )
 
 
@@ -141,7 +142,41 @@ def _tissue(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     return out
 
 
-def _guidance(document: Mapping[str, Any], given: str) -> Guidance | None:
+def _funnel(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Fields of the guiding surface, with the contact law of recordings where one is named."""
+    fields = _in_metres(table)
+    named = fields.pop("contact_law", None)
+    return fields if named is None else fields | _law(folder / named)
+
+
+def _law(path: Path) -> dict[str, float]:
+    """Stiffness [N/m^n], exponent and restitution of the one specimen of a contact-law.json."""
+    try:
+        document = json.loads(_text_of(path))
+        problem = first_problem(document, "contact-law")
+    except json.JSONDecodeError as error:
+        msg = f"{printable(str(path))} is no JSON: {error}"
+        raise UsageError(msg) from error
+    if problem is not None:
+        msg = f"{printable(str(path))}, {problem}"
+        raise UsageError(msg)
+    specimens = document["specimens"]
+    if len(specimens) != 1:
+        msg = f"{printable(str(path))} holds {len(specimens)} specimens: fit the one that is to be felt alone"
+        raise UsageError(msg)
+    values = {one["symbol"]: one["value"] for one in specimens[0]["parameters"]}
+    unknown = [one["symbol"] for one in specimens[0]["parameters"] if one["value"] is None]
+    if unknown:
+        msg = f"{printable(str(path))}: {', '.join(unknown)} not identified; there is no law to be felt"
+        raise UsageError(msg)
+    return {
+        "stiffness_N_per_m_n": values["k"] * MM ** -values["n"],
+        "exponent": values["n"],
+        "restitution": values["e"],
+    }
+
+
+def _guidance(document: Mapping[str, Any], given: str, folder: Path) -> Guidance | None:
     if "guidance" not in document:
         return None
     table, plan = document["guidance"], document["plan"]
@@ -152,7 +187,7 @@ def _guidance(document: Mapping[str, Any], given: str) -> Guidance | None:
         return Guidance(
             entry_m=(x, y, z),
             axis=tuple(plan["axis"]),
-            funnel=Funnel(**_in_metres(table.get("funnel", {}))),
+            funnel=Funnel(**_funnel(table.get("funnel", {}), folder)),
             pull=Pull(**_in_metres(table.get("pull", {}))),
             bone=Bone(**_in_metres(table.get("bone", {}))),
             weight_N=tuple(weight["force_N"]),

@@ -27,6 +27,7 @@ __all__ = ["SCHEMA_NAMES", "SchemaProblem", "check", "first_problem", "load_sche
 #: Every schema, by the name :func:`load_schema` takes.
 SCHEMA_NAMES = (
     "bundle",
+    "contact-law",
     "control",
     "devices",
     "flag",
@@ -37,6 +38,7 @@ SCHEMA_NAMES = (
     "population",
     "quantities",
     "reproduction",
+    "rupture",
     "scene",
     "selfcheck",
     "session",

@@ -1,0 +1,74 @@
+"""``tissueid fit --contact-law hertz-impact``: another law from the same recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+
+from tissueid.cli.output import echo_json, note, progress_bar, with_error
+from tissueid.cli.reading import read_all, read_in_order, read_options, segment_options
+from tissueid.errors import exit_code
+
+__all__ = ["LAWS", "fit_law"]
+
+#: The tissue's own law, and the one of a hard body.
+LAWS = ("kelvin-voigt", "hertz-impact")
+NAMES = ("contact-law.json", "contact-law.html")
+
+
+def fit_law(flags: Mapping[str, Any]) -> int:
+    """Identify k, n and e of every specimen; 0, 3 where all was refused, 4 not identified, 7 some refused."""
+    from tissueid.report.contact_law_page import render_contact_law
+    from tissueid.result import Refusal
+    from tissueid.store.files import json_bytes, write_file
+    from tissueid.store.schema import check
+    from tissueid.study.contact_law import contact_law_document
+    from tissueid.study.recordings import locate_study
+
+    options = segment_options(compression=flags["compression"], contact=flags["contact"])
+    study, paths = locate_study(flags["paths"], named=flags["study"], ignore=flags["no_study"])
+    refused: list[Refusal] = []
+    with progress_bar(show=not flags["quiet"]) as progress:
+        progress("fitting the contact law", 0, 0)
+        items = read_in_order(paths, read_options(flags), study)
+        document = contact_law_document(read_all(items, refused), options, refused)
+    check(document, "contact-law")
+    if document["specimens"]:
+        out = Path(flags["out"])
+        out.mkdir(parents=True, exist_ok=True)
+        page = render_contact_law(document).encode()
+        for name, content in zip(NAMES, (json_bytes(document), page), strict=True):
+            write_file(out / name, content)
+    if flags["as_json"]:
+        echo_json(document)
+    elif not flags["quiet"]:
+        _print(document)
+    for one in document["refused"]:
+        note(f"{one['path']}: {one['error']['message']}")
+    return exit_code(_codes(document))
+
+
+def _codes(document: Mapping[str, Any]) -> set[int]:
+    specimens = document["specimens"]
+    codes = {0}
+    if document["refused"]:
+        codes.add(7 if specimens else 3)
+    if any(entry["value"] is None for one in specimens for entry in one["parameters"]):
+        codes.add(4)
+    return codes
+
+
+def _print(document: Mapping[str, Any]) -> None:
+    for one in document["specimens"]:
+        click.echo(f"{one['specimen']}: {len(one['logs'])} recordings, NRMSD {100.0 * one['nrmsd']:.2f} %")
+        for entry in one["parameters"]:
+            unit = "" if entry["unit"] == "1" else f" {entry['unit']}"
+            if entry["value"] is None:
+                click.echo(f"  {entry['symbol']}  not identified: {entry['reason']}")
+            else:
+                low, high = entry["ci95"]
+                told = with_error(entry["value"], entry["stderr"])
+                click.echo(f"  {entry['symbol']}  {told}{unit} (95 %: {low:.4g} to {high:.4g})")
