@@ -8,12 +8,14 @@ from typing import Any
 from tissueid.likelihood import marginal, partial
 from tissueid.likelihood.cone import cone_least_squares
 from tissueid.likelihood.gram_kernels import places, tiled_grams
+from tissueid.likelihood.instrument_density import conditionals, log_ratios
 from tissueid.likelihood.instrument_kernels import instrument_force
 from tissueid.likelihood.kernels import fill_powers, fill_states
 from tissueid.likelihood.knot_kernels import accumulate, corner_flags
 from tissueid.likelihood.knot_terms import log_terms, without_effects
 from tissueid.likelihood.lag_kernels import filter_chain, link_rows
 from tissueid.likelihood.passive_normal import log_passive_mass
+from tissueid.likelihood.reweighted import refits
 from tissueid.model.kernels import branch_state
 
 __all__ = ["kernels_to_compile"]
@@ -44,6 +46,9 @@ POSTERIOR_KERNELS: tuple[Any, ...] = (
     instrument_force,
     log_terms,
     without_effects,
+    conditionals,
+    log_ratios,
+    refits,
 )
 
 

@@ -20,16 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from tissueid.likelihood.cone import cone_least_squares
-from tissueid.likelihood.instrument_kernels import RELAXATION
-from tissueid.likelihood.knot_terms import log_terms, without_effects
 from tissueid.likelihood.knots import KnotSums, packed
 from tissueid.likelihood.linearise import Optimum
-from tissueid.likelihood.objective import cone_start
+from tissueid.likelihood.reweighted import refits
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.posterior.budget import reported, reported_names
 from tissueid.posterior.calibration import SMALLEST_GAIN_SD, field_units
-from tissueid.posterior.instrument import INSTRUMENT_NAMES, Behind, inverse
+from tissueid.posterior.instrument import INSTRUMENT_NAMES, Behind
 from tissueid.posterior.instrument_mode import instrument_mode
 from tissueid.posterior.linear_priors import Facts
 from tissueid.priors import CalibrationPrior, Priors
@@ -43,12 +40,6 @@ CLUSTER = "cluster bootstrap"
 #: Fewer logs than this say nothing about their scatter.
 MIN_LOGS = 5
 REPLICATES = 400
-#: Gauss-Newton steps of a replicate; after the first the change is some hundredths of it.
-STEPS = 3
-#: Largest step in ln tau.
-REACH = 0.5
-#: Curvature of ln tau below which it is not moved: its standard deviation would be a thousand.
-IDLE = 1e-6
 NORMAL_975 = 1.959963984540054
 
 
@@ -71,59 +62,26 @@ class ClusterBootstrap:
     rows: tuple[BudgetRow, ...]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Terms:
-    """Normal equations of every log at one point."""
-
-    gram: FloatArray
-    pull: FloatArray
-    square: FloatArray
-
-    @classmethod
-    def at(cls, behind: Behind, theta: FloatArray, log_tau: FloatArray) -> _Terms:
-        """At coefficients and relaxation times, the instrument as it is at the mode."""
-        instrument = behind.split(behind.mode)[1]
-        return cls(*log_terms(behind.data, np.ascontiguousarray(theta), log_tau, instrument, RELAXATION))
-
-
-def refitted(
-    behind: Behind, weights: FloatArray, first: _Terms | None = None
-) -> tuple[FloatArray, FloatArray]:
-    """Theta by powers of u and ln tau of one replicate, started at the mode, the instrument as it is there.
+def refitted(behind: Behind, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Theta by powers of u and ln tau of replicates, started at the mode, the instrument as it is there.
 
     Parameters
     ----------
     behind : Behind
-    weights : ndarray, shape (logs,)
-    first : optional
-        The normal equations at the mode, where they are known.
+    weights : ndarray, shape (n, logs)
+
+    Returns
+    -------
+    theta : ndarray, shape (n, p)
+    log_tau : ndarray, shape (n, branches)
     """
-    theta, log_tau = behind.theta, behind.mode[: behind.branches].copy()
-    p = theta.size
-    low, high = behind.facts.log_tau_bounds
-    prior = behind.effect_prior(behind.split(behind.mode)[2])
-    terms = first or _Terms.at(behind, theta, log_tau)
-    for step in range(STEPS):
-        if step:
-            terms = _Terms.at(behind, theta, log_tau)
-        curvature, slope, _, _ = without_effects(
-            terms.gram, terms.pull, terms.square, weights, *prior, behind.sigma2
-        )
-        mean, precision = behind.tissue_prior(log_tau)
-        curvature[:p, :p] += precision
-        slope[:p] += precision @ (mean - theta)
-        for j, stated in enumerate(behind.priors.relaxation_time_s[: behind.branches]):
-            curvature[p + j, p + j] += stated.sd_ln**-2.0
-            slope[p + j] -= (log_tau[j] - math.log(stated.median)) * stated.sd_ln**-2.0
-        # a branch without stiffness says nothing of its relaxation time, which then stays
-        idle = p + np.flatnonzero(np.diag(curvature)[p:] < IDLE)
-        curvature[idle, idle] += 1.0
-        change = inverse(curvature) @ slope
-        change[p:] = np.clip(log_tau + np.clip(change[p:], -REACH, REACH), low, high) - log_tau
-        block = np.ascontiguousarray(curvature[:p, :p])
-        target = block @ theta + slope[:p] - curvature[:p, p:] @ change[p:]
-        theta, _, _ = cone_least_squares(block, target, behind.blocks, cone_start(behind.blocks))
-        log_tau = log_tau + change[p:]
+    _, instrument, gain_sd = behind.split(behind.mode)
+    mean, precision = np.zeros((2, behind.branches))
+    for j, stated in enumerate(behind.priors.relaxation_time_s[: behind.branches]):
+        mean[j], precision[j] = math.log(stated.median), stated.sd_ln**-2.0
+    bounds = (float(behind.facts.log_tau_bounds[0]), float(behind.facts.log_tau_bounds[1]))
+    weights = np.ascontiguousarray(weights, dtype=np.float64)
+    theta, log_tau = refits(behind.density(), weights, (instrument, gain_sd), (mean, precision), bounds)
     return theta, log_tau
 
 
@@ -167,12 +125,9 @@ def cluster_bootstrap(
         count=sum(one.count for one in knots),
         gain_sd=max(gain_sd, SMALLEST_GAIN_SD),
     )
-    log_tau = np.ascontiguousarray(behind.mode[: behind.branches])
-    first = _Terms.at(behind, behind.theta, log_tau)
     weights = n * np.random.default_rng(seed).dirichlet(np.ones(n), replicates)
-    found = [refitted(behind, one, first) for one in weights]
-    theta = field_units(behind, np.array([one for one, _ in found]), np.array([two for _, two in found]))
-    draws = reported(model, theta)
+    draws = reported(model, field_units(behind, *refitted(behind, weights)))
+    log_tau = behind.mode[: behind.branches]
     centre = reported(model, field_units(behind, behind.theta[None], log_tau[None]))[0]
     wider = math.sqrt((n + 1.0) / (n - 1.0))
     sd = wider * draws.std(axis=0, ddof=1)

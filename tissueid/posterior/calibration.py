@@ -21,11 +21,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.likelihood.instrument_density import conditionals, log_ratios
 from tissueid.likelihood.instrument_kernels import EFFECTS, INSTRUMENT
 from tissueid.likelihood.knot_terms import log_terms
 from tissueid.likelihood.knots import KnotSums, packed
 from tissueid.likelihood.linearise import Optimum
-from tissueid.likelihood.passive_normal import draw_passive, log_passive_mass, passive
+from tissueid.likelihood.passive_normal import draw_passive, passive
 from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
 from tissueid.posterior.common_static import common_static
 from tissueid.posterior.importance import Weighted, importance_sample
@@ -107,33 +108,22 @@ def _evaluate(
     points[:, free] = inner
     n, p = points.shape[0], behind.theta.size
     mean, covariance = np.empty((n, p)), np.empty((n, p, p))
-    inside = np.array([math.isfinite(behind.log_prior(point)) for point in points])
+    prior = np.array([behind.log_prior(point) for point in points])
+    inside = np.isfinite(prior)
     mean[:] = behind.theta
     covariance[:] = np.eye(p)
 
-    def conditionals(rows: NDArray[np.int64]) -> None:
-        with np.errstate(over="ignore", invalid="ignore"):
-            for i in rows:
-                mean[i], covariance[i] = behind.conditional(points[i])
-
-    _in_threads(conditionals, np.flatnonzero(inside))
+    density, rows = behind.density(), np.flatnonzero(inside)
+    _in_threads(lambda some: conditionals(density, points, some, mean, covariance), rows)
     inside &= np.isfinite(mean).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2))
     mean[~inside], covariance[~inside] = behind.theta, np.eye(p)
     theta, _ = draw_passive(mean, covariance, behind.blocks, rng)
     out = np.full(n, -np.inf)
-
-    def densities(rows: NDArray[np.int64]) -> None:
-        # far out, where next to nothing is known of theta, squares overflow: such a point has no density
-        with np.errstate(over="ignore", invalid="ignore"):
-            for i in rows:
-                away = theta[i] - mean[i]
-                log_det = float(np.linalg.slogdet(covariance[i])[1])
-                drawn = -0.5 * (float(away @ np.linalg.solve(covariance[i], away)) + log_det)
-                drawn -= log_passive_mass(mean[i], covariance[i], behind.blocks)
-                value = behind.log_density(points[i], theta[i]) - drawn
-                out[i] = value if math.isfinite(value) else -math.inf
-
-    _in_threads(densities, np.flatnonzero(inside))
+    rows = np.flatnonzero(inside)
+    _in_threads(lambda some: log_ratios(density, points, some, theta, mean, covariance, out), rows)
+    # far out, where next to nothing is known of theta, squares overflow: such a point has no density
+    out[rows] += prior[rows]
+    out[~np.isfinite(out)] = -np.inf
     return out, theta
 
 

@@ -20,10 +20,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.likelihood.bernstein import is_passive
-from tissueid.likelihood.cone import cone_least_squares
-from tissueid.likelihood.instrument_kernels import EFFECTS, INSTRUMENT, TISSUE, Packed
-from tissueid.likelihood.knot_terms import log_terms, without_effects
+from tissueid.likelihood.instrument_density import (
+    SMALLEST_GAIN,
+    SMALLEST_SPREAD,
+    Density,
+    conditional,
+    effect_prior,
+    log_likelihood,
+    tissue_precision,
+)
+from tissueid.likelihood.instrument_kernels import INSTRUMENT, Packed
 from tissueid.likelihood.linearise import Optimum
 from tissueid.likelihood.objective import cone_start
 from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
@@ -37,17 +43,7 @@ FloatArray = NDArray[np.float64]
 
 #: Nuisances that are coordinates, in the order of the kernels.
 INSTRUMENT_NAMES = ("skew_s", "force_filter_s", "frame_compliance_mm_per_N")
-#: Rounds for theta behind a frame, and the step, in standard deviations squared, that is the last: Newton's
-#: next one would be its square, and draws are weighted by the exact density anyway.
-TISSUE_ROUNDS = 6
-#: Gains below this fraction of the linearised one are taken as it.
-SMALLEST_GAIN = 0.05
-#: A spread of ln gain below this is none; its square would be lost.
-SMALLEST_SPREAD = 1e-5
-SETTLED = 0.5
 RIDGE = 1e-12
-#: Dual tolerance of the passive theta about which is linearised.
-NEAR_ENOUGH = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -157,36 +153,45 @@ class Behind:
         """Noise variance at one point [N^2]."""
         return self.sigma2 if self.noise is None else math.exp(2.0 * float(self.noise_of(point)[0]))
 
+    def density(self) -> Density:
+        """The same for the kernels."""
+        noise = self.noise
+        few = noise is not None and noise.phi.size > 0
+        mean, precision, weak = self.linear
+        offset = self.facts.offset_sd_mm if "offset" in self.effects else np.ones(self.data.gamma.size)
+        none = np.zeros((0, 0))
+        return Density(
+            data=self.data,
+            sigma2=self.sigma2,
+            theta=self.theta,
+            mode=self.mode,
+            slope=np.ascontiguousarray(self.slope),
+            curvature=np.ascontiguousarray(self.curvature),
+            follow=np.ascontiguousarray(self.follow) if self.follow.size else np.zeros((0, 0, 0)),
+            prior_mean=mean,
+            prior_precision=precision,
+            weak=weak,
+            speed_mm_s=self.facts.speed_mm_s,
+            reach_mm=self.facts.depth_mm,
+            offset_precision=offset**-2.0,
+            offset_mean=np.asarray(self.facts.offset_mean_mm, dtype=np.float64),
+            free_precision=(FREE_FACTOR * max(self.facts.force_N, 1e-300)) ** -2.0,
+            blocks=self.blocks,
+            start=cone_start(self.blocks),
+            phi=noise.phi if few else np.zeros(0),  # type: ignore[union-attr]
+            pulls=noise.pull if few else none,  # type: ignore[union-attr]
+            bands=noise.band if few else np.zeros((0, 0, 0)),  # type: ignore[union-attr]
+            squares=noise.square if few else none,  # type: ignore[union-attr]
+            loose=noise is not None,
+        )
+
     def tissue_prior(self, log_tau: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean and precision of theta; a weak branch is known by its largest force."""
-        mean, precision, weak = self.linear
-        precision = precision.copy()
-        size = self.optimum.degree + 1
-        for j in np.flatnonzero(weak):
-            length = self.facts.speed_mm_s * math.exp(log_tau[j])
-            state = float(np.max(-length * np.expm1(-self.facts.depth_mm / length), initial=0.0))
-            part = slice(self.optimum.static + j * size, self.optimum.static + (j + 1) * size)
-            precision[part, part] *= state * state
-        return mean, precision
+        return self.linear[0], tissue_precision(self.density(), log_tau)
 
-    def effect_prior(self, gain_sd: float, data: Packed | None = None) -> tuple[FloatArray, FloatArray]:
+    def effect_prior(self, gain_sd: float) -> tuple[FloatArray, FloatArray]:
         """Precision and mean of the effects, counted from where they are linearised; shapes (logs, q)."""
-        data = self.data if data is None else data
-        logs = data.gamma.size
-        precision, mean = [], []
-        if "gain" in self.effects:
-            precision.append(np.full(logs, gain_sd**-2.0))
-            mean.append(-data.gamma)
-        if "offset" in self.effects:
-            precision.append(self.facts.offset_sd_mm**-2.0)
-            mean.append(self.facts.offset_mean_mm - data.delta)
-        if "static" in self.effects:
-            flat = (FREE_FACTOR * max(self.facts.force_N, 1e-300)) ** -2.0
-            precision += [np.full(logs, flat)] * data.own.shape[1]
-            mean += list(-data.own.T)
-        if not mean:
-            return np.zeros((logs, 0)), np.zeros((logs, 0))
-        return np.ascontiguousarray(np.array(precision).T), np.ascontiguousarray(np.array(mean).T)
+        return effect_prior(self.density(), self.data, gain_sd)
 
     def log_prior(self, point: FloatArray) -> float:
         """Of the coordinates; -inf outside their range."""
@@ -214,49 +219,12 @@ class Behind:
             value += self.noise.log_weight(at, self.priors)
         return float(value)
 
-    def _data_at(self, point: FloatArray, theta: FloatArray) -> Packed:
-        """The logs with their gains and offsets linearised where they are likely for this theta.
-
-        A gain multiplies theta: where the tissue is stiffer the gains of all logs are less.  To first order
-        ``u = back . change``, with the tissue by a factor 1 - u; it is 1/(1 - u) that keeps their product.
-        Without this 30 gains of 15 % would move the tissue by 2 %.
-        """
-        data = self.data if self.noise is None else self.noise.at(self.data, self.noise_of(point))
-        if self.follow.size == 0:
-            return data
-        inner = self.branches + INSTRUMENT
-        change = np.concatenate([theta - self.theta, (point - self.mode)[:inner]])
-        moved = self.follow @ change
-        at = 0
-        if "gain" in self.effects:
-            data = data._replace(gamma=data.gamma - np.log1p(-np.minimum(moved[:, 0], 1.0 - SMALLEST_GAIN)))
-            at = 1
-        if "offset" in self.effects:
-            data = data._replace(delta=data.delta + moved[:, at])
-        return data
-
-    def _normal(
-        self, point: FloatArray, theta: FloatArray, kind: int
-    ) -> tuple[FloatArray, FloatArray, float]:
-        """Curvature, slope and value of the log likelihood, effects integrated."""
-        tau, instrument, gain_sd = self.split(point)
-        data = self._data_at(point, theta)
-        terms = log_terms(data, np.ascontiguousarray(theta), tau, instrument, kind)
-        ones = np.ones(data.gamma.size)
-        curvature, slope, value, _ = without_effects(
-            *terms, ones, *self.effect_prior(gain_sd, data), self.sigma2_of(point)
-        )
-        return curvature, slope, float(value)
-
     def log_density(self, point: FloatArray, theta: FloatArray) -> float:
         """Joint log density of coordinates and theta, up to a constant; the passive cut is not looked at."""
         prior = self.log_prior(point)
         if not math.isfinite(prior):
             return -math.inf
-        mean, precision = self.tissue_prior(point[: self.branches])
-        away = theta - mean
-        prior += 0.5 * float(np.linalg.slogdet(precision)[1]) - 0.5 * float(away @ precision @ away)
-        value = prior + self._normal(point, theta, EFFECTS)[2]
+        value = prior + log_likelihood(self.density(), point, np.ascontiguousarray(theta))
         return value if math.isfinite(value) else -math.inf
 
     def conditional(self, point: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -264,28 +232,8 @@ class Behind:
 
         Linearised where the cut normal has most of its mass, which may be far from that mean.
         """
-        size = self.theta.size
-        theta = self._nearest(self.theta + self.slope @ (point - self.mode), self.curvature[:size, :size])
-        mean, precision = self.tissue_prior(point[: self.branches])
-        rigid = point[self.branches + INSTRUMENT - 1] == 0.0
-        for _ in range(TISSUE_ROUNDS):
-            curvature, slope, _ = self._normal(point, theta, TISSUE)
-            curvature = curvature + precision
-            covariance = inverse(curvature)
-            centre = theta + covariance @ (slope + precision @ (mean - theta))
-            step = self._nearest(centre, curvature) - theta
-            if rigid or float(step @ curvature @ step) < SETTLED:
-                break
-            theta = theta + step
-        return centre, covariance
-
-    def _nearest(self, centre: FloatArray, curvature: FloatArray) -> FloatArray:
-        """The passive theta nearest to a centre: what is left of its normal lies there."""
-        if is_passive(centre, self.blocks):
-            return centre
-        curvature = np.ascontiguousarray(curvature)
-        pull = curvature @ centre
-        return cone_least_squares(curvature, pull, self.blocks, cone_start(self.blocks), NEAR_ENOUGH)[0]
+        found: tuple[FloatArray, FloatArray] = conditional(self.density(), point)
+        return found
 
 
 def inverse(matrix: FloatArray) -> FloatArray:
