@@ -23,6 +23,7 @@ __all__ = ["cli", "main"]
 COMMANDS = {
     "fit": "Identify the tissue behind recordings: bundle, numbers, report.",
     "cohort": "Say what the specimens of a fit have in common: population, report.",
+    "rupture": "Study tests to rupture: force, work, speed, and what broke the tissue.",
     "study": "Write, check, correct and publish the study file.",
     "calibrate": "Check whether intervals hold what they claim, for your protocol.",
     "calibrate-frame": "Measure how far machine and fixture give.",

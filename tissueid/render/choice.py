@@ -135,6 +135,7 @@ def as_tissue(bundle: Bundle, theta: FloatArray | None = None) -> Tissue:
         speeds_mm_s=bundle.speeds_mm_s,
         tip_radius_mm=bundle.tip_radius_mm,
         name=bundle.specimen,
+        rupture=bundle.rupture,
     )
 
 

@@ -11,8 +11,9 @@ Everything a step needs stands in one flat, versioned block (:data:`ENVIRONMENT_
 :mod:`tissueid.render.tissue_block`) so that it can be exchanged while the loop runs, at zero penetration;
 what a step remembers stands in a memory of :data:`MEMORY_SIZE` numbers, all zero for tissue at rest.
 
-A rupture, where the block has one, takes the force away from that tick on until the tissue is put back
-at rest (criteria of model.md 1.5, readings: total work, or force).
+A rupture, where the block has one, leaves a share of the force from that tick on until the tissue is put
+back at rest (criteria of model.md 1.5, readings: total work, weighted force, stored energy or depth).  The
+share multiplies the whole law: what is left is passive as the law is, and the fall only takes energy away.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from numpy.typing import NDArray
 from tissueid.compiled import tick_kernel, tick_part
 from tissueid.haptics.states import Lamp
 from tissueid.model.kernels import tissue_step_in
+from tissueid.model.rupture_kernels import static_force_in, stored_energy_in
 from tissueid.render.guidance import (
     GUIDANCE_MEMORY,
     SAID_BONE_N,
@@ -71,18 +73,25 @@ DEPTH_MM = 5
 FASTEST_MM_S = 6
 RUPTURE_KIND = 7
 RUPTURE_VALUE = 8
+#: Share of the force that is left after a rupture.
+RUPTURE_RESIDUAL = 9
 #: :data:`~tissueid.render.surface.SURFACE_SIZE` numbers.
 SURFACE = 10
 #: :data:`~tissueid.model.kernels.LAW_SIZE` numbers.
 LAW = 24
+#: w of the weighted force F_s + w F_d; behind the law.
+RUPTURE_WEIGHT = 60
 
 #: :data:`~tissueid.render.guidance.GUIDANCE_SIZE` numbers, in the place of everything from the surface on.
 GUIDED = 10
 
-#: Criteria of rupture: none; work done on the tissue [N mm]; force on the tissue [N].
+#: Criteria of rupture: none; work done on the tissue [N mm]; weighted force on it [N]; energy stored in it
+#: [N mm]; depth [mm].
 RUPTURE_NONE = 0.0
 RUPTURE_WORK = 1.0
 RUPTURE_FORCE = 2.0
+RUPTURE_STORED = 3.0
+RUPTURE_DEPTH = 4.0
 
 # -- the memory -----------------------------------------------------------------------------------
 MEMORY_SIZE = 24
@@ -196,7 +205,7 @@ def _tissue(
     tissue_force = tissue_step_in(parameters, LAW, memory, TISSUE_STATE, depth, dt)
     _rupture(parameters, memory, depth, tissue_force)
     if memory[BROKEN] > 0.0:
-        tissue_force = 0.0
+        tissue_force *= parameters[RUPTURE_RESIDUAL]
     inward = 0.0
     for i in range(3):
         inward -= velocity[i] * memory[NORMAL + i]
@@ -220,12 +229,21 @@ def _tissue(
 @tick_part
 def _rupture(parameters: FloatArray, memory: FloatArray, depth: float, tissue_force: float) -> None:
     """Count the work done on the tissue and see whether it breaks."""
-    if parameters[RUPTURE_KIND] == RUPTURE_NONE:
+    kind = parameters[RUPTURE_KIND]
+    if kind == RUPTURE_NONE or memory[BROKEN] > 0.0:
         return
     before = max(memory[LAST_DEPTH], 0.0)
     memory[WORK] += 0.5 * (memory[LAST_FORCE] + tissue_force) * (max(depth, 0.0) - before)
-    reached = memory[WORK] if parameters[RUPTURE_KIND] == RUPTURE_WORK else tissue_force
-    if reached >= parameters[RUPTURE_VALUE]:
+    if kind == RUPTURE_WORK:
+        reached = memory[WORK]
+    elif kind == RUPTURE_FORCE:
+        static = static_force_in(parameters, LAW, memory, TISSUE_STATE)
+        reached = static + parameters[RUPTURE_WEIGHT] * (tissue_force - static)
+    elif kind == RUPTURE_STORED:
+        reached = stored_energy_in(parameters, LAW, memory, TISSUE_STATE)
+    else:
+        reached = max(depth, 0.0)
+    if depth > 0.0 and reached >= parameters[RUPTURE_VALUE]:
         memory[BROKEN] = 1.0
 
 

@@ -347,7 +347,7 @@ def _lines(
     options: RenderOptions, picked: tuple[Picked, ...], check: Precheck, functional: Functional
 ) -> list[str]:
     """What is printed: nothing that gives a blind comparison away."""
-    text = [] if options.blind else [f"tissue     {each.tissue.name}: {each.why}" for each in picked]
+    text = [] if options.blind else [line for each in picked for line in _tissue_lines(each)]
     if len(picked) > 1:
         one, other, ratio = noticeable_ratio(
             picked[0].tissue, picked[1].tissue, functional, force_scale=check.scaling.force
@@ -358,6 +358,17 @@ def _lines(
             + ("; hardly anybody would tell them apart" if ratio < 1.0 else "")
         )
     return text + check.lines()
+
+
+def _tissue_lines(each: Picked) -> list[str]:
+    """What a tissue is, and when it breaks."""
+    lines, law = [f"tissue     {each.tissue.name}: {each.why}"], each.tissue.rupture
+    if law is not None:
+        lines.append(
+            f"rupture    at a {law.criterion.replace('-', ' ')} of {law.threshold:.4g} {law.unit} (median of "
+            f"its tests; a criterion is a reading); {100.0 * law.residual:.0f} % of the force is left"
+        )
+    return lines
 
 
 def _must_be_alone(options: RenderOptions) -> None:

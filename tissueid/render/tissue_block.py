@@ -11,6 +11,7 @@ from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.model.kernels import pack_law
 from tissueid.render import environment as env
 from tissueid.render import surface as srf
+from tissueid.rupture_law import RuptureLaw
 
 __all__ = ["Box", "Plane", "Sphere", "Surface", "Tissue", "free_air_block", "surface_from", "tissue_block"]
 
@@ -22,6 +23,15 @@ Vector = tuple[float, float, float]
 WORKSPACE_CENTRE_M: Vector = (0.0, 0.0, 0.130)
 TOWARD_USER: Vector = (0.0, 0.0, 1.0)
 UNIT_TOLERANCE = 1e-9
+
+
+#: Criteria of rupture as the environment knows them.
+RUPTURE_KINDS = {
+    "work": env.RUPTURE_WORK,
+    "weighted-force": env.RUPTURE_FORCE,
+    "stored-energy": env.RUPTURE_STORED,
+    "depth": env.RUPTURE_DEPTH,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,6 +161,8 @@ class Tissue:
         Of the tip it was identified with.
     name : str
         For print; empty where it must not be told.
+    rupture : RuptureLaw or None
+        When it breaks.
     """
 
     model: KelvinVoigt
@@ -158,6 +170,7 @@ class Tissue:
     speeds_mm_s: tuple[float, float]
     tip_radius_mm: float | None = None
     name: str = ""
+    rupture: RuptureLaw | None = None
 
 
 def tissue_block(
@@ -168,7 +181,6 @@ def tissue_block(
     motion_scale: float,
     tool_radius_m: float = 0.0,
     label: int = 0,
-    rupture: tuple[float, float] = (env.RUPTURE_NONE, 0.0),
 ) -> FloatArray:
     """Write the block of a tissue behind a surface.
 
@@ -182,8 +194,6 @@ def tissue_block(
         Of the tip that is drawn at the device [m]; 0 is a point.
     label : int
         Which of several tissues this is.
-    rupture : tuple of float
-        Criterion and its value, see :mod:`tissueid.render.environment`.
 
     Returns
     -------
@@ -208,7 +218,11 @@ def tissue_block(
     block[env.MOTION_SCALE] = motion_scale
     block[env.DEPTH_MM] = tissue.model.depth_mm
     block[env.FASTEST_MM_S] = tissue.speeds_mm_s[1]
-    block[env.RUPTURE_KIND], block[env.RUPTURE_VALUE] = rupture
+    if tissue.rupture is not None:
+        block[env.RUPTURE_KIND] = RUPTURE_KINDS[tissue.rupture.criterion]
+        block[env.RUPTURE_VALUE] = tissue.rupture.threshold
+        block[env.RUPTURE_RESIDUAL] = tissue.rupture.residual
+        block[env.RUPTURE_WEIGHT] = tissue.rupture.weight
     block[env.SURFACE : env.SURFACE + srf.SURFACE_SIZE] = surface.numbers(tool_radius_m)
     parts = (np.concatenate([[0.0], static]), np.array(stiffness), np.array(tau))
     pack_law(*parts, tissue.model.depth_mm, block, env.LAW)

@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 
 from tissueid.errors import BundleError
 from tissueid.result import Estimate, ModelChoice, SpecimenFit
+from tissueid.rupture_law import RuptureLaw
 from tissueid.store.bundle_checks import array_problem, model_problem
 from tissueid.store.bundle_content import (
     ARRAYS,
@@ -266,6 +267,7 @@ def bundle_of_document(document: Mapping[str, Any], arrays: Mapping[str, FloatAr
         population_mean=arrays.get("population_mean"),
         population_sd=arrays.get("population_sd"),
         units=document["units"],
+        rupture=None if document["rupture"] is None else RuptureLaw.from_json(document["rupture"]),
     )
 
 

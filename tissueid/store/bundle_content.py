@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from tissueid.errors import BundleError
 from tissueid.result import Estimate, ModelChoice
+from tissueid.rupture_law import RuptureLaw
 from tissueid.trial import Axes
 
 if TYPE_CHECKING:
@@ -55,8 +56,8 @@ class Bundle:
         Posterior draws of theta; of a population, specimens drawn from it.
     population_mean, population_sd : ndarray, shape (m, p), or None
         In the coordinates of :mod:`tissueid.population.coordinates`.
-    rupture : None
-        Reserved for a rupture law.
+    rupture : RuptureLaw or None
+        When it breaks, as `tissueid rupture` found; ``None`` where nothing is claimed.
     units : mapping
     schema_version : int
     """
@@ -76,7 +77,7 @@ class Bundle:
     draws: FloatArray | None = None
     population_mean: FloatArray | None = None
     population_sd: FloatArray | None = None
-    rupture: None = None
+    rupture: RuptureLaw | None = None
     units: Mapping[str, str] = field(default_factory=lambda: dict(UNITS))
     schema_version: int = BUNDLE_SCHEMA_VERSION
 
@@ -144,5 +145,5 @@ class Bundle:
             "units": dict(self.units),
             "flags": [dict(flag) for flag in self.flags],
             "provenance": dict(self.provenance),
-            "rupture": self.rupture,
+            "rupture": None if self.rupture is None else self.rupture.as_json(),
         }

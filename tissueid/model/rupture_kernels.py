@@ -1,0 +1,59 @@
+"""Static force and stored energy of a tissue that is being rendered, for its criterion of rupture (compiled).
+
+The same measures as :func:`tissueid.model.rupture.rupture_measures`, of the law and the state that
+:func:`tissueid.model.kernels.tissue_step_in` works on, its continuation beyond the identified depth included.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.compiled import tick_part
+from tissueid.model.kernels import (
+    _BRANCHES,
+    _DEPTH,
+    _STATES,
+    _STATIC,
+    _STATIC_SIZE,
+    _STIFFNESS,
+    _STIFFNESS_SIZE,
+    _SURFACE,
+    _continued,
+)
+
+__all__ = ["static_force_in", "stored_energy_in"]
+
+FloatArray = NDArray[np.float64]
+
+#: Two Gauss points on 0 to 1 integrate K_j(y) u exactly: degree 3 at the most.
+NEAR, FAR = (1.0 - 3.0**-0.5) / 2.0, (1.0 + 3.0**-0.5) / 2.0
+
+
+@tick_part
+def static_force_in(law: FloatArray, at: int, state: FloatArray, first: int) -> float:
+    """F_s at the surface [N]; ``law``, ``at``, ``state``, ``first`` as of ``tissue_step_in``."""
+    value, _slope = _continued(law, at + _STATIC, _STATIC_SIZE, state[first + _SURFACE], law[at + _DEPTH])
+    return value
+
+
+@tick_part
+def stored_energy_in(law: FloatArray, at: int, state: FloatArray, first: int) -> float:
+    """Energy that the springs hold [N mm]: int F_s dx + sum_j int_0^{s_j} K_j(x - s_j + u) u du."""
+    depth = law[at + _DEPTH]
+    x = state[first + _SURFACE]
+    inside = min(x, depth)
+    energy = 0.0
+    for k in range(_STATIC_SIZE - 1, -1, -1):
+        energy = (energy + law[at + _STATIC + k] / (k + 1.0)) * inside
+    if x > depth:
+        force, slope = _continued(law, at + _STATIC, _STATIC_SIZE, depth, depth)
+        beyond = x - depth
+        energy += (force + 0.5 * max(slope, 0.0) * beyond) * beyond
+    for j in range(int(law[at + _BRANCHES])):
+        s = state[first + _STATES + j]
+        block = at + _STIFFNESS + j * _STIFFNESS_SIZE
+        near, _ = _continued(law, block, _STIFFNESS_SIZE, x - s + NEAR * s, depth)
+        far, _ = _continued(law, block, _STIFFNESS_SIZE, x - s + FAR * s, depth)
+        energy += 0.5 * s * s * (NEAR * near + FAR * far)
+    return energy
