@@ -45,7 +45,7 @@ def learning(variant: str, scale: float, sign: int = 1, step_s: float = 5e-6) ->
             disturbance=HUM,
             continuous_step_s=step_s,
             rate_Hz=1.0 / step_s,
-            seconds=1.0,
+            seconds=0.5,
         )
     )
 
@@ -191,20 +191,19 @@ def test_the_equality_holds_for_two_axes_and_an_arm(
         start_estimates=np.zeros(size),
         continuous_step_s=1e-5,
         rate_Hz=1e5,
-        seconds=0.4,
+        seconds=0.15,
     )
 
     run = simulate(settings)
     wrong = simulate(replace(settings, gains=replace(settings.gains, adaptation_sign=-1)))
 
-    assert run.estimates.shape == (40000, size)
+    assert run.estimates.shape == (15000, size)
     assert drift(run) <= 1e-4
     assert drift(wrong) > 0.5
 
 
-@pytest.mark.needs_jit
 def test_axes_that_know_nothing_of_each_other_move_as_one_axis_does() -> None:
-    one = ControlSettings(PAPER_A, variant="B", seconds=1.0)
+    one = ControlSettings(PAPER_A, variant="B", seconds=0.06)
     two = replace(
         one,
         device=Mechanics(np.diag([1.158, 2.0]), np.diag([115.4, 20.0]), np.diag([31.46, 10.0])),
@@ -213,9 +212,33 @@ def test_axes_that_know_nothing_of_each_other_move_as_one_axis_does() -> None:
 
     alone, first = simulate(one), simulate(two)
 
+    assert alone.position_m[-1, 0] > 1e-6
     np.testing.assert_allclose(first.position_m[:, 0], alone.position_m[:, 0], atol=1e-15)
     np.testing.assert_array_equal(first.position_m[:, 1], 0.0)
     np.testing.assert_allclose(first.control_force_N[:, 0], alone.control_force_N[:, 0], atol=1e-9)
+
+
+def test_v_follows_its_equality_in_interpreted_and_compiled_code() -> None:
+    settings = ControlSettings(
+        PAPER_A,
+        device=JOINTS,
+        operator=HAND,
+        arm=ARM,
+        push=Signal((10.0, 1.0), (8.0, 3.0), (1.0, 0.7)),
+        push_rise_s=0.0,
+        gains=replace(LEARNING, arm_adaptation=0.5),
+        start_estimates=np.zeros(12),
+        continuous_step_s=1e-4,
+        rate_Hz=1e4,
+        seconds=0.02,
+    )
+
+    right = simulate(settings)
+    touched = simulate(replace(settings, environment="impedance", seconds=0.01))
+
+    # second order in steps of 0.1 ms
+    assert drift(right) <= 1e-3
+    assert drift(touched) <= 1e-3
 
 
 def radau(settings: ControlSettings, times: np.ndarray) -> np.ndarray:
@@ -266,9 +289,9 @@ def test_the_sampled_loop_tends_to_the_solution_of_the_differential_equations(va
         variant=variant,
         gains=Gains(projection=False, sigma_floor=0.4),
         push=Signal((8.0,), (4.0,), (1.0,)),
-        seconds=1.0,
+        seconds=0.6,
     )
-    times = np.arange(1000) / 1000.0
+    times = np.arange(600) / 1000.0
     right = radau(base, times)
     size = np.sqrt(np.mean(right**2))
 

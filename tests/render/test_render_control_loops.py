@@ -20,7 +20,9 @@ from tissueid.render.control import (
     VirtualTool,
     simulate,
 )
+from tissueid.render.control.law import saturate
 from tissueid.render.control.measures import measured
+from tissueid.render.control.simulation import loop_block
 from tissueid.render.control.virtual_mass import turn_multiplier, virtual_mass_bound
 from tissueid.render.presets import preset_tissue
 from tissueid.render.tissue_block import Tissue
@@ -151,6 +153,19 @@ def test_below_the_bound_a_loop_is_refused_and_would_be_unstable(variant: str, b
     assert simulate(replace(settings, tool=VirtualTool(1.5 * bound_kg))).diverged_s is None
 
 
+@pytest.mark.parametrize("variant", ["A", "B"])
+def test_far_below_the_bound_a_loop_is_lost_within_some_ticks(variant: str) -> None:
+    settings = replace(table_3(variant), tool=VirtualTool(0.25), unchecked=True, seconds=0.2)
+    settings = replace(settings, start_estimates=settings.estimated_truth(), environment="impedance")
+
+    run = simulate(settings)
+
+    assert run.diverged_s is not None
+    assert run.diverged_s < 0.1
+    assert np.isfinite(run.lyapunov).all()
+    assert measured(run).diverged_s == run.diverged_s
+
+
 @pytest.mark.needs_jit
 def test_a_tool_that_is_stepped_once_a_tick_is_unstable_on_stiff_tissue() -> None:
     # omega T = sqrt(100 x 111e3 / 2) x 1 ms = 2.36 > 2; 20 sub-steps are taken where none are given
@@ -162,6 +177,18 @@ def test_a_tool_that_is_stepped_once_a_tick_is_unstable_on_stiff_tissue() -> Non
     assert fine.environment_force_N.max() < 21.0
     assert hard.tool_substeps() >= 20
     assert replace(hard, stiffness_scale=1e4).tool_substeps() > 100
+
+
+def test_a_force_is_shortened_in_its_direction() -> None:
+    settings = replace(table_3("B"), gains=Gains(saturation_N=5.0))
+    block = loop_block(settings, period_s=1e-3, substeps=1)
+    too_much, little = np.array([6.0, -8.0]), np.array([3.0, 3.9])
+
+    saturate(block, too_much)
+    saturate(block, little)
+
+    np.testing.assert_allclose(too_much, [3.0, -4.0], rtol=1e-15)
+    np.testing.assert_array_equal(little, [3.0, 3.9])
 
 
 @pytest.mark.needs_jit

@@ -11,7 +11,7 @@ from typing import Any
 from tissueid.report.page import asset, page_environment, plotly_script
 from tissueid.report.wording import Verdict, number
 
-__all__ = ["render_control"]
+__all__ = ["control_remarks", "render_control"]
 
 _NAMES = {
     "adaptive": "Adapting",
@@ -65,7 +65,7 @@ def _verdict(document: Mapping[str, Any]) -> Verdict:
     return Verdict("ok", "Bounded", said)
 
 
-def _remarks(document: Mapping[str, Any]) -> list[str]:
+def control_remarks(document: Mapping[str, Any]) -> list[str]:
     """Sentences that a reader must not miss."""
     found = []
     runs = {run["name"]: run for run in document["runs"]}
@@ -147,7 +147,7 @@ def render_control(
         names=_NAMES,
         estimate_names=_ESTIMATES,
         verdict=_verdict(document),
-        remarks=_remarks(document),
+        remarks=control_remarks(document),
         figures=_figures(),
         payload=payload,
         created=created,
