@@ -27,8 +27,8 @@ __all__ = ["SCHEMA_NAMES", "SchemaProblem", "check", "first_problem", "load_sche
 #: Every schema, by the name :func:`load_schema` takes.
 SCHEMA_NAMES = (
     "bundle",
-    "control",
     "contact-law",
+    "control",
     "devices",
     "flag",
     "frame",
