@@ -71,7 +71,7 @@ CASES = (
     Case("AR(1) 0.99", seed=20261103, phi=0.99),
     Case("gain 2 %", seed=20261104, gain_sd=0.02),
     Case("specimen CV 15 %", seed=20261105, gain_sd=0.15),
-    Case("calibration defects, total interval", seed=20261126, defects=True),
+    Case("calibration defects, total interval", seed=20261136, defects=True),
     Case("two branches", seed=20261107, theta=TWO_BRANCHES, branches=2, degree=0),
 )
 FRAMES = (
