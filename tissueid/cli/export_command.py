@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tissueid.cli.output import echo_bytes, echo_json, note, output_options, write_output
+from tissueid.errors import printable
 
 if TYPE_CHECKING:
+    from tissueid.store.bundle_content import Bundle
     from tissueid.store.posteriors import StoredPosterior
 
 __all__ = ["command"]
@@ -21,23 +23,39 @@ Examples:
   tissueid export out --format trials -o trials.csv
   tissueid export out --format json -o result.json
   tissueid export out --format netcdf -o chains.nc
+  tissueid export out --format mat -o tissues.mat
+  tissueid export out/bundle.h5 --format c-header -o tissue.h
+  tissueid export out --format abaqus --specimen kidney-3 --depth 4
 """
 
 #: The tables of :data:`tissueid.store.tidy.TABLES`, named here so that --help loads nothing.
 TABLES = ("specimens", "trials", "cycles", "quantities")
+#: What is made of one tissue.
+TISSUES = ("c-header", "febio", "abaqus")
+#: Specimens that a message names.
+LISTED = 6
 
 
 @click.command("export", epilog=EPILOG)
 @click.argument("out", type=click.Path(exists=True))
 @click.option(
-    "--format", "form", type=click.Choice(["json", *TABLES, "netcdf"]), default="json", show_default=True,
+    "--format", "form", type=click.Choice(["json", *TABLES, "netcdf", "mat", *TISSUES]), default="json",
+    show_default=True,
     help="The document; a CSV table with one row a specimen, a trial, a load-unload loop, a quoted number; "
-    "or the posterior's draws for arviz, one file a specimen.",
+    "the posterior's draws for arviz, one file a specimen; all specimens for MATLAB; or one tissue as a C "
+    "header with its step, or as a Prony series for FEBio or Abaqus.",
+)  # fmt: skip
+@click.option("--specimen", metavar="NAME", help="Which one, where a single tissue is written.")
+@click.option(
+    "--depth", type=float, metavar="MM",
+    help="A Prony series holds about this depth. [default: half of the claimed depth]",
 )  # fmt: skip
 @click.option("-o", "--output", type=click.Path(), help="File to write instead of stdout.")
 @output_options
 def command(**flags: Any) -> int:
-    """Write a finished fit as JSON, a tidy CSV table or draws for arviz, from its output folder alone.
+    """Write a finished fit in another form, from its output folder alone.
+
+    OUT is the folder; for mat, c-header, febio and abaqus a bundle will do.
 
     The tables read straight into R (read.csv) and Prism: UTF-8, comma, decimal point, units in the column
     names, an empty cell where nothing is known.  NetCDF needs arviz (pip install 'tissueid[arviz]'); where a
@@ -47,6 +65,8 @@ def command(**flags: Any) -> int:
     from tissueid.store.results import read_results
     from tissueid.store.tidy import csv_bytes, tidy_table
 
+    if flags["form"] in ("mat", *TISSUES):
+        return _write_tissues(flags)
     document, _, posteriors = read_results(flags["out"])
     if flags["form"] == "netcdf":
         return _write_netcdf(posteriors, flags)
@@ -61,6 +81,63 @@ def command(**flags: Any) -> int:
         return 0
     echo_bytes(content)
     return 0
+
+
+def _write_tissues(flags: dict[str, Any]) -> int:
+    from tissueid.errors import UsageError
+
+    bundles = _bundles(flags)
+    if flags["form"] == "mat":
+        from tissueid.export.matlab import mat_bytes
+
+        if flags["output"] is None:
+            msg = "a MATLAB file is no text for a terminal: name a file with -o, as -o tissues.mat"
+            raise UsageError(msg)
+        content = mat_bytes(bundles)
+    elif len(bundles) > 1:
+        msg = f"{flags['out']} holds {len(bundles)} specimens: choose one with --specimen " + ", ".join(
+            repr(bundle.specimen) for bundle in bundles[:LISTED]
+        )
+        raise UsageError(msg + (" ..." if len(bundles) > LISTED else ""))
+    else:
+        content = _tissue_bytes(bundles[0], flags)
+    if flags["output"] is None:
+        echo_bytes(content)
+        return 0
+    write_output(flags["output"], content)
+    note(f"wrote {flags['output']}", quiet=flags["quiet"])
+    return 0
+
+
+def _tissue_bytes(bundle: Bundle, flags: dict[str, Any]) -> bytes:
+    if flags["form"] == "c-header":
+        from tissueid.export.c_header import c_header
+
+        return c_header(bundle)
+    from tissueid.export.prony import abaqus_card, febio_card, linearised
+
+    prony = linearised(bundle, flags["depth"])
+    return febio_card(prony) if flags["form"] == "febio" else abaqus_card(prony)
+
+
+def _bundles(flags: dict[str, Any]) -> list[Bundle]:
+    """The bundle that was named, or those of a folder."""
+    from pathlib import Path
+
+    from tissueid.errors import UsageError
+    from tissueid.store.bundle import load_bundle
+    from tissueid.store.names import bundle_names
+    from tissueid.store.results import read_results
+
+    path = Path(flags["out"])
+    if path.is_file():
+        return [load_bundle(path)]
+    names = bundle_names(one["specimen"] for one in read_results(str(path))[0]["specimens"])
+    wanted = flags["specimen"]
+    if wanted is not None and wanted not in names:
+        msg = f"--specimen {printable(wanted)}: {path} holds {', '.join(list(names)[:LISTED])}"
+        raise UsageError(msg)
+    return [load_bundle(path / file) for name, file in names.items() if wanted in (None, name)]
 
 
 def _write_netcdf(posteriors: Sequence[StoredPosterior], flags: dict[str, Any]) -> int:

@@ -1,0 +1,1 @@
+"""Identified tissues in the languages of other programs."""

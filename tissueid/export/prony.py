@@ -1,0 +1,143 @@
+"""A Prony series for finite elements: the law linearised about a depth.
+
+The contact law is one of force over displacement, not of stress over strain.  What carries over to a
+material is how much of a small step relaxes, and how fast: about a depth d that has been held for long, a
+step dx gives
+
+    dF(t) = [F_s'(d) + sum_j K_j(d) exp(-t / tau_j)] dx
+
+so that the series below holds for small motion about that depth.  The modulus itself depends on tip and
+geometry and is left to whoever builds the finite-element model.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from xml.sax.saxutils import escape
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.errors import UsageError
+from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.store.bundle_content import Bundle
+
+__all__ = ["Prony", "abaqus_card", "febio_card", "linearised"]
+
+FloatArray = NDArray[np.float64]
+
+#: FEBio's material holds six terms, more than a tissue has branches.
+FEBIO_TERMS = 6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prony:
+    """Small motion about a depth.
+
+    Attributes
+    ----------
+    specimen : str
+    depth_mm : float
+    long_term_N_per_mm : float
+        Static tangent, F_s'.
+    branch_N_per_mm, tau_s : ndarray, shape (branches,)
+    """
+
+    specimen: str
+    depth_mm: float
+    long_term_N_per_mm: float
+    branch_N_per_mm: FloatArray
+    tau_s: FloatArray
+
+    @property
+    def instantaneous_N_per_mm(self) -> float:
+        """Tangent of a step that is too fast to relax."""
+        return self.long_term_N_per_mm + float(self.branch_N_per_mm.sum())
+
+
+def linearised(bundle: Bundle, depth_mm: float | None = None) -> Prony:
+    """Linearise a tissue about a depth.
+
+    Parameters
+    ----------
+    bundle : Bundle
+    depth_mm : float, optional
+        Half of the claimed depth where none is given.
+
+    Raises
+    ------
+    UsageError
+        The law is another one, the depth is not claimed, or the static force does not rise there.
+    """
+    bundle.require_renderable()
+    model = bundle.contact_model()
+    if not isinstance(model, KelvinVoigt) or model.branches == 0:
+        msg = f"{bundle.specimen}: a Prony series needs a Kelvin-Voigt tissue with a branch"
+        raise UsageError(msg)
+    depth = 0.5 * bundle.depth_mm if depth_mm is None else depth_mm
+    if not 0.0 < depth <= bundle.depth_mm:
+        msg = f"{bundle.specimen}: --depth {depth:g} is outside what is claimed, 0 to {bundle.depth_mm:g} mm"
+        raise UsageError(msg)
+    static, stiffness, tau = model.split(bundle.theta)
+    powers = np.arange(static.size)
+    tangent = float(np.sum(static * (powers + 1) * depth**powers))
+    if not tangent > 0.0:
+        msg = (
+            f"{bundle.specimen}: at {depth:g} mm the static force does not rise ({tangent:.3g} N/mm), which "
+            "no Prony series can say; give another --depth"
+        )
+        raise UsageError(msg)
+    branches = stiffness @ depth ** np.arange(stiffness.shape[1])
+    return Prony(bundle.specimen, depth, tangent, branches, np.asarray(tau))
+
+
+def _said(prony: Prony) -> list[str]:
+    """What a reader of a card must know."""
+    stiffness = (
+        f"tangent stiffness under the tip: {prony.long_term_N_per_mm:.6g} N/mm after long, "
+        f"{prony.instantaneous_N_per_mm:.6g} N/mm at once"
+    )
+    return [
+        f"tissueid: {prony.specimen}, linearised about {prony.depth_mm:g} mm, for small motion there",
+        stiffness,
+        "the elastic modulus depends on tip and geometry and is not given here; not a medical device",
+    ]
+
+
+def abaqus_card(prony: Prony) -> bytes:
+    """``*VISCOELASTIC, TIME=PRONY``: shares of the instantaneous shear modulus, and their times [s].
+
+    Bulk terms are zero: an indentation does not tell bulk from shear.
+    """
+    lines = [f"** {line}" for line in _said(prony)]
+    lines += [
+        "** goes below *ELASTIC, MODULI=INSTANTANEOUS (or LONG TERM) of the material",
+        "*VISCOELASTIC, TIME=PRONY",
+    ]
+    shares = prony.branch_N_per_mm / prony.instantaneous_N_per_mm
+    lines += [f"{share:.9g}, 0., {tau:.9g}" for share, tau in zip(shares, prony.tau_s, strict=True)]
+    return ("\n".join(lines) + "\n").encode("ascii", "replace")
+
+
+def febio_card(prony: Prony) -> bytes:
+    """A ``viscoelastic`` material: terms over the long-term response, and their times [s].
+
+    FEBio's relaxation function is ``1 + sum g_i exp(-t / t_i)`` over the elastic material inside, which is
+    the long-term one; its modulus is left open on purpose.
+    """
+    terms = prony.branch_N_per_mm / prony.long_term_N_per_mm
+    rows = []
+    for place in range(FEBIO_TERMS):
+        g, t = (terms[place], prony.tau_s[place]) if place < terms.size else (0.0, 1.0)
+        rows.append(f"  <g{place + 1}>{g:.9g}</g{place + 1}>\n  <t{place + 1}>{t:.9g}</t{place + 1}>")
+    said = "\n".join(f"     {line}" for line in _said(prony)).replace("--", "- -")
+    name = escape(prony.specimen, {'"': "&quot;"})
+    elastic = ["<E></E><!-- long-term modulus of your model -->", "<v></v>"]
+    inside = "\n".join(f"    {line}" for line in elastic)
+    text = (
+        f"<!--\n{said}\n-->\n"
+        f'<material id="1" name="{name}" type="viscoelastic">\n'
+        + "\n".join(rows)
+        + f'\n  <elastic type="neo-Hookean">\n{inside}\n  </elastic>\n</material>\n'
+    )
+    return text.encode("utf-8")
