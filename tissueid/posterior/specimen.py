@@ -58,6 +58,10 @@ KEPT_DRAWS = 2000
 LEAST_WORTH = 100.0
 #: Points of a chain that are redrawn, for each effective draw that was asked for.
 REDRAWN_EACH = 1.5
+#: Draws for which independent ones are prepared by a whole pilot, and its least share: a proposal need not be
+#: better known than what is drawn from it.
+WHOLE_PILOT = 4_000
+LEAST_PILOT = 0.25
 #: Chains that independent draws are laid out in, for the diagnostics.
 EXACT_CHAINS = 4
 
@@ -125,10 +129,11 @@ def _sample(
     tick: Callable[[str], None],
 ) -> _Sampled:
     if options.sampler == "exact":
-        from tissueid.posterior.exact import sample_exact
+        from tissueid.posterior.exact import PILOT, sample_exact
 
         tick("drawing exactly")
-        exact = sample_exact(target, draws=options.draws, seed=options.seed)
+        share = min(max(options.draws / WHOLE_PILOT, LEAST_PILOT), 1.0)
+        exact = sample_exact(target, draws=options.draws, seed=options.seed, pilot=round(share * PILOT))
         draws = exact.points.shape[0] // EXACT_CHAINS * EXACT_CHAINS
         chain = exact.points[:draws].reshape(EXACT_CHAINS, -1, exact.points.shape[1])
         return _Sampled(chain, exact.report())
