@@ -18,7 +18,7 @@ from scipy.optimize import minimize
 from scipy.stats import f as f_distribution
 
 from tissueid.rupture.failures import Failure
-from tissueid.rupture.likelihood import Tests, log_likelihood, specimen_means
+from tissueid.rupture.likelihood import Outcomes, log_likelihood, specimen_means
 
 __all__ = ["Threshold", "standardised", "threshold_of"]
 
@@ -77,12 +77,12 @@ class Threshold:
     specimens: Mapping[str, float]
 
 
-def standardised(failures: Sequence[Failure], criterion: str) -> tuple[Tests, float, float]:
-    """Tests in ln depth: values, typical growth, and ln of the density's factor.
+def standardised(failures: Sequence[Failure], criterion: str) -> tuple[Outcomes, float, float]:
+    """Outcomes in ln depth: values, typical growth, and ln of the density's factor.
 
     Returns
     -------
-    Tests
+    Outcomes
         ln measure over its typical growth.
     growth : float
         Geometric mean over the ruptured tests of d ln(measure)/d ln(depth).
@@ -94,7 +94,7 @@ def standardised(failures: Sequence[Failure], criterion: str) -> tuple[Tests, fl
     ln_growth = np.log([one.growth for one in measures])
     typical = float(np.exp(ln_growth[ruptured].mean()))
     names = list(dict.fromkeys(one.specimen for one in failures))
-    tests = Tests(
+    tests = Outcomes(
         z=np.log([one.value for one in measures]) / typical,
         variance=(np.array([one.sd_ln for one in measures]) / typical) ** 2,
         ruptured=ruptured,
@@ -124,7 +124,7 @@ class _Grid:
         return float(low), float(high)
 
 
-def _grid(tests: Sequence[Tests]) -> _Grid:
+def _grid(tests: Sequence[Outcomes]) -> _Grid:
     s = np.geomspace(*TEST_SD, TEST_POINTS)[:, None, None]
     b = np.geomspace(*SPECIMEN_SD, SPECIMEN_POINTS)[None, :, None]
     ln_prior = (
@@ -153,15 +153,17 @@ def _grid(tests: Sequence[Tests]) -> _Grid:
 
 
 def _most_likely(
-    tests: Sequence[Tests], start: tuple[float, float, float], covariate: Sequence[FloatArray] | None = None
+    tests: Sequence[Outcomes],
+    start: tuple[float, float, float],
+    covariate: Sequence[FloatArray] | None = None,
 ) -> tuple[FloatArray, float]:
     """Maximum likelihood of (mu, ln s, ln b[, slope by a covariate]), and ln likelihood there."""
 
-    def shifted(slope: float) -> Sequence[Tests]:
+    def shifted(slope: float) -> Sequence[Outcomes]:
         if covariate is None:
             return tests
         return [
-            Tests(own.z - slope * u, own.variance, own.ruptured, own.specimen)
+            Outcomes(own.z - slope * u, own.variance, own.ruptured, own.specimen)
             for own, u in zip(tests, covariate, strict=True)
         ]
 
@@ -190,7 +192,7 @@ def _most_likely(
 
 
 def _trend(
-    failures: Sequence[Failure], tests: Sequence[Tests], fitted: tuple[FloatArray, float]
+    failures: Sequence[Failure], tests: Sequence[Outcomes], fitted: tuple[FloatArray, float]
 ) -> tuple[float, float | None]:
     """Slope by ln speed that is left in ln depth, and its p value.
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
-__all__ = ["Tests", "log_likelihood", "specimen_means"]
+__all__ = ["Outcomes", "log_likelihood", "specimen_means"]
 
 FloatArray = NDArray[np.float64]
 
@@ -27,8 +27,8 @@ LN_2PI = float(np.log(2.0 * np.pi))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Tests:
-    """Tests of a cohort under one criterion.
+class Outcomes:
+    """Outcomes of a cohort under one criterion.
 
     Attributes
     ----------
@@ -46,15 +46,15 @@ class Tests:
     ruptured: NDArray[np.bool_]
     specimen: NDArray[np.intp]
 
-    def by_specimen(self) -> list[Tests]:
+    def by_specimen(self) -> list[Outcomes]:
         """One for each specimen."""
         return [
-            Tests(self.z[own], self.variance[own], self.ruptured[own], self.specimen[own])
+            Outcomes(self.z[own], self.variance[own], self.ruptured[own], self.specimen[own])
             for own in (self.specimen == k for k in range(int(self.specimen.max()) + 1))
         ]
 
 
-def _given_ruptured(own: Tests, mu: FloatArray, s: FloatArray, b: FloatArray) -> Sequence[FloatArray]:
+def _given_ruptured(own: Outcomes, mu: FloatArray, s: FloatArray, b: FloatArray) -> Sequence[FloatArray]:
     """Probability (ln) of the ruptured tests, then mean and variance of m given them."""
     total, precision, centre = np.zeros(np.shape(s)), np.zeros(np.shape(s)), np.zeros(np.shape(s))
     if own.ruptured.any():
@@ -70,12 +70,12 @@ def _given_ruptured(own: Tests, mu: FloatArray, s: FloatArray, b: FloatArray) ->
     return total, variance * precision * centre + mu / (1.0 + b**2 * precision), variance
 
 
-def log_likelihood(tests: Sequence[Tests], mu: FloatArray, s: FloatArray, b: FloatArray) -> FloatArray:
+def log_likelihood(tests: Sequence[Outcomes], mu: FloatArray, s: FloatArray, b: FloatArray) -> FloatArray:
     """Likelihood (ln) of a cohort.
 
     Parameters
     ----------
-    tests : sequence of Tests
+    tests : sequence of Outcomes
         One for each specimen.
     mu, s, b : ndarray
         Mean of ln threshold, sd from test to test, sd between specimens; broadcast against each other.
@@ -94,7 +94,7 @@ def log_likelihood(tests: Sequence[Tests], mu: FloatArray, s: FloatArray, b: Flo
     return found
 
 
-def _censored(own: Tests, mean: FloatArray, variance: FloatArray, s: FloatArray) -> FloatArray:
+def _censored(own: Outcomes, mean: FloatArray, variance: FloatArray, s: FloatArray) -> FloatArray:
     """Weights (ln) of the nodes of m times the probability of the censored tests, a last axis of nodes."""
     nodes = mean[..., None] + np.sqrt(variance)[..., None] * _NODES
     terms = np.broadcast_to(_LN_WEIGHTS, nodes.shape).copy()
@@ -103,7 +103,7 @@ def _censored(own: Tests, mean: FloatArray, variance: FloatArray, s: FloatArray)
     return terms
 
 
-def specimen_means(tests: Sequence[Tests], mu: float, s: float, b: float) -> FloatArray:
+def specimen_means(tests: Sequence[Outcomes], mu: float, s: float, b: float) -> FloatArray:
     """Mean of each specimen's ln threshold given its tests, shape (specimens,)."""
     at = (np.array(mu), np.array(s), np.array(b))
     found = []

@@ -1,0 +1,122 @@
+"""Measures of loading against closed forms, and Fig. 4 of paper A under each criterion."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tissueid.model.base import ContactPath
+from tissueid.model.kelvin_voigt import KelvinVoigt, constant_speed_force
+from tissueid.model.rupture import (
+    hardening_ratio,
+    peak_force_against_speed,
+    rupture_at_speed,
+    rupture_measures,
+)
+from tissueid.rupture_law import CRITERIA
+
+#: 10 to 500 mm/min, the ends of paper A's rates.
+ENDS_MM_S = (10.0 / 60.0, 500.0 / 60.0)
+HARDENING = (0.0, 0.0, 0.43)
+TABLE_1 = (47.42, -5.577, 0.3804)
+STIFFNESS, TAU_S = 63.62, 0.021
+
+
+def tissue(static: tuple[float, ...]) -> tuple[KelvinVoigt, np.ndarray]:
+    return KelvinVoigt(1, 0, 9.0), np.array([*static, STIFFNESS, TAU_S])
+
+
+def static_work(static: tuple[float, ...], depth: float) -> float:
+    return sum(a * depth ** (k + 2) / (k + 2) for k, a in enumerate(static))
+
+
+@pytest.mark.parametrize(
+    ("static", "slow_N", "fast_N"),
+    [(HARDENING, 92.4, 73.9), (TABLE_1, 166.0, 169.1)],
+    ids=["cubic", "table 1"],
+)
+def test_figure_4_under_constant_work_falls_where_the_tissue_hardens_and_rises_where_it_softens(
+    static: tuple[float, ...], slow_N: float, fast_N: float
+) -> None:
+    # the work of a static indentation to 6 mm, 139.3 N mm for the cubic
+    work = static_work(static, 6.0)
+    forces = peak_force_against_speed(*tissue(static), "work", work, ENDS_MM_S)
+    assert forces == pytest.approx([slow_N, fast_N], abs=0.15)
+
+
+@pytest.mark.parametrize("static", [HARDENING, TABLE_1], ids=["cubic", "table 1"])
+@pytest.mark.parametrize("speed", ENDS_MM_S)
+def test_work_of_a_ramp_is_the_closed_form(static: tuple[float, ...], speed: float) -> None:
+    model, theta = tissue(static)
+    x = np.linspace(0.0, 8.0, 8001)
+    work = rupture_measures(model, theta, ContactPath(x / speed, x))["work"]
+    length = speed * TAU_S
+    state = -length * np.expm1(-x / length)
+    closed = np.array([static_work(static, one) for one in x])
+    closed += STIFFNESS * length * (x - state)
+    # trapezoids on steps of 1 um
+    assert work == pytest.approx(closed, rel=1e-5, abs=1e-4)
+
+
+def test_stored_energy_and_dissipation_make_up_the_work_of_a_growing_stiffness() -> None:
+    model, theta = KelvinVoigt(1, 2, 9.0), np.array([20.0, -1.2, 0.35, 60.0, 10.0, 1.5, 0.021])
+    time = np.linspace(0.0, 0.5, 40_001)
+    x = 4.0 * time / 0.5 * (1.0 + 0.3 * np.sin(40.0 * time))
+    measures = rupture_measures(model, theta, ContactPath(time, x))
+    (state,) = model.states(np.array([TAU_S]), ContactPath(time, x))
+    # (s / tau) int_{x - s}^{x} K dy is what the damper turns into heat, model.md 1.3
+    powers = (60.0, 10.0, 1.5)
+    integral = sum(k / (p + 1) * (x ** (p + 1) - (x - state) ** (p + 1)) for p, k in enumerate(powers))
+    heat = np.concatenate(
+        [[0.0], np.cumsum(0.5 * np.diff(time) * ((state * integral)[1:] + (state * integral)[:-1]) / TAU_S)]
+    )
+    assert measures["work"] == pytest.approx(measures["stored-energy"] + heat, rel=1e-5, abs=1e-5)
+
+
+def test_a_weight_of_one_is_the_force_and_of_zero_the_static_force() -> None:
+    model, theta = tissue(HARDENING)
+    x = np.linspace(0.0, 5.0, 501)
+    path = ContactPath(x / 8.0, x)
+    assert rupture_measures(model, theta, path, weight=1.0)["weighted-force"] == pytest.approx(
+        constant_speed_force(model, theta, x, speed_mm_s=8.0), rel=1e-9, abs=1e-9
+    )
+    assert rupture_measures(model, theta, path, weight=0.0)["weighted-force"] == pytest.approx(0.43 * x**3)
+
+
+@pytest.mark.parametrize("criterion", CRITERIA)
+def test_a_ramp_ruptures_where_its_measure_is_the_threshold(criterion: str) -> None:
+    model, theta = tissue(TABLE_1)
+    x = np.linspace(0.0, 9.0, 90_001)
+    measures = rupture_measures(model, theta, ContactPath(x / 8.0, x))
+    threshold = float(measures[criterion][50_000])
+    point = rupture_at_speed(model, theta, criterion, threshold, speed_mm_s=8.0)
+    assert point is not None
+    assert point.depth_mm == pytest.approx(x[50_000], abs=1e-5)
+    assert point.force_N == pytest.approx(measures["force"][50_000], rel=1e-5)
+    assert point.work_N_mm == pytest.approx(measures["work"][50_000], rel=1e-5)
+    assert point.dynamic_N == pytest.approx(STIFFNESS * 8.0 * TAU_S, rel=1e-6)
+
+
+def test_a_threshold_beyond_the_depth_is_no_rupture() -> None:
+    model, theta = tissue(HARDENING)
+    assert rupture_at_speed(model, theta, "work", 1e6, speed_mm_s=1.0) is None
+    assert np.isnan(peak_force_against_speed(model, theta, "depth", 9.5, [1.0, 2.0])).all()
+
+
+def test_an_unknown_criterion_is_refused_by_name() -> None:
+    with pytest.raises(ValueError, match="no criterion of rupture 'torque'; there are work, weighted-force"):
+        rupture_at_speed(*tissue(HARDENING), "torque", 1.0, speed_mm_s=1.0)
+
+
+@pytest.mark.parametrize("static", [HARDENING, TABLE_1], ids=["cubic", "table 1"])
+def test_the_force_at_rupture_changes_with_speed_as_the_sign_test_says(static: tuple[float, ...]) -> None:
+    model, theta = tissue(static)
+    speed = 0.3  # v tau = 0.0063 mm, a thousandth of the depth
+    work = static_work(static, 6.0)
+    near = peak_force_against_speed(model, theta, "work", work, [0.8 * speed, 1.2 * speed])
+    point = rupture_at_speed(model, theta, "work", work, speed_mm_s=speed)
+    assert point is not None
+    ratio = hardening_ratio(model, theta, point.depth_mm, point.force_N)
+    slope = (near[1] - near[0]) / (0.4 * speed)
+    # dF/dv = K tau (1 - x F_s'/F), to the first order in v tau / x
+    assert slope == pytest.approx(STIFFNESS * TAU_S * (1.0 - ratio), rel=0.02)
