@@ -36,9 +36,11 @@ def ask_for_consent(plan: SessionPlan, *, given: bool, quiet: int) -> None:
         It was refused.
     """
     from tissueid.render.blind import CONSENT_BLIND, CONSENT_HARDWARE
+    from tissueid.render.participation import CONSENT_TRAINING
 
     texts = [CONSENT_HARDWARE] if plan.capabilities.hardware else []
     texts += [CONSENT_BLIND] if plan.order is not None else []
+    texts += [CONSENT_TRAINING] if plan.pseudonym is not None else []
     if not texts:
         return
     for text in texts:

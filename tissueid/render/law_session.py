@@ -16,6 +16,7 @@ from tissueid.render.blind import check_pseudonym
 from tissueid.render.guidance_block import Guidance, guidance_block
 from tissueid.render.guidance_check import check_guidance
 from tissueid.render.options import RenderOptions
+from tissueid.render.participation import Participation
 from tissueid.render.passivity_control import PassivityLimits
 from tissueid.render.precheck import Demands
 from tissueid.render.session_plan import PERIOD_S, SessionPlan, session_head
@@ -94,6 +95,7 @@ def _plan(
     environment: str | None = None,
     guided: bool = False,
 ) -> SessionPlan:
+    pseudonym = None if options.pseudonym is None else check_pseudonym(options.pseudonym)
     plan = SessionPlan(
         device=choice[0],
         device_options=dict(options.device_options if given is None else given),
@@ -111,6 +113,7 @@ def _plan(
         lines=(choice[1], *lines),
         led=options.led,
         guided=guided,
-        pseudonym=None if options.pseudonym is None else check_pseudonym(options.pseudonym),
+        pseudonym=pseudonym,
+        participation=None if pseudonym is None else Participation(options.ethics, options.keep_days),
     )
     return replace(plan, head=session_head(plan, np.zeros(SURFACE_SIZE), (None,)))

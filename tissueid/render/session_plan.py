@@ -14,6 +14,7 @@ from tissueid import __version__
 from tissueid.haptics.device import Capabilities
 from tissueid.render.blind import BlindOrder
 from tissueid.render.choice import Picked
+from tissueid.render.participation import Participation
 from tissueid.render.precheck import MOST_DAMPING, Precheck
 from tissueid.render.script import Script
 
@@ -58,6 +59,8 @@ class SessionPlan:
         Whether the block is a guided axis.
     pseudonym : str or None
         Of the person who is guided; a blind order has its own.
+    participation : Participation or None
+        Of a person, where there is one.
     """
 
     device: str
@@ -77,6 +80,7 @@ class SessionPlan:
     led: bool = False
     guided: bool = False
     pseudonym: str | None = None
+    participation: Participation | None = None
 
 
 def session_head(plan: SessionPlan, surface: FloatArray, hashes: tuple[str | None, ...]) -> dict[str, Any]:
@@ -90,6 +94,7 @@ def session_head(plan: SessionPlan, surface: FloatArray, hashes: tuple[str | Non
         SHA-256 of the bundle of each tissue, or None.
     """
     capabilities = plan.capabilities
+    person = {} if plan.participation is None else {"participation": plan.participation.as_json()}
     return {
         "tissueid": __version__,
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -110,6 +115,7 @@ def session_head(plan: SessionPlan, surface: FloatArray, hashes: tuple[str | Non
         "scale": None if plan.check is None else plan.check.as_json(),
         "script": None if plan.script is None else plan.script.text,
         "servo": {"period_s": PERIOD_S, "virtual_time": plan.virtual},
+        **person,
     }
 
 

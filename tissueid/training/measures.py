@@ -19,7 +19,7 @@ from tissueid.haptics.states import State
 from tissueid.render import guidance as gd
 from tissueid.render.environment import GUIDED
 
-__all__ = ["CONE_ENTRY_MM", "Attempt", "measured"]
+__all__ = ["CONE_ENTRY_MM", "Attempt", "measured", "track"]
 
 FloatArray = NDArray[np.float64]
 
@@ -33,6 +33,8 @@ JERK_S = 0.1
 JERK_DEGREE = 5
 JERK_STEP_S = 0.01
 MM = 1000.0
+#: Points of a drawn way.
+TRACK_POINTS = 300
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,10 +97,9 @@ def measured(
             f"the session was not guided (it was {head['environment']}): there is no plan to compare it with"
         )
         raise ValueError(msg)
-    numbers = np.asarray(head["tissues"][0]["block"])[GUIDED : GUIDED + gd.GUIDANCE_SIZE]
-    felt = records[(records["state"] == State.ENGAGED) & np.isfinite(records["position_m"]).all(axis=1)]
-    time, place = felt["time_s"], _along_axis(numbers, felt["position_m"])
-    first, last, complete = _ends(place[:, 2], cone_entry_mm, MM * float(numbers[gd.DRILL_END]))
+    felt, place, drill_mm = _felt(head, records)
+    time = felt["time_s"]
+    first, last, complete = _ends(place[:, 2], cone_entry_mm, drill_mm)
     begin, begin_se = _placed(time, place, first)
     end, end_se = _placed(time, place, last)
     chord = end - begin
@@ -123,6 +124,35 @@ def measured(
         peak_force_N=float(force.max()),
         log_jerk=_log_jerk(time[way], smooth),
     )
+
+
+def track(
+    head: Mapping[str, Any], records: NDArray[Any], *, cone_entry_mm: float = CONE_ENTRY_MM
+) -> tuple[FloatArray, FloatArray]:
+    """The smoothed way of an attempt, in at most :data:`TRACK_POINTS` points.
+
+    Parameters
+    ----------
+    head, records, cone_entry_mm
+        As for :func:`measured`, which has to accept them.
+
+    Returns
+    -------
+    height_mm, distance_mm : ndarray, shape (n,)
+        Above the entry point, and from the axis.
+    """
+    felt, place, drill_mm = _felt(head, records)
+    first, last, _ = _ends(place[:, 2], cone_entry_mm, drill_mm)
+    way = _smoothed(felt["time_s"], place)[first : last + 1]
+    kept = way[np.linspace(0, way.shape[0] - 1, min(way.shape[0], TRACK_POINTS)).astype(int)]
+    return kept[:, 2], np.hypot(kept[:, 0], kept[:, 1])
+
+
+def _felt(head: Mapping[str, Any], records: NDArray[Any]) -> tuple[NDArray[Any], FloatArray, float]:
+    """Records with force, their places along the axis [mm], and the depth of the drilling [mm]."""
+    numbers = np.asarray(head["tissues"][0]["block"])[GUIDED : GUIDED + gd.GUIDANCE_SIZE]
+    felt = records[(records["state"] == State.ENGAGED) & np.isfinite(records["position_m"]).all(axis=1)]
+    return felt, _along_axis(numbers, felt["position_m"]), MM * float(numbers[gd.DRILL_END])
 
 
 def _along_axis(numbers: FloatArray, position_m: FloatArray) -> FloatArray:
