@@ -40,6 +40,7 @@ COMMANDS = {
     "control": "Simulate the adaptive controller of admittance rendering against a tissue.",
     "training": "Measure guided sessions: error, angle, time, smoothness, learning.",
     "reproduce": "Recompute the two papers this project starts from.",
+    "doctor": "Say what this machine can do with tissueid, and what stands in its way.",
     "view": "Look at a session in a browser: one that was recorded, or runs elsewhere.",
 }
 

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import ctypes
 import gc
+import json
 import os
 import resource
 import sys
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 __all__ = ["Schedule", "make_punctual"]
 
@@ -109,3 +110,8 @@ def _lock(libc: ctypes.CDLL) -> bool:
 def _user() -> str:
     """Name for a limits line."""
     return os.environ.get("USER") or str(os.getuid())
+
+
+if __name__ == "__main__":
+    # what a servo would get, for whoever asks before there is one
+    sys.stdout.write(json.dumps(asdict(make_punctual())))

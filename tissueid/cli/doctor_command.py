@@ -1,0 +1,49 @@
+"""``tissueid doctor``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from tissueid.cli.output import echo_json, note, output_options
+
+__all__ = ["command"]
+
+EPILOG = """\b
+Examples:
+  tissueid doctor
+  tissueid doctor --warm
+  tissueid doctor --json
+"""
+#: Exit code where a part of tissueid does not work.
+EXIT_MISSING = 7
+_MARKS = {"ok": "ok", "note": "note", "missing": "MISSING"}
+
+
+@click.command("doctor", epilog=EPILOG)
+@click.option("--warm", is_flag=True, help="Compile everything now, so that no later run has to.")
+@output_options
+def command(**flags: Any) -> int:
+    """Say what this machine can do with tissueid, and what stands in its way.
+
+    Versions, numba's cache, real-time rights of the servo, devices, the viewer's page and a browser; each
+    with what to type where something is wanting. Nothing moves: devices are looked for, none is opened. Exit
+    code 7 where a part of tissueid does not work here.
+    """
+    from tissueid.doctor import examine, warm
+
+    if flags["warm"]:
+        warm(lambda words: note(words, quiet=flags["quiet"]))
+    checks = []
+    for check in examine():
+        checks.append(check)
+        if flags["as_json"] or flags["quiet"]:
+            continue
+        click.echo(f"{_MARKS[check.state]:<8}{check.name:<13}{check.words}")
+        if check.way_out:
+            click.echo(f"{'':21}{check.way_out}")
+    missing = [check.name for check in checks if check.state == "missing"]
+    if flags["as_json"]:
+        echo_json({"checks": [check.as_json() for check in checks], "missing": missing})
+    return EXIT_MISSING if missing else 0

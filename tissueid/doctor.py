@@ -1,0 +1,221 @@
+"""What this machine can do with tissueid, and what stands in its way: a line a check, each with a way out."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from importlib.metadata import PackageNotFoundError, requires, version
+from pathlib import Path
+from typing import Any
+
+from tissueid import __version__
+from tissueid.own_process import own_process
+
+__all__ = ["Check", "examine", "warm"]
+
+#: Seconds that a probe in a process of its own may take.
+PATIENCE_S = 60.0
+#: Memory below which a large cohort is slow [GB].
+LITTLE_MEMORY_GB = 2.0
+EXTRAS = {"arviz": "arviz", "distributed": "cluster"}
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One thing that was looked at.
+
+    Attributes
+    ----------
+    name : str
+    state : {"ok", "note", "missing"}
+        ``note`` costs time or comfort, ``missing`` something that does not work without it.
+    words : str
+    way_out : str or None
+        What to type or do.
+    """
+
+    name: str
+    state: str
+    words: str
+    way_out: str | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """The check as an object."""
+        return asdict(self)
+
+
+def examine() -> Iterator[Check]:
+    """Look at everything, one check at a time."""
+    for look in (
+        _program,
+        _machine,
+        _libraries,
+        _extras,
+        _cache,
+        _loop,
+        _real_time,
+        _devices,
+        _page,
+        _browser,
+    ):
+        yield look()
+
+
+def _program() -> Check:
+    words = f"{__version__}, Python {platform.python_version()} at {sys.executable}"
+    return Check("tissueid", "ok", words)
+
+
+def _machine() -> Check:
+    words = f"{platform.system()} {platform.machine()}, {os.cpu_count()} processors"
+    try:
+        memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
+    except (AttributeError, ValueError, OSError):
+        return Check("machine", "ok", words)
+    words = f"{words}, {memory:.1f} GB of memory"
+    if memory < LITTLE_MEMORY_GB:
+        return Check("machine", "note", words, "fit large cohorts with --workers 1")
+    return Check("machine", "ok", words)
+
+
+def _libraries() -> Check:
+    """Versions of what tissueid needs."""
+    names = [line.split(";")[0] for line in requires("tissueid") or () if "extra ==" not in line]
+    found, missing = [], []
+    for name in ("".join(c if c.isalnum() or c in "-_." else " " for c in line).split()[0] for line in names):
+        try:
+            found.append(f"{name} {version(name)}")
+        except PackageNotFoundError:
+            missing.append(name)
+    if missing:
+        lost = ", ".join(missing)
+        return Check("libraries", "missing", f"not installed: {lost}", f"pip install {' '.join(missing)}")
+    return Check("libraries", "ok", ", ".join(found))
+
+
+def _extras() -> Check:
+    there, absent = [], []
+    for module, extra in EXTRAS.items():
+        try:
+            there.append(f"{module} {version(module)}")
+        except PackageNotFoundError:
+            absent.append(extra)
+    words = ", ".join(there) or "none"
+    if absent:
+        return Check("extras", "note", words, f"where wanted: pip install 'tissueid[{','.join(absent)}]'")
+    return Check("extras", "ok", words)
+
+
+def _cache() -> Check:
+    """The cache of compiled functions, and what is not in it yet."""
+    from tissueid.fit.compiled import KERNELS, kernels_to_compile
+
+    stats = getattr(KERNELS[0], "stats", None)
+    if stats is None:
+        return Check("numba cache", "note", "compilation is switched off: everything runs, slowly",
+                     "unset NUMBA_DISABLE_JIT")  # fmt: skip
+    folder = Path(stats.cache_path)
+    missing = kernels_to_compile(posterior=True)
+    if folder.is_dir() and not os.access(folder, os.W_OK):
+        return Check("numba cache", "note", f"{folder} can't be written: every run compiles anew",
+                     "set NUMBA_CACHE_DIR to a folder of yours")  # fmt: skip
+    if missing:
+        return Check("numba cache", "note", f"the next fit compiles {len(missing)} functions first",
+                     "tissueid doctor --warm")  # fmt: skip
+    return Check("numba cache", "ok", f"everything a fit needs is compiled, in {folder}")
+
+
+def _loop() -> Check:
+    if sys.platform == "win32":
+        return Check("servo loop", "missing", "rendering needs Linux or macOS")
+    from tissueid.render.first_start import is_compiled
+
+    if is_compiled():
+        return Check("servo loop", "ok", "compiled")
+    return Check("servo loop", "note", "the first `tissueid render` runs uncompiled while it compiles",
+                 "tissueid doctor --warm")  # fmt: skip
+
+
+def _real_time() -> Check:
+    """What a servo would be granted, asked by a process of its own."""
+    if not sys.platform.startswith("linux"):
+        return Check(
+            "real time", "note", "no real-time scheduling on this system; the servo says its periods"
+        )
+    try:
+        told = subprocess.run(  # noqa: S603 -- our own interpreter and module
+            own_process("tissueid.render.servo_schedule"),
+            capture_output=True,
+            check=True,
+            timeout=PATIENCE_S,
+        )
+        schedule = json.loads(told.stdout)
+    except (OSError, subprocess.SubprocessError, ValueError) as error:
+        return Check("real time", "note", f"could not be asked ({type(error).__name__})",
+                     "tissueid render --selftest")  # fmt: skip
+    memory = "memory locked" if schedule["locked"] else "memory not locked"
+    words = f"{schedule['name']}, {memory}"
+    if schedule["remedies"]:
+        return Check("real time", "note", words, "; ".join(schedule["remedies"]))
+    return Check("real time", "ok", words)
+
+
+def _devices() -> Check:
+    from tissueid.haptics.registry import choose_device, detect_all
+
+    found = [f"{one.name} at {one.where}" + (f" ({one.note})" if one.note else "") for one in detect_all()]
+    words = f"{'; '.join(found) or 'none'}; {choose_device().why}"
+    return Check("devices", "ok", words)
+
+
+def _page() -> Check:
+    from tissueid.viewer.bundling import BUNDLE
+
+    if (BUNDLE / "index.html").is_file():
+        return Check("viewer page", "ok", "built")
+    return Check("viewer page", "missing", "not built when this was installed: no node, or no registry",
+                 "python -m tissueid.viewer.bundling")  # fmt: skip
+
+
+def _browser() -> Check:
+    import webbrowser
+
+    try:
+        name = webbrowser.get().__class__.__name__
+    except webbrowser.Error:
+        return Check("browser", "note", "none was found: addresses of the viewer are printed",
+                     "open them on another machine, with --host")  # fmt: skip
+    return Check("browser", "ok", f"addresses are opened by {name}")
+
+
+def warm(tell: Callable[[str], None]) -> None:
+    """Compile everything now: a small synthetic specimen is fitted, and the servo's loop is built.
+
+    Parameters
+    ----------
+    tell : callable
+        Told what is being compiled.
+    """
+    import numpy as np
+
+    from tissueid.fit.specimen import FitOptions
+    from tissueid.pipeline import IdentifyOptions, identify
+    from tissueid.posterior.specimen import PosteriorOptions
+    from tissueid.synth.protocols import recipe
+    from tissueid.synth.simulate import as_trials, simulate
+
+    tell("compiling what a fit needs")
+    trials = as_trials(simulate(recipe("paper-a-30-10Hz"), rng=np.random.default_rng(0)))
+    for noise in ("white", "auto"):
+        options = IdentifyOptions(fit=FitOptions(noise=noise), posterior=PosteriorOptions(draws=1000))
+        identify(trials, options=options)
+    if sys.platform != "win32":
+        from tissueid.render.first_start import compile_loop
+
+        tell("compiling the servo's loop")
+        compile_loop()
