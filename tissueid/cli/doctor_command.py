@@ -12,7 +12,6 @@ __all__ = ["command"]
 
 EPILOG = """\b
 Examples:
-  tissueid doctor
   tissueid doctor --warm
   tissueid doctor --json
 """
