@@ -30,19 +30,19 @@ def integrand(m: float, own: np.ndarray, ruptured: np.ndarray) -> float:
 def test_likelihood_is_the_integral_over_what_each_specimen_is(ruptured: list[int]) -> None:
     broken = np.array(ruptured, dtype=bool)
     expected = sum(
-        np.log(quad(integrand, MU - 2.0, MU + 2.0, args=(np.flatnonzero(WHO == k), broken), points=[MU])[0])
+        np.log(quad(integrand, MU - 2.0, MU + 2.0, args=(np.flatnonzero(k == WHO), broken), points=[MU])[0])
         for k in (0, 1)
     )
-    tests = Outcomes(Z, VARIANCE, broken, WHO).by_specimen()
+    tests = Outcomes(Z, VARIANCE, broken, WHO)
     found = log_likelihood(tests, np.array(MU), np.array(S), np.array(B))
     assert float(found) == pytest.approx(expected, abs=2e-4)
 
 
 def test_mean_of_a_specimen_knows_its_censored_tests() -> None:
     broken = np.array([True, False, True, True, False])
-    tests = Outcomes(Z, VARIANCE, broken, WHO).by_specimen()
+    tests = Outcomes(Z, VARIANCE, broken, WHO)
     for k, found in enumerate(specimen_means(tests, MU, S, B)):
-        own = np.flatnonzero(WHO == k)
+        own = np.flatnonzero(k == WHO)
         mass = quad(integrand, MU - 2.0, MU + 2.0, args=(own, broken), points=[MU])[0]
         first = quad(lambda m, own=own: m * integrand(m, own, broken), MU - 2.0, MU + 2.0, points=[MU])[0]
         assert found == pytest.approx(first / mass, abs=2e-4)

@@ -16,7 +16,7 @@ from tissueid.rupture_law import CRITERIA
 
 TRUTHS = ("work", "weighted-force", "depth")
 COHORTS = 400
-RECORDED = 60
+RECORDED = 30
 #: Least share of right decisions, and most of wrong ones, by CV of the threshold from test to test.
 RIGHT = {0.05: 0.85, 0.1: 0.7}
 WRONG = 0.03

@@ -18,7 +18,7 @@ from scipy.optimize import minimize
 from scipy.stats import f as f_distribution
 
 from tissueid.rupture.failures import Failure
-from tissueid.rupture.likelihood import Outcomes, log_likelihood, specimen_means
+from tissueid.rupture.likelihood import Outcomes, given_ruptured, log_likelihood, specimen_means
 
 __all__ = ["Threshold", "standardised", "threshold_of"]
 
@@ -37,6 +37,10 @@ MEAN_POINTS, MEAN_WIDER = 25, 1.5
 #: The optimum is settled to this in ln depth, and in ln likelihood.
 MEAN_SETTLED, LIKELIHOOD_SETTLED = 1e-4, 1e-6
 MOST_STEPS = 600
+#: An sd between specimens that draws no specimen toward the others.
+FLAT = 1e6
+#: Speeds of a specimen that differ by less than this in ln are one.
+ONE_SPEED = 0.05
 INTERVAL = (0.025, 0.975)
 
 
@@ -124,7 +128,7 @@ class _Grid:
         return float(low), float(high)
 
 
-def _grid(tests: Sequence[Outcomes]) -> _Grid:
+def _grid(tests: Outcomes) -> _Grid:
     s = np.geomspace(*TEST_SD, TEST_POINTS)[:, None, None]
     b = np.geomspace(*SPECIMEN_SD, SPECIMEN_POINTS)[None, :, None]
     ln_prior = (
@@ -133,16 +137,15 @@ def _grid(tests: Sequence[Outcomes]) -> _Grid:
         + np.log(b)
         + np.log(np.log(SPECIMEN_SD[1] / SPECIMEN_SD[0]) / (SPECIMEN_POINTS - 1))
     )
-    precision, centre = np.zeros(np.broadcast_shapes(s.shape, b.shape)), np.zeros((1, 1, 1))
-    for own in tests:
-        if own.ruptured.any():
-            weight = (1.0 / (s**2 + own.variance[own.ruptured])).sum(axis=-1, keepdims=True)
-            mean = (own.z[own.ruptured] / (s**2 + own.variance[own.ruptured])).sum(axis=-1, keepdims=True)
-            joint = 1.0 / (b**2 + 1.0 / weight)
-            precision, centre = precision + joint, centre + joint * mean / weight
+    # the mean's own normal given the ruptured tests: a flat start, specimens weighed by what they know
+    weight = (1.0 / (s[..., None] ** 2 + tests.variance[tests.ruptured])) @ tests.membership()
+    told = given_ruptured(tests, np.zeros((1, 1, 1)), s, np.full((1, 1, 1), FLAT)).mean
+    joint = weight / (1.0 + b[..., None] ** 2 * weight)
+    precision = joint.sum(axis=-1)
+    centre = (joint * told).sum(axis=-1) / precision
     nodes, weights = np.polynomial.hermite_e.hermegauss(MEAN_POINTS)
     width = MEAN_WIDER / np.sqrt(precision)
-    mean = centre / precision + width * nodes
+    mean = centre + width * nodes
     # the integral over the mean: Gauss-Hermite, its own weight taken out
     ln_step = np.log(weights) + 0.5 * nodes**2 + np.log(width)
     ln_likelihood = log_likelihood(tests, mean, s, b)
@@ -153,23 +156,15 @@ def _grid(tests: Sequence[Outcomes]) -> _Grid:
 
 
 def _most_likely(
-    tests: Sequence[Outcomes],
+    tests: Outcomes,
     start: tuple[float, float, float],
-    covariate: Sequence[FloatArray] | None = None,
+    covariate: FloatArray | None = None,
 ) -> tuple[FloatArray, float]:
     """Maximum likelihood of (mu, ln s, ln b[, slope by a covariate]), and ln likelihood there."""
 
-    def shifted(slope: float) -> Sequence[Outcomes]:
-        if covariate is None:
-            return tests
-        return [
-            Outcomes(own.z - slope * u, own.variance, own.ruptured, own.specimen)
-            for own, u in zip(tests, covariate, strict=True)
-        ]
-
     def negative(at: FloatArray) -> float:
         s, b = (np.exp(np.clip(at[1:3], np.log(1e-5), np.log(10.0)))).reshape(2, 1)
-        moved = shifted(float(at[3]) if at.size > 3 else 0.0)
+        moved = tests if covariate is None else tests.shifted(float(at[3]) * covariate)
         return -float(log_likelihood(moved, at[:1], s, b)[0])
 
     mu, s, b = start
@@ -192,7 +187,7 @@ def _most_likely(
 
 
 def _trend(
-    failures: Sequence[Failure], tests: Sequence[Outcomes], fitted: tuple[FloatArray, float]
+    failures: Sequence[Failure], tests: Outcomes, fitted: tuple[FloatArray, float]
 ) -> tuple[float, float | None]:
     """Slope by ln speed that is left in ln depth, and its p value.
 
@@ -203,16 +198,12 @@ def _trend(
     speeds = np.log([one.test.speed_mm_s for one in failures])
     speeds = speeds - speeds.mean()
     names = list(dict.fromkeys(one.specimen for one in failures))
-    own = [
-        np.array([u for u, one in zip(speeds, failures, strict=True) if one.specimen == name])
-        for name in names
-    ]
     broken = sum(one.ruptured for one in failures)
     left = broken - len(names) - 1
-    if left < 1 or all(np.ptp(u) < 1e-3 for u in own):
+    if left < 1 or all(np.ptp(speeds[tests.specimen == k]) < ONE_SPEED for k in range(len(names))):
         return 0.0, None
     start = (float(at[0]), float(np.exp(at[1])), float(np.exp(at[2])))
-    with_slope, higher = _most_likely(tests, start, own)
+    with_slope, higher = _most_likely(tests, start, speeds)
     statistic = left * float(np.expm1(2.0 * max(higher - ln_likelihood, 0.0) / broken))
     return float(with_slope[3]), float(f_distribution.sf(statistic, 1, left))
 
@@ -230,8 +221,7 @@ def threshold_of(failures: Sequence[Failure], criterion: str) -> Threshold:
     -------
     Threshold
     """
-    all_tests, growth, ln_factor = standardised(failures, criterion)
-    tests = all_tests.by_specimen()
+    tests, growth, ln_factor = standardised(failures, criterion)
     grid = _grid(tests)
     fitted = _most_likely(tests, grid.best)
     mu, s, b = float(fitted[0][0]), float(np.exp(fitted[0][1])), float(np.exp(fitted[0][2]))

@@ -60,6 +60,8 @@ class SpecimenLaw:
         """Passive draws of the law, shape (at most LAW_DRAWS, p); of its normal where nothing was sampled."""
         if self.draws is not None:
             return np.asarray(self.draws[np.linspace(0, len(self.draws) - 1, LAW_DRAWS).astype(int)])
+        if not self.covariance.any():
+            return np.empty((0, self.theta.size))
         # the same draws each time: a result must not depend on the order of specimens
         rng = np.random.default_rng(0)
         spread = rng.multivariate_normal(self.theta, self.covariance, size=LAW_DRAWS, method="eigh")

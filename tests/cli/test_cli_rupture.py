@@ -1,0 +1,129 @@
+"""``tissueid rupture``: a cohort from recordings to bundles that break."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import REPOSITORY, Ended, run
+
+from tissueid.cli.rupture_command import ASKED as OFFERED
+from tissueid.haptics.states import Lamp
+from tissueid.rupture.study import ASKED
+from tissueid.store.bundle import load_bundle
+from tissueid.store.schema import first_problem
+from tissueid.store.session_log import read_session_log
+
+SET = REPOSITORY / "datasets_synthetic" / "rupture-18"
+STUDY = """schema = "tissueid/study/1"
+
+[study]
+title = "ruptures"
+
+[[exclude]]
+file = "rupture-02-rupture-0600-1.csv"
+because = "the tool slipped"
+"""
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Ended, Path]:
+    """Two specimens at three speeds, one recording excluded."""
+    folder = tmp_path_factory.mktemp("recordings")
+    for path in [*SET.glob("rupture-01-*.csv"), *SET.glob("rupture-02-*.csv")]:
+        shutil.copy(path, folder)
+    (folder / "study.toml").write_text(STUDY, encoding="utf-8")
+    out = tmp_path_factory.mktemp("out") / "rupture"
+    return run("rupture", folder, "-o", out, "--criterion", "work", "--json"), out
+
+
+def test_criteria_on_the_command_line_are_those_of_the_code() -> None:
+    assert OFFERED == ASKED
+
+
+def test_it_prints_rupture_json_and_it_is_valid(done: tuple[Ended, Path]) -> None:
+    ended, out = done
+    assert ended.code == 0
+    assert first_problem(ended.json(), "rupture") is None
+    assert json.loads((out / "rupture.json").read_text(encoding="utf-8")) == ended.json()
+    assert "work" in (out / "rupture.html").read_text(encoding="utf-8")
+
+
+def test_force_depth_and_work_at_failure_are_those_of_the_truth(done: tuple[Ended, Path]) -> None:
+    truth = {row["file"]: row for row in json.loads((SET / "truth.json").read_text())["logs"]}
+    tests = done[0].json()["tests"]
+    assert len(tests) == 5
+    for one in tests:
+        true = truth[Path(one["path"]).name]
+        assert one["ruptured"] == bool(true["ruptured"])
+        # 250 samples/s: 0.2 mm between two samples of the fastest ramp, 0.012 mm of noise in the contact
+        for name, sd in (("depth_mm", 0.02), ("force_N", 0.5), ("work_N_mm", 0.5)):
+            limit = 4.0 * np.hypot(one[name.replace("_", "_sd_", 1)], sd)
+            assert one[name] == pytest.approx(true[f"rupture_{name}"], abs=limit), (one["path"], name)
+
+
+def test_an_excluded_recording_takes_no_part(done: tuple[Ended, Path]) -> None:
+    document = done[0].json()
+    assert not any("rupture-02-rupture-0600" in one["path"] for one in document["tests"])
+    assert document["left_out"] == []
+
+
+def test_bundles_hold_the_criterion_that_was_asked_for_with_its_distribution(
+    done: tuple[Ended, Path],
+) -> None:
+    ended, out = done
+    document = ended.json()
+    work = next(row for row in document["criteria"] if row["criterion"] == "work")
+    assert document["taken"] == "work"
+    for row in document["laws"]:
+        law = load_bundle(out / row["bundle"]).rupture
+        assert law is not None
+        assert law.as_json() == row["law"]
+        assert law.threshold == work["specimens"][row["specimen"]]
+        assert (law.sd_ln, law.specimen_sd_ln) == (work["sd_ln"], work["specimen_sd_ln"])
+        # the synthetic tissue keeps a fifth of its force
+        assert law.residual == pytest.approx(0.2, abs=0.02)
+
+
+def test_the_bundle_breaks_in_a_session_at_its_threshold_and_keeps_the_rest(
+    done: tuple[Ended, Path], tmp_path: Path
+) -> None:
+    document = done[0].json()
+    row = document["laws"][0]
+    log = tmp_path / "log.h5"
+    script = "indent 6 mm at 120 mm/min; hold 0.2 s"
+    ended = run(
+        "render", done[1] / row["bundle"], "--device", "sim", "--virtual", "--script", script, "--log", log
+    )
+    assert ended.code == 0
+    threshold = row["law"]["threshold"]
+    assert f"rupture    at a work of {threshold:.4g} N mm" in ended.stdout + ended.stderr
+    records = read_session_log(log).records
+    first = int(np.argmax(records["lamps"] & Lamp.RUPTURED > 0))
+    depth, force = records["depth_mm"][: first + 1], records["tissue_force_N"][: first + 1].copy()
+    # the force of the tick in which it broke is what is left already
+    force[-1] /= row["law"]["residual"]
+    inside = np.maximum(depth, 0.0)
+    work = np.concatenate([[0.0], np.cumsum(0.5 * (force[1:] + force[:-1]) * np.diff(inside))])
+    assert work[-2] < threshold <= work[-1]
+    assert records["tissue_force_N"][first] == pytest.approx(
+        row["law"]["residual"] * records["tissue_force_N"][first - 1], rel=0.02
+    )
+
+
+def test_what_a_fit_wrote_is_not_replaced(tmp_path: Path) -> None:
+    (tmp_path / "identification.json").write_text("{}", encoding="utf-8")
+    ended = run("rupture", SET, "-o", tmp_path)
+    assert ended.code == 2
+    assert "choose another folder" in ended.stderr
+    assert (tmp_path / "identification.json").read_text(encoding="utf-8") == "{}"
+
+
+def test_recordings_without_a_rupture_are_refused_with_what_is_needed(datasets: Path, tmp_path: Path) -> None:
+    ended = run("rupture", datasets / "paper-a-hold-100Hz" / "hold-8-1.csv", "-o", tmp_path / "out")
+    assert ended.code == 4
+    assert "0 of 1 tests end in a rupture, and 4 are needed" in ended.stderr
+    assert not (tmp_path / "out" / "rupture.json").exists()
