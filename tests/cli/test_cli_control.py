@@ -83,9 +83,10 @@ def test_a_loop_that_diverges_is_said_and_ends_with_4(tmp_path: Path) -> None:
 
 
 def test_a_device_with_a_force_sensor_is_rendered_on_and_another_refused() -> None:
-    ended = run("control", "--preset", "paper-a", "--device", "sim", "--seconds", "2", "--json")
-    assert ended.json()["device"]["error_rms_mm"] < 0.3
-    assert "shaped by the guard" in run("control", "--preset", "paper-a", "--device", "sim").stdout
+    ended = run("control", "--preset", "paper-a", "--device", "sim", "--seconds", "2")
+    assert ended.code == 0, ended.stderr
+    assert re.search(r"^on sim    error 0\.[12]\d\d mm rms", ended.stdout, re.MULTILINE)
+    assert "shaped by the guard" in ended.stdout
 
     refused = run("control", "--preset", "paper-a", "--device", "falcon")
     assert refused.code == 5
@@ -119,9 +120,11 @@ def test_too_little_margin_and_a_tissue_left_behind_are_said() -> None:
 
 def test_the_document_is_json_whatever_happens() -> None:
     ended = run(
-        "control", "--preset", "paper-a", "--environment", "impedance", "--stiffness-scale", "100", "--json"
+        "control", "--preset", "paper-a", "--environment", "impedance", "--stiffness-scale", "100", "--json",
+        "--device", "sim", "--seconds", "2",
     )  # fmt: skip
 
     document = json.loads(ended.stdout)
     assert first_problem(document, "control") is None
+    assert document["device"]["error_rms_mm"] < 0.3
     assert ended.code == (0 if document["runs"][0]["measures"]["diverged_s"] is None else 4)

@@ -73,8 +73,15 @@ def by_hand(run: ControlRun) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.needs_jit
-@pytest.mark.parametrize("variant", ["A", "B"])
-@pytest.mark.parametrize("scale", [1.0, 100.0])
+@pytest.mark.parametrize(
+    ("variant", "scale"),
+    [
+        ("A", 1.0),
+        ("B", 100.0),
+        pytest.param("A", 100.0, marks=pytest.mark.slow),
+        pytest.param("B", 1.0, marks=pytest.mark.slow),
+    ],
+)
 def test_the_equality_of_the_proof_holds_along_the_run(variant: str, scale: float) -> None:
     run = learning(variant, scale)
     V, rate = by_hand(run)
@@ -172,18 +179,23 @@ def test_matrices_of_several_axes_come_back_from_their_parameters() -> None:
 
 @pytest.mark.needs_jit
 @pytest.mark.parametrize(
-    ("device", "operator", "arm"), [(SKEWED, HAND, None), (JOINTS, HAND, ARM)], ids=["matrices", "arm"]
+    ("variant", "device", "arm"),
+    [
+        pytest.param("B", JOINTS, ARM, id="B-arm"),
+        pytest.param("A", JOINTS, ARM, id="A-arm", marks=pytest.mark.slow),
+        pytest.param("A", SKEWED, None, id="A-matrices", marks=pytest.mark.slow),
+        pytest.param("B", SKEWED, None, id="B-matrices", marks=pytest.mark.slow),
+    ],
 )
-@pytest.mark.parametrize("variant", ["A", "B"])
 def test_the_equality_holds_for_two_axes_and_an_arm(
-    device: Mechanics, operator: Mechanics, arm: PlanarArm | None, variant: str
+    variant: str, device: Mechanics, arm: PlanarArm | None
 ) -> None:
     size = 9 if arm is None else 12
     settings = ControlSettings(
         PAPER_A,
         variant=variant,
         device=device,
-        operator=operator,
+        operator=HAND,
         arm=arm,
         push=Signal((10.0, 1.0), (8.0, 3.0), (1.0, 0.7)),
         disturbance=Signal((0.0, 0.2), (0.5, 0.5), (7.0, 5.0)),
@@ -282,7 +294,7 @@ def radau(settings: ControlSettings, times: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.needs_jit
-@pytest.mark.parametrize("variant", ["A", "B"])
+@pytest.mark.parametrize("variant", ["B", pytest.param("A", marks=pytest.mark.slow)])
 def test_the_sampled_loop_tends_to_the_solution_of_the_differential_equations(variant: str) -> None:
     base = ControlSettings(
         PAPER_A,

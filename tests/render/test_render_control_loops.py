@@ -266,6 +266,8 @@ def test_an_arm_in_the_plane_presses_and_slides() -> None:
         ({"device": Mechanics(0.0, 1.0, 1.0)}, "device needs a mass"),
         ({"device": Mechanics(np.eye(2), np.eye(2), np.eye(2))}, "device has 2 axes and the hand 1"),
         ({"arm": PlanarArm((0.3, 0.3), (1.0, 1.0, 1.0), (0.3, 0.3))}, "two axes"),
+        ({"push": Signal((1.0, 1.0), (0.0, 0.0), (1.0, 1.0))}, "push needs 1 offsets"),
+        ({"start_estimates": np.zeros(9)}, "first estimates are 3"),
         ({"continuous_step_s": 1e-5, "gains": Gains(saturation_N=5.0)}, "leave the continuous step out"),
     ],
 )

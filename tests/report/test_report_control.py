@@ -84,6 +84,7 @@ def test_thinned_curves_keep_their_peaks() -> None:
         assert np.abs(values).max() == pytest.approx(np.abs(exact).max(), rel=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.browser
 def test_figures_draw_themselves_without_an_error(browser: Any, tmp_path: Path) -> None:
     path = tmp_path / "control.html"

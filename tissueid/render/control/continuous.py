@@ -25,7 +25,15 @@ from tissueid.render.control.block import (
     VARIANT_B,
 )
 from tissueid.render.control.drive import disturbance, environment_force, hand_push, tool_acceleration
-from tissueid.render.control.law import adapt, control_force, lyapunov, reference, robust_term, sigma_at
+from tissueid.render.control.law import (
+    adapt,
+    control_force,
+    lyapunov,
+    not_covered,
+    reference,
+    robust_term,
+    sigma_at,
+)
 from tissueid.render.control.plant import generalised_force, inertia, regress, solve
 from tissueid.render.control.row import record_row
 from tissueid.render.control.sampled import LARGEST_M
@@ -33,6 +41,7 @@ from tissueid.render.control.sampled import LARGEST_M
 __all__ = ["continuous_room", "run_continuous"]
 
 FloatArray = NDArray[np.float64]
+Five = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
 #: Rows of the state of motion: position and velocity of the device, of the tool.
 MOTION_ROWS = 4
 #: Rows of forces, see :func:`_forces`; one for what the estimates don't cover, two to work in.
@@ -49,7 +58,7 @@ def _forces(
     estimates: FloatArray,
     touched: float,
     forces: FloatArray,
-    room: tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray],
+    room: Five,
 ) -> None:
     """Solve the algebraic loop at one moment.
 
@@ -122,7 +131,7 @@ def _copy(source: FloatArray, target: FloatArray) -> None:
 
 def continuous_room(
     axes: int, start: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, tuple[FloatArray, ...]]:
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, Five]:
     """Room of a run: motions, forces, inertias, regressor; estimates and tissue, each with its trials."""
     return (
         np.zeros((4, MOTION_ROWS, axes)),
@@ -134,6 +143,46 @@ def continuous_room(
 
 
 @tick_kernel
+def _step(
+    block: FloatArray,
+    law: FloatArray,
+    parameters: tuple[FloatArray, FloatArray, FloatArray],
+    adaptation: tuple[FloatArray, FloatArray],
+    drive: FloatArray,
+    time: float,
+    motions: FloatArray,
+    forces: FloatArray,
+    solving: Five,
+    lists: Five,
+) -> float:
+    """One step of Heun from a moment whose forces are known; the force of the environment at its end."""
+    gains, bounds = adaptation
+    h = block[PERIOD]
+    motion, ahead, slope, slope_ahead = motions[0], motions[1], motions[2], motions[3]
+    estimates, guess, moved, state, trial = lists
+    Y = solving[1]
+    regress(block, motion[0], motion[1], forces[8], forces[9], Y)
+    _slopes(motion, forces, slope)
+    _copy(estimates, guess)
+    adapt(block, Y, forces[4], gains, bounds, h, guess)
+    for k in range(MOTION_ROWS):
+        for i in range(motion.shape[1]):
+            ahead[k, i] = motion[k, i] + h * slope[k, i]
+    _copy(state, trial)
+    pressed = _tissue(block, law, trial, ahead, h)
+    _forces(block, parameters, drive, time + h, ahead, guess, pressed, forces, solving)
+    _slopes(ahead, forces, slope_ahead)
+    _copy(guess, moved)
+    adapt(block, Y, forces[4], gains, bounds, h, moved)
+    for k in range(estimates.size):
+        estimates[k] = 0.5 * (estimates[k] + moved[k])
+    for k in range(MOTION_ROWS):
+        for i in range(motion.shape[1]):
+            motion[k, i] += 0.5 * h * (slope[k, i] + slope_ahead[k, i])
+    return float(_tissue(block, law, state, motion, h))
+
+
+@tick_kernel
 def run_continuous(
     block: FloatArray,
     law: FloatArray,
@@ -141,7 +190,7 @@ def run_continuous(
     adaptation: tuple[FloatArray, FloatArray],
     drive: FloatArray,
     every: int,
-    room: tuple[FloatArray, FloatArray, FloatArray, FloatArray, tuple[FloatArray, ...]],
+    room: tuple[FloatArray, FloatArray, FloatArray, FloatArray, Five],
     out: FloatArray,
 ) -> int:
     """Run a loop from rest at the surface of the tissue; a row every ``every`` steps of the period.
@@ -149,61 +198,26 @@ def run_continuous(
     Parameters, ``out`` and what is returned as in
     :func:`tissueid.render.control.sampled.run_sampled`; ``room`` is of :func:`continuous_room`.
     """
-    n = drive.shape[1]
-    gains, bounds = adaptation
-    h = block[PERIOD]
     motions, forces, squares, Y, lists = room
-    motion, ahead, slope, slope_ahead = motions[0], motions[1], motions[2], motions[3]
-    unknown, spare = forces[10], forces[11:13]
-    M = squares[0]
-    solving = (spare, Y, M, squares[1], squares[2])
-    estimates, guess, moved, state, trial = lists
+    motion, unknown, spare = motions[0], forces[10], forces[11:13]
+    solving = (spare, Y, squares[0], squares[1], squares[2])
+    estimates, gains, truth = lists[0], adaptation[0], parameters[2]
     touched = 0.0
     for row in range(out.shape[0]):
         for step in range(every):
-            time = (row * every + step) * h
+            time = (row * every + step) * block[PERIOD]
             _forces(block, parameters, drive, time, motion, estimates, touched, forces, solving)
             if step == 0:
-                for i in range(n):
-                    unknown[i] = -forces[1, i] if block[VARIANT] == VARIANT_B else forces[0, i] - forces[1, i]
+                rho, robust = forces[4], forces[5]
+                not_covered(block, forces[0], forces[1], unknown)
                 V, rate = lyapunov(
-                    block,
-                    motion[0],
-                    forces[4],
-                    forces[5],
-                    unknown,
-                    parameters[2],
-                    estimates,
-                    gains,
-                    spare,
-                    Y,
-                    M,
+                    block, motion[0], rho, robust, unknown, truth, estimates, gains, spare, Y, squares[0]
                 )
-                vectors = (
-                    motion[0], motion[1], motion[2], motion[3], forces[2], forces[3], forces[4], forces[0],
-                    forces[1],
-                )  # fmt: skip
+                led = (motion[0], motion[1], motion[2], motion[3])
+                vectors = (*led, forces[2], forces[3], rho, forces[0], forces[1])
                 record_row(out[row], time, vectors, (touched, sigma_at(block, time), V, rate), estimates)
-                regress(block, motion[0], motion[1], forces[8], forces[9], Y)
-            _slopes(motion, forces, slope)
-            _copy(estimates, guess)
-            adapt(block, Y, forces[4], gains, bounds, h, guess)
-            for k in range(MOTION_ROWS):
-                for i in range(n):
-                    ahead[k, i] = motion[k, i] + h * slope[k, i]
-            _copy(state, trial)
-            pressed = _tissue(block, law, trial, ahead, h)
-            _forces(block, parameters, drive, time + h, ahead, guess, pressed, forces, solving)
-            _slopes(ahead, forces, slope_ahead)
-            _copy(guess, moved)
-            adapt(block, Y, forces[4], gains, bounds, h, moved)
-            for k in range(estimates.size):
-                estimates[k] = 0.5 * (estimates[k] + moved[k])
-            for k in range(MOTION_ROWS):
-                for i in range(n):
-                    motion[k, i] += 0.5 * h * (slope[k, i] + slope_ahead[k, i])
-            touched = _tissue(block, law, state, motion, h)
-        for i in range(n):
+            touched = _step(block, law, parameters, adaptation, drive, time, motions, forces, solving, lists)
+        for i in range(motion.shape[1]):
             if not abs(motion[0, i]) < LARGEST_M:
                 return row + 1
     return int(out.shape[0])

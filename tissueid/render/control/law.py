@@ -34,7 +34,16 @@ from tissueid.render.control.block import (
 )
 from tissueid.render.control.plant import damping_form, inertia
 
-__all__ = ["adapt", "control_force", "lyapunov", "reference", "robust_term", "saturate", "sigma_at"]
+__all__ = [
+    "adapt",
+    "control_force",
+    "lyapunov",
+    "not_covered",
+    "reference",
+    "robust_term",
+    "saturate",
+    "sigma_at",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -152,6 +161,13 @@ def adapt(
 
 
 @tick_kernel
+def not_covered(block: FloatArray, push: FloatArray, disturbed: FloatArray, out: FloatArray) -> None:
+    """Write what the estimates don't cover [N]: F* - d in variant A, -d in B."""
+    for i in range(out.size):
+        out[i] = -disturbed[i] if block[VARIANT] == VARIANT_B else push[i] - disturbed[i]
+
+
+@tick_kernel
 def lyapunov(
     block: FloatArray,
     x: FloatArray,
@@ -172,7 +188,7 @@ def lyapunov(
     block, x, rho, robust, estimates, gains
         As above.
     unknown : ndarray, shape (n,)
-        What the estimates don't cover: F* - d in variant A, -d in variant B [N].
+        Of :func:`not_covered` [N].
     truth : ndarray, shape (p,)
         True parameters of what is estimated.
     spare, Y, M : ndarray, shapes (2, n), (n, p) and (n, n)

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from tissueid.compiled import tick_kernel
 from tissueid.model.kernels import STATE_SIZE
-from tissueid.render.control.block import PERIOD, SUBSTEPS, VARIANT, VARIANT_B
+from tissueid.render.control.block import PERIOD, SUBSTEPS
 from tissueid.render.control.command import command
 from tissueid.render.control.drive import disturbance, hand_push
-from tissueid.render.control.law import adapt, lyapunov, sigma_at
+from tissueid.render.control.law import adapt, lyapunov, not_covered, sigma_at
 from tissueid.render.control.plant import generalised_force, inertia, solve
 from tissueid.render.control.row import record_row
 
@@ -135,13 +135,12 @@ def run_sampled(
         disturbance(drive, time, disturbed)
         for i in range(n):
             sensed[i] = hand[i] + noise[tick, i]
-            unknown[i] = -disturbed[i] if block[VARIANT] == VARIANT_B else push[i] - disturbed[i]
-        before = touched
-        for i in range(n):
             was[0][i], was[1][i] = tool[0][i], tool[1][i]
+        before = touched
         touched = command(
             block, law, state, time, (x, v), sensed, touched, tool, wanted, robust, estimates, Y, u
         )
+        not_covered(block, push, disturbed, unknown)
         V, rate = lyapunov(block, x, wanted[2], robust, unknown, truth, estimates, gains, spare, Z, M)
         record_row(
             out[tick],

@@ -298,10 +298,18 @@ def _problems(settings: ControlSettings) -> list[str]:
     ]
     if settings.device.axes != settings.operator.axes:
         found.append(f"the device has {settings.device.axes} axes and the hand {settings.operator.axes}")
+    for name, signal in (("push", settings.push), ("disturbance", settings.disturbance)):
+        parts = () if signal is None else (signal.offset_N, signal.amplitude_N, signal.frequency_Hz)
+        if any(len(part) != settings.axes for part in parts):
+            found.append(f"the {name} needs {settings.axes} offsets, amplitudes and frequencies")
     if settings.arm is not None and settings.device.axes != 2:
         found.append("an arm in the plane has two axes; give device and hand as 2 x 2 matrices")
     if settings.arm is None and not np.linalg.eigvalsh(settings.device.mass_kg)[0] > 0.0:
         found.append("the device needs a mass along every axis")
     if settings.continuous_step_s is not None and math.isfinite(settings.gains.saturation_N):
         found.append("a saturated controller is sampled; leave the continuous step out")
+    if not found and settings.start_estimates is not None:
+        size = settings.estimated_truth().size
+        if np.shape(settings.start_estimates) != (size,):
+            found.append(f"the first estimates are {size}: masses, dampings, stiffnesses")
     return found

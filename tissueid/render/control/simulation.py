@@ -38,7 +38,7 @@ class ControlRun:
     hand_force_N : ndarray, shape (rows, n)
         As the controller reads it.
     control_force_N, rho_m_s, push_N, disturbance_N : ndarray, shape (rows, n)
-        u, rho, F* and d.
+        u, rho, F* and d; in a sampled loop rho is of where the tool will be at the end of the period.
     environment_force_N, sigma, lyapunov, lyapunov_rate : ndarray, shape (rows,)
         Force of the tissue, sigma(t), V of (I-1) and the right side of (I-4).
     estimates : ndarray, shape (rows, p)
