@@ -15,8 +15,10 @@ from typing import Literal
 from tissueid.errors import InputError, UsageError, printable
 from tissueid.ingest.archive import recordings_in
 from tissueid.ingest.layout import find_layout
+from tissueid.ingest.loading import LARGEST_BYTES
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import Place
+from tissueid.ingest.remote import remote_bytes, remote_files, url_of
 from tissueid.ingest.text import HEAD_BYTES, decode_text
 
 __all__ = ["SUFFIXES", "each_input", "find_inputs", "natural_key"]
@@ -71,8 +73,10 @@ def each_input(paths: Iterable[str | Path]) -> Iterator[Path]:
     """
     seen: set[bytes] = set()
     for path in map(Path, paths):
-        if path.is_dir():
-            files = _recordings(path)
+        url = url_of(path)
+        below = None if url is None else remote_files(url)
+        if below is not None or path.is_dir():
+            files = _recordings(path) if below is None else _remote_recordings(below)
             first = next(files, None)
             if first is None:
                 Place(str(path)).refuse(
@@ -82,7 +86,7 @@ def each_input(paths: Iterable[str | Path]) -> Iterator[Path]:
                     " file; name the files themselves",
                 )
             files = chain([first], files)
-        elif path.exists():
+        elif url is not None or path.exists():
             files = iter([path])
         else:
             msg = f"{printable(str(path))}: there is no such file or directory"
@@ -120,6 +124,14 @@ def _recordings(directory: Path) -> Iterator[Path]:
             continue
         seen.add((status.st_dev, status.st_ino))
         waiting += reversed(_in_order(entries))
+
+
+def _remote_recordings(files: Iterable[Path]) -> Iterator[Path]:
+    """Recordings among the files below a URL, in natural order."""
+    for file in sorted(files, key=lambda one: natural_key(str(one))):
+        suffix = file.suffix.lower()
+        if suffix in SUFFIXES and (suffix not in _PROSE_SUFFIXES or _holds_table(file)):
+            yield file
 
 
 def _in_order(entries: Iterable[Path]) -> list[tuple[Path, str]]:
@@ -163,10 +175,17 @@ def _holds_unpacked_nowhere(path: Path) -> bool:
     return bool(names) and not all(any((folder / name).exists() for folder in beside) for name in names)
 
 
+def _head(path: Path) -> bytes:
+    url = url_of(path)
+    if url is not None:
+        return remote_bytes(url, LARGEST_BYTES, HEAD_BYTES)[0]
+    with path.open("rb") as stream:
+        return stream.read(HEAD_BYTES)
+
+
 def _holds_table(path: Path) -> bool:
     try:
-        with path.open("rb") as stream:
-            head = stream.read(HEAD_BYTES)
+        head = _head(path)
         place = Place(str(path))
         if head.startswith(_SIGNED):
             return True

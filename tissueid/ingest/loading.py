@@ -10,8 +10,9 @@ import os
 import stat
 from pathlib import Path
 
-from tissueid.errors import printable
+from tissueid.errors import UsageError, printable
 from tissueid.ingest.refusals import Place
+from tissueid.ingest.remote import remote_bytes, url_of
 from tissueid.ingest.text import HEAD_BYTES, foreign_kind
 from tissueid.store.session_log import HDF5_MAGIC, RAW_MAGIC
 
@@ -47,6 +48,9 @@ def load_bytes(path: str | Path, place: Place) -> bytes:
         Place(printable(str(path)), place.sheet).refuse(
             "unreadable_file", "the name of the file, or of a folder above it, is not UTF-8; rename it"
         )
+    url = url_of(path)
+    if url is not None:
+        return _fetched(url, place)
     try:
         # a pipe without a writer would wait for ever
         handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
@@ -73,12 +77,7 @@ def _read(handle: int, place: Place) -> bytes:
             "unreadable_file",
             f"this is {_kind(before.st_mode)}, not a file; save the recording to a file first",
         )
-    if before.st_size > LARGEST_BYTES:
-        place.refuse(
-            "unreadable_file",
-            f"the file has {before.st_size / 2**30:.1f} GiB, more than any recording"
-            f" ({LARGEST_BYTES / 2**30:.0f} GiB); export one test a file",
-        )
+    _refuse_large(before.st_size, place)
     pieces = [os.read(handle, HEAD_BYTES)]
     _refuse_foreign(pieces[0], before.st_size, place)
     while pieces[-1]:
@@ -91,6 +90,30 @@ def _read(handle: int, place: Place) -> bytes:
             "unreadable_file", "the file changed while it was read; try again when the test machine is done"
         )
     return data
+
+
+def _fetched(url: str, place: Place) -> bytes:
+    """A file at a URL."""
+    try:
+        data, size = remote_bytes(url, LARGEST_BYTES)
+    except UsageError as error:
+        place.refuse("unreadable_file", str(error))
+    except OSError as error:
+        place.refuse(
+            "unreadable_file", f"the file can't be read: {error.strerror}; check its name and rights"
+        )
+    _refuse_large(size, place)
+    _refuse_foreign(data[:HEAD_BYTES], size, place)
+    return data
+
+
+def _refuse_large(size: int, place: Place) -> None:
+    if size > LARGEST_BYTES:
+        place.refuse(
+            "unreadable_file",
+            f"the file has {size / 2**30:.1f} GiB, more than any recording"
+            f" ({LARGEST_BYTES / 2**30:.0f} GiB); export one test a file",
+        )
 
 
 def _refuse_foreign(head: bytes, size: int, place: Place) -> None:
