@@ -28,6 +28,7 @@ __all__ = ["SCHEMA_NAMES", "SchemaProblem", "check", "first_problem", "load_sche
 SCHEMA_NAMES = (
     "bundle",
     "contact-law",
+    "contrast",
     "control",
     "devices",
     "flag",

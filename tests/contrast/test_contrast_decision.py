@@ -1,0 +1,182 @@
+"""Are two tissues one?  Against normal theory, and over tissues that were recorded twice."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rendered_tissues import PAPER_A, TWO_BRANCHES
+from scipy.stats import beta, kstest
+
+from tissueid.contrast.decision import difference, rows
+from tissueid.contrast.document import contrast_document
+from tissueid.contrast.noticeable import LIMITS, noticed
+from tissueid.contrast.numbers import Common, Compared, common_range, draws_of_numbers
+from tissueid.errors import UsageError
+from tissueid.model.kelvin_voigt import KelvinVoigt, constant_speed_force
+from tissueid.render.tissue_block import Tissue
+from tissueid.selfcheck.inference import infer
+from tissueid.selfcheck.protocol import Centre, of_program
+from tissueid.selfcheck.recording import simulated_logs
+from tissueid.selfcheck.tissue import TissueCheck, tissue_check
+from tissueid.selfcheck.truth import Widths, draw_truth
+from tissueid.synth.recipe import Hold, Log, Move
+
+
+def compared(tissue: Tissue, *, share: float = 0.01, scale: float = 1.0, seed: int = 1) -> Compared:
+    """A tissue of which everything is known to a share."""
+    chance = np.random.default_rng(seed)
+    center = tissue.theta.copy()
+    center[:4] *= scale
+    draws = center * np.exp(share * chance.standard_normal((1000, center.size)))
+    return Compared(tissue.name, tissue.model, draws, tissue.speeds_mm_s, total=False)
+
+
+def test_forces_are_those_of_the_model_at_common_depths_and_speeds() -> None:
+    tissue = compared(PAPER_A)
+    common = Common(8.0, (1.0, 5.0))
+    found = draws_of_numbers(tissue, common)
+    for speed in (1.0, 5.0):
+        values = found[f"force at 4 mm, {speed:.3g} mm/s [N]"]
+        expected = constant_speed_force(PAPER_A.model, tissue.draws[17], np.array([4.0]), speed_mm_s=speed)[0]
+        assert values[17] == pytest.approx(expected, rel=1e-12)
+    k, tau = tissue.draws[17, 3:5]
+    assert found["viscosity at 4 mm [N s/mm]"][17] == pytest.approx(k * tau)
+
+
+def test_what_is_common_is_the_shallower_depth_and_the_narrower_speeds() -> None:
+    one = compared(PAPER_A)
+    other = replace(compared(TWO_BRANCHES), speeds_mm_s=(1.0, 20.0))
+    assert common_range([one, other]) == Common(8.0, (1.0, 500.0 / 60.0))
+    with pytest.raises(UsageError, match="no speed is common"):
+        common_range([one, replace(other, speeds_mm_s=(10.0, 20.0))])
+    with pytest.raises(UsageError, match="too few"):
+        replace(one, draws=one.draws[:10])
+
+
+def test_the_test_has_its_level_where_posteriors_are_normal() -> None:
+    chance = np.random.default_rng(20_261_122)
+    spread = np.array([[1.0, 0.9, 0.2], [0.9, 1.0, 0.3], [0.2, 0.3, 1.0]]) * 1e-4
+    probabilities = []
+    for _ in range(400):
+        truth = chance.normal(3.0, 1.0, 3)
+        draws = [
+            np.exp(chance.multivariate_normal(chance.multivariate_normal(truth, spread), spread, 800))
+            for _ in range(2)
+        ]
+        named = [{f"force {k}": values[:, k] for k in range(3)} for values in draws]
+        probabilities.append(difference(*named).probability)
+    # uniform where it is right: 400 of them leave that with 1 %, this seed does not
+    assert kstest(probabilities, "uniform").pvalue > 0.01
+
+
+def test_a_tissue_beside_itself_and_beside_a_stiffer_one() -> None:
+    document = contrast_document(
+        [compared(PAPER_A), compared(PAPER_A, seed=2), compared(PAPER_A, scale=1.3, seed=3)], clamp_N=5.0
+    )
+    same, stiffer, _ = document["pairs"]
+    assert same["difference"]["different"] is False
+    assert stiffer["difference"]["different"] is True
+    row = next(one for one in stiffer["numbers"] if one["name"].startswith("static stiffness"))
+    assert row["ratio"][0] <= 1.3 <= row["ratio"][2]
+    assert row["larger"] > 0.99
+
+
+def test_probability_of_being_larger_is_that_of_independent_draws() -> None:
+    chance = np.random.default_rng(4)
+    a, b = chance.normal(10.0, 1.0, 2000), chance.normal(11.0, 1.0, 2000)
+    (row,) = rows({"x": a}, {"x": b})
+    # P(N(1, sqrt 2) > 0) = 0.760; 2,000 draws each: 0.011
+    assert row.larger == pytest.approx(0.760, abs=0.035)
+    assert row.one[1] == pytest.approx(10.0, abs=0.1)
+
+
+@pytest.mark.parametrize(("ratio", "felt"), [(1.03, False), (1.15, True)])
+def test_a_force_is_noticed_by_a_hand_beyond_seven_percent(ratio: float, felt: bool) -> None:
+    force = np.full(200, 40.0)
+    (one,) = noticed({"force at 4 mm [N]": force}, {"force at 4 mm [N]": ratio * force}, force_scale=0.1)
+    assert one.limit is LIMITS[0]
+    assert (one.times > 1.0, one.probability) == (felt, float(felt))
+
+
+def test_a_faint_force_is_not_told_apart() -> None:
+    force = np.full(200, 40.0)
+    named = {"force at 4 mm [N]": force}, {"force at 4 mm [N]": 1.15 * force}
+    (strong,), (faint,) = noticed(*named, force_scale=0.1), noticed(*named, force_scale=0.001)
+    assert strong.times > 1.0 > faint.times
+
+
+PAIRS, FEW = 400, 6
+SEED_SAME, SEED_STIFFER = 20_261_141, 20_261_142
+#: One tissue is called different at most so often, one 30 % stiffer at least so often (99 % bounds).
+MOST_FALSE, LEAST_RIGHT = 0.09, 0.90
+LOGS = (
+    Log("ramp-60", (Move(4.0, 60.0),)),
+    Log("ramp-500", (Move(8.0, 500.0),), repeats=2),
+    Log("hold-8", (Move(8.0, 250.0), Hold(3.0)), repeats=2),
+)
+
+
+def check_of_one_tissue() -> TissueCheck:
+    protocol = of_program(LOGS, rate_Hz=100.0, contact_sd_mm=0.01, words="five logs")
+    model = KelvinVoigt(branches=1, stiffness_degree=0, depth_mm=protocol.depth_mm)
+    theta = np.array([20.0, -1.2, 0.35, 63.62, 0.021])
+    centre = Centre(model=model, theta=theta, sigma_N=1.0, phi=0.0, white_share=0.0, pooling="partial")
+    return tissue_check(protocol, centre, widths=Widths(gain_sd=0.005))
+
+
+def recorded_twice(check: TissueCheck, scale: float, seed: int) -> bool:
+    """Whether two recordings, the second of a tissue stiffer by a factor, are called different."""
+    rng = np.random.default_rng(seed)
+    truths = [
+        draw_truth(
+            check.model,
+            check.priors,
+            offset_sd_mm=np.array([log.contact_sd_mm for log in check.logs]),
+            pooling=check.pooling,
+            correlated=False,
+            defects=False,
+            rng=rng,
+        )
+        for _ in range(2)
+    ]
+    # the tissue is the same, gains and contact of the second recording are its own
+    stiffer = truths[0].theta * np.array([scale, scale, scale, scale, 1.0])
+    tissues = []
+    for truth in (truths[0], replace(truths[1], theta=stiffer)):
+        data = simulated_logs(
+            check.model,
+            truth,
+            check.logs,
+            reference_step_s=check.reference_step_s,
+            white_share=check.white_share,
+            rng=rng,
+        )
+        draws = infer(check, data, rng).theta
+        tissues.append(Compared("tissue", check.model, draws, (1.0, 500.0 / 60.0), total=False))
+    common = common_range(tissues)
+    return difference(*(draws_of_numbers(tissue, common) for tissue in tissues)).different
+
+
+@pytest.mark.needs_jit
+def test_a_tissue_that_was_recorded_twice_is_one_and_a_stiffer_one_is_not() -> None:
+    check = check_of_one_tissue()
+    assert sum(recorded_twice(check, 1.0, SEED_SAME + k) for k in range(FEW)) <= 1
+    assert sum(recorded_twice(check, 1.3, SEED_STIFFER + k) for k in range(FEW)) == FEW
+
+
+@pytest.mark.slow
+def test_rates_of_calling_tissues_different_over_400_pairs() -> None:
+    check = check_of_one_tissue()
+    false = sum(recorded_twice(check, 1.0, SEED_SAME + k) for k in range(PAIRS))
+    right = sum(recorded_twice(check, 1.3, SEED_STIFFER + k) for k in range(PAIRS))
+    most = float(beta.ppf(0.99, false + 1, PAIRS - false))
+    least = float(beta.ppf(0.01, right, PAIRS - right + 1))
+    sys.stdout.write(
+        f"\none tissue called different: {false} of {PAIRS}, upper 99 % bound {most:.3f}\n"
+        f"30 % stiffer called different: {right} of {PAIRS}, lower 99 % bound {least:.3f}\n"
+    )
+    assert most <= MOST_FALSE
+    assert least >= LEAST_RIGHT

@@ -1,0 +1,147 @@
+"""``tissueid compare``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from tissueid.cli.output import echo_json, note, output_options, write_output
+from tissueid.errors import UsageError
+
+if TYPE_CHECKING:
+    from tissueid.contrast.numbers import Compared
+    from tissueid.store.bundle_content import Bundle
+    from tissueid.store.posteriors import StoredPosterior
+
+__all__ = ["command"]
+
+EPILOG = """\b
+Examples:
+  tissueid compare out/bundle-kidney.h5 out/bundle-liver.h5
+  tissueid compare before/ after/ --interval total
+  tissueid compare out -o contrast.json
+"""
+#: Clamp of the simulated device and of a calibrated one at its default [N].
+CLAMP_N = 5.0
+
+
+@click.command("compare", epilog=EPILOG)
+@click.argument("paths", nargs=-1, required=True, type=click.Path(exists=True))
+@click.option(
+    "--interval", type=click.Choice(["statistical", "total"]), default="statistical", show_default=True,
+    help="total for recordings of different machines: it knows their calibration. Needs output folders.",
+)  # fmt: skip
+@click.option(
+    "--clamp", type=click.FloatRange(min=0.0, min_open=True), default=CLAMP_N, show_default=True, metavar="N",
+    help="Largest force of the device at which a hand would feel them.",
+)  # fmt: skip
+@click.option("-o", "--output", type=click.Path(), help="Write the document there.")
+@output_options
+def command(**flags: Any) -> int:
+    """Say whether identified tissues differ, by how much, and whether a hand could feel it.
+
+    PATHS are bundles, or output folders of which every specimen is taken. Forces at depths and speeds that
+    all were identified at are tested together, pair by pair; numbers stand beside each other with the
+    probability that one is larger. Two recordings of one machine share its calibration, two machines do not.
+    """
+    from tissueid.contrast.document import contrast_document
+    from tissueid.store.files import json_bytes, plain_json
+    from tissueid.store.schema import check
+
+    tissues = [tissue for path in flags["paths"] for tissue in _tissues(Path(path), flags["interval"])]
+    if len(tissues) < 2:
+        msg = "one tissue is nothing to compare: name a second bundle or output folder"
+        raise UsageError(msg)
+    document: dict[str, Any] = plain_json(contrast_document(_apart(tissues), clamp_N=flags["clamp"]))
+    check(document, "contrast", where="contrast.json")
+    if flags["output"] is not None:
+        write_output(flags["output"], json_bytes(document))
+        note(f"wrote {flags['output']}", quiet=flags["quiet"])
+    if flags["as_json"]:
+        echo_json(document)
+    elif not flags["quiet"]:
+        _print(document)
+    return 0
+
+
+def _tissues(path: Path, interval: str) -> list[Compared]:
+    """The tissue of a bundle, or those of a folder."""
+    from tissueid.store.bundle import load_bundle
+
+    if path.is_file():
+        if interval == "total":
+            msg = f"{path}: a bundle holds no draws with the machine's calibration; name the output folder"
+            raise UsageError(msg)
+        return [_compared(load_bundle(path), None)]
+    from tissueid.store.names import bundle_names
+    from tissueid.store.results import read_results
+
+    document, _, posteriors = read_results(str(path))
+    stored = {one.specimen: one for one in posteriors}
+    names = bundle_names(one["specimen"] for one in document["specimens"])
+    return [
+        _compared(load_bundle(path / file), stored.get(name) if interval == "total" else None, interval)
+        for name, file in names.items()
+    ]
+
+
+def _compared(bundle: Bundle, stored: StoredPosterior | None, interval: str = "statistical") -> Compared:
+    from tissueid.contrast.numbers import Compared
+    from tissueid.model.kelvin_voigt import KelvinVoigt
+
+    bundle.require_renderable()
+    model = bundle.contact_model()
+    if not isinstance(model, KelvinVoigt):
+        msg = f"{bundle.specimen}: Kelvin-Voigt tissues are compared, this one is {bundle.model.key!r}"
+        raise UsageError(msg)
+    draws = bundle.draws
+    if interval == "total":
+        draws = None if stored is None else stored.draws_total
+    if draws is None:
+        kind = " with the machine's calibration" if interval == "total" else ""
+        msg = f"{bundle.specimen}: there are no draws{kind}; fit with a sampler, or --interval statistical"
+        raise UsageError(msg)
+    return Compared(bundle.specimen, model, draws, bundle.speeds_mm_s, total=interval == "total")
+
+
+def _apart(tissues: list[Compared]) -> list[Compared]:
+    """Tissues of one name told apart by a number."""
+    from collections import Counter
+    from dataclasses import replace
+
+    often = Counter(tissue.name for tissue in tissues)
+    seen: Counter[str] = Counter()
+    named = []
+    for tissue in tissues:
+        seen[tissue.name] += 1
+        again = often[tissue.name] > 1
+        named.append(replace(tissue, name=f"{tissue.name} ({seen[tissue.name]})") if again else tissue)
+    return named
+
+
+def _print(document: dict[str, Any]) -> None:
+    common = document["common"]
+    slow, fast = common["speeds_mm_s"]
+    click.echo(f"compared to {common['depth_mm']:.3g} mm, {slow:.3g} to {fast:.3g} mm/s")
+    for pair in document["pairs"]:
+        verdict = "differ" if pair["difference"]["different"] else "not shown to differ"
+        probability = pair["difference"]["probability"]
+        click.echo(f"\n{pair['one']} and {pair['other']}: {verdict} (p = {probability:.2g})")
+        width = max(len(row["name"]) for row in pair["numbers"])
+        for row in pair["numbers"]:
+            ratio = "" if row["ratio"] is None else "ratio {1:.3g} ({0:.3g} to {2:.3g})".format(*row["ratio"])
+            click.echo(
+                f"  {row['name']:<{width}}  {row['one'][1]:>9.4g}  {row['other'][1]:>9.4g}  {ratio:<32} "
+                f"larger: {row['larger']:.3f}"
+            )
+        felt = [one for one in pair["noticed"] if one["times"] > 1.0]
+        if felt:
+            most = max(felt, key=lambda one: one["times"])
+            limit = most["limit"]
+            times = f"{most['times']:.2g} times the just-noticeable difference"
+            source = f"{limit['source']}, doi {limit['doi']}: {limit['conditions']}"
+            click.echo(f"  a hand could tell: {most['name']}, {times} ({source})")
+        else:
+            click.echo("  a hand would hardly tell: no difference exceeds a published just-noticeable one")
