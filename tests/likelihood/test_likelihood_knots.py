@@ -116,8 +116,11 @@ def test_knots_are_dense_after_corners_and_few() -> None:
     knots = choose_knots(log.time_s, log.depth_mm)
     corner = int(np.argmax(log.depth_mm >= 4.0 - 1e-12))
     assert {0, corner - 1, corner, corner + 1, corner + 2, log.time_s.size - 1} <= set(knots.tolist())
-    assert 60 < knots.size < 160
-    assert (np.diff(log.time_s[knots]) > 0.0).all()
+    assert 60 < knots.size < 190
+    # a step after a corner is a sample, or a sixth of the time since it
+    since = log.time_s[knots[knots > corner]] - log.time_s[corner]
+    early = since < 5.0
+    assert (np.diff(since[early]) <= np.maximum(0.15 * since[early][:-1], 0.001) + 0.0011).all()
 
 
 @pytest.mark.parametrize("noise_mm", [0.0, 1e-3, 2e-2])
@@ -163,24 +166,28 @@ def test_load_channel_is_low_passed_and_late() -> None:
         path, fine, offset_mm=0.0, static=tuple(THETA[:3]), branches=(Branch(tuple(THETA[3:5]), THETA[5]),)
     )
     expected = np.interp(log.time_s - skew, fine, low_pass(fine, clean, filter_s))
-    # rates of force between samples 10 ms apart are linear to this; the signal is 100 N
-    assert shown == pytest.approx(expected, abs=0.05)
+    # the cubic between samples 10 ms apart, half a relaxation time, is off by this; a line would be by 0.05
+    assert shown == pytest.approx(expected, abs=0.004)
     assert np.abs(shown - every_sample([log], optimum, ()).base).max() > 1.0
 
 
 @pytest.mark.parametrize("compliance", [0.001, 0.005])
 def test_frame_takes_its_deflection_off_the_depth(compliance: float) -> None:
-    log = ramp_hold(200.0)
+    log = ramp_hold(200.0, speed=4.0)
     optimum = one_optimum()
     shown = instrument_force(
         every_sample([log], optimum, ()), optimum.theta, optimum.log_tau, np.array([0.0, 0.0, compliance])
     )
     model = KelvinVoigt(1, 1, DEPTH)
-    force = np.zeros(log.time_s.size)
+    finer = 32
+    time = np.arange((log.time_s.size - 1) * finer + 1) / (200.0 * finer)
+    depth = np.interp(time, log.time_s, log.depth_mm)
+    force = np.zeros(time.size)
     for _ in range(400):
-        tip = ContactPath(log.time_s, log.depth_mm - compliance * force)
+        tip = ContactPath(time, depth - compliance * force)
         force += 0.5 * (model.force(THETA, tip) - force)
-    assert shown == pytest.approx(force, abs=1e-8)
+    # the tip is on a parabola for 5 ms, a fourth of the relaxation time; a line would be 30 times off
+    assert shown == pytest.approx(force[::finer], abs=1e-3)
 
 
 @pytest.mark.parametrize("effects", [("gain", "offset"), ("static",), ()])
@@ -296,7 +303,7 @@ def test_knots_know_the_likelihood_of_other_models(rate: float, phi: float) -> N
 
     reference = on_samples(optimum.theta, optimum.log_tau, RIGID)
     assert here == pytest.approx(reference, rel=1e-12)
-    assert sum(one.time_s.size for one in sums) < 110 * len(logs)
+    assert sum(one.time_s.size for one in sums) < 140 * len(logs)
     for _ in range(6):
         log_tau = optimum.log_tau + 0.03 * rng.standard_normal(1)
         instrument = np.abs(rng.standard_normal(3)) * [3e-4, 3e-4, 3e-5]

@@ -2,8 +2,10 @@
 
 A tissue with coefficients theta stands behind a frame of compliance c, so that its depth is ``w = x - c F``
 with F its own force: F is the root of a scalar equation at every knot.  Between knots the tool moves
-linearly, for which the branch states are exact.  What the load channel makes of the force is in
-:mod:`tissueid.likelihood.load_channel`.
+linearly.  So does the tip behind a rigid frame; behind another it leaves a knot at the speed that the force's
+rate there leaves it and comes to the next on a parabola, for which the branch states are exact.  A straight
+line would leave them late by half of what the speed changes from knot to knot.  What the load channel makes
+of the force is in :mod:`tissueid.likelihood.load_channel`.
 """
 
 from __future__ import annotations
@@ -150,24 +152,23 @@ def _balanced(
     gains: FloatArray,
     i: int,
     k_now: FloatArray,
-) -> tuple[float, float, float, float]:
-    """Force of a tissue behind a frame, its depth, its slope, and that with the states following.
+) -> tuple[float, float, float]:
+    """Force of a tissue behind a frame, its depth, and its slope with the states as they are.
 
-    Started from a force ``f``.  Slopes are those before the last step, which is too small to change them.
+    Started from a force ``f``.  The slope is that before the last step, which is too small to change it.
     """
     w = x - compliance * f
     slope = 0.0
-    tangent = 0.0
     for _ in range(NEWTON_STEPS):
         law, slope, tangent = _law(static, stiffness, w - delta, w - w_old, decayed, gains, i, k_now)
         if compliance == 0.0:
-            return law, w, slope, tangent
+            return law, w, slope
         step = (law - f) / (1.0 + compliance * tangent)
         f += step
         w = x - compliance * f
         if abs(step) <= NEWTON_DONE * (1.0 + abs(f)):
             break
-    return f, w, slope, tangent
+    return f, w, slope
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
@@ -233,14 +234,21 @@ def _rates(
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
-def _weights(time_s: FloatArray, tau: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Weights of every branch over the steps that end at the knots, shape (n, branches)."""
-    a, phi = np.zeros((2, time_s.size, tau.size))
+def _weights(time_s: FloatArray, tau: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Weights of every branch over the steps that end at the knots, each of shape (n, branches).
+
+    Of its state before, of a move at constant speed, and of one whose speed grows from nothing.
+    """
+    a, phi, psi = np.zeros((3, time_s.size, tau.size))
     # before the first knot the tissue is at rest, wherever the tool is
     for i in range(1, time_s.size):
         for j in range(tau.size):
-            a[i, j], phi[i, j] = step_weights(time_s[i] - time_s[i - 1], tau[j])
-    return a, phi
+            h = time_s[i] - time_s[i - 1]
+            ratio = h / tau[j]
+            a[i, j], phi[i, j] = step_weights(h, tau[j])
+            # 1 - phi loses all digits for h << tau; the series takes over
+            psi[i, j] = 2.0 * (1.0 - phi[i, j]) / ratio if ratio > 1e-4 else 1.0 - ratio / 3.0
+    return a, phi, psi
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
@@ -268,7 +276,8 @@ def tissue_path(
     rates : ndarray, shape (3, n)
         Written: force, its rate before and its rate after each knot; after the last the tool goes on.
     columns : ndarray, shape (c, n)
-        Written: derivatives by the effects of the log, by theta, by ln tau, as far as ``kind`` goes.
+        Written: derivatives by the effects of the log, by theta, by ln tau, as far as ``kind`` goes; of tips
+        that move linearly between knots.
     """
     time_s = data.time_s[data.first[log] : data.first[log + 1]]
     depth_mm = data.depth_mm[data.first[log] : data.first[log + 1]]
@@ -277,7 +286,7 @@ def tissue_path(
     effects, terms = (data.gain, data.offset, data.free), (data.static, data.degree + 1)
     static, stiffness = _coefficients(data, log, theta)
     tau = np.exp(log_tau)
-    weights, gains = _weights(time_s, tau)
+    weights, gains, bends = _weights(time_s, tau)
     total = columns.shape[0] if kind >= EFFECTS else 0
     state, old, decayed, k_now = np.zeros((4, branches))
     row, by_depth = np.zeros((2, max(total, 1)))
@@ -286,17 +295,21 @@ def tissue_path(
     f = 0.0
     speed = 0.0
     for i in range(last + 1):
+        h = time_s[i] - time_s[i - 1] if i > 0 else 0.0
+        # how far the tip would go at the speed that it starts with
+        straight = h * (speed - compliance * rates[2, i - 1]) if i > 0 else 0.0
         for j in range(branches):
             old[j] = state[j]
-            decayed[j] = weights[i, j] * old[j]
+            decayed[j] = weights[i, j] * old[j] + (gains[i, j] - bends[i, j]) * straight
         w_old = w
-        f, w, slope, tangent = _balanced(
-            static, stiffness, depth_mm[i], w_old, delta, compliance, f, decayed, gains, i, k_now
+        f, w, slope = _balanced(
+            static, stiffness, depth_mm[i], w_old, delta, compliance, f, decayed, bends, i, k_now
         )
+        tangent = slope
         for j in range(branches):
-            state[j] = decayed[j] + gains[i, j] * (w - w_old)
+            state[j] = decayed[j] + bends[i, j] * (w - w_old)
+            tangent += k_now[j] * gains[i, j]
         before = speed
-        h = time_s[i] - time_s[i - 1] if i > 0 else 0.0
         if i < last:
             speed = (depth_mm[i + 1] - depth_mm[i]) / (time_s[i + 1] - time_s[i])
         rates[0, i] = f

@@ -1,7 +1,7 @@
 """Compiled answer of a load channel: a first-order low-pass and a delay, between knots of time.
 
-The force between knots is a cubic (Hermite) in time from its values and rates; the low-pass is exact for a
-rate of force that is linear.
+The force between knots is a cubic (Hermite) in time from its values and rates, and the low-pass is exact for
+it: of a force that relaxes as fast as its channel, a rate that is linear from knot to knot is too high.
 """
 
 from __future__ import annotations
@@ -19,14 +19,21 @@ FloatArray = NDArray[np.float64]
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
 def _lag(
-    lag: float, start: float, end: float, span: float, elapsed: float, filter_s: float, lost: float
+    lag: float, rise: float, start: float, end: float, span: float, elapsed: float, filter_s: float
 ) -> float:
-    """How far the low-pass is behind, for a rate of force that goes from ``start`` to ``end`` over a span.
+    """How far the low-pass is behind, some time after a knot where it was behind by ``lag``.
 
-    ``lost`` is what it forgets in the time that has elapsed.
+    The force rises by ``rise`` over the span, its rate goes from ``start`` to ``end``.
     """
-    bend = (end - start) / span
-    return (1.0 - lost) * lag + filter_s * (start * lost + bend * (elapsed - filter_s * lost))
+    mean = rise / span
+    linear = (6.0 * mean - 4.0 * start - 2.0 * end) / span
+    square = 3.0 * (start + end - 2.0 * mean) / (span * span)
+    # what is left at the end of rates 1, t and t^2
+    lost = -math.expm1(-elapsed / filter_s)
+    of_one = filter_s * lost
+    of_time = filter_s * (elapsed - of_one)
+    of_square = filter_s * (elapsed * elapsed - 2.0 * of_time)
+    return (1.0 - lost) * lag + start * of_one + linear * of_time + square * of_square
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
@@ -41,8 +48,9 @@ def _lags(
         return lag, lags
     for i in range(1, n):
         h = time_s[i] - time_s[i - 1]
+        rise = rates[0, i] - rates[0, i - 1]
+        lag[i] = _lag(lag[i - 1], rise, rates[2, i - 1], rates[1, i], h, h, filter_s)
         lost = -math.expm1(-h / filter_s)
-        lag[i] = _lag(lag[i - 1], rates[2, i - 1], rates[1, i], h, h, filter_s, lost)
         keep, mean = 1.0 - lost, lost * filter_s / h
         for q in range(columns.shape[0]):
             lags[q, i] = keep * lags[q, i - 1] + mean * (columns[q, i] - columns[q, i - 1])
@@ -91,8 +99,8 @@ def channel(
         keep = 0.0
         mean = 0.0
         if filter_s > 0.0:
+            y[i] -= _lag(lag[j], rise, rates[2, j], rates[1, j + 1], h, elapsed, filter_s)
             lost = -math.expm1(-elapsed / filter_s)
-            y[i] -= _lag(lag[j], rates[2, j], rates[1, j + 1], h, elapsed, filter_s, lost)
             keep, mean = 1.0 - lost, lost * filter_s / h
         # beyond the last knot the force goes on as it did
         beyond = time_s[i] - skew_s - time_s[n - 1]

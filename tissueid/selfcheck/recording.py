@@ -23,7 +23,7 @@ __all__ = ["ProtocolLog", "noise", "recorded_force", "simulated_logs"]
 
 FloatArray = NDArray[np.float64]
 
-#: Force is sampled so many times finer than recorded where filter or skew act between samples.
+#: Force is sampled so many times finer than recorded where filter, skew or frame act between samples.
 OVERSAMPLED = 8
 #: Change of the tip's depth, relative to the deepest, that ends its iteration, and most rounds.
 SETTLED = 1e-12
@@ -146,7 +146,7 @@ def recorded_force(
     skew, filter_s = calibration.get("skew_s", 0.0), calibration.get("force_filter_s", 0.0)
     time = log.time_s
     depth = log.depth_mm / calibration.get("displacement_gain", 1.0) - offset_mm
-    acts_between = skew != 0.0 or filter_s > 0.0
+    acts_between = skew != 0.0 or filter_s > 0.0 or give > 0.0
     if acts_between:
         time = np.interp(
             np.arange((log.time_s.size - 1) * OVERSAMPLED + 1) / OVERSAMPLED,
