@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from study_folder import LOG
 
+from tissueid.processors import threads
 from tissueid.store.results import each_result
 
 HEADER_LINES = 6
@@ -54,6 +55,11 @@ def numbers_of(out: Path) -> dict[str, Any]:
 def doubled(payload: bytes) -> bytes:
     """A task that ends well."""
     return payload * 2
+
+
+def threads_there(_: bytes) -> bytes:
+    """How many of seven threads a computation may start."""
+    return str(threads(7)).encode()
 
 
 def killed(payload: bytes) -> bytes:

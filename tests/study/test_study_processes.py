@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 
@@ -69,3 +70,11 @@ def test_every_task_is_taken_when_somebody_is_free_for_it_and_not_before() -> No
     assert len(ahead) == 9
     # two are computed while a third has just been handed over
     assert max(ahead) <= 3
+
+
+def test_a_worker_and_who_was_asked_for_one_take_one_processor() -> None:
+    asked = task(0, "threads_there")
+    (one,) = InThisProcess(one=True).run([asked], lambda *_: None)
+    (free,) = InThisProcess().run([asked], lambda *_: None)
+    expected = str(min(os.cpu_count() or 1, 7)).encode()
+    assert (one.result, outcomes([asked])[0].result, free.result) == (b"1", b"1", expected)

@@ -8,7 +8,6 @@ state that starts 0.1 mm early biases the relaxation time by a quarter (model.md
 
 from __future__ import annotations
 
-import os
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -24,6 +23,7 @@ from tissueid.likelihood import partial
 from tissueid.likelihood.basis import kernel_basis
 from tissueid.likelihood.objective import PartialObjective
 from tissueid.likelihood.sums import LogData, LogSums, log_sums
+from tissueid.processors import threads
 from tissueid.trial import Segmentation, Trial
 
 __all__ = ["LogHandle", "refine_contacts", "specimen_sums"]
@@ -131,7 +131,7 @@ def specimen_sums(
     duration = max(handle.facts.duration_s for handle in handles)
     basis = kernel_basis(step_s=step, length_s=duration, log_range=log_range)
     single = cut and len(handles) == 1
-    workers = min(os.cpu_count() or 1, len(handles), MAX_WORKERS)
+    workers = threads(min(len(handles), MAX_WORKERS))
     running: deque[Future[LogSums]] = deque()
     sums: list[LogSums] = []
     depth = 0.0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -21,6 +20,7 @@ from tissueid.fit.residual_blocks import ResidualBlocks, residual_blocks
 from tissueid.fit.trials import Adjustment, ResidualTotals, model_force, summarise_trial
 from tissueid.fit.window import FittedLog
 from tissueid.likelihood.knots import KnotSums, knot_sums
+from tissueid.processors import threads
 from tissueid.quantities import CycleRow, RelaxationRow
 from tissueid.result import Nrmsd, TrialFit
 from tissueid.trial import Segmentation, Trial
@@ -93,7 +93,7 @@ def second_pass(
     depths_mm : sequence of float
         Depths at which the stiffness of each loop is wanted.
     """
-    workers = min(os.cpu_count() or 1, len(handles), MAX_WORKERS)
+    workers = threads(min(len(handles), MAX_WORKERS))
     running: deque[Future[_OneLog]] = deque()
     found: list[_OneLog] = []
     with ThreadPoolExecutor(workers) as pool:

@@ -8,7 +8,6 @@ squares, with standard errors, profile intervals and verdicts under the noise th
 
 from __future__ import annotations
 
-import os
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -26,6 +25,7 @@ from tissueid.likelihood.linearise import Optimum, centre
 from tissueid.likelihood.noise import NoiseChain, NoiseEstimate, estimate_noise, noise_chain
 from tissueid.likelihood.sums import N_STATIC
 from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.processors import threads
 from tissueid.uncertainty import NoiseFit
 
 __all__ = ["Whitened", "for_all_degrees", "optimum_of", "whiten"]
@@ -99,7 +99,7 @@ def _sums_of_lags(
     """One pass over the logs; loaded one after the other, summed in threads."""
     running: deque[Future[LagSums]] = deque()
     out: list[LagSums] = []
-    workers = min(os.cpu_count() or 1, len(handles), MAX_WORKERS)
+    workers = threads(min(len(handles), MAX_WORKERS))
     with ThreadPoolExecutor(workers) as pool:
         for i, handle in enumerate(handles):
             _, log = handle.fitted()

@@ -11,7 +11,6 @@ of the file plus the three columns.
 from __future__ import annotations
 
 import csv
-import os
 from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -29,6 +28,7 @@ from tissueid.ingest.refusals import Place
 from tissueid.ingest.rows import RowReader
 from tissueid.ingest.text import Text
 from tissueid.ingest.vocabulary import CHANNELS
+from tissueid.processors import threads
 from tissueid.trial import FloatArray
 
 __all__ = ["Body", "read_body"]
@@ -148,10 +148,10 @@ def _spans(data: bytes, start: int, end: int) -> list[tuple[int, int]]:
 def _read_fast(reader: RowReader) -> list[FloatArray] | None:
     plan = _Plan(reader.text.data, reader.layout, reader.wanted)
     spans = _spans(plan.data, reader.layout.offset, reader.end)
-    threads = min(_MOST_THREADS, os.cpu_count() or 1, len(spans))
+    most = threads(min(_MOST_THREADS, len(spans)))
     pieces: list[list[FloatArray] | None]
-    if threads > 1:
-        with ThreadPoolExecutor(threads) as pool:
+    if most > 1:
+        with ThreadPoolExecutor(most) as pool:
             # this thread makes plain while the others parse, where the interpreter is released
             pieces = list(pool.map(plan.parse, map(plan.plain, spans)))
     else:

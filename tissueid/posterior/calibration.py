@@ -13,7 +13,6 @@ with the priors of tissue and frame taken at the values so scaled.
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -35,6 +34,7 @@ from tissueid.posterior.instrument_mode import instrument_mode
 from tissueid.posterior.linear_priors import Facts
 from tissueid.posterior.loose_noise import LooseNoise
 from tissueid.priors import CalibrationPrior, Priors
+from tissueid.processors import threads
 from tissueid.uncertainty import PriorRow, SamplerReport
 
 __all__ = ["NUISANCES", "TotalPosterior", "field_units", "total_posterior", "truncated_moments"]
@@ -129,7 +129,7 @@ def _evaluate(
 
 def _in_threads(work, rows: NDArray[np.int64]) -> None:  # type: ignore[no-untyped-def]
     """Share rows among threads; each row's result depends on itself alone."""
-    workers = min(os.cpu_count() or 1, MAX_WORKERS)
+    workers = threads(MAX_WORKERS)
     batches = [rows[k : k + BATCH] for k in range(0, rows.size, BATCH)]
     if workers == 1 or len(batches) < 2:
         for batch in batches:

@@ -8,7 +8,6 @@ gains' standard deviation where logs are pooled partially.
 from __future__ import annotations
 
 import math
-import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
@@ -25,6 +24,7 @@ from tissueid.posterior.linear_priors import Facts
 from tissueid.posterior.surface import Surface
 from tissueid.posterior.target import Redrawn
 from tissueid.priors import Priors
+from tissueid.processors import threads
 
 __all__ = ["LOG_SIGMA_RANGE", "SpecimenTarget"]
 
@@ -136,7 +136,7 @@ class SpecimenTarget:
         points = np.ascontiguousarray(points, dtype=np.float64)
         n, (logs, q) = points.shape[0], data.effect_mean.shape
         normal = rng.standard_normal((n, logs, q))
-        with ThreadPoolExecutor(min(os.cpu_count() or 1, MAX_WORKERS)) as pool:
+        with ThreadPoolExecutor(threads(MAX_WORKERS)) as pool:
             parts = [slice(first, first + PART) for first in range(0, n, PART)]
             found = list(pool.map(lambda part: conditionals(data, points[part]), parts))
             mean, covariance = (np.concatenate(one) for one in zip(*found, strict=True))

@@ -19,6 +19,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from tissueid.errors import BundleError, UsageError
+from tissueid.processors import one_processor
 from tissueid.study.processes import Started
 from tissueid.study.tasks import Fault, Outcome, Task, attempt, packed, unpacked, versions
 
@@ -60,7 +61,7 @@ def compute(content: bytes, folder: str, wanted: dict[str, str]) -> bytes:
         os.chdir(folder)
     from threadpoolctl import threadpool_limits
 
-    with threadpool_limits(1):
+    with threadpool_limits(1), one_processor():
         return packed(attempt(task, worker))
 
 

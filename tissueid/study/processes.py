@@ -12,12 +12,14 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import nullcontext
 from dataclasses import dataclass
 from multiprocessing import connection, get_context
 from types import TracebackType
 from typing import Any, Protocol, Self
 
 from tissueid.own_process import end_with_parent
+from tissueid.processors import one_processor
 from tissueid.study.tasks import Fault, Outcome, Task, attempt, packed, perform, unpacked
 
 __all__ = ["InThisProcess", "LocalProcesses", "Started", "Workforce"]
@@ -51,18 +53,22 @@ class InThisProcess:
     ----------
     function : callable
         Word and payload of a task -> its result.
+    one : bool
+        Take one processor, and no threads on others.
     """
 
     size = 1
 
-    def __init__(self, function: Callable[[str, bytes], bytes] = perform) -> None:
-        self._function = function
+    def __init__(self, function: Callable[[str, bytes], bytes] = perform, *, one: bool = False) -> None:
+        self._function, self._one = function, one
 
     def run(self, tasks: Iterable[Task], started: Started) -> Iterator[Outcome]:
         """Outcomes in the order of the tasks."""
         for task in tasks:
             started(task.number, "this process")
-            yield attempt(task, "this process", self._function)
+            with one_processor() if self._one else nullcontext():
+                outcome = attempt(task, "this process", self._function)
+            yield outcome
 
 
 def _serve(pipe: Any) -> None:
@@ -71,7 +77,7 @@ def _serve(pipe: Any) -> None:
     end_with_parent()
     from threadpoolctl import threadpool_limits
 
-    with threadpool_limits(1):
+    with threadpool_limits(1), one_processor():
         while True:
             try:
                 task = unpacked(pipe.recv_bytes())

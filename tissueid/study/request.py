@@ -125,7 +125,7 @@ class Workplace:
             workers = min(self._workers or os.cpu_count() or 1, tasks)
             small = seconds < WORTH_PROCESSES_S and (self._workers is None or not asked)
             if workers < 2 or small:
-                return InThisProcess(function)
+                return InThisProcess(function, one=self._workers == 1)
             most = self._workers or os.cpu_count() or 1
             self._opened = self._stack.enter_context(LocalProcesses(most))
         assert self._opened is not None  # noqa: S101  (opened above)
