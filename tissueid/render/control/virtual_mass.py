@@ -14,15 +14,30 @@ bound is asked for by :data:`MARGIN`.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tissueid.errors import UsageError
 from tissueid.render.control.settings import ControlSettings
 
 __all__ = ["MARGIN", "check_virtual_mass", "turn_multiplier", "virtual_mass_bound"]
 
+FloatArray = NDArray[np.float64]
+
 #: Virtual mass over its bound that a loop should have.
 MARGIN = 1.5
 HALVINGS = 60
+
+
+def _turn(
+    variant: str, inertias: tuple[FloatArray, FloatArray], virtual_mass_kg: float, estimate: float
+) -> float:
+    device, hand = inertias
+    share = np.linalg.solve(device + hand, hand).T
+    if variant == "A":
+        turn = share @ (device + hand) * (estimate / virtual_mass_kg)
+    else:
+        turn = share @ (estimate * device / virtual_mass_kg - np.eye(len(device)))
+    return float(np.abs(np.linalg.eigvals(turn)).max())
 
 
 def turn_multiplier(settings: ControlSettings, virtual_mass_kg: float, *, estimate: float = 1.0) -> float:
@@ -40,13 +55,7 @@ def turn_multiplier(settings: ControlSettings, virtual_mass_kg: float, *, estima
     float
         Largest magnitude of an eigenvalue.
     """
-    device, hand = settings.inertias()
-    share = np.linalg.solve(device + hand, hand).T
-    if settings.variant == "A":
-        turn = share @ (device + hand) * (estimate / virtual_mass_kg)
-    else:
-        turn = share @ (estimate * device / virtual_mass_kg - np.eye(settings.axes))
-    return float(np.abs(np.linalg.eigvals(turn)).max())
+    return _turn(settings.variant, settings.inertias(), virtual_mass_kg, estimate)
 
 
 def virtual_mass_bound(settings: ControlSettings, *, estimate: float = 1.0) -> float:
@@ -58,16 +67,17 @@ def virtual_mass_bound(settings: ControlSettings, *, estimate: float = 1.0) -> f
     estimate : float
         As in :func:`turn_multiplier`.
     """
-    device, hand = settings.inertias()
-    high = estimate * float(np.linalg.eigvalsh(device + hand)[-1])
+    inertias = settings.inertias()
+    device, hand = inertias
     if not np.any(hand):
         return 0.0
-    low = 0.0
+    low, high = 0.0, estimate * float(np.linalg.eigvalsh(device + hand)[-1])
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
-        low, high = (
-            (low, middle) if turn_multiplier(settings, middle, estimate=estimate) < 1.0 else (middle, high)
-        )
+        if _turn(settings.variant, inertias, middle, estimate) < 1.0:
+            high = middle
+        else:
+            low = middle
     return high
 
 
