@@ -9,7 +9,11 @@ import pytest
 
 from tissueid.render.funnel import funnel_touch
 from tissueid.render.guidance_block import Bone, Funnel, Guidance, guidance_block
+from tissueid.render.options import RenderOptions
+from tissueid.render.plan import plan_session
+from tissueid.render.scene import load_scene
 from tissueid.viewer.guided_objects import guided_objects
+from tissueid.viewer.hello import hello
 
 
 @pytest.mark.parametrize("kind", ["hyperboloid", "cone"])
@@ -30,3 +34,22 @@ def test_the_drawn_funnel_is_the_one_that_is_felt(kind: str) -> None:
 def test_where_there_is_no_bone_none_is_drawn() -> None:
     plan = Guidance((0.0, 0.0, 0.13), bone=Bone(radius_m=0.0))
     assert [one["kind"] for one in guided_objects(guidance_block(plan))] == ["axis", "funnel"]
+
+
+def test_a_guided_session_has_its_scenes_title_a_wire_and_no_lamp_of_a_tissue() -> None:
+    scene = load_scene("hip-resurfacing")
+    words = hello(plan_session(RenderOptions(device="sim", seconds=1.0, scene=scene)).head)
+    assert words["session"]["title"] == scene.name
+    assert "bone" in words["hint"]
+    assert not {"rupture", "outside"} & {lamp["id"] for lamp in words["lamps"]}
+    (tool,) = [one for one in words["scene"]["objects"] if one["kind"] == "tool"]
+    assert tool["shape"] == "wire"
+    np.testing.assert_allclose(tool["axis"], scene.guidance.unit_axis())
+
+
+def test_a_tissue_of_a_scene_has_its_title_and_all_lamps() -> None:
+    scene = load_scene("orbital-floor")
+    asked = RenderOptions(device="sim", seconds=1.0, scene=scene, **{"surface": "plane", **scene.tissue})
+    words = hello(plan_session(asked).head)
+    assert words["session"]["title"] == scene.name
+    assert {"rupture", "outside"} <= {lamp["id"] for lamp in words["lamps"]}

@@ -114,6 +114,7 @@ def _plan(
         led=options.led,
         guided=guided,
         pseudonym=pseudonym,
+        scene=None if options.scene is None else options.scene.name,
         participation=None if pseudonym is None else Participation(options.ethics, options.keep_days),
     )
     return replace(plan, head=session_head(plan, np.zeros(SURFACE_SIZE), (None,)))

@@ -133,6 +133,7 @@ def plan_session(options: RenderOptions) -> SessionPlan:
             *_lines(options, picked, check, functional),
         ),
         led=led,
+        scene=None if options.scene is None else options.scene.name,
         participation=None if order is None else Participation(options.ethics, options.keep_days),
     )
     return replace(plan, head=session_head(plan, surface.numbers(radius_m), hashes))

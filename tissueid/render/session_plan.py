@@ -59,6 +59,8 @@ class SessionPlan:
         Whether the block is a guided axis.
     pseudonym : str or None
         Of the person who is guided; a blind order has its own.
+    scene : str or None
+        Name of the scene it comes from.
     participation : Participation or None
         Of a person, where there is one.
     """
@@ -81,6 +83,7 @@ class SessionPlan:
     guided: bool = False
     pseudonym: str | None = None
     participation: Participation | None = None
+    scene: str | None = None
 
 
 def session_head(plan: SessionPlan, surface: FloatArray, hashes: tuple[str | None, ...]) -> dict[str, Any]:
@@ -116,6 +119,7 @@ def session_head(plan: SessionPlan, surface: FloatArray, hashes: tuple[str | Non
         "script": None if plan.script is None else plan.script.text,
         "servo": {"period_s": PERIOD_S, "virtual_time": plan.virtual},
         **person,
+        **({} if plan.scene is None or plan.order is not None else {"scene": plan.scene}),
     }
 
 

@@ -9,6 +9,8 @@ One JSON object, ``{"type": "hello", "v": 1, ...}``:
     metres of the device's frame; a page leaves out kinds it does not know.
 ``strips``
     what is drawn over time, or over another field: an id, a title, a unit, and ``traces``.
+``hint``
+    what a hand on the mouse does.
 ``digits``
     what the second and the third of the big numbers are.
 ``lamps``
@@ -51,6 +53,11 @@ LAMPS = (
     ("rupture", "Ruptured", "the tissue broke: no force until it is put back", Lamp.RUPTURED),
     ("timing", "Late tick", "the servo's tick began late, or stalled", Lamp.LATE | Lamp.STALLED),
 )
+#: Those that only a tissue can light.
+TISSUE_LAMPS = ("outside", "rupture")
+#: What a hand on the mouse does.
+HINT = "Drag the tool down into the tissue"
+GUIDED_HINT = "Drag the wire down to the bone, and drill"
 #: What the second and the third of the big numbers are.
 DIGITS = {"tissue": "N of tissue", "depth": "mm deep"}
 GUIDED_DIGITS = {"tissue": "N of the bone", "depth": "mm below the entry"}
@@ -140,9 +147,11 @@ def hello(
         "scene": {"kind": str(head["environment"]), "objects": _objects(head, workspace_m)},
         "strips": _strips(head),
         "digits": GUIDED_DIGITS if head["environment"] == "guidance" else DIGITS,
+        "hint": GUIDED_HINT if head["environment"] == "guidance" else HINT,
         "lamps": [
             {"id": name, "word": word, "meaning": meaning, "bits": int(bits)}
             for name, word, meaning, bits in LAMPS
+            if name not in TISSUE_LAMPS or head["environment"] == "tissue"
         ],
         "states": {int(state): state.name.lower() for state in State},
         "faults": {int(fault): words for fault, words in FAULT_WORDS.items()},
@@ -164,6 +173,8 @@ def _strips(head: Mapping[str, Any]) -> list[dict[str, Any]]:
 def _title(head: Mapping[str, Any]) -> str:
     if head["blind"]:
         return "blind comparison"
+    if "scene" in head:
+        return str(head["scene"])
     if head["environment"] != "tissue":
         return str(head["environment"])
     return " against ".join(str(tissue["name"]) for tissue in head["tissues"])
@@ -178,7 +189,9 @@ def _objects(head: Mapping[str, Any], workspace_m: Workspace) -> list[dict[str, 
         {"kind": "tool", "radius_m": radius_m, "force_field": "force_N", "position_field": "position_m"},
     ]
     if head["environment"] == "guidance":
-        return objects + guided_objects(head["tissues"][0]["block"])
+        guided = guided_objects(head["tissues"][0]["block"])
+        objects[-1] |= {"shape": "wire", "axis": guided[0]["axis"]}
+        return objects + guided
     if head["environment"] != "tissue":
         return objects
     scale = head["scale"]

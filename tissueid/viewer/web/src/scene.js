@@ -15,12 +15,18 @@ const MM = 1000;
 // a tip is drawn at least this large, or it could not be seen
 const SMALLEST_TIP_MM = 6;
 const SHAFT_MM = 90;
+// a guide wire must not hide the hole it goes into; a real one has 1.2 mm
+const WIRE_MM = 1.2;
+const WIRE_LENGTH_MM = 120;
 // 5 N is half of the workspace
 const ARROW_MM_PER_N = 12;
 const SMALLEST_ARROW_N = 0.02;
 const PATCH_MM = 120;
 const SLAB_MM = 42;
 const SEGMENTS = 60;
+const BOX_ROWS = 12;
+const SPHERE_ROWS = 64;
+const SPHERE_COLUMNS = 96;
 // every so many lines of the mesh one is drawn: bent lines show what shading alone does not
 const LINE_EVERY = 4;
 // pictures that come slower are drawn with fewer pixels; without a graphics card that is where it begins
@@ -98,21 +104,26 @@ export class TissueScene {
     box.getCenter(this.centre);
   }
 
-  buildTool({ radius_m: radius }) {
-    this.tipRadius = radius * MM;
-    this.drawnRadius = Math.max(this.tipRadius, SMALLEST_TIP_MM);
+  buildTool({ radius_m: radius, shape, axis }) {
+    const wire = shape === "wire";
+    if (wire) this.up = toWorld(axis).normalize();
+    this.tipRadius = wire ? 0 : radius * MM;
+    this.drawnRadius = wire ? WIRE_MM : Math.max(this.tipRadius, SMALLEST_TIP_MM);
     this.tool = new Group();
     this.toolMaterial = new MeshLambertMaterial();
     const tip = new Mesh(new SphereGeometry(this.drawnRadius, 32, 20), this.toolMaterial);
-    const shaft = new Mesh(new CylinderGeometry(this.drawnRadius * 0.45, this.drawnRadius * 0.45, SHAFT_MM, 24), this.toolMaterial);
-    shaft.position.y = SHAFT_MM / 2;
+    const thickness = wire ? this.drawnRadius : this.drawnRadius * 0.45;
+    const length = wire ? WIRE_LENGTH_MM : SHAFT_MM;
+    const shaft = new Mesh(new CylinderGeometry(thickness, thickness, length, 24), this.toolMaterial);
+    shaft.position.y = length / 2;
     this.tool.add(tip, shaft);
     this.arrow = new ArrowHelper(new Vector3(0, 1, 0), new Vector3(), 1, 0xffffff);
     this.arrow.line.material.linewidth = 3;
     this.arrow.visible = false;
     // the arrow is seen through the tool: it starts inside it
     for (const part of [this.arrow.line, this.arrow.cone]) { part.material.depthTest = false; part.renderOrder = 5; }
-    this.contact = new Mesh(new RingGeometry(this.drawnRadius * 1.1, this.drawnRadius * 1.3, 40), new MeshBasicMaterial({ side: DoubleSide, depthTest: false }));
+    const ring = wire ? SMALLEST_TIP_MM * 0.6 : this.drawnRadius * 1.1;
+    this.contact = new Mesh(new RingGeometry(ring, ring * 1.18, 40), new MeshBasicMaterial({ side: DoubleSide, depthTest: false }));
     this.contact.renderOrder = 4;
     this.target = new Mesh(new SphereGeometry(2.2, 16, 12), new MeshBasicMaterial({ depthTest: false, transparent: true, opacity: 0.85 }));
     this.spring = new LineSegments(new BufferGeometry().setAttribute("position", new BufferAttribute(new Float32Array(6), 3)), new LineBasicMaterial({ depthTest: false }));
@@ -130,8 +141,8 @@ export class TissueScene {
     const point = toWorld(object.point_m);
     this.up = toWorld(object.normal).normalize();
     let geometry;
-    if (object.shape === "sphere") geometry = new SphereGeometry(size[0], 96, 64).translate(...point);
-    else if (object.shape === "box") geometry = new BoxGeometry(2 * size[0], 2 * size[2], 2 * size[1], SEGMENTS, 12, SEGMENTS).translate(...point);
+    if (object.shape === "sphere") geometry = new SphereGeometry(size[0], SPHERE_COLUMNS, SPHERE_ROWS).translate(...point);
+    else if (object.shape === "box") geometry = new BoxGeometry(2 * size[0], 2 * size[2], 2 * size[1], SEGMENTS, BOX_ROWS, SEGMENTS).translate(...point);
     else {
       geometry = new PlaneGeometry(PATCH_MM, PATCH_MM, SEGMENTS, SEGMENTS).rotateX(-Math.PI / 2);
       geometry.applyQuaternion(new Group().quaternion.clone().setFromUnitVectors(new Vector3(0, 1, 0), this.up)).translate(...point);
@@ -142,15 +153,24 @@ export class TissueScene {
     mesh.frustumCulled = false;
     this.content.add(mesh);
     this.surface = { object, point, mesh, rest: geometry.attributes.position.array.slice(), deformed: -1, reach: object.shape === "plane" ? PATCH_MM / 2 : 2 * Math.min(...size.filter((one) => one > 0)) };
-    if (object.shape === "plane") this.addSlab(geometry, point);
+    if (object.shape === "sphere") this.addLines(geometry, SPHERE_ROWS, SPHERE_COLUMNS);
+    // the lid of a box comes behind two of its walls
+    else if (object.shape === "box") this.addLines(geometry, SEGMENTS, SEGMENTS, 2 * (SEGMENTS + 1) * (BOX_ROWS + 1));
+    else {
+      this.addLines(geometry, SEGMENTS, SEGMENTS);
+      this.addSlab(point);
+    }
   }
 
-  /** Lines on a flat tissue, and the block it belongs to. */
-  addSlab(geometry, point) {
+  /** Lines on a tissue, along the lattice of its vertices: they bend with it. */
+  addLines(geometry, rows, columns, first = 0) {
     const index = [];
-    const row = SEGMENTS + 1;
-    for (let i = 0; i <= SEGMENTS; i += LINE_EVERY) {
-      for (let j = 0; j < SEGMENTS; j += 1) index.push(i * row + j, i * row + j + 1, j * row + i, (j + 1) * row + i);
+    const at = (i, j) => first + i * (columns + 1) + j;
+    for (let i = 0; i <= rows; i += 1) {
+      for (let j = 0; j <= columns; j += 1) {
+        if (i % LINE_EVERY === 0 && j < columns) index.push(at(i, j), at(i, j + 1));
+        if (j % LINE_EVERY === 0 && i < rows) index.push(at(i, j), at(i + 1, j));
+      }
     }
     const lines = new BufferGeometry();
     lines.setAttribute("position", geometry.attributes.position);
@@ -158,6 +178,11 @@ export class TissueScene {
     this.lineMaterial = new LineBasicMaterial({ transparent: true, opacity: 0.35 });
     const grid = new LineSegments(lines, this.lineMaterial);
     grid.frustumCulled = false;
+    this.content.add(grid);
+  }
+
+  /** The block that a flat tissue belongs to. */
+  addSlab(point) {
     this.slabMaterial = new MeshLambertMaterial({ side: DoubleSide, transparent: true, opacity: 0.55, depthWrite: false });
     const walls = new Group();
     for (const [x, z, turn] of [[0, 1, 0], [0, -1, 0], [1, 0, Math.PI / 2], [-1, 0, Math.PI / 2]]) {
@@ -168,7 +193,7 @@ export class TissueScene {
     }
     walls.quaternion.setFromUnitVectors(new Vector3(0, 1, 0), this.up);
     walls.position.copy(point);
-    this.content.add(grid, walls);
+    this.content.add(walls);
   }
 
   recolour() {

@@ -42,7 +42,7 @@ const connection = new Connection({
     byId("pause").setAttribute("aria-pressed", "false");
     showReplay(message.session.replay_s);
     byId("hint").textContent = message.session.pointer
-      ? "Drag the tool down into the tissue · arrow keys: press, lift, slide · right button: turn · wheel: zoom"
+      ? `${message.hint} · arrow keys: press, lift, slide · right button: turn · wheel: zoom`
       : "Drag: turn · wheel: zoom";
   },
   frame(buffer, head) {

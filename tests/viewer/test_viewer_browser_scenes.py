@@ -1,0 +1,98 @@
+"""Scenes in a browser: the guided axis of a hip, and tissues that are no plane."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rendered_session import Session
+
+from tissueid.haptics.states import State
+from tissueid.render.scene import load_scene
+
+# a page that is drawn without a graphics card takes every core there is: not beside other tests
+pytestmark = [pytest.mark.browser, pytest.mark.slow]
+
+PATIENCE_S = 90.0
+SIM = ("--device", "sim", "--viewer", "--seconds", "200")
+
+
+@contextmanager
+def opened(chromium: Any, folder: Path, *asked: str) -> Iterator[Any]:
+    """A page of a session, once its force is on."""
+    session = Session(*asked, *SIM, folder=folder)
+    page = chromium.new_page(viewport={"width": 1400, "height": 900})
+    page.said = []
+    page.on("console", lambda said: page.said.append(said.text) if said.type == "error" else None)
+    page.on("pageerror", lambda error: page.said.append(str(error)))
+    try:
+        page.goto(session.url, wait_until="commit")
+        wait(page, lambda now: now["newest"]["state"] == State.ENGAGED)
+        yield page
+    finally:
+        page.close()
+        session.end()
+
+
+def wait(page: Any, true: Callable[[Any], bool]) -> Any:
+    """What the page holds, once that is so."""
+    deadline = time.monotonic() + PATIENCE_S
+    while True:
+        found = page.evaluate("window.tissueid ? window.tissueid.read() : null")
+        if found is not None and true(found):
+            return found
+        assert time.monotonic() < deadline, found
+        time.sleep(0.05)
+
+
+def drag_down(page: Any, pixels: int) -> None:
+    """Press the left button on the scene and go down; it stays pressed."""
+    box = page.locator("#scene").bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    for part in range(1, 16):
+        page.mouse.move(x, y + pixels * part / 15)
+        time.sleep(0.05)
+
+
+def test_a_guided_wire_is_led_into_the_bone_under_its_scenes_title(chromium: Any, tmp_path: Path) -> None:
+    with opened(chromium, tmp_path, "--scene", "hip-resurfacing") as page:
+        title = load_scene("hip-resurfacing").name
+        assert page.locator("h1").text_content() == title
+        assert page.title().startswith(title)
+        lamps = page.locator("#lamps").text_content()
+        assert "Saturated" in lamps
+        assert "Ruptured" not in lamps
+        before = wait(page, lambda now: now["drawn"] > 3)
+        # the hand begins 30 mm above the entry point
+        assert before["newest"]["depth_mm"] < -20.0
+        assert before["newest"]["tissue_N"] == 0.0
+        drag_down(page, 210)
+        touched = wait(page, lambda now: now["newest"]["tissue_N"] > 0.05)
+        assert touched["newest"]["depth_mm"] > 0.0
+        # under force the drill goes on by itself
+        drilled = wait(page, lambda now: now["newest"]["depth_mm"] > touched["newest"]["depth_mm"] + 0.5)
+        trace = drilled["traces"]["depth"]["values"]["depth_mm"]
+        assert min(trace) < -20.0 < 0.0 < max(trace)
+        for width in (800, 400):
+            page.set_viewport_size({"width": width, "height": 900})
+            assert page.evaluate("document.documentElement.scrollWidth") <= width
+        assert page.said == []
+
+
+@pytest.mark.parametrize("surface", ["sphere 30 mm", "box 60 x 60 x 40 mm"])
+def test_a_tissue_that_is_no_plane_is_pressed_in(chromium: Any, tmp_path: Path, surface: str) -> None:
+    with opened(chromium, tmp_path, "--preset", "paper-a", "--surface", surface) as page:
+        assert page.locator("h1").text_content() == "paper-a"
+        drag_down(page, 150)
+        pressed = wait(page, lambda now: now["newest"]["depth_mm"] > 0.5 and now["surface"] > 0.0)
+        assert pressed["newest"]["tissue_N"] > 5.0
+        # what is drawn goes in by five times the tissue's depth, as the hand does
+        deep = wait(page, lambda now: now["surface"] > 2.0)
+        assert deep["newest"]["device_N"] > 0.1
+        assert page.said == []
