@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from failing_cohorts import known_cohort, typical_threshold
+from rupture_cohorts import known_cohort, typical_threshold
 from scipy.integrate import quad
 from scipy.stats import norm
 

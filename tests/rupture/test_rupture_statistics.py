@@ -6,7 +6,7 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from failing_cohorts import known_cohort, recorded_cohort, typical_threshold
+from rupture_cohorts import known_cohort, recorded_cohort, typical_threshold
 from scipy.stats import binom
 
 from tissueid.rupture.decision import KINDS, Decision, decide
