@@ -105,6 +105,9 @@ def test_a_recording_that_stopped_is_told_once() -> None:
         def tell(self, **words: Any) -> None:
             self.told.append(words)
 
+        def tend(self) -> bool:
+            return False
+
     viewer, recorder, shown = Viewer(), Stopped(), []
     show = telling_stop(viewer, recorder, lambda record, _summary: shown.append(record))  # type: ignore[arg-type]
     show(1, None)

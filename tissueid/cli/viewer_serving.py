@@ -71,12 +71,14 @@ def served(flags: dict[str, Any]) -> Iterator[ServedViewer]:
 def telling_stop(
     viewer: ServedViewer | None, recorder: Recorder | None, show: Callable[[Any, Any], None]
 ) -> Callable[[Any, Any], None]:
-    """What shows a record, and says on the viewer too that a recording has stopped."""
+    """What shows a record, looks after the viewer, and says there too that a recording has stopped."""
     told = False
 
     def shown(record: Any, summary: Any) -> None:
         nonlocal told
         show(record, summary)
+        if viewer is not None and viewer.tend():
+            note("the viewer has ended; the session goes on unseen, its hand is let go")
         if viewer is not None and recorder is not None and recorder.stopped is not None and not told:
             told = True
             viewer.tell(recording_stopped=recorder.stopped)

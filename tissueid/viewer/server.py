@@ -184,10 +184,8 @@ async def _serve_client(websocket: WebSocket, stage: Stage) -> None:
     finally:
         sending.cancel()
         stage.clients.discard(websocket)
-        if stage.leader is websocket and stage.pointer is not None:
-            # a hand that nobody leads any more leaves the tissue
-            stage.pointer.lead(None)
-            stage.leader = None
+        if stage.leader is websocket:
+            stage.let_go()
 
 
 async def _send(websocket: WebSocket, stage: Stage) -> None:
@@ -217,6 +215,8 @@ async def _hear(websocket: WebSocket, stage: Stage, name: str) -> None:
         if message["type"] == "websocket.disconnect":
             raise WebSocketDisconnect(message.get("code") or 1000)
         now = time.monotonic()
+        if stage.leader is websocket:
+            stage.leader_heard_s = now
         if now - second >= 1.0:
             second, heard = now, 0
         heard += 1
@@ -241,7 +241,7 @@ def _obey(websocket: WebSocket, stage: Stage, message: Any) -> tuple[int, str]:
     if isinstance(asked, Pointer):
         if stage.pointer is None:
             return NOT_ALLOWED, "pointer refused: no simulated hand is led here"
-        stage.leader = websocket
+        stage.leader, stage.leader_heard_s = websocket, time.monotonic()
         stage.pointer.lead(asked.position_m)
         return 0, ""
     if isinstance(asked, Play) and client is not None:

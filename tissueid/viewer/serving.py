@@ -6,7 +6,7 @@ import json
 import socket
 import ssl
 import subprocess
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
@@ -92,6 +92,9 @@ class ServedViewer:
             None if is_loopback(options.host) else new_token(),
             tls=options.certificate is not None,
         )
+        #: Called where the server dies: what it led is led by nobody.
+        self.let_go: Callable[[], None] = _nothing
+        self._lost = False
         theirs, self._link = socket.socketpair()
         command = own_process("tissueid.viewer.server_process", str(theirs.fileno()), str(listening.fileno()))
         try:
@@ -146,6 +149,14 @@ class ServedViewer:
         """Whether the server is there."""
         return self._process.poll() is None
 
+    def tend(self) -> bool:
+        """Look after the server; True once, where it died, after what it led was let go."""
+        if self._lost or self.runs:
+            return False
+        self._lost = True
+        self.let_go()
+        return True
+
     def _send(self, words: Mapping[str, Any], descriptors: list[int] | None = None) -> None:
         data = json.dumps(words, allow_nan=False).encode() + b"\n"
         try:
@@ -172,6 +183,10 @@ class ServedViewer:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def _nothing() -> None:
+    """Let go of nothing."""
 
 
 def _no_password() -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from functools import partial
 from pathlib import Path
 
 from tissueid.errors import BundleError
@@ -40,6 +41,7 @@ def show_session(viewer: ServedViewer, plan: SessionPlan, servo: ServoProcess, b
         if servo.hand is not None:
             descriptors.append(servo.hand.descriptor)
             rest_m = [float(value) for value in plan.device_options["hand"].start_m]
+            viewer.let_go = partial(servo.hand.point_at, rest_m)
         viewer.show_live(words, descriptors, rest_m=rest_m, workspace_m=workspace_m)
     finally:
         os.close(reading)

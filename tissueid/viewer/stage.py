@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -15,6 +16,9 @@ __all__ = ["Stage"]
 
 #: Between two looks at the ring [s]: half of it is the mean age it adds, its inverse the frames a second.
 TURN_S = 0.01
+#: A page that leads the hand answers a hundred frames a second; one that hangs, or whose machine is gone,
+#: is heard of no more, and its connection may last for minutes [s].
+SILENCE_S = 4.0
 
 
 class Stage:
@@ -36,8 +40,9 @@ class Stage:
         self.pointer: HandPointer | None = None
         self.log = RefusalLog()
         self.clients: set[object] = set()
-        #: Who led the hand last.
+        #: Who leads the hand, and when anything was heard of it last [s].
         self.leader: object = None
+        self.leader_heard_s = 0.0
         self._source: Callable[[], Source] | None = None
         self._feed: LiveFeed | None = None
         self._known = asyncio.Event()
@@ -83,10 +88,18 @@ class Stage:
         """Wait until there may be something to send."""
         await self._news.wait()
 
+    def let_go(self) -> None:
+        """A hand that nobody leads any more leaves the tissue."""
+        if self.leader is not None and self.pointer is not None:
+            self.pointer.lead(None)
+        self.leader = None
+
     async def run(self) -> None:
         """Look for what is new, for ever; without a client nothing is looked for."""
         while True:
             await asyncio.sleep(TURN_S)
+            if self.leader is not None and time.monotonic() - self.leader_heard_s > SILENCE_S:
+                self.let_go()
             if self.clients:
                 if self._feed is not None:
                     self._feed.pump()

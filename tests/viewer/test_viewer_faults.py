@@ -1,0 +1,180 @@
+"""Faults around the viewer: whoever dies or hangs, the session goes on, and nobody keeps a hand pressed."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from live_server import client, served, until
+from rendered_session import Session
+from session_heads import head_of
+
+from tissueid.cli.viewer_serving import telling_stop
+from tissueid.haptics.ring import Ring
+from tissueid.haptics.shared_hand import SharedHand
+from tissueid.haptics.simulated_layout import POINTER
+from tissueid.store.session_log import read_session_log
+from tissueid.viewer import stage
+from tissueid.viewer.hello import hello
+from tissueid.viewer.pointer import HandPointer
+from tissueid.viewer.serving import ServedViewer, ViewerOptions
+
+REST_M = [0.0, 0.0, 0.15]
+WORKSPACE_M = [[-0.04, 0.04], [-0.04, 0.04], [0.09, 0.17]]
+PRESS = '{"v": 1, "pointer": [0.0, 0.0, 0.1]}'
+PATIENCE_S = 60.0
+
+
+class Led:
+    """A hand that a page presses through a server in its own process, as a session's owner sees it."""
+
+    def __init__(self) -> None:
+        self.ring, self.hand = Ring.create(capacity=16), SharedHand.create()
+        self.viewer = ServedViewer(ViewerOptions())
+        self.viewer.let_go = lambda: self.hand.point_at(REST_M)
+        reading = self.ring.read_only()
+        words = hello(head_of(), pointer=True)
+        self.viewer.show_live(words, [reading, self.hand.descriptor], rest_m=REST_M, workspace_m=WORKSPACE_M)
+        os.close(reading)
+
+    @property
+    def height_m(self) -> float:
+        """Where the hand is led to."""
+        return float(self.hand.parameters[POINTER + 2])
+
+    def press(self) -> None:
+        with client(self.viewer.url.replace("http", "ws") + "ws") as page:
+            page.recv()
+            page.send(PRESS)
+            until(lambda: self.height_m == 0.1)
+            self.meanwhile()
+
+    def meanwhile(self) -> None:
+        """While the page presses."""
+
+    def close(self) -> None:
+        self.viewer.close()
+        self.hand.close()
+        self.ring.close()
+
+
+def test_a_server_that_is_killed_lets_go_of_the_hand_and_says_so_once(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    led = Led()
+    shown = telling_stop(led.viewer, None, lambda _record, _summary: None)
+
+    def kill() -> None:
+        shown(None, None)
+        assert led.height_m == 0.1
+        led.viewer._process.kill()
+        led.viewer.wait()
+        shown(None, None)
+        assert led.height_m == REST_M[2]
+        shown(None, None)
+
+    led.meanwhile = kill  # type: ignore[method-assign]
+    led.press()
+    led.close()
+    assert capsys.readouterr().err.count("goes on unseen") == 1
+
+
+def test_a_page_that_is_closed_while_it_presses_lets_go() -> None:
+    led = Led()
+    led.press()
+    until(lambda: led.height_m == REST_M[2])
+    led.close()
+
+
+def test_a_page_that_falls_silent_while_it_presses_lets_go(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stage, "SILENCE_S", 0.2)
+    hand = SharedHand.create()
+    pointer = HandPointer(hand, np.array(REST_M), *np.array(WORKSPACE_M).T)
+    with served(pointer=pointer) as live, client(live.ws) as page:
+        page.recv()
+        page.send(PRESS)
+        until(lambda: hand.parameters[POINTER + 2] == 0.1)
+        # its connection stays, and nothing comes
+        until(lambda: hand.parameters[POINTER + 2] == REST_M[2])
+        assert len(live.stage.clients) == 1
+    hand.close()
+
+
+def test_a_page_that_only_answers_goes_on_pressing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stage, "SILENCE_S", 3600.0)
+    hand = SharedHand.create()
+    pointer = HandPointer(hand, np.array(REST_M), *np.array(WORKSPACE_M).T)
+    with served(pointer=pointer) as live, client(live.ws) as page:
+        page.recv()
+        page.send(PRESS)
+        until(lambda: live.stage.leader is not None)
+        heard_s = live.stage.leader_heard_s
+        live.write(1)
+        assert isinstance(page.recv(20), bytes)
+        page.send('{"v": 1, "answer": 1}')
+        until(lambda: live.stage.leader_heard_s > heard_s)
+        assert hand.parameters[POINTER + 2] == 0.1
+    hand.close()
+
+
+def test_a_server_that_hangs_stops_nobody_who_tells_it_something_and_is_ended(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("tissueid.viewer.serving.REAP_S", 0.3)
+    led = Led()
+    os.kill(led.viewer._process.pid, signal.SIGSTOP)
+    for number in range(100):
+        led.viewer.tell(recording_stopped=f"reason {number}")
+    assert not led.viewer.tend()
+    led.close()
+    assert led.viewer._process.returncode == -signal.SIGKILL
+
+
+def test_a_server_whose_owner_was_killed_ends() -> None:
+    owner = (
+        "import os, signal\n"
+        "from tissueid.viewer.serving import ServedViewer, ViewerOptions\n"
+        "viewer = ServedViewer(ViewerOptions())\n"
+        "print(viewer._process.pid, flush=True)\n"
+        "os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", owner], capture_output=True, text=True, check=False)
+    assert ended.returncode == -signal.SIGKILL
+    server = Path("/proc") / ended.stdout.strip()
+    until(lambda: not server.exists() or "Z" in (server / "stat").read_text().rsplit(")", 1)[-1][:3])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_session_whose_server_dies_or_hangs_ends_as_planned_with_a_whole_log(
+    tmp_path: Path, how: signal.Signals
+) -> None:
+    log = tmp_path / "out.h5"
+    asked = ("--preset", "paper-a", "--device", "sim", "--viewer", "--seconds", "4", "--log", log)
+    session = Session(*asked, folder=tmp_path / "said")
+    with client(session.url.replace("http", "ws") + "ws") as page:
+        page.recv()
+        until(lambda: isinstance(page.recv(PATIENCE_S), bytes))
+        os.kill(server_of(session), how)
+    deadline = time.monotonic() + PATIENCE_S
+    while session.process.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert session.end() == 0, session.said
+    assert ("goes on unseen" in session.said) is (how == signal.SIGKILL)
+    found = read_session_log(log)
+    assert found.summary is not None
+    assert found.summary["lost_records"] == 0
+    assert found.records["time_s"][-1] - found.records["time_s"][0] >= 3.9
+
+
+def server_of(session: Session) -> int:
+    """Process number of a session's viewer."""
+    children = Path(f"/proc/{session.process.pid}/task/{session.process.pid}/children").read_text().split()
+    commands = {int(one): Path(f"/proc/{one}/cmdline").read_text() for one in children}
+    return next(number for number, command in commands.items() if "viewer.server_process" in command)
