@@ -186,7 +186,7 @@ def test_frame_takes_its_deflection_off_the_depth(compliance: float) -> None:
     for _ in range(400):
         tip = ContactPath(time, depth - compliance * force)
         force += 0.5 * (model.force(THETA, tip) - force)
-    # the tip is on a parabola for 5 ms, a fourth of the relaxation time; a line would be 0.001 to 0.0025 N off
+    # the tip is on a parabola for 5 ms, a fourth of the relaxation time; a line would be 0.001 N off, or more
     assert shown == pytest.approx(force[::finer], abs=2e-4)
 
 

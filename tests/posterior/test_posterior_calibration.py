@@ -17,7 +17,6 @@ from instrument_factory import (
     drawn_instrument,
     drawn_theta,
     every_sample,
-    knots_about,
     quantities,
     recorded,
     rigid_fit,
@@ -358,7 +357,7 @@ def test_total_interval_is_calibrated_for_defects_from_their_priors(phi: float, 
 def pulled(seed: int) -> np.ndarray:
     """How far a recording without noise pulls the posterior from its truth, in standard deviations.
 
-    Tissue (5), ln tau, skew, filter, compliance: a step of Newton from the truth, the logs' effects integrated.
+    Tissue (5), ln tau, skew, filter, compliance: a step of Newton from the truth, effects integrated.
     """
     rng = np.random.default_rng(seed)
     truth = drawn_theta(TISSUE, rng)
