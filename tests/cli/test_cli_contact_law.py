@@ -95,3 +95,16 @@ def test_a_law_that_is_none_is_refused_with_its_file(tmp_path: Path, content: st
     )
     with pytest.raises(UsageError, match=r"law\.json"):
         load_scene(str(tmp_path / "scene.toml"))
+
+
+def test_a_study_names_and_excludes_and_its_decisions_are_followed(tmp_path: Path) -> None:
+    folder = recordings(tmp_path, WHOLE)
+    (folder / "study.toml").write_text(
+        'schema = "tissueid/study/1"\n\n[[trial]]\nfile = "a-*.csv"\nspecimen = "wall"\n\n'
+        '[[exclude]]\nfile = "a-2.csv"\nbecause = "the rig slipped"\n'
+    )
+    ended = run("fit", folder, "--contact-law", "hertz-impact", "-o", tmp_path / "out", "--json")
+    assert ended.code == 0, ended.stderr
+    (specimen,) = ended.json()["specimens"]
+    assert specimen["specimen"] == "wall"
+    assert [Path(log["path"]).name for log in specimen["logs"]] == ["a-1.csv"]

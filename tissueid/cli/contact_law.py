@@ -26,15 +26,21 @@ def fit_law(flags: Mapping[str, Any]) -> int:
     from tissueid.store.files import json_bytes, write_file
     from tissueid.store.schema import check
     from tissueid.study.contact_law import contact_law_document
-    from tissueid.study.recordings import locate_study
+    from tissueid.study.recordings import locate_study, read_decided_one
 
     options = segment_options(compression=flags["compression"], contact=flags["contact"])
     study, paths = locate_study(flags["paths"], named=flags["study"], ignore=flags["no_study"])
     refused: list[Refusal] = []
     with progress_bar(show=not flags["quiet"]) as progress:
         progress("fitting the contact law", 0, 0)
-        items = read_in_order(paths, read_options(flags), study)
-        document = contact_law_document(read_all(items, refused), options, refused)
+        reading = read_options(flags)
+        document = contact_law_document(
+            read_all(read_in_order(paths, reading, study), refused),
+            options,
+            refused,
+            study=study,
+            reload=lambda source: read_decided_one(source.path, source.sheet, reading, study),
+        )
     check(document, "contact-law")
     if document["specimens"]:
         out = Path(flags["out"])

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from tissueid import __version__
+from tissueid.collection import TrialCache, collect, display_names
 from tissueid.fit.contact_law import ContactLaw, fit_contact_law
 from tissueid.fit.contact_path import ContactLog, contact_log
+from tissueid.manifest import Study
 from tissueid.model.impact import KEY
 from tissueid.result import Refusal
-from tissueid.segment import SegmentOptions, segment
-from tissueid.trial import Trial
+from tissueid.segment import SegmentOptions
+from tissueid.trial import Source, Trial
 
 __all__ = ["SCHEMA", "contact_law_document"]
 
@@ -19,7 +21,12 @@ SCHEMA = "tissueid/contact-law/1"
 
 
 def contact_law_document(
-    trials: Iterable[Trial], options: SegmentOptions, refused: Sequence[Refusal] = ()
+    trials: Iterable[Trial],
+    options: SegmentOptions,
+    refused: Sequence[Refusal] = (),
+    *,
+    study: Study | None = None,
+    reload: Callable[[Source], Trial] | None = None,
 ) -> dict[str, Any]:
     """Identify the law of every specimen.
 
@@ -30,30 +37,40 @@ def contact_law_document(
     options : SegmentOptions
     refused : sequence of Refusal
         Inputs refused while ``trials`` was read; looked at after the iteration has ended.
+    study : Study, optional
+        Whose decisions and exclusions are followed.
+    reload : callable, optional
+        Reads a trial again; without it all samples stay in memory.
 
     Returns
     -------
     dict
         Of ``schemas/contact-law.schema.json``.
     """
-    logs: dict[str, list[ContactLog]] = {}
-    left_out: list[Refusal] = []
-    inputs = []
-    for trial in trials:
-        log = contact_log(trial, segment(trial, options=options))
-        if log is None:
-            message = "too few samples lie between contact and its end: there is nothing to fit"
-            left_out.append(Refusal(trial.source.path, trial.source.sheet, "too_few_samples", message))
-            continue
-        logs.setdefault(trial.specimen, []).append(log)
-        inputs.append({"path": trial.source.path, "sheet": trial.source.sheet, "sha256": trial.source.sha256})
+    collected = collect(trials, options, TrialCache(reload), lambda _message, _done, _total: None, study)
+    names = display_names(collected.sources)
+    specimens = []
+    for specimen, handles in collected.groups.items():
+        found = [contact_log(one.load(), one.segmentation) for one in handles]
+        logs = [log for log in found if log is not None]
+        if logs:
+            specimens.append(_specimen(names[specimen], logs, fit_contact_law(logs)))
+        for handle, log in zip(handles, found, strict=True):
+            if log is None:
+                collected.left_out.append(_too_few(handle.load().source))
+    inputs = [{key: one[key] for key in ("path", "sheet", "sha256")} for one in collected.inputs]
     return {
         "schema": SCHEMA,
         "model": KEY,
-        "specimens": [_specimen(name, own, fit_contact_law(own)) for name, own in logs.items()],
-        "refused": [one.as_json() for one in (*refused, *left_out)],
+        "specimens": specimens,
+        "refused": [one.as_json() for one in (*refused, *collected.left_out)],
         "provenance": {"tissueid": __version__, "inputs": inputs},
     }
+
+
+def _too_few(source: Source) -> Refusal:
+    message = "too few samples lie between contact and its end: there is nothing to fit"
+    return Refusal(path=source.path, sheet=source.sheet, code="too_few_samples", message=message)
 
 
 def _specimen(name: str, logs: Sequence[ContactLog], law: ContactLaw) -> Mapping[str, Any]:
