@@ -179,11 +179,11 @@ def test_frame_takes_its_deflection_off_the_depth(compliance: float) -> None:
         every_sample([log], optimum, ()), optimum.theta, optimum.log_tau, np.array([0.0, 0.0, compliance])
     )
     model = KelvinVoigt(1, 1, DEPTH)
-    finer = 32
+    finer = 8
     time = np.arange((log.time_s.size - 1) * finer + 1) / (200.0 * finer)
     depth = np.interp(time, log.time_s, log.depth_mm)
     force = np.zeros(time.size)
-    for _ in range(400):
+    for _ in range(60):
         tip = ContactPath(time, depth - compliance * force)
         force += 0.5 * (model.force(THETA, tip) - force)
     # the tip is on a parabola for 5 ms, a fourth of the relaxation time; a line would be 0.001 N off, or more
