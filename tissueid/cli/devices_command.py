@@ -188,7 +188,8 @@ def calibrate_force(**flags: Any) -> int:
             f"held {found.empty_N:.3f} N without and {found.loaded_N:.3f} N with {found.weight_N:.3f} N"
         )
         click.echo(f"{ratio} nominal newton for one true newton: {units:.0f} motor units for one N m")
-    save(made, flags, units_per_Nm=units, force_calibrated=True)
+    # a weight in the newtons of before is none
+    save(made, flags, units_per_Nm=units, force_calibrated=True, weight_measured=False)
     return 0
 
 
@@ -216,6 +217,34 @@ def calibrate_damping(**flags: Any) -> int:
         click.echo(f"damping {damping} N s/m, of which {found.safe_damping:.3f} are relied on")
         click.echo(f"mass {found.mass_kg:.3f} kg, friction {found.friction_N:.3f} N")
     save(made, flags, damping_N_s_per_m=found.safe_damping, damping_measured=True)
+    return 0
+
+
+@_sub("calibrate-weight", "calibrate-weight\ncalibrate-weight falcon --yes --json")
+@_falcon_name
+@device_options
+@_consent
+def calibrate_weight(**flags: Any) -> int:
+    """Hold the free grip at nine places, and keep the force that carries it there.
+
+    A guided session carries the tool with it. Calibrate the force first: the weight is as wrong as the newton
+    it is measured with.
+    """
+    from tissueid.haptics.measure.gravity import weigh_poses
+
+    made = made_device(flags, hands_off=True)
+    ask_consent(made, flags)
+    with opened(made) as device:
+        device.home()
+        found = weigh_poses(device)
+    if flags["as_json"]:
+        echo_json(asdict(found))
+    elif not flags["quiet"]:
+        words = ", ".join(f"{value:.3f}" for value in found.weight_N)
+        click.echo(f"held with ({words}) N in the middle, each to {found.stderr_N:.3f} N")
+        click.echo(f"{found.poses} poses; a plane leaves {found.residual_N:.3f} N")
+    slope = tuple(value for row in found.slope_N_per_m for value in row)
+    save(made, flags, weight_N=found.weight_N, weight_slope_N_per_m=slope, weight_measured=True)
     return 0
 
 

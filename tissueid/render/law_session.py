@@ -11,6 +11,7 @@ import numpy as np
 from tissueid.haptics.device import Capabilities, HapticDevice
 from tissueid.haptics.hand import Hand
 from tissueid.haptics.limits import GuardLimits
+from tissueid.haptics.measure.gravity import MIDDLE_M
 from tissueid.haptics.sim import carried
 from tissueid.render.blind import check_pseudonym
 from tissueid.render.guidance_block import Guidance, guidance_block
@@ -50,7 +51,8 @@ def guided_session(options: RenderOptions, choice: tuple[str, str], device: Hapt
     scene = options.scene
     assert scene is not None  # noqa: S101 -- asked by the caller
     assert scene.guidance is not None  # noqa: S101 -- asked by the caller
-    guidance, check = check_guidance(scene.guidance, demands_of(device.capabilities))
+    plan = _carried(scene.guidance, device, assumed="weight" in scene.assumed)
+    guidance, check = check_guidance(plan, demands_of(device.capabilities))
     block = np.concatenate([guidance_block(guidance), PassivityLimits(on=False).block()])
     lines = (*scene.lines(), *_told_of(guidance), *check.lines())
     given = dict(options.device_options)
@@ -59,6 +61,19 @@ def guided_session(options: RenderOptions, choice: tuple[str, str], device: Hapt
         given["limits"] = carried(GuardLimits.simulated())
         given["hand"] = Hand((0.0,), ((float(begin[0]), float(begin[1]), float(begin[2])),), (1.0,))
     return _plan(options, choice, device, block, lines, given=given, guided=True)
+
+
+def _carried(guidance: Guidance, device: HapticDevice, *, assumed: bool) -> Guidance:
+    """The plan with the weight that was measured on this unit, unless the scene knows better."""
+    known = getattr(device, "calibration", None)
+    stated = any(guidance.weight_N) or any(map(any, guidance.weight_slope_N_per_m))
+    if (stated and not assumed) or known is None or not known.weight_measured:
+        return guidance
+    slope = np.array(known.weight_slope_N_per_m).reshape(3, 3)
+    there = np.array(known.weight_N) + slope @ (np.array(guidance.entry_m) - np.array(MIDDLE_M))
+    x, y, z = (float(value) for value in there)
+    rows = tuple((float(a), float(b), float(c)) for a, b, c in slope)
+    return replace(guidance, weight_N=(x, y, z), weight_slope_N_per_m=(rows[0], rows[1], rows[2]))
 
 
 def demands_of(capabilities: Capabilities) -> Demands:
@@ -77,10 +92,13 @@ def _told_of(guidance: Guidance) -> tuple[str, ...]:
     pull, funnel = guidance.pull, guidance.funnel
     axial = "conservative" if pull.conservative else "as printed, which gives energy in a loop"
     stiffness = f"{pull.far_N_per_m:.3g} N/m far off, {pull.near_N_per_m:.3g} N/m at the entry"
+    weight = float(np.linalg.norm(guidance.weight_N))
+    carried = (f"weight     {weight:.2f} N carried at the entry, in contact too",) if weight > 0.0 else ()
     width = f"{funnel.kind}, {1e3 * funnel.radius_m:g} mm in radius at the entry"
     return (
         f"pull       {stiffness} over {1e3 * pull.reach_m:g} mm; {axial}",
         f"wall       {width}, {funnel.stiffness_N_per_m_n:.3g} N/m^{funnel.exponent:g}",
+        *carried,
     )
 
 

@@ -10,6 +10,9 @@
     damping_measured = false
     delay_ticks = 1.5               # from a command to its effect on the next position
     delay_measured = false
+    weight_N = [0.0, 0.0, 0.0]      # force that holds the grip in the middle of the workspace
+    weight_slope_N_per_m = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]    # its change, row by row
+    weight_measured = false
     confirmed = false               # whether the hardware checklist was passed on this machine
 
 What the file leaves out has the values above.  They are from the literature or assumed, no unit has confirmed
@@ -47,6 +50,8 @@ RANGES = {
     "units_per_Nm": (1000.0, 30_000.0),
     "damping_N_s_per_m": (0.0, 20.0),
     "delay_ticks": (0.0, 10.0),
+    "weight_N": (-4.0, 4.0),
+    "weight_slope_N_per_m": (-50.0, 50.0),
 }
 HEADER = (
     "# Calibration of a Novint Falcon, written by tissueid devices. Delete it to go back to the presets.\n"
@@ -73,6 +78,11 @@ class Calibration:
     delay_ticks : float
         From a command to its effect on the next position, in ticks of the servo.
     delay_measured : bool
+    weight_N : tuple of float
+        Force that holds the grip in the middle of the workspace.
+    weight_slope_N_per_m : tuple of float
+        Its change with the position, nine numbers, row by row of the force's components.
+    weight_measured : bool
     confirmed : bool
         Whether the hardware checklist was passed on this machine.
     """
@@ -86,6 +96,9 @@ class Calibration:
     delay_ticks: float = 1.5
     delay_measured: bool = False
     confirmed: bool = False
+    weight_N: tuple[float, ...] = (0.0, 0.0, 0.0)
+    weight_slope_N_per_m: tuple[float, ...] = (0.0,) * 9
+    weight_measured: bool = False
 
     @property
     def clamp_N(self) -> float:
@@ -191,6 +204,14 @@ def _checked(path: Path, key: str, value: object, default: object) -> Any:
             raise _refusal(path, f"has {key} = {value!r}; known are {', '.join(GEOMETRIES)}")
         return value
     low, high = RANGES[key]
+    if isinstance(default, tuple):
+        if not isinstance(value, (list, tuple)) or len(value) != len(default):
+            raise _refusal(path, f"has {key} = {value!r}, which are not {len(default)} numbers")
+        return tuple(_number(path, key, one, low, high) for one in value)
+    return _number(path, key, value, low, high)
+
+
+def _number(path: Path, key: str, value: object, low: float, high: float) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
         raise _refusal(path, f"has {key} = {value!r}, which is no number from {low:g} to {high:g}")
     return float(value)
@@ -199,7 +220,9 @@ def _checked(path: Path, key: str, value: object, default: object) -> Any:
 def _toml(value: object) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
-    return f'"{value}"' if isinstance(value, str) else repr(value)
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(map(_toml, value))}]"
+    return f'"{value}"' if isinstance(value, str) else repr(float(value))  # type: ignore[arg-type]
 
 
 def _refusal(path: Path, what: str) -> DeviceError:
