@@ -50,7 +50,7 @@ LAMPS = (
         "deeper or faster than the tissue was identified",
         Lamp.OUTSIDE_DEPTH | Lamp.OUTSIDE_SPEED,
     ),
-    ("rupture", "Ruptured", "the tissue broke: a share of its force is left until it is put back", Lamp.RUPTURED),
+    ("rupture", "Ruptured", "the tissue broke: what is left resists until it is put back", Lamp.RUPTURED),
     ("timing", "Late tick", "the servo's tick began late, or stalled", Lamp.LATE | Lamp.STALLED),
 )
 #: Those that only a tissue can light.
