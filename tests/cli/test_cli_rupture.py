@@ -127,3 +127,12 @@ def test_recordings_without_a_rupture_are_refused_with_what_is_needed(datasets: 
     assert ended.code == 4
     assert "0 of 1 tests end in a rupture, and 4 are needed" in ended.stderr
     assert not (tmp_path / "out" / "rupture.json").exists()
+
+
+def test_recordings_that_can_not_be_read_are_named(tmp_path: Path) -> None:
+    bad = tmp_path / "bad.csv"
+    bad.write_text("nothing here\n", encoding="utf-8")
+    ended = run("rupture", bad, "-o", tmp_path / "out")
+    assert ended.code == 3
+    assert "bad.csv" in ended.stderr
+    assert not (tmp_path / "out" / "rupture.json").exists()

@@ -273,7 +273,7 @@ def test_a_tool_in_air_breaks_nothing_however_low_the_threshold(criterion: str) 
 
 
 def test_a_rupture_beyond_the_identified_depth_counts_the_energy_of_the_continued_law() -> None:
-    times = np.arange(0.0, 100.0, 0.01)
+    times = np.arange(0.0, 100.0, 0.02)
     depth = np.minimum(0.1 * times, 10.0)
     a1, a2, a3 = PAPER_A.theta[:3]
     at_end = a1 * 8.0 + a2 * 64.0 + a3 * 512.0
@@ -285,7 +285,7 @@ def test_a_rupture_beyond_the_identified_depth_counts_the_energy_of_the_continue
         plane_block(breaking("stored-energy", threshold)), pressed(depth, motion=MOTION_SCALE), times
     )
     flags = infos[:, env.INFO_FLAGS].astype(int)
-    assert depth[int(np.argmax(flags & env.RUPTURED > 0))] == pytest.approx(9.0, abs=2e-3)
+    assert depth[int(np.argmax(flags & env.RUPTURED > 0))] == pytest.approx(9.0, abs=3e-3)
 
 
 def test_put_at_rest_forgets_everything() -> None:

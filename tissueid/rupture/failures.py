@@ -31,6 +31,8 @@ FEWEST_DRAWS = 8
 GROWTH_OVER = 0.02
 #: A measure that hardly grows with depth at the end can hardly have ended there.
 LEAST_GROWTH = 0.02
+#: A share of the law is no less: its logarithm is taken.
+LEAST_SHARE = 1e-6
 #: A depth of so many v tau finds every branch near its steady state.
 SETTLED = 10.0
 SQRT_12 = 12.0**0.5
@@ -158,6 +160,11 @@ def _at_end(model: KelvinVoigt, theta: FloatArray, path: ContactPath, weight: fl
     )
 
 
+def _weighted(found: _AtEnd, weight: float) -> float:
+    """Weighted force over the force."""
+    return max(1.0 + (weight - 1.0) * found.dynamic_share, LEAST_SHARE)
+
+
 def _path(test: LoadedTest, offset_mm: float) -> ContactPath:
     """The path below the refined contact point, from depth 0."""
     depth = test.depth_mm - offset_mm
@@ -202,14 +209,14 @@ def _failure(
 
     values = {
         "work": test.work_N_mm,
-        "weighted-force": test.force_N * (1.0 + (weight - 1.0) * found.dynamic_share),
-        "stored-energy": test.work_N_mm * found.stored_share,
+        "weighted-force": test.force_N * _weighted(found, weight),
+        "stored-energy": test.work_N_mm * max(found.stored_share, LEAST_SHARE),
         "depth": depth_mm,
     }
     law_sd = {
         "work": 0.0,
-        "weighted-force": spread([np.log(1.0 + (weight - 1.0) * one.dynamic_share) for one in drawn]),
-        "stored-energy": spread([np.log(max(one.stored_share, 1e-6)) for one in drawn]),
+        "weighted-force": spread([np.log(_weighted(one, weight)) for one in drawn]),
+        "stored-energy": spread([np.log(max(one.stored_share, LEAST_SHARE)) for one in drawn]),
         "depth": 0.0,
     }
     step_sd = test.step_mm / SQRT_12

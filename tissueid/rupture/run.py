@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from tissueid.collection import decided_options, decided_trial, why_excluded
-from tissueid.errors import NotIdentifiedError
+from tissueid.errors import InputError, NotIdentifiedError
 from tissueid.manifest import Study
 from tissueid.model import build_model
 from tissueid.model.kelvin_voigt import KelvinVoigt
@@ -25,6 +25,9 @@ from tissueid.segment import SegmentOptions, segment
 from tissueid.trial import Source, Trial
 
 __all__ = ["RuptureRun", "run_rupture"]
+
+#: Fewest samples below the contact point that show how a measure grows.
+FEWEST_BELOW = 3
 
 _Key = tuple[str, str | None]
 
@@ -105,6 +108,8 @@ def run_rupture(
 
     Raises
     ------
+    InputError
+        Nothing could be fitted; the first refusal says why.
     NotIdentifiedError
         Too few tests ruptured, or the recordings are normalised.
     """
@@ -118,6 +123,8 @@ def run_rupture(
         refused=refused,
         progress=progress,
     )
+    if not identification.specimens:
+        raise _nothing_fitted(identification)
     failures: list[Failure] = []
     left_out: list[tuple[str, str, str]] = []
     for fit in identification.specimens:
@@ -138,10 +145,19 @@ def run_rupture(
     return RuptureRun(found, identification, tuple(left_out))
 
 
+def _nothing_fitted(identification: Identification) -> InputError:
+    """The first refusal, with how many there are."""
+    if not identification.refused:
+        return InputError(code="no_recordings", message="no recording was found", path="")
+    first, more = identification.refused[0], len(identification.refused) - 1
+    message = f"{first.message}; {more} more were refused" if more else first.message
+    return InputError(code=first.code, message=message, path=first.path, sheet=first.sheet, line=first.line)
+
+
 def _why_not(test: LoadedTest, offset_mm: float) -> str | None:
     """Why nothing can be measured at the end of a test."""
-    if not test.end_mm > offset_mm:
-        return "its contact point lies below its deepest sample"
+    if (test.depth_mm > offset_mm).sum() < FEWEST_BELOW:
+        return f"fewer than {FEWEST_BELOW} of its samples lie below the contact point"
     if not (test.force_N > 0.0 and test.work_N_mm > 0.0):
         return "no force or work is left at its end"
     return None
