@@ -14,7 +14,7 @@ __all__ = ["render_training"]
 
 #: Measures that practice is looked for in: words and unit.
 LEARNED = {
-    "end_error_mm": ("Distance from the axis at the end", "mm"),
+    "end_error_mm": ("End error", "mm"),
     "angle_deg": ("Angle of the track", "degrees"),
     "seconds": ("Time", "s"),
 }
@@ -110,7 +110,7 @@ def _ways(
         for at, row in enumerate(rows, 1)
     ]
     caption = "Distance of the tip from the planned axis over its height above the entry point, way by way."
-    layout = {"xaxis": {"autorange": "reversed"}}
+    layout = {"xaxis": {"autorange": "reversed"}, "yaxis": {"rangemode": "tozero"}}
     return Figure(caption, "Height above the bone [mm]", "Distance from the axis [mm]", traces, layout)
 
 
@@ -134,9 +134,10 @@ def _learned(measure: str, rows: Sequence[Mapping[str, Any]], curve: Mapping[str
             "line": {"ink": "model"},
         },
     ]
+    layout = {"xaxis": {"dtick": max(1, len(rows) // 10)}, "yaxis": {"rangemode": "tozero"}}
     caption = (
         f"{words} goes with attempt to the power of {curve['exponent']:.2f} \u00b1 "
         f"{curve['exponent_se']:.2f}, from {number(curve['first'], 3)} {unit} at the first. A few attempts "
         "tell no power law from another curve."
     )
-    return Figure(caption, "Attempt", f"{words} [{unit}]", traces, {"yaxis": {"rangemode": "tozero"}})
+    return Figure(caption, "Attempt", f"{words} [{unit}]", traces, layout)

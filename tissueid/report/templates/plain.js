@@ -2,9 +2,12 @@
 // Figures whose traces stand in the page; a colour of the page is named by `ink`.
 (() => {
   const figures = JSON.parse(document.getElementById("figures").textContent);
-  const inked = (part) => (part && part.ink ? { ...part, color: colour(part.ink) } : part);
+  const inked = (trace) => {
+    const parts = ["line", "marker"].filter((name) => trace[name]?.ink);
+    return { ...trace, ...Object.fromEntries(parts.map((name) => [name, { ...trace[name], color: colour(trace[name].ink) }])) };
+  };
   figureBoxes((box) => {
     const one = figures[Number(box.dataset.figure)];
-    return { ...one, traces: one.traces.map((trace) => ({ ...trace, line: inked(trace.line), marker: inked(trace.marker) })) };
+    return { ...one, traces: one.traces.map(inked) };
   });
 })();
