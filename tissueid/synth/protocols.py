@@ -15,8 +15,8 @@ hold times: Sadeghnejad et al. (sinus tissue, 4 mm indenter); the value 63.62 an
 project's reading of their Table 2, sigma and the static cubic are its own choice.
 
 ``rupture-18`` is made so that the criteria of rupture can be told apart: each specimen at three speeds, the
-fastest of which gives a quarter to a half of the force to the relaxing branch.  At paper A's speeds it is a
-tenth, and 18 tests do not tell.
+fastest of which gives half of the force or more to the relaxing branch.  At paper A's speeds it is
+15 % at the most, and 18 tests do not tell.
 """
 
 from __future__ import annotations
