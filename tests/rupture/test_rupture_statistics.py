@@ -17,6 +17,7 @@ from tissueid.rupture_law import CRITERIA
 TRUTHS = ("work", "weighted-force", "depth")
 COHORTS = 400
 RECORDED = 30
+CENSORED = 60
 #: Least share of right decisions, and most of wrong ones, by CV of the threshold from test to test.
 RIGHT = {0.05: 0.85, 0.1: 0.7}
 WRONG = 0.03
@@ -120,7 +121,7 @@ def censored_ratios(cohorts: int, stop_mm: float, cv: float) -> tuple[list[float
 @pytest.mark.slow
 @pytest.mark.parametrize("stop_mm", [5.3, 4.8])
 def test_tests_that_stopped_too_early_bias_the_threshold_by_less_than_three_percent(stop_mm: float) -> None:
-    kept, dropped, censored = censored_ratios(200, stop_mm, 0.1)
+    kept, dropped, censored = censored_ratios(CENSORED, stop_mm, 0.1)
     bias, naive = float(np.mean(np.log(kept))), float(np.mean(np.log(dropped)))
     error = float(np.std(np.log(kept))) / len(kept) ** 0.5
     print(  # noqa: T201
