@@ -117,7 +117,7 @@ def test_restitution_is_lambert_s_and_the_guidance_holds_its_sentences() -> None
     assert reached == pytest.approx([0.256, 0.470, 0.683, 0.894], rel=0.01)
     for surface in ("hyperboloid", "cone"):
         found, figure = guidance_forces(Readings(surface=surface))
-        assert [one.agrees for one in found] == [True, True, True]
+        assert [one.agrees for one in found] == [True] * 4
         impedance = [trace for trace in figure.traces if trace.name.startswith("impedance")]
         assert [trace.y[0] for trace in impedance] == [0.0] * 4
         # K of the pull: 10 N/m far, 65 N/m more near, by a bell of 20 mm

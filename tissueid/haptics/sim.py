@@ -192,7 +192,7 @@ class SimulatedDevice(HapticDevice):
 
     @property
     def sensed_force_N(self) -> FloatArray:
-        """Force of the hand on the grip now [N], shape (3,): an ideal force sensor, which a Falcon has not."""
+        """Force of the hand on the grip now [N], shape (3,): an ideal sensor, which a Falcon has not."""
         return self.memory[HAND_FORCE : HAND_FORCE + 3].copy()
 
     @property

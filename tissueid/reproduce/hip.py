@@ -104,7 +104,17 @@ def guidance_forces(
     inside = max(
         float(pushed[_within(plan, height, error), 1].max(initial=0.0)) for height, pushed in swept.items()
     )
+    at_axis = max(float(pushed[0, 0]) for pushed in swept.values())
     items = [
+        ledger.claim(
+            "guidance/nothing-on-the-axis",
+            "No impedance force without a radial error: largest force on the axis",
+            "Fig. 4",
+            at_axis,
+            lambda force: force == 0.0,
+            "zero",
+            unit="N",
+        ),
         ledger.claim(
             "guidance/steeper",
             "The stiffness rises as the axial displacement falls: least rise from height to height",

@@ -153,14 +153,6 @@ class Ledger:
         """
         beside = against or key
         printed = self._numbers.get(beside)
-        if recomputed is None:
-            kind = Kind.NOT_REPRODUCIBLE
-        elif beside in self._used:
-            kind = Kind.ROUND_TRIP
-        elif self._assumed:
-            kind = Kind.ASSUMED
-        else:
-            kind = Kind.REPRODUCED
         row = Item(
             item=key,
             paper=self.paper,
@@ -171,7 +163,7 @@ class Ledger:
             recomputed=recomputed,
             interval=interval,
             agrees=None,
-            kind=kind,
+            kind=self._kind(beside, recomputed),
             rule=None if judge is None else judge.words,
             reading="; ".join(self._readings) or None,
             inputs=tuple(self._used),
@@ -192,6 +184,13 @@ class Ledger:
             published=printed.value,
             agrees=agrees,
         )
+
+    def _kind(self, beside: str, recomputed: object) -> Kind:
+        if recomputed is None:
+            return Kind.NOT_REPRODUCIBLE
+        if beside in self._used:
+            return Kind.ROUND_TRIP
+        return Kind.ASSUMED if self._assumed else Kind.REPRODUCED
 
     def claim(
         self, key: str, words: str, where: str, value: float, holds: Callable[[float], bool], rule: str,

@@ -154,8 +154,8 @@ def peak_against_speed(
                 lambda change: change < 0.0,
                 "less than zero",
                 unit="N",
-                note=f"x F_s'/F_s is {hardens:.2f} at 6 mm; under constant work the peak falls with speed where "
-                "it is above 1",
+                note=f"x F_s'/F_s is {hardens:.2f} at 6 mm; under constant work the peak falls with speed "
+                "where it is above 1",
             )
         )
         traces.append(Trace(words, SPEEDS_MM_MIN, _rounded(np.array(peaks))))
