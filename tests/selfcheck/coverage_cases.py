@@ -75,6 +75,6 @@ CASES = (
     Case("two branches", seed=20261107, theta=TWO_BRANCHES, branches=2, degree=0),
 )
 FRAMES = (
-    Case("unknown frame of 200 N/mm", seed=20261121, defects=True, frame_N_per_mm=200.0),
-    Case("unknown frame of 1,000 N/mm", seed=20261122, defects=True, frame_N_per_mm=1000.0),
+    Case("unknown frame of 200 N/mm", seed=20261141, defects=True, frame_N_per_mm=200.0),
+    Case("unknown frame of 1,000 N/mm", seed=20261142, defects=True, frame_N_per_mm=1000.0),
 )
