@@ -71,6 +71,8 @@ def test_every_device_and_every_key_stands_on_the_page() -> None:
             if isinstance(value, bool)
             else f"{value:g}"
             if isinstance(value, float)
+            else "zeros"
+            if isinstance(value, tuple) and not any(value)
             else value
         )
 
