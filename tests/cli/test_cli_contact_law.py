@@ -59,6 +59,7 @@ def test_the_law_of_recordings_is_written_and_felt_in_a_scene(tmp_path: Path) ->
     assert there == pytest.approx(found["k"]["value"] * 2.0 ** found["n"]["value"], rel=1e-12)
 
 
+@pytest.mark.slow
 def test_what_ramps_do_not_determine_is_null_and_is_not_felt(tmp_path: Path) -> None:
     ended = run("fit", recordings(tmp_path, RAMP), "--contact-law", "hertz-impact", "-o", tmp_path / "out")
     assert ended.code == 4
@@ -97,6 +98,7 @@ def test_a_law_that_is_none_is_refused_with_its_file(tmp_path: Path, content: st
         load_scene(str(tmp_path / "scene.toml"))
 
 
+@pytest.mark.slow
 def test_a_study_names_and_excludes_and_its_decisions_are_followed(tmp_path: Path) -> None:
     folder = recordings(tmp_path, WHOLE)
     (folder / "study.toml").write_text(

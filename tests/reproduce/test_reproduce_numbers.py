@@ -146,6 +146,7 @@ def test_both_variants_bear_a_hundred_times_the_stiffness(device: str) -> None:
     assert all(len(trace.x) == len(trace.y) > 500 for figure in figures for trace in figure.traces)
 
 
+@pytest.mark.slow
 def test_table_2_comes_back_from_the_whole_protocol() -> None:
     found = keyed(identified_table(Readings(), Effort(rate_Hz=100.0, draws=2000)))
     for key in ("table-2/stiffness", "table-2/tau"):

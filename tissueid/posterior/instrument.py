@@ -171,8 +171,9 @@ class Behind:
             prior_mean=mean,
             prior_precision=precision,
             weak=weak,
-            speed_mm_s=self.facts.speed_mm_s,
-            reach_mm=self.facts.depth_mm,
+            # columns of a table where there are several ramps: kernels would be compiled once more for them
+            speed_mm_s=np.ascontiguousarray(self.facts.speed_mm_s),
+            reach_mm=np.ascontiguousarray(self.facts.depth_mm),
             offset_precision=offset**-2.0,
             offset_mean=np.asarray(self.facts.offset_mean_mm, dtype=np.float64),
             free_precision=(FREE_FACTOR * max(self.facts.force_N, 1e-300)) ** -2.0,
