@@ -89,6 +89,7 @@ def test_a_page_that_is_closed_while_it_presses_lets_go() -> None:
     led = Led()
     led.press()
     until(lambda: led.height_m == REST_M[2])
+    assert led.height_m == REST_M[2]
     led.close()
 
 
