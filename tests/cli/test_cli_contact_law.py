@@ -110,3 +110,9 @@ def test_a_study_names_and_excludes_and_its_decisions_are_followed(tmp_path: Pat
     (specimen,) = ended.json()["specimens"]
     assert specimen["specimen"] == "wall"
     assert [Path(log["path"]).name for log in specimen["logs"]] == ["a-1.csv"]
+
+
+def test_options_of_a_tissue_are_refused(tmp_path: Path) -> None:
+    ended = run("fit", tmp_path, "--contact-law", "hertz-impact", "--branches", "2", "--sampler", "none")
+    assert ended.code == 2
+    assert "--branches, --sampler" in ended.stderr

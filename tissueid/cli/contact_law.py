@@ -7,20 +7,27 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
 from tissueid.cli.output import echo_json, note, progress_bar, with_error
 from tissueid.cli.reading import read_all, read_in_order, read_options, segment_options
-from tissueid.errors import exit_code
+from tissueid.errors import UsageError, exit_code
 
 __all__ = ["LAWS", "fit_law"]
 
 #: The tissue's own law, and the one of a hard body.
 LAWS = ("kelvin-voigt", "hertz-impact")
 NAMES = ("contact-law.json", "contact-law.html")
+#: Options of a tissue's fit, which mean nothing to a hard body.
+OF_A_TISSUE = (
+    *("branches", "stiffness_degree", "static", "noise", "sampler", "draws", "compare", "require"),
+    *("workers", "scheduler", "population"),
+)
 
 
 def fit_law(flags: Mapping[str, Any]) -> int:
     """Identify k, n and e of every specimen; 0, 3 where all was refused, 4 not identified, 7 some refused."""
+    _refuse_others()
     from tissueid.report.contact_law_page import render_contact_law
     from tissueid.result import Refusal
     from tissueid.store.files import json_bytes, write_file
@@ -55,6 +62,19 @@ def fit_law(flags: Mapping[str, Any]) -> int:
     for one in document["refused"]:
         note(f"{one['path']}: {one['error']['message']}")
     return exit_code(_codes(document))
+
+
+def _refuse_others() -> None:
+    """Options that would have no effect are a misunderstanding, and said to be one."""
+    context = click.get_current_context()
+    asked = [
+        f"--{name.replace('_', '-')}"
+        for name in OF_A_TISSUE
+        if context.get_parameter_source(name) is ParameterSource.COMMANDLINE
+    ]
+    if asked:
+        msg = f"{', '.join(asked)}: of a tissue's fit; --contact-law hertz-impact takes no such option"
+        raise UsageError(msg)
 
 
 def _codes(document: Mapping[str, Any]) -> set[int]:
