@@ -65,17 +65,36 @@ def test_odds_are_those_of_the_densities_at_the_edge() -> None:
         assert plausible_edges({"f": draws}, {"f": FILTER}) == (("f",) if plausible else ())
 
 
-def test_ends_from_few_draws_are_moved_out_by_their_standard_error() -> None:
-    draws = {"tau": np.random.default_rng(12).standard_normal(N)}
-    low, high = total_intervals(draws, {}, {}, worth=1000.0)["tau"]
-    # error of a quantile: that of its level over the normal density there
+def end_moved_by(draws: np.ndarray, cluster: np.ndarray) -> float:
+    """How far the upper end of a standard normal is moved out."""
+    plain = total_intervals({"tau": draws}, {}, {})["tau"][1]
+    return total_intervals({"tau": draws}, {}, {}, cluster=cluster)["tau"][1] - plain
+
+
+def error_of_end(points: int) -> float:
+    """Of the 97.5 % quantile of a standard normal, to first order."""
     density = math.exp(-0.5 * TWO_SIDED_95**2) / math.sqrt(2.0 * math.pi)
-    error = math.sqrt(0.025 * 0.975 / 1000.0) / density
-    # to first order; 40,000 draws know the end to 0.013
-    assert high == pytest.approx(TWO_SIDED_95 + error, abs=0.04)
-    assert low == pytest.approx(-TWO_SIDED_95 - error, abs=0.04)
-    # and fewer reach as far as there are any
-    assert total_intervals(draws, {}, {}, worth=20.0)["tau"] == (draws["tau"].min(), draws["tau"].max())
+    return math.sqrt(0.025 * 0.975 / points) / density
+
+
+def test_ends_from_few_points_are_moved_out_by_their_standard_error() -> None:
+    points, times = 1_000, 40
+    cluster = np.repeat(np.arange(points), times)
+    rng = np.random.default_rng(12)
+    apart = rng.standard_normal(points * times)
+    same = np.repeat(rng.standard_normal(points), times)
+    # 40 draws of one value tell as much as one of them, 40 of their own as much as 40
+    assert end_moved_by(same, cluster) == pytest.approx(error_of_end(points), rel=0.5)
+    assert end_moved_by(apart, cluster) == pytest.approx(error_of_end(points * times), rel=0.3)
+    # and what draws of a point share in part lies between
+    partly = math.sqrt(0.5) * (same + apart)
+    assert error_of_end(points * times) < end_moved_by(partly, cluster) < 0.7 * error_of_end(points)
+
+
+def test_ends_from_very_few_points_reach_as_far_as_there_are_any() -> None:
+    draws = np.random.default_rng(13).standard_normal(20)
+    found = total_intervals({"tau": draws}, {}, {}, cluster=np.arange(20))["tau"]
+    assert found == (draws.min(), draws.max())
 
 
 def test_no_end_lies_beyond_the_draws() -> None:

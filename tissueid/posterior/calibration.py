@@ -2,8 +2,8 @@
 
 Skew, filter and frame compliance bend the force in ways that relaxation imitates, by more than the noise:
 the posterior of the tissue is taken over all of them (:mod:`tissueid.posterior.instrument`).  The gains of
-the force and displacement channels are exact changes of scale: drawn from their priors, they are divided
-out of each draw,
+the force and displacement channels are exact changes of scale: drawn from their priors, several pairs for
+each draw of the rest since they cost nothing, they are divided out of it,
 
     a_k = a_k' g_x^k / g_f,   b_k = b_k' g_x^(k+1) / g_f,   c = c' g_f / g_x,
 
@@ -15,12 +15,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.likelihood.instrument_density import conditionals, log_ratios
+from tissueid.likelihood.instrument_density import conditionals, log_ratios, tissue_precision
 from tissueid.likelihood.instrument_kernels import EFFECTS, INSTRUMENT
 from tissueid.likelihood.knot_terms import log_terms
 from tissueid.likelihood.knots import KnotSums, packed
@@ -49,6 +49,8 @@ MAX_WORKERS = 2
 BATCH = 25
 #: A spread of the gains below this is none.
 SMALLEST_GAIN_SD = 1e-4
+#: Pairs of gains that are tried for each draw that is returned.
+PAIRS = 4
 #: Draws the weights should be worth; a bound of a 95 % interval is then known to 0.07 sd.
 WORTH = 1_000.0
 
@@ -60,10 +62,11 @@ class TotalPosterior:
     Attributes
     ----------
     theta : ndarray, shape (n, p)
-        Of the contact model, in the order of its ``parameter_names``; every one is passive.  Of equal weight,
-        some drawn more than once.
+        Of the contact model, in the order of its ``parameter_names``; every one is passive.  Of equal weight.
     nuisances : ndarray, shape (n, 5)
         In the order of :data:`NUISANCES`.
+    source : ndarray of int, shape (n,)
+        The evaluated point that a draw comes from: draws of the same one differ by their gains only.
     names : tuple of str
         :data:`NUISANCES`.
     sampler : SamplerReport
@@ -76,6 +79,7 @@ class TotalPosterior:
 
     theta: FloatArray
     nuisances: FloatArray
+    source: NDArray[np.int64]
     names: tuple[str, ...]
     sampler: SamplerReport
     priors: tuple[PriorRow, ...]
@@ -149,6 +153,10 @@ class _Gains:
     size: int
     branches: int
 
+    def some(self, rows: NDArray[np.int64]) -> _Gains:
+        """Those of some of the draws."""
+        return replace(self, force=self.force[rows], displacement=self.displacement[rows])
+
     def powers(self) -> FloatArray:
         """Logarithm of the factor of every coefficient of theta, shape (n, p)."""
         force, displacement = np.log(self.force)[:, None], np.log(self.displacement)[:, None]
@@ -175,10 +183,13 @@ def _scaled(
     more = _log_normal(compliance, prior) - _log_normal(points[:, at], prior)
     if prior.sd > 0.0:
         more += np.log(ratio)
-    for i, point in enumerate(points):
-        mean, precision = behind.tissue_prior(point[: behind.branches])
-        before, after = theta[i] - mean, scaled[i] - mean
-        more[i] += 0.5 * float(before @ precision @ before - after @ precision @ after)
+    # by the prior of theta, which depends on the relaxation times that draws of one point share
+    times, which = np.unique(points[:, : behind.branches], axis=0, return_inverse=True)
+    density = behind.density()
+    precision = np.array([tissue_precision(density, np.ascontiguousarray(one)) for one in times])[which]
+    before, after = theta - behind.linear[0], scaled - behind.linear[0]
+    more += 0.5 * np.einsum("ni,nij,nj->n", before, precision, before)
+    more -= 0.5 * np.einsum("ni,nij,nj->n", after, precision, after)
     more += log_factor.sum(axis=1)
     more = np.where(passive(scaled, behind.blocks), more, -np.inf)
     return scaled, compliance, more
@@ -208,25 +219,24 @@ def _common_static(
     behind: Behind,
     points: FloatArray,
     theta: FloatArray,
+    source: NDArray[np.int64],
     gains: _Gains,
-    rows: NDArray[np.int64],
     rng: np.random.Generator,
 ) -> FloatArray:
     """Static coefficients, in their units, of logs with a curve each: gains divide them as any other."""
-    static = common_static(behind, points[rows], theta[rows], rng)
+    used, which = np.unique(source, return_inverse=True)
+    static = common_static(behind, points[used], theta[used], rng)[which]
     powers = np.arange(1.0, STATIC_DEGREE + 1)
-    factor = np.outer(np.log(gains.displacement[rows]), powers) - np.log(gains.force[rows])[:, None]
+    factor = np.outer(np.log(gains.displacement), powers) - np.log(gains.force)[:, None]
     return _passive_or_scaled(static, static * np.exp(factor)) * behind.optimum.scale**-powers
 
 
-def _reweighted(weights: FloatArray, more: FloatArray) -> FloatArray:
-    """Weights times ``exp(more)``, of sum one, without an overflow from draws that weigh nothing."""
-    heavy = (weights > 0.0) & np.isfinite(more)
-    if not heavy.any():
-        return weights
-    level = np.full(weights.size, -np.inf)
-    level[heavy] = np.log(weights[heavy]) + more[heavy]
-    out = np.exp(level - level.max())
+def _softmax(level: FloatArray) -> FloatArray:
+    """Weights ``exp(level)`` of sum one, the same for all where none is finite."""
+    top = level.max()
+    if not math.isfinite(top):
+        return np.full(level.size, 1.0 / level.size)
+    out = np.exp(level - top)
     return np.asarray(out / out.sum())
 
 
@@ -326,35 +336,42 @@ def total_posterior(
         noise=noise,
     )
     found, points = _weighted_draws(behind, rng)
-    n = points.shape[0]
+    tried = _resampled(found.weights, PAIRS * draws, rng)
     gains = _Gains(
-        _draw_gain(priors.calibration["force_gain"], n, rng),
-        _draw_gain(priors.calibration["displacement_gain"], n, rng),
+        _draw_gain(priors.calibration["force_gain"], tried.size, rng),
+        _draw_gain(priors.calibration["displacement_gain"], tried.size, rng),
         optimum.static,
         optimum.degree + 1,
         optimum.branches,
     )
-    theta, compliance, more = _scaled(behind, points, found.extra, gains)
-    weights = _reweighted(found.weights, more)
+    theta, compliance, more = _scaled(behind, points[tried], found.extra[tried], gains)
+    weights = _softmax(more)
     picks = _resampled(weights, draws, rng)
-    instrument = points[:, behind.branches : behind.branches + INSTRUMENT].copy()
-    instrument[:, -1] = compliance
-    nuisances = np.column_stack([gains.force, gains.displacement, instrument])[picks]
-    worth = 1.0 / float((weights**2).sum())
-    reported = field_units(behind, theta, points[:, : behind.branches])
+    source, gains = tried[picks], gains.some(picks)
+    instrument = points[source, behind.branches : behind.branches + INSTRUMENT]
+    instrument[:, -1] = compliance[picks]
+    reported = field_units(behind, theta[picks], points[source, : behind.branches])
     if "static" in effects:
-        drawn = np.unique(picks)
-        reported[drawn, :STATIC_DEGREE] = _common_static(behind, points, found.extra, gains, drawn, rng)
+        reported[:, :STATIC_DEGREE] = _common_static(behind, points, found.extra, source, gains, rng)
+    # of the points' weights, and of those of the gains among the draws of a point
+    worth = found.size / (weights.size * float((weights**2).sum()))
+    nuisances = np.column_stack([gains.force, gains.displacement, instrument])
     return TotalPosterior(
-        theta=reported[picks],
+        theta=reported,
         nuisances=nuisances,
+        source=source,
         names=NUISANCES,
         sampler=SamplerReport(
             name="importance",
             converged=found.converged,
             draws=draws,
-            acceptance=worth / n,
-            detail={"worth": worth, "evaluated": n, "tail_shape": found.shape, "seed": seed},
+            acceptance=worth / points.shape[0],
+            detail={
+                "worth": worth,
+                "evaluated": points.shape[0],
+                "tail_shape": found.shape,
+                "seed": seed,
+            },
         ),
         priors=_prior_rows(priors, nuisances),
         behind=behind,

@@ -279,7 +279,7 @@ def _total_intervals(total: TotalPosterior, model: KelvinVoigt) -> dict[str, tup
         reported_draws(model, total.theta),
         nuisances,
         total.behind.priors.calibration,
-        worth=float(total.sampler.detail["worth"]),
+        cluster=total.source,
     )
 
 

@@ -11,9 +11,11 @@ section 4.7).
 Draws without a filter are the draws moved to its absence along their linear regression on it (Beaumont,
 Zhang & Balding 2002, Genetics 162: 2025): a slope does not depend on where its regressor is cut.
 
-The ends of a quoted interval are moved out by their Monte-Carlo standard error, some 2 % of the width each
-for a thousand draws: of ends that are wrong by chance it is better to be wrong outward.  Half an error left
-some intervals behind an unknown frame that held the truth too rarely, and so did none (docs/uncertainty.md).
+The ends of a quoted interval are moved out by their Monte-Carlo standard error: of ends that are wrong by
+chance it is better to be wrong outward.  Draws come in clusters, those of one evaluated point, which share
+everything but their gains; the error is that of the share of whole clusters beyond the end.  An end that the
+gains decide is known well from a thousand points, one that a relaxation time decides to some 2 % of the
+width.
 """
 
 from __future__ import annotations
@@ -29,6 +31,7 @@ from tissueid.priors import CalibrationPrior
 __all__ = ["plausible_edges", "total_intervals"]
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 #: Probability, at even odds before, from which the absence of a nuisance stands.
 PLAUSIBLE = 0.05
@@ -64,13 +67,25 @@ def plausible_edges(
     return tuple(out)
 
 
+def _end(values: FloatArray, level: float, cluster: IntArray | None) -> float:
+    """A quantile, moved outward by the standard error that clustered draws know it to."""
+    found = float(np.quantile(values, level))
+    if cluster is None:
+        return found
+    beyond = values < found if level < 0.5 else values > found
+    tail = min(level, 1.0 - level)
+    away = np.bincount(cluster, weights=beyond - tail)
+    moved = max(tail - math.sqrt(float(away @ away)) / values.size, 0.0)
+    return float(np.quantile(values, moved if level < 0.5 else 1.0 - moved))
+
+
 def total_intervals(
     draws: Mapping[str, FloatArray],
     nuisances: Mapping[str, FloatArray],
     priors: Mapping[str, CalibrationPrior],
     *,
     level: float = 0.95,
-    worth: float = math.inf,
+    cluster: IntArray | None = None,
 ) -> dict[str, tuple[float, float]]:
     """The total interval of every parameter.
 
@@ -84,22 +99,21 @@ def total_intervals(
         Calibration nuisance -> its prior.
     level : float
         Of the central interval under each hypothesis.
-    worth : float
-        Independent draws that the draws stand for.
+    cluster : ndarray of int, optional
+        What each draw was made from, shape (n,), not negative; draws of one number are not independent.
+        Without it the draws are taken as if there were no end of them.
     """
-    tail = 0.5 * (1.0 - level)
-    tail = max(tail - math.sqrt(tail * (1.0 - tail) / worth), 0.0)
-    ends = tail, 1.0 - tail
+    ends = 0.5 * (1.0 - level), 0.5 * (1.0 + level)
     absent = [nuisances[name] - priors[name].lower for name in plausible_edges(nuisances, priors)]
     out = {}
     for name, values in draws.items():
-        found = [np.quantile(values, ends)]
+        found = [[_end(values, end, cluster) for end in ends]]
         for excess in absent:
             away = excess - excess.mean()
             slope = float(away @ values) / float(away @ away)
             # a line may leave the passive set, which no draw does
             moved = np.clip(values - slope * excess, values.min(), values.max())
-            found.append(np.quantile(moved, ends))
+            found.append([_end(moved, end, cluster) for end in ends])
         low, high = np.array(found).T
         out[name] = (float(low.min()), float(high.max()))
     return out

@@ -68,11 +68,14 @@ class Inferred:
         were sampled.
     detail : mapping
         Numbers of the sampler.
+    source : ndarray of int, shape (n,), or None
+        What each total draw was made from (:class:`tissueid.posterior.calibration.TotalPosterior`).
     """
 
     theta: FloatArray
     others: Mapping[str, FloatArray]
     detail: Mapping[str, float] = field(default_factory=dict)
+    source: NDArray[np.int64] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -291,5 +294,6 @@ def _total(
     return Inferred(
         theta=found.theta,
         others={name: found.nuisances[:, k] for k, name in enumerate(found.names)},
+        source=found.source,
         detail={"worth": worth, "converged": float(found.sampler.converged)},
     )

@@ -104,7 +104,7 @@ class TissueCheck:
             self._numbers(found.theta),
             {name: values for name, values in found.others.items() if name in priors},
             priors,
-            worth=found.detail["worth"],
+            cluster=found.source,
         )
 
     def __call__(self, rng: np.random.Generator) -> Replicate:
