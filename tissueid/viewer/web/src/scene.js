@@ -36,6 +36,12 @@ const SOFTWARE_RATIO = 0.75;
 const SOFTWARE = /swiftshader|llvmpipe|software|basic render/i;
 
 const CAMERAS = { oblique: [105, 95, 165], front: [0, 26, 230], side: [230, 26, 0.01], top: [0, 240, 0.01] };
+// of every kind something: drawn small before anything is known, so that its shaders are ready by then
+const REHEARSAL = [
+  { kind: "workspace", ranges_m: [[-0.05, 0.05], [-0.05, 0.05], [0.07, 0.17]] },
+  { kind: "tool", radius_m: 0.004, shape: "sphere" },
+  { kind: "surface", shape: "plane", point_m: [0, 0, 0.12], normal: [0, 0, 1], size_m: [0, 0, 0], motion_scale: 1 },
+];
 // what is looked at lies a little above the surface: the tool is there
 const RAISED_MM = 6;
 
@@ -65,22 +71,35 @@ export class TissueScene {
     this.intervalMs = 0;
     this.drawnMs = performance.now();
     this.changed = true;
-    this.surface = this.tool = null;
-    this.centre = new Vector3();
-    this.up = new Vector3(0, 1, 0);
+    this.clear();
     this.controls.addEventListener("change", () => { this.changed = true; });
     this.view = "oblique";
     new ResizeObserver(() => this.resize()).observe(canvas.parentElement);
   }
 
-  /** Build what a hello lists; kinds this page does not know are left out. */
-  show(hello) {
+  /** Draw what a scene is made of once, on a few pixels, and forget it: for the time before there is one. */
+  rehearse() {
+    this.renderer.setSize(8, 8, false);
+    this.show({ scene: { objects: REHEARSAL } });
+    this.place({ position_m: [0, 0, 0.118], force_N: [0, 0, 2], depth_mm: 2, ruptured: true, target_m: [0, 0, 0.1] });
+    this.renderer.render(this.scene, this.camera);
+    this.clear();
+    this.renderer.render(this.scene, this.camera);
+    this.resize();
+  }
+
+  /** Nothing to be seen. */
+  clear() {
     this.content.clear();
-    this.surface = null;
-    this.tool = null;
+    this.surface = this.tool = null;
     this.up = new Vector3(0, 1, 0);
     this.centre = new Vector3();
     this.coloured = [];
+  }
+
+  /** Build what a hello lists; kinds this page does not know are left out. */
+  show(hello) {
+    this.clear();
     const builders = { workspace: (o) => this.buildWorkspace(o), tool: (o) => this.buildTool(o), surface: (o) => this.buildSurface(o) };
     for (const [kind, build] of Object.entries(guidedBuilders(toWorld))) {
       builders[kind] = (object) => {

@@ -203,4 +203,6 @@ window.tissueid = {
     surface: scene.surface ? scene.surface.deformed : null,
   }),
 };
+// the connection is on its way, and what it shows is still to come
+scene.rehearse();
 requestAnimationFrame(picture);
