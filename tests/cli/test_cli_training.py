@@ -141,6 +141,18 @@ def test_a_person_s_logs_are_deleted_and_nobody_else_s(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == [other.name, foreign.name]
 
 
+def test_deleting_nobody_s_logs_is_no_success(tmp_path: Path) -> None:
+    log = session(tmp_path / "a.h5", error_mm=1.0, seconds=1.0)
+    ended = run("training", "delete", tmp_path, "--pseudonym", "P71", "--yes")
+    assert ended.code == 2
+    assert "P71" in ended.stderr
+    assert "spelt" in ended.stderr
+    assert log.exists()
+    # but where a log can't be read it may be theirs: that is what is said
+    log.write_bytes(b"no log")
+    assert run("training", "delete", tmp_path, "--pseudonym", "P71", "--yes").code == 7
+
+
 def test_what_has_expired_is_deleted_and_the_rest_is_kept(tmp_path: Path) -> None:
     today = datetime.now(UTC).date()
     session(tmp_path / "old.h5", error_mm=1.0, seconds=1.0, last_day="2001-01-01")

@@ -132,12 +132,13 @@ def _measured(flags: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]
 def delete(**flags: Any) -> int:
     """Delete the logs of a person, or those whose time is over, with the answer keys beside them.
 
-    LOGS are logs, or folders of them. Exit code 7 where a log can't be read: whose it is, nobody knows.
+    LOGS are logs, or folders of them. Exit code 2 where there is none of that person, 7 where a log can't be
+    read: whose it is, nobody knows.
     What a backup holds stays there.
     """
     from datetime import UTC, datetime
 
-    from tissueid.errors import UsageError, exit_code
+    from tissueid.errors import UsageError, exit_code, printable
     from tissueid.training.deletion import doomed_logs
 
     if (flags["pseudonym"] is None) is not flags["expired"]:
@@ -145,6 +146,9 @@ def delete(**flags: Any) -> int:
         raise UsageError(msg)
     today = datetime.now(UTC).date() if flags["expired"] else None
     doomed, unread = doomed_logs(_files(flags["logs"]), pseudonym=flags["pseudonym"], today=today)
+    if flags["pseudonym"] is not None and not doomed and not unread:
+        msg = f"no log of {printable(flags['pseudonym'])} is there; is the pseudonym spelt so?"
+        raise UsageError(msg)
     for one in doomed:
         note(f"{one.log}: {one.pseudonym}, {one.why}", quiet=flags["quiet"] if flags["yes"] else 0)
     for path, why in unread:
