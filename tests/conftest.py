@@ -9,6 +9,8 @@ import pytest
 
 # as the command does: threads of the linear algebra library make small matrices ten times slower
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# settings of whoever runs the tests are no part of them
+os.environ["TISSUEID_CONFIG"] = ""
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 

@@ -35,12 +35,26 @@ class Ended:
 
 
 def run(*args: str | Path) -> Ended:
-    """``tissueid ARGS`` in this process; whatever happens, no traceback may be shown."""
-    streams = [io.TextIOWrapper(io.BytesIO(), encoding="utf-8", write_through=True) for _ in range(2)]
+    """``tissueid ARGS`` in this process; whatever happens, no traceback, colour or progress in a pipe."""
+    ended = run_on(io.TextIOWrapper, *args)
+    assert "Traceback" not in ended.stderr
+    assert not {"\x1b", "\r"} & {*ended.stdout.replace("\r\n", "\n"), *ended.stderr}
+    return ended
+
+
+class Terminal(io.TextIOWrapper):
+    """A stream that says it is a terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def run_on(kind: type[io.TextIOWrapper], *args: str | Path) -> Ended:
+    """``tissueid ARGS`` in this process, on streams of a kind."""
+    streams = [kind(io.BytesIO(), encoding="utf-8", write_through=True) for _ in range(2)]
     with contextlib.redirect_stdout(streams[0]), contextlib.redirect_stderr(streams[1]):
         code = main([str(arg) for arg in args])
     out, err = (stream.buffer.getvalue().decode("utf-8") for stream in streams)  # type: ignore[attr-defined]
-    assert "Traceback" not in err
     return Ended(code, out, err)
 
 

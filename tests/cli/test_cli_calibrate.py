@@ -35,32 +35,33 @@ moves = [{to_mm = 4.0, speed_mm_min = 480.0}, {hold_s = 1.0}]
 """
 
 
+def of_prior(check: Any, data: Any, rng: np.random.Generator) -> inference.Inferred:
+    """An inference that takes no time: the truth's prior itself, which is calibrated by construction."""
+    from tissueid.selfcheck.truth import draw_truth
+
+    offset = np.zeros(len(check.logs))
+    drawn = [
+        draw_truth(
+            check.model,
+            check.priors,
+            offset_sd_mm=offset,
+            pooling=check.pooling,
+            correlated=check.correlated,
+            defects=check.defects,
+            rng=rng,
+        )
+        for _ in range(399)
+    ]
+    return inference.Inferred(
+        theta=np.array([one.theta for one in drawn]),
+        others={"sigma_N": np.array([one.sigma_N for one in drawn])},
+        detail={"acceptance": 1.0, "worth": 399.0},
+    )
+
+
 @pytest.fixture
 def instant(monkeypatch: pytest.MonkeyPatch) -> None:
-    """An inference that takes no time: the truth's prior itself, which is calibrated by construction."""
-
-    def of_prior(check: Any, data: Any, rng: np.random.Generator) -> inference.Inferred:
-        from tissueid.selfcheck.truth import draw_truth
-
-        offset = np.zeros(len(check.logs))
-        drawn = [
-            draw_truth(
-                check.model,
-                check.priors,
-                offset_sd_mm=offset,
-                pooling=check.pooling,
-                correlated=check.correlated,
-                defects=check.defects,
-                rng=rng,
-            )
-            for _ in range(399)
-        ]
-        return inference.Inferred(
-            theta=np.array([one.theta for one in drawn]),
-            others={"sigma_N": np.array([one.sigma_N for one in drawn])},
-            detail={"acceptance": 1.0, "worth": 399.0},
-        )
-
+    """Every inference takes no time."""
     monkeypatch.setattr("tissueid.selfcheck.tissue.infer", of_prior)
 
 

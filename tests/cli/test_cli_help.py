@@ -60,24 +60,6 @@ def test_help_lists_every_command_with_what_it_does() -> None:
     assert "Examples:" in ended.stdout
 
 
-@pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_explains_itself_with_examples(name: str) -> None:
-    ended = run(name, "--help")
-    assert ended.code == 0
-    _, _, examples = ended.stdout.partition("Examples:")
-    lines = [line.strip() for line in examples.strip().splitlines()]
-    assert lines
-    assert all(line.startswith(f"tissueid {name} ") for line in lines)
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_every_option_of_an_example_exists(name: str) -> None:
-    text = run(name, "--help").stdout
-    usage, _, examples = text.partition("Examples:")
-    for option in re.findall(r"(?<= )--?[a-z][a-z-]*", examples):
-        assert re.search(rf"(?<![\w-]){option}(?![\w-])", usage), option
-
-
 def test_version_is_that_of_the_package() -> None:
     assert run("--version").stdout == f"tissueid {__version__}\n"
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from tissueid.cli.completing import presets
 from tissueid.cli.output import echo_json, note, output_options, write_output
 
 if TYPE_CHECKING:
@@ -32,7 +33,8 @@ _ABOVE_0 = click.FloatRange(min=0.0, min_open=True)
 _FROM_0 = click.FloatRange(min=0.0)
 
 _LOOP = (
-    click.option("--preset", metavar="NAME", help="A tissue that comes along: paper-a, meat."),
+    click.option("--preset", metavar="NAME", shell_complete=presets,
+                 help="A tissue that comes along: paper-a, meat."),
     click.option("--variant", type=click.Choice(["A", "B"]), default="B", show_default=True,
                  help="A estimates device and hand; B uses the measured force and estimates the device."),
     click.option("--environment", type=click.Choice(["admittance", "impedance"]), default="admittance",

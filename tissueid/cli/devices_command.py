@@ -111,7 +111,8 @@ def info(**flags: Any) -> int:
 @_sub("home", "home\nhome falcon --firmware firmware.bin --timeout 120")
 @_name
 @device_options
-@click.option("--timeout", type=click.FloatRange(min=1.0), default=60.0, show_default=True, metavar="S")
+@click.option("--timeout", type=click.FloatRange(min=1.0), default=60.0, show_default=True, metavar="S",
+              help="Give up after so many seconds.")  # fmt: skip
 def home(**flags: Any) -> int:
     """Load firmware if needed, and home the device with your hand; the motors stay without force."""
     with opened(made_device(flags)) as device:
@@ -128,7 +129,8 @@ def home(**flags: Any) -> int:
 @_sub("test", "test\ntest falcon --seconds 30 --save\ntest falcon --port /dev/ttyUSB0 --json")
 @_name
 @device_options
-@click.option("--seconds", type=click.FloatRange(0.1, 3600.0), default=5.0, show_default=True, metavar="S")
+@click.option("--seconds", type=click.FloatRange(0.1, 3600.0), default=5.0, show_default=True, metavar="S",
+              help="Time to measure for.")  # fmt: skip
 @click.option("--save", is_flag=True, help="Keep the measured delay in the calibration.")
 def test(**flags: Any) -> int:
     """Measure rate, delay and errors of the link, without force and without homing."""

@@ -139,7 +139,7 @@ def command(**flags: Any) -> int:
     missing = kernels_to_compile(posterior=flags["sampler"] != "none")
     if missing:
         note(
-            f"First run: compiling {len(missing)} kernels, a minute or two: {', '.join(missing)}",
+            f"First run: compiling {len(missing)} functions, a minute or two; later runs start at once",
             quiet=quiet,
         )
     by_pattern = PatternCheck(reading.specimen_by, study)

@@ -11,11 +11,15 @@ import contextlib
 import os
 import sys
 from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from tissueid import __version__
 from tissueid.errors import EXIT_INTERRUPTED
+
+if TYPE_CHECKING:
+    from click.shell_completion import CompletionItem
 
 __all__ = ["cli", "main"]
 
@@ -42,6 +46,9 @@ COMMANDS = {
     "training": "Measure guided sessions: error, angle, time, smoothness, learning.",
     "reproduce": "Recompute the two papers this project starts from.",
     "doctor": "Say what this machine can do with tissueid, and what stands in its way.",
+    "explain": "Say in plain words what a flag, a parameter or an exit code means.",
+    "config": "Say which settings are in force, and where each comes from.",
+    "completion": "Complete commands, options and files in your shell.",
     "view": "Look at a session in a browser: one that was recorded, or runs elsewhere.",
 }
 
@@ -50,6 +57,10 @@ COMMANDS = {
 BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 #: Exit code where the output could not be written.
 EXIT_OUTPUT = 6
+
+#: Commands that must work whatever a configuration file says.
+UNSET = frozenset({"completion", "config", "doctor", "explain"})
+HELP = frozenset({"-h", "--help"})
 
 EPILOG = """\b
 Examples:
@@ -77,6 +88,18 @@ class LazyGroup(click.Group):
         assert isinstance(command, click.Command)  # noqa: S101
         return command
 
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """Names with what they do, without importing any of them."""
+        if incomplete.startswith("-"):
+            return super().shell_complete(ctx, incomplete)
+        from click.shell_completion import CompletionItem
+
+        return [
+            CompletionItem(name, help=meaning)
+            for name, meaning in COMMANDS.items()
+            if name.startswith(incomplete)
+        ]
+
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
@@ -99,13 +122,29 @@ class LazyGroup(click.Group):
 
 @click.command(cls=LazyGroup, epilog=EPILOG, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, "--version", prog_name="tissueid", message="%(prog)s %(version)s")
-def cli() -> None:
+@click.pass_context
+def cli(context: click.Context) -> None:
     """Identify the contact mechanics of soft tissue from test-machine recordings.
 
     Reads exports of Instron Bluehill, Zwick testXpert, spreadsheets and plain CSV; fits a modified
     Kelvin-Voigt contact model; writes numbers with intervals, an HTML report, and a bundle that a
     haptic device can render.
     """
+    if os.environ.get("NO_COLOR"):
+        context.color = False
+    name = context.invoked_subcommand
+    if name is not None and name not in UNSET and not (context.obj and HELP & set(context.obj)):
+        context.default_map = _settings(name)
+
+
+def _settings(name: str) -> dict[str, Any]:
+    """Defaults of a command from configuration files and the environment, as click takes them."""
+    from tissueid.cli.settings import as_default_map, settings_files, settings_of
+
+    command = cli.get_command(click.Context(cli), name)
+    if command is None:
+        return {}
+    return as_default_map(settings_of(command, (name,), settings_files(), cli), command, (name,))
 
 
 def _verbose(args: list[str]) -> bool:
@@ -143,7 +182,7 @@ def main(args: list[str] | None = None) -> int:
 
     args = sys.argv[1:] if args is None else args
     try:
-        outcome = cli.main(args=args, prog_name="tissueid", standalone_mode=False)
+        outcome = cli.main(args=args, prog_name="tissueid", standalone_mode=False, obj=args)
         sys.stdout.flush()
     except (click.exceptions.Abort, KeyboardInterrupt):
         return _interrupted()

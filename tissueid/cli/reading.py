@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from tissueid.cli.completing import readers
 from tissueid.errors import UsageError
 
 if TYPE_CHECKING:
@@ -75,7 +76,12 @@ def reading_options(function: Callable[..., Any]) -> Callable[..., Any]:
             metavar="PATTERN",
             help="Regular expression on the path (path::sheet in a workbook) that names the specimen.",
         ),
-        click.option("--recipe", metavar="KEY", help=f"Reader to use, not the detected one: {_READERS}."),
+        click.option(
+            "--recipe",
+            metavar="KEY",
+            shell_complete=readers,
+            help=f"Reader to use, not the detected one: {_READERS}.",
+        ),
         click.option(
             "--sheet",
             metavar="NAME",

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from tissueid.cli.completing import presets, scenes
 from tissueid.cli.output import echo_json, note, output_options
 from tissueid.cli.viewer_serving import served, telling_stop, viewer_options
 
@@ -47,7 +48,8 @@ _FILE = click.Path(dir_okay=False, path_type=Path)
 
 #: Groups of options, each applied to the command in this order.
 _TISSUE = (
-    click.option("--preset", metavar="NAME", help="A tissue that comes along: paper-a, meat."),
+    click.option("--preset", metavar="NAME", shell_complete=presets,
+                 help="A tissue that comes along: paper-a, meat."),
     click.option("--draw", type=int, metavar="N", help="Feel posterior draw N instead of the fitted values."),
     click.option("--draw-specimen", metavar="[SEED]", is_flag=False, flag_value="new",
                  help="Feel a specimen drawn from a population.h5; without a seed another each time."),
@@ -58,7 +60,7 @@ _TISSUE = (
     click.option("--against-draw", type=int, metavar="N", help="... of this draw."),
     click.option("--against-quantile", type=float, metavar="Q", help="... of this quantile."),
     click.option("--environment", metavar="NAME", help="An installed force law instead of a tissue."),
-    click.option("--scene", metavar="NAME|FILE",
+    click.option("--scene", metavar="NAME|FILE", shell_complete=scenes,
                  help="A scene.toml, or one that comes along: hip-resurfacing, meat, orbital-floor."),
     click.option("--plan", type=_FILE, metavar="FILE",
                  help="Axis and entry point to be guided to, instead of the scene's."),

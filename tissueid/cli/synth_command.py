@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from tissueid.cli.completing import dialects, recipes
 from tissueid.cli.output import echo_json, note, output_options
 
 __all__ = ["command"]
@@ -35,7 +36,7 @@ def _list_dialects(context: click.Context, _option: click.Parameter, value: bool
 
 
 @click.command("synth", epilog=EPILOG)
-@click.argument("recipe")
+@click.argument("recipe", shell_complete=recipes)
 @click.option("-o", "--out", required=True, type=click.Path(file_okay=False), help="Folder to write to.")
 @click.option(
     "--seed", type=click.IntRange(min=0), default=0, show_default=True,
@@ -43,7 +44,7 @@ def _list_dialects(context: click.Context, _option: click.Parameter, value: bool
 )  # fmt: skip
 @click.option("--rate", type=float, metavar="HZ", help="Sampling rate, where not the recipe's.")
 @click.option(
-    "--dialect", metavar="NAME", default="bare", show_default=True,
+    "--dialect", metavar="NAME", default="bare", show_default=True, shell_complete=dialects,
     help="How each log is written: a locale or option of Bluehill, or another machine's format.",
 )  # fmt: skip
 @click.option(

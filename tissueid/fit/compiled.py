@@ -15,7 +15,6 @@ from tissueid.likelihood.knot_kernels import accumulate, corner_flags
 from tissueid.likelihood.knot_terms import log_terms, without_effects
 from tissueid.likelihood.lag_kernels import filter_chain, link_rows
 from tissueid.likelihood.passive_normal import log_passive_mass
-from tissueid.likelihood.reweighted import refits
 from tissueid.model.kernels import branch_state
 
 __all__ = ["kernels_to_compile"]
@@ -36,7 +35,7 @@ KERNELS: tuple[Any, ...] = (
     corner_flags,
     accumulate,
 )
-#: A posterior needs these as well; others only where a tissue is close to the edge of what is passive.
+#: A posterior needs these as well; others only close to the edge of what is passive, or for many logs.
 POSTERIOR_KERNELS: tuple[Any, ...] = (
     marginal.log_marginals,
     marginal.log_shares,
@@ -48,7 +47,6 @@ POSTERIOR_KERNELS: tuple[Any, ...] = (
     without_effects,
     conditionals,
     log_ratios,
-    refits,
 )
 
 

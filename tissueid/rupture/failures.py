@@ -144,12 +144,14 @@ def _at_end(model: KelvinVoigt, theta: FloatArray, path: ContactPath, weight: fl
     measures = rupture_measures(model, theta, path, weight=weight)
     x = path.depth_mm
     before = min(int(np.searchsorted(x, (1.0 - GROWTH_OVER) * x[-1])), x.size - 2)
+    # a crosshead that stops repeats its last depth: growth is over a part of the way that was gone
+    before = max(min(before, int(np.argmax(x >= x[-1])) - 1), 1)
     over = float(np.log(x[-1] / x[before]))
     force, work = float(measures["force"][-1]), float(measures["work"][-1])
     growth = {}
     for name in CRITERIA:
         last, earlier = float(measures[name][-1]), float(measures[name][before])
-        grows = np.log(last / earlier) / over if min(last, earlier) > 0.0 else 0.0
+        grows = np.log(last / earlier) / over if min(last, earlier, over) > 0.0 else 0.0
         growth[name] = max(float(grows), LEAST_GROWTH)
     return _AtEnd(
         values={name: float(measures[name].max()) for name in CRITERIA},

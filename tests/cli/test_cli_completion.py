@@ -1,0 +1,147 @@
+"""Completion in the shells: asked for as they ask, installed where they look."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from command_line import REPOSITORY, run
+
+from tissueid.cli.main import COMMANDS
+
+
+def offered(words: str, *, shell: str = "bash") -> list[str]:
+    """What a shell would offer for the last word of a line."""
+    typed = words.split(" ")
+    done = subprocess.run(
+        [sys.executable, "-m", "tissueid"],
+        env=os.environ
+        | {
+            "PYTHONPATH": str(REPOSITORY),
+            "_TISSUEID_COMPLETE": f"{shell}_complete",
+            "COMP_WORDS": words,
+            "COMP_CWORD": typed[-1] if shell == "fish" else str(len(typed) - 1),
+        },
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stderr == ""
+    return done.stdout.splitlines()
+
+
+def test_commands_are_offered_with_what_they_do() -> None:
+    assert offered("tissueid ") == [f"plain,{name}" for name in COMMANDS]
+    assert offered("tissueid calibrate-") == ["plain,calibrate-frame"]
+    lines = offered("tissueid insp", shell="zsh")
+    assert lines[:2] == ["plain", "inspect"]
+    assert COMMANDS["inspect"] in lines[2]
+
+
+@pytest.mark.parametrize(
+    ("typed", "expected"),
+    [
+        ("tissueid fit --samp", "plain,--sampler"),
+        ("tissueid fit --sampler e", "plain,exact"),
+        ("tissueid fit --require rel", "plain,relaxation-time"),
+        ("tissueid fit --recipe mts", "plain,mts-793"),
+        ("tissueid fit lab", "file,lab"),
+        ("tissueid report o", "file,o"),
+        ("tissueid cohort o", "dir,o"),
+        ("tissueid study ch", "plain,check"),
+        ("tissueid explain not_id", "plain,not_identified"),
+        ("tissueid explain viscos", "plain,viscosity_N_s_per_mm"),
+        ("tissueid synth paper-a-2", "plain,paper-a-22"),
+        ("tissueid synth paper-a-22 --dialect testx", "plain,testxpert-tra-de"),
+        ("tissueid render --preset pap", "plain,paper-a"),
+        ("tissueid render --scene hip", "plain,hip-resurfacing"),
+        ("tissueid config fi", "plain,fit"),
+        ("tissueid config study in", "plain,init"),
+        ("tissueid --ver", "plain,--version"),
+    ],
+)
+def test_what_can_follow_is_offered(typed: str, expected: str) -> None:
+    assert expected in offered(typed)
+
+
+def test_fish_asks_in_its_own_way() -> None:
+    assert any(
+        line.startswith("plain,") and "--sampler" in line
+        for line in offered("tissueid fit --samp", shell="fish")
+    )
+
+
+@pytest.mark.parametrize(
+    ("shell", "place"),
+    [
+        ("bash", ".local/share/bash-completion/completions/tissueid"),
+        ("zsh", ".zfunc/_tissueid"),
+        ("fish", ".config/fish/completions/tissueid.fish"),
+    ],
+)
+def test_a_script_is_printed_or_installed_where_the_shell_looks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shell: str, place: str
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    for name in ("XDG_DATA_HOME", "XDG_CONFIG_HOME", "ZDOTDIR"):
+        monkeypatch.delenv(name, raising=False)
+    printed = run("completion", shell)
+    assert printed.code == 0
+    assert f"_TISSUEID_COMPLETE={shell}_complete" in printed.stdout
+    assert list(tmp_path.iterdir()) == []
+    installed = run("completion", shell, "--install")
+    assert installed.code == 0
+    assert (tmp_path / place).read_text(encoding="utf-8") == printed.stdout
+    assert str(tmp_path / place) in installed.stderr
+    assert run("completion", shell, "--install", "-q").stderr == ""
+
+
+def test_a_place_that_cannot_be_written_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / ".zfunc").write_text("a file", encoding="ascii")
+    monkeypatch.setenv("ZDOTDIR", str(tmp_path))
+    ended = run("completion", "zsh", "--install")
+    assert ended.code == 2
+    assert "print the script and place it yourself" in ended.stderr
+
+
+def test_another_shell_is_refused_with_those_there_are() -> None:
+    ended = run("completion", "tcsh")
+    assert ended.code == 2
+    assert "'bash', 'zsh', 'fish'" in ended.stderr
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="no bash here")
+def test_bash_completes_with_the_printed_script(tmp_path: Path) -> None:
+    command = tmp_path / "tissueid"
+    command.write_text(
+        f'#!/bin/sh\nPYTHONPATH={REPOSITORY} exec {sys.executable} -m tissueid "$@"\n', encoding="ascii"
+    )
+    command.chmod(0o755)
+    (tmp_path / "completion").write_text(run("completion", "bash").stdout, encoding="utf-8")
+    script = (
+        "source completion; COMP_WORDS=(tissueid fit --sampler ''); COMP_CWORD=3; "
+        '_tissueid_completion tissueid; echo "${COMPREPLY[@]}"'
+    )
+    done = subprocess.run(
+        ["bash", "-c", script],
+        cwd=tmp_path,
+        env=os.environ | {"PATH": f"{tmp_path}:{os.environ['PATH']}"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.split() == ["emcee", "exact", "none"]
+    assert done.stderr == ""
+
+
+@pytest.mark.parametrize("shell", ["zsh", "fish"])
+def test_other_shells_accept_the_script(tmp_path: Path, shell: str) -> None:
+    if shutil.which(shell) is None:
+        pytest.skip(f"no {shell} here")
+    path = tmp_path / "script"
+    path.write_text(run("completion", shell).stdout, encoding="utf-8")
+    assert subprocess.run([shell, "-n", str(path)], check=False).returncode == 0

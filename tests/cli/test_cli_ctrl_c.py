@@ -1,0 +1,186 @@
+"""Ctrl-C in the middle of the work: one line, exit code 130, files as they were, and the way on.
+
+The signal is raised at a chosen step of the work, in this process: no clock decides what is tested.  Sessions
+and ``watch``, which wait for something, are interrupted from outside in the tests of their own.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from cohort_outputs import cohort_folder
+from command_line import QUICK, REPOSITORY, run, write_log
+from rendered_tissues import PAPER_A, bundle_of
+from test_cli_calibrate import RECIPE, of_prior
+
+from tissueid.store.bundle import write_bundle
+
+SAID = "tissueid: interrupted; what was finished is kept\n"
+#: Command, and at which report of its progress the signal comes.
+AT_A_STEP: list[tuple[tuple[str, ...], int]] = [
+    (("fit", "lab", "-o", "out", *QUICK), 1),
+    (("fit", "lab", "-o", "out", *QUICK), 4),
+    (("cohort", "heads"), 1),
+    (("inspect", "lab"), 1),
+    (("rupture", "ruptures", "-o", "rup", "--criterion", "work"), 3),
+    (("calibrate", "recipe.toml", "-o", "cal", "--simulations", "20"), 8),
+    (("reproduce", "pires", "-o", "rep"), 1),
+    (("reproduce", "sadeghnejad", "-o", "rep"), 1),
+]
+#: Command without a progress display, and the function in which the signal comes.
+IN_A_FUNCTION: list[tuple[tuple[str, ...], str]] = [
+    (("compare", "a.h5", "b.h5", "-o", "old.json"), "tissueid.contrast.document.contrast_document"),
+    (("control", "a.h5", "--html", "old.html"), "tissueid.render.control.document.as_document"),
+    (("export", "out", "-o", "old.json"), "tissueid.store.results.read_results"),
+    (("report", "out"), "tissueid.store.results.read_results"),
+    (("synth", "paper-a-22", "-o", "syn"), "tissueid.synth.write_set"),
+    (("study", "init", "lab", "--force"), "tissueid.study.draft.draft_study"),
+    (("study", "export", "lab", "--crate", "crate"), "tissueid.study.recordings.locate_study"),
+    (("calibrate-frame", "lab/log.csv", "-o", "old.json"), "tissueid.study.calibrate_frame.calibrate_frame"),
+    (("migrate", "out"), "tissueid.store.migrate.migrate_folder"),
+    (("doctor", "--warm"), "tissueid.doctor.warm"),
+]
+
+
+@pytest.fixture(scope="module")
+def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("ctrl-c")
+    write_log(folder / "lab" / "log.csv")
+    write_log(folder / "lab" / "second.csv", label="other")
+    assert run("study", "init", folder / "lab", "-q").code == 0
+    assert run("fit", folder / "lab", "-o", folder / "out", "-q", *QUICK).code == 0
+    cohort_folder(folder / "heads", 3)
+    (folder / "recipe.toml").write_text(RECIPE, encoding="utf-8")
+    (folder / "ruptures").mkdir()
+    for path in (REPOSITORY / "datasets_synthetic" / "rupture-18").glob("rupture-01-*.csv"):
+        shutil.copy(path, folder / "ruptures")
+    for name in ("a", "b"):
+        draws = PAPER_A.theta * np.exp(0.01 * np.random.default_rng(5).standard_normal((200, 5)))
+        write_bundle(bundle_of(replace(PAPER_A, name=name), draws=draws), folder / f"{name}.h5")
+    for name in ("old.json", "old.html"):
+        (folder / name).write_text("what was here before", encoding="ascii")
+    return folder
+
+
+@pytest.fixture
+def place(prepared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A copy of the prepared folder to work in; Ctrl-C is what it is in a shell."""
+    shutil.copytree(prepared, tmp_path / "here", symlinks=True)
+    monkeypatch.chdir(tmp_path / "here")
+    monkeypatch.setattr("tissueid.selfcheck.tissue.infer", of_prior)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield tmp_path / "here"
+    signal.signal(signal.SIGINT, before)
+
+
+def interrupt_at(monkeypatch: pytest.MonkeyPatch, command: str, step: int) -> None:
+    """Raise the signal at a report of the progress of a command."""
+    done = [0]
+
+    def report(_message: str, _done: int, _total: int) -> None:
+        done[0] += 1
+        if done[0] == step:
+            signal.raise_signal(signal.SIGINT)
+
+    @contextmanager
+    def bar(*, show: bool) -> Iterator[Callable[[str, int, int], None]]:
+        yield report
+
+    monkeypatch.setattr(import_module(f"tissueid.cli.{command}_command"), "progress_bar", bar)
+
+
+def contents(folder: Path) -> dict[str, str]:
+    """Every visible file with its digest; what is hidden, and the index, is the state to go on from."""
+    return {
+        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+        and path.name != "index.sqlite"
+        and not any(part.startswith(".") for part in path.relative_to(folder).parts)
+    }
+
+
+@pytest.mark.needs_jit
+@pytest.mark.parametrize(("args", "step"), AT_A_STEP, ids=lambda value: str(value)[:40])
+def test_at_a_step_of_the_work(
+    place: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    args: tuple[str, ...],
+    step: int,
+) -> None:
+    before = contents(place)
+    interrupt_at(monkeypatch, args[0], step)
+    ended = run(*args)
+    # the empty line parts it from the ^C that a terminal shows
+    assert (ended.code, ended.stdout, ended.stderr.lstrip("\n")) == (130, "", SAID)
+    after = contents(place)
+    assert {name: after[name] for name in before} == before
+    # the run that stood there is whole
+    assert run("validate", "out").code == 0
+    new = set(after) - set(before)
+    assert all(name.startswith("cal") for name in new), new
+
+
+@pytest.mark.parametrize(("args", "function"), IN_A_FUNCTION, ids=lambda value: str(value)[:40])
+def test_in_the_middle_of_a_function(
+    place: Path, monkeypatch: pytest.MonkeyPatch, args: tuple[str, ...], function: str
+) -> None:
+    before = contents(place)
+
+    def interrupted(*_args: Any, **_named: Any) -> None:
+        signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(function, interrupted)
+    ended = run(*args)
+    assert ended.code == 130
+    assert ended.stderr.splitlines()[-1] + "\n" == SAID
+    assert contents(place) == before
+
+
+def test_an_interrupted_calibration_goes_on_where_it_was(
+    place: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with monkeypatch.context() as patched:
+        interrupt_at(patched, "calibrate", 8)
+        assert run("calibrate", "recipe.toml", "-o", "cal", "--simulations", "20").code == 130
+    kept = (place / "cal" / "calibrate.jsonl").read_text(encoding="utf-8").splitlines()
+    assert len(kept) > 1
+    assert run("calibrate", "recipe.toml", "-o", "cal", "--simulations", "20").code in (0, 4, 7)
+    gone_on = (place / "cal" / "calibrate.jsonl").read_text(encoding="utf-8").splitlines()
+    assert gone_on[: len(kept)] == kept
+    assert run("calibrate", "recipe.toml", "-o", "whole", "--simulations", "20").code in (0, 4, 7)
+    found = [json.loads((place / name / "calibrate.json").read_bytes()) for name in ("cal", "whole")]
+    for document in found:
+        # a time is no result
+        del document["simulations"]["median_seconds"]
+    assert found[0] == found[1]
+
+
+def test_an_interrupted_fit_keeps_its_finished_specimens(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fit = ("fit", "lab", "-o", "new", "--workers", "1", *QUICK)
+    step = 0
+    while not list((place / "new").rglob("specimens/*.h5")) and step < 40:
+        step += 1
+        with monkeypatch.context() as patched:
+            interrupt_at(patched, "fit", step)
+            assert run(*fit).code == 130, step
+    (kept,) = (place / "new").rglob("specimens/*.h5")
+    written = kept.stat().st_mtime_ns
+    assert run(*fit).code == 0
+    assert kept.stat().st_mtime_ns == written
+    assert len(run("export", "new").json()["specimens"]) == 2
+    assert run("validate", "new").code == 0

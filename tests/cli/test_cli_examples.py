@@ -1,0 +1,98 @@
+"""Every command and group explains itself with examples, and every example can be typed."""
+
+from __future__ import annotations
+
+import re
+import shlex
+
+import click
+import pytest
+from command_line import REPOSITORY, run
+
+from tissueid.cli.main import cli
+from tissueid.cli.options_page import every_command, examples_of, options_page
+
+WALKED = list(every_command())
+EXAMPLES = [(line, name) for name, command in WALKED for line in examples_of(command)]
+
+
+def words_of(line: str) -> list[str]:
+    """The words of an example, without a remark, a redirection or a pipe behind it."""
+    typed = re.split(r"\s{2,}|\s[>|]\s", line)[0]
+    return shlex.split(typed)
+
+
+@pytest.fixture(autouse=True)
+def _any_path(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Files of examples need not be there."""
+    monkeypatch.setattr(click.Path, "convert", lambda _self, value, _parameter, _context: value)
+
+
+def unfit(line: str) -> str | None:
+    """Why an example could not be typed; ``None`` where it can."""
+    name, *rest = words_of(line)
+    command: click.Command = cli
+    context: click.Context | None = None
+    try:
+        while isinstance(command, click.Group):
+            context = command.make_context(name, rest, parent=context)
+            name, found, rest = command.resolve_command(context, [*context._protected_args, *context.args])  # type: ignore[assignment]
+            if found is None:
+                return "no such command"
+            command = found
+        command.make_context(name, rest, parent=context)
+    except click.exceptions.Exit:
+        return None
+    except click.UsageError as error:
+        return error.format_message()
+    return None
+
+
+@pytest.mark.parametrize("name", [name for name, _ in WALKED], ids=" ".join)
+def test_a_command_has_help_and_examples_of_itself(name: tuple[str, ...]) -> None:
+    ended = run(*name, "--help")
+    assert ended.code == 0
+    head, _, examples = ended.stdout.partition("Examples:")
+    lines = [line.strip() for line in examples.strip().splitlines()]
+    start = " ".join(("tissueid", *name))
+    assert lines
+    assert all(line == start or line.startswith(f"{start} ") for line in lines)
+    # after the line of usage, at least one sentence
+    assert re.search(r"\w[^\n]*\.", head.partition("\n")[2])
+
+
+@pytest.mark.parametrize("line", [line for line, _ in EXAMPLES])
+def test_an_example_can_be_typed(line: str) -> None:
+    assert unfit(line) is None
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "tissueid fti lab_data/",
+        "tissueid fit lab_data/ --drawz 100",
+        "tissueid fit lab_data/ --draws ten",
+        "tissueid fit lab_data/ --sampler nuts",
+        "tissueid study lab_data/",
+        "tissueid study exclude lab_data/x.csv extra --because x",
+        "tissueid synth paper-a-30",
+        "tissueid reproduce everybody",
+    ],
+)
+def test_what_cannot_be_typed_is_found(line: str) -> None:
+    assert unfit(line) is not None
+
+
+def test_every_option_has_words() -> None:
+    silent = [
+        f"{' '.join(name)} {option.opts[-1]}"
+        for name, command in WALKED
+        for option in command.params
+        if isinstance(option, click.Option) and not option.help
+    ]
+    assert silent == []
+
+
+def test_the_page_of_options_is_that_of_the_program() -> None:
+    written = (REPOSITORY / "docs" / "options.md").read_text(encoding="utf-8")
+    assert written == options_page(), "run scripts/write-docs"

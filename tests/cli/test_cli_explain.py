@@ -1,0 +1,70 @@
+"""Plain words for every flag, parameter and exit code."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from command_line import REPOSITORY, run
+
+from tissueid import errors
+from tissueid.explanations import EXIT_MEANINGS, explanations, flags_page
+from tissueid.flag_advice import FLAG_ADVICE
+from tissueid.flags import FLAG_CODES
+
+
+def test_every_flag_has_advice_and_nothing_else_has() -> None:
+    assert set(FLAG_ADVICE) == set(FLAG_CODES)
+    for code, advice in FLAG_ADVICE.items():
+        assert advice.follows.endswith("."), code
+        assert advice.remedy.endswith("."), code
+
+
+def test_every_exit_code_is_explained() -> None:
+    used = {str(code) for code in (errors.EXIT_OK, errors.EXIT_INTERRUPTED, *errors.EXIT_PRECEDENCE)}
+    assert set(EXIT_MEANINGS) == used
+
+
+def test_options_and_files_that_advice_names_exist() -> None:
+    options = (REPOSITORY / "docs" / "options.md").read_text(encoding="utf-8")
+    told = " ".join(f"{one.follows} {one.remedy}" for one in explanations().values())
+    for option in set(re.findall(r"--[a-z][a-z-]+", told)):
+        assert f"{option}" in options, option
+    for command in set(re.findall(r"`tissueid ([a-z-]+)", told)):
+        assert f"## `tissueid {command}" in options, command
+
+
+@pytest.mark.parametrize("code", FLAG_CODES)
+def test_a_flag_is_explained_with_what_follows_and_what_to_do(code: str) -> None:
+    ended = run("explain", code)
+    assert ended.code == 0
+    assert FLAG_CODES[code] in ended.stdout
+    assert FLAG_ADVICE[code].follows in ended.stdout
+    assert FLAG_ADVICE[code].remedy in ended.stdout
+
+
+@pytest.mark.parametrize("name", ["clipped-force", "viscosity_N_s_per_mm_b2", "130", " 7 "])
+def test_a_name_may_be_typed_loosely(name: str) -> None:
+    assert run("explain", name).code == 0
+
+
+def test_what_is_none_is_answered_with_the_nearest() -> None:
+    ended = run("explain", "not_identifed")
+    assert ended.code == 2
+    assert "did you mean not_identified" in ended.stderr
+    assert ended.stdout == ""
+    assert "lists what it knows" in run("explain", "xyzzy").stderr
+
+
+def test_without_a_name_everything_is_listed() -> None:
+    text = run("explain").stdout
+    for name in explanations():
+        assert re.search(rf"^\w.*\b{name}\b", text, flags=re.MULTILINE), name
+    assert {one["name"] for one in run("explain", "--json").json()} == set(explanations())
+    assert run("explain", "7", "-q").stdout == ""
+
+
+def test_the_page_is_that_of_the_program() -> None:
+    assert (REPOSITORY / "docs" / "flags.md").read_text(encoding="utf-8") == flags_page(), (
+        "scripts/write-docs"
+    )

@@ -1,0 +1,191 @@
+"""Configuration files and the environment: what counts, what is refused, what is told."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from command_line import QUICK, Ended, run, write_log
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty working folder and an empty home."""
+    (tmp_path / "work").mkdir()
+    monkeypatch.chdir(tmp_path / "work")
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.delenv("TISSUEID_CONFIG")
+    monkeypatch.delenv("XDG_CONFIG_HOME", raising=False)
+    return tmp_path / "work"
+
+
+def user(text: str) -> Path:
+    path = Path.home() / ".config" / "tissueid" / "config.toml"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def seed_of(*typed: str) -> int:
+    """The seed that a run says it used."""
+    ended = run("fit", write_log(Path("log.csv")), "--json", *QUICK, *typed)
+    assert ended.code == 0, ended.stderr
+    return int(ended.json()["provenance"]["options"]["seed"])
+
+
+def test_typed_counts_before_environment_before_project_before_user(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert seed_of() == 0
+    user("[fit]\nseed = 1\n")
+    assert seed_of() == 1
+    Path("tissueid.toml").write_text("[fit]\nseed = 2\n", encoding="utf-8")
+    assert seed_of() == 2
+    monkeypatch.setenv("TISSUEID_FIT_SEED", "3")
+    assert seed_of() == 3
+    assert seed_of("--seed", "4") == 4
+
+
+def test_a_project_may_keep_its_settings_in_pyproject(folder: Path) -> None:
+    Path("pyproject.toml").write_text("[tool.tissueid.fit]\nseed = 5\n", encoding="utf-8")
+    assert seed_of() == 5
+    Path("tissueid.toml").write_text("[fit]\nseed = 2\n", encoding="utf-8")
+    assert "keep them in one of the two" in refused("config")
+
+
+def test_a_pyproject_of_other_tools_is_no_concern(folder: Path) -> None:
+    Path("pyproject.toml").write_text("[tool.other]\nseed = 5\n", encoding="utf-8")
+    assert run("config", "--json").json() == {"files": [], "settings": []}
+    Path("pyproject.toml").write_text("not toml at all", encoding="utf-8")
+    assert run("config", "--json").json() == {"files": [], "settings": []}
+
+
+def test_another_user_file_or_none(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    user("[fit]\nseed = 1\n")
+    monkeypatch.setenv("TISSUEID_CONFIG", "")
+    assert seed_of() == 0
+    Path("mine.toml").write_text("[fit]\nseed = 8\n", encoding="utf-8")
+    monkeypatch.setenv("TISSUEID_CONFIG", "mine.toml")
+    assert seed_of() == 8
+    monkeypatch.setenv("TISSUEID_CONFIG", "gone.toml")
+    assert "gone.toml: can't be read" in refused("config")
+
+
+def refused(*args: str) -> str:
+    ended = run(*args)
+    assert ended.code == 2
+    assert len(ended.stderr.splitlines()) == 1
+    return ended.stderr
+
+
+@pytest.mark.parametrize(
+    ("text", "command", "said"),
+    [
+        ("[fit]\n\nsedd = 1\n", "fit", "tissueid.toml, line 3: 'sedd' is no option of tissueid fit"),
+        ("[fit]\n\nsedd = 1\n", "fit", "did you mean 'seed'?"),
+        ("[fit]\nstiffness_degree = 1\n", "fit", "line 2: 'stiffness_degree'"),
+        ("[fit]\nstiffness_degree = 1\n", "fit", "did you mean 'stiffness-degree'?"),
+        ("# mine\n[fti]\nseed = 1\n", "fit", "line 2: 'fti' is no command and no general key"),
+        ("seed = 1\n", "fit", "line 1: 'seed' is no command"),
+        ("fit = 1\n", "fit", "line 1: fit is a command; its settings stand in a table"),
+        ("[study]\ninit = 1\n", "study", "line 2: init is a command"),
+        ("[study.innit]\nforce = true\n", "study", "line 1: 'innit' is no part of study"),
+        ("[study.init]\nforce = true\n", "study", "line 2: force must be typed each time"),
+        ("[render]\nyes = true\n", "render", "line 2: yes must be typed each time"),
+        ("[fit]\nseed = \"one\"\n", "fit", "line 2: seed = 'one': must be a whole number, without quotes"),
+        ("[fit]\nseed = 1.5\n", "fit", "line 2: seed = 1.5: must be a whole number"),
+        ("[fit]\nseed = -1\n", "fit", "line 2: seed = -1: -1 is not in the range"),
+        ("[fit]\npoisson = true\n", "fit", "line 2: poisson = True: must be a number"),
+        ("[fit]\ncompare = 1\n", "fit", "line 2: compare = 1: must be true or false, without quotes"),
+        ("[fit]\nsampler = \"nuts\"\n", "fit", "line 2: sampler = 'nuts': 'nuts' is not one of"),
+        ("[fit]\ntip = 3\n", "fit", "line 2: tip = 3: must be text in quotes"),
+        ("[fit]\nrequire = \"static\"\n", "fit", "line 2: require = 'static': must be a list"),
+        ("[fit]\nrequire = [\"nothing\"]\n", "fit", "line 2: require = ['nothing']: 'nothing' is not one of"),
+        ("quiet = \"yes\"\n", "fit", "line 1: quiet = 'yes': must be true, false or a number from 0"),
+        ("[fit\n", "fit", "tissueid.toml: is no valid TOML"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_meant_is_refused_with_its_line(
+    folder: Path, text: str, command: str, said: str
+) -> None:
+    Path("tissueid.toml").write_text(text, encoding="utf-8")
+    assert said in refused("config")
+    args = {"fit": ("fit", "no.csv"), "study": ("study", "check", "."), "render": ("render", "--selftest")}
+    assert said in refused(*args[command])
+
+
+def test_help_and_doctor_work_whatever_a_file_says(folder: Path) -> None:
+    Path("tissueid.toml").write_text("[fit]\nsedd = 1\n", encoding="utf-8")
+    assert run("fit", "--help").code == 0
+    assert run("explain", "7").code == 0
+    assert run("doctor", "--quiet").code in (0, 7)
+
+
+@pytest.mark.parametrize(
+    ("variable", "value", "said"),
+    [
+        ("TISSUEID_FIT_SEDD", "1", "did you mean TISSUEID_FIT_SEED?"),
+        ("TISSUEID_FIT_SEED", "one", "TISSUEID_FIT_SEED = 'one': 'one' is not a valid integer"),
+        ("TISSUEID_FIT_COMPARE", "perhaps", "must be 1 or 0"),
+        ("TISSUEID_FIT_REQUIRE", "static,nothing", "'nothing' is not one of"),
+    ],
+)
+def test_a_variable_that_cannot_be_meant_is_refused(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, variable: str, value: str, said: str
+) -> None:
+    monkeypatch.setenv(variable, value)
+    assert said in refused("fit", "no.csv")
+
+
+def test_consent_cannot_be_given_by_the_environment(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TISSUEID_RENDER_YES", "1")
+    assert "TISSUEID_RENDER_YES: tissueid render takes no such setting" in refused("render", "--selftest")
+
+
+def told(*args: str) -> dict[tuple[str, str], tuple[object, str]]:
+    ended: Ended = run("config", "--json", *args)
+    assert ended.code == 0, ended.stderr
+    rows = json.loads(ended.stdout)["settings"]
+    return {(row["command"], row["option"]): (row["value"], row["source"]) for row in rows}
+
+
+def test_what_is_in_force_is_told_with_its_source(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mine = user("quiet = true\n[fit]\nseed = 1\ndraws = 500\n")
+    Path("tissueid.toml").write_text(
+        '[fit]\nseed = 2\nrequire = ["static"]\n[study.init]\ndecimal = "comma"\n', encoding="utf-8"
+    )
+    monkeypatch.setenv("TISSUEID_CALIBRATE_FRAME_DECIMAL", "point")
+    found = told()
+    assert found["fit", "seed"] == (2, "tissueid.toml, line 2")
+    assert found["fit", "require"] == (["static"], "tissueid.toml, line 3")
+    assert found["fit", "draws"] == (500, f"{mine}, line 4")
+    assert found["study init", "decimal"] == ("comma", "tissueid.toml, line 5")
+    assert found["calibrate-frame", "decimal"] == ("point", "TISSUEID_CALIBRATE_FRAME_DECIMAL")
+    assert found["devices list", "quiet"] == (1, f"{mine}, line 1")
+    fit = told("fit")
+    assert fit["fit", "sampler"] == ("emcee", None)
+    assert fit["fit", "seed"] == found["fit", "seed"]
+    assert {command for command, _ in told("study")} >= {"study init", "study check"}
+    text = run("config").stdout
+    assert "fit --seed" in text
+    assert "tissueid.toml, line 2" in text
+
+
+def test_a_command_that_is_none_is_refused(folder: Path) -> None:
+    assert "there is no such command" in refused("config", "fti")
+    assert "there is no such command" in refused("config", "fit", "more")
+
+
+def test_a_value_of_a_subcommand_reaches_it(folder: Path) -> None:
+    write_log(Path("lab/log.csv"))
+    Path("tissueid.toml").write_text('[study.init]\nsheet = "absent"\n', encoding="utf-8")
+    assert run("study", "init", "lab").code != 0
+    Path("tissueid.toml").unlink()
+    assert run("study", "init", "lab").code == 0
+
+
+def test_nothing_set_is_told_so(folder: Path) -> None:
+    ended = run("config")
+    assert "nothing is set" in ended.stdout
+    assert str(Path.home() / ".config" / "tissueid" / "config.toml") in ended.stdout

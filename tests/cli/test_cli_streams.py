@@ -1,0 +1,132 @@
+"""Colours, progress and quiet: on a terminal, under NO_COLOR and in a pipe, for every command."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import QUICK, Terminal, run, run_on, write_log
+from rendered_tissues import PAPER_A, bundle_of
+
+from tissueid.cli.options_page import every_command
+from tissueid.store.bundle import write_bundle
+
+COLOUR = re.compile(r"\x1b\[(?:\d+;)*(?:[34]\d|9[0-7]|10[0-7])(?:;\d+)*m")
+#: A press that takes no time.
+PRESS = ("--device", "sim", "--script", "indent 2 mm at 250 mm/min", "--virtual")
+#: Command -> what to type in the prepared folder; what takes long is stopped by an input that is refused.
+TYPED: dict[str, tuple[str, ...]] = {
+    "fit": ("fit", "lab", "-o", "again", *QUICK),
+    "cohort": ("cohort", "out"),
+    "rupture": ("rupture", "lab", "-o", "ruptured"),
+    "study init": ("study", "init", "other"),
+    "study check": ("study", "check", "lab"),
+    "study exclude": ("study", "exclude", "lab/log.csv", "--because", "it slipped"),
+    "study include": ("study", "include", "lab/log.csv"),
+    "study export": ("study", "export", "lab", "--crate", "crate"),
+    "compare": ("compare", "a.h5", "b.h5"),
+    "design": ("design", "a.h5"),
+    "calibrate": ("calibrate", "nothing.csv", "--simulations", "100"),
+    "calibrate-frame": ("calibrate-frame", "lab/log.csv", "-o", "frame.csv"),
+    "inspect": ("inspect", "lab", "bad.csv"),
+    "report": ("report", "out"),
+    "export": ("export", "out", "-o", "copy.json"),
+    "status": ("status", "out"),
+    "validate": ("validate", "out"),
+    "migrate": ("migrate", "out"),
+    "watch": ("watch", "lab", "--once", "--no-fit"),
+    "devices list": ("devices", "list"),
+    "devices info": ("devices", "info", "sim"),
+    "devices home": ("devices", "home", "sim"),
+    "devices test": ("devices", "test", "sim", "--seconds", "0.1"),
+    "devices calibrate-force": ("devices", "calibrate-force", "--yes"),
+    "devices calibrate-damping": ("devices", "calibrate-damping", "--yes"),
+    "devices calibrate-weight": ("devices", "calibrate-weight", "--yes"),
+    "devices emulate": ("devices", "emulate", "--script", "nonsense"),
+    "synth": ("synth", "paper-a-22", "-o", "synthetic", "--rate", "10"),
+    "render": ("render", "a.h5", *PRESS),
+    "control": ("control", "a.h5", "--seconds", "0.2"),
+    "training measure": ("training", "measure", "a.h5"),
+    "training delete": ("training", "delete", "lab", "--pseudonym", "P17", "--dry-run"),
+    "reproduce": ("reproduce", "pires", "--set", "nonsense=1"),
+    "doctor": ("doctor",),
+    "explain": ("explain", "misfit"),
+    "config": ("config", "fit"),
+    "completion": ("completion", "bash"),
+    "view": ("view", "nothing.h5", "--no-browser"),
+}
+#: What these print is what was asked for, however quiet.
+DATA = {"completion"}
+
+
+@pytest.fixture(scope="module")
+def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("streams")
+    write_log(folder / "lab" / "log.csv")
+    write_log(folder / "other" / "log.csv")
+    (folder / "bad.csv").write_text("Dear colleague\n", encoding="ascii")
+    assert run("fit", folder / "lab", "-o", folder / "out", "-q", *QUICK).code == 0
+    assert run("study", "init", folder / "lab", "-q").code == 0
+    chance = np.random.default_rng(5)
+    for name in ("a", "b"):
+        draws = PAPER_A.theta * np.exp(0.01 * chance.standard_normal((200, PAPER_A.theta.size)))
+        write_bundle(bundle_of(replace(PAPER_A, name=name), draws=draws), folder / f"{name}.h5")
+    return folder
+
+
+@pytest.fixture
+def place(prepared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy of the prepared folder to type in."""
+    import shutil
+
+    shutil.copytree(prepared, tmp_path / "here", symlinks=True)
+    monkeypatch.chdir(tmp_path / "here")
+    monkeypatch.setenv("TERM", "xterm-256color")
+    for name in ("NO_COLOR", "FORCE_COLOR", "COLORTERM"):
+        monkeypatch.delenv(name, raising=False)
+    return tmp_path / "here"
+
+
+def test_every_command_is_looked_at() -> None:
+    import click
+
+    leaves = {" ".join(name) for name, command in every_command() if not isinstance(command, click.Group)}
+    assert leaves <= set(TYPED)
+
+
+LOOKED_AT = [" ".join(name) for name, _ in every_command() if " ".join(name) in TYPED]
+
+
+@pytest.mark.parametrize("name", LOOKED_AT)
+def test_no_colour_where_none_is_wanted(name: str, place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NO_COLOR", "1")
+    ended = run_on(Terminal, *TYPED[name])
+    assert COLOUR.findall(ended.stdout + ended.stderr) == []
+    assert ended.code != 1, ended.stderr
+
+
+@pytest.mark.parametrize("name", LOOKED_AT)
+def test_quiet_says_errors_only_and_a_pipe_sees_no_progress(name: str, place: Path) -> None:
+    # `run` itself refuses escapes and carriage returns
+    ended = run(*TYPED[name], "-q")
+    assert ended.code != 1, ended.stderr
+    if name not in DATA:
+        assert ended.stdout == ""
+    if ended.code == 0:
+        assert ended.stderr == ""
+    else:
+        assert ended.stderr != "" or name in {"doctor", "study check", "validate"}
+
+
+@pytest.mark.parametrize("args", [("inspect", "bad.csv"), ("fit", "lab", "-o", "again", *QUICK)])
+def test_a_terminal_sees_colours_or_progress(
+    args: tuple[str, ...], place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: Callable[[], str] = lambda: run_on(Terminal, *args).stderr  # noqa: E731
+    assert COLOUR.search(seen())
+    monkeypatch.setenv("NO_COLOR", "1")
+    assert not COLOUR.search(seen())

@@ -1,0 +1,86 @@
+"""``tissueid completion``: what a shell needs to complete commands, options, choices and files."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import click
+
+from tissueid.cli.output import echo_json, note, output_options, write_output
+from tissueid.errors import UsageError
+
+__all__ = ["command"]
+
+EPILOG = """\b
+Examples:
+  tissueid completion bash --install
+  tissueid completion zsh > _tissueid
+  tissueid completion fish --install
+"""
+#: The variable by which a shell asks; click derives the same from the name of the program.
+VARIABLE = "_TISSUEID_COMPLETE"
+#: Shell -> what has to be so for an installed file to be found.
+FOUND_BY = {
+    "bash": "the package bash-completion loads it by itself in new shells",
+    "zsh": "~/.zshrc needs, above compinit: fpath=({folder} $fpath); then: autoload -Uz compinit; compinit",
+    "fish": "new shells load it by themselves",
+}
+
+
+@click.command("completion", epilog=EPILOG)
+@click.argument("shell", type=click.Choice(list(FOUND_BY)))
+@click.option("--install", is_flag=True, help="Write it where the shell looks; no file of yours is edited.")
+@output_options
+def command(**flags: Any) -> int:
+    """Print the script that completes tissueid in a shell, or install it.
+
+    Completes commands, options, choices, files, readers, recipes and the words that tissueid explain knows.
+    """
+    script = _script(flags["shell"])
+    if not flags["install"]:
+        if flags["as_json"]:
+            echo_json({"shell": flags["shell"], "script": script})
+        else:
+            click.echo(script, nl=False)
+        return 0
+    target = _target(flags["shell"])
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        msg = f"{target.parent}: can't be made ({error.strerror}); print the script and place it yourself"
+        raise UsageError(msg) from error
+    write_output(str(target), script.encode("utf-8"))
+    if flags["as_json"]:
+        echo_json({"shell": flags["shell"], "path": str(target)})
+    note(
+        f"wrote {target}: {FOUND_BY[flags['shell']].format(folder=target.parent)}",
+        quiet=flags["quiet"],
+    )
+    return 0
+
+
+def _script(shell: str) -> str:
+    from click.shell_completion import get_completion_class
+
+    from tissueid.cli.main import cli
+
+    kind = get_completion_class(shell)
+    if kind is None:
+        msg = f"click {click.__version__} knows no completion for {shell}"
+        raise UsageError(msg)
+    maker = kind(cli, {}, "tissueid", VARIABLE)
+    return maker.source_template % maker.source_vars() + "\n"
+
+
+def _target(shell: str) -> Path:
+    """Where a shell looks for completions of its user."""
+    home = Path.home()
+    if shell == "bash":
+        data = Path(os.environ.get("XDG_DATA_HOME") or home / ".local" / "share")
+        return data / "bash-completion" / "completions" / "tissueid"
+    if shell == "zsh":
+        return Path(os.environ.get("ZDOTDIR") or home) / ".zfunc" / "_tissueid"
+    config = Path(os.environ.get("XDG_CONFIG_HOME") or home / ".config")
+    return config / "fish" / "completions" / "tissueid.fish"

@@ -1,0 +1,70 @@
+"""``tissueid explain``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+from click.shell_completion import CompletionItem
+
+from tissueid.cli.output import echo_json, output_options
+
+__all__ = ["command"]
+
+EPILOG = """\b
+Examples:
+  tissueid explain not_identified
+  tissueid explain 7
+  tissueid explain viscosity_N_s_per_mm --json
+  tissueid explain
+"""
+
+
+def _complete(_context: click.Context, _parameter: click.Parameter, typed: str) -> list[CompletionItem]:
+    from tissueid.explanations import explanations
+
+    return [
+        CompletionItem(name, help=one.title or one.meaning)
+        for name, one in explanations().items()
+        if name.startswith(typed)
+    ]
+
+
+@click.command("explain", epilog=EPILOG)
+@click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=_complete)
+@output_options
+def command(**flags: Any) -> int:
+    """Say in plain words what a flag, a parameter or an exit code means, and what to do about it.
+
+    NAME is the code of a flag, a parameter as identification.json names it, or an exit code. Without one the
+    names are listed.
+    """
+    from tissueid.explanations import explain, explanations
+
+    entries = [explain(name) for name in flags["names"]] or list(explanations().values())
+    if flags["as_json"]:
+        echo_json([entry.as_json() for entry in entries])
+    elif flags["names"] and not flags["quiet"]:
+        _print_each(flags["names"])
+    elif not flags["quiet"]:
+        width = max(len(entry.name) for entry in entries)
+        for entry in entries:
+            click.echo(f"{entry.kind:<9}  {entry.name:<{width}}  {entry.title or entry.meaning}")
+    return 0
+
+
+def _print_each(names: tuple[str, ...]) -> None:
+    from tissueid.explanations import explain, gravity
+
+    for position, name in enumerate(names):
+        entry = explain(name)
+        if position:
+            click.echo()
+        title = f": {entry.title}" if entry.title else ""
+        how = f" ({gravity(entry.name)})" if entry.kind == "flag" else ""
+        click.echo(f"{entry.kind} {entry.name}{title}{how}")
+        click.echo(f"  {entry.meaning}")
+        if entry.follows:
+            click.echo(f"  what follows: {entry.follows}")
+        if entry.remedy:
+            click.echo(f"  what to do:   {entry.remedy}")

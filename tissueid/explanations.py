@@ -1,0 +1,176 @@
+"""What flags, parameters and exit codes mean: one table for ``tissueid explain`` and ``docs/flags.md``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+
+from tissueid.errors import UsageError
+from tissueid.flag_advice import FLAG_ADVICE
+from tissueid.flags import FLAG_CODES
+from tissueid.report.remarks import REMARK_TITLES, remark_level
+from tissueid.report.wording import PARAMETER_WORDS
+
+__all__ = ["EXIT_MEANINGS", "Explanation", "explain", "explanations", "flags_page", "gravity"]
+
+#: Exit code -> what it means, and what to do.
+EXIT_MEANINGS: Mapping[str, tuple[str, str]] = {
+    "0": ("it worked", "Nothing."),
+    "1": ("a bug in tissueid", "Run again with -v and report what it prints."),
+    "2": (
+        "wrong usage: an option, a path or a setting makes no sense",
+        "The message names it and the way out.",
+    ),
+    "3": (
+        "every input was refused",
+        "Each file is named with its line; correct it, or state what is unclear.",
+    ),
+    "4": (
+        "a required parameter is not identified, or something did not converge",
+        "The result is written; look at its flags, test more, or choose with --require what you need.",
+    ),
+    "5": (
+        "a device is missing, forbidden or lost, or safety refused",
+        "The message says which; --device sim.",
+    ),
+    "6": (
+        "an output folder or bundle is damaged, or can't be written",
+        "`tissueid validate` says what; fit again.",
+    ),
+    "7": ("finished, but something was left out", "Each is named with its line."),
+    "130": ("interrupted", "What was finished is kept; the same command goes on from there, or begins anew."),
+}
+#: Parameter -> what it is of the model, and where it is read.
+_PARAMETERS: Mapping[str, str] = {
+    "static_1_N_per_mm": "a1 of F_s(x) = a1 x + a2 x^2 + a3 x^3: force that stays, per depth, at contact",
+    "static_2_N_per_mm2": "a2 of F_s(x): how the static force bends upwards with depth",
+    "static_3_N_per_mm3": "a3 of F_s(x): the same, further in",
+    "stiffness_0_N_per_mm": "b0 of K(x) = b0 + b1 x + b2 x^2: stiffness that relaxes, at contact",
+    "stiffness_1_N_per_mm2": "b1 of K(x): growth of the relaxing stiffness with depth",
+    "stiffness_2_N_per_mm3": "b2 of K(x): its curvature",
+    "relaxation_time_s": "tau: after it a held force of this branch has fallen to 37 % of its start",
+    "viscosity_N_s_per_mm": "eta = b0 tau: extra force per speed at contact, in ramps that last much longer",
+}
+_GRAVITY = {
+    "ok": "harmless",
+    "note": "states what was assumed or done",
+    "caution": "look at it before you quote a number",
+    "serious": "puts the result in doubt",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Explanation:
+    """One entry.
+
+    Attributes
+    ----------
+    kind : str
+        ``flag``, ``parameter`` or ``exit code``.
+    name, title, meaning : str
+    follows, remedy : str
+        Empty where there is none.
+    """
+
+    kind: str
+    name: str
+    title: str
+    meaning: str
+    follows: str = ""
+    remedy: str = ""
+
+    def as_json(self) -> dict[str, str]:
+        """Everything, by name."""
+        keys = ("kind", "name", "title", "meaning", "follows", "remedy")
+        return {key: getattr(self, key) for key in keys}
+
+
+def explanations() -> dict[str, Explanation]:
+    """Every entry by its name; parameters and exit codes first, then flags in their order."""
+    found = [
+        Explanation("parameter", name, words, _PARAMETERS[name]) for name, words in PARAMETER_WORDS.items()
+    ]
+    found += [
+        Explanation("exit code", code, "", meaning, remedy=way)
+        for code, (meaning, way) in EXIT_MEANINGS.items()
+    ]
+    found += [
+        Explanation(
+            "flag", code, REMARK_TITLES[code], meaning, FLAG_ADVICE[code].follows, FLAG_ADVICE[code].remedy
+        )
+        for code, meaning in FLAG_CODES.items()
+    ]
+    return {one.name: one for one in found}
+
+
+def explain(name: str) -> Explanation:
+    """The entry of a name.
+
+    Parameters
+    ----------
+    name : str
+        A flag's code, a parameter (with or without the suffix of its branch) or an exit code.
+
+    Raises
+    ------
+    UsageError
+        There is none; the nearest names are said.
+    """
+    known = explanations()
+    plain = name.strip().replace("-", "_")
+    for branch in ("_b2", "_b3"):
+        plain = plain.removesuffix(branch)
+    if plain in known:
+        return known[plain]
+    near = get_close_matches(plain, known, n=3, cutoff=0.5)
+    hint = f"did you mean {' or '.join(near)}?" if near else "`tissueid explain` lists what it knows"
+    msg = f"{name!r} is no flag, parameter or exit code; {hint}"
+    raise UsageError(msg)
+
+
+def gravity(code: str) -> str:
+    """How much a flag matters, in words."""
+    return _GRAVITY[remark_level(code)]
+
+
+def flags_page() -> str:
+    """``docs/flags.md``, written from the tables."""
+    lines = [
+        "# Flags, parameters and exit codes in plain words",
+        "",
+        "Written by `scripts/write-docs`, from the program. `tissueid explain NAME` prints one entry.",
+        "",
+        "## Exit codes",
+        "",
+        "| code | meaning | what to do |",
+        "|---|---|---|",
+        *(f"| {code} | {meaning} | {way} |" for code, (meaning, way) in EXIT_MEANINGS.items()),
+        "",
+        "## Parameters",
+        "",
+        "Names of a second or third branch end in `_b2`, `_b3`.",
+        "",
+        "| parameter | in words | of the model |",
+        "|---|---|---|",
+        *(f"| `{name}` | {words} | {_PARAMETERS[name]} |" for name, words in PARAMETER_WORDS.items()),
+        "",
+        "## Flags",
+        "",
+        "A flag is a remark with a stable code: in the report, in the terminal, and under `flags` in the",
+        "JSON with the numbers behind it. *Serious* puts the result in doubt, *caution* asks for a look,",
+        "*note* says what was assumed or done.",
+        "",
+    ]
+    for code, meaning in FLAG_CODES.items():
+        advice = FLAG_ADVICE[code]
+        lines += [
+            f"### `{code}`",
+            "",
+            f"{REMARK_TITLES[code]} ({remark_level(code)}): {meaning}.",
+            "",
+            f"* What follows: {advice.follows}",
+            f"* What to do: {advice.remedy}",
+            "",
+        ]
+    return "\n".join(lines)
