@@ -20,7 +20,7 @@ from tissueid.haptics.ring import Ring
 from tissueid.haptics.shared_hand import SharedHand
 from tissueid.haptics.simulated_layout import POINTER
 from tissueid.store.session_log import read_session_log
-from tissueid.viewer import stage
+from tissueid.viewer import serving, stage
 from tissueid.viewer.hello import hello
 from tissueid.viewer.pointer import HandPointer
 from tissueid.viewer.serving import ServedViewer, ViewerOptions
@@ -38,6 +38,7 @@ class Led:
         self.ring, self.hand = Ring.create(capacity=16), SharedHand.create()
         self.viewer = ServedViewer(ViewerOptions())
         self.viewer.let_go = lambda: self.hand.point_at(REST_M)
+        self.viewer.silent_s = self.hand.silent_s
         reading = self.ring.read_only()
         words = hello(head_of(), pointer=True)
         self.viewer.show_live(words, [reading, self.hand.descriptor], rest_m=REST_M, workspace_m=WORKSPACE_M)
@@ -83,6 +84,29 @@ def test_a_server_that_is_killed_lets_go_of_the_hand_and_says_so_once(
     led.press()
     led.close()
     assert capsys.readouterr().err.count("goes on unseen") == 1
+
+
+def test_a_server_that_hangs_keeps_no_hand_and_may_lead_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(serving, "SILENCE_S", 0.5)
+    led = Led()
+    seen = []
+
+    def hang() -> None:
+        until(lambda: 0.0 < led.hand.silent_s() < 0.2)
+        assert not led.viewer.tend()
+        seen.append(led.height_m)
+        led.viewer._process.send_signal(signal.SIGSTOP)
+        until(lambda: not led.viewer.tend() and led.height_m == REST_M[2])
+        seen.append(led.height_m)
+        led.viewer._process.send_signal(signal.SIGCONT)
+        until(lambda: led.hand.silent_s() < 0.2)
+
+    led.meanwhile = hang  # type: ignore[method-assign]
+    led.press()
+    assert seen == [0.1, REST_M[2]]
+    led.meanwhile = lambda: None  # type: ignore[method-assign]
+    led.press()
+    led.close()
 
 
 def test_a_page_that_is_closed_while_it_presses_lets_go() -> None:

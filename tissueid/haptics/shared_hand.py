@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import mmap
 import os
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 
 from tissueid.errors import DeviceError
 from tissueid.haptics.shared_memory import shared_memory
-from tissueid.haptics.simulated_layout import POINTER, POINTER_ON, SIM_PARAMETERS
+from tissueid.haptics.simulated_layout import LED_AT, POINTER, POINTER_ON, SIM_PARAMETERS
 
 __all__ = ["SharedHand"]
 
@@ -88,6 +89,15 @@ class SharedHand:
         for axis in range(3):
             self.parameters[POINTER + axis] = point[axis]
         self.parameters[POINTER_ON] = 1.0
+
+    def stay(self) -> None:
+        """Say that whoever leads the hand is still there."""
+        self.parameters[LED_AT] = time.monotonic()
+
+    def silent_s(self) -> float:
+        """Time since that was last said [s]; 0 where it never was."""
+        said = float(self.parameters[LED_AT])
+        return time.monotonic() - said if said > 0.0 else 0.0
 
     def close(self) -> None:
         """Give the descriptor back; the mapping lives as long as its array."""

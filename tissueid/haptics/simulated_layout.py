@@ -21,6 +21,7 @@ __all__ = [
     "HAND_STIFFNESS",
     "KNOTS",
     "KNOT_COLUMNS",
+    "LED_AT",
     "MASS",
     "MAX_KNOTS",
     "PHASE",
@@ -42,6 +43,7 @@ HAND_STIFFNESS, HAND_DAMPING, RIGID = 4, 5, 6
 TREMOR, TREMOR_HZ, TREMOR_PHASE, TREMOR_AXIS = 7, 8, 9, 10  # axis: 10, 11, 12
 POINTER_ON, POINTER = 13, 14  # pointer: 14, 15, 16
 KNOTS = 17
+LED_AT = 18  # monotonic time [s] at which whoever leads the hand was last there; no kernel reads it
 FIRST_KNOT = 20
 #: Columns of a knot of the hand's script: time, x, y, z, grip from here on.
 KNOT_COLUMNS = 5

@@ -23,6 +23,8 @@ __all__ = ["DEFAULT_PORT", "ServedViewer", "ViewerOptions"]
 DEFAULT_PORT = 8765
 #: The server closes its connections in this time [s], or is killed.
 REAP_S = 3.0
+#: A server that leads a hand says a hundred times a second that it is there; after this it hangs [s].
+SILENCE_S = 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,8 +94,10 @@ class ServedViewer:
             None if is_loopback(options.host) else new_token(),
             tls=options.certificate is not None,
         )
-        #: Called where the server dies: what it led is led by nobody.
+        #: Called where the server dies or hangs: what it led is led by nobody.
         self.let_go: Callable[[], None] = _nothing
+        #: How long nothing was heard of a server that leads a hand [s].
+        self.silent_s: Callable[[], float] = lambda: 0.0
         self._lost = False
         theirs, self._link = socket.socketpair()
         command = own_process("tissueid.viewer.server_process", str(theirs.fileno()), str(listening.fileno()))
@@ -150,8 +154,15 @@ class ServedViewer:
         return self._process.poll() is None
 
     def tend(self) -> bool:
-        """Look after the server; True once, where it died, after what it led was let go."""
-        if self._lost or self.runs:
+        """Look after the server; True once, where it died, after what it led was let go.
+
+        One that hangs keeps no hand either: it may lead again when it goes on.
+        """
+        if self._lost:
+            return False
+        if self.runs:
+            if self.silent_s() > SILENCE_S:
+                self.let_go()
             return False
         self._lost = True
         self.let_go()

@@ -42,6 +42,7 @@ def show_session(viewer: ServedViewer, plan: SessionPlan, servo: ServoProcess, b
             descriptors.append(servo.hand.descriptor)
             rest_m = [float(value) for value in plan.device_options["hand"].start_m]
             viewer.let_go = partial(servo.hand.point_at, rest_m)
+            viewer.silent_s = servo.hand.silent_s
         viewer.show_live(words, descriptors, rest_m=rest_m, workspace_m=workspace_m)
     finally:
         os.close(reading)

@@ -100,6 +100,8 @@ class Stage:
             await asyncio.sleep(TURN_S)
             if self.leader is not None and time.monotonic() - self.leader_heard_s > SILENCE_S:
                 self.let_go()
+            if self.pointer is not None:
+                self.pointer.hand.stay()
             if self.clients:
                 if self._feed is not None:
                     self._feed.pump()
