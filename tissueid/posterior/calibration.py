@@ -15,19 +15,19 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.likelihood.instrument_density import conditionals, log_ratios, tissue_precision
+from tissueid.likelihood.instrument_density import conditionals, log_ratios
 from tissueid.likelihood.instrument_kernels import EFFECTS, INSTRUMENT
 from tissueid.likelihood.knot_terms import log_terms
 from tissueid.likelihood.knots import KnotSums, packed
 from tissueid.likelihood.linearise import Optimum
-from tissueid.likelihood.passive_normal import draw_passive, passive
+from tissueid.likelihood.passive_normal import draw_passive
 from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
-from tissueid.posterior.common_static import common_static
+from tissueid.posterior.channel_gains import CHANNELS, drawn_gains, scaled_by, static_of_logs
 from tissueid.posterior.importance import Weighted, importance_sample
 from tissueid.posterior.instrument import INSTRUMENT_NAMES, Behind
 from tissueid.posterior.instrument_mode import instrument_mode
@@ -42,7 +42,7 @@ __all__ = ["NUISANCES", "TotalPosterior", "field_units", "total_posterior", "tru
 FloatArray = NDArray[np.float64]
 
 #: Calibration nuisances, in the order of the draws.
-NUISANCES = ("force_gain", "displacement_gain", *INSTRUMENT_NAMES)
+NUISANCES = (*CHANNELS, *INSTRUMENT_NAMES)
 #: Threads that evaluate points.
 MAX_WORKERS = 2
 #: Points a thread takes at a time.
@@ -96,14 +96,6 @@ def truncated_moments(prior: CalibrationPrior) -> tuple[float, float]:
     return prior.mean + prior.sd * hazard, prior.sd * math.sqrt(1.0 + hazard * (cut - hazard))
 
 
-def _log_normal(value: FloatArray, prior: CalibrationPrior) -> FloatArray:
-    """Ln density of a prior, up to its constant; -inf below the cut."""
-    if prior.sd <= 0.0:
-        return np.zeros_like(value)
-    density = -0.5 * ((value - prior.mean) / prior.sd) ** 2
-    return np.where(value >= prior.lower, density, -np.inf)
-
-
 def _evaluate(
     behind: Behind, free: NDArray[np.bool_], inner: FloatArray, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
@@ -143,58 +135,6 @@ def _in_threads(work, rows: NDArray[np.int64]) -> None:  # type: ignore[no-untyp
         list(pool.map(work, batches))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Gains:
-    """Drawn gains of force and displacement, and what they do to coefficients by powers of u."""
-
-    force: FloatArray
-    displacement: FloatArray
-    static: int
-    size: int
-    branches: int
-
-    def some(self, rows: NDArray[np.int64]) -> _Gains:
-        """Those of some of the draws."""
-        return replace(self, force=self.force[rows], displacement=self.displacement[rows])
-
-    def powers(self) -> FloatArray:
-        """Logarithm of the factor of every coefficient of theta, shape (n, p)."""
-        force, displacement = np.log(self.force)[:, None], np.log(self.displacement)[:, None]
-        static = np.arange(1.0, self.static + 1)
-        branch = np.tile(np.arange(1.0, self.size + 1), self.branches)
-        return np.asarray(displacement * np.concatenate([static, branch]) - force)
-
-
-def _draw_gain(prior: CalibrationPrior, n: int, rng: np.random.Generator) -> FloatArray:
-    """Gains, positive."""
-    return np.asarray(np.maximum(prior.mean + prior.sd * rng.standard_normal(n), 1e-3))
-
-
-def _scaled(
-    behind: Behind, points: FloatArray, theta: FloatArray, gains: _Gains
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Theta and compliance behind the drawn gains, and ln of what their priors say more of them."""
-    log_factor = gains.powers()
-    scaled = theta * np.exp(log_factor)
-    at = behind.branches + INSTRUMENT - 1
-    ratio = gains.force / gains.displacement
-    compliance = points[:, at] * ratio
-    prior = behind.calibration[-1]
-    more = _log_normal(compliance, prior) - _log_normal(points[:, at], prior)
-    if prior.sd > 0.0:
-        more += np.log(ratio)
-    # by the prior of theta, which depends on the relaxation times that draws of one point share
-    times, which = np.unique(points[:, : behind.branches], axis=0, return_inverse=True)
-    density = behind.density()
-    precision = np.array([tissue_precision(density, np.ascontiguousarray(one)) for one in times])[which]
-    before, after = theta - behind.linear[0], scaled - behind.linear[0]
-    more += 0.5 * np.einsum("ni,nij,nj->n", before, precision, before)
-    more -= 0.5 * np.einsum("ni,nij,nj->n", after, precision, after)
-    more += log_factor.sum(axis=1)
-    more = np.where(passive(scaled, behind.blocks), more, -np.inf)
-    return scaled, compliance, more
-
-
 def field_units(behind: Behind, theta: FloatArray, log_tau: FloatArray) -> FloatArray:
     """Coefficients by powers of u and ln tau -> theta of the contact model, shape (n, p)."""
     scale, size, static = behind.optimum.scale, behind.optimum.degree + 1, behind.optimum.static
@@ -207,28 +147,6 @@ def field_units(behind: Behind, theta: FloatArray, log_tau: FloatArray) -> Float
         out[:, first : first + size] = block * scale ** -np.arange(float(size))
         out[:, first + size] = np.exp(log_tau[:, j])
     return out
-
-
-def _passive_or_scaled(static: FloatArray, scaled: FloatArray) -> FloatArray:
-    """Curves behind their gains; the unscaled one where a stretch of depth leaves it not passive."""
-    blocks = np.array([STATIC_DEGREE], dtype=np.int64)
-    return np.where(passive(scaled, blocks)[:, None], scaled, static)
-
-
-def _common_static(
-    behind: Behind,
-    points: FloatArray,
-    theta: FloatArray,
-    source: NDArray[np.int64],
-    gains: _Gains,
-    rng: np.random.Generator,
-) -> FloatArray:
-    """Static coefficients, in their units, of logs with a curve each: gains divide them as any other."""
-    used, which = np.unique(source, return_inverse=True)
-    static = common_static(behind, points[used], theta[used], rng)[which]
-    powers = np.arange(1.0, STATIC_DEGREE + 1)
-    factor = np.outer(np.log(gains.displacement), powers) - np.log(gains.force)[:, None]
-    return _passive_or_scaled(static, static * np.exp(factor)) * behind.optimum.scale**-powers
 
 
 def _softmax(level: FloatArray) -> FloatArray:
@@ -337,14 +255,8 @@ def total_posterior(
     )
     found, points = _weighted_draws(behind, rng)
     tried = _resampled(found.weights, PAIRS * draws, rng)
-    gains = _Gains(
-        _draw_gain(priors.calibration["force_gain"], tried.size, rng),
-        _draw_gain(priors.calibration["displacement_gain"], tried.size, rng),
-        optimum.static,
-        optimum.degree + 1,
-        optimum.branches,
-    )
-    theta, compliance, more = _scaled(behind, points[tried], found.extra[tried], gains)
+    gains = drawn_gains(behind, tried.size, rng)
+    theta, compliance, more = scaled_by(behind, points[tried], found.extra[tried], gains)
     weights = _softmax(more)
     picks = _resampled(weights, draws, rng)
     source, gains = tried[picks], gains.some(picks)
@@ -352,7 +264,7 @@ def total_posterior(
     instrument[:, -1] = compliance[picks]
     reported = field_units(behind, theta[picks], points[source, : behind.branches])
     if "static" in effects:
-        reported[:, :STATIC_DEGREE] = _common_static(behind, points, found.extra, source, gains, rng)
+        reported[:, :STATIC_DEGREE] = static_of_logs(behind, points, found.extra, source, gains, rng)
     # of the points' weights, and of those of the gains among the draws of a point
     worth = found.size / (weights.size * float((weights**2).sum()))
     nuisances = np.column_stack([gains.force, gains.displacement, instrument])
