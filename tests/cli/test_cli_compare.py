@@ -44,6 +44,57 @@ def test_a_tissue_beside_itself_is_not_shown_to_differ(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("named", "written"),
+    [("two", "two/contrast"), ("pair.json", "pair"), ("pair.html", "pair"), ("v1.2", "v1.2/contrast")],
+)
+def test_document_and_page_are_written_together(tmp_path: Path, named: str, written: str) -> None:
+    one, other = bundle(tmp_path, "kidney"), bundle(tmp_path, "liver", scale=1.5)
+    assert run("compare", one, other, "-o", tmp_path / named, "-q").code == 0
+    check(json.loads((tmp_path / f"{written}.json").read_bytes()), "contrast", where="contrast.json")
+    page = (tmp_path / f"{written}.html").read_text(encoding="utf-8")
+    assert "kidney and liver differ" in page
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(
+        {"kidney.h5", "liver.h5", *({named} if "/" in written else {"pair.json", "pair.html"})}
+    )
+
+
+def test_a_place_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
+    path = bundle(tmp_path, "kidney")
+    (tmp_path / "file").write_text("in the way", encoding="ascii")
+    for place in ("file/below", "file/pair.json", "file"):
+        ended = run("compare", path, path, "-o", tmp_path / place)
+        assert ended.code == 2, place
+        assert "file" in ended.stderr
+
+
+def test_curves_are_those_of_the_law(tmp_path: Path) -> None:
+    path = bundle(tmp_path, "kidney")
+    document = run("compare", path, path, "--json").json()
+    curve = document["curves"][0]["loading"][-1]
+    theta = PAPER_A.theta
+    v, tau, x = curve["speed_mm_s"], theta[4], np.array(curve["depth_mm"])
+    force = theta[0] * x + theta[1] * x**2 + theta[2] * x**3
+    force = force + theta[3] * v * tau * -np.expm1(-x / (v * tau))
+    # 400 draws of 1 %: the median is known to a twentieth of that
+    np.testing.assert_allclose(curve["median"][1:], force[1:], rtol=0.003)
+    hold = document["curves"][0]["hold"]
+    held = force[-1] - theta[3] * v * tau * -np.expm1(-x[-1] / (v * tau)) * -np.expm1(
+        -np.array(hold["time_s"]) / tau
+    )
+    np.testing.assert_allclose(hold["median"], held, rtol=0.003)
+    assert hold["time_s"][-1] == pytest.approx(5.0 * tau)
+    for one in (curve, hold):
+        assert all(a <= b <= c for a, b, c in zip(one["low"], one["median"], one["high"], strict=True))
+    # the numbers of the table are points of the curve
+    last = next(
+        row
+        for row in document["pairs"][0]["numbers"]
+        if f"{v:.3g} mm/s" in row["name"] and row["name"].startswith("force at 8")
+    )
+    assert last["one"] == pytest.approx([curve[name][-1] for name in ("low", "median", "high")], rel=1e-9)
+
+
+@pytest.mark.parametrize(
     ("draws", "args", "said"),
     [
         (400, (), "nothing to compare"),

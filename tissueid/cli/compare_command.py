@@ -21,7 +21,7 @@ EPILOG = """\b
 Examples:
   tissueid compare out/bundle-kidney.h5 out/bundle-liver.h5
   tissueid compare before/ after/ --interval total
-  tissueid compare out -o contrast.json
+  tissueid compare out -o compared
 """
 #: Clamp of the simulated device and of a calibrated one at its default [N].
 CLAMP_N = 5.0
@@ -37,7 +37,10 @@ CLAMP_N = 5.0
     "--clamp", type=click.FloatRange(min=0.0, min_open=True), default=CLAMP_N, show_default=True, metavar="N",
     help="Largest force of the device at which a hand would feel them.",
 )  # fmt: skip
-@click.option("-o", "--output", type=click.Path(), help="Write the document there.")
+@click.option(
+    "-o", "--output", type=click.Path(), metavar="PATH",
+    help="Folder for contrast.json and contrast.html; or NAME.json, and NAME.html is written beside it.",
+)  # fmt: skip
 @output_options
 def command(**flags: Any) -> int:
     """Say whether identified tissues differ, by how much, and whether a hand could feel it.
@@ -47,7 +50,7 @@ def command(**flags: Any) -> int:
     probability that one is larger. Two recordings of one machine share its calibration, two machines do not.
     """
     from tissueid.contrast.document import contrast_document
-    from tissueid.store.files import json_bytes, plain_json
+    from tissueid.store.files import plain_json
     from tissueid.store.schema import check
 
     tissues = [tissue for path in flags["paths"] for tissue in _tissues(Path(path), flags["interval"])]
@@ -57,13 +60,32 @@ def command(**flags: Any) -> int:
     document: dict[str, Any] = plain_json(contrast_document(_apart(tissues), clamp_N=flags["clamp"]))
     check(document, "contrast", where="contrast.json")
     if flags["output"] is not None:
-        write_output(flags["output"], json_bytes(document))
-        note(f"wrote {flags['output']}", quiet=flags["quiet"])
+        _write(document, Path(flags["output"]), quiet=flags["quiet"])
     if flags["as_json"]:
         echo_json(document)
     elif not flags["quiet"]:
         _print(document)
     return 0
+
+
+def _write(document: dict[str, Any], target: Path, *, quiet: int) -> None:
+    """Write document and page, both or with a message that names what is in the way."""
+    from datetime import UTC, datetime
+
+    from tissueid.report.contrast_page import render_contrast
+    from tissueid.store.files import json_bytes
+
+    if target.suffix not in {".json", ".html"}:
+        try:
+            target.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            msg = f"{target}: can't be made ({error.strerror}); choose another place with -o"
+            raise UsageError(msg) from error
+        target = target / "contrast.html"
+    page = render_contrast(document, created=datetime.now(UTC).isoformat(timespec="seconds"))
+    write_output(str(target.with_suffix(".json")), json_bytes(document))
+    write_output(str(target.with_suffix(".html")), page.encode("utf-8"))
+    note(f"wrote {target.with_suffix('.json')} and {target.with_suffix('.html')}", quiet=quiet)
 
 
 def _tissues(path: Path, interval: str) -> list[Compared]:

@@ -89,7 +89,8 @@ def rows(one: Mapping[str, FloatArray], other: Mapping[str, FloatArray]) -> list
         ratio = None
         if a.min() > 0.0 and b.min() > 0.0:
             ratio = _central(np.concatenate([shift / a for shift in shifts]))
-        larger = float(np.mean([np.mean(shift > a) for shift in shifts]))
+        # a tie is half of either
+        larger = float(np.mean([np.mean(shift > a) + 0.5 * np.mean(shift == a) for shift in shifts]))
         found.append(Row(name, _central(one[name]), _central(other[name]), ratio, larger))
     return found
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from tissueid import __version__
+from tissueid.contrast.curves import force_curves
 from tissueid.contrast.decision import LEVEL, difference, rows
 from tissueid.contrast.noticeable import noticed
 from tissueid.contrast.numbers import Compared, common_range, draws_of_numbers
@@ -72,5 +73,6 @@ def contrast_document(tissues: Sequence[Compared], *, clamp_N: float) -> dict[st
             }
             for tissue in tissues
         ],
+        "curves": force_curves(list(tissues), common),
         "pairs": pairs,
     }

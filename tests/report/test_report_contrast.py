@@ -1,0 +1,122 @@
+"""The page of ``tissueid compare``: its words, and what a browser draws of it."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rendered_tissues import PAPER_A
+
+from tissueid.contrast.document import contrast_document
+from tissueid.contrast.numbers import Compared
+from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.report.contrast_page import contrast_verdict, render_contrast
+from tissueid.store.files import plain_json
+
+
+def tissue(name: str, scale: float, *, sd: float = 0.01) -> Compared:
+    chance = np.random.default_rng(len(name))
+    theta = PAPER_A.theta * np.array([scale, scale, scale, scale, 1.0])
+    draws = theta * np.exp(sd * chance.standard_normal((300, 5)))
+    model = PAPER_A.model
+    assert isinstance(model, KelvinVoigt)
+    return Compared(name, model, draws, (PAPER_A.speeds_mm_s[0], PAPER_A.speeds_mm_s[1]), total=False)
+
+
+def compared(*tissues: Compared) -> dict[str, Any]:
+    document: dict[str, Any] = plain_json(contrast_document(tissues, clamp_N=5.0))
+    return document
+
+
+def test_the_page_asks_the_network_for_nothing_and_says_its_numbers() -> None:
+    document = compared(tissue("kidney", 1.0), tissue("liver", 1.5))
+    page = render_contrast(document, created="2026-01-01")
+    words = page.partition("<script>")[0]
+    assert re.findall(r'(?:src|href)="(?!data:|#)', words) == []
+    assert "kidney and liver differ." in words
+    assert "A hand could tell by the force" in words
+    for limit in ("10.1068/p180681", "10.1007/BF00228884", "10.1007/BF00230304"):
+        assert limit in words
+    for row in document["pairs"][0]["numbers"]:
+        assert row["name"] in words
+    assert "Written 2026-01-01." in page
+    assert render_contrast(document) == render_contrast(document)
+
+
+def test_equal_tissues_are_not_called_equal() -> None:
+    words = contrast_verdict(compared(tissue("kidney", 1.0), tissue("kidnez", 1.0)))
+    assert "not shown to differ" in words.title
+    assert "no proof of being equal" in words.text
+    assert "a hand would hardly tell" in words.text
+
+
+def test_several_pairs_are_counted_against_chance() -> None:
+    document = compared(tissue("a", 1.0), tissue("bb", 1.0), tissue("ccc", 1.5))
+    words = contrast_verdict(document)
+    assert words.text.startswith(
+        "2 of 3 pairs differ at the 2 % level; of tissues that are all one, 0.06 would"
+    )
+    page = render_contrast(document)
+    for pair in range(1, 4):
+        assert f'href="#pair-{pair}"' in page
+    assert (
+        "None shown"
+        in contrast_verdict(compared(tissue("a", 1.0), tissue("bb", 1.0), tissue("c", 1.0))).title
+    )
+
+
+def test_a_name_is_text() -> None:
+    wild = replace(tissue("x", 1.0), name="<script>alert(1)</script>")
+    page = render_contrast(compared(wild, tissue("liver", 1.5)))
+    assert "<script>alert" not in page
+
+
+TRACES = """Object.fromEntries([...document.querySelectorAll('[data-figure]')].map((box) =>
+  [box.dataset.figure, box.data.map((one) => ({ name: one.name, x: [...one.x], y: [...one.y] }))]))"""
+
+
+@pytest.mark.slow
+@pytest.mark.browser
+@pytest.mark.parametrize(("width", "scheme"), [(1400, "light"), (800, "dark"), (400, "light")])
+def test_a_browser_draws_the_document(browser: Any, tmp_path: Path, width: int, scheme: Any) -> None:
+    document = compared(tissue("kidney", 1.0), tissue("liver", 1.5))
+    path = tmp_path / "contrast.html"
+    path.write_text(render_contrast(document), encoding="utf-8")
+    page = browser.new_page(viewport={"width": width, "height": 4000}, color_scheme=scheme)
+    problems: list[str] = []
+    page.on("pageerror", lambda error: problems.append(str(error)))
+    page.on("console", lambda message: problems.append(message.text) if message.type == "error" else None)
+    page.on(
+        "request",
+        lambda asked: (
+            None if asked.url.startswith(("file:", "data:", "blob:")) else problems.append(asked.url)
+        ),
+    )
+    page.goto(path.as_uri())
+    page.wait_for_function("document.querySelectorAll('[data-drawn]').length === 3", timeout=60_000)
+    drawn = page.evaluate(TRACES)
+    wide = page.evaluate("document.documentElement.scrollWidth")
+    if width == 1400:
+        page.emulate_media(media="print")
+        assert page.pdf()[:5] == b"%PDF-"
+    page.close()
+    assert problems == []
+    assert wide <= width
+    rows = [(one, curve) for one in document["curves"] for curve in one["loading"]]
+    assert len(drawn["loading"]) == 3 * len(rows)
+    for place, (one, curve) in enumerate(rows):
+        for offset, kind in enumerate(("low", "high", "median")):
+            trace = drawn["loading"][3 * place + offset]
+            assert trace["name"].startswith(one["name"])
+            assert trace["x"] == curve["depth_mm"]
+            assert trace["y"] == curve[kind]
+    for place, one in enumerate(document["curves"]):
+        trace = drawn["hold"][3 * place + 2]
+        assert trace["x"] == one["hold"]["time_s"][1:]
+        assert trace["y"] == one["hold"]["median"][1:]
+    ratios = {row["name"]: row["ratio"][1] for row in document["pairs"][0]["numbers"]}
+    assert dict(zip(drawn["ratio"][0]["y"], drawn["ratio"][0]["x"], strict=True)) == ratios
