@@ -7,8 +7,8 @@ from typing import Any
 
 from tissueid.likelihood import marginal, partial
 from tissueid.likelihood.cone import cone_least_squares
+from tissueid.likelihood.density_lanes import conditionals, log_ratios
 from tissueid.likelihood.gram_kernels import places, tiled_grams
-from tissueid.likelihood.instrument_density import conditionals, log_ratios
 from tissueid.likelihood.instrument_kernels import instrument_force
 from tissueid.likelihood.kernels import fill_powers, fill_states
 from tissueid.likelihood.knot_kernels import accumulate, corner_flags

@@ -1,7 +1,7 @@
-"""Compiled density of a tissue behind its instrument, and the normal of its coefficients, at many points.
+"""Compiled density of a tissue behind its instrument, at one point.
 
-What it means is in :mod:`tissueid.posterior.instrument`; here stands the arithmetic of one point, so that
-thousands of points cost no Python.
+What it means is in :mod:`tissueid.posterior.instrument`; thousands of points go side by side, in
+:mod:`tissueid.likelihood.density_lanes`.
 """
 
 from __future__ import annotations
@@ -13,40 +13,30 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.likelihood.bernstein import is_passive
-from tissueid.likelihood.cone import cone_least_squares
 from tissueid.likelihood.instrument_kernels import (
     EFFECTS,
     INSTRUMENT,
     STATIC_TERMS,
-    TISSUE,
     Packed,
     effect_count,
 )
 from tissueid.likelihood.knot_terms import log_terms, without_effects
-from tissueid.likelihood.passive_normal import log_passive_mass
-from tissueid.likelihood.triangular import factor, inverse_factor, solved
+from tissueid.likelihood.triangular import factor, inverse_factor
 
 __all__ = [
-    "SMALLEST_GAIN", "SMALLEST_SPREAD", "Density", "conditional", "conditionals", "effect_prior", "inverse",
-    "log_likelihood", "log_ratios", "tissue_precision",
+    "SMALLEST_GAIN", "SMALLEST_SPREAD", "Density", "correlation_shares", "effect_prior", "inverse",
+    "log_likelihood", "log_theta_prior", "tissue_precision",
 ]  # fmt: skip
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-#: Rounds for theta behind a frame, and the step, in standard deviations squared, that is the last: Newton's
-#: next one would be its square, and draws are weighted by the exact density anyway.
-TISSUE_ROUNDS = 6
-SETTLED = 0.5
 #: Gains below this fraction of the linearised one are taken as it.
 SMALLEST_GAIN = 0.05
 #: A spread of ln gain below this is none; its square would be lost.
 SMALLEST_SPREAD = 1e-5
 #: Ridge of a matrix of unit diagonal that is inverted.
 RIDGE = 1e-12
-#: Dual tolerance of the passive theta about which is linearised.
-NEAR_ENOUGH = 1e-6
 
 
 class Density(NamedTuple):
@@ -156,21 +146,31 @@ def effect_prior(density: Density, data: Packed, gain_sd: float) -> tuple[FloatA
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
-def _whitened_at(density: Density, arctanh_phi: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Sums on knots at another correlation, from those at a few."""
+def correlation_shares(density: Density, arctanh_phi: float) -> FloatArray:
+    """Weights of the sums at a few correlations in those at another, shape (k,)."""
     phi = math.tanh(arctanh_phi)
-    pull = np.zeros(density.pulls.shape[1])
-    band = np.zeros(density.bands.shape[1:])
-    square = np.zeros(density.squares.shape[1])
+    out = np.empty(density.phi.size)
     for k in range(density.phi.size):
         own = density.phi[k]
         weight = (1.0 - own * own) / (1.0 - phi * phi)
         for other in range(density.phi.size):
             if other != k:
                 weight *= (phi - density.phi[other]) / (own - density.phi[other])
-        pull += weight * density.pulls[k]
-        band += weight * density.bands[k]
-        square += weight * density.squares[k]
+        out[k] = weight
+    return out
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _whitened_at(density: Density, arctanh_phi: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Sums on knots at another correlation, from those at a few."""
+    pull = np.zeros(density.pulls.shape[1])
+    band = np.zeros(density.bands.shape[1:])
+    square = np.zeros(density.squares.shape[1])
+    shares = correlation_shares(density, arctanh_phi)
+    for k in range(shares.size):
+        pull += shares[k] * density.pulls[k]
+        band += shares[k] * density.bands[k]
+        square += shares[k] * density.squares[k]
     return pull, band, square
 
 
@@ -209,10 +209,8 @@ def _data_at(density: Density, point: FloatArray, theta: FloatArray) -> Packed:
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
-def _normal(
-    density: Density, point: FloatArray, theta: FloatArray, kind: int
-) -> tuple[FloatArray, FloatArray, float]:
-    """Curvature, slope and value of the log likelihood, effects integrated."""
+def _value(density: Density, point: FloatArray, theta: FloatArray) -> float:
+    """The log likelihood, effects integrated."""
     branches = density.data.branches
     inner = branches + INSTRUMENT
     at = inner
@@ -222,12 +220,23 @@ def _normal(
         at += 1
     sigma2 = math.exp(2.0 * point[at]) if density.loose else density.sigma2
     data = _data_at(density, point, theta)
-    gram, pull, square = log_terms(data, theta, point[:branches], point[branches:inner], kind)
+    gram, pull, square = log_terms(data, theta, point[:branches], point[branches:inner], EFFECTS)
     precision, mean = effect_prior(density, data, gain_sd)
-    curvature, slope, value, _ = without_effects(
-        gram, pull, square, np.ones(square.size), precision, mean, sigma2
-    )
-    return curvature, slope, value
+    return float(without_effects(gram, pull, square, np.ones(square.size), precision, mean, sigma2)[2])
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def log_theta_prior(density: Density, point: FloatArray, theta: FloatArray) -> float:
+    """Ln of theta's prior at one point, up to a constant; arguments as in :func:`log_likelihood`."""
+    precision = tissue_precision(density, point[: density.data.branches])
+    low = factor(precision)
+    value = 0.0
+    for i in range(theta.size):
+        value += math.log(low[i, i])
+        for k in range(theta.size):
+            away = (theta[i] - density.prior_mean[i]) * (theta[k] - density.prior_mean[k])
+            value -= 0.5 * precision[i, k] * away
+    return value
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
@@ -241,15 +250,7 @@ def log_likelihood(density: Density, point: FloatArray, theta: FloatArray) -> fl
         Coordinates; their own prior is not counted.
     theta : ndarray, shape (p,)
     """
-    precision = tissue_precision(density, point[: density.data.branches])
-    low = factor(precision)
-    value = 0.0
-    for i in range(theta.size):
-        value += math.log(low[i, i])
-        for k in range(theta.size):
-            away = (theta[i] - density.prior_mean[i]) * (theta[k] - density.prior_mean[k])
-            value -= 0.5 * precision[i, k] * away
-    return value + _normal(density, point, theta, EFFECTS)[2]
+    return log_theta_prior(density, point, theta) + _value(density, point, theta)
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
@@ -274,96 +275,3 @@ def inverse(matrix: FloatArray) -> FloatArray:
             out[i, k] = total * unit[i] * unit[k]
             out[k, i] = out[i, k]
     return out
-
-
-@nb.njit(cache=True, nogil=True, error_model="numpy")
-def _nearest(density: Density, centre: FloatArray, curvature: FloatArray) -> FloatArray:
-    """The passive theta nearest to a centre: what is left of its normal lies there."""
-    if is_passive(centre, density.blocks):
-        return centre
-    return cone_least_squares(curvature, curvature @ centre, density.blocks, density.start, NEAR_ENOUGH)[0]
-
-
-@nb.njit(cache=True, nogil=True, error_model="numpy")
-def conditional(density: Density, point: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Mean and covariance of theta at one point, before it is cut to the passive set.
-
-    Linearised where the cut normal has most of its mass, which may be far from that mean.
-
-    Parameters
-    ----------
-    density : Density
-    point : ndarray, shape (d,)
-
-    Returns
-    -------
-    mean : ndarray, shape (p,)
-    covariance : ndarray, shape (p, p)
-    """
-    p, branches = density.theta.size, density.data.branches
-    begin = density.theta + density.slope @ (point - density.mode)
-    theta = _nearest(density, begin, np.ascontiguousarray(density.curvature[:p, :p]))
-    precision = tissue_precision(density, point[:branches])
-    rigid = point[branches + INSTRUMENT - 1] == 0.0
-    centre, covariance = theta, precision
-    for _ in range(TISSUE_ROUNDS):
-        curvature, slope, _ = _normal(density, point, theta, TISSUE)
-        curvature = curvature + precision
-        covariance = inverse(curvature)
-        centre = theta + covariance @ (slope + precision @ (density.prior_mean - theta))
-        step = _nearest(density, centre, curvature) - theta
-        if rigid or step @ (curvature @ step) < SETTLED:
-            break
-        theta = theta + step
-    return centre, covariance
-
-
-@nb.njit(cache=True, nogil=True, error_model="numpy")
-def conditionals(
-    density: Density, points: FloatArray, rows: IntArray, mean: FloatArray, covariance: FloatArray
-) -> None:
-    """Write :func:`conditional` of some of the points.
-
-    Parameters
-    ----------
-    density : Density
-    points : ndarray, shape (n, d)
-    rows : ndarray of int
-        Which of them.
-    mean, covariance : ndarray, shape (n, p) and (n, p, p)
-        Written.
-    """
-    for i in rows:
-        mean[i], covariance[i] = conditional(density, points[i])
-
-
-@nb.njit(cache=True, nogil=True, error_model="numpy")
-def log_ratios(
-    density: Density,
-    points: FloatArray,
-    rows: IntArray,
-    theta: FloatArray,
-    mean: FloatArray,
-    covariance: FloatArray,
-    out: FloatArray,
-) -> None:
-    """Write the log likelihood of some points over the density that theta was drawn with there.
-
-    Parameters
-    ----------
-    density : Density
-    points, rows, mean, covariance
-        From :func:`conditionals`.
-    theta : ndarray, shape (n, p)
-        Drawn from the normals, cut to the passive set.
-    out : ndarray, shape (n,)
-        Written.
-    """
-    for i in rows:
-        low = factor(covariance[i])
-        z = solved(low, theta[i] - mean[i])
-        drawn = -0.5 * (z @ z)
-        for k in range(z.size):
-            drawn -= math.log(low[k, k])
-        drawn -= log_passive_mass(mean[i], covariance[i], density.blocks)
-        out[i] = log_likelihood(density, points[i], theta[i]) - drawn

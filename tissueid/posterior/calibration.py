@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.likelihood.instrument_density import conditionals, log_ratios
+from tissueid.likelihood.density_lanes import conditionals, log_ratios
 from tissueid.likelihood.instrument_kernels import EFFECTS, INSTRUMENT
 from tissueid.likelihood.knot_terms import log_terms
 from tissueid.likelihood.knots import KnotSums, packed
@@ -46,7 +46,7 @@ NUISANCES = (*CHANNELS, *INSTRUMENT_NAMES)
 #: Threads that evaluate points.
 MAX_WORKERS = 2
 #: Points a thread takes at a time.
-BATCH = 25
+BATCH = 256
 #: A spread of the gains below this is none.
 SMALLEST_GAIN_SD = 1e-4
 #: Pairs of gains that are tried for each draw that is returned.

@@ -24,7 +24,6 @@ from tissueid.likelihood.instrument_density import (
     SMALLEST_GAIN,
     SMALLEST_SPREAD,
     Density,
-    conditional,
     effect_prior,
     log_likelihood,
     tissue_precision,
@@ -227,14 +226,6 @@ class Behind:
             return -math.inf
         value = prior + log_likelihood(self.density(), point, np.ascontiguousarray(theta))
         return value if math.isfinite(value) else -math.inf
-
-    def conditional(self, point: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Mean and covariance of theta at one point, before it is cut to the passive set.
-
-        Linearised where the cut normal has most of its mass, which may be far from that mean.
-        """
-        found: tuple[FloatArray, FloatArray] = conditional(self.density(), point)
-        return found
 
 
 def inverse(matrix: FloatArray) -> FloatArray:
