@@ -9,15 +9,31 @@ from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
 
-__all__ = ["__version__", "identify", "load_bundle", "read_study", "read_trials"]
+__all__ = [
+    "FitOptions",
+    "IdentifyOptions",
+    "PosteriorOptions",
+    "ReadOptions",
+    "__version__",
+    "identify",
+    "load_bundle",
+    "read_study",
+    "read_trials",
+]
 
 if TYPE_CHECKING:
-    from tissueid.ingest import read_trials
+    from tissueid.fit.specimen import FitOptions
+    from tissueid.ingest import ReadOptions, read_trials
     from tissueid.ingest.manifest import read_study
-    from tissueid.pipeline import identify
+    from tissueid.pipeline import IdentifyOptions, identify
+    from tissueid.posterior.specimen import PosteriorOptions
     from tissueid.store.bundle import load_bundle
 
 _LAZY = {
+    "FitOptions": "tissueid.fit.specimen",
+    "IdentifyOptions": "tissueid.pipeline",
+    "PosteriorOptions": "tissueid.posterior.specimen",
+    "ReadOptions": "tissueid.ingest",
     "identify": "tissueid.pipeline",
     "load_bundle": "tissueid.store.bundle",
     "read_study": "tissueid.ingest.manifest",

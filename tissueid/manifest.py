@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.notebook import Shown
 from tissueid.priors import PopulationPriors, Priors
 from tissueid.trial import Protocol, frozen_array
 
@@ -169,7 +170,7 @@ def _merged(entries: Iterable[Entry]) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, slots=True)
-class Study:
+class Study(Shown):
     """A study file.
 
     Attributes

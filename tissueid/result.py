@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from tissueid.errors import printable
 from tissueid.flags import Flag
+from tissueid.notebook import Shown
 from tissueid.quantities import CycleRow, QuotedNumbers, RelaxationRow
 from tissueid.trial import MM_N, Axes
 from tissueid.uncertainty import ParameterUncertainty, Posterior
@@ -41,7 +42,7 @@ _NO_POSTERIOR: Mapping[str, Any] = MappingProxyType(
 
 
 @dataclass(frozen=True, slots=True)
-class Estimate:
+class Estimate(Shown):
     """One parameter.
 
     Attributes
@@ -197,7 +198,7 @@ class TrialFit:
 
 
 @dataclass(frozen=True, slots=True)
-class SpecimenFit:
+class SpecimenFit(Shown):
     """The identified contact model of one specimen.
 
     Attributes
@@ -348,7 +349,7 @@ class Exit:
 
 
 @dataclass(frozen=True, slots=True)
-class Identification:
+class Identification(Shown):
     """Everything ``tissueid fit`` found in one run.
 
     Attributes

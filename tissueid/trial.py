@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.flags import Flag
+from tissueid.notebook import Shown
 
 __all__ = [
     "MM_N",
@@ -165,7 +166,7 @@ class Protocol:
 
 
 @dataclass(frozen=True, slots=True)
-class Trial:
+class Trial(Shown):
     """One recording of one push into one specimen.
 
     Attributes

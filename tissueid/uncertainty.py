@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.notebook import Shown
+
 __all__ = [
     "BudgetRow",
     "ComparisonRow",
@@ -317,7 +319,7 @@ class MisfitAlarm:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Posterior:
+class Posterior(Shown):
     """The posterior of one specimen.
 
     Attributes

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.errors import BundleError
+from tissueid.notebook import Shown
 from tissueid.result import Estimate, ModelChoice
 from tissueid.rupture_law import RuptureLaw
 from tissueid.trial import Axes
@@ -29,7 +30,7 @@ UNITS = Axes().as_json()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Bundle:
+class Bundle(Shown):
     """One identified tissue.
 
     Attributes

@@ -1,0 +1,329 @@
+"""Results as a notebook shows them: a table and a small drawing, without a script and without the network.
+
+A type that is shown has :class:`Shown` among its bases; what is written of it stands here, in one place.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from tissueid.manifest import Study
+    from tissueid.result import Estimate, Identification, SpecimenFit
+    from tissueid.store.bundle_content import Bundle
+    from tissueid.trial import Trial
+    from tissueid.uncertainty import ParameterUncertainty, Posterior
+
+__all__ = ["Shown", "drawing", "table"]
+
+FloatArray = NDArray[np.float64]
+
+#: Size of a drawing, and the room for its numbers [px].
+WIDTH, HEIGHT, MARGIN = 420, 190, 44
+#: Points of a drawn curve: the smallest and largest of each of half as many parts.
+POINTS = 400
+#: Rows of a table before the rest is counted.
+MOST_ROWS = 30
+_NOT_SAMPLED = "–"
+
+
+class Shown:
+    """Base of what a notebook shows."""
+
+    __slots__ = ()
+
+    def _repr_html_(self) -> str:
+        return f'<div class="tissueid">{_WRITERS[type(self).__name__](self)}</div>'
+
+
+def table(caption: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table of text; everything is escaped, and a long one is cut with the number of what is left out.
+
+    Parameters
+    ----------
+    caption : str
+    headings : sequence of str
+    rows : sequence of sequence of str
+        As many cells as headings.
+    """
+    head = "".join(f'<th scope="col" style="text-align:left">{escape(one)}</th>' for one in headings)
+    body = "".join(
+        "<tr>" + "".join(f'<td style="text-align:left">{escape(cell)}</td>' for cell in row) + "</tr>"
+        for row in rows[:MOST_ROWS]
+    )
+    left = len(rows) - MOST_ROWS
+    more = f'<tr><td colspan="{len(headings)}">and {left} more</td></tr>' if left > 0 else ""
+    words = f'<caption style="text-align:left;caption-side:top">{escape(caption)}</caption>'
+    return f"<table>{words}<thead><tr>{head}</tr></thead><tbody>{body}{more}</tbody></table>"
+
+
+def drawing(
+    curves: Sequence[tuple[str, FloatArray, FloatArray, str]], *, across: str, up: str, words: str
+) -> str:
+    """Curves as an inline SVG that takes the colour of the text around it.
+
+    Parameters
+    ----------
+    curves : sequence of (name, x, y, colour)
+    across, up : str
+        Titles of the axes.
+    words : str
+        What is drawn, for who does not see it.
+    """
+    drawn = [(name, *_thinned(x, y), colour) for name, x, y, colour in curves]
+    x_from, x_to = _ends([x for _, x, _, _ in drawn])
+    y_from, y_to = _ends([y for _, _, y, _ in drawn])
+    right, top = WIDTH - 8, 24
+    bottom = HEIGHT - MARGIN
+
+    def place(x: FloatArray, y: FloatArray) -> str:
+        px = MARGIN + (x - x_from) / (x_to - x_from) * (right - MARGIN)
+        py = bottom - (y - y_from) / (y_to - y_from) * (bottom - top)
+        return " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(px, py, strict=True))
+
+    lines = "".join(
+        f'<polyline fill="none" stroke="{colour}" stroke-width="1.5" points="{place(x, y)}"/>'
+        for _, x, y, colour in drawn
+    )
+    legend = "".join(
+        f'<text x="{MARGIN + 110 * k}" y="14" fill="{colour}">{escape(name)}</text>'
+        for k, (name, _, _, colour) in enumerate(drawn)
+    )
+    marks = (
+        f'<text x="{MARGIN}" y="{bottom + 16}">{x_from:.3g}</text>'
+        f'<text x="{right}" y="{bottom + 16}" text-anchor="end">{x_to:.3g}</text>'
+        f'<text x="{(MARGIN + right) / 2}" y="{bottom + 32}" text-anchor="middle">{escape(across)}</text>'
+        f'<text x="{MARGIN - 4}" y="{bottom}" text-anchor="end">{y_from:.3g}</text>'
+        f'<text x="{MARGIN - 4}" y="{top + 8}" text-anchor="end">{y_to:.3g}</text>'
+        f'<text x="4" y="{(top + bottom) / 2}">{escape(up)}</text>'
+    )
+    frame = f'<path d="M{MARGIN},{top}V{bottom}H{right}" fill="none" stroke="currentColor" opacity=".5"/>'
+    return (
+        f'<svg role="img" aria-label="{escape(words)}" viewBox="0 0 {WIDTH} {HEIGHT}" width="{WIDTH}" '
+        f'height="{HEIGHT}" style="max-width:100%;font:11px sans-serif;fill:currentColor">'
+        f"{frame}{lines}{legend}{marks}</svg>"
+    )
+
+
+def _ends(rows: list[FloatArray]) -> tuple[float, float]:
+    low, high = min(float(row.min()) for row in rows), max(float(row.max()) for row in rows)
+    return (low, high) if high > low else (low - 0.5, high + 0.5)
+
+
+def _thinned(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The smallest and the largest value of each part of a curve: peaks and corners stay."""
+    if x.size <= POINTS:
+        return x, y
+    keep: list[int] = []
+    for part in np.array_split(np.arange(x.size), POINTS // 2):
+        keep += sorted({int(part[np.argmin(y[part])]), int(part[np.argmax(y[part])])})
+    return x[keep], y[keep]
+
+
+def _number(value: float | None) -> str:
+    return _NOT_SAMPLED if value is None or not math.isfinite(value) else f"{value:.4g}"
+
+
+def _interval(ends: tuple[float, float] | None) -> str:
+    return _NOT_SAMPLED if ends is None else f"{ends[0]:.4g} to {ends[1]:.4g}"
+
+
+def _estimate_row(one: Estimate, *, believed: bool, unit: Callable[[str], str] = str) -> list[str]:
+    if one.value is None:
+        return [one.name, "not identified", "", "", unit(one.unit)]
+    sure = one.uncertainty if believed else None
+    error = f" ± {one.stderr:.2g}" if believed and sure is None and one.stderr is not None else ""
+    total = None if sure is None else sure.ci95_total
+    return [
+        one.name,
+        _number(one.value) + error,
+        _NOT_SAMPLED if sure is None else _interval(sure.ci95),
+        _interval(total),
+        unit(one.unit),
+    ]
+
+
+def _parameters(
+    caption: str, parameters: Sequence[Estimate], *, believed: bool, unit: Callable[[str], str] = str
+) -> str:
+    headings = ("parameter", "value", "95 % statistical", "95 % total", "unit")
+    return table(caption, headings, [_estimate_row(one, believed=believed, unit=unit) for one in parameters])
+
+
+def _flags(flags: Sequence[Any]) -> str:
+    """Remarks as a list; a bundle holds them as mappings."""
+    if not flags:
+        return ""
+    told = [
+        (one["code"], one["message"]) if isinstance(one, Mapping) else (one.code, one.message)
+        for one in flags
+    ]
+    return (
+        "<ul>"
+        + "".join(f"<li>{escape(text)} <code>{escape(code)}</code></li>" for code, text in told)
+        + "</ul>"
+    )
+
+
+def _alarmed(fit: SpecimenFit) -> bool:
+    """Whether the residuals contradict the model."""
+    return fit.posterior is not None and fit.posterior.misfit is not None and fit.posterior.misfit.raised
+
+
+def _specimen(fit: SpecimenFit) -> str:
+    alarm = _alarmed(fit)
+    branches = f"{fit.model.branches} branch{'es' * (fit.model.branches != 1)}"
+    caption = (
+        f"{fit.specimen}: {len(fit.trials)} trial{'s' * (len(fit.trials) != 1)}, {branches}, to "
+        f"{fit.depth_mm:.3g} mm, NRMSD {100.0 * fit.nrmsd.range:.2g} % of range"
+    )
+    said = "<p>The residuals contradict the model: no interval can be believed.</p>" if alarm else ""
+    return (
+        said
+        + _parameters(caption, fit.parameters, believed=not alarm, unit=fit.axes.unit)
+        + _fitted(fit)
+        + _flags(fit.flags)
+    )
+
+
+def _fitted(fit: SpecimenFit) -> str:
+    """Force and model of the trial with the largest force."""
+    if not fit.trials:
+        return ""
+    trial = max(fit.trials, key=lambda one: float(np.max(one.curve.force_N, initial=0.0)))
+    curve = trial.curve
+    if curve.time_s.size < 2:
+        return ""
+    curves = [
+        ("measured", curve.time_s, curve.force_N, "#56b4e9"),
+        ("model", curve.time_s, curve.model_N, "#d55e00"),
+    ]
+    return drawing(
+        curves,
+        across="time [s]",
+        up=f"[{fit.axes.force}]",
+        words=f"Force and model of {trial.path} against time",
+    )
+
+
+def _identification(found: Identification) -> str:
+    refused = [str(one) for one in found.refused]
+    said = f"<p>refused: {escape('; '.join(refused[:5]))}</p>" if refused else ""
+    if len(found.specimens) == 1:
+        return _specimen(found.specimens[0]) + said
+    rows = []
+    for fit in found.specimens:
+        values = {one.name: one for one in fit.parameters}
+        cells = [
+            values.get(name) for name in ("viscosity_N_s_per_mm", "relaxation_time_s", "static_1_N_per_mm")
+        ]
+        rows.append(
+            [
+                fit.specimen,
+                str(len(fit.trials)),
+                *(
+                    "none" if one is None else _estimate_row(one, believed=not _alarmed(fit))[1]
+                    for one in cells
+                ),
+                f"{100.0 * fit.nrmsd.range:.2g} %",
+                ", ".join(flag.code for flag in fit.flags),
+            ]
+        )
+    headings = (
+        "specimen",
+        "trials",
+        "viscosity [N s/mm]",
+        "relaxation time [s]",
+        "static, linear [N/mm]",
+        "NRMSD",
+        "flags",
+    )
+    return table(f"{len(rows)} specimens", headings, rows) + said
+
+
+def _posterior(found: Posterior) -> str:
+    ended = "converged" if found.sampler.converged else "did not converge: intervals are rough"
+    noise = f"noise {found.noise.model}, {found.noise.sigma_N:.3g} N"
+    caption = f"{found.sampler.name}, {found.sampler.draws:,} draws, {ended}; {noise}"
+    headings = ("parameter", "mean", "sd", "95 % statistical", "95 % total", "R-hat", "ESS bulk")
+    alarm = found.misfit is not None and found.misfit.raised
+    said = "<p>The residuals contradict the model: no interval can be believed.</p>" if alarm else ""
+    return said + table(caption, headings, [_sure_row(name, one) for name, one in found.parameters.items()])
+
+
+def _sure_row(name: str, one: ParameterUncertainty) -> list[str]:
+    return [
+        name,
+        _number(one.mean),
+        f"{one.sd:.2g}",
+        _interval(one.ci95),
+        _interval(one.ci95_total),
+        _number(one.r_hat),
+        _NOT_SAMPLED if not math.isfinite(one.ess_bulk) else f"{one.ess_bulk:.0f}",
+    ]
+
+
+def _estimate(one: Estimate) -> str:
+    return _parameters("", [one], believed=True)
+
+
+def _bundle(held: Bundle) -> str:
+    slow, fast = held.speeds_mm_s
+    tip = "" if held.tip_radius_mm is None else f", tip of radius {held.tip_radius_mm:.3g} mm"
+    kind = "population" if held.is_population else "tissue"
+    draws = "no draws" if held.draws is None else f"{len(held.draws):,} draws"
+    valid = f"valid to {held.depth_mm:.3g} mm and from {slow:.3g} to {fast:.3g} mm/s"
+    caption = f"{held.specimen}: {kind}, {valid}{tip}; {draws}"
+    alarm = any(flag["code"] == "misfit" for flag in held.flags)
+    return _parameters(caption, held.parameters, believed=not alarm) + _flags(held.flags)
+
+
+def _trial(trial: Trial) -> str:
+    source = trial.source
+    where = source.path if source.sheet is None else f"{source.path} [{source.sheet}]"
+    rows = [
+        ["file", where],
+        ["read as", source.recipe],
+        ["samples", f"{trial.time_s.size:,}"],
+        ["time", f"{trial.time_s[0]:.4g} to {trial.time_s[-1]:.4g} s"],
+        [
+            "displacement",
+            f"{trial.displacement_mm.min():.4g} to {trial.displacement_mm.max():.4g} {trial.axes.unit('mm')}",
+        ],
+        ["force", f"{trial.force_N.min():.4g} to {trial.force_N.max():.4g} {trial.axes.force}"],
+    ]
+    curves = [("force", trial.time_s, trial.force_N, "#56b4e9")]
+    drawn = drawing(
+        curves, across="time [s]", up=f"[{trial.axes.force}]", words=f"Force of {where} against time"
+    )
+    return table(trial.specimen, ("", ""), rows) + drawn + _flags(trial.flags)
+
+
+def _study(study: Study) -> str:
+    rows = [
+        ["specimens", ", ".join(study.specimens) or "none stated"],
+        ["protocols", ", ".join(study.protocols) or "none stated"],
+        ["trials", f"{len(study.trials)} stated, {len(study.overrides)} overridden"],
+        *(
+            [f"left out: {one.values['file']}", str(one.values.get("because", ""))]
+            for one in study.exclusions
+        ),
+    ]
+    return table(str(study.about.get("title", study.path)), ("", ""), rows)
+
+
+_WRITERS: Mapping[str, Callable[[Any], str]] = {
+    "Identification": _identification,
+    "SpecimenFit": _specimen,
+    "Posterior": _posterior,
+    "Estimate": _estimate,
+    "Bundle": _bundle,
+    "Study": _study,
+    "Trial": _trial,
+}
