@@ -27,6 +27,8 @@ from tissueid.synth.recipe import Branch, Hold, Log, Move, Recipe
 from tissueid.synth.simulate import as_trials, simulate
 
 COHORTS, SPECIMENS = 20, 17
+#: Cohorts whose recordings are dense, and how dense.
+FAST_COHORTS, FAST_HZ = 10, 1000.0
 #: Spread between specimens of some 15 %.
 STATED = PopulationPriors(between=SpreadPrior(0.15, 0.3))
 #: Scale of the half-normal prior of the sd of a log's ln gain: logs scatter as the fit believes.
@@ -100,11 +102,15 @@ def fitted(name: str, phi: np.ndarray, rate_Hz: float, rng: np.random.Generator)
     return Member(name, fit.model, 8.0, fit.posterior.draws, fit.posterior.log_prior)
 
 
-def cohort_of_recordings(seed: int) -> SimpleNamespace:
-    """Whether 95 % intervals hold the truth, and held-out errors with the population and without."""
+def cohort_of_recordings(seed: int, rate_Hz: float | None = None) -> SimpleNamespace:
+    """Whether 95 % intervals hold the truth, and held-out errors with the population and without.
+
+    Sampled at some rate of 10 to 100 Hz, or at the one that is given.
+    """
     rng = np.random.default_rng([55, seed])
     truth = drawn(rng)
-    rate_Hz = round(float(np.exp(rng.uniform(np.log(10.0), np.log(100.0)))), 1)
+    low = round(float(np.exp(rng.uniform(np.log(10.0), np.log(100.0)))), 1)
+    rate_Hz = low if rate_Hz is None else rate_Hz
     found = [fitted(f"s{i}", place, rate_Hz, rng) for i, place in enumerate(truth.places)]
     places = [place for place, one in zip(truth.places, found, strict=True) if one is not None]
     members = [one for one in found if one is not None]
@@ -158,3 +164,17 @@ def test_populations_of_recordings_predict_better_than_separate_fits(
     better = sum(one.pooled < one.separate for one in rows)
     # nine tenths of cohorts
     assert better >= 0.9 * COHORTS
+
+
+@pytest.mark.slow
+@pytest.mark.needs_jit
+@pytest.mark.usefixtures("without_the_machine")
+def test_where_specimens_say_much_the_population_does_no_harm(capsys: pytest.CaptureFixture[str]) -> None:
+    rows = []
+    for seed in range(FAST_COHORTS):
+        rows.append(cohort_of_recordings(seed, FAST_HZ))
+        with capsys.disabled():
+            sys.stdout.write(json.dumps(vars(rows[-1])) + "\n")
+
+    assert all(one.converged for one in rows)
+    assert np.mean([one.pooled for one in rows]) <= np.mean([one.separate for one in rows])
