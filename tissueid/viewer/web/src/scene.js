@@ -29,10 +29,9 @@ const SPHERE_ROWS = 64;
 const SPHERE_COLUMNS = 96;
 // every so many lines of the mesh one is drawn: bent lines show what shading alone does not
 const LINE_EVERY = 4;
-// pictures that come slower are drawn with fewer pixels; without a graphics card that is where it begins
+// pictures that come slower are drawn with fewer pixels, and those without a graphics card with the fewest
 const SLOW_MS = 45;
 const LEAST_RATIO = 0.5;
-const SOFTWARE_RATIO = 0.75;
 const SOFTWARE = /swiftshader|llvmpipe|software|basic render/i;
 
 const CAMERAS = { oblique: [105, 95, 165], front: [0, 26, 230], side: [230, 26, 0.01], top: [0, 240, 0.01] };
@@ -67,7 +66,7 @@ export class TissueScene {
     this.scene.add(sun);
     this.content = new Group();
     this.scene.add(this.content);
-    this.ratio = Math.min(window.devicePixelRatio || 1, 2) * (software ? SOFTWARE_RATIO : 1);
+    this.ratio = Math.min(window.devicePixelRatio || 1, 2) * (software ? LEAST_RATIO : 1);
     this.intervalMs = 0;
     this.drawnMs = performance.now();
     this.changed = true;
