@@ -274,7 +274,9 @@ class PartialObjective:
     def reduced(self, log_tau: FloatArray) -> FloatArray:
         """Reduced Gram matrices, shape (logs, r, r)."""
         weights = reduction(self.basis, log_tau, degree=self.degree, columns_degree=self.columns_degree)
-        return np.ascontiguousarray(np.stack([weights.T @ (self.gram[i] @ weights) for i in self.logs]))
+        # all of them without a copy
+        gram = self.gram if self.logs.size == self.gram.shape[0] else self.gram[self.logs]
+        return np.ascontiguousarray(weights.T @ (gram @ weights))
 
     def values(self, points: Sequence[FloatArray]) -> FloatArray:
         """Penalised sums of squares at many relaxation times, each started from the one before."""

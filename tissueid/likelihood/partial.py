@@ -37,6 +37,44 @@ HALVINGS = 30
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
+def _fill_powers(
+    factor: float, away: float, k: int, row: int, column: int, matrix: FloatArray, shifted: FloatArray
+) -> None:
+    """Write ``factor (x - delta)^k`` by powers of x, and its derivative ``-k (x - delta)^(k-1)``.
+
+    ``away`` is minus delta; constants stand in ``row``.
+    """
+    binomial = 1.0
+    power = 1.0
+    before = 0.0
+    for i in range(k + 1):
+        matrix[row + k - i, column] = factor * binomial * power
+        shifted[row + k - i, column] = -factor * binomial * i * before
+        binomial = binomial * (k - i) / (i + 1)
+        before = power
+        power *= away
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _fill_coefficients(
+    gamma: float, delta: float, scale: float, degree: int, branches: int, matrix: FloatArray,
+    shifted: FloatArray,
+) -> None:  # fmt: skip
+    """Write what :func:`coefficients` returns, where it is not zero for all logs."""
+    gain = np.exp(gamma)
+    factor = gain
+    for k in range(1, STATIC_PARAMETERS + 1):
+        factor /= scale
+        _fill_powers(factor, -delta, k, 0, k - 1, matrix, shifted)
+    for j in range(branches):
+        at = j * (degree + 1)
+        factor = gain
+        for k in range(degree + 1):
+            _fill_powers(factor, -delta, k, STATIC_COLUMNS + at, STATIC_PARAMETERS + at + k, matrix, shifted)
+            factor /= scale
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
 def coefficients(
     gamma: float, delta: float, scale: float, degree: int, branches: int
 ) -> tuple[FloatArray, FloatArray]:
@@ -58,30 +96,9 @@ def coefficients(
         Its derivative by delta.
     """
     size = branches * (degree + 1)
-    offset = STATIC_PARAMETERS
-    matrix = np.zeros((STATIC_COLUMNS + size, offset + size))
-    shifted = np.zeros((STATIC_COLUMNS + size, offset + size))
-    gain = np.exp(gamma)
-    for k in range(1, offset + 1):
-        factor = gain / scale**k
-        # (x - delta)^k by powers of x, and its derivative -k (x - delta)^(k-1)
-        binomial = 1.0
-        for i in range(k + 1):
-            matrix[k - i, k - 1] += factor * binomial * (-delta) ** i
-            if i > 0:
-                shifted[k - i, k - 1] += -factor * binomial * i * (-delta) ** (i - 1)
-            binomial = binomial * (k - i) / (i + 1)
-    for j in range(branches):
-        for k in range(degree + 1):
-            factor = gain / scale**k
-            column = offset + j * (degree + 1) + k
-            base = STATIC_COLUMNS + j * (degree + 1)
-            binomial = 1.0
-            for i in range(k + 1):
-                matrix[base + k - i, column] += factor * binomial * (-delta) ** i
-                if i > 0:
-                    shifted[base + k - i, column] += -factor * binomial * i * (-delta) ** (i - 1)
-                binomial = binomial * (k - i) / (i + 1)
+    matrix = np.zeros((STATIC_COLUMNS + size, STATIC_PARAMETERS + size))
+    shifted = np.zeros((STATIC_COLUMNS + size, STATIC_PARAMETERS + size))
+    _fill_coefficients(gamma, delta, scale, degree, branches, matrix, shifted)
     return matrix, shifted
 
 
@@ -109,37 +126,77 @@ def objective(
         (sigma / sigma_i)^2 [N^2/mm^2].
     """
     total = 0.0
-    m = STATIC_COLUMNS + branches * (degree + 1)
+    size = branches * (degree + 1)
+    m = STATIC_COLUMNS + size
     y = q.shape[1] - 1
+    matrix, shifted = np.zeros((2, m, STATIC_PARAMETERS + size))
+    beta = np.empty(m)
     for i in range(q.shape[0]):
-        matrix, _ = coefficients(gamma[i], delta[i], scale, degree, branches)
-        beta = matrix @ theta
-        g = np.ascontiguousarray(q[i, :m, :m])
-        total += q[i, y, y] - 2.0 * beta @ np.ascontiguousarray(q[i, :m, y]) + beta @ (g @ beta)
+        _fill_coefficients(gamma[i], delta[i], scale, degree, branches, matrix, shifted)
+        _times(matrix, theta, beta)
+        left = q[i, y, y]
+        for r in range(m):
+            value = -2.0 * q[i, r, y]
+            for k in range(m):
+                value += q[i, r, k] * beta[k]
+            left += beta[r] * value
+        total += left
         total += weight_gain * gamma[i] ** 2 + weight_offset[i] * delta[i] ** 2
     return total
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
+def _times(matrix: FloatArray, x: FloatArray, out: FloatArray) -> None:
+    """Write a product with a vector; these are too small for BLAS, whose calls cost more than their work."""
+    for i in range(matrix.shape[0]):
+        total = 0.0
+        for k in range(matrix.shape[1]):
+            total += matrix[i, k] * x[k]
+        out[i] = total
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _gram_times(q: FloatArray, i: int, rows: FloatArray, out: FloatArray) -> None:
+    """Write ``rows @ q[i]`` where most entries of the rows are zero; the matrix is symmetric."""
+    full = rows.shape[1]
+    for r in range(rows.shape[0]):
+        for k in range(full):
+            out[r, k] = 0.0
+        for k in range(full):
+            w = rows[r, k]
+            if w != 0.0:
+                for c in range(full):
+                    out[r, c] += w * q[i, k, c]
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _dot(x: FloatArray, y: FloatArray) -> float:
+    total = 0.0
+    for k in range(x.size):
+        total += x[k] * y[k]
+    return total
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
 def _derivatives(
-    theta: FloatArray, gamma: float, delta: float, scale: float, degree: int, branches: int
-) -> tuple[FloatArray, FloatArray]:
-    """Of one log's columns' weights, by (theta, ln tau) and by its two nuisances."""
-    size = branches * (degree + 1)
-    m = STATIC_COLUMNS + size
-    p = theta.size
-    matrix, shifted = coefficients(gamma, delta, scale, degree, branches)
-    beta = matrix @ theta
-    a = np.zeros((m + size, p + branches))
-    a[:m, :p] = matrix
+    theta: FloatArray, gamma: float, delta: float, scale: float, degree: int, branches: int,
+    work: tuple[FloatArray, FloatArray, FloatArray], a: FloatArray, n: FloatArray,
+) -> None:  # fmt: skip
+    """Write the rows of one log's columns' weights, by (theta, ln tau) and by its two nuisances."""
+    matrix, shifted, beta = work
+    m, p = matrix.shape
+    _fill_coefficients(gamma, delta, scale, degree, branches, matrix, shifted)
+    _times(shifted, theta, beta)
+    n[1, :m] = beta
+    _times(matrix, theta, beta)
+    n[0, :m] = beta
+    for k in range(p):
+        for r in range(m):
+            a[k, r] = matrix[r, k]
     for j in range(branches):
         for k in range(degree + 1):
             at = j * (degree + 1) + k
-            a[m + at, p + j] = beta[STATIC_COLUMNS + at]
-    n = np.zeros((m + size, NUISANCES))
-    n[:m, 0] = beta
-    n[:m, 1] = shifted @ theta
-    return a, n
+            a[p + j, m + at] = beta[STATIC_COLUMNS + at]
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
@@ -169,47 +226,46 @@ def assemble(
     log_det : float
         Sum over logs of ln det(nuisance curvature), for the marginal likelihood.
     """
-    logs = q.shape[0]
-    full = STATIC_COLUMNS + 2 * branches * (degree + 1)
-    y = q.shape[1] - 1
-    v = theta.size + branches
-    h = np.zeros((v, v))
-    b = np.zeros(v)
-    c = 0.0
+    logs, p, y = q.shape[0], theta.size, q.shape[1] - 1
+    size = branches * (degree + 1)
+    m, full, v = STATIC_COLUMNS + size, STATIC_COLUMNS + 2 * size, p + branches
+    h, b, c, log_det = np.zeros((v, v)), np.zeros(v), 0.0, 0.0
     back = np.zeros((logs, NUISANCES, v + 1))
-    log_det = 0.0
+    matrix, shifted = np.zeros((2, m, p))
+    work = (matrix, shifted, np.empty(m))
+    a, n = np.zeros((v, full)), np.zeros((NUISANCES, full))
+    ga, gn = np.empty((v, full)), np.empty((NUISANCES, full))
+    target, cross = np.empty(full), np.empty((NUISANCES, v))
     for i in range(logs):
-        a, n = _derivatives(theta, gamma[i], delta[i], scale, degree, branches)
-        g = np.ascontiguousarray(q[i, :full, :full])
-        qy = np.ascontiguousarray(q[i, :full, y])
-        ga = g @ a
-        gn = g @ n
-        nt = np.ascontiguousarray(n.T)
-        now = np.array([gamma[i], delta[i]])
-        pull = gn @ now
-        target = qy + pull
-        s = nt @ gn
-        yy = q[i, y, y] + 2.0 * (nt @ qy) @ now + now @ (s @ now)
-        s[0, 0] += weight_gain
-        s[1, 1] += weight_offset[i]
-        determinant = s[0, 0] * s[1, 1] - s[0, 1] * s[1, 0]
+        _derivatives(theta, gamma[i], delta[i], scale, degree, branches, work, a, n)
+        _gram_times(q, i, a, ga)
+        _gram_times(q, i, n, gn)
+        gain, offset = gamma[i], delta[i]
+        yy = q[i, y, y]
+        for k in range(full):
+            explained = gain * gn[0, k] + offset * gn[1, k]
+            yy += (gain * n[0, k] + offset * n[1, k]) * (2.0 * q[i, k, y] + explained)
+            target[k] = q[i, k, y] + explained
+        s00, s01, s11 = _dot(n[0], gn[0]), _dot(n[0], gn[1]), _dot(n[1], gn[1])
+        s00 += weight_gain
+        s11 += weight_offset[i]
+        determinant = s00 * s11 - s01 * s01
         log_det += np.log(determinant)
-        inverse = np.empty((NUISANCES, NUISANCES))
-        inverse[0, 0] = s[1, 1] / determinant
-        inverse[1, 1] = s[0, 0] / determinant
-        inverse[0, 1] = -s[0, 1] / determinant
-        inverse[1, 0] = inverse[0, 1]
-        cross = np.ascontiguousarray(gn.T) @ a
-        here = nt @ target
-        slope = inverse @ cross
-        level = inverse @ here
-        at_ = np.ascontiguousarray(a.T)
-        ct = np.ascontiguousarray(cross.T)
-        h += at_ @ ga - ct @ slope
-        b += at_ @ target - ct @ level
-        c += yy - here @ level
-        back[i, :, :v] = -slope
-        back[i, :, v] = level
+        here0, here1 = _dot(n[0], target), _dot(n[1], target)
+        back[i, 0, v] = (s11 * here0 - s01 * here1) / determinant
+        back[i, 1, v] = (s00 * here1 - s01 * here0) / determinant
+        for k in range(v):
+            cross[0, k], cross[1, k] = _dot(a[k], gn[0]), _dot(a[k], gn[1])
+            back[i, 0, k] = -(s11 * cross[0, k] - s01 * cross[1, k]) / determinant
+            back[i, 1, k] = -(s00 * cross[1, k] - s01 * cross[0, k]) / determinant
+        for k in range(v):
+            b[k] += _dot(a[k], target) - cross[0, k] * back[i, 0, v] - cross[1, k] * back[i, 1, v]
+            for r in range(k + 1):
+                h[k, r] += _dot(a[k], ga[r]) + cross[0, k] * back[i, 0, r] + cross[1, k] * back[i, 1, r]
+        c += yy - here0 * back[i, 0, v] - here1 * back[i, 1, v]
+    for k in range(v):
+        for r in range(k):
+            h[r, k] = h[k, r]
     return h, b, c, back, log_det
 
 
