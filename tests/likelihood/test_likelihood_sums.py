@@ -15,6 +15,7 @@ from tissueid.likelihood.sums import (
     N_STATIC,
     LogData,
     log_sums,
+    reduced_grams,
     reduction,
     step_tables,
 )
@@ -210,3 +211,17 @@ def test_states_of_an_irregular_clock_are_those_of_their_own_steps(spread):
     assert tables.off_s.size == n
     # a relative error of 1e-15 a step, as often as a state remembers
     assert np.abs(rows - expected).max() <= 1e-13 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize(("branches", "degree"), [(0, 0), (1, 0), (2, 1), (3, 2), (1, 2)])
+def test_reduced_grams_are_products_with_the_weights(branches: int, degree: int) -> None:
+    basis = kernel_basis(step_s=0.01, length_s=5.0)
+    rng = np.random.default_rng(branches)
+    log_tau = np.sort(rng.uniform(*basis.log_bounds, branches))
+    columns = rng.standard_normal((3, 200, 4 + 3 * basis.tau_s.size + 1))
+    gram = np.swapaxes(columns, 1, 2) @ columns
+    weights = reduction(basis, log_tau, degree=degree, columns_degree=2)
+    expected = weights.T @ gram @ weights
+    found = reduced_grams(gram, basis, log_tau, degree=degree)
+    size = np.sqrt(np.einsum("ijj->ij", expected))
+    assert (np.abs(found - expected) <= 1e-13 * size[:, :, None] * size[:, None, :]).all()

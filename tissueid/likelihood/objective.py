@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from tissueid.likelihood import partial
 from tissueid.likelihood.basis import KernelBasis
 from tissueid.likelihood.cone import cone_least_squares, least_squares_values
-from tissueid.likelihood.sums import N_STATIC, reduction
+from tissueid.likelihood.sums import N_STATIC, reduced_grams, reduction
 from tissueid.model.polynomial import generators
 
 __all__ = [
@@ -273,10 +273,9 @@ class PartialObjective:
 
     def reduced(self, log_tau: FloatArray) -> FloatArray:
         """Reduced Gram matrices, shape (logs, r, r)."""
-        weights = reduction(self.basis, log_tau, degree=self.degree, columns_degree=self.columns_degree)
-        # all of them without a copy
-        gram = self.gram if self.logs.size == self.gram.shape[0] else self.gram[self.logs]
-        return np.ascontiguousarray(weights.T @ (gram @ weights))
+        every = reduced_grams(self.gram, self.basis, log_tau, degree=self.degree)
+        # few are held out: a copy of the others would cost more than their products
+        return every if self.logs.size == every.shape[0] else every[self.logs]
 
     def values(self, points: Sequence[FloatArray]) -> FloatArray:
         """Penalised sums of squares at many relaxation times, each started from the one before."""

@@ -29,7 +29,16 @@ from tissueid.likelihood.gram_kernels import (
 )
 from tissueid.likelihood.kernels import fill_powers, fill_states
 
-__all__ = ["N_STATIC", "LogData", "LogSums", "StepTables", "log_sums", "reduction", "step_tables"]
+__all__ = [
+    "N_STATIC",
+    "LogData",
+    "LogSums",
+    "StepTables",
+    "log_sums",
+    "reduced_grams",
+    "reduction",
+    "step_tables",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -244,3 +253,37 @@ def reduction(basis: KernelBasis, log_tau: FloatArray, *, degree: int, columns_d
             weights[rows, column] = c[:, j]
             weights[rows, column + size] = dc[:, j]
     return weights
+
+
+def reduced_grams(gram: FloatArray, basis: KernelBasis, log_tau: FloatArray, *, degree: int) -> FloatArray:
+    """Gram matrices of a candidate model's columns.
+
+    As ``W.T @ gram @ W`` with the weights of :func:`reduction`, without the products with its zeros: a column
+    touches the nodes of one power of depth, and powers that the candidate leaves out are not read.
+
+    Parameters
+    ----------
+    gram : ndarray, shape (units, m, m)
+    basis : KernelBasis
+    log_tau : ndarray, shape (branches,)
+    degree : int
+        Of K in the candidate, not above that of the sums.
+
+    Returns
+    -------
+    ndarray, shape (units, r, r)
+    """
+    nodes, size = basis.tau_s.size, degree + 1
+    both = np.hstack(basis.weights(log_tau)) if log_tau.size else np.zeros((nodes, 0))
+    powers = [slice(N_STATIC + p * nodes, N_STATIC + (p + 1) * nodes) for p in range(size)]
+    rows, columns = powers[-1].stop, N_STATIC + both.shape[1] * size + 1
+    half = np.empty((gram.shape[0], rows, columns))
+    half[:, :, :N_STATIC], half[:, :, -1] = gram[:, :rows, :N_STATIC], gram[:, :rows, -1]
+    out = np.empty((gram.shape[0], columns, columns))
+    for p, own in enumerate(powers):
+        half[:, :, N_STATIC + p : -1 : size] = gram[:, :rows, own] @ both
+    out[:, :N_STATIC] = half[:, :N_STATIC]
+    for p, own in enumerate(powers):
+        out[:, N_STATIC + p : -1 : size] = both.T @ half[:, own]
+    out[:, -1, :-1], out[:, -1, -1] = out[:, :-1, -1], gram[:, -1, -1]
+    return out
