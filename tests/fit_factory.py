@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tissueid.flags import Flag
+from tissueid.residuals import ResidualSummary
 from tissueid.result import (
     Curve,
     Estimate,
@@ -49,6 +50,28 @@ def ramp_hold_curve(speed: float, depth: float, *, hold_s: float, samples: int, 
     return Curve(time, x, force, model, fitted=x > 0.2)
 
 
+def residual_of(curve: Curve, *, start_s: float, ramp_s: float) -> ResidualSummary:
+    """What a fit would keep of this curve's residual: bins of 0.1 N, lags 1, 2, 5, two blocks of the hold."""
+    fitted = curve.fitted
+    residual = (curve.force_N - curve.model_N)[fitted]
+    edges = np.linspace(-1.5, 1.5, 31)
+    centred = residual - residual.mean()
+    lags = np.array([1, 2, 5])
+    since = curve.time_s[fitted] - ramp_s
+    blocks = [(since >= low) & (since < high) for low, high in ((0.1, 1.0), (1.0, 10.0))]
+    return ResidualSummary(
+        start_s=start_s,
+        step_s=float(curve.time_s[1] - curve.time_s[0]),
+        edges_N=edges,
+        counts=np.bincount(np.searchsorted(edges, residual, side="right"), minlength=32),
+        lags=lags,
+        correlation=np.array([centred[k:] @ centred[:-k] / (centred @ centred) for k in lags.tolist()]),
+        hold_since_s=np.array([0.1 * 10**0.5, 10**0.5]),
+        hold_mean_N=np.array([residual[inside].mean() if inside.any() else 0.0 for inside in blocks]),
+        hold_count=np.array([max(int(inside.sum()), 1) for inside in blocks]),
+    )
+
+
 def trial_fit(path: str, curve: Curve, *, sheet: str | None = None, speed: float) -> TrialFit:
     residual = curve.force_N - curve.model_N
     rmse = float(np.sqrt(np.mean(residual**2)))
@@ -65,6 +88,7 @@ def trial_fit(path: str, curve: Curve, *, sheet: str | None = None, speed: float
         depth_mm=float(curve.depth_mm.max()),
         n_samples=curve.time_s.size,
         curve=curve,
+        residual=residual_of(curve, start_s=2.5, ramp_s=curve.depth_mm.max() / speed),
         flags=(Flag("zero_dt", "2 samples carry the time of their neighbour", {"count": 2}),),
     )
 

@@ -14,6 +14,7 @@ from tissueid.errors import printable
 from tissueid.flags import Flag
 from tissueid.notebook import Shown
 from tissueid.quantities import CycleRow, QuotedNumbers, RelaxationRow
+from tissueid.residuals import ResidualSummary
 from tissueid.trial import MM_N, Axes
 from tissueid.uncertainty import ParameterUncertainty, Posterior
 
@@ -177,6 +178,7 @@ class TrialFit:
     n_samples: int
     curve: Curve
     flags: tuple[Flag, ...] = ()
+    residual: ResidualSummary | None = None
 
     def as_json(self) -> dict[str, Any]:
         """The ``trials`` object of the schema: ``nrmsd`` is by range (curves are kept in HDF5, not here)."""

@@ -48,7 +48,7 @@ class Outline(HTMLParser):
             if value and not value.startswith(("#", "data:")):
                 self.outside.append(value)
         self.bare_headers += tag == "th" and "scope" not in given
-        self.unlabelled += given.get("role") in {"img", "region"} and not given.get("aria-label")
+        self.unlabelled += given.get("role") in {"img", "region", "group"} and not given.get("aria-label")
 
 
 def outline(html: str) -> Outline:

@@ -297,11 +297,17 @@ def test_figures_show_bands_densities_and_draws(browser: Any, tmp_path: Path) ->
             assert band["x"] == pytest.approx([*x, *x[::-1]], rel=1e-7, abs=1e-5)
             assert band["y"] == pytest.approx([*(model + 0.6), *(model - 0.6)[::-1]], rel=1e-7, abs=1e-5)
             assert band["fill"] == "toself"
-    dots = {trace["name"]: trace for trace in numbers_of(tab, "pair")}
+    tab.evaluate("document.querySelectorAll('details').forEach((one) => { one.open = true; })")
+    corner = numbers_of(tab, "corner")
+    # two densities or two clouds a cell of the lower triangle, diagonal included
+    assert len(corner) == 2 * (len(fit.parameters) * (len(fit.parameters) + 1) // 2)
+    # row 1, column 0: relaxation time over viscosity, total draws below
+    total, statistical = corner[2:4]
+    assert (total["name"], statistical["name"]) == ("total", "statistical")
     assert fit.posterior is not None
-    kept = fit.posterior.draws[np.linspace(0, len(fit.posterior.draws) - 1, 1_000).astype(int)]
-    assert dots["statistical"]["x"] == pytest.approx(kept[:, 4], rel=1e-6)
-    assert dots["statistical"]["y"] == pytest.approx(kept[:, 3] * kept[:, 4], rel=1e-6)
+    kept = fit.posterior.draws[np.linspace(0, len(fit.posterior.draws) - 1, 1_000).astype(int)][::4]
+    assert statistical["x"] == pytest.approx(kept[:, 3] * kept[:, 4], rel=1e-6)
+    assert statistical["y"] == pytest.approx(kept[:, 4], rel=1e-6)
     densities = numbers_of(tab, "marginals")
     assert len(densities) == 2 * len(fit.parameters)
     for trace in densities:
@@ -322,7 +328,8 @@ def test_the_page_fits_the_screen_and_shows_its_picture_first(
         sampled(specimen_fit(samples=80, identified=False), misfit=case == "misfit")
     ]
     tab, errors = opened(browser, tmp_path / "report.html", page(*fits), width)
-    for kind in ("marginals", "pair", "trace"):
+    tab.evaluate("document.querySelectorAll('details').forEach((one) => { one.open = true; })")
+    for kind in ("marginals", "corner", "trace", "parts", "peaks"):
         assert numbers_of(tab, kind)
     assert tab.evaluate("document.documentElement.scrollWidth") == width
     if width == 1400:

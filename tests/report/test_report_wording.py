@@ -6,15 +6,15 @@ from typing import Any
 
 import pytest
 from fit_factory import specimen_fit
+from posterior_factory import sampled
 
 from tissueid.flags import FLAG_CODES
 from tissueid.report.remarks import REMARK_TITLES, remarks
+from tissueid.report.sentences import overview_sentence, tissue_sentence
 from tissueid.report.wording import (
     number,
-    overview_sentence,
     parameter_words,
     rounded_to,
-    tissue_sentence,
     unit_words,
     verdict,
     with_error,
@@ -73,6 +73,24 @@ def test_the_sentence_names_stiffness_relaxation_viscosity_tip_and_validity() ->
         "it relaxes in 1.500 ± 0.030 s and its viscosity is 9.00 ± 0.11 N·s/mm; found with a tool tip of "
         "radius 3.00 mm, valid to 6.00 mm deep and for loading at 0.500 to 4.00 mm/s (30.0 to 240 mm/min)."
     )
+
+
+def test_a_sampled_tissue_is_told_with_its_total_intervals_and_a_misfit_takes_them_off() -> None:
+    fit = sampled(specimen_fit())
+    (eta,) = [one for one in fit.parameters if one.name.startswith("viscosity")]
+    assert eta.uncertainty is not None
+    assert eta.uncertainty.ci95_total is not None
+    low, high = eta.uncertainty.ci95_total
+    sentence = tissue_sentence(plain_json(fit.as_json()))
+    assert (
+        f"its viscosity is 9.00 N·s/mm [{low:.2f} to {high:.2f}] (brackets: 95 % total intervals)" in sentence
+    )
+    assert "±" not in sentence
+    statistical = tissue_sentence(plain_json(sampled(specimen_fit(), total=False).as_json()))
+    assert "(brackets: 95 % statistical intervals)" in statistical
+    doubted = tissue_sentence(plain_json(sampled(specimen_fit(), misfit=True).as_json()))
+    assert "95 %" not in doubted
+    assert "±" not in doubted
 
 
 def test_what_is_not_identified_is_never_a_number() -> None:

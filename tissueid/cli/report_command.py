@@ -27,11 +27,10 @@ def command(**flags: Any) -> int:
     from pathlib import Path
 
     from tissueid.errors import BundleError
-    from tissueid.report import render_report
     from tissueid.store.names import CURVES, REPORT
     from tissueid.store.outputs import OutputSet, current_run
     from tissueid.store.results import read_results
-    from tissueid.study.pages import write_report
+    from tissueid.study.pages import report_page, write_report
 
     target, out = flags["output"], Path(flags["out"])
     committed = current_run(out)
@@ -49,7 +48,7 @@ def command(**flags: Any) -> int:
             raise BundleError(msg)
         document, curves, posteriors = read_results(out)
         created = datetime.now(UTC).isoformat(timespec="seconds")
-        page = render_report(document, curves, posteriors, created=created).encode("utf-8")
+        page = report_page(document, curves, posteriors, created=created).encode("utf-8")
         if target is not None:
             write_output(target, page)
         else:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.fit.candidates import Candidate, Solution, SpecimenSums, objective_for
+from tissueid.fit.profile import profile_curve
 from tissueid.fit.search import unbounded_covariance
 from tissueid.likelihood.cone import cone_least_squares
 from tissueid.likelihood.identifiability import MAX_WIDTH, ProfileInterval, profile_interval, width_of
@@ -231,6 +232,35 @@ def _branch_estimates(
     return estimates
 
 
+def _with_profile(
+    estimates: list[Estimate],
+    model: KelvinVoigt,
+    solution: Solution,
+    branch: int,
+    inverse: FloatArray,
+    bounds: tuple[float, float],
+) -> list[Estimate]:
+    """The same estimates; that of the relaxation time carries its profile likelihood."""
+    size = model.stiffness_degree + 1
+    # the solution's coefficients are by powers of depth over the fitted depth
+    reference = (REFERENCE_DEPTH if size > 1 else 1.0) ** np.arange(float(size))
+    curve = profile_curve(
+        solution.objective,
+        solution.evaluation,
+        branch,
+        sigma2=solution.noise.sigma2,
+        inverse=inverse,
+        bounds=bounds,
+        reference=reference,
+    )
+    return [
+        replace(one, detail={**one.detail, "profile": curve})
+        if one.name.startswith("relaxation_time")
+        else one
+        for one in estimates
+    ]
+
+
 def estimate_tissue(sums: SpecimenSums, solution: Solution) -> TissueEstimate:
     """Reported parameters of the chosen model.
 
@@ -256,7 +286,8 @@ def estimate_tissue(sums: SpecimenSums, solution: Solution) -> TissueEstimate:
             bounds=sums.log_tau_bounds,
         )
         intervals.append(interval)
-        parameters += _branch_estimates(model, theta, covariance, branch, interval)
+        found = _branch_estimates(model, theta, covariance, branch, interval)
+        parameters += _with_profile(found, model, solution, branch, inverse, sums.log_tau_bounds)
     return TissueEstimate(
         model=model,
         theta=theta,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +17,7 @@ from tissueid.fit.logs import MAX_WORKERS, LogHandle
 from tissueid.fit.loop_area import with_model_viscosity
 from tissueid.fit.relaxation import relaxation_rows
 from tissueid.fit.residual_blocks import ResidualBlocks, residual_blocks
+from tissueid.fit.residual_summary import residual_summary
 from tissueid.fit.trials import Adjustment, ResidualTotals, model_force, summarise_trial
 from tissueid.fit.window import FittedLog
 from tissueid.likelihood.knots import KnotSums, knot_sums
@@ -141,13 +142,16 @@ def _one_log(
     fitted = model_force(model, theta, log, adjustment)
     totals = ResidualTotals()
     cycles = cycle_rows(trial, segmentation, depths_mm=depths_mm)
+    blocks = residual_blocks(segmentation, log, model, theta, adjustment, fitted)
+    summary = residual_summary(log, fitted, blocks, sigma_N=noise.sigma_N)
+    told = summarise_trial(trial, segmentation, log, fitted=fitted, adjustment=adjustment, totals=totals)
     return _OneLog(
         totals=totals,
-        trial=summarise_trial(trial, segmentation, log, fitted=fitted, adjustment=adjustment, totals=totals),
+        trial=replace(told, residual=summary),
         relaxation=relaxation_rows(trial, segmentation),
         cycles=tuple(with_model_viscosity(trial, segmentation, cycles, model, theta, adjustment)),
         holds=hold_numbers(trial, segmentation),
-        blocks=residual_blocks(segmentation, log, model, theta, adjustment, fitted),
+        blocks=blocks,
         knots=knot_sums(
             log.data,
             log.data.force_N - fitted,

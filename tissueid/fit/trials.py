@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -22,6 +23,8 @@ FloatArray = NDArray[np.float64]
 
 #: Points a kept curve has at most; the extremes of every bin are kept, so peaks and corners stay.
 CURVE_POINTS = 700
+#: Of them, behind the corner of a hold, evenly in the logarithm of the time since.
+CORNER_POINTS = 32
 RESIDUAL_SHARE = 0.05
 CORRELATED = 0.5
 
@@ -86,13 +89,28 @@ def model_force(model: KelvinVoigt, theta: FloatArray, log: FittedLog, adjustmen
     return np.asarray(adjustment.gain * (model.static_force(theta, shifted) + dynamic))
 
 
-def _kept(force: FloatArray, depth: FloatArray) -> NDArray[np.int64]:
-    """Samples to keep: ends and the extremes of force and depth in every bin."""
+def _after_corners(corners: Sequence[tuple[int, int]]) -> set[int]:
+    """Samples at geometric distances behind each corner: relaxation is fastest there.
+
+    Parameters
+    ----------
+    corners : sequence of (int, int)
+        First sample of a hold, and the one after its last.
+    """
+    keep: set[int] = set()
+    for start, stop in corners[: CURVE_POINTS // (3 * CORNER_POINTS)]:
+        behind = np.geomspace(1.0, max(stop - start - 1, 1), CORNER_POINTS - 1).round().astype(np.int64)
+        keep |= {start, *(start + behind).tolist()}
+    return keep
+
+
+def _kept(force: FloatArray, depth: FloatArray, corners: Sequence[tuple[int, int]] = ()) -> NDArray[np.int64]:
+    """Samples to keep: ends, the extremes of force and depth in every bin, and what follows the corners."""
     n = force.size
     if n <= CURVE_POINTS:
         return np.arange(n)
-    edges = np.linspace(0, n, CURVE_POINTS // 4 + 1).astype(np.int64)
-    keep = {0, n - 1}
+    keep = {0, n - 1} | {i for i in _after_corners(corners) if 0 <= i < n}
+    edges = np.linspace(0, n, (CURVE_POINTS - len(keep)) // 4 + 1).astype(np.int64)
     for first, last in pairwise(edges.tolist()):
         keep |= {first, first + int(np.argmin(force[first:last])), first + int(np.argmax(force[first:last]))}
         keep.add(first + int(np.argmax(depth[first:last])))
@@ -182,7 +200,9 @@ def summarise_trial(
     spread = float(np.ptp(force))
     share = float(np.abs(residual).max()) / spread if spread > 0.0 else 0.0
     acf = lag_one_correlation(residual)
-    keep = _kept(data.force_N, data.depth_mm)
+    first = log.first - int(log.inserted)
+    corners = [(phase.start - first, phase.stop - first) for phase in segmentation.of_kind("hold")]
+    keep = _kept(data.force_N, data.depth_mm, corners)
     return TrialFit(
         path=trial.source.path,
         sheet=trial.source.sheet,

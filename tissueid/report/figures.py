@@ -20,10 +20,11 @@ from tissueid.result import Curve
 from tissueid.store.curves import TrialCurve
 from tissueid.store.posteriors import StoredPosterior
 
-__all__ = ["MOST_SAMPLES", "curve_payload", "packed", "thinned"]
+__all__ = ["MOST_SAMPLES", "curve_payload", "curves_by_trial", "packed", "thinned"]
 
-#: Samples a page may carry in all: 22 bytes each, so that the page stays below 7 MB with its script.
-MOST_SAMPLES = 80_000
+#: Samples a page may carry in all: 23 bytes each, 33 with a band, so that the page stays below 7 MB with its
+#: script.
+MOST_SAMPLES = 40_000
 _FEWEST_A_TRIAL = 40
 _KEPT_A_BUCKET = 4
 
@@ -59,6 +60,31 @@ def packed(values: NDArray[Any], kind: str) -> str:
     return base64.b64encode(np.ascontiguousarray(values, dtype=kind).tobytes()).decode("ascii")
 
 
+def curves_by_trial(
+    specimens: Sequence[Mapping[str, Any]], curves: Sequence[TrialCurve]
+) -> list[list[tuple[Mapping[str, Any], TrialCurve]]]:
+    """Trials of every specimen that have a curve, in their order, each with it.
+
+    Parameters
+    ----------
+    specimens : sequence of mapping
+        ``specimens`` of identification.json.
+    curves : sequence of TrialCurve
+    """
+    waiting: dict[tuple[str, str, str | None], list[TrialCurve]] = {}
+    for entry in curves:
+        waiting.setdefault((entry.specimen, entry.path, entry.sheet), []).append(entry)
+    found = []
+    for specimen in specimens:
+        pairs = []
+        for trial in specimen["trials"]:
+            own = waiting.get((specimen["specimen"], trial["path"], trial["sheet"]))
+            if own:
+                pairs.append((trial, own.pop(0)))
+        found.append(pairs)
+    return found
+
+
 def curve_payload(
     specimens: Sequence[Mapping[str, Any]],
     curves: Sequence[TrialCurve],
@@ -81,21 +107,18 @@ def curve_payload(
         Per specimen and trial: ``label`` and base64 ``t, x, f, m`` (float32: s, mm, N, N), ``on`` (uint8),
         and ``low, high`` (float32: N) where there is a band.
     """
-    waiting: dict[tuple[str, str, str | None], list[Curve]] = {}
-    for entry in curves:
-        waiting.setdefault((entry.specimen, entry.path, entry.sheet), []).append(entry.curve)
     bands = {(one.specimen, *trial): band for one in posteriors for trial, band in one.bands.items()}
     share = max(MOST_SAMPLES // max(len(curves), 1), _FEWEST_A_TRIAL)
-    payload = []
-    for specimen in specimens:
-        trials = []
-        for trial in specimen["trials"]:
-            key = (specimen["specimen"], trial["path"], trial["sheet"])
-            own = waiting.get(key)
-            if own:
-                trials.append({"label": trial_label(trial), **_columns(own.pop(0), bands.get(key), share)})
-        payload.append(trials)
-    return payload
+    return [
+        [
+            {
+                "label": trial_label(trial),
+                **_columns(own.curve, bands.get((own.specimen, own.path, own.sheet)), share),
+            }
+            for trial, own in pairs
+        ]
+        for pairs in curves_by_trial(specimens, curves)
+    ]
 
 
 def _columns(curve: Curve, band: NDArray[np.float64] | None, most: int) -> dict[str, str]:

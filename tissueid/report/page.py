@@ -15,9 +15,13 @@ from markupsafe import Markup
 
 from tissueid.report.event_words import event_words, took
 from tissueid.report.figures import curve_payload
+from tissueid.report.law_payload import law_payload
+from tissueid.report.methods_words import citation, methods_view, subscripted
 from tissueid.report.posterior_payload import posterior_payload
 from tissueid.report.quoted_words import cycle_table, quoted_tables
 from tissueid.report.remarks import remarks, trial_label
+from tissueid.report.rendering_words import metadata_view, rendering_view
+from tissueid.report.sentences import overview_sentence, tissue_sentence
 from tissueid.report.study_words import study_view
 from tissueid.report.uncertainty_words import uncertainty_view
 from tissueid.report.wording import (
@@ -25,10 +29,8 @@ from tissueid.report.wording import (
     in_units,
     misfit_raised,
     number,
-    overview_sentence,
     parameter_words,
     rounded_to,
-    tissue_sentence,
     unit_words,
     verdict,
     with_error,
@@ -40,6 +42,8 @@ __all__ = ["asset", "page_environment", "plotly_script", "render_report"]
 
 #: Remarks that the part on uncertainty makes itself, above the others.
 _TOLD_APART = frozenset({"misfit", "sampler_not_converged"})
+#: In the order in which they need each other.
+_SCRIPTS = ("boxes.js", "grids.js", "posterior.js", "law.js", "figures.js", "tables.js")
 _SUMMARY = ("static_1_N_per_mm", "relaxation_time_s", "viscosity_N_s_per_mm")
 
 
@@ -58,6 +62,7 @@ def page_environment() -> Environment:
     environment.filters["in_units"] = in_units
     environment.filters["event_words"] = event_words
     environment.filters["took"] = took
+    environment.filters["subscripted"] = subscripted
     environment.globals["with_error"] = with_error
     environment.globals["parameter_words"] = parameter_words
     environment.globals["trial_label"] = trial_label
@@ -79,7 +84,12 @@ def plotly_script() -> Markup:
     return Markup(get_plotlyjs())  # noqa: S704 -- the library's own file
 
 
-def _view(position: int, specimen: Mapping[str, Any]) -> dict[str, Any]:
+def _view(
+    position: int,
+    specimen: Mapping[str, Any],
+    run: Mapping[str, Any],
+    rendering: Mapping[str, Any] | None,
+) -> dict[str, Any]:
     parameters = {entry["name"]: entry for entry in specimen["parameters"]}
     sure = uncertainty_view(specimen)
     return {
@@ -93,6 +103,8 @@ def _view(position: int, specimen: Mapping[str, Any]) -> dict[str, Any]:
         "summary": [_without_error(parameters.get(name), specimen) for name in _SUMMARY],
         "quoted": quoted_tables(specimen["quoted"]),
         "cycles": cycle_table(specimen["cycles"]),
+        "methods": methods_view(specimen, run),
+        "rendering": rendering_view(rendering, specimen),
     }
 
 
@@ -132,6 +144,8 @@ def render_report(
     curves: Sequence[TrialCurve],
     posteriors: Sequence[StoredPosterior] = (),
     *,
+    renderings: Sequence[Mapping[str, Any] | None] = (),
+    metadata: Mapping[str, Any] | None = None,
     created: str | None = None,
     script_file: str | None = None,
 ) -> str:
@@ -145,6 +159,10 @@ def render_report(
         From ``curves.h5``; trials without a curve are listed but not drawn.
     posteriors : sequence of StoredPosterior, optional
         From ``posteriors.h5``: draws, chains and predictive bands.
+    renderings : sequence of mapping or None, optional
+        One a specimen, from :func:`tissueid.study.rendering.rendering_of`.
+    metadata : mapping, optional
+        How complete the study's description is: the document of ``schemas/study-check.schema.json``.
     created : str, optional
         Time stamp to print; without it equal input gives an equal page.
     script_file : str, optional
@@ -156,10 +174,15 @@ def render_report(
         HTML, UTF-8.
     """
     specimens = identification["specimens"]
-    views = [_view(position, specimen) for position, specimen in enumerate(specimens)]
+    shown = [*renderings, *[None] * (len(specimens) - len(renderings))]
+    views = [
+        _view(position, specimen, identification, rendering)
+        for position, (specimen, rendering) in enumerate(zip(specimens, shown, strict=True))
+    ]
     payload = {
         "specimens": curve_payload(specimens, curves, posteriors),
         "posteriors": posterior_payload(specimens, posteriors),
+        "laws": law_payload(specimens, curves, posteriors),
         "units": [specimen["units"] for specimen in specimens],
         "overview": _overview(specimens),
     }
@@ -174,9 +197,11 @@ def render_report(
         overview_sentence=overview_sentence(specimens),
         counts=_counts(views),
         study=study_view(identification["study"]),
+        metadata=metadata_view(metadata),
+        cite=citation(identification["provenance"]["tissueid"]),
         created=created,
         style=asset("page.css"),
-        scripts=[asset("boxes.js"), asset("posterior.js"), asset("figures.js")],
+        scripts=[asset(name) for name in _SCRIPTS],
         plotly="" if script_file else plotly_script(),
         script_file=script_file,
     )

@@ -8,7 +8,7 @@ from typing import Any
 from tissueid.report.remarks import trial_label
 from tissueid.report.wording import NOT_IDENTIFIED, number, unit_words, with_error
 
-__all__ = ["study_view"]
+__all__ = ["key_words", "study_view"]
 
 #: Unit at the end of a key -> how it is printed.
 _UNITS = {"_N_per_mm": "N/mm", "_mm_s": "mm/s", "_mm": "mm", "_years": "years", "_Hz": "Hz", "_deg": "°"}
@@ -17,8 +17,8 @@ _UNITS |= {"_C": "°C", "_N": "N", "_s": "s", "_h": "h"}
 _ELSEWHERE = {"only_listed", "title", "frame"}
 
 
-def _label(key: str) -> str:
-    """``"thickness_mm_sd"`` as ``"thickness sd"``."""
+def key_words(key: str) -> str:
+    """Words of a key of a study file: ``"thickness_mm_sd"`` is ``"thickness sd"``."""
     bare = key.removesuffix("_sd")
     unit = next((end for end in _UNITS if bare.endswith(end)), "")
     return bare.removesuffix(unit).replace("_", " ") + (" sd" if key.endswith("_sd") else "")
@@ -40,7 +40,7 @@ def _value(key: str, value: Any) -> str:
 
 def _pairs(table: Mapping[str, Any]) -> list[tuple[str, str]]:
     stated = {key: value for key, value in table.items() if value is not None and key not in _ELSEWHERE}
-    return [(_label(key), _value(key, value)) for key, value in stated.items()]
+    return [(key_words(key), _value(key, value)) for key, value in stated.items()]
 
 
 def _frame(calibration: Mapping[str, Any]) -> str:
@@ -66,7 +66,7 @@ def _table(rows: Sequence[Mapping[str, Any]], first: str) -> dict[str, Any] | No
     if not keys:
         return None
     return {
-        "head": [_label(key) for key in keys],
+        "head": [key_words(key) for key in keys],
         "rows": [
             {
                 "name": trial_label(row) if first == "path" else row[first],

@@ -135,6 +135,21 @@ def _sampler_sentence(specimen: Mapping[str, Any]) -> str:
     return f"Sampled by {sampler['name']}: {', '.join(parts)}; {end}{why}."
 
 
+def _convergence_rows(specimen: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Effective draws and R-hat of every parameter that has them."""
+    return [
+        {
+            "words": parameter_words(entry["name"]),
+            "symbol": entry["symbol"],
+            "bulk": entry["ess_bulk"],
+            "tail": entry["ess_tail"],
+            "r_hat": entry["r_hat"],
+        }
+        for entry in reported_order(specimen["parameters"])
+        if entry["ess_bulk"] is not None
+    ]
+
+
 def _no_total(specimen: Mapping[str, Any]) -> str:
     """Why there is no total interval though the machine was asked about; empty where there is one."""
     told = specimen["sampler"]["detail"].get("total")
@@ -266,6 +281,7 @@ def uncertainty_view(specimen: Mapping[str, Any]) -> dict[str, Any] | None:
         "converged": specimen["sampler"]["converged"],
         "sampler": _sampler_sentence(specimen),
         "noise": _noise_sentence(specimen),
+        "convergence": _convergence_rows(specimen),
         "priors": _prior_rows(specimen),
         "budget": _budget(specimen),
         "comparison": _comparison(specimen),

@@ -2,7 +2,7 @@
 
 Layout: the samples of all trials stand end to end in one data set a quantity; ``index`` (JSON text)
 names the trials and ``offsets`` says where each begins and ends.  Thousands of trials then cost no
-more than their numbers.
+more than their numbers.  A group ``residual`` holds what the full rate said of the residuals.
 """
 
 from __future__ import annotations
@@ -17,8 +17,10 @@ import h5py
 import numpy as np
 
 from tissueid.errors import BundleError
+from tissueid.residuals import ResidualSummary
 from tissueid.result import Curve, SpecimenFit
 from tissueid.store.files import TEMPORARY_PREFIX, json_bytes, replace_file
+from tissueid.store.residuals import get_residuals, put_residuals
 
 __all__ = ["TrialCurve", "curves_of_fits", "get_curves", "load_curves", "put_curves", "write_curves"]
 
@@ -36,18 +38,23 @@ class TrialCurve:
     path : str
     sheet : str or None
     curve : Curve
+    residual : ResidualSummary or None
+        Curves of older runs have none.
     """
 
     specimen: str
     path: str
     sheet: str | None
     curve: Curve
+    residual: ResidualSummary | None = None
 
 
 def curves_of_fits(fits: Iterable[SpecimenFit]) -> tuple[TrialCurve, ...]:
     """Collect the curves of every trial, in the order of the fits."""
     return tuple(
-        TrialCurve(fit.specimen, trial.path, trial.sheet, trial.curve) for fit in fits for trial in fit.trials
+        TrialCurve(fit.specimen, trial.path, trial.sheet, trial.curve, trial.residual)
+        for fit in fits
+        for trial in fit.trials
     )
 
 
@@ -82,6 +89,7 @@ def put_curves(group: Any, curves: Sequence[TrialCurve]) -> None:
         parts = [np.asarray(getattr(entry.curve, name)) for entry in curves]
         values = np.concatenate(parts) if parts else np.empty(0)
         _write_column(group, name, values.astype("u1" if name == "fitted" else "<f8"))
+    put_residuals(group, [entry.residual for entry in curves])
 
 
 def _write_column(file: Any, name: str, values: Any) -> None:
@@ -128,6 +136,7 @@ def get_curves(group: Any) -> tuple[TrialCurve, ...]:
     if offsets.size != len(index) + 1 or any(column.shape != (offsets[-1],) for column in columns.values()):
         msg = "its index does not match its numbers"
         raise ValueError(msg)
+    residuals = get_residuals(group, len(index))
     return tuple(
         TrialCurve(
             entry["specimen"],
@@ -140,6 +149,7 @@ def get_curves(group: Any) -> tuple[TrialCurve, ...]:
                 model_N=columns["model_N"][start:stop],
                 fitted=columns["fitted"][start:stop].astype(bool),
             ),
+            residual,
         )
-        for entry, start, stop in zip(index, offsets[:-1], offsets[1:], strict=True)
+        for entry, start, stop, residual in zip(index, offsets[:-1], offsets[1:], residuals, strict=True)
     )

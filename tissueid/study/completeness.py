@@ -24,7 +24,7 @@ from typing import Any
 from tissueid.manifest import Study
 from tissueid.result import Refusal
 
-__all__ = ["ITEMS", "Completeness", "Item", "Missing", "completeness"]
+__all__ = ["ITEMS", "Completeness", "Item", "Missing", "completeness", "completeness_of_result"]
 
 ESSENTIAL, ASKED, HELPS = 3, 2, 1
 #: Grade -> least share.
@@ -180,6 +180,36 @@ def completeness(study: Study, unmatched: Sequence[Refusal] = ()) -> Completenes
         "specimen": {name: {**study.about, **table} for name, table in study.specimens.items()},
         "trial": {str(entry.values["file"]): entry.values for entry in study.trials},
     }
+    return _graded(single, several, unmatched)
+
+
+def completeness_of_result(study: Mapping[str, Any] | None) -> Completeness:
+    """Grade what a result knows of its study.
+
+    Parameters
+    ----------
+    study : mapping or None
+        The ``study`` of identification.json; without one nothing is stated.
+    """
+    told: Mapping[str, Any] = study or {}
+    about: Mapping[str, Any] = told.get("study", {})
+    single = {"study": about, "calibration": told.get("calibration", {}), "tip": told.get("tip", {})}
+    specimens = {row["specimen"]: {**about, **_stated(row)} for row in told.get("specimens", [])}
+    trials = {str(row["path"]): row for row in told.get("trials", []) if row.get("listed", True)}
+    return _graded(single, {"specimen": specimens, "trial": trials}, ())
+
+
+def _stated(table: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in table.items() if value not in (None, [], "")}
+
+
+def _graded(
+    single: Mapping[str, Mapping[str, Any]],
+    several: Mapping[str, Mapping[str, Mapping[str, Any]]],
+    unmatched: Sequence[Refusal],
+) -> Completeness:
+    """The verdict on tables of which there is one, and of which there are several by name."""
+    about = single["study"]
     stated, missing = 0.0, []
     for item in ITEMS:
         if item.table in single:
@@ -187,7 +217,7 @@ def completeness(study: Study, unmatched: Sequence[Refusal] = ()) -> Completenes
             share = 0.0 if lacking else 1.0
             where: tuple[str, ...] = ()
         else:
-            tables = several[item.table] or ({"": study.about} if item.table == "specimen" else {"": {}})
+            tables = several[item.table] or ({"": about} if item.table == "specimen" else {"": {}})
             lacking = _without(item, tables)
             share = 1.0 - len(lacking) / len(tables)
             where = lacking if len(lacking) < len(tables) else ()

@@ -8,24 +8,27 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 from tissueid.report import render_report
 from tissueid.report.index_page import index_row, render_index
 from tissueid.report.page import plotly_script
-from tissueid.store.curves import load_curves
+from tissueid.store.curves import TrialCurve, load_curves
 from tissueid.store.files import write_file
 from tissueid.store.merged import LISTED, SPECIMENS, read_listed
 from tissueid.store.names import CURVES, IDENTIFICATION, POSTERIORS, REPORT
 from tissueid.store.outputs import OutputSet
-from tissueid.store.posteriors import load_posteriors
+from tissueid.store.posteriors import StoredPosterior, load_posteriors
 from tissueid.store.specimen_file import load_record, load_specimen
+from tissueid.study.completeness import completeness_of_result
 from tissueid.study.processes import Workforce
+from tissueid.study.rendering import rendering_of
 from tissueid.study.tasks import Task
 
-__all__ = ["PAGES", "page_path", "specimen_page", "write_pages", "write_report"]
+__all__ = ["PAGES", "page_path", "report_page", "specimen_page", "write_pages", "write_report"]
 
 #: Folder of the pages, in the output folder.
 PAGES = "pages"
@@ -52,8 +55,38 @@ def specimen_page(payload: bytes) -> bytes:
         "provenance": record["provenance"] | {"inputs": record["inputs"]},
         "exit": {"code": 0, "reasons": record["reasons"]},
     }
-    page = render_report(document, curves, () if posterior is None else (posterior,), script_file=_LIBRARY)
-    return page.encode("utf-8")
+    posteriors = () if posterior is None else (posterior,)
+    return report_page(document, curves, posteriors, script_file=_LIBRARY, graded=False).encode("utf-8")
+
+
+def report_page(
+    document: Mapping[str, Any],
+    curves: Sequence[TrialCurve],
+    posteriors: Sequence[StoredPosterior],
+    *,
+    graded: bool = True,
+    **more: Any,
+) -> str:
+    """The report of a run, with what a renderer will do and how complete the study's description is.
+
+    Parameters
+    ----------
+    document, curves, posteriors
+        As :func:`tissueid.store.results.read_results` gives them.
+    graded : bool
+        Whether the document knows of the study, so that its description can be graded.
+    **more
+        Of :func:`tissueid.report.render_report`.
+    """
+    known = {one.specimen: one for one in posteriors}
+    return render_report(
+        document,
+        curves,
+        posteriors,
+        renderings=[rendering_of(one, known.get(one["specimen"])) for one in document["specimens"]],
+        metadata=completeness_of_result(document["study"]).as_json("study.toml") if graded else None,
+        **more,
+    )
 
 
 def write_pages(out: Path, files: Iterable[Path], crew: Workforce) -> Iterator[int]:
@@ -98,7 +131,7 @@ def write_report(run: OutputSet, refused: Sequence[str] | None = None) -> None:
     created = datetime.now(UTC).isoformat(timespec="seconds")
     if run.path(CURVES).is_file():
         sampled = run.path(POSTERIORS)
-        page = render_report(
+        page = report_page(
             json.loads(run.path(IDENTIFICATION).read_bytes()),
             load_curves(run.path(CURVES)),
             load_posteriors(sampled) if sampled.is_file() else (),

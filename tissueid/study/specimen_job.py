@@ -40,6 +40,8 @@ RECENT_BYTES = 16 * 2**20
 FIT = "tissueid.study.specimen_job:fit_specimen_job"
 #: What the readers would say of a sheet that another job reads.
 _NOT_OURS = "study_unmatched"
+#: What a specimen's file holds; another number makes files of older versions be computed anew.
+CONTENT = 2
 #: What stands in a provenance and is more than one specimen's.
 _OF_THE_RUN = ("inputs", "study")
 
@@ -80,6 +82,7 @@ class SpecimenJob:
             posterior = replace(posterior, workers=1)
         document = {
             "schema": SPECIMEN_SCHEMA_VERSION,
+            "content": CONTENT,
             "specimen": self.shown,
             "recordings": [list(one) for one in self.recordings],
             "study": None if self.study is None else facts_of(self.study),

@@ -14,6 +14,8 @@
     }
     return opened.get(specimen);
   };
+  // figures of the trials that are chosen; the others show all
+  const FOLLOW = new Set(["force-depth", "force-time", "residual"]);
   const chosen = (specimen) => {
     const choice = document.querySelector(`select[data-choice="${specimen}"]`);
     const all = curves(specimen);
@@ -21,13 +23,7 @@
   };
   const masked = (values, on, keep) => Array.from(values, (value, i) => (Boolean(on[i]) === keep ? value : null));
 
-  // the predictive band as a closed outline; where the band has no number it has no corner
-  const band = (trial, x, low, high, i) => {
-    const there = Array.from(low, (value, k) => k).filter((k) => Number.isFinite(low[k]) && Number.isFinite(high[k]));
-    const back = [...there].reverse();
-    return { x: [...there.map((k) => x[k]), ...back.map((k) => x[k])], y: [...there.map((k) => high[k]), ...back.map((k) => low[k])],
-      mode: "lines", line: { width: 0 }, fill: "toself", fillcolor: colour("band"), name: "predicted", legendgroup: "predicted", showlegend: i === 0, hoverinfo: "skip" };
-  };
+  const band = (trial, x, low, high, i) => outline(x, low, high, { name: "predicted", legendgroup: "predicted", showlegend: i === 0 });
   const bands = (specimen, abscissa) => chosen(specimen).filter((trial) => trial.low)
     .map((trial, i) => band(trial, trial[abscissa], trial.low, trial.high, i));
   const pairs = (specimen, abscissa) => [...bands(specimen, abscissa), ...lines(specimen, abscissa)];
@@ -40,7 +36,8 @@
 
   const aboutModel = (trial, ends) => ends.map((value, k) => value - trial.m[k]);
   const residuals = (specimen) => [
-    ...chosen(specimen).filter((trial) => trial.low).map((trial, i) => band(trial, trial.t, aboutModel(trial, trial.low), aboutModel(trial, trial.high), i)),
+    // bands of many trials would hide each other and what they are about
+    ...(chosen(specimen).length === 1 ? chosen(specimen) : []).filter((trial) => trial.low).map((trial, i) => band(trial, trial.t, aboutModel(trial, trial.low), aboutModel(trial, trial.high), i)),
     ...residualLines(specimen),
   ];
   const residualLines = (specimen) => chosen(specimen).flatMap((trial, i) => {
@@ -59,12 +56,14 @@
       name: "viscosity", hovertemplate: "%{x}: %{y:.4g} N·s/mm<extra></extra>", showlegend: false }];
   };
 
+  const known = posteriorKinds(payload, floats);
   const kinds = {
     "force-depth": { traces: (s) => pairs(s, "x"), x: "Depth [mm]", y: "Force [N]" },
     "force-time": { traces: (s) => pairs(s, "t"), x: "Time from contact [s]", y: "Force [N]" },
     residual: { traces: residuals, x: "Time from contact [s]", y: "Residual [N]" },
     overview: { traces: overview, x: "", y: "Viscosity [N·s/mm]" },
-    ...posteriorKinds(payload, floats, colour),
+    ...known.kinds,
+    ...lawKinds(payload, curves, known.cloud),
   };
 
   // recordings may be normalised: labels are written in mm and N and read in the specimen's units
@@ -83,7 +82,7 @@
     return { traces: kind.traces(specimen), layout: own.layout };
   });
   document.querySelectorAll("select[data-choice]").forEach((choice) => {
-    choice.addEventListener("change", () => redraw((box) => box.dataset.specimen === choice.dataset.choice && box.dataset.figure !== "overview"));
+    choice.addEventListener("change", () => redraw((box) => box.dataset.specimen === choice.dataset.choice && FOLLOW.has(box.dataset.figure)));
   });
   const follow = () => {
     const target = location.hash && document.getElementById(decodeURIComponent(location.hash.slice(1)));

@@ -1,6 +1,6 @@
 "use strict";
 // Figures of a posterior: marginal densities, viscosity against relaxation time, traces of the chains.
-const posteriorKinds = (payload, floats, colour) => {
+const posteriorKinds = (payload, floats) => {
   const opened = new Map();
   const posterior = (specimen) => {
     if (!opened.has(specimen)) {
@@ -21,12 +21,6 @@ const posteriorKinds = (payload, floats, colour) => {
     for (const value of values) counts[Math.min(Math.max(Math.floor((value - low) / width), 0), BINS - 1)] += 1;
     return { x: counts.map((_, i) => low + (i + 0.5) * width), y: counts.map((count) => count / (values.length * width)) };
   };
-  // a cell of a grid of small axes: plotly numbers its axes from 1 and leaves the 1 away
-  const cell = (i) => ({ xaxis: `x${i ? i + 1 : ""}`, yaxis: `y${i ? i + 1 : ""}` });
-  const named = (title) => ({ title: { text: title, standoff: 4, font: { size: 11 } }, gridcolor: colour("line"), zeroline: false, automargin: true, tickfont: { size: 10 }, nticks: 4 });
-  const columns = (box) => (box.clientWidth < 520 ? 2 : box.clientWidth < 900 ? 3 : 4);
-  const grid = (count, wide, extra) => ({ grid: { rows: Math.ceil(count / wide), columns: wide, pattern: "independent", xgap: 0.12, ygap: 0.45 }, showlegend: false, ...extra });
-
   const marginals = (specimen) => {
     const found = posterior(specimen);
     return found.names.flatMap((_, i) => {
@@ -49,26 +43,45 @@ const posteriorKinds = (payload, floats, colour) => {
     return { layout, height: 150 * Math.ceil(found.names.length / wide) + 40 };
   };
 
-  const branches = (found) => ["", "_b2", "_b3"].map((suffix) => [`relaxation_time_s${suffix}`, `viscosity_N_s_per_mm${suffix}`].map((name) => found.names.indexOf(name)))
-    .filter(([time, viscosity]) => time >= 0 && viscosity >= 0);
-  const pair = (specimen) => {
-    const found = posterior(specimen);
-    return branches(found).flatMap(([time, viscosity], i) => {
-      const dots = (table, name, ink, size) => ({ x: table[time], y: table[viscosity], ...cell(i), mode: "markers", name, legendgroup: name, showlegend: i === 0,
-        marker: { color: colour(ink), size, opacity: 0.35 }, hovertemplate: "%{x:.4g}, %{y:.4g}<extra></extra>" });
-      const traces = [dots(found.draws, "statistical", "model", 3)];
-      if (found.total) traces.unshift(dots(found.total, "total", "data", 4));
-      return traces;
+  // draws of two parameters, the total ones first, so that the others lie over them
+  const cloud = (specimen, first, second) => {
+    if (!payload.posteriors[specimen]) return [];
+    const found = posterior(specimen), [a, b] = [first, second].map((name) => found.names.indexOf(name));
+    if (a < 0 || b < 0) return [];
+    return [["total", found.total], ["statistical", found.draws]].filter(([, table]) => table).map(([name, table]) => ({ name, x: table[a], y: table[b] }));
+  };
+
+  // every parameter against every other: the lower triangle, with the densities on its diagonal
+  const MOST_CORNERS = 7, DOTS = 250;
+  const thin = (values) => { const step = Math.max(values.length / DOTS, 1); return Array.from({ length: Math.min(values.length, DOTS) }, (_, k) => values[Math.floor(k * step)]); };
+  const size = (specimen) => Math.min(posterior(specimen).names.length, MOST_CORNERS);
+  const places = (n) => Array.from({ length: n }, (_, row) => Array.from({ length: row + 1 }, (__, column) => [row, column])).flat();
+  const corner = (specimen) => {
+    const found = posterior(specimen), n = size(specimen);
+    return places(n).flatMap(([row, column], i) => {
+      if (row === column) {
+        const wide = (found.total || found.draws)[row];
+        const low = wide.reduce((a, b) => Math.min(a, b)), high = wide.reduce((a, b) => Math.max(a, b));
+        const bars = (values, name, style) => ({ ...density(values, low, high), ...cell(i), mode: "lines", name, ...style, hoverinfo: "skip" });
+        return [bars(found.draws[row], "statistical", { fill: "tozeroy", line: { color: colour("model"), width: 1, shape: "hvh" } }),
+          ...(found.total ? [bars(found.total[row], "total", { line: { color: colour("data"), width: 2, shape: "hvh" } })] : [])];
+      }
+      const dots = (table, name, ink) => ({ x: thin(table[column]), y: thin(table[row]), ...cell(i), mode: "markers", name,
+        marker: { color: colour(ink), size: 3, opacity: 0.4 }, hovertemplate: "%{x:.4g}, %{y:.4g}<extra></extra>" });
+      return [...(found.total ? [dots(found.total, "total", "data")] : []), dots(found.draws, "statistical", "model")];
     });
   };
-  const pairLayout = (specimen, box) => {
-    const found = posterior(specimen), all = branches(found), wide = box.clientWidth < 520 ? 1 : all.length;
-    const layout = grid(all.length, wide, { showlegend: true });
-    all.forEach(([time, viscosity], i) => {
-      layout[`xaxis${i ? i + 1 : ""}`] = { ...named(found.labels[time]), type: "log", dtick: undefined };
-      layout[`yaxis${i ? i + 1 : ""}`] = named(found.labels[viscosity]);
+  const bare = (label) => label.replace(", not identified", "");
+  const cornerLayout = (specimen, box) => {
+    const found = posterior(specimen), n = size(specimen), layout = { showlegend: false };
+    const gap = 0.012, side = (1 - gap * (n - 1)) / n;
+    places(n).forEach(([row, column], i) => {
+      const bottom = row === n - 1, left = column === 0 && row > 0;
+      axesOf(layout, i,
+        { ...named(bottom ? bare(found.labels[column]) : "", { showticklabels: bottom, nticks: 3, tickangle: 0 }), domain: [column * (side + gap), column * (side + gap) + side], anchor: `y${i ? i + 1 : ""}` },
+        { ...named(left ? bare(found.labels[row]) : "", { showticklabels: left, nticks: 3, ...(row === column ? { rangemode: "tozero" } : {}) }), domain: [(n - 1 - row) * (side + gap), (n - 1 - row) * (side + gap) + side], anchor: `x${i ? i + 1 : ""}` });
     });
-    return { layout, height: 280 * Math.ceil(all.length / wide) + 40 };
+    return { layout, height: Math.max(Math.min(box.clientWidth, 900), 320) * 0.85 };
   };
 
   const trace = (specimen) => {
@@ -89,5 +102,5 @@ const posteriorKinds = (payload, floats, colour) => {
     return { layout, height: 120 * Math.ceil(names.length / wide) + 40 };
   };
 
-  return { marginals: { traces: marginals, own: marginalLayout }, pair: { traces: pair, own: pairLayout }, trace: { traces: trace, own: traceLayout } };
+  return { cloud, kinds: { marginals: { traces: marginals, own: marginalLayout }, corner: { traces: corner, own: cornerLayout }, trace: { traces: trace, own: traceLayout } } };
 };

@@ -1,0 +1,134 @@
+"""The page for everybody: axe-core, keyboard, colours, widths and paper."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from fit_factory import identification, specimen_fit
+from posterior_factory import sampled
+
+from tissueid.report import render_report
+from tissueid.store.curves import curves_of_fits
+from tissueid.store.files import plain_json
+from tissueid.store.posteriors import posteriors_of_fits
+from tissueid.study.completeness import completeness_of_result
+from tissueid.study.rendering import rendering_of
+
+pytestmark = pytest.mark.browser
+
+DEVICE = {"sensible": (1400, 900), "tablet": (800, 1000), "telephone": (400, 800)}
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A page with every part that a report can have."""
+    fits = [sampled(specimen_fit(trials=3, samples=120, identified=False))]
+    document = plain_json(identification(fits, refused=True).as_json())
+    posteriors = posteriors_of_fits(fits)
+    html = render_report(
+        document,
+        curves_of_fits(fits),
+        posteriors,
+        renderings=[rendering_of(document["specimens"][0], posteriors[0])],
+        metadata=completeness_of_result(None).as_json("study.toml"),
+    )
+    path = tmp_path_factory.mktemp("whole") / "report.html"
+    path.write_text(html, encoding="utf-8")
+    return path
+
+
+def visit(
+    browser: Any, path: Path, width: int = 1400, height: int = 900, **more: Any
+) -> tuple[Any, list[str]]:
+    tab = browser.new_context(viewport={"width": width, "height": height}, **more).new_page()
+    said: list[str] = []
+    tab.on("console", lambda one: said.append(one.text) if one.type in {"error", "warning"} else None)
+    tab.on("pageerror", lambda error: said.append(str(error)))
+    tab.on("request", lambda one: said.append(one.url) if one.url != path.as_uri() else None)
+    tab.goto(path.as_uri())
+    return tab, said
+
+
+def draw_all(tab: Any) -> int:
+    """Open everything and wait until every figure is drawn; returns how many there are."""
+    tab.evaluate("document.querySelectorAll('details').forEach((one) => { one.open = true; })")
+    boxes = tab.locator("[data-figure]")
+    for place in range(boxes.count()):
+        boxes.nth(place).evaluate("(box) => box.scrollIntoView()")
+    tab.wait_for_function("[...document.querySelectorAll('[data-figure]')].every((box) => box.data)")
+    return int(boxes.count())
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("size", DEVICE)
+def test_axe_finds_no_serious_issue(browser: Any, whole: Path, scheme: str, size: str) -> None:
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
+    width, height = DEVICE[size]
+    tab, said = visit(browser, whole, width, height, color_scheme=scheme)
+    assert draw_all(tab) == 11
+    found = axe.run(tab).response["violations"]
+    grave = [
+        (one["id"], one["impact"], [node["html"][:160] for node in one["nodes"]][:3])
+        for one in found
+        if one["impact"] in {"serious", "critical"}
+    ]
+    assert grave == []
+    assert tab.evaluate("document.documentElement.scrollWidth") == width
+    assert said == []
+
+
+def test_axe_would_find_a_serious_issue(browser: Any, whole: Path) -> None:
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
+    tab, _ = visit(browser, whole)
+    tab.evaluate("document.querySelector('.sentence').style.color = '#ddd'")
+    tab.evaluate("document.querySelector('select').removeAttribute('id')")
+    assert {"color-contrast", "select-name"} <= {one["id"] for one in axe.run(tab).response["violations"]}
+
+
+def test_every_control_is_reached_and_seen_by_the_keyboard(browser: Any, whole: Path) -> None:
+    tab, said = visit(browser, whole)
+    tab.keyboard.press("Tab")
+    assert tab.evaluate("document.activeElement.className") == "skip"
+    reached = set()
+    for _ in range(120):
+        tab.keyboard.press("Tab")
+        kind, outline = tab.evaluate(
+            "[document.activeElement.tagName, getComputedStyle(document.activeElement).outlineStyle]"
+        )
+        if kind == "BODY":
+            break
+        # what has the focus shows it
+        assert outline != "none", kind
+        reached.add(kind)
+    assert {"SELECT", "SUMMARY", "INPUT", "BUTTON", "DIV"} <= reached
+    assert said == []
+
+
+def test_paper_is_white_and_whole_even_from_a_dark_screen(browser: Any, whole: Path) -> None:
+    tab, said = visit(browser, whole, color_scheme="dark")
+    pages = tab.pdf(format="A4")
+    assert pages.startswith(b"%PDF")
+    # a picture a figure: an empty page would be a few kB
+    assert len(pages) > 100_000
+    assert tab.evaluate("[...document.querySelectorAll('details')].every((one) => one.open)")
+    assert tab.evaluate("[...document.querySelectorAll('[data-figure]')].every((box) => box.data)")
+    tab.emulate_media(media="print")
+    assert tab.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+    tab.wait_for_function(
+        "[...document.querySelectorAll('[data-figure]')].every((box) => box.layout.paper_bgcolor === '#fff')"
+    )
+    # nothing stands beyond the edge of a sheet: figures follow the paper's width
+    assert tab.evaluate("getComputedStyle(document.querySelector('.choose')).display") == "none"
+    assert said == []
+
+
+def test_series_are_told_apart_without_colour(browser: Any, whole: Path) -> None:
+    tab, _ = visit(browser, whole)
+    draw_all(tab)
+    dashes = tab.evaluate(
+        """document.querySelector('[data-figure=parts]').data
+            .filter((t) => t.xaxis === 'x2' && t.mode === 'lines' && !t.fill).map((t) => t.line.dash)"""
+    )
+    assert len(set(dashes)) == len(dashes) == 3

@@ -1,0 +1,250 @@
+"""The figures of a law: what they are drawn from equals closed forms, and a browser shows just that."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from fit_factory import STATIC, STIFFNESS, TAU_S, identification, specimen_fit
+from posterior_factory import sampled
+
+from tissueid.report import render_report
+from tissueid.report.law_payload import law_payload
+from tissueid.report.speeds import speed_groups
+from tissueid.result import SpecimenFit
+from tissueid.store.curves import curves_of_fits
+from tissueid.store.files import plain_json
+from tissueid.store.posteriors import posteriors_of_fits
+
+#: The page's numbers have six digits.
+DIGITS = 1e-5
+
+
+def law_of(fit: SpecimenFit) -> dict[str, Any]:
+    document = plain_json(identification([fit]).as_json())
+    (law,) = law_payload(document["specimens"], curves_of_fits([fit]), posteriors_of_fits([fit]))
+    return law
+
+
+def page(fit: SpecimenFit) -> str:
+    document = plain_json(identification([fit]).as_json())
+    return render_report(document, curves_of_fits([fit]), posteriors_of_fits([fit]))
+
+
+def with_profile(fit: SpecimenFit) -> SpecimenFit:
+    """A quadratic profile about 1.5 s, with K tau = 9 along it."""
+    tau = np.linspace(1.2, 1.8, 13)
+    curve = {"tau_s": tau.tolist(), "rise": ((tau - 1.5) ** 2 / 0.01).tolist()}
+    curve["stiffness_N_per_mm"] = (9.0 / tau).tolist()
+    parameters = [
+        replace(one, detail={**one.detail, "profile": curve}) if one.name == "relaxation_time_s" else one
+        for one in fit.parameters
+    ]
+    return replace(fit, parameters=tuple(parameters))
+
+
+def test_trials_of_one_speed_share_a_panel_and_many_speeds_are_merged() -> None:
+    specimen = {"units": {"length": "mm"}}
+
+    def groups(*speeds: float) -> list[tuple[str, tuple[int, ...]]]:
+        found = speed_groups(specimen, [{"speed_mm_s": speed} for speed in speeds])
+        return [(one.label, one.members) for one in found]
+
+    assert groups(4.0, 0.5, 4.1, 0.51) == [
+        ("0.505 mm/s (30.3 mm/min)", (1, 3)),
+        ("4.05 mm/s (243 mm/min)", (0, 2)),
+    ]
+    many = groups(*np.geomspace(0.01, 100.0, 40))
+    assert len(many) == 12
+    assert sorted(i for _, members in many for i in members) == list(range(40))
+
+
+def test_parts_are_the_closed_forms_and_their_bands_hold_them() -> None:
+    law = law_of(sampled(specimen_fit()))
+    x = np.array(law["parts"]["x"])
+    static = STATIC[0] * x + STATIC[1] * x**2 + STATIC[2] * x**3
+    assert law["parts"]["static"]["value"] == pytest.approx(static, rel=DIGITS)
+    assert law["parts"]["stiffness"]["value"] == pytest.approx(np.full(x.size, STIFFNESS), rel=DIGITS)
+    for part, speed in zip(law["parts"]["dynamic"], (0.5, 2.0, 4.0), strict=True):
+        length = speed * TAU_S
+        assert part["value"] == pytest.approx(-STIFFNESS * length * np.expm1(-x / length), rel=DIGITS)
+        inside = x > 0
+        assert (np.array(part["low"])[inside] < np.array(part["value"])[inside]).all()
+        assert (np.array(part["high"])[inside] > np.array(part["value"])[inside]).all()
+    assert "low" not in law_of(specimen_fit())["parts"]["static"]
+
+
+def test_peaks_are_the_largest_forces_with_mean_and_standard_deviation() -> None:
+    fit = specimen_fit(trials=6, samples=300)
+    (group,) = law_of(fit)["peaks"]
+    largest = [float(trial.curve.force_N[trial.curve.fitted].max()) for trial in fit.trials]
+    assert [one["force"] for one in group["points"]] == pytest.approx(largest)
+    # trials 0 and 3 were loaded at 0.5 mm/s, 1 and 4 at 2, 2 and 5 at 4
+    for mean, members in zip(group["means"], ((0, 3), (1, 4), (2, 5)), strict=True):
+        own = [largest[i] for i in members]
+        assert (mean["n"], mean["mean"]) == (2, pytest.approx(np.mean(own)))
+        assert mean["sd"] == pytest.approx(np.std(own, ddof=1))
+    assert [one["sd"] for one in law_of(specimen_fit(trials=3))["peaks"][0]["means"]] == [None] * 3
+    length = 0.5 * TAU_S
+    slow = sum(a * 6.0**k for k, a in enumerate(STATIC, 1)) - STIFFNESS * length * np.expm1(-6.0 / length)
+    assert group["line"]["force"][0] == pytest.approx(slow, rel=DIGITS)
+
+
+def test_a_window_is_told_in_the_time_of_its_curve_and_left_out_without_a_clock() -> None:
+    fit = specimen_fit()
+    (hold,) = law_of(fit)["holds"]
+    # the factory's clock is at 2.5 s where its curves begin; the window is 12 to 24 s of that clock
+    assert (hold["trial"], hold["start"], hold["end"]) == (0, 9.5, 21.5)
+    document = plain_json(identification([fit]).as_json())
+    old = [type(one)(one.specimen, one.path, one.sheet, one.curve) for one in curves_of_fits([fit])]
+    (law,) = law_payload(document["specimens"], old)
+    assert law["holds"] == []
+    assert law["residuals"] is None
+    assert "fit again to see the holds drawn" in render_report(document, old)
+
+
+def test_residuals_of_all_logs_are_summed_and_weighed_by_their_samples() -> None:
+    fit = specimen_fit(trials=2)
+    summaries = [trial.residual for trial in fit.trials]
+    first, second = (one for one in summaries if one is not None)
+    found = law_of(fit)["residuals"]
+    assert found["counts"] == (first.counts + second.counts).tolist()
+    assert sum(found["counts"]) == sum(int(trial.curve.fitted.sum()) for trial in fit.trials)
+    count = first.hold_count + second.hold_count
+    mean = (first.hold_count * first.hold_mean_N + second.hold_count * second.hold_mean_N) / count
+    assert found["pooled"]["mean"] == pytest.approx(mean, rel=1e-5)
+    assert found["pooled"]["error"] == pytest.approx(1.96 * fit.sigma_N / np.sqrt(count), rel=1e-5)
+    sizes = [int(one.counts.sum()) for one in (first, second)]
+    # the two logs were sampled at different steps: their lags are not the same times
+    assert len(found["together"]["lag"]) == 6
+    assert set(found["together"]["bound"]) == {float(f"{1.96 / size**0.5:.6g}") for size in sizes}
+    same = law_of(specimen_fit(trials=4))["residuals"]["together"]
+    (one, four) = [specimen_fit(trials=4).trials[i].residual for i in (0, 3)]
+    assert one is not None
+    assert four is not None
+    # trials 0 and 3 are alike: their first lag weighs both
+    weights = [one.counts.sum(), four.counts.sum()]
+    expected = np.average([one.correlation[0], four.correlation[0]], weights=weights)
+    assert same["value"][same["lag"].index(float(f"{one.step_s:.3g}"))] == pytest.approx(expected, rel=1e-5)
+
+
+def opened(browser: Any, path: Path, html: str) -> tuple[Any, list[str]]:
+    path.write_text(html, encoding="utf-8")
+    tab = browser.new_context(viewport={"width": 1400, "height": 900}).new_page()
+    errors: list[str] = []
+    tab.on("console", lambda said: errors.append(said.text) if said.type in {"error", "warning"} else None)
+    tab.on("pageerror", lambda error: errors.append(str(error)))
+    tab.on("request", lambda request: errors.append(request.url) if request.url != path.as_uri() else None)
+    tab.goto(path.as_uri())
+    return tab, errors
+
+
+def read_back(tab: Any, kind: str) -> dict[str, Any]:
+    """Traces and titles of axes as plotly holds them."""
+    box = f'[data-figure="{kind}"]'
+    tab.locator(box).scroll_into_view_if_needed()
+    tab.wait_for_function("box => document.querySelector(box).data", arg=box)
+    found: dict[str, Any] = tab.evaluate(
+        """box => { const drawn = document.querySelector(box); return {
+            traces: drawn.data.map(t => (
+                {name: t.name, axis: t.xaxis || "x", x: Array.from(t.x), y: Array.from(t.y)})),
+            titles: Object.fromEntries(Object.entries(drawn.layout).filter(([key]) => /^[xy]axis/.test(key))
+                .map(([key, axis]) => [key, [axis.title.text, axis.type || "linear"]]))}; }""",
+        box,
+    )
+    return found
+
+
+def differences(tab: Any, fit: SpecimenFit) -> list[str]:
+    """What the panels of speeds show that the curves of a fit do not say; empty where they agree."""
+    traces = read_back(tab, "speeds")["traces"]
+    problems = []
+    for place, trial in enumerate(fit.trials):
+        axis = "x" if place == 0 else f"x{place + 1}"
+        for name, values in (("recorded", trial.curve.force_N), ("model", trial.curve.model_N)):
+            own = [one for one in traces if one["axis"] == axis and one["name"] == name]
+            if len(own) != 1 or len(own[0]["y"]) != values.size:
+                problems.append(f"{trial.path}: {name} has another number of samples")
+                continue
+            # 32-bit floats
+            if np.abs(np.array(own[0]["y"]) - values).max() > 1e-5 * np.abs(values).max():
+                problems.append(f"{trial.path}: {name} differs")
+            if np.abs(np.array(own[0]["x"]) - trial.curve.depth_mm).max() > 1e-5 * trial.curve.depth_mm.max():
+                problems.append(f"{trial.path}: depths of {name} differ")
+    return problems
+
+
+@pytest.mark.browser
+def test_a_panel_a_speed_shows_the_curves_and_a_corrupted_trace_is_seen(browser: Any, tmp_path: Path) -> None:
+    fit = sampled(specimen_fit(trials=3, samples=300))
+    html = page(fit)
+    tab, errors = opened(browser, tmp_path / "whole.html", html)
+    assert differences(tab, fit) == []
+    assert read_back(tab, "speeds")["titles"]["xaxis2"] == ["Depth [mm]", "linear"]
+    assert errors == []
+    text = re.search(r'id="curves">(.*?)</script>', html, re.DOTALL)
+    assert text is not None
+    force = json.loads(text[1])["specimens"][0][1]["f"]
+    values = np.frombuffer(base64.b64decode(force), "<f4").copy()
+    values[150] += 1.0
+    spoiled = html.replace(force, base64.b64encode(values.tobytes()).decode())
+    tab, _ = opened(browser, tmp_path / "spoiled.html", spoiled)
+    assert differences(tab, fit) == [f"{fit.trials[1].path}: recorded differs"]
+    # and in the figure itself
+    tab, _ = opened(browser, tmp_path / "whole.html", html)
+    read_back(tab, "speeds")
+    tab.evaluate("document.querySelector('[data-figure=speeds]').data.pop()")
+    assert differences(tab, fit) == [f"{fit.trials[2].path}: model has another number of samples"]
+
+
+@pytest.mark.browser
+def test_holds_are_drawn_in_linear_and_logarithmic_time_from_their_window(
+    browser: Any, tmp_path: Path
+) -> None:
+    fit = specimen_fit(samples=800)
+    tab, errors = opened(browser, tmp_path / "report.html", page(fit))
+    found = read_back(tab, "holds")
+    recorded, model, log_recorded, log_model = found["traces"]
+    assert found["titles"]["xaxis"][1] == "linear"
+    assert found["titles"]["xaxis2"] == ["Time from the force peak [s], log", "log"]
+    curve = fit.trials[0].curve
+    begin = int(np.searchsorted(curve.time_s, 9.5 - 1e-6))
+    inside = (curve.time_s > 9.5 + 0.3 * (curve.time_s[1] - curve.time_s[0])) & (curve.time_s <= 21.5)
+    expected = curve.force_N[inside] / curve.model_N[begin]
+    # 32-bit floats, and a time counted from the window
+    kept = [y for x, y in zip(log_recorded["x"], log_recorded["y"], strict=True) if x <= 12.0]
+    assert kept[-20:] == pytest.approx(expected[-20:], rel=1e-5)
+    assert abs(len(kept) - expected.size) <= 1
+    assert min(log_recorded["x"]) > 0.0
+    assert min(recorded["x"]) < 0.0
+    assert len(log_model["y"]) == len(log_recorded["y"])
+    assert len(model["y"]) == len(recorded["y"])
+    assert errors == []
+
+
+@pytest.mark.browser
+def test_residuals_profile_peaks_and_parts_show_their_numbers(browser: Any, tmp_path: Path) -> None:
+    fit = with_profile(sampled(specimen_fit(samples=400)))
+    law = law_of(fit)
+    tab, errors = opened(browser, tmp_path / "report.html", page(fit))
+    residuals = read_back(tab, "residuals")
+    by_name = {one["name"]: one for one in residuals["traces"]}
+    assert by_name["residual"]["y"] == law["residuals"]["counts"][1:-1]
+    assert by_name["all trials"]["y"] == law["residuals"]["together"]["value"]
+    assert by_name["all holds"]["y"] == law["residuals"]["pooled"]["mean"]
+    assert residuals["titles"]["xaxis2"] == ["Lag [s]", "log"]
+    profile = {one["name"]: one for one in read_back(tab, "profile")["traces"]}
+    assert profile["rise"]["y"] == pytest.approx((np.linspace(1.2, 1.8, 13) - 1.5) ** 2 / 0.01, abs=1e-6)
+    assert np.array(profile["best K at each τ"]["y"]) * profile["rise"]["x"] == pytest.approx(9.0)
+    assert len(profile["statistical"]["x"]) == 1_000
+    peaks = [one for one in read_back(tab, "peaks")["traces"] if one["name"] == "6.00 mm"]
+    assert peaks[0]["y"] == pytest.approx([one["mean"] for one in law["peaks"][0]["means"]])
+    parts = {one["name"]: one for one in read_back(tab, "parts")["traces"]}
+    assert parts["static force"]["y"] == law["parts"]["static"]["value"]
+    assert errors == []

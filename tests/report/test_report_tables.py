@@ -1,0 +1,137 @@
+"""The table of trials sorts and filters; what is copied and told is there without a pointer."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from fit_factory import identification, specimen_fit
+
+from tissueid.report import render_report
+from tissueid.report.methods_words import AUTHORS, TITLE, citation, methods_view, subscripted
+from tissueid.result import SpecimenFit
+from tissueid.store.curves import curves_of_fits
+from tissueid.store.files import plain_json
+
+TABLE = "#specimen-1-trial-table"
+
+
+def page(fit: SpecimenFit, **more: Any) -> str:
+    document = plain_json(identification([fit]).as_json())
+    return render_report(document, curves_of_fits([fit]), **more)
+
+
+def names(tab: Any) -> list[str]:
+    """Trials that are shown, from top to bottom."""
+    found: list[str] = tab.evaluate(
+        """table => [...document.querySelectorAll(`${table} tbody tr`)].filter(row => !row.hidden)
+            .map(row => row.cells[0].textContent.trim())""",
+        TABLE,
+    )
+    return found
+
+
+@pytest.fixture
+def tab(browser: Any, tmp_path: Path) -> Any:
+    path = tmp_path / "report.html"
+    path.write_text(page(specimen_fit(trials=12, samples=60)), encoding="utf-8")
+    found = browser.new_context(viewport={"width": 1200, "height": 900}).new_page()
+    found.goto(path.as_uri())
+    return found
+
+
+@pytest.mark.browser
+def test_a_heading_sorts_up_and_down_by_number_and_by_name(tab: Any) -> None:
+    unsorted = [f"run_{i}.csv" for i in range(1, 13)]
+    assert names(tab) == unsorted
+    speeds = f"{TABLE} thead th:nth-child(2) button"
+    tab.click(speeds)
+    # speeds are 0.5, 2 and 4 mm/s in turn; equal ones keep their order
+    slow = [f"run_{i}.csv" for i in (1, 4, 7, 10)]
+    assert names(tab)[:4] == slow
+    heading = tab.locator(f"{TABLE} thead th:nth-child(2)")
+    assert heading.get_attribute("aria-sort") == "ascending"
+    assert tab.text_content(f"{TABLE}-shown") == "12 of 12 rows, sorted by Speed [mm/s], ascending"
+    tab.click(speeds)
+    assert names(tab)[-4:] == slow
+    assert heading.get_attribute("aria-sort") == "descending"
+    # by the keyboard, and 10 after 9
+    tab.focus(f"{TABLE} thead th:nth-child(1) button")
+    tab.keyboard.press("Enter")
+    assert names(tab) == unsorted
+    assert heading.get_attribute("aria-sort") is None
+
+
+@pytest.mark.browser
+def test_a_filter_leaves_the_rows_that_carry_its_words(tab: Any) -> None:
+    tab.get_by_label("Filter by name or remark").fill("RUN_1")
+    assert names(tab) == ["run_1.csv", "run_10.csv", "run_11.csv", "run_12.csv"]
+    assert tab.text_content(f"{TABLE}-shown") == "4 of 12 rows"
+    tab.get_by_label("Filter by name or remark").fill("run_1 zero_dt 4.00")
+    assert names(tab) == ["run_12.csv"]
+    tab.get_by_label("Filter by name or remark").fill("")
+    assert len(names(tab)) == 12
+
+
+def test_methods_say_what_this_run_did_with_equations() -> None:
+    fit = specimen_fit()
+    document = plain_json(identification([fit]).as_json())
+    told = methods_view(document["specimens"][0], document)
+    assert "3 indentation trials of specimen kidney 3, 1 of them with a hold," in told["before"]
+    assert "0.500 to 4.00 mm/s to 6.00 mm (2,400 samples)" in told["before"]
+    assert "one relaxing branch whose stiffness is constant" in told["before"]
+    assert "were chosen by predicting data" in told["after"][0]
+    assert "no posterior was sampled" in told["after"][1]
+    assert "9.00 ± 0.11 N·s/mm" in told["after"][2]
+    assert "K_j(x) = b_j0\n" in told["plain"]
+    html = page(fit)
+    block = html.split('id="specimen-1-methods-text">')[1].split("</section>")[0]
+    assert block.count("<math") == 2
+    assert "<mfrac>" in block
+    assert "F<sub>s</sub>" in block
+
+
+def test_an_index_is_set_below_and_a_name_is_left_alone() -> None:
+    assert str(subscripted("F_s and η_j of kidney_3 & s_j")) == (
+        "F<sub>s</sub> and η<sub>j</sub> of kidney_3 &amp; s<sub>j</sub>"
+    )
+
+
+def test_the_citation_is_that_of_the_citation_file() -> None:
+    text = (Path(__file__).parents[2] / "CITATION.cff").read_text(encoding="utf-8")
+    assert re.search(r'^title: "(.*)"', text, re.MULTILINE)[1] == TITLE  # type: ignore[index]
+    assert re.search(r"name: (.*)", text)[1] == AUTHORS  # type: ignore[index]
+    assert citation("0.1.0")["text"] == f"{AUTHORS}. {TITLE}. Version 0.1.0."
+    assert "{{The tissueid developers}}" in citation("0.1.0")["bibtex"]
+
+
+def test_what_a_renderer_does_and_what_is_missing_stand_on_the_page() -> None:
+    device = {
+        "device": "a device", "refused": None, "felt_force_is_measured_over": 152.0,
+        "felt_stiffness_is_measured_over": 760.0, "motion_scale": 5.0, "peak_force_N": 1.8, "clamp_N": 2.0,
+        "required_damping_N_s_per_m": 0.3, "device_damping_N_s_per_m": 0.5, "clipped_share_expected": 0.0,
+        "outside_share": 0.37, "fastest_hand_mm_s": 20.0, "lowered_from_force_scale": 0.01,
+        "known": "assumed", "travel_mm": 30.0, "room_mm": 64.0, "faster_than_identified": True, "remarks": [],
+    }  # fmt: skip
+    rendering = {
+        "normalised": False, "passive": True, "draws": 500, "draws_passive": 499, "unique": True,
+        "devices": [device, {"device": "another", "refused": "needs <more> damping"}],
+    }  # fmt: skip
+    metadata = {
+        "grade": "D",
+        "share": 0.42,
+        "missing": [
+            {"table": "tip", "keys": ["radius_mm", "half_angle_deg"], "weight": 3, "why": "w", "where": []}
+        ],
+    }
+    html = page(specimen_fit(), renderings=[rendering], metadata=metadata)
+    assert "499 of 500 posterior draws" in html
+    assert "measured / 152" in html
+    assert "37 %" in html
+    assert "lowered from measured / 100" in html
+    assert "refused: needs &lt;more&gt; damping" in html
+    assert "Grade <strong>D</strong>: 42 %" in html
+    assert "radius or half angle" in html
+    assert "What a renderer will do" not in page(specimen_fit())

@@ -1,0 +1,86 @@
+"""What the report says of rendering is what the check before force says; a study graded from a result."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from fit_factory import THETA, specimen_fit
+from posterior_factory import sampled
+
+from tissueid.haptics.limits import GuardLimits
+from tissueid.model import KelvinVoigt
+from tissueid.render.precheck import Demands, check_before_force
+from tissueid.render.tissue_block import Tissue
+from tissueid.result import SpecimenFit
+from tissueid.store.files import plain_json
+from tissueid.store.posteriors import posteriors_of_fits
+from tissueid.study.completeness import ITEMS, completeness_of_result
+from tissueid.study.rendering import rendering_of
+from tissueid.trial import Axes
+
+
+def rendering(fit: SpecimenFit) -> dict[str, Any]:
+    posteriors = posteriors_of_fits([fit])
+    found = rendering_of(plain_json(fit.as_json()), posteriors[0] if posteriors else None)
+    assert found is not None
+    return found
+
+
+def test_scales_and_damping_are_those_of_the_check_before_force() -> None:
+    found = rendering(sampled(specimen_fit()))
+    model = KelvinVoigt(branches=1, stiffness_degree=0, depth_mm=6.0)
+    tissue = Tissue(model=model, theta=THETA, speeds_mm_s=(0.5, 4.0), tip_radius_mm=3.0)
+    clamp = GuardLimits.simulated().clamp_N
+    check = check_before_force(tissue, Demands(clamp, 0.5, 1.5, travel_m=0.064))
+    _, simulated = found["devices"]
+    assert simulated["force_scale"] == pytest.approx(check.scaling.force)
+    assert simulated["required_damping_N_s_per_m"] == pytest.approx(check.required_damping_N_s_per_m)
+    # 6 mm at five-fold motion are 30 of 64 mm
+    assert simulated["outside_share"] == pytest.approx(1 - 30 / 64)
+    assert simulated["fastest_hand_mm_s"] == pytest.approx(20.0)
+    assert (found["passive"], found["unique"]) == (True, True)
+    assert found["draws"] == found["draws_passive"] == 500
+
+
+def test_a_law_that_is_not_passive_and_normalised_recordings_are_said() -> None:
+    fit = specimen_fit()
+    sinking = tuple(
+        replace(one, detail={"estimate": -3.0}) if one.name == "stiffness_0_N_per_mm" else one
+        for one in fit.parameters
+    )
+    assert rendering(replace(fit, parameters=sinking))["passive"] is False
+    assert rendering(replace(fit, axes=Axes("1", "MPa"))) == {"normalised": True}
+
+
+def test_a_device_that_cannot_is_refused_with_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    weak = {"a weak device": Demands(2.0, 1e-9, 1.5)}
+    monkeypatch.setattr("tissueid.study.rendering._devices", lambda: weak)
+    (row,) = rendering(specimen_fit())["devices"]
+    assert "can't be felt on this device" in row["refused"]
+
+
+def test_without_a_study_nothing_is_stated_and_a_result_is_graded_by_what_it_carries() -> None:
+    nothing = completeness_of_result(None)
+    assert (nothing.grade, nothing.share, len(nothing.missing)) == ("F", 0.0, len(ITEMS))
+    tables: dict[str, dict[str, Any]] = {
+        "study": {},
+        "calibration": {},
+        "tip": {},
+        "specimen": {},
+        "trial": {},
+    }
+    for item in ITEMS:
+        tables[item.table][item.keys[0]] = "stated"
+    result = {
+        "study": tables["study"],
+        "calibration": tables["calibration"],
+        "tip": tables["tip"],
+        "specimens": [{"specimen": "a", **tables["specimen"]}, {"specimen": "b", **tables["specimen"]}],
+        "trials": [{"path": "x.csv", "listed": True, **tables["trial"]}],
+    }
+    assert completeness_of_result(result).grade == "A"
+    result["specimens"][1]["storage"] = None
+    (missing,) = completeness_of_result(result).missing
+    assert (missing.item.keys, missing.where) == (("storage",), ("b",))

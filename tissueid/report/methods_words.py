@@ -1,0 +1,189 @@
+"""A methods paragraph for a manuscript, and how to cite: every statement is of this run."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from markupsafe import Markup, escape
+
+from tissueid.report.sentences import tissue_sentence
+from tissueid.report.wording import number
+
+__all__ = ["AUTHORS", "TITLE", "citation", "methods_view", "subscripted"]
+
+#: As in CITATION.cff.
+AUTHORS = "The tissueid developers"
+TITLE = "tissueid: identification of soft-tissue contact models from test-machine recordings"
+_POOLING: Mapping[str, str] = {
+    "partial": "shared by all trials of a specimen, each with a gain and a contact offset of its own whose "
+    "spread was estimated from the data (partial pooling)",
+    "shared": "the same for all trials",
+    "per-log": "free for each trial, the relaxing branches being shared",
+}
+_NOISE: Mapping[str, str] = {
+    "white": "white noise",
+    "ar1": "first-order autoregressive noise",
+    "white+ar1": "white and first-order autoregressive noise together",
+}
+_NUMBERS = ("no", "one", "two", "three")
+_FOLD = ("constant", "linear in depth", "quadratic in depth")
+#: Libraries whose authors ask to be cited, with the DOI of their paper.
+_LIBRARIES: Mapping[str, tuple[str, str]] = {
+    "emcee": ("Foreman-Mackey et al. 2013", "10.1086/670067"),
+    "numpy": ("Harris et al. 2020", "10.1038/s41586-020-2649-2"),
+    "scipy": ("Virtanen et al. 2020", "10.1038/s41592-019-0686-2"),
+}
+
+
+def subscripted(text: str) -> Markup:
+    """Symbols with their index below them: ``F_s``, ``η_j``; everything else is escaped."""
+    return Markup(re.sub(r"\b([FKsbaητ])_([sj]\d?|\d)\b", r"\1<sub>\2</sub>", str(escape(text))))  # noqa: S704
+
+
+def citation(version: str) -> dict[str, str]:
+    """How to cite the program, as a reference and for BibTeX."""
+    return {
+        "text": f"{AUTHORS}. {TITLE}. Version {version}.",
+        "bibtex": (
+            f"@software{{tissueid,\n  author  = {{{{{AUTHORS}}}}},\n  title   = {{{TITLE}}},\n"
+            f"  version = {{{version}}}\n}}"
+        ),
+    }
+
+
+def _recordings(specimen: Mapping[str, Any], run: Mapping[str, Any]) -> str:
+    trials = specimen["trials"]
+    units = specimen["units"]
+    slow, fast = specimen["validity"]["speeds_mm_s"]
+    speed = number(slow, 3) if slow == fast else f"{number(slow, 3)} to {number(fast, 3)}"
+    depth = number(specimen["validity"]["depth_mm"], 3)
+    deep = f"{depth} mm" if units["length"] == "mm" else f"a strain of {depth}"
+    held = len({(row["path"], row["sheet"]) for row in specimen["relaxation"]})
+    holds = f", {held} of them with a hold," if held else ""
+    return (
+        f"{len(trials)} indentation trial{'s' if len(trials) != 1 else ''} of specimen "
+        f"{specimen['specimen']}{holds} loaded at {speed} {units['length']}/s to {deep} "
+        f"({specimen['n_samples']:,} samples) were analysed with tissueid {run['provenance']['tissueid']}."
+    )
+
+
+def _model_words(specimen: Mapping[str, Any]) -> str:
+    model = specimen["model"]
+    count = model["branches"]
+    return (
+        f"with {_NUMBERS[count]} relaxing branch{'es' if count != 1 else ''} whose stiffness is "
+        f"{_FOLD[model['stiffness_degree']]}"
+    )
+
+
+def _fit_words(specimen: Mapping[str, Any]) -> str:
+    model = specimen["model"]
+    chosen = (
+        "The number of branches and the degree of K were chosen by predicting data that were held out. "
+        if specimen["selection"]
+        else "The number of branches and the degree of K were set in advance. "
+    )
+    noise = specimen["noise"]
+    assumed = _NOISE[noise["model"]] if noise is not None else "white noise"
+    return (
+        f"The static force was {_POOLING[model['static_pooling']]}. {chosen}The model was fitted to the "
+        "recorded displacement through its whole history by variable projection over the relaxation times, "
+        f"under {assumed} of the force, within the set of passive tissues (F_s and K nowhere negative on the "
+        "fitted depth). A relaxation time is reported where its 95 % profile-likelihood interval is closed "
+        "and narrower than a factor e."
+    )
+
+
+def _sampling_words(specimen: Mapping[str, Any]) -> str:
+    sampler = specimen["sampler"]
+    if sampler is None:
+        return "Errors are standard errors at the optimum; no posterior was sampled."
+    known = [entry for entry in specimen["parameters"] if entry["r_hat"] is not None]
+    worst = max((entry["r_hat"] for entry in known), default=None)
+    least = min((entry["ess_bulk"] for entry in known if entry["ess_bulk"] is not None), default=None)
+    told = [f"{sampler['draws']:,} draws"]
+    if worst is not None:
+        told.append(f"R-hat at most {worst:.3f}")
+    if least is not None:
+        told.append(f"at least {int(least):,} effective draws")
+    total = any(entry["ci95_total"] is not None for entry in specimen["parameters"])
+    sources = " (gains of force and displacement, time skew, force filter, frame compliance)" if total else ""
+    both = (
+        "statistical (noise, scatter between trials, contact points) and total, which adds what is not known "
+        f"of the machine{sources}"
+        if total
+        else "statistical (noise, scatter between trials, contact points)"
+    )
+    end = "" if sampler["converged"] else " The sampler did not converge."
+    return (
+        f"The posterior, with the linear parameters integrated, was sampled by {sampler['name']} "
+        f"({', '.join(told)}). Intervals are 95 % credible intervals: {both}.{end}"
+    )
+
+
+def _result_words(specimen: Mapping[str, Any]) -> str:
+    sentence = tissue_sentence(specimen)
+    left = f"{100 * specimen['nrmsd']['range']:.2f} % of the force range"
+    rmse = f"{number(specimen['nrmsd']['rmse_N'], 3)} {specimen['units']['force']}"
+    name = specimen["specimen"]
+    return f"Of specimen {name}, {sentence[0].lower()}{sentence[1:]} The model left {left} ({rmse})."
+
+
+def _software(run: Mapping[str, Any]) -> list[dict[str, str]]:
+    versions = run["provenance"].get("versions", {})
+    return [
+        {"name": f"{name} {versions[name]}", "paper": paper, "doi": doi}
+        for name, (paper, doi) in _LIBRARIES.items()
+        if name in versions
+    ]
+
+
+def _plain(before: str, terms: Sequence[str], after: Sequence[str]) -> str:
+    return "\n\n".join([before, *terms, *after])
+
+
+def methods_view(specimen: Mapping[str, Any], run: Mapping[str, Any]) -> dict[str, Any]:
+    """What the methods paragraph says of one specimen.
+
+    Parameters
+    ----------
+    specimen : mapping
+        One of ``specimens`` of identification.json.
+    run : mapping
+        The document.
+
+    Returns
+    -------
+    dict
+        ``before`` and ``after`` the equations, ``degree`` and ``branches`` for them, ``software`` and the
+        whole as ``plain`` text.
+    """
+    degree, branches = specimen["model"]["stiffness_degree"], specimen["model"]["branches"]
+    before = (
+        f"{_recordings(specimen, run)} Contact force was described by a modified Kelvin-Voigt model "
+        f"{_model_words(specimen)}:"
+    )
+    after = [
+        "where x is the depth of the tool below the contact point, F_s the static force and s_j the stretch "
+        "of the spring of branch j, zero at rest; the viscosity of a branch is η_j = τ_j K_j"
+        + (", at half the fitted depth. " if degree else ". ")
+        + _fit_words(specimen),
+        _sampling_words(specimen),
+        _result_words(specimen),
+    ]
+    terms = [
+        "F(t) = F_s(x) + Σ_j K_j(x) s_j(t),   τ_j ds_j/dt + s_j = τ_j dx/dt",
+        "F_s(x) = a_1 x + a_2 x² + a_3 x³,   K_j(x) = b_j0"
+        + " + b_j1 x" * (degree > 0)
+        + " + b_j2 x²" * (degree > 1),
+    ]
+    return {
+        "before": before,
+        "after": after,
+        "degree": degree,
+        "branches": branches,
+        "software": _software(run),
+        "plain": _plain(before, terms, after),
+    }

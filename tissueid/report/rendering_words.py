@@ -1,0 +1,123 @@
+"""What a renderer will do with a tissue, and how complete a study's description is, as rows and words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from tissueid.report.study_words import key_words
+from tissueid.report.wording import number
+
+__all__ = ["metadata_view", "rendering_view"]
+
+#: Missing items that are listed; the others are counted.
+_LISTED = 12
+_WEIGHTS = {3: "nothing can be compared without it", 2: "a reviewer asks for it", 1: "it helps"}
+_WHERE = {
+    "study": "study",
+    "calibration": "machine",
+    "tip": "tool tip",
+    "specimen": "specimen",
+    "trial": "trial",
+}
+
+
+def _device(row: Mapping[str, Any], depth_mm: float) -> dict[str, Any]:
+    if row["refused"] is not None:
+        return {"name": row["device"], "refused": row["refused"], "cells": [], "remarks": []}
+    damping = number(row["device_damping_N_s_per_m"], 2)
+    fastest = number(row["fastest_hand_mm_s"], 3)
+    lowered = row["lowered_from_force_scale"] is not None
+    cells = [
+        f"measured / {number(row['felt_force_is_measured_over'], 3)}",
+        f"measured / {number(row['felt_stiffness_is_measured_over'], 3)}",
+        f"× {row['motion_scale']:g}",
+        f"{number(row['peak_force_N'], 3)} of {number(row['clamp_N'], 3)} N",
+        f"{number(row['required_damping_N_s_per_m'], 2)} of {damping} N·s/m",
+        f"{100 * row['clipped_share_expected']:.0f} %",
+        f"{100 * row['outside_share']:.0f} %",
+        f"{fastest} mm/s",
+    ]
+    remarks = [f"numbers of this device: {row['known']}"]
+    if lowered:
+        scale = number(1.0 / row["lowered_from_force_scale"], 3)
+        remarks.append(f"lowered from measured / {scale} so that the device's damping keeps it stable")
+    remarks.append(
+        f"{number(depth_mm, 3)} mm of tissue are {number(row['travel_mm'], 3)} mm of the "
+        f"{number(row['room_mm'], 3)} mm of travel; deeper, the law is continued beyond the data"
+    )
+    if row["faster_than_identified"]:
+        remarks.append(f"a hand that moves faster than {fastest} mm/s leaves the identified speeds")
+    return {"name": row["device"], "refused": None, "cells": cells, "remarks": [*remarks, *row["remarks"]]}
+
+
+def rendering_view(rendering: Mapping[str, Any] | None, specimen: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Rows of devices and sentences on passivity; ``None`` where nothing was worked out.
+
+    Parameters
+    ----------
+    rendering : mapping or None
+        From :func:`tissueid.study.rendering.rendering_of`.
+    specimen : mapping
+    """
+    if rendering is None:
+        return None
+    if rendering["normalised"]:
+        return {
+            "normalised": True,
+            "said": "The recordings were normalised, and a device moves millimetres and pushes newtons: "
+            "this bundle can't be rendered.",
+        }
+    draws = rendering["draws"]
+    shares = f"; so are {rendering['draws_passive']} of {draws} posterior draws" if draws else ""
+    passive = (
+        f"The law is passive{shares}: it never gives back more energy than it took."
+        if rendering["passive"]
+        else "The law is not passive: it is refused by every renderer."
+    )
+    unique = (
+        ""
+        if rendering["unique"]
+        else " Where the tool lets go, the surface may jump while it recovers (contact loss is not unique)."
+    )
+    depth_mm = specimen["validity"]["depth_mm"]
+    head = (
+        "Device", "Felt force", "Felt stiffness", "Motion", "Peak of clamp", "Damping needed of had",
+        "Depth clipped", "Travel outside validity", "Fastest valid hand",
+    )  # fmt: skip
+    return {
+        "normalised": False,
+        "said": f"{passive}{unique}",
+        "head": head,
+        "devices": [_device(row, depth_mm) for row in rendering["devices"]],
+    }
+
+
+def metadata_view(graded: Mapping[str, Any] | None) -> dict[str, Any] | None:
+    """Grade and missing items of a study's description; ``None`` where it was not graded.
+
+    Parameters
+    ----------
+    graded : mapping or None
+        The document of ``schemas/study-check.schema.json``.
+    """
+    if graded is None:
+        return None
+    rows = [
+        {
+            "what": " or ".join(key_words(key) for key in one["keys"]),
+            "where": _WHERE.get(one["table"], one["table"])
+            + (f" ({len(one['where'])} without)" if one["where"] else ""),
+            "why": one["why"],
+            "weight": _WEIGHTS[one["weight"]],
+            "essential": one["weight"] == max(_WEIGHTS),
+        }
+        for one in graded["missing"]
+    ]
+    return {
+        "grade": graded["grade"],
+        "percent": f"{100 * graded['share']:.0f}",
+        "none": graded["share"] == 0.0,
+        "rows": rows[:_LISTED],
+        "more": max(len(rows) - _LISTED, 0),
+    }

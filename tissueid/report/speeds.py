@@ -1,0 +1,173 @@
+"""Trials of one speed belong together: groups of them, and what their peaks say."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.report.remarks import trial_label
+from tissueid.report.tissue import Tissue, brief, speed_unit
+from tissueid.report.wording import number
+from tissueid.result import Curve
+from tissueid.store.curves import TrialCurve
+
+__all__ = ["SpeedGroup", "peaks_payload", "speed_groups"]
+
+FloatArray = NDArray[np.float64]
+
+#: Speeds (and depths) that differ by less than this factor are one setting of a machine.
+SAME_SPEED = 1.12
+SAME_DEPTH = 1.04
+#: Groups that get a panel of their own.
+MOST_GROUPS = 12
+#: Speeds at which a law is drawn, and how far beyond the trials.
+LINE_POINTS = 40
+S_PER_MIN = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedGroup:
+    """Trials of one loading speed.
+
+    Attributes
+    ----------
+    speed_mm_s : float
+        Their median.
+    label : str
+    members : tuple of int
+        Places among the trials that have a curve.
+    """
+
+    speed_mm_s: float
+    label: str
+    members: tuple[int, ...]
+
+
+def _clusters(values: Sequence[float], factor: float) -> list[list[int]]:
+    """Places of values that lie within a factor of the least of their kind, in ascending order."""
+    order = sorted(range(len(values)), key=lambda i: values[i])
+    found: list[list[int]] = []
+    for i in order:
+        if found and values[i] <= factor * values[found[-1][0]]:
+            found[-1].append(i)
+        else:
+            found.append([i])
+    return found
+
+
+def _label(speed: float, units: Mapping[str, str]) -> str:
+    text = f"{number(speed, 3)} {speed_unit(units)}"
+    return text if units["length"] != "mm" else f"{text} ({number(S_PER_MIN * speed, 3)} mm/min)"
+
+
+def speed_groups(specimen: Mapping[str, Any], trials: Sequence[Mapping[str, Any]]) -> list[SpeedGroup]:
+    """Groups of trials by loading speed, the slowest first.
+
+    Parameters
+    ----------
+    specimen : mapping
+        One of ``specimens`` of identification.json.
+    trials : sequence of mapping
+        Those of its trials that have a curve.
+    """
+    speeds = [float(trial["speed_mm_s"]) for trial in trials]
+    clusters = _clusters(speeds, SAME_SPEED)
+    while len(clusters) > MOST_GROUPS:
+        # neighbours that are nearest to each other share a panel
+        centres = [float(np.median([speeds[i] for i in one])) for one in clusters]
+        ratios = [later / max(sooner, 1e-12) for sooner, later in pairwise(centres)]
+        at = int(np.argmin(ratios))
+        clusters[at : at + 2] = [clusters[at] + clusters[at + 1]]
+    groups = []
+    for members in clusters:
+        speed = float(np.median([speeds[i] for i in members]))
+        groups.append(SpeedGroup(speed, _label(speed, specimen["units"]), tuple(sorted(members))))
+    return groups
+
+
+def _peak(trial: Mapping[str, Any], curve: Curve) -> dict[str, float]:
+    """Largest recorded force of a trial; a decimated curve keeps it."""
+    used = curve.force_N[curve.fitted] if curve.fitted.any() else curve.force_N
+    return {
+        "speed": float(trial["speed_mm_s"]),
+        "depth": float(trial["depth_mm"]),
+        "force": float(used.max()),
+    }
+
+
+def _means(peaks: Sequence[Mapping[str, float]]) -> list[dict[str, Any]]:
+    """Mean and standard deviation of the peaks at each speed."""
+    rows = []
+    for members in _clusters([peak["speed"] for peak in peaks], SAME_SPEED):
+        force = np.array([peaks[i]["force"] for i in members])
+        sd = float(force.std(ddof=1)) if force.size > 1 else None
+        rows.append(
+            {
+                "speed": float(np.median([peaks[i]["speed"] for i in members])),
+                "mean": float(force.mean()),
+                "sd": sd,
+                "n": len(members),
+            }
+        )
+    return rows
+
+
+def _line(tissue: Tissue, depth: float, speeds: FloatArray) -> dict[str, Any]:
+    """Force at a depth by speed, as the model has it, with its 95 % band."""
+    x = np.array([min(depth, tissue.model.depth_mm)])
+
+    def at(thetas: FloatArray) -> FloatArray:
+        return np.column_stack([tissue.force(thetas, x, float(speed))[:, 0] for speed in speeds])
+
+    line: dict[str, Any] = {"speed": brief(speeds), "force": brief(at(tissue.theta[None])[0])}
+    if tissue.draws is not None:
+        low, high = np.quantile(at(tissue.draws), (0.025, 0.975), axis=0)
+        line |= {"low": brief(low), "high": brief(high)}
+    return line
+
+
+def peaks_payload(
+    specimen: Mapping[str, Any],
+    trials: Sequence[tuple[Mapping[str, Any], TrialCurve]],
+    tissue: Tissue | None,
+) -> list[dict[str, Any]]:
+    """Peak force against loading speed, a group for each depth.
+
+    Parameters
+    ----------
+    specimen : mapping
+        One of ``specimens`` of identification.json.
+    trials : sequence of (mapping, TrialCurve)
+        Its trials with their curves.
+    tissue : Tissue or None
+
+    Returns
+    -------
+    list of dict
+        ``label``, ``points`` (label, speed, depth, force), ``means`` (speed, mean, sd, n), ``line``.
+    """
+    found: list[dict[str, Any]] = [
+        {"label": trial_label(trial), **_peak(trial, own.curve)} for trial, own in trials
+    ]
+    found = [one for one in found if one["speed"] > 0.0 and one["depth"] > 0.0]
+    every = [one["speed"] for one in found]
+    groups = []
+    for members in _clusters([one["depth"] for one in found], SAME_DEPTH):
+        points = [found[i] for i in members]
+        depth = float(np.median([one["depth"] for one in points]))
+        speeds = np.geomspace(min(every), max(every), LINE_POINTS if max(every) > min(every) else 1)
+        words = "a strain of {}" if specimen["units"]["length"] == "1" else "{} mm"
+        groups.append(
+            {
+                "label": words.format(number(depth, 3)),
+                "points": points,
+                "means": _means(points),
+                "line": None if tissue is None else _line(tissue, depth, speeds),
+            }
+        )
+    return groups

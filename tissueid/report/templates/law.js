@@ -1,0 +1,153 @@
+"use strict";
+// Figures of a specimen's law: a panel a speed, holds, parts, peaks, residuals, spectra, profiles.
+const lawKinds = (payload, curves, draws) => {
+  const law = (s) => payload.laws[s];
+  const units = (s) => payload.units[s];
+  const depth = (s) => (units(s).length === "mm" ? "Depth [mm]" : "Strain");
+  const force = (s) => `Force [${units(s).force}]`;
+  const stiffness = (s) => `K [${units(s).length === "mm" ? "N/mm" : units(s).force}]`;
+  const speed = (s) => `Loading speed [${units(s).length}/s]`;
+  const line = (x, y, i, name, ink, more = {}) => ({ x, y, ...cell(i), mode: "lines", name, showlegend: false, line: { color: ink, width: 1.6 }, hovertemplate: `%{x:.4g}, %{y:.4g}<extra>${name}</extra>`, ...more });
+
+  const speeds = (s) => law(s).speeds.flatMap((group, i) => {
+    const own = group.trials.map((k) => curves(s)[k]);
+    return [
+      ...own.filter((t) => t.low).map((t) => outline(t.x, t.low, t.high, { ...cell(i), name: "predicted" })),
+      ...own.map((t) => line(t.x, t.f, i, "recorded", colour("data"), { line: { color: colour("data"), width: 3 }, opacity: 0.6, text: t.label, hovertemplate: "%{x:.4g}, %{y:.4g}<br>%{text}<extra>recorded</extra>" })),
+      ...own.map((t) => line(t.x, t.m, i, "model", colour("model"), { line: { color: colour("model"), width: 1.2 } })),
+    ];
+  });
+  const speedLayout = (s, box) => {
+    const groups = law(s).speeds, wide = Math.min(groups.length, box.clientWidth < 520 ? 1 : box.clientWidth < 900 ? 2 : 3);
+    const layout = grid(groups.length, wide, { margin: { l: 50, r: 12, t: 30, b: 40 }, annotations: groups.map((g, i) => over(i, `${g.label}, ${g.trials.length} trial${g.trials.length === 1 ? "" : "s"}`)) });
+    groups.forEach((_, i) => axesOf(layout, i, named(depth(s)), named(force(s), { rangemode: "tozero" })));
+    layout.grid.ygap = 0.38;
+    return { layout, height: 260 * Math.ceil(groups.length / wide) + 30 };
+  };
+
+  // force over the model's force where the window begins, so that holds of several depths share an axis
+  const holds = (s) => law(s).holds.flatMap((hold) => {
+    const t = curves(s)[hold.trial];
+    const begin = t.t.findIndex((value) => value >= hold.start - 1e-6);
+    if (begin < 0) return [];
+    const unit = t.m[begin], length = hold.end - hold.start;
+    const part = (from, to, floor) => Array.from(t.t, (_, k) => k).filter((k) => t.t[k] - hold.start >= from && t.t[k] - hold.start <= to && t.t[k] - hold.start > floor);
+    const both = (keep, i) => {
+      const x = keep.map((k) => t.t[k] - hold.start);
+      return [
+        line(x, keep.map((k) => t.f[k] / unit), i, "recorded", colour("data"), { opacity: 0.5, text: hold.label, hovertemplate: "%{x:.4g} s, %{y:.4g}<br>%{text}<extra>recorded</extra>" }),
+        line(x, keep.map((k) => t.m[k] / unit), i, "model", colour("model")),
+      ];
+    };
+    return [...both(part(-0.08 * length, 1.03 * length, -Infinity), 0), ...both(part(0, length, 0.4 * hold.step), 1)];
+  });
+  const holdLayout = (s, box) => {
+    const wide = box.clientWidth < 620 ? 1 : 2;
+    const layout = grid(2, wide, {});
+    const every = law(s).holds.map((hold) => hold.end - hold.start);
+    const ends = [...new Set([Math.min(...every), Math.max(...every)])];
+    // the windows: their common start, and where the shortest and the longest end
+    layout.shapes = [0, ...ends].map((x) => ({ type: "line", xref: "x", yref: "y domain", x0: x, x1: x, y0: 0, y1: 1, line: { color: colour("soft"), width: 1, dash: "dot" } }));
+    const shares = law(s).holds.flatMap((hold) => {
+      const t = curves(s)[hold.trial], begin = t.t.findIndex((value) => value >= hold.start - 1e-6);
+      return begin < 0 ? [] : Array.from(t.f, (f, k) => (t.t[k] >= hold.start && t.t[k] <= hold.end ? f / t.m[begin] : NaN)).filter(Number.isFinite);
+    });
+    const low = shares.reduce((a, b) => Math.min(a, b), 1), high = shares.reduce((a, b) => Math.max(a, b), 1), room = 0.1 * (high - low);
+    const y = (title) => named(title, { range: [low - room, high + room] });
+    axesOf(layout, 0, named("Time from the force peak [s]"), y("Force over its start"));
+    axesOf(layout, 1, named("Time from the force peak [s], log", { type: "log", dtick: undefined }), y(""));
+    return { layout, height: 300 * (2 / wide) + 40 };
+  };
+
+  const banded = (x, part, i, name, ink, more) => [...(part.low ? [outline(x, part.low, part.high, { ...cell(i), name: `${name}, band` })] : []), line(x, part.value, i, name, ink, more)];
+  const parts = (s) => {
+    const known = law(s).parts;
+    if (!known) return [];
+    return [
+      ...banded(known.x, known.static, 0, "static force", colour("model")),
+      ...known.dynamic.flatMap((part, k) => banded(known.x, part, 1, part.label, nth(INKS, k), { line: { color: nth(INKS, k), dash: nth(DASHES, k), width: 2 }, showlegend: true })),
+      ...banded(known.x, known.stiffness, 2, "stiffness of the branches", colour("model")),
+    ];
+  };
+  const partLayout = (s, box) => {
+    const wide = box.clientWidth < 520 ? 1 : 3;
+    const layout = grid(3, wide, { showlegend: true, annotations: ["static", "dynamic, in loading", "stiffness"].map((text, i) => over(i, text)), legend: { orientation: "h", x: 0, y: -0.18, yanchor: "top" } });
+    [`F_s [${units(s).force}]`, `F_d [${units(s).force}]`, stiffness(s)].forEach((title, i) => axesOf(layout, i, named(depth(s)), named(title, { rangemode: "tozero" })));
+    return { layout, height: (wide === 1 ? 620 : 270) + 60 };
+  };
+
+  const peaks = (s) => law(s).peaks.flatMap((group, i) => {
+    const ink = nth(INKS, i), same = { legendgroup: group.label };
+    const sd = group.means.map((mean) => mean.sd);
+    return [
+      ...(group.line && group.line.low && group.line.speed.length > 1 ? [outline(group.line.speed, group.line.low, group.line.high, same)] : []),
+      ...(group.line ? [{ x: group.line.speed, y: group.line.force, mode: "lines", name: `${group.label}, model`, ...same, showlegend: false, line: { color: ink, width: 1.4, dash: nth(DASHES, i) }, hovertemplate: "%{x:.4g}, %{y:.4g}<extra>model</extra>" }] : []),
+      { x: group.points.map((p) => p.speed), y: group.points.map((p) => p.force), mode: "markers", name: `${group.label}, trials`, ...same, showlegend: false, marker: { color: ink, size: 5, opacity: 0.5, symbol: nth(MARKS, i) }, text: group.points.map((p) => p.label), hovertemplate: "%{x:.4g}, %{y:.4g}<br>%{text}<extra></extra>" },
+      { x: group.means.map((m) => m.speed), y: group.means.map((m) => m.mean), mode: "markers", name: group.label, ...same, marker: { color: ink, size: 10, symbol: nth(MARKS, i), line: { color: colour("paper"), width: 1 } },
+        error_y: { type: "data", array: sd.map((value) => value ?? 0), color: ink, thickness: 2, width: 6 }, text: group.means.map((m) => `${m.n} trial${m.n === 1 ? "" : "s"}${m.sd === null ? "" : `, SD ${m.sd.toPrecision(2)}`}`), hovertemplate: "%{x:.4g}, %{y:.4g}<br>%{text}<extra></extra>" },
+    ];
+  });
+  const peakLayout = (s) => {
+    const all = law(s).peaks.flatMap((group) => group.points.map((p) => p.speed));
+    const wide = Math.max(...all) > 5 * Math.min(...all);
+    const ticks = [...new Set(law(s).peaks.flatMap((group) => group.means.map((m) => Number(m.speed.toPrecision(2)))))];
+    const x = wide ? { type: "log", range: [Math.log10(Math.min(...all)) - 0.05, Math.log10(Math.max(...all)) + 0.05], ...(ticks.length <= 10 ? { tickvals: ticks, ticktext: ticks.map(String) } : {}) } : {};
+    return { layout: { xaxis: { ...axis(speed(s)), ...x }, yaxis: { ...axis(`Peak force [${units(s).force}]`), rangemode: "tozero" } }, height: 360 };
+  };
+
+  const residuals = (s) => {
+    const known = law(s).residuals;
+    if (!known) return [];
+    const total = known.counts.reduce((a, b) => a + b, 0), inside = known.counts.slice(1, -1);
+    const width = known.edges[1] - known.edges[0], middle = inside.map((_, i) => known.edges[i] + width / 2);
+    const normal = middle.map((x) => (total * width * Math.exp(-0.5 * (x / known.sigma) ** 2)) / (known.sigma * Math.sqrt(2 * Math.PI)));
+    const all = known.together;
+    return [
+      { type: "bar", x: middle, y: inside, width: inside.map(() => width), ...cell(0), name: "residual", marker: { color: colour("data") }, hovertemplate: "%{x:.3g}: %{y}<extra></extra>" },
+      line(middle, normal, 0, "normal noise of the fit", colour("model")),
+      outline(all.lag, all.bound.map((value) => -value), all.bound, { ...cell(1), name: "white" }),
+      ...known.correlation.map((one) => ({ x: one.lag, y: one.value, ...cell(1), mode: "markers", name: "one trial", marker: { color: colour("data"), size: 3, opacity: 0.6 }, text: one.label, hovertemplate: "%{x:.3g} s: %{y:.3f}<br>%{text}<extra></extra>" })),
+      line(all.lag, all.value, 1, "all trials", colour("model"), { mode: "lines+markers", marker: { size: 5 } }),
+      ...known.holds.map((one) => ({ x: one.since, y: one.mean, ...cell(2), mode: "markers", name: "one hold", marker: { color: colour("data"), size: 4, opacity: 0.7 }, text: one.label, hovertemplate: "%{x:.3g} s: %{y:.3g}<br>%{text}<extra></extra>" })),
+      { x: known.pooled.since, y: known.pooled.mean, ...cell(2), mode: "lines+markers", name: "all holds", line: { color: colour("model"), width: 1.4 }, marker: { size: 6 },
+        error_y: { type: "data", array: known.pooled.error, color: colour("model"), thickness: 1.4, width: 4 }, hovertemplate: "%{x:.3g} s: %{y:.3g}<extra>all holds</extra>" },
+    ];
+  };
+  const residualLayout = (s, box) => {
+    const wide = box.clientWidth < 620 ? 1 : 3, held = law(s).residuals && law(s).residuals.pooled.since.length;
+    const layout = grid(held ? 3 : 2, Math.min(wide, held ? 3 : 2), { bargap: 0, annotations: ["histogram", "autocorrelation", "early in the holds"].slice(0, held ? 3 : 2).map((text, i) => over(i, text)) });
+    axesOf(layout, 0, named(`Residual [${units(s).force}]`), named("Samples"));
+    axesOf(layout, 1, named("Lag [s]", { type: "log", dtick: undefined }), named("Correlation"));
+    if (held) axesOf(layout, 2, named("Time since the corner [s]", { type: "log", dtick: undefined }), named(`Mean residual [${units(s).force}]`));
+    return { layout, height: (wide === 1 ? 660 : 270) + 40 };
+  };
+
+  const spectra = (s) => law(s).spectra.map((one, i) => ({ x: one.tau, y: one.amplitude, mode: "lines", name: one.label, line: { color: nth(INKS, i), dash: nth(DASHES, i), width: 1.6 }, hovertemplate: "%{x:.3g} s: %{y:.3g}<extra>%{fullData.name}</extra>" }));
+  const spectrumLayout = (s) => ({ layout: { xaxis: { ...axis("Relaxation time [s]"), type: "log" }, yaxis: { ...axis(force(s)), rangemode: "tozero" }, showlegend: law(s).spectra.length <= 8 }, height: 320 });
+
+  const profiles = (s) => law(s).profiles.flatMap((one, i) => {
+    const found = draws(s, `relaxation_time_s${one.suffix}`, `stiffness_0_N_per_mm${one.suffix}`);
+    const level = [one.tau[0], one.tau[one.tau.length - 1]];
+    return [
+      ...found.map(({ name, x, y }) => ({ x, y, ...cell(2 * i), mode: "markers", name, marker: { color: colour(name === "total" ? "data" : "model"), size: name === "total" ? 4 : 3, opacity: 0.35 }, hovertemplate: "%{x:.4g} s, %{y:.4g}<extra></extra>" })),
+      line(one.tau, one.stiffness, 2 * i, "best K at each τ", colour("ink"), { line: { color: colour("ink"), width: 1.6 } }),
+      line(one.tau, one.rise, 2 * i + 1, "rise", colour("model")),
+      line(level, [3.84, 3.84], 2 * i + 1, "95 % level", colour("soft"), { line: { color: colour("soft"), width: 1, dash: "dash" } }),
+    ];
+  });
+  const profileLayout = (s, box) => {
+    const all = law(s).profiles, wide = box.clientWidth < 620 ? 1 : 2;
+    const layout = grid(2 * all.length, wide, { annotations: all.flatMap((one, i) => [over(2 * i, `K against ${one.symbol}`), over(2 * i + 1, `profile likelihood of ${one.symbol}`)]) });
+    all.forEach((one, i) => {
+      axesOf(layout, 2 * i, named(`${one.symbol} [s]`, { type: "log", dtick: undefined }), named(stiffness(s), { rangemode: "tozero" }));
+      axesOf(layout, 2 * i + 1, named(`${one.symbol} [s]`, { type: "log", dtick: undefined }), named("Rise of −2 ln L", { range: [0, 15] }));
+    });
+    return { layout, height: 270 * Math.ceil((2 * all.length) / wide) + 40 };
+  };
+
+  return {
+    speeds: { traces: speeds, own: speedLayout }, holds: { traces: holds, own: holdLayout }, parts: { traces: parts, own: partLayout },
+    peaks: { traces: peaks, own: peakLayout }, residuals: { traces: residuals, own: residualLayout },
+    spectrum: { traces: spectra, own: spectrumLayout }, profile: { traces: profiles, own: profileLayout },
+  };
+};

@@ -1,0 +1,112 @@
+"""The identified tissue of a specimen as a law to be evaluated, with the draws that say how sure it is.
+
+Everything comes from the output folder: theta from identification.json, draws from ``posteriors.h5``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
+from tissueid.store.posteriors import StoredPosterior
+
+__all__ = ["Tissue", "brief", "speed_unit", "tissue_of"]
+
+FloatArray = NDArray[np.float64]
+
+#: Draws that a band is taken over: its ends are then good to a tenth of the posterior's sd.
+BAND_DRAWS = 500
+#: Ends of a 95 % band.
+ENDS = (0.025, 0.975)
+#: Digits of a number in a figure: a pixel needs four.
+DIGITS = 6
+
+
+def brief(values: Iterable[float]) -> list[float]:
+    """Numbers in the digits that a figure can show."""
+    return [float(f"{value:.{DIGITS}g}") for value in values]
+
+
+def speed_unit(units: Mapping[str, str]) -> str:
+    """``mm/s``, or ``1/s`` where depth is a strain."""
+    return f"{units['length']}/s"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tissue:
+    """One identified contact model.
+
+    Attributes
+    ----------
+    model : KelvinVoigt
+    theta : ndarray, shape (p,)
+    draws : ndarray, shape (n, p), or None
+        Of the total posterior where there is one, else of the statistical one; ``None``: nothing was sampled.
+    """
+
+    model: KelvinVoigt
+    theta: FloatArray
+    draws: FloatArray | None
+
+    def _branches(self, thetas: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Coefficients of K (n, branches, degree + 1) and relaxation times (n, branches)."""
+        parts = thetas[:, STATIC_DEGREE:].reshape(len(thetas), self.model.branches, self.model.block)
+        return parts[..., :-1], parts[..., -1]
+
+    def static(self, thetas: FloatArray, depth_mm: FloatArray) -> FloatArray:
+        """F_s [N] of several thetas, shape (n, depths)."""
+        powers = depth_mm[None, :] ** np.arange(1.0, STATIC_DEGREE + 1)[:, None]
+        return np.asarray(thetas[:, :STATIC_DEGREE] @ powers)
+
+    def stiffness(self, thetas: FloatArray, depth_mm: FloatArray) -> FloatArray:
+        """Sum of K_j [N/mm] of several thetas, shape (n, depths)."""
+        coefficients, _ = self._branches(thetas)
+        powers = depth_mm[None, :] ** np.arange(coefficients.shape[-1])[:, None]
+        return np.asarray(coefficients.sum(axis=1) @ powers)
+
+    def dynamic(self, thetas: FloatArray, depth_mm: FloatArray, speed_mm_s: float) -> FloatArray:
+        """Force of the branches in loading at constant speed from rest [N], shape (n, depths)."""
+        coefficients, tau = self._branches(thetas)
+        powers = depth_mm[None, :] ** np.arange(coefficients.shape[-1])[:, None]
+        length = speed_mm_s * tau[..., None]
+        states = -length * np.expm1(-depth_mm[None, None, :] / length)
+        return np.asarray(((coefficients @ powers) * states).sum(axis=1))
+
+    def force(self, thetas: FloatArray, depth_mm: FloatArray, speed_mm_s: float) -> FloatArray:
+        """Force in loading at constant speed from rest [N], shape (n, depths)."""
+        return self.static(thetas, depth_mm) + self.dynamic(thetas, depth_mm, speed_mm_s)
+
+
+def tissue_of(specimen: Mapping[str, Any], stored: StoredPosterior | None) -> Tissue | None:
+    """The tissue of one of ``specimens`` of identification.json; ``None`` where a number is missing.
+
+    Parameters
+    ----------
+    specimen : mapping
+    stored : StoredPosterior or None
+    """
+    choice = specimen["model"]
+    model = KelvinVoigt(
+        branches=choice["branches"],
+        stiffness_degree=choice["stiffness_degree"],
+        depth_mm=specimen["validity"]["depth_mm"],
+    )
+    known = {entry["name"]: entry for entry in specimen["parameters"]}
+    values = [
+        known[name]["detail"].get("estimate", known[name]["value"]) if name in known else None
+        for name in model.parameter_names
+    ]
+    if any(value is None for value in values):
+        return None
+    draws = None
+    if stored is not None and set(model.parameter_names) <= set(stored.theta_names):
+        table = stored.draws if stored.draws_total is None else stored.draws_total
+        kept = np.linspace(0, len(table) - 1, min(len(table), BAND_DRAWS)).astype(int)
+        order = [stored.theta_names.index(name) for name in model.parameter_names]
+        draws = table[kept][:, order]
+    return Tissue(model, np.array(values, dtype=np.float64), draws)
