@@ -37,22 +37,22 @@ def decays(ratio: FloatArray, kept: FloatArray, lost: FloatArray, power: FloatAr
 
     Parameters
     ----------
-    ratio : ndarray, shape (LANES,)
+    ratio : ndarray, shape (n,)
         Not negative.
-    kept, lost : ndarray, shape (LANES,)
+    kept, lost : ndarray, shape (n,)
         Written.
-    power, bits : ndarray, shape (LANES,)
+    power, bits : ndarray, shape (n,)
         Room to work in, the second a view of the first as whole numbers.
     """
-    for v in range(LANES):
+    for v in range(ratio.size):
         x = min(LONGEST, ratio[v])
         whole = x * LOG2_E + ROUNDING
         power[v] = whole
         whole -= ROUNDING
         lost[v] = (whole * LN2_HIGH - x) + whole * LN2_LOW
-    for v in range(LANES):
+    for v in range(ratio.size):
         bits[v] = (BITS - bits[v]) << 52
-    for v in range(LANES):
+    for v in range(ratio.size):
         t = lost[v]
         # Taylor's series of (exp(t) - 1) / t for |t| < 0.35: the next term is 4e-18
         p = 1.0 / 87178291200.0

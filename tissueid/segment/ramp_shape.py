@@ -26,6 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.likelihood.ramp_kernels import ramp_squares
 from tissueid.segment.bins import Bins
 
 __all__ = ["Posterior", "RampShape"]
@@ -48,8 +49,6 @@ RESOLVED = 3.0
 #: Share of the way by which the first bin in contact is moved to the middle of its gap where information is
 #: weighed: 0 leans to contacts just before a sample, 1 to those before the gap.
 PHASE_SHARE = 0.15
-#: Largest change of force with contact, in noise sd: its square is a number.
-LARGEST = 1e75
 #: Part of the window over which the stiffness at contact is quoted.
 EARLY_SHARE = 0.02
 #: Part of the window over which the slope is taken that says what noise can resolve.
@@ -120,9 +119,6 @@ class RampShape:
     def posterior(self, contact_mm: FloatArray, length_mm: FloatArray) -> Posterior:
         """Density over (contact, ln length).
 
-        The static columns depend on the contact alone: their part is solved once a contact, and the branch is
-        one more column each.
-
         Parameters
         ----------
         contact_mm : ndarray, shape (n,)
@@ -135,107 +131,30 @@ class RampShape:
         """
         bins, window = self.bins, self.window_mm
         weight = np.sqrt(bins.count) / self.noise_N
-        scale = SHAPE_PRIOR * max(float(np.ptp(bins.force_N)), self.noise_N)
-        static, static_moves, prior = self._static(contact_mm[:, None], scale)
-        # priors are k further samples of 0; orthogonal columns keep what is left exact at any noise
-        size, count = weight.size, prior.size
-        design = np.zeros((contact_mm.size, size + count, count))
-        design[:, :size] = (static * weight).swapaxes(1, 2)
-        design[:, size:] = np.eye(count)
-        basis, triangle = np.linalg.qr(design)
-        across = basis.swapaxes(1, 2)
-        inverse = np.linalg.inv(triangle)
-
-        def outside(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
-            """Shares of rows (n, m, b) along the static columns, and what is left of them (n, m, b + k)."""
-            along = rows @ basis[:, :size]
-            left = -along @ across
-            left[:, :, :size] += rows
-            return along, left
-
+        span = max(float(np.ptp(bins.force_N)), self.noise_N)
+        scale = SHAPE_PRIOR * span
+        prior = np.array([scale] * 3 + [DRIFT_PRIOR * span, BASELINE_PRIOR * span] * self.baseline)
         zero_N = float(bins.force_N[0]) if self.baseline else 0.0
-        force = (bins.force_N - zero_N) * weight
-        along, rest = outside(np.broadcast_to(force, (contact_mm.size, 1, size)))
-        alone = along @ inverse.swapaxes(1, 2)
-        left, rise, by_length = self._branch(contact_mm[:, None, None], length_mm[:, :, None])
-        along, branch_rows = outside(rise * (scale * weight))
-        spread = along @ inverse.swapaxes(1, 2)
-        own = 1.0 + (branch_rows * branch_rows).sum(axis=2)
-        unexplained = (branch_rows * rest).sum(axis=2)
-        branch = unexplained / own
-        coefficients = alone - spread * branch[:, :, None]
-        misfit = np.maximum((rest * rest).sum(axis=2) - unexplained * branch, 0.0)
-
-        def information(moves: FloatArray) -> FloatArray:
-            """Fisher information of what moves the force so, linear coefficients projected out."""
-            _, kept = outside(np.clip(moves * weight, -LARGEST, LARGEST))
-            shared = (kept * branch_rows).sum(axis=2) / np.sqrt(own)
-            return np.asarray(np.maximum((kept * kept).sum(axis=2) - shared * shared, 1e-12))
-
+        coefficients, branch, misfit, judged = ramp_squares(
+            (bins.depth_mm, bins.variance_mm2, weight, (bins.force_N - zero_N) * weight),
+            prior,
+            scale,
+            (window, self.start_mm, PHASE_SHARE),
+            np.ascontiguousarray(contact_mm),
+            np.ascontiguousarray(length_mm),
+        )
         freedom = self.freedom
         known = self.noise_freedom
         log_density = -0.5 * (known + freedom) * np.log1p(misfit / known)
-        moves = coefficients[:, :, :3] @ static_moves + (branch * scale / window)[:, :, None] * left
-        log_density += 0.5 * CONTACT_WEIGHT * np.log(information(moves))
-        moves = by_length * (branch * scale)[:, :, None]
-        log_density += 0.5 * LENGTH_WEIGHT * np.log(information(moves))
+        log_density += 0.5 * CONTACT_WEIGHT * np.log(judged[0])
+        log_density += 0.5 * LENGTH_WEIGHT * np.log(judged[1])
         first = scale * (coefficients[:, :, 0] + branch) + PULL * self.slope_N_per_mm * window
-        variance = (inverse[:, None, 0] ** 2).sum(axis=2) + (1.0 - spread[:, :, 0]) ** 2 / own
-        log_density += _log_normal_mass(first / (scale * np.sqrt(variance)))
+        log_density += _log_normal_mass(first / (scale * np.sqrt(judged[2])))
         log_density -= np.log1p((length_mm / (RESOLVED * self.resolution_mm)) ** 2)
         static_N = coefficients * prior
         if self.baseline:
             static_N[:, :, -1] += zero_N
         return Posterior(log_density, misfit, static_N, branch * scale)
-
-    def _static(self, contact: FloatArray, scale: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Static columns (n, k, b) scaled by their priors, how they move with contact (n, 3, b), the priors.
-
-        Squares and cubes are means over each bin, from the mean and variance of depth in it.
-        """
-        bins, window = self.bins, self.window_mm
-        beyond = (bins.depth_mm - contact) / window
-        z = np.maximum(beyond, 0.0)
-        touching = (z > 0.0).astype(float)
-        within = touching * (bins.variance_mm2 / window**2)
-        span = scale / SHAPE_PRIOR
-        prior = np.array([scale] * 3 + [DRIFT_PRIOR * span, BASELINE_PRIOR * span] * self.baseline)
-        columns = np.empty((z.shape[0], prior.size, z.shape[1]))
-        columns[:, 0], columns[:, 1], columns[:, 2] = z, z * z + within, z * (z * z + 3.0 * within)
-        if self.baseline:
-            columns[:, 3], columns[:, 4] = beyond, 1.0
-        moves = np.empty((z.shape[0], 3, z.shape[1]))
-        moves[:, 0], moves[:, 1], moves[:, 2] = touching, 2.0 * z, 3.0 * z * z
-        columns *= prior[:, None]
-        return columns, moves * (scale / window), prior
-
-    def _branch(self, contact: FloatArray, length: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """exp(-w/l) in contact, mean rise of the branch over each bin, its change with ln l; (n, m, b) each.
-
-        A = K l: the prior is on the stiffness K of the branch, of the size of the static one.
-        """
-        bins, window = self.bins, self.window_mm
-        w = np.maximum(bins.depth_mm - np.maximum(contact, self.start_mm), 0.0)
-        touching = w > 0.0
-        left = np.exp(-w / length)
-        rise = 1.0 - left
-        rise -= touching * np.minimum(0.5 * bins.variance_mm2 / length**2, 1.0) * left
-        rise *= length / window
-        # information as if the first bin in contact lay nearer to half a bin behind it, wherever it lies: a
-        # contact just before a sample is seen sharply, and is no likelier for it
-        ahead = self._half_bin(touching, w)
-        w = w + ahead * touching
-        left *= np.exp(np.clip(-ahead / length, -600.0, 600.0)) * touching
-        by_length = (1.0 - left - w / length * left) * touching * (length / window)
-        return left * (contact >= self.start_mm), rise, by_length
-
-    def _half_bin(self, touching: NDArray[np.bool_], w: FloatArray) -> FloatArray:
-        """How far the first bin in contact is moved towards half a bin behind contact [mm], (n, 1, 1)."""
-        first = touching.argmax(axis=2)[:, :, None]
-        u = self.bins.depth_mm
-        gap = u[first] - u[np.maximum(first - 1, 0)]
-        moved = 0.5 * np.abs(gap) - np.take_along_axis(w, first, axis=2)
-        return np.where(first > 0, PHASE_SHARE * moved, 0.0)
 
     def slopes(self, found: Posterior, mass: FloatArray, length_mm: FloatArray) -> tuple[float, float]:
         """Mean stiffness right at contact, and over the part of the window that noise is judged by [N/mm]."""
