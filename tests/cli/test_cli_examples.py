@@ -22,10 +22,14 @@ def words_of(line: str) -> list[str]:
     return shlex.split(typed)
 
 
-@pytest.fixture(autouse=True)
-def _any_path(monkeypatch: pytest.MonkeyPatch) -> None:
+def any_path(monkeypatch: pytest.MonkeyPatch) -> None:
     """Files of examples need not be there."""
     monkeypatch.setattr(click.Path, "convert", lambda _self, value, _parameter, _context: value)
+
+
+@pytest.fixture(autouse=True)
+def _of_examples(monkeypatch: pytest.MonkeyPatch) -> None:
+    any_path(monkeypatch)
 
 
 def unfit(line: str) -> str | None:

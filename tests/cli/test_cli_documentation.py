@@ -1,0 +1,231 @@
+"""Every command of README and docs/ can be typed; each is run, or says why not; links lead somewhere."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_blocks import NOT_RUN, REPOSITORY, Command, commands_of, pages
+from command_line import run, write_log
+from test_cli_calibrate import of_prior
+from test_cli_contact_law import WHOLE, recordings
+from test_cli_examples import any_path, unfit
+
+#: What a fit of the documentation is given here, so that it takes a second: the way is tested, no number.
+SETTINGS = """\
+[fit]
+branches = "1"
+stiffness-degree = "0"
+sampler = "exact"
+draws = 400
+population = "no"
+[calibrate]
+simulations = 20
+[rupture]
+criterion = "work"
+"""
+#: Exit codes beside 0: something is not identified, or is missing in a study that has just been begun.
+ENDS = {"tissueid study check": {0, 7}, "tissueid calibrate": {0, 4, 7}}
+USUAL = {0, 4}
+PAGES = [page for page in pages() if commands_of(page) and page.name != "README.md"]
+#: A population of five specimens takes a minute.
+SLOW = {"population.md"}
+STUDY = """schema = "tissueid/study/1"
+[study]
+title = "kidney and liver"
+licence = "CC-BY-4.0"
+"""
+
+
+@pytest.fixture(scope="module")
+def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with what the pages name, made once."""
+    folder = tmp_path_factory.mktemp("docs")
+    (folder / "tissueid.toml").write_text(SETTINGS, encoding="utf-8")
+    lab = folder / "lab_data"
+    write_log(lab / "Specimen_RawData_1.csv", label="kidney")
+    write_log(lab / "run_7.csv", label="liver", force_times=1.5)
+    (lab / "study.toml").write_text(STUDY, encoding="utf-8")
+    several = STUDY
+    for number, times in enumerate((0.8, 0.9, 1.0, 1.1, 1.25), 1):
+        write_log(folder / f"head-{number}.csv", label=None, force_times=times)
+        several += f'[[specimen]]\nname = "head {number}"\nage_years = {50 + number**2}\n'
+        several += f'sex = "{"fm"[number % 2]}"\n'
+        several += f'[[trial]]\nfile = "head-{number}.csv"\nspecimen = "head {number}"\n'
+    (folder / "study.toml").write_text(several, encoding="utf-8")
+    force = np.linspace(0.0, 200.0, 400)
+    for name in ("rigid-1.csv", "rigid-2.csv", "lab-a/steel/steel-1.csv", "lab-a/steel/steel-2.csv"):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        table = np.column_stack([np.linspace(0.0, 4.0, 400), force / 1000.0, force])
+        np.savetxt(
+            folder / name, table, "%.5f", ",", header="Time (s),Displacement (mm),Force (N)", comments=""
+        )
+    (folder / "rig").mkdir()
+    recordings(folder / "rig", WHOLE)
+    for own, phantoms in (("a", (1, 3, 5)), ("b", (2, 4, 6))):
+        for number in phantoms:
+            write_log(
+                folder / f"lab-{own}" / f"phantom-0{number}" / "hold.csv",
+                label=None,
+                force_times=1 + 0.01 * number,
+            )
+    shutil.copytree(
+        REPOSITORY / "datasets_synthetic" / "paper-a-hold-100Hz",
+        folder / "datasets_synthetic" / "paper-a-hold-100Hz",
+    )
+    return folder
+
+
+@pytest.fixture(scope="module")
+def fitted(prepared: Path) -> Path:
+    """The same with a finished fit: what pages take for granted."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.chdir(prepared)
+        assert run("fit", "lab_data", "-o", "out", "-q").code in USUAL
+        for number, name in enumerate(("a", "b")):
+            places = sorted(Path().glob(f"lab-{name}/phantom-*"))
+            assert (
+                run("fit", *places, "-o", f"fit-{name}", "-q", "--specimen-by", "(phantom-[0-9]+)").code
+                in USUAL
+            ), number
+    for name in ("before", "after"):
+        shutil.copytree(prepared / "out", prepared / name, symlinks=True)
+    shutil.copy(prepared / "out" / "bundle-kidney.h5", prepared / "bundle.h5")
+    shutil.copy(prepared / "bundle.h5", prepared / "out" / "bundle.h5")
+    return prepared
+
+
+@pytest.fixture
+def place(fitted: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    shutil.copytree(fitted, tmp_path / "here", symlinks=True)
+    monkeypatch.chdir(tmp_path / "here")
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.setattr("tissueid.selfcheck.tissue.infer", of_prior)
+    return tmp_path / "here"
+
+
+def made_ready(page: str, place: Path) -> None:
+    """What a page's own first commands make is not there yet; what its reader is told to write is."""
+    if page in {"study.md", "tutorial.md"}:
+        (place / "lab_data" / "study.toml").unlink()
+        shutil.rmtree(place / "out")
+    if page == "calibrate.md":
+        # a study of one specimen
+        (place / "lab_data" / "run_7.csv").unlink()
+    if page == "tutorial.md":
+        shutil.rmtree(place / "lab_data")
+    if page == "rupture.md":
+        for path in (REPOSITORY / "datasets_synthetic" / "rupture-18").glob("rupture-0[12]-*.csv"):
+            shutil.copy(path, place / "lab_data")
+        (place / "study.toml").write_text(
+            'schema = "tissueid/study/1"\n[[trial]]\nfile = "lab_data/rupture-*.csv"\n', encoding="utf-8"
+        )
+
+
+def typed(command: Command) -> None:
+    """Run one command as its line says."""
+    words = [
+        match
+        for word in command.words
+        for match in ([str(one) for one in sorted(Path().glob(word))] if "*" in word else [word])
+    ]
+    if words[0] != "tissueid":
+        subprocess.run(words, check=True)
+        return
+    ended = run(*words[1:])
+    allowed = next((codes for start, codes in ENDS.items() if command.text.startswith(start)), USUAL)
+    assert ended.code in allowed, (command, ended.stderr)
+    if command.text.startswith("tissueid study init"):
+        study = Path(words[3]) / "study.toml"
+        text = study.read_text(encoding="utf-8")
+        study.write_text(re.sub(r"(?m)^#? ?licence = .*$", 'licence = "CC-BY-4.0"', text), encoding="utf-8")
+
+
+@pytest.mark.needs_jit
+@pytest.mark.parametrize(
+    "page", [pytest.param(page.name, marks=[pytest.mark.slow] * (page.name in SLOW)) for page in PAGES]
+)
+def test_commands_of_a_page_run(page: str, place: Path) -> None:
+    made_ready(page, place)
+    run_here = [one for one in commands_of(REPOSITORY / "docs" / page) if one.not_run is None]
+    for command in run_here:
+        typed(command)
+    named = [one for one in commands_of(REPOSITORY / "docs" / page) if one.not_run is not None]
+    assert len(run_here) + len(named) > 0
+
+
+@pytest.mark.parametrize(
+    "command",
+    [one for page in pages() for one in commands_of(page)],
+    ids=lambda one: f"{one.page}:{one.line}",
+)
+def test_a_command_can_be_typed(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    any_path(monkeypatch)
+    if command.words[0] == "tissueid" and not re.search(r"\b(FORMAT|PORT)\b", command.text):
+        assert unfit(shlex.join(command.words)) is None
+
+
+def test_what_is_not_run_is_said_with_its_reason() -> None:
+    index = (REPOSITORY / "docs" / "index.md").read_text(encoding="utf-8")
+    used = {one.not_run for page in pages() for one in commands_of(page)} - {None}
+    assert used == set(NOT_RUN)
+    for why in NOT_RUN:
+        assert f"* {why}" in index, why
+
+
+def test_the_index_names_every_page() -> None:
+    index = (REPOSITORY / "docs" / "index.md").read_text(encoding="utf-8")
+    for page in (REPOSITORY / "docs").glob("*.md"):
+        assert page.name == "index.md" or f"]({page.name})" in index.replace("\n  ", " "), page.name
+
+
+@pytest.mark.parametrize(
+    "page",
+    [*pages(), *(REPOSITORY / "docs" / name for name in ("options.md", "flags.md", "api.md"))],
+    ids=lambda page: page.name,
+)
+def test_a_link_leads_somewhere(page: Path) -> None:
+    for link in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
+        if "://" not in link and not link.startswith("#"):
+            target = page.parent / link.partition("#")[0]
+            assert target.exists(), link
+
+
+def test_the_page_of_results_agrees_with_the_files() -> None:
+    page = (REPOSITORY / "docs" / "calibration-results.md").read_text(encoding="utf-8")
+    listed = dict(
+        re.findall(r"^\| ([\w-]+\.txt) \|.*\| (\d|not run to its end) \|$", page, flags=re.MULTILINE)
+    )
+    slow = REPOSITORY / "reports" / "slow"
+    assert set(listed) == {path.name for path in slow.glob("*.txt")}
+    for name, said in listed.items():
+        (ended,) = re.findall(
+            r"^exit: (\d|the test itself was not run to its end)",
+            (slow / name).read_text(encoding="utf-8"),
+            flags=re.MULTILINE,
+        )[:1]
+        assert said == ended.replace("the test itself was ", ""), name
+
+
+@pytest.mark.parametrize("name", ["coverage.txt", "coverage-total.txt", "coverage-frames.txt"])
+def test_coverages_of_the_page_are_those_of_the_files(name: str) -> None:
+    page = (REPOSITORY / "docs" / "calibration-results.md").read_text(encoding="utf-8")
+    text = (REPOSITORY / "reports" / "slow" / name).read_text(encoding="utf-8")
+    cases = re.findall(r"^(\S.*): \d+ specimens.*\n.*\n((?:\S.*\n)+?)(?:\.|F)$", text, flags=re.MULTILINE)
+    assert len(cases) == {"coverage.txt": 6, "coverage-total.txt": 1, "coverage-frames.txt": 2}[name]
+    for case, rows in cases:
+        # nuisances of a frame alone are no part of what is claimed
+        of_tissue = [
+            row
+            for row in rows.splitlines()
+            if name != "coverage-frames.txt" or "_N" in row.split()[0] or "relaxation" in row
+        ]
+        if name == "coverage-frames.txt":
+            of_tissue = [row for row in of_tissue if not row.startswith("frame_")]
+        shares = [float(re.findall(r"(?<= )\d+\.\d(?= )", row)[3]) for row in of_tissue]
+        assert f"| {case} | {min(shares)} to {max(shares)} % |" in page, case
