@@ -8,8 +8,11 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import shutil
 import signal
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -33,6 +36,7 @@ AT_A_STEP: list[tuple[tuple[str, ...], int]] = [
     (("fit", "lab", "-o", "out", *QUICK), 4),
     (("cohort", "heads"), 1),
     (("inspect", "lab"), 1),
+    (("compare", "a.h5", "b.h5", "-o", "old.json"), 2),
     (("rupture", "ruptures", "-o", "rup", "--criterion", "work"), 3),
     (("calibrate", "recipe.toml", "-o", "cal", "--simulations", "20"), 8),
     (("reproduce", "pires", "-o", "rep"), 1),
@@ -40,7 +44,6 @@ AT_A_STEP: list[tuple[tuple[str, ...], int]] = [
 ]
 #: Command without a progress display, and the function in which the signal comes.
 IN_A_FUNCTION: list[tuple[tuple[str, ...], str]] = [
-    (("compare", "a.h5", "b.h5", "-o", "old.json"), "tissueid.contrast.document.contrast_document"),
     (("control", "a.h5", "--html", "old.html"), "tissueid.render.control.document.as_document"),
     (("export", "out", "-o", "old.json"), "tissueid.store.results.read_results"),
     (("report", "out"), "tissueid.store.results.read_results"),
@@ -184,3 +187,22 @@ def test_an_interrupted_fit_keeps_its_finished_specimens(
     assert kept.stat().st_mtime_ns == written
     assert len(run("export", "new").json()["specimens"]) == 2
     assert run("validate", "new").code == 0
+
+
+def test_while_it_is_still_being_loaded(tmp_path: Path) -> None:
+    # a module that is imported first of all, and in which the signal comes
+    (tmp_path / "click").mkdir()
+    (tmp_path / "click" / "__init__.py").write_text(
+        "import os, signal\nos.kill(os.getpid(), signal.SIGINT)\nimport time\ntime.sleep(60)\n",
+        encoding="ascii",
+    )
+    begun = "import signal; signal.signal(2, signal.default_int_handler)"
+    done = subprocess.run(
+        [sys.executable, "-c", f"{begun}; from tissueid.__main__ import start; start()"],
+        env=os.environ | {"PYTHONPATH": f"{tmp_path}:{REPOSITORY}"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout) == (130, "")
+    assert done.stderr == "\ntissueid: interrupted; nothing was begun\n"

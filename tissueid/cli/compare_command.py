@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tissueid.cli.output import echo_json, note, output_options, write_output
+from tissueid.cli.output import echo_json, note, output_options, progress_bar, write_output
 from tissueid.errors import UsageError
 
 if TYPE_CHECKING:
@@ -57,7 +57,9 @@ def command(**flags: Any) -> int:
     if len(tissues) < 2:
         msg = "one tissue is nothing to compare: name a second bundle or output folder"
         raise UsageError(msg)
-    document: dict[str, Any] = plain_json(contrast_document(_apart(tissues), clamp_N=flags["clamp"]))
+    with progress_bar(show=not flags["quiet"]) as progress:
+        found = contrast_document(_apart(tissues), clamp_N=flags["clamp"], progress=progress)
+    document: dict[str, Any] = plain_json(found)
     check(document, "contrast", where="contrast.json")
     if flags["output"] is not None:
         _write(document, Path(flags["output"]), quiet=flags["quiet"])

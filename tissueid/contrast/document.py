@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from itertools import combinations
 from typing import Any
@@ -19,7 +19,12 @@ from tissueid.model.scaling import scaling_for
 __all__ = ["contrast_document"]
 
 
-def contrast_document(tissues: Sequence[Compared], *, clamp_N: float) -> dict[str, Any]:
+def contrast_document(
+    tissues: Sequence[Compared],
+    *,
+    clamp_N: float,
+    progress: Callable[[str, int, int], None] = lambda _message, _done, _total: None,
+) -> dict[str, Any]:
     """Compare tissues pair by pair over what all of them have in common.
 
     Parameters
@@ -28,6 +33,8 @@ def contrast_document(tissues: Sequence[Compared], *, clamp_N: float) -> dict[st
         Two or more.
     clamp_N : float
         Force clamp of the device [N]; the stiffest tissue sets the scale of all.
+    progress : callable, optional
+        ``progress(message, done, total)``, a tissue at a time.
 
     Returns
     -------
@@ -35,7 +42,11 @@ def contrast_document(tissues: Sequence[Compared], *, clamp_N: float) -> dict[st
         The document of ``schemas/contrast.schema.json``.
     """
     common = common_range(tissues)
-    draws = [draws_of_numbers(tissue, common) for tissue in tissues]
+    draws = []
+    for done, tissue in enumerate(tissues):
+        progress(tissue.name, done, len(tissues))
+        draws.append(draws_of_numbers(tissue, common))
+    progress("comparing", len(tissues), len(tissues))
     scales = [
         scaling_for(
             tissue.model,
