@@ -56,8 +56,16 @@ def draw_all(tab: Any) -> int:
     tab.evaluate("document.querySelectorAll('details').forEach((one) => { one.open = true; })")
     boxes = tab.locator("[data-figure]")
     for place in range(boxes.count()):
-        boxes.nth(place).evaluate("(box) => box.scrollIntoView()")
-    tab.wait_for_function("[...document.querySelectorAll('[data-figure]')].every((box) => box.data)")
+        # what is above may grow as it is drawn and push this one out of sight again
+        tab.wait_for_function(
+            """(place) => {
+                const box = document.querySelectorAll("[data-figure]")[place];
+                if (!box.data) box.scrollIntoView();
+                return Boolean(box.data);
+            }""",
+            arg=place,
+            polling=100,
+        )
     return int(boxes.count())
 
 

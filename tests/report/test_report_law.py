@@ -22,8 +22,8 @@ from tissueid.store.curves import curves_of_fits
 from tissueid.store.files import plain_json
 from tissueid.store.posteriors import posteriors_of_fits
 
-#: The page's numbers have six digits.
-DIGITS = 1e-5
+#: The page's numbers have five digits; a cubic of a rounded depth loses some of them.
+DIGITS = 1e-4
 
 
 def law_of(fit: SpecimenFit) -> dict[str, Any]:
@@ -118,12 +118,12 @@ def test_residuals_of_all_logs_are_summed_and_weighed_by_their_samples() -> None
     assert sum(found["counts"]) == sum(int(trial.curve.fitted.sum()) for trial in fit.trials)
     count = first.hold_count + second.hold_count
     mean = (first.hold_count * first.hold_mean_N + second.hold_count * second.hold_mean_N) / count
-    assert found["pooled"]["mean"] == pytest.approx(mean, rel=1e-5)
-    assert found["pooled"]["error"] == pytest.approx(1.96 * fit.sigma_N / np.sqrt(count), rel=1e-5)
+    assert found["pooled"]["mean"] == pytest.approx(mean, rel=1e-4)
+    assert found["pooled"]["error"] == pytest.approx(1.96 * fit.sigma_N / np.sqrt(count), rel=1e-4)
     sizes = [int(one.counts.sum()) for one in (first, second)]
     # the two logs were sampled at different steps: their lags are not the same times
     assert len(found["together"]["lag"]) == 6
-    assert set(found["together"]["bound"]) == {float(f"{1.96 / size**0.5:.6g}") for size in sizes}
+    assert set(found["together"]["bound"]) == {float(f"{1.96 / size**0.5:.5g}") for size in sizes}
     same = law_of(specimen_fit(trials=4))["residuals"]["together"]
     (one, four) = [specimen_fit(trials=4).trials[i].residual for i in (0, 3)]
     assert one is not None
@@ -131,7 +131,7 @@ def test_residuals_of_all_logs_are_summed_and_weighed_by_their_samples() -> None
     # trials 0 and 3 are alike: their first lag weighs both
     weights = [one.counts.sum(), four.counts.sum()]
     expected = np.average([one.correlation[0], four.correlation[0]], weights=weights)
-    assert same["value"][same["lag"].index(float(f"{one.step_s:.3g}"))] == pytest.approx(expected, rel=1e-5)
+    assert same["value"][same["lag"].index(float(f"{one.step_s:.3g}"))] == pytest.approx(expected, rel=1e-4)
 
 
 def opened(browser: Any, path: Path, html: str) -> tuple[Any, list[str]]:
@@ -219,7 +219,7 @@ def test_holds_are_drawn_in_linear_and_logarithmic_time_from_their_window(
     expected = curve.force_N[inside] / curve.model_N[begin]
     # 32-bit floats, and a time counted from the window
     kept = [y for x, y in zip(log_recorded["x"], log_recorded["y"], strict=True) if x <= 12.0]
-    assert kept[-20:] == pytest.approx(expected[-20:], rel=1e-5)
+    assert kept[-20:] == pytest.approx(expected[-20:], rel=1e-4)
     assert abs(len(kept) - expected.size) <= 1
     assert min(log_recorded["x"]) > 0.0
     assert min(recorded["x"]) < 0.0

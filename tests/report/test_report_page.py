@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import base64
 import re
+import zlib
 from collections.abc import Sequence
 from html.parser import HTMLParser
 from pathlib import Path
@@ -11,12 +13,15 @@ from typing import Any
 import numpy as np
 import pytest
 from fit_factory import identification, specimen_fit
+from posterior_factory import sampled
 
 from tissueid.report import render_report
-from tissueid.report.figures import MOST_SAMPLES, thinned
+from tissueid.report.figures import CURVE_BYTES, thinned
+from tissueid.report.page import plotly_script
 from tissueid.result import SpecimenFit
 from tissueid.store.curves import curves_of_fits
 from tissueid.store.files import plain_json
+from tissueid.store.posteriors import posteriors_of_fits
 
 LARGEST_PAGE_BYTES = 7_000_000
 
@@ -116,7 +121,7 @@ def test_thinning_keeps_ends_peak_and_largest_residual() -> None:
 
 def test_a_curve_within_its_share_is_not_thinned() -> None:
     curve = specimen_fit(samples=300, trials=1).trials[0].curve
-    assert thinned(curve, MOST_SAMPLES).size == 300
+    assert thinned(curve, CURVE_BYTES).size == 300
 
 
 def visit(browser: Any, path: Path, *, width: int = 1400, **context: Any) -> tuple[Any, list[str], list[str]]:
@@ -223,3 +228,46 @@ def test_a_printed_report_shows_every_specimen(browser: Any, tmp_path: Path) -> 
     assert tab.evaluate("[...document.querySelectorAll('details')].every(d => d.open)")
     assert tab.evaluate("[...document.querySelectorAll('[data-figure]')].every(b => b.dataset.drawn)")
     assert errors == []
+
+
+@pytest.mark.parametrize(("specimens", "trials"), [(1, 30), (30, 10), (60, 2)])
+def test_a_page_of_sampled_specimens_stays_below_seven_megabytes(specimens: int, trials: int) -> None:
+    fits = [
+        sampled(specimen_fit(f"s{i}", trials=trials, samples=700, seed=i), seed=i) for i in range(specimens)
+    ]
+    document = plain_json(identification(fits).as_json())
+    html = render_report(document, curves_of_fits(fits), posteriors_of_fits(fits))
+    assert len(html.encode()) <= LARGEST_PAGE_BYTES
+
+
+@pytest.mark.browser
+def test_the_library_is_inflated_whole(browser: Any, tmp_path: Path) -> None:
+    path = tmp_path / "report.html"
+    path.write_text(page([specimen_fit(samples=60)]), encoding="utf-8")
+    tab, errors, _ = visit(browser, path)
+    assert errors == []
+    # what stands in the page is the library that is installed, to its last character
+    whole = str(plotly_script())
+    assert tab.evaluate("[...document.head.querySelectorAll('script')].map((s) => s.textContent)") == [whole]
+    rng = np.random.default_rng(0)
+    samples = {
+        "nothing": b"",
+        "one": b"x",
+        "far": bytes(rng.integers(0, 256, 40_000, dtype=np.uint8)) * 2,
+        "runs": b"abc" * 50_000,
+        "noise": bytes(rng.integers(0, 256, 200_000, dtype=np.uint8)),
+        "text": "\n".join(f"F_s({i}) = {i**2} N·s/mm²" for i in range(20_000)).encode(),
+    }
+    for name, raw in samples.items():
+        for level, strategy in ((0, 0), (1, 0), (9, 0), (9, zlib.Z_FIXED), (9, zlib.Z_HUFFMAN_ONLY)):
+            packer = zlib.compressobj(level, zlib.DEFLATED, -zlib.MAX_WBITS, 8, strategy)
+            packed = base64.b64encode(packer.compress(raw) + packer.flush()).decode()
+            sum_of = tab.evaluate(
+                """async ([packed, size]) => Array.from(inflate(bytesOf(packed), size))
+                    .reduce((sum, byte) => (sum * 31 + byte) % 1000000007, size)""",
+                [packed, len(raw)],
+            )
+            expected = len(raw)
+            for byte in raw:
+                expected = (expected * 31 + byte) % 1_000_000_007
+            assert sum_of == expected, (name, level, strategy)

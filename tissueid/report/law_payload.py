@@ -22,7 +22,9 @@ FloatArray = NDArray[np.float64]
 Trials = Sequence[tuple[Mapping[str, Any], TrialCurve]]
 
 #: Depths at which the parts are drawn.
-GRID = 61
+GRID, COARSE = 61, 25
+#: Specimens from which on the coarse grid is taken: nobody compares thirty curves by eye.
+MANY = 12
 #: Speeds at which the dynamic part is drawn: the slowest, the fastest, and between.
 PART_SPEEDS = 4
 
@@ -36,9 +38,9 @@ def _with_band(values: FloatArray, thetas: FloatArray | None) -> dict[str, Any]:
     return found
 
 
-def _parts(tissue: Tissue, groups: Sequence[SpeedGroup]) -> dict[str, Any]:
+def _parts(tissue: Tissue, groups: Sequence[SpeedGroup], grid: int) -> dict[str, Any]:
     """Static force, stiffness of the branches and their force in loading, by depth."""
-    x = np.linspace(0.0, tissue.model.depth_mm, GRID)
+    x = np.linspace(0.0, tissue.model.depth_mm, grid)
     theta, draws = tissue.theta[None], tissue.draws
     moving = [group for group in groups if group.speed_mm_s > 0.0]
     shown = np.unique(np.linspace(0, len(moving) - 1, min(len(moving), PART_SPEEDS)).round().astype(int))
@@ -217,7 +219,9 @@ def law_payload(
         payload.append(
             {
                 "speeds": [{"label": group.label, "trials": list(group.members)} for group in groups],
-                "parts": None if tissue is None else _parts(tissue, groups),
+                "parts": None
+                if tissue is None
+                else _parts(tissue, groups, COARSE if len(specimens) >= MANY else GRID),
                 "peaks": peaks_payload(specimen, trials, tissue),
                 "holds": _holds(specimen, trials),
                 "residuals": _residuals(specimen, trials),

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.report.figures import packed
+from tissueid.report.figures import quantised
 from tissueid.report.uncertainty_words import reported_order
 from tissueid.report.wording import unit_words
 from tissueid.store.posteriors import StoredPosterior
@@ -17,11 +17,15 @@ __all__ = ["posterior_payload"]
 
 FloatArray = NDArray[np.float64]
 
-#: Draws a page may carry in all, and what a specimen gets of them: 4 bytes a parameter and draw.
-MOST_DRAWS = 24_000
-_DRAWS_OF_ONE = (200, 1_000)
-#: Chains and draws of each that a trace shows: more lines hide each other.
+#: Numbers of draws a page may carry in all, at 2.7 bytes each, and the fewest and most draws of a specimen.
+MOST_NUMBERS = 180_000
+_DRAWS_OF_ONE = (60, 1_000)
+#: Chains and draws of each that a trace shows: more lines hide each other; and the numbers of all of them.
 _CHAINS, _STEPS = 4, 250
+MOST_CHAIN_NUMBERS = 90_000
+_FEWEST_STEPS = 40
+#: Viscosities beside theta, at the most.
+_BRANCHES = 3
 #: Depth, as a fraction of the fitted one, at which viscosity is quoted where K varies.
 _REFERENCE_DEPTH = 0.5
 
@@ -46,17 +50,17 @@ def _with_viscosity(names: Sequence[str], draws: FloatArray, depth_mm: float) ->
     return columns
 
 
-def _of_one(specimen: Mapping[str, Any], stored: StoredPosterior, most: int) -> dict[str, Any]:
+def _of_one(specimen: Mapping[str, Any], stored: StoredPosterior, most: int, steps: int) -> dict[str, Any]:
     entries = reported_order(specimen["parameters"])
     depth_mm = specimen["validity"]["depth_mm"]
 
     def table(draws: FloatArray) -> dict[str, Any]:
         columns = _with_viscosity(stored.theta_names, draws[_evenly(len(draws), most)], depth_mm)
         kept = [columns[entry["name"]] for entry in entries if entry["name"] in columns]
-        return {"values": packed(np.concatenate(kept), "<f4"), "count": len(kept[0])}
+        return {**quantised(np.column_stack(kept)), "count": len(kept[0])}
 
     chain = stored.chain[_evenly(stored.chain.shape[0], _CHAINS)]
-    chain = chain[:, _evenly(chain.shape[1], _STEPS)]
+    chain = chain[:, _evenly(chain.shape[1], steps)]
     available = {*stored.theta_names, *(e["name"] for e in entries if e["name"].startswith("viscosity"))}
     return {
         "names": [entry["name"] for entry in entries if entry["name"] in available],
@@ -71,7 +75,7 @@ def _of_one(specimen: Mapping[str, Any], stored: StoredPosterior, most: int) -> 
         "chain": {
             "names": [name.replace("_", " ") for name in stored.chain_names],
             "shape": list(chain.shape),
-            "values": packed(chain, "<f4"),
+            **quantised(chain.reshape(-1, chain.shape[2])),
         },
     }
 
@@ -90,15 +94,21 @@ def posterior_payload(
     Returns
     -------
     list of dict
-        ``names``, ``labels`` (with units), ``draws`` and ``total`` (base64 of 32-bit floats, one parameter
-        after the other, and the count of each), ``chain`` (names, shape, base64 by chain, draw, coordinate).
+        ``names``, ``labels`` (with units), ``draws`` and ``total`` (with the count of each) and ``chain``
+        (names, shape; a column a coordinate, by chain and draw), all three as
+        :func:`~tissueid.report.figures.quantised` packs them.
     """
     by_name = {one.specimen: one for one in posteriors}
     fewest, largest = _DRAWS_OF_ONE
-    share = min(max(MOST_DRAWS // max(len(posteriors), 1), fewest), largest)
+    columns = sum(
+        (len(one.theta_names) + _BRANCHES) * (1 if one.draws_total is None else 2) for one in posteriors
+    )
+    share = min(max(MOST_NUMBERS // max(columns, 1), fewest), largest)
+    coordinates = sum(_CHAINS * len(one.chain_names) for one in posteriors)
+    steps = min(max(MOST_CHAIN_NUMBERS // max(coordinates, 1), _FEWEST_STEPS), _STEPS)
     return [
         None
         if specimen["specimen"] not in by_name
-        else _of_one(specimen, by_name[specimen["specimen"]], share)
+        else _of_one(specimen, by_name[specimen["specimen"]], share, steps)
         for specimen in specimens
     ]

@@ -26,7 +26,7 @@ SAME_DEPTH = 1.04
 #: Groups that get a panel of their own.
 MOST_GROUPS = 12
 #: Speeds at which a law is drawn, and how far beyond the trials.
-LINE_POINTS = 40
+LINE_POINTS = 24
 S_PER_MIN = 60.0
 
 

@@ -24,7 +24,7 @@ BAND_DRAWS = 500
 #: Ends of a 95 % band.
 ENDS = (0.025, 0.975)
 #: Digits of a number in a figure: a pixel needs four.
-DIGITS = 6
+DIGITS = 5
 
 
 def brief(values: Iterable[float]) -> list[float]:

@@ -27,10 +27,12 @@
   const bands = (specimen, abscissa) => chosen(specimen).filter((trial) => trial.low)
     .map((trial, i) => band(trial, trial[abscissa], trial.low, trial.high, i));
   const pairs = (specimen, abscissa) => [...bands(specimen, abscissa), ...lines(specimen, abscissa)];
+  // many lines beside each other would paint one broad brush
+  const wide = (specimen) => chosen(specimen).length <= 8;
   const lines = (specimen, abscissa) => chosen(specimen).flatMap((trial, i) => [
-    { x: trial[abscissa], y: trial.f, mode: "lines", line: { color: colour("data"), width: 4 }, opacity: 0.6,
+    { x: trial[abscissa], y: trial.f, mode: "lines", line: { color: colour("data"), width: wide(specimen) ? 4 : 2 }, opacity: 0.6,
       name: "recorded", legendgroup: "recorded", showlegend: i === 0, text: trial.label, hovertemplate: "%{x:.4g}, %{y:.4g} N<br>%{text}<extra>recorded</extra>" },
-    { x: trial[abscissa], y: trial.m, mode: "lines", line: { color: colour("model"), width: 1.6 },
+    { x: trial[abscissa], y: trial.m, mode: "lines", line: { color: colour("model"), width: wide(specimen) ? 1.6 : 0.8 },
       name: "model", legendgroup: "model", showlegend: i === 0, text: trial.label, hovertemplate: "%{x:.4g}, %{y:.4g} N<br>%{text}<extra>model</extra>" },
   ]).sort((a, b) => (a.name === b.name ? 0 : a.name === "recorded" ? -1 : 1));
 
@@ -56,7 +58,7 @@
       name: "viscosity", hovertemplate: "%{x}: %{y:.4g} N·s/mm<extra></extra>", showlegend: false }];
   };
 
-  const known = posteriorKinds(payload, floats);
+  const known = posteriorKinds(payload, bytes);
   const kinds = {
     "force-depth": { traces: (s) => pairs(s, "x"), x: "Depth [mm]", y: "Force [N]" },
     "force-time": { traces: (s) => pairs(s, "t"), x: "Time from contact [s]", y: "Force [N]" },

@@ -1,16 +1,18 @@
 "use strict";
 // Figures of a posterior: marginal densities, viscosity against relaxation time, traces of the chains.
-const posteriorKinds = (payload, floats) => {
+const posteriorKinds = (payload, bytes) => {
+  // columns packed in steps of their range
+  const columnsOf = ({ low, high, steps }) => {
+    const all = new Uint16Array(bytes(steps).buffer), count = all.length / low.length;
+    return low.map((from, i) => Float64Array.from(all.subarray(i * count, (i + 1) * count), (step) => from + ((high[i] - from) * step) / 65535));
+  };
   const opened = new Map();
   const posterior = (specimen) => {
     if (!opened.has(specimen)) {
       const raw = payload.posteriors[specimen];
-      const table = (packed) => {
-        const all = floats(packed.values);
-        return raw.names.map((_, i) => all.subarray(i * packed.count, (i + 1) * packed.count));
-      };
+      const table = (packed) => columnsOf(packed);
       opened.set(specimen, { ...raw, draws: table(raw.draws), total: raw.total && table(raw.total),
-        chain: { ...raw.chain, values: floats(raw.chain.values) } });
+        chain: { ...raw.chain, columns: columnsOf(raw.chain) } });
     }
     return opened.get(specimen);
   };
@@ -85,10 +87,10 @@ const posteriorKinds = (payload, floats) => {
   };
 
   const trace = (specimen) => {
-    const { names, shape: [chains, steps, size], values } = posterior(specimen).chain;
+    const { names, shape: [chains, steps], columns } = posterior(specimen).chain;
     const inks = ["model", "data", "aside", "ok"];
     return names.flatMap((name, i) => Array.from({ length: chains }, (_, c) => ({
-      y: Array.from({ length: steps }, (__, k) => values[(c * steps + k) * size + i]), ...cell(i), mode: "lines",
+      y: Array.from({ length: steps }, (__, k) => columns[i][c * steps + k]), ...cell(i), mode: "lines",
       line: { color: colour(inks[c % inks.length]), width: 0.8 }, opacity: 0.8, hovertemplate: `${name} %{y:.4g}<extra></extra>` })));
   };
   const traceLayout = (specimen, box) => {
