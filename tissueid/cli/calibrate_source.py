@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from tissueid.selfcheck.protocol import Centre, Protocol
     from tissueid.store.bundle import Bundle
 
-__all__ = ["Found", "found_source"]
+__all__ = ["Found", "bundle_file", "found_source"]
 
 _Progress = Callable[[str, int, int], None]
 _BUNDLE_SUFFIXES = (".h5", ".hdf5")
@@ -68,7 +68,7 @@ def found_source(flags: Mapping[str, Any], progress: _Progress) -> Found:
     if not Path(named).exists() and "::" not in named:
         msg = f"{named}: no such file, folder or recipe; recipes are {', '.join(sorted(RECIPES))}"
         raise UsageError(msg)
-    bundle = _bundle_file(Path(named))
+    bundle = bundle_file(Path(named))
     if bundle is not None:
         return _bundle(bundle, flags, progress)
     return _recordings(named, flags, progress)
@@ -101,7 +101,7 @@ def _recipe(named: str, flags: Mapping[str, Any]) -> Found:
     return Found("recipe", plan.specimen, protocol, centre)
 
 
-def _bundle_file(path: Path) -> Path | None:
+def bundle_file(path: Path) -> Path | None:
     """The bundle a path means: itself, or the only one of an output folder."""
     if path.is_file():
         return path if path.suffix in _BUNDLE_SUFFIXES else None

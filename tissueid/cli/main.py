@@ -30,6 +30,7 @@ COMMANDS = {
     "rupture": "Study tests to rupture: force, work, speed, and what broke the tissue.",
     "study": "Write, check, correct and publish the study file.",
     "compare": "Say whether identified tissues differ, and whether a hand could feel it.",
+    "design": "Plan the protocol of least machine time for a wanted precision.",
     "calibrate": "Check whether intervals hold what they claim, for your protocol.",
     "calibrate-frame": "Measure how far machine and fixture give.",
     "inspect": "Say what a recording holds and how it was read.",

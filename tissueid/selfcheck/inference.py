@@ -140,7 +140,7 @@ def in_memory(log: ProtocolLog, data: LogData) -> InMemoryLog:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Fitted:
+class Fitted:
     """A fit under its noise, where it is linearised, and a guess of the sd of each ln tau."""
 
     whitened: Whitened
@@ -151,7 +151,7 @@ class _Fitted:
     log_tau_sd: FloatArray
 
 
-def _fitted(check: TissueCheck, handles: Sequence[LogHandle]) -> _Fitted:
+def fitted_at_optimum(check: TissueCheck, handles: Sequence[LogHandle]) -> Fitted:
     """The steps of a fit whose model and contact points are given."""
 
     def silent(_message: str) -> None:
@@ -170,7 +170,7 @@ def _fitted(check: TissueCheck, handles: Sequence[LogHandle]) -> _Fitted:
     variance = np.diag(inverse)[solution.evaluation.theta.size :] * solution.noise.sigma2
     known = np.isfinite(variance) & (variance > 0.0)
     sd = np.where(known, np.sqrt(np.where(known, variance, 1.0)), WIDEST_GUESS)
-    return _Fitted(
+    return Fitted(
         whitened=whitened,
         optimum=optimum_of(solution, adjustments, whitened.sums.depth_mm),
         model=model,
@@ -231,7 +231,7 @@ def infer(check: TissueCheck, data: Sequence[LogData], rng: np.random.Generator)
         The sampler did not converge.
     """
     handles = [in_memory(log, one) for log, one in zip(check.logs, data, strict=True)]
-    fitted = _fitted(check, handles)
+    fitted = fitted_at_optimum(check, handles)
     force = max(float(np.abs(one.force_N[one.include]).max()) for one in data)
     target = target_at(
         fitted.whitened,
@@ -254,7 +254,7 @@ def infer(check: TissueCheck, data: Sequence[LogData], rng: np.random.Generator)
 
 
 def _total(
-    check: TissueCheck, fitted: _Fitted, target: SpecimenTarget, data: Sequence[LogData], seed: int
+    check: TissueCheck, fitted: Fitted, target: SpecimenTarget, data: Sequence[LogData], seed: int
 ) -> Inferred:
     """Tissue and instrument together."""
     noise = fitted.whitened.noise

@@ -100,7 +100,7 @@ def noise(
     return np.asarray(sigma_N * out)
 
 
-def _tip(
+def tip_depth(
     model: KelvinVoigt, theta: FloatArray, time_s: FloatArray, depth_mm: FloatArray, give: float
 ) -> FloatArray:
     """Depth of the tip behind a compliance: ``x_tip = x - c F(x_tip)``, solved for the whole path at once.
@@ -156,9 +156,9 @@ def recorded_force(
         depth = np.interp(time, log.time_s, depth)
     # the force that bends the frame is the log's own, gain and all
     scaled = _scaled(model, theta, gain)
-    force = model.force(scaled, ContactPath(time, _tip(model, scaled, time, depth, give)))
+    force = model.force(scaled, ContactPath(time, tip_depth(model, scaled, time, depth, give)))
     if acts_between:
-        force = _low_pass(time, force, filter_s)
+        force = low_pass(time, force, filter_s)
         force = np.interp(log.time_s - skew, time, force)
     return np.asarray(calibration.get("force_gain", 1.0) * force)
 
@@ -169,7 +169,7 @@ def _scaled(model: KelvinVoigt, theta: FloatArray, gain: float) -> FloatArray:
     return model.join(gain * static, gain * stiffness, tau)
 
 
-def _low_pass(time_s: FloatArray, force_N: FloatArray, filter_s: float) -> FloatArray:
+def low_pass(time_s: FloatArray, force_N: FloatArray, filter_s: float) -> FloatArray:
     """First-order low-pass, exact for a force that is linear between samples."""
     if filter_s == 0.0:
         return force_N

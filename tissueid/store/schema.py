@@ -30,6 +30,7 @@ SCHEMA_NAMES = (
     "contact-law",
     "contrast",
     "control",
+    "design",
     "devices",
     "flag",
     "frame",

@@ -1,0 +1,171 @@
+"""The predicted precision, against the fit's own estimates of simulated recordings and a closed form."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from design_cases import (
+    CASES,
+    ETA,
+    PAPER_A,
+    TAU,
+    Case,
+    correlated,
+    paper_a,
+    recorded_logs,
+    simulated_errors,
+    two_branches,
+)
+
+from tissueid.design.indentation import Indentation
+from tissueid.design.information import Chain, information
+from tissueid.design.machine import PRESETS, Setting
+from tissueid.design.precision import relative_sd
+from tissueid.selfcheck.recording import recorded_force
+
+pytestmark = pytest.mark.needs_jit
+
+#: Runs of the slow test, and the band that simulated over predicted sd must keep: 5 % is one standard error.
+SLOW_RUNS, SLOW_BAND = 200, (0.85, 1.15)
+#: The same by default: one standard error is 14 %.
+RUNS, BAND = 25, (0.55, 1.5)
+
+
+def ratios(case: Case, runs: int) -> dict[str, float]:
+    predicted = case.predicted()
+    errors = simulated_errors(case, runs)
+    return {name: float(errors[name].std(ddof=1) / predicted[name]) for name in predicted}
+
+
+def at_100_Hz() -> Case:
+    case = paper_a()
+    return replace(case, setting=case.machine.settings[1])
+
+
+@pytest.mark.parametrize("made", [at_100_Hz, correlated, two_branches], ids=lambda made: made.__name__)
+def test_estimates_of_simulated_recordings_scatter_as_predicted(made: Callable[[], Case]) -> None:
+    for name, ratio in ratios(made(), RUNS).items():
+        assert BAND[0] <= ratio <= BAND[1], name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("made", CASES, ids=lambda made: made.__name__)
+def test_estimates_scatter_as_predicted_over_many_runs(made: Callable[[], Case]) -> None:
+    case = made()
+    predicted, errors = case.predicted(), simulated_errors(case, SLOW_RUNS)
+    found = {name: float(errors[name].std(ddof=1) / predicted[name]) for name in predicted}
+    protocol = "; ".join(f"{count} x {test.words}" for test, count in case.protocol.items())
+    lines = [
+        f"\n{case.name}: {protocol}",
+        f"  {case.setting.words}; {case.ledger.duration(case.protocol):.0f} s",
+    ]
+    lines += [
+        f"  {name}: predicted sd {100 * predicted[name]:.3g} %, simulated / predicted {ratio:.3f}, "
+        f"mean error {errors[name].mean() / predicted[name]:+.2f} sd"
+        for name, ratio in found.items()
+    ]
+    sys.stdout.write("\n".join(lines) + "\n")
+    for name, ratio in found.items():
+        assert SLOW_BAND[0] <= ratio <= SLOW_BAND[1], name
+
+
+def published(rate_Hz: float) -> tuple[float, float]:
+    """sd of tau and eta [%] for paper A's 30 logs at 1 N of white noise, one static curve, contact known."""
+    case = paper_a()
+    machine = replace(case.machine, acceleration_mm_s2=1e7, contact_sd_mm=1e-9)
+    asked = replace(case.asked, gain_sd=0.0)
+    case = replace(case, machine=machine, setting=Setting(rate_Hz, 1.0), asked=asked)
+    found = case.predicted()
+    return 100.0 * found[TAU], 100.0 * found[ETA]
+
+
+def test_the_bounds_of_the_design_papers_come_out() -> None:
+    # worked out there by two other programs: 1.24 and 0.10 % at 1 kHz for K constant
+    assert published(1000.0) == pytest.approx((1.24, 0.10), rel=0.03)
+
+
+def test_information_grows_with_the_rate_and_falls_with_the_noise() -> None:
+    # a contact point that is known does not care for the noise
+    test, machine = Indentation(250.0, 4.0), replace(PRESETS["paper-a"], contact_sd_mm=1e-6)
+    model, theta = PAPER_A.model, PAPER_A.theta[0]
+    slow, fast, loud = (
+        information(model, theta, test, Chain(machine, setting, 0.0, total=False), [5.0])[0]
+        for setting in (Setting(1000.0, 1.0), Setting(4000.0, 1.0), Setting(1000.0, 2.0))
+    )
+    gradient = PAPER_A.gradients(TAU)[None]
+    sd = [float(relative_sd(one, gradient)[0, 0]) for one in (slow, fast, loud)]
+    # four times the samples halve the sd, all but for the corners between samples
+    assert sd[1] == pytest.approx(0.5 * sd[0], rel=0.02)
+    assert sd[2] == pytest.approx(2.0 * sd[0], rel=1e-3)
+
+
+def numerical_information(setting: Setting, hold_s: float, *, gain_sd: float) -> np.ndarray:
+    """Information by differences of the simulated force, and the inverse of its covariance matrix."""
+    test, machine = Indentation(250.0, 2.0, hold_s), PRESETS["paper-a"]
+    (log,) = recorded_logs(test, machine, setting, 1, "log")
+    model, theta = PAPER_A.model, PAPER_A.theta[0]
+    tau_at = len(theta) - 1
+    calibration = {"force_filter_s": setting.filter_s}
+
+    def force(v: np.ndarray, gamma: float, delta: float) -> np.ndarray:
+        moved = v.copy()
+        moved[tau_at] = np.exp(v[tau_at])
+        made = recorded_force(
+            model, moved, log, gain=float(np.exp(gamma)), offset_mm=delta, calibration=calibration
+        )
+        return np.asarray(made[log.include])
+
+    point = theta.copy()
+    point[tau_at] = np.log(theta[tau_at])
+    step = 1e-4
+    columns = []
+    for k in range(point.size):
+        change = np.zeros(point.size)
+        change[k] = step
+        columns.append((force(point + change, 0, 0) - force(point - change, 0, 0)) / (2.0 * step))
+    z = np.column_stack(columns)
+    gain = (force(point, step, 0) - force(point, -step, 0)) / (2.0 * step)
+    offset = (force(point, 0, step) - force(point, 0, -step)) / (2.0 * step)
+    apart = np.abs(np.subtract.outer(np.arange(gain.size), np.arange(gain.size)))
+    covariance = setting.noise_N**2 * setting.phi**apart
+    covariance += gain_sd**2 * np.outer(gain, gain)
+    covariance += machine.contact_sd_mm**2 * np.outer(offset, offset)
+    return np.asarray(z.T @ np.linalg.solve(covariance, z))
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [
+        Setting(200.0, 0.5),
+        Setting(200.0, 0.5, noise_correlation_s=0.02),
+        Setting(200.0, 0.5, filter_s=0.02),
+    ],
+    ids=["white", "ar1", "filter"],
+)
+def test_information_is_that_of_the_whole_covariance_matrix(setting: Setting) -> None:
+    chain = Chain(PRESETS["paper-a"], setting, 0.05, total=False)
+    # two holds in one pass, the second beyond the point from where its samples are all alike
+    holds = [0.4, 1.2]
+    found = information(PAPER_A.model, PAPER_A.theta[0], Indentation(250.0, 2.0), chain, holds)
+    gradient = np.eye(PAPER_A.theta.shape[1])[:, None, :]
+    for one, hold in zip(found, holds, strict=True):
+        # a single log does not tell a cubic and K apart well: the data of a weak prior stand beside it
+        prior = np.diag(1.0 / np.array([1.0, 0.5, 0.1, 30.0, 1.0]) ** 2)
+        exact = relative_sd(numerical_information(setting, hold, gain_sd=0.05) + prior, gradient)[:, 0]
+        # the filter is followed on finer steps than the recording's, and not on the same
+        assert relative_sd(one + prior, gradient)[:, 0] == pytest.approx(exact, rel=0.01)
+
+
+def test_a_filter_and_correlated_noise_cost_precision() -> None:
+    base = paper_a()
+    white = base.predicted()[TAU]
+    slow = replace(base, setting=Setting(1000.0, 1.0, filter_s=0.05)).predicted()[TAU]
+    total = replace(base, asked=replace(base.asked, total=True)).predicted()
+    assert slow > 1.3 * white
+    assert total[TAU] > white
+    # the force channel's gain is known to 1 %, and no number of logs betters that
+    assert total[ETA] > 0.01

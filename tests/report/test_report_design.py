@@ -1,0 +1,144 @@
+"""The page of ``design``: verdict, table and limits in words, points of the figures read back."""
+
+from __future__ import annotations
+
+import re
+from copy import deepcopy
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tissueid.design.document import design_document
+from tissueid.design.given import given_protocol, given_recipe, of_recipe_tissue
+from tissueid.design.machine import PRESETS
+from tissueid.design.plan import against, planned
+from tissueid.design.precision import Asked
+from tissueid.design.tissues import parsed_want
+from tissueid.report.design_page import render_design
+from tissueid.store.files import plain_json
+from tissueid.store.schema import first_problem
+
+pytestmark = pytest.mark.needs_jit
+
+
+@cache
+def made(machine_name: str) -> dict[str, Any]:
+    machine, recipe = PRESETS[machine_name], given_recipe("paper-a-30")
+    tissues = of_recipe_tissue(recipe)
+    wants = tuple(parsed_want(text, tissues.model) for text in ("tau=2%", "eta=1%"))
+    asked = Asked(wants=wants, max_depth_mm=8.0, max_force_N=machine.max_force_N)
+    given = against(recipe.name, given_protocol(recipe), machine, tissues, asked)
+    plan = planned(machine, tissues, asked, lambda _message, _done, _total: None)
+    document: dict[str, Any] = plain_json(
+        design_document(plan, machine, tissues, asked, given=given, specimens=17)
+    )
+    assert first_problem(document, "design") is None
+    return document
+
+
+def test_page_recommends_and_says_what_the_given_protocol_takes() -> None:
+    document = made("paper-a")
+    page = render_design(document)
+    best, other = document["protocols"][0], document["against"]["protocol"]
+    assert "<strong>Within reach.</strong>" in page
+    assert f"{best['logs']} logs in {best['seconds'] / 60:.1f} min of machine time" in page
+    assert f"paper-a-30 takes {other['seconds'] / 60:.1f} min" in page
+    for one in document["protocols"]:
+        for row in one["indentations"]:
+            assert f"{row['repeats']} × {row['words']}" in page
+    assert "17 specimens" in page
+    assert "What limits it" not in page
+    assert "The frame is taken as rigid" in page
+
+
+def test_page_says_that_none_can_how_near_it_comes_and_what_limits_it() -> None:
+    document = made("slow-logger")
+    page = render_design(document)
+    assert "<strong>None on this machine.</strong>" in page
+    tau = document["protocols"][0]["precision"][0]["assured"]
+    assert f"relaxation time to {100 * tau:.1f} %" in page
+    assert "What limits it" in page
+    for one in document["verdict"]["limits"]:
+        assert one["words"] in page
+    assert "paper-a-30 can&rsquo;t be run on this machine: it moves at 70 mm/min" in page
+    assert "fit will flag it" in page
+
+
+def test_page_asks_the_network_for_nothing_and_equal_input_gives_equal_pages() -> None:
+    page = render_design(made("paper-a"))
+    assert page == render_design(made("paper-a"))
+    outside = re.sub(r"<script>.*?</script>", "", page, flags=re.DOTALL)
+    assert "http" not in outside.replace("http-equiv", "")
+    assert "Written" not in page
+    assert "Written 2026-01-01." in render_design(made("paper-a"), created="2026-01-01")
+
+
+def drawn(browser: Any, path: Path, *, width: int = 1200) -> tuple[list[str], list[dict[str, Any]], int]:
+    """Problems, the traces of every figure as plotly holds them, and the width of the page."""
+    page = browser.new_page(viewport={"width": width, "height": 4000})
+    problems: list[str] = []
+    page.on("pageerror", lambda error: problems.append(str(error)))
+    page.on("console", lambda message: problems.append(message.text) if message.type == "error" else None)
+    page.on("request", lambda request: problems.append(request.url) if "file:" not in request.url else None)
+    page.goto(path.as_uri())
+    page.wait_for_function("document.querySelectorAll('[data-drawn]').length === 2", timeout=60_000)
+    traces = page.evaluate(
+        "[...document.querySelectorAll('[data-figure]')].map((box) => ({"
+        " traces: box.data.map((one) => ({ name: one.name, x: [...one.x], y: [...one.y] })),"
+        " x: box.layout.xaxis.type, y: box.layout.yaxis.type,"
+        " marks: box.querySelectorAll('.scatterlayer .point').length }))"
+    )
+    wide = page.evaluate("document.documentElement.scrollWidth")
+    page.close()
+    return problems, traces, wide
+
+
+def expected(document: dict[str, Any], want: int) -> dict[str, list[list[float]]]:
+    def points(rows: list[dict[str, Any]]) -> list[list[float]]:
+        return [
+            [one["seconds"] / 60.0 for one in rows],
+            [100.0 * one["precision"][want]["assured"] for one in rows],
+        ]
+
+    front = sorted(document["front"], key=lambda one: one["seconds"])
+    return {
+        "least time": points(front),
+        "protocols": points(document["protocols"]),
+        "paper-a-30": points([document["against"]["protocol"]]),
+    }
+
+
+@pytest.mark.browser
+def test_figures_hold_the_points_of_the_tables(browser: Any, tmp_path: Path) -> None:
+    document = made("paper-a")
+    path = tmp_path / "design.html"
+    path.write_text(render_design(document), encoding="utf-8")
+    problems, figures, wide = drawn(browser, path)
+    assert problems == []
+    assert wide <= 1200
+    for want, figure in enumerate(figures):
+        assert (figure["x"], figure["y"]) == ("log", "log")
+        found = {one["name"]: [one["x"], one["y"]] for one in figure["traces"]}
+        for name, points in expected(document, want).items():
+            # the page carries the numbers whole
+            assert found[name] == [pytest.approx(axis, rel=1e-12) for axis in points], name
+        wanted = 100.0 * document["asked"]["wants"][want]["share"]
+        assert found["wanted"][1] == pytest.approx([wanted, wanted])
+        points_drawn = sum(len(points[0]) for points in expected(document, want).values())
+        assert figure["marks"] == points_drawn
+
+
+@pytest.mark.browser
+def test_a_wrong_point_would_be_seen_and_a_small_screen_holds_the_page(browser: Any, tmp_path: Path) -> None:
+    document = made("paper-a")
+    wrong = deepcopy(document)
+    wrong["protocols"][0]["precision"][0]["assured"] *= 1.5
+    path = tmp_path / "design.html"
+    path.write_text(render_design(wrong), encoding="utf-8")
+    problems, figures, wide = drawn(browser, path, width=400)
+    assert problems == []
+    assert wide <= 400
+    found = {one["name"]: one["y"] for one in figures[0]["traces"]}
+    assert found["protocols"] != pytest.approx(expected(document, 0)["protocols"][1], rel=1e-12)

@@ -1,0 +1,291 @@
+"""``tissueid design``."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from tissueid.cli.design_printing import print_plan
+from tissueid.cli.output import echo_json, note, output_options, progress_bar
+from tissueid.errors import UsageError
+
+if TYPE_CHECKING:
+    from tissueid.design.machine import Machine
+    from tissueid.design.plan import Against, Plan
+    from tissueid.design.precision import Asked
+    from tissueid.design.tissues import Tissues
+    from tissueid.synth import Recipe
+
+__all__ = ["command"]
+
+EPILOG = """\b
+Examples:
+  tissueid design paper-a-30 --machine paper-a -o plan
+  tissueid design out/bundle.h5 --machine our_machine.toml --want relaxation_time_s=5% --want viscosity=2%
+  tissueid design --tissue tau=0.02~30% --tissue eta=1.3 --tissue static_1_N_per_mm=20 --max-depth 6 \\
+      --machine bench
+  tissueid design out/bundle.h5 --machine bench --against paper-a-22 --interval total --budget 2h
+"""
+
+#: Exit code where no protocol on this machine reaches the wants.
+EXIT_NONE = 4
+_FILES = ("design.json", "design.html", "study.toml", "test-sheet.csv", "recipe.toml")
+_UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0}
+#: Precision that is wanted where nothing is said.
+DEFAULT_WANT = "5%"
+
+
+@click.command("design", epilog=EPILOG)
+@click.argument("source", required=False, type=click.Path())
+@click.option(
+    "--tissue", "guesses", multiple=True, metavar="NAME=VALUE[~PERCENT%]",
+    help="A guess of the tissue instead of SOURCE, with its spread (one standard deviation); repeat it.",
+)  # fmt: skip
+@click.option(
+    "--machine", metavar="FILE|NAME", help="machine.toml, or a preset; without it the presets are named."
+)
+@click.option(
+    "--want", "wants", multiple=True, metavar="NAME=PERCENT%",
+    help="Standard deviation that an estimate shall have at the most; repeat it. Default: what --against "
+    "reaches, or 5 % of every relaxation time and viscosity.",
+)  # fmt: skip
+@click.option(
+    "--against", metavar="RECIPE", help="A protocol to compare with; a recipe as SOURCE is compared with."
+)
+@click.option(
+    "--max-depth", type=float, metavar="MM", help="Depth that the tissue bears; default what is known."
+)
+@click.option(
+    "--max-force", type=float, metavar="N", help="Force that the tissue bears; default the load cell's."
+)
+@click.option(
+    "--budget", default="8h", show_default=True, metavar="TIME", help="Machine time a specimen: 90min, 2h."
+)
+@click.option(
+    "--recovery", type=float, default=60.0, show_default=True, metavar="S", help="Rest between logs."
+)
+@click.option(
+    "--setup",
+    type=float,
+    default=600.0,
+    show_default=True,
+    metavar="S",
+    help="Changing and zeroing a specimen.",
+)
+@click.option(
+    "--specimens", type=click.IntRange(min=1), default=1, show_default=True, metavar="N",
+    help="Specimens to test: the whole time is said as well.",
+)  # fmt: skip
+@click.option(
+    "--repeats", type=click.IntRange(min=1), default=3, show_default=True, metavar="N",
+    help="Fewest repeats of each indentation.",
+)  # fmt: skip
+@click.option(
+    "--max-logs",
+    type=click.IntRange(min=1),
+    default=60,
+    show_default=True,
+    metavar="N",
+    help="Most logs a specimen.",
+)
+@click.option(
+    "--gain-sd", type=float, default=0.02, show_default=True, metavar="SD",
+    help="Scatter of the force from log to log (standard deviation of the ln gain).",
+)  # fmt: skip
+@click.option(
+    "--interval", type=click.Choice(["statistical", "total"]), default="statistical", show_default=True,
+    help="total counts what is unknown of gains, skew, filter and frame.",
+)  # fmt: skip
+@click.option(
+    "--assurance", type=click.FloatRange(0.5, 1.0), default=0.9, show_default=True, metavar="SHARE",
+    help="Share of the tissues for which the precision must be reached.",
+)  # fmt: skip
+@click.option(
+    "--draws", type=click.IntRange(min=1), default=16, show_default=True, metavar="N",
+    help="Tissues drawn from what is known.",
+)  # fmt: skip
+@click.option(
+    "-o", "--out", type=click.Path(file_okay=False),
+    help="Folder for design.json, design.html, study.toml, test-sheet.csv and recipe.toml.",
+)  # fmt: skip
+@output_options
+def command(**flags: Any) -> int:
+    """Plan the protocol that reaches a wanted precision in the least machine time.
+
+    SOURCE is a bundle (its draws are the tissues to plan for) or a recipe; or give guesses with --tissue. On
+    the path that the machine will take, model and noise say how precisely each indentation determines
+    relaxation time, viscosity and the rest; speeds, depths, holds, repeats, rate and filter are searched.
+    Exit code 4 where no protocol on this machine reaches the wants: the nearest one and what limits it are
+    said.
+    """
+    from tissueid.design.document import design_document
+    from tissueid.design.plan import planned
+    from tissueid.store.files import plain_json
+    from tissueid.store.schema import check
+
+    _note_first_run(flags["quiet"])
+    machine, tissues, asked, given = _prepared(flags)
+    out = None if flags["out"] is None else _folder(flags["out"])
+    with progress_bar(show=not flags["quiet"]) as progress:
+        started = datetime.now(UTC)
+        plan = planned(machine, tissues, asked, progress)
+        seconds = (datetime.now(UTC) - started).total_seconds()
+    written = design_document(plan, machine, tissues, asked, given=given, specimens=flags["specimens"])
+    document: dict[str, Any] = plain_json(written)
+    check(document, "design", where=_FILES[0])
+    if out is not None:
+        _write(out, document, plan, machine, tissues, asked)
+    if flags["as_json"]:
+        echo_json(document)
+    elif not flags["quiet"]:
+        print_plan(document)
+    work = f"{plan.paths:,} paths and {plan.protocols:,} protocols in {seconds:.1f} s"
+    note(f"looked at {work}" + ("" if out is None else f"; wrote {out}/{_FILES[1]}"), quiet=flags["quiet"])
+    if plan.best.reached:
+        return 0
+    note(f"no protocol on {machine.name!r} reaches what is wanted within the budget", quiet=flags["quiet"])
+    return EXIT_NONE
+
+
+def _note_first_run(quiet: int) -> None:
+    from tissueid.fit.compiled import kernels_to_compile
+
+    missing = kernels_to_compile(posterior=False)
+    if missing:
+        note(f"First run: compiling {len(missing)} kernels, a minute or two", quiet=quiet)
+
+
+def _prepared(flags: dict[str, Any]) -> tuple[Machine, Tissues, Asked, Against | None]:
+    """Machine, tissues, wants and limits, and the protocol to compare with."""
+    from dataclasses import replace
+
+    from tissueid.design.given import given_protocol, given_recipe
+    from tissueid.design.machine import found_machine
+    from tissueid.design.plan import against, matched_wants
+
+    tissues, recipe = _tissues(flags)
+    machine = found_machine(flags["machine"])
+    if flags["against"] is not None:
+        recipe = given_recipe(flags["against"])
+    asked = _asked(flags, machine, tissues)
+    if recipe is None:
+        return machine, tissues, asked, None
+    protocol = given_protocol(recipe)
+    if not flags["wants"]:
+        asked = replace(asked, wants=matched_wants(protocol, machine, tissues, asked))
+    return machine, tissues, asked, against(recipe.name, protocol, machine, tissues, asked)
+
+
+def _tissues(flags: dict[str, Any]) -> tuple[Tissues, Recipe | None]:
+    """What is known of the tissue, and the recipe it came from."""
+    from tissueid.cli.calibrate_source import bundle_file
+    from tissueid.design.given import given_recipe, of_bundle, of_recipe_tissue, plain_guesses
+    from tissueid.design.tissues import parsed_guess
+
+    source, guesses = flags["source"], flags["guesses"]
+    if (source is None) == (not guesses):
+        both = "both SOURCE and --tissue are given" if guesses else "nothing is said of the tissue"
+        msg = f"{both}: give a bundle or a recipe, or guesses as --tissue tau=0.02~30% (docs/design.md)"
+        raise UsageError(msg)
+    if guesses:
+        found = [parsed_guess(text) for text in guesses]
+        return plain_guesses(found, depth_mm=_positive(flags, "max_depth"), count=flags["draws"]), None
+    bundle = bundle_file(Path(source))
+    if bundle is not None:
+        return of_bundle(bundle, count=flags["draws"]), None
+    recipe = given_recipe(source)
+    return of_recipe_tissue(recipe), recipe
+
+
+def _asked(flags: dict[str, Any], machine: Machine, tissues: Tissues) -> Asked:
+    """Wants and limits as numbers."""
+    from tissueid.design.precision import Asked
+    from tissueid.design.tissues import parsed_want
+    from tissueid.model.kelvin_voigt import branch_suffix
+
+    endings = [branch_suffix(branch) for branch in range(tissues.model.branches)]
+    default = [f"{name}{ending}={DEFAULT_WANT}" for ending in endings for name in ("tau", "eta")]
+    wants = tuple(parsed_want(text, tissues.model) for text in flags["wants"] or default)
+    if len({want.name for want in wants}) < len(wants):
+        msg = f"--want names a number twice: {', '.join(flags['wants'])}"
+        raise UsageError(msg)
+    for name in ("recovery", "setup", "gain_sd"):
+        if not 0.0 <= flags[name] < float("inf"):
+            msg = f"--{name.replace('_', '-')} is {flags[name]}, must be 0 or above"
+            raise UsageError(msg)
+    force = _positive(flags, "max_force")
+    return Asked(
+        wants=wants,
+        max_depth_mm=_positive(flags, "max_depth") or tissues.model.depth_mm,
+        max_force_N=min(force or machine.max_force_N, machine.max_force_N),
+        budget_s=_time(flags["budget"]),
+        recovery_s=flags["recovery"],
+        setup_s=flags["setup"],
+        repeats=flags["repeats"],
+        max_logs=flags["max_logs"],
+        assurance=flags["assurance"],
+        gain_sd=flags["gain_sd"],
+        total=flags["interval"] == "total",
+    )
+
+
+def _positive(flags: dict[str, Any], name: str) -> float | None:
+    value: float | None = flags[name]
+    if value is not None and not 0.0 < value < float("inf"):
+        msg = f"--{name.replace('_', '-')} is {value}, must be above 0"
+        raise UsageError(msg)
+    return value
+
+
+def _time(text: str) -> float:
+    """``90min`` in seconds."""
+    import re
+
+    match = re.fullmatch(r"\s*([0-9.]+)\s*(s|min|h)\s*", text)
+    try:
+        seconds = float(match.group(1)) * _UNITS[match.group(2)] if match else 0.0
+    except ValueError:
+        seconds = 0.0
+    if seconds <= 0.0:
+        msg = f"--budget {text}: write a time above 0 with its unit, as 90min or 2h"
+        raise UsageError(msg)
+    return seconds
+
+
+def _folder(name: str) -> Path:
+    """The output folder, made where it is missing; a study file that no plan wrote is not written over."""
+    out = Path(name)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        msg = f"{name}: can't be made ({error.strerror}); choose another folder with -o"
+        raise UsageError(msg) from error
+    foreign = [file for file in _FILES[1:] if (out / file).exists()]
+    if foreign and not (out / _FILES[0]).exists():
+        msg = f"{name} holds {', '.join(foreign)} that no plan wrote: choose another folder with -o"
+        raise UsageError(msg)
+    return out
+
+
+def _write(
+    out: Path, document: dict[str, Any], plan: Plan, machine: Machine, tissues: Tissues, asked: Asked
+) -> None:
+    """All files of the plan, design.json last."""
+    from tissueid.design.sheets import recipe_text, study_text, test_sheet
+    from tissueid.report.design_page import render_design
+    from tissueid.store.files import json_bytes, write_file
+
+    created = datetime.now(UTC).isoformat(timespec="seconds")
+    title = f"Plan for {tissues.name}"
+    texts = {
+        "design.html": render_design(document, created=created),
+        "study.toml": study_text(plan.best, machine, asked, title=title),
+        "test-sheet.csv": test_sheet(plan.best, asked),
+        "recipe.toml": recipe_text(plan.best, machine, tissues, asked, name="planned"),
+    }
+    for name, text in texts.items():
+        write_file(out / name, text.encode("utf-8"))
+    write_file(out / _FILES[0], json_bytes(document))

@@ -1,0 +1,224 @@
+"""Fisher information of one indentation about a tissue, its gain and contact point eliminated.
+
+With z_n the derivatives of the logged force by (coefficients of F_s and K, ln tau), w_n those by the log's ln
+gain and contact offset, and noise of variance sigma^2, white or AR(1) with correlation phi between samples,
+
+    J = Z'Z - Z'W (W'W + diag(sigma^2 / sd^2))^-1 W'Z,    information = J / sigma^2,
+
+on rows whitened as the fit whitens them (z_n - phi z_{n-1}) / sqrt(1 - phi^2).  The force follows the whole
+path; samples within three standard deviations of the contact point are left out, as in the fit.  A low-pass
+acts on every column, and calibration nuisances, where wanted, are further columns that all logs share.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.design.indentation import Indentation, ramp_of
+from tissueid.design.machine import CALIBRATION, Machine, Setting
+from tissueid.fit.window import GUARD_SD
+from tissueid.model.base import ContactPath
+from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
+from tissueid.model.kernels import branch_state
+from tissueid.selfcheck.recording import low_pass, tip_depth
+
+__all__ = ["Chain", "information", "peak_force"]
+
+FloatArray = NDArray[np.float64]
+
+#: After so many time constants a held tissue is at rest: further samples repeat the last.
+AT_REST = 20.0
+#: Steps between samples where a filter acts, as a share of the fastest time constant, and most of them.
+FINE_SHARE, MOST_FINE = 0.2, 16
+#: Relative change of the filter's time constant for its derivative.
+FILTER_STEP = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Chain:
+    """What stands between the tissue and the numbers.
+
+    Attributes
+    ----------
+    machine : Machine
+    setting : Setting
+    gain_sd : float
+        Standard deviation of the ln gain from log to log; 0 is none.
+    total : bool
+        Calibration nuisances are parameters as well.
+    """
+
+    machine: Machine
+    setting: Setting
+    gain_sd: float
+    total: bool
+
+    @property
+    def nuisances(self) -> int:
+        """Parameters beside the tissue's."""
+        return len(CALIBRATION) if self.total else 0
+
+    def prior(self, size: int) -> FloatArray:
+        """Prior precision: none of ``size`` parameters of the tissue, then that of the calibration."""
+        out = np.zeros((size + self.nuisances, size + self.nuisances))
+        if self.total:
+            sd = np.array(list(self.machine.calibration_sd(self.setting).values()))
+            out[size:, size:] = np.diag(1.0 / np.maximum(sd, 1e-12) ** 2)
+        return out
+
+
+def _log_columns(model: KelvinVoigt, theta: FloatArray, path: ContactPath) -> FloatArray:
+    """Derivatives by theta, relaxation times by their logarithm."""
+    columns = model.jacobian(theta, path)
+    for branch in range(model.branches):
+        at = STATIC_DEGREE + (branch + 1) * model.block - 1
+        columns[:, at] *= theta[at]
+    return columns
+
+
+def _tangent(model: KelvinVoigt, theta: FloatArray, x: FloatArray, columns: FloatArray) -> FloatArray:
+    """dF/dx at fixed states of the branches."""
+    static, stiffness, _ = model.split(theta)
+    out = static[0] + x * (2.0 * static[1] + 3.0 * x * static[2])
+    for branch in range(model.branches):
+        state = columns[:, STATIC_DEGREE + branch * model.block]
+        for k in range(1, model.stiffness_degree + 1):
+            out = out + k * stiffness[branch, k] * x ** (k - 1) * state
+    return np.asarray(out)
+
+
+def _calibration_columns(
+    model: KelvinVoigt,
+    theta: FloatArray,
+    path: ContactPath,
+    columns: FloatArray,
+    tangent: FloatArray,
+    filter_s: float,
+) -> list[FloatArray]:
+    """Derivatives by the calibration nuisances, in the order of :data:`CALIBRATION`, filtered."""
+    time, x = path.time_s, path.depth_mm
+    _, _, tau = model.split(theta)
+    stiffness = model.stiffness(theta, x)
+    force = model.force(theta, path)
+    dynamic = sum(
+        (stiffness[j] * columns[:, STATIC_DEGREE + j * model.block] for j in range(model.branches)),
+        np.zeros(x.size),
+    )
+    followed = sum(
+        (stiffness[j] * branch_state(time, force, float(tau[j]), 0.0) for j in range(model.branches)),
+        np.zeros(x.size),
+    )
+    logged = low_pass(time, force, filter_s)
+    late = -np.gradient(logged, time)
+    if filter_s > 0.0:
+        step = FILTER_STEP * filter_s
+        above, below = (low_pass(time, force, filter_s + sign * step) for sign in (1.0, -1.0))
+        slower = (above - below) / (2.0 * step)
+    else:
+        slower = late
+    scaled = low_pass(time, -(tangent * x + dynamic), filter_s)
+    given = low_pass(time, -(tangent * force + followed), filter_s)
+    return [logged, scaled, late, slower, given]
+
+
+def _rows(
+    model: KelvinVoigt, theta: FloatArray, test: Indentation, chain: Chain, *, hold_s: float
+) -> tuple[FloatArray, FloatArray]:
+    """Derivative columns at every sample, and its depth."""
+    ramp = ramp_of(test, chain.machine)
+    step, filter_s = chain.setting.step_s, chain.setting.filter_s
+    samples = max(int(np.ceil((ramp.seconds + hold_s) / step)), 2)
+    _, _, tau = model.split(theta)
+    fine = 1
+    if filter_s > 0.0:
+        finest = min(filter_s, float(tau.min(initial=np.inf)))
+        fine = int(np.clip(np.ceil(step / (FINE_SHARE * finest)), 1, MOST_FINE))
+    time: FloatArray = np.arange((samples - 1) * fine + 1, dtype=np.float64) * (step / fine)
+    depth = ramp.depth(time)
+    # the displacement is logged on the samples, and the model knows it as linear between them
+    depth = np.interp(time, time[::fine], depth[::fine])
+    path = ContactPath(time, tip_depth(model, theta, time, depth, chain.machine.compliance_mm_per_N))
+    own = _log_columns(model, theta, path)
+    tangent = _tangent(model, theta, path.depth_mm, own)
+    force = model.force(theta, path)
+    columns = [low_pass(time, column, filter_s) for column in (*own.T, force, -tangent)]
+    if chain.total:
+        more = _calibration_columns(model, theta, path, own, tangent, filter_s)
+        columns = [*columns[:-2], *more, *columns[-2:]]
+    return np.column_stack(columns)[::fine], depth[::fine]
+
+
+def _whitened_sums(rows: FloatArray, phi: float, cuts: Sequence[int], extra: Sequence[int]) -> FloatArray:
+    """Gram matrices of the whitened rows up to each cut, the last row repeated so many times more."""
+    white = rows.copy()
+    root = np.sqrt(1.0 - phi**2)
+    white[1:] = (rows[1:] - phi * rows[:-1]) / root
+    again = rows[-1] * (1.0 - phi) / root
+    out, total, last = [], np.zeros((rows.shape[1], rows.shape[1])), 0
+    for cut, repeats in zip(cuts, extra, strict=True):
+        part = white[last:cut]
+        total = total + part.T @ part
+        last = cut
+        out.append(total + repeats * np.outer(again, again))
+    return np.stack(out)
+
+
+def information(
+    model: KelvinVoigt, theta: FloatArray, test: Indentation, chain: Chain, holds_s: Sequence[float]
+) -> FloatArray:
+    """Information of an indentation about (coefficients, ln tau, calibration), for several holds at once.
+
+    Parameters
+    ----------
+    model : KelvinVoigt
+    theta : ndarray, shape (p,)
+    test : Indentation
+        Its own hold is not looked at.
+    chain : Chain
+    holds_s : sequence of float
+        Ascending.
+
+    Returns
+    -------
+    ndarray, shape (holds, q, q)
+        In the order of theta, relaxation times by their logarithm, calibration behind them.
+    """
+    setting = chain.setting
+    _, _, tau = model.split(theta)
+    settled = AT_REST * (float(tau.max(initial=0.0)) + setting.filter_s) + 2.0 * setting.step_s
+    longest = min(holds_s[-1], settled)
+    rows, depth = _rows(model, theta, test, chain, hold_s=longest)
+    inside = depth >= GUARD_SD * chain.machine.contact_sd_mm
+    first = int(np.argmax(inside)) if inside.any() else rows.shape[0] - 1
+    rows = rows[first:]
+    ramp_s = ramp_of(test, chain.machine).seconds
+    wanted = [max(int(np.ceil((ramp_s + hold) / setting.step_s)) - first, 1) for hold in holds_s]
+    cuts = [min(n, rows.shape[0]) for n in wanted]
+    gram = _whitened_sums(rows, setting.phi, cuts, [n - cut for n, cut in zip(wanted, cuts, strict=True)])
+    gram /= setting.noise_N**2
+    return _without_effects(gram, chain)
+
+
+def _without_effects(gram: FloatArray, chain: Chain) -> FloatArray:
+    """The last two columns, ln gain and contact offset, eliminated under their priors."""
+    sd = np.array([chain.gain_sd, chain.machine.contact_sd_mm])
+    effects = gram.shape[1] - 2 + np.flatnonzero(sd > 0.0)
+    kept = np.arange(gram.shape[1] - 2)
+    inner = gram[:, effects[:, None], effects] + np.diag(1.0 / sd[sd > 0.0] ** 2)
+    cross = gram[:, effects[:, None], kept]
+    out = gram[:, kept[:, None], kept] - cross.transpose(0, 2, 1) @ np.linalg.solve(inner, cross)
+    return np.asarray(0.5 * (out + out.transpose(0, 2, 1)))
+
+
+def peak_force(model: KelvinVoigt, theta: FloatArray, speed_mm_s: float, depth_mm: FloatArray) -> FloatArray:
+    """Greatest force of a ramp at constant speed to each of some ascending depths [N]."""
+    _, _, tau = model.split(theta)
+    force = model.static_force(theta, depth_mm)
+    for stiffness, one in zip(model.stiffness(theta, depth_mm), tau, strict=True):
+        length = speed_mm_s * one
+        force = force - stiffness * length * np.expm1(-depth_mm / length)
+    return np.maximum.accumulate(np.asarray(force))

@@ -1,0 +1,288 @@
+"""From what is asked to ranked protocols: settings enumerated, the best refined, judged on all tissues."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tissueid.design.candidates import count_paths
+from tissueid.design.information import Chain
+from tissueid.design.limits import Limit, limits_of
+from tissueid.design.machine import Machine, Setting
+from tissueid.design.precision import Asked, Ledger, Protocol
+from tissueid.design.search import REFINED, Found, balanced, enumerated, refined
+from tissueid.design.tissues import Tissues, Want
+from tissueid.errors import UsageError
+
+__all__ = ["Against", "Judged", "Plan", "against", "judged", "matched_wants", "planned"]
+
+Progress = Callable[[str, int, int], None]
+
+#: Tissues that the search looks at; the result is judged on all.
+PILOT = 4
+#: Protocols that are judged on all tissues, and that are listed.
+FINALISTS, LISTED = 16, 10
+#: Machine times that differ by less, relatively, count as one.
+SAME_TIME = 0.01
+#: Multiples of the wanted precision at which the least machine time is worked out.
+FRONT = (4.0, 2.0, 1.4, 1.0, 0.7, 0.5, 0.25)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judged:
+    """A protocol on all tissues.
+
+    Attributes
+    ----------
+    setting : Setting
+    protocol : mapping
+    seconds : float
+        Machine time of a specimen.
+    assured, median : tuple of float
+        Relative standard deviation of every wanted number.
+    worst : float
+        Largest ratio of assured to wanted.
+    log_seconds, peak_N : tuple of float
+        Of each indentation in the protocol's order.
+    """
+
+    setting: Setting
+    protocol: Protocol
+    seconds: float
+    assured: tuple[float, ...]
+    median: tuple[float, ...]
+    worst: float
+    log_seconds: tuple[float, ...]
+    peak_N: tuple[float, ...]
+
+    @property
+    def reached(self) -> bool:
+        """Whether all wants are met."""
+        return self.worst <= 1.0
+
+    @property
+    def logs(self) -> int:
+        """Recordings of a specimen."""
+        return sum(self.protocol.values())
+
+    @property
+    def rank(self) -> tuple[float, float]:
+        """Those that reach the wants by time (to a hundredth), then by precision; then the others."""
+        if not self.reached:
+            return np.inf, self.worst
+        return np.floor(np.log(self.seconds) / SAME_TIME), self.worst
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Against:
+    """A protocol that is given: what it would reach on this machine, or why it can't be run there."""
+
+    name: str
+    protocol: Protocol
+    judged: Judged | None
+    obstacle: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    """Everything that was found.
+
+    Attributes
+    ----------
+    ranked : tuple of Judged
+        The best first; the first is recommended where it reaches the wants.
+    front : tuple of (float, Judged)
+        Multiples of the wants, and the protocol of least time for them.
+    limits : tuple of Limit
+        What limits the precision, where no protocol reaches the wants.
+    paths, protocols : int
+        How many were simulated and looked at.
+    """
+
+    ranked: tuple[Judged, ...]
+    front: tuple[tuple[float, Judged], ...]
+    limits: tuple[Limit, ...]
+    paths: int
+    protocols: int
+
+    @property
+    def best(self) -> Judged:
+        """The recommended protocol, or the one that comes nearest."""
+        return self.ranked[0]
+
+
+def judged(ledger: Ledger, protocol: Protocol) -> Judged:
+    """A protocol on all tissues of a ledger."""
+    found = ledger.precision(protocol)
+    return Judged(
+        setting=ledger.chain.setting,
+        protocol=protocol,
+        seconds=ledger.duration(protocol),
+        assured=tuple(float(value) for value in found.assured),
+        median=tuple(float(value) for value in found.median),
+        worst=found.worst,
+        log_seconds=tuple(ledger.seconds(test) - ledger.asked.recovery_s for test in protocol),
+        peak_N=tuple(ledger.peak_N(test) for test in protocol),
+    )
+
+
+def against(name: str, protocol: Protocol, machine: Machine, tissues: Tissues, asked: Asked) -> Against:
+    """What a given protocol reaches with the best setting of the machine."""
+    for test in protocol:
+        if test.speed_mm_min > machine.max_speed_mm_min * (1.0 + 1e-9):
+            obstacle = (
+                f"it moves at {test.speed_mm_min:g} mm/min, the machine at {machine.max_speed_mm_min:g}"
+            )
+            return Against(name, protocol, None, obstacle)
+    options = [judged(_ledger(machine, setting, tissues, asked), protocol) for setting in machine.settings]
+    return Against(name, protocol, min(options, key=lambda one: one.worst))
+
+
+def matched_wants(protocol: Protocol, machine: Machine, tissues: Tissues, asked: Asked) -> tuple[Want, ...]:
+    """The precision that a given protocol reaches, as wants."""
+    found = against("", protocol, machine, tissues, asked).judged
+    if found is None:
+        return asked.wants
+    return tuple(
+        Want(want.name, float(share)) for want, share in zip(asked.wants, found.assured, strict=True)
+    )
+
+
+def _ledger(machine: Machine, setting: Setting, tissues: Tissues, asked: Asked) -> Ledger:
+    return Ledger(tissues, Chain(machine, setting, asked.gain_sd, asked.total), asked)
+
+
+def _check_room(machine: Machine, ledgers: Sequence[Ledger], asked: Asked) -> None:
+    """Something can be done at all.
+
+    Raises
+    ------
+    UsageError
+    """
+    if not any(count_paths(ledger) for ledger in ledgers):
+        deepest = ledgers[0].deepest(machine.max_speed_mm_min)
+        force = (
+            f"{asked.max_force_N:g} N are reached at {deepest:.2g} mm, too shallow to plan anything: raise "
+            "--max-force, or the load cell's"
+        )
+        depth = f"{asked.max_depth_mm:g} mm are within the error of the contact point: raise --max-depth"
+        raise UsageError(force if deepest < asked.max_depth_mm else depth)
+    if asked.repeats > asked.max_logs:
+        msg = f"--repeats {asked.repeats} does not fit --max-logs {asked.max_logs}"
+        raise UsageError(msg)
+
+
+def planned(machine: Machine, tissues: Tissues, asked: Asked, progress: Progress) -> Plan:
+    """Search all settings.
+
+    Parameters
+    ----------
+    machine : Machine
+    tissues : Tissues
+    asked : Asked
+    progress : callable
+        ``progress(message, done, total)``.
+
+    Raises
+    ------
+    UsageError
+        No indentation is possible, or none fits the budget.
+    """
+    pilot = tissues.pilot(PILOT)
+    ledgers = [_ledger(machine, setting, pilot, asked) for setting in machine.settings]
+    _check_room(machine, ledgers, asked)
+    total = sum(count_paths(ledger) for ledger in ledgers)
+    done = 0
+
+    def tick() -> None:
+        nonlocal done
+        done += 1
+        progress("indentations", min(done, total), total)
+
+    pools: list[tuple[Ledger, list[Found]]] = []
+    looked = 0
+    for ledger in ledgers:
+        ledger.tick = tick
+        found, count = enumerated(ledger)
+        looked += count
+        if found:
+            pools.append((ledger, found))
+    if not pools:
+        msg = (
+            f"no protocol of {asked.repeats} repeats fits a machine time of {asked.budget_s / 60:.3g} min "
+            f"with {asked.setup_s:g} s to mount and {asked.recovery_s:g} s of rest: allow a larger --budget"
+        )
+        raise UsageError(msg)
+    finalists = _finalists(pools, progress)
+    ranked = _ranked(machine, tissues, asked, finalists, progress)
+    best = next(ledger for ledger in ledgers if ledger.chain.setting == ranked[0].setting)
+    front = _front(best, progress)
+    limits = () if ranked[0].reached else limits_of(best, progress)
+    return Plan(
+        ranked=tuple(ranked[:LISTED]),
+        front=front,
+        limits=limits,
+        paths=sum(ledger.computed for ledger in ledgers),
+        protocols=looked,
+    )
+
+
+def _finalists(
+    pools: Sequence[tuple[Ledger, list[Found]]], progress: Progress
+) -> list[tuple[Setting, Found]]:
+    """The refined protocols of every setting, and the best of its enumeration."""
+    out: list[tuple[Setting, Found]] = []
+    for number, (ledger, found) in enumerate(pools):
+        progress("refining", number, len(pools))
+        better = refined(ledger, found[:REFINED])
+        out += [(ledger.chain.setting, one) for one in (*better, *found)]
+    return out
+
+
+def _family(setting: Setting, protocol: Protocol) -> tuple[Setting, frozenset[tuple[float, float]]]:
+    """What two protocols share that differ in repeats and holds only."""
+    return setting, frozenset((test.speed_mm_min, test.depth_mm) for test in protocol)
+
+
+def _ranked(
+    machine: Machine,
+    tissues: Tissues,
+    asked: Asked,
+    finalists: Sequence[tuple[Setting, Found]],
+    progress: Progress,
+) -> list[Judged]:
+    """The best of every family, its repeats balanced for all tissues."""
+    best: dict[tuple[Setting, frozenset[tuple[float, float]]], Found] = {}
+    for setting, one in sorted(finalists, key=lambda pair: pair[1].rank):
+        best.setdefault(_family(setting, one.protocol), one)
+    chosen = list(best.items())[:FINALISTS]
+    # every setting is shown once at least
+    for setting in machine.settings:
+        if not any(key[0] == setting for key, _ in chosen):
+            chosen += [item for item in best.items() if item[0][0] == setting][:1]
+    whole = {setting: _ledger(machine, setting, tissues, asked) for setting in machine.settings}
+    out = []
+    for number, ((setting, _), one) in enumerate(chosen):
+        progress("judging on all tissues", number, len(chosen))
+        ledger = whole[setting]
+        fitting = balanced(ledger, tuple(one.protocol), one.protocol) if one.worst <= 1.0 else one
+        out.append(judged(ledger, fitting.protocol))
+    return sorted(out, key=lambda one: one.rank)
+
+
+def _front(ledger: Ledger, progress: Progress) -> tuple[tuple[float, Judged], ...]:
+    """The least machine time for multiples of the wants, by enumeration."""
+    out: list[tuple[float, Judged]] = []
+    asked = ledger.asked
+    for number, factor in enumerate(FRONT):
+        progress("front", number, len(FRONT))
+        ledger.asked = replace(
+            asked, wants=tuple(Want(want.name, factor * want.share) for want in asked.wants)
+        )
+        found, _ = enumerated(ledger)
+        ledger.asked = asked
+        if found and found[0].worst <= 1.0 and not any(one.protocol == found[0].protocol for _, one in out):
+            out.append((factor, judged(ledger, found[0].protocol)))
+    return tuple(out)

@@ -1,0 +1,293 @@
+"""The protocol of least machine time: enumerate pairs on a grid, then exchange, step by step.
+
+Deterministic, without random numbers.  Every indentation of the grid and every pair of two in several
+proportions is scaled to the fewest repeats that reach the wants (or, where none does, to what the budget
+allows).  The best are then refined: an indentation is moved to a neighbour off the grid, taken out, or one
+of the grid added; repeats are balanced anew each time, until nothing shortens the protocol.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.design.candidates import learned_candidates, neighbours
+from tissueid.design.indentation import Indentation
+from tissueid.design.precision import Ledger, Protocol, relative_sd
+
+__all__ = ["Found", "balanced", "enumerated", "refined"]
+
+FloatArray = NDArray[np.float64]
+
+#: Repeats of the two indentations of a pair.
+PROPORTIONS = ((1, 1), (1, 2), (2, 1), (1, 4), (4, 1))
+#: Protocols of an enumeration that are kept, and of these the ones that are refined.
+KEPT, REFINED = 40, 3
+ROUNDS = 12
+#: Share of machine time (or of what is missing to the wants) that an exchange must save.
+SAVED = 0.005
+#: Speeds that count as two, and a hold that counts, in longest relaxation times.
+SPEEDS_APART, HOLD_NEEDED = 1.5, 3.0
+#: Protocols that are looked at in one call of the linear algebra.
+CHUNK = 512
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """A protocol that was looked at.
+
+    Attributes
+    ----------
+    protocol : mapping
+        Repeats of each indentation.
+    seconds : float
+        Machine time of a specimen.
+    worst : float
+        Largest ratio of assured to wanted precision.
+    """
+
+    protocol: Protocol
+    seconds: float
+    worst: float
+
+    @property
+    def rank(self) -> tuple[float, float]:
+        """Those that reach the wants by time, then the others by precision."""
+        return (0.0, self.seconds) if self.worst <= 1.0 else (self.worst, self.seconds)
+
+    @property
+    def logs(self) -> int:
+        """Recordings."""
+        return sum(self.protocol.values())
+
+
+def _tells_apart(ledger: Ledger, tests: Iterable[Indentation]) -> bool:
+    """Whether the branch is told from the static force by more than the first moments of contact.
+
+    Ramps of one speed have only those: two speeds are needed, or a hold (model.md 8, 13).
+    """
+    tests = list(tests)
+    speeds = [test.speed_mm_min for test in tests]
+    relaxed = HOLD_NEEDED * ledger.tissues.longest_tau_s
+    return max(speeds) >= SPEEDS_APART * min(speeds) or any(test.hold_s >= relaxed for test in tests)
+
+
+def _looked_at(ledger: Ledger, protocol: Protocol) -> Found:
+    protocol = {test: count for test, count in sorted(protocol.items()) if count}
+    return Found(protocol, ledger.duration(protocol), ledger.precision(protocol).worst)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Table:
+    """Units of one or two indentations that fit the budget.
+
+    Attributes
+    ----------
+    pairs : ndarray of int, shape (n, 4)
+        Both indentations, and the repeats of each in a unit.
+    least, most : ndarray, shape (n,)
+        Units that the repeats demand, and that budget and number of logs allow.
+    seconds : ndarray, shape (n,)
+        Machine time of a unit.
+    """
+
+    pairs: NDArray[np.int64]
+    least: FloatArray
+    most: FloatArray
+    seconds: FloatArray
+
+
+def _table(ledger: Ledger, tests: Sequence[Indentation]) -> _Table:
+    """Every indentation and every pair in several proportions that fits and tells the branch apart."""
+    asked = ledger.asked
+    singles = [(i, i, 1, 0) for i in range(len(tests))]
+    apart = [(i, j, a, b) for i, j in combinations(range(len(tests)), 2) for a, b in PROPORTIONS]
+    pairs = np.array([*singles, *apart])
+    i, j, a, b = pairs.T
+    lengths = np.array([ledger.seconds(one) for one in tests])
+    speeds, holds = np.array([(one.speed_mm_min, one.hold_s) for one in tests]).T
+    fewest = np.where(b > 0, np.minimum(a, b), a)
+    least = np.ceil(asked.repeats / fewest)
+    logs, seconds = a + b, a * lengths[i] + b * lengths[j]
+    room = asked.budget_s - asked.setup_s + asked.recovery_s
+    most = np.floor(np.minimum(asked.max_logs / logs, room / seconds + 1e-9))
+    fast, slow = np.maximum(speeds[i], speeds[j]), np.minimum(speeds[i], speeds[j])
+    relaxed = HOLD_NEEDED * ledger.tissues.longest_tau_s
+    told = (fast >= SPEEDS_APART * slow) | (np.maximum(holds[i], holds[j]) >= relaxed)
+    fits = told & (most >= least)
+    return _Table(pairs[fits], least[fits], most[fits], seconds[fits])
+
+
+def enumerated(ledger: Ledger) -> tuple[list[Found], int]:
+    """Single indentations and pairs of the grid, each with the fewest repeats.
+
+    Returns
+    -------
+    found : list of Found
+        The best, by :attr:`Found.rank`.
+    count : int
+        How many were looked at.
+    """
+    tests = learned_candidates(ledger)
+    if not tests:
+        return [], 0
+    table = _table(ledger, tests)
+    if not table.pairs.size:
+        return [], 0
+    info = np.stack([ledger.information(test) for test in tests])
+    needed, worst = _fewest(ledger, info, table)
+    order = np.lexsort((needed * table.seconds, np.where(worst <= 1.0, 0.0, worst)))[:KEPT]
+    out = []
+    for k in order:
+        i, j, a, b = (int(value) for value in table.pairs[k])
+        protocol: dict[Indentation, int] = {tests[i]: a * int(needed[k])}
+        if b:
+            protocol[tests[j]] = protocol.get(tests[j], 0) + b * int(needed[k])
+        out.append(_looked_at(ledger, protocol))
+    return out, int(table.pairs.shape[0])
+
+
+def _fewest(ledger: Ledger, info: FloatArray, table: _Table) -> tuple[FloatArray, FloatArray]:
+    """Fewest units that reach the wants, and the worst ratio there; the most units where none do.
+
+    All rows are bisected at once.  A row is left as soon as it can't be among the :data:`KEPT` shortest.
+    """
+    worst_at = _worst_of(ledger, info, table)
+    low, high = table.least.copy(), table.most.copy()
+    worst = worst_at(np.arange(high.size), high)
+    reaches = worst <= 1.0
+    active = reaches & (low < high)
+    while active.any():
+        rows = np.flatnonzero(active)
+        middle = np.floor(0.5 * (low + high))[rows]
+        found = worst_at(rows, middle)
+        enough = found <= 1.0
+        high[rows[enough]], worst[rows[enough]] = middle[enough], found[enough]
+        low[rows[~enough]] = middle[~enough] + 1.0
+        times = (high * table.seconds)[reaches]
+        longest = np.partition(times, min(KEPT, times.size) - 1)[min(KEPT, times.size) - 1]
+        active = reaches & (low < high) & (low * table.seconds <= longest)
+    return high, worst
+
+
+def _worst_of(
+    ledger: Ledger, info: FloatArray, table: _Table
+) -> Callable[[NDArray[np.int64], FloatArray], FloatArray]:
+    """Worst ratio of rows of a table for given numbers of their units."""
+    gradients = ledger.gradients()
+    shares = np.array([want.share for want in ledger.asked.wants])
+    prior = ledger.chain.prior(ledger.tissues.theta.shape[1])
+
+    def worst(rows: NDArray[np.int64], units: FloatArray) -> FloatArray:
+        out = np.empty(units.size)
+        for first in range(0, units.size, CHUNK):
+            part = slice(first, first + CHUNK)
+            i, j, a, b = table.pairs[rows[part]].T
+            ones, others = ((units[part] * count)[:, None, None, None] for count in (a, b))
+            sd = relative_sd(ones * info[i] + others * info[j] + prior, gradients)
+            assured = np.quantile(sd, ledger.asked.assurance, axis=-1, method="higher")
+            out[part] = (assured / shares[:, None]).max(axis=0)
+        return out
+
+    return worst
+
+
+def balanced(ledger: Ledger, tests: Sequence[Indentation], start: Protocol) -> Found:
+    """The fewest repeats of some indentations that reach the wants, one log at a time.
+
+    Logs are added where they help most for their time while a want is not reached, then taken out, the
+    longest first, as long as all wants stay reached.
+    """
+    asked = ledger.asked
+    counts = {test: max(start.get(test, 0), asked.repeats) for test in tests}
+    now = _looked_at(ledger, counts)
+    if now.logs > asked.max_logs or now.seconds > asked.budget_s or not _tells_apart(ledger, now.protocol):
+        return replace(now, worst=np.inf)
+    while now.worst > 1.0:
+        options = []
+        for test in tests:
+            more = _looked_at(ledger, {**now.protocol, test: now.protocol.get(test, 0) + 1})
+            if more.logs <= asked.max_logs and more.seconds <= asked.budget_s:
+                gain = (np.log(now.worst) - np.log(more.worst)) / ledger.seconds(test)
+                options.append((gain, more))
+        if not options:
+            break
+        gain, best = max(options, key=lambda pair: pair[0])
+        if gain <= 0.0:
+            break
+        now = best
+    return _trimmed(ledger, now) if now.worst <= 1.0 else now
+
+
+def _trimmed(ledger: Ledger, now: Found) -> Found:
+    """Without the logs that are not needed."""
+    shorter = True
+    while shorter:
+        shorter = False
+        for test in sorted(now.protocol, key=ledger.seconds, reverse=True):
+            if now.protocol[test] > ledger.asked.repeats:
+                less = _looked_at(ledger, {**now.protocol, test: now.protocol[test] - 1})
+                if less.worst <= 1.0:
+                    now, shorter = less, True
+                    break
+    return now
+
+
+def _variants(ledger: Ledger, now: Found, grid: Sequence[Indentation]) -> list[tuple[Indentation, ...]]:
+    """Sets of indentations one exchange away."""
+    tests = tuple(now.protocol)
+    out = [tuple(one for one in tests if one != test) for test in tests if len(tests) > 1]
+    for test in tests:
+        rest = tuple(one for one in tests if one != test)
+        out += [(*rest, near) for near in neighbours(ledger, test) if near not in rest]
+    out += [(*tests, new) for new in grid if new not in tests]
+    return out
+
+
+def refined(ledger: Ledger, starts: Sequence[Found]) -> list[Found]:
+    """Exchange from each start until nothing shortens the protocol, or betters one that reaches too little.
+
+    Returns
+    -------
+    list of Found
+        One a start, and what was passed on the way.
+    """
+    passed = []
+    for start in starts:
+        now = balanced(ledger, tuple(start.protocol), start.protocol)
+        now = min((now, start), key=lambda one: one.rank)
+        for _ in range(ROUNDS):
+            grid = [test for other in starts for test in other.protocol]
+            options = [
+                balanced(ledger, tests, _carried(now, tests))
+                for tests in _variants(ledger, now, list(dict.fromkeys(grid)))
+            ]
+            best = min(options, key=lambda one: one.rank, default=now)
+            if not _shorter(best, now) or best.seconds > ledger.asked.budget_s:
+                break
+            passed.append(now)
+            now = best
+        passed.append(now)
+    return passed
+
+
+def _shorter(one: Found, other: Found) -> bool:
+    """Whether an exchange is worth it: a further indentation must save more than another depth."""
+    share = SAVED * (1 + max(len(one.protocol) - len(other.protocol), 0))
+    if one.worst <= 1.0 and other.worst <= 1.0:
+        return one.seconds < (1.0 - share) * other.seconds
+    return one.worst <= 1.0 or (other.worst > 1.0 and one.worst < (1.0 - share) * other.worst)
+
+
+def _carried(now: Found, tests: Sequence[Indentation]) -> dict[Indentation, int]:
+    """Counts of the old set; an indentation that took another's place takes its count."""
+    gone = [count for test, count in now.protocol.items() if test not in tests]
+    out = {test: now.protocol[test] for test in tests if test in now.protocol}
+    for test in tests:
+        if test not in out and gone:
+            out[test] = gone.pop(0)
+    return out

@@ -1,0 +1,296 @@
+"""What is known of the tissue before the experiment: draws of the contact model's parameters.
+
+From a bundle its posterior (or the population it holds), from a recipe its truth, from plain guesses
+log-normal draws with the spreads that were stated.  A protocol is judged over all of them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm, qmc
+
+from tissueid.errors import UsageError
+from tissueid.fit.estimates import REFERENCE_DEPTH
+from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt, branch_suffix
+from tissueid.posterior.reported import reported_draws
+
+__all__ = ["Guess", "Tissues", "Want", "of_draws", "of_guesses", "parsed_guess", "parsed_want"]
+
+FloatArray = NDArray[np.float64]
+
+#: Short names that are understood; ``_b2`` and ``_b3`` may follow.
+ALIASES = {
+    "tau": "relaxation_time_s",
+    "relaxation_time": "relaxation_time_s",
+    "eta": "viscosity_N_s_per_mm",
+    "viscosity": "viscosity_N_s_per_mm",
+    "K": "stiffness_0_N_per_mm",
+    "stiffness": "stiffness_0_N_per_mm",
+}
+#: Standard deviations that may be wanted, as shares: beyond the last a relaxation time is not identified.
+FINEST_WANT, COARSEST_WANT = 1e-5, 0.25
+#: Greatest spread of a guess, as a standard deviation of its logarithm.
+WIDEST_GUESS = 2.0
+_SUFFIX = re.compile(r"(_b[23])$")
+_GUESS = re.compile(r"^\s*(\w+)\s*=\s*([^~±\s]+)\s*(?:(?:~|±)\s*([0-9.eE+-]+)\s*%)?\s*$")
+_WANT = re.compile(r"^\s*(\w+)\s*=\s*([0-9.eE+-]+)\s*%\s*$")
+
+
+@dataclass(frozen=True, slots=True)
+class Want:
+    """A wanted precision: standard deviation of the estimate as a share of its value."""
+
+    name: str
+    share: float
+
+
+@dataclass(frozen=True, slots=True)
+class Guess:
+    """A guessed parameter; ``sd_ln`` is the standard deviation of its logarithm."""
+
+    name: str
+    value: float
+    sd_ln: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tissues:
+    """Tissues that a protocol must serve.
+
+    Attributes
+    ----------
+    words : str
+        Where they come from.
+    name : str
+    model : KelvinVoigt
+    theta : ndarray, shape (draws, p)
+    known_depth_mm : float or None
+        Beyond it the law is continued, not identified.
+    """
+
+    words: str
+    name: str
+    model: KelvinVoigt
+    theta: FloatArray
+    known_depth_mm: float | None = None
+
+    @property
+    def middle(self) -> FloatArray:
+        """Medians of the reported numbers' draws, by parameter."""
+        return np.asarray(np.median(self.theta, axis=0))
+
+    @property
+    def longest_tau_s(self) -> float:
+        """Longest relaxation time of any draw."""
+        return float(self._tau.max(initial=0.0))
+
+    @property
+    def shortest_tau_s(self) -> float:
+        """Shortest relaxation time of any draw."""
+        return float(self._tau.min(initial=np.inf))
+
+    @property
+    def _tau(self) -> FloatArray:
+        return self.theta[:, STATIC_DEGREE + self.model.block - 1 :: self.model.block]
+
+    def numbers(self) -> dict[str, FloatArray]:
+        """Reported parameters of each draw."""
+        return reported_draws(self.model, self.theta)
+
+    def pilot(self, count: int) -> Tissues:
+        """A few of them, spread evenly over the first relaxation time."""
+        if self.theta.shape[0] <= count:
+            return self
+        order = np.argsort(self._tau[:, 0], kind="stable")
+        at = np.round((np.arange(count) + 0.5) / count * order.size - 0.5).astype(int)
+        return Tissues(self.words, self.name, self.model, self.theta[order[at]], self.known_depth_mm)
+
+    def gradients(self, name: str) -> FloatArray:
+        """Derivative of the logarithm of a reported number by (coefficients, ln tau), shape (draws, p)."""
+        model, out = self.model, np.zeros_like(self.theta)
+        names = list(model.parameter_names)
+        if name in names:
+            at = names.index(name)
+            relative = 1.0 if name.startswith("relaxation_time") else 1.0 / np.abs(self.theta[:, at])
+            out[:, at] = relative
+            return out
+        branch = [f"viscosity_N_s_per_mm{branch_suffix(j)}" for j in range(model.branches)].index(name)
+        first = STATIC_DEGREE + branch * model.block
+        powers = (REFERENCE_DEPTH * model.depth_mm) ** np.arange(float(model.stiffness_degree + 1))
+        stiffness = self.theta[:, first : first + powers.size] @ powers
+        out[:, first : first + powers.size] = powers / stiffness[:, None]
+        out[:, first + powers.size] = 1.0
+        return out
+
+
+def full_name(named: str, model: KelvinVoigt) -> str:
+    """The reported parameter that is meant.
+
+    Raises
+    ------
+    UsageError
+        There is none of that name.
+    """
+    suffix = _SUFFIX.search(named)
+    base, ending = (named[: suffix.start()], suffix.group(1)) if suffix else (named, "")
+    name = ALIASES.get(base, base) + ending
+    known = [*model.parameter_names]
+    known += [f"viscosity_N_s_per_mm{branch_suffix(j)}" for j in range(model.branches)]
+    if name not in known:
+        msg = f"unknown number {named!r}; this tissue has {', '.join(known)} (tau, eta and K for short)"
+        raise UsageError(msg)
+    return name
+
+
+def _number(text: str, what: str) -> float:
+    try:
+        value = float(text)
+    except ValueError as error:
+        msg = f"{what}: {text!r} is no number"
+        raise UsageError(msg) from error
+    if not np.isfinite(value):
+        msg = f"{what}: {text!r} must be finite"
+        raise UsageError(msg)
+    return value
+
+
+def parsed_want(text: str, model: KelvinVoigt) -> Want:
+    """``relaxation_time_s=5%``.
+
+    Raises
+    ------
+    UsageError
+        It is none, or cannot be had.
+    """
+    match = _WANT.match(text)
+    if match is None:
+        msg = f"--want {text!r}: write NAME=PERCENT%, as relaxation_time_s=5% or eta=2%"
+        raise UsageError(msg)
+    name, share = full_name(match.group(1), model), _number(match.group(2), f"--want {text}") / 100.0
+    if not FINEST_WANT <= share <= COARSEST_WANT:
+        msg = (
+            f"--want {text}: a standard deviation of {100 * FINEST_WANT:g} to {100 * COARSEST_WANT:g} % can "
+            "be wanted; with a wider one fit would call a relaxation time not identified"
+        )
+        raise UsageError(msg)
+    return Want(name, share)
+
+
+def parsed_guess(text: str) -> Guess:
+    """``relaxation_time_s=0.02~30%``, the spread being one standard deviation.
+
+    Raises
+    ------
+    UsageError
+    """
+    match = _GUESS.match(text)
+    if match is None:
+        msg = f"--tissue {text!r}: write NAME=VALUE or NAME=VALUE~PERCENT%, as relaxation_time_s=0.02~30%"
+        raise UsageError(msg)
+    spread = _number(match.group(3) or "0", f"--tissue {text}") / 100.0
+    if not 0.0 <= spread <= WIDEST_GUESS:
+        msg = f"--tissue {text}: a spread of 0 to {100 * WIDEST_GUESS:g} % can be stated"
+        raise UsageError(msg)
+    return Guess(match.group(1), _number(match.group(2), f"--tissue {text}"), float(np.log1p(spread)))
+
+
+def of_draws(
+    words: str, name: str, model: KelvinVoigt, theta: FloatArray, *, count: int, known_depth_mm: float | None
+) -> Tissues:
+    """At most ``count`` of the draws, evenly spaced.
+
+    Raises
+    ------
+    UsageError
+        The tissue has no branch.
+    """
+    if model.branches == 0:
+        msg = f"{name}: this tissue has no relaxing branch, so there is no relaxation time to plan for"
+        raise UsageError(msg)
+    theta = np.atleast_2d(theta)
+    at = np.unique(np.linspace(0, theta.shape[0] - 1, min(count, theta.shape[0])).round().astype(int))
+    return Tissues(words, name, model, theta[at], known_depth_mm)
+
+
+def _guessed_model(guesses: Sequence[Guess], depth_mm: float) -> KelvinVoigt:
+    """The smallest model that has every guessed parameter."""
+    named = [ALIASES.get(_SUFFIX.sub("", one.name), _SUFFIX.sub("", one.name)) for one in guesses]
+    branches = max([1] + [int(m.group(1)[2]) for one in guesses if (m := _SUFFIX.search(one.name))])
+    degrees = [int(m.group(1)) for one in named if (m := re.match(r"stiffness_([0-2])_", one))]
+    return KelvinVoigt(branches=branches, stiffness_degree=max([0, *degrees]), depth_mm=depth_mm)
+
+
+def of_guesses(guesses: Sequence[Guess], *, depth_mm: float, count: int) -> Tissues:
+    """Draws around guesses: log-normal, by a fixed low-discrepancy sequence.
+
+    Each branch needs a relaxation time and a viscosity or a stiffness; coefficients of the static force that
+    are not guessed are 0, and one at least must be guessed.
+
+    Raises
+    ------
+    UsageError
+        Something is missing, twice there or impossible.
+    """
+    model = _guessed_model(guesses, depth_mm)
+    known: dict[str, Guess] = {}
+    for one in guesses:
+        name = full_name(one.name, model)
+        if name in known:
+            msg = f"--tissue {one.name} is given twice"
+            raise UsageError(msg)
+        if one.value <= 0.0 and not name.startswith(("static_2", "static_3", "stiffness_1", "stiffness_2")):
+            msg = f"--tissue {one.name}={one.value:g}: must be above 0"
+            raise UsageError(msg)
+        known[name] = one
+    if not any(name.startswith("static") for name in known):
+        msg = "--tissue says nothing of the static force: add --tissue static_1_N_per_mm=... (its slope)"
+        raise UsageError(msg)
+    for branch in range(model.branches):
+        ending = branch_suffix(branch)
+        if f"relaxation_time_s{ending}" not in known:
+            msg = f"--tissue relaxation_time_s{ending}=... is missing: nothing can be planned without it"
+            raise UsageError(msg)
+        either = [f"{base}{ending}" in known for base in ("viscosity_N_s_per_mm", "stiffness_0_N_per_mm")]
+        if sum(either) != 1:
+            both = f"viscosity_N_s_per_mm{ending} or stiffness_0_N_per_mm{ending}"
+            msg = f"--tissue needs one of {both}, {'and has both' if all(either) else 'and has none'}"
+            raise UsageError(msg)
+    theta = _guessed_draws(model, known, count)
+    if not all(model.is_passive(one) for one in theta):
+        msg = f"--tissue: such a tissue gives a negative force or stiffness within {depth_mm:g} mm"
+        raise UsageError(msg)
+    return Tissues("guesses", "guessed tissue", model, theta)
+
+
+def _guessed_draws(model: KelvinVoigt, known: Mapping[str, Guess], count: int) -> FloatArray:
+    spread = [name for name, one in known.items() if one.sd_ln > 0.0]
+    draws = count if spread else 1
+    normal = np.zeros((draws, max(len(spread), 1)))
+    if spread:
+        points = qmc.Sobol(len(spread), scramble=False).random_base2(int(np.ceil(np.log2(draws + 1))))
+        # the first point of the sequence is the corner 0
+        normal = norm.ppf(points[1 : draws + 1])
+    values = {
+        name: one.value
+        * np.exp(one.sd_ln * normal[:, spread.index(name)] if name in spread else np.zeros(draws))
+        for name, one in known.items()
+    }
+    theta = np.zeros((draws, len(model.parameter_names)))
+    for k, name in enumerate(model.parameter_names):
+        theta[:, k] = values.get(name, 0.0)
+    for branch in range(model.branches):
+        ending = branch_suffix(branch)
+        if f"viscosity_N_s_per_mm{ending}" in values:
+            first = STATIC_DEGREE + branch * model.block
+            tau = theta[:, first + model.block - 1]
+            depth = REFERENCE_DEPTH * model.depth_mm
+            growing = theta[:, first + 1 : first + model.block - 1] @ depth ** np.arange(
+                1.0, model.stiffness_degree + 1
+            )
+            theta[:, first] = values[f"viscosity_N_s_per_mm{ending}"] / tau - growing
+    return theta
