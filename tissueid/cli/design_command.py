@@ -25,8 +25,8 @@ EPILOG = """\b
 Examples:
   tissueid design paper-a-30 --machine paper-a -o plan
   tissueid design out/bundle.h5 --machine our_machine.toml --want relaxation_time_s=5% --want viscosity=2%
-  tissueid design --tissue tau=0.02~30% --tissue eta=1.3 --tissue static_1_N_per_mm=20 --max-depth 6 \\
-      --machine bench
+  tissueid design --tissue tau=0.02~30% --tissue eta=1.3 --tissue static_1_N_per_mm=20 --max-depth 6 \
+--machine bench
   tissueid design out/bundle.h5 --machine bench --against paper-a-22 --interval total --budget 2h
 """
 
