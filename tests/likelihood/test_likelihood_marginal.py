@@ -8,7 +8,11 @@ from scipy.stats import multivariate_normal
 
 from tissueid.likelihood.basis import kernel_basis
 from tissueid.likelihood.lag_sums import lag_sums
+from tissueid.likelihood.lanes import LANES
 from tissueid.likelihood.linearise import Optimum, centre
+from tissueid.likelihood.marginal import log_marginals, log_peaks
+from tissueid.likelihood.marginal_lanes import log_marginals_together, log_peaks_together
+from tissueid.likelihood.objective import cone_start
 from tissueid.likelihood.sums import LogData
 from tissueid.model.base import ContactPath
 from tissueid.model.kelvin_voigt import KelvinVoigt
@@ -224,3 +228,22 @@ def test_gains_and_offsets_are_redrawn_about_the_truth() -> None:
     assert np.abs(z).max() < 3.5
     away = drawn.offset_mm.mean(axis=0) - DELTA
     assert np.abs(away / drawn.offset_mm.std(axis=0)).max() < 3.5
+
+
+@pytest.mark.parametrize("pooling", ["partial", "shared", "per-log"])
+@pytest.mark.parametrize("correlated", [False, True])
+@pytest.mark.parametrize("count", [1, LANES, LANES + 7])
+def test_points_side_by_side_have_the_density_of_each(pooling: str, correlated: bool, count: int) -> None:
+    target, _ = target_for(logs(effects=pooling == "partial"), pooling, correlated=correlated)
+    rng = np.random.default_rng(4)
+    spread = np.sqrt(np.diag(target.covariance))
+    points = target.mode + 3.0 * spread * rng.standard_normal((count, target.mode.size))
+    # far out, where the passive cone cuts, and at a node of the interpolation
+    points[count // 2] += 20.0 * spread
+    points[0, 0] = target.data.nodes[0, 3]
+    expected = log_marginals(target.data, points)
+    assert np.isfinite(expected).any()
+    assert log_marginals_together(target.data, points) == pytest.approx(expected, rel=1e-9)
+    start = cone_start(target.data.blocks)
+    expected = log_peaks(target.data, points, start)
+    assert log_peaks_together(target.data, points, start) == pytest.approx(expected, rel=1e-9)

@@ -20,14 +20,9 @@ from numpy.typing import NDArray
 from tissueid.likelihood.cone import cone_least_squares
 from tissueid.likelihood.lag_kernels import lag_weights
 from tissueid.likelihood.linearised import Linearised
+from tissueid.likelihood.marginal_parts import begun, finished
 from tissueid.likelihood.passive_normal import log_passive_mass
-from tissueid.likelihood.triangular import (
-    factor,
-    inverse_factor,
-    sparse_times,
-    weigh,
-    weighted_sum,
-)
+from tissueid.likelihood.triangular import factor, inverse_factor, weigh
 
 __all__ = [
     "conditionals",
@@ -35,7 +30,6 @@ __all__ = [
     "log_marginals",
     "log_peaks",
     "log_shares",
-    "prior_precision",
 ]
 
 FloatArray = NDArray[np.float64]
@@ -43,67 +37,6 @@ IntArray = NDArray[np.int64]
 
 #: Reduced gradient, relative, to which the nearest passive theta is sought: a distance good to some 0.01.
 NEAR_ENOUGH = 1e-7
-LOG_TWO_PI = float(np.log(2.0 * np.pi))
-STATIC_PARAMETERS = 3
-
-
-@nb.njit(cache=True, nogil=True, error_model="numpy")
-def _interpolation(at: float, nodes: FloatArray, barycentric: FloatArray) -> FloatArray:
-    """Weights of the nodes in the interpolating polynomial at one point (barycentric formula)."""
-    out = np.zeros(nodes.size)
-    total = 0.0
-    for k in range(nodes.size):
-        distance = at - nodes[k]
-        if distance == 0.0:
-            out[:] = 0.0
-            out[k] = 1.0
-            return out
-        out[k] = barycentric[k] / distance
-        total += out[k]
-    return out / total
-
-
-@nb.njit(cache=True, nogil=True, error_model="numpy")
-def _columns(data: Linearised, log_tau: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Weights of the sums' columns in (theta's columns, what is to be explained), and the reference theta.
-
-    The reference keeps every viscosity K tau at its best value, so that what is left to explain is of the
-    size of the noise, and no digits are lost between large numbers.
-    """
-    size = data.degree + 1
-    r = data.mixing.shape[1]
-    p = data.best.size
-    weights = np.zeros((data.shared.shape[1], p + 1))
-    reference = data.best.copy()
-    for k in range(data.static):
-        weights[k, k] = 1.0
-    for j in range(data.branches):
-        here = data.mixing[j] @ _interpolation(log_tau[j], data.nodes[j], data.barycentric[j])
-        there = data.mixing[j] @ _interpolation(data.best_tau[j], data.nodes[j], data.barycentric[j])
-        shrink = np.exp(data.best_tau[j] - log_tau[j])
-        for q in range(size):
-            at = data.static + j * size + q
-            reference[at] = data.best[at] * shrink
-            first = data.static + (j * size + q) * r
-            for k in range(r):
-                weights[first + k, at] = here[k]
-                weights[first + k, p] = data.best[at] * there[k] - reference[at] * here[k]
-    weights[-1, p] = 1.0
-    return weights, reference
-
-
-@nb.njit(cache=True, nogil=True, error_model="numpy")
-def _determined(gram: FloatArray, prior: FloatArray) -> float:
-    """How many coefficients of theta the data determine at given gains: the trace of the shrinkage.
-
-    Gains and theta enter as a product: the data pin e^c theta where all ln gains change by c.  At a gain of
-    e^c the likelihood is e^-c as wide in every direction of theta that the data determine, so the density
-    over c, theta integrated, carries e^(-n c) with n their number.  The linearised model has a likelihood of
-    constant width and needs that factor: without it, gains that scatter by 15 % bias F_s and K by a quarter
-    of their standard deviation.  Directions that the prior determines keep their width and do not count.
-    """
-    inverse = inverse_factor(factor(gram + prior))
-    return float(np.sum((inverse.T @ inverse) * gram))
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
@@ -142,7 +75,7 @@ def _without_effects(
 ) -> tuple[FloatArray, FloatArray, float]:
     """Take the effects of every log out of the normal equations ``full`` (in place).
 
-    ``tilt`` is the slope of -ln density in the mean of the gains, see :func:`_determined`.
+    ``tilt`` is the slope of -ln density in the mean of the gains, see ``marginal_parts._determined``.
 
     Returns
     -------
@@ -192,35 +125,6 @@ def _without_effects(
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
-def prior_precision(data: Linearised, log_tau: FloatArray) -> FloatArray:
-    """Prior precision of theta at these relaxation times: a weak branch is known by its largest force.
-
-    Parameters
-    ----------
-    data : Linearised
-    log_tau : ndarray, shape (branches,)
-
-    Returns
-    -------
-    ndarray, shape (p, p)
-    """
-    precision = data.prior_precision.copy()
-    size = data.degree + 1
-    for j in range(data.branches):
-        if data.weak[j]:
-            tau = np.exp(log_tau[j])
-            state = 0.0
-            for i in range(data.speed_mm_s.size):
-                length = data.speed_mm_s[i] * tau
-                state = max(state, -length * np.expm1(-data.depth_mm[i] / length))
-            first = data.static + j * size
-            for u in range(first, first + size):
-                for v in range(first, first + size):
-                    precision[u, v] *= state * state
-    return precision
-
-
-@nb.njit(cache=True, nogil=True, error_model="numpy")
 def _conditional(
     data: Linearised, point: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, float]:
@@ -244,47 +148,15 @@ def _conditional(
     value : float
         ln of the marginal likelihood, the mass of the cone not yet counted.
     """
-    at = data.branches
-    sigma2 = np.exp(2.0 * point[at])
-    phi = data.phi
-    if data.has_phi:
-        at += 1
-        phi = np.tanh(point[at])
+    weights, reference, full, prior, noise, tilt = begun(data, point)
     precision = data.effect_precision
     if data.has_gain:
         precision = precision.copy()
-        precision[:, 0] = np.exp(-2.0 * point[at + 1])
-    log_tau = point[: data.branches]
-    weights, reference = _columns(data, log_tau)
-    coefficient = lag_weights(phi, data.ratio)
-    half = sparse_times(weights, weighted_sum(coefficient, data.shared))
-    full = sparse_times(weights, np.ascontiguousarray(half.T)) / sigma2
-    p = reference.size
-    prior = prior_precision(data, log_tau)
-    tilt = _determined(full[:p, :p], prior) if data.has_gain else 0.0
-    back, spread, log_det = _without_effects(data, coefficient, weights, sigma2, precision, full, tilt)
-    away = data.prior_mean - reference
-    pull = prior @ away
-    low = factor(full[:p, :p] + prior)
-    before = factor(prior)
-    t = full[:p, p] + pull
-    c = full[p, p] + away @ pull
-    for i in range(p):
-        for k in range(i):
-            t[i] -= low[i, k] * t[k]
-        t[i] /= low[i, i]
-        c -= t[i] * t[i]
-        log_det += 2.0 * (np.log(low[i, i]) - np.log(before[i, i]))
-    for i in range(p - 1, -1, -1):
-        for k in range(i + 1, p):
-            t[i] -= low[k, i] * t[k]
-        t[i] /= low[i, i]
-    for k in range(data.ratio.size):
-        if phi > 0.0:
-            log_det += data.links[k] * np.log1p(-(phi ** (2.0 * data.ratio[k])))
-    value = -0.5 * (data.samples * (LOG_TWO_PI + np.log(sigma2)) + log_det + c)
-    inverse = inverse_factor(low)
-    return reference + t, inverse.T @ inverse, reference, back, spread, value
+        precision[:, 0] = np.exp(-2.0 * point[data.branches + 1 + data.has_phi])
+    coefficient = lag_weights(noise[1], data.ratio)
+    back, spread, log_det = _without_effects(data, coefficient, weights, noise[0], precision, full, tilt)
+    mean, covariance, value = finished(data, full, log_det, reference, prior, noise)
+    return mean, covariance, reference, back, spread, value
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
@@ -301,7 +173,7 @@ def log_marginals(data: Linearised, points: FloatArray) -> FloatArray:
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
-def _short_of_passive(data: Linearised, mean: FloatArray, covariance: FloatArray, start: FloatArray) -> float:
+def short_of_passive(data: Linearised, mean: FloatArray, covariance: FloatArray, start: FloatArray) -> float:
     """Half the squared distance from theta's mean to the passive cone, in its own standard deviations."""
     root = inverse_factor(factor(covariance))
     precision = np.ascontiguousarray(root.T) @ root
@@ -326,7 +198,7 @@ def log_peaks(data: Linearised, points: FloatArray, start: FloatArray) -> FloatA
         mean, covariance, _, _, _, value = _conditional(data, points[i])
         out[i] = -np.inf
         if np.isfinite(value):
-            out[i] = value - _short_of_passive(data, mean, covariance, start)
+            out[i] = value - short_of_passive(data, mean, covariance, start)
     return out
 
 
@@ -339,7 +211,7 @@ def log_shares(data: Linearised, points: FloatArray, start: FloatArray) -> Float
         out[i] = np.nan
         if np.isfinite(value):
             out[i] = log_passive_mass(mean, covariance, data.blocks) - data.prior_log_mass
-            out[i] += _short_of_passive(data, mean, covariance, start)
+            out[i] += short_of_passive(data, mean, covariance, start)
     return out
 
 

@@ -19,7 +19,8 @@ from tissueid.likelihood.basis import KernelBasis
 from tissueid.likelihood.cone import cone_least_squares
 from tissueid.likelihood.lag_sums import LagSums
 from tissueid.likelihood.linearise import Optimum, centre, effect_columns
-from tissueid.likelihood.marginal import conditionals, draw_effects, prior_precision
+from tissueid.likelihood.marginal import conditionals, draw_effects
+from tissueid.likelihood.marginal_parts import prior_precision
 from tissueid.likelihood.objective import cone_start
 from tissueid.likelihood.partial import coefficients
 from tissueid.likelihood.passive_normal import passive

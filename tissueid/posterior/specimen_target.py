@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from tissueid.likelihood.linearise import Optimum
 from tissueid.likelihood.linearised import Linearised
 from tissueid.likelihood.marginal import conditionals, draw_effects, log_marginals, log_peaks
+from tissueid.likelihood.marginal_lanes import FEW, log_marginals_together, log_peaks_together
 from tissueid.likelihood.objective import cone_start
 from tissueid.likelihood.passive_normal import draw_passive, passive
 from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
@@ -122,12 +123,14 @@ class SpecimenTarget:
         points = np.ascontiguousarray(np.atleast_2d(points), dtype=np.float64)
         out = self.log_prior(points)
         inside = np.isfinite(out)
-        if inside.any():
+        count = int(inside.sum())
+        if count:
+            some = points[inside]
             if self.surface is None:
-                out[inside] += log_marginals(self.data, points[inside])
+                out[inside] += (log_marginals if count < FEW else log_marginals_together)(self.data, some)
             else:
-                peaks = log_peaks(self.data, points[inside], cone_start(self.data.blocks))
-                out[inside] += peaks + self.surface(points[inside])
+                peaks = log_peaks if count < FEW else log_peaks_together
+                out[inside] += peaks(self.data, some, cone_start(self.data.blocks)) + self.surface(some)
         return out
 
     def redraw(self, points: FloatArray, rng: np.random.Generator) -> Redrawn:
