@@ -23,7 +23,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 #: Fewer points than this are not worth a group of their own.
-FEW = 12
+FEW = 32
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
