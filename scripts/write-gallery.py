@@ -26,7 +26,7 @@ TARGET = REPOSITORY / "reports" / "gallery" / "index.html"
 STYLE = (
     "body{max-width:60rem;margin:1rem auto;padding:0 1rem;font:16px/1.5 system-ui,sans-serif}"
     "table{border-collapse:collapse;font-size:.9rem}td,th{padding:.2rem .6rem;border-bottom:1px solid #8884}"
-    ".tissueid{overflow-x:auto}:root{color-scheme:light dark}"
+    "td,th,code,li{overflow-wrap:anywhere}:root{color-scheme:light dark}"
 )
 SLOW = "Thirty logs at 10 samples a second: a relaxation time of 21 ms can't be timed, and is not given."
 HEAD = (

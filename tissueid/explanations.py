@@ -50,7 +50,7 @@ _PARAMETERS: Mapping[str, str] = {
     "stiffness_1_N_per_mm2": "b1 of K(x): growth of the relaxing stiffness with depth",
     "stiffness_2_N_per_mm3": "b2 of K(x): its curvature",
     "relaxation_time_s": "tau: after it a held force of this branch has fallen to 37 % of its start",
-    "viscosity_N_s_per_mm": "eta = b0 tau: extra force per speed at contact, in ramps that last much longer",
+    "viscosity_N_s_per_mm": "eta = K tau (at half the depth where K varies): force per speed in long ramps",
 }
 _GRAVITY = {
     "ok": "harmless",

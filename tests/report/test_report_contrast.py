@@ -100,11 +100,18 @@ def test_a_browser_draws_the_document(browser: Any, tmp_path: Path, width: int, 
     page.wait_for_function("document.querySelectorAll('[data-drawn]').length === 3", timeout=60_000)
     drawn = page.evaluate(TRACES)
     wide = page.evaluate("document.documentElement.scrollWidth")
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
+    grave = [
+        (one["id"], [node["html"][:160] for node in one["nodes"]][:3])
+        for one in axe.run(page).response["violations"]
+        if one["impact"] in {"serious", "critical"}
+    ]
     if width == 1400:
         page.emulate_media(media="print")
         assert page.pdf()[:5] == b"%PDF-"
     page.close()
     assert problems == []
+    assert grave == []
     assert wide <= width
     rows = [(one, curve) for one in document["curves"] for curve in one["loading"]]
     assert len(drawn["loading"]) == 3 * len(rows)
@@ -120,3 +127,22 @@ def test_a_browser_draws_the_document(browser: Any, tmp_path: Path, width: int, 
         assert trace["y"] == one["hold"]["median"][1:]
     ratios = {row["name"]: row["ratio"][1] for row in document["pairs"][0]["numbers"]}
     assert dict(zip(drawn["ratio"][0]["y"], drawn["ratio"][0]["x"], strict=True)) == ratios
+
+
+@pytest.mark.slow
+@pytest.mark.browser
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_the_gallery_can_be_read_by_everybody(browser: Any, scheme: Any) -> None:
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
+    path = Path(__file__).resolve().parents[2] / "reports" / "gallery" / "index.html"
+    page = browser.new_page(viewport={"width": 400, "height": 800}, color_scheme=scheme)
+    page.goto(path.as_uri())
+    found = [
+        (one["id"], [node["html"][:160] for node in one["nodes"]][:3])
+        for one in axe.run(page).response["violations"]
+        if one["impact"] in {"serious", "critical"}
+    ]
+    wide = page.evaluate("document.documentElement.scrollWidth")
+    page.close()
+    assert found == []
+    assert wide <= 400
