@@ -45,8 +45,8 @@ FloatArray = NDArray[np.float64]
 NUISANCES = (*CHANNELS, *INSTRUMENT_NAMES)
 #: Threads that evaluate points.
 MAX_WORKERS = 2
-#: Points a thread takes at a time.
-BATCH = 256
+#: Points a thread takes at a time, where there are several.
+BATCH = 128
 #: A spread of the gains below this is none.
 SMALLEST_GAIN_SD = 1e-4
 #: Pairs of gains that are tried for each draw that is returned.
@@ -104,7 +104,7 @@ def _evaluate(
     points[:, free] = inner
     n, p = points.shape[0], behind.theta.size
     mean, covariance = np.empty((n, p)), np.empty((n, p, p))
-    prior = np.array([behind.log_prior(point) for point in points])
+    prior = behind.log_priors(points)
     inside = np.isfinite(prior)
     mean[:] = behind.theta
     covariance[:] = np.eye(p)
@@ -126,11 +126,10 @@ def _evaluate(
 def _in_threads(work, rows: NDArray[np.int64]) -> None:  # type: ignore[no-untyped-def]
     """Share rows among threads; each row's result depends on itself alone."""
     workers = threads(MAX_WORKERS)
-    batches = [rows[k : k + BATCH] for k in range(0, rows.size, BATCH)]
-    if workers == 1 or len(batches) < 2:
-        for batch in batches:
-            work(batch)
+    if workers == 1 or rows.size <= BATCH:
+        work(rows)
         return
+    batches = [rows[k : k + BATCH] for k in range(0, rows.size, BATCH)]
     with ThreadPoolExecutor(workers) as pool:
         list(pool.map(work, batches))
 

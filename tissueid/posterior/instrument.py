@@ -193,35 +193,36 @@ class Behind:
         """Precision and mean of the effects, counted from where they are linearised; shapes (logs, q)."""
         return effect_prior(self.density(), self.data, gain_sd)
 
-    def log_prior(self, point: FloatArray) -> float:
-        """Of the coordinates; -inf outside their range."""
-        tau, instrument, gain_sd = self.split(point)
+    def log_priors(self, points: FloatArray) -> FloatArray:
+        """Of the coordinates of points of shape (n, d); -inf outside their range."""
+        tau = points[:, : self.branches]
         low, high = self.facts.log_tau_bounds
-        if (tau < low).any() or (tau > high).any() or (np.diff(tau) <= 0.0).any():
-            return -math.inf
-        value = 0.0
-        for at, stated in zip(tau, self.priors.relaxation_time_s, strict=False):
+        inside = np.asarray(((tau >= low) & (tau <= high)).all(axis=1))
+        inside &= (np.diff(tau, axis=1) > 0.0).all(axis=1)
+        value = np.zeros(points.shape[0])
+        for at, stated in zip(tau.T, self.priors.relaxation_time_s, strict=False):
             value -= 0.5 * ((at - math.log(stated.median)) / stated.sd_ln) ** 2
-        for at, prior in zip(instrument, self.calibration, strict=True):
-            if at < prior.lower:
-                return -math.inf
+        for k, prior in enumerate(self.calibration):
+            at = points[:, self.branches + k]
+            inside &= at >= prior.lower
             if prior.sd > 0.0:
                 value -= 0.5 * ((at - prior.mean) / prior.sd) ** 2
         if "gain" in self.effects:
-            if point[self.branches + INSTRUMENT] < 0.0:
-                return -math.inf
-            value -= 0.5 * (gain_sd / self.priors.gain_sd) ** 2
+            at = points[:, self.branches + INSTRUMENT]
+            inside &= at >= 0.0
+            value -= 0.5 * (np.maximum(at, SMALLEST_SPREAD) / self.priors.gain_sd) ** 2
         if self.noise is not None:
-            at = self.noise_of(point)
             first, last = self.noise.cuts(self.priors)
-            if (at < first).any() or (at > last).any():
-                return -math.inf
-            value += self.noise.log_weight(at, self.priors)
-        return float(value)
+            for i in np.flatnonzero(inside):
+                here = self.noise_of(points[i])
+                inside[i] = ((here >= first) & (here <= last)).all()
+                if inside[i]:
+                    value[i] += self.noise.log_weight(here, self.priors)
+        return np.where(inside, value, -math.inf)
 
     def log_density(self, point: FloatArray, theta: FloatArray) -> float:
         """Joint log density of coordinates and theta, up to a constant; the passive cut is not looked at."""
-        prior = self.log_prior(point)
+        prior = float(self.log_priors(point[None])[0])
         if not math.isfinite(prior):
             return -math.inf
         value = prior + log_likelihood(self.density(), point, np.ascontiguousarray(theta))
