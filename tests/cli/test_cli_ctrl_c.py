@@ -36,6 +36,7 @@ AT_A_STEP: list[tuple[tuple[str, ...], int]] = [
     (("fit", "lab", "-o", "out", *QUICK), 4),
     (("cohort", "heads"), 1),
     (("inspect", "lab"), 1),
+    (("design", "a.h5", "--machine", "paper-a", "-o", "plan"), 2),
     (("compare", "a.h5", "b.h5", "-o", "old.json"), 2),
     (("rupture", "ruptures", "-o", "rup", "--criterion", "work"), 3),
     (("calibrate", "recipe.toml", "-o", "cal", "--simulations", "20"), 8),
