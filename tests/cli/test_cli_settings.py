@@ -185,6 +185,16 @@ def test_a_value_of_a_subcommand_reaches_it(folder: Path) -> None:
     assert run("study", "init", "lab").code == 0
 
 
+def test_a_user_without_a_home_has_no_file(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def homeless() -> Path:
+        msg = "Could not determine home directory."
+        raise RuntimeError(msg)
+
+    monkeypatch.setattr(Path, "home", homeless)
+    assert run("config", "--json").json() == {"files": [], "settings": []}
+    assert "no home folder" in refused("completion", "bash", "--install")
+
+
 def test_nothing_set_is_told_so(folder: Path) -> None:
     ended = run("config")
     assert "nothing is set" in ended.stdout

@@ -76,7 +76,11 @@ def _script(shell: str) -> str:
 
 def _target(shell: str) -> Path:
     """Where a shell looks for completions of its user."""
-    home = Path.home()
+    try:
+        home = Path.home()
+    except RuntimeError as error:
+        msg = "there is no home folder to install into: print the script and place it yourself"
+        raise UsageError(msg) from error
     if shell == "bash":
         data = Path(os.environ.get("XDG_DATA_HOME") or home / ".local" / "share")
         return data / "bash-completion" / "completions" / "tissueid"

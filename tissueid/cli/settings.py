@@ -93,7 +93,13 @@ def user_file() -> Path | None:
     named = os.environ.get(USER_FILE)
     if named is not None:
         return Path(named) if named else None
-    home = os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config"
+    home = os.environ.get("XDG_CONFIG_HOME")
+    if not home:
+        try:
+            home = str(Path.home() / ".config")
+        except RuntimeError:
+            # a user without a home, as in a container
+            return None
     return Path(home) / "tissueid" / "config.toml"
 
 
