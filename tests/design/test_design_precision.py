@@ -160,6 +160,60 @@ def test_information_is_that_of_the_whole_covariance_matrix(setting: Setting) ->
         assert relative_sd(one + prior, gradient)[:, 0] == pytest.approx(exact, rel=0.01)
 
 
+#: Calibration nuisance -> its value, and the step of its numerical derivative.
+NUISANCES = {
+    "force_gain": (1.0, 1e-4),
+    "displacement_gain": (1.0, 1e-4),
+    "skew_s": (0.0, 2e-4),
+    "force_filter_s": (0.01, 1e-4),
+    "frame_compliance_mm_per_N": (0.0005, 1e-5),
+}
+
+
+def test_nuisances_of_the_instrument_act_as_in_a_recording() -> None:
+    # little noise and next to no knowledge: what the data say is what is compared
+    setting = Setting(400.0, 0.01, filter_s=0.01, filter_sd_s=0.1)
+    machine = replace(
+        PRESETS["paper-a"],
+        contact_sd_mm=0.01,
+        skew_sd_s=0.1,
+        frame_stiffness_N_per_mm=2000.0,
+        frame_stiffness_N_per_mm_sd=2000.0,
+    )
+    chain = Chain(machine, setting, 0.0, total=True)
+    model, theta = PAPER_A.model, PAPER_A.theta[0]
+    centre = {name: value for name, (value, _) in NUISANCES.items()}
+    found, exact = np.zeros((10, 10)), np.zeros((10, 10))
+    # together two speeds and two holds determine all ten
+    for test in (Indentation(60.0, 3.0, 0.3), Indentation(400.0, 4.0, 0.6)):
+        found += information(model, theta, test, chain, [test.hold_s])[0]
+        (log,) = recorded_logs(test, machine, setting, 1, "log")
+
+        def force(moved: np.ndarray, calibration: dict[str, float], offset: float, log=log) -> np.ndarray:
+            made = recorded_force(model, moved, log, gain=1.0, offset_mm=offset, calibration=calibration)
+            return np.asarray(made[log.include])
+
+        columns = []
+        for k in range(theta.size):
+            up, down = theta.copy(), theta.copy()
+            # the last is the relaxation time, by its logarithm
+            step = 1e-4 * theta[k] if k == theta.size - 1 else 1e-4
+            up[k], down[k] = theta[k] + step, theta[k] - step
+            columns.append((force(up, centre, 0.0) - force(down, centre, 0.0)) / 2e-4)
+        for name, (value, step) in NUISANCES.items():
+            up_to, down_to = ({**centre, name: value + sign * step} for sign in (1.0, -1.0))
+            columns.append((force(theta, up_to, 0.0) - force(theta, down_to, 0.0)) / (2.0 * step))
+        offset = (force(theta, centre, 1e-4) - force(theta, centre, -1e-4)) / 2e-4
+        z = np.column_stack(columns)
+        covariance = setting.noise_N**2 * np.eye(offset.size) + 0.01**2 * np.outer(offset, offset)
+        exact += z.T @ np.linalg.solve(covariance, z)
+    prior = chain.prior(theta.size)
+    gradient = np.eye(10)[:, None, :]
+    sd, expected = (relative_sd(one + prior, gradient)[:, 0] for one in (found, exact))
+    # the frame's own derivative is taken at the force that was recorded, which gives 5 % here
+    assert sd == pytest.approx(expected, rel=0.08)
+
+
 def test_a_filter_and_correlated_noise_cost_precision() -> None:
     base = paper_a()
     white = base.predicted()[TAU]
