@@ -127,7 +127,9 @@ def test_paper_is_white_and_whole_even_from_a_dark_screen(browser: Any, whole: P
     tab.wait_for_function(
         "[...document.querySelectorAll('[data-figure]')].every((box) => box.layout.paper_bgcolor === '#fff')"
     )
-    # nothing stands beyond the edge of a sheet: figures follow the paper's width
+    # nothing stands beyond the edge of a sheet of A4 with its margins
+    tab.set_viewport_size({"width": 718, "height": 1000})
+    tab.wait_for_function("document.documentElement.scrollWidth <= 718")
     assert tab.evaluate("getComputedStyle(document.querySelector('.choose')).display") == "none"
     assert said == []
 

@@ -248,3 +248,19 @@ def test_residuals_profile_peaks_and_parts_show_their_numbers(browser: Any, tmp_
     parts = {one["name"]: one for one in read_back(tab, "parts")["traces"]}
     assert parts["static force"]["y"] == law["parts"]["static"]["value"]
     assert errors == []
+
+
+@pytest.mark.browser
+def test_of_many_trials_the_picture_of_the_result_shows_one_a_speed(browser: Any, tmp_path: Path) -> None:
+    fit = specimen_fit(trials=9, samples=60)
+    html = page(fit)
+    assert "the deepest trial of each loading speed" in html
+    tab, errors = opened(browser, tmp_path / "report.html", html)
+    recorded = [one for one in read_back(tab, "force-depth")["traces"] if one["name"] == "recorded"]
+    # all nine are equally deep: the first of each speed
+    expected = [trial.curve.force_N for trial in fit.trials[:3]]
+    assert [one["y"] for one in recorded] == [pytest.approx(values, rel=1e-6) for values in expected]
+    tab.select_option("select[data-choice]", "7")
+    (chosen,) = [one for one in read_back(tab, "force-depth")["traces"] if one["name"] == "recorded"]
+    assert chosen["y"] == pytest.approx(fit.trials[7].curve.force_N, rel=1e-6)
+    assert errors == []

@@ -91,7 +91,7 @@ def plotly_script() -> Markup:
 def _deflated_library() -> dict[str, Any]:
     """The drawing library in a third of its bytes, and what makes it whole again in the browser."""
     whole = str(plotly_script()).encode("utf-8")
-    packer = zlib.compressobj(9, zlib.DEFLATED, -zlib.MAX_WBITS)
+    packer = zlib.compressobj(6, zlib.DEFLATED, -zlib.MAX_WBITS)
     deflated = packer.compress(whole) + packer.flush()
     return {
         "size": len(whole),

@@ -24,15 +24,19 @@
   const masked = (values, on, keep) => Array.from(values, (value, i) => (Boolean(on[i]) === keep ? value : null));
 
   const band = (trial, x, low, high, i) => outline(x, low, high, { name: "predicted", legendgroup: "predicted", showlegend: i === 0 });
-  const bands = (specimen, abscissa) => chosen(specimen).filter((trial) => trial.low)
+  const bands = (trials, abscissa) => trials.filter((trial) => trial.low)
     .map((trial, i) => band(trial, trial[abscissa], trial.low, trial.high, i));
-  const pairs = (specimen, abscissa) => [...bands(specimen, abscissa), ...lines(specimen, abscissa)];
-  // many lines beside each other would paint one broad brush
-  const wide = (specimen) => chosen(specimen).length <= 8;
-  const lines = (specimen, abscissa) => chosen(specimen).flatMap((trial, i) => [
-    { x: trial[abscissa], y: trial.f, mode: "lines", line: { color: colour("data"), width: wide(specimen) ? 4 : 2 }, opacity: 0.6,
+  const pairs = (trials, abscissa) => [...bands(trials, abscissa), ...lines(trials, abscissa)];
+  // many lines beside each other would paint one broad brush: the picture of the result then shows one trial a speed
+  const MOST_LINES = 8;
+  const wide = (trials) => trials.length <= MOST_LINES;
+  const deepest = (specimen) => payload.laws[specimen].speeds.map((group) => group.trials.map((k) => curves(specimen)[k])
+    .reduce((a, b) => (b.x.reduce((m, x) => Math.max(m, x), 0) > a.x.reduce((m, x) => Math.max(m, x), 0) ? b : a)));
+  const pictured = (specimen) => (wide(chosen(specimen)) ? chosen(specimen) : deepest(specimen));
+  const lines = (trials, abscissa) => trials.flatMap((trial, i) => [
+    { x: trial[abscissa], y: trial.f, mode: "lines", line: { color: colour("data"), width: wide(trials) ? 4 : 2 }, opacity: 0.6,
       name: "recorded", legendgroup: "recorded", showlegend: i === 0, text: trial.label, hovertemplate: "%{x:.4g}, %{y:.4g} N<br>%{text}<extra>recorded</extra>" },
-    { x: trial[abscissa], y: trial.m, mode: "lines", line: { color: colour("model"), width: wide(specimen) ? 1.6 : 0.8 },
+    { x: trial[abscissa], y: trial.m, mode: "lines", line: { color: colour("model"), width: wide(trials) ? 1.6 : 0.8 },
       name: "model", legendgroup: "model", showlegend: i === 0, text: trial.label, hovertemplate: "%{x:.4g}, %{y:.4g} N<br>%{text}<extra>model</extra>" },
   ]).sort((a, b) => (a.name === b.name ? 0 : a.name === "recorded" ? -1 : 1));
 
@@ -60,8 +64,8 @@
 
   const known = posteriorKinds(payload, bytes);
   const kinds = {
-    "force-depth": { traces: (s) => pairs(s, "x"), x: "Depth [mm]", y: "Force [N]" },
-    "force-time": { traces: (s) => pairs(s, "t"), x: "Time from contact [s]", y: "Force [N]" },
+    "force-depth": { traces: (s) => pairs(pictured(s), "x"), x: "Depth [mm]", y: "Force [N]" },
+    "force-time": { traces: (s) => pairs(chosen(s), "t"), x: "Time from contact [s]", y: "Force [N]" },
     residual: { traces: residuals, x: "Time from contact [s]", y: "Residual [N]" },
     overview: { traces: overview, x: "", y: "Viscosity [N·s/mm]" },
     ...known.kinds,

@@ -93,7 +93,8 @@ const lawKinds = (payload, curves, draws) => {
     // a tick a speed, as far as they keep out of each other's way
     const ticks = law(s).peaks.flatMap((group) => group.means.map((m) => Number(m.speed.toPrecision(2)))).sort((a, b) => a - b)
       .reduce((kept, value) => (kept.length && value < 1.3 * kept[kept.length - 1] ? kept : [...kept, value]), []);
-    const x = wide ? { type: "log", range: [Math.log10(Math.min(...all)) - 0.05, Math.log10(Math.max(...all)) + 0.05], ...(ticks.length <= 10 ? { tickvals: ticks, ticktext: ticks.map(String) } : {}) } : {};
+    // of one speed there is no range
+    const x = Math.max(...all) < 1.01 * Math.min(...all) ? { range: [0, 2 * all[0]] } : wide ? { type: "log", range: [Math.log10(Math.min(...all)) - 0.05, Math.log10(Math.max(...all)) + 0.05], ...(ticks.length <= 10 ? { tickvals: ticks, ticktext: ticks.map(String) } : {}) } : {};
     return { layout: { xaxis: { ...axis(speed(s)), ...x }, yaxis: { ...axis(`Peak force [${units(s).force}]`), rangemode: "tozero" } }, height: 360 };
   };
 
