@@ -135,3 +135,22 @@ def test_what_a_renderer_does_and_what_is_missing_stand_on_the_page() -> None:
     assert "Grade <strong>D</strong>: 42 %" in html
     assert "radius or half angle" in html
     assert "What a renderer will do" not in page(specimen_fit())
+
+
+@pytest.mark.browser
+def test_a_text_is_copied_or_where_that_is_forbidden_selected(tab: Any) -> None:
+    button = tab.locator("button[data-copies=cite-text]")
+    button.click()
+    tab.wait_for_function(
+        "() => document.querySelector('button[data-copies=cite-text]').textContent !== 'Copy the reference'"
+    )
+    said = button.text_content()
+    assert said in {"copied", "selected: press Ctrl-C"}
+    if said != "copied":
+        assert TITLE in tab.evaluate("getSelection().toString()")
+    # a browser that forbids it
+    tab.evaluate(
+        "() => { if (navigator.clipboard) navigator.clipboard.write = () => Promise.reject(new Error()); }"
+    )
+    tab.click("button[data-copies=cite-bibtex]")
+    tab.wait_for_function("() => getSelection().toString().includes('@software{tissueid')")
