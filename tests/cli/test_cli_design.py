@@ -6,11 +6,15 @@ import csv
 import json
 import re
 import shlex
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from command_line import QUICK, REPOSITORY, run, write_log
+from rendered_tissues import PAPER_A, bundle_of
 
+from tissueid.store.bundle import write_bundle
 from tissueid.store.schema import first_problem
 
 pytestmark = pytest.mark.needs_jit
@@ -86,6 +90,28 @@ def test_a_bundle_is_planned_for_within_its_depth(tmp_path: Path, monkeypatch: p
         "design", "fitted", "--machine", "bench", "--want", "eta=5%", "--max-depth", "20", "--json"
     ).json()
     assert any("beyond that its law is a continuation" in said for said in deeper["verdict"]["remarks"])
+
+
+def test_every_draw_of_a_bundle_counts(tmp_path: Path) -> None:
+    spread = np.exp(0.3 * np.random.default_rng(5).standard_normal((200, 1)))
+    draws = np.repeat(PAPER_A.theta[None], 200, axis=0)
+    draws[:, -1:] *= spread
+    write_bundle(bundle_of(replace(PAPER_A, name="head"), draws=draws), tmp_path / "head.h5")
+    wanted = ("--machine", "paper-a", "--want", "tau=4%", "--json")
+    found = {}
+    for share in ("0.5", "1.0"):
+        ended = run("design", tmp_path / "head.h5", *wanted, "--assurance", share)
+        assert ended.code == 0, ended.stderr
+        found[share] = ended.json()
+    document = found["1.0"]
+    assert document["tissue"]["words"].startswith("posterior draws of ")
+    assert document["tissue"]["draws"] == 16
+    (tau,) = [one for one in document["tissue"]["numbers"] if one["name"] == "relaxation_time_s"]
+    assert tau["low"] < 0.7 * tau["median"] < tau["high"]
+    (reached,) = document["protocols"][0]["precision"]
+    # the shortest relaxation times are the hardest
+    assert reached["median"] < reached["assured"] <= 0.04
+    assert document["protocols"][0]["seconds"] >= found["0.5"]["protocols"][0]["seconds"]
 
 
 @pytest.mark.parametrize(
