@@ -7,6 +7,7 @@ import pytest
 
 from tissueid.segment import segment
 from tissueid.segment.corner import corners_of
+from tissueid.segment.edges import corner_near
 from tissueid.trial import Corner, Phase, Segmentation, Trial
 
 RATE_HZ = 500.0
@@ -128,3 +129,14 @@ def test_a_stop_between_two_samples_takes_no_time() -> None:
     phases = phases_between(time, [0, 200, 599], ["ramp", "hold"])
     (corner,) = corners_of(time, depth, phases, tolerance_mm=1e-3)
     assert corner.duration_s == 0.0
+
+
+def test_two_samples_of_one_ramp_place_no_corner_far_along_it():
+    # a line through the first two samples and one through the rest are the same, but for rounding, which
+    # differs from ramp to ramp
+    found = []
+    for k in range(200):
+        time_s = 0.01 * np.arange(k, k + 100)
+        depth = time_s * 25.0 / 6.0
+        found.append(corner_near(time_s, depth, 0, (0, 99), stands=(False, False), tolerance=1e-3))
+    assert max(found) <= 1

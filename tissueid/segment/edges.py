@@ -19,6 +19,8 @@ CORNER_SAMPLES = 200
 #: Samples on each side that must lie on the lines of a sharp corner, and what share of them.
 NEAR_SAMPLES = 25
 SHARP_SHARE = 0.98
+#: Lines that differ by this share of what they run through are the same.
+ROUNDING = 1e-9
 #: Passes that place a corner.
 CORNER_PASSES = 16
 
@@ -97,6 +99,11 @@ def _meeting(
 ) -> int | None:
     """The first sample from which two lines have met, within ``(low, high)``; ``None`` where they do not."""
     (slope_1, level_1), (slope_2, level_2) = lines
+    ends = time_s[[low, high]]
+    one, other = level_1 + slope_1 * ends, level_2 + slope_2 * ends
+    # two samples of one straight ramp lie on its line: where they part is rounding
+    if float(np.abs(one - other).max()) <= ROUNDING * float(np.abs([one, other]).max()):
+        return None
     if slope_1 == slope_2:
         return None
     meet = (level_2 - level_1) / (slope_1 - slope_2)
