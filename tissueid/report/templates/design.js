@@ -9,12 +9,14 @@
   });
 
   figureBoxes((box) => {
-    const { words, wanted, front, protocols, against } = figures[Number(box.dataset.want)];
+    const { wanted, front, protocols, against } = figures[Number(box.dataset.want)];
     const given = against ? [against] : [];
     const minutes = [...front, ...protocols, ...given].map((one) => one.minutes);
     const ends = [0.9 * Math.min(...minutes), 1.1 * Math.max(...minutes)];
     const line = { mode: "lines+markers", line: { color: colour("data"), width: 2 }, marker: { size: 6 } };
-    const ranked = { mode: "markers+text", textposition: "top center", marker: { color: colour("model"), size: 9 } };
+    // the first of the table stands out; numbers would lie on each other
+    const sizes = protocols.map((_, rank) => (rank === 0 ? 14 : 8));
+    const ranked = { mode: "markers", marker: { color: colour("model"), size: sizes } };
     const star = { mode: "markers", marker: { color: colour("ink"), size: 12, symbol: "star" } };
     return {
       traces: [
@@ -23,7 +25,7 @@
         trace(protocols, "protocols", ranked),
         ...given.map((one) => trace([one], one.name, star)),
       ],
-      x: "Machine time a specimen [min]", y: `${words}: sd [%]`,
+      x: "Machine time a specimen [min]", y: "Standard deviation [%]",
       layout: { xaxis: { type: "log" }, yaxis: { type: "log" } },
     };
   });
