@@ -40,7 +40,6 @@ AT_A_STEP: list[tuple[tuple[str, ...], int]] = [
     (("compare", "a.h5", "b.h5", "-o", "old.json"), 2),
     (("rupture", "ruptures", "-o", "rup", "--criterion", "work"), 3),
     (("calibrate", "recipe.toml", "-o", "cal", "--simulations", "20"), 8),
-    (("design", "a.h5", "--machine", "bench", "-o", "plan"), 3),
     (("reproduce", "pires", "-o", "rep"), 1),
     (("reproduce", "sadeghnejad", "-o", "rep"), 1),
 ]
