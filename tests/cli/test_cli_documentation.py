@@ -36,7 +36,7 @@ USUAL = {0, 4}
 ELSEWHERE = {"README.md", "design.md"}
 PAGES = [page for page in pages() if commands_of(page) and page.name not in ELSEWHERE]
 #: A population of five specimens takes a minute.
-SLOW = {"population.md"}
+SLOW = {"calibrate.md", "population.md", "round-robin.md", "rupture.md"}
 STUDY = """schema = "tissueid/study/1"
 [study]
 title = "kidney and liver"

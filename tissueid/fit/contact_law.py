@@ -48,6 +48,8 @@ WIDEST = {"stiffness_N_per_mm_n": 1.0, "exponent": 0.5, "restitution": 0.25}
 SLOW = 0.5
 FEWEST_SLOW = 0.02
 NORMAL_95 = 1.959963984540054
+#: Flat punch, sphere, cone.
+SIMPLE_POWERS = (1.0, 1.5, 2.0)
 #: Rounds of residual correlation and fit; the second changes nothing that is printed.
 ROUNDS = 2
 #: Directions of less than this share of the information are none: rounding is of that size.
@@ -151,16 +153,16 @@ def fit_contact_law(logs: Sequence[ContactLog]) -> ContactLaw:
     ----------
     Pires et al., Haptic Positioning Environment for the Hip Resurfacing Surgery, equation (1).
     """
-    parameters = _start(logs)
     noise, breaks = _first_noise(logs), _breaks(logs)
-    for _ in range(1 + ROUNDS):
-        found = lmfit.minimize(
-            _whitened, parameters, args=(logs, noise), Dfun=_slopes, ftol=TOLERANCE, xtol=TOLERANCE
-        )
-        parameters = found.params
-        raw = _residuals(parameters, logs)
+    # a contact that the record does not show may be anywhere: from one power alone its search may go astray
+    found = min((_searched(start, logs, noise) for start in _starts(logs)), key=lambda one: one.chisqr)
+    for round_ in range(1 + ROUNDS):
+        if round_:
+            found = _searched(found.params, logs, noise)
+        raw = _residuals(found.params, logs)
         noise = autoregression(raw, breaks)
         noise = replace(noise, sd=_above_rounding(noise.sd, logs))
+    parameters = found.params
     values = np.array([parameters[name].value for name in parameters])
     covariance = _covariance(parameters, logs, noise)
     force = np.concatenate([log.force_N for log in logs])
@@ -182,8 +184,17 @@ def fit_contact_law(logs: Sequence[ContactLog]) -> ContactLaw:
     )
 
 
-def _start(logs: Sequence[ContactLog]) -> lmfit.Parameters:
-    """From a line through ln F over ln depth."""
+def _searched(
+    parameters: lmfit.Parameters, logs: Sequence[ContactLog], noise: Autoregression
+) -> lmfit.minimizer.MinimizerResult:
+    """The optimum near a start."""
+    return lmfit.minimize(
+        _whitened, parameters, args=(logs, noise), Dfun=_slopes, ftol=TOLERANCE, xtol=TOLERANCE
+    )
+
+
+def _starts(logs: Sequence[ContactLog]) -> list[lmfit.Parameters]:
+    """From the power that a line through ln F over ln depth has, and from those of simple tips."""
     depth = np.maximum(np.concatenate([log.depth_mm for log in logs]), 0.0)
     force = np.concatenate([log.force_N for log in logs])
     ratio = np.concatenate([log.ratio for log in logs])
@@ -191,18 +202,27 @@ def _start(logs: Sequence[ContactLog]) -> lmfit.Parameters:
     slope, level = 1.5, math.log(max(float(force.max()), 1e-9) / float(depth.max()) ** 1.5)
     if int(known.sum()) > 2 and np.ptp(depth[known]) > 0.0:
         slope, level = np.polyfit(np.log(depth[known]), np.log(force[known]), 1)
-    slope = float(np.clip(slope, 0.6, 3.9))
+    return [
+        _start(float(np.clip(n, 0.6, 3.9)), depth, force, ratio, float(level), len(logs))
+        for n in (slope, *SIMPLE_POWERS)
+    ]
+
+
+def _start(
+    slope: float, depth: FloatArray, force: FloatArray, ratio: FloatArray, level: float, logs: int
+) -> lmfit.Parameters:
+    """The law of a known power that is nearest to the samples, contact where it was found."""
     power = depth**slope
     # for a known power the law is linear in k and k chi
     (elastic, damped), *_ = np.linalg.lstsq(np.column_stack([power, power * ratio]), force, rcond=None)
     chi = damped / elastic if elastic > 0.0 else 0.0
     parameters = lmfit.Parameters()
-    parameters.add("ln_k", math.log(elastic) if elastic > 0.0 else float(level))
+    parameters.add("ln_k", math.log(elastic) if elastic > 0.0 else level)
     parameters.add("n", slope, min=EXPONENTS[0], max=EXPONENTS[1])
     # off the bounds, where the coordinates of lmfit have no slope
     parameters.add("chi", float(np.clip(chi, 0.02, 0.9 * MOST_CHI)), min=0.0, max=MOST_CHI)
     for what in ("contact", "air"):
-        for number in range(len(logs)):
+        for number in range(logs):
             parameters.add(f"{what}_{number}", 0.0)
     return parameters
 

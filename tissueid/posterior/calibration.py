@@ -264,8 +264,8 @@ def total_posterior(
     reported = field_units(behind, theta[picks], points[source, : behind.branches])
     if "static" in effects:
         reported[:, :STATIC_DEGREE] = static_of_logs(behind, points, found.extra, source, gains, rng)
-    # of the points' weights, and of those of the gains among the draws of a point
-    worth = found.size / (weights.size * float((weights**2).sum()))
+    # draws of one point are no more than one: they share all but their gains
+    worth = 1.0 / float((np.bincount(tried, weights=weights) ** 2).sum())
     nuisances = np.column_stack([gains.force, gains.displacement, instrument])
     return TotalPosterior(
         theta=reported,
