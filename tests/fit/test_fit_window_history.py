@@ -124,6 +124,7 @@ def test_samples_from_the_first_rupture_on_take_no_part() -> None:
     assert any("the first rupture" in flag.message for flag in flags if flag.code == "unloading_left_out")
 
 
+@pytest.mark.needs_jit
 def test_the_user_may_deny_a_rupture() -> None:
     trial = broken()
     divided = segment(trial, options=SegmentOptions(rupture=False))
@@ -133,6 +134,7 @@ def test_the_user_may_deny_a_rupture() -> None:
     assert log.data.time_s[-1] == trial.time_s[-1]
 
 
+@pytest.mark.needs_jit
 def test_the_user_may_cut_a_recording() -> None:
     trial = recording([0, 2, 3, 5, 15, 17], [0, 2, 0, 4, 4, 0])
     divided = segment(trial, options=SegmentOptions(start_s=3.0, end_s=12.0))
