@@ -155,6 +155,7 @@ def blocks(language: str) -> list[str]:
     return [text for name, text in zip(parts[1::4], parts[2::4], strict=False) if name == language]
 
 
+@pytest.mark.slow
 def test_the_page_of_documentation_runs_as_printed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every command block, with the files the page gives; what it prints of their output is in it."""
     monkeypatch.chdir(tmp_path)

@@ -35,8 +35,8 @@ USUAL = {0, 4}
 #: Run by tests of their own, with the files and the output that they print.
 ELSEWHERE = {"README.md", "design.md"}
 PAGES = [page for page in pages() if commands_of(page) and page.name not in ELSEWHERE]
-#: A population of five specimens takes a minute.
-SLOW = {"calibrate.md", "population.md", "round-robin.md", "rupture.md"}
+#: Pages that are run by default; the others take minutes together.
+QUICK = {"tutorial.md", "compare.md", "export.md"}
 STUDY = """schema = "tissueid/study/1"
 [study]
 title = "kidney and liver"
@@ -150,7 +150,7 @@ def typed(command: Command) -> None:
 
 @pytest.mark.needs_jit
 @pytest.mark.parametrize(
-    "page", [pytest.param(page.name, marks=[pytest.mark.slow] * (page.name in SLOW)) for page in PAGES]
+    "page", [pytest.param(page.name, marks=[pytest.mark.slow] * (page.name not in QUICK)) for page in PAGES]
 )
 def test_commands_of_a_page_run(page: str, place: Path) -> None:
     made_ready(page, place)
