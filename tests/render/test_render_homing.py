@@ -46,7 +46,8 @@ def test_an_owner_that_dies_during_homing_ends_it_with_zero_force() -> None:
     block.close()
     assert "pull the grip" in told
     # homing itself would be given up after a minute
-    assert 0.5 <= took < 20.0
+    # the timer runs on a clock of its own
+    assert 0.4 <= took < 20.0
     assert last == (0, 0, 0)
 
 
