@@ -1,12 +1,13 @@
 """What a cohort costs: surveys, jobs, assembly, one and two workers, Dask against local, memory by size.
 
-Every specimen has the logs of ``paper-a-22``, with the forces of one template scaled, so that generation
-costs next to nothing.  Four parts:
+Every specimen has the logs of ``paper-a-22``; but in ``paper`` the forces of one template are scaled, so that
+generation costs next to nothing.  Four parts:
 
 * ``workers``: the jobs of some specimens on one process and on two, in turn, and on Dask workers beside them.
   The ratio is of the wall time of the jobs alone; the whole command is told as well.
 * ``memory``: peak resident memory of every process at two sizes of cohort.
-* ``paper``: 17 specimens of 22 logs at 1 kHz, from CSV to bundles and report, with the breakdown.
+* ``paper``: 17 specimens of 22 logs at 1 kHz, each a tissue of its own, from CSV to bundles and report and to
+  the population with its bundle and report, with the breakdown.
 * ``overhead``: tasks that compute nothing and return as many bytes as a specimen's file, on two local
   processes and on two workers of Dask: what handing out and taking back costs, whatever the machine does
   beside it an upper bound.
@@ -36,7 +37,9 @@ from typing import Any
 
 import numpy as np
 
+from tissueid.population.coordinates import Coordinates
 from tissueid.synth import DIALECTS, bluehill_csv, recipe, simulate
+from tissueid.synth.recipe import Branch
 
 #: Specimens of short logs: one branch.
 SHORT = ("--draws", "400", "--branches", "1", "--stiffness-degree", "0", "--sampler")
@@ -44,6 +47,8 @@ PORT = 18_787
 SAMPLE_S = 0.2
 #: Bytes of a job and of its result: 22 recordings by name, and a file of 22 short logs.
 JOB_BYTES, RESULT_BYTES = 8_000, 670_000
+#: Spread of ln of each quantity between specimens, and the correlation of any two.
+BETWEEN, COMMON = 0.15, 0.9
 
 
 def write_cohort(folder: Path, specimens: int, rate_Hz: float) -> int:
@@ -61,6 +66,41 @@ def write_cohort(folder: Path, specimens: int, rate_Hz: float) -> int:
                 bluehill_csv(one, dialect=DIALECTS["bare"], decimals=decimals)
             )
     return specimens * sum(log.time_s.size for log in logs)
+
+
+def write_population(folder: Path, specimens: int) -> int:
+    """Every specimen is a tissue of its own, drawn around that of paper A; returns the number of samples."""
+    around = recipe("paper-a-22")
+    places = Coordinates(branches=1, stiffness_degree=0, depth_mm=8.0)
+    typical = np.array([*around.static, *around.branches[0].stiffness, around.branches[0].tau_s])
+    centre = places.to_phi(typical)[0][0]
+    rng, samples = np.random.default_rng(3), 0
+    for number in range(specimens):
+        theta = drawn_tissue(places, centre, rng)
+        own = folder / f"head-{number:05d}"
+        own.mkdir(parents=True)
+        one = replace(
+            around,
+            specimen=own.name,
+            static=tuple(map(float, theta[:3])),
+            branches=(Branch((float(theta[3]),), float(theta[4])),),
+        )
+        for log in simulate(one, rng=rng):
+            content = bluehill_csv(log, dialect=DIALECTS["bare"], decimals=one.decimals)
+            (own / f"{log.name}.csv").write_bytes(content)
+            samples += log.time_s.size
+    return samples
+
+
+def drawn_tissue(places: Coordinates, centre: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """A passive tissue; its quantities scatter by :data:`BETWEEN`, correlated by :data:`COMMON`."""
+    while True:
+        scatter = np.sqrt(COMMON) * rng.standard_normal() + np.sqrt(1.0 - COMMON) * rng.standard_normal(
+            places.size
+        )
+        theta = places.to_theta(centre + BETWEEN * scatter)
+        if places.passive(theta)[0]:
+            return np.asarray(theta[0])
 
 
 @dataclass
@@ -128,6 +168,33 @@ def fit(data: Path, out: Path, *args: str) -> dict[str, object]:
         "out_MB": sum(path.stat().st_size for path in out.rglob("*") if path.is_file()) / 2**20,
         "load": os.getloadavg()[0],
     }
+
+
+def population(out: Path) -> dict[str, object]:
+    """``tissueid cohort`` of a finished fit, in a process of its own: population bundle and report."""
+    command = [sys.executable, "-m", "tissueid", "cohort", str(out), "-q"]
+    begin, before = time.time(), resource.getrusage(resource.RUSAGE_CHILDREN)
+    done = subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, check=False)
+    wall, after = time.time() - begin, resource.getrusage(resource.RUSAGE_CHILDREN)
+    if done.returncode not in {0, 4}:
+        sys.exit(done.stderr)
+    sampler = json.loads((out / "population.json").read_bytes())["population"]["sampler"]
+    return {
+        "wall_s": wall,
+        "processor_s": sum(after[:2]) - sum(before[:2]),
+        "converged": sampler["converged"],
+        "sweeps": sampler["sweeps"],
+        "load": os.getloadavg()[0],
+    }
+
+
+def paper_part(data: Path, out: Path, specimens: int, sampler: str) -> dict[str, object]:
+    """From CSV to the population, stage by stage, and its whole wall time."""
+    samples = write_population(data, specimens)
+    run = fit(data, out, "--sampler", sampler, "--workers", "2")
+    of_all = population(out)
+    total = {key: run[key] + of_all[key] for key in ("wall_s", "processor_s")}  # type: ignore[operator]
+    return {"samples": samples, "sampler": sampler, "fit": run, "population": of_all, "total": total}
 
 
 def cluster(stack: ExitStack, workers: int) -> str:
@@ -213,9 +280,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         data, out = Path(folder) / "data", Path(folder) / "out"
         if options.part == "paper":
-            samples = write_cohort(data, options.specimens, 1000.0)
-            found = fit(data, out, "--sampler", options.sampler, "--workers", "2")
-            result: dict[str, object] = {"samples": samples, "run": found}
+            result = paper_part(data, out, options.specimens, options.sampler)
         elif options.part == "workers":
             samples = write_cohort(data, options.specimens, options.rate)
             result = {"samples": samples, **workers_part(data, out, options.sampler, options.repeats)}
