@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from tissueid.posterior.total_intervals import plausible_edges, total_intervals
 from tissueid.priors import CalibrationPrior
@@ -27,7 +28,21 @@ def test_a_nuisance_at_its_edge_adds_the_interval_without_it() -> None:
     low, high = total_intervals(draws, {"f": nuisance}, {"f": FILTER})["tau"]
     # without the nuisance the draws are normal around 10; their ends from 40,000 draws are good to 0.013
     assert high == pytest.approx(10.0 + TWO_SIDED_95, abs=0.06)
-    assert low == pytest.approx(np.quantile(draws["tau"], 0.025), abs=1e-12)
+    # the other end is drawn in: with the nuisance 95 % are held in all
+    assert np.quantile(draws["tau"], 0.025) < low < np.quantile(draws["tau"], 0.05)
+    assert ((low <= draws["tau"]) & (draws["tau"] <= high)).mean() == pytest.approx(0.95, abs=1e-4)
+
+
+def test_an_end_is_not_drawn_in_past_what_absence_says() -> None:
+    # absence leaves a parameter three times as wide as the nuisance moves it: both ends are its own
+    nuisance = half_normal(1.0, 14)
+    noise = np.random.default_rng(15).standard_normal(N)
+    tau = 10.0 + 3.0 * noise * (nuisance < 1.0) + 0.1 * nuisance
+    low, high = total_intervals({"tau": tau}, {"f": nuisance}, {"f": FILTER})["tau"]
+    ends = np.quantile(tau, [0.025, 0.975])
+    assert low < ends[0] + 0.1
+    assert high > ends[1] - 0.1
+    assert ((low <= tau) & (tau <= high)).mean() >= 0.95 - 1e-4
 
 
 def test_a_nuisance_that_the_data_have_found_leaves_the_central_interval() -> None:
@@ -55,46 +70,67 @@ def test_edges_are_those_of_unknown_nuisances_only() -> None:
 
 def test_odds_are_those_of_the_densities_at_the_edge() -> None:
     # a normal around m, cut at 0, against half a normal of sd 5: density ratio in closed form
-    for centre, plausible in ((2.0, True), (3.6, False)):
+    for centre, plausible in ((1.0, True), (2.6, False)):
         draws = centre + np.random.default_rng(6).standard_normal(4 * N)
         draws = draws[draws > 0.0]
         mass = 0.5 * math.erfc(-centre / math.sqrt(2.0))
         at_edge = math.exp(-0.5 * centre**2) / math.sqrt(2.0 * math.pi) / mass
         odds = at_edge / (2.0 / (5.0 * math.sqrt(2.0 * math.pi)))
-        assert (odds / (1.0 + odds) >= 0.05) is plausible
+        assert (odds / (1.0 + odds) >= 0.25) is plausible
         assert plausible_edges({"f": draws}, {"f": FILTER}) == (("f",) if plausible else ())
 
 
-def end_moved_by(draws: np.ndarray, cluster: np.ndarray) -> float:
-    """How far the upper end of a standard normal is moved out."""
-    plain = total_intervals({"tau": draws}, {}, {})["tau"][1]
-    return total_intervals({"tau": draws}, {}, {}, cluster=cluster)["tau"][1] - plain
+def end_moved_by(draws: np.ndarray, nuisance: np.ndarray, cluster: np.ndarray) -> float:
+    """How far the upper end without a nuisance is moved out."""
+    priors = {"f": CalibrationPrior(0.0, 1.0, 0.0)}
+    still = total_intervals({"tau": draws}, {"f": nuisance}, priors)["tau"][1]
+    return total_intervals({"tau": draws}, {"f": nuisance}, priors, cluster=cluster)["tau"][1] - still
 
 
-def error_of_end(points: int) -> float:
-    """Of the 97.5 % quantile of a standard normal, to first order."""
+def moved_by_two_errors(points: int) -> float:
+    """That of a standard normal moved along its regression on half of one, in closed form."""
     density = math.exp(-0.5 * TWO_SIDED_95**2) / math.sqrt(2.0 * math.pi)
-    return math.sqrt(0.025 * 0.975 / points) / density
+    # squared mean over variance of half a standard normal: the slope's error, as a share beyond the end
+    slope = (2.0 / math.pi) / (1.0 - 2.0 / math.pi)
+    error = math.sqrt((0.025 * 0.975 + density**2 * slope) / points)
+    return float(norm.isf(0.025 - 2.0 * error)) - TWO_SIDED_95
 
 
-def test_ends_from_few_points_are_moved_out_by_their_standard_error() -> None:
+def test_ends_without_a_nuisance_are_moved_out_by_two_standard_errors() -> None:
     points, times = 1_000, 40
     cluster = np.repeat(np.arange(points), times)
+    nuisance = np.repeat(half_normal(1.0, 16)[:points], times)
     rng = np.random.default_rng(12)
-    apart = rng.standard_normal(points * times)
-    same = np.repeat(rng.standard_normal(points), times)
+    apart = rng.standard_normal(points * times) - nuisance
+    same = np.repeat(rng.standard_normal(points), times) - nuisance
     # 40 draws of one value tell as much as one of them, 40 of their own as much as 40
-    assert end_moved_by(same, cluster) == pytest.approx(error_of_end(points), rel=0.5)
-    assert end_moved_by(apart, cluster) == pytest.approx(error_of_end(points * times), rel=0.3)
+    assert end_moved_by(same, nuisance, cluster) == pytest.approx(moved_by_two_errors(points), rel=0.5)
+    assert end_moved_by(apart, nuisance, cluster) == pytest.approx(
+        moved_by_two_errors(points * times), rel=0.3
+    )
     # and what draws of a point share in part lies between
-    partly = math.sqrt(0.5) * (same + apart)
-    assert error_of_end(points * times) < end_moved_by(partly, cluster) < 0.7 * error_of_end(points)
+    partly = math.sqrt(0.5) * (same + apart + 2.0 * nuisance) - nuisance
+    moved = end_moved_by(partly, nuisance, cluster)
+    assert moved_by_two_errors(points * times) < moved < 0.9 * moved_by_two_errors(points)
 
 
-def test_ends_from_very_few_points_reach_as_far_as_there_are_any() -> None:
-    draws = np.random.default_rng(13).standard_normal(20)
-    found = total_intervals({"tau": draws}, {}, {}, cluster=np.arange(20))["tau"]
-    assert found == (draws.min(), draws.max())
+def test_ends_of_the_draws_themselves_are_not_moved() -> None:
+    draws = np.random.default_rng(17).standard_normal(1_000)
+    found = total_intervals({"tau": draws}, {}, {}, cluster=np.arange(1_000))["tau"]
+    assert found == pytest.approx(tuple(np.quantile(draws, [0.025, 0.975])), abs=1e-12)
+
+
+def test_ends_without_a_nuisance_from_very_few_points_reach_as_far_as_there_are_any() -> None:
+    rng = np.random.default_rng(13)
+    draws = rng.standard_normal(20)
+    # quantiles of half a standard normal
+    nuisance = rng.permutation(norm.isf((np.arange(20) + 0.5) / 40.0))
+    priors = {"f": CalibrationPrior(0.0, 1.0, 0.0)}
+    found = total_intervals({"tau": draws}, {"f": nuisance}, priors, cluster=np.arange(20))["tau"]
+    away = nuisance - nuisance.mean()
+    without = draws - (away @ draws) / (away @ away) * nuisance
+    assert found[0] <= max(without.min(), draws.min())
+    assert found[1] >= min(without.max(), draws.max())
 
 
 def test_no_end_lies_beyond_the_draws() -> None:

@@ -71,10 +71,10 @@ CASES = (
     Case("AR(1) 0.99", seed=20261103, phi=0.99),
     Case("gain 2 %", seed=20261104, gain_sd=0.02),
     Case("specimen CV 15 %", seed=20261105, gain_sd=0.15),
-    Case("calibration defects, total interval", seed=20261151, defects=True),
+    Case("calibration defects, total interval", seed=20261161, defects=True),
     Case("two branches", seed=20261107, theta=TWO_BRANCHES, branches=2, degree=0),
 )
 FRAMES = (
-    Case("unknown frame of 200 N/mm", seed=20261152, defects=True, frame_N_per_mm=200.0),
-    Case("unknown frame of 1,000 N/mm", seed=20261153, defects=True, frame_N_per_mm=1000.0),
+    Case("unknown frame of 200 N/mm", seed=20261162, defects=True, frame_N_per_mm=200.0),
+    Case("unknown frame of 1,000 N/mm", seed=20261163, defects=True, frame_N_per_mm=1000.0),
 )

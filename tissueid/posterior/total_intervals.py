@@ -4,18 +4,22 @@ The prior of an unknown filter is half of a normal distribution: a machine that 
 very edge, where the prior has no mass, and a posterior over filters leans away from it.  Central intervals
 then hold the truth behind such a machine less often than they say, shortest ones as rarely, since a
 parameter that is moved by the filter need not be lopsided itself.  None at all is no far-fetched filter,
-though, and is a hypothesis of its own.  The total interval is therefore the hull of the intervals under
-each that the data leave standing: robust Bayes over two priors (Berger 1985, Statistical Decision Theory,
-section 4.7).
+though, and is a hypothesis of its own.  The total interval holds what it says under each that the data leave
+standing: robust Bayes over two priors (Berger 1985, Statistical Decision Theory, section 4.7).
 
 Draws without a filter are the draws moved to its absence along their linear regression on it (Beaumont,
 Zhang & Balding 2002, Genetics 162: 2025): a slope does not depend on where its regressor is cut.
 
-The ends of a quoted interval are moved out by their Monte-Carlo standard error: of ends that are wrong by
-chance it is better to be wrong outward.  Draws come in clusters, those of one evaluated point, which share
-everything but their gains; the error is that of the share of whole clusters beyond the end.  An end that the
-gains decide is known well from a thousand points, one that a relaxation time decides to some 2 % of the
-width.
+An end without a filter is one of draws that were moved, by a slope that is known from them only, and is held
+against single machines, not against an average over them.  It is therefore the end of a tolerance interval
+(Wilks 1941, Ann. Math. Stat. 12: 91): it is moved out by :data:`SURE` standard errors, so that the chance of
+the draws leaves it short in one case of forty.  Draws come in clusters, those of one evaluated point, which
+share everything but their gains; the error is that of the share of whole clusters beyond the end, and that
+of the slope.
+
+Ends of the draws themselves are right on average over machines, and are not moved.  Where the interval
+reaches beyond one of them because of an absence, the other is drawn in until the level is held in all, as
+far as the absence lets it.
 """
 
 from __future__ import annotations
@@ -33,10 +37,13 @@ __all__ = ["plausible_edges", "total_intervals"]
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-#: Probability, at even odds before, from which the absence of a nuisance stands.
-PLAUSIBLE = 0.05
+#: Probability, at even odds before, from which the absence of a nuisance stands: a Bayes factor of 3 against
+#: it is positive evidence (Kass & Raftery 1995, doi 10.1080/01621459.1995.10476572).
+PLAUSIBLE = 0.25
 #: Draws within this many of their standard deviations of the edge tell the density there.
 NEAR = 0.5
+#: Standard errors that an end without the nuisance is moved out by.
+SURE = 2.0
 
 
 def plausible_edges(
@@ -67,16 +74,45 @@ def plausible_edges(
     return tuple(out)
 
 
-def _end(values: FloatArray, level: float, cluster: IntArray | None) -> float:
-    """A quantile, moved outward by the standard error that clustered draws know it to."""
-    found = float(np.quantile(values, level))
+def _norm_over(cluster: IntArray, values: FloatArray) -> float:
+    """Root of the sum of squares of the clusters' sums."""
+    sums = np.bincount(cluster, weights=values)
+    return math.sqrt(float(sums @ sums))
+
+
+def _without(
+    values: FloatArray, excess: FloatArray, tail: float, cluster: IntArray | None
+) -> tuple[float, float]:
+    """Ends of a parameter without a nuisance, moved out by what clustered draws leave open.
+
+    Parameters
+    ----------
+    values, excess : ndarray, shape (n,)
+        Draws of the parameter, and of the nuisance from its edge on.
+    tail : float
+        Probability beyond either end.
+    cluster : ndarray of int, shape (n,), or None
+    """
+    low, high = float(values.min()), float(values.max())
+    away = excess - excess.mean()
+    slope = float(away @ values) / float(away @ away)
+
+    def moved(by: float) -> FloatArray:
+        # a line may leave the passive set, which no draw does
+        return np.clip(values - by * excess, low, high)
+
+    draws = moved(slope)
+    ends = np.quantile(draws, [tail, 1.0 - tail])
     if cluster is None:
-        return found
-    beyond = values < found if level < 0.5 else values > found
-    tail = min(level, 1.0 - level)
-    away = np.bincount(cluster, weights=beyond - tail)
-    moved = max(tail - math.sqrt(float(away @ away)) / values.size, 0.0)
-    return float(np.quantile(values, moved if level < 0.5 else 1.0 - moved))
+        return float(ends[0]), float(ends[1])
+    error = _norm_over(cluster, away * (draws - draws.mean())) / float(away @ away)
+    less, more = moved(slope - error), moved(slope + error)
+    tails = []
+    for sign, end in zip((1.0, -1.0), ends, strict=True):
+        beyond = _norm_over(cluster, (sign * draws < sign * end) - tail) / values.size
+        tilted = 0.5 * float((sign * less < sign * end).mean() - (sign * more < sign * end).mean())
+        tails.append(max(tail - SURE * math.hypot(beyond, tilted), 0.0))
+    return float(np.quantile(draws, tails[0])), float(np.quantile(draws, 1.0 - tails[1]))
 
 
 def total_intervals(
@@ -98,22 +134,19 @@ def total_intervals(
     priors : mapping
         Calibration nuisance -> its prior.
     level : float
-        Of the central interval under each hypothesis.
+        Probability of the interval under each hypothesis.
     cluster : ndarray of int, optional
         What each draw was made from, shape (n,), not negative; draws of one number are not independent.
         Without it the draws are taken as if there were no end of them.
     """
-    ends = 0.5 * (1.0 - level), 0.5 * (1.0 + level)
+    tail = 0.5 * (1.0 - level)
     absent = [nuisances[name] - priors[name].lower for name in plausible_edges(nuisances, priors)]
     out = {}
     for name, values in draws.items():
-        found = [[_end(values, end, cluster) for end in ends]]
-        for excess in absent:
-            away = excess - excess.mean()
-            slope = float(away @ values) / float(away @ away)
-            # a line may leave the passive set, which no draw does
-            moved = np.clip(values - slope * excess, values.min(), values.max())
-            found.append([_end(moved, end, cluster) for end in ends])
-        low, high = np.array(found).T
-        out[name] = (float(low.min()), float(high.max()))
+        found = np.array([_without(values, excess, tail, cluster) for excess in absent]).reshape(-1, 2)
+        low, high = found[:, 0].min(initial=math.inf), found[:, 1].max(initial=-math.inf)
+        # what is saved beyond one end may lie beyond the other
+        below, above = min(float((values < low).mean()), tail), min(float((values > high).mean()), tail)
+        first, last = np.quantile(values, [2.0 * tail - above, 1.0 - 2.0 * tail + below])
+        out[name] = (float(min(low, first)), float(max(high, last)))
     return out
