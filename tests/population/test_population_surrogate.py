@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from cohort_factory import COORDINATES, TYPICAL
 
+from tissueid.population.members import Member, stage_one
 from tissueid.population.mixture_kernels import log_mixture
+from tissueid.population.sampler import SamplerOptions, sample_population
+from tissueid.population.stage_one import Design
 from tissueid.population.surrogate import Mixture, mixture_of
+from tissueid.result import ModelChoice
 
 LINEAR = np.array([True, True, False])
 #: Forces to 5 and 10 %, a relaxation time to 60 %.
@@ -51,3 +56,51 @@ def test_a_prior_that_varies_is_divided_out_of_the_likelihood() -> None:
     # the likelihood is a normal around 4 again: 3 errors of the mean of some thousand draws
     assert found.middle[0] == pytest.approx(4.0, abs=3.0 * 0.05 / np.sqrt(1000.0) + 0.002)
     assert 1.0 / np.sqrt(found.precision[0, 0]) == pytest.approx(0.05, rel=0.1)
+
+
+def open_by_a_factor(count: int, spread: float) -> tuple[list[Member], np.ndarray]:
+    """Specimens whose forces are known but for a gain of each, and their true places."""
+    rng = np.random.default_rng(33)
+    centre = COORDINATES.to_phi(TYPICAL)[0][0]
+    gain = np.array([1.0, 1.0, 1.0, 1.0, 0.0])
+    made, places = [], []
+    while len(made) < count:
+        place = centre + 0.15 * rng.standard_normal(5)
+        error = spread * rng.standard_normal()
+        # gains of two logs, whose own spread is open as well: longer tails than a normal
+        scatter = error + spread * rng.standard_t(5.0, size=(2000, 1))
+        phi = (
+            place
+            + gain * scatter
+            + np.array([3e-4, 3e-4, 5e-4, 0.015, 0.05]) * rng.standard_normal((2000, 5))
+        )
+        theta = COORDINATES.to_theta(phi)
+        if not COORDINATES.passive(theta).all():
+            continue
+        model = ModelChoice("kelvin-voigt", 1, 3, 0, "partial")
+        made.append(Member(f"s{len(made)}", model, 8.0, theta, -COORDINATES.log_jacobian(phi)))
+        places.append(place)
+    return made, np.array(places)
+
+
+@pytest.mark.needs_jit
+def test_forces_that_are_open_by_a_factor_do_not_draw_the_population_to_no_force() -> None:
+    made, places = open_by_a_factor(10, 0.3)
+    stage, _ = stage_one(made, COORDINATES)
+
+    assert not stage.linear[:3].any()
+    found = sample_population(stage, Design.plain(10), None, SamplerOptions(chains=4))
+    assert found.converged
+    # ten specimens of a spread of 0.15, each open by 0.3: their mean is known to a tenth
+    assert np.abs(np.median(found.mean, axis=0) - places.mean(axis=0)).max() < 0.3
+
+
+def test_what_noise_leaves_open_is_even_in_the_quantity_and_what_a_gain_does_in_its_logarithm() -> None:
+    rng = np.random.default_rng(34)
+    theta = np.tile(TYPICAL, (4000, 1))
+    theta[:, 3] *= np.clip(1.0 + 0.4 * rng.standard_normal(4000), 1e-3, None)
+    theta[:, :3] *= np.exp(0.4 * rng.standard_normal((4000, 1)))
+    model = ModelChoice("kelvin-voigt", 1, 3, 0, "partial")
+    stage, _ = stage_one([Member("s", model, 8.0, theta, np.zeros(4000))], COORDINATES)
+
+    assert stage.linear.tolist() == [False, False, False, True, False]

@@ -24,6 +24,7 @@ from tissueid.population.moves import (
     move_among_draws,
     move_smooth,
     move_together,
+    open_together,
     smooth_likelihood,
 )
 from tissueid.population.scale_kernels import correlation_factor, draw_nu, draw_scales
@@ -150,6 +151,7 @@ def sweeps(
         if cohort.smooth[i] >= 0:
             any_smooth = True
             state.likelihood[i] = smooth_likelihood(cohort, i, state.phi[i])
+    open_low = open_together(cohort) if any_smooth else np.zeros((p, p))
     for step in range(steps):
         unit = unit_factor(state.log_sd, correlation_factor(state.partial))
         move_among_draws(rng, cohort, hyper, state, unit)
@@ -159,7 +161,7 @@ def sweeps(
         if hyper.heavy:
             _draw_weights(rng, cohort, hyper, state, unit)
         if any_smooth:
-            move_together(rng, cohort, hyper, state, unit, not keep)
+            move_together(rng, cohort, hyper, state, unit, open_low, not keep)
         _inverse(unit, inverse)
         draw_coefficients(rng, cohort, hyper, state, inverse)
         draw_effects(rng, cohort, hyper, state, inverse)

@@ -130,8 +130,8 @@ class State(NamedTuple):
     nu : ndarray, shape (1,)
     weight, distance2 : ndarray, shape (n,)
         Of the scale mixture, and squared distance from the population.
-    step : ndarray, shape (2, p)
-        Ln of the steps of joint moves of mean and of scale.
+    step : ndarray, shape (3, p)
+        Ln of the steps of joint moves of mean and of scale, and, first of its row, of the whole mean.
     accepted : ndarray of int, shape (n,)
         Moves of each specimen so far.
     """

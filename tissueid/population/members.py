@@ -33,6 +33,8 @@ FEWEST_SPECIMENS = 3
 #: Draws taken of each specimen, all together: single precision keeps them below some 200 MB.
 MOST_DRAWS_IN_ALL = 6_000_000
 FEWEST_DRAWS = 500
+#: Quantiles whose distances to the median say how even draws are about it.
+_TAILS = (0.05, 0.95)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -178,4 +180,22 @@ def stage_one(members: Sequence[Member], coordinates: Coordinates) -> tuple[Stag
         if low:
             floored[one.specimen] = low
     times = np.array([name.startswith("relaxation_time") for name in coordinates.names])
-    return StageOne(tuple(phi), tuple(reference), ~times, np.flatnonzero(times)), floored
+    linear = ~times & _more_even_itself(phi)
+    return StageOne(tuple(phi), tuple(reference), linear, np.flatnonzero(times)), floored
+
+
+def _more_even_itself(phi: Sequence[NDArray[Any]]) -> NDArray[np.bool_]:
+    """Whether draws are nearer to even about their median in the quantity than in its logarithm.
+
+    Noise leaves a force open by so many N: it may be next to nothing.  A gain leaves it open by a factor: a
+    normal of the force itself, wide enough for its high draws, would then make no force at all likely too.
+    """
+    away = np.array([np.quantile(one, _TAILS, axis=0) - np.median(one, axis=0) for one in phi], np.float64)
+    logarithm, itself = (np.abs(_unevenness(scale)).sum(axis=0) for scale in (away, np.expm1(away)))
+    return np.asarray(itself <= logarithm)
+
+
+def _unevenness(away: FloatArray) -> FloatArray:
+    """Skewness by quantiles, -1 to 1, from their distances to the median, (n, 2, p); 0 where all are equal."""
+    span = np.ptp(away, axis=1)
+    return np.divide(away.sum(axis=1), span, out=np.zeros_like(span), where=span > 0.0)

@@ -10,7 +10,9 @@ others are therefore drawn with frozen weights ``pilot / reference`` and accepte
 A specimen **with a smooth likelihood** moves by Metropolis: once to a draw of the product of the population
 and one normal, then by steps of that product's shape.  Of such specimens the data say little, so that they
 follow the population and it follows them: its mean and its spread are therefore moved together with them as
-well (translation and scaling; Liu & Sabatti 2000, Biometrika 87:353, doi 10.1093/biomet/87.2.353).
+well (translation and scaling; Liu & Sabatti 2000, Biometrika 87:353, doi 10.1093/biomet/87.2.353), coordinate
+by coordinate, and the mean along what their data leave open together: a gain leaves all forces open, but by
+one and the same factor.
 """
 
 from __future__ import annotations
@@ -25,7 +27,14 @@ from tissueid.likelihood.triangular import factor, solved
 from tissueid.population.kernels import Cohort, Hyper, State, centre_of
 from tissueid.population.mixture_kernels import log_mixture
 
-__all__ = ["distance2", "move_among_draws", "move_smooth", "move_together", "smooth_likelihood"]
+__all__ = [
+    "distance2",
+    "move_among_draws",
+    "move_smooth",
+    "move_together",
+    "open_together",
+    "smooth_likelihood",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -261,12 +270,66 @@ def _try_together(
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
+def open_together(cohort: Cohort) -> FloatArray:
+    """Cholesky factor of what the data of the smooth specimens say together of their common place."""
+    together = np.zeros(cohort.precision.shape[1:])
+    for s in range(cohort.precision.shape[0]):
+        together += cohort.precision[s]
+    return factor(together)
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _try_translation(
+    rng: np.random.Generator, cohort: Cohort, hyper: Hyper, state: State, unit: FloatArray,
+    open_low: FloatArray, adapt: bool, likelihood: FloatArray,
+) -> None:  # fmt: skip
+    """Move the mean with the smooth specimens in all coordinates at once."""
+    p = unit.shape[0]
+    change, mean, other = np.zeros(p), np.zeros(p), np.zeros(p)
+    for k in range(p):
+        change[k] = math.exp(state.step[2, 0]) * rng.standard_normal()
+    _up(open_low, change)
+    ratio = 0.0
+    for k in range(p):
+        before = state.coefficient[0, k]
+        ratio -= 0.5 * ((before + change[k]) ** 2 - before**2) / hyper.coefficient_sd[0] ** 2
+    for i in range(state.weight.size):
+        if cohort.smooth[i] >= 0:
+            for k in range(p):
+                other[k] = state.phi[i, k] + change[k]
+            likelihood[i] = smooth_likelihood(cohort, i, other)
+            ratio += likelihood[i] - state.likelihood[i]
+            continue
+        centre_of(cohort, state, i, mean)
+        ratio += 0.5 * state.weight[i] * distance2(state.phi[i], mean, unit)
+        for k in range(p):
+            mean[k] += change[k]
+        ratio -= 0.5 * state.weight[i] * distance2(state.phi[i], mean, unit)
+    accepted = ratio >= 0.0 or rng.random() < math.exp(ratio)
+    if accepted:
+        for k in range(p):
+            state.coefficient[0, k] += change[k]
+        for i in range(state.weight.size):
+            if cohort.smooth[i] >= 0:
+                for k in range(p):
+                    state.phi[i, k] += change[k]
+                state.likelihood[i] = likelihood[i]
+    if adapt:
+        state.step[2, 0] += 0.2 * ((1.0 if accepted else 0.0) - WANTED_ACCEPTANCE)
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
 def move_together(
-    rng: np.random.Generator, cohort: Cohort, hyper: Hyper, state: State, unit: FloatArray, adapt: bool
-) -> None:
-    """Move means and spreads together with the smooth specimens; ``unit`` follows the spreads."""
+    rng: np.random.Generator, cohort: Cohort, hyper: Hyper, state: State, unit: FloatArray,
+    open_low: FloatArray, adapt: bool,
+) -> None:  # fmt: skip
+    """Move means and spreads together with the smooth specimens; ``unit`` follows the spreads.
+
+    ``open_low`` is of :func:`open_together`.
+    """
     p = unit.shape[0]
     likelihood = np.zeros(state.weight.size)
+    _try_translation(rng, cohort, hyper, state, unit, open_low, adapt, likelihood)
     only = min(int(rng.random() * p), p - 1) if state.weight.size >= MANY else -1
     for k in range(p):
         if only >= 0 and k != only:

@@ -2,8 +2,9 @@
 
 A recording of 10 Hz leaves the relaxation time open over decades; a population that knows it to 15 % then
 lies among a handful of that specimen's draws, too few to stand for its likelihood.  Given the relaxation
-times the posterior of stage 1 is a normal in forces and viscosities, cut to the passive set; its likelihood
-is written as a mixture of normals, components along ln tau, and the chain then walks in it.
+times the posterior of stage 1 is a normal in forces and viscosities, cut to the passive set, or in their
+logarithms where gains leave them open; its likelihood is written as a mixture of normals, components along
+what is open in logarithms, and the chain then walks in it.
 """
 
 from __future__ import annotations
