@@ -198,4 +198,4 @@ def _more_even_itself(phi: Sequence[NDArray[Any]]) -> NDArray[np.bool_]:
 def _unevenness(away: FloatArray) -> FloatArray:
     """Skewness by quantiles, -1 to 1, from distances to the median, (n, 2, p); 0 where all are equal."""
     span = np.ptp(away, axis=1)
-    return np.divide(away.sum(axis=1), span, out=np.zeros_like(span), where=span > 0.0)
+    return np.asarray(np.divide(away.sum(axis=1), span, out=np.zeros_like(span), where=span > 0.0))
