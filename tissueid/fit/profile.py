@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.likelihood.identifiability import on_ridge, ridge_of
 from tissueid.likelihood.objective import Evaluation, Objective
 
 __all__ = ["profile_curve"]
@@ -62,17 +63,13 @@ def profile_curve(
         return {"tau_s": [], "rise": [], "stiffness_N_per_mm": []}
     variance = inverse[branch, branch]
     known = bool(np.isfinite(variance)) and variance > 0.0
-    ridge = np.where(np.isfinite(inverse[:, branch]), inverse[:, branch] / (variance if known else 1.0), 0.0)
-    ridge = ridge if known else np.zeros(inverse.shape[0])
-    ridge[branch] = 1.0
+    ridge = ridge_of(inverse, branch)
     centre = float(optimum.log_tau[branch])
     size = reference.size
     first = optimum.theta.size - (optimum.log_tau.size - branch) * size
 
     def at(place: float, start: Evaluation) -> tuple[float, float, Evaluation]:
-        point = np.clip(optimum.log_tau + ridge * (place - centre), *bounds)
-        point[branch] = place
-        found = objective.evaluate(point, start)
+        found = objective.evaluate(on_ridge(optimum.log_tau, branch, ridge, place, bounds), start)
         rise = max((found.value - optimum.value) / sigma2, 0.0)
         return rise, float(found.theta[first : first + size] @ reference), found
 

@@ -15,7 +15,15 @@ from scipy.optimize import brentq
 
 from tissueid.likelihood.objective import Evaluation, Objective
 
-__all__ = ["LEVEL_95", "MAX_WIDTH", "ProfileInterval", "profile_interval", "width_of"]
+__all__ = [
+    "LEVEL_95",
+    "MAX_WIDTH",
+    "ProfileInterval",
+    "on_ridge",
+    "profile_interval",
+    "ridge_of",
+    "width_of",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -64,6 +72,37 @@ def width_of(estimate: float, stderr: float) -> float:
     return 2.0 * float(np.sqrt(LEVEL_95)) * stderr / estimate
 
 
+def ridge_of(inverse: FloatArray, branch: int) -> FloatArray:
+    """How all ln tau follow that of one branch, by the Gauss-Newton curvature.
+
+    Parameters
+    ----------
+    inverse : ndarray, shape (branches, branches)
+        Inverse curvature of ln tau.
+    branch : int
+
+    Returns
+    -------
+    ndarray, shape (branches,)
+        One for the branch itself; zero where the curvature says nothing.
+    """
+    variance = inverse[branch, branch]
+    known = np.isfinite(variance) and variance > 0.0
+    ridge = inverse[:, branch] / variance if known else np.zeros(inverse.shape[0])
+    ridge = np.where(np.isfinite(ridge), ridge, 0.0)
+    ridge[branch] = 1.0
+    return ridge
+
+
+def on_ridge(
+    log_tau: FloatArray, branch: int, ridge: FloatArray, at: float, bounds: tuple[float, float]
+) -> FloatArray:
+    """All ln tau, shape (branches,), where that of one branch is ``at``: along its ridge, within bounds."""
+    point = np.clip(log_tau + ridge * (at - log_tau[branch]), *bounds)
+    point[branch] = at
+    return point
+
+
 def profile_interval(
     objective: Objective,
     optimum: Evaluation,
@@ -92,13 +131,7 @@ def profile_interval(
         Range of ln tau.
     """
     variance = inverse[branch, branch]
-    ridge = (
-        inverse[:, branch] / variance
-        if np.isfinite(variance) and variance > 0.0
-        else np.zeros(inverse.shape[0])
-    )
-    ridge = np.where(np.isfinite(ridge), ridge, 0.0)
-    ridge[branch] = 1.0
+    ridge = ridge_of(inverse, branch)
     profile = _Profile(objective, optimum, branch, ridge, bounds, LEVEL_95 * sigma2)
     sd = float(np.sqrt(sigma2 * variance)) if np.isfinite(variance) and variance > 0.0 else np.inf
     first = float(np.clip(FIRST_BRACKET * sd, SMALLEST_STEP, 1.0))
@@ -121,9 +154,7 @@ class _Profile:
 
     def rise(self, at: float) -> float:
         """Above the level, started from the point that was looked at last."""
-        moved = self.optimum.log_tau + self.ridge * (at - self.optimum.log_tau[self.branch])
-        point = np.clip(moved, *self.bounds)
-        point[self.branch] = at
+        point = on_ridge(self.optimum.log_tau, self.branch, self.ridge, at, self.bounds)
         self.last = self.objective.evaluate(point, self.last)
         return self.last.value - self.optimum.value - self.target
 

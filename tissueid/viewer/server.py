@@ -13,7 +13,7 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import uvicorn
 from starlette.applications import Starlette
@@ -24,11 +24,12 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from tissueid.viewer.bundling import BUNDLE, missing_bundle_words
-from tissueid.viewer.feed import Client
 from tissueid.viewer.messages import LARGEST_MESSAGE, Answer, Play, Pointer, parse_message
-from tissueid.viewer.playback import Playback
 from tissueid.viewer.security import Access
 from tissueid.viewer.stage import Stage
+
+if TYPE_CHECKING:
+    from tissueid.viewer.feed import Client
 
 __all__ = ["MOST_CLIENTS", "TlsFiles", "ViewerServer", "viewer_app"]
 
@@ -191,6 +192,9 @@ async def _serve_client(websocket: WebSocket, stage: Stage) -> None:
 async def _send(websocket: WebSocket, stage: Stage) -> None:
     """Hello, then frames as the client can take them."""
     source = await stage.source()
+    # the page is answered before numpy is read
+    from tissueid.viewer.feed import Client
+
     websocket.state.client = client = Client(source, _name(websocket.scope))
     told = 0
     # gone while it was sent to: the hearing side ends the client
@@ -245,6 +249,8 @@ def _obey(websocket: WebSocket, stage: Stage, message: Any) -> tuple[int, str]:
         stage.pointer.lead(asked.position_m)
         return 0, ""
     if isinstance(asked, Play) and client is not None:
+        from tissueid.viewer.playback import Playback
+
         if not isinstance(client.source, Playback):
             return NOT_ALLOWED, "play refused: this is no log"
         client.source.play(asked)

@@ -3,7 +3,8 @@
 It loads no compiler, so that a page is answered while the servo still starts.
 
 It is sent the listening socket, a ring that it can only read and, in a simulation, the hand; it lives as long
-as the socket to its owner.  Its priority is lower than the servo's.  Lines of JSON from the owner::
+as the socket to its owner.  Its priority is lower than the servo's, as soon as there is one.  Lines of JSON from the
+owner::
 
     {"access": {"host": ..., "port": ..., "token": ...}, "tls": [certificate, key] or null}
     {"live": {"hello": {...}, "rest_m": [...] or null, "workspace_m": [...]}}    with the descriptors
@@ -101,6 +102,7 @@ def _show_live(stage: Stage, words: dict[str, Any], descriptors: list[int]) -> N
     from tissueid.viewer.feed import LiveFeed
     from tissueid.viewer.pointer import HandPointer
 
+    os.setpriority(os.PRIO_PROCESS, 0, max(NICENESS, os.getpriority(os.PRIO_PROCESS, 0)))
     pointer = None
     if len(descriptors) > 1:
         low_m, high_m = np.array(words["workspace_m"]).T
@@ -139,7 +141,6 @@ async def _serve(link: socket.socket, listening: socket.socket) -> None:
 def main(arguments: list[str]) -> int:
     """The spawned process: two descriptors, the owner's socket and the listening one."""
     link, listening = (socket.socket(fileno=int(word)) for word in arguments)
-    os.nice(NICENESS)
     asyncio.run(_serve(link, listening))
     return 0
 

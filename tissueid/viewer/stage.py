@@ -6,11 +6,13 @@ import asyncio
 import json
 import time
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from tissueid.viewer.feed import LiveFeed, Source
-from tissueid.viewer.pointer import HandPointer
 from tissueid.viewer.security import RefusalLog
+
+if TYPE_CHECKING:
+    from tissueid.viewer.feed import LiveFeed, Source
+    from tissueid.viewer.pointer import HandPointer
 
 __all__ = ["Stage"]
 

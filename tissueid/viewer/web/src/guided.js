@@ -2,9 +2,10 @@
 // Everything is built upright, the axis along y and the entry point at the origin, and then put in its place.
 
 import {
-  BufferGeometry, CylinderGeometry, DoubleSide, Group, LatheGeometry, Line, LineDashedMaterial, Mesh,
-  MeshBasicMaterial, MeshLambertMaterial, RingGeometry, SphereGeometry, Vector2, Vector3,
+  BufferGeometry, CylinderGeometry, Group, LatheGeometry, Line, LineDashedMaterial, Mesh, RingGeometry,
+  SphereGeometry, Vector2, Vector3,
 } from "three";
+import { flat, shaded } from "./materials.js";
 import { colour } from "./theme.js";
 
 const MM = 1000;
@@ -13,9 +14,7 @@ const UP = new Vector3(0, 1, 0);
 const NECK_RADII = 0.72;
 const NECK_LENGTHS = 1.6;
 
-function glassy(opacity) {
-  return new MeshLambertMaterial({ transparent: true, opacity, side: DoubleSide, depthWrite: false });
-}
+const glassy = (opacity) => shaded({ opacity, depthWrite: false });
 
 function axis({ from_m: from, to_m: to }) {
   const material = new LineDashedMaterial({ dashSize: 3, gapSize: 2 });
@@ -40,7 +39,7 @@ function bone({ radius_m: radius, hole_radius_m: hole }) {
     material,
   );
   neck.position.y = -(1 + NECK_LENGTHS / 2 + 0.5) * radius * MM;
-  const rim = new MeshBasicMaterial({ side: DoubleSide, depthTest: false });
+  const rim = flat({ depthTest: false });
   const ring = new Mesh(new RingGeometry(hole * MM * 0.93, hole * MM, 48), rim);
   ring.rotation.x = -Math.PI / 2;
   ring.renderOrder = 3;

@@ -3,12 +3,12 @@
 
 import {
   AmbientLight, ArrowHelper, Box3, Box3Helper, BoxGeometry, BufferAttribute, Color, CylinderGeometry,
-  DirectionalLight, Group, HemisphereLight, LineBasicMaterial, LineSegments, BufferGeometry, Mesh,
-  MeshLambertMaterial, MeshBasicMaterial, PerspectiveCamera, PlaneGeometry, RingGeometry, Scene,
-  SphereGeometry, Vector3, WebGLRenderer, DoubleSide,
+  DirectionalLight, FrontSide, Group, HemisphereLight, LineSegments, BufferGeometry, Mesh, PerspectiveCamera,
+  PlaneGeometry, RingGeometry, Scene, SphereGeometry, Vector3, WebGLRenderer,
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { guidedBuilders } from "./guided.js";
+import { flat, lined, shaded } from "./materials.js";
 import { colour } from "./theme.js";
 
 const MM = 1000;
@@ -54,6 +54,8 @@ export class TissueScene {
     this.canvas = canvas;
     const software = isSoftware();
     this.renderer = new WebGLRenderer({ canvas, antialias: !software });
+    // asking for a shader's errors waits for it, and for those before it
+    this.renderer.debug.checkShaderErrors = false;
     this.scene = new Scene();
     this.camera = new PerspectiveCamera(38, 1, 1, 2000);
     this.controls = new OrbitControls(this.camera, canvas);
@@ -81,6 +83,8 @@ export class TissueScene {
     this.renderer.setSize(8, 8, false);
     this.show({ scene: { objects: REHEARSAL } });
     this.place({ position_m: [0, 0, 0.118], force_N: [0, 0, 2], depth_mm: 2, ruptured: true, target_m: [0, 0, 0.1] });
+    // all are asked for before one is waited for
+    this.renderer.compile(this.scene, this.camera);
     this.renderer.render(this.scene, this.camera);
     this.clear();
     this.renderer.render(this.scene, this.camera);
@@ -115,9 +119,8 @@ export class TissueScene {
 
   buildWorkspace({ ranges_m: ranges }) {
     const box = new Box3().setFromPoints([toWorld(ranges.map((one) => one[0])), toWorld(ranges.map((one) => one[1]))]);
-    this.workspace = new Box3Helper(box, 0x888888);
-    this.workspace.material.transparent = true;
-    this.workspace.material.opacity = 0.45;
+    this.workspace = new Box3Helper(box);
+    this.workspace.material = lined({ opacity: 0.45 });
     this.content.add(this.workspace);
     box.getCenter(this.centre);
   }
@@ -128,27 +131,30 @@ export class TissueScene {
     this.tipRadius = wire ? 0 : radius * MM;
     this.drawnRadius = wire ? WIRE_MM : Math.max(this.tipRadius, SMALLEST_TIP_MM);
     this.tool = new Group();
-    this.toolMaterial = new MeshLambertMaterial();
+    this.toolMaterial = shaded();
     const tip = new Mesh(new SphereGeometry(this.drawnRadius, 32, 20), this.toolMaterial);
     const thickness = wire ? this.drawnRadius : this.drawnRadius * 0.45;
     const length = wire ? WIRE_LENGTH_MM : SHAFT_MM;
     const shaft = new Mesh(new CylinderGeometry(thickness, thickness, length, 24), this.toolMaterial);
     shaft.position.y = length / 2;
+    // the tissue is seen over the part of the tool that is in it
+    for (const part of [tip, shaft]) part.renderOrder = -1;
     this.tool.add(tip, shaft);
-    this.arrow = new ArrowHelper(new Vector3(0, 1, 0), new Vector3(), 1, 0xffffff);
-    this.arrow.line.material.linewidth = 3;
-    this.arrow.visible = false;
+    this.arrow = new ArrowHelper(new Vector3(0, 1, 0), new Vector3(), 1);
     // the arrow is seen through the tool: it starts inside it
-    for (const part of [this.arrow.line, this.arrow.cone]) { part.material.depthTest = false; part.renderOrder = 5; }
+    this.arrow.line.material = lined({ linewidth: 3, depthTest: false });
+    this.arrow.cone.material = flat({ depthTest: false });
+    this.arrow.line.renderOrder = this.arrow.cone.renderOrder = 5;
+    this.arrow.visible = false;
     const ring = wire ? SMALLEST_TIP_MM * 0.6 : this.drawnRadius * 1.1;
-    this.contact = new Mesh(new RingGeometry(ring, ring * 1.18, 40), new MeshBasicMaterial({ side: DoubleSide, depthTest: false }));
+    this.contact = new Mesh(new RingGeometry(ring, ring * 1.18, 40), flat({ depthTest: false }));
     this.contact.renderOrder = 4;
-    this.target = new Mesh(new SphereGeometry(2.2, 16, 12), new MeshBasicMaterial({ depthTest: false, transparent: true, opacity: 0.85 }));
-    this.spring = new LineSegments(new BufferGeometry().setAttribute("position", new BufferAttribute(new Float32Array(6), 3)), new LineBasicMaterial({ depthTest: false }));
+    this.target = new Mesh(new SphereGeometry(2.2, 16, 12), flat({ depthTest: false, opacity: 0.85 }));
+    this.spring = new LineSegments(new BufferGeometry().setAttribute("position", new BufferAttribute(new Float32Array(6), 3)), lined({ depthTest: false }));
     this.spring.frustumCulled = false;
     for (const part of [this.target, this.spring]) { part.visible = false; part.renderOrder = 6; }
     const cross = [-1, 0, -1, 1, 0, 1, -1, 0, 1, 1, 0, -1].map((value) => value * this.drawnRadius * 1.6);
-    this.rupture = new LineSegments(new BufferGeometry().setAttribute("position", new BufferAttribute(new Float32Array(cross), 3)), new LineBasicMaterial({ depthTest: false }));
+    this.rupture = new LineSegments(new BufferGeometry().setAttribute("position", new BufferAttribute(new Float32Array(cross), 3)), lined({ depthTest: false }));
     this.rupture.renderOrder = 7;
     this.rupture.visible = false;
     this.content.add(this.tool, this.arrow, this.contact, this.target, this.spring, this.rupture);
@@ -165,8 +171,10 @@ export class TissueScene {
       geometry = new PlaneGeometry(PATCH_MM, PATCH_MM, SEGMENTS, SEGMENTS).rotateX(-Math.PI / 2);
       geometry.applyQuaternion(new Group().quaternion.clone().setFromUnitVectors(new Vector3(0, 1, 0), this.up)).translate(...point);
     }
-    this.tissueMaterial = new MeshLambertMaterial({ vertexColors: true, side: DoubleSide, transparent: true, opacity: 0.8, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 });
-    const mesh = new Mesh(geometry, this.tissueMaterial);
+    const tissue = shaded({ vertexColors: true, opacity: 0.8, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 });
+    // the far wall of a closed tissue would be drawn over the near one
+    if (object.shape !== "plane") tissue.side = FrontSide;
+    const mesh = new Mesh(geometry, tissue);
     geometry.setAttribute("color", new BufferAttribute(new Float32Array(geometry.attributes.position.array.length), 3));
     mesh.frustumCulled = false;
     this.content.add(mesh);
@@ -193,7 +201,7 @@ export class TissueScene {
     const lines = new BufferGeometry();
     lines.setAttribute("position", geometry.attributes.position);
     lines.setIndex(index);
-    this.lineMaterial = new LineBasicMaterial({ transparent: true, opacity: 0.35 });
+    this.lineMaterial = lined({ opacity: 0.35 });
     const grid = new LineSegments(lines, this.lineMaterial);
     grid.frustumCulled = false;
     this.content.add(grid);
@@ -201,7 +209,7 @@ export class TissueScene {
 
   /** The block that a flat tissue belongs to. */
   addSlab(point) {
-    this.slabMaterial = new MeshLambertMaterial({ side: DoubleSide, transparent: true, opacity: 0.55, depthWrite: false });
+    this.slabMaterial = shaded({ opacity: 0.55, depthWrite: false });
     const walls = new Group();
     for (const [x, z, turn] of [[0, 1, 0], [0, -1, 0], [1, 0, Math.PI / 2], [-1, 0, Math.PI / 2]]) {
       const wall = new Mesh(new PlaneGeometry(PATCH_MM, SLAB_MM), this.slabMaterial);

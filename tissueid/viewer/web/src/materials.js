@@ -1,0 +1,13 @@
+// Materials of the scene.  A shader is compiled for every set of features that materials differ in, which takes
+// a tenth of a second without a graphics card: they differ in as few as can be, in three sets of all.
+
+import { DoubleSide, LineBasicMaterial, MeshBasicMaterial, MeshLambertMaterial } from "three";
+
+const ALIKE = { side: DoubleSide, transparent: true, forceSinglePass: true };
+
+/** One colour everywhere. */
+export const flat = (more) => new MeshBasicMaterial({ ...ALIKE, ...more });
+/** Lines; with the shader of what is flat. */
+export const lined = (more) => new LineBasicMaterial({ ...ALIKE, ...more });
+/** Lit. */
+export const shaded = (more) => new MeshLambertMaterial({ ...ALIKE, ...more });
