@@ -27,11 +27,10 @@ from tissueid.store.schema import first_problem
 
 
 @pytest.fixture(autouse=True)
-def configuration(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def configuration(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, empty_usb: None) -> Path:
     """A configuration directory of this test, and no Falcon on this machine's USB."""
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
     monkeypatch.setenv("TISSUEID_FORCEDIM", str(tmp_path / "none.so"))
-    monkeypatch.setattr("tissueid.haptics.falcon.libusb.LibUsb.falcons", lambda _self: [])
     return tmp_path / "config" / "tissueid" / "falcon.toml"
 
 
@@ -142,10 +141,7 @@ def test_no_device_is_exit_5_with_what_needs_none(command: str) -> None:
         ("calibrate-force", "--yes", "--mass", "100"),
     ],
 )
-def test_a_named_device_that_is_missing_is_exit_5_and_never_replaced(
-    words: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("tissueid.haptics.falcon.libusb.LibUsb._is_falcon", lambda _self, _device: False)
+def test_a_named_device_that_is_missing_is_exit_5_and_never_replaced(words: tuple[str, ...]) -> None:
     ended = run("devices", *words)
     assert ended.code == 5
     assert "no Falcon is plugged in" in ended.stderr

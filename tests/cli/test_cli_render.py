@@ -93,16 +93,30 @@ def test_the_servo_process_renders_in_real_time_and_names_the_log(bundle: Path, 
     assert felt["tissue_force_N"].max() > 10.0
 
 
+@pytest.mark.usefixtures("empty_usb")
 def test_auto_says_what_it_took(bundle: Path) -> None:
     ended = run("render", bundle, "--script", SHORT, "--virtual")
     assert ended.code == 0
     assert "device sim, simulated: no haptic device was found" in ended.stderr
 
 
+@pytest.mark.usefixtures("empty_usb")
 def test_without_a_device_the_refusal_names_the_simulated_one(bundle: Path) -> None:
     ended = run("render", bundle, "--device", "falcon")
     assert ended.code == 5
+    assert "no falcon was found" in ended.stderr
     assert "--device sim" in ended.stderr
+
+
+def test_a_device_that_cannot_be_reached_is_refused_before_anybody_is_asked(
+    bundle: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TISSUEID_LIBUSB", str(tmp_path / "none.so"))
+    ended = run("render", bundle, "--device", "falcon")
+    assert ended.code == 5
+    assert "can't be loaded, and a Falcon needs it" in ended.stderr
+    assert "--device sim" in ended.stderr
+    assert "consent" not in ended.stderr
 
 
 def _truncated(path: Path) -> None:

@@ -92,8 +92,8 @@ def test_the_default_fit_does_not_know_of_unloading():
     )
     run = IdentifyOptions(fit=FitOptions(branches=1, stiffness_degree=0))
     (alone,) = identify([cut], options=run).specimens
-    # the contact starts from the whole ramp in one and is refined in both: 1e-5 is a thousandth of an error
-    assert whole.theta == pytest.approx(alone.theta, rel=1e-5)
+    # the contact starts from the whole ramp in one and is refined in both
+    assert (np.abs(whole.theta - alone.theta) < 1e-3 * np.sqrt(np.diag(alone.covariance))).all()
     assert whole.unloading is None
     left_out = [flag.code for flag in whole.trials[0].flags]
     assert "unloading_left_out" in left_out

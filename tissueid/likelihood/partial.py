@@ -34,6 +34,8 @@ CONVERGED = 1e-14
 #: The same, of the fall that a step promises: a sum of squares from a Gram matrix is known to some 1e-13.
 EXHAUSTED = 1e-12
 HALVINGS = 30
+#: Rounding of the objective, a difference of numbers as large as the recorded forces squared, over their sum.
+ROUNDING = 2.0**-48
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
@@ -312,6 +314,10 @@ def solve(
     value = np.inf
     generators = start
     weights = np.zeros(p)
+    y = q.shape[1] - 1
+    rounding = 0.0
+    for i in range(q.shape[0]):
+        rounding += ROUNDING * q[i, y, y]
     if np.abs(theta).max() > 0.0:
         value = objective(q, theta, gamma, delta, weight_gain, weight_offset, scale, degree, branches)
     for _ in range(MAX_ROUNDS):
@@ -326,9 +332,9 @@ def solve(
         fraction = 1.0
         best = np.inf
         trial_theta, trial_gamma, trial_delta = new_theta, new_gamma, new_delta
-        # where the step promises no more than rounding, a long line search would chase it in vain
-        halvings = 2 if np.isfinite(value) and value - expected <= EXHAUSTED * value else HALVINGS
-        for _halving in range(halvings):
+        # a step that promises no more than rounding is taken whole or not at all, and is the last
+        last = np.isfinite(value) and value - expected <= max(EXHAUSTED * value, rounding)
+        for _halving in range(1 if last else HALVINGS):
             trial_theta = theta + fraction * (new_theta - theta)
             trial_gamma = gamma + fraction * (new_gamma - gamma)
             trial_delta = delta + fraction * (new_delta - delta)
@@ -349,7 +355,7 @@ def solve(
         theta, gamma, delta = trial_theta, trial_gamma, trial_delta
         generators, weights = new_generators, new_weights
         value = best
-        if fall <= CONVERGED * abs(best):
+        if last or fall <= CONVERGED * abs(best):
             break
     return value, theta, gamma, delta, generators, weights
 

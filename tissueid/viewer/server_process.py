@@ -3,8 +3,8 @@
 It loads no compiler, so that a page is answered while the servo still starts.
 
 It is sent the listening socket, a ring that it can only read and, in a simulation, the hand; it lives as long
-as the socket to its owner.  Its priority is lower than the servo's, as soon as there is one.  Lines of JSON from the
-owner::
+as the socket to its owner.  Its priority is lower than the servo's, as soon as there is one.  Lines of JSON
+from the owner::
 
     {"access": {"host": ..., "port": ..., "token": ...}, "tls": [certificate, key] or null}
     {"live": {"hello": {...}, "rest_m": [...] or null, "workspace_m": [...]}}    with the descriptors
