@@ -9,8 +9,8 @@ generation costs next to nothing.  Four parts:
 * ``paper``: 17 specimens of 22 logs at 1 kHz, each a tissue of its own, from CSV to bundles and report and to
   the population with its bundle and report, with the breakdown.
 * ``overhead``: tasks that compute nothing and return as many bytes as a specimen's file, on two local
-  processes and on two workers of Dask: what handing out and taking back costs, whatever the machine does
-  beside it an upper bound.
+  processes and on two workers of Dask: what handing out and taking back costs.  Wall time is an upper bound,
+  whatever the machine does beside it; processor time is that of all processes, the scheduler's too.
 
     python benchmarks/cohort.py [--part workers|memory|paper|overhead] [--specimens 24] [--json]
 
@@ -234,33 +234,46 @@ def workers_part(data: Path, out: Path, sampler: str, repeats: int) -> dict[str,
     return {"one_over_two": ratio("one", "two"), "dask_over_two": ratio("dask", "two"), "runs": rows}
 
 
+def processor_s(pid: int) -> float:
+    """Processor time so far of a process and of those it started that still run."""
+    ticks = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[11:13]
+    seconds = sum(map(int, ticks)) / os.sysconf("SC_CLK_TCK")
+    for children in Path(f"/proc/{pid}/task").glob("*/children"):
+        seconds += sum(processor_s(int(child)) for child in children.read_text().split())
+    return seconds
+
+
 def nothing(payload: bytes) -> bytes:
     """A task that is only handed out and taken back."""
     return payload[:1] * RESULT_BYTES
 
 
 def overhead_part(tasks: int, repeats: int) -> dict[str, object]:
-    """Wall time a task that computes nothing [ms], by two local processes and by two workers of Dask."""
+    """Time a task that computes nothing [ms], by two local processes and by two workers of Dask."""
     from tissueid.study.cluster import DaskWorkers
     from tissueid.study.processes import LocalProcesses
     from tissueid.study.tasks import Task
 
-    found: dict[str, list[float]] = {"local_ms": [], "dask_ms": []}
+    found: dict[str, list[float]] = {
+        f"{who}_{what}_ms": [] for who in ("local", "dask") for what in ("wall", "processor")
+    }
     with ExitStack() as stack:
         crews = {
-            "local_ms": stack.enter_context(LocalProcesses(2)),
-            "dask_ms": stack.enter_context(DaskWorkers(cluster(stack, 2))),
+            "local": stack.enter_context(LocalProcesses(2)),
+            "dask": stack.enter_context(DaskWorkers(cluster(stack, 2))),
         }
         # the first round starts processes and imports
         for number in range(repeats + 1):
             for name, crew in crews.items():
                 work = [Task(one, "cohort:nothing", bytes(JOB_BYTES)) for one in range(tasks)]
-                begin = time.monotonic()
+                begin, before = time.monotonic(), processor_s(os.getpid())
                 done = sum(len(one.result or b"") == RESULT_BYTES for one in crew.run(work, lambda *_: None))
                 if done != tasks:
                     sys.exit(f"{name}: {tasks - done} tasks have no result")
                 if number:
-                    found[name].append(1e3 * (time.monotonic() - begin) / tasks)
+                    wall, processor = time.monotonic() - begin, processor_s(os.getpid()) - before
+                    found[f"{name}_wall_ms"].append(1e3 * wall / tasks)
+                    found[f"{name}_processor_ms"].append(1e3 * processor / tasks)
     return {**found, "load": os.getloadavg()[0]}
 
 
