@@ -15,7 +15,7 @@ class EmptyUsb:
 
     def __getattr__(self, name: str) -> Any:
         if name == "libusb_error_name":
-            return lambda code: b"LIBUSB_ERROR_ACCESS" if code == libusb.ERROR_ACCESS else b"LIBUSB_ERROR_OTHER"
+            return lambda _code: b"LIBUSB_ERROR_ACCESS"
         return lambda *_: 0
 
 
@@ -26,4 +26,8 @@ def empty_usb(monkeypatch: pytest.MonkeyPatch) -> None:
     A library that a test names itself is loaded.
     """
     load = libusb._load
-    monkeypatch.setattr(libusb, "_load", lambda: load() if libusb.LIBRARY_VARIABLE in os.environ else EmptyUsb())
+
+    def chosen() -> Any:
+        return load() if libusb.LIBRARY_VARIABLE in os.environ else EmptyUsb()
+
+    monkeypatch.setattr(libusb, "_load", chosen)

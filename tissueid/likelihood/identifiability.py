@@ -91,7 +91,7 @@ def ridge_of(inverse: FloatArray, branch: int) -> FloatArray:
     ridge = inverse[:, branch] / variance if known else np.zeros(inverse.shape[0])
     ridge = np.where(np.isfinite(ridge), ridge, 0.0)
     ridge[branch] = 1.0
-    return ridge
+    return np.asarray(ridge)
 
 
 def on_ridge(
