@@ -91,14 +91,14 @@ def ridge_of(inverse: FloatArray, branch: int) -> FloatArray:
     ridge = inverse[:, branch] / variance if known else np.zeros(inverse.shape[0])
     ridge = np.where(np.isfinite(ridge), ridge, 0.0)
     ridge[branch] = 1.0
-    return np.asarray(ridge)
+    return ridge
 
 
 def on_ridge(
     log_tau: FloatArray, branch: int, ridge: FloatArray, at: float, bounds: tuple[float, float]
 ) -> FloatArray:
     """All ln tau, shape (branches,), where that of one branch is ``at``: along its ridge, within bounds."""
-    point = np.clip(log_tau + ridge * (at - log_tau[branch]), *bounds)
+    point: FloatArray = np.clip(log_tau + ridge * (at - log_tau[branch]), *bounds)
     point[branch] = at
     return point
 
