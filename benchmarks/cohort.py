@@ -204,7 +204,7 @@ def cluster(stack: ExitStack, workers: int) -> str:
     dask = [sys.executable, "-m", "dask"]
     # a worker finds the task of this file
     paths = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
-    quiet["env"] = os.environ | {"PYTHONPATH": paths}
+    quiet["env"] = os.environ | {"PYTHONPATH": paths, "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False"}
     commands = [["scheduler", "--host", "127.0.0.1", "--port", str(PORT), "--no-dashboard"]]
     commands += [["worker", address, "--nthreads", "1", "--no-dashboard"]] * workers
     for command in commands:

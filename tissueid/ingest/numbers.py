@@ -16,7 +16,7 @@ import math
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 
 __all__ = ["MARKS", "CellFault", "decimal_evidence", "grouping_mark", "looks_numeric", "parse_number"]
 
@@ -30,6 +30,8 @@ _PADDING = " \t\r\n"
 _EXPONENT = r"(?:[eE][+-]?\d+)?"
 #: Anything meant as a number, sound or damaged.
 _NUMERIC_LOOK = re.compile(rf"[+-]?(?:\d[\d.,{MARKS}]*|[.,]\d+){_EXPONENT}", re.ASCII)
+#: Longest cell of which the look is remembered.
+_LONGEST_KEPT = 32
 _NOT_FINITE = re.compile(
     r"[+-]?(?:nan|inf|infinity|1\.#(?:inf|ind|qnan)\d*|#n/a|#div/0!|n/?a)", re.IGNORECASE
 )
@@ -45,6 +47,12 @@ class CellFault:
 
 def looks_numeric(text: str) -> bool:
     """Whether a cell is meant as a number, be it sound or damaged."""
+    # a head is looked over a dozen times; what is long is no number that comes again
+    return _looks_numeric(text) if len(text) <= _LONGEST_KEPT else _looks_numeric.__wrapped__(text)
+
+
+@lru_cache(maxsize=8192)
+def _looks_numeric(text: str) -> bool:
     return _NUMERIC_LOOK.fullmatch(text.strip()) is not None
 
 

@@ -6,7 +6,15 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["factor", "inverse_factor", "solved", "sparse_times", "weigh", "weighted_sum"]
+__all__ = [
+    "factor",
+    "inverse_factor",
+    "solved",
+    "sparse_times",
+    "squared_distances",
+    "weigh",
+    "weighted_sum",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -47,6 +55,23 @@ def solved(low: FloatArray, away: FloatArray) -> FloatArray:
             z[i] -= low[i, k] * z[k]
         z[i] /= low[i, i]
     return z
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def squared_distances(points: FloatArray, means: FloatArray, lows: FloatArray) -> FloatArray:
+    """Squared lengths of the z of ``lows[k] @ z = points[i] - means[k]``, shape (n, k)."""
+    n, d = points.shape
+    out = np.zeros((n, means.shape[0]))
+    z = np.empty(d)
+    for k in range(means.shape[0]):
+        for i in range(n):
+            for row in range(d):
+                rest = points[i, row] - means[k, row]
+                for j in range(row):
+                    rest -= lows[k, row, j] * z[j]
+                z[row] = rest / lows[k, row, row]
+                out[i, k] += z[row] * z[row]
+    return out
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")

@@ -32,12 +32,21 @@ BAND_DRAWS = 64
 TWO_SIDED_95 = 1.96
 
 
-def _force(model: KelvinVoigt, theta: FloatArray, curve: Curve, gain: float, offset_mm: float) -> FloatArray:
-    _, _, tau = model.split(theta)
-    states = model.states(tau, ContactPath(curve.time_s, curve.depth_mm))
-    depth = curve.depth_mm - offset_mm
-    dynamic = (model.stiffness(theta, depth) * states).sum(axis=0)
-    return np.asarray(gain * (model.static_force(theta, depth) + dynamic))
+def _forces(
+    model: KelvinVoigt, theta: FloatArray, curve: Curve, gain: FloatArray, offset_mm: FloatArray
+) -> FloatArray:
+    """Force along a curve of theta of shape (n, p), each with its gain and offset, shape (n, m)."""
+    static, stiffness, tau = (np.stack(one) for one in zip(*map(model.split, theta), strict=True))
+    path = ContactPath(curve.time_s, curve.depth_mm)
+    states = model.states(tau.ravel(), path).reshape(*tau.shape, -1)
+    x = curve.depth_mm - offset_mm[:, None]
+    dynamic = (stiffness @ x[:, None] ** np.arange(stiffness.shape[2])[:, None] * states).sum(axis=1)
+    return np.asarray(gain[:, None] * (_cubic(static, x) + dynamic))
+
+
+def _cubic(static: FloatArray, x: FloatArray) -> FloatArray:
+    a1, a2, a3 = static.T[:, :, None]
+    return np.asarray(x * (a1 + x * (a2 + x * a3)))
 
 
 def predictive_bands(
@@ -75,13 +84,9 @@ def predictive_bands(
         curve, own = trial.curve, adjustment.contact_offset_mm
         shift, spread = np.zeros(curve.time_s.size), np.zeros(curve.time_s.size)
         if adjustment.static is None:
-            best = _force(model, theta, curve, adjustment.gain, own)
-            change = np.stack(
-                [
-                    _force(model, drawn.theta[k], curve, drawn.gain[k, i], drawn.offset_mm[k, i]) - best
-                    for k in rows
-                ]
-            )
+            best = _forces(model, theta[None], curve, np.array([adjustment.gain]), np.array([own]))
+            change = _forces(model, drawn.theta[rows], curve, drawn.gain[rows, i], drawn.offset_mm[rows, i])
+            change -= best
             shift, spread = change.mean(axis=0), change.var(axis=0)
         half = TWO_SIDED_95 * np.sqrt(spread + sigma_N**2)
         middle = curve.model_N + shift

@@ -16,6 +16,8 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.likelihood.triangular import squared_distances
+
 __all__ = ["MAX_SHAPE", "Weighted", "importance_sample"]
 
 FloatArray = NDArray[np.float64]
@@ -80,9 +82,8 @@ def _log_t(points: FloatArray, mean: FloatArray, factor: FloatArray, fold: Float
     cut = np.where(np.isfinite(fold), fold, 0.0)
     parts = []
     for sign in _signs(fold):
-        away = cut + sign * (points - cut) - mean
-        z = np.linalg.solve(factor, away.T)
-        parts.append(-0.5 * (FREEDOM + d) * np.log1p((z * z).sum(axis=0) / FREEDOM))
+        distance = squared_distances(cut + sign * (points - cut), mean[None], factor[None])[:, 0]
+        parts.append(-0.5 * (FREEDOM + d) * np.log1p(distance / FREEDOM))
     norm = math.lgamma(0.5 * (FREEDOM + d)) - math.lgamma(0.5 * FREEDOM)
     norm -= 0.5 * d * math.log(FREEDOM * math.pi) + float(np.log(np.diag(factor)).sum())
     return np.asarray(np.logaddexp.reduce(parts, axis=0) + norm)

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.likelihood.triangular import squared_distances
 from tissueid.posterior.target import Target
 
 __all__ = ["Mixture", "fitted_mixture"]
@@ -58,6 +59,11 @@ class Mixture:
 
     def draw(self, n: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
         """Points (n, d) and the ln of the density that they are drawn from."""
+        points = self.points(n, rng)
+        return points, np.logaddexp.reduce(self.parts(points)[0], axis=1)
+
+    def points(self, n: int, rng: np.random.Generator) -> FloatArray:
+        """Points (n, d)."""
         component = np.searchsorted(np.cumsum(self.share)[:-1], rng.random(n), side="right")
         normal = rng.standard_normal((n, self.mean.shape[1]))
         normal /= np.sqrt(rng.chisquare(DOF, n) / DOF)[:, None]
@@ -65,19 +71,15 @@ class Mixture:
         for k in range(self.share.size):
             here = component == k
             points[here] = self.mean[k] + normal[here] @ self.factor[k].T
-        return points, np.logaddexp.reduce(self.parts(points)[0], axis=1)
+        return points
 
     def parts(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Ln of share times density of every component, shape (n, k), and squared distances."""
         d = points.shape[1]
         constant = math.lgamma(0.5 * (DOF + d)) - math.lgamma(0.5 * DOF) - 0.5 * d * math.log(DOF * math.pi)
-        distance = np.empty((points.shape[0], self.share.size))
-        value = np.empty_like(distance)
-        for k, factor in enumerate(self.factor):
-            z = np.linalg.solve(factor, (points - self.mean[k]).T)
-            distance[:, k] = (z * z).sum(axis=0)
-            value[:, k] = constant - 0.5 * (DOF + d) * np.log1p(distance[:, k] / DOF)
-            value[:, k] += math.log(self.share[k]) - float(np.log(np.diag(factor)).sum())
+        distance = squared_distances(points, self.mean, self.factor)
+        value = constant - 0.5 * (DOF + d) * np.log1p(distance / DOF)
+        value += np.log(self.share) - np.log(np.diagonal(self.factor, axis1=1, axis2=2)).sum(axis=1)
         return value, distance
 
 
@@ -108,11 +110,10 @@ def _first(target: Target, rng: np.random.Generator) -> Mixture:
     return Mixture(np.full(COMPONENTS, 1.0 / COMPONENTS), means, scales[:, None, None] * factor)
 
 
-def _updated(mixture: Mixture, points: FloatArray, weight: FloatArray) -> Mixture:
-    """The mixture after one update by weighted draws."""
+def _updated(mixture: Mixture, points: FloatArray, member: FloatArray, distance: FloatArray) -> Mixture:
+    """The mixture after one update by draws, weighted with their part in each component."""
     d = points.shape[1]
-    value, distance = mixture.parts(points)
-    member = np.exp(value - np.logaddexp.reduce(value, axis=1)[:, None]) * weight[:, None]
+    weight = member.sum(axis=1)
     centre = weight @ points
     whole = (weight[:, None] * (points - centre)).T @ (points - centre)
     shares, means, factors = [], [], []
@@ -151,7 +152,9 @@ def fitted_mixture(target: Target, rng: np.random.Generator, *, share: float = 1
     n = int(DRAWS_PER_COORDINATE * share) * d
     highest, stalled = 0.0, 0
     for _ in range(ROUNDS):
-        points, log_proposal = mixture.draw(n, rng)
+        points = mixture.points(n, rng)
+        value, distance = mixture.parts(points)
+        log_proposal = np.logaddexp.reduce(value, axis=1)
         log_weight = target.log_density(points) - log_proposal
         weight = np.exp(log_weight - log_weight.max())
         weight /= weight.sum()
@@ -163,5 +166,6 @@ def fitted_mixture(target: Target, rng: np.random.Generator, *, share: float = 1
         # single weights of a poor proposal would make a component of one draw
         limit = float(np.sort(weight)[-max(n // 100, 10)])
         clipped = np.minimum(weight, limit) if limit > 0.0 else weight
-        mixture = _updated(mixture, points, clipped / clipped.sum())
+        member = np.exp(value - log_proposal[:, None]) * (clipped / clipped.sum())[:, None]
+        mixture = _updated(mixture, points, member, distance)
     return best
