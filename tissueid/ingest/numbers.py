@@ -151,7 +151,7 @@ def decimal_evidence(cells: Iterable[str]) -> tuple[int, int, int]:
     """
     votes = {".": 0, ",": 0, "": 0}
     for cell in cells:
-        text = re.split(r"[eE]", cell.strip().lstrip("+-"))[0]
+        text = cell.strip().lstrip("+-").partition("e")[0].partition("E")[0]
         points, commas = text.count("."), text.count(",")
         if not points and not commas:
             continue

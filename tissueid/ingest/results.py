@@ -62,8 +62,11 @@ def _filled(row: Row) -> list[str]:
 
 def is_statistics(row: Row) -> bool:
     """Whether a row is a mean, a standard deviation and the like: its first filled cell says so."""
-    filled = _filled(row)
-    return len(filled) > 1 and _STATISTICS.fullmatch(plain_words(filled[0])) is not None
+    opening = next((cell for cell in row if cell.strip()), "")
+    # nearly all rows are samples, and done with here
+    if not opening or looks_numeric(opening):
+        return False
+    return len(_filled(row)) > 1 and _STATISTICS.fullmatch(plain_words(opening.strip())) is not None
 
 
 def is_title(row: Row) -> bool:
