@@ -10,51 +10,71 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tissueid.likelihood.gram_kernels import (
+    BLOCK,
     LANES,
-    TILE,
+    LINE,
+    WIDE,
     add_grams,
+    aligned_zeros,
     chunk_samples,
-    clear_gaps,
     mirrored,
     places,
     plain_grams,
+    tiled_columns,
     tiled_grams,
-    tiled_rows,
 )
+from tissueid.likelihood.lag_kernels import add_link_grams, plain_link_grams, tiled_link_grams
 
 JIT_OFF = os.environ.get("NUMBA_DISABLE_JIT") == "1"
 
 
 def expected_grams(rows, weight, powers):
-    return np.stack([np.einsum("i,ki,li->kl", weight**q, rows, rows) for q in range(powers)])
+    return np.stack([np.einsum("i,ik,il->kl", weight**q, rows, rows) for q in range(powers)])
 
 
-@pytest.mark.parametrize("summed", [tiled_grams, plain_grams, add_grams])
+@pytest.mark.parametrize(
+    "summed", [plain_grams, add_grams] if JIT_OFF else [tiled_grams, plain_grams, add_grams]
+)
 @given(
-    tiles=st.integers(1, 2 if JIT_OFF else 6),
+    registers=st.integers(1, 2 * WIDE + 2),
     plain=st.integers(0, 2),
     powers=st.integers(1, 5),
-    samples=st.integers(1, 20 if JIT_OFF else 2500),
+    samples=st.integers(0, 3 * BLOCK),
     seed=st.integers(0, 2**16),
 )
 @settings(max_examples=6 if JIT_OFF else 30, deadline=None, derandomize=True, database=None)
-def test_weighted_grams_are_those_of_plain_sums(summed, tiles, plain, powers, samples, seed):
+def test_weighted_grams_are_those_of_plain_sums(summed, registers, plain, powers, samples, seed):
     rng = np.random.default_rng(seed)
-    rows, weight = rng.normal(size=(TILE * tiles, samples)), rng.normal(size=samples)
-    first = int(rng.integers(0, samples))
-    last = int(rng.integers(first, samples + 1))
-    before = rng.normal(size=(powers, rows.shape[0], rows.shape[0]))
-    out, plain = before.copy(), TILE * min(plain, tiles)
-    summed(rows, weight, plain, first, last, out)
-    expected = before + expected_grams(rows[:, first:last], weight[first:last], powers)
+    rows, weight = rng.normal(size=(samples, LANES * registers)), rng.normal(size=samples)
+    before = rng.normal(size=(powers, rows.shape[1], rows.shape[1]))
+    out, plain = before.copy(), LANES * min(plain, registers)
+    summed(rows, weight, plain, out)
+    expected = before + expected_grams(rows, weight, powers)
     upper = np.triu(np.ones(out.shape[1:], dtype=bool))
-    # rounding of sums of a few thousand numbers, weights up to 4^4
+    # rounding of sums of a few hundred numbers, weights up to 4^4
     np.testing.assert_allclose(out[0][upper], expected[0][upper], rtol=0.0, atol=1e-10)
     wanted = upper.copy()
     wanted[:plain] = False
     np.testing.assert_allclose(out[:, wanted], expected[:, wanted], rtol=0.0, atol=1e-8)
-    # rows that take no part leave higher powers alone
+    # columns that take no part leave higher powers alone
     np.testing.assert_array_equal(out[1:, :plain], before[1:, :plain])
+
+
+@pytest.mark.parametrize(
+    "summed", [plain_link_grams, add_link_grams] if JIT_OFF else [tiled_link_grams, plain_link_grams]
+)
+@pytest.mark.parametrize("samples", [0, 1, BLOCK, 3 * BLOCK + 5])
+def test_grams_of_links_are_those_of_means_and_differences(summed, samples):
+    rng = np.random.default_rng(samples)
+    groups, rows = 3, rng.normal(size=(samples + 1, 4 * LANES))
+    label = rng.integers(0, groups + 1, size=samples)
+    found = np.zeros((2, groups, rows.shape[1], rows.shape[1]))
+    # links of the last label start chains: they take no part
+    summed(rows, *places(label, groups + 1), 0, rows.shape[1], found[0], found[1])
+    mean, change = 0.5 * (rows[1:] + rows[:-1]), rows[1:] - rows[:-1]
+    for k in range(groups):
+        for one, part in zip(found[:, k], (mean[label == k], change[label == k]), strict=True):
+            np.testing.assert_allclose(np.triu(one), np.triu(part.T @ part), rtol=0.0, atol=1e-10)
 
 
 def test_mirrored_matrices_are_symmetric_and_keep_their_upper_half():
@@ -71,23 +91,20 @@ def test_places_sort_by_label_and_keep_the_order(label):
     place, bound = places(label, 4)
     for k in range(4):
         mine = place[label == k]
-        np.testing.assert_array_equal(mine, bound[k, 0] + np.arange(mine.size))
-        assert bound[k].tolist() == [bound[k, 0], bound[k, 0] + mine.size]
-        assert bound[k, 0] % LANES == 0
-    assert (np.diff(bound.ravel()) >= 0).all()
+        np.testing.assert_array_equal(mine, bound[k] + np.arange(mine.size))
+        assert bound[k + 1] == bound[k] + mine.size
+    assert (bound[0], bound[4]) == (0, label.size)
 
 
-def test_gaps_between_labels_are_cleared_and_nothing_else():
-    _, bound = places(np.array([0, 0, 1, 2, 2, 2]), 3)
-    rows = np.ones((2, 3 * LANES))
-    clear_gaps(rows, bound)
-    kept = np.zeros(3 * LANES)
-    for k, count in enumerate((2, 1, 3)):
-        kept[k * LANES : k * LANES + count] = 1.0
-    np.testing.assert_array_equal(rows, [kept, kept])
+def test_columns_fill_whole_registers_and_chunks_have_samples():
+    assert [tiled_columns(count) // LANES for count in (1, LANES, LANES + 1)] == [1, 1, 2]
+    assert chunk_samples(72) > BLOCK
+    assert chunk_samples(10**9) == 1
 
 
-def test_rows_fill_whole_tiles_and_chunks_whole_lanes():
-    assert [tiled_rows(count) for count in (1, 4, 5, 62)] == [4, 4, 8, 64]
-    assert chunk_samples(72) % LANES == 0
-    assert chunk_samples(10**9) == LANES
+def test_aligned_zeros_begin_with_a_line_of_the_cache():
+    for shape in ((3,), (5, 7), (2, 3, 4)):
+        found = aligned_zeros(*shape)
+        assert found.shape == shape
+        assert found.ctypes.data % (LINE * found.itemsize) == 0
+        assert not found.any()

@@ -252,7 +252,8 @@ def reference_sums(data, basis, degree):
 
 
 @pytest.mark.parametrize("n", [20, 63, 64, 65, 129])
-def test_sums_are_those_of_all_rows_at_once(n, monkeypatch):
+@pytest.mark.parametrize("degree", [0, 1, 2])
+def test_sums_are_those_of_all_rows_at_once(n, degree, monkeypatch):
     monkeypatch.setattr(lag_module, "chunk_samples", lambda _rows: 64)
     include = np.ones(n, dtype=bool)
     include[: n // 7] = False
@@ -261,9 +262,9 @@ def test_sums_are_those_of_all_rows_at_once(n, monkeypatch):
     breaks[n // 2] = True
     data = make_log(sampling("uniform", n), include=include, breaks=breaks)
     basis = basis_for(make_log(sampling("uniform", 3000)))
-    sums = lag_sums(data, basis, degree=1, reference_step_s=0.005)
+    sums = lag_sums(data, basis, degree=degree, reference_step_s=0.005)
     found = [sums.start, sums.later[0], sums.earlier[0], sums.difference[0]]
-    for mine, expected in zip(found, reference_sums(data, basis, 1), strict=True):
+    for mine, expected in zip(found, reference_sums(data, basis, degree), strict=True):
         size = np.sqrt(np.diag(expected))
         # states are exact to 1e-12 of their column's norm; earlier is later plus edges
         assert np.abs(mine - expected).max() <= 1e-12 * max(size.max() ** 2, 1.0)

@@ -10,10 +10,10 @@ from tissueid.likelihood.cone import cone_least_squares
 from tissueid.likelihood.density_lanes import conditionals, log_ratios
 from tissueid.likelihood.gram_kernels import places, tiled_grams
 from tissueid.likelihood.instrument_kernels import instrument_force
-from tissueid.likelihood.kernels import fill_powers, fill_states
+from tissueid.likelihood.kernels import fill_powers, fill_products, fill_states
 from tissueid.likelihood.knot_kernels import accumulate, corner_flags
 from tissueid.likelihood.knot_terms import log_terms, without_effects
-from tissueid.likelihood.lag_kernels import filter_chain, link_rows
+from tissueid.likelihood.lag_kernels import filter_chain, split_links, tiled_link_grams
 from tissueid.likelihood.passive_normal import log_passive_mass
 from tissueid.model.kernels import branch_state
 
@@ -22,11 +22,13 @@ __all__ = ["kernels_to_compile"]
 KERNELS: tuple[Any, ...] = (
     branch_state,
     fill_powers,
+    fill_products,
     fill_states,
     tiled_grams,
     places,
     filter_chain,
-    link_rows,
+    tiled_link_grams,
+    split_links,
     cone_least_squares,
     partial.coefficients,
     partial.objective,

@@ -1,54 +1,80 @@
-"""Compiled Gram matrices of design rows that lie one behind the other in memory, samples running fastest.
+"""Compiled Gram matrices of design rows: a row a sample, columns running fastest.
 
-A product Z Z' of many samples and few rows is bound by loads, not by multiplications.  Sixteen entries of it,
-four rows against four, are kept in registers while the samples run past: eight loads for sixteen
-multiply-adds, no stores.  Only tiles on and above the diagonal are made.  Rows times a power of one weight
-make a Gram matrix each, from the same loads: the columns x^p s_k of a stiffness that grows with depth need
-2 degree + 1 of the small products S' diag(x^q) S, not one of all columns with each other.
+A product Z' Z of many samples and few columns is bound by loads, not by multiplications, unless sums stay in
+registers while the samples run past.  Entries of it are made a tile at a time: :data:`LANES` rows, one number
+of a sample each, against up to :data:`WIDE` registers of :data:`LANES` columns.  A sample costs as many loads
+as the tile has rows and registers side by side, 11 for 24 multiply-adds of a register, and nothing is added
+across a register.  Only tiles on and above the diagonal are made.
+
+Columns times a power of one weight make a Gram matrix each: the columns x^p s_k of a stiffness that grows
+with depth need 2 degree + 1 of the small products S' diag(x^q) S, not one of all columns with each other.
 """
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import numba as nb
 import numpy as np
-from numba.extending import is_jitted
+from llvmlite import binding, ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic, is_jitted
 from numpy.typing import NDArray
 
 __all__ = [
+    "BLOCK",
     "LANES",
-    "TILE",
     "add_grams",
+    "add_products",
+    "aligned_zeros",
     "chunk_samples",
-    "clear_gaps",
     "mirrored",
     "places",
     "plain_grams",
+    "tiled_columns",
     "tiled_grams",
-    "tiled_rows",
 ]
 
 FloatArray = NDArray[np.float64]
 
-#: Rows and columns of a tile; the number of rows of a design is a multiple of it.
-TILE = 4
-#: Samples that a register holds on any common processor: sums over a multiple of it have no remainder.
-LANES = 8
-#: Samples of a block: rows of so many are summed before they are added up.
-BLOCK = 1024
-#: Numbers in the rows of a chunk of samples: they stay in the second-level cache.
-CELLS = 72 * 1024
-#: What the compiler may do to a sum: split it over the lanes of a register, and multiply and add in one.
-SUMMED_IN_LANES = {"reassoc", "contract", "nsz"}
+#: Numbers that a register of this processor holds; the number of columns of a design is a multiple of it.
+LANES = 8 if binding.get_host_cpu_features().get("avx512f", False) else 4
+#: Registers side by side in a tile: with four lanes its sums and factors fill sixteen registers.
+WIDE = 3
+#: Samples whose products are summed before they are added up: their rows stay in the second-level cache.
+BLOCK = 256
+#: Numbers in the rows of a chunk of samples.
+CELLS = 144 * 1024
+#: Numbers in a line of the cache.
+LINE = 8
+
+_WORD = ir.IntType(64)
+_INDEX = ir.IntType(32)
+_NUMBER = ir.DoubleType()
+_REGISTER = ir.VectorType(_NUMBER, LANES)
+_NUMBER_BYTES = 8
+#: Multiply and add in one, where the processor can.
+_FUSED = ("contract",)
 
 
-def tiled_rows(count: int) -> int:
-    """The next multiple of :data:`TILE`."""
-    return -(-count // TILE) * TILE
+def tiled_columns(count: int) -> int:
+    """The next multiple of :data:`LANES`."""
+    return -(-count // LANES) * LANES
 
 
-def chunk_samples(rows: int) -> int:
-    """Samples whose design rows are made at a time, where there are so many rows."""
-    return max(CELLS // rows // LANES, 1) * LANES
+def chunk_samples(columns: int) -> int:
+    """Samples whose design rows are made at a time, where there are so many columns."""
+    return max(CELLS // columns, 1)
+
+
+def aligned_zeros(*shape: int) -> FloatArray:
+    """Zeros that begin where a line of the cache does: stores across two lines take twice as long."""
+    size = math.prod(shape)
+    room = np.zeros(size + LINE)
+    start = -(room.ctypes.data // room.itemsize) % LINE
+    return room[start : start + size].reshape(shape)
 
 
 def mirrored(upper: FloatArray) -> FloatArray:
@@ -56,105 +82,149 @@ def mirrored(upper: FloatArray) -> FloatArray:
     return np.asarray(np.triu(upper) + np.swapaxes(np.triu(upper, 1), -1, -2))
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMMED_IN_LANES)
-def tiled_grams(
-    rows: FloatArray, weight: FloatArray, plain: int, first: int, last: int, out: FloatArray
+class _Rows:
+    """A matrix as the code of a tile sees it: rows of a stride, each without gaps."""
+
+    def __init__(self, context: Any, builder: Any, kind: Any, value: Any) -> None:
+        array = context.make_array(kind)(context, builder, value)
+        self.count = builder.extract_value(array.shape, 0)
+        self._stride = builder.extract_value(array.strides, 0)
+        self._first = builder.ptrtoint(array.data, _WORD)
+        self._builder = builder
+
+    def at(self, row: Any, column: int, kind: Any) -> Any:
+        """Pointer to what is a number or a register of them."""
+        inside = self._builder.mul(row, self._stride)
+        place = self._builder.add(inside, _WORD(_NUMBER_BYTES * column))
+        return self._builder.inttoptr(self._builder.add(self._first, place), kind.as_pointer())
+
+
+def _zero(builder: Any) -> Any:
+    """A variable of the size of a register."""
+    return cgutils.alloca_once_value(builder, _REGISTER([0.0] * LANES))  # type: ignore[no-untyped-call]
+
+
+def _emit_products(builder: Any, left: _Rows, right: _Rows, sums: list[list[Any]]) -> None:
+    """Emit the loop over samples; ``sums`` are variables, which the compiler keeps in registers."""
+    with cgutils.for_range(builder, left.count) as loop:
+        others = [
+            builder.load(right.at(loop.index, LANES * c, _REGISTER), align=_NUMBER_BYTES)
+            for c in range(len(sums[0]))
+        ]
+        for r, row in enumerate(sums):
+            number = builder.load(left.at(loop.index, r, _NUMBER))
+            one = builder.insert_element(_REGISTER(ir.Undefined), number, _INDEX(0))
+            everywhere = builder.shuffle_vector(one, one, ir.VectorType(_INDEX, LANES)([0] * LANES))
+            for other, variable in zip(others, row, strict=True):
+                product = builder.fmul(everywhere, other, flags=_FUSED)
+                builder.store(builder.fadd(builder.load(variable), product, flags=_FUSED), variable)
+
+
+def _tile(wide: int) -> Any:
+    """A function ``add(left, right, out)`` of compiled code: ``out += left.T @ right``, kept in registers.
+
+    ``left`` has :data:`LANES` columns, ``right`` and ``out`` ``wide`` times as many; no gaps inside a row.
+    """
+
+    @intrinsic
+    def add(typing_context, left, right, out):  # type: ignore[no-untyped-def] # noqa: ARG001
+        def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            a, b, target = (
+                _Rows(context, builder, kind, value)
+                for kind, value in zip(signature.args, arguments, strict=True)
+            )
+            sums = [[_zero(builder) for _ in range(wide)] for _ in range(LANES)]
+            _emit_products(builder, a, b, sums)
+            for r, row in enumerate(sums):
+                for c, variable in enumerate(row):
+                    place = target.at(_WORD(r), LANES * c, _REGISTER)
+                    before = builder.load(place, align=_NUMBER_BYTES)
+                    builder.store(builder.fadd(before, builder.load(variable)), place, align=_NUMBER_BYTES)
+            return context.get_dummy_value()
+
+        return types.void(left, right, out), emit
+
+    return add
+
+
+_add_one, _add_two, _add_three = (_tile(wide) for wide in range(1, WIDE + 1))
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def add_products(
+    left: FloatArray, right: FloatArray, first: int, plain: int, block: int, out: FloatArray
 ) -> None:
+    """Add ``left.T @ right`` on and above the diagonal, from row ``first`` on.
+
+    Columns behind the first ``plain`` are blocks of ``block``, all multiples of :data:`LANES`.  Where a row
+    meets another block than its own, columns that stand in theirs before the row in its own are left out.
+    """
+    m = out.shape[0]
+    for k in range(first, m, LANES):
+        mine, target = left[:, k : k + LANES], out[k : k + LANES]
+        before = (k - plain) % block if k >= plain else 0
+        c = k
+        while c < m:
+            stop = min(plain + ((c - plain) // block + 1) * block, m) if k >= plain else m
+            while c + WIDE * LANES <= stop:
+                _add_three(mine, right[:, c : c + WIDE * LANES], target[:, c : c + WIDE * LANES])
+                c += WIDE * LANES
+            if c + 2 * LANES == stop:
+                _add_two(mine, right[:, c:stop], target[:, c:stop])
+            elif c + LANES == stop:
+                _add_one(mine, right[:, c:stop], target[:, c:stop])
+            c = stop + before
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def tiled_grams(rows: FloatArray, weight: FloatArray, plain: int, out: FloatArray) -> None:
     """:func:`add_grams`, compiled."""
-    powers, m, _ = out.shape
-    scaled = np.empty((TILE, BLOCK))
-    for begin in range(first, last, BLOCK):
-        end = min(begin + BLOCK, last)
-        n = end - begin
-        w = weight[begin:end]
-        for k in range(0, m, TILE):
-            a0, a1, a2, a3 = scaled[0, :n], scaled[1, :n], scaled[2, :n], scaled[3, :n]
-            for a in range(TILE):
-                scaled[a, :n] = rows[k + a, begin:end]
-            for q in range(powers if k >= plain else 1):
-                if q > 0:
-                    for i in range(n):
-                        a0[i] *= w[i]
-                    for i in range(n):
-                        a1[i] *= w[i]
-                    for i in range(n):
-                        a2[i] *= w[i]
-                    for i in range(n):
-                        a3[i] *= w[i]
-                for c in range(k, m, TILE):
-                    b0, b1 = rows[c, begin:end], rows[c + 1, begin:end]
-                    b2, b3 = rows[c + 2, begin:end], rows[c + 3, begin:end]
-                    s00 = s01 = s02 = s03 = s10 = s11 = s12 = s13 = 0.0
-                    s20 = s21 = s22 = s23 = s30 = s31 = s32 = s33 = 0.0
-                    for i in range(n):
-                        s00 += a0[i] * b0[i]
-                        s01 += a0[i] * b1[i]
-                        s02 += a0[i] * b2[i]
-                        s03 += a0[i] * b3[i]
-                        s10 += a1[i] * b0[i]
-                        s11 += a1[i] * b1[i]
-                        s12 += a1[i] * b2[i]
-                        s13 += a1[i] * b3[i]
-                        s20 += a2[i] * b0[i]
-                        s21 += a2[i] * b1[i]
-                        s22 += a2[i] * b2[i]
-                        s23 += a2[i] * b3[i]
-                        s30 += a3[i] * b0[i]
-                        s31 += a3[i] * b1[i]
-                        s32 += a3[i] * b2[i]
-                        s33 += a3[i] * b3[i]
-                    tile = out[q, k : k + TILE, c : c + TILE]
-                    tile[0, 0] += s00
-                    tile[0, 1] += s01
-                    tile[0, 2] += s02
-                    tile[0, 3] += s03
-                    tile[1, 0] += s10
-                    tile[1, 1] += s11
-                    tile[1, 2] += s12
-                    tile[1, 3] += s13
-                    tile[2, 0] += s20
-                    tile[2, 1] += s21
-                    tile[2, 2] += s22
-                    tile[2, 3] += s23
-                    tile[3, 0] += s30
-                    tile[3, 1] += s31
-                    tile[3, 2] += s32
-                    tile[3, 3] += s33
+    samples, m = rows.shape
+    # power q is the product of rows that are scaled by half of it, rounded up and down
+    scaled = np.empty((out.shape[0] // 2, min(BLOCK, samples), m))
+    for begin in range(0, samples, BLOCK):
+        block = rows[begin : begin + BLOCK]
+        n = block.shape[0]
+        add_products(block, block, 0, 0, m, out[0])
+        for q in range(1, out.shape[0]):
+            high, low = (q + 1) // 2, q // 2
+            right = scaled[low - 1, :n] if low > 0 else block
+            left = scaled[high - 1, :n]
+            if high > low:
+                for i in range(n):
+                    w, row, product = weight[begin + i], right[i], left[i]
+                    for c in range(m):
+                        product[c] = w * row[c]
+            add_products(left, right, plain, 0, m, out[q])
 
 
-def plain_grams(
-    rows: FloatArray, weight: FloatArray, plain: int, first: int, last: int, out: FloatArray
-) -> None:
+def plain_grams(rows: FloatArray, weight: FloatArray, plain: int, out: FloatArray) -> None:
     """:func:`add_grams` as matrix products, for a run without compilation."""
-    part = rows[:, first:last]
-    out[0] += part @ part.T
+    out[0] += rows.T @ rows
     for q in range(1, out.shape[0]):
-        out[q, plain:] += (part[plain:] * weight[first:last] ** q) @ part.T
+        out[q, plain:] += (rows[:, plain:].T * weight**q) @ rows
 
 
-def add_grams(
-    rows: FloatArray, weight: FloatArray, plain: int, first: int, last: int, out: FloatArray
-) -> None:
-    """Add the weighted Gram matrices of samples [first, last): ``sum_i w_i^q z_ki z_li``.
+def add_grams(rows: FloatArray, weight: FloatArray, plain: int, out: FloatArray) -> None:
+    """Add weighted Gram matrices: ``sum_i w_i^q z_ik z_il``.
 
     Parameters
     ----------
-    rows : ndarray, shape (m, samples)
-        Design rows, m a multiple of :data:`TILE`.
+    rows : ndarray, shape (samples, m)
+        Design rows, m a multiple of :data:`LANES`, without gaps inside a row.
     weight : ndarray, shape (samples,)
         Looked at where more than one power is asked for.
     plain : int
-        So many leading rows, a multiple of :data:`TILE`, take part in the power zero alone.
-    first, last : int
+        So many leading columns, a multiple of :data:`LANES`, take part in the power zero alone.
     out : ndarray, shape (powers, m, m)
-        One matrix a power q; right on and above the diagonal (:func:`mirrored`).
+        One matrix a power q, without gaps; right on and above the diagonal (:func:`mirrored`).
     """
-    (tiled_grams if is_jitted(tiled_grams) else plain_grams)(rows, weight, plain, first, last, out)
+    (tiled_grams if is_jitted(tiled_grams) else plain_grams)(rows, weight, plain, out)
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
 def places(label: NDArray[np.int64], kinds: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Columns that put samples of one label side by side, in their order.
+    """Rows that put samples of one label behind one another, in their order.
 
     Parameters
     ----------
@@ -165,26 +235,17 @@ def places(label: NDArray[np.int64], kinds: int) -> tuple[NDArray[np.int64], NDA
     Returns
     -------
     place : ndarray of int, shape (count,)
-    bound : ndarray of int, shape (kinds, 2)
-        First column of each label, a multiple of :data:`LANES`, and the one behind its last.
+    bound : ndarray of int, shape (kinds + 1,)
+        First row of each label, and the one behind the last.
     """
-    bound = np.zeros((kinds, 2), dtype=np.int64)
+    bound = np.zeros(kinds + 1, dtype=np.int64)
     for one in label:
-        bound[one, 1] += 1
-    column = 0
+        bound[one + 1] += 1
     for k in range(kinds):
-        count = bound[k, 1]
-        bound[k] = column
-        column += -(-count // LANES) * LANES
+        bound[k + 1] += bound[k]
+    following = bound.copy()
     place = np.empty(label.size, dtype=np.int64)
     for i in range(label.size):
-        place[i] = bound[label[i], 1]
-        bound[label[i], 1] += 1
+        place[i] = following[label[i]]
+        following[label[i]] += 1
     return place, bound
-
-
-def clear_gaps(rows: FloatArray, bound: NDArray[np.int64]) -> None:
-    """Zero the columns between labels: they are summed with the label before."""
-    for stop in bound[:, 1].tolist():
-        if stop % LANES:
-            rows[:, stop : -(-stop // LANES) * LANES] = 0.0

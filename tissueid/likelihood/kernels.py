@@ -1,8 +1,6 @@
 """Compiled pass over the samples of a log: the node states of a chunk, and powers of the depth.
 
-Rows of the result belong to nodes, with samples running fastest, as the products behind them want it.  Where
-steps are tabulated each state is carried along its own row, four of them at a time.  On an irregular clock
-the weights of a step cost more than the state: all nodes take one step together, and are turned afterwards.
+Rows of the result belong to samples, with nodes running fastest: all nodes take one step together.
 """
 
 from __future__ import annotations
@@ -11,10 +9,9 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.likelihood.gram_kernels import TILE
 from tissueid.model.kernels import FLUSH_MM
 
-__all__ = ["fill_powers", "fill_states"]
+__all__ = ["fill_powers", "fill_products", "fill_states"]
 
 FloatArray = NDArray[np.float64]
 
@@ -22,7 +19,7 @@ FloatArray = NDArray[np.float64]
 HALF, SIXTH, FOURTH, FIFTH = 1.0 / 2.0, 1.0 / 6.0, 1.0 / 24.0, 1.0 / 120.0
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def fill_states(
     depth_mm: FloatArray,
     step_s: FloatArray,
@@ -36,7 +33,8 @@ def fill_states(
     last: int,
     include: NDArray[np.bool_],
     place: NDArray[np.int64],
-    out: FloatArray,
+    rows: FloatArray,
+    column: int,
 ) -> None:
     """Advance the node states over samples [first, last) and write those of samples that count.
 
@@ -47,126 +45,66 @@ def fill_states(
     group, decay, gain, off_s
         :class:`tissueid.likelihood.sums.StepTables`.
     tau_s : ndarray, shape (nodes,)
-        Their number is a multiple of :data:`~tissueid.likelihood.gram_kernels.TILE`.
     state : ndarray, shape (nodes,)
         Node states before ``first``; updated in place.
     include : ndarray of bool, shape (n,)
         Samples that take part in the likelihood.
     place : ndarray of int, shape (samples that count,)
-        Column of each.
-    out : ndarray, shape (nodes, samples)
+        Row of each.
+    rows : ndarray, shape (samples, columns)
+        Written from ``column`` on.
+    column : int
     """
-    if off_s.size == 0:
-        for k in range(0, tau_s.size, TILE):
-            _tabulated(depth_mm, group, decay, gain, state, k, first, last, include, place, out)
-    else:
-        turned = _irregular(depth_mm, step_s, group, decay, gain, off_s, tau_s, state, first, last, include)
-        _turn(turned, place, out)
-    for k in range(state.size):
+    nodes = tau_s.size
+    rate = 1.0 / tau_s
+    at = 0
+    for i in range(first, last):
+        if i > 0:
+            dx = depth_mm[i] - depth_mm[i - 1]
+            a = decay[group[i]]
+            phi = gain[group[i]]
+            if off_s.size == 0:
+                for k in range(nodes):
+                    state[k] = a[k] * state[k] + phi[k] * dx
+            elif step_s[i] > 0.0:
+                off = off_s[i]
+                share = dx / step_s[i]
+                for k in range(nodes):
+                    # 1 - exp(-h/tau) from its value at a near step: no cancellation for any h/tau
+                    r = off * rate[k]
+                    less = r * (1.0 - r * (HALF - r * (SIXTH - r * (FOURTH - r * FIFTH))))
+                    lost = phi[k] + a[k] * less
+                    state[k] = state[k] - lost * (state[k] - share * tau_s[k])
+            else:
+                for k in range(nodes):
+                    state[k] += dx
+        if include[i]:
+            row = rows[place[at], column : column + nodes]
+            for k in range(nodes):
+                row[k] = state[k]
+            at += 1
+    for k in range(nodes):
         if abs(state[k]) < FLUSH_MM:
             state[k] = 0.0
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _tabulated(
-    depth_mm: FloatArray,
-    group: NDArray[np.int64],
-    decay: FloatArray,
-    gain: FloatArray,
-    state: FloatArray,
-    k: int,
-    first: int,
-    last: int,
-    include: NDArray[np.bool_],
-    place: NDArray[np.int64],
-    out: FloatArray,
-) -> None:
-    """States of the nodes [k, k + TILE)."""
-    row0, row1, row2, row3 = out[k], out[k + 1], out[k + 2], out[k + 3]
-    s0, s1, s2, s3 = state[k], state[k + 1], state[k + 2], state[k + 3]
-    known = -1
-    a0 = a1 = a2 = a3 = p0 = p1 = p2 = p3 = 0.0
-    at = 0
-    for i in range(first, last):
-        if i > 0:
-            if group[i] != known:
-                known = group[i]
-                a0, a1, a2, a3 = (
-                    decay[known, k],
-                    decay[known, k + 1],
-                    decay[known, k + 2],
-                    decay[known, k + 3],
-                )
-                p0, p1, p2, p3 = gain[known, k], gain[known, k + 1], gain[known, k + 2], gain[known, k + 3]
-            dx = depth_mm[i] - depth_mm[i - 1]
-            s0 = a0 * s0 + p0 * dx
-            s1 = a1 * s1 + p1 * dx
-            s2 = a2 * s2 + p2 * dx
-            s3 = a3 * s3 + p3 * dx
-        if include[i]:
-            j = place[at]
-            row0[j] = s0
-            row1[j] = s1
-            row2[j] = s2
-            row3[j] = s3
-            at += 1
-    state[k], state[k + 1], state[k + 2], state[k + 3] = s0, s1, s2, s3
-
-
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _irregular(
-    depth_mm: FloatArray,
-    step_s: FloatArray,
-    group: NDArray[np.int64],
-    decay: FloatArray,
-    gain: FloatArray,
-    off_s: FloatArray,
-    tau_s: FloatArray,
-    state: FloatArray,
-    first: int,
-    last: int,
-    include: NDArray[np.bool_],
-) -> FloatArray:
-    """States of the samples that count, sample by sample."""
-    nodes = tau_s.size
-    rate = 1.0 / tau_s
-    out = np.empty((last - first, nodes))
-    rows = 0
-    for i in range(first, last):
-        dx = depth_mm[i] - depth_mm[i - 1] if i > 0 else 0.0
-        if i > 0 and step_s[i] > 0.0:
-            a = decay[group[i]]
-            phi = gain[group[i]]
-            off = off_s[i]
-            share = dx / step_s[i]
-            for k in range(nodes):
-                # 1 - exp(-h/tau) from its value at a near step: no cancellation for any h/tau
-                r = off * rate[k]
-                less = r * (1.0 - r * (HALF - r * (SIXTH - r * (FOURTH - r * FIFTH))))
-                lost = phi[k] + a[k] * less
-                state[k] = state[k] - lost * (state[k] - share * tau_s[k])
-        else:
-            for k in range(nodes):
-                state[k] += dx
-        if include[i]:
-            row = out[rows]
-            for k in range(nodes):
-                row[k] = state[k]
-            rows += 1
-    return out[:rows]
-
-
 @nb.njit(cache=True, nogil=True, error_model="numpy")
-def _turn(states: FloatArray, place: NDArray[np.int64], out: FloatArray) -> None:
-    """Lay states that stand sample by sample behind one another node by node."""
-    for k in range(0, states.shape[1], TILE):
-        row0, row1, row2, row3 = out[k], out[k + 1], out[k + 2], out[k + 3]
-        for i in range(states.shape[0]):
-            j = place[i]
-            row0[j] = states[i, k]
-            row1[j] = states[i, k + 1]
-            row2[j] = states[i, k + 2]
-            row3[j] = states[i, k + 3]
+def fill_products(rows: FloatArray, factor: int, column: int, nodes: int, degree: int) -> None:
+    """Write node states times the powers of a factor behind the states, power by power.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (samples, columns)
+        The states stand from ``column`` on.
+    factor, column, nodes, degree : int
+        ``factor`` is a column, too.
+    """
+    for i in range(rows.shape[0]):
+        x = rows[i, factor]
+        for block in range(column + nodes, column + nodes * (degree + 1), nodes):
+            before, now = rows[i, block - nodes : block], rows[i, block : block + nodes]
+            for k in range(nodes):
+                now[k] = before[k] * x
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
@@ -177,9 +115,11 @@ def fill_powers(
     last: int,
     include: NDArray[np.bool_],
     place: NDArray[np.int64],
-    out: FloatArray,
+    rows: FloatArray,
+    column: int,
+    powers: int,
 ) -> None:
-    """Write ``value * x^q`` of those samples [first, last) that count, a row for every power q.
+    """Write ``value * x^q`` of those samples [first, last) that count, a column for every power q.
 
     Parameters
     ----------
@@ -187,14 +127,17 @@ def fill_powers(
     first, last : int
     include : ndarray of bool, shape (n,)
     place : ndarray of int, shape (samples that count,)
-        Column of each.
-    out : ndarray, shape (powers, samples)
+        Row of each.
+    rows : ndarray, shape (samples, columns)
+        Written from ``column`` on.
+    column, powers : int
     """
     at = 0
     for i in range(first, last):
         if include[i]:
             product = value[i]
-            for q in range(out.shape[0]):
-                out[q, place[at]] = product
+            row = rows[place[at]]
+            for q in range(powers):
+                row[column + q] = product
                 product *= depth_mm[i]
             at += 1

@@ -1,16 +1,26 @@
-"""Compiled loops over correlated noise: linked rows, the filter of rows and of residuals, weights of sums."""
+"""Compiled loops over correlated noise: sums over links, filters of rows and residuals, weights of sums."""
 
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numba as nb
 import numpy as np
+from numba.extending import is_jitted
 from numpy.typing import NDArray
 
-from tissueid.likelihood.gram_kernels import TILE
+from tissueid.likelihood.gram_kernels import BLOCK, add_products
 
-__all__ = ["filter_chain", "filter_rows", "lag_weights", "link_rows"]
+__all__ = [
+    "add_link_grams",
+    "filter_chain",
+    "filter_rows",
+    "lag_weights",
+    "plain_link_grams",
+    "split_links",
+    "tiled_link_grams",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -19,30 +29,125 @@ SETTLED = 1e-15
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
-def link_rows(rows: FloatArray, place: NDArray[np.int64], before: float, now: float, out: FloatArray) -> None:
-    """Put the same weighted sum of every sample and the one before where the sample's place is.
+def tiled_link_grams(
+    rows: FloatArray,
+    place: NDArray[np.int64],
+    bound: NDArray[np.int64],
+    plain: int,
+    block: int,
+    middle: FloatArray,
+    difference: FloatArray,
+) -> None:
+    """:func:`add_link_grams`, compiled."""
+    order = np.empty_like(place)
+    for i in range(place.size):
+        order[place[i]] = i
+    means, changes = np.empty((BLOCK, rows.shape[1])), np.empty((BLOCK, rows.shape[1]))
+    for k in range(middle.shape[0]):
+        for begin in range(bound[k], bound[k + 1], BLOCK):
+            n = min(BLOCK, bound[k + 1] - begin)
+            for i in range(n):
+                earlier, later = rows[order[begin + i]], rows[order[begin + i] + 1]
+                mean, change = means[i], changes[i]
+                for c in range(mean.size):
+                    mean[c] = 0.5 * (earlier[c] + later[c])
+                for c in range(mean.size):
+                    change[c] = later[c] - earlier[c]
+            add_products(means[:n], means[:n], 0, plain, block, middle[k])
+            add_products(changes[:n], changes[:n], 0, 0, rows.shape[1], difference[k])
+
+
+def plain_link_grams(
+    rows: FloatArray,
+    place: NDArray[np.int64],
+    bound: NDArray[np.int64],
+    plain: int,  # noqa: ARG001 # what may be left out is made, too
+    block: int,  # noqa: ARG001
+    middle: FloatArray,
+    difference: FloatArray,
+) -> None:
+    """:func:`add_link_grams` as matrix products, for a run without compilation."""
+    order = np.argsort(place)
+    for k, (start, stop) in enumerate(pairwise(bound[: middle.shape[0] + 1])):
+        later, earlier = rows[order[start:stop] + 1], rows[order[start:stop]]
+        mean, change = 0.5 * (earlier + later), later - earlier
+        middle[k] += mean.T @ mean
+        difference[k] += change.T @ change
+
+
+def add_link_grams(
+    rows: FloatArray,
+    place: NDArray[np.int64],
+    bound: NDArray[np.int64],
+    plain: int,
+    block: int,
+    middle: FloatArray,
+    difference: FloatArray,
+) -> None:
+    """Add the Gram matrices of the means and of the differences of samples and those before them.
 
     Parameters
     ----------
-    rows : ndarray, shape (m, chunk + 1)
-        Design rows; column ``i + 1`` belongs to ``place[i]``, column 0 ends the chunk before.
-    place : ndarray of int, shape (k,)
-    before, now : float
-        Weights.
-    out : ndarray, shape (m, samples)
+    rows : ndarray, shape (chunk + 1, m)
+        Design rows, m a multiple of :data:`~tissueid.likelihood.gram_kernels.LANES`; row ``i + 1`` belongs
+        to ``place[i]``, row 0 ends the chunk before.
+    place, bound : ndarray of int, shape (k,), (groups + 1 or more,)
+        :func:`~tissueid.likelihood.gram_kernels.places` by group of link; those behind the last take no part.
+    plain, block : int
+        :func:`~tissueid.likelihood.gram_kernels.add_products`: what it leaves out of the sums of means,
+        :func:`split_links` does not look at.
+    middle, difference : ndarray, shape (groups, m, m)
+        Right on and above the diagonal.
     """
-    count = place.size
-    ordered = True
-    for i in range(count):
-        ordered = ordered and place[i] == i
-    for k in range(rows.shape[0]):
-        row, linked = rows[k], out[k]
-        if ordered:
-            for i in range(count):
-                linked[i] = before * row[i] + now * row[i + 1]
-        else:
-            for i in range(count):
-                linked[place[i]] = before * row[i] + now * row[i + 1]
+    (tiled_link_grams if is_jitted(tiled_link_grams) else plain_link_grams)(
+        rows, place, bound, plain, block, middle, difference
+    )
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def split_links(
+    middle: FloatArray,
+    change: FloatArray,
+    excess: FloatArray,
+    share: FloatArray,
+    index: NDArray[np.int64],
+    plain: int,
+    block: int,
+    later: FloatArray,
+    earlier: FloatArray,
+    difference: FloatArray,
+) -> None:
+    """Write the sums over later and earlier samples of links and over their differences, both halves of each.
+
+    Blocks of columns are one set of columns times powers of a factor, so that the sum over both samples of
+    all links, though not that over their means, is the same where two columns change blocks.
+
+    Parameters
+    ----------
+    middle, change : ndarray, shape (groups, m, m)
+        :func:`add_link_grams`.
+    excess : ndarray, shape (columns, columns)
+        By how much the sum over all later samples exceeds that over all earlier ones.
+    share : ndarray, shape (groups,)
+        Half the part of it that each group gets.
+    index : ndarray of int, shape (columns,)
+        Which of the m columns each of them is.
+    plain, block : int
+        As in :func:`add_link_grams`.
+    later, earlier, difference : ndarray, shape (groups, columns, columns)
+        Written.
+    """
+    for g in range(share.size):
+        for k in range(later.shape[1]):
+            for c in range(k, later.shape[1]):
+                a, b = min(index[k], index[c]), max(index[k], index[c])
+                back = (a - plain) % block - (b - plain) % block if a >= plain else 0
+                u, v = a - max(back, 0), b + max(back, 0)
+                square = middle[g, u, v] + 0.25 * change[g, u, v]
+                more = share[g] * excess[k, c]
+                later[g, k, c] = later[g, c, k] = square + more
+                earlier[g, k, c] = earlier[g, c, k] = square - more
+                difference[g, k, c] = difference[g, c, k] = change[g, a, b]
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
@@ -75,42 +180,26 @@ def filter_rows(
         Variance that the filter leaves after the sample before.
     mean : ndarray, shape (m,)
         The filter's state after the sample before; updated in place.
-    rows : ndarray, shape (m, chunk + 1)
-        Column ``i + 1`` belongs to ``group[i]``; column 0 is the last filtered one of the chunk before.
+    rows : ndarray, shape (chunk + 1, m)
+        Row ``i + 1`` belongs to ``group[i]``; row 0 is the last filtered one of the chunk before.
 
     Returns
     -------
     float
         Variance that the filter leaves after the last sample.
     """
-    weight = np.empty((4, group.size))
     for i in range(group.size):
         r = rho[group[i]] if group[i] >= 0 else 0.0
         expected = r * r * left + (1.0 - white) * (1.0 - r * r)
         gain = expected / (expected + white)
         left = gain * white
-        weight[0, i] = r
-        weight[1, i] = gain
-        weight[2, i] = r * white / (expected + white)
-        weight[3, i] = math.sqrt(variance * (1.0 - r * r) / (expected + white))
-    # four rows at a time: each of them waits for its sample before
-    for k in range(0, mean.size, TILE):
-        row0, row1, row2, row3 = rows[k], rows[k + 1], rows[k + 2], rows[k + 3]
-        m0, m1, m2, m3 = mean[k], mean[k + 1], mean[k + 2], mean[k + 3]
-        f0, f1, f2, f3 = row0[0], row1[0], row2[0], row3[0]
-        for i in range(group.size):
-            r, gain, kept, scale = weight[0, i], weight[1, i], weight[2, i], weight[3, i]
-            z0, z1, z2, z3 = row0[i + 1], row1[i + 1], row2[i + 1], row3[i + 1]
-            f0 = scale * (z0 - r * m0) + r * f0
-            f1 = scale * (z1 - r * m1) + r * f1
-            f2 = scale * (z2 - r * m2) + r * f2
-            f3 = scale * (z3 - r * m3) + r * f3
-            m0 = kept * m0 + gain * z0
-            m1 = kept * m1 + gain * z1
-            m2 = kept * m2 + gain * z2
-            m3 = kept * m3 + gain * z3
-            row0[i + 1], row1[i + 1], row2[i + 1], row3[i + 1] = f0, f1, f2, f3
-        mean[k], mean[k + 1], mean[k + 2], mean[k + 3] = m0, m1, m2, m3
+        kept = r * white / (expected + white)
+        scale = math.sqrt(variance * (1.0 - r * r) / (expected + white))
+        earlier, later = rows[i], rows[i + 1]
+        for c in range(mean.size):
+            z = later[c]
+            later[c] = scale * (z - r * mean[c]) + r * earlier[c]
+            mean[c] = kept * mean[c] + gain * z
     return left
 
 

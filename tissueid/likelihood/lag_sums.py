@@ -16,7 +16,10 @@ Two products are enough.  With m and d the mean and the difference of the sample
 
 and A - B telescopes along a chain whatever its steps.  A and B are put together from that: of one
 step they are the Gram matrices above; of several, A - B is shared out among the steps by their links, because
-only its sum counts.  Work: samples x columns^2 / 2 multiply-adds for each product, memory flat.
+only its sum counts.  The columns s_k x^p are one set of states times powers of x: sums over samples stay
+the same where two of them change powers, so that a part of the product of means is enough.  Work: samples x
+columns^2 / 2 multiply-adds for the differences and, of degree 1, three quarters of that for the means,
+memory flat.
 """
 
 from __future__ import annotations
@@ -30,16 +33,13 @@ from numpy.typing import NDArray
 from tissueid.likelihood.basis import KernelBasis
 from tissueid.likelihood.chains import linked_samples
 from tissueid.likelihood.gram_kernels import (
-    LANES,
-    add_grams,
+    aligned_zeros,
     chunk_samples,
-    clear_gaps,
-    mirrored,
     places,
-    tiled_rows,
+    tiled_columns,
 )
-from tissueid.likelihood.kernels import fill_powers, fill_states
-from tissueid.likelihood.lag_kernels import filter_rows, link_rows
+from tissueid.likelihood.kernels import fill_powers, fill_products, fill_states
+from tissueid.likelihood.lag_kernels import add_link_grams, filter_rows, split_links
 from tissueid.likelihood.noise import white_part
 from tissueid.likelihood.step_groups import lag_groups
 from tissueid.likelihood.sums import N_STATIC, LogData, step_tables
@@ -48,8 +48,6 @@ __all__ = ["LagSums", "lag_sums"]
 
 FloatArray = NDArray[np.float64]
 
-#: So many times more samples at a time where they are sorted by step, at most: each step is summed by itself.
-MOST_CHUNKS = 4
 #: Step ratios that agree to so many digits of their logarithm are one.
 RATIO_DIGITS = 9
 
@@ -145,30 +143,25 @@ class LagSums:
 
 
 class _Totals:
-    """Sums as they grow, in columns filled up to whole tiles."""
+    """Sums as they grow, in columns filled up to whole registers; plain and block as in the kernels."""
 
-    def __init__(self, groups: int, columns: int, samples: int) -> None:
+    def __init__(self, groups: int, columns: int, plain: int, block: int) -> None:
+        self.plain, self.block = plain, block
         self.start, self.end = np.zeros((2, columns, columns))
         self.middle, self.difference = np.zeros((2, groups, columns, columns))
-        self._linked = np.zeros((columns, samples + LANES * (groups + 1)))
         self._inside = False
 
     def add(self, rows: FloatArray, group: NDArray[np.int64]) -> None:
-        """Count a chunk in; ``rows`` has one column in front, ``group`` is -1 at starts."""
+        """Count a chunk in; ``rows`` has one in front, ``group`` is -1 at starts."""
         groups = self.middle.shape[0]
         starts = np.flatnonzero(group < 0)
         if starts.size:
-            self.start += _gram(rows[:, starts + 1])
+            self.start += _gram(rows[starts + 1])
             # before a start a chain ends, but for the first of all
-            self.end += _gram(rows[:, starts if self._inside else starts[1:]])
+            self.end += _gram(rows[starts if self._inside else starts[1:]])
             self._inside = True
         place, bound = places(np.where(group < 0, groups, group), groups + 1)
-        for before, now, out in ((0.5, 0.5, self.middle), (-1.0, 1.0, self.difference)):
-            link_rows(rows, place, before, now, self._linked)
-            clear_gaps(self._linked, bound)
-            for k in range(groups):
-                stop = -(-bound[k, 1] // LANES) * LANES
-                add_grams(self._linked, rows[0], rows.shape[0], bound[k, 0], stop, out[k : k + 1])
+        add_link_grams(rows, place, bound, self.plain, self.block, self.middle, self.difference)
 
     def close(self, last: FloatArray) -> None:
         """Count the last sample of all in as the end of its chain."""
@@ -176,8 +169,8 @@ class _Totals:
             self.end += np.outer(last, last)
 
 
-def _gram(columns: FloatArray) -> FloatArray:
-    return np.asarray(columns @ columns.T)
+def _gram(rows: FloatArray) -> FloatArray:
+    return np.asarray(rows.T @ rows)
 
 
 def lag_sums(
@@ -220,44 +213,45 @@ def lag_sums(
         :data:`~tissueid.likelihood.step_groups.MAX_LAG_GROUPS` distinct steps.
     """
     nodes = basis.tau_s.size
-    # the last node fills the last tile
-    tau = np.pad(basis.tau_s, (0, tiled_rows(nodes) - nodes), mode="edge")
+    # the last node fills the last register
+    tau = np.pad(basis.tau_s, (0, tiled_columns(nodes) - nodes), mode="edge")
     step = np.diff(data.time_s, prepend=data.time_s[0])
     tables = step_tables(step, tau, float(data.time_s[-1] - data.time_s[0]))
     linked = linked_samples(data)
     group, mean_s = lag_groups(step, linked)
-    columns = N_STATIC + nodes * (degree + 1) + 1
-    height = tiled_rows(columns + tau.size - nodes)
-    chunk = chunk_samples(height) * min(max(mean_s.size, 1), MOST_CHUNKS)
-    rows = np.zeros((height, chunk + 1))
-    totals = _Totals(mean_s.size, rows.shape[0], chunk)
+    plain = tiled_columns(N_STATIC + 1)
+    width = plain + tau.size * (degree + 1)
+    index = _columns(nodes, tau.size, degree)
+    chunk = chunk_samples(width)
+    rows = aligned_zeros(chunk + 1, width)
     white, variance = white_part(phi, moving_average)
-    rho, left, mean = phi ** (mean_s / reference_step_s), 0.0, np.zeros(rows.shape[0])
-    state, one, order = np.zeros(tau.size), np.ones(step.size), np.arange(chunk)
+    # filtered columns are no longer states times powers of the depth
+    totals = _Totals(mean_s.size, width, plain, width if white > 0.0 else tau.size)
+    weights = np.zeros(width)
+    weights[index[:-1]] = 0.0 if center is None else center
+    rho, left, mean = phi ** (mean_s / reference_step_s), 0.0, np.zeros(width)
+    state, one, order = aligned_zeros(tau.size), np.ones(step.size), np.arange(chunk)
     for first in range(0, step.size, chunk):
         last = min(first + chunk, step.size)
         inside = group[first:last][data.include[first:last]]
         used = inside.size
-        after = rows[:, 1 : used + 1]
-        fill_powers(one, data.depth_mm, first, last, data.include, order, rows[:N_STATIC, 1:])
-        fill_states(
-            data.depth_mm, step, *tables, tau, state, first, last, data.include, order, rows[N_STATIC:, 1:]
-        )
-        for power in range(1, degree + 1):
-            block = N_STATIC + power * nodes
-            np.multiply(after[block - nodes : block], after[1], out=after[block : block + nodes])
-        after[columns - 1] = data.force_N[first:last][data.include[first:last]]
+        after = rows[1:]
+        to = data.include, order, after
+        fill_powers(one, data.depth_mm, first, last, *to, 0, N_STATIC)
+        fill_states(data.depth_mm, step, *tables, tau, state, first, last, *to, plain)
         if used == 0:
             continue
+        fill_products(after[:used], 1, plain, tau.size, degree)
+        fill_powers(data.force_N, data.depth_mm, first, last, *to, N_STATIC, 1)
         if center is not None:
-            after[columns - 1] -= center @ after[: columns - 1]
+            after[:used, N_STATIC] -= after[:used] @ weights
         if white > 0.0:
             left = filter_rows(inside, rho, white, variance, left, mean, rows)
-        totals.add(rows[:, : used + 1], inside)
-        rows[:, 0] = rows[:, used]
-    totals.close(rows[:, 0])
+        totals.add(rows[: used + 1], inside)
+        rows[0] = rows[used]
+    totals.close(rows[0])
     links = np.bincount(group[linked], minlength=mean_s.size).astype(np.int64)
-    later, earlier, start, difference = _split(totals, links, columns)
+    later, earlier, start, difference = _split(totals, links, index)
     return LagSums(
         start=start,
         later=later,
@@ -271,10 +265,19 @@ def lag_sums(
     )
 
 
-def _split(totals: _Totals, links: NDArray[np.int64], columns: int) -> tuple[FloatArray, ...]:
+def _columns(nodes: int, block: int, degree: int) -> NDArray[np.int64]:
+    """Where the columns ``[1, x, x^2, x^3, s_k x^p, force]`` stand in rows that fill whole registers."""
+    states = tiled_columns(N_STATIC + 1) + block * np.arange(degree + 1)[:, None] + np.arange(nodes)
+    return np.concatenate([np.arange(N_STATIC), states.ravel(), [N_STATIC]])
+
+
+def _split(totals: _Totals, links: NDArray[np.int64], index: NDArray[np.int64]) -> tuple[FloatArray, ...]:
     """Sums over the later and the earlier samples of links, over starts of chains, and over differences."""
-    keep = slice(columns), slice(columns)
-    middle, difference = (mirrored(part)[:, *keep] for part in (totals.middle, totals.difference))
-    mean_square = middle + 0.25 * difference
-    excess = np.multiply.outer(links / max(links.sum(), 1), 0.5 * (totals.end - totals.start)[keep])
-    return mean_square + excess, mean_square - excess, totals.start[keep].copy(), difference.copy()
+    share = 0.5 * links / max(links.sum(), 1)
+    start, end = (part[np.ix_(index, index)] for part in (totals.start, totals.end))
+    later, earlier, difference = np.empty((3, links.size, index.size, index.size))
+    split_links(
+        totals.middle, totals.difference, end - start, share, index, totals.plain, totals.block,
+        later, earlier, difference,
+    )  # fmt: skip
+    return later, earlier, start, difference

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
@@ -54,19 +55,22 @@ def lag_groups(step_s: FloatArray, linked: NDArray[np.bool_]) -> tuple[NDArray[n
     bin_of = (np.cumsum(np.bincount(bins) > 0) - 1)[bins]
     links = np.bincount(bin_of).astype(np.float64)
     mean = np.bincount(bin_of, weights=steps) / links
-    member, mean = _merge(links, mean)
+    member, mean = merged_bins(links, mean, SAME_RATE, MAX_LAG_GROUPS)
     group[linked] = member[bin_of]
     return group, mean
 
 
-def _merge(links: FloatArray, mean: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def merged_bins(
+    links: FloatArray, mean: FloatArray, same: float, most: int
+) -> tuple[NDArray[np.int64], FloatArray]:
     """Merge neighbouring bins until they are few and apart; the group of each bin, and the groups' means."""
     member = np.arange(links.size)
     while mean.size > 1:
         apart = np.diff(np.log(mean))
-        if apart.min() < SAME_RATE:
+        if apart.min() < same:
             k = int(np.argmin(apart))
-        elif mean.size > MAX_LAG_GROUPS:
+        elif mean.size > most:
             k = int(np.argmin(apart**2 * links[1:] * links[:-1] / (links[1:] + links[:-1])))
         else:
             break

@@ -12,6 +12,7 @@ for each of them, memory flat.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -19,13 +20,12 @@ from numpy.typing import NDArray
 
 from tissueid.likelihood.basis import KernelBasis
 from tissueid.likelihood.gram_kernels import (
-    LANES,
     add_grams,
+    aligned_zeros,
     chunk_samples,
-    clear_gaps,
     mirrored,
     places,
-    tiled_rows,
+    tiled_columns,
 )
 from tissueid.likelihood.kernels import fill_powers, fill_states
 
@@ -122,16 +122,20 @@ def step_tables(step_s: FloatArray, tau_s: FloatArray, duration_s: float) -> Ste
     """Group equal sampling steps, or near ones of an irregular clock, and tabulate their weights."""
     resolution = max(duration_s, 1e-300) * STEP_RESOLUTION
     if np.ptp(step_s[1:]) <= resolution:
-        keys, group = np.zeros(1), np.zeros(step_s.size, dtype=np.int64)
+        group = np.zeros(step_s.size, dtype=np.int64)
         step_s = step_s.copy()
         step_s[0] = step_s[1]
     else:
         rounded = np.round(step_s / resolution)
-        ordered = np.sort(rounded)
-        keys = ordered[np.append(True, np.diff(ordered) > 0.0)]
+        first = np.flatnonzero(np.diff(rounded, prepend=np.nan))
+        runs = rounded[first]
+        # an irregular clock shows in its first steps
+        if np.unique(runs[: 2 * MAX_STEP_GROUPS]).size > MAX_STEP_GROUPS:
+            return _irregular_tables(step_s, tau_s)
+        keys, kind = np.unique(runs, return_inverse=True)
         if keys.size > MAX_STEP_GROUPS:
             return _irregular_tables(step_s, tau_s)
-        group = np.searchsorted(keys, rounded)
+        group = np.repeat(kind, np.diff(first, append=rounded.size))
     mean = np.bincount(group, weights=step_s) / np.bincount(group)
     ratio = mean[:, None] / tau_s
     positive = ratio > 0.0
@@ -177,27 +181,27 @@ def log_sums(data: LogData, basis: KernelBasis, *, degree: int) -> LogSums:
         With ``4 + nodes * (degree + 1) + 1`` columns.
     """
     nodes, n = basis.tau_s.size, data.time_s.size
-    # the last node fills the last tile
-    tau = np.pad(basis.tau_s, (0, tiled_rows(nodes) - nodes), mode="edge")
+    # the last node fills the last register
+    tau = np.pad(basis.tau_s, (0, tiled_columns(nodes) - nodes), mode="edge")
     step = np.diff(data.time_s, prepend=data.time_s[0])
     tables = step_tables(step, tau, float(data.time_s[-1] - data.time_s[0]))
     folds = int(data.fold.max()) + 1
     count = np.bincount(data.fold[data.include], minlength=folds).astype(np.int64)
-    plain = tiled_rows(N_STATIC + 1 + 2 * degree)
+    plain = tiled_columns(N_STATIC + 1 + 2 * degree)
     chunk = chunk_samples(plain + tau.size)
-    rows = np.zeros((plain + tau.size, chunk + LANES * folds))
-    moments = np.zeros((folds, 2 * degree + 1, rows.shape[0], rows.shape[0]))
+    rows = aligned_zeros(min(chunk, n), plain + tau.size)
+    moments = np.zeros((folds, 2 * degree + 1, rows.shape[1], rows.shape[1]))
     force = N_STATIC + degree
-    state, one = np.zeros(tau.size), np.ones(n)
+    state, one = aligned_zeros(tau.size), np.ones(n)
     for first in range(0, n, chunk):
         last = min(first + chunk, n)
         place, bound = places(data.fold[first:last][data.include[first:last]], folds)
-        for value, at in ((one, slice(0, force)), (data.force_N, slice(force, force + degree + 1))):
-            fill_powers(value, data.depth_mm, first, last, data.include, place, rows[at])
-        fill_states(data.depth_mm, step, *tables, tau, state, first, last, data.include, place, rows[plain:])
-        clear_gaps(rows, bound)
-        for index, (start, stop) in enumerate(bound):
-            add_grams(rows, rows[1], plain, start, -(-stop // LANES) * LANES, moments[index])
+        to = data.include, place, rows
+        fill_powers(one, data.depth_mm, first, last, *to, 0, force)
+        fill_powers(data.force_N, data.depth_mm, first, last, *to, force, degree + 1)
+        fill_states(data.depth_mm, step, *tables, tau, state, first, last, *to, plain)
+        for fold, (start, stop) in enumerate(pairwise(bound)):
+            add_grams(rows[start:stop], rows[start:stop, 1], plain, moments[fold])
     gram = _of_columns(mirrored(moments), plain, nodes, degree)
     return LogSums(gram=gram, count=count, degree=degree)
 
