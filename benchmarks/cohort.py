@@ -44,6 +44,11 @@ from tissueid.synth.recipe import Branch
 #: Specimens of short logs: one branch.
 SHORT = ("--draws", "400", "--branches", "1", "--stiffness-degree", "0", "--sampler")
 PORT = 18_787
+#: Environment of a scheduler and of workers that leave the processors to the jobs: docs/cohorts.md.
+CALM = {
+    "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False",
+    "DASK_DISTRIBUTED__ADMIN__TICK__INTERVAL": "500ms",
+}
 SAMPLE_S = 0.2
 #: Bytes of a job and of its result: 22 recordings by name, and a file of 22 short logs.
 JOB_BYTES, RESULT_BYTES = 8_000, 670_000
@@ -204,7 +209,7 @@ def cluster(stack: ExitStack, workers: int) -> str:
     dask = [sys.executable, "-m", "dask"]
     # a worker finds the task of this file
     paths = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
-    quiet["env"] = os.environ | {"PYTHONPATH": paths, "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False"}
+    quiet["env"] = os.environ | {"PYTHONPATH": paths, **CALM}
     commands = [["scheduler", "--host", "127.0.0.1", "--port", str(PORT), "--no-dashboard"]]
     commands += [["worker", address, "--nthreads", "1", "--no-dashboard"]] * workers
     for command in commands:
