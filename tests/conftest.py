@@ -29,6 +29,39 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
 
 
+#: Files that take longest: begun first, so that no worker is left alone with one at the end.
+LONGEST = (
+    "test_population_sampler",
+    "test_population_surrogate",
+    "test_cli_hostile_folders",
+    "test_cli_documentation",
+    "test_report_accessible",
+    "test_study_batch",
+    "test_study_fit",
+    "test_cli_grouping",
+    "test_cli_interrupts",
+    "test_posterior_exact",
+    "test_posterior_bootstrap",
+    "test_cli_real",
+    "test_design_precision",
+    "test_design_search",
+    "test_ingest_hostile",
+    "test_report_page",
+    "test_fit_search",
+    "test_render_sessions",
+    "test_pipeline_statistics",
+    "test_fit_unloading",
+    "test_render_servo_process",
+    "test_render_faults",
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Longest files first; the others as they stand."""
+    place = {name: number for number, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: place.get(item.path.stem, len(LONGEST)))
+
+
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """Folder with openly licensed real recordings, which are not part of this repository."""

@@ -20,6 +20,7 @@ __all__ = [
     "DEVICE_GROUP",
     "ENVIRONMENT_GROUP",
     "Choice",
+    "check_present",
     "choose_device",
     "detect_all",
     "device_class",
@@ -174,6 +175,24 @@ def choose_device(name: str = AUTO) -> Choice:
         hindered.append(f"{found.name} at {found.where}: {found.note}")
     why = "; ".join(hindered) or "no haptic device was found"
     return Choice("sim", f"device sim, simulated: {why}")
+
+
+def check_present(name: str) -> None:
+    """Refuse hardware that is not there, or has something in its way, before anybody is asked anything.
+
+    Raises
+    ------
+    DeviceError
+        With the way out.
+    """
+    if name not in HARDWARE:
+        return
+    found = device_class(name).detect()
+    if not found:
+        msg = f"no {name} was found on this machine; plug it in and see `tissueid devices list`"
+        raise DeviceError(msg)
+    if all(one.note for one in found):
+        raise DeviceError("; ".join(f"{name} at {one.where}: {one.note}" for one in found))
 
 
 def open_device(name: str = AUTO, **options: Any) -> HapticDevice:

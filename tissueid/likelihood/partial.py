@@ -314,10 +314,7 @@ def solve(
     value = np.inf
     generators = start
     weights = np.zeros(p)
-    y = q.shape[1] - 1
-    rounding = 0.0
-    for i in range(q.shape[0]):
-        rounding += ROUNDING * q[i, y, y]
+    rounding = ROUNDING * np.sum(q[:, -1, -1])
     if np.abs(theta).max() > 0.0:
         value = objective(q, theta, gamma, delta, weight_gain, weight_offset, scale, degree, branches)
     for _ in range(MAX_ROUNDS):
@@ -332,9 +329,9 @@ def solve(
         fraction = 1.0
         best = np.inf
         trial_theta, trial_gamma, trial_delta = new_theta, new_gamma, new_delta
-        # a step that promises no more than rounding is taken whole or not at all, and is the last
-        last = np.isfinite(value) and value - expected <= max(EXHAUSTED * value, rounding)
-        for _halving in range(1 if last else HALVINGS):
+        # a step that promises no more than rounding is taken whole or not at all
+        exhausted = np.isfinite(value) and value - expected <= max(EXHAUSTED * value, rounding)
+        for _halving in range(1 if exhausted else HALVINGS):
             trial_theta = theta + fraction * (new_theta - theta)
             trial_gamma = gamma + fraction * (new_gamma - gamma)
             trial_delta = delta + fraction * (new_delta - delta)
@@ -355,7 +352,7 @@ def solve(
         theta, gamma, delta = trial_theta, trial_gamma, trial_delta
         generators, weights = new_generators, new_weights
         value = best
-        if last or fall <= CONVERGED * abs(best):
+        if fall <= CONVERGED * abs(best):
             break
     return value, theta, gamma, delta, generators, weights
 

@@ -6,7 +6,6 @@ tip) while nothing moves yet; what it returns is all that :mod:`tissueid.render.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,12 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.errors import DeviceError, UsageError
+from tissueid.errors import UsageError
 from tissueid.haptics.device import HapticDevice
-from tissueid.haptics.device_facts import DetectedDevice
 from tissueid.haptics.hand import Hand
 from tissueid.haptics.limits import GuardLimits
-from tissueid.haptics.registry import HARDWARE, choose_device, device_class, environment_law
+from tissueid.haptics.registry import check_present, choose_device, device_class, environment_law
 from tissueid.haptics.sim import carried
 from tissueid.render.blind import BlindOrder, check_pseudonym, draw_order
 from tissueid.render.choice import (
@@ -208,19 +206,9 @@ def _device(options: RenderOptions, name: str) -> tuple[tuple[str, str], HapticD
     given = dict(options.device_options)
     if options.replay is not None:
         given["log"] = options.replay
-    kind = device_class(found.name)
-    if found.name in HARDWARE and "port" not in given:
-        _must_be_free(found.name, kind.detect())
-    return (found.name, found.why), kind(**given)
-
-
-def _must_be_free(name: str, found: Sequence[DetectedDevice]) -> None:
-    """Refuse hardware that is not there, or has something in its way, before anybody is asked anything."""
-    if not found:
-        msg = f"no {name} was found on this machine; plug it in and see `tissueid devices list`"
-        raise DeviceError(msg)
-    if all(one.note for one in found):
-        raise DeviceError("; ".join(f"{name} at {one.where}: {one.note}" for one in found))
+    if "port" not in given:
+        check_present(found.name)
+    return (found.name, found.why), device_class(found.name)(**given)
 
 
 def _script(options: RenderOptions, choice: tuple[str, str], first: Picked) -> Script | None:
