@@ -195,7 +195,7 @@ def test_what_makes_no_sense_is_exit_2(
 
 
 def test_test_measures_the_link(port: str) -> None:
-    ended = run("devices", "test", "--port", port, "--seconds", "0.3", "--json")
+    ended = run("devices", "test", "--port", port, "--seconds", "1", "--json")
     assert ended.code == 0, ended.stderr
     report = ended.json()
     assert first_problem(report, "devices") is None

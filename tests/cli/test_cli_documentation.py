@@ -36,7 +36,7 @@ USUAL = {0, 4}
 ELSEWHERE = {"README.md", "design.md"}
 PAGES = [page for page in pages() if commands_of(page) and page.name not in ELSEWHERE]
 #: Pages that are run by default; the others take minutes together.
-QUICK = {"tutorial.md", "export.md"}
+QUICK = {"tutorial.md"}
 STUDY = """schema = "tissueid/study/1"
 [study]
 title = "kidney and liver"

@@ -69,8 +69,18 @@ def draw_all(tab: Any) -> int:
     return int(boxes.count())
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("size", DEVICE)
+#: Looked at whenever the tests run; the others with the slow tests.
+BY_DEFAULT = {("sensible", "light"), ("telephone", "dark")}
+
+
+@pytest.mark.parametrize(
+    ("size", "scheme"),
+    [
+        pytest.param(size, scheme, marks=[pytest.mark.slow] * ((size, scheme) not in BY_DEFAULT))
+        for size in DEVICE
+        for scheme in ("light", "dark")
+    ],
+)
 def test_axe_finds_no_serious_issue(browser: Any, whole: Path, scheme: str, size: str) -> None:
     axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
     width, height = DEVICE[size]
