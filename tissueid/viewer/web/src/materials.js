@@ -1,5 +1,5 @@
 // Materials of the scene.  A shader is compiled for every set of features that materials differ in, which takes
-// a tenth of a second without a graphics card: they differ in as few as can be, in three sets of all.
+// a tenth of a second without a graphics card: they differ in as few as can be, in four sets of all.
 
 import { DoubleSide, LineBasicMaterial, MeshBasicMaterial, MeshLambertMaterial } from "three";
 
