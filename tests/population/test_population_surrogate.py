@@ -104,3 +104,28 @@ def test_what_noise_leaves_open_is_even_in_the_quantity_and_what_a_gain_does_in_
     stage, _ = stage_one([Member("s", model, 8.0, theta, np.zeros(4000))], COORDINATES)
 
     assert stage.linear.tolist() == [False, False, False, True, False]
+
+
+def test_gains_that_are_small_or_seldom_large_leave_a_core_and_tails() -> None:
+    rng = np.random.default_rng(5)
+    # one factor of all forces: to 4 % where the logs' gains are small, to 40 % where they are large
+    middle = np.array([4.0, 4.5, -4.0])
+    phi = middle + 0.03 * rng.standard_normal((4000, 3))
+    phi += np.where(rng.random(4000) < 0.7, 0.04, 0.4)[:, None] * rng.standard_normal((4000, 1)) * [1, 1, 0]
+    logarithms = np.zeros(3, dtype=bool)
+
+    found = mixture_of(phi, np.zeros(4000), logarithms, rng)
+
+    def density(shift: float) -> float:
+        at = middle + np.array([shift, shift, 0.0])
+        return log_mixture(at, logarithms, found.centre, found.log_weight, found.mean, found.unit)
+
+    def expected(shift: float) -> float:
+        # sd of the mean of two forces, and weights over it
+        wide = np.sqrt(np.array([0.04, 0.4]) ** 2 + 0.03**2 / 2)
+        return float(np.log((np.array([0.7, 0.3]) / wide * np.exp(-0.5 * (shift / wide) ** 2)).sum()))
+
+    for shift in (-0.6, -0.3, -0.1, -0.05, 0.05, 0.1, 0.3, 0.6):
+        fall = density(shift) - density(0.0)
+        # 1,200 draws in the tails; one normal of all draws falls by 0.1 at a shift of 0.1, where 2.1 is right
+        assert fall == pytest.approx(expected(shift) - expected(0.0), abs=0.4), shift

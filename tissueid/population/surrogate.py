@@ -4,7 +4,7 @@ A recording of 10 Hz leaves the relaxation time open over decades; a population 
 lies among a handful of that specimen's draws, too few to stand for its likelihood.  Given the relaxation
 times the posterior of stage 1 is a normal in forces and viscosities, cut to the passive set, or in their
 logarithms where gains leave them open; its likelihood is written as a mixture of normals, components along
-what is open in logarithms, and the chain then walks in it.
+what is open in logarithms, or one within the other where all of it is, and the chain then walks in it.
 """
 
 from __future__ import annotations
@@ -25,6 +25,8 @@ DRAWS_EACH = 80
 NARROW = 0.3
 #: Rounds that settle components and weights.
 ROUNDS = 25
+#: Draws nearer than these shares of all are the first members of components within each other.
+SHELLS = (0.5, 0.75)
 #: Share of the whole variance that is added to that of a component.
 RIDGE = 1e-6
 #: Logarithms of numbers near zero run far out: they are cut at so many standard deviations for one normal.
@@ -107,14 +109,14 @@ def mixture_of(
     x[:, linear] = np.exp(np.minimum(x, reach)[:, linear])
     # reference density in x, divided out; dx/dphi of a linear coordinate is exp(phi - centre)
     w = _weights((phi - centre)[:, linear].sum(axis=1) - log_reference)
-    along = phi[:, ~linear] if linear.any() else phi[:, :0]
-    share = _shares(along, w, rng)
+    near = _one_normal(phi, log_reference)
+    share = _shares(phi[:, ~linear], w, rng) if linear.any() else _shells(phi, *near)
     floor = RIDGE * np.diag(np.maximum(np.atleast_2d(np.cov(x, rowvar=False, aweights=w)).diagonal(), 1e-12))
     for _ in range(ROUNDS if share.shape[1] > 1 else 1):
         log_weight, mean, unit = _components(x, w, share, floor)
         if share.shape[1] > 1:
             share = _responsibilities(x, log_weight, mean, unit)
-    return Mixture(centre, log_weight, mean, unit, *_one_normal(phi, log_reference))
+    return Mixture(centre, log_weight, mean, unit, *near)
 
 
 def _weights(log_weight: FloatArray) -> FloatArray:
@@ -139,6 +141,17 @@ def _one_normal(phi: FloatArray, log_reference: FloatArray) -> tuple[FloatArray,
     covariance = np.atleast_2d(np.cov(near, rowvar=False, aweights=w))
     covariance = covariance + RIDGE * np.diag(covariance.diagonal() + 1e-12)
     return np.average(near, axis=0, weights=w), np.asarray(np.linalg.inv(covariance))
+
+
+def _shells(phi: FloatArray, middle: FloatArray, precision: FloatArray) -> FloatArray:
+    """First memberships where all is normal in logarithms but for its tails: shells around one centre.
+
+    Two logs that agree leave their gains small or, seldom, both of them large: a core and tails far wider.
+    """
+    away = phi - middle
+    distance2 = ((away @ precision) * away).sum(axis=1)
+    cell = np.searchsorted(np.quantile(distance2, SHELLS), distance2)
+    return np.stack([cell == k for k in range(len(SHELLS) + 1)], axis=1).astype(np.float64)
 
 
 def _shares(along: FloatArray, w: FloatArray, rng: np.random.Generator) -> FloatArray:
