@@ -41,6 +41,7 @@ from tissueid.fit.logs import LogHandle
 from tissueid.fit.specimen import FitOptions, fit_with_state
 from tissueid.fit.window import fitted_log
 from tissueid.likelihood.basis import KernelBasis, kernel_basis
+from tissueid.likelihood.chains import chain_breaks
 from tissueid.likelihood.lag_sums import lag_sums
 from tissueid.likelihood.sums import LogData, log_sums
 from tissueid.posterior.at_optimum import posterior_target
@@ -118,7 +119,10 @@ def log(kind: str, seed: int) -> LogData:
     depth = np.minimum(t / t[-1] * 32.0, 8.0) + rng.normal(scale=1e-4, size=t.size)
     depth -= depth[0]
     force = 20.0 * depth + rng.normal(size=t.size)
-    return LogData(t, depth, force, np.ones(t.size, dtype=bool), np.zeros(t.size, dtype=np.int64))
+    # breaks in the chain of noise are looked for once a log, when it is read, not in every pass
+    return LogData(
+        t, depth, force, np.ones(t.size, dtype=bool), np.zeros(t.size, dtype=np.int64), chain_breaks(t)
+    )
 
 
 def peer_build(data: LogData, basis: KernelBasis, degree: int, *, correlated: bool) -> np.ndarray:
