@@ -1,18 +1,21 @@
 """What a cohort costs: surveys, jobs, assembly, one and two workers, Dask against local, memory by size.
 
 Every specimen has the logs of ``paper-a-22``; but in ``paper`` the forces of one template are scaled, so that
-generation costs next to nothing.  Four parts:
+generation costs next to nothing.  Five parts:
 
 * ``workers``: the jobs of some specimens on one process and on two, in turn, and on Dask workers beside them.
   The ratio is of the wall time of the jobs alone; the whole command is told as well.
 * ``memory``: peak resident memory of every process at two sizes of cohort.
 * ``paper``: 17 specimens of 22 logs at 1 kHz, each a tissue of its own, from CSV to bundles and report and to
   the population with its bundle and report, with the breakdown.
+* ``dask``: a large cohort in full on two workers of Dask and on one: the ratio of the wall time of the jobs,
+  what of the workers' time is not spent in jobs, peak resident memory of every process, and whether the files
+  of the first specimens are the bits that two local processes write.
 * ``overhead``: tasks that compute nothing and return as many bytes as a specimen's file, on two local
   processes and on two workers of Dask: what handing out and taking back costs.  Wall time is an upper bound,
   whatever the machine does beside it; processor time is that of all processes, the scheduler's too.
 
-    python benchmarks/cohort.py [--part workers|memory|paper|overhead] [--specimens 24] [--json]
+    python benchmarks/cohort.py [--part workers|memory|paper|dask|overhead] [--specimens 24] [--json]
 
 Load of the machine is told with every figure: trust ratios of one run.
 """
@@ -130,13 +133,15 @@ def peak_MB(pid: int) -> float:
     return 0.0
 
 
-def fit(data: Path, out: Path, *args: str) -> dict[str, object]:
+def fit(data: Path, out: Path, *args: str, where: Path | None = None) -> dict[str, Any]:
     """One whole ``tissueid fit`` in a process of its own, with what its index says of its stages."""
     shutil.rmtree(out, ignore_errors=True)
     command = [sys.executable, "-m", "tissueid", "fit", str(data), "-o", str(out), "-q", *args]
     memory, begin = Memory(), time.time()
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, cwd=where
+    ) as process:
         done = threading.Event()
 
         def watch() -> None:
@@ -175,7 +180,7 @@ def fit(data: Path, out: Path, *args: str) -> dict[str, object]:
     }
 
 
-def population(out: Path) -> dict[str, object]:
+def population(out: Path) -> dict[str, Any]:
     """``tissueid cohort`` of a finished fit, in a process of its own: population bundle and report."""
     command = [sys.executable, "-m", "tissueid", "cohort", str(out), "-q"]
     begin, before = time.time(), resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -198,12 +203,12 @@ def paper_part(data: Path, out: Path, specimens: int, sampler: str) -> dict[str,
     samples = write_population(data, specimens)
     run = fit(data, out, "--sampler", sampler, "--workers", "2")
     of_all = population(out)
-    total = {key: run[key] + of_all[key] for key in ("wall_s", "processor_s")}  # type: ignore[operator]
+    total = {key: run[key] + of_all[key] for key in ("wall_s", "processor_s")}
     return {"samples": samples, "sampler": sampler, "fit": run, "population": of_all, "total": total}
 
 
-def cluster(stack: ExitStack, workers: int) -> str:
-    """A scheduler and some workers of one thread each, until the stack is closed."""
+def cluster(stack: ExitStack, workers: int) -> tuple[str, list[int]]:
+    """A scheduler and some workers of one thread each, until the stack is closed: address and processes."""
     address = f"tcp://127.0.0.1:{PORT}"
     quiet: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     dask = [sys.executable, "-m", "dask"]
@@ -212,12 +217,14 @@ def cluster(stack: ExitStack, workers: int) -> str:
     quiet["env"] = os.environ | {"PYTHONPATH": paths, **CALM}
     commands = [["scheduler", "--host", "127.0.0.1", "--port", str(PORT), "--no-dashboard"]]
     commands += [["worker", address, "--nthreads", "1", "--no-dashboard"]] * workers
+    pids = []
     for command in commands:
         process = subprocess.Popen([*dask, *command], **quiet)
         stack.callback(process.wait)
         stack.callback(process.terminate)
+        pids.append(process.pid)
         time.sleep(3.0)
-    return address
+    return address, pids
 
 
 def workers_part(data: Path, out: Path, sampler: str, repeats: int) -> dict[str, object]:
@@ -225,7 +232,7 @@ def workers_part(data: Path, out: Path, sampler: str, repeats: int) -> dict[str,
     short = (*SHORT, sampler)
     rows: dict[str, list[dict[str, object]]] = {"one": [], "two": [], "dask": []}
     with ExitStack() as stack:
-        address = cluster(stack, 2)
+        address, _ = cluster(stack, 2)
         # the first task of a worker imports
         fit(data, out, *short, "--scheduler", address)
         for _ in range(repeats):
@@ -237,6 +244,54 @@ def workers_part(data: Path, out: Path, sampler: str, repeats: int) -> dict[str,
         return float(np.median([x["jobs_s"] / y["jobs_s"] for x, y in zip(rows[a], rows[b], strict=True)]))
 
     return {"one_over_two": ratio("one", "two"), "dask_over_two": ratio("dask", "two"), "runs": rows}
+
+
+def written(out: Path) -> dict[str, str]:
+    """Hash of every specimen's file."""
+    with sqlite3.connect(out / "index.sqlite") as index:
+        return dict(
+            index.execute("SELECT specimen, sha256 FROM jobs JOIN results USING (key) WHERE state = 'done'")
+        )
+
+
+def dask_part(
+    folder: Path, specimens: int, rate_Hz: float, sampler: str, crews: list[int], compared: int
+) -> dict[str, object]:
+    """A large cohort on Dask; ``compared`` specimens also on two local processes, under the same paths."""
+    short = (*SHORT, sampler)
+    everything, some, data = folder / "all", folder / "some", Path("data")
+    samples = write_cohort(everything / data, specimens, rate_Hz)
+    for own in sorted((everything / data).iterdir())[:compared]:
+        shutil.copytree(own, some / data / own.name)
+    fit(data, some / "out", *short, "--workers", "2", where=some)
+    local = written(some / "out")
+    rows = []
+    for workers in crews:
+        with ExitStack() as stack:
+            address, pids = cluster(stack, workers)
+            run = fit(data, everything / "out", *short, "--scheduler", address, where=everything)
+            memory = Memory()
+            for pid in pids:
+                memory.look(pid)
+            # workers stand under their nannies
+            peaks = {"scheduler_MB": peak_MB(pids[0]), "dask_worker_MB": max(memory.children.values())}
+        files = written(everything / "out")
+        rows.append(
+            {
+                "workers": workers,
+                **run,
+                **peaks,
+                "not_in_jobs": 1.0 - run["jobs_sum_s"] / (workers * run["jobs_s"]),
+                "specimens": len(files),
+                "same_bits": sum(files.get(name) == sha for name, sha in local.items()),
+                "compared": len(local),
+            }
+        )
+        print(json.dumps(rows[-1]), file=sys.stderr, flush=True)
+    result: dict[str, object] = {"samples": samples, "runs": rows}
+    if len(rows) == 2:
+        result["one_over_two"] = rows[1]["jobs_s"] / rows[0]["jobs_s"]
+    return result
 
 
 def processor_s(pid: int) -> float:
@@ -265,7 +320,7 @@ def overhead_part(tasks: int, repeats: int) -> dict[str, object]:
     with ExitStack() as stack:
         crews = {
             "local": stack.enter_context(LocalProcesses(2)),
-            "dask": stack.enter_context(DaskWorkers(cluster(stack, 2))),
+            "dask": stack.enter_context(DaskWorkers(cluster(stack, 2)[0])),
         }
         # the first round starts processes and imports
         for number in range(repeats + 1):
@@ -284,11 +339,17 @@ def overhead_part(tasks: int, repeats: int) -> dict[str, object]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--part", choices=["workers", "memory", "paper", "overhead"], default="workers")
+    parser.add_argument(
+        "--part", choices=["workers", "memory", "paper", "dask", "overhead"], default="workers"
+    )
     parser.add_argument("--specimens", type=int, default=17)
     parser.add_argument("--times", type=float, default=5.0, help="second size of cohort in --part memory")
     parser.add_argument("--rate", type=float, default=10.0, help="sampling rate of short logs [Hz]")
     parser.add_argument("--sampler", choices=["emcee", "exact", "none"], default="exact")
+    parser.add_argument(
+        "--crews", type=int, nargs="+", default=[2, 1], help="numbers of workers in --part dask"
+    )
+    parser.add_argument("--compared", type=int, default=50, help="specimens that are also fitted locally")
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
@@ -299,6 +360,15 @@ def main() -> None:
         data, out = Path(folder) / "data", Path(folder) / "out"
         if options.part == "paper":
             result = paper_part(data, out, options.specimens, options.sampler)
+        elif options.part == "dask":
+            result = dask_part(
+                Path(folder),
+                options.specimens,
+                options.rate,
+                options.sampler,
+                options.crews,
+                options.compared,
+            )
         elif options.part == "workers":
             samples = write_cohort(data, options.specimens, options.rate)
             result = {"samples": samples, **workers_part(data, out, options.sampler, options.repeats)}
