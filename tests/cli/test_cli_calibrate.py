@@ -71,6 +71,7 @@ def document_of(folder: Path) -> dict[str, Any]:
     return document
 
 
+@pytest.mark.slow
 def test_a_recipe_is_checked_by_the_fit_s_own_inference(tmp_path: Path) -> None:
     recipe = tmp_path / "recipe.toml"
     recipe.write_text(RECIPE, encoding="utf-8")

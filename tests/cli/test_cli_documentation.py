@@ -35,8 +35,6 @@ USUAL = {0, 4}
 #: Run by tests of their own, with the files and the output that they print.
 ELSEWHERE = {"README.md", "design.md"}
 PAGES = [page for page in pages() if commands_of(page) and page.name not in ELSEWHERE]
-#: Pages that are run by default; the others take minutes together.
-QUICK = {"tutorial.md"}
 STUDY = """schema = "tissueid/study/1"
 [study]
 title = "kidney and liver"
@@ -148,10 +146,9 @@ def typed(command: Command) -> None:
         study.write_text(re.sub(r"(?m)^#? ?licence = .*$", 'licence = "CC-BY-4.0"', text), encoding="utf-8")
 
 
+@pytest.mark.slow
 @pytest.mark.needs_jit
-@pytest.mark.parametrize(
-    "page", [pytest.param(page.name, marks=[pytest.mark.slow] * (page.name not in QUICK)) for page in PAGES]
-)
+@pytest.mark.parametrize("page", [page.name for page in PAGES])
 def test_commands_of_a_page_run(page: str, place: Path) -> None:
     made_ready(page, place)
     run_here = [one for one in commands_of(REPOSITORY / "docs" / page) if one.not_run is None]

@@ -166,6 +166,7 @@ sys.exit(main(sys.argv[2:]))
 """
 
 
+@pytest.mark.slow
 @linux_only
 def test_a_locale_with_a_decimal_comma_changes_no_number(
     tmp_path: Path, comma_locale: dict[str, str]
@@ -216,6 +217,7 @@ def locked(tmp_path: Path) -> Iterator[list[Path]]:
         path.chmod(0o700)
 
 
+@pytest.mark.slow
 @linux_only
 def test_read_only_recordings_are_fitted_into_another_folder(tmp_path: Path, locked: list[Path]) -> None:
     log = write_log(tmp_path / "lab" / "log.csv", stride=8)

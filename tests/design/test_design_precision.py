@@ -46,7 +46,11 @@ def at_100_Hz() -> Case:
     return replace(case, setting=case.machine.settings[1])
 
 
-@pytest.mark.parametrize("made", [at_100_Hz, correlated, two_branches], ids=lambda made: made.__name__)
+@pytest.mark.parametrize(
+    "made",
+    [correlated, *(pytest.param(made, marks=pytest.mark.slow) for made in (at_100_Hz, two_branches))],
+    ids=lambda made: made.__name__,
+)
 def test_estimates_of_simulated_recordings_scatter_as_predicted(made: Callable[[], Case]) -> None:
     for name, ratio in ratios(made(), RUNS).items():
         assert BAND[0] <= ratio <= BAND[1], name

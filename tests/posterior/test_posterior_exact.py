@@ -268,6 +268,7 @@ def differences(target: SpecimenTarget, draws: int) -> dict[str, float]:
     return out
 
 
+@pytest.mark.slow
 def test_emcee_agrees_with_exact_on_a_specimen_within_four_standard_errors() -> None:
     found = differences(specimen(20260301, SHORT[0], logs=3, thin=10), draws=4000)
     assert max(found.values()) < 4.0, found

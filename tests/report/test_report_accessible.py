@@ -70,7 +70,7 @@ def draw_all(tab: Any) -> int:
 
 
 #: Looked at whenever the tests run; the others with the slow tests.
-BY_DEFAULT = {("sensible", "light"), ("telephone", "dark")}
+BY_DEFAULT = {("telephone", "dark")}
 
 
 @pytest.mark.parametrize(
