@@ -14,6 +14,7 @@ from tissueid.fit.candidates import Candidate, fit_candidate
 from tissueid.fit.estimates import in_field_units
 from tissueid.fit.logs import LogHandle, specimen_sums
 from tissueid.fit.residual_blocks import HOLD_BLOCKS_PER_DECADE, ResidualBlocks, residual_blocks
+from tissueid.fit.specimen import fit_with_state
 from tissueid.fit.trials import Adjustment, model_force
 from tissueid.fit.window import fitted_log
 from tissueid.likelihood.noise import estimate_noise, noise_chain
@@ -220,6 +221,20 @@ def test_a_mode_of_5_s_and_3_N_left_out_is_seen(noise):
     print(f"\nmode of 5 s, 3 N left out, {noise}: {raised} of {MANY} raised, lower bound {low:.3f}", end="")  # noqa: T201
     # over the record's few memories of 1 s, noise of 1 N may look like a mode of 5 s
     assert low >= (0.85 if noise == "ar1 0.99" else 0.92)
+
+
+@pytest.mark.slow
+@needs_jit
+def test_where_the_alarm_is_silent_a_free_choice_of_branches_finds_the_mode():
+    plan = replace(PAPER, branches=(*PAPER.branches, SLOW), **NOISES["ar1 0.99"])
+    silent = [50_000 + seed for seed in range(MANY) if not alarm_for(plan, 50_000 + seed).raised]
+    found = 0
+    for seed in silent:
+        trials = as_trials(simulate(plan, rng=np.random.default_rng(seed)))
+        found += fit_with_state("s", [handle_of(trial) for trial in trials]).fit.model.branches > 1
+    print(f"\nsilent, ar1 0.99: {len(silent)} of {MANY}; a second branch is found in {found} of them", end="")  # noqa: T201
+    low, _ = bounds_99(MANY - len(silent) + found, MANY)
+    assert low >= 0.92
 
 
 @pytest.mark.slow
