@@ -271,10 +271,11 @@ def dask_part(
             address, pids = cluster(stack, workers)
             run = fit(data, everything / "out", *short, "--scheduler", address, where=everything)
             memory = Memory()
-            for pid in pids:
+            # workers may stand under nannies
+            for pid in pids[1:]:
                 memory.look(pid)
-            # workers stand under their nannies
-            peaks = {"scheduler_MB": peak_MB(pids[0]), "dask_worker_MB": max(memory.children.values())}
+            largest = max(memory.parent, *memory.children.values())
+            peaks = {"scheduler_MB": peak_MB(pids[0]), "dask_worker_MB": largest}
         files = written(everything / "out")
         rows.append(
             {
