@@ -35,15 +35,20 @@ N_PER_MM_TO_N_PER_M = 1000.0
 
 
 def damping_bound(
-    static_slope: float, stiffness: FloatArray, tau: FloatArray, *, period_s: float, delay_ticks: float
+    static_slope: float | FloatArray,
+    stiffness: FloatArray,
+    tau: FloatArray,
+    *,
+    period_s: float,
+    delay_ticks: float,
 ) -> float:
-    """Damping that makes one linearised law passive.
+    """Damping that makes one linearised law passive, or several.
 
     Parameters
     ----------
-    static_slope : float
+    static_slope : float or ndarray, shape (n,)
         k0, slope of the force by depth at fixed branch states.
-    stiffness : ndarray, shape (branches,)
+    stiffness : ndarray, shape (branches,) or (branches, n)
         K_j, in the unit of ``static_slope``.
     tau : ndarray, shape (branches,)
         Relaxation times [s].
@@ -61,16 +66,22 @@ def damping_bound(
     # z - 1 by expm1, and below (1 - 1/z) / (1 - cos) as i exp(-i angle/2) / sin(angle/2): the plain
     # differences lose their digits near zero
     z_less_1 = np.expm1(1j * angle)
-    law = np.full(angle.size, complex(static_slope))
-    for weight, relaxation in zip(stiffness, tau, strict=True):
+    parts = np.ones((1 + tau.size, angle.size), dtype=np.complex128)
+    for row, relaxation in zip(parts[1:], tau, strict=True):
         loss = -np.expm1(-period_s / relaxation)
-        law += weight * (loss * relaxation / period_s) * z_less_1 / (z_less_1 + loss)
+        row[:] = (loss * relaxation / period_s) * z_less_1 / (z_less_1 + loss)
     whole = np.floor(delay_ticks)
     part = delay_ticks - whole
     delay = np.exp(-1j * angle * whole) * ((1.0 - part) + part * np.exp(-1j * angle))
-    need = period_s / 2.0 * (1j * np.exp(-0.5j * angle) * delay * law).real / np.sin(angle / 2.0)
-    need = (need + np.sqrt(need**2 + part * (1.0 - part) * (period_s * np.abs(law)) ** 2)) / 2.0
-    return float(need.max())
+    factor = period_s / 2.0 * 1j * np.exp(-0.5j * angle) * delay / np.sin(angle / 2.0)
+    # B and H are linear in the coefficients of a law: one product for all laws
+    slopes = np.reshape(static_slope, (1, -1))
+    laws = np.concatenate([slopes, np.reshape(stiffness, (tau.size, slopes.size))]).T
+    need = laws @ (factor * parts).real
+    if part:
+        squared = (laws @ parts.real) ** 2 + (laws @ parts.imag) ** 2
+        need = (need + np.sqrt(need**2 + part * (1.0 - part) * period_s**2 * squared)) / 2.0
+    return max(float(need.max()), 0.0)
 
 
 def required_damping(
@@ -90,13 +101,6 @@ def required_damping(
     slope = static[0] + x * (2.0 * static[1] + 3.0 * x * static[2])
     stiffness = model.stiffness(theta, x)
     factor = scaling.force / scaling.motion * N_PER_MM_TO_N_PER_M
-    return max(
-        damping_bound(
-            float(slope[i]) * factor,
-            stiffness[:, i] * factor,
-            tau,
-            period_s=period_s,
-            delay_ticks=delay_ticks,
-        )
-        for i in range(x.size)
+    return damping_bound(
+        slope * factor, stiffness * factor, tau, period_s=period_s, delay_ticks=delay_ticks
     )

@@ -50,8 +50,9 @@ _SCRIPTS = ("boxes.js", "grids.js", "posterior.js", "law.js", "figures.js", "tab
 _SUMMARY = ("static_1_N_per_mm", "relaxation_time_s", "viscosity_N_s_per_mm")
 
 
+@cache
 def page_environment() -> Environment:
-    """Make the template environment that every page shares: base layout, macros, style and script."""
+    """The template environment that every page shares; a template is compiled once in a process."""
     environment = Environment(
         loader=PackageLoader("tissueid.report", "templates"),
         autoescape=True,
