@@ -101,6 +101,4 @@ def required_damping(
     slope = static[0] + x * (2.0 * static[1] + 3.0 * x * static[2])
     stiffness = model.stiffness(theta, x)
     factor = scaling.force / scaling.motion * N_PER_MM_TO_N_PER_M
-    return damping_bound(
-        slope * factor, stiffness * factor, tau, period_s=period_s, delay_ticks=delay_ticks
-    )
+    return damping_bound(slope * factor, stiffness * factor, tau, period_s=period_s, delay_ticks=delay_ticks)
