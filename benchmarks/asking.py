@@ -79,6 +79,7 @@ def child(data: Path, out: Path, template: Path, sampler: str) -> None:
     from tissueid.store.files import sha256_of
     from tissueid.study import batch, inventory, pages
     from tissueid.study.survey import Found
+    from tissueid.study.tasks import packed
 
     stages = Stages()
     stages.note("imports")
@@ -98,7 +99,7 @@ def child(data: Path, out: Path, template: Path, sampler: str) -> None:
     inventory.look_into = look_into
     batch.fit_here = Answered
     batch.specimen_bytes = lambda result: file_of(result.name)
-    batch.perform = lambda _what, _payload: b"<p>a page</p>"
+    batch.with_page = lambda content: packed((content, b"<p>a page</p>"))
     listed = batch.fit_cohort
 
     def fit_cohort(*args: Any) -> Any:

@@ -20,7 +20,7 @@ from tissueid.store.bundle import load_bundle
 from tissueid.store.files import plain_json
 from tissueid.store.results import each_result, read_results
 from tissueid.store.status import read_status
-from tissueid.study import assembly, batch
+from tissueid.study import assembly, batch, pages
 
 
 def fit(data: Path, out: Path, *args: str) -> int:
@@ -144,6 +144,31 @@ def test_a_large_cohort_has_pages_and_the_same_numbers(again: Path, monkeypatch:
     assert len(curves) == sum(len(one["trials"]) for one in document["specimens"]) == 6
     assert posteriors == ()
     assert [one["specimen"] for one, _, _ in each_result(out)] == ["head-0", "head-1", "head-2"]
+
+
+def test_a_page_made_with_a_fit_is_that_made_of_its_file(
+    again: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def pages_of(out: Path) -> dict[str, bytes]:
+        fit(again / "lab", out)
+        return {path.name: path.read_bytes() for path in (out / "pages").glob("*.html")}
+
+    for module in (assembly, batch):
+        monkeypatch.setattr(module, "LARGE", 2)
+    later = pages_of(again / "out")
+    assert len(later) == 3
+    assert pages_of(again / "new") == later
+
+
+def test_a_page_that_can_not_be_made_costs_no_result(again: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in (assembly, batch):
+        monkeypatch.setattr(module, "LARGE", 2)
+    monkeypatch.setattr(pages, "PAGE", "tissueid.study.pages:no_such_task")
+    fit(again / "lab", again / "new")
+    assert numbers_of(again / "new") == numbers_of(again / "out")
+    made = [path.read_text(encoding="utf-8") for path in (again / "new" / "pages").glob("*.html")]
+    assert len(made) == 3
+    assert all("no page: internal error (AttributeError" in page for page in made)
 
 
 def test_a_bad_specimen_is_named_and_the_others_are_there(

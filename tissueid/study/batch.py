@@ -31,7 +31,7 @@ from tissueid.store.sums import StoredSums
 from tissueid.study.assembly import LARGE, Assembled, assemble, specimen_path
 from tissueid.study.inventory import Inventory
 from tissueid.study.one_specimen import SeveralSpecimensError, fit_while_read
-from tissueid.study.pages import PAGES, write_pages
+from tissueid.study.pages import FIT_WITH_PAGE, PAGES, begin_pages, page_path, with_page, write_pages
 from tissueid.study.partition import StudyParts
 from tissueid.study.request import Progress, Request, Workplace, expected_seconds
 from tissueid.study.specimen_job import FIT, RecentTrials, SpecimenJob, fit_here, result_of
@@ -131,8 +131,10 @@ class _Cohort:
             self._plan()
             if at_once is not None:
                 self._keep_at_once(*at_once)
+            if self.large:
+                begin_pages(self.run.out)
             self._compute(workplace)
-            if len(self.specimens) > LARGE:
+            if self.large:
                 self._make_pages(workplace)
         self.progress("putting the results together", 0, 0)
         return assemble(
@@ -142,6 +144,11 @@ class _Cohort:
             options=self.request.options,
             provenance=self.request.provenance,
         )
+
+    @property
+    def large(self) -> bool:
+        """Whether the report has a page a specimen."""
+        return len(self.specimens) > LARGE
 
     def _while_read(self, inventory: Inventory) -> tuple[Identification, list[StoredSums]] | None:
         assert self.chains is not None  # noqa: S101  (asked before)
@@ -213,8 +220,10 @@ class _Cohort:
                 recent=self.recent,
                 progress=lambda message, _done, _total: self.progress(message, done, total),
             )
-            return specimen_bytes(result)
+            content = specimen_bytes(result)
+            return with_page(content) if self.large else content
 
+        what = FIT_WITH_PAGE if self.large else FIT
         running: dict[int, str] = {}
 
         def started(number: int, worker: str) -> None:
@@ -224,7 +233,7 @@ class _Cohort:
 
         def tasks() -> Iterator[Task]:
             for position, job in waiting.items():
-                yield Task(position, FIT, packed(self._job(position)), job.specimen)
+                yield Task(position, what, packed(self._job(position)), job.specimen)
 
         crew = workplace.workforce(len(waiting), seconds, here, asked=True)
         for outcome in crew.run(tasks(), started):
@@ -234,7 +243,7 @@ class _Cohort:
             self.progress(", ".join(running.values()), done, total)
 
     def _make_pages(self, workplace: Workplace) -> None:
-        """A page for every specimen of a large cohort that has none yet."""
+        """A page for every specimen that has none yet: those fitted when the cohort was not yet large."""
         out, total = self.run.out, self.index.count("done")
         files = (specimen_path(out, job.key) for job in self.index.jobs("done"))
         crew = workplace.workforce(total, SECONDS_A_PAGE * total, perform, asked=True)
@@ -243,7 +252,10 @@ class _Cohort:
 
     def _take(self, job: JobRow, outcome: Outcome) -> None:
         if outcome.result is not None:
-            self._keep(job, outcome.result, outcome.seconds)
+            content, page = unpacked(outcome.result) if self.large else (outcome.result, None)
+            self._keep(job, content, outcome.seconds)
+            if page is not None:
+                write_file(page_path(self.run.out, f"{job.key}.h5"), page)
             return
         fault = outcome.fault or Fault("job_failed", "no reason is known")
         _, path, sheet = self.specimens[job.position]

@@ -1,7 +1,8 @@
 """The report of a set: one page, or for a large cohort an index with a page a specimen.
 
 Pages stand in ``OUT/pages/`` under the keys of the files they were made from, so that a page is made once;
-the drawing library stands beside them once for all.
+the drawing library stands beside them once for all.  Whoever fits a specimen makes its page as well: its file
+is at hand there, and need not travel to be drawn.
 """
 
 from __future__ import annotations
@@ -26,14 +27,27 @@ from tissueid.store.specimen_file import load_record, load_specimen
 from tissueid.study.completeness import completeness_of_result
 from tissueid.study.processes import Workforce
 from tissueid.study.rendering import rendering_of
-from tissueid.study.tasks import Task
+from tissueid.study.specimen_job import fit_specimen_job
+from tissueid.study.tasks import Task, attempt, packed
 
-__all__ = ["PAGES", "page_path", "report_page", "specimen_page", "write_pages", "write_report"]
+__all__ = [
+    "FIT_WITH_PAGE",
+    "PAGES",
+    "begin_pages",
+    "fit_with_page",
+    "page_path",
+    "report_page",
+    "specimen_page",
+    "with_page",
+    "write_pages",
+    "write_report",
+]
 
 #: Folder of the pages, in the output folder.
 PAGES = "pages"
-#: The task of this module.
+#: The tasks of this module.
 PAGE = "tissueid.study.pages:specimen_page"
+FIT_WITH_PAGE = "tissueid.study.pages:fit_with_page"
 _LIBRARY = "plotly.min.js"
 
 
@@ -57,6 +71,16 @@ def specimen_page(payload: bytes) -> bytes:
     }
     posteriors = () if posterior is None else (posterior,)
     return report_page(document, curves, posteriors, script_file=_LIBRARY, graded=False).encode("utf-8")
+
+
+def with_page(content: bytes) -> bytes:
+    """A specimen's file and its page, packed; ``None`` for a page that could not be made."""
+    return packed((content, attempt(Task(0, PAGE, content)).result))
+
+
+def fit_with_page(payload: bytes) -> bytes:
+    """The task: a packed job in, :func:`with_page` of its file out."""
+    return with_page(fit_specimen_job(payload))
 
 
 def report_page(
@@ -89,8 +113,15 @@ def report_page(
     )
 
 
+def begin_pages(out: Path) -> None:
+    """Make the folder of pages, with the library that they share."""
+    folder = out / PAGES
+    folder.mkdir(exist_ok=True)
+    write_file(folder / _LIBRARY, str(plotly_script()).encode("utf-8"))
+
+
 def write_pages(out: Path, files: Iterable[Path], crew: Workforce) -> Iterator[int]:
-    """Make the pages that are not there; yields how many are made, one by one.
+    """Make the pages that are not there, after :func:`begin_pages`; yields how many are made, one by one.
 
     Parameters
     ----------
@@ -99,9 +130,6 @@ def write_pages(out: Path, files: Iterable[Path], crew: Workforce) -> Iterator[i
         Files of specimens.
     crew : Workforce
     """
-    folder = out / PAGES
-    folder.mkdir(exist_ok=True)
-    write_file(folder / _LIBRARY, str(plotly_script()).encode("utf-8"))
     names: dict[int, Path] = {}
 
     def tasks() -> Iterator[Task]:
