@@ -106,6 +106,19 @@ def test_what_noise_leaves_open_is_even_in_the_quantity_and_what_a_gain_does_in_
     assert stage.linear.tolist() == [False, False, False, True, False]
 
 
+def test_few_draws_are_one_normal() -> None:
+    draws = np.random.default_rng(6).standard_normal((319, 3))
+    logarithms = np.zeros(3, dtype=bool)
+
+    few = mixture_of(draws[:-1], np.zeros(318), logarithms, np.random.default_rng(0))
+    enough = mixture_of(np.vstack([draws, draws[:1]]), np.zeros(320), logarithms, np.random.default_rng(0))
+
+    assert few.log_weight.size == 1
+    assert enough.log_weight.size == 3
+    # of one normal: the mean of its draws
+    np.testing.assert_allclose(few.mean[0] + few.centre, draws[:-1].mean(axis=0), atol=1e-12)
+
+
 def test_gains_that_are_small_or_seldom_large_leave_a_core_and_tails() -> None:
     rng = np.random.default_rng(5)
     # one factor of all forces: to 4 % where the logs' gains are small, to 40 % where they are large

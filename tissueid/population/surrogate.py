@@ -148,6 +148,8 @@ def _shells(phi: FloatArray, middle: FloatArray, precision: FloatArray) -> Float
 
     Two logs that agree leave their gains small or, seldom, both of them large: a core and tails far wider.
     """
+    if (1.0 - SHELLS[-1]) * len(phi) < DRAWS_EACH:
+        return np.ones((len(phi), 1))
     away = phi - middle
     distance2 = ((away @ precision) * away).sum(axis=1)
     cell = np.searchsorted(np.quantile(distance2, SHELLS), distance2)
