@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -137,6 +138,12 @@ def exit_of(fitted: int, refused: Sequence[str], missing: Sequence[str]) -> Exit
     return Exit(code=exit_code(codes), reasons=(*reasons, *missing))
 
 
+@cache
+def _versions() -> Mapping[str, str]:
+    """Of the libraries in this process."""
+    return {name: version(name) for name in LIBRARIES}
+
+
 def run_provenance(
     options: IdentifyOptions, inputs: Any, record: Mapping[str, Any] | None, extra: Mapping[str, Any]
 ) -> dict[str, Any]:
@@ -154,7 +161,7 @@ def run_provenance(
     """
     return {
         "tissueid": __version__,
-        "versions": {name: version(name) for name in LIBRARIES},
+        "versions": dict(_versions()),
         "options": {
             "branches": options.fit.branches or "auto",
             "stiffness_degree": (

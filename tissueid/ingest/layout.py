@@ -104,6 +104,8 @@ def split_line(line: str, delimiter: str) -> Row:
 
 def _numeric_share(row: Row) -> float:
     """The share of a row's filled cells that look numeric, 0 where fewer than two do."""
+    if len(row) < 2:
+        return 0.0
     filled = [cell for cell in row if cell.strip()]
     numeric = sum(map(looks_numeric, filled))
     return numeric / len(filled) if numeric >= 2 else 0.0

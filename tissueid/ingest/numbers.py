@@ -151,10 +151,10 @@ def decimal_evidence(cells: Iterable[str]) -> tuple[int, int, int]:
     """
     votes = {".": 0, ",": 0, "": 0}
     for cell in cells:
-        text = cell.strip().lstrip("+-").partition("e")[0].partition("E")[0]
-        points, commas = text.count("."), text.count(",")
+        points, commas = cell.count("."), cell.count(",")
         if not points and not commas:
             continue
+        text = cell.strip().lstrip("+-").partition("e")[0].partition("E")[0]
         last = "." if text.rfind(".") > text.rfind(",") else ","
         if points and commas:
             votes[last if text.count(last) == 1 else ""] += 1

@@ -25,7 +25,7 @@ from tissueid.likelihood.triangular import factor, inverse_factor
 
 __all__ = [
     "SMALLEST_GAIN", "SMALLEST_SPREAD", "Density", "correlation_shares", "effect_prior", "inverse",
-    "log_likelihood", "log_theta_prior", "tissue_precision",
+    "log_likelihood", "log_theta_prior", "tissue_precision", "tissue_precisions",
 ]  # fmt: skip
 
 FloatArray = NDArray[np.float64]
@@ -121,6 +121,16 @@ def tissue_precision(density: Density, log_tau: FloatArray) -> FloatArray:
             for v in range(first, first + size):
                 precision[u, v] *= state * state
     return precision
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def tissue_precisions(density: Density, log_tau: FloatArray) -> FloatArray:
+    """Prior precision of theta at several relaxation times, shape (n, branches); shape (n, p, p)."""
+    p = density.prior_mean.size
+    out = np.empty((log_tau.shape[0], p, p))
+    for i in range(log_tau.shape[0]):
+        out[i] = tissue_precision(density, log_tau[i])
+    return out
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")

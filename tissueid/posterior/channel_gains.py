@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.likelihood.instrument_density import tissue_precision
+from tissueid.likelihood.instrument_density import tissue_precisions
 from tissueid.likelihood.instrument_kernels import INSTRUMENT
 from tissueid.likelihood.passive_normal import passive
 from tissueid.model.kelvin_voigt import STATIC_DEGREE
@@ -83,11 +83,10 @@ def scaled_by(
         more += np.log(ratio)
     # by the prior of theta, which depends on the relaxation times that draws of one point share
     times, which = np.unique(points[:, : behind.branches], axis=0, return_inverse=True)
-    density = behind.density()
-    precision = np.array([tissue_precision(density, np.ascontiguousarray(one)) for one in times])[which]
+    precision = tissue_precisions(behind.density(), times)[which]
     before, after = theta - behind.linear[0], scaled - behind.linear[0]
-    more += 0.5 * np.einsum("ni,nij,nj->n", before, precision, before)
-    more -= 0.5 * np.einsum("ni,nij,nj->n", after, precision, after)
+    for sign, off in ((0.5, before), (-0.5, after)):
+        more += sign * (off * (precision @ off[:, :, None])[:, :, 0]).sum(axis=1)
     more += log_factor.sum(axis=1)
     more = np.where(passive(scaled, behind.blocks), more, -np.inf)
     return scaled, compliance, more
