@@ -195,6 +195,19 @@ def test_a_bad_specimen_is_named_and_the_others_are_there(
     assert status["specimens"]["failed"] == 1
     assert [one["specimen"] for one in status["failures"]] == ["head-3"]
     assert fit(again / "lab", again / "out") in (0, 4)
+    assert main(["status", str(again / "out"), "-q"]) == 0
+
+
+def test_status_names_what_was_refused(again: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (again / "lab" / "torn.csv").write_text("Time,Extension,Load\n(s),(mm),(N)\n0,0,0\n1,x,2\n2,2,3\n")
+    assert fit(again / "lab", again / "out") == 7
+    capsys.readouterr()
+    assert main(["status", str(again / "out")]) == 7
+    said = capsys.readouterr().out
+    assert "specimens  3 of 3 done" in said
+    assert "torn.csv, line 4, column 2: 'x' stands where a number must be" in said
+    status = read_status(again / "out")
+    assert status["files"]["refused"] == len(status["refusals"]) == 1
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no limits of resources here")

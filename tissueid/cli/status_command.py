@@ -38,7 +38,7 @@ def command(**flags: Any) -> int:
     """Say how far the fit of a folder is: specimens done, rate, time left, failures.
 
     Reads the index of the folder, at any time and without disturbing a run that writes it.  Exit code 7
-    where a specimen failed.
+    where a specimen failed or an input was refused.
     """
     from tissueid.store.status import read_status
 
@@ -49,7 +49,7 @@ def command(**flags: Any) -> int:
         elif not flags["quiet"]:
             click.echo("\n".join(_lines(status)))
         if not flags["watch"] or status["state"] != "running":
-            return 7 if status["specimens"]["failed"] else 0
+            return 7 if status["specimens"]["failed"] or status["files"]["refused"] else 0
         time.sleep(WATCH_S)
 
 
@@ -73,7 +73,9 @@ def _lines(status: Mapping[str, Any]) -> list[str]:
         for row in status["running"]
     ]
     lines += [f"failed     {row['specimen']}: {row['reason']}" for row in status["failures"]]
-    return lines
+    lines += [f"refused    {said}" for said in status["refusals"]]
+    more = files["refused"] - len(status["refusals"])
+    return lines if not more else [*lines, f"refused    {more} more: identification.json has them all"]
 
 
 def _time(seconds: float) -> str:

@@ -15,13 +15,14 @@ from pathlib import Path
 from typing import Any
 
 from tissueid.errors import BundleError
+from tissueid.result import Refusal
 from tissueid.store.index import INDEX, open_for_reading
 
 __all__ = ["read_status"]
 
 #: Finished jobs that the rate is taken over.
 _RECENT = 50
-#: Failures that are listed.
+#: Failures, and refused inputs, that are listed.
 _LISTED = 100
 
 
@@ -46,6 +47,7 @@ def read_status(out: Path) -> dict[str, Any]:
             msg = f"{out}: no run has begun here"
             raise BundleError(msg)
         jobs = _read_jobs(database)
+        refused, refusals = _read_refusals(database, run["id"])
     except sqlite3.Error as error:
         msg = f"{out / INDEX}: can't be read ({error}); the next `tissueid fit` begins it anew"
         raise BundleError(msg) from error
@@ -64,7 +66,7 @@ def read_status(out: Path) -> dict[str, Any]:
         "ended": run["ended"],
         "writer": json.loads(run["process"]) if going else None,
         "reason": run["reason"],
-        "files": {"looked_into": run["surveyed"], "total": run["files"]},
+        "files": {"looked_into": run["surveyed"], "total": run["files"], "refused": refused},
         "specimens": {
             "total": sum(counts.values()),
             "done": counts.get("done", 0),
@@ -77,6 +79,7 @@ def read_status(out: Path) -> dict[str, Any]:
         "left_s": None if not rate else left / rate,
         "running": jobs.running if going else [],
         "failures": jobs.failures,
+        "refusals": refusals,
     }
 
 
@@ -120,6 +123,17 @@ def _read_jobs(database: sqlite3.Connection) -> _Jobs:
         [end for (end,) in ends],
         known.fetchone()[0],
     )
+
+
+def _read_refusals(database: sqlite3.Connection, run: int) -> tuple[int, list[str]]:
+    """How many inputs were refused, and what is said of the first."""
+    these = "FROM recordings WHERE run = ? AND kind = 'refused'"
+    (count,) = database.execute(f"SELECT COUNT(*) {these}", (run,)).fetchone()
+    rows = database.execute(
+        f"SELECT refusal {these} ORDER BY position, number LIMIT ?",
+        (run, _LISTED),
+    )
+    return count, [str(Refusal(**json.loads(row["refusal"]))) for row in rows]
 
 
 def _alive(process: dict[str, Any]) -> bool | None:
