@@ -121,8 +121,10 @@ class Memory:
     def look(self, pid: int) -> None:
         with suppress(OSError, ValueError, IndexError):
             self.parent = max(self.parent, peak_MB(pid))
-            for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split():
-                self.children[int(child)] = max(self.children.get(int(child), 0.0), peak_MB(int(child)))
+            # any thread may have started them
+            for started in Path(f"/proc/{pid}/task").glob("*/children"):
+                for child in map(int, started.read_text().split()):
+                    self.children[child] = max(self.children.get(child, 0.0), peak_MB(child))
 
 
 def peak_MB(pid: int) -> float:
