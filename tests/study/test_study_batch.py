@@ -208,6 +208,12 @@ def test_status_names_what_was_refused(again: Path, capsys: pytest.CaptureFixtur
     assert "torn.csv, line 4, column 2: 'x' stands where a number must be" in said
     status = read_status(again / "out")
     assert status["files"]["refused"] == len(status["refusals"]) == 1
+    # nobody misses what the study leaves out anyway
+    study = again / "lab" / "study.toml"
+    head = 'schema = "tissueid/study/1"\n[study]\ntitle = "heads"\n'
+    study.write_text(head + "[[exclude]]\nfile = 'torn.csv'\nbecause = 'torn'\n", encoding="utf-8")
+    assert fit(again / "lab", again / "out") in (0, 4)
+    assert main(["status", str(again / "out"), "-q"]) == 0
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no limits of resources here")

@@ -67,7 +67,8 @@ class RecordingRow:
         Specimen as the file was read; ``specimen`` is what the study calls it.
     samples : int
     kind : str
-        ``trial``, ``excluded``, ``unlisted`` (the study wants none but listed ones) or ``refused``.
+        ``trial``, ``excluded``, ``unlisted`` (the study wants none but listed ones), ``refused`` or
+        ``refused_excluded`` (the study does not want it either).
     specimen : str
     refusal : mapping or None
         Fields of :class:`tissueid.result.Refusal`.
@@ -258,7 +259,8 @@ class Index:
     def refused(self) -> Iterator[RecordingRow]:
         """Refusals of the readers, in the order of files."""
         rows = self._do(
-            "SELECT * FROM recordings WHERE run = ? AND kind = 'refused' ORDER BY position, number",
+            "SELECT * FROM recordings WHERE run = ? AND kind IN ('refused', 'refused_excluded')"
+            " ORDER BY position, number",
             (self._run,),
         )
         return (_recording(row) for row in rows)

@@ -72,7 +72,7 @@ class Inventory:
         self.index.add_file(position, path, key, rows)
         self._missing.discard(position)
         for row in rows:
-            if row.kind != "refused":
+            if row.refusal is None:
                 self.request.read(row.path, row.sheet)
 
     def put_down_refusals(self) -> None:

@@ -155,10 +155,10 @@ def recording_rows(path: str, found: Sequence[Found], parts: StudyParts | None) 
     study = None if parts is None else parts.of_file(path)
     for one in found:
         specimen, kind = one.specimen, "trial"
+        decision = None if study is None else study.decision(path, one.sheet)
         if one.refusal is not None:
-            kind = "refused"
-        elif study is not None:
-            decision = study.decision(path, one.sheet)
+            kind = "refused" if decision is None or decision.excluded is None else "refused_excluded"
+        elif study is not None and decision is not None:
             frame = study.calibration.frame
             specimen = str(decision.trial.get("specimen", specimen))
             if decision.excluded is not None or (frame is not None and one.sha256 in frame.sources):
