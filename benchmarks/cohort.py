@@ -7,13 +7,14 @@ generation costs next to nothing.  Five parts:
   The ratio is of the wall time of the jobs alone; the whole command is told as well.
 * ``memory``: peak resident memory of every process at two sizes of cohort.
 * ``paper``: 17 specimens of 22 logs at 1 kHz, each a tissue of its own, from CSV to bundles and report and to
-  the population with its bundle and report, with the breakdown.
+  the population with its bundle and report, with the breakdown, on two workers and on one.
 * ``dask``: a large cohort in full on two workers of Dask and on one: the ratio of the wall time of the jobs,
   what of the workers' time is not spent in jobs, peak resident memory of every process, and whether the files
   of the first specimens are the bits that two local processes write.
 * ``overhead``: tasks that compute nothing and return as many bytes as a specimen's file, on two local
   processes and on two workers of Dask: what handing out and taking back costs.  Wall time is an upper bound,
-  whatever the machine does beside it; processor time is that of all processes, the scheduler's too.
+  whatever the machine does beside it; processor time is that of all processes, the scheduler's too.  The
+  scheduler's peak memory after so many tasks is told with it (``--repeats 0``: after one round).
 
     python benchmarks/cohort.py [--part workers|memory|paper|dask|overhead] [--specimens 24] [--json]
 
@@ -200,13 +201,18 @@ def population(out: Path) -> dict[str, Any]:
     }
 
 
-def paper_part(data: Path, out: Path, specimens: int, sampler: str) -> dict[str, object]:
-    """From CSV to the population, stage by stage, and its whole wall time."""
-    samples = write_population(data, specimens)
-    run = fit(data, out, "--sampler", sampler, "--workers", "2")
-    of_all = population(out)
-    total = {key: run[key] + of_all[key] for key in ("wall_s", "processor_s")}
-    return {"samples": samples, "sampler": sampler, "fit": run, "population": of_all, "total": total}
+def paper_part(data: Path, out: Path, specimens: int, sampler: str, crews: list[int]) -> dict[str, object]:
+    """From CSV to the population, stage by stage, and its whole wall time, with every number of workers."""
+    samples, rows = write_population(data, specimens), []
+    for workers in crews:
+        run = fit(data, out, "--sampler", sampler, "--workers", str(workers))
+        of_all = population(out)
+        total = {key: run[key] + of_all[key] for key in ("wall_s", "processor_s")}
+        rows.append({"workers": workers, "fit": run, "population": of_all, "total": total})
+    result: dict[str, object] = {"samples": samples, "sampler": sampler, "runs": rows}
+    if len(rows) == 2:
+        result["jobs_ratio"] = rows[1]["fit"]["jobs_s"] / rows[0]["fit"]["jobs_s"]
+    return result
 
 
 def cluster(stack: ExitStack, workers: int) -> tuple[str, list[int]]:
@@ -293,7 +299,7 @@ def dask_part(
         print(json.dumps(rows[-1]), file=sys.stderr, flush=True)
     result: dict[str, object] = {"samples": samples, "runs": rows}
     if len(rows) == 2:
-        result["one_over_two"] = rows[1]["jobs_s"] / rows[0]["jobs_s"]
+        result["jobs_ratio"] = rows[1]["jobs_s"] / rows[0]["jobs_s"]
     return result
 
 
@@ -312,7 +318,10 @@ def nothing(payload: bytes) -> bytes:
 
 
 def overhead_part(tasks: int, repeats: int) -> dict[str, object]:
-    """Time a task that computes nothing [ms], by two local processes and by two workers of Dask."""
+    """Time a task that computes nothing [ms], by two local processes and by two workers of Dask.
+
+    Memory of the scheduler is that after ``repeats + 1`` rounds.
+    """
     from tissueid.study.cluster import DaskWorkers
     from tissueid.study.processes import LocalProcesses
     from tissueid.study.tasks import Task
@@ -321,9 +330,10 @@ def overhead_part(tasks: int, repeats: int) -> dict[str, object]:
         f"{who}_{what}_ms": [] for who in ("local", "dask") for what in ("wall", "processor")
     }
     with ExitStack() as stack:
+        address, pids = cluster(stack, 2)
         crews = {
             "local": stack.enter_context(LocalProcesses(2)),
-            "dask": stack.enter_context(DaskWorkers(cluster(stack, 2)[0])),
+            "dask": stack.enter_context(DaskWorkers(address)),
         }
         # the first round starts processes and imports
         for number in range(repeats + 1):
@@ -337,7 +347,8 @@ def overhead_part(tasks: int, repeats: int) -> dict[str, object]:
                     wall, processor = time.monotonic() - begin, processor_s(os.getpid()) - before
                     found[f"{name}_wall_ms"].append(1e3 * wall / tasks)
                     found[f"{name}_processor_ms"].append(1e3 * processor / tasks)
-    return {**found, "load": os.getloadavg()[0]}
+        memory = peak_MB(pids[0])
+    return {**found, "scheduler_MB": memory, "load": os.getloadavg()[0]}
 
 
 def main() -> None:
@@ -350,7 +361,7 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=10.0, help="sampling rate of short logs [Hz]")
     parser.add_argument("--sampler", choices=["emcee", "exact", "none"], default="exact")
     parser.add_argument(
-        "--crews", type=int, nargs="+", default=[2, 1], help="numbers of workers in --part dask"
+        "--crews", type=int, nargs="+", default=[2, 1], help="numbers of workers in --part dask and paper"
     )
     parser.add_argument("--compared", type=int, default=50, help="specimens that are also fitted locally")
     parser.add_argument("--repeats", type=int, default=3)
@@ -362,7 +373,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         data, out = Path(folder) / "data", Path(folder) / "out"
         if options.part == "paper":
-            result = paper_part(data, out, options.specimens, options.sampler)
+            result = paper_part(data, out, options.specimens, options.sampler, options.crews)
         elif options.part == "dask":
             result = dask_part(
                 Path(folder),
