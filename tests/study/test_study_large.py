@@ -14,6 +14,7 @@ from tissueid.cli.reading import PatternCheck
 from tissueid.manifest import Entry, Study
 from tissueid.result import Refusal
 from tissueid.study.file_list import FileList, Named
+from tissueid.study.inventory import files_a_task
 from tissueid.study.partition import StudyParts
 
 FOLDER = Path(os.path.realpath("/")) / "cohort"
@@ -42,6 +43,16 @@ def test_a_list_of_files_gives_back_what_was_put_in() -> None:
     assert len(found) == 4
     with pytest.raises(IndexError):
         found[4]
+
+
+def test_a_task_looks_into_many_short_recordings_or_a_few_long_ones() -> None:
+    short, long = 4e3, 4e5
+    assert files_a_task(220_000, short) == 64
+    assert files_a_task(220_000, long) == 8
+    # every worker has its share of a small cohort, and a file of unknown size may be long
+    assert files_a_task(17 * 22, short) == 8
+    assert files_a_task(2_000, short) == 20
+    assert files_a_task(220_000, 0.0) == 8
 
 
 def test_a_list_of_files_takes_little_more_than_their_paths() -> None:

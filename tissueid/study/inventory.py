@@ -27,8 +27,10 @@ from tissueid.study.tasks import Fault, Task, packed, unpacked
 
 __all__ = ["Inventory"]
 
-#: Files a task looks into.
-FILES_A_TASK = 8
+#: Files a task looks into: few of long recordings, more of short ones, as far as every worker has its share.
+FEW_FILES, MANY_FILES, TASKS = 8, 64, 100
+#: Bytes of the files of a task that looks into more than a few.
+BYTES_A_TASK = 2**20
 #: What reading a file is expected to cost [s a byte].
 SECONDS_A_BYTE = 1e-7
 
@@ -87,10 +89,12 @@ class Inventory:
         waiting = deque(sorted(self._missing))
         if not waiting:
             return
-        size, done = sum(map(self._bytes, list(waiting)[:FILES_A_TASK])), 0
-        expected = SECONDS_A_BYTE * size * max(len(waiting) / FILES_A_TASK, 1.0)
+        first, done = list(waiting)[:FEW_FILES], 0
+        size = sum(map(self._bytes, first)) / len(first)
+        expected = SECONDS_A_BYTE * size * len(waiting)
+        files = files_a_task(len(waiting), size)
         crew = workplace.workforce(
-            -(-len(waiting) // FILES_A_TASK),
+            -(-len(waiting) // files),
             expected,
             lambda _what, payload: packed(
                 [(one.position, look_into(one, recent.keep)) for one in unpacked(payload)]
@@ -104,7 +108,7 @@ class Inventory:
                 if alone:
                     chunk = [alone.popleft()]
                 else:
-                    chunk = [waiting.popleft() for _ in range(min(FILES_A_TASK, len(waiting)))]
+                    chunk = [waiting.popleft() for _ in range(min(files, len(waiting)))]
                 tasks[chunk[0]] = chunk
                 yield Task(chunk[0], SURVEY, packed([self._known(position) for position in chunk]))
 
@@ -150,6 +154,17 @@ class Inventory:
             return 0 if file is None else Path(file.path).stat().st_size
         except OSError:
             return 0
+
+
+def files_a_task(files: int, size: float) -> int:
+    """Files a task looks into, of so many of that size [bytes].
+
+    A task costs some 12 ms of handing out on a cluster, and a scheduler keeps its name; a short recording
+    takes less to look into.
+    """
+    if size <= 0.0:
+        return FEW_FILES
+    return max(FEW_FILES, min(MANY_FILES, files // TASKS, int(BYTES_A_TASK / size)))
 
 
 def _stored(path: str) -> str:
