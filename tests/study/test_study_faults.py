@@ -151,8 +151,8 @@ def test_kills_at_twenty_random_moments(
             if who == "worker":
                 killed += bool(kill_workers(progress_of(out) if out.is_dir() else None))
                 assert process.wait(PATIENCE_S) in (0, 4)
-            else:
-                killed += process.poll() is None
+            elif process.poll() is None:
+                killed += 1
                 process.kill() if who == "client" else os.killpg(process.pid, signal.SIGKILL)
         assert main(["fit", str(lab), "-o", str(out), *QUICK, "-q"]) in (0, 4)
         assert not list(out.rglob(".tmp-*"))
@@ -172,8 +172,9 @@ def test_kills_while_posteriors_are_drawn_change_no_bit_of_them(tmp_path: Path) 
         with started(lab, out, SAMPLED) as process:
             if wait_for(out, process, done=done) is not None:
                 time.sleep(float(rng.uniform(0.0, 5.0)))
-                killed += process.poll() is None
-                os.killpg(process.pid, signal.SIGKILL)
+                if process.poll() is None:
+                    killed += 1
+                    os.killpg(process.pid, signal.SIGKILL)
     assert killed >= 2
     assert main(["fit", str(lab), "-o", str(out), *SAMPLED, "-q"]) in (0, 4)
     assert numbers_of(out) == numbers_of(tmp_path / "once")
