@@ -31,6 +31,7 @@ def test_parameters_are_counted():
     assert Candidate(3, 2, "shared").n_parameters == 15
 
 
+@pytest.mark.needs_jit
 @pytest.mark.parametrize("pooling", ["shared", "per-log", "partial"])
 def test_noise_variance_is_that_of_the_recording(pooling):
     _, solution = fit(small_recipe(rate_Hz=RATE, sigma_N=0.4), 3, pooling)

@@ -127,6 +127,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
     assert (hit / known >= 0.95 - 0.065).all()
 
 
+@pytest.mark.needs_jit
 def test_returned_speed_is_that_of_the_fitted_damping():
     found = fitted(RETURNED)
     assert found.returned == pytest.approx(reached_restitution(found.theta[2]), rel=1e-9)

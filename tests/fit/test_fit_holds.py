@@ -52,6 +52,7 @@ def test_a_time_below_two_samples_is_not_measured():
     assert "sampling" in first.reason
 
 
+@pytest.mark.needs_jit
 def test_errors_of_measured_fractions_are_their_spread():
     values, claimed = [], 0.0
     for seed in range(300):

@@ -155,6 +155,7 @@ def test_a_slow_mode_left_out_shows_in_the_residual():
     assert "residual_correlated" in codes(found)
 
 
+@pytest.mark.needs_jit
 def test_kernels_in_the_cache_are_not_announced():
     # after the fits above every kernel is compiled; without compilation there is nothing to say
     fit(small_recipe(rate_Hz=20.0), static="partial")

@@ -61,6 +61,7 @@ def test_a_damped_oscillation_follows_its_closed_form():
     assert memory[a.POSITION + 2] == pytest.approx(expected, abs=1e-9)  # second order in h = 50 us
 
 
+@pytest.mark.needs_jit
 @pytest.mark.parametrize("force", [np.array([1.0, 0.0, 0.0]), np.array([0.6, -2.0, 0.5])])
 def test_a_pushed_arm_ends_at_its_terminal_speed(force):
     arm = Arm(mass_kg=0.1, damping_N_s_per_m=2.0, friction_N=0.3)
@@ -98,6 +99,7 @@ def test_an_arm_that_sticks_does_not_move_at_all():
     assert (memory[a.POSITION : a.POSITION + 3] > 0.0).all()
 
 
+@pytest.mark.needs_jit
 def test_an_arm_comes_to_rest_in_the_band_of_friction_without_chatter():
     arm = Arm(friction_N=0.1)
     memory, block = pulled(np.array([0.004, 0.0, 0.0])), held(arm, 300.0, 2.0)
@@ -111,6 +113,7 @@ def test_an_arm_comes_to_rest_in_the_band_of_friction_without_chatter():
     assert abs(memory[a.POSITION]) <= 0.1 / 300.0
 
 
+@pytest.mark.needs_jit
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_energies_close_to_rounding(seed):
     rng = np.random.default_rng(seed)

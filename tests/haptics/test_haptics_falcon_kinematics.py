@@ -83,6 +83,7 @@ def test_thighs_stand_outward() -> None:
     assert np.all(np.degrees(inverse([0.0, 0.0, 0.17])) > np.degrees(inverse([0.0, 0.0, 0.09])))
 
 
+@pytest.mark.needs_jit
 @both
 def test_inverse_of_forward_is_the_identity_everywhere_within_the_stops(geometry: Geometry) -> None:
     random = np.random.default_rng(2)
@@ -102,6 +103,7 @@ def test_inverse_of_forward_is_the_identity_everywhere_within_the_stops(geometry
     assert none <= (0 if geometry is DEFAULT_GEOMETRY else 0.005 * 4000)
 
 
+@pytest.mark.needs_jit
 def test_forward_of_inverse_is_the_identity_from_any_guess() -> None:
     random = np.random.default_rng(3)
     positions = reachable(DEFAULT_GEOMETRY, 2000, seed=4)

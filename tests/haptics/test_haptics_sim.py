@@ -44,6 +44,7 @@ def pressing() -> Hand:
     return preset("hold", surface_m=SURFACE, inward=INWARD, depth_m=0.008, rest_s=0.1)
 
 
+@pytest.mark.needs_jit
 def test_equal_settings_and_forces_give_equal_samples_bit_for_bit():
     first = session(SimulatedDevice(hand=pressing(), seed=5), 600)
     assert (first == session(SimulatedDevice(hand=pressing(), seed=5), 600)).all()
@@ -93,6 +94,7 @@ def test_a_stall_neither_loses_nor_repeats_a_force():
     assert device.memory[k.LOST] == 0.0
 
 
+@pytest.mark.needs_jit
 def test_positions_are_rounded_to_counts_without_a_mean_error():
     device = SimulatedDevice(hand=FREE, arm=SLIPPERY, quantum_m=60e-6, seed=3)
     place, counts = np.zeros(3), np.zeros(3, np.int64)

@@ -37,6 +37,7 @@ def worst_errors(basis, time_s, depth_mm, log_taus):
     return value, slope
 
 
+@pytest.mark.needs_jit
 @pytest.mark.parametrize("step_s", [1e-3, 0.01, 0.1])
 @pytest.mark.parametrize("path", ["ramp", "ramp and hold", "walk", "sine"])
 def test_states_of_any_relaxation_time_follow_from_the_nodes(step_s, path):

@@ -52,6 +52,7 @@ def certificate(h, b, theta, blocks):
     return feasible, dual / scale, abs(gradient @ theta) / max(abs(b @ theta), scale * 1e-3)
 
 
+@pytest.mark.needs_jit
 @pytest.mark.parametrize("blocks", BLOCKS)
 def test_optimality_conditions_hold_on_random_problems(blocks):
     for seed in range(40):

@@ -171,6 +171,7 @@ def test_load_channel_is_low_passed_and_late() -> None:
     assert np.abs(shown - every_sample([log], optimum, ()).base).max() > 1.0
 
 
+@pytest.mark.needs_jit
 @pytest.mark.parametrize("compliance", [0.001, 0.005])
 def test_frame_takes_its_deflection_off_the_depth(compliance: float) -> None:
     log = ramp_hold(200.0, speed=4.0)

@@ -120,6 +120,7 @@ class FromSums:
         return -0.5 * (square + log_det + n * math.log(2.0 * math.pi * sigma**2))
 
 
+@pytest.mark.needs_jit
 @pytest.mark.parametrize("clock", CLOCKS)
 @pytest.mark.parametrize("phi", [0.0, 0.5, 0.99, 0.999])
 @pytest.mark.parametrize("degree", [0, 1])
@@ -201,6 +202,7 @@ def moved(direct, theta, root, sigma, phi, rng, drop):
     return at(low)
 
 
+@pytest.mark.needs_jit
 @given(
     clock=st.sampled_from(CLOCKS),
     branches=st.integers(1, 3),

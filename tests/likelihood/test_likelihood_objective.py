@@ -99,6 +99,7 @@ def test_per_log_value_is_that_of_a_free_cubic_and_constant_for_every_log():
     np.testing.assert_allclose(found.theta, coefficients[:2] * [1.0, DEPTH], rtol=1e-5)
 
 
+@pytest.mark.needs_jit
 @pytest.mark.parametrize("kind", ["shared", "per-log", "partial"])
 def test_gradient_is_the_slope_of_the_projected_value(kind):
     logs = make_logs()

@@ -169,6 +169,7 @@ def test_quadratic_form_has_the_gradient_by_log_tau(branches, degree):
         assert gradient[j] == pytest.approx((values[0] - values[1]) / 2e-5, rel=1e-4, abs=1e-3)
 
 
+@pytest.mark.needs_jit
 @pytest.mark.parametrize(("branches", "degree"), [(1, 0), (1, 1), (2, 0), (1, 2)])
 def test_solve_reaches_a_stationary_point_that_no_other_search_betters(branches, degree):
     blocks = np.array([3] + [degree + 1] * branches, dtype=np.int64)

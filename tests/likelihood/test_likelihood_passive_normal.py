@@ -99,6 +99,7 @@ def test_mass_counts_a_bound_that_only_the_cut_normal_meets():
     assert log_passive_mass(mean, cov, sizes(1, 1)) == pytest.approx(wanted, abs=5e-4 + 4.0 * error)
 
 
+@pytest.mark.needs_jit
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("blocks", [(2,), (3,), (3, 2), (3, 3), (3, 2, 2)])
 def test_mass_agrees_with_brute_force(blocks, seed):
@@ -172,6 +173,7 @@ def test_draws_have_the_distribution_of_plain_rejection(blocks):
     assert lowest >= KS_LEVEL
 
 
+@pytest.mark.needs_jit
 def test_draws_where_plain_rejection_is_hopeless_are_the_cut_normal():
     """A line whose ends are 12 and 20 sd below zero, correlated: against quadrature on a grid."""
     bernstein_mean = np.array([-12.0, -10.0])
@@ -194,6 +196,7 @@ def test_draws_where_plain_rejection_is_hopeless_are_the_cut_normal():
         assert stats.kstest(np.interp(draws, edges, cumulative), "uniform").pvalue >= KS_LEVEL
 
 
+@pytest.mark.needs_jit
 @pytest.mark.parametrize("away", [5.0, 15.0])
 def test_every_draw_is_passive_however_far_outside_the_mean_is(away):
     for seed in range(25):

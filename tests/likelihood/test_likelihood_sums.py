@@ -77,6 +77,7 @@ def basis_for(data):
     return kernel_basis(step_s=float(steps[steps > 0].min()), length_s=float(data.time_s[-1]))
 
 
+@pytest.mark.needs_jit
 @pytest.mark.parametrize("kind", ["uniform", "printed", "irregular", "repeated", "two rates"])
 @pytest.mark.parametrize("branches", [1, 2, 3])
 @pytest.mark.parametrize("degree", [0, 1, 2])

@@ -118,6 +118,7 @@ def test_force_is_clipped_exactly_where_the_law_would_pull() -> None:
     assert permanent.min() < -1.0
 
 
+@pytest.mark.needs_jit
 @given(tissue_=passive_tissues(), corners=legs(-1.0, 9.0))
 @MODEL_SETTINGS
 def test_contact_is_unilateral(

@@ -29,6 +29,7 @@ def stepped(model: KelvinVoigt, theta: np.ndarray, time: np.ndarray, depth: np.n
     return np.array([0.0, *(stepper.step(x, h) for x, h in zip(depth[1:], np.diff(time), strict=True))])
 
 
+@pytest.mark.needs_jit
 @given(tissue_=passive_tissues(), corners=legs(0.0, DEPTH_MM), back=st.floats(-2.5, 1.5))
 @MODEL_SETTINGS
 def test_permanent_contact_never_returns_more_than_was_put_in(
@@ -40,6 +41,7 @@ def test_permanent_contact_never_returns_more_than_was_put_in(
     assert balance.min() >= -TOLERANCE * moved
 
 
+@pytest.mark.needs_jit
 @given(tissue_=passive_tissues(), corners=legs(-1.0, DEPTH_MM + 1.0), back=st.floats(-2.5, 1.5))
 @MODEL_SETTINGS
 def test_contact_that_is_lost_and_found_never_returns_more_than_was_put_in(

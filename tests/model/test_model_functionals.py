@@ -37,6 +37,7 @@ def test_force_after_a_ramp_is_that_of_the_recursion():
         assert found == pytest.approx(force[k], rel=1e-13)
 
 
+@pytest.mark.needs_jit
 @pytest.mark.parametrize("frequency", [0.05, 0.7, 6.0])
 def test_storage_and_loss_are_those_of_a_small_sine(frequency):
     period, depth, amplitude = 1.0 / frequency, 2.0, 1e-4

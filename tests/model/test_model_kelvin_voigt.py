@@ -60,6 +60,7 @@ def test_ramp_and_hold_with_the_corner_on_the_grid_matches_closed_form(branches:
     np.testing.assert_allclose(model.force(theta, ContactPath(time, depth)), expected, rtol=1e-9)
 
 
+@pytest.mark.needs_jit
 @pytest.mark.parametrize("degree", [0, 1, 2])
 def test_linear_legs_match_a_solver_of_equation_5(degree: int) -> None:
     # the same piecewise linear path for both: no error of sampling, only that of the solver
@@ -84,6 +85,7 @@ def test_linear_legs_match_a_solver_of_equation_5(degree: int) -> None:
     np.testing.assert_allclose(model.force(theta, path), force, rtol=1e-9, atol=1e-8)
 
 
+@pytest.mark.needs_jit
 @pytest.mark.parametrize("degree", [0, 1, 2])
 def test_smooth_load_and_unload_converge_to_equation_5_with_the_square_of_the_step(degree: int) -> None:
     model, theta = tissue(1, degree)

@@ -44,6 +44,7 @@ def test_figure_4_under_constant_work_falls_where_the_tissue_hardens_and_rises_w
     assert forces == pytest.approx([slow_N, fast_N], abs=0.15)
 
 
+@pytest.mark.needs_jit
 @pytest.mark.parametrize("static", [HARDENING, TABLE_1], ids=["cubic", "table 1"])
 @pytest.mark.parametrize("speed", ENDS_MM_S)
 def test_work_of_a_ramp_is_the_closed_form(static: tuple[float, ...], speed: float) -> None:
@@ -83,6 +84,7 @@ def test_a_weight_of_one_is_the_force_and_of_zero_the_static_force() -> None:
     assert rupture_measures(model, theta, path, weight=0.0)["weighted-force"] == pytest.approx(0.43 * x**3)
 
 
+@pytest.mark.needs_jit
 @pytest.mark.parametrize("criterion", CRITERIA)
 def test_a_ramp_ruptures_where_its_measure_is_the_threshold(criterion: str) -> None:
     model, theta = tissue(TABLE_1)

@@ -116,6 +116,7 @@ def test_a_jittery_time_base_costs_less_than_half_a_percent(tissue: Tissue) -> N
     assert np.abs(forces[:, 2] / FORCE_SCALE - expected).max() <= 5e-3 * expected.max()
 
 
+@pytest.mark.needs_jit
 def test_what_is_felt_is_what_was_fitted_on_any_path_through_loss_of_contact() -> None:
     rng = np.random.default_rng(11)
     times = np.cumsum(rng.uniform(0.0005, 0.002, 3000))

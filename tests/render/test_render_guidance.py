@@ -86,6 +86,7 @@ def test_no_closed_path_gives_energy_but_in_the_paper_s_variant() -> None:
     assert expected > 0.07
 
 
+@pytest.mark.needs_jit
 def test_wall_and_pull_together_are_conservative_without_damping() -> None:
     narrow = replace(PULL, funnel=Funnel(restitution=1.0))
     assert abs(energy_of_loop(narrow, square_loop(0.012, 0.02, 3000))) <= 1e-6

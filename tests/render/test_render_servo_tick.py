@@ -106,6 +106,7 @@ class TestVirtualTime:
             rig.block.close()
         assert runs[0] == runs[1]
 
+    @pytest.mark.needs_jit
     def test_compiled_and_uncompiled_loops_do_the_same(self):
         records = []
         for compiled in (True, False):
@@ -134,6 +135,7 @@ class TestVirtualTime:
         assert np.all(size[-20:] == 0.0)
         assert records["state"][-1] == State.ARMED
 
+    @pytest.mark.needs_jit
     @pytest.mark.parametrize(
         ("event", "fault"),
         [(machine.PARENT_DIED, Fault.PARENT_DIED), (machine.TRANSPORT_LOST, Fault.TRANSPORT)],
@@ -224,6 +226,7 @@ class TestPythonDevices:
             compiled_io(CompiledIO(9))
 
 
+@pytest.mark.needs_jit
 def test_a_clipped_tick_says_so_and_is_counted():
     rig = Rig(limits=GuardLimits(clamp_N=0.2, rms_limit_N=0.2, dead_man=False))
     rig.block.write(tissue())
