@@ -240,6 +240,7 @@ def test_it_answers_over_a_link_and_hangs_up_when_unplugged(pty):
     assert gone
 
 
+@pytest.mark.needs_jit
 def test_in_real_time_the_arm_moves_between_commands():
     with EmulatedLink(EmulatorSettings(usb_latency_s=0.002)) as link:
         host = link.descriptor()
@@ -257,6 +258,7 @@ def test_in_real_time_the_arm_moves_between_commands():
         os.close(host)
 
 
+@pytest.mark.needs_jit
 def test_it_runs_as_a_process_of_its_own_and_ends_with_its_owner():
     with EmulatorProcess(["--hand", "hold", "--fault", "silence@30"]) as emulator:
         host = os.open(emulator.path, os.O_RDWR | os.O_NOCTTY)
