@@ -41,7 +41,6 @@ def test_a_function_works_on_the_array_of_its_caller(compiled):
     assert values.tolist() == [1.0, 4.0, 8.0]
 
 
-@pytest.mark.needs_jit
 def test_scipy_is_out_of_reach_only_while_numba_sets_itself_up():
     program = (
         "import importlib.util, sys\n"

@@ -182,7 +182,6 @@ TRANSPORT_CALLS = {
 }
 
 
-@pytest.mark.needs_jit
 @pytest.mark.parametrize("call", sorted(TRANSPORT_CALLS))
 def test_nothing_but_the_guard_leads_to_a_transport(call):
     found = {}

@@ -22,7 +22,6 @@ def other_checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-@pytest.mark.needs_jit
 def test_a_checkout_one_stands_in_is_not_what_runs(other_checkout: Path) -> None:
     by_module = [sys.executable, "-m", "tissueid.haptics.falcon.emulator", "--help"]
     assert "the wrong files" in subprocess.run(by_module, capture_output=True, text=True, check=False).stderr
@@ -32,7 +31,6 @@ def test_a_checkout_one_stands_in_is_not_what_runs(other_checkout: Path) -> None
     assert "--until-eof" in shown.stdout
 
 
-@pytest.mark.needs_jit
 def test_the_servo_beside_another_checkout_is_ours(other_checkout: Path) -> None:
     servo = servo_spawn.spawn_servo()
     # one that can't be loaded ends at once, ours waits for its plan

@@ -58,7 +58,6 @@ print(recorder.written, len(records), recorder.stopped, recorder.finish(summary_
 """
 
 
-@pytest.mark.needs_jit
 def test_a_full_disk_stops_the_recording_and_keeps_what_is_there(tmp_path: Path) -> None:
     assert resource.getrlimit(resource.RLIMIT_FSIZE)[0] in (-1, resource.RLIM_INFINITY)
     folders = [str(Path(__file__).parents[1])]
@@ -74,7 +73,6 @@ def test_a_full_disk_stops_the_recording_and_keeps_what_is_there(tmp_path: Path)
     assert read_session_log(Path(where)).records.size >= int(written)
 
 
-@pytest.mark.needs_jit
 def test_no_room_even_for_the_head_is_said_before_the_session(tmp_path: Path) -> None:
     script = (
         "import resource, sys\nsys.path[:0] = sys.argv[2:]\nfrom pathlib import Path\n"

@@ -155,7 +155,6 @@ def test_a_law_of_another_distribution_is_rendered_and_says_its_rate(tmp_path: P
     assert document["summary"]["peak_device_force_N"] == 0.0
 
 
-@pytest.mark.needs_jit
 def test_rendering_never_loads_what_a_servo_must_not_wait_for() -> None:
     code = (
         "import sys, tissueid.render.plan, tissueid.render.session, tissueid.render.servo_process\n"
