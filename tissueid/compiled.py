@@ -1,6 +1,9 @@
-"""How the functions of a servo's tick are compiled: for the disk, without the interpreter, without a heap.
+"""How functions are compiled: for the disk, without the interpreter, and in a servo's tick without a heap.
 
-numba's memory runtime is left out of them.  A function that allocates is then refused by the compiler, so
+Compiled functions are kept in a folder that is named by a hash of all their sources
+(:mod:`tissueid.kernel_cache`): numba's own key knows the caller's source and not its callees'.
+
+In a tick numba's memory runtime is left out.  A function that allocates is then refused by the compiler, so
 that "nothing is allocated in the loop" is checked whenever the loop is built; and no array is counted on its
 way from function to function, which took more time than the arithmetic (an atomic operation for each array
 and call).  Arrays belong to whoever calls from Python and outlive every call.
@@ -19,24 +22,52 @@ from typing import Any, TypeVar
 
 import numba as nb
 
-__all__ = ["tick_kernel", "tick_part", "without_scipy"]
+from tissueid.kernel_cache import cache_folder
+
+__all__ = ["kernel", "tick_kernel", "tick_part", "without_scipy"]
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "_nrt": False}
+_TICK: dict[str, Any] = {"error_model": "numpy", "_nrt": False}
 _LINEAR_ALGEBRA = "scipy.linalg"
+
+
+def _for_the_disk(function: Function, options: dict[str, Any]) -> Function:
+    """Compile at the first call, or load what was compiled from the same sources."""
+    folder, before = cache_folder(), nb.config.CACHE_DIR
+    if folder is not None:
+        nb.config.CACHE_DIR = str(folder)
+    try:
+        compiled: Function = nb.njit(cache=folder is not None, nogil=True, **options)(function)
+    finally:
+        nb.config.CACHE_DIR = before
+    return compiled
+
+
+def kernel(
+    *, error_model: str = "numpy", fastmath: set[str] | bool = False
+) -> Callable[[Function], Function]:
+    """Compile a function of arrays and numbers, without the interpreter's lock.
+
+    Parameters
+    ----------
+    error_model : str
+        ``numpy`` divides by zero as arrays do, ``python`` raises.
+    fastmath : set of str or bool
+        Liberties with floating point, as LLVM names them.
+    """
+    options = {"error_model": error_model, "fastmath": fastmath}
+    return lambda function: _for_the_disk(function, options)
 
 
 def tick_kernel(function: Function) -> Function:
     """Compile a function of the tick: it may not allocate, and returns numbers alone."""
-    kernel: Function = nb.njit(**_OPTIONS)(function)
-    return kernel
+    return _for_the_disk(function, _TICK)
 
 
 def tick_part(function: Function) -> Function:
     """Compile a small function into whoever calls it: a call with four arrays passes 28 arguments."""
-    kernel: Function = nb.njit(**_OPTIONS, forceinline=True)(function)
-    return kernel
+    return _for_the_disk(function, {**_TICK, "forceinline": True})
 
 
 @contextmanager

@@ -59,6 +59,11 @@ class NoiseFit:
     reference_step_s : float
     moving_average : float
         theta of e_n = r_n - phi r_(n-1) + theta e_(n-1); 0 unless the model is ``white+ar1``.
+    measured_N : float or None
+        Standard deviation that quiet stretches of the recordings show [N]; ``None`` where nobody looked.
+    samples_per_independent : float
+        Samples that one independent sample stands for; above 1 where the model misses more than the noise
+        of the recordings, and ``sigma_N`` is then the size of that miss.
     """
 
     model: str
@@ -66,6 +71,13 @@ class NoiseFit:
     phi: float
     reference_step_s: float
     moving_average: float = 0.0
+    measured_N: float | None = None
+    samples_per_independent: float = 1.0
+
+    @property
+    def discrepant(self) -> bool:
+        """Whether the model misses more than the noise of the recordings."""
+        return self.samples_per_independent > 1.0
 
     def as_json(self) -> dict[str, Any]:
         """The ``noise`` object of the schema."""
@@ -75,6 +87,8 @@ class NoiseFit:
             "phi": self.phi,
             "reference_step_s": self.reference_step_s,
             "moving_average": self.moving_average,
+            "measured_N": self.measured_N,
+            "samples_per_independent": self.samples_per_independent,
         }
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tissueid.segment import SegmentOptions, segment
-from tissueid.segment.noise import quantum, white_noise_sd
+from tissueid.signal_noise import quantum, white_noise_sd
 from tissueid.synth import Hold, Log, Move, Recipe, as_trials, recipe, simulate
 from tissueid.trial import Trial, contact_frame
 

@@ -19,7 +19,7 @@ from tissueid.model.base import ContactPath
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.trial import Segmentation
 
-__all__ = ["HOLD_BLOCKS_PER_DECADE", "MOVE_EDGES", "ResidualBlocks", "residual_blocks"]
+__all__ = ["HOLD_BLOCKS_PER_DECADE", "MOVE_EDGES", "OWN_POWERS", "ResidualBlocks", "residual_blocks"]
 
 FloatArray = NDArray[np.float64]
 

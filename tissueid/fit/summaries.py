@@ -158,5 +158,5 @@ def _one_log(
             phi=noise.phi,
             reference_step_s=noise.reference_step_s,
             moving_average=noise.moving_average,
-        ),
+        ).tempered(noise.samples_per_independent),
     )

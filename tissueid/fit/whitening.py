@@ -4,6 +4,11 @@ A first fit takes the noise as white.  Its residuals tell whether neighbouring s
 more pass over the logs then sums the residuals at that optimum for every correlation at once
 (:mod:`tissueid.likelihood.lag_sums`), and the fit is finished under the whitened sums: generalised least
 squares, with standard errors, profile intervals and verdicts under the noise that there is.
+
+Where the recordings refute that noise (:mod:`tissueid.fit.noise_evidence`), the weights stay white and the
+sums are tempered: all but the sum of squares at the optimum is divided by the number of samples that one
+independent sample stands for (:mod:`tissueid.fit.discrepancy`).  Value, standard errors, profile intervals
+and posterior are of these same sums.
 """
 
 from __future__ import annotations
@@ -17,7 +22,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.fit.candidates import Solution, SpecimenSums, refit
+from tissueid.fit.discrepancy import samples_per_independent
 from tissueid.fit.logs import MAX_WORKERS, LogHandle
+from tissueid.fit.noise_evidence import (
+    FEWEST,
+    MOST,
+    QuietStretch,
+    quiet_stretches,
+    verdict_on_noise,
+)
+from tissueid.fit.residual_blocks import OWN_POWERS, residual_blocks
 from tissueid.fit.trials import Adjustment, model_force
 from tissueid.likelihood.basis import KernelBasis
 from tissueid.likelihood.lag_sums import LagSums, lag_sums
@@ -26,6 +40,7 @@ from tissueid.likelihood.noise import NoiseChain, NoiseEstimate, estimate_noise,
 from tissueid.likelihood.sums import N_STATIC
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.processors import threads
+from tissueid.signal_noise import quantum
 from tissueid.uncertainty import NoiseFit
 
 __all__ = ["Whitened", "for_all_degrees", "optimum_of", "whiten"]
@@ -34,6 +49,8 @@ FloatArray = NDArray[np.float64]
 
 #: Correlation below which the noise counts as white.
 NO_CORRELATION = 1e-3
+#: Effects of a log that is pooled partially.
+GAIN_AND_OFFSET = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,14 +95,54 @@ def optimum_of(solution: Solution, adjustments: Sequence[Adjustment], scale: flo
     )
 
 
-def _residual_chain(
-    handle: LogHandle, model: KelvinVoigt, theta: FloatArray, adjustment: Adjustment, step_s: float
-) -> NoiseChain:
-    """Residuals of one log under the first fit, as chains of noise."""
-    _, log = handle.fitted()
-    data = log.data
-    residual = data.force_N - model_force(model, theta, log, adjustment)
-    return noise_chain(data, residual, reference_step_s=step_s)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Residuals:
+    """Residuals of all logs under the first fit: as chains of noise, and what is quiet in them."""
+
+    chains: list[NoiseChain]
+    quiet: list[QuietStretch]
+    differences_N: list[float]
+    quantum_N: float
+
+
+def _residuals(
+    handles: Sequence[LogHandle],
+    model: KelvinVoigt,
+    theta: FloatArray,
+    adjustments: Sequence[Adjustment],
+    step_s: float,
+) -> _Residuals:
+    """One pass over the logs."""
+    found = _Residuals([], [], [], 0.0)
+    quanta = []
+    for handle, adjustment in zip(handles, adjustments, strict=True):
+        trial, log = handle.fitted()
+        residual = log.data.force_N - model_force(model, theta, log, adjustment)
+        found.chains.append(noise_chain(log.data, residual, reference_step_s=step_s))
+        most = max(MOST // len(handles), FEWEST)
+        found.quiet.extend(
+            quiet_stretches(trial, handle.segmentation, log, residual, step_s=step_s, most=most)
+        )
+        found.differences_N.append(handle.segmentation.force_noise_N)
+        quanta.append(quantum(trial.force_N))
+    return replace(found, quantum_N=float(np.median(quanta)))
+
+
+def _worth(
+    handles: Sequence[LogHandle],
+    model: KelvinVoigt,
+    theta: FloatArray,
+    adjustments: Sequence[Adjustment],
+    sigma_N: float,
+) -> float:
+    """Samples that one independent sample stands for, where the model misses more than the noise."""
+    blocks = []
+    for handle, adjustment in zip(handles, adjustments, strict=True):
+        _, log = handle.fitted()
+        fitted = model_force(model, theta, log, adjustment)
+        blocks.append(residual_blocks(handle.segmentation, log, model, theta, adjustment, fitted))
+    own = 0 if len(handles) == 1 else OWN_POWERS if adjustments[0].static is not None else GAIN_AND_OFFSET
+    return samples_per_independent(blocks, sigma_N, own=own)
 
 
 def _sums_of_lags(
@@ -176,21 +233,27 @@ def whiten(
     """
     tick("noise")
     step = sums.step_s
-    chains = [
-        _residual_chain(handle, model, theta, adjustment, step)
-        for handle, adjustment in zip(handles, adjustments, strict=True)
-    ]
-    samples = sum(chain.residual_N.size for chain in chains)
+    left = _residuals(handles, model, theta, adjustments, step)
+    samples = sum(chain.residual_N.size for chain in left.chains)
     # more parameters than half the residuals leave no noise to look at
     parameters = min(solution.candidate.n_parameters, samples // 2)
-    found: NoiseEstimate = estimate_noise(chains, parameters=parameters, model=noise)
+    found: NoiseEstimate = estimate_noise(left.chains, parameters=parameters, model=noise)
+    worth, measured = 1.0, None
+    if noise == "auto":
+        verdict = verdict_on_noise(
+            found, left.quiet, left.differences_N, quantum_N=left.quantum_N, samples=samples
+        )
+        measured = verdict.measured_N
+        if verdict.refuted:
+            found = estimate_noise(left.chains, parameters=parameters, model="white")
+            worth = _worth(handles, model, theta, adjustments, found.sigma_N)
     centred = optimum_of(solution, adjustments, sums.depth_mm)
-    # of one log, what the model lacks can't be told from noise with memory, and would bend its fit: least
-    # squares stands, and only the posterior knows the correlation
-    known = found.phi > NO_CORRELATION and len(handles) > 1
+    known = found.phi > NO_CORRELATION or worth > 1.0
     tick("sums for correlated noise")
     degree = sums.columns_degree if known else solution.candidate.degree
     lags = _sums_of_lags(handles, sums.basis, degree, step, centred, found)
+    if worth > 1.0:
+        lags = tuple(one.tempered(worth) for one in lags)
     if known:
         sums = _whitened_sums(sums, lags, found.phi, centred)
         solution = refit(sums, solution)
@@ -201,6 +264,8 @@ def whiten(
             phi=found.phi,
             reference_step_s=step,
             moving_average=found.moving_average,
+            measured_N=measured,
+            samples_per_independent=worth,
         ),
         lags=lags,
         centred=centred,
@@ -224,4 +289,4 @@ def for_all_degrees(whitened: Whitened, handles: Sequence[LogHandle]) -> Whitene
     lags = _sums_of_lags(
         handles, sums.basis, sums.columns_degree, noise.reference_step_s, whitened.centred, noise
     )
-    return replace(whitened, lags=lags)
+    return replace(whitened, lags=tuple(one.tempered(noise.samples_per_independent) for one in lags))

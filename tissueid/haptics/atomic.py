@@ -9,9 +9,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import config, njit, types
+from numba import config, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
+
+from tissueid.compiled import kernel
 
 __all__ = ["load_acquire", "store_release"]
 
@@ -55,12 +57,12 @@ def _load(typing_context, cell):  # type: ignore[no-untyped-def] # noqa: ARG001
     return types.int64(cell), emit
 
 
-@njit(cache=True, nogil=True)
+@kernel(error_model="python")
 def _store_release(cell: IntArray, value: int) -> None:
     _store(cell, value)  # type: ignore[call-arg] # the typing context is not the caller's
 
 
-@njit(cache=True, nogil=True)
+@kernel(error_model="python")
 def _load_acquire(cell: IntArray) -> int:
     return _load(cell)  # type: ignore[call-arg]
 

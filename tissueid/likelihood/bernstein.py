@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import math
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.compiled import kernel
 from tissueid.likelihood.cone import QUADRATIC
 
 __all__ = ["FREE", "PARABOLA", "ZERO", "brought_inside", "is_passive", "ordered", "to_bernstein", "to_powers"]
@@ -28,7 +28,7 @@ INSIDE = 1.0 - 1e-9
 FREE, ZERO, PARABOLA = 0, 1, 2
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def to_bernstein(mean: FloatArray, cov: FloatArray, blocks: IntArray) -> tuple[FloatArray, FloatArray]:
     """Mean and covariance of the Bernstein coefficients."""
     centre = mean.copy()
@@ -52,7 +52,7 @@ def to_bernstein(mean: FloatArray, cov: FloatArray, blocks: IntArray) -> tuple[F
     return centre, half
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def to_powers(c: FloatArray, blocks: IntArray) -> FloatArray:
     """Coefficients by powers of u from Bernstein coefficients."""
     theta = c.copy()
@@ -67,7 +67,7 @@ def to_powers(c: FloatArray, blocks: IntArray) -> FloatArray:
     return theta
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def is_passive(theta: FloatArray, blocks: IntArray) -> bool:
     """As :func:`tissueid.model.polynomial.minimum_on_unit` >= 0 for each block."""
     start = 0
@@ -88,7 +88,7 @@ def is_passive(theta: FloatArray, blocks: IntArray) -> bool:
     return True
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def brought_inside(bernstein: FloatArray, blocks: IntArray) -> FloatArray:
     """Coefficients by powers of u of what rounding has put outside the passive set."""
     c = np.maximum(bernstein, 0.0)
@@ -100,7 +100,7 @@ def brought_inside(bernstein: FloatArray, blocks: IntArray) -> FloatArray:
     return to_powers(c, blocks)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _inner_distance(c: FloatArray, s: FloatArray, start: int) -> float:
     """Standard deviations from a quadratic to its bound inside (0, 1): least mean over sd along u."""
     least = np.inf
@@ -120,7 +120,7 @@ def _inner_distance(c: FloatArray, s: FloatArray, start: int) -> float:
     return least
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def ordered(c: FloatArray, s: FloatArray, blocks: IntArray, far: float) -> tuple[IntArray, IntArray, int]:
     """Coordinates with a bound nearer than ``far`` sd, each with its kind, then the others; how many are cut.
 

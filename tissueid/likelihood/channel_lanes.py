@@ -6,10 +6,10 @@ The same arithmetic as :mod:`tissueid.likelihood.load_channel`, :data:`LANES` po
 
 from __future__ import annotations
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.compiled import kernel
 from tissueid.likelihood.lanes import LANES, decays
 
 __all__ = ["channels"]
@@ -35,7 +35,7 @@ _SKEW = 11 * LANES
 _ROOM = 12 * LANES
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def _lag(room: FloatArray) -> None:
     """How far the low-pass is behind some time after a knot; see ``load_channel._lag``."""
     for v in range(LANES):
@@ -52,7 +52,7 @@ def _lag(room: FloatArray) -> None:
         )
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def _lags(
     time_s: FloatArray, begin: int, rates: FloatArray, room: FloatArray, lag: FloatArray, keep: FloatArray,
     mean: FloatArray, work: tuple[FloatArray, FloatArray, FloatArray, FloatArray, IntArray],
@@ -84,7 +84,7 @@ def _lags(
             mean[i, v] = room[_LOST + v] * room[_FILTER + v] / h
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def _shown(
     time_s: FloatArray, begin: int, rates: FloatArray, room: FloatArray, lag: FloatArray, where: IntArray,
     shares: FloatArray, y: FloatArray, work: tuple[FloatArray, FloatArray, FloatArray, FloatArray, IntArray],
@@ -135,7 +135,7 @@ def _shown(
             shares[2, i, v] = room[_LOST + v] * room[_FILTER + v] / room[_SPAN + v]
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def _answer(
     columns: FloatArray, q: int, keep: FloatArray, mean: FloatArray, lag: FloatArray, where: IntArray,
     shares: FloatArray, answers: FloatArray,
@@ -157,7 +157,7 @@ def _answer(
             answers[q, i, v] = now + s * step - kept * lag[j, v] - lost * step
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def channels(
     time_s: FloatArray, begin: int, rates: FloatArray, columns: FloatArray, skew_s: FloatArray,
     filter_s: FloatArray, y: FloatArray, answers: FloatArray,

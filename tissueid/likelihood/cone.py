@@ -10,10 +10,10 @@ the result exact and not merely sufficient.
 
 from __future__ import annotations
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.compiled import kernel
 from tissueid.model.polynomial import MAX_DEGREE, minimum_on_unit
 
 __all__ = ["cone_least_squares", "least_squares_values", "support_directions"]
@@ -32,7 +32,7 @@ VANISHED = 1e-12
 TOUCHES = 1e-7
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _solve_passive(a: FloatArray, b: FloatArray, passive: NDArray[np.bool_]) -> FloatArray:
     """Solution of the normal equations restricted to the passive set; zero elsewhere."""
     index = np.flatnonzero(passive)
@@ -66,7 +66,7 @@ def _solve_passive(a: FloatArray, b: FloatArray, passive: NDArray[np.bool_]) -> 
     return out
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _nnls(a: FloatArray, b: FloatArray) -> FloatArray:
     """Minimise x'Ax - 2b'x over x >= 0 for a matrix scaled to unit diagonal."""
     n = b.size
@@ -106,7 +106,7 @@ def _nnls(a: FloatArray, b: FloatArray) -> FloatArray:
     return x
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _add_generators(
     generators: FloatArray,
     count: int,
@@ -130,7 +130,7 @@ def _add_generators(
     return count
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _append(generators: FloatArray, count: int, start: int, r: float) -> int:
     """Append ``(u - r)^2`` to the block that starts there, as far as there is room; new count."""
     if count < generators.shape[0]:
@@ -142,7 +142,7 @@ def _append(generators: FloatArray, count: int, start: int, r: float) -> int:
     return count
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _append_mean(generators: FloatArray, count: int, weights: FloatArray, start: int) -> int:
     """Append the weighted mean of the touching points that a block uses, where they are several; new count.
 
@@ -160,7 +160,7 @@ def _append_mean(generators: FloatArray, count: int, weights: FloatArray, start:
     return _append(generators, count, start, mean / total) if used > 1 else count
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def cone_least_squares(
     h: FloatArray,
     b: FloatArray,
@@ -217,7 +217,7 @@ def cone_least_squares(
     return theta, generators[:used].copy(), weights
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def least_squares_values(
     gram: FloatArray, picks: NDArray[np.int64], blocks: NDArray[np.int64], start: FloatArray
 ) -> FloatArray:

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import math
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.compiled import kernel
 from tissueid.likelihood.bernstein import is_passive
 from tissueid.likelihood.cone import cone_least_squares
 from tissueid.likelihood.instrument_density import (
@@ -42,7 +42,7 @@ SETTLED = 0.5
 NEAR_ENOUGH = 1e-6
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _effects_at(density: Density, points: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Gains and offsets linearised where they are likely for each theta, shapes (logs, LANES).
 
@@ -78,7 +78,7 @@ def _effects_at(density: Density, points: FloatArray, theta: FloatArray) -> tupl
     return gamma, delta
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _terms_at(density: Density, points: FloatArray, theta: FloatArray) -> Terms:
     """What differs from point to point; ``points`` of shape (d, LANES), ``theta`` of shape (p, LANES)."""
     data = density.data
@@ -116,7 +116,7 @@ def _terms_at(density: Density, points: FloatArray, theta: FloatArray) -> Terms:
     )  # fmt: skip
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _normals(
     density: Density, points: FloatArray, rows: IntArray, theta: FloatArray, kind: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -134,7 +134,7 @@ def _normals(
     )
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _nearest(density: Density, centre: FloatArray, curvature: FloatArray) -> FloatArray:
     """The passive theta nearest to a centre: what is left of its normal lies there."""
     if is_passive(centre, density.blocks):
@@ -142,7 +142,7 @@ def _nearest(density: Density, centre: FloatArray, curvature: FloatArray) -> Flo
     return cone_least_squares(curvature, curvature @ centre, density.blocks, density.start, NEAR_ENOUGH)[0]
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def conditionals(
     density: Density, points: FloatArray, rows: IntArray, mean: FloatArray, covariance: FloatArray
 ) -> None:
@@ -188,7 +188,7 @@ def conditionals(
         count = left
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def log_ratios(
     density: Density,
     points: FloatArray,

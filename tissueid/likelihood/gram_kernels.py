@@ -15,13 +15,14 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba as nb
 import numpy as np
 from llvmlite import binding, ir
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic, is_jitted
 from numpy.typing import NDArray
+
+from tissueid.compiled import kernel
 
 __all__ = [
     "BLOCK",
@@ -150,7 +151,7 @@ def _tile(wide: int) -> Any:
 _add_one, _add_two, _add_three = (_tile(wide) for wide in range(1, WIDE + 1))
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def add_products(
     left: FloatArray, right: FloatArray, first: int, plain: int, block: int, out: FloatArray
 ) -> None:
@@ -176,7 +177,7 @@ def add_products(
             c = stop + before
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def tiled_grams(rows: FloatArray, weight: FloatArray, plain: int, out: FloatArray) -> None:
     """:func:`add_grams`, compiled."""
     samples, m = rows.shape
@@ -222,7 +223,7 @@ def add_grams(rows: FloatArray, weight: FloatArray, plain: int, out: FloatArray)
     (tiled_grams if is_jitted(tiled_grams) else plain_grams)(rows, weight, plain, out)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def places(label: NDArray[np.int64], kinds: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Rows that put samples of one label behind one another, in their order.
 

@@ -11,10 +11,10 @@ from __future__ import annotations
 
 import math
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.compiled import kernel
 from tissueid.likelihood.cone import QUADRATIC
 from tissueid.likelihood.normal_tail import log_tail, tail_quantile
 
@@ -27,7 +27,7 @@ IntArray = NDArray[np.int64]
 SHORTEST = 1e-12
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def cut_normal(low: float, high: float, u: float) -> float:
     """Quantile ``u`` of a standard normal between two bounds; accurate in either tail."""
     if low + high < 0.0:
@@ -39,7 +39,7 @@ def cut_normal(low: float, high: float, u: float) -> float:
     return min(max(x, low), high)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _roots(a: float, b: float, c: float) -> tuple[float, float]:
     """Roots of ``a t^2 + 2 b t + c``, NaN where there is none."""
     square = b * b - a * c
@@ -49,7 +49,7 @@ def _roots(a: float, b: float, c: float) -> tuple[float, float]:
     return (q / a if a != 0.0 else math.nan), (c / q if q != 0.0 else math.nan)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def stretch(c: FloatArray, e: FloatArray, blocks: IntArray) -> tuple[float, float]:
     """From where to where ``c + t e`` is passive.
 
@@ -94,7 +94,7 @@ def stretch(c: FloatArray, e: FloatArray, blocks: IntArray) -> tuple[float, floa
     return min(low, 0.0), max(high, 0.0)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def walk(
     z: FloatArray, mean: FloatArray, low: FloatArray, blocks: IntArray, steps: int, rng: np.random.Generator
 ) -> FloatArray:

@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.compiled import kernel
 from tissueid.likelihood.instrument_kernels import (
     EFFECTS,
     INSTRUMENT,
@@ -93,7 +93,7 @@ class Density(NamedTuple):
     loose: bool
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def tissue_precision(density: Density, log_tau: FloatArray) -> FloatArray:
     """Prior precision of theta; a weak branch is known by its largest force.
 
@@ -123,7 +123,7 @@ def tissue_precision(density: Density, log_tau: FloatArray) -> FloatArray:
     return precision
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def tissue_precisions(density: Density, log_tau: FloatArray) -> FloatArray:
     """Prior precision of theta at several relaxation times, shape (n, branches); shape (n, p, p)."""
     p = density.prior_mean.size
@@ -133,7 +133,7 @@ def tissue_precisions(density: Density, log_tau: FloatArray) -> FloatArray:
     return out
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def effect_prior(density: Density, data: Packed, gain_sd: float) -> tuple[FloatArray, FloatArray]:
     """Precision and mean of the effects, counted from where ``data`` has them; shapes (logs, q)."""
     logs = data.gamma.size
@@ -155,7 +155,7 @@ def effect_prior(density: Density, data: Packed, gain_sd: float) -> tuple[FloatA
     return precision, mean
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def correlation_shares(density: Density, arctanh_phi: float) -> FloatArray:
     """Weights of the sums at a few correlations in those at another, shape (k,)."""
     phi = math.tanh(arctanh_phi)
@@ -170,7 +170,7 @@ def correlation_shares(density: Density, arctanh_phi: float) -> FloatArray:
     return out
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _whitened_at(density: Density, arctanh_phi: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Sums on knots at another correlation, from those at a few."""
     pull = np.zeros(density.pulls.shape[1])
@@ -184,7 +184,7 @@ def _whitened_at(density: Density, arctanh_phi: float) -> tuple[FloatArray, Floa
     return pull, band, square
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _data_at(density: Density, point: FloatArray, theta: FloatArray) -> Packed:
     """The logs with their gains and offsets linearised where they are likely for this theta.
 
@@ -218,7 +218,7 @@ def _data_at(density: Density, point: FloatArray, theta: FloatArray) -> Packed:
     )  # fmt: skip
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _value(density: Density, point: FloatArray, theta: FloatArray) -> float:
     """The log likelihood, effects integrated."""
     branches = density.data.branches
@@ -235,7 +235,7 @@ def _value(density: Density, point: FloatArray, theta: FloatArray) -> float:
     return float(without_effects(gram, pull, square, np.ones(square.size), precision, mean, sigma2)[2])
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def log_theta_prior(density: Density, point: FloatArray, theta: FloatArray) -> float:
     """Ln of theta's prior at one point, up to a constant; arguments as in :func:`log_likelihood`."""
     precision = tissue_precision(density, point[: density.data.branches])
@@ -249,7 +249,7 @@ def log_theta_prior(density: Density, point: FloatArray, theta: FloatArray) -> f
     return value
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def log_likelihood(density: Density, point: FloatArray, theta: FloatArray) -> float:
     """Ln of the likelihood and of theta's prior at one point, up to a constant.
 
@@ -263,7 +263,7 @@ def log_likelihood(density: Density, point: FloatArray, theta: FloatArray) -> fl
     return log_theta_prior(density, point, theta) + _value(density, point, theta)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def inverse(matrix: FloatArray) -> FloatArray:
     """Inverse of a positive definite matrix, scaled first."""
     n = matrix.shape[0]

@@ -12,10 +12,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.compiled import kernel
 from tissueid.likelihood.load_channel import channel
 from tissueid.model.kernels import step_weights
 
@@ -86,7 +86,7 @@ class Packed(NamedTuple):
     free: bool
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _law(
     static: tuple[float, float, float, float],
     stiffness: FloatArray,
@@ -119,7 +119,7 @@ def _law(
     return force, slope, slope + follow
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _coefficients(
     data: Packed, log: int, theta: FloatArray
 ) -> tuple[tuple[float, float, float, float], FloatArray]:
@@ -139,7 +139,7 @@ def _coefficients(
     return (static[0], static[1], static[2], static[3]), stiffness
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _balanced(
     static: tuple[float, float, float, float],
     stiffness: FloatArray,
@@ -171,7 +171,7 @@ def _balanced(
     return f, w, slope
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _direct(
     effects: tuple[bool, bool, bool], terms: tuple[int, int], gain: float, u: float, f: float, slope: float,
     state: FloatArray, kind: int, row: FloatArray,
@@ -208,7 +208,7 @@ def _direct(
     return at
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _by_time(h: float, tau: float, a: float, phi: float, old: float, moved: float) -> float:
     """Derivative of a branch state by ln tau over one step, the state before held."""
     if h <= 0.0:
@@ -219,7 +219,7 @@ def _by_time(h: float, tau: float, a: float, phi: float, old: float, moved: floa
     return a * ratio * old + dphi * moved
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _rates(
     before: float, after: float, slope: float, compliance: float,
     k_now: FloatArray, state: FloatArray, tau: FloatArray,
@@ -233,7 +233,7 @@ def _rates(
     return (slope * before - loss) * give, (slope * after - loss) * give
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _weights(time_s: FloatArray, tau: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Weights of every branch over the steps that end at the knots, each of shape (n, branches).
 
@@ -251,7 +251,7 @@ def _weights(time_s: FloatArray, tau: FloatArray) -> tuple[FloatArray, FloatArra
     return a, phi, psi
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def tissue_path(
     data: Packed,
     log: int,
@@ -334,7 +334,7 @@ def tissue_path(
             by_depth[q] = moved
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def effect_count(data: Packed) -> int:
     """Effects of a log."""
     count = 0
@@ -347,7 +347,7 @@ def effect_count(data: Packed) -> int:
     return count
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def instrument_force(
     data: Packed, theta: FloatArray, log_tau: FloatArray, instrument: FloatArray
 ) -> FloatArray:

@@ -8,10 +8,10 @@ are compiled do they become vector instructions.
 
 from __future__ import annotations
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.compiled import kernel
 from tissueid.likelihood.instrument_kernels import (
     NEWTON_DONE,
     NEWTON_STEPS,
@@ -67,7 +67,7 @@ _BY_TIME = 10 * LANES
 _ARM = 11 * LANES
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def _begin(
     data: Packed, log: int, theta: FloatArray, tau: FloatArray, compliance: FloatArray, gamma: FloatArray,
     delta: FloatArray, room: FloatArray, arms: FloatArray, stiffness: FloatArray,
@@ -97,7 +97,7 @@ def _begin(
                 stiffness[(j * size + k) * LANES + v] = room[_GAIN + v] * value * power
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def _weigh(
     h: float, at: int, arms: FloatArray, ratio: FloatArray, kept: FloatArray, lost: FloatArray,
     power: FloatArray, bits: IntArray,
@@ -122,7 +122,7 @@ def _weigh(
         arms[at + _BY_TIME + v] = by_time
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def _law(branches: int, size: int, room: FloatArray, arms: FloatArray, stiffness: FloatArray) -> None:
     """Force, its slope by depth with the states as they are, and what the states add to it."""
     for v in range(LANES):
@@ -157,7 +157,7 @@ def _law(branches: int, size: int, room: FloatArray, arms: FloatArray, stiffness
             room[_FOLLOW + v] += value * arms[arm + _BENT + v]
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def _balance(
     x: float, branches: int, size: int, room: FloatArray, arms: FloatArray, stiffness: FloatArray
 ) -> None:
@@ -196,7 +196,7 @@ def _balance(
             break
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def _leave(
     before: float, after: float, i: int, branches: int, room: FloatArray, arms: FloatArray, rates: FloatArray
 ) -> None:
@@ -226,7 +226,7 @@ def _leave(
         room[_GIVE + v] = 1.0 / (1.0 + room[_COMPLIANCE + v] * room[_TANGENT + v])
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def _direct(data: Packed, kind: int, room: FloatArray, arms: FloatArray, row: FloatArray) -> int:
     """What each parameter does to the force at a given depth and history; how many come before ln tau."""
     at = 0
@@ -264,7 +264,7 @@ def _direct(data: Packed, kind: int, room: FloatArray, arms: FloatArray, row: Fl
     return at
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def _derive(
     i: int, times: int, total: int, branches: int, kind: int, room: FloatArray, arms: FloatArray,
     row: FloatArray, by_depth: FloatArray, by_state: FloatArray, columns: FloatArray,
@@ -298,7 +298,7 @@ def _derive(
                 by_state[at + v] += arms[arm + _MOVED + v] * by_depth[own + v]
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def tissue_paths(
     data: Packed, log: int, theta: FloatArray, tau: FloatArray, compliance: FloatArray, gamma: FloatArray,
     delta: FloatArray, kind: int, rates: FloatArray, columns: FloatArray,

@@ -5,10 +5,10 @@ Rows of the result belong to samples, with nodes running fastest: all nodes take
 
 from __future__ import annotations
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.compiled import kernel
 from tissueid.model.kernels import FLUSH_MM
 
 __all__ = ["fill_powers", "fill_products", "fill_states"]
@@ -19,7 +19,7 @@ FloatArray = NDArray[np.float64]
 HALF, SIXTH, FOURTH, FIFTH = 1.0 / 2.0, 1.0 / 6.0, 1.0 / 24.0, 1.0 / 120.0
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def fill_states(
     depth_mm: FloatArray,
     step_s: FloatArray,
@@ -88,7 +88,7 @@ def fill_states(
             state[k] = 0.0
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def fill_products(rows: FloatArray, factor: int, column: int, nodes: int, degree: int) -> None:
     """Write node states times the powers of a factor behind the states, power by power.
 
@@ -107,7 +107,7 @@ def fill_products(rows: FloatArray, factor: int, column: int, nodes: int, degree
                 now[k] = before[k] * x
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def fill_powers(
     value: FloatArray,
     depth_mm: FloatArray,

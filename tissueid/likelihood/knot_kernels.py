@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
+
+from tissueid.compiled import kernel
 
 __all__ = ["accumulate", "corner_flags"]
 
@@ -14,7 +15,7 @@ FloatArray = NDArray[np.float64]
 FORGOTTEN = 1e-9
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def corner_flags(time_s: FloatArray, depth_mm: FloatArray, tolerance_mm: float) -> NDArray[np.bool_]:
     """Samples between which the depth is linear to a tolerance (Ramer 1972, Douglas & Peucker 1973).
 
@@ -62,7 +63,7 @@ def corner_flags(time_s: FloatArray, depth_mm: FloatArray, tolerance_mm: float) 
     return keep
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def accumulate(
     time_s: FloatArray,
     residual_N: FloatArray,

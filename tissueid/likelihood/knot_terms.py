@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.compiled import kernel
 from tissueid.likelihood.instrument_kernels import (
     ALL,
     INSTRUMENT,
@@ -25,7 +25,7 @@ FloatArray = NDArray[np.float64]
 STEPS = (1e-5, 1e-5, 1e-7)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _times_band(band: FloatArray, begin: int, v: FloatArray, out: FloatArray) -> None:
     """Product of a symmetric band matrix, that of the log beginning there, with a vector."""
     n, width = v.size, band.shape[1]
@@ -37,7 +37,7 @@ def _times_band(band: FloatArray, begin: int, v: FloatArray, out: FloatArray) ->
             out[k + d] += band[begin + k, d] * v[k]
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _products(
     data: Packed, begin: int, y: FloatArray, shown: FloatArray, gram: FloatArray, pull: FloatArray
 ) -> float:
@@ -70,7 +70,7 @@ def _products(
     return more
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def log_terms(
     data: Packed, theta: FloatArray, log_tau: FloatArray, instrument: FloatArray, kind: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -129,7 +129,7 @@ def log_terms(
     return gram, pull, square
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def without_effects(
     gram: FloatArray,
     pull: FloatArray,

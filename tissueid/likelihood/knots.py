@@ -15,7 +15,7 @@ tridiagonal under AR(1) noise.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -75,6 +75,10 @@ class KnotSums:
     band: FloatArray
     square: float
     count: int
+
+    def tempered(self, samples: float) -> KnotSums:
+        """The same with what another model adds to the sum of squares divided by a number of samples."""
+        return replace(self, pull=self.pull / samples, band=self.band / samples)
 
 
 def _corners(time_s: FloatArray, depth_mm: FloatArray) -> IntArray:

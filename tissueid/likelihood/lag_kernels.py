@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from itertools import pairwise
 
-import numba as nb
 import numpy as np
 from numba.extending import is_jitted
 from numpy.typing import NDArray
 
+from tissueid.compiled import kernel
 from tissueid.likelihood.gram_kernels import BLOCK, add_products
 
 __all__ = [
@@ -28,7 +28,7 @@ FloatArray = NDArray[np.float64]
 SETTLED = 1e-15
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def tiled_link_grams(
     rows: FloatArray,
     place: NDArray[np.int64],
@@ -104,7 +104,7 @@ def add_link_grams(
     )
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def split_links(
     middle: FloatArray,
     change: FloatArray,
@@ -150,7 +150,7 @@ def split_links(
                 difference[g, k, c] = difference[g, c, k] = change[g, a, b]
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def filter_rows(
     group: NDArray[np.int64],
     rho: FloatArray,
@@ -203,7 +203,7 @@ def filter_rows(
     return left
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def filter_chain(
     residual: FloatArray, starts: NDArray[np.bool_], ratio: FloatArray, phi: float, white: float
 ) -> tuple[float, float]:
@@ -277,7 +277,7 @@ def filter_chain(
     return square + pending / variance, log_det + held * math.log(variance)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def lag_weights(phi: float, ratio: FloatArray) -> FloatArray:
     """Weights of (start, then later, earlier, difference of each step) in the whitened Gram matrix."""
     out = np.empty(1 + 3 * ratio.size)

@@ -108,6 +108,24 @@ class LagSums:
             gram += r / (1.0 - r * r) * self.difference[k]
         return gram, float(self.links @ np.log1p(-rho * rho))
 
+    def tempered(self, samples: float) -> LagSums:
+        """The same with all but the sum of squares of the residual divided by a number of samples.
+
+        The last column is the residual at a point where it is least: its scale stays known, and what
+        another point adds to its square counts as much less.
+        """
+        if samples == 1.0:
+            return self
+        share = np.full(self.start.shape, 1.0 / samples)
+        share[-1, -1] = 1.0
+        return replace(
+            self,
+            start=self.start * share,
+            later=self.later * share,
+            earlier=self.earlier * share,
+            difference=self.difference * share,
+        )
+
     def merged(self, other: LagSums) -> LagSums:
         """Sums of both logs as of one record of separate chains.
 

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import math
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
+
+from tissueid.compiled import kernel
 
 __all__ = ["LANES", "decays", "gathered"]
 
@@ -31,7 +32,7 @@ LN2_LOW = 1.90821492927058770002e-10
 LOG2_E = 1.0 / math.log(2.0)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def decays(ratio: FloatArray, kept: FloatArray, lost: FloatArray, power: FloatArray, bits: IntArray) -> None:
     """Write ``exp(-ratio)`` and ``-expm1(-ratio)`` to rounding.
 
@@ -73,7 +74,7 @@ def decays(ratio: FloatArray, kept: FloatArray, lost: FloatArray, power: FloatAr
         lost[v] = (1.0 - power[v]) - power[v] * p
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def gathered(points: FloatArray, rows: IntArray, first: int, size: int) -> FloatArray:
     """Some columns of some points, side by side; the last point fills lanes that are left over.
 

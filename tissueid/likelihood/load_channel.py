@@ -8,16 +8,17 @@ from __future__ import annotations
 
 import math
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
+
+from tissueid.compiled import kernel
 
 __all__ = ["channel"]
 
 FloatArray = NDArray[np.float64]
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _lag(
     lag: float, rise: float, start: float, end: float, span: float, elapsed: float, filter_s: float
 ) -> float:
@@ -36,7 +37,7 @@ def _lag(
     return (1.0 - lost) * lag + start * of_one + linear * of_time + square * of_square
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _lags(
     time_s: FloatArray, rates: FloatArray, columns: FloatArray, filter_s: float
 ) -> tuple[FloatArray, FloatArray]:
@@ -57,7 +58,7 @@ def _lags(
     return lag, lags
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def channel(
     time_s: FloatArray,
     rates: FloatArray,

@@ -13,10 +13,10 @@ a few such matrices (:mod:`tissueid.likelihood.lag_sums`).
 
 from __future__ import annotations
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.compiled import kernel
 from tissueid.likelihood.cone import cone_least_squares
 from tissueid.likelihood.lag_kernels import lag_weights
 from tissueid.likelihood.linearised import Linearised
@@ -39,7 +39,7 @@ IntArray = NDArray[np.int64]
 NEAR_ENOUGH = 1e-7
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _effects_of(
     cross: FloatArray, own: FloatArray, coefficient: FloatArray, weights: FloatArray, filled: IntArray,
     sigma2: float, precision: FloatArray, mixed: FloatArray, x: FloatArray, low: FloatArray,
@@ -63,7 +63,7 @@ def _effects_of(
             low[r, t] = np.sqrt(value) if t == r else value / low[t, t]
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _without_effects(
     data: Linearised,
     coefficient: FloatArray,
@@ -124,7 +124,7 @@ def _without_effects(
     return back, spread, log_det
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _conditional(
     data: Linearised, point: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, float]:
@@ -159,7 +159,7 @@ def _conditional(
     return mean, covariance, reference, back, spread, value
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def log_marginals(data: Linearised, points: FloatArray) -> FloatArray:
     """Ln of the marginal likelihood at points of shape (n, d), the passive mass counted."""
     out = np.empty(points.shape[0])
@@ -172,7 +172,7 @@ def log_marginals(data: Linearised, points: FloatArray) -> FloatArray:
     return out
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def short_of_passive(data: Linearised, mean: FloatArray, covariance: FloatArray, start: FloatArray) -> float:
     """Half the squared distance from theta's mean to the passive cone, in its own standard deviations."""
     root = inverse_factor(factor(covariance))
@@ -183,7 +183,7 @@ def short_of_passive(data: Linearised, mean: FloatArray, covariance: FloatArray,
     return 0.5 * float(away @ (precision @ away))
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def log_peaks(data: Linearised, points: FloatArray, start: FloatArray) -> FloatArray:
     """As :func:`log_marginals`, the density at the best passive theta in the place of the passive mass.
 
@@ -202,7 +202,7 @@ def log_peaks(data: Linearised, points: FloatArray, start: FloatArray) -> FloatA
     return out
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def log_shares(data: Linearised, points: FloatArray, start: FloatArray) -> FloatArray:
     """What :func:`log_marginals` has more than :func:`log_peaks`; NaN where there is no density."""
     out = np.empty(points.shape[0])
@@ -215,7 +215,7 @@ def log_shares(data: Linearised, points: FloatArray, start: FloatArray) -> Float
     return out
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def conditionals(data: Linearised, points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Mean (n, p) and covariance (n, p, p) of theta at points, before it is cut to the passive cone."""
     p = data.best.size
@@ -228,7 +228,7 @@ def conditionals(data: Linearised, points: FloatArray) -> tuple[FloatArray, Floa
     return means, covariances
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def draw_effects(data: Linearised, points: FloatArray, theta: FloatArray, normal: FloatArray) -> FloatArray:
     """The effects of every log given theta.
 

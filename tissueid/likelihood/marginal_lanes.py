@@ -6,10 +6,10 @@ The effects of the logs, most of its work, are integrated for :data:`LANES` poin
 
 from __future__ import annotations
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.compiled import kernel
 from tissueid.likelihood.lag_kernels import lag_weights
 from tissueid.likelihood.lanes import LANES
 from tissueid.likelihood.linearised import Linearised
@@ -26,7 +26,7 @@ IntArray = NDArray[np.int64]
 FEW = 32
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def _weighed(coefficient: FloatArray, tables: FloatArray, log: int, r: int, k: int, out: FloatArray) -> None:
     """Write the weighted sum of one entry of the tables of a log."""
     for v in range(LANES):
@@ -38,7 +38,7 @@ def _weighed(coefficient: FloatArray, tables: FloatArray, log: int, r: int, k: i
                 out[v] += coefficient[c, v] * entry
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def _by_columns(
     data: Linearised, log: int, coefficient: FloatArray, weights: FloatArray, filled: IntArray,
     starts: IntArray, x: FloatArray, entry: FloatArray,
@@ -61,7 +61,7 @@ def _by_columns(
                     x[r, u, v] += weights[k, u, v] * entry[v]
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def _integrate(
     data: Linearised, coefficient: FloatArray, weights: FloatArray, pattern: tuple[IntArray, IntArray],
     inverse_sigma2: FloatArray, gain: FloatArray, tilt: FloatArray, full: FloatArray, log_det: FloatArray,
@@ -107,7 +107,7 @@ def _integrate(
                         full[u, w, v] -= x[r, u, v] * x[r, w, v]
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _pattern(data: Linearised) -> tuple[IntArray, IntArray]:
     """Columns of theta that each row of the weights touches, and where those of a row begin."""
     m, p, r = data.shared.shape[1], data.best.size, data.mixing.shape[1]
@@ -131,7 +131,7 @@ def _pattern(data: Linearised) -> tuple[IntArray, IntArray]:
     return filled[:count], starts
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _together(
     data: Linearised, points: FloatArray, first: int, count: int, mean: FloatArray, covariance: FloatArray,
     value: FloatArray,
@@ -168,7 +168,7 @@ def _together(
         mean[v], covariance[v], value[v] = finished(data, normal, log_det[v], reference[v], prior[v], said)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def log_marginals_together(data: Linearised, points: FloatArray) -> FloatArray:
     """As :func:`tissueid.likelihood.marginal.log_marginals`."""
     p = data.best.size
@@ -185,7 +185,7 @@ def log_marginals_together(data: Linearised, points: FloatArray) -> FloatArray:
     return out
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def log_peaks_together(data: Linearised, points: FloatArray, start: FloatArray) -> FloatArray:
     """As :func:`tissueid.likelihood.marginal.log_peaks`."""
     p = data.best.size

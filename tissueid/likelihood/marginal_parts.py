@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.compiled import kernel
 from tissueid.likelihood.lag_kernels import lag_weights
 from tissueid.likelihood.linearised import Linearised
 from tissueid.likelihood.triangular import factor, inverse_factor, sparse_times, weighted_sum
@@ -17,7 +17,7 @@ FloatArray = NDArray[np.float64]
 LOG_TWO_PI = float(np.log(2.0 * np.pi))
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _interpolation(at: float, nodes: FloatArray, barycentric: FloatArray) -> FloatArray:
     """Weights of the nodes in the interpolating polynomial at one point (barycentric formula)."""
     out = np.zeros(nodes.size)
@@ -33,7 +33,7 @@ def _interpolation(at: float, nodes: FloatArray, barycentric: FloatArray) -> Flo
     return out / total
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _columns(data: Linearised, log_tau: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Weights of the sums' columns in (theta's columns, what is to be explained), and the reference theta.
 
@@ -62,7 +62,7 @@ def _columns(data: Linearised, log_tau: FloatArray) -> tuple[FloatArray, FloatAr
     return weights, reference
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _determined(gram: FloatArray, prior: FloatArray) -> float:
     """How many coefficients of theta the data determine at given gains: the trace of the shrinkage.
 
@@ -76,7 +76,7 @@ def _determined(gram: FloatArray, prior: FloatArray) -> float:
     return float(np.sum((inverse.T @ inverse) * gram))
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def prior_precision(data: Linearised, log_tau: FloatArray) -> FloatArray:
     """Prior precision of theta at these relaxation times: a weak branch is known by its largest force.
 
@@ -105,7 +105,7 @@ def prior_precision(data: Linearised, log_tau: FloatArray) -> FloatArray:
     return precision
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def begun(
     data: Linearised, point: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, tuple[float, float], float]:
@@ -145,7 +145,7 @@ def begun(
     return weights, reference, full, prior, (sigma2, phi), tilt
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def finished(
     data: Linearised,
     full: FloatArray,

@@ -23,7 +23,16 @@ from tissueid.likelihood.chains import linked_samples
 from tissueid.likelihood.lag_kernels import filter_chain
 from tissueid.likelihood.sums import LogData
 
-__all__ = ["NoiseChain", "NoiseEstimate", "estimate_noise", "moving_average", "noise_chain", "white_part"]
+__all__ = [
+    "NoiseChain",
+    "NoiseEstimate",
+    "correlation_times",
+    "estimate_noise",
+    "moving_average",
+    "noise_chain",
+    "phi_of",
+    "white_part",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -222,7 +231,7 @@ def _fitted(chains: Sequence[NoiseChain], model: str, phi: float, white: float) 
     return NoiseEstimate(model, math.sqrt(variance), phi, theta, white, log_likelihood)
 
 
-def _phi(log_time: float) -> float:
+def phi_of(log_time: float) -> float:
     """Correlation over a reference step from ln(correlation time / reference step)."""
     return math.exp(-math.exp(-min(max(log_time, math.log(SHORTEST)), math.log(LONGEST))))
 
@@ -251,7 +260,7 @@ def _refined(
 
         def minus(at: FloatArray, some: Sequence[NoiseChain] = some) -> float:
             share = _share(float(at[1])) if white is None else white
-            return -_log_likelihood(some, _phi(float(at[0])), share)[0]
+            return -_log_likelihood(some, phi_of(float(at[0])), share)[0]
 
         simplex = at + np.vstack([np.zeros(at.size), reach * np.eye(at.size)])
         options: Any = {"initial_simplex": simplex, "xatol": FINE, "fatol": FINE_LOG_L, "maxfev": most}
@@ -259,20 +268,21 @@ def _refined(
     return [float(value) for value in at]
 
 
-def _times() -> list[float]:
+def correlation_times() -> list[float]:
+    """Points of the search in ln(correlation time / reference step)."""
     return [float(at) for at in np.linspace(math.log(SHORTEST), math.log(LONGEST), GRID)]
 
 
 def _best_ar1(chains: Sequence[NoiseChain], part: Sequence[NoiseChain]) -> NoiseEstimate:
-    start = max(_times(), key=lambda at: _log_likelihood(part, _phi(at), 0.0)[0])
-    return _fitted(chains, "ar1", _phi(_refined(chains, part, [start], 0.0)[0]), 0.0)
+    start = max(correlation_times(), key=lambda at: _log_likelihood(part, phi_of(at), 0.0)[0])
+    return _fitted(chains, "ar1", phi_of(_refined(chains, part, [start], 0.0)[0]), 0.0)
 
 
 def _best_mixture(chains: Sequence[NoiseChain], part: Sequence[NoiseChain]) -> NoiseEstimate:
-    points = [(at, share) for at in _times() for share in SHARES]
-    time, share = max(points, key=lambda at: _log_likelihood(part, _phi(at[0]), at[1])[0])
+    points = [(at, share) for at in correlation_times() for share in SHARES]
+    time, share = max(points, key=lambda at: _log_likelihood(part, phi_of(at[0]), at[1])[0])
     time, logit = _refined(chains, part, [time, math.log(share / (1.0 - share))], None)
-    return _fitted(chains, "white+ar1", _phi(time), _share(logit))
+    return _fitted(chains, "white+ar1", phi_of(time), _share(logit))
 
 
 def _uniform(chains: Sequence[NoiseChain]) -> bool:
@@ -289,6 +299,6 @@ def _freed(found: NoiseEstimate, samples: int, parameters: int) -> NoiseEstimate
     if found.model != "ar1":
         return replace(found, sigma_N=math.sqrt(innovation))
     phi = (found.phi + parameters / samples) / (1.0 - (2.0 + parameters) / samples)
-    phi = min(phi, _phi(math.log(LONGEST)))
+    phi = min(phi, phi_of(math.log(LONGEST)))
     innovation *= (1.0 - found.phi**2) / (1.0 - phi**2)
     return replace(found, sigma_N=math.sqrt(innovation), phi=phi)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-import numba as nb
+from tissueid.compiled import kernel
 
 __all__ = ["excess", "hazard", "log_tail", "tail_quantile"]
 
@@ -17,14 +17,14 @@ ROOT_HALF = math.sqrt(0.5)
 LOWEST = -38.5
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _mills_series(x: float) -> float:
     """Ratio of tail and density of a standard normal times x, for x from ASYMPTOTIC on."""
     r = 1.0 / (x * x)
     return 1.0 - r * (1.0 - 3.0 * r * (1.0 - 5.0 * r * (1.0 - 7.0 * r * (1.0 - 9.0 * r))))
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def log_tail(x: float) -> float:
     """``ln P(Z > x)`` of a standard normal, to 1e-13 relative anywhere."""
     if x < 0.0:
@@ -34,7 +34,7 @@ def log_tail(x: float) -> float:
     return -0.5 * x * x - HALF_LOG_2PI + math.log(_mills_series(x) / x)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def hazard(x: float, tail: float) -> float:
     """Density over tail of a standard normal, ``tail`` being ``log_tail(x)``."""
     if x < ASYMPTOTIC:
@@ -42,7 +42,7 @@ def hazard(x: float, tail: float) -> float:
     return x / _mills_series(x)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def excess(x: float, tail: float) -> float:
     """Mean of a standard normal above x, less x."""
     if x < ASYMPTOTIC:
@@ -51,7 +51,7 @@ def excess(x: float, tail: float) -> float:
     return r * (1.0 - 3.0 * r * (1.0 - 5.0 * r * (1.0 - 7.0 * r * (1.0 - 9.0 * r)))) * x / _mills_series(x)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def tail_quantile(log_p: float) -> float:
     """The x with ``ln P(Z > x) = log_p``, for any log_p < 0.
 

@@ -11,10 +11,10 @@ size is that of the model; nothing depends on the number of samples.
 
 from __future__ import annotations
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.compiled import kernel
 from tissueid.likelihood.cone import cone_least_squares
 
 __all__ = ["assemble", "coefficients", "marginal_terms", "objective", "solve"]
@@ -38,7 +38,7 @@ HALVINGS = 30
 ROUNDING = 2.0**-48
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _fill_powers(
     factor: float, away: float, k: int, row: int, column: int, matrix: FloatArray, shifted: FloatArray
 ) -> None:
@@ -57,7 +57,7 @@ def _fill_powers(
         power *= away
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _fill_coefficients(
     gamma: float, delta: float, scale: float, degree: int, branches: int, matrix: FloatArray,
     shifted: FloatArray,
@@ -76,7 +76,7 @@ def _fill_coefficients(
             factor /= scale
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def coefficients(
     gamma: float, delta: float, scale: float, degree: int, branches: int
 ) -> tuple[FloatArray, FloatArray]:
@@ -104,7 +104,7 @@ def coefficients(
     return matrix, shifted
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def objective(
     q: FloatArray,
     theta: FloatArray,
@@ -147,7 +147,7 @@ def objective(
     return total
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _times(matrix: FloatArray, x: FloatArray, out: FloatArray) -> None:
     """Write a product with a vector; these are too small for BLAS, whose calls cost more than their work."""
     for i in range(matrix.shape[0]):
@@ -157,7 +157,7 @@ def _times(matrix: FloatArray, x: FloatArray, out: FloatArray) -> None:
         out[i] = total
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _gram_times(q: FloatArray, i: int, rows: FloatArray, out: FloatArray) -> None:
     """Write ``rows @ q[i]`` where most entries of the rows are zero; the matrix is symmetric."""
     full = rows.shape[1]
@@ -171,7 +171,7 @@ def _gram_times(q: FloatArray, i: int, rows: FloatArray, out: FloatArray) -> Non
                     out[r, c] += w * q[i, k, c]
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _dot(x: FloatArray, y: FloatArray) -> float:
     total = 0.0
     for k in range(x.size):
@@ -179,7 +179,7 @@ def _dot(x: FloatArray, y: FloatArray) -> float:
     return total
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _derivatives(
     theta: FloatArray, gamma: float, delta: float, scale: float, degree: int, branches: int,
     work: tuple[FloatArray, FloatArray, FloatArray], a: FloatArray, n: FloatArray,
@@ -201,7 +201,7 @@ def _derivatives(
             a[p + j, m + at] = beta[STATIC_COLUMNS + at]
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def assemble(
     q: FloatArray,
     theta: FloatArray,
@@ -271,7 +271,7 @@ def assemble(
     return h, b, c, back, log_det
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _nuisances(back: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Logarithmic gain and contact offset of every log that belong to theta, at the same relaxation times."""
     logs, p = back.shape[0], theta.size
@@ -283,7 +283,7 @@ def _nuisances(back: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatAr
     return gamma, delta
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def solve(
     q: FloatArray,
     theta: FloatArray,

@@ -13,10 +13,10 @@ from __future__ import annotations
 
 import math
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.compiled import kernel
 from tissueid.likelihood.bernstein import (
     PARABOLA,
     ZERO,
@@ -55,7 +55,7 @@ SHIFTED_TRIES = 400
 STEPS = 25
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _factor(s: FloatArray, index: IntArray, count: int) -> FloatArray:
     """Lower Cholesky factor of the first coordinates in their order."""
     low = np.zeros((count, count))
@@ -71,7 +71,7 @@ def _factor(s: FloatArray, index: IntArray, count: int) -> FloatArray:
     return low
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _cut(k: int, kind: int, m: FloatArray, low: FloatArray, z: FloatArray, y: FloatArray) -> float:
     """Where the k-th standard coordinate is cut, given those before; its mean so far goes to ``y[k]``."""
     y[k] = m[k]
@@ -83,7 +83,7 @@ def _cut(k: int, kind: int, m: FloatArray, low: FloatArray, z: FloatArray, y: Fl
     return float((bound - y[k]) / low[k, k])
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _sweep(
     m: FloatArray, low: FloatArray, kind: IntArray, depth: FloatArray
 ) -> tuple[FloatArray, FloatArray, float]:
@@ -123,7 +123,7 @@ def _sweep(
     return shift, gap, level
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _solve(a: FloatArray, b: FloatArray) -> FloatArray:
     """Solution of a small linear system by elimination with pivots; both arguments are used up."""
     n = b.size
@@ -148,7 +148,7 @@ def _solve(a: FloatArray, b: FloatArray) -> FloatArray:
     return b
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _saddle(m: FloatArray, low: FloatArray, kind: IntArray) -> tuple[FloatArray, float, bool]:
     """Shifts at the saddle point, ln of the largest weight, and whether Newton's method got there."""
     n = m.size
@@ -189,7 +189,7 @@ def _saddle(m: FloatArray, low: FloatArray, kind: IntArray) -> tuple[FloatArray,
     return shift, level, False
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _point(i: int, k: int, dimensions: int) -> float:
     """Coordinate k of the i-th quasi-random point, inside (0, 1)."""
     if dimensions == 1:
@@ -199,7 +199,7 @@ def _point(i: int, k: int, dimensions: int) -> float:
     return max(abs(2.0 * (part - math.floor(part)) - 1.0), 1e-15)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _log_mass(m: FloatArray, low: FloatArray, kind: IntArray) -> float:
     """Logarithm of the mass that the bounds leave, by a quasi-random sum."""
     n = m.size
@@ -229,7 +229,7 @@ def _log_mass(m: FloatArray, low: FloatArray, kind: IntArray) -> float:
     return min(float(largest + math.log(total / POINTS)), 0.0)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def log_passive_mass(mean: FloatArray, cov: FloatArray, blocks: IntArray) -> float:
     """Logarithm of the probability that a normal theta is passive.
 
@@ -259,7 +259,7 @@ def log_passive_mass(mean: FloatArray, cov: FloatArray, blocks: IntArray) -> flo
     return mass
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _propose(
     m: FloatArray,
     low: FloatArray,
@@ -283,7 +283,7 @@ def _propose(
     return weight
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _draw(
     mean: FloatArray, cov: FloatArray, blocks: IntArray, theta: FloatArray, rng: np.random.Generator
 ) -> int:
@@ -329,7 +329,7 @@ def _draw(
     return PLAIN_TRIES + SHIFTED_TRIES
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _draw_each(
     mean: FloatArray, cov: FloatArray, blocks: IntArray, theta: FloatArray, rng: np.random.Generator
 ) -> int:

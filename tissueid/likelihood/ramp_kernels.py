@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import math
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.compiled import kernel
 from tissueid.likelihood.lanes import decays
 
 __all__ = ["ramp_squares"]
@@ -32,7 +32,7 @@ SUMMED = {"contract", "reassoc", "nsz"}
 POWERS = 3
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMMED)
+@kernel(fastmath=SUMMED)
 def _dot(x: FloatArray, i: int, y: FloatArray, j: int) -> float:
     """Product of two rows."""
     total = 0.0
@@ -41,14 +41,14 @@ def _dot(x: FloatArray, i: int, y: FloatArray, j: int) -> float:
     return total
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMMED)
+@kernel(fastmath=SUMMED)
 def _less(x: FloatArray, i: int, share: float, y: FloatArray, j: int) -> None:
     """Take a share of one row from another."""
     for b in range(x.shape[1]):
         x[i, b] -= share * y[j, b]
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _orthonormal(basis: FloatArray, lower: FloatArray) -> None:
     """Make rows orthonormal with unit rows beside them, in place; ``lower`` becomes that part.
 
@@ -71,7 +71,7 @@ def _orthonormal(basis: FloatArray, lower: FloatArray) -> None:
             lower[q, k] *= size
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMMED)
+@kernel(fastmath=SUMMED)
 def _outside(
     rows: FloatArray, i: int, basis: FloatArray, lower: FloatArray, beside: FloatArray, along: FloatArray
 ) -> float:
@@ -94,7 +94,7 @@ def _outside(
     return total + _dot(rows, i, rows, i)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def _static(
     depth: FloatArray, variance: FloatArray, weight: FloatArray, contact: float, window: float,
     scale: float, prior: FloatArray, basis: FloatArray, moves: FloatArray,
@@ -119,7 +119,7 @@ def _static(
             basis[4, b] = prior[4] * weight[b]
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _ahead(depth: FloatArray, from_mm: float, phase_share: float) -> float:
     """How far the first bin in contact is moved towards half a bin behind contact [mm]."""
     for b in range(depth.size):
@@ -129,7 +129,7 @@ def _ahead(depth: FloatArray, from_mm: float, phase_share: float) -> float:
     return 0.0
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def _branch(
     depth: FloatArray, variance: FloatArray, weight: FloatArray, place: tuple[float, float, float, bool],
     window: float, scale: float, rows: FloatArray, work: tuple[FloatArray, FloatArray, FloatArray, IntArray],
@@ -156,7 +156,7 @@ def _branch(
         rows[2, b] = (1.0 - left - w * left) * touching * share * weight[b]
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMMED)
+@kernel(fastmath=SUMMED)
 def _shared(rows: FloatArray, i: int, j: int, beside: FloatArray) -> float:
     """Product of what is left of two rows."""
     total = _dot(rows, i, rows, j)
@@ -165,7 +165,7 @@ def _shared(rows: FloatArray, i: int, j: int, beside: FloatArray) -> float:
     return total
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _information(
     rows: FloatArray, i: int, basis: FloatArray, lower: FloatArray, beside: FloatArray, along: FloatArray,
     own: float,
@@ -178,7 +178,7 @@ def _information(
     return max(left - shared * shared / own, LEAST)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def ramp_squares(
     bins: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
     prior: FloatArray,

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.compiled import kernel
 from tissueid.likelihood.cone import cone_least_squares
 from tissueid.likelihood.instrument_density import Density, effect_prior, inverse, tissue_precision
 from tissueid.likelihood.instrument_kernels import RELAXATION
@@ -25,7 +25,7 @@ REACH = 0.5
 IDLE = 1e-6
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _stepped(
     density: Density,
     curvature: FloatArray,
@@ -56,7 +56,7 @@ def _stepped(
     log_tau += change
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _repeated(values: FloatArray) -> FloatArray:
     """The same for each of the points that go side by side, shape (..., LANES)."""
     out = np.empty((values.size, LANES))
@@ -66,7 +66,7 @@ def _repeated(values: FloatArray) -> FloatArray:
     return out.reshape((*values.shape, LANES))
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def refits(
     density: Density,
     weights: FloatArray,

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
+
+from tissueid.compiled import kernel
 
 __all__ = ["MAX_LAG_GROUPS", "lag_groups"]
 
@@ -60,7 +61,7 @@ def lag_groups(step_s: FloatArray, linked: NDArray[np.bool_]) -> tuple[NDArray[n
     return group, mean
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def merged_bins(
     links: FloatArray, mean: FloatArray, same: float, most: int
 ) -> tuple[NDArray[np.int64], FloatArray]:

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.compiled import kernel
 from tissueid.likelihood.channel_lanes import channels
 from tissueid.likelihood.instrument_kernels import RELAXATION, TISSUE, Packed, effect_count
 from tissueid.likelihood.instrument_lanes import tissue_paths
@@ -53,7 +53,7 @@ class Terms(NamedTuple):
     sigma2: FloatArray
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def _sums_at(
     data: Packed, terms: Terms, log: int, pull: FloatArray, band: FloatArray, square: FloatArray
 ) -> None:
@@ -78,7 +78,7 @@ def _sums_at(
                     band[i, d, v] += terms.share[k, v] * terms.bands[k, begin + i, d]
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def _times_band(band: FloatArray, x: FloatArray, q: int, out: FloatArray) -> None:
     """Product of symmetric band matrices with the vectors ``x[q]``."""
     n, width = band.shape[0], band.shape[1]
@@ -93,7 +93,7 @@ def _times_band(band: FloatArray, x: FloatArray, q: int, out: FloatArray) -> Non
                 out[k + d, v] += band[k, d, v] * x[q, k, v]
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def _products(
     data: Packed, begin: int, change: FloatArray, shown: FloatArray, sums: tuple[FloatArray, FloatArray],
     white: FloatArray, gram: FloatArray, slope: FloatArray, square: FloatArray,
@@ -130,7 +130,7 @@ def _products(
                 slope[q, v] += shown[q, k, v] * change[0, k, v]
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def _integrate(
     terms: Terms, log: int, gram: FloatArray, pull: FloatArray, square: FloatArray, low: FloatArray,
     x: FloatArray, scale: FloatArray, curvature: FloatArray, slope: FloatArray, value: FloatArray,
@@ -186,7 +186,7 @@ def _integrate(
             value[v] += 0.5 * x[i, v_count, v] * x[i, v_count, v]
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def integrated_terms(
     data: Packed, terms: Terms, theta: FloatArray, tau: FloatArray, instrument: FloatArray, kind: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
+
+from tissueid.compiled import kernel
 
 __all__ = [
     "factor",
@@ -19,7 +20,7 @@ __all__ = [
 FloatArray = NDArray[np.float64]
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def factor(a: FloatArray) -> FloatArray:
     """Lower factor; NaN on the diagonal where the matrix is not positive definite."""
     n = a.shape[0]
@@ -33,7 +34,7 @@ def factor(a: FloatArray) -> FloatArray:
     return low
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def inverse_factor(low: FloatArray) -> FloatArray:
     """Inverse of a lower triangular matrix."""
     inverse = np.zeros(low.shape)
@@ -46,7 +47,7 @@ def inverse_factor(low: FloatArray) -> FloatArray:
     return inverse
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def solved(low: FloatArray, away: FloatArray) -> FloatArray:
     """The z of ``low @ z = away``."""
     z = away.copy()
@@ -57,7 +58,7 @@ def solved(low: FloatArray, away: FloatArray) -> FloatArray:
     return z
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def squared_distances(points: FloatArray, means: FloatArray, lows: FloatArray) -> FloatArray:
     """Squared lengths of the z of ``lows[k] @ z = points[i] - means[k]``, shape (n, k)."""
     n, d = points.shape
@@ -74,7 +75,7 @@ def squared_distances(points: FloatArray, means: FloatArray, lows: FloatArray) -
     return out
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def weigh(coefficient: FloatArray, matrices: FloatArray, out: FloatArray) -> None:
     """Write the weighted sum of matrices, without a copy of any."""
     out[:] = 0.0
@@ -86,7 +87,7 @@ def weigh(coefficient: FloatArray, matrices: FloatArray, out: FloatArray) -> Non
                     out[i, j] += c * matrices[k, i, j]
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def weighted_sum(coefficient: FloatArray, matrices: FloatArray) -> FloatArray:
     """Weighted sum of matrices."""
     out = np.empty(matrices.shape[1:])
@@ -94,7 +95,7 @@ def weighted_sum(coefficient: FloatArray, matrices: FloatArray) -> FloatArray:
     return out
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def sparse_times(weights: FloatArray, a: FloatArray) -> FloatArray:
     """``weights.T @ a`` where most weights are zero: a coefficient of K touches the nodes of one branch."""
     out = np.zeros((weights.shape[1], a.shape[1]))

@@ -17,11 +17,10 @@ from __future__ import annotations
 
 import math
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.compiled import tick_kernel, tick_part
+from tissueid.compiled import kernel, tick_kernel, tick_part
 
 __all__ = [
     "LAW_SIZE",
@@ -43,7 +42,7 @@ FLUSH_MM = 1e-200
 MAX_DETACHED_ITERATIONS = 60
 
 
-@nb.njit(cache=True, nogil=True)
+@kernel(error_model="python")
 def step_weights(h: float, tau: float) -> tuple[float, float]:
     """Weights ``(a, phi)`` of one step of ``h`` seconds."""
     ratio = h / tau
@@ -52,7 +51,7 @@ def step_weights(h: float, tau: float) -> tuple[float, float]:
     return math.exp(-ratio), -math.expm1(-ratio) / ratio
 
 
-@nb.njit(cache=True, nogil=True)
+@kernel(error_model="python")
 def branch_state(time_s: FloatArray, depth_mm: FloatArray, tau: float, initial: float) -> FloatArray:
     """State of one branch at every sample.
 
@@ -89,7 +88,7 @@ def branch_state(time_s: FloatArray, depth_mm: FloatArray, tau: float, initial: 
     return out
 
 
-@nb.njit(cache=True, nogil=True)
+@kernel(error_model="python")
 def branch_sensitivity(time_s: FloatArray, depth_mm: FloatArray, tau: float) -> tuple[FloatArray, FloatArray]:
     """State of one branch from rest and its derivative by the relaxation time.
 
@@ -301,10 +300,10 @@ def pack_law(
 
 
 #: For compiled callers; writing one law from Python is not worth setting numba up for.
-_pack_law = nb.njit(cache=True, nogil=True)(pack_law)
+_pack_law = kernel(error_model="python")(pack_law)
 
 
-@nb.njit(cache=True, nogil=True)
+@kernel(error_model="python")
 def tissue_step(
     static: FloatArray,
     stiffness: FloatArray,
@@ -345,7 +344,7 @@ def tissue_step(
     return force, state[_SURFACE]
 
 
-@nb.njit(cache=True, nogil=True)
+@kernel(error_model="python")
 def surface_path(
     static: FloatArray,
     stiffness: FloatArray,

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.compiled import kernel
 from tissueid.population.kernels import (
     Cohort,
     Hyper,
@@ -66,7 +66,7 @@ class Record(NamedTuple):
     effect: FloatArray
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _write_population(state: State, record: Record, step: int, low: FloatArray) -> None:
     p = state.log_sd.size
     record.nu[step] = state.nu[0]
@@ -85,7 +85,7 @@ def _write_population(state: State, record: Record, step: int, low: FloatArray) 
             record.correlation[step, k, j] = total
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _write_specimens(
     cohort: Cohort, hyper: Hyper, state: State, record: Record, step: int, low: FloatArray
 ) -> None:
@@ -106,7 +106,7 @@ def _write_specimens(
                 record.phi[row, i, k] = state.phi[i, k]
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _draw_weights(
     rng: np.random.Generator, cohort: Cohort, hyper: Hyper, state: State, unit: FloatArray
 ) -> None:
@@ -124,7 +124,7 @@ def _draw_weights(
         state.weight[i] = max(drawn, 1e-12)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def sweeps(
     rng: np.random.Generator, cohort: Cohort, hyper: Hyper, state: State, record: Record, steps: int,
     keep: bool,
@@ -172,7 +172,7 @@ def sweeps(
             _write_specimens(cohort, hyper, state, record, step, low)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _inverse(unit: FloatArray, out: FloatArray) -> None:
     """Precision from the inverse of its covariance's Cholesky factor."""
     p = unit.shape[0]

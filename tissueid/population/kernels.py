@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.compiled import kernel
 from tissueid.likelihood.triangular import factor, inverse_factor, solved
 from tissueid.population.scale_kernels import draw_log_sd
 
@@ -151,7 +151,7 @@ class State(NamedTuple):
     accepted: IntArray
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def unit_factor(log_sd: FloatArray, low: FloatArray) -> FloatArray:
     """Inverse of the Cholesky factor of D R D from ln D and the factor of R."""
     out = inverse_factor(low)
@@ -162,7 +162,7 @@ def unit_factor(log_sd: FloatArray, low: FloatArray) -> FloatArray:
     return out
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def centre_of(cohort: Cohort, state: State, i: int, mean: FloatArray) -> None:
     """Centre of the population for one specimen, into ``mean``."""
     for k in range(mean.size):
@@ -174,7 +174,7 @@ def centre_of(cohort: Cohort, state: State, i: int, mean: FloatArray) -> None:
         mean[k] = value
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _draw_normal(rng: np.random.Generator, precision: FloatArray, pull: FloatArray) -> FloatArray:
     """Draw from the normal of that precision whose mean solves ``precision @ mean = pull``."""
     low = factor(precision)
@@ -189,7 +189,7 @@ def _draw_normal(rng: np.random.Generator, precision: FloatArray, pull: FloatArr
     return z
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def draw_coefficients(
     rng: np.random.Generator, cohort: Cohort, hyper: Hyper, state: State, inverse: FloatArray
 ) -> None:
@@ -226,7 +226,7 @@ def draw_coefficients(
             state.coefficient[a, k] = drawn[a * p + k]
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def draw_effects(
     rng: np.random.Generator, cohort: Cohort, hyper: Hyper, state: State, inverse: FloatArray
 ) -> None:
@@ -265,7 +265,7 @@ def draw_effects(
             )
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def squares(cohort: Cohort, state: State) -> FloatArray:
     """Weighted sum of squares and products of the specimens' deviations."""
     p = state.log_sd.size

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
+
+from tissueid.compiled import kernel
 
 __all__ = ["log_mixture"]
 
@@ -16,7 +17,7 @@ FloatArray = NDArray[np.float64]
 LARGEST = 50.0
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def log_mixture(
     phi: FloatArray, linear: NDArray[np.bool_], centre: FloatArray, log_weight: FloatArray,
     mean: FloatArray, unit: FloatArray,

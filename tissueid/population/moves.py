@@ -19,10 +19,10 @@ from __future__ import annotations
 
 import math
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.compiled import kernel
 from tissueid.likelihood.triangular import factor, solved
 from tissueid.population.kernels import Cohort, Hyper, State, centre_of
 from tissueid.population.mixture_kernels import log_mixture
@@ -52,7 +52,7 @@ WANTED_ACCEPTANCE = 0.4
 MANY = 400
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def distance2(phi, mean: FloatArray, unit: FloatArray) -> float:  # type: ignore[no-untyped-def]
     """Squared distance of a point from a centre, in units of an inverse Cholesky factor."""
     total = 0.0
@@ -64,7 +64,7 @@ def distance2(phi, mean: FloatArray, unit: FloatArray) -> float:  # type: ignore
     return total
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _log_population(square: float, p: int, nu: float, heavy: bool) -> float:
     """Ln density of a specimen at a squared distance, up to a constant of all specimens."""
     if heavy:
@@ -72,7 +72,7 @@ def _log_population(square: float, p: int, nu: float, heavy: bool) -> float:
     return -0.5 * square
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def smooth_likelihood(cohort: Cohort, i: int, phi: FloatArray) -> float:
     """Ln of the smooth likelihood of specimen i; -inf where relaxation times do not ascend."""
     s = cohort.smooth[i]
@@ -84,7 +84,7 @@ def smooth_likelihood(cohort: Cohort, i: int, phi: FloatArray) -> float:
     )
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def move_among_draws(
     rng: np.random.Generator, cohort: Cohort, hyper: Hyper, state: State, unit: FloatArray
 ) -> None:
@@ -122,7 +122,7 @@ def move_among_draws(
             state.phi[i, k] = cohort.phi[now, k]
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _up(low: FloatArray, z: FloatArray) -> None:
     """Solve ``low.T @ x = z`` in place."""
     for i in range(z.size - 1, -1, -1):
@@ -131,7 +131,7 @@ def _up(low: FloatArray, z: FloatArray) -> None:
         z[i] /= low[i, i]
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _away2(low: FloatArray, phi: FloatArray, mean: FloatArray) -> float:
     """Squared distance in units of a precision's factor."""
     total = 0.0
@@ -143,7 +143,7 @@ def _away2(low: FloatArray, phi: FloatArray, mean: FloatArray) -> float:
     return total
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def move_smooth(
     rng: np.random.Generator, cohort: Cohort, state: State, unit: FloatArray, inverse: FloatArray
 ) -> None:
@@ -193,7 +193,7 @@ def move_smooth(
                 state.accepted[i] += 1
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _shifted(
     cohort: Cohort,
     state: State,
@@ -214,7 +214,7 @@ def _shifted(
         other[k] = mean[k] + math.exp(change) * (other[k] - mean[k])
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _try_together(
     rng: np.random.Generator, cohort: Cohort, hyper: Hyper, state: State, unit: FloatArray, k: int, kind: int,
     adapt: bool, likelihood: FloatArray,
@@ -269,7 +269,7 @@ def _try_together(
         state.step[kind, k] += 0.2 * ((1.0 if accepted else 0.0) - WANTED_ACCEPTANCE)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def open_together(cohort: Cohort) -> FloatArray:
     """Cholesky factor of what the data of the smooth specimens say together of their common place."""
     together = np.zeros(cohort.precision.shape[1:])
@@ -278,7 +278,7 @@ def open_together(cohort: Cohort) -> FloatArray:
     return factor(together)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _try_translation(
     rng: np.random.Generator, cohort: Cohort, hyper: Hyper, state: State, unit: FloatArray,
     open_low: FloatArray, adapt: bool, likelihood: FloatArray,
@@ -318,7 +318,7 @@ def _try_translation(
         state.step[2, 0] += 0.2 * ((1.0 if accepted else 0.0) - WANTED_ACCEPTANCE)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def move_together(
     rng: np.random.Generator, cohort: Cohort, hyper: Hyper, state: State, unit: FloatArray,
     open_low: FloatArray, adapt: bool,

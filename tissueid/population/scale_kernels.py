@@ -11,9 +11,10 @@ from __future__ import annotations
 
 import math
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
+
+from tissueid.compiled import kernel
 
 __all__ = ["correlation_factor", "draw_log_sd", "draw_nu", "draw_scales"]
 
@@ -31,7 +32,7 @@ MOST_Z = 8.0
 NU_RANGE = (1.0, 1e4)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _factor_row(w: FloatArray, i: int, low: FloatArray) -> None:
     """Row i of the Cholesky factor of R from its partial correlations."""
     left = 1.0
@@ -41,7 +42,7 @@ def _factor_row(w: FloatArray, i: int, low: FloatArray) -> None:
     low[i, i] = math.sqrt(left)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def correlation_factor(w: FloatArray) -> FloatArray:
     """Cholesky factor of R from partial correlations (strictly lower part of ``w``)."""
     low = np.zeros(w.shape)
@@ -50,7 +51,7 @@ def correlation_factor(w: FloatArray) -> FloatArray:
     return low
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _log_likelihood(
     log_sd: FloatArray, low: FloatArray, root: FloatArray, count: float, x: FloatArray
 ) -> float:
@@ -70,7 +71,7 @@ def _log_likelihood(
     return value - 0.5 * square
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _at_log_sd(
     value: float, k: int, log_sd: FloatArray, low: FloatArray, root: FloatArray, count: float, x: FloatArray,
     prior: FloatArray,
@@ -80,7 +81,7 @@ def _at_log_sd(
     return float(_log_likelihood(log_sd, low, root, count, x) - 0.5 * away * away)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _at_correlation(
     value: float, i: int, j: int, w: FloatArray, log_sd: FloatArray, low: FloatArray, root: FloatArray,
     count: float, x: FloatArray, lkj: float,
@@ -94,7 +95,7 @@ def _at_correlation(
     return float(_log_likelihood(log_sd, low, root, count, x) - 2.0 * b * math.log(math.cosh(value)))
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def draw_scales(
     rng: np.random.Generator, log_sd: FloatArray, w: FloatArray, squares: FloatArray, count: float,
     prior: FloatArray,
@@ -152,7 +153,7 @@ def draw_scales(
     return low
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _draw_correlation(
     rng: np.random.Generator, i: int, j: int, w: FloatArray, log_sd: FloatArray, low: FloatArray,
     root: FloatArray, count: float, x: FloatArray, lkj: float,
@@ -181,7 +182,7 @@ def _draw_correlation(
     _factor_row(w, i, low)
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _root(squares: FloatArray) -> FloatArray:
     """Lower factor of a sum of squares that may be singular: fewer deviations than coordinates."""
     p = squares.shape[0]
@@ -198,13 +199,13 @@ def _root(squares: FloatArray) -> FloatArray:
     return low
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _log_sd_density(value: float, square: float, count: float, mean: float, sd: float) -> float:
     away = (value - mean) / sd
     return -count * value - 0.5 * square * math.exp(-2.0 * value) - 0.5 * away * away
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def draw_log_sd(
     rng: np.random.Generator, start: float, square: float, count: float, mean: float, sd: float
 ) -> float:
@@ -231,7 +232,7 @@ def draw_log_sd(
     return start
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _nu_density(log_nu: float, distance2: FloatArray, p: int, shape: float, rate: float) -> float:
     """Of ln nu, the weights of the specimens integrated: multivariate t of every squared distance."""
     nu = math.exp(log_nu)
@@ -245,7 +246,7 @@ def _nu_density(log_nu: float, distance2: FloatArray, p: int, shape: float, rate
     return value + shape * log_nu - rate * nu
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def draw_nu(
     rng: np.random.Generator, nu: float, distance2: FloatArray, p: int, shape: float, rate: float
 ) -> float:

@@ -329,7 +329,7 @@ def _open_noise(fitted: FittedSpecimen, target: SpecimenTarget) -> LooseNoise | 
                     phi=phi,
                     reference_step_s=noise.reference_step_s,
                     moving_average=noise.moving_average,
-                )
+                ).tempered(noise.samples_per_independent)
             )
         return out
 

@@ -28,7 +28,6 @@ from tissueid.haptics.ring import Ring
 from tissueid.haptics.shared_hand import SharedHand
 from tissueid.haptics.sim import SimulatedDevice
 from tissueid.haptics.states import FAULT_WORDS, Fault
-from tissueid.render.kernel_cache import forget_stale_kernels, kernel_modules
 from tissueid.render.servo_io import PythonIO, compiled_io
 from tissueid.render.servo_loop import BINS, compiled_loop, new_watch, realtime_loop
 from tissueid.render.servo_plan import REASONS, ServoEnd, ServoPlan, receive_plan, send_line
@@ -191,8 +190,6 @@ def main(arguments: list[str]) -> int:
         Exit code of :mod:`tissueid.errors`.
     """
     owner, report = (int(word) for word in arguments)
-    # the guard that runs is the guard that stands in the file
-    forget_stale_kernels(kernel_modules())
     # numba sets itself up at the first call: while the owner decides, not when it waits
     with without_scipy():
         transition(new_guard(), GuardLimits().block(), SHUT)

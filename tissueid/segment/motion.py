@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.segment.edges import corner_near
-from tissueid.segment.noise import quantum, white_noise_sd
 from tissueid.segment.polyline import corners
+from tissueid.signal_noise import quantum, white_noise_sd
 
 __all__ = ["SPEED_RATIO", "Piece", "displacement_tolerance", "pieces"]
 

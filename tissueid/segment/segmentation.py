@@ -16,12 +16,12 @@ from tissueid.segment.corner import corner_flags, corners_of
 from tissueid.segment.cycles import cycle_flags, loops_of
 from tissueid.segment.endings import aborts, ending_flags, held_from, load_limits
 from tissueid.segment.motion import Piece, displacement_tolerance, pieces
-from tissueid.segment.noise import white_noise_sd
 from tissueid.segment.options import SegmentOptions
 from tissueid.segment.phases import Surface, leaves_line, name_phases, settled
 from tissueid.segment.rupture import rupture_flags, ruptures
 from tissueid.segment.signs import signs
 from tissueid.segment.spikes import without_spikes
+from tissueid.signal_noise import white_noise_sd
 from tissueid.trial import Contact, Event, Phase, Protocol, Segmentation, Trial
 
 __all__ = ["segment"]

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.flags import Flag
-from tissueid.segment.noise import white_noise_sd
 from tissueid.segment.options import SegmentOptions
 from tissueid.segment.spikes import without_spikes
+from tissueid.signal_noise import white_noise_sd
 from tissueid.trial import Trial
 
 __all__ = ["signs"]

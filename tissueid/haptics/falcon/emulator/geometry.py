@@ -13,9 +13,10 @@ from __future__ import annotations
 
 import math
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
+
+from tissueid.compiled import kernel
 
 __all__ = ["COUNTS_PER_RAD", "LENGTHS", "ZERO_RAD", "grip_force", "leg_angles"]
 
@@ -34,7 +35,7 @@ HALVINGS = 47
 DIFFERENCE_M = 1e-5
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _shin_excess(lengths: FloatArray, angle: float, along: float, out: float, lean: float) -> float:
     """Length the shin would need at a thigh angle, less the one it has."""
     knee_along = lengths[0] * math.cos(angle)
@@ -44,7 +45,7 @@ def _shin_excess(lengths: FloatArray, angle: float, along: float, out: float, le
     return float(math.copysign(math.hypot(rho - lengths[2], lean), rho - lengths[2]) - lengths[1])
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def leg_angles(position: FloatArray, lengths: FloatArray, azimuths: FloatArray, angles: FloatArray) -> bool:
     """Angles of the three thighs at a position of the grip.
 
@@ -84,7 +85,7 @@ def leg_angles(position: FloatArray, lengths: FloatArray, azimuths: FloatArray, 
     return reached
 
 
-@nb.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def grip_force(
     position: FloatArray, torque: FloatArray, lengths: FloatArray, azimuths: FloatArray, force: FloatArray
 ) -> bool:

@@ -1,0 +1,77 @@
+"""Compiled functions are those of the sources: an edit of a callee in another file is seen by its caller."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import tissueid
+from tissueid.kernel_cache import kernel_sources, sources_key
+
+PACKAGE = Path(tissueid.__file__).resolve().parent
+#: A leaf of ``log_passive_mass``, which stands in another file.
+LEAF = "likelihood/normal_tail.py"
+ASK = (
+    "import numpy as np; from tissueid.likelihood.passive_normal import log_passive_mass; "
+    "print(repr(log_passive_mass(-np.ones(1), np.eye(1), np.array([1]))))"
+)
+
+
+def copied(folder: Path) -> Path:
+    """The sources of all kernels, and what importing them takes, as a package of their own."""
+    target = folder / "tissueid"
+    shutil.copytree(PACKAGE, target, ignore=shutil.ignore_patterns("__pycache__", "static", "web", "*.html"))
+    return target
+
+
+def test_sources_hold_kernels_and_what_they_import() -> None:
+    names = set(kernel_sources())
+    assert {"compiled.py", "model/kernels.py", "likelihood/passive_normal.py", "haptics/guard.py"} <= names
+    assert {"render/servo_loop.py", "render/environment.py", "population/kernels.py"} <= names
+    assert not names & {"pipeline.py", "cli/main.py", "report/page.py"}
+
+
+def test_the_key_follows_sources_and_flags(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    package = copied(tmp_path)
+    before = sources_key(package)
+    assert sources_key(package) == before
+    cli = package / "pipeline.py"
+    cli.write_text(cli.read_text(encoding="utf-8") + "\n# a remark\n", encoding="utf-8")
+    assert sources_key(package) == before
+    leaf = package / LEAF
+    leaf.write_text(leaf.read_text(encoding="utf-8") + "\n# a remark\n", encoding="utf-8")
+    after = sources_key(package)
+    assert after != before
+    monkeypatch.setenv("NUMBA_OPT", "1")
+    assert sources_key(package) != after
+
+
+def answer(root: Path) -> float:
+    """What the compiled caller says, from a process of its own."""
+    environment = {**os.environ, "PYTHONPATH": str(root), "NUMBA_CACHE_DIR": str(root / "cache")}
+    done = subprocess.run(  # our own interpreter and code
+        [sys.executable, "-c", ASK], env=environment, capture_output=True, text=True, check=True, cwd=root
+    )
+    return float(done.stdout)
+
+
+@pytest.mark.system
+@pytest.mark.needs_jit
+def test_an_edited_leaf_is_seen_by_a_caller_that_was_compiled_before(tmp_path: Path) -> None:
+    leaf = copied(tmp_path) / LEAF
+    before = answer(tmp_path)
+    assert answer(tmp_path) == before
+    folders = {path.name for path in (tmp_path / "cache").iterdir()}
+    assert len(folders) == 1
+    # ln of P(N(-1, 1) > 0), and the same with every ln of a tail less by one
+    assert before == pytest.approx(-1.8410216450, abs=1e-6)
+    text = leaf.read_text(encoding="utf-8")
+    head, tail = text.split("def log_tail", 1)
+    leaf.write_text(f"{head}def log_tail{tail.replace('return ', 'return -1.0 + ', 3)}", encoding="utf-8")
+    assert answer(tmp_path) == pytest.approx(before - 1.0, abs=1e-9)
+    assert {path.name for path in (tmp_path / "cache").iterdir()} > folders
