@@ -227,6 +227,14 @@ _FIT = {
     "sampler_not_converged": Advice(
         "Intervals are rough, or there are none.", "Try --sampler exact, more --draws, or fewer branches."
     ),
+    "discrepancy": Advice(
+        "The model is simpler than the tissue; its parameters describe this program, not any other.",
+        "Look where the residual is largest; add a branch, or hold longer.",
+    ),
+    "interval_withheld": Advice(
+        "The number stands without an interval: it may be far from what other data would give.",
+        "Add logs, state the machine, or fit one branch.",
+    ),
     "misfit": Advice(
         "The model is wrong in a way the residuals show; intervals would be of a wrong model.",
         "Look at the named check; add a branch, shorten the window, or state filter and frame.",

@@ -84,6 +84,8 @@ FLAG_CODES: Mapping[str, str] = MappingProxyType(
         "poroelastic": "relaxation may be fluid flow, not viscosity",
         "sampler_not_converged": "the sampler stopped before its rule was met: intervals are rough",
         "misfit": "the residuals show what model and noise can't make: no interval can be believed",
+        "discrepancy": "the model misses more than the measured noise; intervals were widened for it",
+        "interval_withheld": "value and intervals do not agree: no interval is given",
         "model_undecided": "the data do not decide between two models",
         "calibration_dominates": "what is not known of the machine outweighs the noise of the recordings",
         "prior_dominated": "a prior decides this more than the data do",

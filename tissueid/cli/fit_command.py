@@ -79,7 +79,7 @@ def _count(auto: str) -> click.Choice[str]:
     help="How the posterior is sampled; none gives standard errors only.",
 )  # fmt: skip
 @click.option(
-    "--draws", type=click.IntRange(min=100), default=10_000, show_default=True,
+    "--draws", type=click.IntRange(min=100), default=2_000, show_default=True,
     help="Effective posterior draws to go on for.",
 )  # fmt: skip
 @click.option(

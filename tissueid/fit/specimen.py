@@ -20,13 +20,13 @@ from tissueid.fit.logs import LogHandle, refine_contacts, specimen_sums
 from tissueid.fit.material import DEFAULT_POISSON, Geometry, with_moduli
 from tissueid.fit.one_log_choice import choose_for_one_log
 from tissueid.fit.quoted import quoted_numbers
-from tissueid.fit.rounds import follow_surfaces, unloading_handles, unloading_verdict
+from tissueid.fit.rounds import Followed, follow_surfaces, unloading_handles, unloading_verdict
 from tissueid.fit.search import unbounded_covariance
 from tissueid.fit.selection import Choice, choose
 from tissueid.fit.settling import settle_choice, undecided_flags
 from tissueid.fit.summaries import Summaries, second_pass
 from tissueid.fit.trials import Adjustment
-from tissueid.fit.verdict import one_program, specimen_flags
+from tissueid.fit.verdict import discrepancy_flags, one_program, specimen_flags
 from tissueid.fit.whitening import Whitened, optimum_of, whiten
 from tissueid.likelihood.linearise import Optimum
 from tissueid.likelihood.sums import N_STATIC, reduction
@@ -110,6 +110,8 @@ class FittedSpecimen:
         One a log.
     told : Summaries
         Of the second pass over the logs.
+    moved : callable
+        The same of another tissue and other adjustments, for the same sums.
     """
 
     fit: SpecimenFit
@@ -119,6 +121,7 @@ class FittedSpecimen:
     tissue: TissueEstimate
     adjustments: tuple[Adjustment, ...]
     told: Summaries
+    moved: Callable[[TissueEstimate, Sequence[Adjustment]], FittedSpecimen]
 
 
 def adjustments_of(
@@ -319,12 +322,53 @@ def _fit(
     solution, optimisers = both_optimisers(sums, whitened.solution)
     tissue = estimate_tissue(sums, solution)
     adjustments = adjustments_of(sums, solution, (tissue.model, tissue.theta), handles)
+    fitting = _Fitting(
+        specimen=specimen,
+        handles=tuple(handles),
+        whitened=replace(whitened, solution=solution),
+        choice=choice,
+        followed=followed,
+        optimisers=optimisers,
+        options=options,
+    )
+    return _described(fitting, tissue, adjustments, tick)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fitting:
+    """All that a description of a specimen needs beside its tissue."""
+
+    specimen: str
+    handles: tuple[LogHandle, ...]
+    whitened: Whitened
+    choice: Choice
+    followed: Followed | None
+    optimisers: dict[str, object]
+    options: FitOptions
+
+
+def _described(
+    fitting: _Fitting,
+    tissue: TissueEstimate,
+    adjustments: Sequence[Adjustment],
+    tick: Callable[[str], None],
+) -> FittedSpecimen:
+    """What a specimen's logs say of a tissue: residuals, quoted numbers, flags."""
+    options, whitened, handles, choice = fitting.options, fitting.whitened, fitting.handles, fitting.choice
+    sums, solution, followed = whitened.sums, whitened.solution, fitting.followed
     told = second_pass(handles, adjustments, tissue, tick, noise=whitened.noise, depths_mm=options.depths_mm)
     sigma = whitened.noise.sigma_N
     facts = [handle.facts for handle in handles]
     flags = specimen_flags(
-        tissue, sums, facts, told.trials, sigma_N=sigma, optimisers=optimisers, noise=whitened.noise.model
+        tissue,
+        sums,
+        facts,
+        told.trials,
+        sigma_N=sigma,
+        optimisers=fitting.optimisers,
+        noise=whitened.noise.model,
     )
+    flags = (*discrepancy_flags(whitened.noise, told.nrmsd), *flags)
     quoted = quoted_numbers(
         tissue,
         told.holds,
@@ -340,7 +384,7 @@ def _fit(
         flags = (*flags, *more)
     speeds = [speed for log in facts for speed in log.speeds_mm_s if speed > 0.0] or [0.0]
     fit = SpecimenFit(
-        specimen=specimen,
+        specimen=fitting.specimen,
         model=ModelChoice(
             key=KEY,
             branches=solution.candidate.branches,
@@ -360,7 +404,7 @@ def _fit(
         nrmsd=told.nrmsd,
         trials=told.trials,
         relaxation=told.relaxation,
-        optimisers=optimisers,
+        optimisers=fitting.optimisers,
         selection=choice.table,
         flags=flags,
         unloading=unloading,
@@ -369,10 +413,11 @@ def _fit(
     )
     return FittedSpecimen(
         fit=fit,
-        handles=tuple(handles),
-        whitened=replace(whitened, solution=solution),
+        handles=handles,
+        whitened=whitened,
         optimum=optimum_of(solution, adjustments, sums.depth_mm),
         tissue=tissue,
         adjustments=tuple(adjustments),
         told=told,
+        moved=lambda elsewhere, changes: _described(fitting, elsewhere, changes, tick),
     )

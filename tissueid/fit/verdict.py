@@ -14,9 +14,10 @@ from tissueid.fit.candidates import SpecimenSums
 from tissueid.fit.estimates import TissueEstimate
 from tissueid.fit.window import FittedLog
 from tissueid.flags import Flag
-from tissueid.result import TrialFit
+from tissueid.result import Nrmsd, TrialFit
+from tissueid.uncertainty import NoiseFit
 
-__all__ = ["specimen_flags"]
+__all__ = ["discrepancy_flags", "one_program", "specimen_flags"]
 
 #: Relaxation times below this are moved by unstated force filters and time skew [s].
 INSTRUMENT_TAU_S = 0.2
@@ -152,6 +153,34 @@ def _optimum_flags(tissue: TissueEstimate, optimisers: dict[str, object]) -> lis
     if not optimisers["lm_converged"] and not tissue.bounded:
         flags.append(Flag("not_converged", "Levenberg-Marquardt did not converge"))
     return flags
+
+
+def discrepancy_flags(noise: NoiseFit, nrmsd: Nrmsd) -> list[Flag]:
+    """How much the model misses beside the noise of the recordings, where it misses more.
+
+    Parameters
+    ----------
+    noise : NoiseFit
+    nrmsd : Nrmsd
+    """
+    if not noise.discrepant:
+        return []
+    measured = noise.measured_N or 0.0
+    ratio = noise.sigma_N / measured if measured > 0.0 else None
+    times = "far more than" if ratio is None else f"{ratio:.2g} times"
+    return [
+        Flag(
+            "discrepancy",
+            f"the model misses the force by {noise.sigma_N:.2g} N, {100.0 * nrmsd.range:.2g} % of its range, "
+            f"{times} the measured noise; intervals count {noise.samples_per_independent:.2g} samples as one",
+            {
+                "rms_N": noise.sigma_N,
+                "measured_N": measured,
+                "ratio": ratio,
+                "samples_per_independent": noise.samples_per_independent,
+            },
+        )
+    ]
 
 
 def specimen_flags(

@@ -13,6 +13,8 @@ a few such matrices (:mod:`tissueid.likelihood.lag_sums`).
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,6 +29,7 @@ from tissueid.likelihood.triangular import factor, inverse_factor, weigh
 __all__ = [
     "conditionals",
     "draw_effects",
+    "log_joints",
     "log_marginals",
     "log_peaks",
     "log_shares",
@@ -226,6 +229,20 @@ def conditionals(data: Linearised, points: FloatArray) -> tuple[FloatArray, Floa
         means[i] = mean
         covariances[i] = covariance
     return means, covariances
+
+
+@kernel()
+def log_joints(data: Linearised, points: FloatArray, theta: FloatArray) -> FloatArray:
+    """Ln of the likelihood of points (n, d) and of theta (n, p) with its prior, effects integrated."""
+    out = np.empty(points.shape[0])
+    for i in range(points.shape[0]):
+        mean, covariance, _, _, _, value = _conditional(data, points[i])
+        root = inverse_factor(factor(covariance))
+        away = root @ (theta[i] - mean)
+        out[i] = value - 0.5 * float(away @ away)
+        for k in range(mean.size):
+            out[i] += math.log(root[k, k])
+    return out
 
 
 @kernel()

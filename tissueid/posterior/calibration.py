@@ -27,17 +27,26 @@ from tissueid.likelihood.knots import KnotSums, packed
 from tissueid.likelihood.linearise import Optimum
 from tissueid.likelihood.passive_normal import draw_passive
 from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
+from tissueid.posterior.carried import carried_draws
 from tissueid.posterior.channel_gains import CHANNELS, drawn_gains, scaled_by, static_of_logs
 from tissueid.posterior.importance import Weighted, importance_sample
 from tissueid.posterior.instrument import INSTRUMENT_NAMES, Behind
 from tissueid.posterior.instrument_mode import instrument_mode
 from tissueid.posterior.linear_priors import Facts
 from tissueid.posterior.loose_noise import LooseNoise
+from tissueid.posterior.specimen_target import SpecimenTarget
+from tissueid.posterior.target import Redrawn
 from tissueid.priors import CalibrationPrior, Priors
 from tissueid.processors import threads
 from tissueid.uncertainty import PriorRow, SamplerReport
 
-__all__ = ["NUISANCES", "TotalPosterior", "field_units", "total_posterior", "truncated_moments"]
+__all__ = [
+    "NUISANCES",
+    "TotalPosterior",
+    "field_units",
+    "total_posterior",
+    "truncated_moments",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -53,6 +62,9 @@ SMALLEST_GAIN_SD = 1e-4
 PAIRS = 4
 #: Draws the weights should be worth; a bound of a 95 % interval is then known to 0.07 sd.
 WORTH = 1_000.0
+#: Share of accepted proposals below which bounds are active: draws are then carried first, and need not be
+#: worth more than this.
+BOUNDED, ENOUGH = 0.5, 300.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -189,6 +201,19 @@ def _weighted_draws(behind: Behind, rng: np.random.Generator) -> tuple[Weighted,
     return found, points
 
 
+def _best(
+    behind: Behind, target: SpecimenTarget, drawn: Redrawn, points: FloatArray, rng: np.random.Generator
+) -> tuple[Weighted, FloatArray]:
+    """Draws anew, or carried ones: whichever are worth more."""
+    first = carried_draws(behind, target, drawn, points, rng) if drawn.acceptance < BOUNDED else None
+    if first is not None and first[0].converged and first[0].size >= ENOUGH:
+        return first
+    anew = _weighted_draws(behind, rng)
+    if first is not None and (first[0].converged, first[0].size) > (anew[0].converged, anew[0].size):
+        return first
+    return anew
+
+
 def _resampled(weights: FloatArray, draws: int, rng: np.random.Generator) -> NDArray[np.int64]:
     """Systematic resampling, in random order: each is drawn within one of its share."""
     picks = np.searchsorted(np.cumsum(weights), (np.arange(draws) + rng.random()) / draws)
@@ -208,6 +233,7 @@ def total_posterior(
     draws: int = 4_000,
     start: Optimum | None = None,
     noise: LooseNoise | None = None,
+    alone: tuple[SpecimenTarget, Redrawn, FloatArray] | None = None,
 ) -> TotalPosterior:
     """Draw tissue and instrument.
 
@@ -232,6 +258,9 @@ def total_posterior(
         Where to look for the mode first, if not at ``optimum``.
     noise : LooseNoise, optional
         Scale and correlation of the noise as coordinates, where they are open.
+    alone : tuple, optional
+        The posterior without an instrument, its draws and their sampled coordinates, to be carried to one
+        (:mod:`tissueid.posterior.carried`) where drawing anew is worth little.
 
     Returns
     -------
@@ -252,7 +281,7 @@ def total_posterior(
         start=start,
         noise=noise,
     )
-    found, points = _weighted_draws(behind, rng)
+    found, points = _weighted_draws(behind, rng) if alone is None else _best(behind, *alone, rng)
     tried = _resampled(found.weights, PAIRS * draws, rng)
     gains = drawn_gains(behind, tried.size, rng)
     theta, compliance, more = scaled_by(behind, points[tried], found.extra[tried], gains)
@@ -265,7 +294,7 @@ def total_posterior(
     if "static" in effects:
         reported[:, :STATIC_DEGREE] = static_of_logs(behind, points, found.extra, source, gains, rng)
     # draws of one point are no more than one: they share all but their gains
-    worth = 1.0 / float((np.bincount(tried, weights=weights) ** 2).sum())
+    worth = min(1.0 / float((np.bincount(tried, weights=weights) ** 2).sum()), found.size)
     nuisances = np.column_stack([gains.force, gains.displacement, instrument])
     return TotalPosterior(
         theta=reported,

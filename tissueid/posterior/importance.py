@@ -27,6 +27,8 @@ FREEDOM = 5.0
 WIDER = 1.15
 #: Draws of the first rounds, of the others, and of all at the most.
 FIRST, NEXT, MOST = (250, 350), 600, 6_000
+#: Rounds after which weights that are worth less than this share of their draws are given up.
+HOPELESS_AFTER, HOPELESS = 4, 0.01
 #: Shape of the weights' tail above which they can't be trusted.
 MAX_SHAPE = 0.7
 #: Draws the weights must be worth: fewer leave the end of a 95 % interval uncertain by a fifth of an sd.
@@ -209,6 +211,8 @@ def importance_sample(
         weights /= weights.sum()
         worth = 1.0 / float((weights**2).sum())
         if len(counts) > len(FIRST) and (worth >= size or points.shape[0] >= MOST):
+            break
+        if len(counts) == HOPELESS_AFTER and worth < HOPELESS * points.shape[0]:
             break
         # a few large weights shall not decide where the next round looks
         cut = np.minimum(weights, 1.0 / math.sqrt(weights.size))

@@ -332,6 +332,9 @@ def misfit_alarm(logs: Sequence[ResidualBlocks], noise: NoiseFit) -> MisfitAlarm
             "times those of independent logs"
         )
         checks.append(MisfitCheck(name, statistic, p, message, p < LEVELS[name]))
+    if noise.discrepant:
+        # misses within a log are in the intervals already
+        return MisfitAlarm(raised=any(check.raised for check in checks), checks=tuple(checks))
     projected = _project(logs, noise)
     # what the fit has taken out is lost to the estimate of the noise as well
     effective = max(_effective(logs, noise) - projected.basis.shape[1], 1.0)

@@ -25,6 +25,7 @@ from tissueid.posterior.bootstrap import cluster_bootstrap
 from tissueid.posterior.budget import uncertainty_budget
 from tissueid.posterior.building import NotLinearError
 from tissueid.posterior.calibration import TotalPosterior, total_posterior
+from tissueid.posterior.coherence import at_centre, central_theta, outside, withheld
 from tissueid.posterior.comparison import compare_models, rows_of_choice
 from tissueid.posterior.diagnostics import diagnose
 from tissueid.posterior.loose_noise import LooseNoise, loose_noise
@@ -85,7 +86,7 @@ class PosteriorOptions:
     """
 
     sampler: str = "emcee"
-    draws: int = 10_000
+    draws: int = 2_000
     seed: int = 0
     workers: int = 1
     compare: bool = False
@@ -183,6 +184,66 @@ def _with_uncertainty(
     return tuple(replace(one, uncertainty=found.get(one.name)) for one in parameters)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Draws:
+    """Draws of a specimen's posterior.
+
+    Attributes
+    ----------
+    target : SpecimenTarget
+        Priors, facts and effects.
+    report : SamplerReport
+    chain : ndarray, shape (chains, draws, d)
+        Sampled coordinates.
+    log_density : ndarray, shape (chains, draws), or None
+    drawn : Redrawn
+        A row for each draw of the chain.
+    total : TotalPosterior or None
+        ``None`` where there is no instrument to ask about, or its draws carry nothing.
+    """
+
+    target: SpecimenTarget
+    report: SamplerReport
+    chain: FloatArray
+    log_density: FloatArray | None
+    drawn: Redrawn
+    total: TotalPosterior | None
+
+    @property
+    def points(self) -> FloatArray:
+        """The chain's draws as rows."""
+        return self.chain.reshape(-1, self.chain.shape[2])
+
+
+def _draws(
+    fitted: FittedSpecimen,
+    target: SpecimenTarget,
+    options: PosteriorOptions,
+    checkpoint: Path | None,
+    key: str,
+    instrument: bool,
+    tick: Callable[[str], None],
+) -> _Draws:
+    """A chain, what was integrated drawn anew beside it, and the same behind an instrument."""
+    sampled = _sample(target, options, checkpoint, key, tick)
+    tick("drawing the tissue")
+    points = sampled.chain.reshape(-1, sampled.chain.shape[2])
+    rng = np.random.default_rng([options.seed, 1])
+    drawn = target.redraw(points, rng)
+    if fitted.fit.model.static_pooling == "per-log":
+        drawn = _with_static(fitted, drawn, rng)
+    total = _total(fitted, target, (drawn, points), options, tick) if instrument else None
+    report = sampled.report
+    if instrument and total is None:
+        report = replace(report, detail={**report.detail, "total": {"converged": False, "worth": 0.0}})
+    elif total is not None:
+        # a few heavy draws have the look of a narrow interval: none is given then
+        carried = total.sampler.converged and total.sampler.detail["worth"] >= LEAST_WORTH
+        report = replace(report, detail={**report.detail, "total": _told_of(total) | {"converged": carried}})
+        total = total if carried else None
+    return _Draws(target, report, sampled.chain, sampled.log_density, drawn, total)
+
+
 def with_posterior(
     fitted: FittedSpecimen,
     *,
@@ -210,66 +271,94 @@ def with_posterior(
         Told what is being done.
     """
     tick = tick or (lambda _: None)
-    fit, model = fitted.fit, fitted.tissue.model
-    if options.sampler == "none" or model.branches == 0:
+    fit, noise = fitted.fit, fitted.whitened.noise
+    if options.sampler == "none" or fitted.tissue.model.branches == 0:
         return fit
     try:
         target = posterior_target(fitted, priors)
     except NotLinearError as error:
-        alarm = misfit_alarm(fitted.told.blocks, fitted.whitened.noise)
+        alarm = misfit_alarm(fitted.told.blocks, noise)
         return replace(fit, flags=(*fit.flags, *not_linear(error, alarm)))
-    sampled = _sample(target, options, checkpoint, key, tick)
-    tick("drawing the tissue")
-    shape = sampled.chain.shape[:2]
-    points = sampled.chain.reshape(-1, sampled.chain.shape[2])
-    rng = np.random.default_rng([options.seed, 1])
-    drawn = target.redraw(points, rng)
-    if fit.model.static_pooling == "per-log":
-        drawn = _with_static(fitted, drawn, rng)
+    draws = _draws(fitted, target, options, checkpoint, key, instrument, tick)
+    return _assembled(fitted, priors, options, draws, instrument, tick)
+
+
+def _assembled(
+    fitted: FittedSpecimen,
+    priors: Priors,
+    options: PosteriorOptions,
+    draws: _Draws,
+    instrument: bool,
+    tick: Callable[[str], None],
+) -> SpecimenFit:
+    """Intervals, budget, comparison and checks from draws, and a value that agrees with them."""
+    model, drawn, total, target = fitted.tissue.model, draws.drawn, draws.total, draws.target
     noise = _sampled_noise(fitted, drawn)
-    total = _total(fitted, target, options, tick) if instrument else None
-    report = sampled.report
-    if instrument and total is None:
-        report = replace(report, detail={**report.detail, "total": {"converged": False, "worth": 0.0}})
-    elif total is not None:
-        # a few heavy draws have the look of a narrow interval: none is given then
-        carried = total.sampler.converged and total.sampler.detail["worth"] >= LEAST_WORTH
-        report = replace(report, detail={**report.detail, "total": _told_of(total) | {"converged": carried}})
-        total = total if carried else None
     uncertainties = _uncertainties(
-        fit,
+        fitted.fit,
         reported_draws(model, drawn.theta),
-        shape,
+        draws.chain.shape[:2],
         None if total is None else _total_intervals(total, model),
     )
+    told = _coherent(fitted, drawn, uncertainties)
+    names, why = _incoherent(told.fit, uncertainties, draws, instrument=instrument)
+    parameters, said = withheld(told.fit.parameters, names, why)
     tick("checks of the residuals")
-    misfit = misfit_alarm(fitted.told.blocks, noise)
     posterior = Posterior(
-        sampler=report,
+        sampler=draws.report,
         noise=noise,
         parameters=uncertainties,
-        theta_names=fit.theta_names,
+        theta_names=fitted.fit.theta_names,
         draws=_kept(drawn.theta),
         log_prior=log_theta_prior(target, _kept(drawn.theta)),
         draws_total=None if total is None else _kept(total.theta),
         covariance=np.cov(drawn.theta, rowvar=False),
         chain_names=target.names,
-        chain=sampled.chain,
-        log_density=sampled.log_density,
-        priors=(*prior_rows(target, points, drawn), *(() if total is None else total.priors)),
+        chain=draws.chain,
+        log_density=draws.log_density,
+        priors=(*prior_rows(target, draws.points, drawn), *(() if total is None else total.priors)),
         budget=_budget(fitted, target, total, options) if instrument else (),
         comparison=_compared(fitted, priors, options, tick),
-        misfit=misfit,
+        misfit=misfit_alarm(fitted.told.blocks, noise),
         bands=predictive_bands(
-            model, fit.theta, fit.trials, fitted.adjustments, drawn, sigma_N=noise.sigma_N
+            model, told.fit.theta, told.fit.trials, told.adjustments, drawn, sigma_N=noise.sigma_N
         ),
     )
     return replace(
-        fit,
-        parameters=_with_uncertainty(fit.parameters, uncertainties),
+        told.fit,
+        parameters=_with_uncertainty(parameters, uncertainties),
         posterior=posterior,
-        flags=(*fit.flags, *posterior_flags(posterior)),
+        flags=(*said, *told.fit.flags, *posterior_flags(posterior)),
     )
+
+
+def _coherent(
+    fitted: FittedSpecimen, drawn: Redrawn, found: Mapping[str, ParameterUncertainty]
+) -> FittedSpecimen:
+    """The fit as it is, or described at the centre of its draws where its optimum lies outside them."""
+    if not outside(fitted.fit.parameters, found):
+        return fitted
+    adjustments = [
+        replace(
+            one,
+            gain=float(np.exp(np.log(drawn.gain[:, i]).mean())),
+            contact_offset_mm=float(drawn.offset_mm[:, i].mean()),
+        )
+        for i, one in enumerate(fitted.adjustments)
+    ]
+    return fitted.moved(
+        at_centre(fitted.tissue, central_theta(fitted.tissue.model, drawn.theta)), adjustments
+    )
+
+
+def _incoherent(
+    fit: SpecimenFit, found: Mapping[str, ParameterUncertainty], draws: _Draws, *, instrument: bool
+) -> tuple[tuple[str, ...], str]:
+    """Parameters whose intervals are withheld, and why."""
+    every = tuple(one.name for one in fit.parameters if one.value is not None)
+    if instrument and draws.total is None:
+        return every, "no draws carry a machine that was not stated"
+    return outside(fit.parameters, found), "the value lies outside it"
 
 
 def _total_intervals(total: TotalPosterior, model: KelvinVoigt) -> dict[str, tuple[float, float]]:
@@ -340,6 +429,7 @@ def _open_noise(fitted: FittedSpecimen, target: SpecimenTarget) -> LooseNoise | 
 def _total(
     fitted: FittedSpecimen,
     target: SpecimenTarget,
+    alone: tuple[Redrawn, FloatArray],
     options: PosteriorOptions,
     tick: Callable[[str], None],
 ) -> TotalPosterior | None:
@@ -358,6 +448,7 @@ def _total(
                 seed=options.seed,
                 start=target.optimum,
                 noise=_open_noise(fitted, target),
+                alone=(target, *alone),
             )
     except (ArithmeticError, ValueError, np.linalg.LinAlgError):
         return None

@@ -146,6 +146,7 @@ class SpecimenTarget:
             theta, acceptance = draw_passive(mean, covariance, data.blocks, rng)
             drawn = pool.map(lambda part: draw_effects(data, points[part], theta[part], normal[part]), parts)
             effects = np.concatenate(list(drawn))
+        linear = theta
         gain = np.ones((n, logs))
         offset = np.tile(self.optimum.delta, (n, 1))
         if "gain" in self.effects:
@@ -165,6 +166,7 @@ class SpecimenTarget:
             offset_mm=offset,
             sigma_N=np.exp(points[:, at]),
             phi=phi,
+            linear=linear,
             acceptance=acceptance,
         )
 

@@ -30,6 +30,8 @@ class Redrawn:
     offset_mm : ndarray, shape (n, logs)
         Contact point of each log against the one it was summed with.
     sigma_N, phi : ndarray, shape (n,)
+    linear : ndarray, shape (n, q)
+        Coefficients by powers of u as they were drawn, before a common gain was made exact.
     acceptance : float
         Share of proposals of the rejection step that were passive; 1 where no bound is near.
     """
@@ -39,6 +41,7 @@ class Redrawn:
     offset_mm: FloatArray
     sigma_N: FloatArray
     phi: FloatArray
+    linear: FloatArray
     acceptance: float
 
 
