@@ -55,8 +55,21 @@ LONGEST = (
 )
 
 
+#: What belongs to the system tier by its measured time: a file, or one of its classes or functions, a line.
+SYSTEM = frozenset((REPOSITORY / "tests" / "system_tests.txt").read_text(encoding="ascii").split())
+
+
+def prefixes(node: str) -> list[str]:
+    """A test's file, class and function, each as the node id that names all that is in it."""
+    parts = node.partition("[")[0].split("::")
+    return ["::".join(parts[: number + 1]) for number in range(len(parts))]
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Longest files first; the others as they stand."""
+    """Mark the tests of the system tier; longest files first, the others as they stand."""
+    for item in items:
+        if not SYSTEM.isdisjoint(prefixes(item.nodeid)):
+            item.add_marker(pytest.mark.system)
     place = {name: number for number, name in enumerate(LONGEST)}
     items.sort(key=lambda item: place.get(item.path.stem, len(LONGEST)))
 

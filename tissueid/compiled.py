@@ -34,13 +34,14 @@ _LINEAR_ALGEBRA = "scipy.linalg"
 
 def _for_the_disk(function: Function, options: dict[str, Any]) -> Function:
     """Compile at the first call, or load what was compiled from the same sources."""
-    folder, before = cache_folder(), nb.config.CACHE_DIR
+    settings: Any = nb.config
+    folder, before = cache_folder(), settings.CACHE_DIR
     if folder is not None:
-        nb.config.CACHE_DIR = str(folder)
+        settings.CACHE_DIR = str(folder)
     try:
         compiled: Function = nb.njit(cache=folder is not None, nogil=True, **options)(function)
     finally:
-        nb.config.CACHE_DIR = before
+        settings.CACHE_DIR = before
     return compiled
 
 

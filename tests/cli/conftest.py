@@ -1,11 +1,14 @@
-"""What a machine without devices looks like to the commands."""
+"""One fitted recording for all commands, and what a machine without devices looks like to them."""
 
 from __future__ import annotations
 
 import os
+import shutil
+from pathlib import Path
 from typing import Any
 
 import pytest
+from command_line import QUICK, run, write_log
 
 from tissueid.haptics.falcon import libusb
 
@@ -31,3 +34,18 @@ def empty_usb(monkeypatch: pytest.MonkeyPatch) -> None:
         return load() if libusb.LIBRARY_VARIABLE in os.environ else EmptyUsb()
 
     monkeypatch.setattr(libusb, "_load", chosen)
+
+
+@pytest.fixture(scope="session")
+def fitted_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with ``lab/log.csv`` and its quickest fit ``out``; nobody writes into it."""
+    folder = tmp_path_factory.mktemp("fitted")
+    ended = run("fit", write_log(folder / "lab" / "log.csv"), "-o", folder / "out", "-q", *QUICK)
+    assert ended.code == 0, ended.stderr
+    return folder
+
+
+@pytest.fixture
+def fitted_log(fitted_once: Path, tmp_path: Path) -> Path:
+    """A copy of them, to spoil."""
+    return shutil.copytree(fitted_once, tmp_path / "fitted", symlinks=True)

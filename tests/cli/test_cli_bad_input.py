@@ -130,9 +130,8 @@ def test_rights_that_are_missing_are_told(tmp_path: Path) -> None:
     assert "log.csv" in ended.stderr
 
 
-def test_results_can_only_be_written_where_there_is_a_folder(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    run("fit", write_log(tmp_path / "log.csv"), "-o", out, *QUICK)
+def test_results_can_only_be_written_where_there_is_a_folder(fitted_log: Path, tmp_path: Path) -> None:
+    out = fitted_log / "out"
     for command in ("export", "report"):
         ended = run(command, out, "-o", tmp_path / "none" / "file")
         assert ended.code == 2
@@ -140,18 +139,16 @@ def test_results_can_only_be_written_where_there_is_a_folder(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("content", ["", "{", "[]", "null", '{"schema": "tissueid/identification/1"}'])
-def test_a_spoilt_set_is_refused_by_every_command(tmp_path: Path, content: str) -> None:
-    out = tmp_path / "out"
-    run("fit", write_log(tmp_path / "log.csv"), "-o", out, *QUICK)
+def test_a_spoilt_set_is_refused_by_every_command(fitted_log: Path, content: str) -> None:
+    out = fitted_log / "out"
     for path in (out / "identification.json", *out.glob(".runs/*/identification.json")):
         path.write_text(content, encoding="utf-8")
     for command in ("validate", "report", "export"):
         assert run(command, out).code == 6, command
 
 
-def test_a_second_fit_repairs_a_spoilt_set(tmp_path: Path) -> None:
-    out, log = tmp_path / "out", write_log(tmp_path / "log.csv")
-    run("fit", log, "-o", out, *QUICK)
+def test_a_second_fit_repairs_a_spoilt_set(fitted_log: Path) -> None:
+    out, log = fitted_log / "out", fitted_log / "lab" / "log.csv"
     (out / "bundle.h5").write_bytes(b"spoilt")
     assert run("validate", out).code == 6
     run("fit", log, "-o", out, *QUICK)

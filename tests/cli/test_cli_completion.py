@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import os
 import shutil
 import subprocess
@@ -11,27 +13,41 @@ from pathlib import Path
 import pytest
 from command_line import REPOSITORY, run
 
-from tissueid.cli.main import COMMANDS
+from tissueid.cli.main import COMMANDS, cli
+
+
+def asked(words: str, shell: str) -> dict[str, str]:
+    """What a shell states in the environment to be told what may follow."""
+    typed = words.split(" ")
+    return {
+        "_TISSUEID_COMPLETE": f"{shell}_complete",
+        "COMP_WORDS": words,
+        "COMP_CWORD": typed[-1] if shell == "fish" else str(len(typed) - 1),
+    }
 
 
 def offered(words: str, *, shell: str = "bash") -> list[str]:
     """What a shell would offer for the last word of a line."""
-    typed = words.split(" ")
+    said = io.TextIOWrapper(io.BytesIO(), encoding="utf-8", write_through=True)
+    with pytest.MonkeyPatch.context() as patched, contextlib.redirect_stdout(said):
+        for name, value in asked(words, shell).items():
+            patched.setenv(name, value)
+        with pytest.raises(SystemExit) as ended:
+            cli.main(args=[], prog_name="tissueid")
+    assert ended.value.code == 0
+    return said.buffer.getvalue().decode("utf-8").splitlines()  # type: ignore[attr-defined]
+
+
+def test_a_process_offers_the_same_and_says_nothing_else() -> None:
+    words = "tissueid fit --sampler e"
     done = subprocess.run(
         [sys.executable, "-m", "tissueid"],
-        env=os.environ
-        | {
-            "PYTHONPATH": str(REPOSITORY),
-            "_TISSUEID_COMPLETE": f"{shell}_complete",
-            "COMP_WORDS": words,
-            "COMP_CWORD": typed[-1] if shell == "fish" else str(len(typed) - 1),
-        },
+        env=os.environ | {"PYTHONPATH": str(REPOSITORY)} | asked(words, "bash"),
         capture_output=True,
         text=True,
         check=True,
     )
-    assert done.stderr == ""
-    return done.stdout.splitlines()
+    assert (done.stdout.splitlines(), done.stderr) == (offered(words), "")
 
 
 def test_commands_are_offered_with_what_they_do() -> None:

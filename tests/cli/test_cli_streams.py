@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -64,12 +65,10 @@ DATA = {"completion"}
 
 
 @pytest.fixture(scope="module")
-def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("streams")
-    write_log(folder / "lab" / "log.csv")
+def prepared(fitted_once: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = shutil.copytree(fitted_once, tmp_path_factory.mktemp("streams") / "fitted", symlinks=True)
     write_log(folder / "other" / "log.csv")
     (folder / "bad.csv").write_text("Dear colleague\n", encoding="ascii")
-    assert run("fit", folder / "lab", "-o", folder / "out", "-q", *QUICK).code == 0
     assert run("study", "init", folder / "lab", "-q").code == 0
     chance = np.random.default_rng(5)
     for name in ("a", "b"):
@@ -81,8 +80,6 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def place(prepared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A copy of the prepared folder to type in."""
-    import shutil
-
     shutil.copytree(prepared, tmp_path / "here", symlinks=True)
     monkeypatch.chdir(tmp_path / "here")
     monkeypatch.setenv("TERM", "xterm-256color")

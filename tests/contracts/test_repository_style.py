@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -56,3 +58,24 @@ def test_pinned_versions_carry_no_addresses() -> None:
     for path in [REPOSITORY / "constraints.txt", *REPOSITORY.glob("**/*lock*.json")]:
         if ".venv" not in path.parts and "node_modules" not in path.parts:
             assert "://" not in path.read_text(encoding="utf-8"), path
+
+
+@cache
+def _nodes_of(name: str) -> set[str]:
+    """Functions, classes and functions of classes of a file of tests, as pytest names them."""
+    tree = ast.parse((REPOSITORY / name).read_text(encoding="utf-8"))
+    found = {one.name for one in tree.body if isinstance(one, ast.FunctionDef | ast.ClassDef)}
+    for one in tree.body:
+        if isinstance(one, ast.ClassDef):
+            found |= {f"{one.name}::{inner.name}" for inner in one.body if isinstance(inner, ast.FunctionDef)}
+    return found
+
+
+def test_every_line_of_the_system_tests_names_one() -> None:
+    lines = (REPOSITORY / "tests" / "system_tests.txt").read_text(encoding="ascii").splitlines()
+    assert lines == sorted(set(lines))
+    for line in lines:
+        name, _, node = line.partition("::")
+        assert (REPOSITORY / name).is_file(), line
+        assert not node or name not in lines, f"{line}: its file is there already"
+        assert not node or node in _nodes_of(name), line
