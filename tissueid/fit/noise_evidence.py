@@ -96,7 +96,7 @@ class NoiseVerdict:
     refuted : bool
         The recordings show that it is no noise.
     measured_N : float
-        Standard deviation that they show [N].
+        Standard deviation in their quiet stretches, slow forces taken off, or of their differences [N].
     excess : float
         Needed over shown, in the measure that tells most.
     p_value : float
@@ -178,7 +178,7 @@ def _likelihood(
 
 
 def _expected_difference(found: NoiseEstimate) -> float:
-    """What :attr:`~tissueid.trial.Segmentation.force_noise_N` shows of such noise, over its sigma."""
+    """What :func:`~tissueid.signal_noise.white_noise_sd` shows of such noise, over its sigma."""
     rho = [(1.0 - found.white_share) * found.phi**lag for lag in range(1, 5)]
     second = (1.5 - 2.0 * rho[0] + 0.5 * rho[1]) / 1.5
     fourth = (70.0 - 112.0 * rho[0] + 56.0 * rho[1] - 16.0 * rho[2] + 2.0 * rho[3]) / 70.0
@@ -227,4 +227,5 @@ def verdict_on_noise(
     p_value = float(stats.chi2.sf(2.0 * (best - at_fit), FREE))
     excess = found.sigma_N / math.sqrt(min(same_shape, quietest))
     refuted |= p_value < LEVEL and excess > EXCESS
-    return NoiseVerdict(refuted, math.sqrt(quietest), max(excess, step_excess), p_value)
+    power, freedom = sum(one.scale_N**2 for one in stretches), sum(one.freedom for one in stretches)
+    return NoiseVerdict(refuted, math.sqrt(max(power / freedom, least)), max(excess, step_excess), p_value)

@@ -40,7 +40,7 @@ from tissueid.likelihood.noise import NoiseChain, NoiseEstimate, estimate_noise,
 from tissueid.likelihood.sums import N_STATIC
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.processors import threads
-from tissueid.signal_noise import quantum
+from tissueid.signal_noise import quantum, white_noise_sd
 from tissueid.uncertainty import NoiseFit
 
 __all__ = ["Whitened", "for_all_degrees", "optimum_of", "whiten"]
@@ -123,7 +123,8 @@ def _residuals(
         found.quiet.extend(
             quiet_stretches(trial, handle.segmentation, log, residual, step_s=step_s, most=most)
         )
-        found.differences_N.append(handle.segmentation.force_noise_N)
+        used = log.data.include
+        found.differences_N.append(white_noise_sd(log.data.time_s[used], log.data.force_N[used]))
         quanta.append(quantum(trial.force_N))
     return replace(found, quantum_N=float(np.median(quanta)))
 

@@ -29,7 +29,7 @@ from tissueid.likelihood.passive_normal import draw_passive
 from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
 from tissueid.posterior.carried import carried_draws
 from tissueid.posterior.channel_gains import CHANNELS, drawn_gains, scaled_by, static_of_logs
-from tissueid.posterior.importance import Weighted, importance_sample
+from tissueid.posterior.importance import Weighted, importance_sample, pooled
 from tissueid.posterior.instrument import INSTRUMENT_NAMES, Behind
 from tissueid.posterior.instrument_mode import instrument_mode
 from tissueid.posterior.linear_priors import Facts
@@ -204,14 +204,14 @@ def _weighted_draws(behind: Behind, rng: np.random.Generator) -> tuple[Weighted,
 def _best(
     behind: Behind, target: SpecimenTarget, drawn: Redrawn, points: FloatArray, rng: np.random.Generator
 ) -> tuple[Weighted, FloatArray]:
-    """Draws anew, or carried ones: whichever are worth more."""
-    first = carried_draws(behind, target, drawn, points, rng) if drawn.acceptance < BOUNDED else None
-    if first is not None and first[0].converged and first[0].size >= ENOUGH:
-        return first
-    anew = _weighted_draws(behind, rng)
-    if first is not None and (first[0].converged, first[0].size) > (anew[0].converged, anew[0].size):
-        return first
-    return anew
+    """Carried draws where bounds are active and these are worth enough, draws anew, or both together."""
+    if drawn.acceptance >= BOUNDED:
+        return _weighted_draws(behind, rng)
+    first, places = carried_draws(behind, target, drawn, points, rng)
+    if first.converged and first.size >= ENOUGH:
+        return first, places
+    second, others = _weighted_draws(behind, rng)
+    return pooled([first, second]), np.vstack([places, others])
 
 
 def _resampled(weights: FloatArray, draws: int, rng: np.random.Generator) -> NDArray[np.int64]:

@@ -18,7 +18,7 @@ from tissueid.likelihood.instrument_density import log_likelihood
 from tissueid.likelihood.instrument_kernels import INSTRUMENT
 from tissueid.likelihood.marginal import log_joints
 from tissueid.likelihood.passive_normal import passive
-from tissueid.posterior.importance import Weighted, smoothed
+from tissueid.posterior.importance import Weighted, pooled, smoothed
 from tissueid.posterior.instrument import Behind, inverse
 from tissueid.posterior.specimen_target import SpecimenTarget
 from tissueid.posterior.target import Redrawn
@@ -27,8 +27,8 @@ __all__ = ["carried_draws"]
 
 FloatArray = NDArray[np.float64]
 
-#: Draws that are carried at the most, and machines that each is carried to.
-MOST, MACHINES = 3_000, 2
+#: Draws that are carried at the most, and how much wider they are spread: as they are, and a little beyond.
+MOST, STRETCHES = 2_000, (1.0, 1.2, 1.5)
 
 
 def _response(behind: Behind) -> tuple[FloatArray, FloatArray]:
@@ -65,7 +65,11 @@ def _densities(behind: Behind, points: FloatArray, theta: FloatArray) -> FloatAr
 
 
 def carried_draws(
-    behind: Behind, target: SpecimenTarget, drawn: Redrawn, points: FloatArray, rng: np.random.Generator
+    behind: Behind,
+    target: SpecimenTarget,
+    drawn: Redrawn,
+    points: FloatArray,
+    rng: np.random.Generator | None = None,
 ) -> tuple[Weighted, FloatArray]:
     """Weighted draws of tissue and instrument.
 
@@ -79,7 +83,9 @@ def carried_draws(
         Its draws.
     points : ndarray, shape (n, d)
         The sampled coordinates of each.
-    rng : numpy.random.Generator
+    rng : numpy.random.Generator, optional
+        Draws instruments; ``None`` weighs every draw as it is, without one: what gains and contact points
+        that were linearised about one point have done to it.
 
     Returns
     -------
@@ -88,13 +94,15 @@ def carried_draws(
     points : ndarray, shape (m, d)
         In all coordinates.
     """
-    rows = np.linspace(0, points.shape[0] - 1, min(points.shape[0], MOST)).astype(np.int64)
+    most = points.shape[0] if rng is None else MOST
+    rows = np.linspace(0, points.shape[0] - 1, min(points.shape[0], most)).astype(np.int64)
     points = np.ascontiguousarray(points[rows])
     theta = np.ascontiguousarray(drawn.linear[rows])
     before = log_joints(target.data, points, theta) + target.log_prior(points)
     branches, inner = behind.branches, behind.branches + INSTRUMENT
     base = np.tile(behind.mode, (rows.size, 1))
     base[:, :branches] = points[:, :branches]
+    base[:, branches:inner] = 0.0
     at = inner
     if "gain" in behind.effects:
         # its logarithm is what was sampled
@@ -103,18 +111,30 @@ def carried_draws(
         at += 1
     if behind.noise is not None:
         base[:, at:] = points[:, branches : branches + behind.noise.mode.size]
+    if rng is None:
+        return _weighed(behind, base, theta, before)
     by_theta, by_tau = _response(behind)
-    machine = _machines(behind, MACHINES * rows.size, rng)
-    base, theta = np.tile(base, (MACHINES, 1)), np.tile(theta, (MACHINES, 1))
-    base[:, :branches] += machine @ by_tau.T
-    base[:, branches:inner] = machine
-    theta = np.ascontiguousarray(theta + machine @ by_theta.T)
-    level = _densities(behind, base, theta) - np.tile(before, MACHINES)
+    middle, centre = base.mean(axis=0), theta.mean(axis=0)
+    sets = []
+    for stretch in STRETCHES:
+        # draws that are spread wider have the density they came from, but for a constant
+        machine = _machines(behind, rows.size, rng)
+        there = middle + stretch * (base - middle)
+        there[:, :branches] += machine @ by_tau.T
+        there[:, branches:inner] = machine
+        moved = centre + stretch * (theta - centre) + machine @ by_theta.T
+        sets.append(_weighed(behind, there, np.ascontiguousarray(moved), before))
+    return pooled([one for one, _ in sets]), np.vstack([places for _, places in sets])
+
+
+def _weighed(
+    behind: Behind, points: FloatArray, theta: FloatArray, before: FloatArray
+) -> tuple[Weighted, FloatArray]:
+    """Points and theta by their density over that of their proposal."""
+    level = _densities(behind, points, theta) - before
     if not np.isfinite(level).any():
         level[:] = 0.0
     weights = np.exp(level - level.max())
     weights, shape = smoothed(weights / weights.sum())
-    # machines of one draw are no more than one
-    each = weights.reshape(MACHINES, -1).sum(axis=0)
     shape = shape if math.isfinite(shape) else 1.0
-    return Weighted(base[:, behind.free], theta, weights, 1.0 / float((each**2).sum()), shape), base
+    return Weighted(points[:, behind.free], theta, weights, 1.0 / float((weights**2).sum()), shape), points

@@ -1,9 +1,9 @@
-"""Whether a value and its intervals speak of one thing, and the one tissue that does where they don't.
+"""Whether a value and its intervals speak of one thing, and the tissue that does where they don't.
 
-A value is printed with an interval only where it lies inside both of its intervals.  Where the optimum does
-not, as at a corner of what is passive, whose neighbourhood has next to no volume, the centre of the draws
-takes its place: the mean of the coefficients of F_s and of the viscosities K tau, with the mean of ln tau,
-is passive as every draw is.
+A value is printed with an interval only where it lies inside both of its intervals.  The optimum may not: at
+a corner of what is passive, whose neighbourhood has next to no volume, few draws are near it.  The tissue
+that is printed then is the first on the way from the optimum to the centre of the best draws that lies inside
+every interval: passive, as coefficients and viscosities of both ends are.
 """
 
 from __future__ import annotations
@@ -21,13 +21,20 @@ from tissueid.posterior.reported import reported_draws
 from tissueid.result import Estimate
 from tissueid.uncertainty import ParameterUncertainty
 
-__all__ = ["at_centre", "central_theta", "outside", "withheld"]
+__all__ = ["at_theta", "coherent_share", "outside", "withheld"]
 
 FloatArray = NDArray[np.float64]
 
+#: Shares of the way to the centre that are tried, and what a value that was moved keeps from the ends of its
+#: intervals, as a share of their width.
+SHARES = tuple(float(share) for share in np.linspace(0.025, 1.0, 40))
+MARGIN = 0.02
+#: Share of the draws that are the best, and fewest of them.
+BEST_SHARE, FEWEST = 0.05, 10
 
-def central_theta(model: KelvinVoigt, draws: FloatArray) -> FloatArray:
-    """Centre of passive draws of theta, shape (n, p): passive itself."""
+
+def _central(model: KelvinVoigt, draws: FloatArray) -> FloatArray:
+    """Centre of draws of theta, shape (n, p): of coefficients of F_s, of viscosities, and of ln tau."""
     centre = draws.mean(axis=0)
     for branch in range(model.branches):
         first = STATIC_DEGREE + branch * model.block
@@ -38,7 +45,76 @@ def central_theta(model: KelvinVoigt, draws: FloatArray) -> FloatArray:
     return np.asarray(centre)
 
 
-def at_centre(tissue: TissueEstimate, theta: FloatArray) -> TissueEstimate:
+def _between(model: KelvinVoigt, near: FloatArray, far: FloatArray, share: float) -> FloatArray:
+    """Theta on the way from one to another, both passive: it is as well."""
+    out = near + share * (far - near)
+    for branch in range(model.branches):
+        first = STATIC_DEGREE + branch * model.block
+        last = first + model.stiffness_degree + 1
+        tau = float(near[last] ** (1.0 - share) * far[last] ** share)
+        viscosity = near[first:last] * near[last] * (1.0 - share) + far[first:last] * far[last] * share
+        out[first:last], out[last] = viscosity / tau, tau
+    return np.asarray(out)
+
+
+def _best(
+    tissue: TissueEstimate,
+    draws: FloatArray,
+    log_density: FloatArray,
+    found: Mapping[str, ParameterUncertainty],
+) -> FloatArray:
+    """Draws of highest density among those inside every interval; of all, where none is."""
+    inside = np.ones(draws.shape[0], dtype=np.bool_)
+    values = reported_draws(tissue.model, draws)
+    for one in tissue.parameters:
+        if one.value is not None and one.name in found:
+            for interval in (found[one.name].ci95, found[one.name].ci95_total):
+                if interval is not None:
+                    spare = 2.0 * MARGIN * (interval[1] - interval[0])
+                    inside &= values[one.name] >= interval[0] + spare
+                    inside &= values[one.name] <= interval[1] - spare
+    rows = np.flatnonzero(inside) if inside.sum() >= FEWEST else np.arange(draws.shape[0])
+    count = max(int(BEST_SHARE * rows.size), FEWEST)
+    return draws[rows[np.argsort(log_density[rows])[-count:]]]
+
+
+def coherent_share(
+    tissue: TissueEstimate,
+    draws: FloatArray,
+    log_density: FloatArray,
+    found: Mapping[str, ParameterUncertainty],
+) -> tuple[float, TissueEstimate]:
+    """How far from the optimum towards the centre of the best draws every value lies inside its intervals.
+
+    Parameters
+    ----------
+    tissue : TissueEstimate
+        At the optimum.
+    draws : ndarray, shape (n, p)
+        Of theta.
+    log_density : ndarray, shape (n,)
+        Of theta together with what was sampled.
+    found : mapping
+        Name -> intervals.
+
+    Returns
+    -------
+    share : float
+        0 at the optimum, 1 at the centre, also where it is not inside either.
+    tissue : TissueEstimate
+        There.
+    """
+    if not outside(tissue.parameters, found):
+        return 0.0, tissue
+    centre = _central(tissue.model, _best(tissue, draws, log_density, found))
+    for share in SHARES:
+        moved = at_theta(tissue, _between(tissue.model, tissue.theta, centre, share))
+        if not outside(moved.parameters, found, margin=MARGIN):
+            break
+    return share, moved
+
+
+def at_theta(tissue: TissueEstimate, theta: FloatArray) -> TissueEstimate:
     """The same tissue with its values at another theta; verdicts and standard errors stay."""
     values = {name: float(one[0]) for name, one in reported_draws(tissue.model, theta[None]).items()}
     return replace(
@@ -51,11 +127,16 @@ def _moved(one: Estimate, value: float) -> Estimate:
     return replace(one, value=value if one.identified else None, detail=detail)
 
 
-def _inside(value: float, interval: tuple[float, float] | None) -> bool:
-    return interval is not None and interval[0] <= value <= interval[1]
+def _inside(value: float, interval: tuple[float, float] | None, margin: float) -> bool:
+    if interval is None:
+        return False
+    spare = margin * (interval[1] - interval[0])
+    return interval[0] + spare <= value <= interval[1] - spare
 
 
-def outside(parameters: tuple[Estimate, ...], found: Mapping[str, ParameterUncertainty]) -> tuple[str, ...]:
+def outside(
+    parameters: tuple[Estimate, ...], found: Mapping[str, ParameterUncertainty], *, margin: float = 0.0
+) -> tuple[str, ...]:
     """Identified parameters whose value lies outside an interval of theirs, or whose intervals part.
 
     Parameters
@@ -63,6 +144,8 @@ def outside(parameters: tuple[Estimate, ...], found: Mapping[str, ParameterUncer
     parameters : tuple of Estimate
     found : mapping
         Name -> intervals; a total interval that is missing where others have one counts as outside.
+    margin : float
+        Share of an interval's width that the value must keep from its ends.
     """
     totals = any(one.ci95_total is not None for one in found.values())
     out = []
@@ -70,9 +153,9 @@ def outside(parameters: tuple[Estimate, ...], found: Mapping[str, ParameterUncer
         if one.value is None or one.name not in found:
             continue
         own = found[one.name]
-        good = _inside(one.value, own.ci95)
+        good = _inside(one.value, own.ci95, margin)
         if totals or own.ci95_total is not None:
-            good &= _inside(one.value, own.ci95_total)
+            good &= _inside(one.value, own.ci95_total, margin)
         if not good:
             out.append(one.name)
     return tuple(out)

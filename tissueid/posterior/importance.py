@@ -9,7 +9,7 @@ the shape of their tail (Vehtari et al. 2024, Pareto-smoothed importance samplin
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tissueid.likelihood.triangular import squared_distances
 
-__all__ = ["MAX_SHAPE", "Weighted", "importance_sample"]
+__all__ = ["MAX_SHAPE", "Weighted", "importance_sample", "pooled", "smoothed"]
 
 FloatArray = NDArray[np.float64]
 
@@ -164,6 +164,19 @@ def smoothed(weights: FloatArray) -> tuple[FloatArray, float]:
     out = weights.copy()
     out[largest] = np.minimum(threshold + quantiles, weights[order[-1]])
     return out / out.sum(), shape
+
+
+def pooled(sets: Sequence[Weighted]) -> Weighted:
+    """Sets of draws from one density, each counted by what it is worth."""
+    total = sum(one.size for one in sets)
+    weights, shape = smoothed(np.concatenate([one.size / total * one.weights for one in sets]))
+    return Weighted(
+        points=np.vstack([one.points for one in sets]),
+        extra=np.vstack([one.extra for one in sets]),
+        weights=weights,
+        size=1.0 / float((weights**2).sum()),
+        shape=shape,
+    )
 
 
 def importance_sample(

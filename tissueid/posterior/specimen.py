@@ -17,6 +17,7 @@ from tissueid.fit.estimates import second_stage_static
 from tissueid.fit.specimen import FittedSpecimen
 from tissueid.fit.trials import model_force
 from tissueid.likelihood.knots import KnotSums, knot_sums
+from tissueid.likelihood.marginal import log_joints
 from tissueid.likelihood.passive_normal import draw_passive
 from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
 from tissueid.posterior.at_optimum import posterior_target
@@ -24,10 +25,12 @@ from tissueid.posterior.bands import predictive_bands
 from tissueid.posterior.bootstrap import cluster_bootstrap
 from tissueid.posterior.budget import uncertainty_budget
 from tissueid.posterior.building import NotLinearError
-from tissueid.posterior.calibration import TotalPosterior, total_posterior
-from tissueid.posterior.coherence import at_centre, central_theta, outside, withheld
+from tissueid.posterior.calibration import BOUNDED, TotalPosterior, total_posterior
+from tissueid.posterior.carried import carried_draws
+from tissueid.posterior.coherence import coherent_share, outside, withheld
 from tissueid.posterior.comparison import compare_models, rows_of_choice
 from tissueid.posterior.diagnostics import diagnose
+from tissueid.posterior.instrument import Behind
 from tissueid.posterior.loose_noise import LooseNoise, loose_noise
 from tissueid.posterior.misfit import misfit_alarm
 from tissueid.posterior.prior_rows import prior_rows
@@ -59,6 +62,8 @@ KEPT_DRAWS = 2000
 LEAST_WORTH = 100.0
 #: Points of a chain that are redrawn, for each effective draw that was asked for.
 REDRAWN_EACH = 1.5
+#: Share of the draws that exact effects of the logs must leave for linear ones to stand.
+LINEAR = 0.5
 #: Draws for which independent ones are prepared by a whole pilot, and its least share: a proposal need not be
 #: better known than what is drawn from it.
 WHOLE_PILOT = 4_000
@@ -196,8 +201,9 @@ class _Draws:
     chain : ndarray, shape (chains, draws, d)
         Sampled coordinates.
     log_density : ndarray, shape (chains, draws), or None
+    points : ndarray, shape (n, d)
+        Sampled coordinates of what was drawn: the chain's, or of rows of it.
     drawn : Redrawn
-        A row for each draw of the chain.
     total : TotalPosterior or None
         ``None`` where there is no instrument to ask about, or its draws carry nothing.
     """
@@ -206,13 +212,9 @@ class _Draws:
     report: SamplerReport
     chain: FloatArray
     log_density: FloatArray | None
+    points: FloatArray
     drawn: Redrawn
     total: TotalPosterior | None
-
-    @property
-    def points(self) -> FloatArray:
-        """The chain's draws as rows."""
-        return self.chain.reshape(-1, self.chain.shape[2])
 
 
 def _draws(
@@ -241,7 +243,22 @@ def _draws(
         carried = total.sampler.converged and total.sampler.detail["worth"] >= LEAST_WORTH
         report = replace(report, detail={**report.detail, "total": _told_of(total) | {"converged": carried}})
         total = total if carried else None
-    return _Draws(target, report, sampled.chain, sampled.log_density, drawn, total)
+    rows = np.arange(points.shape[0])
+    if total is not None and drawn.acceptance < BOUNDED:
+        rows = _without_curvature(total.behind, target, drawn, points, options.seed)
+        drawn = drawn.some(rows)
+    return _Draws(target, report, sampled.chain, sampled.log_density, points[rows], drawn, total)
+
+
+def _without_curvature(
+    behind: Behind, target: SpecimenTarget, drawn: Redrawn, points: FloatArray, seed: int
+) -> NDArray[np.int64]:
+    """Rows of draws, weighted where gains and contact points are not linear over them."""
+    weighted, _ = carried_draws(behind, target, drawn, points)
+    if not weighted.converged or weighted.size > LINEAR * points.shape[0]:
+        return np.arange(points.shape[0])
+    rng = np.random.default_rng([seed, 3])
+    return rng.choice(points.shape[0], points.shape[0], p=weighted.weights)
 
 
 def with_posterior(
@@ -300,7 +317,7 @@ def _assembled(
         draws.chain.shape[:2],
         None if total is None else _total_intervals(total, model),
     )
-    told = _coherent(fitted, drawn, uncertainties)
+    told = _coherent(fitted, draws, uncertainties)
     names, why = _incoherent(told.fit, uncertainties, draws, instrument=instrument)
     parameters, said = withheld(told.fit.parameters, names, why)
     tick("checks of the residuals")
@@ -333,22 +350,25 @@ def _assembled(
 
 
 def _coherent(
-    fitted: FittedSpecimen, drawn: Redrawn, found: Mapping[str, ParameterUncertainty]
+    fitted: FittedSpecimen, draws: _Draws, found: Mapping[str, ParameterUncertainty]
 ) -> FittedSpecimen:
-    """The fit as it is, or described at the centre of its draws where its optimum lies outside them."""
-    if not outside(fitted.fit.parameters, found):
+    """The fit as it is, or of the tissue on the way to the centre of its draws that agrees with them."""
+    drawn, target = draws.drawn, draws.target
+    level = log_joints(target.data, draws.points, drawn.linear) + target.log_prior(draws.points)
+    share, tissue = coherent_share(fitted.tissue, drawn.theta, level, found)
+    if share == 0.0:
         return fitted
+    gain = np.exp(np.log(drawn.gain).mean(axis=0))
+    offset = drawn.offset_mm.mean(axis=0)
     adjustments = [
         replace(
             one,
-            gain=float(np.exp(np.log(drawn.gain[:, i]).mean())),
-            contact_offset_mm=float(drawn.offset_mm[:, i].mean()),
+            gain=float(one.gain ** (1.0 - share) * gain[i] ** share),
+            contact_offset_mm=float(one.contact_offset_mm + share * (offset[i] - one.contact_offset_mm)),
         )
         for i, one in enumerate(fitted.adjustments)
     ]
-    return fitted.moved(
-        at_centre(fitted.tissue, central_theta(fitted.tissue.model, drawn.theta)), adjustments
-    )
+    return fitted.moved(tissue, adjustments)
 
 
 def _incoherent(

@@ -6,7 +6,7 @@ contact offsets of the logs are integrated, and drawn anew from their exact cond
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -43,6 +43,14 @@ class Redrawn:
     phi: FloatArray
     linear: FloatArray
     acceptance: float
+
+    def some(self, rows: NDArray[np.int64]) -> Redrawn:
+        """The draws of some rows."""
+        kept = {
+            name: getattr(self, name)[rows]
+            for name in ("theta", "gain", "offset_mm", "sigma_N", "phi", "linear")
+        }
+        return replace(self, **kept)
 
 
 class Target(Protocol):
