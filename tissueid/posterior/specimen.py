@@ -258,7 +258,7 @@ def _without_curvature(
     if not weighted.converged or weighted.size > LINEAR * points.shape[0]:
         return np.arange(points.shape[0])
     rng = np.random.default_rng([seed, 3])
-    return rng.choice(points.shape[0], points.shape[0], p=weighted.weights)
+    return np.asarray(rng.choice(points.shape[0], points.shape[0], p=weighted.weights))
 
 
 def with_posterior(
@@ -317,6 +317,8 @@ def _assembled(
         draws.chain.shape[:2],
         None if total is None else _total_intervals(total, model),
     )
+    if noise.discrepant:
+        uncertainties = {name: _within_total(one) for name, one in uncertainties.items()}
     told = _coherent(fitted, draws, uncertainties)
     names, why = _incoherent(told.fit, uncertainties, draws, instrument=instrument)
     parameters, said = withheld(told.fit.parameters, names, why)
@@ -347,6 +349,17 @@ def _assembled(
         posterior=posterior,
         flags=(*said, *told.fit.flags, *posterior_flags(posterior)),
     )
+
+
+def _within_total(one: ParameterUncertainty) -> ParameterUncertainty:
+    """The same with a total interval that holds the statistical one.
+
+    Where bounds cut both, either is worked out from its own few draws, and the larger counts.
+    """
+    if one.ci95_total is None:
+        return one
+    (low, high), (first, last) = one.ci95, one.ci95_total
+    return replace(one, ci95_total=(min(low, first), max(high, last)))
 
 
 def _coherent(

@@ -87,12 +87,20 @@ def _fit_words(specimen: Mapping[str, Any]) -> str:
     )
     noise = specimen["noise"]
     assumed = _NOISE[noise["model"]] if noise is not None else "white noise"
+    missed = ""
+    if noise is not None and noise["samples_per_independent"] > 1.0:
+        unit = specimen["units"]["force"]
+        missed = (
+            f" The residual, {number(noise['sigma_N'], 2)} {unit}, is no noise of these recordings: they show "
+            f"{number(noise['measured_N'], 2)} {unit} where nothing happens, and the log likelihood was divided "
+            f"by {number(noise['samples_per_independent'], 2)}, samples that one independent one stands for."
+        )
     return (
         f"The static force was {_POOLING[model['static_pooling']]}. {chosen}The model was fitted to the "
         "recorded displacement through its whole history by variable projection over the relaxation times, "
         f"under {assumed} of the force, within the set of passive tissues (F_s and K nowhere negative on the "
         "fitted depth). A relaxation time is reported where its 95 % profile-likelihood interval is closed "
-        "and narrower than a factor e."
+        f"and narrower than a factor e.{missed}"
     )
 
 
@@ -117,6 +125,11 @@ def _sampling_words(specimen: Mapping[str, Any]) -> str:
         else "statistical (noise, scatter between trials, contact points)"
     )
     end = "" if sampler["converged"] else " The sampler did not converge."
+    withheld = [one["symbol"] for one in specimen["parameters"] if "withheld" in one["detail"]]
+    if withheld:
+        end += f" No interval is given for {', '.join(withheld)}, whose values and draws do not agree."
+    if any("optimum" in one["detail"] for one in specimen["parameters"]):
+        end += " Values are those of the tissue nearest to the optimum that lies inside every interval."
     return (
         f"The posterior, with the linear parameters integrated, was sampled by {sampler['name']} "
         f"({', '.join(told)}). Intervals are 95 % credible intervals: {both}.{end}"

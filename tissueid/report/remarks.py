@@ -18,7 +18,7 @@ LEVELS = ("ok", "note", "caution", "serious")
 #: Flags that put the result itself in doubt; the others ask for a look.
 _SERIOUS = frozenset(
     {"not_converged", "optimisers_disagree", "single_speed", "no_contact", "clipped_force", "no_decimals"}
-    | {"quantised_force", "too_few_samples", "no_ramp", "misfit"}
+    | {"quantised_force", "too_few_samples", "no_ramp", "misfit", "interval_withheld"}
     | {"speed_confounded", "population_not_converged"}
 )
 #: Flags that only state what was assumed.
@@ -96,6 +96,8 @@ REMARK_TITLES: Mapping[str, str] = MappingProxyType(
         "poroelastic": "Fluid flow",
         "sampler_not_converged": "Sampler",
         "misfit": "Misfit",
+        "discrepancy": "Misfit beside the noise",
+        "interval_withheld": "Interval withheld",
         "model_undecided": "Choice of the model",
         "calibration_dominates": "Calibration",
         "prior_dominated": "Prior",

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from tissueid.report.remarks import remarks
+from tissueid.report.remarks import LEVELS, remarks
 from tissueid.trial import Axes
 
 __all__ = [
@@ -91,6 +91,10 @@ def parameter_words(name: str) -> str:
     return PARAMETER_WORDS.get(name, name)
 
 
+#: Residual as a share of the force range from which a verdict is no better than this.
+_LEFT = ((0.0, "ok"), (0.02, "caution"), (0.05, "serious"))
+
+
 @dataclass(frozen=True, slots=True)
 class Verdict:
     """What to think of a result at first sight.
@@ -119,8 +123,11 @@ def verdict(specimen: Mapping[str, Any]) -> Verdict:
         level = "caution"
     if misfit_raised(specimen):
         level = "serious"
+    # a fit that leaves more reads no better than one that leaves less
+    left = specimen["nrmsd"]["range"]
+    level = max(level, *(grade for limit, grade in _LEFT if left >= limit), key=LEVELS.index)
     total = len(specimen["parameters"])
-    fit = f"The model follows the force to {100 * specimen['nrmsd']['range']:.2f} % of its range"
+    fit = f"The model follows the force to {100 * left:.2f} % of its range{_beside_noise(specimen)}"
     share = (
         "every parameter is identified"
         if not unknown
@@ -134,6 +141,15 @@ def verdict(specimen: Mapping[str, Any]) -> Verdict:
         "serious": "Not to be relied on as it stands",
     }
     return Verdict(level, titles[level], text)
+
+
+def _beside_noise(specimen: Mapping[str, Any]) -> str:
+    """What the model misses against the measured noise, where it misses more."""
+    noise = specimen["noise"]
+    if noise is None or noise["samples_per_independent"] <= 1.0:
+        return ""
+    unit = specimen["units"]["force"]
+    return f" and misses {noise['sigma_N']:.2g} {unit} where the noise is {noise['measured_N']:.2g} {unit}"
 
 
 def misfit_raised(specimen: Mapping[str, Any]) -> bool:
