@@ -356,7 +356,15 @@ def _described(
     """What a specimen's logs say of a tissue: residuals, quoted numbers, flags."""
     options, whitened, handles, choice = fitting.options, fitting.whitened, fitting.handles, fitting.choice
     sums, solution, followed = whitened.sums, whitened.solution, fitting.followed
-    told = second_pass(handles, adjustments, tissue, tick, noise=whitened.noise, depths_mm=options.depths_mm)
+    told = second_pass(
+        handles,
+        adjustments,
+        tissue,
+        tick,
+        noise=whitened.noise,
+        tempering=whitened.tempering,
+        depths_mm=options.depths_mm,
+    )
     sigma = whitened.noise.sigma_N
     facts = [handle.facts for handle in handles]
     flags = specimen_flags(

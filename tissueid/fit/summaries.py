@@ -77,6 +77,7 @@ def second_pass(
     tick: Callable[[str], None],
     *,
     noise: NoiseFit,
+    tempering: float = 1.0,
     depths_mm: Sequence[float] = (),
 ) -> Summaries:
     """Load every log once more and keep what a report needs of it; the logs are looked at in threads.
@@ -91,6 +92,8 @@ def second_pass(
         Told what is being read.
     noise : NoiseFit
         Held at its estimate where residuals are summed over knots.
+    tempering : float
+        Samples that one counts for in these sums.
     depths_mm : sequence of float
         Depths at which the stiffness of each loop is wanted.
     """
@@ -124,7 +127,7 @@ def second_pass(
         holds=tuple(one.holds for one in found),
         nrmsd=overall,
         blocks=tuple(one.blocks for one in found),
-        knots=tuple(one.knots for one in found),
+        knots=tuple(one.knots.tempered(tempering) for one in found),
     )
 
 
@@ -158,5 +161,5 @@ def _one_log(
             phi=noise.phi,
             reference_step_s=noise.reference_step_s,
             moving_average=noise.moving_average,
-        ).tempered(noise.samples_per_independent),
+        ),
     )

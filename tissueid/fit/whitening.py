@@ -5,10 +5,11 @@ more pass over the logs then sums the residuals at that optimum for every correl
 (:mod:`tissueid.likelihood.lag_sums`), and the fit is finished under the whitened sums: generalised least
 squares, with standard errors, profile intervals and verdicts under the noise that there is.
 
-Where the recordings refute that noise (:mod:`tissueid.fit.noise_evidence`), the weights stay white and the
-sums are tempered: all but the sum of squares at the optimum is divided by the number of samples that one
-independent sample stands for (:mod:`tissueid.fit.discrepancy`).  Value, standard errors, profile intervals
-and posterior are of these same sums.
+Where the recordings refute that noise (:mod:`tissueid.fit.noise_evidence`), the weights stay white.  The sums
+of a single log are then tempered: all but the sum of squares at the optimum is divided by the number of
+samples that one independent sample stands for (:mod:`tissueid.fit.discrepancy`), so that value, standard
+errors, profile intervals and posterior are of these same sums.  Draws of several logs are stretched instead
+(:mod:`tissueid.posterior.stretched`).
 """
 
 from __future__ import annotations
@@ -69,6 +70,8 @@ class Whitened:
         Whitened at the estimated correlation, where there is one.
     solution : Solution
         The fit under them.
+    tempering : float
+        Samples that one counts for in these sums.
     """
 
     noise: NoiseFit
@@ -76,6 +79,7 @@ class Whitened:
     centred: Optimum
     sums: SpecimenSums
     solution: Solution
+    tempering: float = 1.0
 
 
 def optimum_of(solution: Solution, adjustments: Sequence[Adjustment], scale: float) -> Optimum:
@@ -248,13 +252,14 @@ def whiten(
         if verdict.refuted:
             found = estimate_noise(left.chains, parameters=parameters, model="white")
             worth = _worth(handles, model, theta, adjustments, found.sigma_N)
+    # of several logs the spread between them stretches the draws; their own effects are known as they are
+    tempering = worth if len(handles) == 1 else 1.0
     centred = optimum_of(solution, adjustments, sums.depth_mm)
-    known = found.phi > NO_CORRELATION or worth > 1.0
+    known = found.phi > NO_CORRELATION or tempering > 1.0
     tick("sums for correlated noise")
     degree = sums.columns_degree if known else solution.candidate.degree
     lags = _sums_of_lags(handles, sums.basis, degree, step, centred, found)
-    if worth > 1.0:
-        lags = tuple(one.tempered(worth) for one in lags)
+    lags = tuple(one.tempered(tempering) for one in lags)
     if known:
         sums = _whitened_sums(sums, lags, found.phi, centred)
         solution = refit(sums, solution)
@@ -272,6 +277,7 @@ def whiten(
         centred=centred,
         sums=sums,
         solution=solution,
+        tempering=tempering,
     )
 
 
@@ -290,4 +296,4 @@ def for_all_degrees(whitened: Whitened, handles: Sequence[LogHandle]) -> Whitene
     lags = _sums_of_lags(
         handles, sums.basis, sums.columns_degree, noise.reference_step_s, whitened.centred, noise
     )
-    return replace(whitened, lags=tuple(one.tempered(noise.samples_per_independent) for one in lags))
+    return replace(whitened, lags=tuple(one.tempered(whitened.tempering) for one in lags))

@@ -37,6 +37,7 @@ from tissueid.posterior.prior_rows import prior_rows
 from tissueid.posterior.remarks import not_linear, posterior_flags
 from tissueid.posterior.reported import interval95, reported_draws
 from tissueid.posterior.specimen_target import SpecimenTarget
+from tissueid.posterior.stretched import stretched
 from tissueid.posterior.target import Redrawn
 from tissueid.posterior.theta_prior import log_theta_prior
 from tissueid.posterior.total_intervals import total_intervals
@@ -62,6 +63,8 @@ KEPT_DRAWS = 2000
 LEAST_WORTH = 100.0
 #: Points of a chain that are redrawn, for each effective draw that was asked for.
 REDRAWN_EACH = 1.5
+#: NRMSD of the value that is printed, at the most, over that of the optimum.
+WORSE = 1.1
 #: Share of the draws that exact effects of the logs must leave for linear ones to stand.
 LINEAR = 0.5
 #: Draws for which independent ones are prepared by a whole pilot, and its least share: a proposal need not be
@@ -247,6 +250,13 @@ def _draws(
     if total is not None and drawn.acceptance < BOUNDED:
         rows = _without_curvature(total.behind, target, drawn, points, options.seed)
         drawn = drawn.some(rows)
+    model, noise, whitened = fitted.tissue.model, fitted.whitened.noise, fitted.whitened
+    if noise.samples_per_independent > whitened.tempering:
+        factor = float(np.sqrt(noise.samples_per_independent / whitened.tempering))
+        value, speed = fitted.tissue.theta, fitted.fit.speeds_mm_s[1]
+        drawn = replace(drawn, theta=stretched(model, drawn.theta, value, factor, speed))
+        if total is not None:
+            total = replace(total, theta=stretched(model, total.theta, value, factor, speed))
     return _Draws(target, report, sampled.chain, sampled.log_density, points[rows], drawn, total)
 
 
@@ -381,7 +391,9 @@ def _coherent(
         )
         for i, one in enumerate(fitted.adjustments)
     ]
-    return fitted.moved(tissue, adjustments)
+    moved = fitted.moved(tissue, adjustments)
+    # a value that agrees with its draws and not with the recordings is none
+    return moved if moved.fit.nrmsd.range <= WORSE * fitted.fit.nrmsd.range else fitted
 
 
 def _incoherent(
@@ -451,7 +463,7 @@ def _open_noise(fitted: FittedSpecimen, target: SpecimenTarget) -> LooseNoise | 
                     phi=phi,
                     reference_step_s=noise.reference_step_s,
                     moving_average=noise.moving_average,
-                ).tempered(noise.samples_per_independent)
+                ).tempered(fitted.whitened.tempering)
             )
         return out
 

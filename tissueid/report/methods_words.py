@@ -91,9 +91,9 @@ def _fit_words(specimen: Mapping[str, Any]) -> str:
     if noise is not None and noise["samples_per_independent"] > 1.0:
         unit = specimen["units"]["force"]
         missed = (
-            f" The residual, {number(noise['sigma_N'], 2)} {unit}, is no noise of these recordings: they show "
-            f"{number(noise['measured_N'], 2)} {unit} where nothing happens, and the log likelihood was divided "
-            f"by {number(noise['samples_per_independent'], 2)}, samples that one independent one stands for."
+            f" The residual, {number(noise['sigma_N'], 2)} {unit}, is no noise of these recordings: where "
+            f"nothing happens they show {number(noise['measured_N'], 2)} {unit}. Intervals count "
+            f"{number(noise['samples_per_independent'], 2)} samples as an independent one."
         )
     return (
         f"The static force was {_POOLING[model['static_pooling']]}. {chosen}The model was fitted to the "
