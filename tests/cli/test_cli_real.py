@@ -17,7 +17,7 @@ MEDIAN_NRMSD = 0.01
 
 @pytest.fixture(scope="module")
 def workbook(shared_data: Path) -> Path:
-    (path,) = (shared_data / "zwick-meat-gpl3").glob("*.xlsx")
+    (path,) = (shared_data / "zwick-meat-gpl3").glob("230403*.xlsx")
     return path
 
 

@@ -66,7 +66,7 @@ def test_testxpert_tra(shared_data, name, columns):
 
 
 def test_testxpert_workbook_every_sheet(shared_data):
-    (path,) = (shared_data / "zwick-meat-gpl3").glob("*.xlsx")
+    (path,) = (shared_data / "zwick-meat-gpl3").glob("230403*.xlsx")
     book = openpyxl.load_workbook(path, read_only=True)
     tables = {}
     for sheet in book.worksheets:
@@ -87,7 +87,7 @@ def test_testxpert_workbook_every_sheet(shared_data):
 
 
 def test_workbook_one_sheet_and_its_other_displacement(shared_data):
-    (path,) = (shared_data / "zwick-meat-gpl3").glob("*.xlsx")
+    (path,) = (shared_data / "zwick-meat-gpl3").glob("230403*.xlsx")
     trial = read_one(path, "230403-FF1C", ReadOptions(columns={"displacement": "Ecartement entre outils"}))
     assert trial.displacement_mm[0] == 14.391552164525592
     assert [flag.code for flag in trial.flags if flag.code == "column_choice"] == []
@@ -137,8 +137,17 @@ def test_every_recording_has_its_trials_samples_first_peak_and_last(shared_data,
     assert read == [recording for recording in RECORDINGS if recording[0] == file]
 
 
+#: Recordings whose points nobody has read off by another program yet.
+NOT_LISTED = {
+    "mach1-pork-gpl3/09-s-1_36.04_11.85_04.68.txt",
+    "shimadzu-gpl3/Exemple_MS_Shimadzu_Flex_L20_D2.csv",
+    "shimadzu-gpl3/Exemple_Shimadzu_Tract_L100_D2.csv",
+    "zwick-meat-gpl3/230407_C_Indentation_relaxation_500N_force.xlsx",
+}
+
+
 def test_the_list_names_every_recording_there_is(shared_data):
-    listed = {shared_data / recording[0] for recording in RECORDINGS}
+    listed = {shared_data / name for name in {*NOT_LISTED, *(recording[0] for recording in RECORDINGS)}}
     assert set(find_inputs([shared_data])) <= listed
 
 

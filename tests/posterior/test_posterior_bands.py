@@ -18,7 +18,7 @@ SIGMA = 0.3
 
 def redrawn(theta: np.ndarray, *, gain: np.ndarray, offset_mm: np.ndarray) -> Redrawn:
     count = len(theta)
-    return Redrawn(theta, gain, offset_mm, np.full(count, SIGMA), np.zeros(count), 1.0)
+    return Redrawn(theta, gain, offset_mm, np.full(count, SIGMA), np.zeros(count), theta, 1.0)
 
 
 def bands(theta: np.ndarray, *, gain: np.ndarray | None = None, offset_mm: np.ndarray | None = None):

@@ -32,7 +32,7 @@ NO_NARROWER = 0.85
 
 @pytest.fixture(scope="module")
 def workbook(shared_data: Path) -> Path:
-    (path,) = (shared_data / "zwick-meat-gpl3").glob("*.xlsx")
+    (path,) = (shared_data / "zwick-meat-gpl3").glob("230403*.xlsx")
     return path
 
 

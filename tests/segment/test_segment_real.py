@@ -26,7 +26,7 @@ def numbers(path, skip: int) -> np.ndarray:
 
 
 def test_every_meat_sheet_has_a_ramp_and_a_hold(shared_data):
-    path = next((shared_data / "zwick-meat-gpl3").glob("*.xlsx"))
+    path = next((shared_data / "zwick-meat-gpl3").glob("230403*.xlsx"))
     book = calamine.CalamineWorkbook.from_path(str(path))
     seen = 0
     for name in book.sheet_names:

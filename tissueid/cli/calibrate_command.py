@@ -132,11 +132,11 @@ def command(**flags: Any) -> int:
 
 
 def _note_first_run(quiet: int) -> None:
-    from tissueid.fit.compiled import kernels_to_compile
+    from tissueid.fit.compiled import first_run_words
 
-    missing = kernels_to_compile(posterior=True)
-    if missing:
-        note(f"First run: compiling {len(missing)} kernels, a minute or two", quiet=quiet)
+    words = first_run_words(posterior=True)
+    if words is not None:
+        note(words, quiet=quiet)
 
 
 def _folder(name: str) -> Path:

@@ -151,11 +151,11 @@ def command(**flags: Any) -> int:
 
 
 def _note_first_run(quiet: int) -> None:
-    from tissueid.fit.compiled import kernels_to_compile
+    from tissueid.fit.compiled import first_run_words
 
-    missing = kernels_to_compile(posterior=False)
-    if missing:
-        note(f"First run: compiling {len(missing)} kernels, a minute or two", quiet=quiet)
+    words = first_run_words(posterior=False)
+    if words is not None:
+        note(words, quiet=quiet)
 
 
 def _prepared(flags: dict[str, Any]) -> tuple[Machine, Tissues, Asked, Against | None]:

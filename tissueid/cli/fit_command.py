@@ -123,7 +123,7 @@ def command(**flags: Any) -> int:
     """
     if flags["contact_law"] != LAWS[0]:
         return fit_law(flags)
-    from tissueid.fit.compiled import kernels_to_compile
+    from tissueid.fit.compiled import first_run_words
     from tissueid.store.outputs import OutputSet
     from tissueid.study.batch import fit_cohort, prune_specimens
     from tissueid.study.pages import write_report
@@ -136,12 +136,9 @@ def command(**flags: Any) -> int:
     study, paths = locate_study(flags["paths"], named=flags["study"], ignore=flags["no_study"])
     files = inputs_in_order(paths, study)
     _refuse_foreign(Path(flags["out"]))
-    missing = kernels_to_compile(posterior=flags["sampler"] != "none")
-    if missing:
-        note(
-            f"First run: compiling {len(missing)} functions, a minute or two; later runs start at once",
-            quiet=quiet,
-        )
+    words = first_run_words(posterior=flags["sampler"] != "none")
+    if words is not None:
+        note(words, quiet=quiet)
     by_pattern = PatternCheck(reading.specimen_by, study)
     request = Request(
         files,

@@ -41,8 +41,8 @@ def command(**flags: Any) -> int:
 
     PAPER is sadeghnejad (sinus surgery: model, identification, adaptive controller), pires (hip resurfacing:
     contact law, guidance), or all. Each printed number stands beside a recomputed one with its interval and
-    what stands behind it: reproduced, a round trip (the number was among the inputs), assumed, or not
-    reproducible.
+    what stands behind it: reproduced, recomputed (no number is printed beside it), given (an input), a round
+    trip (the number was among the inputs), assumed, or not reproducible.
     """
     from dataclasses import replace
 

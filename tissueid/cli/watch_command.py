@@ -92,14 +92,11 @@ def command(**flags: Any) -> int:
 
 
 def _announce_compiling(quiet: int) -> None:
-    from tissueid.fit.compiled import kernels_to_compile
+    from tissueid.fit.compiled import first_run_words
 
-    missing = kernels_to_compile()
-    if missing:
-        note(
-            f"First run: compiling {len(missing)} kernels, about half a minute with the first test",
-            quiet=quiet,
-        )
+    words = first_run_words(posterior=False)
+    if words is not None:
+        note(words, quiet=quiet)
 
 
 def _session(flags: dict[str, Any]) -> WatchSession:

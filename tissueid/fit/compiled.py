@@ -17,7 +17,7 @@ from tissueid.likelihood.lag_kernels import filter_chain, split_links, tiled_lin
 from tissueid.likelihood.passive_normal import log_passive_mass
 from tissueid.model.kernels import branch_state
 
-__all__ = ["kernels_to_compile"]
+__all__ = ["first_run_words", "kernels_to_compile"]
 
 KERNELS: tuple[Any, ...] = (
     branch_state,
@@ -50,6 +50,22 @@ POSTERIOR_KERNELS: tuple[Any, ...] = (
     conditionals,
     log_ratios,
 )
+
+
+def first_run_words(*, posterior: bool) -> str | None:
+    """What is said before functions are compiled, with the time that takes; ``None`` where they all are.
+
+    Parameters
+    ----------
+    posterior : bool
+        Count those of a posterior in.
+    """
+    missing = kernels_to_compile(posterior=posterior)
+    if not missing:
+        return None
+    names = {kernel.__name__ for kernel in POSTERIOR_KERNELS}
+    time = "about 4 minutes" if names & set(missing) else "about half a minute"
+    return f"First run: compiling {len(missing)} functions, {time}, once; later runs start at once"
 
 
 def kernels_to_compile(*, posterior: bool = False) -> list[str]:

@@ -192,6 +192,7 @@ def verdict_on_noise(
     *,
     quantum_N: float,
     samples: int,
+    alone: bool = False,
 ) -> NoiseVerdict:
     """Whether the noise that residuals suggest is noise of the recordings.
 
@@ -207,6 +208,9 @@ def verdict_on_noise(
         Step of the force's digits [N]; noise is not below a twelfth of its square.
     samples : int
         Fitted samples of all logs.
+    alone : bool
+        One log is all there is: of correlation that nothing quiet shows, it can't tell noise from what the
+        model lacks.
     """
     seen = float(np.median(differences_N))
     shown = max(seen, quantum_N / math.sqrt(12.0))
@@ -214,6 +218,7 @@ def verdict_on_noise(
     step_excess = needed / shown if shown > 0.0 else math.inf
     refuted = step_excess > EXCESS * (1.0 + MEDIAN_ERROR / math.sqrt(max(samples, 1)))
     if not stretches or found.sigma_N <= 0.0:
+        refuted |= alone and found.model != "white"
         return NoiseVerdict(refuted and found.sigma_N > 0.0, shown, step_excess, 1.0)
     least = max(quantum_N**2 / 12.0, 1e-24)
     at_fit, _ = _likelihood(stretches, found.phi, found.white_share, least, found.sigma_N**2)

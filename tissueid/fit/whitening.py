@@ -246,7 +246,12 @@ def whiten(
     worth, measured = 1.0, None
     if noise == "auto":
         verdict = verdict_on_noise(
-            found, left.quiet, left.differences_N, quantum_N=left.quantum_N, samples=samples
+            found,
+            left.quiet,
+            left.differences_N,
+            quantum_N=left.quantum_N,
+            samples=samples,
+            alone=len(handles) == 1,
         )
         measured = verdict.measured_N
         if verdict.refuted:

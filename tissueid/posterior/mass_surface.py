@@ -29,7 +29,7 @@ WIDTH = 1.3
 #: Points further from the fit than so many median deviations are failures of single evaluations.
 OUTLYING = 6.0
 #: Error of ln mass from which the surface is not taken.
-WORST_ERROR = 0.25
+WORST_ERROR = 0.5
 SEED = 1701
 
 

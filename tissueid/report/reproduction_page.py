@@ -16,7 +16,13 @@ __all__ = ["KINDS", "render_reproduction"]
 
 #: Kind -> class of its look, mark, and what it means.
 KINDS: Mapping[str, tuple[str, str, str]] = {
-    "reproduced": ("reproduced", "✓", "computed from what the paper states, without the number itself"),
+    "reproduced": ("reproduced", "✓", "printed, and computed without the number itself"),
+    "recomputed": (
+        "recomputed",
+        "=",
+        "computed from what the paper states, which prints no number for it",
+    ),
+    "given": ("given", "→", "printed as an input: put in, not computed"),
     "round trip": (
         "round-trip",
         "↻",

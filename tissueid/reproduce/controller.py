@@ -63,11 +63,10 @@ def table_3(readings: Readings, numbers: Mapping[str, Published] = PUBLISHED) ->
         ledger = Ledger(SADEGHNEJAD, numbers)
         ledger.read(readings.words("device"))
         items.append(
-            ledger.item(
+            ledger.given(
                 f"table-3/{place}",
-                None,
-                words=f"{what.capitalize()} of the {owner} [{unit}]",
-                note="a parameter of the simulation: put in, not computed",
+                f"{what.capitalize()} of the {owner} [{unit}]",
+                "a parameter of the simulation: put in, not computed",
             )
         )
     for variant in VARIANTS:

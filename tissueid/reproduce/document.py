@@ -122,7 +122,7 @@ def _drawn(key: str, where: str, title: str, drawing: str) -> Figure:
         SADEGHNEJAD,
         where,
         title,
-        Kind.REPRODUCED,
+        Kind.RECOMPUTED,
         "Drawn from the paper's words; nothing is computed.",
         drawing=drawing,
     )

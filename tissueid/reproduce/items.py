@@ -16,8 +16,12 @@ Interval = tuple[float, float] | None
 class Kind(StrEnum):
     """What stands behind a recomputed number."""
 
-    #: Computed from what the paper states, without the number itself.
+    #: Printed, and computed from what the paper states without the number itself.
     REPRODUCED = "reproduced"
+    #: Computed from what the paper states, which prints no number to stand beside it.
+    RECOMPUTED = "recomputed"
+    #: Printed as an input: put in, not computed.
+    GIVEN = "given"
     #: The number itself, or what was made from it, is among the inputs.
     ROUND_TRIP = "round trip"
     #: An input is printed by no paper.
@@ -131,6 +135,11 @@ class Item:
     assumed: tuple[str, ...]
     instrument: str | None
     note: str | None
+
+    def __post_init__(self) -> None:
+        if self.kind in (Kind.REPRODUCED, Kind.GIVEN) and self.published is None:
+            msg = f"{self.item} is called {self.kind}, and no printed number stands beside it"
+            raise ValueError(msg)
 
     def as_json(self) -> dict[str, Any]:
         """The ``items`` object of ``schemas/reproduction.schema.json``."""

@@ -153,16 +153,19 @@ class Ledger:
         """
         beside = against or key
         printed = self._numbers.get(beside)
-        row = Item(
+        agrees = None
+        if printed is not None and judge is not None and recomputed is not None:
+            agrees = judge.holds(printed.value, recomputed, interval)
+        return Item(
             item=key,
             paper=self.paper,
-            where=where,
-            words=words,
-            unit=unit,
-            published=None,
+            where=where if printed is None else printed.where,
+            words=words if words or printed is None else printed.words,
+            unit=unit if printed is None else printed.unit,
+            published=None if printed is None else printed.value,
             recomputed=recomputed,
             interval=interval,
-            agrees=None,
+            agrees=agrees,
             kind=self._kind(beside, recomputed),
             rule=None if judge is None else judge.words,
             reading="; ".join(self._readings) or None,
@@ -171,26 +174,19 @@ class Ledger:
             instrument=instrument,
             note=note,
         )
-        if printed is None:
-            return row
-        agrees = None
-        if judge is not None and recomputed is not None:
-            agrees = judge.holds(printed.value, recomputed, interval)
-        return replace(
-            row,
-            where=printed.where,
-            words=words or printed.words,
-            unit=printed.unit,
-            published=printed.value,
-            agrees=agrees,
-        )
 
     def _kind(self, beside: str, recomputed: object) -> Kind:
         if recomputed is None:
             return Kind.NOT_REPRODUCIBLE
         if beside in self._used:
             return Kind.ROUND_TRIP
-        return Kind.ASSUMED if self._assumed else Kind.REPRODUCED
+        if self._assumed:
+            return Kind.ASSUMED
+        return Kind.REPRODUCED if beside in self._numbers else Kind.RECOMPUTED
+
+    def given(self, key: str, words: str, note: str) -> Item:
+        """A printed number that is an input: nothing is computed beside it."""
+        return replace(self.item(key, None, words=words, note=note), kind=Kind.GIVEN)
 
     def claim(
         self, key: str, words: str, where: str, value: float, holds: Callable[[float], bool], rule: str,

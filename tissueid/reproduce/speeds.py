@@ -75,7 +75,7 @@ def force_displacement(
         SADEGHNEJAD,
         "Fig. 3",
         "Force against displacement, six speeds",
-        Kind.REPRODUCED,
+        Kind.RECOMPUTED,
         caption,
         "Displacement [mm]",
         "Force [N]",
