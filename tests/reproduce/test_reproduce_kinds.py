@@ -127,6 +127,17 @@ def test_only_the_mean_of_table_1_is_reproduced_without_being_put_in() -> None:
     assert mean.recomputed == pytest.approx((0.0214 + 0.0212 + 0.0206 + 0.0209) / 4)
 
 
+def test_what_is_called_reproduced_or_given_stands_beside_a_printed_number() -> None:
+    ledger = Ledger(SADEGHNEJAD)
+    assert ledger.item("figure-9/new", 1.0).kind is Kind.RECOMPUTED
+    assert ledger.item("new", 1.0, against="table-2/tau").kind is Kind.REPRODUCED
+    given = ledger.given("table-3/1", "Mass of the operator [kg]", "put in")
+    assert (given.kind, given.published, given.recomputed) == (Kind.GIVEN, 1.25, None)
+    for kind in (Kind.REPRODUCED, Kind.GIVEN):
+        with pytest.raises(ValueError, match="no printed number"):
+            replace(ledger.item("figure-9/new", 1.0), kind=kind)
+
+
 def test_readings_that_contradict_the_table_are_said_to() -> None:
     found, figure = relaxation.relaxation_tests(Readings(relaxation="rate"), QUICK)
     table = [row for row in found if row.where == "Table 1"]
