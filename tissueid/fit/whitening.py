@@ -251,7 +251,7 @@ def whiten(
             left.differences_N,
             quantum_N=left.quantum_N,
             samples=samples,
-            alone=len(handles) == 1,
+            alone=len(handles) == 1 and bool(handles[0].segmentation.phases),
         )
         measured = verdict.measured_N
         if verdict.refuted:

@@ -271,7 +271,7 @@ def _total(
                 phi=phi,
                 reference_step_s=noise.reference_step_s,
                 moving_average=noise.moving_average,
-            )
+            ).tempered(fitted.whitened.tempering)
             for one, left in zip(data, residuals, strict=True)
         ]
 
