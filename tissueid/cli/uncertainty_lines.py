@@ -25,6 +25,8 @@ def _cells(entry: Mapping[str, Any], *, intervals: bool) -> tuple[str, str, str]
 
     if entry["value"] is None:
         return "not identified", "", ""
+    if "withheld" in entry["detail"]:
+        return f"{entry['value']:.4g} {entry['unit']}, no interval", "", ""
     if entry["ci95"] is None:
         return f"{with_error(entry['value'], entry['stderr'])} {entry['unit']}", "", ""
     ends = [*entry["ci95"], *(entry["ci95_total"] or [])]

@@ -27,7 +27,7 @@ from tissueid.likelihood.knots import KnotSums, packed
 from tissueid.likelihood.linearise import Optimum
 from tissueid.likelihood.passive_normal import draw_passive
 from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
-from tissueid.posterior.carried import carried_draws
+from tissueid.posterior.carried import carried_draws, propagated_draws
 from tissueid.posterior.channel_gains import CHANNELS, drawn_gains, scaled_by, static_of_logs
 from tissueid.posterior.importance import Weighted, importance_sample, pooled
 from tissueid.posterior.instrument import INSTRUMENT_NAMES, Behind
@@ -204,14 +204,20 @@ def _weighted_draws(behind: Behind, rng: np.random.Generator) -> tuple[Weighted,
 def _best(
     behind: Behind, target: SpecimenTarget, drawn: Redrawn, points: FloatArray, rng: np.random.Generator
 ) -> tuple[Weighted, FloatArray]:
-    """Carried draws where bounds are active and these are worth enough, draws anew, or both together."""
+    """Carried draws where bounds are active and these are worth enough, draws anew, or both together.
+
+    Where neither can be weighted, an instrument of the prior is propagated through the draws.
+    """
     if drawn.acceptance >= BOUNDED:
         return _weighted_draws(behind, rng)
     first, places = carried_draws(behind, target, drawn, points, rng)
     if first.converged and first.size >= ENOUGH:
         return first, places
     second, others = _weighted_draws(behind, rng)
-    return pooled([first, second]), np.vstack([places, others])
+    both = pooled([first, second])
+    if both.converged:
+        return both, np.vstack([places, others])
+    return propagated_draws(behind, drawn, points, rng)
 
 
 def _resampled(weights: FloatArray, draws: int, rng: np.random.Generator) -> NDArray[np.int64]:
@@ -302,7 +308,7 @@ def total_posterior(
         source=source,
         names=NUISANCES,
         sampler=SamplerReport(
-            name="importance",
+            name="propagation" if found.propagated else "importance",
             converged=found.converged,
             draws=draws,
             acceptance=worth / points.shape[0],

@@ -23,12 +23,14 @@ from tissueid.posterior.instrument import Behind, inverse
 from tissueid.posterior.specimen_target import SpecimenTarget
 from tissueid.posterior.target import Redrawn
 
-__all__ = ["carried_draws"]
+__all__ = ["carried_draws", "propagated_draws"]
 
 FloatArray = NDArray[np.float64]
 
 #: Draws that are carried at the most, and how much wider they are spread: as they are, and a little beyond.
 MOST, STRETCHES = 2_000, (1.0, 1.2, 1.5)
+#: Share of propagated draws that must stay passive.
+LEAST_PASSIVE = 0.3
 
 
 def _response(behind: Behind) -> tuple[FloatArray, FloatArray]:
@@ -138,3 +140,39 @@ def _weighed(
     weights, shape = smoothed(weights / weights.sum())
     shape = shape if math.isfinite(shape) else 1.0
     return Weighted(points[:, behind.free], theta, weights, 1.0 / float((weights**2).sum()), shape), points
+
+
+def propagated_draws(
+    behind: Behind, drawn: Redrawn, points: FloatArray, rng: np.random.Generator
+) -> tuple[Weighted, FloatArray]:
+    """Draws with an instrument of the prior, moved along the response to it, of equal weight where passive.
+
+    Uncertainty is propagated to first order (GUM, JCGM 100:2008, section 5); what the data would say of the
+    instrument is left out.
+
+    Parameters
+    ----------
+    behind, drawn, points, rng
+        As for :func:`carried_draws`.
+    """
+    branches, inner = behind.branches, behind.branches + INSTRUMENT
+    by_theta, by_tau = _response(behind)
+    machine = _machines(behind, points.shape[0], rng)
+    base = np.tile(behind.mode, (points.shape[0], 1))
+    base[:, :branches] = points[:, :branches] + machine @ by_tau.T
+    base[:, branches:inner] = machine
+    at = inner
+    if "gain" in behind.effects:
+        base[:, at] = np.exp(points[:, -1])
+        at += 1
+    if behind.noise is not None:
+        base[:, at:] = points[:, branches : branches + behind.noise.mode.size]
+    theta = np.ascontiguousarray(drawn.linear + machine @ by_theta.T)
+    good = passive(theta, behind.blocks) & np.isfinite(behind.log_priors(base))
+    count = int(good.sum())
+    converged = count >= LEAST_PASSIVE * good.size
+    rows = np.flatnonzero(good) if count else np.arange(good.size)
+    equal = np.full(rows.size, 1.0 / rows.size)
+    shape = 0.0 if converged else 1.0
+    found = Weighted(base[rows][:, behind.free], theta[rows], equal, float(count), shape, propagated=True)
+    return found, base[rows]

@@ -52,6 +52,8 @@ class Weighted:
         Draws they are worth.
     shape : float
         Of the tail of the raw weights.
+    propagated : bool
+        True where the instrument is as its prior has it, whatever the data say of it.
     """
 
     points: FloatArray
@@ -59,6 +61,7 @@ class Weighted:
     weights: FloatArray
     size: float
     shape: float
+    propagated: bool = False
 
     @property
     def converged(self) -> bool:

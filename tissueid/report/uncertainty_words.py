@@ -94,6 +94,8 @@ def _rows(specimen: Mapping[str, Any]) -> tuple[list[IntervalRow], float]:
 
 def _row(entry: Mapping[str, Any], scale: float) -> IntervalRow:
     value = number(entry["value"]) if entry["identified"] else NOT_IDENTIFIED
+    if "withheld" in entry["detail"]:
+        value = f"{number(entry['value'])}, no interval"
     statistical, total, bar = "", "", None
     if entry["ci95"] is not None:
         bar = bar_of(entry, scale)
