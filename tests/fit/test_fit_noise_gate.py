@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import pytest
@@ -24,6 +25,7 @@ def test_true_noise_is_refuted_in_at_most_three_per_cent(phi: float, scatter: fl
         handles = handles_for(draw(recipe, 7_000 + seed))[-logs:]
         options = FitOptions(branches=1, stiffness_degree=0)
         refuted += fit_with_state("a", handles, options=options).whitened.noise.discrepant
+    sys.stdout.write(f"\nphi {phi}, scatter {scatter}, {logs} logs: {refuted} of {SPECIMENS} refuted\n")
     assert refuted <= 0.03 * SPECIMENS
 
 
@@ -35,4 +37,5 @@ def test_one_branch_on_meat_misses_more_than_noise_in_nine_of_ten_sheets(shared_
     for trial in read_trials(path):
         (found,) = identify([trial], options=IdentifyOptions(fit=fit)).specimens
         said.append(any(flag.code == "discrepancy" for flag in found.flags))
+    sys.stdout.write(f"\none branch on {len(said)} sheets: {sum(said)} miss more than the noise\n")
     assert sum(said) >= 0.9 * len(said)

@@ -46,8 +46,9 @@ _SCHEME = 2
 #: A chain has at least so many steps, whatever the limit.
 _LEAST_STEPS = 64
 
-#: Longest autocorrelation time [steps] that the default limit has room for.
+#: Longest autocorrelation time [steps] that the default limit has room for, and the least limit.
 _LONGEST_TAU = 20
+_LEAST_LIMIT = 1_500
 
 #: A walk that would need longer autocorrelation times than this ends with fewer effective draws: the end of a
 #: 95 % interval is then known to 0.12 standard deviations instead of 0.05.
@@ -164,7 +165,9 @@ def sample_ensemble(
         The target has no finite density near its mode.
     """
     walkers = max(_LEAST_WALKERS, _WALKERS_PER_COORDINATE * len(target.names))
-    limit = math.ceil(_LONGEST_TAU * draws / walkers) if max_steps is None else max_steps
+    limit = max_steps
+    if limit is None:
+        limit = max(math.ceil(_LONGEST_TAU * draws / walkers), _LEAST_LIMIT)
     saved = Checkpoint(checkpoint, _identity(target, key=key, seed=seed, walkers=walkers))
     with ThreadPoolExecutor(workers) if workers > 1 else nullcontext() as pool:
         density = BatchDensity(target, pool)
