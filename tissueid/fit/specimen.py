@@ -374,7 +374,7 @@ def _described(
         told.trials,
         sigma_N=sigma,
         optimisers=fitting.optimisers,
-        noise=whitened.noise.model,
+        noise=None if whitened.noise.discrepant else whitened.noise.model,
     )
     flags = (*discrepancy_flags(whitened.noise, told.nrmsd), *flags)
     quoted = quoted_numbers(

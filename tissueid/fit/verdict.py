@@ -191,7 +191,7 @@ def specimen_flags(
     *,
     sigma_N: float,
     optimisers: dict[str, object],
-    noise: str = "white",
+    noise: str | None = "white",
 ) -> tuple[Flag, ...]:
     """Flags of a specimen.
 
@@ -207,7 +207,7 @@ def specimen_flags(
     optimisers : dict
         Outcome of Levenberg-Marquardt beside variable projection.
     noise : str
-        Model of the noise that the intervals know.
+        Model of the noise that the intervals know; ``None`` where they know more than noise.
     """
     flags = []
     missing = [one for one in tissue.parameters if not one.identified]
@@ -234,7 +234,7 @@ def specimen_flags(
     flags += _form_flag(tissue, facts)
     flags += _optimum_flags(tissue, optimisers)
     acf = float(np.median([trial.residual_acf1 for trial in trials]))
-    if acf > CORRELATED:
+    if acf > CORRELATED and noise is not None:
         flags.append(
             Flag(
                 "residual_correlated",
