@@ -152,7 +152,7 @@ def test_one_speed_without_hold_does_not_identify_viscosity():
 def test_a_slow_mode_left_out_shows_in_the_residual():
     small = small_recipe(branches=(TRUE, Branch((15.0,), 1.5)), sigma_N=0.05)
     found = fit(small, branches=1, static="shared")
-    assert "residual_correlated" in codes(found)
+    assert "discrepancy" in codes(found)
 
 
 @pytest.mark.needs_jit
