@@ -34,6 +34,7 @@ from tissueid.fit.stored_sums import stored_sums
 from tissueid.fit.tip import tip_handles
 from tissueid.manifest import Study
 from tissueid.posterior.calibration_priors import calibration_priors
+from tissueid.posterior.coherence import unsampled
 from tissueid.posterior.remarks import without_posterior
 from tissueid.posterior.specimen import PosteriorOptions, with_posterior
 from tissueid.priors import Priors
@@ -228,7 +229,7 @@ def _sampled(
         )
     except (ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
         # the fit stands without its posterior; what is lost is said
-        return replace(fitted.fit, flags=(*fitted.fit.flags, without_posterior(error)))
+        return unsampled(fitted.fit, "no posterior could be sampled", (without_posterior(error),))
 
 
 def _identity(

@@ -18,10 +18,10 @@ from tissueid.fit.estimates import TissueEstimate
 from tissueid.flags import Flag
 from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
 from tissueid.posterior.reported import reported_draws
-from tissueid.result import Estimate
+from tissueid.result import Estimate, SpecimenFit
 from tissueid.uncertainty import ParameterUncertainty
 
-__all__ = ["at_theta", "coherent_share", "outside", "withheld"]
+__all__ = ["at_theta", "coherent_share", "outside", "unsampled", "withheld"]
 
 FloatArray = NDArray[np.float64]
 
@@ -187,3 +187,19 @@ def withheld(
         {"names": list(names)},
     )
     return kept, (flag,)
+
+
+def unsampled(fit: SpecimenFit, why: str, flags: tuple[Flag, ...]) -> SpecimenFit:
+    """A fit without a posterior: its values stand without intervals, and none is called identified.
+
+    Parameters
+    ----------
+    fit : SpecimenFit
+    why : str
+        Ends the sentence "no interval is given".
+    flags : tuple of Flag
+        What is said of it.
+    """
+    names = tuple(one.name for one in fit.parameters if one.value is not None)
+    parameters, _ = withheld(fit.parameters, names, why)
+    return replace(fit, parameters=parameters, flags=(*fit.flags, *flags))

@@ -27,7 +27,7 @@ from tissueid.posterior.budget import uncertainty_budget
 from tissueid.posterior.building import NotLinearError
 from tissueid.posterior.calibration import BOUNDED, TotalPosterior, total_posterior
 from tissueid.posterior.carried import carried_draws
-from tissueid.posterior.coherence import coherent_share, outside, withheld
+from tissueid.posterior.coherence import coherent_share, outside, unsampled, withheld
 from tissueid.posterior.comparison import compare_models, rows_of_choice
 from tissueid.posterior.diagnostics import diagnose
 from tissueid.posterior.instrument import Behind
@@ -305,7 +305,7 @@ def with_posterior(
         target = posterior_target(fitted, priors)
     except NotLinearError as error:
         alarm = misfit_alarm(fitted.told.blocks, noise)
-        return replace(fit, flags=(*fit.flags, *not_linear(error, alarm)))
+        return unsampled(fit, "draws agree with no point to linearise about", not_linear(error, alarm))
     draws = _draws(fitted, target, options, checkpoint, key, instrument, tick)
     return _assembled(fitted, priors, options, draws, instrument, tick)
 
