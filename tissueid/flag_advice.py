@@ -107,6 +107,12 @@ _SEGMENTS = {
         "The fit ends there: what follows is another specimen.",
         "`tissueid rupture` studies it; [[override]] of study.toml corrects it.",
     ),
+    "doubtful_rupture": Advice(
+        "The hold is kept, as if the tissue were whole.", "Look at the curve; --exclude leaves it out."
+    ),
+    "slip": Advice(
+        "The fit follows the force through it.", "Look at the grip; --exclude leaves the recording out."
+    ),
     "load_limit_stop": Advice(
         "The depth is not the one asked for; it is the measured one that counts.",
         "Raise the limit if wanted.",

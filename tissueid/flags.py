@@ -44,6 +44,8 @@ FLAG_CODES: Mapping[str, str] = MappingProxyType(
         "cyclic": "the recording is cyclic",
         "several_steps": "the recording has several ramp-and-hold steps",
         "rupture": "the force collapses while the tool moves on: the tissue broke or the tool slipped",
+        "doubtful_rupture": "most of the force is lost within 0.1 s of a stop: relaxation, or a rupture?",
+        "slip": "the force falls a little on a ramp and recovers: the tool or the grip slipped",
         "load_limit_stop": "the ramp ended at a load limit, not at a depth",
         "preconditioned": "the last cycles change by less than 2 %",
         "not_preconditioned": "the last cycles still change by 2 % or more",

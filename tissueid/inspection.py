@@ -144,5 +144,6 @@ def _phase(trial: Trial, phase: Phase) -> dict[str, Any]:
         "start_s": phase.start_s,
         "end_s": phase.end_s,
         "speed_mm_s": phase.speed_mm_s,
+        "braking_s": phase.braking_s,
         "peak_s": None if phase.peak is None else float(trial.time_s[phase.peak]),
     }

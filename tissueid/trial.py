@@ -42,7 +42,7 @@ PhaseKind = str
 #: Phase kinds, in the words of the field.
 PHASE_KINDS = ("approach", "ramp", "hold", "creep", "retract", "rest", "cycle")
 #: What may happen in a recording beside its phases.
-EVENT_KINDS = ("rupture", "abort", "load_limit")
+EVENT_KINDS = ("rupture", "doubtful_rupture", "slip", "settling", "abort", "load_limit")
 
 
 def frozen_array(values: Any) -> FloatArray:
@@ -235,10 +235,12 @@ class Phase:
     start_s, end_s : float
         Times of the first and last sample [s], as recorded.
     speed_mm_s : float
-        Mean speed in the compression direction [mm/s]; negative while retracting, 0 in a hold, of a cycle
-        the mean speed of its loading.
+        Speed in the compression direction [mm/s], of the line through 20 to 80 % of the travel; negative
+        while retracting, 0 in a hold, of a cycle or creep the mean speed.
     peak : int or None
         Deepest sample of a cycle, where loading turns to unloading; ``None`` in other phases.
+    braking_s : float
+        Time from leaving that line to the stop [s], 0 where the phase ends otherwise.
     """
 
     kind: PhaseKind
@@ -248,6 +250,7 @@ class Phase:
     end_s: float
     speed_mm_s: float
     peak: int | None = None
+    braking_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

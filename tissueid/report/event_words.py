@@ -13,6 +13,7 @@ __all__ = ["event_words", "took"]
 _WORDS: Mapping[str, tuple[str, str]] = {
     "force_before_N": ("force before", "N"),
     "drop_N": ("falls by", "N"),
+    "settles_mm": ("travels on by", "mm"),
     "depth_mm": ("depth", "mm"),
     "work_N_mm": ("work from contact", "N mm"),
     "force_N": ("force", "N"),

@@ -11,6 +11,7 @@ from tissueid.flags import Flag
 from tissueid.segment.hinge import HingeFit, fit_contact
 from tissueid.segment.motion import Piece
 from tissueid.segment.options import SegmentOptions
+from tissueid.segment.own_air import left_air, rises, without_kick
 from tissueid.segment.spikes import without_spikes
 from tissueid.trial import Contact
 
@@ -45,6 +46,8 @@ REACH_SD = 3.0
 PRELOAD_SD = 4.0
 #: A start is preloaded by more than this share of the force range; less may be the load cell's zero.
 PRELOAD_SHARE = 0.01
+#: Samples at rest before a ramp that tell what it starts from: after them a start kick tells nothing.
+FEWEST_RESTING = 3
 #: Force that rises by less than this many noise sd over a ramp never met anything.
 CONTACT_SD = 6.0
 #: Contact sd above this share of the depth is said.
@@ -95,7 +98,11 @@ def find_contact(
     u, f = depth_mm[first : move.stop + 1], force_N[first : move.stop + 1]
     noise = max(noise_N, 1e-6 * float(np.ptp(f)))
     start_mm = float(np.median(depth_mm[first : move.start + 1]))
+    f = without_kick(f, move.start - first, noise)
     air = fit_contact(u, f, noise_N=noise, baseline=True, reach_back_mm=0.0)
+    latest = left_air(u, f, air.contact_mm, noise)
+    if latest is not None and latest < air.contact_mm:
+        air = fit_contact(u, f, noise_N=noise, baseline=True, reach_back_mm=0.0, latest_mm=latest)
     in_air = (u < air.contact_mm) & (np.arange(first, move.stop + 1) >= move.start)
     count = int(in_air.sum())
     # what the force would have risen by, had the tool been in contact all along, against its noise
@@ -106,7 +113,7 @@ def find_contact(
     few = zero and count >= FEWEST_ZERO_SAMPLES and air.contact_mm - start_mm > FEW_AIR_SD * air.sd_mm
     far = air.at_start < (START_DENSITY if zero else DOUBTFUL_START_DENSITY)
     flat = missing > (MISSING_RISE_SD if zero else DOUBTFUL_RISE_SD)
-    if far and flat and (many or few):
+    if far and flat and (many or few) and not rises(f[in_air], f[u >= air.contact_mm], noise):
         at = first + int(np.argmax((u >= air.contact_mm) & (np.arange(u.size) >= move.start - first)))
         contact = Contact(
             index=at,
@@ -202,8 +209,9 @@ def _start_in_contact(
         back = min(back, 2.0 * float(u.max() - start))
         fit = fit_contact(u, f, noise_N=noise_N, baseline=False, reach_back_mm=back)
         contact_mm, sd, believed = fit.contact_mm, fit.sd_mm, fit.at_start < PRELOAD_DENSITY
-        # the whole ramp says more of the force it starts from than the samples before it
-        ahead = max(ahead, fit.slope_N_per_mm * (start - contact_mm))
+        if few < FEWEST_RESTING:
+            # the whole ramp says more of the force it starts from than a sample or two before it
+            ahead = max(ahead, fit.slope_N_per_mm * (start - contact_mm))
     else:
         slope = max(float(f[-1] - f[0]) / max(float(u.max() - start), 1e-300), 1e-300)
         believed = ahead > PRELOAD_SD * noise_N / np.sqrt(few)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from tissueid.flags import Flag
 from tissueid.segment.edges import straight_line
+from tissueid.segment.stop import travel_line
 from tissueid.trial import Corner, Phase
 
 __all__ = ["corner_flags", "corners_of"]
@@ -24,8 +25,8 @@ FloatArray = NDArray[np.float64]
 
 #: Overshoot beyond this share of the ramp is said.
 OVERSHOOT_SAID = 0.002
-#: Crossheads take 50-300 ms to stop; longer is said [s].
-SLOW_STOP_S = 0.3
+#: A crosshead that brakes for longer is said [s]: relaxation begins while it does.
+SLOW_STOP_S = 0.1
 #: ... where it is also longer than this share of the ramp: slow ramps end slowly.
 SLOW_SHARE = 0.02
 #: Area of an evenly slowing stop, in units of speed times squared time, is one over this.
@@ -65,7 +66,7 @@ def _corner(
 ) -> Corner:
     number, before, after = at
     low, high = (before.start + before.stop - 1) // 2, after.stop - 1
-    slope_1, level_1 = _middle_line(time_s, depth_mm, before, flat=False)
+    slope_1, level_1 = travel_line(time_s, depth_mm, before.start, before.stop - 1)
     slope_2, level_2 = _middle_line(time_s, depth_mm, after, flat=after.kind in STANDING)
     edge = float(time_s[before.stop - 1])
     meet = (level_2 - level_1) / (slope_1 - slope_2) if slope_1 != slope_2 else edge
@@ -156,11 +157,18 @@ def corner_flags(
             values = {"overshoot_mm": corner.overshoot_mm, "duration_s": corner.duration_s}
             flags.append(Flag("corner_overshoot", message, values))
             break
-    slow = max(stops, key=lambda corner: corner.duration_s, default=None)
-    if slow is not None and slow.ringing_swings < 2:
-        ramp = phases[slow.phase]
-        if slow.duration_s > max(SLOW_STOP_S, SLOW_SHARE * (ramp.end_s - ramp.start_s)):
-            message = f"the crosshead took {slow.duration_s:.3g} s to stop at {slow.time_s:.4g} s"
-            values = {"duration_s": slow.duration_s, "time_s": slow.time_s}
-            flags.append(Flag("corner_slow", message, values))
+    slow = max((_braking(phases[corner.phase], corner) for corner in stops), default=(0.0, 0.0, 0.0))
+    braking_s, time_s, ramp_s = slow
+    if braking_s > max(SLOW_STOP_S, SLOW_SHARE * ramp_s):
+        message = (
+            f"the crosshead brakes for {braking_s:.3g} s before its stop at {time_s:.4g} s; "
+            "faster relaxation can't be seen, a slower ramp shows more"
+        )
+        flags.append(Flag("corner_slow", message, {"duration_s": braking_s, "time_s": time_s}))
     return flags
+
+
+def _braking(ramp: Phase, corner: Corner) -> tuple[float, float, float]:
+    """Braking of a ramp, and when and after how long a ramp it stops [s]."""
+    rounded = corner.duration_s if corner.ringing_swings < 2 else 0.0
+    return max(ramp.braking_s, rounded), ramp.end_s, ramp.end_s - ramp.start_s

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["corner_near", "straight_line"]
+__all__ = ["corner_near", "leaves_line", "straight_line"]
 
 FloatArray = NDArray[np.float64]
 
@@ -142,3 +142,27 @@ def straight_line(time_s: FloatArray, depth_mm: FloatArray, *, flat: bool) -> tu
     spread = float(off @ off)
     slope = float(off @ depth_mm) / spread if spread > 0.0 else 0.0
     return slope, float(depth_mm.mean() - slope * centre)
+
+
+def leaves_line(
+    time_s: FloatArray, depth_mm: FloatArray, move: tuple[int, int], end: int, tolerance_mm: float
+) -> int:
+    """The sample up to which the path follows the straight line through the middle of a move.
+
+    Parameters
+    ----------
+    time_s, depth_mm : ndarray, shape (n,)
+    move : tuple of int
+        First and last sample of the move.
+    end : int
+        Sample towards which, from the middle, the path is followed.
+    tolerance_mm : float
+    """
+    first, last = move
+    count = last - first
+    middle = slice(first + count // 4, last - count // 4 + 1)
+    slope, level = straight_line(time_s[middle], depth_mm[middle], flat=False)
+    centre = (first + last) // 2
+    way = np.arange(centre, end + 1) if end >= centre else np.arange(centre, end - 1, -1)
+    off = np.abs(depth_mm[way] - level - slope * time_s[way]) > tolerance_mm
+    return int(way[max(int(np.argmax(off)) - 1, 0)]) if off.any() else end

@@ -75,7 +75,13 @@ class HingeFit:
 
 
 def fit_contact(
-    depth_mm: FloatArray, force_N: FloatArray, *, noise_N: float, baseline: bool, reach_back_mm: float
+    depth_mm: FloatArray,
+    force_N: FloatArray,
+    *,
+    noise_N: float,
+    baseline: bool,
+    reach_back_mm: float,
+    latest_mm: float = float("inf"),
 ) -> HingeFit:
     """Posterior mean and standard deviation of the contact point.
 
@@ -90,6 +96,8 @@ def fit_contact(
         takes it as tared.
     reach_back_mm : float
         How far before the first sample the contact may lie [mm]; 0 with a baseline.
+    latest_mm : float
+        Depth at which the force has left its reading in air for good [mm].
 
     Returns
     -------
@@ -99,8 +107,8 @@ def fit_contact(
     low, high = start - reach_back_mm, end
     guess, slope = _rough(depth_mm, force_N, noise_N)
     # a force that rises at the very end only must still leave the shape a window
-    guess = min(max(guess, low), high - LEAST_WINDOW * (high - low))
-    limits = (low, high - LAST_CONTACT * (high - low))
+    guess = min(max(guess, low), high - LEAST_WINDOW * (high - low), latest_mm)
+    limits = (low, min(high - LAST_CONTACT * (high - low), latest_mm))
     found: list[HingeFit] = []
     for share in WINDOWS:
         window = share * (end - max(guess, start))

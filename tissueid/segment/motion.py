@@ -17,7 +17,7 @@ from tissueid.segment.edges import corner_near
 from tissueid.segment.polyline import corners
 from tissueid.signal_noise import quantum, white_noise_sd
 
-__all__ = ["SPEED_RATIO", "Piece", "displacement_tolerance", "pieces"]
+__all__ = ["SPEED_RATIO", "Piece", "displacement_tolerance", "path_noise", "pieces"]
 
 FloatArray = NDArray[np.float64]
 
@@ -63,16 +63,20 @@ class Piece:
     stop: int
 
 
-def displacement_tolerance(time_s: FloatArray, depth_mm: FloatArray) -> float:
-    """Largest distance from a straight line that noise and resolution explain [mm]."""
+def path_noise(time_s: FloatArray, depth_mm: FloatArray) -> float:
+    """Largest distance from a straight line that noise and steps of the displacement explain [mm]."""
     noise = white_noise_sd(time_s, depth_mm)
     if depth_mm.size >= FEWEST_FOR_SPREAD:
         # the median of a quantised signal is one of its steps; a trimmed mean square knows no steps
         bend = np.diff(depth_mm, n=2) ** 2 / SECOND_DIFFERENCE_VARIANCE
         inner = bend[bend <= np.quantile(bend, TRIMMED)]
         noise = max(noise, float(np.sqrt(inner.mean() / TRIMMED_VARIANCE)))
-    resolution = POLYLINE_RESOLUTION * float(np.ptp(depth_mm))
-    return max(NOISE_REACH * noise, 1.01 * quantum(depth_mm), resolution)
+    return max(NOISE_REACH * noise, 1.01 * quantum(depth_mm))
+
+
+def displacement_tolerance(time_s: FloatArray, depth_mm: FloatArray) -> float:
+    """Largest distance from a straight line that noise and resolution explain [mm]."""
+    return max(path_noise(time_s, depth_mm), POLYLINE_RESOLUTION * float(np.ptp(depth_mm)))
 
 
 def pieces(time_s: FloatArray, depth_mm: FloatArray) -> list[Piece]:

@@ -8,12 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.segment.edges import corner_near, straight_line
+from tissueid.segment.edges import corner_near, leaves_line
 from tissueid.segment.motion import SPEED_RATIO, Piece
 from tissueid.segment.options import SegmentOptions
+from tissueid.segment.stop import travel_line
 from tissueid.trial import Contact, Phase
 
-__all__ = ["Surface", "leaves_line", "name_phases", "settled"]
+__all__ = ["Surface", "name_phases", "settled"]
 
 FloatArray = NDArray[np.float64]
 
@@ -36,6 +37,8 @@ LONGEST_SWING_S = 0.3
 LOOP_RETURN = 0.5
 #: Loops from which a recording is cyclic.
 FEWEST_LOOPS = 2
+#: Kinds whose speed is that of the line through the middle of their travel.
+STEADY = ("approach", "ramp", "retract")
 #: A standstill lies out of contact up to so many sd of the contact below it ...
 CLEAR_SD = 3.0
 #: ... which count as no more than this share of the depth, ...
@@ -136,20 +139,9 @@ def _turns_round(
     took, moved = (float(time_s[piece.stop] - time_s[piece.start]) for piece in (stand, before))
     if took > max(LONGEST_CREST_S, HOLD_SHARE_OF_RAMP * moved):
         return False
-    leaves = leaves_line(time_s, depth_mm, before, stand.start, tolerance_mm)
-    joins = leaves_line(time_s, depth_mm, after, stand.stop, tolerance_mm)
+    leaves = leaves_line(time_s, depth_mm, (before.start, before.stop), stand.start, tolerance_mm)
+    joins = leaves_line(time_s, depth_mm, (after.start, after.stop), stand.stop, tolerance_mm)
     return took < STAND_SHARE_OF_TURN * float(time_s[joins] - time_s[leaves])
-
-
-def leaves_line(time_s: FloatArray, depth_mm: FloatArray, move: Piece, end: int, tolerance_mm: float) -> int:
-    """How far towards a sample the path follows the straight line through the middle of a move."""
-    count = move.stop - move.start
-    middle = slice(move.start + count // 4, move.stop - count // 4 + 1)
-    slope, level = straight_line(time_s[middle], depth_mm[middle], flat=False)
-    centre = (move.start + move.stop) // 2
-    way = np.arange(centre, end + 1) if end >= centre else np.arange(centre, end - 1, -1)
-    off = np.abs(depth_mm[way] - level - slope * time_s[way]) > tolerance_mm
-    return int(way[max(int(np.argmax(off)) - 1, 0)]) if off.any() else end
 
 
 def _without_ringing(time_s: FloatArray, depth: FloatArray, found: list[Piece]) -> list[Piece]:
@@ -324,4 +316,6 @@ def _phase(time_s: FloatArray, depth: FloatArray, kind: str, piece: Piece, peak:
     moved, took = float(depth[turn] - depth[piece.start]), float(time_s[turn]) - start_s
     stands = kind in ("hold", "rest") or (piece.direction == 0 and peak is None)
     speed = moved / took if took > 0.0 and not stands else 0.0
+    if speed != 0.0 and kind in STEADY:
+        speed, _ = travel_line(time_s, depth, piece.start, piece.stop)
     return Phase(kind, piece.start, piece.stop + 1, start_s, end_s, speed, peak)

@@ -4,18 +4,20 @@ Force rises and falls between alternate extremes (a zigzag with a reversal thres
 within one move is a rupture where it is steep against the loading before it, or where most of the force is
 lost.  Passive tissue at constant speed can do neither: its relaxing branch only grows towards K v tau, and a
 softening static curve falls over lengths like those over which it rose (criterion reconstructed).  A running
-median takes out single samples; falls while the tool slows down or stands are relaxation.
+median takes out single samples.  Falls from where the tool slows down, or within 0.1 s of a stop or a turn,
+are relaxation or release; where next to nothing is left they are asked about.  A small loss that the same
+ramp makes good again is a slip.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.flags import Flag
-from tissueid.segment.edges import straight_line
+from tissueid.segment.edges import leaves_line, straight_line
 from tissueid.segment.motion import Piece
 from tissueid.segment.spikes import MEDIAN_SAMPLES, running_median
 from tissueid.trial import Event
@@ -44,8 +46,17 @@ ONSET = 0.05
 #: ... or where so many noise sd are lost, which count as no more than this share of the fall.
 ONSET_SD = 3.0
 UNCLEAR = 0.3
-#: Fewest samples that show the low force: fewer may be anything.
+#: Fewest samples that show the low force, unless most of it is lost: fewer may be anything.
 FEWEST_AFTER = 3
+#: Falls that begin within this time of a stop or turn tell nothing of the tissue [s].
+END_S = 0.1
+#: Share of a move that must follow its line for its end to be told from its braking.
+STRAIGHT_SHARE = 0.6
+#: A loss up to this share that the same ramp makes good is a slip.
+SLIP_SHARE = 0.2
+#: A fall of which this share goes in so small a part of its time is a break at the end of it.
+BREAK_SHARE = 0.5
+BREAK_TIME = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +94,7 @@ def ruptures(
     Returns
     -------
     list of Event
-        Kind ``rupture``; ``index`` is the last sample before the fall.
+        Kind ``rupture``, ``slip`` or ``doubtful_rupture``; ``index`` is the last sample before the fall.
     """
     contact_mm, baseline_N = zero
     depth, force = depth_mm - contact_mm, force_N - baseline_N
@@ -97,31 +108,64 @@ def ruptures(
             continue
         steady = running_median(force[span])
         slowed = _slower_than_before(time_s, depth_mm, piece, loading)
+        until = _steady_until(time_s, depth_mm, piece, loading, tolerance_mm)
         for fall in _falls(steady, least):
             if slowed and fall.top < 2 * MEDIAN_SAMPLES:
                 continue  # the branch relaxes to the lower speed
             found = _judge(time_s[span], depth[span], steady, fall, least=least, tolerance=tolerance_mm)
             if found is None:
                 continue
-            onset, bottom = found
-            at = piece.start + onset
-            before = _level_at(time_s, force, piece.start, at)
-            drop = before - float(steady[bottom])
-            events.append(
-                Event(
-                    "rupture",
-                    at,
-                    float(time_s[at]),
-                    {
-                        "force_before_N": before,
-                        "drop_N": drop,
-                        "drop_fraction": drop / before,
-                        "depth_mm": float(depth[at]),
-                        "work_N_mm": _work(depth, force, piece.start, at),
-                    },
-                )
-            )
+            event = _event(time_s, depth, force, piece.start, found, steady)
+            if event.index <= until:
+                events.append(event)
+            elif event.values["drop_fraction"] >= COLLAPSE and not _turns_back(depth_mm, piece):
+                events.append(replace(event, kind="doubtful_rupture"))
     return events
+
+
+def _turns_back(depth_mm: FloatArray, piece: Piece) -> bool:
+    """Whether the tool leaves again after a move, by more than it settles."""
+    after = depth_mm[piece.stop : piece.stop + max(piece.stop - piece.start, 2)]
+    return bool(
+        depth_mm[piece.stop] - after[-1] > SLIP_SHARE * (depth_mm[piece.stop] - depth_mm[piece.start])
+    )
+
+
+def _steady_until(
+    time_s: FloatArray, depth_mm: FloatArray, piece: Piece, loading: list[Piece], tolerance_mm: float
+) -> int:
+    """The last sample of a move at which a fall of force is no relaxation or release."""
+    if piece.stop >= time_s.size - 1 or any(one.start == piece.stop for one in loading):
+        return piece.stop  # the record ends, or the move goes on at another speed
+    leaves = leaves_line(time_s, depth_mm, (piece.start, piece.stop), piece.stop, tolerance_mm)
+    if leaves - piece.start < STRAIGHT_SHARE * (piece.stop - piece.start):
+        leaves = piece.stop
+    return min(leaves, int(np.searchsorted(time_s, time_s[piece.stop] - END_S)) - 1)
+
+
+def _event(
+    time_s: FloatArray,
+    depth_mm: FloatArray,
+    force_N: FloatArray,
+    start: int,
+    found: tuple[int, int],
+    steady_N: FloatArray,
+) -> Event:
+    """A fall of force as an event: of a slip where it is small and the ramp makes it good."""
+    onset, bottom = found
+    at = start + onset
+    before = _level_at(time_s, force_N, start, at)
+    drop = before - float(steady_N[bottom])
+    made_good = bool(float(steady_N[bottom:].max()) >= before)
+    values = {
+        "force_before_N": before,
+        "drop_N": drop,
+        "drop_fraction": drop / before,
+        "depth_mm": float(depth_mm[at]),
+        "work_N_mm": _work(depth_mm, force_N, start, at),
+    }
+    kind = "slip" if made_good and drop <= SLIP_SHARE * before else "rupture"
+    return Event(kind, at, float(time_s[at]), values)
 
 
 def _slower_than_before(time_s: FloatArray, depth_mm: FloatArray, piece: Piece, loading: list[Piece]) -> bool:
@@ -174,11 +218,12 @@ def _judge(
     part = force[fall.top : fall.bottom + 1]
     high = fall.top + int(np.flatnonzero(part >= force[fall.top] - UPPER * drop)[-1])
     low = high + int(np.argmax(force[high : fall.bottom + 1] <= force[fall.top] - LOWER * drop))
-    if force.size - low < FEWEST_AFTER:
+    if force.size - low < FEWEST_AFTER and drop < COLLAPSE * float(force[fall.top]):
         return None
     # the top is the highest of many noisy samples: its own noise is no fall yet
     begun = min(max(ONSET * drop, ONSET_SD / DROP_SD * least), UNCLEAR * drop)
     onset = fall.top + int(np.flatnonzero(part >= force[fall.top] - begun)[-1])
+    onset = max(onset, _break(time_s, force, fall))
     first, last = time_s.size // 4, 3 * time_s.size // 4
     speed = float(depth_mm[last] - depth_mm[first]) / max(float(time_s[last] - time_s[first]), 1e-300)
     if not _moves_on(time_s, depth_mm, (high, low), speed, tolerance):
@@ -190,6 +235,21 @@ def _judge(
     if not steep and drop < COLLAPSE * float(force[fall.top]):
         return None
     return onset, fall.bottom
+
+
+def _break(time_s: FloatArray, force: FloatArray, fall: _Fall) -> int:
+    """The sample before a break at the end of a slow fall, as of a neck; the top where there is none."""
+    lowest = np.minimum.accumulate(force[fall.top : fall.bottom + 1])
+    time = time_s[fall.top : fall.bottom + 1]
+    lost = BREAK_SHARE * float(lowest[0] - lowest[-1])
+    # the shortest stretch in which that much is lost
+    ends = np.searchsorted(-lowest, lost - lowest)
+    reached = np.flatnonzero(ends < lowest.size)
+    took = time[ends[reached]] - time[reached]
+    k = int(np.argmin(took))
+    if took[k] > BREAK_TIME * float(time[-1] - time[0]):
+        return fall.top
+    return fall.top + int(reached[k])
 
 
 def _moves_on(
@@ -219,15 +279,46 @@ def _work(depth_mm: FloatArray, force_N: FloatArray, start: int, at: int) -> flo
 
 
 def rupture_flags(events: list[Event]) -> list[Flag]:
-    """One flag for the first rupture, with their number."""
-    if not events:
-        return []
-    first = events[0]
+    """One flag for the first rupture, and one for the first slip, with their numbers."""
+    flags = []
+    for kind, told in _TOLD.items():
+        of_kind = [event for event in events if event.kind == kind]
+        if of_kind:
+            first = of_kind[0]
+            values = {"time_s": first.time_s, "count": len(of_kind), **first.values}
+            flags.append(Flag(kind, told(first, len(of_kind)), values))
+    return flags
+
+
+def _rupture_words(first: Event, count: int) -> str:
+    """One sentence on the first rupture."""
     values = first.values
-    more = "" if len(events) == 1 else f", the first of {len(events)}"
-    message = (
+    more = "" if count == 1 else f", first of {count}"
+    return (
         f"force falls by {values['drop_N']:.4g} N ({100 * values['drop_fraction']:.0f} %) at "
-        f"{first.time_s:.4g} s, {values['depth_mm']:.3g} mm deep, while the tool moves on{more}; samples "
-        "from there on are not fitted"
+        f"{first.time_s:.4g} s, {values['depth_mm']:.3g} mm deep{more}; the fit ends there, "
+        "--no-rupture goes on"
     )
-    return [Flag("rupture", message, {"time_s": first.time_s, "count": len(events), **values})]
+
+
+def _slip_words(first: Event, count: int) -> str:
+    """One sentence on the first slip."""
+    values = first.values
+    more = "" if count == 1 else f", first of {count}"
+    return (
+        f"force slips by {values['drop_N']:.4g} N ({100 * values['drop_fraction']:.0f} %) at "
+        f"{first.time_s:.4g} s{more} and recovers; look at the grip, --exclude leaves it out"
+    )
+
+
+def _doubtful_words(first: Event, count: int) -> str:
+    """One sentence on the first fall that may be relaxation."""
+    values = first.values
+    more = "" if count == 1 else f", first of {count}"
+    return (
+        f"force falls by {100 * values['drop_fraction']:.0f} % within {END_S:g} s of the stop at "
+        f"{first.time_s:.4g} s{more}: relaxation or rupture? The hold is kept; --exclude drops it"
+    )
+
+
+_TOLD = {"rupture": _rupture_words, "slip": _slip_words, "doubtful_rupture": _doubtful_words}

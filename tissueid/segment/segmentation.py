@@ -14,13 +14,15 @@ from tissueid.segment.air import drift_in_air
 from tissueid.segment.contact import find_contact
 from tissueid.segment.corner import corner_flags, corners_of
 from tissueid.segment.cycles import cycle_flags, loops_of
+from tissueid.segment.edges import leaves_line
 from tissueid.segment.endings import aborts, ending_flags, held_from, load_limits
 from tissueid.segment.motion import Piece, displacement_tolerance, pieces
 from tissueid.segment.options import SegmentOptions
-from tissueid.segment.phases import Surface, leaves_line, name_phases, settled
+from tissueid.segment.phases import Surface, name_phases, settled
 from tissueid.segment.rupture import rupture_flags, ruptures
 from tissueid.segment.signs import signs
 from tissueid.segment.spikes import without_spikes
+from tissueid.segment.stop import placed_stops, settlings, with_braking
 from tissueid.signal_noise import white_noise_sd
 from tissueid.trial import Contact, Event, Phase, Protocol, Segmentation, Trial
 
@@ -39,6 +41,8 @@ FEWEST_DEPTHS = 3
 #: Contact is lost where force falls to so many noise sd, or this share of its range, above that in air.
 LOST_SD = 4.0
 LOST_SHARE = 0.01
+#: Loss of this share of the force is a break: nothing is left to relax.
+BROKEN_SHARE = 0.9
 #: A ramp after cycles is the test where it goes this much deeper than they did, or is held.
 DEEPER = 1.1
 
@@ -137,6 +141,7 @@ def _segment(trial: Trial, options: SegmentOptions) -> Segmentation:
         return Segmentation(compression, force_sign, None, (), noise, (*flags, *few))
     tolerance = displacement_tolerance(time_s, depth)
     found = settled(time_s, depth, pieces(time_s, depth), options, tolerance_mm=tolerance)
+    found = placed_stops(time_s, depth, found)
     path = _Path(time_s, depth, force, noise, tolerance)
     locate = partial(find_contact, noise_N=noise, signs=(compression, force_sign), options=options)
     moves = _whole(path, found)
@@ -153,10 +158,25 @@ def _segment(trial: Trial, options: SegmentOptions) -> Segmentation:
             phases = name_phases(time_s, depth, found, surface, creeps=creep, again=contact)
     divided = Segmentation(compression, force_sign, contact, phases, noise, test=test)
     events, remarks = _remarks(trial.protocol, divided, path, found, options)
+    phases = with_braking(time_s, depth, _without_broken(phases, events))
+    events = tuple(sorted((*events, *settlings(time_s, depth, phases)), key=lambda event: event.index))
+    divided = replace(divided, phases=phases)
     corners = corners_of(time_s, depth, phases, tolerance_mm=tolerance)
     flags += contact_flags + remarks + corner_flags(depth, phases, corners, tolerance_mm=tolerance)
     flags += drift_in_air(time_s, trial.force_N, phases, contact)
     return replace(divided, flags=tuple(flags), corners=corners, events=events)
+
+
+def _without_broken(phases: tuple[Phase, ...], events: tuple[Event, ...]) -> tuple[Phase, ...]:
+    """Phases of which no standstill after a break is a hold: what broke can't relax."""
+    broken = [e.index for e in events if e.kind == "rupture" and e.values["drop_fraction"] >= BROKEN_SHARE]
+    first = min(broken, default=None)
+    if first is None:
+        return phases
+    return tuple(
+        replace(phase, kind="rest") if phase.kind == "hold" and phase.start > first else phase
+        for phase in phases
+    )
 
 
 def _shallow_from(depth: FloatArray, moves: list[Piece]) -> int:
@@ -198,7 +218,7 @@ def _whole(path: _Path, found: list[Piece]) -> list[Piece]:
         return []
     force, start = path.force_N, loading[0].start
     zero = (float(path.depth_mm[start]), float(np.median(force[: max(start, FEWEST_SAMPLES)])))
-    broken = [event.index for event in path.ruptures(loading, zero)]
+    broken = [event.index for event in path.ruptures(loading, zero) if event.kind == "rupture"]
     least = max(LOST_SD * path.noise_N, LOST_SHARE * float(np.ptp(force)))
     met = [k for k, piece in enumerate(loading) if float(force[piece.stop] - force[piece.start]) > least]
     return [
@@ -214,7 +234,7 @@ def _whole(path: _Path, found: list[Piece]) -> list[Piece]:
 
 def _straight_until(path: _Path, move: Piece) -> int:
     """The last sample of a move before it stops: force relaxes while it does, and tells no contact."""
-    end = leaves_line(path.time_s, path.depth_mm, move, move.stop, path.tolerance_mm)
+    end = leaves_line(path.time_s, path.depth_mm, (move.start, move.stop), move.stop, path.tolerance_mm)
     if move.stop - move.start < FEWEST_STRAIGHT and path.force_N[move.stop] >= path.force_N[end]:
         return move.stop
     # a move that is no straight line has no such sample
