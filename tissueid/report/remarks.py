@@ -57,6 +57,8 @@ REMARK_TITLES: Mapping[str, str] = MappingProxyType(
         "cyclic": "Cyclic test",
         "several_steps": "Several steps",
         "rupture": "Rupture",
+        "doubtful_rupture": "Rupture?",
+        "slip": "Slip",
         "load_limit_stop": "Load limit",
         "preconditioned": "Preconditioning",
         "not_preconditioned": "Preconditioning",

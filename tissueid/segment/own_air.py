@@ -26,9 +26,13 @@ RISING_SHARE = 0.2
 #: ... by so many standard errors; a drift of the load cell is as sure over so many samples at least.
 SURE = 3.0
 FEWEST_DRIFTING = 20
-#: A kick is over within so many samples of the start, at least, or this share of the move.
+#: A kick is over within so many samples of the start, at least, or this share of the move; it leaves the
+#: reading at rest by so many sd of it and comes back within so many, for as long as it lasted.
 KICK_SAMPLES = 5
 KICK_SHARE = 0.1
+KICK_SD = 6.0
+BACK_SD = 1.5
+BACK_SAMPLES = 3
 
 
 def _reading(force_N: FloatArray, noise_N: float) -> tuple[float, float]:
@@ -56,15 +60,20 @@ def without_kick(force_N: FloatArray, start: int, noise_N: float) -> FloatArray:
     if start < FEWEST_SAMPLES:
         return force_N
     level, sd = _reading(force_N[:start], noise_N)
-    reach = max(KICK_SAMPLES, int(KICK_SHARE * (force_N.size - start)))
-    early = force_N[start : start + reach]
-    back = np.flatnonzero(np.abs(early - level) <= LEFT_SD * sd)
-    if back.size == 0 or not (np.abs(early[: back[-1]] - level) > LEFT_SD * sd).any():
+    off = np.abs(force_N[start : start + max(KICK_SAMPLES, int(KICK_SHARE * (force_N.size - start)))] - level)
+    kicks = np.flatnonzero(off > KICK_SD * sd)
+    if kicks.size == 0:
+        return force_N
+    first = int(kicks[0])
+    back = np.flatnonzero(off[first:] <= BACK_SD * sd)
+    if back.size == 0:
+        return force_N
+    over = first + int(back[0])
+    after = force_N[start + over : start + over + max(BACK_SAMPLES, over - first)]
+    if abs(float(np.median(after)) - level) > BACK_SD * sd:
         return force_N
     calm = force_N.copy()
-    kick = slice(start, start + int(back[-1]))
-    off = np.abs(calm[kick] - level) > LEFT_SD * sd
-    calm[kick][off] = level
+    calm[start + first : start + over] = level
     return calm
 
 

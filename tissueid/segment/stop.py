@@ -114,7 +114,11 @@ def _stop(
         if abs(float(np.median(travel_mm[k : end + 1])) - float(travel_mm[k])) <= left:
             level = float(np.median(travel_mm[k : end + 1]))
             reached = np.flatnonzero(travel_mm[low : k + 1] >= level - left)
-            return low + int(reached[0]) if reached.size else k
+            at = low + int(reached[0]) if reached.size else k
+            # a move that has not braked by then goes on to its level
+            braked = level_0 + speed * float(time_s[at]) - float(travel_mm[at]) > 0.5 * left
+            meets = at + int(np.argmin(np.abs(time_s[at : after.stop] - (level - level_0) / speed)))
+            return at if braked else meets
     return None
 
 
