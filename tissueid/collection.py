@@ -50,6 +50,7 @@ _SEGMENT_KEYS = {
     "start_s": "start_s",
     "end_s": "end_s",
     "rupture": "rupture",
+    "hold_from_s": "hold_from_s",
 }
 _SIGN_KEYS = {"compression": "compression_sign", "force": "force_sign"}
 _SIGNS = {"positive": 1, "negative": -1}
@@ -350,13 +351,16 @@ def collect(
             trial, own = decided_trial(raw, decision, study), decided_options(options, decision)
             why = why_excluded(raw, decision, study)
             collected.decisions[source.path, source.sheet] = decision
+        pattern = options.excludes(trial)
+        if why is None and pattern is not None:
+            why = f"--exclude {pattern}"
         if why is None and trial.axes != collected.axes.get(trial.specimen, trial.axes):
             collected.left_out.append(_mixed_axes(trial))
             continue
         key = (source.path, source.sheet) if cache.reloads else (str(count), None)
         handle = _handle(trial, own, study, _loader(cache, key, source, study), unfitted, unloading=unloading)
         if why is not None:
-            rigid = decision.excluded is None
+            rigid = pattern is None and decision.excluded is None
             collected.excluded.append(
                 Excluded(source.path, source.sheet, trial.specimen, why, handle, calibrates=rigid)
             )

@@ -35,7 +35,7 @@ def fit_law(flags: Mapping[str, Any]) -> int:
     from tissueid.study.contact_law import contact_law_document
     from tissueid.study.recordings import locate_study, read_decided_one
 
-    options = segment_options(compression=flags["compression"], contact=flags["contact"])
+    options = segment_options(flags)
     study, paths = locate_study(flags["paths"], named=flags["study"], ignore=flags["no_study"])
     refused: list[Refusal] = []
     with progress_bar(show=not flags["quiet"]) as progress:

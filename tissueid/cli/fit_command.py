@@ -231,7 +231,7 @@ def _identify_options(flags: dict[str, Any]) -> IdentifyOptions:
             noise=flags["noise"],
             **quoting_values(flags),
         ),
-        segment=segment_options(compression=flags["compression"], contact=flags["contact"]),
+        segment=segment_options(flags),
         posterior=_posterior_options(flags),
         required=required if flags["require"] else DEFAULT_REQUIRED,
         seed=flags["seed"],

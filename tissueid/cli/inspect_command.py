@@ -59,7 +59,7 @@ def command(**flags: Any) -> int:
     from tissueid.study.recordings import locate_study
 
     reading = read_options(flags)
-    segmenting = segment_options(compression=flags["compression"], contact=flags["contact"])
+    segmenting = segment_options(flags)
     described: list[dict[str, Any] | Refusal] = []
     shown: list[InspectedRecording] = []
     study, paths = locate_study(flags["paths"], named=flags["study"], ignore=flags["no_study"])

@@ -109,6 +109,25 @@ def reading_options(function: Callable[..., Any]) -> Callable[..., Any]:
             metavar="MM",
             help="Displacement at contact as recorded [mm], where the detected one is wrong.",
         ),
+        click.option(
+            "--hold-from",
+            type=float,
+            metavar="S",
+            help="Time at which the hold begins as recorded [s], where the detected one is wrong.",
+        ),
+        click.option(
+            "--hold-to",
+            type=float,
+            metavar="S",
+            help="Time at which the hold ends as recorded [s]; what follows doesn't count.",
+        ),
+        click.option("--no-rupture", is_flag=True, help="No fall of force is a rupture."),
+        click.option(
+            "--exclude",
+            multiple=True,
+            metavar="PATTERN",
+            help="Leave out recordings whose path, file, sheet or specimen fits (* and ? allowed).",
+        ),
     )
     for option in reversed(options):
         function = option(function)
@@ -148,15 +167,25 @@ def read_options(flags: Mapping[str, Any]) -> ReadOptions:
     )
 
 
-def segment_options(*, compression: str | None, contact: float | None) -> SegmentOptions:
-    """Segmentation options from flags."""
+def segment_options(flags: Mapping[str, Any]) -> SegmentOptions:
+    """Segmentation options from the flags of :func:`reading_options`."""
     from tissueid.segment import SegmentOptions
 
+    contact, start, end = flags["contact"], flags["hold_from"], flags["hold_to"]
     if contact is not None and not abs(contact) <= LONGEST_TRAVEL_MM:
         msg = f"--contact is {contact}; give a displacement in mm as recorded"
         raise UsageError(msg)
-    sign = {None: None, "positive": 1, "negative": -1}[compression]
-    return SegmentOptions(compression_sign=sign, contact_displacement_mm=contact)
+    if start is not None and end is not None and not start < end:
+        msg = f"--hold-from {start:g} is not before --hold-to {end:g}: give both in s as recorded"
+        raise UsageError(msg)
+    return SegmentOptions(
+        compression_sign={None: None, "positive": 1, "negative": -1}[flags["compression"]],
+        contact_displacement_mm=contact,
+        hold_from_s=start,
+        end_s=end,
+        rupture=not flags["no_rupture"],
+        exclude=tuple(flags["exclude"]),
+    )
 
 
 def _refusal(error: InputError) -> Refusal:

@@ -85,9 +85,7 @@ def _run(flags: dict[str, Any], progress: Any) -> RuptureRun:
     return run_rupture(
         read_all(read_in_order(paths, reading, study), refused),
         study=study,
-        options=IdentifyOptions(
-            segment=segment_options(compression=flags["compression"], contact=flags["contact"])
-        ),
+        options=IdentifyOptions(segment=segment_options(flags)),
         reload=lambda source: read_decided_one(source.path, source.sheet, reading, study),
         refused=refused,
         asked=flags["criterion"],

@@ -110,7 +110,7 @@ def _session(flags: dict[str, Any]) -> WatchSession:
         msg = f"{folder}: there is no such folder to watch"
         raise UsageError(msg)
     reading = read_options(flags)
-    segmenting = segment_options(compression=flags["compression"], contact=flags["contact"])
+    segmenting = segment_options(flags)
     log = None
     if flags["out"] is not None:
         log = Path(flags["out"]) / LOG

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import PurePath
+
+from tissueid.trial import Trial
 
 __all__ = ["SegmentOptions"]
 
@@ -25,6 +29,10 @@ class SegmentOptions:
         First and last time that count, as recorded [s]; what lies outside is in no phase and is not fitted.
     rupture : bool
         ``False``: no force drop is a rupture.
+    hold_from_s : float or None
+        Where the hold nearest to it begins, as recorded [s].
+    exclude : tuple of str
+        Patterns of the paths, file names, sheets or specimens that are not fitted.
     """
 
     compression_sign: int | None = None
@@ -35,6 +43,8 @@ class SegmentOptions:
     start_s: float | None = None
     end_s: float | None = None
     rupture: bool = True
+    hold_from_s: float | None = None
+    exclude: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("compression_sign", "force_sign"):
@@ -47,3 +57,26 @@ class SegmentOptions:
         if not self.contact_sd_mm >= 0.0:
             msg = f"contact_sd_mm is {self.contact_sd_mm}, must be >= 0"
             raise ValueError(msg)
+        if self.hold_from_s is not None and self.end_s is not None and not self.hold_from_s < self.end_s:
+            msg = f"hold_from_s is {self.hold_from_s} and end_s {self.end_s}: a hold must end after it starts"
+            raise ValueError(msg)
+
+    def stated(self) -> dict[str, float | int | bool]:
+        """What was decided, by the key that study.toml has for it."""
+        said = {
+            "compression": self.compression_sign,
+            "force": self.force_sign,
+            "contact_mm": self.contact_displacement_mm,
+            "minimum_hold_s": self.minimum_hold_s,
+            "start_s": self.start_s,
+            "end_s": self.end_s,
+            "hold_from_s": self.hold_from_s,
+            "rupture": None if self.rupture else False,
+        }
+        return {key: value for key, value in said.items() if value is not None}
+
+    def excludes(self, trial: Trial) -> str | None:
+        """The first pattern that fits a recording, ``None`` where none does."""
+        source = trial.source
+        names = (source.path, PurePath(source.path).name, source.sheet or source.path, trial.specimen)
+        return next((one for one in self.exclude if any(fnmatchcase(name, one) for name in names)), None)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from tissueid.flags import Flag
 from tissueid.segment.air import drift_in_air
+from tissueid.segment.by_hand import by_hand, held_from_here
 from tissueid.segment.contact import find_contact
 from tissueid.segment.corner import corner_flags, corners_of
 from tissueid.segment.cycles import cycle_flags, loops_of
@@ -86,6 +87,12 @@ def segment(trial: Trial, *, options: SegmentOptions | None = None) -> Segmentat
         are results, with a flag.
     """
     options = options or SegmentOptions()
+    found = _windowed(trial, options)
+    return replace(found, flags=(*by_hand(trial, options), *found.flags))
+
+
+def _windowed(trial: Trial, options: SegmentOptions) -> Segmentation:
+    """The segmentation of what lies between the first and last time that count."""
     inside = np.ones(trial.time_s.size, dtype=np.bool_)
     if options.start_s is not None:
         inside &= trial.time_s >= options.start_s
@@ -158,7 +165,10 @@ def _segment(trial: Trial, options: SegmentOptions) -> Segmentation:
             phases = name_phases(time_s, depth, found, surface, creeps=creep, again=contact)
     divided = Segmentation(compression, force_sign, contact, phases, noise, test=test)
     events, remarks = _remarks(trial.protocol, divided, path, found, options)
-    phases = with_braking(time_s, depth, _without_broken(phases, events))
+    phases = _without_broken(phases, events)
+    if options.hold_from_s is not None:
+        phases = held_from_here(time_s, depth, phases, options.hold_from_s)
+    phases = with_braking(time_s, depth, phases)
     events = tuple(sorted((*events, *settlings(time_s, depth, phases)), key=lambda event: event.index))
     divided = replace(divided, phases=phases)
     corners = corners_of(time_s, depth, phases, tolerance_mm=tolerance)
