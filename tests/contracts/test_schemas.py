@@ -213,7 +213,12 @@ def inspected() -> dict[str, Any]:
         "units": {"length": "mm", "force": "N", "time": "s"},
         "n_samples": 3, "first": point, "last": point, "peak_force": point, "compression_sign": -1,
         "force_sign": 1, "force_noise_N": 0.1, "contact": None,
-        "phases": [{"kind": "hold", "start_s": 0.0, "end_s": 1.0, "speed_mm_s": 0.0, "braking_s": 0.0, "peak_s": None}],
+        "phases": [
+            {
+                "kind": "hold", "start_s": 0.0, "end_s": 1.0, "speed_mm_s": 0.0, "braking_s": 0.0,
+                "peak_s": None,
+            }
+        ],
         "corners": [], "events": [], "cycles": [], "flags": [],
     }  # fmt: skip
 
