@@ -14,9 +14,10 @@ import pytest
 from fit_factory import identification, specimen_fit
 from posterior_factory import SHARES, SOURCES, posterior, sampled
 
+from tissueid.digits import together
 from tissueid.flags import Flag
 from tissueid.report import render_report
-from tissueid.report.interval_words import bar_of, bar_scale, together
+from tissueid.report.interval_words import bar_of, bar_scale
 from tissueid.report.posterior_payload import MOST_NUMBERS, posterior_payload
 from tissueid.report.uncertainty_words import reported_order, uncertainty_view
 from tissueid.result import SpecimenFit

@@ -8,17 +8,11 @@ import pytest
 from fit_factory import specimen_fit
 from posterior_factory import sampled
 
+from tissueid.digits import number, rounded_to, with_error
 from tissueid.flags import FLAG_CODES
 from tissueid.report.remarks import REMARK_TITLES, remarks
 from tissueid.report.sentences import overview_sentence, tissue_sentence
-from tissueid.report.wording import (
-    number,
-    parameter_words,
-    rounded_to,
-    unit_words,
-    verdict,
-    with_error,
-)
+from tissueid.report.wording import parameter_words, unit_words, verdict
 from tissueid.store.files import plain_json
 
 

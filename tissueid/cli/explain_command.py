@@ -7,7 +7,7 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
-from tissueid.cli.output import echo_json, output_options
+from tissueid.cli.output import echo, echo_json, output_options
 
 __all__ = ["command"]
 
@@ -49,7 +49,7 @@ def command(**flags: Any) -> int:
     elif not flags["quiet"]:
         width = max(len(entry.name) for entry in entries)
         for entry in entries:
-            click.echo(f"{entry.kind:<9}  {entry.name:<{width}}  {entry.title or entry.meaning}")
+            echo(f"{entry.kind:<9}  {entry.name:<{width}}  {entry.title or entry.meaning}")
     return 0
 
 
@@ -59,12 +59,12 @@ def _print_each(names: tuple[str, ...]) -> None:
     for position, name in enumerate(names):
         entry = explain(name)
         if position:
-            click.echo()
+            echo()
         title = f": {entry.title}" if entry.title else ""
         how = f" ({gravity(entry.name)})" if entry.kind == "flag" else ""
-        click.echo(f"{entry.kind} {entry.name}{title}{how}")
-        click.echo(f"  {entry.meaning}")
+        echo(f"{entry.kind} {entry.name}{title}{how}")
+        echo(f"  {entry.meaning}")
         if entry.follows:
-            click.echo(f"  what follows: {entry.follows}")
+            echo(f"  what follows: {entry.follows}")
         if entry.remedy:
-            click.echo(f"  what to do:   {entry.remedy}")
+            echo(f"  what to do:   {entry.remedy}")

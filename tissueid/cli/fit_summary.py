@@ -6,11 +6,10 @@ import json
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-import click
-
-from tissueid.cli.output import note, with_error
+from tissueid.cli.output import echo, note
 from tissueid.cli.quoted_lines import quoted_lines
 from tissueid.cli.uncertainty_lines import alarm_lines, parameter_lines, sampling_lines
+from tissueid.digits import with_error
 from tissueid.errors import printable
 
 if TYPE_CHECKING:
@@ -80,7 +79,7 @@ def _print_exclusion(console: Any, row: Mapping[str, Any]) -> None:
 def print_reasons(found: Assembled, *, quiet: int) -> None:
     """On stderr: every refused input, and why else the exit code is not 0."""
     for one in found.refused:
-        click.secho(f"refused ({one.code})  {one}", fg="red", err=True)
+        echo(f"refused ({one.code})  {one}", fg="red", err=True)
     told = {str(one) for one in found.refused}
     same: dict[str, list[str]] = {}
     for reason in found.exit.reasons:

@@ -6,7 +6,7 @@ import statistics
 from collections.abc import Mapping
 from typing import Any
 
-from tissueid.cli.output import with_error
+from tissueid.digits import with_error
 
 __all__ = ["quoted_lines"]
 

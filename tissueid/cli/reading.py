@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tissueid.cli.completing import readers
+from tissueid.cli.output import echo
 from tissueid.errors import UsageError
 
 if TYPE_CHECKING:
@@ -286,13 +287,13 @@ class PatternCheck:
 
         self._say()
         for fault in reader_faults():
-            click.secho(f"warning: {fault}", fg="yellow", err=True)
+            echo(f"warning: {fault}", fg="yellow", err=True)
 
     def _say(self) -> None:
         if self._study is not None and self._stated:
             count = "1 recording" if self._stated == 1 else f"{self._stated} recordings"
             message = f"{self._study.path} names the specimen of {count}: --specimen-by does not apply there"
-            click.secho(f"note: {message}", fg="yellow", err=True)
+            echo(f"note: {message}", fg="yellow", err=True)
         if not self._missed:
             return
         shown = ", ".join(self._missed[:FEW_NAMES]) + (" ..." if len(self._missed) > FEW_NAMES else "")
@@ -300,7 +301,7 @@ class PatternCheck:
             msg = f"--specimen-by {self._pattern!r} fits no recording: it was tried on {shown}"
             raise UsageError(msg)
         message = f"--specimen-by {self._pattern!r} does not fit {shown}: each is its own specimen"
-        click.secho(f"warning: {message}", fg="yellow", err=True)
+        echo(f"warning: {message}", fg="yellow", err=True)
 
 
 def read_all(items: Iterator[Trial | Refusal], refused: list[Refusal]) -> Iterator[Trial]:

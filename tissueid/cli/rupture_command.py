@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tissueid.cli.output import echo_json, note, output_options, progress_bar
+from tissueid.cli.output import echo, echo_json, echo_lines, note, output_options, progress_bar
 from tissueid.cli.reading import (
     read_all,
     read_in_order,
@@ -67,9 +67,9 @@ def command(**flags: Any) -> int:
     if flags["as_json"]:
         echo_json(document)
     elif not quiet:
-        click.echo("\n".join(_lines(document)))
+        echo_lines(_lines(document))
     for row in document["left_out"]:
-        click.secho(f"left out  {row['path']}: {row['reason']}", fg="red", err=True)
+        echo(f"left out  {row['path']}: {row['reason']}", fg="red", err=True)
     note(f"wrote rupture.json, rupture.html and the bundles to {flags['out']}", quiet=quiet)
     return EXIT_INCOMPLETE if document["left_out"] else 0
 

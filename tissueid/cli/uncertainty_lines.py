@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from tissueid.cli.output import with_error
+from tissueid.digits import with_error
 
 __all__ = ["alarm_lines", "parameter_lines", "sampling_lines"]
 
@@ -21,7 +21,7 @@ def _ascii(text: str) -> str:
 
 def _cells(entry: Mapping[str, Any], *, intervals: bool) -> tuple[str, str, str]:
     """Value with unit, statistical and total interval."""
-    from tissueid.report.interval_words import together
+    from tissueid.digits import together
 
     if entry["value"] is None:
         return "not identified", "", ""

@@ -11,11 +11,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from tissueid.digits import number
 from tissueid.report.inspect_decisions import Decision, decisions
 from tissueid.report.inspect_payload import DrawnRecording, drawn_recording, packed_recording
 from tissueid.report.page import asset, page_environment, plotly_script
 from tissueid.report.remarks import LEVELS, remark_level, remark_title, trial_label
-from tissueid.report.wording import number
 from tissueid.result import Refusal
 from tissueid.trial import Segmentation, Trial
 

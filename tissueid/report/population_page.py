@@ -8,10 +8,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from tissueid.digits import number
 from tissueid.report.page import asset, page_environment, plotly_script
 from tissueid.report.population_payload import MOST_DRAWN, population_payload
 from tissueid.report.remarks import Remark, remark_level, remark_title
-from tissueid.report.wording import Verdict, number
+from tissueid.report.wording import Verdict
 from tissueid.store.bundle import Bundle
 
 __all__ = ["held_out_sentence", "render_population"]
