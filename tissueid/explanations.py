@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 
 from tissueid.errors import UsageError
-from tissueid.flag_advice import FLAG_ADVICE
+from tissueid.flag_advice import FLAG_ADVICE, flag_level
 from tissueid.flags import FLAG_CODES
-from tissueid.report.remarks import REMARK_TITLES, remark_level
+from tissueid.report.remarks import REMARK_TITLES
 from tissueid.report.wording import PARAMETER_WORDS
 
 __all__ = ["EXIT_MEANINGS", "Explanation", "explain", "explanations", "flags_page", "gravity"]
@@ -131,7 +131,7 @@ def explain(name: str) -> Explanation:
 
 def gravity(code: str) -> str:
     """How much a flag matters, in words."""
-    return _GRAVITY[remark_level(code)]
+    return _GRAVITY[flag_level(code)]
 
 
 def flags_page() -> str:
@@ -167,7 +167,7 @@ def flags_page() -> str:
         lines += [
             f"### `{code}`",
             "",
-            f"{REMARK_TITLES[code]} ({remark_level(code)}): {meaning}.",
+            f"{REMARK_TITLES[code]} ({flag_level(code)}): {meaning}.",
             "",
             f"* What follows: {advice.follows}",
             f"* What to do: {advice.remedy}",

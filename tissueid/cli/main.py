@@ -169,7 +169,9 @@ def _misused(error: click.ClickException, args: list[str]) -> int:
     """Say what click says of the arguments, none of which reaches the terminal as it was typed."""
     context = error.ctx if isinstance(error, click.UsageError) else None
     if context is not None:
-        usage = f"{context.get_usage()}\nTry '{context.command_path} {context.help_option_names[0]}' for help.\n"
+        usage = (
+            f"{context.get_usage()}\nTry '{context.command_path} {context.help_option_names[0]}' for help.\n"
+        )
         for line in usage.split("\n"):
             echo(line, err=True)
     message = error.format_message()
