@@ -318,7 +318,7 @@ _FIT = {
         "At smaller depths the split between F_s and K is the polynomials', not the data's; the "
         "viscosity of all branches at the largest depth is known.",
         "Test a second speed, or hold at a second depth.",
-        "have one speed and one depth: below it polynomials part F_s from K",
+        "have one speed and one depth",
     ),
     "unloading_left_out": Advice(
         "Only loading and holds are fitted.",

@@ -11,7 +11,7 @@ from click.core import ParameterSource
 
 from tissueid.cli.output import echo, echo_json, note, progress_bar
 from tissueid.cli.reading import read_all, read_in_order, read_options, segment_options
-from tissueid.digits import with_error
+from tissueid.digits import together, with_error
 from tissueid.errors import UsageError, exit_code
 
 __all__ = ["LAWS", "fit_law"]
@@ -96,6 +96,6 @@ def _print(document: Mapping[str, Any]) -> None:
             if entry["value"] is None:
                 echo(f"  {entry['symbol']}  not identified: {entry['reason']}")
             else:
-                low, high = entry["ci95"]
+                low, high = together(entry["ci95"], entry["stderr"])
                 told = with_error(entry["value"], entry["stderr"])
-                echo(f"  {entry['symbol']}  {told}{unit} (95 %: {low:.4g} to {high:.4g})")
+                echo(f"  {entry['symbol']}  {told}{unit} (95 %: {low} to {high})")

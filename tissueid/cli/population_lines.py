@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from tissueid.cli.output import echo, note
-from tissueid.errors import printable
+from tissueid.digits import together
+from tissueid.flag_advice import warning_line
 
 if TYPE_CHECKING:
     from tissueid.study.cohort import WrittenPopulation
@@ -27,7 +28,7 @@ def print_population(written: WrittenPopulation, out: str, *, quiet: int) -> Non
     if not quiet:
         _print_table(written, out)
     for one in written.fit.left_out:
-        note(f"left out: {printable(one.specimen)}: {one.reason}", quiet=quiet)
+        note(f"left out: {one.specimen}: {one.reason}", quiet=quiet)
 
 
 def _print_table(written: WrittenPopulation, out: str) -> None:
@@ -37,15 +38,13 @@ def _print_table(written: WrittenPopulation, out: str) -> None:
     echo()
     echo(f"population of {count} specimens, to {found['depth_mm']:.3g} mm", bold=True)
     for row in found["quantities"]:
-        low, high = row["ci95"]
-        first, last = row["cv_ci95"]
-        total = (
-            ""
-            if row["ci95_total"] is None
-            else "; with the machine {:.4g} to {:.4g}".format(*row["ci95_total"])
+        median, low, high, *wide = together(
+            [row["median"], *row["ci95"], *(row["ci95_total"] or ())], (row["ci95"][1] - row["ci95"][0]) / 4.0
         )
+        first, last = row["cv_ci95"]
+        total = "" if row["ci95_total"] is None else f"; with the machine {' to '.join(wide)}"
         echo(
-            f"  {row['words']:<34} {row['median']:.4g} {row['unit']} (95 %: {low:.4g} to {high:.4g}{total}), "
+            f"  {row['words']:<34} {median} {row['unit']} (95 %: {low} to {high}{total}), "
             f"between specimens CV {100 * row['cv']:.1f} % ({100 * first:.1f} to {100 * last:.1f})",
         )
     if found["held_out"] is not None:
@@ -55,6 +54,6 @@ def _print_table(written: WrittenPopulation, out: str) -> None:
             f"(68 %: {100 * by['low68']:.1f} to {100 * by['high68']:.1f})",
         )
     for flag in document["flags"]:
-        echo(f"  ! {flag['message']}", fg="yellow")
+        echo(f"  ! {warning_line(flag['code'], flag['message'])}", fg="yellow")
     echo()
     echo(f"Report: {out}/cohort.html")

@@ -49,7 +49,7 @@ def _relaxation_flags(
             flags.append(
                 Flag(
                     "interval_open",
-                    f"the interval of relaxation time {j + 1} meets {np.exp(end):.3g} s, the {side} seen here",
+                    f"interval of relaxation time {j + 1} meets {np.exp(end):.3g} s, the {side} seen here",
                     {
                         "branch": j + 1,
                         "low_s": float(np.exp(interval.low)),

@@ -11,8 +11,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from tissueid.flag_advice import flag_level
 from tissueid.digits import number
+from tissueid.flag_advice import flag_level
 from tissueid.report.inspect_decisions import Decision, decisions
 from tissueid.report.inspect_payload import DrawnRecording, drawn_recording, packed_recording
 from tissueid.report.page import asset, page_environment, plotly_script

@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from tissueid.flag_advice import flag_level
 from tissueid.digits import number
+from tissueid.flag_advice import flag_level
 from tissueid.report.page import asset, page_environment, plotly_script
 from tissueid.report.population_payload import MOST_DRAWN, population_payload
 from tissueid.report.remarks import Remark, remark_title
@@ -53,7 +53,7 @@ def _remarks(document: Mapping[str, Any]) -> list[Remark]:
             level=flag_level(flag["code"]),
             code=flag["code"],
             title=remark_title(flag["code"]),
-            message=flag["message"],
+            messages=(flag["message"],),
             where=(),
         )
         for flag in document["flags"]
