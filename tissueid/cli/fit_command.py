@@ -18,6 +18,7 @@ from tissueid.cli.reading import (
     inputs_in_order,
     read_options,
     reading_options,
+    refuse_same_folder,
     segment_options,
 )
 from tissueid.errors import NotIdentifiedError, UsageError, exit_code
@@ -121,6 +122,7 @@ def command(**flags: Any) -> int:
     identification.json, one bundle a specimen, curves.h5, posteriors.h5, sums.h5 and report.html to the
     output folder, all at once or not at all.
     """
+    refuse_same_folder(flags["paths"], flags["out"])
     if flags["contact_law"] != LAWS[0]:
         return fit_law(flags)
     from tissueid.fit.compiled import first_run_words

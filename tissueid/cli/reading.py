@@ -6,6 +6,7 @@ import os
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -34,6 +35,7 @@ __all__ = [
     "read_in_order",
     "read_options",
     "reading_options",
+    "refuse_same_folder",
     "segment_options",
 ]
 
@@ -171,6 +173,21 @@ def _refusal(error: InputError) -> Refusal:
         line=error.line,
         column=error.column,
     )
+
+
+def refuse_same_folder(paths: tuple[str, ...], out: str) -> None:
+    """Refuse an output folder that is an input as well, also through a link.
+
+    Raises
+    ------
+    UsageError
+        Results would stand among recordings.
+    """
+    for path in paths:
+        folder = Path(path).parent if path.casefold().endswith(".toml") else Path(path)
+        if folder.is_dir() and os.path.realpath(folder) == os.path.realpath(out):
+            msg = f"{path} is read and -o {out} is the same folder: name another with -o, as -o results"
+            raise UsageError(msg)
 
 
 def read_in_order(

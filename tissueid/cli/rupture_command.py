@@ -13,6 +13,7 @@ from tissueid.cli.reading import (
     read_in_order,
     read_options,
     reading_options,
+    refuse_same_folder,
     segment_options,
 )
 
@@ -62,6 +63,7 @@ def command(**flags: Any) -> int:
     from tissueid.rupture.writing import write_rupture
 
     quiet = flags["quiet"]
+    refuse_same_folder(flags["paths"], flags["out"])
     with progress_bar(show=not quiet) as progress:
         document = write_rupture(Path(flags["out"]), lambda: _run(flags, progress))
     if flags["as_json"]:

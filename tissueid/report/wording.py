@@ -10,11 +10,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from tissueid.quantity_words import QUANTITIES
 from tissueid.report.remarks import LEVELS, remarks
 from tissueid.trial import Axes
 
 __all__ = [
-    "PARAMETER_WORDS",
     "Verdict",
     "in_units",
     "misfit_raised",
@@ -23,25 +23,14 @@ __all__ = [
     "verdict",
 ]
 
-PARAMETER_WORDS: Mapping[str, str] = {
-    "static_1_N_per_mm": "Static force, linear term",
-    "static_2_N_per_mm2": "Static force, square term",
-    "static_3_N_per_mm3": "Static force, cubic term",
-    "stiffness_0_N_per_mm": "Dynamic stiffness at contact",
-    "stiffness_1_N_per_mm2": "Dynamic stiffness, growth with depth",
-    "stiffness_2_N_per_mm3": "Dynamic stiffness, curvature with depth",
-    "relaxation_time_s": "Relaxation time",
-    "viscosity_N_s_per_mm": "Viscosity (stiffness times relaxation time)",
-}
-
 
 def parameter_words(name: str) -> str:
     """Name of a parameter in plain words, with its branch."""
-    for branch in (2, 3):
-        suffix = f"_b{branch}"
-        if name.endswith(suffix):
-            return f"{PARAMETER_WORDS.get(name.removesuffix(suffix), name)}, branch {branch}"
-    return PARAMETER_WORDS.get(name, name)
+    plain, _, branch = name.partition("_b")
+    if not branch.isdigit():
+        plain, branch = name, ""
+    words = QUANTITIES[plain].title if plain in QUANTITIES else plain
+    return f"{words}, branch {branch}" if branch else words
 
 
 #: Residual as a share of the force range from which a verdict is no better than this.
