@@ -121,7 +121,7 @@ _SAMPLES = {
     ),
     "below_cell_range": Advice(
         "The load cell's class holds only in its verified range; below it the force may be off by more.",
-        "Take a smaller cell, or state verified_from_N in [calibration].",
+        "Take a smaller cell, or state verified_from_N.",
         "stay below the load cell's verified range",
     ),
     "clipped_force": Advice(
@@ -366,7 +366,7 @@ _FIT = {
     "discrepancy": Advice(
         "The model is simpler than the tissue; its parameters describe this program, not any other. "
         "Intervals count several samples as one.",
-        "Look where the residual is largest; add a branch.",
+        "Look at the largest residual; add a branch.",
         "are missed by more than the noise",
     ),
     "interval_withheld": Advice(
@@ -396,7 +396,7 @@ _FIT = {
     ),
     "compliance_unknown": Advice(
         "A short relaxation time may be the machine's.",
-        "State them in [calibration] of study.toml.",
+        "State them in [calibration].",
         "leave the machine unstated",
     ),
 }

@@ -94,28 +94,24 @@ def _unknown(
     fit: SpecimenFit, frame: FrameCurve | None, stated: Mapping[str, Any], tau_s: float
 ) -> Flag | None:
     """``compliance_unknown``: what of the machine was not stated and could matter."""
-    missing: list[str] = []
-    left: list[str] = []
+    channels = {"force_filter_s": "force filter", "skew_s": "time skew"} if tau_s < INSTRUMENT_TAU_S else {}
+    missing = [name for key, name in channels.items() if key not in stated]
+    left = [f"{name} of {stated[key]:g} s" for key, name in channels.items() if stated.get(key)]
     values: dict[str, Any] = {"tau_s": tau_s}
-    if frame is None:
-        effect = frame_effect(fit, ASSUMED_FRAME_N_PER_MM)
-        if max(effect.tau, -effect.viscosity) > WORTH_SAYING or tau_s < INSTRUMENT_TAU_S:
-            too_long = f"{100 * effect.tau:.1f} % too long"
-            missing.append(f"frame ({ASSUMED_FRAME_N_PER_MM:g} N/mm make tau {too_long})")
-            values |= {
-                "assumed_frame_N_per_mm": ASSUMED_FRAME_N_PER_MM,
-                "tau_bias": effect.tau,
-                "viscosity_bias": effect.viscosity,
-            }
-    if tau_s < INSTRUMENT_TAU_S:
-        channels = {"force_filter_s": "force filter", "skew_s": "time skew"}
-        missing += [name for key, name in channels.items() if key not in stated]
-        left = [f"{name} of {stated[key]:g} s" for key, name in channels.items() if stated.get(key)]
+    effect = frame_effect(fit, ASSUMED_FRAME_N_PER_MM)
+    if frame is None and (max(effect.tau, -effect.viscosity) > WORTH_SAYING or channels):
+        by = f" ({ASSUMED_FRAME_N_PER_MM:g} N/mm: tau {100 * effect.tau:.1f} % too long)"
+        missing.insert(0, "frame" if left else f"frame{by}")
+        values |= {
+            "assumed_frame_N_per_mm": ASSUMED_FRAME_N_PER_MM,
+            "tau_bias": effect.tau,
+            "viscosity_bias": effect.viscosity,
+        }
     if not missing and not left:
         return None
     short = "" if frame is None or left else f", for a tau of {tau_s:.3g} s"
     words = [f"not stated: {', '.join(missing)}{short}"] if missing else []
-    words += [f"{' and '.join(left)} not taken out"] if left else []
+    words += [f"{' and '.join(left)} is kept in"] if left else []
     return Flag("compliance_unknown", "; ".join(words), values)
 
 

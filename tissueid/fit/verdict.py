@@ -173,12 +173,12 @@ def discrepancy_flags(noise: NoiseFit, nrmsd: Nrmsd) -> list[Flag]:
         return []
     measured = noise.measured_N or 0.0
     ratio = noise.sigma_N / measured if measured > 0.0 else None
-    times = "far more than" if ratio is None else f"{ratio:.2g} times"
+    times = "far above the" if ratio is None else f"{ratio:.2g} times the"
     return [
         Flag(
             "discrepancy",
             f"the model misses the force by {noise.sigma_N:.2g} N ({100.0 * nrmsd.range:.2g} % of its "
-            f"range), {times} the noise",
+            f"range), {times} noise",
             {
                 "rms_N": noise.sigma_N,
                 "measured_N": measured,

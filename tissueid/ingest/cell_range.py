@@ -71,6 +71,6 @@ def below_cell_range(
         values["capacity_N"] = capacity_N
     return Flag(
         "below_cell_range",
-        f"the force changes by {largest:.3g} N, below the verified {lowest:.3g} N ({source})",
+        f"force changes by {largest:.3g} N, below the verified {lowest:.3g} N ({source})",
         values,
     )

@@ -75,7 +75,7 @@ def gap(time_s: FloatArray, dt: FloatArray, force_N: FloatArray) -> Flag | None:
     count = "1 gap" if len(gaps) == 1 else f"{len(gaps)} gaps"
     return Flag(
         "gap",
-        f"{count}, the longest of {dt[longest]:.3g} s at {time_s[longest]:g} s; force changes by"
+        f"{count}, the longest of {dt[longest]:.3g} s at {time_s[longest]:g} s; force moves"
         f" {abs(change):.3g} N unseen",
         {
             "count": len(gaps),
