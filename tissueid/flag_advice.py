@@ -352,7 +352,7 @@ _FIT = {
     ),
     "poroelastic": Advice(
         "A relaxation time lies where fluid drains from under a contact of this size (a^2/D, D of "
-        "1e-11 to 1e-8 m2/s); with another tip fluid flow slows with the square of its radius, "
+        "10⁻¹¹ to 10⁻⁸ m²/s); with another tip fluid flow slows with the square of its radius, "
         "viscosity does not.",
         "Repeat with a tip of another radius.",
         "may relax by fluid flow",

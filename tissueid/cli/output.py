@@ -6,7 +6,7 @@ import json
 import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -76,12 +76,17 @@ def _escaped(found: re.Match[str]) -> str:
 def _written(text: str, stream: Any) -> str:
     """The text in letters that the stream's encoding has."""
     encoding = getattr(stream, "encoding", None) or "utf-8"
-    try:
-        text.encode(encoding)
-    except UnicodeEncodeError:
-        plain = plain_exponents(text).replace("±", "+-").replace("×", "x").replace("·", " ")
-        return plain.encode(encoding, "backslashreplace").decode(encoding)
-    return text
+    for plainer in (str, plain_exponents, _typed):
+        text = plainer(text)
+        with suppress(UnicodeEncodeError):
+            text.encode(encoding)
+            return text
+    return text.encode(encoding, "backslashreplace").decode(encoding)
+
+
+def _typed(text: str) -> str:
+    """Signs of numbers as a typewriter has them."""
+    return text.replace("±", "+-").replace("×", "x").replace("·", "*")
 
 
 def echo(message: str = "", *, err: bool = False, fg: str | None = None, bold: bool = False) -> None:
