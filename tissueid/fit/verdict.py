@@ -122,7 +122,7 @@ def _form_flag(tissue: TissueEstimate, facts: Sequence[FittedLog]) -> list[Flag]
     return [
         Flag(
             "form_dependent",
-            f"one speed, one depth: above {depth:.3g} mm only polynomials part F_s from K",
+            f"one speed, one depth: short of {depth:.3g} mm polynomials alone part F_s from K",
             {"depth_mm": depth, "viscosity_N_s_per_mm": viscosity},
         )
     ]
