@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from difflib import get_close_matches
 
 from tissueid.errors import UsageError
-from tissueid.flag_advice import FLAG_ADVICE
+from tissueid.flag_advice import FLAG_ADVICE, flag_level
 from tissueid.flags import FLAG_CODES
-from tissueid.report.remarks import REMARK_TITLES, remark_level
-from tissueid.report.wording import PARAMETER_WORDS
+from tissueid.quantity_words import QUANTITIES, quantity_name
+from tissueid.report.remarks import REMARK_TITLES
 
 __all__ = ["EXIT_MEANINGS", "Explanation", "explain", "explanations", "flags_page", "gravity"]
 
@@ -41,17 +41,6 @@ EXIT_MEANINGS: Mapping[str, tuple[str, str]] = {
     "7": ("finished, but something was left out", "Each is named with its line."),
     "130": ("interrupted", "What was finished is kept; the same command goes on from there, or begins anew."),
 }
-#: Parameter -> what it is of the model, and where it is read.
-_PARAMETERS: Mapping[str, str] = {
-    "static_1_N_per_mm": "a1 of F_s(x) = a1 x + a2 x^2 + a3 x^3: force that stays, per depth, at contact",
-    "static_2_N_per_mm2": "a2 of F_s(x): how the static force bends upwards with depth",
-    "static_3_N_per_mm3": "a3 of F_s(x): the same, further in",
-    "stiffness_0_N_per_mm": "b0 of K(x) = b0 + b1 x + b2 x^2: stiffness that relaxes, at contact",
-    "stiffness_1_N_per_mm2": "b1 of K(x): growth of the relaxing stiffness with depth",
-    "stiffness_2_N_per_mm3": "b2 of K(x): its curvature",
-    "relaxation_time_s": "tau: after it a held force of this branch has fallen to 37 % of its start",
-    "viscosity_N_s_per_mm": "eta = K tau (at half the depth where K varies): force per speed in long ramps",
-}
 _GRAVITY = {
     "ok": "harmless",
     "note": "states what was assumed or done",
@@ -71,6 +60,8 @@ class Explanation:
     name, title, meaning : str
     follows, remedy : str
         Empty where there is none.
+    symbol, unit, depends, interval : str
+        Of a parameter: as printed, what moves it, and how its interval is read.
     """
 
     kind: str
@@ -79,17 +70,30 @@ class Explanation:
     meaning: str
     follows: str = ""
     remedy: str = ""
+    symbol: str = ""
+    unit: str = ""
+    depends: str = ""
+    interval: str = ""
 
     def as_json(self) -> dict[str, str]:
         """Everything, by name."""
-        keys = ("kind", "name", "title", "meaning", "follows", "remedy")
-        return {key: getattr(self, key) for key in keys}
+        return asdict(self)
 
 
 def explanations() -> dict[str, Explanation]:
     """Every entry by its name; parameters and exit codes first, then flags in their order."""
     found = [
-        Explanation("parameter", name, words, _PARAMETERS[name]) for name, words in PARAMETER_WORDS.items()
+        Explanation(
+            "parameter",
+            name,
+            one.title,
+            one.meaning,
+            symbol=one.symbol,
+            unit=one.unit,
+            depends=one.depends,
+            interval=one.interval,
+        )
+        for name, one in QUANTITIES.items()
     ]
     found += [
         Explanation("exit code", code, "", meaning, remedy=way)
@@ -110,7 +114,7 @@ def explain(name: str) -> Explanation:
     Parameters
     ----------
     name : str
-        A flag's code, a parameter (with or without the suffix of its branch) or an exit code.
+        A flag's code, a parameter by name or symbol (with or without its branch) or an exit code.
 
     Raises
     ------
@@ -118,6 +122,9 @@ def explain(name: str) -> Explanation:
         There is none; the nearest names are said.
     """
     known = explanations()
+    quantity = quantity_name(name)
+    if quantity is not None:
+        return known[quantity]
     plain = name.strip().replace("-", "_")
     for branch in ("_b2", "_b3"):
         plain = plain.removesuffix(branch)
@@ -131,7 +138,7 @@ def explain(name: str) -> Explanation:
 
 def gravity(code: str) -> str:
     """How much a flag matters, in words."""
-    return _GRAVITY[remark_level(code)]
+    return _GRAVITY[flag_level(code)]
 
 
 def flags_page() -> str:
@@ -151,9 +158,12 @@ def flags_page() -> str:
         "",
         "Names of a second or third branch end in `_b2`, `_b3`.",
         "",
-        "| parameter | in words | of the model |",
-        "|---|---|---|",
-        *(f"| `{name}` | {words} | {_PARAMETERS[name]} |" for name, words in PARAMETER_WORDS.items()),
+        "| parameter | printed as | unit | in words | meaning | depends |",
+        "|---|---|---|---|---|---|",
+        *(
+            f"| `{name}` | {one.symbol} | {one.unit} | {one.title} | {one.meaning} | {one.depends} |"
+            for name, one in QUANTITIES.items()
+        ),
         "",
         "## Flags",
         "",
@@ -167,7 +177,7 @@ def flags_page() -> str:
         lines += [
             f"### `{code}`",
             "",
-            f"{REMARK_TITLES[code]} ({remark_level(code)}): {meaning}.",
+            f"{REMARK_TITLES[code]} ({flag_level(code)}): {meaning}.",
             "",
             f"* What follows: {advice.follows}",
             f"* What to do: {advice.remedy}",

@@ -8,9 +8,13 @@ import pytest
 from command_line import REPOSITORY, run
 
 from tissueid import errors
-from tissueid.explanations import EXIT_MEANINGS, explanations, flags_page
+from tissueid.explanations import EXIT_MEANINGS, explain, explanations, flags_page
 from tissueid.flag_advice import FLAG_ADVICE
 from tissueid.flags import FLAG_CODES
+from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.quantity_words import QUANTITIES
+
+MOST_LINES = 25
 
 
 def test_every_flag_has_advice_and_nothing_else_has() -> None:
@@ -38,14 +42,34 @@ def test_options_and_files_that_advice_names_exist() -> None:
 def test_a_flag_is_explained_with_what_follows_and_what_to_do(code: str) -> None:
     ended = run("explain", code)
     assert ended.code == 0
-    assert FLAG_CODES[code] in ended.stdout
-    assert FLAG_ADVICE[code].follows in ended.stdout
-    assert FLAG_ADVICE[code].remedy in ended.stdout
+    said = " ".join(ended.stdout.split())
+    assert FLAG_CODES[code] in said
+    assert FLAG_ADVICE[code].follows in said
+    assert FLAG_ADVICE[code].remedy in said
 
 
-@pytest.mark.parametrize("name", ["clipped-force", "viscosity_N_s_per_mm_b2", "130", " 7 "])
+@pytest.mark.parametrize("name", ["clipped-force", "viscosity_N_s_per_mm_b2", "130", " 7 ", "tau2", "b1,3"])
 def test_a_name_may_be_typed_loosely(name: str) -> None:
     assert run("explain", name).code == 0
+
+
+@pytest.mark.parametrize("name", QUANTITIES)
+def test_a_quantity_is_told_with_unit_dependence_and_interval_in_few_lines(name: str) -> None:
+    words = QUANTITIES[name]
+    ended = run("explain", words.symbol)
+    said = " ".join(ended.stdout.split())
+    assert ended.code == 0
+    assert ended.stdout == run("explain", name).stdout
+    for part in (words.symbol, words.unit, words.meaning, words.depends, words.interval):
+        assert part in said
+    assert len(ended.stdout.splitlines()) <= MOST_LINES
+
+
+def test_every_parameter_of_the_model_is_a_quantity() -> None:
+    printed = {one.name: one.symbol for one in KelvinVoigt(2, 2, 3.0).parameters}
+    for name, symbol in printed.items():
+        plain = re.sub(r"_b2$", "", name)
+        assert explain(symbol).name == explain(name).name == plain
 
 
 def test_what_is_none_is_answered_with_the_nearest() -> None:

@@ -100,7 +100,7 @@ def test_small_numbers_have_a_power_of_ten_that_a_terminal_can_print() -> None:
     narrow = replace(known, sd=5e-7, ci95=(2.4e-5, 2.6e-5), ci95_total=None)
     small = replace(fit.parameters[0], value=2.5e-5, uncertainty=narrow)
     (line,) = parameter_lines(replace(fit, parameters=(small,)).as_json())
-    assert line == "a1     2.500e-5 N/mm  95 % [2.400e-5, 2.600e-5]"
+    assert line == "a1     2.500×10⁻⁵ N/mm  95 % [2.400×10⁻⁵, 2.600×10⁻⁵]"
 
 
 def test_a_report_made_again_has_bands_and_draws_from_the_folder_alone(tmp_path: Path) -> None:

@@ -100,5 +100,5 @@ def test_rivals_are_named_where_the_data_do_not_decide():
     rival = Candidate(2, 0, "shared")
     (flag,) = undecided_flags(Choice(solution, (), (solution,), (rival,)))
     assert flag.code in FLAG_CODES
-    assert "1 branch with K of degree 0 was taken" in flag.message
+    assert "1 branch with K of degree 0 taken; 1 other" in flag.message
     assert flag.values["rivals"] == ["2 branches with K of degree 0"]

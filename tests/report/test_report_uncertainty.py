@@ -14,9 +14,10 @@ import pytest
 from fit_factory import identification, specimen_fit
 from posterior_factory import SHARES, SOURCES, posterior, sampled
 
+from tissueid.digits import together
 from tissueid.flags import Flag
 from tissueid.report import render_report
-from tissueid.report.interval_words import bar_of, bar_scale, together
+from tissueid.report.interval_words import bar_of, bar_scale
 from tissueid.report.posterior_payload import MOST_NUMBERS, posterior_payload
 from tissueid.report.uncertainty_words import reported_order, uncertainty_view
 from tissueid.result import SpecimenFit
@@ -51,7 +52,7 @@ def sure_section(html: str) -> str:
         ([1.33612, 1.3101, 1.3622], 0.0133, ["1.336", "1.310", "1.362"]),
         ([-0.5, 0.25], 0.1, ["−0.50", "0.25"]),
         ([1234.4, 1200.0], 30.0, ["1234", "1200"]),
-        ([2.5e-5, 2.4e-5], 5e-7, ["2.500×10^−5", "2.400×10^−5"]),
+        ([2.5e-5, 2.4e-5], 5e-7, ["2.500×10⁻⁵", "2.400×10⁻⁵"]),
         ([3.0, 2.0], 0.0, ["3.000", "2.000"]),
         ([0.0, 0.0], 0.01, ["0.000", "0.000"]),
     ],

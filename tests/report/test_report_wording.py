@@ -8,17 +8,11 @@ import pytest
 from fit_factory import specimen_fit
 from posterior_factory import sampled
 
+from tissueid.digits import number, rounded_to, with_error
 from tissueid.flags import FLAG_CODES
 from tissueid.report.remarks import REMARK_TITLES, remarks
 from tissueid.report.sentences import overview_sentence, tissue_sentence
-from tissueid.report.wording import (
-    number,
-    parameter_words,
-    rounded_to,
-    unit_words,
-    verdict,
-    with_error,
-)
+from tissueid.report.wording import parameter_words, unit_words, verdict
 from tissueid.store.files import plain_json
 
 
@@ -35,7 +29,7 @@ def document(**options: Any) -> dict[str, Any]:
         (-5.5, 2, "−5.5"),
         (0.0, 4, "0"),
         (571614.0, 3, "571614"),
-        (1.25e-7, 3, "1.25×10^−7"),
+        (1.25e-7, 3, "1.25×10⁻⁷"),
         (None, 4, "–"),
     ],
 )
@@ -52,8 +46,8 @@ def test_numbers_are_written_as_people_write_them(value: float | None, digits: i
         (12340.0, 560.0, "12340 ± 560"),
         (5.0, None, "5.000"),
         (None, 0.1, "not identified"),
-        (5.174e-6, 1.12e-7, "(5.17 ± 0.11)×10^−6"),
-        (-5.174e-6, 1.12e-7, "(−5.17 ± 0.11)×10^−6"),
+        (5.174e-6, 1.12e-7, "(5.17 ± 0.11)×10⁻⁶"),
+        (-5.174e-6, 1.12e-7, "(−5.17 ± 0.11)×10⁻⁶"),
         (0.1461059, 5.1e-6, "0.1461059 ± 0.0000051"),
     ],
 )
@@ -62,7 +56,7 @@ def test_a_value_ends_where_its_error_ends(value: float | None, stderr: float | 
 
 
 def test_a_column_of_values_keeps_the_power_of_ten() -> None:
-    assert rounded_to(5.174e-6, 1.12e-7) == "5.17×10^−6"
+    assert rounded_to(5.174e-6, 1.12e-7) == "5.17×10⁻⁶"
     assert rounded_to(63.6212, 0.891) == "63.62"
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tissueid.cli.calibrate_source import found_source
-from tissueid.cli.output import echo_json, note, output_options, progress_bar
+from tissueid.cli.output import echo, echo_json, note, output_options, progress_bar
 from tissueid.errors import UsageError
 
 if TYPE_CHECKING:
@@ -173,36 +173,31 @@ def _with_noise(centre: Centre, flags: dict[str, Any]) -> Centre:
 
 
 def _print(check: TissueCheck, protocol: Protocol, verdict: Verdict, out: str) -> None:
-    from rich.console import Console
-
     from tissueid.selfcheck.truth import prior_words
 
-    console = Console(highlight=False, soft_wrap=True)
-    console.print(
+    echo(
         f"{protocol.words}: {len(protocol.logs)} log{'s' * (len(protocol.logs) > 1)}, "
         f"{protocol.samples:,} samples; {check.noise_model} noise; {verdict.simulations} simulations",
-        markup=False,
     )
     words = prior_words(
         check.priors, correlated=check.correlated, pooling=check.pooling, defects=check.defects
     )
-    console.print("\npriors", markup=False)
+    echo()
+    echo("priors")
     for name, said in words.items():
-        console.print(f"  {name}: {said}", markup=False)
+        echo(f"  {name}: {said}")
     width = max(len(one.name) for one in verdict.parameters)
     levels = "".join(f"{100 * row.level:>7g} %" for row in verdict.parameters[0].coverage)
-    console.print(f"\n{'coverage of':<{width}}{levels}   mean z   spread", markup=False)
+    echo()
+    echo(f"{'coverage of':<{width}}{levels}   mean z   spread")
     for one in verdict.parameters:
         shares = "".join(f"{100 * row.fraction:>9.1f}" for row in one.coverage)
         mark = "" if one.calibrated else "   outside its band"
-        console.print(
-            f"{one.name:<{width}}{shares}{one.mean_z:>9.2f}{one.spread_ratio:>9.2f}{mark}", markup=False
-        )
+        echo(f"{one.name:<{width}}{shares}{one.mean_z:>9.2f}{one.spread_ratio:>9.2f}{mark}")
     bands = "".join(
         f"{100 * row.low / row.simulations:>4.0f}-{100 * row.high / row.simulations:<4.0f}"
         for row in verdict.parameters[0].coverage
     )
-    console.print(f"{'band':<{width}}{bands}", markup=False)
-    console.print(
-        f"\n{'calibrated' if verdict.calibrated else 'NOT calibrated'}: {out}/{_FILES[1]}", markup=False
-    )
+    echo(f"{'band':<{width}}{bands}")
+    echo()
+    echo(f"{'calibrated' if verdict.calibrated else 'NOT calibrated'}: {out}/{_FILES[1]}")

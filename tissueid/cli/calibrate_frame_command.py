@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from tissueid.cli.output import echo_json, note, output_options, write_output
+from tissueid.cli.output import echo, echo_json, note, output_options, write_output
 from tissueid.cli.reading import read_in_order, read_options, reading_options
 
 __all__ = ["command"]
@@ -68,12 +68,12 @@ def command(**flags: Any) -> int:
 def _print(document: dict[str, Any]) -> None:
     top = document["range_N"][1]
     plural = "s" if document["loadings"] > 1 else ""
-    click.echo(f"{document['loadings']} loading{plural} to {top:.4g} N")
-    click.echo(f"stiffness above {top / 2:.3g} N: {document['stiffness_N_per_mm']:.4g} N/mm")
-    click.echo("force [N]   deflection [mm]   sd [mm]")
+    echo(f"{document['loadings']} loading{plural} to {top:.4g} N")
+    echo(f"stiffness above {top / 2:.3g} N: {document['stiffness_N_per_mm']:.4g} N/mm")
+    echo("force [N]   deflection [mm]   sd [mm]")
     for force, give, sd in zip(
         document["force_N"], document["deflection_mm"], document["sd_mm"], strict=True
     ):
-        click.echo(f"{force:9.4g}   {give:15.5f}   {sd:7.5f}")
+        echo(f"{force:9.4g}   {give:15.5f}   {sd:7.5f}")
     if document["repeatability_sd_mm"] is None:
-        click.echo("one loading: a repeatability of 5 % was assumed; record several to know it")
+        echo("one loading: a repeatability of 5 % was assumed; record several to know it")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tissueid.cli.output import echo_json, note, output_options, progress_bar, write_output
+from tissueid.cli.output import echo, echo_json, note, output_options, progress_bar, write_output
 from tissueid.errors import UsageError
 
 if TYPE_CHECKING:
@@ -148,15 +148,16 @@ def _apart(tissues: list[Compared]) -> list[Compared]:
 def _print(document: dict[str, Any]) -> None:
     common = document["common"]
     slow, fast = common["speeds_mm_s"]
-    click.echo(f"compared to {common['depth_mm']:.3g} mm, {slow:.3g} to {fast:.3g} mm/s")
+    echo(f"compared to {common['depth_mm']:.3g} mm, {slow:.3g} to {fast:.3g} mm/s")
     for pair in document["pairs"]:
         verdict = "differ" if pair["difference"]["different"] else "not shown to differ"
         probability = pair["difference"]["probability"]
-        click.echo(f"\n{pair['one']} and {pair['other']}: {verdict} (p = {probability:.2g})")
+        echo()
+        echo(f"{pair['one']} and {pair['other']}: {verdict} (p = {probability:.2g})")
         width = max(len(row["name"]) for row in pair["numbers"])
         for row in pair["numbers"]:
             ratio = "" if row["ratio"] is None else "ratio {1:.3g} ({0:.3g} to {2:.3g})".format(*row["ratio"])
-            click.echo(
+            echo(
                 f"  {row['name']:<{width}}  {row['one'][1]:>9.4g}  {row['other'][1]:>9.4g}  {ratio:<32} "
                 f"larger: {row['larger']:.3f}"
             )
@@ -166,6 +167,6 @@ def _print(document: dict[str, Any]) -> None:
             limit = most["limit"]
             times = f"{most['times']:.2g} times the just-noticeable difference"
             source = f"{limit['source']}, doi {limit['doi']}: {limit['conditions']}"
-            click.echo(f"  a hand could tell: {most['name']}, {times} ({source})")
+            echo(f"  a hand could tell: {most['name']}, {times} ({source})")
         else:
-            click.echo("  a hand would hardly tell: no difference exceeds a published just-noticeable one")
+            echo("  a hand would hardly tell: no difference exceeds a published just-noticeable one")

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from tissueid.cli.output import echo_json, note, output_options, write_output
+from tissueid.cli.output import echo_bytes, echo_json, note, output_options, write_output
 from tissueid.errors import UsageError
 
 __all__ = ["command"]
@@ -43,7 +43,7 @@ def command(**flags: Any) -> int:
         if flags["as_json"]:
             echo_json({"shell": flags["shell"], "script": script})
         else:
-            click.echo(script, nl=False)
+            echo_bytes(script.encode(), safe=True)
         return 0
     target = _target(flags["shell"])
     try:

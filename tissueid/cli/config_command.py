@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from tissueid.cli.completing import subcommands
-from tissueid.cli.output import echo_json, output_options
+from tissueid.cli.output import echo, echo_json, output_options
 from tissueid.errors import UsageError
 
 __all__ = ["command"]
@@ -50,9 +50,9 @@ def command(**flags: Any) -> int:
     if flags["as_json"]:
         echo_json({"files": read, "settings": rows})
     elif not flags["quiet"]:
-        click.echo(f"files read: {', '.join(read) or 'none'}")
+        echo(f"files read: {', '.join(read) or 'none'}")
         if user is not None and str(user) not in read:
-            click.echo(f"your own would be {user}")
+            echo(f"your own would be {user}")
         _print(rows)
     return 0
 
@@ -85,9 +85,9 @@ def _default(option: click.Option) -> Any:
 
 def _print(rows: list[dict[str, Any]]) -> None:
     if not rows:
-        click.echo("nothing is set: every option has its default")
+        echo("nothing is set: every option has its default")
         return
     named = [f"{row['command']} --{row['option']}" for row in rows]
     for name, row in zip(named, rows, strict=True):
         value = "-" if row["value"] is None else str(row["value"])
-        click.echo(f"{name:<{max(map(len, named))}}  {value:<14}  {row['source'] or 'default'}")
+        echo(f"{name:<{max(map(len, named))}}  {value:<14}  {row['source'] or 'default'}")

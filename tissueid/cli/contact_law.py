@@ -9,8 +9,9 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from tissueid.cli.output import echo_json, note, progress_bar, with_error
+from tissueid.cli.output import echo, echo_json, note, progress_bar
 from tissueid.cli.reading import read_all, read_in_order, read_options, segment_options
+from tissueid.digits import together, with_error
 from tissueid.errors import UsageError, exit_code
 
 __all__ = ["LAWS", "fit_law"]
@@ -89,12 +90,12 @@ def _codes(document: Mapping[str, Any]) -> set[int]:
 
 def _print(document: Mapping[str, Any]) -> None:
     for one in document["specimens"]:
-        click.echo(f"{one['specimen']}: {len(one['logs'])} recordings, NRMSD {100.0 * one['nrmsd']:.2f} %")
+        echo(f"{one['specimen']}: {len(one['logs'])} recordings, NRMSD {100.0 * one['nrmsd']:.2f} %")
         for entry in one["parameters"]:
             unit = "" if entry["unit"] == "1" else f" {entry['unit']}"
             if entry["value"] is None:
-                click.echo(f"  {entry['symbol']}  not identified: {entry['reason']}")
+                echo(f"  {entry['symbol']}  not identified: {entry['reason']}")
             else:
-                low, high = entry["ci95"]
+                low, high = together(entry["ci95"], entry["stderr"])
                 told = with_error(entry["value"], entry["stderr"])
-                click.echo(f"  {entry['symbol']}  {told}{unit} (95 %: {low:.4g} to {high:.4g})")
+                echo(f"  {entry['symbol']}  {told}{unit} (95 %: {low} to {high})")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tissueid.cli.completing import presets
-from tissueid.cli.output import echo_json, note, output_options, write_output
+from tissueid.cli.output import echo_json, echo_lines, note, output_options, write_output
 
 if TYPE_CHECKING:
     from tissueid.render.control.settings import ControlSettings
@@ -109,7 +109,7 @@ def command(**flags: Any) -> int:
     if flags["as_json"]:
         echo_json(document)
     elif not flags["quiet"]:
-        click.echo("\n".join(_lines(document)))
+        echo_lines(_lines(document))
     return 0 if document["runs"][0]["measures"]["diverged_s"] is None else DIVERGED
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from tissueid.cli.output import Column, echo, echo_table
+
 __all__ = ["print_plan", "time_words"]
 
 _SHORT = {"relaxation_time_s": "tau", "viscosity_N_s_per_mm": "eta", "stiffness_0_N_per_mm": "K"}
@@ -38,14 +40,10 @@ def _indentations(protocol: Mapping[str, Any]) -> str:
 
 def print_plan(document: Mapping[str, Any]) -> None:
     """Print the plan to stdout."""
-    from rich.console import Console
-    from rich.table import Table
-
-    console = Console(highlight=False)
     asked, best = document["asked"], document["protocols"][0]
     wanted = ", ".join(f"{short_name(one['name'])} to {_percent(one['share'])}" for one in asked["wants"])
     head = f"{document['tissue']['name']} on {document['machine']['name']}: {wanted} ({asked['interval']})"
-    console.print(head, markup=False, soft_wrap=True)
+    echo(head)
     if document["verdict"]["reached"]:
         said = f"recommended: {best['logs']} logs, {time_words(best['seconds'])} a specimen"
         if asked["specimens"] > 1:
@@ -55,26 +53,20 @@ def print_plan(document: Mapping[str, Any]) -> None:
             f"{short_name(one['name'])} to {_percent(one['assured'])}" for one in best["precision"]
         )
         said = f"NONE on this machine reaches that; the nearest: {reached}"
-    console.print(said, markup=False, soft_wrap=True)
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    table.add_column("", justify="right")
-    table.add_column("time", justify="right")
-    table.add_column("logs", justify="right")
-    for one in asked["wants"]:
-        table.add_column(short_name(one["name"]), justify="right")
-    table.add_column("channel", overflow="fold")
-    table.add_column("indentations", overflow="fold")
-    for rank, one in enumerate(document["protocols"], start=1):
-        table.add_row(*_row(str(rank), one))
+    echo(said)
+    titles = ["", "time", "logs", *(short_name(one["name"]) for one in asked["wants"])]
+    columns = [*(Column(title, "right") for title in titles), Column("channel"), Column("indentations")]
+    rows = [_row(str(rank), one) for rank, one in enumerate(document["protocols"], start=1)]
     given = document["against"]
-    if given is not None and given["protocol"] is not None:
-        table.add_row(*_row(given["name"], given["protocol"]), style="dim")
-    console.print(table)
+    beside = given is not None and given["protocol"] is not None
+    if beside:
+        rows.append(_row(given["name"], given["protocol"]))
+    echo_table(columns, rows, dim_last=beside)
     if given is not None and given["protocol"] is None:
-        console.print(f"{given['name']} can't be run here: {given['obstacle']}", markup=False, soft_wrap=True)
-    _print_limits(console, document)
+        echo(f"{given['name']} can't be run here: {given['obstacle']}")
+    _print_limits(document)
     for remark in document["verdict"]["remarks"]:
-        console.print(f"note: {remark}", markup=False, soft_wrap=True)
+        echo(f"note: {remark}")
 
 
 def _row(rank: str, protocol: Mapping[str, Any]) -> list[str]:
@@ -86,10 +78,10 @@ def _row(rank: str, protocol: Mapping[str, Any]) -> list[str]:
     return [rank, time, logs, *precision, channel, _indentations(protocol)]
 
 
-def _print_limits(console: Any, document: Mapping[str, Any]) -> None:
+def _print_limits(document: Mapping[str, Any]) -> None:
     limits = document["verdict"]["limits"]
     if not limits and not document["verdict"]["reached"]:
-        console.print("no single change of machine or channel would help by a tenth", markup=False)
+        echo("no single change of machine or channel would help by a tenth")
     for one in limits[:PRINTED_LIMITS]:
         much = "that would be enough" if one["enough"] else f"{one['factor']:.2g} times as precise"
-        console.print(f"limited by {one['name']}: {one['words']}: {much}", markup=False, soft_wrap=True)
+        echo(f"limited by {one['name']}: {one['words']}: {much}")

@@ -18,7 +18,8 @@ from tissueid.cli.device_opening import (
     opened,
     save,
 )
-from tissueid.cli.output import echo_json, output_options, with_error
+from tissueid.cli.output import echo, echo_json, output_options
+from tissueid.digits import with_error
 
 if TYPE_CHECKING:
     from tissueid.haptics.device import HapticDevice
@@ -76,12 +77,12 @@ def list_devices(**flags: Any) -> int:
     if flags["quiet"]:
         return 0
     for one in found:
-        click.echo(f"{one.name:16}{one.where}")
+        echo(f"{one.name:16}{one.where}")
         if one.note:
-            click.echo(f"{'':16}{one.note}")
+            echo(f"{'':16}{one.note}")
     missing = sorted(set(device_names()) - {one.name for one in found})
     if missing:
-        click.echo(f"not found: {', '.join(missing)}")
+        echo(f"not found: {', '.join(missing)}")
     return 0
 
 
@@ -97,14 +98,14 @@ def info(**flags: Any) -> int:
         return 0
     if flags["quiet"]:
         return 0
-    click.echo(f"{document['name']}: force at most {document['clamp_N']:.2f} N, nominal")
-    click.echo(f"damping {document['damping_N_s_per_m']:g} N s/m, delay {document['delay_ticks']:g} ticks")
+    echo(f"{document['name']}: force at most {document['clamp_N']:.2f} N, nominal")
+    echo(f"damping {document['damping_N_s_per_m']:g} N s/m, delay {document['delay_ticks']:g} ticks")
     for axis, (low, high) in zip("xyz", document["workspace_mm"], strict=True):
-        click.echo(f"{axis} from {low:.0f} to {high:.0f} mm")
+        echo(f"{axis} from {low:.0f} to {high:.0f} mm")
     for key, value in document.get("calibration", {}).items():
-        click.echo(f"{key} = {value}")
+        echo(f"{key} = {value}")
     if document["hardware"] and not document["calibrated"]:
-        click.echo("not calibrated: a newton of this device may be anything from 0.5 to 2 N")
+        echo("not calibrated: a newton of this device may be anything from 0.5 to 2 N")
     return 0
 
 
@@ -122,7 +123,7 @@ def home(**flags: Any) -> int:
     if flags["as_json"]:
         echo_json({"name": device.name, "homed": True, "position_mm": millimetres})
     elif not flags["quiet"]:
-        click.echo(f"{device.name} is homed; the grip is at {millimetres} mm")
+        echo(f"{device.name} is homed; the grip is at {millimetres} mm")
     return 0
 
 
@@ -145,11 +146,11 @@ def test(**flags: Any) -> int:
         echo_json(document)
     elif not flags["quiet"]:
         median, high, largest = report.round_trip_ms
-        click.echo(f"{report.rate_hz:.0f} replies a second, each command waiting for its answer")
-        click.echo(f"round trip {median:.3f} ms, 95 % below {high:.3f} ms, longest {largest:.3f} ms")
-        click.echo(f"delay {report.delay_ticks:.2f} ticks of 1 ms, with half a tick for the device itself")
+        echo(f"{report.rate_hz:.0f} replies a second, each command waiting for its answer")
+        echo(f"round trip {median:.3f} ms, 95 % below {high:.3f} ms, longest {largest:.3f} ms")
+        echo(f"delay {report.delay_ticks:.2f} ticks of 1 ms, with half a tick for the device itself")
         unanswered = report.commands - report.replies
-        click.echo(f"{report.commands} commands, {unanswered} unanswered, {report.damaged} damaged replies")
+        echo(f"{report.commands} commands, {unanswered} unanswered, {report.damaged} damaged replies")
     if flags["save"]:
         save(device, flags, delay_ticks=report.delay_ticks, delay_measured=True)
     return 0
@@ -186,10 +187,8 @@ def calibrate_force(**flags: Any) -> int:
         echo_json(document)
     elif not flags["quiet"]:
         ratio = with_error(found.ratio, found.stderr)
-        click.echo(
-            f"held {found.empty_N:.3f} N without and {found.loaded_N:.3f} N with {found.weight_N:.3f} N"
-        )
-        click.echo(f"{ratio} nominal newton for one true newton: {units:.0f} motor units for one N m")
+        echo(f"held {found.empty_N:.3f} N without and {found.loaded_N:.3f} N with {found.weight_N:.3f} N")
+        echo(f"{ratio} nominal newton for one true newton: {units:.0f} motor units for one N m")
     # a weight in the newtons of before is none
     save(made, flags, units_per_Nm=units, force_calibrated=True, weight_measured=False)
     return 0
@@ -216,8 +215,8 @@ def calibrate_damping(**flags: Any) -> int:
         echo_json({**asdict(found), "safe_damping_N_s_per_m": found.safe_damping})
     elif not flags["quiet"]:
         damping = with_error(found.damping_N_s_per_m, found.damping_stderr)
-        click.echo(f"damping {damping} N s/m, of which {found.safe_damping:.3f} are relied on")
-        click.echo(f"mass {found.mass_kg:.3f} kg, friction {found.friction_N:.3f} N")
+        echo(f"damping {damping} N s/m, of which {found.safe_damping:.3f} are relied on")
+        echo(f"mass {found.mass_kg:.3f} kg, friction {found.friction_N:.3f} N")
     save(made, flags, damping_N_s_per_m=found.safe_damping, damping_measured=True)
     return 0
 
@@ -243,8 +242,8 @@ def calibrate_weight(**flags: Any) -> int:
         echo_json(asdict(found))
     elif not flags["quiet"]:
         words = ", ".join(f"{value:.3f}" for value in found.weight_N)
-        click.echo(f"held with ({words}) N in the middle, each to {found.stderr_N:.3f} N")
-        click.echo(f"{found.poses} poses; a plane leaves {found.residual_N:.3f} N")
+        echo(f"held with ({words}) N in the middle, each to {found.stderr_N:.3f} N")
+        echo(f"{found.poses} poses; a plane leaves {found.residual_N:.3f} N")
     slope = tuple(value for row in found.slope_N_per_m for value in row)
     save(made, flags, weight_N=found.weight_N, weight_slope_N_per_m=slope, weight_measured=True)
     return 0

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from tissueid.cli.output import echo_json, note, output_options
+from tissueid.cli.output import echo, echo_json, note, output_options
 
 __all__ = ["command"]
 
@@ -39,9 +39,9 @@ def command(**flags: Any) -> int:
         checks.append(check)
         if flags["as_json"] or flags["quiet"]:
             continue
-        click.echo(f"{_MARKS[check.state]:<8}{check.name:<13}{check.words}")
+        echo(f"{_MARKS[check.state]:<8}{check.name:<13}{check.words}")
         if check.way_out:
-            click.echo(f"{'':21}{check.way_out}")
+            echo(f"{'':21}{check.way_out}")
     missing = [check.name for check in checks if check.state == "missing"]
     if flags["as_json"]:
         echo_json({"checks": [check.as_json() for check in checks], "missing": missing})

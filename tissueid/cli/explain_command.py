@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from textwrap import wrap
 from typing import Any
 
 import click
 from click.shell_completion import CompletionItem
 
-from tissueid.cli.output import echo_json, output_options
+from tissueid.cli.output import echo, echo_json, echo_lines, output_options
 
 __all__ = ["command"]
+
+#: Columns, and where texts begin.
+WIDTH, MARGIN = 98, 16
 
 EPILOG = """\b
 Examples:
   tissueid explain not_identified
+  tissueid explain tau
   tissueid explain 7
   tissueid explain viscosity_N_s_per_mm --json
   tissueid explain
@@ -36,8 +41,8 @@ def _complete(_context: click.Context, _parameter: click.Parameter, typed: str) 
 def command(**flags: Any) -> int:
     """Say in plain words what a flag, a parameter or an exit code means, and what to do about it.
 
-    NAME is the code of a flag, a parameter as identification.json names it, or an exit code. Without one the
-    names are listed.
+    NAME is the code of a flag, a parameter by its symbol or its name in identification.json, or an exit
+    code. Without one the names are listed.
     """
     from tissueid.explanations import explain, explanations
 
@@ -49,7 +54,7 @@ def command(**flags: Any) -> int:
     elif not flags["quiet"]:
         width = max(len(entry.name) for entry in entries)
         for entry in entries:
-            click.echo(f"{entry.kind:<9}  {entry.name:<{width}}  {entry.title or entry.meaning}")
+            echo(f"{entry.kind:<9}  {entry.name:<{width}}  {entry.title or entry.meaning}")
     return 0
 
 
@@ -59,12 +64,25 @@ def _print_each(names: tuple[str, ...]) -> None:
     for position, name in enumerate(names):
         entry = explain(name)
         if position:
-            click.echo()
+            echo()
         title = f": {entry.title}" if entry.title else ""
         how = f" ({gravity(entry.name)})" if entry.kind == "flag" else ""
-        click.echo(f"{entry.kind} {entry.name}{title}{how}")
-        click.echo(f"  {entry.meaning}")
-        if entry.follows:
-            click.echo(f"  what follows: {entry.follows}")
-        if entry.remedy:
-            click.echo(f"  what to do:   {entry.remedy}")
+        echo(f"{entry.kind} {entry.symbol or entry.name}{title}{how}")
+        echo(f"  {entry.meaning}")
+        for label, text in (
+            ("unit", f"{entry.unit}; {entry.name} in identification.json" if entry.unit else ""),
+            ("depends", entry.depends),
+            ("interval", entry.interval),
+            ("what follows", entry.follows),
+            ("what to do", entry.remedy),
+        ):
+            if text:
+                echo_lines(_wrapped(f"{label}:", text))
+
+
+def _wrapped(label: str, text: str) -> list[str]:
+    """A text behind its label, in lines that a terminal holds."""
+    if len(text) <= WIDTH - MARGIN:
+        return [f"  {label:<{MARGIN - 2}}{text}"]
+    first = f"  {label:<{MARGIN - 2}}"
+    return wrap(text, WIDTH, initial_indent=first, subsequent_indent=" " * MARGIN, break_on_hyphens=False)

@@ -10,7 +10,7 @@ import click
 
 from tissueid.cli.contact_law import LAWS, fit_law
 from tissueid.cli.fit_summary import print_summary
-from tissueid.cli.output import echo_bytes, note, output_options, progress_bar
+from tissueid.cli.output import echo_json_text, note, output_options, progress_bar
 from tissueid.cli.quoting import quoting_options, quoting_values
 from tissueid.cli.reading import (
     READING,
@@ -18,6 +18,7 @@ from tissueid.cli.reading import (
     inputs_in_order,
     read_options,
     reading_options,
+    refuse_same_folder,
     segment_options,
 )
 from tissueid.errors import NotIdentifiedError, UsageError, exit_code
@@ -121,6 +122,7 @@ def command(**flags: Any) -> int:
     identification.json, one bundle a specimen, curves.h5, posteriors.h5, sums.h5 and report.html to the
     output folder, all at once or not at all.
     """
+    refuse_same_folder(flags["paths"], flags["out"])
     if flags["contact_law"] != LAWS[0]:
         return fit_law(flags)
     from tissueid.fit.compiled import first_run_words
@@ -161,7 +163,7 @@ def command(**flags: Any) -> int:
             run.commit()
             prune_specimens(run.out)
         if flags["as_json"]:
-            echo_bytes(found.document.read_bytes())
+            echo_json_text(found.document.read_text(encoding="utf-8"))
         else:
             print_summary(found, flags["out"], quiet=quiet, verbose=flags["verbose"])
     return exit_code({found.exit.code, _population(flags, study, found.fitted)})

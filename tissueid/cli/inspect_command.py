@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tissueid.cli.output import echo_json, note, output_options, progress_bar, with_error, write_output
+from tissueid.cli.output import echo, echo_json, note, output_options, progress_bar, write_output
 from tissueid.cli.reading import read_in_order, read_options, reading_options, segment_options
+from tissueid.digits import with_error
 
 if TYPE_CHECKING:
     from tissueid.manifest import Study
@@ -81,7 +82,7 @@ def command(**flags: Any) -> int:
     else:
         for one in described:
             if isinstance(one, Refusal):
-                click.secho(f"refused ({one.code})  {one}", fg="red", err=True)
+                echo(f"refused ({one.code})  {one}", fg="red", err=True)
             elif not flags["quiet"]:
                 _print(one, verbose=flags["verbose"])
     return exit_code({7 if len(refused) < len(described) else 3}) if refused else 0
@@ -148,27 +149,28 @@ def _write_page(target: str, shown: list[InspectedRecording], refused: list[Refu
 
 def _print(one: dict[str, Any], *, verbose: int) -> None:
     name = one["path"] if one["sheet"] is None else f"{one['path']} [{one['sheet']}]"
-    click.secho(f"\n{name}", bold=True)
-    click.echo(f"  {_reader(one)[0].lower()}{_reader(one)[1:]}")
-    click.echo(f"  specimen    {one['specimen']}")
+    echo()
+    echo(name, bold=True)
+    echo(f"  {_reader(one)[0].lower()}{_reader(one)[1:]}")
+    echo(f"  specimen    {one['specimen']}")
     if one["excluded"] is not None:
-        click.secho(f"  excluded    because: {one['excluded']}", fg="yellow")
-    click.echo("  columns     " + ", ".join(f"{key} = {value}" for key, value in one["columns"].items()))
+        echo(f"  excluded    because: {one['excluded']}", fg="yellow")
+    echo("  columns     " + ", ".join(f"{key} = {value}" for key, value in one["columns"].items()))
     sign = "positive" if one["compression_sign"] > 0 else "negative"
-    click.echo(f"  samples     {one['n_samples']}, compression is {sign} displacement")
+    echo(f"  samples     {one['n_samples']}, compression is {sign} displacement")
     length, force = (one["units"][key] for key in ("length", "force"))
     for key, label in (("first", "first"), ("peak_force", "peak force"), ("last", "last")):
         point = one[key]
         place = f"{point['time_s']:.6g} s, {point['displacement_mm']:.6g} {length}"
-        click.echo(f"  {label:<11} {place}, {point['force_N']:.6g} {force}")
+        echo(f"  {label:<11} {place}, {point['force_N']:.6g} {force}")
     contact = one["contact"]
     if contact is not None:
-        click.echo(f"  contact     {with_error(contact['displacement_mm'], contact['sd_mm'])} {length}")
+        echo(f"  contact     {with_error(contact['displacement_mm'], contact['sd_mm'])} {length}")
     _print_phases(one, length, few=None if verbose else FEW_PHASES)
     _print_corners(one, length, few=None if verbose else FEW_CORNERS)
     _print_cycles(one, few=None if verbose else FEW_CYCLES)
     for flag in one["flags"]:
-        click.secho(f"  ! {flag['code']}: {flag['message']}", fg="yellow")
+        echo(f"  ! {flag['code']}: {flag['message']}", fg="yellow")
 
 
 def _print_phases(one: dict[str, Any], length: str, *, few: int | None) -> None:
@@ -180,9 +182,9 @@ def _print_phases(one: dict[str, Any], length: str, *, few: int | None) -> None:
             line += f", {speed:.4g} {length}/s ({speed * SECONDS_PER_MINUTE:.4g} {length}/min)"
         if phase["peak_s"] is not None:
             line += f", deepest at {phase['peak_s']:.6g} s"
-        click.echo(line)
+        echo(line)
     if few is not None and len(phases) > few:
-        click.echo(f"  ... and {len(phases) - few} more phases (-v prints them)")
+        echo(f"  ... and {len(phases) - few} more phases (-v prints them)")
 
 
 def _print_corners(one: dict[str, Any], length: str, *, few: int | None) -> None:
@@ -195,12 +197,12 @@ def _print_corners(one: dict[str, Any], length: str, *, few: int | None) -> None
             line += f", overshoot {corner['overshoot_mm']:.2g} {length}"
         if corner["ringing_swings"] > 1:
             line += f", rings {corner['ringing_swings']} times"
-        click.echo(line)
+        echo(line)
     if few is not None and len(corners) > few:
-        click.echo(f"  ... and {len(corners) - few} more stops (-v prints them)")
+        echo(f"  ... and {len(corners) - few} more stops (-v prints them)")
     for event in one["events"]:
         words = event_words(event["values"], one["units"])
-        click.echo(f"  {event['kind'].replace('_', ' '):<11} at {event['time_s']:.6g} s: {words}")
+        echo(f"  {event['kind'].replace('_', ' '):<11} at {event['time_s']:.6g} s: {words}")
 
 
 def _print_cycles(one: dict[str, Any], *, few: int | None) -> None:
@@ -215,8 +217,6 @@ def _print_cycles(one: dict[str, Any], *, few: int | None) -> None:
             )
             if cycle[key]["value"] is not None
         ]
-        click.echo(
-            f"  loop {cycle['number']:<6} to {cycle['peak_depth_mm']:.4g} {length}: {', '.join(parts)}"
-        )
+        echo(f"  loop {cycle['number']:<6} to {cycle['peak_depth_mm']:.4g} {length}: {', '.join(parts)}")
     if few is not None and len(one["cycles"]) > few:
-        click.echo(f"  ... and {len(one['cycles']) - few} more loops (-v prints them)")
+        echo(f"  ... and {len(one['cycles']) - few} more loops (-v prints them)")

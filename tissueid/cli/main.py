@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tissueid import __version__
+from tissueid.cli.output import echo, terminal_line
 from tissueid.errors import EXIT_INTERRUPTED
 
 if TYPE_CHECKING:
@@ -160,8 +161,25 @@ def _was_interrupted(error: BaseException | None) -> bool:
 
 
 def _interrupted() -> int:
-    click.echo("tissueid: interrupted; what was finished is kept", err=True)
+    echo("tissueid: interrupted; what was finished is kept", err=True)
     return EXIT_INTERRUPTED
+
+
+def _misused(error: click.ClickException, args: list[str]) -> int:
+    """Say what click says of the arguments, none of which reaches the terminal as it was typed."""
+    context = error.ctx if isinstance(error, click.UsageError) else None
+    if context is not None:
+        usage = (
+            f"{context.get_usage()}\nTry '{context.command_path} {context.help_option_names[0]}' for help.\n"
+        )
+        for line in usage.split("\n"):
+            echo(line, err=True)
+    message = error.format_message()
+    for arg in filter(None, args):
+        message = message.replace(arg, terminal_line(arg))
+    for line in f"Error: {message}".split("\n"):
+        echo(line, err=True)
+    return error.exit_code
 
 
 def _pipe_closed() -> int:
@@ -188,17 +206,16 @@ def main(args: list[str] | None = None) -> int:
     except (click.exceptions.Abort, KeyboardInterrupt):
         return _interrupted()
     except click.ClickException as error:
-        error.show()
-        return error.exit_code
+        return _misused(error, args)
     except TissueidError as error:
-        click.echo(f"tissueid: {error}", err=True)
+        echo(f"tissueid: {error}", err=True)
         return error.exit_status
     except (SystemExit, BrokenPipeError):
         # click and rich raise SystemExit for a pipe whose reader has gone, and for nothing else here
         return _pipe_closed()
     except OSError as error:
         # reading is guarded in ingest: what is left is a full disk or a folder taken away
-        click.echo(f"tissueid: {error.filename or 'output'}: {error.strerror or error}", err=True)
+        echo(f"tissueid: {error.filename or 'output'}: {error.strerror or error}", err=True)
         return EXIT_OUTPUT
     except Exception as error:  # noqa: BLE001 - the outer shell: a bug must still end in one clear line
         if _was_interrupted(error):
@@ -206,8 +223,9 @@ def main(args: list[str] | None = None) -> int:
         if _verbose(args):
             import traceback
 
-            traceback.print_exc()
-        click.echo(
+            for line in traceback.format_exc().splitlines():
+                echo(line, err=True)
+        echo(
             f"tissueid: internal error ({type(error).__name__}: {error}). This is a bug in tissueid; "
             "run again with -v for the details to report.",
             err=True,

@@ -3,18 +3,48 @@
 from __future__ import annotations
 
 import json
-import math
+import re
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import click
 
-__all__ = ["echo_bytes", "echo_json", "note", "output_options", "progress_bar", "with_error", "write_output"]
+from tissueid.digits import plain_exponents, typeset
+from tissueid.errors import printable
 
-#: Significant digits of a standard error in print.
-ERROR_DIGITS = 2
+__all__ = [
+    "Column",
+    "draw",
+    "echo",
+    "echo_bytes",
+    "echo_json",
+    "echo_json_text",
+    "echo_lines",
+    "echo_table",
+    "note",
+    "output_options",
+    "progress_bar",
+    "terminal_line",
+    "write_output",
+]
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A column of a table on the terminal."""
+
+    title: str
+    side: Literal["left", "right"] = "left"
+
+
+#: Marks of direction that are no control characters.
+_MARKS = re.compile("[\u200e\u200f\u061c]")
+#: Everything that steers a terminal and may stand raw in JSON.
+_STEERING = re.compile("[\x7f-\x9f\u2028\u2029\u200e\u200f\u061c\u202a-\u202e\u2066-\u2069]")
+_TYPED_MINUS = re.compile(r"−(?=[\d.])")
 
 
 def output_options(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -28,14 +58,108 @@ def output_options(function: Callable[..., Any]) -> Callable[..., Any]:
     return click.option("-q", "--quiet", count=True, help="Print errors only.")(function)
 
 
+def terminal_line(text: str) -> str:
+    r"""One line for a terminal: no control character, escape or bidi mark of a file or a label is left raw.
+
+    Powers of ten are raised; a minus before a digit is one that can be typed.
+
+    >>> terminal_line("\x1b[2Jliver\n1.2e-05")
+    '\\x1b[2Jliver\\n1.2×10⁻⁵'
+    """
+    return _TYPED_MINUS.sub("-", _MARKS.sub(_escaped, printable(typeset(text))))
+
+
+def _escaped(found: re.Match[str]) -> str:
+    return f"\\u{ord(found[0]):04x}"
+
+
+def _written(text: str, stream: Any) -> str:
+    """The text in letters that the stream's encoding has."""
+    encoding = getattr(stream, "encoding", None) or "utf-8"
+    for plainer in (str, plain_exponents, _typed):
+        text = plainer(text)
+        with suppress(UnicodeEncodeError):
+            text.encode(encoding)
+            return text
+    return text.encode(encoding, "backslashreplace").decode(encoding)
+
+
+def _typed(text: str) -> str:
+    """Signs of numbers as a typewriter has them."""
+    return text.replace("±", "+-").replace("×", "x").replace("·", "*")
+
+
+def echo(message: str = "", *, err: bool = False, fg: str | None = None, bold: bool = False) -> None:
+    """One line to stdout or stderr: the only way by which words reach a terminal.
+
+    Parameters
+    ----------
+    message : str
+        Its own line breaks are shown as escapes: several lines are several calls.
+    err : bool
+    fg : str, optional
+        Colour.
+    bold : bool
+    """
+    line = _written(terminal_line(message), sys.stderr if err else sys.stdout)
+    click.echo(click.style(line, fg=fg, bold=bold or None) if fg or bold else line, err=err)
+
+
+def echo_lines(lines: Iterable[str]) -> None:
+    """Lines to stdout."""
+    for line in lines:
+        echo(line)
+
+
+def echo_table(columns: Sequence[Column], rows: Sequence[Sequence[str]], *, dim_last: bool = False) -> None:
+    """A table to stdout; a cell may have several lines.
+
+    Parameters
+    ----------
+    columns : sequence of Column
+    rows : sequence of sequence of str
+    dim_last : bool
+        The last row stands apart.
+    """
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for column in columns:
+        table.add_column(Text(terminal_line(column.title)), justify=column.side, overflow="fold")
+    for place, row in enumerate(rows, start=1):
+        cells = ["\n".join(terminal_line(line) for line in cell.split("\n")) for cell in row]
+        table.add_row(
+            *(Text(_written(cell, sys.stdout)) for cell in cells),
+            style="dim" if dim_last and place == len(rows) else None,
+        )
+    Console(highlight=False).print(table)
+
+
+def draw(text: str) -> None:
+    """What the program itself draws on stderr, as it is: a live line, a bell, a code of blocks."""
+    click.echo(text, nl=False, err=True)
+
+
 def echo_json(document: Any) -> None:
     """One JSON document to stdout, in UTF-8 whatever the terminal's encoding."""
-    text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
-    echo_bytes(text.encode("utf-8") + b"\n")
+    echo_json_text(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
 
 
-def echo_bytes(content: bytes) -> None:
-    """UTF-8 text to stdout as it is: neither the terminal's encoding nor its line ends change it."""
+def echo_json_text(text: str) -> None:
+    """A JSON document as it was written; what could steer a terminal as JSON's own escapes."""
+    echo_bytes(_STEERING.sub(_escaped, text).removesuffix("\n").encode("utf-8") + b"\n", safe=True)
+
+
+def echo_bytes(content: bytes, *, safe: bool = False) -> None:
+    """UTF-8 text to stdout as it is: neither the terminal's encoding nor its line ends change it.
+
+    On a terminal its lines are escaped, unless it is known to be safe.
+    """
+    if not safe and sys.stdout.isatty():
+        echo_lines(content.decode("utf-8", "backslashreplace").removesuffix("\n").split("\n"))
+        return
     stream = getattr(sys.stdout, "buffer", None)
     if stream is None:
         click.echo(content.decode("utf-8"), nl=False)
@@ -48,7 +172,7 @@ def echo_bytes(content: bytes) -> None:
 def note(message: str, *, quiet: int = 0) -> None:
     """A line on stderr."""
     if not quiet:
-        click.echo(message, err=True)
+        echo(message, err=True)
 
 
 def write_output(path: str, content: bytes) -> None:
@@ -71,25 +195,6 @@ def write_output(path: str, content: bytes) -> None:
         raise UsageError(msg) from error
 
 
-#: Numbers below this are printed with a power of ten.
-SMALL = 1e-3
-
-
-def with_error(value: float, stderr: float | None) -> str:
-    """A number rounded to the digits its standard error supports: ``0.0209 ± 0.0008``."""
-    if stderr is None or not stderr > 0.0 or not math.isfinite(stderr):
-        return f"{value:.4g}"
-    largest = max(abs(value), stderr)
-    if largest < SMALL:
-        # micro-newton: (5.17 ± 0.11)e-06 instead of a row of zeros
-        exponent = math.floor(math.log10(largest))
-        return f"({with_error(value / 10.0**exponent, stderr / 10.0**exponent)})e{exponent:03d}"
-    places = max(ERROR_DIGITS - 1 - math.floor(math.log10(stderr)), 0)
-    if places > 12:
-        return f"{value:.6g} ± {stderr:.1e}"
-    return f"{value:.{places}f} ± {stderr:.{places}f}"
-
-
 @contextmanager
 def progress_bar(*, show: bool) -> Iterator[Callable[[str, int, int], None]]:
     """A progress line on stderr while it is a terminal; silent in pipes.
@@ -110,7 +215,7 @@ def progress_bar(*, show: bool) -> Iterator[Callable[[str, int, int], None]]:
         BarColumn(bar_width=24),
         TextColumn("{task.fields[count]}"),
         TimeElapsedColumn(),
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
     )
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task("starting", total=None, count="")
@@ -118,7 +223,7 @@ def progress_bar(*, show: bool) -> Iterator[Callable[[str, int, int], None]]:
         def report(message: str, done: int, total: int) -> None:
             progress.update(
                 task,
-                description=message[:70],
+                description=terminal_line(message)[:70],
                 completed=done,
                 total=total or None,
                 count=f"{done}/{total}" if total else f"{done}",

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from tissueid.cli.output import note
-from tissueid.errors import printable
+from tissueid.cli.output import echo, note
+from tissueid.digits import together
+from tissueid.flag_advice import warning_line
 
 if TYPE_CHECKING:
     from tissueid.study.cohort import WrittenPopulation
@@ -27,37 +28,32 @@ def print_population(written: WrittenPopulation, out: str, *, quiet: int) -> Non
     if not quiet:
         _print_table(written, out)
     for one in written.fit.left_out:
-        note(f"left out: {printable(one.specimen)}: {one.reason}", quiet=quiet)
+        note(f"left out: {one.specimen}: {one.reason}", quiet=quiet)
 
 
 def _print_table(written: WrittenPopulation, out: str) -> None:
-    from rich.console import Console
-
-    console = Console(highlight=False, soft_wrap=True)
     document = written.document
     found = document["population"]
     count = len(document["specimens_used"])
-    console.print(f"\n[bold]population of {count} specimens[/bold], to {found['depth_mm']:.3g} mm")
+    echo()
+    echo(f"population of {count} specimens, to {found['depth_mm']:.3g} mm", bold=True)
     for row in found["quantities"]:
-        low, high = row["ci95"]
-        first, last = row["cv_ci95"]
-        total = (
-            ""
-            if row["ci95_total"] is None
-            else "; with the machine {:.4g} to {:.4g}".format(*row["ci95_total"])
+        median, low, high, *wide = together(
+            [row["median"], *row["ci95"], *(row["ci95_total"] or ())], (row["ci95"][1] - row["ci95"][0]) / 4.0
         )
-        console.print(
-            f"  {row['words']:<34} {row['median']:.4g} {row['unit']} (95 %: {low:.4g} to {high:.4g}{total}), "
+        first, last = row["cv_ci95"]
+        total = "" if row["ci95_total"] is None else f"; with the machine {' to '.join(wide)}"
+        echo(
+            f"  {row['words']:<34} {median} {row['unit']} (95 %: {low} to {high}{total}), "
             f"between specimens CV {100 * row['cv']:.1f} % ({100 * first:.1f} to {100 * last:.1f})",
-            markup=False,
         )
     if found["held_out"] is not None:
         by = found["held_out"]["nrmsd_range"]
-        console.print(
+        echo(
             f"  held-out specimens: NRMSD {100 * by['median']:.1f} % of range "
             f"(68 %: {100 * by['low68']:.1f} to {100 * by['high68']:.1f})",
-            markup=False,
         )
     for flag in document["flags"]:
-        console.print(f"  ! {flag['message']}", style="yellow", markup=False)
-    console.print(f"\nReport: {out}/cohort.html", markup=False)
+        echo(f"  ! {warning_line(flag['code'], flag['message'])}", fg="yellow")
+    echo()
+    echo(f"Report: {out}/cohort.html")

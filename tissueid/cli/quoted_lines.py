@@ -6,7 +6,7 @@ import statistics
 from collections.abc import Mapping
 from typing import Any
 
-from tissueid.cli.output import with_error
+from tissueid.digits import with_error
 
 __all__ = ["quoted_lines"]
 
@@ -23,18 +23,20 @@ def _known(rows: list[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
     return [one for one in rows if one["value"] is not None]
 
 
-def quoted_lines(document: Mapping[str, Any]) -> list[str]:
+def quoted_lines(document: Mapping[str, Any], *, verbose: int = 1) -> list[str]:
     """Relaxation and modulus in one line each, where there are any.
 
     Parameters
     ----------
     document : mapping
         A specimen of identification.json.
+    verbose : int
+        0 leaves the model's shares out where measured ones stand.
     """
     lines: list[str] = []
     quoted = document["quoted"]
     if quoted is not None:
-        lines += _relaxed_lines(quoted)
+        lines += _relaxed_lines(quoted, verbose=verbose)
         moduli = _known(quoted["moduli"])
         if moduli:
             depth = max(float(one["at"]["depth_mm"]) for one in moduli)
@@ -48,7 +50,7 @@ def quoted_lines(document: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def _relaxed_lines(quoted: Mapping[str, Any]) -> list[str]:
+def _relaxed_lines(quoted: Mapping[str, Any], *, verbose: int) -> list[str]:
     """Measured shares of the peak that have relaxed, and the model's beside them where they differ."""
     measured: dict[float, list[float]] = {}
     for one in _known(quoted["measured"]):
@@ -68,7 +70,7 @@ def _relaxed_lines(quoted: Mapping[str, Any]) -> list[str]:
         for time, one in sorted(model.items())
         if time not in measured or _differs(float(one["value"]), statistics.median(measured[time]))
     ]
-    if apart:
+    if apart and (verbose or not measured):
         lines.append(
             f"{'but by' if measured else 'relaxed after the ramp, by'} the model  {', '.join(apart)}"
         )

@@ -6,11 +6,13 @@ import os
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from tissueid.cli.completing import readers
+from tissueid.cli.output import echo
 from tissueid.errors import UsageError
 
 if TYPE_CHECKING:
@@ -33,6 +35,7 @@ __all__ = [
     "read_in_order",
     "read_options",
     "reading_options",
+    "refuse_same_folder",
     "segment_options",
 ]
 
@@ -201,6 +204,21 @@ def _refusal(error: InputError) -> Refusal:
     )
 
 
+def refuse_same_folder(paths: tuple[str, ...], out: str) -> None:
+    """Refuse an output folder that is an input as well, also through a link.
+
+    Raises
+    ------
+    UsageError
+        Results would stand among recordings.
+    """
+    for path in paths:
+        folder = Path(path).parent if path.casefold().endswith(".toml") else Path(path)
+        if folder.is_dir() and os.path.realpath(folder) == os.path.realpath(out):
+            msg = f"{path} is read and -o {out} is the same folder: name another with -o, as -o results"
+            raise UsageError(msg)
+
+
 def read_in_order(
     paths: tuple[str, ...], options: ReadOptions, study: Study | None = None
 ) -> Iterator[Trial | Refusal]:
@@ -315,13 +333,13 @@ class PatternCheck:
 
         self._say()
         for fault in reader_faults():
-            click.secho(f"warning: {fault}", fg="yellow", err=True)
+            echo(f"warning: {fault}", fg="yellow", err=True)
 
     def _say(self) -> None:
         if self._study is not None and self._stated:
             count = "1 recording" if self._stated == 1 else f"{self._stated} recordings"
             message = f"{self._study.path} names the specimen of {count}: --specimen-by does not apply there"
-            click.secho(f"note: {message}", fg="yellow", err=True)
+            echo(f"note: {message}", fg="yellow", err=True)
         if not self._missed:
             return
         shown = ", ".join(self._missed[:FEW_NAMES]) + (" ..." if len(self._missed) > FEW_NAMES else "")
@@ -329,7 +347,7 @@ class PatternCheck:
             msg = f"--specimen-by {self._pattern!r} fits no recording: it was tried on {shown}"
             raise UsageError(msg)
         message = f"--specimen-by {self._pattern!r} does not fit {shown}: each is its own specimen"
-        click.secho(f"warning: {message}", fg="yellow", err=True)
+        echo(f"warning: {message}", fg="yellow", err=True)
 
 
 def read_all(items: Iterator[Trial | Refusal], refused: list[Refusal]) -> Iterator[Trial]:

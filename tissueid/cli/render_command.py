@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tissueid.cli.completing import presets, scenes
-from tissueid.cli.output import echo_json, note, output_options
+from tissueid.cli.output import echo, echo_json, note, output_options
 from tissueid.cli.viewer_serving import served, telling_stop, viewer_options
 
 if TYPE_CHECKING:
@@ -380,11 +380,9 @@ def _selftest(flags: dict[str, Any]) -> int:
         return 0
     for figure in found.figures:
         kept = "holds" if figure.holds else "NOT KEPT"
-        click.echo(f"{figure.name:20} {figure.value:8.3g} {figure.unit}, bar {figure.bar:g}: {kept}")
-    click.echo(
-        f"{found.statistics.scheduling}, {found.statistics.missed} ticks skipped, {found.statistics.label}"
-    )
-    click.echo(f"first tick after {found.start_s:.2f} s")
+        echo(f"{figure.name:20} {figure.value:8.3g} {figure.unit}, bar {figure.bar:g}: {kept}")
+    echo(f"{found.statistics.scheduling}, {found.statistics.missed} ticks skipped, {found.statistics.label}")
+    echo(f"first tick after {found.start_s:.2f} s")
     for remedy in found.remedies:
         note(f"remedy: {remedy}", quiet=flags["quiet"])
     return 0

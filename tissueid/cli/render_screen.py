@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tissueid.cli.output import note
+from tissueid.cli.output import draw, note
 from tissueid.errors import UsageError
 
 if TYPE_CHECKING:
@@ -101,9 +101,7 @@ class StatusLine:
         if not self._on or now - self._shown_s < SHOW_EVERY_S:
             return
         self._shown_s = now
-        click.echo(
-            "\r\x1b[K" + status_text(record, summary, blind=self._plan.order is not None), nl=False, err=True
-        )
+        draw("\r\x1b[K" + status_text(record, summary, blind=self._plan.order is not None))
 
 
 def status_text(record: Any, summary: SessionSummary, *, blind: bool) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from tissueid.cli.output import echo_json, note, output_options, progress_bar
+from tissueid.cli.output import echo, echo_json, note, output_options, progress_bar
 from tissueid.errors import UsageError
 
 __all__ = ["command"]
@@ -85,18 +85,14 @@ def _folder(name: str) -> Path:
 
 
 def _print(document: dict[str, Any]) -> None:
-    from rich.console import Console
-
-    console = Console(highlight=False, soft_wrap=True)
     for item in document["items"]:
         agrees = {None: "", True: "agrees", False: "differs"}[item["agrees"]]
-        console.print(
+        echo(
             f"{item['item']:<32} {_value(item['published']):>16} {_value(item['recomputed']):>18}  "
             f"{agrees:<8} {item['kind']}",
-            markup=False,
         )
     counts = Counter(item["kind"] for item in document["items"])
-    console.print("  ".join(f"{kind}: {count}" for kind, count in counts.items()), markup=False)
+    echo("  ".join(f"{kind}: {count}" for kind, count in counts.items()))
 
 
 def _value(value: float | list[float] | None) -> str:

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tissueid.cli.output import echo_json, note, output_options, progress_bar
+from tissueid.cli.output import echo, echo_json, echo_lines, note, output_options, progress_bar
 from tissueid.cli.reading import (
     read_all,
     read_in_order,
     read_options,
     reading_options,
+    refuse_same_folder,
     segment_options,
 )
 
@@ -62,14 +63,15 @@ def command(**flags: Any) -> int:
     from tissueid.rupture.writing import write_rupture
 
     quiet = flags["quiet"]
+    refuse_same_folder(flags["paths"], flags["out"])
     with progress_bar(show=not quiet) as progress:
         document = write_rupture(Path(flags["out"]), lambda: _run(flags, progress))
     if flags["as_json"]:
         echo_json(document)
     elif not quiet:
-        click.echo("\n".join(_lines(document)))
+        echo_lines(_lines(document))
     for row in document["left_out"]:
-        click.secho(f"left out  {row['path']}: {row['reason']}", fg="red", err=True)
+        echo(f"left out  {row['path']}: {row['reason']}", fg="red", err=True)
     note(f"wrote rupture.json, rupture.html and the bundles to {flags['out']}", quiet=quiet)
     return EXIT_INCOMPLETE if document["left_out"] else 0
 

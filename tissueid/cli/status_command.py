@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from tissueid.cli.output import echo_json, output_options
+from tissueid.cli.output import echo_json, echo_lines, output_options
 
 __all__ = ["command"]
 
@@ -47,7 +47,7 @@ def command(**flags: Any) -> int:
         if flags["as_json"]:
             echo_json(status)
         elif not flags["quiet"]:
-            click.echo("\n".join(_lines(status)))
+            echo_lines(_lines(status))
         if not flags["watch"] or status["state"] != "running":
             return 7 if status["specimens"]["failed"] or status["files"]["refused"] else 0
         time.sleep(WATCH_S)

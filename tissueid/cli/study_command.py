@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tissueid.cli.output import echo_json, note, output_options
+from tissueid.cli.output import echo, echo_json, note, output_options
 from tissueid.cli.reading import read_in_order, read_options, reading_options
 from tissueid.errors import UsageError
 
@@ -90,7 +90,7 @@ def init(**flags: Any) -> int:
     if flags["as_json"]:
         echo_json({"path": str(target), "trials": len(trials), "refused": [one.as_json() for one in refused]})
     for one in refused:
-        click.secho(f"refused ({one.code})  {one}", fg="red", err=True)
+        echo(f"refused ({one.code})  {one}", fg="red", err=True)
     note(
         f"wrote {target}: {len(trials)} trials; fill it in, then `tissueid study check`", quiet=flags["quiet"]
     )
@@ -113,9 +113,7 @@ def check(**flags: Any) -> int:
     if flags["as_json"]:
         echo_json(found.as_json(study.path))
     elif not flags["quiet"]:
-        click.echo(
-            f"{study.path}: grade {found.grade}, {100 * found.share:.0f} % of what is asked for is stated"
-        )
+        echo(f"{study.path}: grade {found.grade}, {100 * found.share:.0f} % of what is asked for is stated")
         essential = sum(one.item.weight == 3 for one in found.missing)
         shown = found.missing if flags["verbose"] else found.missing[: essential + FEW_MISSING]
         for one in shown:
@@ -128,11 +126,11 @@ def check(**flags: Any) -> int:
             table = (
                 f"[[{one.item.table}]]" if one.item.table in {"specimen", "trial"} else f"[{one.item.table}]"
             )
-            click.echo(f"  {mark}  {table} {' or '.join(one.item.keys)}{where}: {one.item.why}")
+            echo(f"  {mark}  {table} {' or '.join(one.item.keys)}{where}: {one.item.why}")
         if len(shown) < len(found.missing):
-            click.echo(f"  and {len(found.missing) - len(shown)} more (-v prints them)")
+            echo(f"  and {len(found.missing) - len(shown)} more (-v prints them)")
     for refusal in found.unmatched:
-        click.secho(str(refusal), fg="red", err=True)
+        echo(str(refusal), fg="red", err=True)
     return 0 if found.usable else EXIT_INCOMPLETE
 
 
@@ -154,7 +152,7 @@ def exclude(**flags: Any) -> int:
     manifest = find_manifest(flags["trial"], flags["study"])
     named, replaced = exclude(flags["trial"], flags["because"], manifest=manifest)
     if replaced not in {None, flags["because"]}:
-        click.secho(f"note: {named} was excluded already, because: {replaced}", fg="yellow", err=True)
+        echo(f"note: {named} was excluded already, because: {replaced}", fg="yellow", err=True)
     return _changed(manifest, named, flags, f"{named} is excluded in {manifest}: {flags['because']}")
 
 
@@ -225,7 +223,7 @@ def export(**flags: Any) -> int:
     if flags["as_json"]:
         echo_json(metadata)
     for one in refused:
-        click.secho(f"left out ({one.code})  {one}", fg="red", err=True)
+        echo(f"left out ({one.code})  {one}", fg="red", err=True)
     note(f"wrote {len(files)} files and their metadata to {flags['crate']}", quiet=flags["quiet"])
     if anonymiser is not None:
         note(

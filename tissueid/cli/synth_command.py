@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from tissueid.cli.completing import dialects, recipes
-from tissueid.cli.output import echo_json, note, output_options
+from tissueid.cli.output import echo, echo_json, note, output_options
 
 __all__ = ["command"]
 
@@ -31,7 +31,7 @@ def _list_dialects(context: click.Context, _option: click.Parameter, value: bool
 
     width = max(map(len, EXPORTS))
     for name, export in EXPORTS.items():
-        click.echo(f"{name:<{width}}  {export.description} ({export.suffix})")
+        echo(f"{name:<{width}}  {export.description} ({export.suffix})")
     context.exit()
 
 

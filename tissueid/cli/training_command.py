@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tissueid.cli.output import echo_json, note, output_options, write_output
+from tissueid.cli.output import echo_json, echo_lines, note, output_options, write_output
 
 if TYPE_CHECKING:
     from tissueid.training.measures import Attempt
@@ -84,7 +84,7 @@ def measure(**flags: Any) -> int:
     if flags["as_json"]:
         echo_json(document)
     elif not flags["quiet"]:
-        click.echo("\n".join(_lines(document)))
+        echo_lines(_lines(document))
     for one in document["refused"]:
         note(f"{one['file']}: {one['reason']}")
     return exit_code({7} if document["refused"] else set())

@@ -1,27 +1,34 @@
 """Lines of ``fit`` on parameters and how sure they are; the report and the JSON have the rest.
 
-Viscosity comes first.  Where a posterior was sampled the value stands with its statistical and total 95 %
-interval, all to one place; where the residuals contradict the model, or nothing is identified, none does.
+A specimen is a block of four lines: relaxation times, viscosities, static and dynamic polynomial, each value
+with its widest 95 % interval to one place.  ``-v`` prints a line a parameter, viscosity first, with both
+intervals; where the residuals contradict the model, or nothing is identified, none stands.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from tissueid.cli.output import with_error
+from tissueid.digits import with_error
 
-__all__ = ["alarm_lines", "parameter_lines", "sampling_lines"]
+__all__ = ["WIDTH", "alarm_lines", "block_lines", "parameter_lines", "sampling_lines"]
 
-
-def _ascii(text: str) -> str:
-    """Minus signs and powers of ten as other lines of the terminal write them."""
-    return text.replace("×10^", "e").replace("−", "-")
+#: Columns of a terminal that lines of numbers are wrapped to.
+WIDTH = 98
+#: Lines of the block: what they are of, and how the names of their parameters begin.
+_FAMILIES = (
+    ("relaxation", "relaxation_time"),
+    ("viscosity", "viscosity"),
+    ("static F_s", "static"),
+    ("dynamic K", "stiffness"),
+)
+_MARGIN = 12
 
 
 def _cells(entry: Mapping[str, Any], *, intervals: bool) -> tuple[str, str, str]:
     """Value with unit, statistical and total interval."""
-    from tissueid.report.interval_words import together
+    from tissueid.digits import together
 
     if entry["value"] is None:
         return "not identified", "", ""
@@ -30,12 +37,51 @@ def _cells(entry: Mapping[str, Any], *, intervals: bool) -> tuple[str, str, str]
     if entry["ci95"] is None:
         return f"{with_error(entry['value'], entry['stderr'])} {entry['unit']}", "", ""
     ends = [*entry["ci95"], *(entry["ci95_total"] or [])]
-    value, *texts = (_ascii(text) for text in together([entry["value"], *ends], entry["sd"]))
+    value, *texts = together([entry["value"], *ends], entry["sd"])
     said = f"{value} {entry['unit']}"
     if not intervals:
         return said, "", ""
     total = f"[{', '.join(texts[2:])}]" if texts[2:] else ""
     return said, f"[{', '.join(texts[:2])}]", total
+
+
+def block_lines(document: Mapping[str, Any]) -> list[str]:
+    """The model in four lines, wrapped where they are long; what is not identified is only named.
+
+    Parameters
+    ----------
+    document : mapping
+        A specimen of identification.json.
+    """
+    from tissueid.report.wording import misfit_raised
+
+    intervals = not misfit_raised(document)
+    lines: list[str] = []
+    for label, start in _FAMILIES:
+        entries = [one for one in document["parameters"] if one["name"].startswith(start)]
+        known = [one for one in entries if one["value"] is not None]
+        parts = [_part(one, intervals=intervals) for one in known]
+        unknown = [one["symbol"] for one in entries if one["value"] is None]
+        parts += [f"{' '.join(unknown)} not identified"] if unknown else []
+        lines += _wrapped(label, parts)
+    return lines
+
+
+def _part(entry: Mapping[str, Any], *, intervals: bool) -> str:
+    value, statistical, total = _cells(entry, intervals=intervals)
+    bound = " at its bound" if entry["detail"].get("at_bound") else ""
+    return f"{entry['symbol']} {value} {total or statistical}".rstrip() + bound
+
+
+def _wrapped(label: str, parts: Sequence[str]) -> list[str]:
+    """Parts behind a label, in as many lines as they need."""
+    lines: list[str] = []
+    for part in parts:
+        if lines and len(lines[-1]) + len(part) + 3 <= WIDTH:
+            lines[-1] += f"; {part}"
+        else:
+            lines.append(f"{'' if lines else label:<{_MARGIN}}{part}")
+    return lines
 
 
 def parameter_lines(document: Mapping[str, Any]) -> list[str]:

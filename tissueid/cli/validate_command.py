@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from tissueid.cli.output import echo_json, output_options
+from tissueid.cli.output import echo, echo_json, output_options
 
 __all__ = ["command"]
 
@@ -50,7 +50,7 @@ def command(**flags: Any) -> int:
     else:
         for one in results:
             if one["valid"] and not flags["quiet"]:
-                click.echo(f"{one['path']}: valid")
+                echo(f"{one['path']}: valid")
             elif not one["valid"]:
-                click.echo(f"tissueid: {one['problem']}", err=True)
+                echo(f"tissueid: {one['problem']}", err=True)
     return 0 if all(one["valid"] for one in results) else 6

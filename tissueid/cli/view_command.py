@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from tissueid.cli.output import note, output_options
+from tissueid.cli.output import echo, note, output_options
 from tissueid.cli.viewer_serving import open_browser, served, viewer_options
 
 __all__ = ["command"]
@@ -63,7 +63,7 @@ def _open_elsewhere(flags: dict[str, Any], what: str) -> int:
     from tissueid.viewer.elsewhere import reach
 
     url = reach(what, flags["token"])
-    click.echo(f"viewer     {url}", err=True)
+    echo(f"viewer     {url}", err=True)
     if not flags["no_browser"]:
         open_browser(url)
     return 0

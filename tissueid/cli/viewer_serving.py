@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tissueid.cli.output import note
+from tissueid.cli.output import draw, echo, note
 
 if TYPE_CHECKING:
     from tissueid.render.recorder import Recorder
@@ -52,7 +52,7 @@ def served(flags: dict[str, Any]) -> Iterator[ServedViewer]:
     )
     with ServedViewer(options) as viewer:
         # what was asked for is told however quiet: nobody guesses a token
-        click.echo(f"viewer     {viewer.url}", err=True)
+        echo(f"viewer     {viewer.url}", err=True)
         if viewer.access.token is not None:
             _show_code(viewer.url)
             if not viewer.access.tls:
@@ -91,7 +91,7 @@ def _show_code(url: str) -> None:
     if sys.stderr.isatty():
         from tissueid.viewer.code import terminal_code
 
-        click.echo(terminal_code(url), err=True)
+        draw(f"{terminal_code(url)}\n")
 
 
 def open_browser(url: str) -> None:

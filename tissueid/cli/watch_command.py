@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tissueid.cli.output import echo_bytes, note, output_options, with_error
+from tissueid.cli.output import draw, echo, echo_json_text, note, output_options
 from tissueid.cli.reading import read_options, reading_options, segment_options
+from tissueid.digits import with_error
 from tissueid.errors import UsageError
 
 if TYPE_CHECKING:
@@ -187,24 +188,25 @@ def _tell(happening: Happening, flags: dict[str, Any]) -> None:
         note(happening.text, quiet=flags["quiet"])
         return
     if flags["as_json"]:
-        echo_bytes(json.dumps(verdict, ensure_ascii=False, allow_nan=False).encode("utf-8") + b"\n")
+        echo_json_text(json.dumps(verdict, ensure_ascii=False, allow_nan=False))
     elif flags["quiet"] < 1 or verdict["level"] in {"repeat", "refused"}:
         _print(verdict, again=happening.kind == "replaced")
     if flags["bell"]:
-        click.echo("\a\a" if verdict["level"] in {"repeat", "refused"} else "\a", nl=False, err=True)
+        draw("\a\a" if verdict["level"] in {"repeat", "refused"} else "\a")
 
 
 def _print(one: dict[str, Any], *, again: bool) -> None:
     name = one["path"] if one["sheet"] is None else f"{one['path']} [{one['sheet']}]"
-    click.secho(f"\n{name}{'  (changed: judged again)' if again else ''}", bold=True)
-    click.secho(f"  {one['level'].upper()}", fg=COLOURS[one["level"]], bold=True)
+    echo()
+    echo(f"{name}{'  (changed: judged again)' if again else ''}", bold=True)
+    echo(f"  {one['level'].upper()}", fg=COLOURS[one["level"]], bold=True)
     for line in _lines(one):
-        click.echo(f"  {line}")
+        echo(f"  {line}")
     for text in one["advice"]:
-        click.secho(f"  > {text}", fg=COLOURS[one["level"]])
+        echo(f"  > {text}", fg=COLOURS[one["level"]])
     codes = ", ".join(dict.fromkeys(flag["code"] for flag in one["flags"]))
     if codes:
-        click.echo(f"  flags       {codes}")
+        echo(f"  flags       {codes}")
 
 
 def _lines(one: dict[str, Any]) -> Iterator[str]:

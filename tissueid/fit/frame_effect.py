@@ -94,35 +94,25 @@ def _unknown(
     fit: SpecimenFit, frame: FrameCurve | None, stated: Mapping[str, Any], tau_s: float
 ) -> Flag | None:
     """``compliance_unknown``: what of the machine was not stated and could matter."""
-    words: list[str] = []
+    channels = {"force_filter_s": "force filter", "skew_s": "time skew"} if tau_s < INSTRUMENT_TAU_S else {}
+    missing = [name for key, name in channels.items() if key not in stated]
+    left = [f"{name} of {stated[key]:g} s" for key, name in channels.items() if stated.get(key)]
     values: dict[str, Any] = {"tau_s": tau_s}
-    if frame is None:
-        effect = frame_effect(fit, ASSUMED_FRAME_N_PER_MM)
-        if max(effect.tau, -effect.viscosity) > WORTH_SAYING or tau_s < INSTRUMENT_TAU_S:
-            words.append(
-                f"no frame stiffness was stated: a frame of {ASSUMED_FRAME_N_PER_MM:g} N/mm, taken as rigid, "
-                f"would make relaxation times some {100 * effect.tau:.1f} % too long and the viscosity "
-                f"{-100 * effect.viscosity:.1f} % too small"
-            )
-            values |= {
-                "assumed_frame_N_per_mm": ASSUMED_FRAME_N_PER_MM,
-                "tau_bias": effect.tau,
-                "viscosity_bias": effect.viscosity,
-            }
-    if tau_s < INSTRUMENT_TAU_S:
-        channels = {"force_filter_s": "force filter", "skew_s": "time skew"}
-        missing = [name for key, name in channels.items() if key not in stated]
-        left = [f"{name} of {stated[key]:g} s" for key, name in channels.items() if stated.get(key)]
-        if missing:
-            verb = "was" if len(missing) == 1 else "were"
-            words.append(
-                f"{' and '.join(missing)} {verb} not stated, and imitate times such as {tau_s:.3g} s"
-            )
-        if left:
-            words.append(
-                f"the stated {' and '.join(left)} was not taken out of the values (total intervals know it)"
-            )
-    return Flag("compliance_unknown", "; ".join(words), values) if words else None
+    effect = frame_effect(fit, ASSUMED_FRAME_N_PER_MM)
+    if frame is None and (max(effect.tau, -effect.viscosity) > WORTH_SAYING or channels):
+        by = f" ({ASSUMED_FRAME_N_PER_MM:g} N/mm: tau {100 * effect.tau:.1f} % too long)"
+        missing.insert(0, "frame" if left else f"frame{by}")
+        values |= {
+            "assumed_frame_N_per_mm": ASSUMED_FRAME_N_PER_MM,
+            "tau_bias": effect.tau,
+            "viscosity_bias": effect.viscosity,
+        }
+    if not missing and not left:
+        return None
+    short = "" if frame is None or left else f", for a tau of {tau_s:.3g} s"
+    words = [f"not stated: {', '.join(missing)}{short}"] if missing else []
+    words += [f"{' and '.join(left)} is kept in"] if left else []
+    return Flag("compliance_unknown", "; ".join(words), values)
 
 
 def _frame_sd(fit: SpecimenFit, frame: FrameCurve) -> Flag:
@@ -132,9 +122,6 @@ def _frame_sd(fit: SpecimenFit, frame: FrameCurve) -> Flag:
     k = tangent_stiffness(frame, force)
     sd = tangent_stiffness_sd(frame, force)
     share = branch * sd / (k + static) ** 2
-    message = (
-        f"the deflection of a frame of {k:.4g} N/mm (sd {sd:.2g}, at {force:.3g} N) was taken off the "
-        f"displacement; its sd makes about {100 * share:.2g} % of a relaxation time uncertain"
-    )
+    message = f"a frame of {k:.4g} N/mm (sd {sd:.2g}) was taken off; tau is uncertain by {100 * share:.2g} %"
     values = {"frame_stiffness_N_per_mm": k, "frame_stiffness_N_per_mm_sd": sd, "tau_sd_fraction": share}
     return Flag("frame_corrected", message, values)

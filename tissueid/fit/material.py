@@ -146,12 +146,8 @@ def _poroelastic(tissue: TissueEstimate, contact: Contact) -> list[Flag]:
     suspect = [float(value) for value in tau if low <= value <= high]
     if not suspect:
         return []
-    times = ", ".join(f"{value:.3g} s" for value in suspect)
-    message = (
-        f"relaxation in {times} lies where fluid drains from under a "
-        f"contact of radius {contact.contact_mm:.2g} mm (a^2/D: {low:.3g} to {high:.3g} s for D of 1e-11 to "
-        "1e-8 m2/s): test a second tip, fluid flow slows with its square and viscosity does not"
-    )
+    times = ", ".join(f"{value:.3g}" for value in suspect)
+    message = f"relaxation in {times} s lies where fluid drains from this contact, {low:.3g} to {high:.3g} s"
     values = {"tau_s": suspect, "contact_mm": contact.contact_mm, "from_s": low, "to_s": high}
     return [Flag("poroelastic", message, values)]
 
@@ -184,7 +180,14 @@ def with_moduli(
                 outside[formula] = contact.outside
     flags = [] if deepest is None else _poroelastic(tissue, deepest)
     if outside:
-        said = "; ".join(f"{formula}: {', '.join(limits)}" for formula, limits in outside.items())
+        formula, limits = next(iter(outside.items()))
+        more = f"; {len(outside)} formulas in all" if len(outside) > 1 else ""
         values = {"formulas": list(outside), "depth_mm": full}
-        flags.append(Flag("modulus_out_of_range", f"at {full:.3g} mm {said}", values))
+        flags.append(
+            Flag(
+                "modulus_out_of_range",
+                f"at {full:.3g} mm {formula} is outside its range: {limits[0]}{more}",
+                values,
+            )
+        )
     return replace(quoted, moduli=tuple(rows), assumptions=geometry.as_json()), flags

@@ -23,8 +23,6 @@ MUCH_SPREAD = 0.10
 FEWEST_RUNS = 4
 CHANCE = 0.01
 LEAST_CHANGE = 0.02
-#: Sites named in one sentence.
-LONGEST_LIST = 6
 
 
 def gain_spread(trials: Sequence[TrialFit]) -> list[Flag]:
@@ -37,9 +35,8 @@ def gain_spread(trials: Sequence[TrialFit]) -> list[Flag]:
         return []
     low, high = int(gains.argmin()), int(gains.argmax())
     message = (
-        f"the logs differ in stiffness by {100 * spread:.0f} % (sd), from {gains[low]:.2f} "
-        f"({_name(trials[low])}) to {gains[high]:.2f} ({_name(trials[high])}) times their common tissue: are "
-        "they one specimen?"
+        f"stiffness differs by {100 * spread:.0f} % (sd) between logs, from {gains[low]:.2f} "
+        f"({_name(trials[low])}) to {gains[high]:.2f} ({_name(trials[high])})"
     )
     values = {"sd_ln_gain": spread, "lowest": float(gains[low]), "highest": float(gains[high])}
     return [Flag("gain_spread", message, values)]
@@ -70,7 +67,7 @@ def order_effect(trials: Sequence[TrialFit], runs: Sequence[int | None]) -> list
     first, last = int(order.min()), int(order.max())
     message = (
         f"stiffness {'falls' if change < 0.0 else 'rises'} by {100 * abs(change):.1f} % from run {first} to "
-        f"run {last} ({order.size} logs, p = {line.pvalue:.1g}): conditioning, drying or damage?"
+        f"run {last} ({order.size} logs, p = {line.pvalue:.1g})"
     )
     values = {
         "change": change,
@@ -97,15 +94,16 @@ def repeated_sites(trials: Sequence[TrialFit], rows: Sequence[Mapping[str, Any]]
     again = {site: rests for site, rests in tested.items() if len(rests) > 1}
     if not again:
         return []
-    listed = [f"{site} {len(rests)} times" for site, rests in list(again.items())[:LONGEST_LIST]]
-    if len(again) > LONGEST_LIST:
-        listed.append(f"and {len(again) - LONGEST_LIST} more sites")
+    first, rests_of_first = next(iter(again.items()))
+    said = f"{first} was tested {len(rests_of_first)} times"
+    if len(again) > 1:
+        said += f", and {len(again) - 1} more site{'s' * (len(again) > 2)} repeatedly"
     stated = [rest for rests in again.values() for rest in rests if rest is not None]
-    rest = f"rests from {min(stated):g} s" if stated else "rest times not stated"
+    rest = f"rests from {min(stated):g} s" if stated else "rests not stated"
     values: dict[str, Any] = {"sites": list(again), "times": [len(rests) for rests in again.values()]}
     if stated:
         values["shortest_rest_s"] = min(stated)
-    return [Flag("repeated_site", f"tested more than once: {', '.join(listed)}; {rest}", values)]
+    return [Flag("repeated_site", f"{said}; {rest}", values)]
 
 
 def _name(trial: TrialFit) -> str:

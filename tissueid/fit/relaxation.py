@@ -134,7 +134,7 @@ def _flags(
         flags.append(
             Flag(
                 "tau_exceeds_window",
-                f"one exponential gives {tau:.3g} s, more than a third of its window of {window:.3g} s",
+                f"one exponential gives {tau:.3g} s, over a third of its window of {window:.3g} s",
                 {"tau_s": tau, "window_length_s": window},
             )
         )

@@ -251,14 +251,14 @@ def unloading_verdict(
     flags = []
     if not followed.settled or not unique:
         why = (
-            f"in round {followed.rounds} a parameter still moved by {followed.change_sd:.2g} standard errors"
+            f"a parameter still moved by {followed.change_sd:.2g} standard errors"
             if not followed.settled
-            else "the free surface of the fitted tissue has several positions"
+            else "the free surface has several positions"
         )
         flags.append(
             Flag(
                 "unloading_not_settled",
-                f"the fit of unloading did not converge: {why}; fit without --unloading",
+                f"unloading did not converge in {followed.rounds} rounds: {why}",
                 {"rounds": followed.rounds, "change_sd": report["change_sd"], "surface_unique": unique},
             )
         )
@@ -266,8 +266,7 @@ def unloading_verdict(
         flags.append(
             Flag(
                 "contact_loss_misfit",
-                f"while the model has the tool in air the load cell still shows {rms_air:.3g} N (rms, noise "
-                f"{sigma_N:.3g} N; {pulled} samples pull): the tissue sticks, or recovers otherwise",
+                f"while the model has the tool in air the force is {rms_air:.3g} N (noise {sigma_N:.3g} N)",
                 {"rms_in_air_N": rms_air, "sigma_N": sigma_N, "samples_pulled": pulled},
             )
         )

@@ -81,8 +81,8 @@ def undecided_flags(choice: Choice) -> tuple[Flag, ...]:
     return (
         Flag(
             "model_undecided",
-            f"{_words(choice.solution.candidate)} was taken; {' and '.join(rivals)} would predict held-out "
-            "data as well, and these data do not decide",
+            f"{_words(choice.solution.candidate)} taken; {len(rivals)} other"
+            f"{'s predict' if len(rivals) > 1 else ' predicts'} held-out data as well",
             {"rivals": rivals},
         ),
     )

@@ -162,12 +162,11 @@ def _flag(frame: FrameCurve, peak_N: float) -> Flag:
     give, sd = float(deflection(frame, at)[0]), float(deflection_sd(frame, at)[0])
     stiffness = tangent_stiffness(frame, peak_N)
     values = {"deflection_mm": give, "sd_mm": sd, "force_N": peak_N, "frame_stiffness_N_per_mm": stiffness}
-    message = (
-        f"the frame gives {give:.3g} mm (sd {sd:.2g} mm) under {peak_N:.3g} N ({stiffness:.3g} N/mm there); "
-        "it was taken off the displacement"
-    )
+    message = f"the frame's give of {give:.3g} mm (sd {sd:.2g}) under {peak_N:.3g} N was taken off"
     if frame.range_N is not None and peak_N > frame.range_N[1]:
-        message += f"; beyond the calibrated {frame.range_N[1]:.3g} N the last compliance was taken"
+        message = (
+            f"the frame's give of {give:.3g} mm was taken off, beyond the {frame.range_N[1]:.3g} N calibrated"
+        )
         values["calibrated_to_N"] = frame.range_N[1]
     return Flag("frame_corrected", message, values)
 

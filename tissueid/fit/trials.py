@@ -129,16 +129,16 @@ def _left_out(trial: Trial, segmentation: Segmentation, log: FittedLog) -> Flag 
             since = "the part that was asked for"
         else:
             since = "the tool first turned back"
-        words.append(f"{size - reach} of {size} samples come after {since} and took no part in the fit")
+        words.append(f"{size - reach} of {size} samples after {since}")
     cycles = sum(phase.kind == "cycle" for phase in segmentation.phases[: segmentation.test])
     if cycles:
         kept = log.first < segmentation.phases[segmentation.test].start
-        how = "the branch state runs through them" if kept else "the tool had let go of the tissue"
-        words.append(f"{cycles} cycles before the test took no part in the fit ({how})")
+        how = "their state is carried on" if kept else "the tool had let go"
+        words.append(f"{cycles} cycles before the test ({how})")
     if not words:
         return None
     values = {"left_out": size - reach, "cycles": cycles, "n_samples": size}
-    return Flag("unloading_left_out", "; ".join(words), values)
+    return Flag("unloading_left_out", f"not fitted: {' and '.join(words)}", values)
 
 
 def _trial_flags(

@@ -24,8 +24,16 @@ INSTRUMENT_TAU_S = 0.2
 CORRELATED = 0.5
 #: Ratio of speeds below which a set counts as one speed.
 ONE_SPEED = 1.2
+#: Symbols named in one sentence.
+LONGEST_LIST = 4
 #: Holds whose depths differ by less than this factor have one depth.
 ONE_DEPTH = 1.2
+
+
+def _listed(symbols: Sequence[str], of: int) -> str:
+    """``eta, tau (2 of 6)``: the first few of a list, and how many there are."""
+    shown = ", ".join(symbols[:LONGEST_LIST])
+    return f"{shown}{', ...' if len(symbols) > LONGEST_LIST else ''} ({len(symbols)} of {of} parameters)"
 
 
 def _relaxation_flags(
@@ -37,11 +45,11 @@ def _relaxation_flags(
     for j, interval in enumerate(tissue.intervals):
         value = float(tau[j])
         if interval.open_low or interval.open_high:
-            side = "shortest" if interval.open_low else "longest"
+            side, end = ("shortest", interval.low) if interval.open_low else ("longest", interval.high)
             flags.append(
                 Flag(
                     "interval_open",
-                    f"the interval of relaxation time {j + 1} runs into the {side} these logs can show",
+                    f"interval of relaxation time {j + 1} meets {np.exp(end):.3g} s, the {side} seen here",
                     {
                         "branch": j + 1,
                         "low_s": float(np.exp(interval.low)),
@@ -53,8 +61,7 @@ def _relaxation_flags(
             flags.append(
                 Flag(
                     "tau_below_resolution",
-                    f"relaxation time {j + 1} is estimated at {value:.3g} s, less than two sampling "
-                    f"intervals of {h:.3g} s",
+                    f"relaxation time {j + 1} is {value:.3g} s, under two sampling intervals of {h:.3g} s",
                     {"branch": j + 1, "tau_s": value, "step_s": h},
                 )
             )
@@ -69,8 +76,7 @@ def _relaxation_flags(
             flags.append(
                 Flag(
                     "amplitude_small",
-                    f"the force that relaxes with time {j + 1} is at most {amplitude:.3g} N; one log "
-                    f"would need {need:.3g} N to time it",
+                    f"relaxation {j + 1} moves {amplitude:.3g} N at most; to time it takes {need:.3g} N",
                     {"branch": j + 1, "amplitude_N": amplitude, "needed_N": need},
                 )
             )
@@ -78,8 +84,8 @@ def _relaxation_flags(
         flags.append(
             Flag(
                 "compliance_unknown",
-                f"a relaxation time of {float(tau.min()):.3g} s is as short as what load-cell filters, time "
-                "skew and a compliant frame imitate; none was stated, none is assumed",
+                f"{float(tau.min()):.3g} s may be a force filter's, a time skew's or the frame's: none is "
+                "stated",
                 {"tau_s": float(tau.min())},
             )
         )
@@ -116,10 +122,7 @@ def _form_flag(tissue: TissueEstimate, facts: Sequence[FittedLog]) -> list[Flag]
     return [
         Flag(
             "form_dependent",
-            f"all ramps have one speed and all holds one depth: at smaller depths only the form of the "
-            f"polynomials shares the force between F_s and K. At the largest depth, {depth:.3g} mm, the "
-            f"viscosity of all branches is {viscosity:.3g} N s/mm; test at a second speed, or hold at "
-            "several depths, to know the rest",
+            f"one speed, one depth: short of {depth:.3g} mm polynomials alone part F_s from K",
             {"depth_mm": depth, "viscosity_N_s_per_mm": viscosity},
         )
     ]
@@ -131,27 +134,30 @@ def _optimum_flags(tissue: TissueEstimate, optimisers: dict[str, object]) -> lis
     if tissue.bounded:
         flags.append(
             Flag(
-                "bound_active", "F_s or K touches zero within the fitted depth: the passivity bound is active"
+                "bound_active",
+                f"F_s or K touches zero within {tissue.model.depth_mm:.3g} mm: the passivity bound",
             )
         )
     if not tissue.model.contact_loss_is_unique(tissue.theta):
         flags.append(
             Flag(
                 "contact_loss_ambiguous",
-                "after the tool lets go the surface of this tissue has several force-free positions: "
-                "unloading is passive but not unique",
+                f"fitted to {tissue.model.depth_mm:.3g} mm, the free surface has several positions after "
+                "contact loss",
             )
         )
     if optimisers["agree"] is False:
         flags.append(
             Flag(
                 "optimisers_disagree",
-                "Levenberg-Marquardt and variable projection ended apart; the lower sum of squares was kept",
+                f"two optimisers ended apart by {optimisers['relative_difference']:.2g} of the misfit; the "
+                "better was kept",
                 {"relative_difference": optimisers["relative_difference"]},
             )
         )
     if not optimisers["lm_converged"] and not tissue.bounded:
-        flags.append(Flag("not_converged", "Levenberg-Marquardt did not converge"))
+        count = len(tissue.parameters)
+        flags.append(Flag("not_converged", f"Levenberg-Marquardt did not converge on {count} parameters"))
     return flags
 
 
@@ -167,12 +173,12 @@ def discrepancy_flags(noise: NoiseFit, nrmsd: Nrmsd) -> list[Flag]:
         return []
     measured = noise.measured_N or 0.0
     ratio = noise.sigma_N / measured if measured > 0.0 else None
-    times = "far more than" if ratio is None else f"{ratio:.2g} times"
+    times = "far above the" if ratio is None else f"{ratio:.2g} times the"
     return [
         Flag(
             "discrepancy",
-            f"the model misses the force by {noise.sigma_N:.2g} N, {100.0 * nrmsd.range:.2g} % of its range, "
-            f"{times} the measured noise; intervals count {noise.samples_per_independent:.2g} samples as one",
+            f"the model misses the force by {noise.sigma_N:.2g} N ({100.0 * nrmsd.range:.2g} % of its "
+            f"range), {times} noise",
             {
                 "rms_N": noise.sigma_N,
                 "measured_N": measured,
@@ -212,22 +218,16 @@ def specimen_flags(
     flags = []
     missing = [one for one in tissue.parameters if not one.identified]
     if missing:
-        names = ", ".join(one.symbol for one in missing)
-        flags.append(
-            Flag(
-                "not_identified",
-                f"these data do not determine {names}",
-                {"names": [one.name for one in missing]},
-            )
-        )
+        symbols = _listed([one.symbol for one in missing], len(tissue.parameters))
+        values = {"names": [one.name for one in missing]}
+        flags.append(Flag("not_identified", f"these data do not determine {symbols}", values))
     flags += _relaxation_flags(tissue, sums, facts, sigma_N)
     speed = _one_speed(facts)
     if speed is not None and not any(log.has_hold for log in facts):
         flags.append(
             Flag(
                 "single_speed",
-                f"all ramps run at about {speed:.3g} mm/s and there is no hold: viscosity is told "
-                "from static stiffness by the shape of the ramp alone",
+                f"one speed, {speed:.3g} mm/s, and no hold: viscosity rests on the ramp's shape alone",
                 {"speed_mm_s": speed},
             )
         )
@@ -238,11 +238,11 @@ def specimen_flags(
         flags.append(
             Flag(
                 "residual_correlated",
-                f"neighbouring residuals are correlated (median {acf:.2f}): "
+                f"neighbouring residuals are correlated ({acf:.2f}): "
                 + (
                     "standard errors for white noise are too small"
                     if noise == "white"
-                    else "noise with memory, which the intervals know, or a model that lacks something"
+                    else "noise with memory, or a lacking model"
                 ),
                 {"residual_acf1": acf},
             )

@@ -65,14 +65,12 @@ def below_cell_range(
     largest = float(np.abs(force_N - force_N[0]).max())
     if not 0.0 < largest < lowest:
         return None
-    cell = "" if capacity_N is None else f" of a load cell of {capacity_N:.4g} N"
-    source = "taken as 1 % of it, state verified_from_N" if verified_from_N is None else "as stated"
+    source = "as stated" if verified_from_N is not None else f"1 % of the {capacity_N:.4g} N cell"
     values = {"largest_N": largest, "verified_from_N": lowest}
     if capacity_N is not None:
         values["capacity_N"] = capacity_N
     return Flag(
         "below_cell_range",
-        f"the force changes by {largest:.3g} N, below the verified range{cell}, which begins at"
-        f" {lowest:.3g} N ({source})",
+        f"force changes by {largest:.3g} N, below the verified {lowest:.3g} N ({source})",
         values,
     )

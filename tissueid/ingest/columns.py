@@ -199,8 +199,8 @@ def choose_columns(
             flags.append(
                 Flag(
                     "column_choice",
-                    f"{channel} was taken from {taken[channel].name!r}, not from"
-                    f" {', '.join(map(repr, others))}",
+                    f"{channel} was taken from {taken[channel].name!r}, not from {others[0]!r}"
+                    f"{f' or {len(others) - 1} more' if others[1:] else ''}",
                     {"quantity": channel, "taken": taken[channel].name, "alternatives": others},
                 )
             )
@@ -289,8 +289,8 @@ def _factor(
             flags.append(
                 Flag(
                     "unit_overridden",
-                    f"column {column.name!r} is in {column.unit!r} by the file and in"
-                    f" {options.units[channel]!r} by --units, which was taken",
+                    f"column {column.name!r} is in {column.unit!r}; {options.units[channel]!r} was taken by"
+                    " --units",
                     {"quantity": channel, "column": column.name, "unit": options.units[channel]},
                 )
             )

@@ -47,8 +47,7 @@ def no_decimals(*channels: FloatArray) -> Flag | None:
         return None
     return Flag(
         "no_decimals",
-        "time, displacement and force are whole numbers in every row: if decimal marks were lost on the way,"
-        " every number here is wrong",
+        f"time, displacement and force are whole numbers in all {channels[0].size} rows",
         {"count": int(channels[0].size)},
     )
 
@@ -63,8 +62,7 @@ def force_levels(displacement_mm: FloatArray, force_N: FloatArray) -> Flag | Non
     step = float(np.diff(levels).min())
     return Flag(
         "quantised_force",
-        f"the force has {levels.size} levels, {step:.3g} N apart at least, and {share:.0%} of its samples"
-        " repeat the one before",
+        f"the force has {levels.size} levels, {step:.3g} N apart; {share:.0%} of samples repeat the last",
         {"levels": int(levels.size), "repeated_fraction": share, "step_N": step},
     )
 
@@ -114,8 +112,7 @@ def _clipped(displacement_mm: FloatArray, force_N: FloatArray, repeats: NDArray[
     while_moving = " while the tool moves" if moves else ""
     return Flag(
         "clipped_force",
-        f"the force stands at {force_N[start]:g} N for {count} samples{while_moving}, and elsewhere for"
-        f" {usual} at the most: the load cell or its amplifier is at its limit",
+        f"the force stands at {force_N[start]:g} N for {count} samples{while_moving}, elsewhere for {usual}",
         {"force_N": float(force_N[start]), "samples": count, "samples_in_all": total, "usual_samples": usual},
     )
 
@@ -132,11 +129,11 @@ def below_resolution(displacement_mm: FloatArray, force_N: FloatArray) -> Flag |
         if step is None:
             continue
         steps = round(float(np.ptp(channel)) / step)
-        found.append(f"{name} changes by {steps} steps of {step:.3g} {unit}")
+        found.append(f"{name} has {steps} steps of {step:.3g} {unit}")
         values |= {f"{name}_steps": float(steps), f"step_{key}": step}
     if not found:
         return None
-    message = f"{' and '.join(found)} in the whole test; {FEWEST_STEPS} are the least that a calibration asks"
+    message = f"{', '.join(found)}; {FEWEST_STEPS} are needed"
     return Flag("below_resolution", message, values)
 
 

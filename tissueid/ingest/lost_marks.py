@@ -49,7 +49,7 @@ def lost_marks(
     ]
     for channel, column, is_whole in zip(CHANNELS, columns, whole, strict=True):
         if is_whole and _worth_a_remark(channel, column, factors[channel], all_whole=all(whole)):
-            return _flag(channel, "is a whole number in every row")
+            return _flag(channel, f"is a whole number in all {column.size} rows")
     for channel, column, decimals in zip(CHANNELS, columns, fractional, strict=True):
         at = _far_above_neighbours(column, decimals)
         if at is not None:
@@ -58,7 +58,7 @@ def lost_marks(
 
 
 def _flag(channel: Channel, what: str) -> Flag:
-    message = f"the {channel} as printed {what}: were decimal marks lost? Every such number would be wrong"
+    message = f"the {channel} as printed {what}: decimal marks lost?"
     return Flag("no_decimals", message, {"quantity": channel})
 
 

@@ -180,7 +180,7 @@ def _is_travel(key: str) -> bool:
 def _open_end(line: int) -> Flag:
     return Flag(
         "cut_row",
-        f"the block has no <END DATA>: the file was cut in or behind line {line}",
+        f"the block has no <END DATA>: the file is cut at line {line}",
         {"line": line, "kept": True},
     )
 

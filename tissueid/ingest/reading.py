@@ -221,8 +221,7 @@ def _normalised(axes: Axes) -> tuple[Flag, ...]:
     return (
         Flag(
             "normalised_axes",
-            f"declared as normalised: wherever a sentence or key says mm, read {axes.length}, and for N read"
-            f" {axes.force}; such a result can't be rendered",
+            f"declared as normalised: for mm read {axes.length}, for N {axes.force}; can't be rendered",
             {"length": axes.length, "force": axes.force},
         ),
     )

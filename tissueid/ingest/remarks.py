@@ -109,7 +109,7 @@ def flag_head(head: Sequence[Row], place: Place) -> tuple[Flag, ...]:
 
 def skipped_flag(lines: Sequence[int], what: str) -> Flag:
     """Lines that were left out."""
-    shown = ", ".join(map(str, lines[:5])) + (" ..." if len(lines) > 5 else "")
+    shown = ", ".join(map(str, lines[:3])) + (" ..." if len(lines) > 3 else "")
     return Flag(
         "rows_skipped",
         f"{len(lines)} {what} were left out: lines {shown}",

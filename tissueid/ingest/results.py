@@ -190,7 +190,7 @@ def results_flag(first: int, last: int) -> Flag:
     """What is said of a table of results in the lines ``first`` to ``last``, counted from 1."""
     return Flag(
         "rows_skipped",
-        f"lines {first} to {last} are a table of results, not samples: they were left out",
+        f"lines {first} to {last} are a table of results, not samples: left out",
         {"count": last - first + 1, "lines": [first, last]},
     )
 

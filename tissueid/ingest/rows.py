@@ -265,7 +265,7 @@ class RowReader:
         row = self.row(cells, line, number)
         if verdict == "whole":
             return row, []
-        message = f"line {number} is the last and has no line end: its last number may be cut short"
+        message = f"line {number} is the last and has no line end: its number may be cut"
         return row, [Flag("cut_row", message, {"line": number, "kept": True})]
 
     def _tail_verdict(self, cells: list[str] | None, line: str) -> Literal["whole", "cut", "doubtful"]:
@@ -297,6 +297,6 @@ def cut_flag(number: int, line: str) -> Flag:
     """The last row is incomplete and was left out."""
     return Flag(
         "cut_row",
-        f"line {number} is the last and is incomplete: {line.strip()[:60]!r} was left out",
+        f"line {number} is the last and incomplete: {line.strip()[:24]!r} was left out",
         {"line": number, "kept": False},
     )

@@ -166,11 +166,9 @@ def _metadata(head: Mapping[str, Any]) -> dict[str, str]:
 
 def _rendered(records: Records, name: str) -> Flag:
     shares = {word: float(np.mean((records["lamps"] & bit) != 0)) for bit, word in _LAMP_WORDS.items()}
-    lit = [f"{100.0 * share:.2g} % {word}" for word, share in shares.items() if share > 0.0]
     return Flag(
         "rendered",
-        f"this is the force law of {name!r} as it was rendered, no measurement of tissue"
-        + (f"; of the ticks {', '.join(lit)}" if lit else ""),
+        f"this is the force law of {name!r} as rendered, no measurement of tissue",
         {"specimen": name, **{f"{word.split()[0]}_share": share for word, share in shares.items()}},
     )
 

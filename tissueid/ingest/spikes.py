@@ -53,17 +53,15 @@ def spike(time_s: FloatArray, displacement_mm: FloatArray, force_N: FloatArray) 
     for name, unit, alone, _ in found:
         at, off = max(alone, key=lambda one: abs(one[1]))
         first = min(i for i, _ in alone)
-        samples = "1 sample" if len(alone) == 1 else f"{len(alone)} samples"
-        parts.append(
-            f"{samples} of the {name} far off the neighbours, by {abs(off):.3g} {unit} at {time_s[at]:g} s"
-        )
+        when = f" at {time_s[at]:g} s" if len(found) == 1 else ""
+        parts.append(f"{len(alone)} of the {name}, by {abs(off):.3g} {unit}{when}")
         values |= {
             f"{name}_count": float(len(alone)),
             f"{name}_first_s": float(time_s[first]),
             f"{name}_largest_s": float(time_s[at]),
             f"{name}_off_{'mm' if name == 'displacement' else 'N'}": off,
         }
-    return Flag("spike", "; ".join(parts), values)
+    return Flag("spike", f"samples far off their neighbours: {'; '.join(parts)}", values)
 
 
 def _alone(time_s: FloatArray, values: FloatArray, motion: FloatArray | None) -> list[tuple[int, float]]:

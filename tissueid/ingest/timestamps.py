@@ -75,8 +75,8 @@ def gap(time_s: FloatArray, dt: FloatArray, force_N: FloatArray) -> Flag | None:
     count = "1 gap" if len(gaps) == 1 else f"{len(gaps)} gaps"
     return Flag(
         "gap",
-        f"{count} in the log, the longest of {dt[longest]:.3g} s at {time_s[longest]:g} s where samples are"
-        f" {usual:.3g} s apart; the force changes by up to {abs(change):.3g} N unseen",
+        f"{count}, the longest of {dt[longest]:.3g} s at {time_s[longest]:g} s; force moves"
+        f" {abs(change):.3g} N unseen",
         {
             "count": len(gaps),
             "longest_s": float(dt[longest]),

@@ -291,7 +291,7 @@ def _read_columns(
             flags.append(
                 Flag(
                     "cut_row",
-                    f"row {number} is the last and is incomplete: it was left out",
+                    f"row {number} is the last and incomplete: it was left out",
                     {"line": number, "kept": False},
                 )
             )

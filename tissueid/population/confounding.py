@@ -69,7 +69,12 @@ class Confounding:
         """``speed_confounded`` where speeds can't be told from specimens."""
         if self.kind in {"none", "single speed"}:
             return []
-        return [Flag("speed_confounded", self.sentence, {"kind": self.kind, "parts": len(self.parts)})]
+        message = (
+            f"{len(self.speeds_mm_s)} speeds were tested on specimens of their own"
+            if self.kind == "confounded"
+            else f"the speeds fall into {len(self.parts)} parts that share no specimen"
+        )
+        return [Flag("speed_confounded", message, {"kind": self.kind, "parts": len(self.parts)})]
 
     def as_json(self) -> dict[str, Any]:
         """The ``confounding`` object of the schema."""

@@ -46,24 +46,22 @@ def population_flags(
     if smoothed:
         message = (
             f"the population lies among few draws of {len(smoothed)} of {len(specimens)} specimens "
-            f"({_listed(smoothed)}): their likelihoods were written as mixtures of normals"
+            f"(first {smoothed[0]})"
         )
         flags.append(Flag("likelihood_smoothed", message, {"specimens": smoothed}))
     if floored:
         message = (
-            f"of {_listed(list(floored))} a force or stiffness is zero in some draws; it was taken as a "
-            "millionth of its median"
+            f"{len(floored)} specimens (first {next(iter(floored))}) have no force or stiffness in "
+            f"{sum(floored.values())} draws"
         )
         flags.append(
             Flag("draws_floored", message, {"specimens": list(floored), "draws": list(floored.values())})
         )
     if predictive.refused_share > MANY_REFUSED or predictive.typical_is_drawn:
         share = 100 * predictive.refused_share
-        message = f"{share:.0f} % of the specimens drawn were not passive and were drawn again"
+        message = f"{share:.0f} % of drawn specimens were not passive and were drawn again"
         if predictive.typical_is_drawn:
-            message += (
-                "; the medians of all quantities are no passive tissue, the nearest drawn one stands for it"
-            )
+            message += ", the typical one too"
         flags.append(
             Flag(
                 "population_not_passive",
@@ -72,7 +70,7 @@ def population_flags(
             )
         )
     for key, who in described.missing.items():
-        message = f"{key} is not stated of {_listed(who)}: its mean over the others was taken"
+        message = f"{key} is not stated of {len(who)} specimens (first {who[0]}): the mean was taken"
         flags.append(Flag("covariate_missing", message, {"covariate": key, "specimens": list(who)}))
     return flags
 
@@ -84,8 +82,8 @@ def _of_chains(draws: PopulationDraws) -> list[Flag]:
     least = min(min(one.ess_bulk, one.ess_tail) for one in draws.diagnostics.values())
     wanted = ESS_A_CHAIN * draws.nu.shape[0]
     message = (
-        f"the chains over the population did not converge (R-hat {worst.r_hat:.3f}, wanted {R_HAT}; "
-        f"{least:.0f} effective draws, wanted {wanted:.0f}): its intervals are rough"
+        f"chains over the population: R-hat {worst.r_hat:.3f} (wanted {R_HAT}), {least:.0f} effective draws "
+        f"(wanted {wanted:.0f})"
     )
     return [Flag("population_not_converged", message, {"r_hat": worst.r_hat, "ess": least})]
 

@@ -29,6 +29,8 @@ FloatArray = NDArray[np.float64]
 #: intervals, as a share of their width.
 SHARES = tuple(float(share) for share in np.linspace(0.025, 1.0, 40))
 MARGIN = 0.02
+#: Symbols named in one sentence.
+LONGEST_LIST = 3
 #: Share of the draws that are the best, and fewest of them.
 BEST_SHARE, FEWEST = 0.05, 10
 
@@ -176,14 +178,15 @@ def withheld(
     """
     if not names:
         return parameters, ()
-    symbols = ", ".join(one.symbol for one in parameters if one.name in names)
+    held = [one.symbol for one in parameters if one.name in names]
+    symbols = ", ".join(held) if len(held) <= LONGEST_LIST else f"{held[0]} and {len(held) - 1} more"
     kept = tuple(
         replace(one, identified=False, detail={**one.detail, "withheld": why}) if one.name in names else one
         for one in parameters
     )
     flag = Flag(
         "interval_withheld",
-        f"no interval is given for {symbols}: {why}; more logs, or --branches 1, may do",
+        f"no interval for {symbols} ({len(held)} of {len(parameters)}): {why}",
         {"names": list(names)},
     )
     return kept, (flag,)

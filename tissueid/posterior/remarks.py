@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from tissueid.flags import Flag
-from tissueid.uncertainty import MisfitAlarm, Posterior
+from tissueid.uncertainty import MisfitAlarm, MisfitCheck, Posterior
 
 __all__ = ["not_linear", "posterior_flags", "without_posterior"]
 
 #: Widths of the total over the statistical interval of the viscosity from which the machine dominates.
 DOMINATES = 3.0
+#: Check of the residual -> where it looks.
+_PLACES: Mapping[str, str] = {
+    "shared structure": "alike in all logs",
+    "within logs": "within logs",
+    "early hold": "early in holds",
+    "ramp start": "where ramps start",
+}
 VISCOSITY = "viscosity_N_s_per_mm"
 
 
@@ -26,8 +35,7 @@ def posterior_flags(posterior: Posterior) -> tuple[Flag, ...]:
         flags.append(
             Flag(
                 "sampler_not_converged",
-                f"the sampler stopped before its rule was met ({reason}): intervals are rough; more --draws, "
-                "or --sampler exact, may do",
+                f"the sampler stopped after {sampler.draws:,} draws, before its rule was met",
                 {"reason": reason},
             )
         )
@@ -36,13 +44,17 @@ def posterior_flags(posterior: Posterior) -> tuple[Flag, ...]:
         flags.append(
             Flag(
                 "sampler_not_converged",
-                f"no total interval is given: its draws are worth {total['worth']:.0f} independent ones; "
-                "stating the machine in [calibration] of study.toml narrows what they have to search",
+                f"no total interval: its draws are worth {total['worth']:.0f} independent ones",
                 {"total_worth": total["worth"]},
             )
         )
     flags += _machine(posterior)
     return tuple(flags)
+
+
+def _where(check: MisfitCheck) -> str:
+    """The place of a check in a sentence."""
+    return _PLACES.get(check.name, f"in the check of {check.name}")
 
 
 def _misfit(alarm: MisfitAlarm | None) -> list[Flag]:
@@ -53,7 +65,8 @@ def _misfit(alarm: MisfitAlarm | None) -> list[Flag]:
     return [
         Flag(
             "misfit",
-            "no interval can be believed: " + "; ".join(check.message for check in raised),
+            f"the residual contradicts the model {_where(raised[0])} ({len(raised)} of {len(alarm.checks)} "
+            "checks): no interval holds",
             {"checks": [check.name for check in raised]},
         )
     ]
@@ -63,8 +76,7 @@ def not_linear(error: Exception, alarm: MisfitAlarm) -> tuple[Flag, ...]:
     """What is said of a fit whose posterior lies nowhere near a point it can be linearised about."""
     said = Flag(
         "sampler_not_converged",
-        f"no interval is given ({error}): fewer branches, a smaller contact_sd_mm in [[override]], or logs "
-        "of one specimen only may do; standard errors are all there is",
+        "no interval, standard errors only: nowhere near the optimum is the posterior like a normal one",
         {"reason": str(error)},
     )
     return (said, *_misfit(alarm))
@@ -74,7 +86,7 @@ def without_posterior(error: Exception) -> Flag:
     """What is said of a fit whose posterior could not be sampled: its numbers stand, with standard errors."""
     return Flag(
         "sampler_not_converged",
-        f"no posterior could be sampled ({error}): standard errors are all there is; --sampler exact may do",
+        "no posterior could be sampled: standard errors only",
         {"reason": str(error)},
     )
 
@@ -93,8 +105,7 @@ def _machine(posterior: Posterior) -> list[Flag]:
     return [
         Flag(
             "calibration_dominates",
-            f"the total interval of eta is {total / statistical:.2g} times the statistical one, most of it "
-            f"from the {worst}: state it in [calibration] of study.toml to know more",
+            f"the total interval of eta is {total / statistical:.2g} times the statistical, by the {worst}",
             {"ratio": total / statistical, "source": worst},
         )
     ]

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from tissueid.digits import NOT_IDENTIFIED, number, with_error
 from tissueid.report.plain_page import Figure, Section, Table, render_plain
-from tissueid.report.wording import NOT_IDENTIFIED, number, with_error
 
 __all__ = ["render_contact_law"]
 

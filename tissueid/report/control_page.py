@@ -8,8 +8,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from tissueid.digits import number
 from tissueid.report.page import asset, page_environment, plotly_script
-from tissueid.report.wording import Verdict, number
+from tissueid.report.wording import Verdict
 
 __all__ = ["control_remarks", "render_control"]
 

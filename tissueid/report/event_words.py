@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from tissueid.report.wording import number, unit_words
+from tissueid.digits import number
+from tissueid.report.wording import unit_words
 from tissueid.trial import Axes
 
 __all__ = ["event_words", "took"]

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from tissueid.report.wording import number, with_error
+from tissueid.digits import number, with_error
 
 __all__ = ["Decision", "decisions", "toml_string", "toml_value"]
 

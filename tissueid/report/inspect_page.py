@@ -11,11 +11,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from tissueid.digits import number
+from tissueid.flag_advice import flag_level
 from tissueid.report.inspect_decisions import Decision, decisions
 from tissueid.report.inspect_payload import DrawnRecording, drawn_recording, packed_recording
 from tissueid.report.page import asset, page_environment, plotly_script
-from tissueid.report.remarks import LEVELS, remark_level, remark_title, trial_label
-from tissueid.report.wording import number
+from tissueid.report.remarks import LEVELS, remark_title, trial_label
 from tissueid.result import Refusal
 from tissueid.trial import Segmentation, Trial
 
@@ -53,7 +54,7 @@ class InspectedRecording:
     @property
     def level(self) -> str:
         """The gravest level among its flags."""
-        levels = [remark_level(flag["code"]) for flag in self.document["flags"]]
+        levels = [flag_level(flag["code"]) for flag in self.document["flags"]]
         return max(levels, key=LEVELS.index, default="ok")
 
 
@@ -129,7 +130,7 @@ def render_inspection(
 
 
 def _gravity(recording: InspectedRecording) -> int:
-    levels = [remark_level(flag["code"]) for flag in recording.document["flags"]]
+    levels = [flag_level(flag["code"]) for flag in recording.document["flags"]]
     worst = LEVELS.index(recording.level)
     # among equals, the one with more to say
     return worst * 1000 + min(sum(level in {"caution", "serious"} for level in levels), 999)
@@ -165,7 +166,7 @@ def _view(position: int, recording: InspectedRecording, name: str, *, drawn: boo
     document = recording.document
     flags = [
         {
-            "level": remark_level(flag["code"]),
+            "level": flag_level(flag["code"]),
             "code": flag["code"],
             "title": remark_title(flag["code"]),
             "message": flag["message"],

@@ -1,21 +1,15 @@
-"""Intervals as text and as bars: numbers that belong together have one number of decimals and one scale."""
+"""Intervals as bars: those that belong together have one scale."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from tissueid.report.wording import number
-
-__all__ = ["Bar", "bar_of", "bar_scale", "together"]
+__all__ = ["Bar", "bar_of", "bar_scale"]
 
 #: Half-widths of the common scale, relative to the value; a wider interval is cut and marked.
 _SCALES = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
-#: Numbers below this are printed with a power of ten.
-_SMALL = 1e-3
-_MOST_DECIMALS = 9
 _POINT_OVER_POSITION = 50.0
 
 
@@ -35,25 +29,6 @@ class Bar:
     total: tuple[float, float]
     cut_low: bool
     cut_high: bool
-
-
-def together(values: Sequence[float], sd: float) -> list[str]:
-    """Numbers in the digits that a standard deviation supports, all to the same place.
-
-    >>> together([1.33612, 1.3101, 1.3622], 0.0133)
-    ['1.336', '1.310', '1.362']
-    """
-    largest = max(abs(value) for value in values)
-    if not (sd > 0 and math.isfinite(sd)):
-        return [number(value) for value in values]
-    if 0 < largest < _SMALL:
-        power = math.floor(math.log10(largest))
-        scaled = together([value / 10.0**power for value in values], sd / 10.0**power)
-        return [f"{text}×10^{power}".replace("^-", "^−") for text in scaled]
-    places = 1 - math.floor(math.log10(sd))
-    if places < 0 or places > _MOST_DECIMALS:
-        return [number(value) for value in values]
-    return [f"{value:.{places}f}".replace("-", "−") for value in values]
 
 
 def _reference(entry: Mapping[str, Any]) -> float:

@@ -8,8 +8,8 @@ from typing import Any
 
 from markupsafe import Markup, escape
 
+from tissueid.digits import number
 from tissueid.report.sentences import tissue_sentence
-from tissueid.report.wording import number
 
 __all__ = ["AUTHORS", "TITLE", "citation", "methods_view", "subscripted"]
 

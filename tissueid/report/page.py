@@ -16,6 +16,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from tissueid.digits import NOT_IDENTIFIED, number, rounded_to, with_error
 from tissueid.report.event_words import event_words, took
 from tissueid.report.figures import curve_payload
 from tissueid.report.law_payload import law_payload
@@ -27,17 +28,7 @@ from tissueid.report.rendering_words import metadata_view, rendering_view
 from tissueid.report.sentences import overview_sentence, tissue_sentence
 from tissueid.report.study_words import study_view
 from tissueid.report.uncertainty_words import uncertainty_view
-from tissueid.report.wording import (
-    NOT_IDENTIFIED,
-    in_units,
-    misfit_raised,
-    number,
-    parameter_words,
-    rounded_to,
-    unit_words,
-    verdict,
-    with_error,
-)
+from tissueid.report.wording import in_units, misfit_raised, parameter_words, unit_words, verdict
 from tissueid.store.curves import TrialCurve
 from tissueid.store.posteriors import StoredPosterior
 

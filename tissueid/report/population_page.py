@@ -8,10 +8,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from tissueid.digits import number
+from tissueid.flag_advice import flag_level
 from tissueid.report.page import asset, page_environment, plotly_script
 from tissueid.report.population_payload import MOST_DRAWN, population_payload
-from tissueid.report.remarks import Remark, remark_level, remark_title
-from tissueid.report.wording import Verdict, number
+from tissueid.report.remarks import Remark, remark_title
+from tissueid.report.wording import Verdict
 from tissueid.store.bundle import Bundle
 
 __all__ = ["held_out_sentence", "render_population"]
@@ -48,10 +50,10 @@ def _verdict(document: Mapping[str, Any]) -> Verdict:
 def _remarks(document: Mapping[str, Any]) -> list[Remark]:
     return [
         Remark(
-            level=remark_level(flag["code"]),
+            level=flag_level(flag["code"]),
             code=flag["code"],
             title=remark_title(flag["code"]),
-            message=flag["message"],
+            messages=(flag["message"],),
             where=(),
         )
         for flag in document["flags"]

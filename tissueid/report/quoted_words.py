@@ -9,8 +9,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from tissueid.digits import number, with_error
 from tissueid.report.remarks import trial_label
-from tissueid.report.wording import number, with_error
 
 __all__ = ["Table", "cycle_table", "quoted_tables"]
 

@@ -11,24 +11,13 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
-__all__ = ["LEVELS", "REMARK_TITLES", "Remark", "remark_level", "remark_title", "remarks", "trial_label"]
+from tissueid.digits import typeset
+from tissueid.flag_advice import flag_level, harm_rank
+
+__all__ = ["LEVELS", "REMARK_TITLES", "Remark", "remark_title", "remarks", "trial_label"]
 
 #: From harmless to grave.
 LEVELS = ("ok", "note", "caution", "serious")
-#: Flags that put the result itself in doubt; the others ask for a look.
-_SERIOUS = frozenset(
-    {"not_converged", "optimisers_disagree", "single_speed", "no_contact", "clipped_force", "no_decimals"}
-    | {"quantised_force", "too_few_samples", "no_ramp", "misfit", "interval_withheld"}
-    | {"speed_confounded", "population_not_converged"}
-)
-#: Flags that only state what was assumed.
-_REMARKS = frozenset(
-    {"column_choice", "units_assumed", "undecoded_text", "rows_skipped", "cut_row", "event_rows"}
-    | {"compliance_unknown", "no_hold", "cyclic", "several_steps", "starts_in_contact", "preload"}
-    | {"normalised_axes", "load_limit_stop", "preconditioned", "decision_overridden", "frame_corrected"}
-    | {"model_undecided", "calibration_dominates", "likelihood_smoothed", "draws_floored"}
-)
-
 #: Code -> what it is about, without a verb.
 REMARK_TITLES: Mapping[str, str] = MappingProxyType(
     {
@@ -126,8 +115,8 @@ class Remark:
         ``note``, ``caution`` or ``serious``.
     title : str
         What it is about.
-    message : str
-        Its first sentence, with numbers.
+    messages : tuple of str
+        Its sentences, with numbers; none twice.
     where : tuple of str
         Trials that carry it; empty for the specimen as a whole.
     """
@@ -135,15 +124,13 @@ class Remark:
     code: str
     level: str
     title: str
-    message: str
+    messages: tuple[str, ...]
     where: tuple[str, ...]
 
-
-def remark_level(code: str) -> str:
-    """How grave a flag is: ``note``, ``caution`` or ``serious``, of :data:`LEVELS`."""
-    if code in _SERIOUS:
-        return "serious"
-    return "note" if code in _REMARKS else "caution"
+    @property
+    def message(self) -> str:
+        """All sentences in one, each closed once, powers of ten raised."""
+        return typeset("; ".join(part.rstrip(".") for part in self.messages))
 
 
 def remark_title(code: str) -> str:
@@ -157,13 +144,15 @@ def trial_label(trial: Mapping[str, Any]) -> str:
     return name if trial["sheet"] is None else f"{name} [{trial['sheet']}]"
 
 
-def remarks(specimen: Mapping[str, Any]) -> tuple[Remark, ...]:
-    """Every flag of a specimen, its trials and its holds, once a code, the gravest first.
+def remarks(specimen: Mapping[str, Any], *, holds: bool = True) -> tuple[Remark, ...]:
+    """Every flag of a specimen, its trials and its holds, once a code, the one of most harm first.
 
     Parameters
     ----------
     specimen : mapping
         One of ``specimens`` of identification.json.
+    holds : bool
+        With what is said of single exponentials in the holds.
     """
     messages: dict[str, list[str]] = {}
     where: dict[str, list[str]] = {}
@@ -173,19 +162,14 @@ def remarks(specimen: Mapping[str, Any]) -> tuple[Remark, ...]:
         # several parameters may carry one code: each sentence is kept, and none twice
         if flag["message"] not in said:
             said.append(flag["message"])
-    for part in (*specimen["trials"], *specimen["relaxation"]):
+    for part in (*specimen["trials"], *(specimen["relaxation"] if holds else ())):
         for flag in part["flags"]:
             messages.setdefault(flag["code"], [flag["message"]])
             places = where.setdefault(flag["code"], [])
             if trial_label(part) not in places:
                 places.append(trial_label(part))
     found = [
-        Remark(code, remark_level(code), remark_title(code), _sentence(said), tuple(where[code]))
+        Remark(code, flag_level(code), remark_title(code), tuple(said), tuple(where[code]))
         for code, said in messages.items()
     ]
-    return tuple(sorted(found, key=lambda remark: -LEVELS.index(remark.level)))
-
-
-def _sentence(parts: list[str]) -> str:
-    """Sentences joined, each closed once: ``"a b"``, ``"c d."`` give ``"a b; c d"``."""
-    return "; ".join(part.rstrip(".") for part in parts)
+    return tuple(sorted(found, key=lambda remark: harm_rank(remark.code)))

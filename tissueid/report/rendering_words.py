@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from tissueid.digits import number
 from tissueid.report.study_words import key_words
-from tissueid.report.wording import number
 
 __all__ = ["metadata_view", "rendering_view"]
 

@@ -8,9 +8,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from tissueid.digits import number
+from tissueid.flag_advice import flag_level
 from tissueid.report.page import asset, page_environment, plotly_script
-from tissueid.report.remarks import Remark, remark_level, remark_title
-from tissueid.report.wording import Verdict, number
+from tissueid.report.remarks import Remark, remark_title
+from tissueid.report.wording import Verdict
 
 __all__ = ["render_rupture"]
 
@@ -96,7 +98,7 @@ def render_rupture(document: Mapping[str, Any], *, created: str | None = None) -
     """
     ruptured = sum(one["ruptured"] for one in document["tests"])
     remarks = [
-        Remark(remark_level(flag["code"]), flag["code"], remark_title(flag["code"]), flag["message"], ())
+        Remark(flag["code"], flag_level(flag["code"]), remark_title(flag["code"]), (flag["message"],), ())
         for flag in document["flags"]
     ]
     return (

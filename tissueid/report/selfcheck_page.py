@@ -8,8 +8,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from tissueid.digits import number
 from tissueid.report.page import asset, page_environment, plotly_script
-from tissueid.report.wording import Verdict, number, parameter_words
+from tissueid.report.wording import Verdict, parameter_words
 
 __all__ = ["render_selfcheck"]
 

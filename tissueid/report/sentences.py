@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from statistics import median
 from typing import Any
 
-from tissueid.report.interval_words import together
-from tissueid.report.wording import misfit_raised, number, unit_words, with_error
+from tissueid.digits import number, together, with_error
+from tissueid.report.wording import misfit_raised, unit_words
 
 __all__ = ["overview_sentence", "tissue_sentence"]
 

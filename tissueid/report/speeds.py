@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.digits import number
 from tissueid.report.remarks import trial_label
 from tissueid.report.tissue import Tissue, brief, speed_unit
-from tissueid.report.wording import number
 from tissueid.result import Curve
 from tissueid.store.curves import TrialCurve
 

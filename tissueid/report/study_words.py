@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from tissueid.digits import NOT_IDENTIFIED, number, with_error
 from tissueid.report.remarks import trial_label
-from tissueid.report.wording import NOT_IDENTIFIED, number, unit_words, with_error
+from tissueid.report.wording import unit_words
 
 __all__ = ["key_words", "study_view"]
 

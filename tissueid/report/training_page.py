@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from tissueid.digits import number
 from tissueid.report.plain_page import Figure, Section, Table, render_plain
-from tissueid.report.wording import number
 
 __all__ = ["render_training"]
 

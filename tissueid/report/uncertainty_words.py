@@ -10,8 +10,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from tissueid.report.interval_words import Bar, bar_of, bar_scale, together
-from tissueid.report.wording import NOT_IDENTIFIED, misfit_raised, number, parameter_words, unit_words
+from tissueid.digits import NOT_IDENTIFIED, number, together
+from tissueid.report.interval_words import Bar, bar_of, bar_scale
+from tissueid.report.wording import misfit_raised, parameter_words, unit_words
 
 __all__ = ["HEADLINE", "IntervalRow", "misfit_alarm", "reported_order", "uncertainty_view"]
 

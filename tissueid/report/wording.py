@@ -5,90 +5,32 @@ A number that the data do not determine is never printed as a value: it is "not 
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from tissueid.quantity_words import QUANTITIES
 from tissueid.report.remarks import LEVELS, remarks
 from tissueid.trial import Axes
 
 __all__ = [
-    "NOT_IDENTIFIED",
-    "PARAMETER_WORDS",
     "Verdict",
     "in_units",
     "misfit_raised",
-    "number",
     "parameter_words",
     "unit_words",
     "verdict",
-    "with_error",
 ]
-
-NOT_IDENTIFIED = "not identified"
-
-PARAMETER_WORDS: Mapping[str, str] = {
-    "static_1_N_per_mm": "Static force, linear term",
-    "static_2_N_per_mm2": "Static force, square term",
-    "static_3_N_per_mm3": "Static force, cubic term",
-    "stiffness_0_N_per_mm": "Dynamic stiffness at contact",
-    "stiffness_1_N_per_mm2": "Dynamic stiffness, growth with depth",
-    "stiffness_2_N_per_mm3": "Dynamic stiffness, curvature with depth",
-    "relaxation_time_s": "Relaxation time",
-    "viscosity_N_s_per_mm": "Viscosity (stiffness times relaxation time)",
-}
-
-#: Numbers below this are printed with a power of ten.
-_SMALL = 1e-3
-
-
-def number(value: float | None, digits: int = 4) -> str:
-    """A number to so many significant digits, in the way a person writes it."""
-    if value is None:
-        return "–"
-    if value == 0:
-        return "0"
-    exponent = math.floor(math.log10(abs(value)))
-    if -4 <= exponent < 6:
-        places = max(digits - 1 - exponent, 0)
-        text = f"{value:.{places}f}"
-    else:
-        mantissa, power = f"{value:.{digits - 1}e}".split("e")
-        text = f"{mantissa}×10^{int(power)}"
-    return text.replace("-", "−")
-
-
-def with_error(value: float | None, stderr: float | None) -> str:
-    """``63.62 ± 0.89``: the error to two digits, the value to the same place."""
-    if value is None:
-        return NOT_IDENTIFIED
-    if stderr is None or stderr <= 0 or not math.isfinite(stderr):
-        return number(value)
-    largest = max(abs(value), stderr)
-    if largest < _SMALL:
-        power = math.floor(math.log10(largest))
-        return f"({with_error(value / 10.0**power, stderr / 10.0**power)})×10^{power}".replace("^-", "^−")
-    places = 1 - math.floor(math.log10(stderr))
-    if places < 0 or places > 9:
-        return f"{number(value)} ± {number(stderr, 2)}"
-    return f"{value:.{places}f} ± {stderr:.{places}f}".replace("-", "−")
-
-
-def rounded_to(value: float | None, stderr: float | None) -> str:
-    """The value as :func:`with_error` prints it, for a column of its own."""
-    first, _, rest = with_error(value, stderr).partition(" ± ")
-    return first if not first.startswith("(") else f"{first[1:]}{rest[rest.index(')') + 1 :]}"
 
 
 def parameter_words(name: str) -> str:
     """Name of a parameter in plain words, with its branch."""
-    for branch in (2, 3):
-        suffix = f"_b{branch}"
-        if name.endswith(suffix):
-            return f"{PARAMETER_WORDS.get(name.removesuffix(suffix), name)}, branch {branch}"
-    return PARAMETER_WORDS.get(name, name)
+    plain, _, branch = name.partition("_b")
+    if not branch.isdigit():
+        plain, branch = name, ""
+    words = QUANTITIES[plain].title if plain in QUANTITIES else plain
+    return f"{words}, branch {branch}" if branch else words
 
 
 #: Residual as a share of the force range from which a verdict is no better than this.

@@ -1,0 +1,174 @@
+"""What goes wrong at a bench: each situation ends in the right reading, or in one sentence with a way out.
+
+A row is a situation: what is prepared in an empty folder, what is typed there, the exit code, and words that
+stdout and stderr must hold between them.  A further one is a row more.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from tissueid.cli.main import main
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+LOG = REPOSITORY / "datasets_synthetic" / "paper-a-hold-100Hz" / "hold-8-1.csv"
+QUICK = ("--branches", "1", "--stiffness-degree", "0", "--sampler", "none", "-q")
+#: Lines of a message: what is wrong and the way out need no more.
+MOST_LINES = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Situation:
+    """One thing that goes wrong.
+
+    Attributes
+    ----------
+    prepare : callable
+        Fills a folder.
+    typed : tuple of str
+        Arguments; run in that folder.
+    code : int
+    told : tuple of str
+        Words of the answer.
+    kept : tuple of str
+        Files that must be there afterwards, as they were prepared.
+    """
+
+    prepare: Callable[[Path], None]
+    typed: tuple[str, ...]
+    code: int
+    told: tuple[str, ...]
+    kept: tuple[str, ...] = ()
+
+
+def _lab(folder: Path) -> None:
+    (folder / "lab").mkdir()
+    lines = LOG.read_text(encoding="ascii").splitlines()
+    body = lines[6:1606:8]
+    (folder / "lab" / "log.csv").write_text("\n".join([*lines[:6], *body, ""]), encoding="ascii")
+
+
+def _linked(folder: Path) -> None:
+    _lab(folder)
+    (folder / "link").symlink_to(folder / "lab", target_is_directory=True)
+
+
+def _foreign(folder: Path) -> None:
+    _lab(folder)
+    (folder / "out").mkdir()
+    (folder / "out" / "report.html").write_text("mine", encoding="ascii")
+
+
+def _study(folder: Path) -> None:
+    _lab(folder)
+    (folder / "lab" / "study.toml").write_text('schema = "tissueid/study/1"\n', encoding="ascii")
+
+
+def _picture(folder: Path) -> None:
+    (folder / "photo.csv").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(64))
+
+
+def _empty(folder: Path) -> None:
+    (folder / "empty").mkdir()
+    (folder / "empty" / "notes.docx").write_text("Dear colleague", encoding="ascii")
+
+
+def _escape(folder: Path) -> None:
+    (folder / "bad\x1b[2J\u202e\nok.csv").write_text("nothing\n", encoding="ascii")
+
+
+def _file_as_folder(folder: Path) -> None:
+    _lab(folder)
+    (folder / "out").write_text("a file", encoding="ascii")
+
+
+def _nothing(folder: Path) -> None:
+    del folder
+
+
+SITUATIONS: dict[str, Situation] = {
+    "the output folder is the input": Situation(
+        _lab, ("fit", "lab", "-o", "lab"), 2, ("same folder", "-o results"), ("lab/log.csv",)
+    ),
+    "the output folder is the input, by a link": Situation(
+        _linked, ("fit", "lab", "-o", "link"), 2, ("same folder",), ("lab/log.csv",)
+    ),
+    "the input is the output folder, by a link and a dot": Situation(
+        _linked, ("fit", "link", "-o", "./lab/../lab"), 2, ("same folder",), ("lab/log.csv",)
+    ),
+    "the output folder is that of the study": Situation(
+        _study, ("fit", "lab/study.toml", "-o", "lab"), 2, ("same folder",), ("lab/log.csv",)
+    ),
+    "a study of rupture is written into its input": Situation(
+        _lab, ("rupture", "lab", "-o", "lab"), 2, ("same folder",), ("lab/log.csv",)
+    ),
+    "the output folder holds somebody's report": Situation(
+        _foreign, ("fit", "lab", "-o", "out"), 2, ("report.html", "another folder"), ("out/report.html",)
+    ),
+    "the output folder is a file": Situation(
+        _file_as_folder, ("fit", "lab", "-o", "out"), 2, ("out", "file"), ("out",)
+    ),
+    "a folder without recordings": Situation(
+        _empty, ("fit", "empty", "-o", "out"), 3, ("empty", "no"), ("empty/notes.docx",)
+    ),
+    "a picture named .csv": Situation(_picture, ("inspect", "photo.csv"), 3, ("PNG", "test machine")),
+    "a file that is not there": Situation(_lab, ("fit", "lab/lgo.csv"), 2, ("no such file",)),
+    "a name that would steer the terminal": Situation(
+        _escape, ("inspect", "."), 3, ("bad\\x1b[2J\\u202e\\nok.csv", "line 1")
+    ),
+    "an option that does not exist": Situation(_lab, ("fit", "lab", "--branch", "1"), 2, ("--branches",)),
+    "a command that does not exist": Situation(_nothing, ("fti", "lab"), 2, ("Did you mean 'fit'",)),
+    "a flag that does not exist": Situation(
+        _nothing, ("explain", "not_identifed"), 2, ("did you mean not_identified",)
+    ),
+    "a column that does not exist": Situation(
+        _lab, ("inspect", "lab", "--columns", "force=Kraft"), 3, ("Kraft", "Load")
+    ),
+    "a pair of columns without a quantity": Situation(
+        _lab, ("inspect", "lab", "--columns", "Kraft"), 2, ("time=Zeit", "'Kraft'")
+    ),
+    "a contact beyond any machine": Situation(
+        _lab, ("inspect", "lab", "--contact", "1e9"), 2, ("--contact", "mm")
+    ),
+    "a pattern of specimens that fits nothing": Situation(
+        _lab, ("fit", "lab", "--specimen-by", "cow([0-9]+)", *QUICK), 2, ("fits no recording", "log.csv")
+    ),
+    "results that were never written": Situation(_lab, ("report", "lab"), 6, ("lab",), ("lab/log.csv",)),
+    "a bundle that is a table": Situation(
+        _lab, ("compare", "lab/log.csv", "lab/log.csv"), 6, ("log.csv", "bundle")
+    ),
+}
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links and such names need rights there")
+@pytest.mark.parametrize("what", SITUATIONS)
+def test_a_bad_situation_ends_in_one_sentence_with_a_way_out(
+    what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = SITUATIONS[what]
+    one.prepare(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    before = {name: Path(name).read_bytes() for name in one.kept}
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = main(list(one.typed))
+    said = out.getvalue() + err.getvalue()
+    assert code == one.code, said
+    for words in one.told:
+        assert words in said
+    assert "Traceback" not in said
+    assert "\x1b[2J" not in said
+    # a usage line, a hint and an empty one may stand above what click says
+    lines = [line for line in said.splitlines() if line and not line.startswith(("Usage:", "Try "))]
+    assert len(lines) <= MOST_LINES
+    for name, content in before.items():
+        assert Path(name).read_bytes() == content
+    # no result stands where nothing was done
+    assert not list(Path().glob("*/identification.json"))
