@@ -167,10 +167,19 @@ _SEGMENTS = {
         "show a rupture",
     ),
     "doubtful_rupture": Advice(
-        "The hold is kept, as if the tissue were whole.", "Look at the curve; --exclude leaves it out."
+        "The hold is kept, as if the tissue were whole.",
+        "Look at the curve: --exclude leaves it out.",
+        "lose most of their force at a stop",
     ),
     "slip": Advice(
-        "The fit follows the force through it.", "Look at the grip; --exclude leaves the recording out."
+        "The fit follows the force through it.",
+        "Look at the grip: --exclude leaves it out.",
+        "slip on a ramp",
+    ),
+    "speed_differs": Advice(
+        "The measured speed counts; the machine did not do what its header says.",
+        "Check the header and the time column.",
+        "run at another speed than stated",
     ),
     "load_limit_stop": Advice(
         "The depth is not the one asked for; it is the measured one that counts.",
@@ -469,6 +478,9 @@ HARM: Mapping[str, tuple[str, ...]] = MappingProxyType(
             "tension",
             "rendered",
             "rupture",
+            "doubtful_rupture",
+            "speed_differs",
+            "slip",
             "not_identified",
             "discrepancy",
             "sampler_not_converged",

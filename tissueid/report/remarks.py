@@ -48,6 +48,7 @@ REMARK_TITLES: Mapping[str, str] = MappingProxyType(
         "rupture": "Rupture",
         "doubtful_rupture": "Rupture?",
         "slip": "Slip",
+        "speed_differs": "Speed",
         "load_limit_stop": "Load limit",
         "preconditioned": "Preconditioning",
         "not_preconditioned": "Preconditioning",

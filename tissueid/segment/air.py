@@ -64,8 +64,7 @@ def drift_in_air(
     return (
         Flag(
             "baseline_drift",
-            f"the force drifts by {slope:.3g} N/s in air, sure to {error:.1g} N/s: by the end of the record"
-            f" that would be {slope * rest:.3g} N of a largest force of {largest:.3g} N",
+            f"force drifts by {slope:.3g} N/s in air: {slope * rest:.3g} N by the end, of {largest:.3g} N",
             {
                 "slope_N_per_s": slope,
                 "slope_sd_N_per_s": error,

@@ -34,7 +34,7 @@ def by_hand(trial: Trial, options: SegmentOptions) -> tuple[Flag, ...]:
         return ()
     words = ", ".join(f"{key} = {str(value).lower()}" for key, value in stated.items())
     because = "stated for this run"
-    message = f"{words}, because: {because}; [[override]] of study.toml keeps it with your reason"
+    message = f"{words}, because: {because}"
     return (Flag("decision_overridden", message, {"keys": list(stated), "because": because}),)
 
 

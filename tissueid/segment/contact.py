@@ -223,8 +223,7 @@ def _start_in_contact(
             Flag(
                 "preload",
                 f"the record starts under {ahead:.3g} N; contact is extrapolated "
-                f"{start - contact_mm:.3g} mm back, sd {sd:.2g} mm; tissue that had relaxed under it and "
-                "relaxes slower than the ramp was met further back: state contact_mm where it is known",
+                f"{start - contact_mm:.3g} mm back, sd {sd:.2g} mm",
                 {"force_N": ahead, "before_mm": start - contact_mm, "sd_mm": sd},
             )
         )

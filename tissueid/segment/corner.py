@@ -160,10 +160,7 @@ def corner_flags(
     slow = max((_braking(phases[corner.phase], corner) for corner in stops), default=(0.0, 0.0, 0.0))
     braking_s, time_s, ramp_s = slow
     if braking_s > max(SLOW_STOP_S, SLOW_SHARE * ramp_s):
-        message = (
-            f"the crosshead brakes for {braking_s:.3g} s before its stop at {time_s:.4g} s; "
-            "faster relaxation can't be seen, a slower ramp shows more"
-        )
+        message = f"the crosshead brakes for {braking_s:.3g} s before its stop at {time_s:.4g} s"
         flags.append(Flag("corner_slow", message, {"duration_s": braking_s, "time_s": time_s}))
     return flags
 

@@ -119,8 +119,8 @@ def cycle_flags(loops: tuple[Loop, ...], *, before_test: bool, baseline_N: float
     depth = float(np.ptp([loop.peak_mm for loop in last]))
     still = max(force, work) < PRECONDITIONED_CHANGE
     message = (
-        f"over the last {len(last)} of {count} loops peak force changes by {100 * force:.2g} % and work by "
-        f"{100 * work:.2g} % from loop to loop{', before the test' if before_test else ''}"
+        f"peak force changes by {100 * force:.2g} %, work by {100 * work:.2g} % a loop over the last "
+        f"{len(last)} of {count}"
     )
     values = {
         "loops": count,

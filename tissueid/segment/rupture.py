@@ -279,15 +279,23 @@ def _work(depth_mm: FloatArray, force_N: FloatArray, start: int, at: int) -> flo
 
 
 def rupture_flags(events: list[Event]) -> list[Flag]:
-    """One flag for the first rupture, and one for the first slip, with their numbers."""
-    flags = []
-    for kind, told in _TOLD.items():
-        of_kind = [event for event in events if event.kind == kind]
-        if of_kind:
-            first = of_kind[0]
-            values = {"time_s": first.time_s, "count": len(of_kind), **first.values}
-            flags.append(Flag(kind, told(first, len(of_kind)), values))
+    """One flag each for the first rupture, slip and doubtful rupture, with their numbers."""
+    flags: list[Flag] = []
+    broken, slipped, doubtful = (
+        [event for event in events if event.kind == kind] for kind in ("rupture", "slip", "doubtful_rupture")
+    )
+    if broken:
+        flags.append(Flag("rupture", _rupture_words(broken[0], len(broken)), _values(broken)))
+    if slipped:
+        flags.append(Flag("slip", _slip_words(slipped[0], len(slipped)), _values(slipped)))
+    if doubtful:
+        flags.append(Flag("doubtful_rupture", _doubtful_words(doubtful[0]), _values(doubtful)))
     return flags
+
+
+def _values(events: list[Event]) -> dict[str, float]:
+    """Numbers of the first of some events, and how many there are."""
+    return {"time_s": events[0].time_s, "count": len(events), **events[0].values}
 
 
 def _rupture_words(first: Event, count: int) -> str:
@@ -296,8 +304,7 @@ def _rupture_words(first: Event, count: int) -> str:
     more = "" if count == 1 else f", first of {count}"
     return (
         f"force falls by {values['drop_N']:.4g} N ({100 * values['drop_fraction']:.0f} %) at "
-        f"{first.time_s:.4g} s, {values['depth_mm']:.3g} mm deep{more}; the fit ends there, "
-        "--no-rupture goes on"
+        f"{first.time_s:.4g} s, {values['depth_mm']:.3g} mm deep{more}"
     )
 
 
@@ -307,18 +314,11 @@ def _slip_words(first: Event, count: int) -> str:
     more = "" if count == 1 else f", first of {count}"
     return (
         f"force slips by {values['drop_N']:.4g} N ({100 * values['drop_fraction']:.0f} %) at "
-        f"{first.time_s:.4g} s{more} and recovers; look at the grip, --exclude leaves it out"
+        f"{first.time_s:.4g} s{more} and recovers"
     )
 
 
-def _doubtful_words(first: Event, count: int) -> str:
+def _doubtful_words(first: Event) -> str:
     """One sentence on the first fall that may be relaxation."""
-    values = first.values
-    more = "" if count == 1 else f", first of {count}"
-    return (
-        f"force falls by {100 * values['drop_fraction']:.0f} % within {END_S:g} s of the stop at "
-        f"{first.time_s:.4g} s{more}: relaxation or rupture? The hold is kept; --exclude drops it"
-    )
-
-
-_TOLD = {"rupture": _rupture_words, "slip": _slip_words, "doubtful_rupture": _doubtful_words}
+    lost = 100 * first.values["drop_fraction"]
+    return f"{lost:.0f} % of the force is lost at the stop, {first.time_s:.4g} s: relaxation or rupture?"

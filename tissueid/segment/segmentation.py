@@ -23,7 +23,7 @@ from tissueid.segment.phases import Surface, name_phases, settled
 from tissueid.segment.rupture import rupture_flags, ruptures
 from tissueid.segment.signs import signs
 from tissueid.segment.spikes import without_spikes
-from tissueid.segment.stop import placed_stops, settlings, with_braking
+from tissueid.segment.stop import placed_stops, settlings, speed_flags, with_braking
 from tissueid.signal_noise import white_noise_sd
 from tissueid.trial import Contact, Event, Phase, Protocol, Segmentation, Trial
 
@@ -173,6 +173,7 @@ def _segment(trial: Trial, options: SegmentOptions) -> Segmentation:
     divided = replace(divided, phases=phases)
     corners = corners_of(time_s, depth, phases, tolerance_mm=tolerance)
     flags += contact_flags + remarks + corner_flags(depth, phases, corners, tolerance_mm=tolerance)
+    flags += speed_flags(phases, trial.protocol.speed_mm_s)
     flags += drift_in_air(time_s, trial.force_N, phases, contact)
     return replace(divided, flags=tuple(flags), corners=corners, events=events)
 
@@ -325,8 +326,8 @@ def _missing(phases: tuple[Phase, ...]) -> list[Flag]:
     if not ramps and "cycle" not in kinds:
         flags.append(Flag("no_ramp", "no loading ramp was found"))
     if not holds:
-        crept = ": under a held load the tool creeps, which is no relaxation" if "creep" in kinds else ""
-        flags.append(Flag("no_hold", f"no hold was found: there is nothing to relax{crept}"))
+        crept = ": under a held load the tool creeps" if "creep" in kinds else ""
+        flags.append(Flag("no_hold", f"no hold was found{crept}"))
     if holds > 1 and ramps > 1:
         message = f"{holds} holds after {ramps} ramps"
         flags.append(Flag("several_steps", message, {"ramps": ramps, "holds": holds}))

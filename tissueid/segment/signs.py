@@ -42,8 +42,7 @@ def signs(trial: Trial, options: SegmentOptions) -> tuple[int, int, list[Flag]]:
             flags.append(
                 Flag(
                     "sign_assumed",
-                    f"displacement goes {out:.4g} mm one way and {back:.4g} mm the other; the larger was "
-                    f"taken for compression (set compression_sign to change it)",
+                    f"displacement goes {out:.4g} mm one way, {back:.4g} mm the other; the larger was taken",
                     {"positive_mm": out, "negative_mm": back, "compression_sign": compression},
                 )
             )

@@ -14,11 +14,12 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.flags import Flag
 from tissueid.segment.edges import straight_line
 from tissueid.segment.motion import Piece, path_noise
 from tissueid.trial import Event, Phase
 
-__all__ = ["placed_stops", "settlings", "travel_line", "with_braking"]
+__all__ = ["placed_stops", "settlings", "speed_flags", "travel_line", "with_braking"]
 
 FloatArray = NDArray[np.float64]
 
@@ -35,6 +36,8 @@ LEVEL_TIMES = 5.0
 SETTLING_SHARE = 5e-4
 #: Share of a hold whose end tells what it settles to.
 LATE_SHARE = 0.1
+#: Difference from the stated speed that is said, as a share of it.
+SPEED_SHARE = 0.05
 #: Fewest samples within the shares that lay a line.
 FEWEST_ON_LINE = 3
 
@@ -163,3 +166,25 @@ def settlings(time_s: FloatArray, depth_mm: FloatArray, phases: tuple[Phase, ...
         if abs(rest) > max(SETTLING_SHARE * step, noise):
             events.append(Event("settling", hold.start, hold.start_s, {"settles_mm": rest}))
     return events
+
+
+def speed_flags(phases: tuple[Phase, ...], stated_mm_s: float | None) -> list[Flag]:
+    """``speed_differs`` where no ramp runs at the speed that the file states.
+
+    Parameters
+    ----------
+    phases : tuple of Phase
+    stated_mm_s : float or None
+        Of the file's header.
+    """
+    speeds = [phase.speed_mm_s for phase in phases if phase.kind == "ramp"]
+    if not stated_mm_s or not speeds:
+        return []
+    nearest = min(speeds, key=lambda speed: abs(speed - abs(stated_mm_s)))
+    off = nearest / abs(stated_mm_s) - 1.0
+    if abs(off) <= SPEED_SHARE:
+        return []
+    message = (
+        f"the ramp runs at {nearest:.4g} mm/s, {100 * off:+.0f} % off the {abs(stated_mm_s):.4g} mm/s stated"
+    )
+    return [Flag("speed_differs", message, {"speed_mm_s": nearest, "stated_mm_s": abs(stated_mm_s)})]
