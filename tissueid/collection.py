@@ -8,20 +8,19 @@ from __future__ import annotations
 
 from collections import Counter, OrderedDict
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import PurePath
 from typing import Any
 
 import numpy as np
 
+from tissueid.decided import arithmetic_refusal, decided_options, decided_trial, why_excluded
 from tissueid.errors import InputError
-from tissueid.fit.cycles import cycle_rows
 from tissueid.fit.logs import LogHandle
 from tissueid.fit.tip import beyond_calibration
 from tissueid.fit.window import fitted_log
-from tissueid.flags import Flag
-from tissueid.ingest.cell_range import below_cell_range
 from tissueid.manifest import Decision, Study
+from tissueid.measured.cycles import cycle_rows
 from tissueid.quantities import CycleRow
 from tissueid.result import Refusal
 from tissueid.segment import SegmentOptions, segment
@@ -31,29 +30,12 @@ __all__ = [
     "Collected",
     "Excluded",
     "TrialCache",
-    "arithmetic_refusal",
     "collect",
-    "decided_options",
-    "decided_trial",
     "display_names",
-    "why_excluded",
 ]
 
 #: Samples kept in memory between the passes [bytes].
 CACHE_BYTES = 16 * 2**20
-
-#: Keys of [[override]] that the segmenter takes as they are, by the name of its option.
-_SEGMENT_KEYS = {
-    "contact_mm": "contact_displacement_mm",
-    "contact_sd_mm": "contact_sd_mm",
-    "minimum_hold_s": "minimum_hold_s",
-    "start_s": "start_s",
-    "end_s": "end_s",
-    "rupture": "rupture",
-    "hold_from_s": "hold_from_s",
-}
-_SIGN_KEYS = {"compression": "compression_sign", "force": "force_sign"}
-_SIGNS = {"positive": 1, "negative": -1}
 
 _Progress = Callable[[str, int, int], None]
 
@@ -96,15 +78,6 @@ class TrialCache:
             raise InputError(code="unreadable_file", message=msg, path=source.path, sheet=source.sheet)
         self.add(key, trial)
         return trial
-
-
-def arithmetic_refusal(path: str, sheet: str | None, done: str, error: Exception) -> Refusal:
-    """The refusal of a trial whose numbers defeat the arithmetic while it is ``done``."""
-    message = (
-        f"the samples defeat the arithmetic and could not be {done} ({type(error).__name__}: {error}); are "
-        "their units and magnitudes right? `tissueid inspect` shows them"
-    )
-    return Refusal(path=path, sheet=sheet, code="fit_failed", message=message)
 
 
 def _mixed_axes(trial: Trial) -> Refusal:
@@ -211,57 +184,6 @@ class Collected:
                 "n_samples": int(trial.time_s.size),
             }
         )
-
-
-def decided_options(options: SegmentOptions, decision: Decision) -> SegmentOptions:
-    """The run's options with what the study decides for this trial."""
-    said: dict[str, Any] = {
-        name: decision.override[key] for key, name in _SEGMENT_KEYS.items() if key in decision.override
-    }
-    for key, name in _SIGN_KEYS.items():
-        if key in decision.override:
-            said[name] = _SIGNS[decision.override[key]]
-    return replace(options, **said)
-
-
-def decided_trial(trial: Trial, decision: Decision, study: Study) -> Trial:
-    """The trial under the name, the protocol and the load cell that the study states."""
-    flags = list(trial.flags)
-    stated = {key: value for key, value in decision.override.items() if key != "because"}
-    if stated:
-        words = ", ".join(f"{key} = {_words(value)}" for key, value in stated.items())
-        because = decision.override["because"]
-        values = {"keys": list(stated), "because": because}
-        flags.append(Flag("decision_overridden", f"{words}, because: {because}", values))
-    calibration = study.calibration
-    capacity = calibration.values.get("load_cell_capacity_N")
-    if capacity is not None or calibration.verified_from_N is not None:
-        flags = [flag for flag in flags if flag.code != "below_cell_range"]
-        flag = below_cell_range(trial.force_N, capacity, verified_from_N=calibration.verified_from_N)
-        flags += [] if flag is None else [flag]
-    return replace(
-        trial,
-        specimen=decision.trial.get("specimen", trial.specimen),
-        protocol=study.protocol(decision, trial.protocol),
-        flags=tuple(flags),
-    )
-
-
-def _words(value: Any) -> str:
-    """A value as study.toml writes it."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{key} = {_words(one)}" for key, one in value.items()) + "}"
-    return f'"{value}"' if isinstance(value, str) else f"{value:g}"
-
-
-def why_excluded(trial: Trial, decision: Decision, study: Study) -> str | None:
-    """The user's reason, or that the recording calibrated the frame."""
-    frame = study.calibration.frame
-    if decision.excluded is None and frame is not None and trial.source.sha256 in frame.sources:
-        return f"a rigid block: {frame.path} was made from it"
-    return decision.excluded
 
 
 def _beyond_frame(trial: Trial, segmentation: Segmentation, study: Study | None) -> Refusal | None:

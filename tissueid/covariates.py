@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from tissueid.collection import Collected, Excluded, arithmetic_refusal
+from tissueid.collection import Collected, Excluded
+from tissueid.decided import arithmetic_refusal
 from tissueid.fit.frame_effect import frame_flags
 from tissueid.fit.order import gain_spread, order_effect, repeated_sites
 from tissueid.fit.specimen import FitOptions, LogHandle

@@ -5,19 +5,24 @@ Numbers are those of the file: signs and zeros are as recorded, decisions stand 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from tissueid.collection import arithmetic_refusal, decided_options, decided_trial, why_excluded
-from tissueid.fit.cycles import cycle_rows
+from tissueid.decided import arithmetic_refusal, decided_options, decided_trial, why_excluded
 from tissueid.flags import Flag
 from tissueid.manifest import Study
+from tissueid.measured import measure
+from tissueid.measured.cycles import cycle_rows
+from tissueid.measured.geometry import DEFAULT_POISSON, TipOf, stated_geometry
+from tissueid.measured.verdict import verdict_of
+from tissueid.measures import Measured
 from tissueid.result import Refusal
 from tissueid.segment import SegmentOptions, segment
 from tissueid.trial import Phase, Segmentation, Trial
 
-__all__ = ["as_decided", "describe_segmented", "describe_trial", "segmented"]
+__all__ = ["as_decided", "describe_segmented", "describe_trial", "measured_of", "segmented"]
 
 
 def describe_trial(trial: Trial, *, options: SegmentOptions | None = None) -> dict[str, Any] | Refusal:
@@ -68,8 +73,29 @@ def as_decided(
     return decided_trial(trial, decision, study), decided_options(options, decision), excluded
 
 
+def measured_of(trial: Trial, segmentation: Segmentation, study: Study | None = None) -> Measured:
+    """What a trial showed, no model; moduli by the tip of the study, or of the header.
+
+    Parameters
+    ----------
+    trial : Trial
+    segmentation : Segmentation
+    study : Study or None
+    """
+    tip = TipOf()
+    if study is not None and study.tip:
+        thickness = study.specimens.get(trial.specimen, {}).get("thickness_mm")
+        tip = TipOf(stated_geometry(study.tip, thickness, DEFAULT_POISSON), header=False)
+    return measure(trial, segmentation, geometry=tip.of(trial))
+
+
 def describe_segmented(
-    trial: Trial, segmentation: Segmentation, *, excluded: str | None = None
+    trial: Trial,
+    segmentation: Segmentation,
+    *,
+    excluded: str | None = None,
+    measured: Measured | None = None,
+    earlier: Sequence[Measured] = (),
 ) -> dict[str, Any]:
     """The object of ``schemas/inspect.schema.json`` for a trial that is segmented already.
 
@@ -79,7 +105,12 @@ def describe_segmented(
     segmentation : Segmentation
     excluded : str or None
         Why the user took it out of the fit.
+    measured : Measured or None
+        As :func:`measured_of` gives it; measured now where there is none.
+    earlier : sequence of Measured
+        Of the same specimen, in the order of testing.
     """
+    measured = measured or measured_of(trial, segmentation)
     source = trial.source
     flags: list[Flag] = [*trial.flags, *segmentation.flags]
     contact = segmentation.contact
@@ -128,6 +159,8 @@ def describe_segmented(
             for event in segmentation.events
         ],
         "cycles": [row.as_json() for row in cycle_rows(trial, segmentation)],
+        "measured": measured.as_json(),
+        "verdict": verdict_of(trial, segmentation, measured, earlier).as_json(),
         "flags": [flag.as_json() for flag in flags],
     }
 

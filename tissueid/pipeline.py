@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from tissueid import __version__
-from tissueid.collection import Collected, TrialCache, arithmetic_refusal, collect, display_names
+from tissueid.collection import Collected, TrialCache, collect, display_names
 from tissueid.covariates import (
     Refit,
     exclusion_rows,
@@ -27,12 +27,13 @@ from tissueid.covariates import (
     unmatched_sheets,
     without_excluded,
 )
+from tissueid.decided import arithmetic_refusal
 from tissueid.errors import exit_code
-from tissueid.fit.material import stated_geometry
 from tissueid.fit.specimen import FitOptions, FittedSpecimen, LogHandle, fit_with_state
 from tissueid.fit.stored_sums import stored_sums
 from tissueid.fit.tip import tip_handles
 from tissueid.manifest import Study
+from tissueid.measured.geometry import stated_geometry
 from tissueid.posterior.calibration_priors import calibration_priors
 from tissueid.posterior.coherence import unsampled
 from tissueid.posterior.remarks import without_posterior
@@ -256,7 +257,8 @@ def _own_options(options: FitOptions, study: Study | None, name: str, axes: Axes
     if study is None or options.geometry is not None:
         return options
     thickness = study.specimens.get(name, {}).get("thickness_mm")
-    return replace(options, geometry=stated_geometry(study.tip, thickness, options.poisson))
+    geometry = stated_geometry(study.tip, thickness, options.poisson)
+    return replace(options, geometry=geometry, header_tip=not study.tip)
 
 
 def _fit_all(

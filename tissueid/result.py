@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from tissueid.errors import printable
 from tissueid.flags import Flag
+from tissueid.measures import Measured, SpreadRow, spread_json
 from tissueid.notebook import Shown
 from tissueid.quantities import CycleRow, QuotedNumbers, RelaxationRow
 from tissueid.residuals import ResidualSummary
@@ -145,7 +146,7 @@ class Nrmsd:
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """A decimated recording with its model, enough for a report (corners and peaks are kept).
+    """A recording with its model, every sample of it or, of a long one, the extremes of its bins.
 
     Attributes
     ----------
@@ -179,6 +180,7 @@ class TrialFit:
     curve: Curve
     flags: tuple[Flag, ...] = ()
     residual: ResidualSummary | None = None
+    measured: Measured | None = None
 
     def as_json(self) -> dict[str, Any]:
         """The ``trials`` object of the schema: ``nrmsd`` is by range (curves are kept in HDF5, not here)."""
@@ -195,6 +197,7 @@ class TrialFit:
             "speed_mm_s": self.speed_mm_s,
             "depth_mm": self.depth_mm,
             "n_samples": self.n_samples,
+            "measured": None if self.measured is None else self.measured.as_json(),
             "flags": [flag.as_json() for flag in self.flags],
         }
 
@@ -237,6 +240,8 @@ class SpecimenFit(Shown):
     unloading : mapping or None
         How the fit of unloading went; ``None`` where only loading was fitted.
     cycles : tuple of CycleRow
+    measured : tuple of SpreadRow
+        What was measured, no model, with the spread between logs.
     quoted : QuotedNumbers or None
     posterior : Posterior or None
         ``None`` where nothing was sampled.
@@ -262,6 +267,7 @@ class SpecimenFit(Shown):
     axes: Axes = MM_N
     unloading: Mapping[str, Any] | None = None
     cycles: tuple[CycleRow, ...] = ()
+    measured: tuple[SpreadRow, ...] = ()
     quoted: QuotedNumbers | None = None
     posterior: Posterior | None = None
 
@@ -290,6 +296,7 @@ class SpecimenFit(Shown):
             "trials": [trial.as_json() for trial in self.trials],
             "relaxation": [row.as_json() for row in self.relaxation],
             "cycles": [row.as_json() for row in self.cycles],
+            "measured": spread_json(self.measured),
             "quoted": None if self.quoted is None else self.quoted.as_json(),
             "unloading": None if self.unloading is None else dict(self.unloading),
             "optimisers": dict(self.optimisers),

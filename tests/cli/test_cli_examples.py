@@ -9,7 +9,7 @@ import click
 import pytest
 from command_line import REPOSITORY, run
 
-from tissueid.cli.main import cli
+from tissueid.cli.main import cli, with_verb
 from tissueid.cli.options_page import every_command, examples_of, options_page
 
 WALKED = list(every_command())
@@ -35,6 +35,7 @@ def _of_examples(monkeypatch: pytest.MonkeyPatch) -> None:
 def unfit(line: str) -> str | None:
     """Why an example could not be typed; ``None`` where it can."""
     name, *rest = words_of(line)
+    rest = with_verb(rest)
     command: click.Command = cli
     context: click.Context | None = None
     try:

@@ -68,7 +68,11 @@ def test_version_is_that_of_the_package() -> None:
     ("typed", "meant"),
     [("inspcet", "inspect"), ("fti", "fit"), ("reports", "report"), ("valdate", "validate")],
 )
-def test_a_slip_is_answered_with_the_nearest_command(typed: str, meant: str) -> None:
+def test_a_slip_is_answered_with_the_nearest_command(
+    typed: str, meant: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # a file or folder of that name would be looked at
+    monkeypatch.chdir(tmp_path)
     assert f"Did you mean '{meant}'?" in run(typed).stderr
 
 

@@ -20,7 +20,7 @@ def page_entries(page: Path) -> list[dict[str, Any]]:
 
 
 def test_text_gives_speeds_in_both_units_and_the_stop(tmp_path: Path) -> None:
-    text = run("inspect", write_log(tmp_path / "log.csv")).stdout
+    text = run("inspect", write_log(tmp_path / "log.csv"), "-v").stdout
     (ramp,) = re.findall(r"ramp +\S+ to \S+ s, (\S+) mm/s \((\S+) mm/min\)", text)
     # the log's ramp goes 8 mm at 250 mm/min: 48 samples, its ends known to one
     assert float(ramp[1]) == pytest.approx(250.0, rel=0.03)
@@ -74,7 +74,7 @@ def test_the_study_of_the_folder_is_followed_unless_it_is_left_aside(tmp_path: P
     assert followed["contact"]["displacement_mm"] == 0.5
     assert followed["excluded"] == "slipped"
     assert "decision_overridden" in [flag["code"] for flag in followed["flags"]]
-    assert "excluded    because: slipped" in run("inspect", tmp_path).stdout
+    assert "excluded    because: slipped" in run("inspect", tmp_path, "-v").stdout
     aside = inspected(tmp_path, "--no-study")
     assert aside["contact"]["displacement_mm"] != 0.5
     assert aside["excluded"] is None
@@ -100,5 +100,5 @@ def test_a_page_that_can_not_be_written_is_a_usage_error(tmp_path: Path) -> None
 
 
 def test_loops_are_measured(shared_data: Path) -> None:
-    text = run("inspect", shared_data / "instron-bluehill-cyclic-cc0").stdout
+    text = run("inspect", shared_data / "instron-bluehill-cyclic-cc0", "-v").stdout
     assert len(re.findall(r"^  loop \d", text, flags=re.MULTILINE)) == 3

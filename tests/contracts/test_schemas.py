@@ -220,6 +220,10 @@ def inspected() -> dict[str, Any]:
             }
         ],
         "corners": [], "events": [], "cycles": [], "flags": [],
+        "measured": {
+            "base": {"recorded_N": 0.0, "source": "recorded"}, "push": None, "holds": [], "loops": [],
+        },
+        "verdict": {"level": "good", "reason": None},
     }  # fmt: skip
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from fit_cases import draw, handles_for, small_recipe
 
-from tissueid.fit.material import Geometry, stated_geometry
 from tissueid.fit.specimen import FitOptions, fit_specimen
+from tissueid.measured.geometry import Geometry, stated_geometry
 from tissueid.model import KelvinVoigt
 from tissueid.model.functionals import complex_stiffness, force_after_ramp, force_after_step
 from tissueid.model.moduli import Indenter, contact_of

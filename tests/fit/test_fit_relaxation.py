@@ -9,7 +9,8 @@ import pytest
 from fit_cases import true_segmentation
 from scipy.optimize import curve_fit
 
-from tissueid.fit.relaxation import fit_exponentials, relaxation_rows
+from tissueid.measured.exponentials import fit_exponentials
+from tissueid.measured.relaxation import relaxation_rows
 from tissueid.trial import Contact, Phase, Protocol, Segmentation, Trial
 
 JIT_OFF = os.environ.get("NUMBA_DISABLE_JIT") == "1"

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tissueid.fit.relaxation import relaxation_rows
 from tissueid.fit.window import fitted_log, with_contact
+from tissueid.measured.relaxation import relaxation_rows
 from tissueid.pipeline import identify
 from tissueid.segment import SegmentOptions, segment
 from tissueid.trial import Trial

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tissueid.fit.material import Geometry
 from tissueid.fit.specimen import FitOptions
 from tissueid.ingest import read_trials
 from tissueid.manifest import Study
+from tissueid.measured.geometry import Geometry
 from tissueid.model.moduli import Indenter
 from tissueid.pipeline import IdentifyOptions, identify
 from tissueid.report import render_report

@@ -9,7 +9,7 @@ from fit_factory import THETA, specimen_fit
 from tissueid.fit.trials import Adjustment
 from tissueid.model.base import ContactPath
 from tissueid.model.kelvin_voigt import KelvinVoigt
-from tissueid.posterior.bands import BAND_DRAWS, predictive_bands
+from tissueid.posterior.bands import BAND_DRAWS, BAND_POINTS, predictive_bands
 from tissueid.posterior.target import Redrawn
 
 MODEL = KelvinVoigt(branches=1, stiffness_degree=0, depth_mm=6.0)
@@ -21,8 +21,14 @@ def redrawn(theta: np.ndarray, *, gain: np.ndarray, offset_mm: np.ndarray) -> Re
     return Redrawn(theta, gain, offset_mm, np.full(count, SIGMA), np.zeros(count), theta, 1.0)
 
 
-def bands(theta: np.ndarray, *, gain: np.ndarray | None = None, offset_mm: np.ndarray | None = None):
-    trials = specimen_fit(trials=2, samples=300).trials
+def bands(
+    theta: np.ndarray,
+    *,
+    gain: np.ndarray | None = None,
+    offset_mm: np.ndarray | None = None,
+    samples: int = 300,
+):
+    trials = specimen_fit(trials=2, samples=samples).trials
     flat = np.ones((len(theta), 2))
     drawn = redrawn(
         theta,
@@ -73,6 +79,21 @@ def test_a_longer_relaxation_time_moves_the_middle_as_the_model_says() -> None:
         path = ContactPath(trial.curve.time_s, trial.curve.depth_mm)
         expected = trial.curve.model_N + MODEL.force(theta, path) - MODEL.force(THETA, path)
         assert found[trial.path, trial.sheet][1] == pytest.approx(expected, abs=1e-9)
+
+
+def test_a_long_curve_has_the_band_of_its_every_sample() -> None:
+    """Draws are compared at some hundred samples of it, and the band is laid out between them."""
+    theta = THETA.copy()
+    theta[-1] *= 1.1
+    trials, found = bands(np.tile(theta, (BAND_DRAWS, 1)), samples=12 * BAND_POINTS)
+    for trial in trials:
+        path = ContactPath(trial.curve.time_s, trial.curve.depth_mm)
+        shift = MODEL.force(theta, path) - MODEL.force(THETA, path)
+        low, middle, high = found[trial.path, trial.sheet]
+        assert middle.size == trial.curve.time_s.size
+        assert high - low == pytest.approx(2 * 1.96 * SIGMA, rel=1e-6)
+        # straight between samples 12 apart: far below the noise of 0.3 N
+        assert middle - trial.curve.model_N == pytest.approx(shift, abs=0.002)
 
 
 def test_the_band_of_a_known_tissue_holds_nineteen_samples_in_twenty() -> None:

@@ -15,9 +15,10 @@ from fit_factory import STATIC, STIFFNESS, TAU_S, identification, specimen_fit
 from posterior_factory import sampled
 
 from tissueid.report import render_report
+from tissueid.report.groups import loading_force, programmes
 from tissueid.report.law_payload import law_payload
 from tissueid.report.speeds import speed_groups
-from tissueid.result import SpecimenFit
+from tissueid.result import Curve, SpecimenFit
 from tissueid.store.curves import curves_of_fits
 from tissueid.store.files import plain_json
 from tissueid.store.posteriors import posteriors_of_fits
@@ -148,6 +149,7 @@ def opened(browser: Any, path: Path, html: str) -> tuple[Any, list[str]]:
 def read_back(tab: Any, kind: str) -> dict[str, Any]:
     """Traces and titles of axes as plotly holds them."""
     box = f'[data-figure="{kind}"]'
+    tab.evaluate("document.querySelectorAll('details').forEach((one) => { one.open = true; })")
     tab.locator(box).scroll_into_view_if_needed()
     tab.wait_for_function("box => document.querySelector(box).data", arg=box)
     found: dict[str, Any] = tab.evaluate(
@@ -162,31 +164,33 @@ def read_back(tab: Any, kind: str) -> dict[str, Any]:
 
 
 def differences(tab: Any, fit: SpecimenFit) -> list[str]:
-    """What the panels of speeds show that the curves of a fit do not say; empty where they agree."""
-    traces = read_back(tab, "speeds")["traces"]
+    """What the first figure shows that the curves of a fit do not say; empty where they agree."""
+    traces = read_back(tab, "main")["traces"]
     problems = []
     for place, trial in enumerate(fit.trials):
-        axis = "x" if place == 0 else f"x{place + 1}"
         for name, values in (("recorded", trial.curve.force_N), ("model", trial.curve.model_N)):
-            own = [one for one in traces if one["axis"] == axis and one["name"] == name]
-            if len(own) != 1 or len(own[0]["y"]) != values.size:
+            drawn = [one for one in traces if one["axis"] == "x3" and one["name"] == name]
+            if len(drawn) <= place or len(drawn[place]["y"]) != values.size:
                 problems.append(f"{trial.path}: {name} has another number of samples")
                 continue
+            own = drawn[place]
             # 32-bit floats
-            if np.abs(np.array(own[0]["y"]) - values).max() > 1e-5 * np.abs(values).max():
+            if np.abs(np.array(own["y"]) - values).max() > 1e-5 * np.abs(values).max():
                 problems.append(f"{trial.path}: {name} differs")
-            if np.abs(np.array(own[0]["x"]) - trial.curve.depth_mm).max() > 1e-5 * trial.curve.depth_mm.max():
+            if np.abs(np.array(own["x"]) - trial.curve.depth_mm).max() > 1e-5 * trial.curve.depth_mm.max():
                 problems.append(f"{trial.path}: depths of {name} differ")
     return problems
 
 
 @pytest.mark.browser
-def test_a_panel_a_speed_shows_the_curves_and_a_corrupted_trace_is_seen(browser: Any, tmp_path: Path) -> None:
+def test_the_first_figure_shows_the_curves_and_a_corrupted_trace_is_seen(
+    browser: Any, tmp_path: Path
+) -> None:
     fit = sampled(specimen_fit(trials=3, samples=300))
     html = page(fit)
     tab, errors = opened(browser, tmp_path / "whole.html", html)
     assert differences(tab, fit) == []
-    assert read_back(tab, "speeds")["titles"]["xaxis2"] == ["Depth [mm]", "linear"]
+    assert read_back(tab, "main")["titles"]["xaxis3"] == ["Depth [mm]", "linear"]
     assert errors == []
     text = re.search(r'id="curves">(.*?)</script>', html, re.DOTALL)
     assert text is not None
@@ -198,8 +202,8 @@ def test_a_panel_a_speed_shows_the_curves_and_a_corrupted_trace_is_seen(browser:
     assert differences(tab, fit) == [f"{fit.trials[1].path}: recorded differs"]
     # and in the figure itself
     tab, _ = opened(browser, tmp_path / "whole.html", html)
-    read_back(tab, "speeds")
-    tab.evaluate("document.querySelector('[data-figure=speeds]').data.pop()")
+    read_back(tab, "main")
+    tab.evaluate("document.querySelector('[data-figure=main]').data.pop()")
     assert differences(tab, fit) == [f"{fit.trials[2].path}: model has another number of samples"]
 
 
@@ -254,13 +258,88 @@ def test_residuals_profile_peaks_and_parts_show_their_numbers(browser: Any, tmp_
 def test_of_many_trials_the_picture_of_the_result_shows_one_a_speed(browser: Any, tmp_path: Path) -> None:
     fit = specimen_fit(trials=9, samples=60)
     html = page(fit)
-    assert "the deepest trial of each loading speed" in html
+    assert "the deepest of each speed" in html
     tab, errors = opened(browser, tmp_path / "report.html", html)
-    recorded = [one for one in read_back(tab, "force-depth")["traces"] if one["name"] == "recorded"]
+    recorded = shown_by_depth(tab)
     # all nine are equally deep: the first of each speed
     expected = [trial.curve.force_N for trial in fit.trials[:3]]
     assert [one["y"] for one in recorded] == [pytest.approx(values, rel=1e-6) for values in expected]
     tab.select_option("select[data-choice]", "7")
-    (chosen,) = [one for one in read_back(tab, "force-depth")["traces"] if one["name"] == "recorded"]
+    (chosen,) = shown_by_depth(tab)
     assert chosen["y"] == pytest.approx(fit.trials[7].curve.force_N, rel=1e-6)
+    assert errors == []
+
+
+def shown_by_depth(tab: Any) -> list[dict[str, Any]]:
+    traces = read_back(tab, "main")["traces"]
+    return [one for one in traces if one["name"] == "recorded" and one["axis"] == "x3"]
+
+
+def test_a_programme_is_a_speed_and_depths_that_contact_makes_differ() -> None:
+    made = [(4.0, 8.0), (0.5, 8.0), (4.1, 7.0), (4.0, 2.0), (4.0, 2.1)]
+    trials = [{"speed_mm_s": speed, "depth_mm": depth} for speed, depth in made]
+    assert sorted(sorted(one) for one in programmes(trials)) == [[0, 2], [1], [3, 4]]
+
+
+def test_means_of_bins_are_those_of_the_straight_lines_between_samples() -> None:
+    """Few samples and uneven bins: the mean of a line over a bin is its value in the middle."""
+    x = np.array([0.0, 0.3, 2.0, 4.0])
+    curve = Curve(x, 3.0 * x, 2.0 + 5.0 * x, x, fitted=x >= 0)
+    edges = np.array([0.0, 0.5, 0.7, 3.0, 9.0, 12.0, 15.0])
+    found = loading_force(curve, edges)
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    # force against depth is 2 + 5/3 depth; the tool stops before the last bin
+    assert found[:4] == pytest.approx(2.0 + 5.0 / 3.0 * middle[:4])
+    assert np.isnan(found[5])
+
+
+def test_mean_and_standard_deviation_of_a_programme_are_those_of_its_curves() -> None:
+    made = specimen_fit(trials=6, samples=2_000)
+    # without its noise a curve is its closed form, and logs of one speed are alike
+    quiet = [replace(one, curve=replace(one.curve, force_N=one.curve.model_N)) for one in made.trials]
+    groups = law_of(replace(made, trials=tuple(quiet)))["groups"]
+    assert [one["members"] for one in groups] == [[[0, 0], [0, 3]], [[0, 1], [0, 4]], [[0, 2], [0, 5]]]
+    assert groups[0]["label"] == "0.500 mm/s to 6.00 mm, n = 2"
+    for group, speed in zip(groups, (0.5, 2.0, 4.0), strict=True):
+        x, since = (np.array(group[part]["x"]) for part in ("loading", "hold"))
+        length = speed * TAU_S
+        loaded = sum(a * x**k for k, a in enumerate(STATIC, 1)) - STIFFNESS * length * np.expm1(-x / length)
+        assert group["loading"]["mean"] == pytest.approx(loaded, rel=0.01, abs=0.05)
+        rest = sum(a * 6.0**k for k, a in enumerate(STATIC, 1))
+        branch = -STIFFNESS * length * np.expm1(-6.0 / length) * np.exp(-since / TAU_S)
+        assert group["hold"]["mean"] == pytest.approx(rest + branch, rel=0.01)
+        for part in ("loading", "hold"):
+            assert set(group[part]["n"]) == {2}
+            assert max(group[part]["sd"]) < 1e-9
+    assert law_of(specimen_fit(trials=1))["groups"] == []
+
+
+def test_a_spread_between_curves_is_their_standard_deviation() -> None:
+    """Three curves of 1, 2 and 4 times one force: the standard deviation is 1.528 of it everywhere."""
+    fit = specimen_fit(trials=1, samples=400)
+    (one,) = fit.trials
+    trials = tuple(
+        replace(one, path=f"{factor}.csv", curve=replace(one.curve, force_N=factor * one.curve.model_N))
+        for factor in (1.0, 2.0, 4.0)
+    )
+    (group,) = law_of(replace(fit, trials=trials))["groups"]
+    for part in ("loading", "hold"):
+        mean, sd = np.array(group[part]["mean"]), np.array(group[part]["sd"])
+        assert sd / mean == pytest.approx(np.std([1, 2, 4], ddof=1) / np.mean([1, 2, 4]), rel=1e-4)
+
+
+@pytest.mark.browser
+def test_all_curves_of_a_programme_share_a_figure_with_their_mean(browser: Any, tmp_path: Path) -> None:
+    fit = specimen_fit(trials=6, samples=200)
+    tab, errors = opened(browser, tmp_path / "report.html", page(fit))
+    found = read_back(tab, "group")
+    names = [one["name"] for one in found["traces"]]
+    assert names.count("recorded") == 12
+    assert names.count("mean") == names.count("SD") == 6
+    mean = next(one for one in found["traces"] if one["name"] == "mean")
+    assert mean["y"] == law_of(fit)["groups"][0]["loading"]["mean"]
+    assert found["titles"]["xaxis2"] == ["Time since the stop [s]", "linear"]
+    # the parts of a curve meet at the stop, and no sample is lost
+    loading, hold = (one for one in found["traces"][:2])
+    assert len(loading["y"]) + len(hold["y"]) == 201
     assert errors == []

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import base64
+import io
+import json
 import re
 import zlib
 from collections.abc import Sequence
@@ -11,12 +13,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import openpyxl
 import pytest
 from fit_factory import identification, specimen_fit
 from posterior_factory import sampled
 
 from tissueid.report import render_report
-from tissueid.report.figures import CURVE_BYTES, thinned
+from tissueid.report.figures import curve_bytes, thinned
 from tissueid.report.page import plotly_script
 from tissueid.result import SpecimenFit
 from tissueid.store.curves import curves_of_fits
@@ -84,7 +87,7 @@ def test_structure_is_sound(case: str) -> None:
 
 def test_what_is_not_identified_is_said_in_words() -> None:
     html = page([specimen_fit(samples=60, identified=False)])
-    row = html.split("<code>relaxation_time_s</code>")[1].split("</tr>")[0]
+    row = html.split("Relaxation time ")[1].split("</tr>")[0]
     assert "not identified" in row
     assert "1.5" not in row
 
@@ -121,7 +124,22 @@ def test_thinning_keeps_ends_peak_and_largest_residual() -> None:
 
 def test_a_curve_within_its_share_is_not_thinned() -> None:
     curve = specimen_fit(samples=300, trials=1).trials[0].curve
-    assert thinned(curve, CURVE_BYTES).size == 300
+    assert thinned(curve, 300).size == 300
+
+
+def test_every_sample_of_an_ordinary_recording_reaches_the_page() -> None:
+    # 100 s at 100 Hz of one specimen; of thirty recordings still 4 samples a pixel of a wide screen
+    fit = specimen_fit(trials=1, samples=10_000)
+    (trial,) = curves_payload_of(fit)
+    assert len(base64.b64decode(trial["f"])) == 4 * 10_000
+    assert curve_bytes(1) // 30 > 4 * 1_000 * 23
+    assert curve_bytes(200) < curve_bytes(1) // 3
+
+
+def curves_payload_of(fit: SpecimenFit) -> list[dict[str, Any]]:
+    text = page([fit]).split('id="curves">')[1].split("</script>")[0]
+    found: list[dict[str, Any]] = json.loads(text)["specimens"][0]
+    return found
 
 
 def visit(browser: Any, path: Path, *, width: int = 1400, **context: Any) -> tuple[Any, list[str], list[str]]:
@@ -159,24 +177,25 @@ def test_figures_show_the_curves_and_the_page_is_silent(browser: Any, tmp_path: 
     path = tmp_path / "report.html"
     path.write_text(page([fit]), encoding="utf-8")
     tab, errors, requests = visit(browser, path)
-    for kind, abscissa in (("force-depth", "depth_mm"), ("force-time", "time_s")):
-        traces = drawn(tab, kind)
-        recorded = [trace for trace in traces if trace["name"] == "recorded"]
-        modelled = [trace for trace in traces if trace["name"] == "model"]
-        assert len(recorded) == len(modelled) == 3
-        for trial, data, model in zip(fit.trials, recorded, modelled, strict=True):
+    traces = drawn(tab, "main")
+    for name, values in (("recorded", "force_N"), ("model", "model_N")):
+        # three trials against time, then three against depth
+        own = [trace for trace in traces if trace["name"] == name]
+        assert len(own) == 6
+        for trace, (abscissa, trial) in zip(
+            own, [(x, trial) for x in ("time_s", "depth_mm") for trial in fit.trials], strict=True
+        ):
             # the page carries 32-bit floats: 24 bits of mantissa
-            assert data["x"] == pytest.approx(getattr(trial.curve, abscissa), rel=1e-7, abs=1e-9)
-            assert data["y"] == pytest.approx(trial.curve.force_N, rel=1e-7, abs=1e-9)
-            assert model["y"] == pytest.approx(trial.curve.model_N, rel=1e-7, abs=1e-9)
-    residual = {trace["name"]: trace["y"] for trace in drawn(tab, "residual")[:2]}
+            assert trace["x"] == pytest.approx(getattr(trial.curve, abscissa), rel=1e-7, abs=1e-9)
+            assert trace["y"] == pytest.approx(getattr(trial.curve, values), rel=1e-7, abs=1e-9)
+    residual = next(trace["y"] for trace in traces if trace["name"] == "fitted")
     curve = fit.trials[0].curve
     expected = curve.force_N - curve.model_N
-    assert [value is not None for value in residual["fitted"]] == curve.fitted.tolist()
+    assert [value is not None for value in residual] == curve.fitted.tolist()
     # a difference of two numbers near 100 N, each with 24 bits: 1e-5 N
-    assert [v for v in residual["fitted"] if v is not None] == pytest.approx(expected[curve.fitted], abs=2e-5)
+    assert [v for v in residual if v is not None] == pytest.approx(expected[curve.fitted], abs=2e-5)
     tab.select_option("select[data-choice]", "1")
-    (data, _model) = drawn(tab, "force-time")
+    data = next(trace for trace in drawn(tab, "main") if trace["name"] == "recorded")
     assert data["y"] == pytest.approx(fit.trials[1].curve.force_N, rel=1e-7, abs=1e-9)
     assert errors == []
     assert requests == [path.as_uri()]
@@ -193,13 +212,13 @@ def test_page_fits_the_screen_in_both_colour_schemes(
         page([specimen_fit("x" * 60, samples=100, identified=False)], refused=True), encoding="utf-8"
     )
     tab, errors, _ = visit(browser, path, width=width, color_scheme=scheme)
-    drawn(tab, "force-depth")
+    drawn(tab, "main")
     assert tab.evaluate("document.documentElement.scrollWidth") == width
     paper = tab.evaluate("getComputedStyle(document.body).backgroundColor")
     assert (paper == "rgb(255, 255, 255)") is (scheme == "light")
     # the picture of the result begins on the first screen of a desk
     if width == 1400:
-        assert tab.locator('[data-figure="force-depth"]').bounding_box()["y"] < 900
+        assert tab.locator('[data-figure="main"]').bounding_box()["y"] < 300
     assert errors == []
 
 
@@ -211,9 +230,7 @@ def test_a_link_of_the_overview_opens_its_specimen(browser: Any, tmp_path: Path)
     tab, errors, requests = visit(browser, path)
     assert len(drawn(tab, "overview")[0]["y"]) == 4
     tab.click("a[href='#specimen-3']")
-    assert drawn(tab, "force-depth", 2)[0]["y"] == pytest.approx(
-        fits[2].trials[0].curve.force_N, rel=1e-7, abs=1e-9
-    )
+    assert drawn(tab, "main", 2)[0]["y"] == pytest.approx(fits[2].trials[0].curve.force_N, rel=1e-7, abs=1e-9)
     assert errors == []
     assert requests[0] == path.as_uri()
     assert all(url.startswith("file:") for url in requests)
@@ -271,3 +288,55 @@ def test_the_library_is_inflated_whole(browser: Any, tmp_path: Path) -> None:
             for byte in raw:
                 expected = (expected * 31 + byte) % 1_000_000_007
             assert sum_of == expected, (name, level, strategy)
+
+
+#: Characters that a reader of one specimen sees before anything is opened.
+MOST_UNFOLDED = 8_000
+
+
+@pytest.mark.browser
+def test_a_page_of_one_specimen_shows_its_numbers_before_anything_is_opened(
+    browser: Any, tmp_path: Path
+) -> None:
+    path = tmp_path / "report.html"
+    fit = sampled(specimen_fit(trials=30, samples=60, identified=False), misfit=True, converged=False)
+    document = plain_json(identification([fit], refused=True).as_json())
+    path.write_text(render_report(document, curves_of_fits([fit])), encoding="utf-8")
+    tab, errors, _ = visit(browser, path)
+    text = tab.evaluate("document.body.innerText")
+    assert len(text) <= MOST_UNFOLDED
+    assert tab.evaluate("[...document.querySelectorAll('details')].every((one) => !one.open)")
+    for said in ("Contact model", "Static a1", "Viscosity", "NRMSD 0.", "Reasons", "Not to be relied on"):
+        assert said in text, said
+    for folded in ("shrinkage", "R-hat", "renderer", "SHA-256"):
+        assert folded not in text, folded
+    assert tab.locator(".first .remarks > li, .first .alarm").count() <= 5 + len(fit.flags)
+    assert errors == []
+
+
+@pytest.mark.browser
+def test_a_figure_is_saved_as_svg_on_white_and_the_tables_as_a_workbook(browser: Any, tmp_path: Path) -> None:
+    path = tmp_path / "report.html"
+    path.write_text(page([specimen_fit(trials=2, samples=80)]), encoding="utf-8")
+    tab, errors, _ = visit(browser, path, color_scheme="dark")
+    drawn(tab, "main")
+    with tab.expect_download() as saved:
+        tab.locator('[data-figure="main"] + button.save').click()
+    assert saved.value.suggested_filename.endswith("-main.svg")
+    picture = Path(saved.value.path()).read_text(encoding="utf-8")
+    assert picture.startswith("<svg")
+    assert "rgb(255, 255, 255)" in picture
+    assert "Force [N]" in picture
+    # the screen stays dark
+    assert tab.evaluate("document.documentElement.className") == ""
+    assert tab.evaluate("document.querySelector('[data-figure=main]').layout.paper_bgcolor") == "#15181c"
+    with tab.expect_download() as saved:
+        tab.click("a.tables")
+    book = openpyxl.load_workbook(io.BytesIO(Path(saved.value.path()).read_bytes()))
+    assert book.sheetnames[0] == "Parameters"
+    rows = list(book["Parameters"].values)
+    assert rows[1][:7] == (
+        *("kidney 3", "Relaxation time", "relaxation_time_s", "tau", "s", True),
+        1.5,
+    )
+    assert errors == []

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 from fit_factory import identification, specimen_fit
+from posterior_factory import sampled
 
 from tissueid.report import render_report
 from tissueid.report.methods_words import AUTHORS, TITLE, citation, methods_view, subscripted
@@ -39,6 +41,9 @@ def tab(browser: Any, tmp_path: Path) -> Any:
     path.write_text(page(specimen_fit(trials=12, samples=60)), encoding="utf-8")
     found = browser.new_context(viewport={"width": 1200, "height": 900}).new_page()
     found.goto(path.as_uri())
+    # what is folded is opened as a reader would
+    for part in ("specimen-1-trials", "cite"):
+        found.click(f"#{part} > summary")
     return found
 
 
@@ -86,15 +91,121 @@ def test_methods_say_what_this_run_did_with_equations() -> None:
     assert "3 indentation trials of specimen kidney 3, 1 of them with a hold," in told["before"]
     assert "0.500 to 4.00 mm/s to 6.00 mm (2,400 samples)" in told["before"]
     assert "one relaxing branch whose stiffness is constant" in told["before"]
-    assert "were chosen by predicting data" in told["after"][0]
+    assert "chosen by predicting data that were held out" in told["after"][0]
     assert "no posterior was sampled" in told["after"][1]
     assert "9.00 ± 0.11 N·s/mm" in told["after"][2]
     assert "K_j(x) = b_j0\n" in told["plain"]
     html = page(fit)
-    block = html.split('id="specimen-1-methods-text">')[1].split("</section>")[0]
+    block = html.split('id="specimen-1-methods-text">')[1].split("</details>")[0]
     assert block.count("<math") == 2
     assert "<mfrac>" in block
     assert "F<sub>s</sub>" in block
+
+
+@dataclass(frozen=True)
+class Done:
+    """What a run did, as its methods paragraph tells it: read back from the text alone."""
+
+    noise: str | None
+    noise_found: bool
+    sampler: str | None
+    draws: int | None
+    wanted: int | None
+    seed: int | None
+    branches: int
+    static_degree: int
+    stiffness_degree: int
+    chosen: tuple[bool, bool]
+    unloading: bool
+    contact_mm: float | None
+    versions: dict[str, str]
+
+
+def read_back(text: str) -> Done:
+    """Parse a methods paragraph, as a reader who repeats the run would."""
+
+    def one(pattern: str) -> str | None:
+        found = re.search(pattern, text)
+        return None if found is None else found[1]
+
+    words = {"no": 0, "one": 1, "two": 2, "three": 3}
+    noises = {
+        "white noise": "white",
+        "first-order autoregressive noise": "ar1",
+        "white and first-order autoregressive noise together": "white+ar1",
+    }
+    versions = dict(re.findall(r"(tissueid|emcee|lmfit|numba|numpy|scipy) (\d[\w.]*\w)", text))
+    chosen = one(r"([^.]*) chosen by predicting data that were held out") or ""
+    drawn = re.search(r"sampled by (\w+) \(([\d,]+) draws, for ([\d,]+) effective ones; seed (\d+)", text)
+    contact = one(r"Contact was set at (\S+) mm")
+    return Done(
+        noise=noises[one(r"under ([a-z -]+?) of the force") or ""],
+        noise_found="of the force (found from the residuals)" in text,
+        sampler=None if drawn is None else drawn[1],
+        draws=None if drawn is None else int(drawn[2].replace(",", "")),
+        wanted=None if drawn is None else int(drawn[3].replace(",", "")),
+        seed=None if drawn is None else int(drawn[4]),
+        branches=words[one(r"(\w+) relaxing branch") or ""],
+        static_degree=int(one(r"static force of degree (\d)") or -1),
+        stiffness_degree=int(one(r"in depth \(degree (\d)\)|constant \(degree 0\)") or 0),
+        chosen=("number of branches" in chosen, "degree of K" in chosen),
+        unloading="Retracts and cycles were fitted as well" in text,
+        contact_mm=None if contact is None else float(contact),
+        versions=versions,
+    )
+
+
+VERSIONS = {"emcee": "3.1.6", "lmfit": "1.3.4", "numba": "0.68.1", "numpy": "2.4.6", "scipy": "1.17.1"}
+
+
+@pytest.mark.parametrize("noise", ["white", "ar1", "white+ar1"])
+@pytest.mark.parametrize(
+    ("sampler", "wanted", "seed"), [("emcee", 2_000, 0), ("exact", 150, 7), ("none", 0, 3)]
+)
+@pytest.mark.parametrize(
+    ("branches", "degree", "given"),
+    [(1, 0, ("auto", "auto")), (2, 1, (2, "auto")), (3, 2, ("auto", 2)), (2, 2, (2, 2))],
+)
+def test_methods_are_read_back_as_the_options_of_the_run(
+    noise: str, sampler: str, wanted: int, seed: int, branches: int, degree: int, given: tuple[Any, Any]
+) -> None:
+    fit = specimen_fit()
+    made = fit if sampler == "none" else sampled(fit, seed=seed)
+    made = replace(made, model=replace(made.model, branches=branches, stiffness_degree=degree))
+    if made.posterior is not None:
+        report = replace(made.posterior.sampler, name=sampler)
+        found = replace(made.posterior.noise, model=noise)
+        made = replace(made, posterior=replace(made.posterior, sampler=report, noise=found))
+    if given == (2, 2):
+        made = replace(made, selection=())
+    document = plain_json(identification([made]).as_json())
+    set_by_hand = seed == 7
+    document["provenance"] |= {"versions": VERSIONS}
+    document["provenance"]["options"] |= {
+        "branches": given[0], "stiffness_degree": given[1], "noise": "auto" if seed == 0 else noise,
+        "sampler": sampler, "draws": wanted, "seed": seed, "unloading": set_by_hand,
+        "contact_displacement_mm": -1.25 if set_by_hand else None,
+    }  # fmt: skip
+    text = methods_view(document["specimens"][0], document)["plain"]
+    known = sampler != "none"
+    assert read_back(text) == Done(
+        # without a posterior the noise is the one of the fit itself
+        noise=noise if known else "white",
+        noise_found=seed == 0,
+        sampler=sampler if known else None,
+        draws=4_000 if known else None,
+        wanted=wanted if known else None,
+        seed=seed if known else None,
+        branches=branches,
+        static_degree=3,
+        stiffness_degree=degree,
+        chosen=(given[0] == "auto", given[1] == "auto"),
+        unloading=set_by_hand,
+        contact_mm=-1.25 if set_by_hand else None,
+        versions={"tissueid": "0.1.0", **VERSIONS},
+    )
+    if not known:
+        assert "no posterior was sampled" in text
 
 
 def test_an_index_is_set_below_and_a_name_is_left_alone() -> None:

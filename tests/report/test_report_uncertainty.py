@@ -17,9 +17,8 @@ from posterior_factory import SHARES, SOURCES, posterior, sampled
 from tissueid.digits import together
 from tissueid.flags import Flag
 from tissueid.report import render_report
-from tissueid.report.interval_words import bar_of, bar_scale
 from tissueid.report.posterior_payload import MOST_NUMBERS, posterior_payload
-from tissueid.report.uncertainty_words import reported_order, uncertainty_view
+from tissueid.report.uncertainty_words import paper_view, reported_order, uncertainty_view
 from tissueid.result import SpecimenFit
 from tissueid.store.curves import curves_of_fits
 from tissueid.store.files import plain_json
@@ -42,7 +41,12 @@ def first_screen(html: str) -> str:
 
 
 def sure_section(html: str) -> str:
-    section = html.split('-sure">How sure')[1].split("</section>")[0]
+    section = html.split('-sure">')[1].split('<details class="part"')[0]
+    return re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", section))
+
+
+def residual_section(html: str) -> str:
+    section = html.split('-residuals">')[1].split('<details class="part"')[0]
     return re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", section))
 
 
@@ -63,34 +67,10 @@ def test_numbers_that_belong_together_end_at_one_place(
     assert together(values, sd) == expected
 
 
-def entry(value: float, ci95: list[float], total: list[float] | None) -> dict[str, Any]:
-    return {"value": value, "ci95": ci95, "ci95_total": total}
-
-
-def test_the_scale_is_the_smallest_that_holds_the_widest_interval() -> None:
-    assert bar_scale([entry(10.0, [9.9, 10.1], [9.6, 10.3])]) == 0.05
-    assert bar_scale([entry(10.0, [9.9, 10.1], None)]) == 0.01
-    # beyond twice the value nothing is gained by a wider scale: the bar is cut and marked
-    assert bar_scale([entry(1.0, [0.5, 9.0], None)]) == 1.0
-
-
-def test_a_bar_stands_where_its_interval_is_and_a_cut_one_is_marked() -> None:
-    bar = bar_of(entry(10.0, [9.5, 10.25], [9.0, 12.0]), 0.1)
-    # -5 % to +2.5 % on a scale of -10 % to +10 %: from a quarter over 37.5 hundredths
-    assert bar.statistical == pytest.approx((25.0, 37.5))
-    assert bar.total == pytest.approx((0.0, 100.0))
-    assert (bar.cut_low, bar.cut_high) == (False, True)
-    negative = bar_of(entry(-10.0, [-10.5, -9.5], None), 0.1)
-    assert negative.statistical == pytest.approx((25.0, 50.0))
-    assert negative.total[1] == 0.0
-    # a coefficient at zero has no relative deviation: its own width is the unit
-    assert bar_of(entry(0.0, [0.0, 0.2], None), 1.0).statistical == pytest.approx((50.0, 50.0))
-
-
-def test_viscosity_comes_first_then_time_stiffness_and_static_force() -> None:
+def test_parameters_come_in_the_order_of_the_publication() -> None:
     names = [one["name"] for one in reported_order(document_of(specimen_fit())["parameters"])]
     assert [name.split("_")[0] for name in names] == [
-        "viscosity", "relaxation", "stiffness", "static", "static", "static",
+        "relaxation", "static", "static", "static", "stiffness", "viscosity",
     ]  # fmt: skip
 
 
@@ -106,7 +86,6 @@ def test_every_interval_on_the_first_screen_is_that_of_the_result() -> None:
         assert f"{low} to {high} {wide_low} to {wide_high}" in text
     assert "95 % statistical" in text
     assert "95 % total" in text
-    assert "Calibrated for the stated model and noise" in text
     assert " true " not in text
 
 
@@ -116,7 +95,7 @@ def test_a_misfit_takes_every_interval_off_the_first_screen_and_says_what_is_see
     assert "95 %" not in text
     assert "±" not in text
     assert "the force just after the peak lies 2.1 N above the model" in text
-    assert "can't be said from this model" in text
+    assert "The recordings contradict this model or its noise" in text
     assert "Not to be relied on" in text
     # below, the intervals stand with the warning
     below = sure_section(html)
@@ -137,13 +116,19 @@ def test_an_alarm_is_not_said_again_among_the_remarks() -> None:
     assert "frame compliance is taken as none" in text
 
 
-def test_what_is_not_identified_has_no_bar_and_no_number() -> None:
+def test_what_is_not_identified_has_no_number_and_shares_a_row_by_kind() -> None:
     fit = sampled(specimen_fit(samples=60, identified=False))
     view = uncertainty_view(document_of(fit))
     assert view is not None
-    (tau,) = [row for row in view["rows"] if row.name == "relaxation_time_s"]
-    assert (tau.value, tau.statistical, tau.total, tau.bar) == ("not identified", "", "", None)
-    assert "Relaxation time tau not identified: these data do not determine it" in first_screen(page(fit))
+    (tau,) = [row for row in view["rows"] if "tau" in row.symbols]
+    assert (tau.value, tau.intervals) == ("not identified", ())
+    assert "Relaxation time τ not identified" in first_screen(page(fit))
+    document = document_of(fit)
+    for entry in document["parameters"]:
+        if entry["name"].startswith("static"):
+            entry |= {"identified": False, "value": None, "ci95": None, "ci95_total": None}
+    (static,) = [row for row in paper_view(document)["rows"] if row.words == "Static"]
+    assert (static.symbols, static.value) == (("a1", "a2", "a3"), "not identified")
 
 
 def test_a_sampler_that_did_not_converge_is_told_with_its_reason() -> None:
@@ -158,12 +143,14 @@ def test_sampler_noise_priors_models_and_checks_are_told() -> None:
     assert "Sampled by emcee: 32 walkers, 2,000 steps, 4,000 draws kept" in text
     assert "at least 8,700 effective draws" in text
     assert "34 % of the proposals accepted; converged" in text
-    assert "correlated (AR(1)), 0.300 N in all; the correlated part keeps 0.6 of itself over 0.0100 s" in text
+    told = "correlated (AR(1)), 0.300 N in all; the correlated part keeps 0.6 of itself over 0.0100 s"
+    assert told in residual_section(page(sampled(specimen_fit(samples=60))))
+    checked = residual_section(page(sampled(specimen_fit(samples=60))))
+    assert "Early hold: no more than the noise makes (p = 0.60)." in checked
     assert "Static force, linear term normal, mean 5, sd 2 by the study 4.000 ± 0.050" in text
     assert re.search(r"Gain of the force normal, mean 1, sd 0.01 default .* 2 % the data said little", text)
     assert "2 branches, K of degree 0 −0.80 ± 0.20 −0.3 ± 1.1 – i as good, undecided" in text
     assert "power law – −35.0 ± 9.0 – i beside: compared only" in text
-    assert "Early hold: no more than the noise makes (p = 0.60)." in text
     for claim in (
         "calibrated for the stated model and noise",
         "where the model itself is wrong they say nothing",
@@ -203,10 +190,11 @@ def test_a_total_interval_that_could_not_be_sampled_is_told_with_its_reason() ->
     assert "the draws are worth 2.2 independent ones" in text
 
 
-def test_a_page_without_a_posterior_has_no_such_part() -> None:
+def test_a_page_without_a_posterior_has_standard_errors() -> None:
     html = page(specimen_fit(samples=60))
-    assert "How sure" not in html
     assert "95 %" not in first_screen(html)
+    assert "No posterior was sampled" in sure_section(html)
+    assert "4.000 ± 0.050" in first_screen(html)
 
 
 def test_white_noise_and_an_exact_sampler_have_their_own_sentences() -> None:
@@ -218,7 +206,7 @@ def test_white_noise_and_an_exact_sampler_have_their_own_sentences() -> None:
         noise=replace(fit.posterior.noise, model="white", phi=0.0),
     )
     text = sure_section(page(replace(fit, posterior=own)))
-    assert "Noise of the force: white, 0.300 N" in text
+    assert "Noise of the force: white, 0.300 N" in residual_section(page(replace(fit, posterior=own)))
     assert "Sampled by exact: 4,000 draws kept" in text
     assert "97 % of the proposals accepted" in text
     assert "walkers" not in text
@@ -290,34 +278,34 @@ def test_the_overview_has_the_interval_of_each_specimen_and_none_under_a_misfit(
 def test_figures_show_bands_densities_and_draws(browser: Any, tmp_path: Path) -> None:
     fit = sampled(specimen_fit(trials=2, samples=200))
     tab, errors = opened(browser, tmp_path / "report.html", page(fit), 1400)
-    for kind, abscissa in (("force-depth", "depth_mm"), ("force-time", "time_s")):
-        bands = [trace for trace in numbers_of(tab, kind) if trace["name"] == "predicted"]
-        assert len(bands) == len(fit.trials)
-        for trial, band in zip(fit.trials, bands, strict=True):
-            x, model = getattr(trial.curve, abscissa), trial.curve.model_N
-            # the page carries 32-bit floats of numbers near 100: 24 bits of mantissa
-            assert band["x"] == pytest.approx([*x, *x[::-1]], rel=1e-7, abs=1e-5)
-            assert band["y"] == pytest.approx([*(model + 0.6), *(model - 0.6)[::-1]], rel=1e-7, abs=1e-5)
-            assert band["fill"] == "toself"
+    # a band about each of two logs would hide the other
+    assert not [trace for trace in numbers_of(tab, "main") if trace["name"] == "predicted"]
+    tab.select_option("select[data-choice]", "1")
+    (band,) = [trace for trace in numbers_of(tab, "main") if trace["name"] == "predicted"]
+    x = fit.trials[1].curve.time_s
+    # the page carries 32-bit floats of numbers near 100: 24 bits of mantissa, and a difference of two
+    assert band["x"] == pytest.approx([*x, *x[::-1]], rel=1e-7, abs=1e-5)
+    assert band["y"] == pytest.approx([0.6] * x.size + [-0.6] * x.size, abs=3e-5)
+    assert band["fill"] == "toself"
     tab.evaluate("document.querySelectorAll('details').forEach((one) => { one.open = true; })")
     corner = numbers_of(tab, "corner")
     # two densities or two clouds a cell of the lower triangle, diagonal included
     assert len(corner) == 2 * (len(fit.parameters) * (len(fit.parameters) + 1) // 2)
-    # row 1, column 0: relaxation time over viscosity, total draws below
+    # row 1, column 0: a1 over the relaxation time, total draws below
     total, statistical = corner[2:4]
     assert (total["name"], statistical["name"]) == ("total", "statistical")
     assert fit.posterior is not None
     kept = fit.posterior.draws[np.linspace(0, len(fit.posterior.draws) - 1, 1_000).astype(int)][::4]
     # 16-bit steps of some 10 sd's range
+    assert statistical["x"] == pytest.approx(kept[:, 4], abs=10 * kept[:, 4].std() / 65_535)
+    assert statistical["y"] == pytest.approx(kept[:, 0], abs=10 * kept[:, 0].std() / 65_535)
+    # last row: viscosity, which is no draw but a product of two
     eta = kept[:, 3] * kept[:, 4]
-    assert statistical["x"] == pytest.approx(eta, abs=10 * eta.std() / 65_535)
-    assert statistical["y"] == pytest.approx(kept[:, 4], abs=10 * kept[:, 4].std() / 65_535)
-    densities = numbers_of(tab, "marginals")
-    assert len(densities) == 2 * len(fit.parameters)
-    for trace in densities:
-        width = trace["x"][1] - trace["x"][0]
+    assert corner[-2 * len(fit.parameters) + 1]["y"] == pytest.approx(eta, abs=10 * eta.std() / 65_535)
+    for density in (corner[0], corner[1]):
+        width = density["x"][1] - density["x"][0]
         # a density: its sum times the width of a bin is one
-        assert sum(trace["y"]) * width == pytest.approx(1.0, rel=1e-3)
+        assert sum(density["y"]) * width == pytest.approx(1.0, rel=1e-3)
     assert len(numbers_of(tab, "trace")) == 4 * len(posterior().chain_names)
     assert errors == []
 
@@ -333,7 +321,7 @@ def test_the_page_fits_the_screen_and_shows_its_picture_first(
     ]
     tab, errors = opened(browser, tmp_path / "report.html", page(*fits), width)
     tab.evaluate("document.querySelectorAll('details').forEach((one) => { one.open = true; })")
-    for kind in ("marginals", "corner", "trace", "parts", "peaks"):
+    for kind in ("corner", "trace", "parts", "peaks"):
         assert numbers_of(tab, kind)
     assert tab.evaluate("document.documentElement.scrollWidth") == width
     if width == 1400:

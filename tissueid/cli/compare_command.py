@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tissueid.cli.output import echo, echo_json, note, output_options, progress_bar, write_output
+from tissueid.cli.reading import reading_options
 from tissueid.errors import UsageError
 
 if TYPE_CHECKING:
@@ -22,13 +23,14 @@ Examples:
   tissueid compare out/bundle-kidney.h5 out/bundle-liver.h5
   tissueid compare before/ after/ --interval total
   tissueid compare out -o compared
+  tissueid compare slow.csv fast.csv
 """
 #: Clamp of the simulated device and of a calibrated one at its default [N].
 CLAMP_N = 5.0
 
 
 @click.command("compare", epilog=EPILOG)
-@click.argument("paths", nargs=-1, required=True, type=click.Path(exists=True))
+@click.argument("paths", nargs=-1, required=True, type=click.Path())
 @click.option(
     "--interval", type=click.Choice(["statistical", "total"]), default="statistical", show_default=True,
     help="total for recordings of different machines: it knows their calibration. Needs output folders.",
@@ -41,6 +43,7 @@ CLAMP_N = 5.0
     "-o", "--output", type=click.Path(), metavar="PATH",
     help="Folder for contrast.json and contrast.html; or NAME.json, and NAME.html is written beside it.",
 )  # fmt: skip
+@reading_options
 @output_options
 def command(**flags: Any) -> int:
     """Say whether identified tissues differ, by how much, and whether a hand could feel it.
@@ -48,7 +51,14 @@ def command(**flags: Any) -> int:
     PATHS are bundles, or output folders of which every specimen is taken. Forces at depths and speeds that
     all were identified at are tested together, pair by pair; numbers stand beside each other with the
     probability that one is larger. Two recordings of one machine share its calibration, two machines do not.
+
+    PATHS may be recordings or folders of them instead, each one side: what was measured stands beside each
+    other, no model. A number that depends on the ramp is compared within one program only.
     """
+    from tissueid.cli.compare_measured import are_recordings, compare_recordings
+
+    if are_recordings(flags["paths"]):
+        return compare_recordings(flags)
     from tissueid.contrast.document import contrast_document
     from tissueid.store.files import plain_json
     from tissueid.store.schema import check

@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from tissueid.cli.measured_lines import measured_lines
 from tissueid.cli.output import echo, note
 from tissueid.cli.quoted_lines import quoted_lines
 from tissueid.cli.uncertainty_lines import alarm_lines, block_lines, parameter_lines, sampling_lines
@@ -105,7 +106,7 @@ def _print_specimen(fit: Mapping[str, Any], shared: Sequence[str], *, verbose: i
         bold=True,
     )
     lines = [*parameter_lines(fit), *sampling_lines(fit)] if verbose else block_lines(fit)
-    for line in (*lines, *quoted_lines(fit, verbose=verbose)):
+    for line in (*lines, *quoted_lines(fit), *measured_lines(fit.get("measured", ()))):
         echo(f"  {line}")
     alarms = alarm_lines(fit)
     for line in alarms:

@@ -13,6 +13,7 @@ from tissueid.digits import with_error
 
 if TYPE_CHECKING:
     from tissueid.manifest import Study
+    from tissueid.measures import Measured
     from tissueid.report.inspect_page import InspectedRecording
     from tissueid.result import Refusal
     from tissueid.segment import SegmentOptions
@@ -26,14 +27,11 @@ Examples:
   tissueid inspect lab_data/ --html inspection.html
   tissueid inspect lab_data/study.toml --html inspection.html
   tissueid inspect lab_data/ --json
+  tissueid inspect lab_data/ --csv measured.csv --xlsx measured.xlsx
   tissueid inspect plain.csv --columns "time=t,displacement=x,force=F"
 """
 
 SECONDS_PER_MINUTE = 60.0
-#: Phases and corners printed without -v.
-FEW_PHASES = 12
-FEW_CORNERS = 4
-FEW_CYCLES = 6
 
 
 @click.command("inspect", epilog=EPILOG)
@@ -43,6 +41,13 @@ FEW_CYCLES = 6
     help="Write a page that draws every recording, with its flags and the lines of study.toml to change it.",
 )  # fmt: skip
 @click.option(
+    "--csv", type=click.Path(dir_okay=False), metavar="FILE",
+    help="Write what was measured as a table, one row a hold.",
+)  # fmt: skip
+@click.option(
+    "--xlsx", type=click.Path(dir_okay=False), metavar="FILE", help="The same table as a workbook.",
+)  # fmt: skip
+@click.option(
     "--study", type=click.Path(), metavar="FILE",
     help="Study file whose decisions are followed. [default: study.toml of the folder that is inspected]",
 )  # fmt: skip
@@ -50,10 +55,11 @@ FEW_CYCLES = 6
 @reading_options
 @output_options
 def command(**flags: Any) -> int:
-    """Say what recordings hold: format, columns, phases, first, last and peak samples, and warnings.
+    """Say what recordings hold, one line each: peak, depth, speed, forces in the hold, keep it or look.
 
-    Nothing is fitted, and nothing is written but the page of --html. Exit code 0 if all were read, 7 if
-    some were refused, 3 if all were.
+    -v says how each was read and divided: format, columns, phases, first, last and peak samples, and every
+    flag. Nothing is fitted, and nothing is written but what --html, --csv and --xlsx name. `tissueid FILE...`
+    is the same. Exit code 0 if all were read, 7 if some were refused, 3 if all were.
     """
     from tissueid.errors import exit_code
     from tissueid.result import Refusal
@@ -63,6 +69,7 @@ def command(**flags: Any) -> int:
     segmenting = segment_options(flags)
     described: list[dict[str, Any] | Refusal] = []
     shown: list[InspectedRecording] = []
+    earlier: dict[str, list[Measured]] = {}
     study, paths = locate_study(flags["paths"], named=flags["study"], ignore=flags["no_study"])
     root = _study_folder(flags["paths"]) if study is None else Path(study.path).resolve().parent
     with progress_bar(show=not flags["quiet"] and not flags["as_json"]) as progress:
@@ -72,19 +79,17 @@ def command(**flags: Any) -> int:
                 described.append(item)
             else:
                 page = None if flags["html"] is None else shown
-                described.append(_described(item, segmenting, study, page, root))
+                described.append(_described(item, segmenting, study, page, root, earlier))
     refused = [one for one in described if isinstance(one, Refusal)]
+    read = [one for one in described if not isinstance(one, Refusal)]
     if flags["html"] is not None:
         _write_page(flags["html"], shown, refused, root)
         note(f"wrote {flags['html']}", quiet=flags["quiet"])
+    _write_tables(read, flags)
     if flags["as_json"]:
         echo_json([one.as_json() if isinstance(one, Refusal) else one for one in described])
     else:
-        for one in described:
-            if isinstance(one, Refusal):
-                echo(f"refused ({one.code})  {one}", fg="red", err=True)
-            elif not flags["quiet"]:
-                _print(one, verbose=flags["verbose"])
+        _print_all(described, quiet=flags["quiet"], verbose=flags["verbose"])
     return exit_code({7 if len(refused) < len(described) else 3}) if refused else 0
 
 
@@ -104,18 +109,24 @@ def _described(
     study: Study | None,
     page: list[InspectedRecording] | None,
     root: Path,
+    earlier: dict[str, list[Measured]],
 ) -> dict[str, Any] | Refusal:
     """What is said of a recording, which is kept for the page where one is asked for."""
-    from tissueid.inspection import as_decided, describe_segmented, segmented
-    from tissueid.report import inspected_recording
+    from tissueid.inspection import as_decided, describe_segmented, measured_of, segmented
     from tissueid.result import Refusal
 
     trial, options, excluded = as_decided(trial, options, study)
     divided = segmented(trial, options=options)
     if isinstance(divided, Refusal):
         return divided
-    document = describe_segmented(trial, divided, excluded=excluded)
+    measured = measured_of(trial, divided, study)
+    before = earlier.setdefault(trial.specimen, [])
+    document = describe_segmented(trial, divided, excluded=excluded, measured=measured, earlier=before)
+    if excluded is None:
+        before.append(measured)
     if page is not None:
+        from tissueid.report import inspected_recording
+
         file = _relative(trial.source.path, root)
         page.append(inspected_recording(trial, divided, document, file=file, reader=_reader(document)))
     return document
@@ -147,10 +158,34 @@ def _write_page(target: str, shown: list[InspectedRecording], refused: list[Refu
     write_output(target, render_inspection(shown, refused, study=study, created=created).encode("utf-8"))
 
 
-def _print(one: dict[str, Any], *, verbose: int) -> None:
-    name = one["path"] if one["sheet"] is None else f"{one['path']} [{one['sheet']}]"
-    echo()
-    echo(name, bold=True)
+def _write_tables(read: list[dict[str, Any]], flags: dict[str, Any]) -> None:
+    from tissueid.cli.inspect_table import measured_csv, measured_xlsx
+
+    for name, written in (("csv", measured_csv), ("xlsx", measured_xlsx)):
+        if flags[name] is not None:
+            write_output(flags[name], written(read))
+            note(f"wrote {flags[name]}", quiet=flags["quiet"])
+
+
+def _print_all(described: list[dict[str, Any] | Refusal], *, quiet: int, verbose: int) -> None:
+    """A line a recording, its block with -v, and how many are to be looked at."""
+    from tissueid.cli.inspect_lines import COLOURS, recording_line, shared_folder, summary_line
+    from tissueid.result import Refusal
+
+    read = [one for one in described if not isinstance(one, Refusal)]
+    folder = shared_folder(read)
+    for one in described:
+        if isinstance(one, Refusal):
+            echo(f"refused ({one.code})  {one}", fg="red", err=True)
+        elif not quiet:
+            echo(recording_line(one, folder), fg=COLOURS[one["verdict"]["level"]], bold=bool(verbose))
+            if verbose:
+                _print(one)
+    if len(described) > 1 and not quiet:
+        echo(summary_line(read, len(described) - len(read)), bold=True)
+
+
+def _print(one: dict[str, Any]) -> None:
     echo(f"  {_reader(one)[0].lower()}{_reader(one)[1:]}")
     echo(f"  specimen    {one['specimen']}")
     if one["excluded"] is not None:
@@ -166,16 +201,15 @@ def _print(one: dict[str, Any], *, verbose: int) -> None:
     contact = one["contact"]
     if contact is not None:
         echo(f"  contact     {with_error(contact['displacement_mm'], contact['sd_mm'])} {length}")
-    _print_phases(one, length, few=None if verbose else FEW_PHASES)
-    _print_corners(one, length, few=None if verbose else FEW_CORNERS)
-    _print_cycles(one, few=None if verbose else FEW_CYCLES)
+    _print_phases(one, length)
+    _print_corners(one, length)
+    _print_cycles(one)
     for flag in one["flags"]:
         echo(f"  ! {flag['code']}: {flag['message']}", fg="yellow")
 
 
-def _print_phases(one: dict[str, Any], length: str, *, few: int | None) -> None:
-    phases = one["phases"]
-    for phase in phases[:few]:
+def _print_phases(one: dict[str, Any], length: str) -> None:
+    for phase in one["phases"]:
         line = f"  {phase['kind']:<11} {phase['start_s']:.6g} to {phase['end_s']:.6g} s"
         speed = phase["speed_mm_s"]
         if speed != 0.0:
@@ -183,31 +217,26 @@ def _print_phases(one: dict[str, Any], length: str, *, few: int | None) -> None:
         if phase["peak_s"] is not None:
             line += f", deepest at {phase['peak_s']:.6g} s"
         echo(line)
-    if few is not None and len(phases) > few:
-        echo(f"  ... and {len(phases) - few} more phases (-v prints them)")
 
 
-def _print_corners(one: dict[str, Any], length: str, *, few: int | None) -> None:
+def _print_corners(one: dict[str, Any], length: str) -> None:
     from tissueid.report.event_words import event_words, took
 
-    corners = one["corners"]
-    for corner in corners[:few]:
+    for corner in one["corners"]:
         line = f"  stop        at {corner['time_s']:.6g} s, {took(corner['duration_s'])}"
         if corner["overshoot_mm"] > 0.0:
             line += f", overshoot {corner['overshoot_mm']:.2g} {length}"
         if corner["ringing_swings"] > 1:
             line += f", rings {corner['ringing_swings']} times"
         echo(line)
-    if few is not None and len(corners) > few:
-        echo(f"  ... and {len(corners) - few} more stops (-v prints them)")
     for event in one["events"]:
         words = event_words(event["values"], one["units"])
         echo(f"  {event['kind'].replace('_', ' '):<11} at {event['time_s']:.6g} s: {words}")
 
 
-def _print_cycles(one: dict[str, Any], *, few: int | None) -> None:
+def _print_cycles(one: dict[str, Any]) -> None:
     length, force = (one["units"][key] for key in ("length", "force"))
-    for cycle in one["cycles"][:few]:
+    for cycle in one["cycles"]:
         parts = [
             f"{words} {cycle[key]['value']:.4g}{unit}"
             for key, words, unit in (
@@ -218,5 +247,3 @@ def _print_cycles(one: dict[str, Any], *, few: int | None) -> None:
             if cycle[key]["value"] is not None
         ]
         echo(f"  loop {cycle['number']:<6} to {cycle['peak_depth_mm']:.4g} {length}: {', '.join(parts)}")
-    if few is not None and len(one["cycles"]) > few:
-        echo(f"  ... and {len(one['cycles']) - few} more loops (-v prints them)")

@@ -22,7 +22,7 @@ from tissueid.errors import EXIT_INTERRUPTED
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
-__all__ = ["cli", "main"]
+__all__ = ["cli", "main", "with_verb"]
 
 #: Sub-command -> what it does; its module is ``tissueid.cli.<name>_command``.
 COMMANDS = {
@@ -66,7 +66,7 @@ HELP = frozenset({"-h", "--help"})
 
 EPILOG = """\b
 Examples:
-  tissueid inspect lab_data/*.csv
+  tissueid lab_data/*.csv
   tissueid fit lab_data/ -o out
   tissueid report out
 """
@@ -112,7 +112,7 @@ class LazyGroup(click.Group):
 
             near = get_close_matches(name, COMMANDS, n=1)
             hint = f" Did you mean {near[0]!r}?" if near else ""
-            ctx.fail(f"No such command {name!r}.{hint}")
+            ctx.fail(f"No such command, file or folder {name!r}.{hint}")
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -127,6 +127,8 @@ class LazyGroup(click.Group):
 @click.pass_context
 def cli(context: click.Context) -> None:
     """Identify the contact mechanics of soft tissue from test-machine recordings.
+
+    `tissueid FILE...` says what recordings hold, as `tissueid inspect FILE...` does.
 
     Reads exports of Instron Bluehill, Zwick testXpert, spreadsheets and plain CSV; fits a modified
     Kelvin-Voigt contact model; writes numbers with intervals, an HTML report, and a bundle that a
@@ -147,6 +149,26 @@ def _settings(name: str) -> dict[str, Any]:
     if command is None:
         return {}
     return as_default_map(settings_of(command, (name,), settings_files(), cli), command, (name,))
+
+
+def with_verb(args: list[str]) -> list[str]:
+    """``inspect`` before arguments that begin with a recording, or with an option and name one.
+
+    A command goes before a file of its name; ``./fit`` is the file.
+    """
+    if not args or args[0] in COMMANDS or args[0] in {*HELP, "--version"}:
+        return args
+    if next((arg for arg in args if not arg.startswith("-")), None) in COMMANDS:
+        return args
+    looked = args[1:] if args[0].startswith("-") else args[:1]
+    return ["inspect", *args] if any(_is_recording(arg) for arg in looked) else args
+
+
+def _is_recording(arg: str) -> bool:
+    """Whether an argument is there as a file or folder, or is written as one."""
+    name = arg.partition("::")[0]
+    written = os.sep in name or "/" in name or "." in name
+    return not name.startswith("-") and (os.path.lexists(name) or (written and "=" not in name))
 
 
 def _verbose(args: list[str]) -> bool:
@@ -199,7 +221,7 @@ def main(args: list[str] | None = None) -> int:
     """
     from tissueid.errors import TissueidError
 
-    args = sys.argv[1:] if args is None else args
+    args = with_verb(sys.argv[1:] if args is None else args)
     try:
         outcome = cli.main(args=args, prog_name="tissueid", standalone_mode=False, obj=args)
         sys.stdout.flush()

@@ -1,17 +1,13 @@
-"""One or two lines of ``fit`` on the numbers people quote; the report and the JSON have them all."""
+"""One or two lines of ``fit`` on what people quote of the model; the report and the JSON have them all."""
 
 from __future__ import annotations
 
-import statistics
 from collections.abc import Mapping
 from typing import Any
 
 from tissueid.digits import with_error
 
 __all__ = ["quoted_lines"]
-
-#: The model's share of the peak stands beside the measured one where it differs by this part of it.
-APART, LEAST_SHARE = 0.1, 0.05
 
 
 def _said(one: Mapping[str, Any], words: str) -> str:
@@ -23,8 +19,8 @@ def _known(rows: list[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
     return [one for one in rows if one["value"] is not None]
 
 
-def quoted_lines(document: Mapping[str, Any], *, verbose: int = 1) -> list[str]:
-    """Relaxation and modulus in one line each, where there are any.
+def quoted_lines(document: Mapping[str, Any]) -> list[str]:
+    """Modulus and loops in one line each, where there are any.
 
     Parameters
     ----------
@@ -36,7 +32,6 @@ def quoted_lines(document: Mapping[str, Any], *, verbose: int = 1) -> list[str]:
     lines: list[str] = []
     quoted = document["quoted"]
     if quoted is not None:
-        lines += _relaxed_lines(quoted, verbose=verbose)
         moduli = _known(quoted["moduli"])
         if moduli:
             depth = max(float(one["at"]["depth_mm"]) for one in moduli)
@@ -48,43 +43,6 @@ def quoted_lines(document: Mapping[str, Any], *, verbose: int = 1) -> list[str]:
     if document["cycles"]:
         lines.append(_loops(document["cycles"]))
     return lines
-
-
-def _relaxed_lines(quoted: Mapping[str, Any], *, verbose: int) -> list[str]:
-    """Measured shares of the peak that have relaxed, and the model's beside them where they differ."""
-    measured: dict[float, list[float]] = {}
-    for one in _known(quoted["measured"]):
-        if one["name"] == "fraction_relaxed":
-            measured.setdefault(float(one["at"]["time_s"]), []).append(float(one["value"]))
-    model = {
-        float(one["at"]["time_s"]): one
-        for one in _known(quoted["model"])
-        if one["name"] == "fraction_relaxed" and one["at"]["path"] == "ramp"
-    }
-    lines = []
-    if measured:
-        parts = [f"{time:g} s: {_middle(values)}" for time, values in sorted(measured.items())]
-        lines.append(f"relaxed after the ramp, measured  {', '.join(parts)}")
-    apart = [
-        _said(one, f"{time:g} s:")
-        for time, one in sorted(model.items())
-        if time not in measured or _differs(float(one["value"]), statistics.median(measured[time]))
-    ]
-    if apart and (verbose or not measured):
-        lines.append(
-            f"{'but by' if measured else 'relaxed after the ramp, by'} the model  {', '.join(apart)}"
-        )
-    return lines
-
-
-def _middle(values: list[float]) -> str:
-    """Median of the logs, and their range."""
-    middle = f"{statistics.median(values):.3g}"
-    return middle if len(values) == 1 else f"{middle} ({min(values):.3g} to {max(values):.3g})"
-
-
-def _differs(model: float, measured: float) -> bool:
-    return abs(model - measured) > APART * max(abs(measured), LEAST_SHARE)
 
 
 def _loops(cycles: list[Mapping[str, Any]]) -> str:

@@ -10,7 +10,7 @@ import click
 from tissueid.errors import UsageError
 
 if TYPE_CHECKING:
-    from tissueid.fit.material import Geometry
+    from tissueid.measured.geometry import Geometry
 
 __all__ = ["quoting_options", "quoting_values"]
 
@@ -59,7 +59,7 @@ def _numbers(text: str | None, option: str) -> tuple[float, ...]:
 
 def _geometry(flags: dict[str, Any]) -> Geometry | None:
     """Tip and thickness as typed."""
-    from tissueid.fit.material import Geometry
+    from tissueid.measured.geometry import Geometry
     from tissueid.model.moduli import Indenter
 
     if flags["tip"] is None:

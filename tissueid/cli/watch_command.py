@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from tissueid.errors import InputError
     from tissueid.ingest import ReadOptions
     from tissueid.manifest import Study
+    from tissueid.measures import Measured
     from tissueid.segment import SegmentOptions
     from tissueid.trial import Trial
     from tissueid.watch.session import Happening, WatchSession
@@ -49,7 +50,7 @@ LOOKS = 2
     help="Folder for watch.jsonl, from which a later watch goes on.",
 )
 @click.option(
-    "--interval", type=click.FloatRange(min=SHORTEST_INTERVAL_S), default=2.0, show_default=True, metavar="S",
+    "--interval", type=click.FloatRange(min=SHORTEST_INTERVAL_S), default=1.0, show_default=True, metavar="S",
     help="Seconds between two looks; a file is judged when two looks find it the same.",
 )  # fmt: skip
 @click.option("--once", is_flag=True, help="Judge what is there, and end.")
@@ -69,7 +70,8 @@ LOOKS = 2
 def command(**flags: Any) -> int:
     """Watch a folder beside the machine, and give a verdict after each test.
 
-    A new recording is judged as soon as it is whole: contact, length of the hold, whether the relaxation time
+    A new recording has its line, what was measured and keep it or push again, as soon as it is whole. Then it
+    is judged: contact, length of the hold, whether the relaxation time
     can be told, flags, a quick fit, how the force compares with earlier tests of the specimen, and whether to
     repeat the test. With --json each verdict is one line. Ctrl-C ends with a summary.
     """
@@ -122,6 +124,7 @@ def _session(flags: dict[str, Any]) -> WatchSession:
             raise UsageError(msg) from error
     study, _ = locate_study([flags["folder"]], named=flags["study"], ignore=flags["no_study"])
     specimen = folder.resolve().name if flags["same_specimen"] else None
+    say = None if flags["as_json"] or flags["quiet"] else _FirstWord()
     watch = FolderWatch(lambda: _recordings(folder))
     if flags["new_only"]:
         there = {path: mark for path in _recordings(folder) if (mark := fingerprint(path)) is not None}
@@ -129,7 +132,7 @@ def _session(flags: dict[str, Any]) -> WatchSession:
     return WatchSession(
         watch,
         lambda path: _trials(path, reading, study, specimen),
-        lambda trial, earlier: _judged(trial, earlier, segmenting, study, fit=not flags["no_fit"]),
+        lambda trial, earlier: _judged(trial, earlier, segmenting, study, say, fit=not flags["no_fit"]),
         log,
         [] if log is None else load_log(log),
     )
@@ -160,14 +163,46 @@ def _trials(
         yield replace(item, specimen=specimen) if specimen is not None and isinstance(item, Trial) else item
 
 
+class _FirstWord:
+    """One line on a recording as soon as it is measured: the fit that follows may take longer."""
+
+    def __init__(self) -> None:
+        self._earlier: dict[str, list[Measured]] = {}
+
+    def __call__(
+        self, trial: Trial, options: SegmentOptions, study: Study | None, excluded: str | None
+    ) -> None:
+        """Say what ``inspect`` says of it."""
+        from tissueid.cli.inspect_lines import COLOURS, recording_line
+        from tissueid.inspection import describe_segmented, measured_of, segmented
+        from tissueid.result import Refusal
+
+        divided = segmented(trial, options=options)
+        if isinstance(divided, Refusal):
+            return
+        measured = measured_of(trial, divided, study)
+        before = self._earlier.setdefault(trial.specimen, [])
+        one = describe_segmented(trial, divided, excluded=excluded, measured=measured, earlier=before)
+        before.append(measured)
+        echo(recording_line(one), fg=COLOURS[one["verdict"]["level"]])
+
+
 def _judged(
-    trial: Trial, earlier: Iterable[Verdict], options: SegmentOptions, study: Study | None, *, fit: bool
+    trial: Trial,
+    earlier: Iterable[Verdict],
+    options: SegmentOptions,
+    study: Study | None,
+    say: _FirstWord | None,
+    *,
+    fit: bool,
 ) -> Verdict:
     """The verdict after what the study says of the trial; an excluded one is not asked for again."""
     from tissueid.inspection import as_decided
     from tissueid.watch import judge
 
     trial, options, excluded = as_decided(trial, options, study)
+    if say is not None:
+        say(trial, options, study, excluded)
     verdict = judge(trial, earlier, options=options, fit=fit)
     if excluded is not None:
         told = f"study.toml takes this test out, because: {excluded}"

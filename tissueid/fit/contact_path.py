@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.fit.window import usable_until
+from tissueid.measured.pushes import usable_until
 from tissueid.trial import Segmentation, Trial, contact_frame
 
 __all__ = ["ContactLog", "contact_log"]

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from tissueid.fit.cycles import end_of_loading, polynomial_at
+from tissueid.measured.cycles import end_of_loading, polynomial_at
 from tissueid.quantities import Quantity, Spectrum
 from tissueid.trial import Phase, Segmentation, Trial, contact_frame
 

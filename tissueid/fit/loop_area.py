@@ -1,6 +1,6 @@
 """Viscosity for which a fitted tissue has the measured area of a loop, its relaxation times kept.
 
-The closed form of :mod:`tissueid.fit.cycles` holds where the path is slow against the relaxation times.
+The closed form of :mod:`tissueid.measured.cycles` holds where the path is slow against the relaxation times.
 Here the model itself walks the measured path, contact loss and all, with every K times the same factor;
 the factor that gives the measured area, found on a grid, scales the viscosity of all branches together.
 """
@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-from tissueid.fit.cycles import closed_area
 from tissueid.fit.trials import Adjustment
+from tissueid.measured.cycles import closed_area
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.model.kernels import surface_path
 from tissueid.quantities import CycleRow, Measure

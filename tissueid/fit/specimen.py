@@ -17,7 +17,7 @@ from tissueid.fit.agreement import both_optimisers
 from tissueid.fit.candidates import Candidate, Solution, SpecimenSums, fit_candidate, sum_of_logs
 from tissueid.fit.estimates import TissueEstimate, estimate_tissue, in_field_units
 from tissueid.fit.logs import LogHandle, refine_contacts, specimen_sums
-from tissueid.fit.material import DEFAULT_POISSON, Geometry, with_moduli
+from tissueid.fit.material import with_moduli
 from tissueid.fit.one_log_choice import choose_for_one_log
 from tissueid.fit.quoted import quoted_numbers
 from tissueid.fit.rounds import Followed, follow_surfaces, unloading_handles, unloading_verdict
@@ -30,6 +30,8 @@ from tissueid.fit.verdict import discrepancy_flags, one_program, specimen_flags
 from tissueid.fit.whitening import Whitened, optimum_of, whiten
 from tissueid.likelihood.linearise import Optimum
 from tissueid.likelihood.sums import N_STATIC, reduction
+from tissueid.measured import spread
+from tissueid.measured.geometry import DEFAULT_POISSON, Geometry, TipOf
 from tissueid.model.kelvin_voigt import KEY, STATIC_DEGREE, KelvinVoigt
 from tissueid.result import ModelChoice, SpecimenFit
 
@@ -76,6 +78,8 @@ class FitOptions:
         Tip (and thickness) of this specimen, for its moduli.
     poisson : float
         Poisson's ratio where a study gives the tip.
+    header_tip : bool
+        Take the tip of a recording's header where there is no geometry.
     unloading : bool
         Fit retracts and cycles as well, with the law of contact loss (:mod:`tissueid.fit.rounds`).
     noise : str
@@ -90,6 +94,7 @@ class FitOptions:
     frequencies_Hz: tuple[float, ...] = ()
     geometry: Geometry | None = None
     poisson: float = DEFAULT_POISSON
+    header_tip: bool = True
     noise: str = "auto"
 
 
@@ -364,6 +369,7 @@ def _described(
         noise=whitened.noise,
         tempering=whitened.tempering,
         depths_mm=options.depths_mm,
+        tip=TipOf(options.geometry, options.header_tip),
     )
     sigma = whitened.noise.sigma_N
     facts = [handle.facts for handle in handles]
@@ -417,6 +423,7 @@ def _described(
         flags=flags,
         unloading=unloading,
         cycles=told.cycles,
+        measured=spread([trial.measured for trial in told.trials if trial.measured is not None]),
         quoted=quoted,
     )
     return FittedSpecimen(

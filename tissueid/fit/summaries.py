@@ -10,17 +10,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tissueid.fit.cycles import cycle_rows
 from tissueid.fit.estimates import TissueEstimate
 from tissueid.fit.holds import HoldNumbers, hold_numbers
 from tissueid.fit.logs import MAX_WORKERS, LogHandle
 from tissueid.fit.loop_area import with_model_viscosity
-from tissueid.fit.relaxation import relaxation_rows
 from tissueid.fit.residual_blocks import ResidualBlocks, residual_blocks
 from tissueid.fit.residual_summary import residual_summary
 from tissueid.fit.trials import Adjustment, ResidualTotals, model_force, summarise_trial
 from tissueid.fit.window import FittedLog
 from tissueid.likelihood.knots import KnotSums, knot_sums
+from tissueid.measured import measure
+from tissueid.measured.cycles import cycle_rows
+from tissueid.measured.geometry import NO_TIP, TipOf
+from tissueid.measured.relaxation import relaxation_rows
 from tissueid.processors import threads
 from tissueid.quantities import CycleRow, RelaxationRow
 from tissueid.result import Nrmsd, TrialFit
@@ -79,6 +81,7 @@ def second_pass(
     noise: NoiseFit,
     tempering: float = 1.0,
     depths_mm: Sequence[float] = (),
+    tip: TipOf = NO_TIP,
 ) -> Summaries:
     """Load every log once more and keep what a report needs of it; the logs are looked at in threads.
 
@@ -96,6 +99,8 @@ def second_pass(
         Samples that one counts for in these sums.
     depths_mm : sequence of float
         Depths at which the stiffness of each loop is wanted.
+    tip : TipOf
+        For the moduli of what is measured.
     """
     workers = threads(min(len(handles), MAX_WORKERS))
     running: deque[Future[_OneLog]] = deque()
@@ -105,7 +110,9 @@ def second_pass(
             trial, log = handle.fitted()
             tick(f"residuals of {trial.name}")
             running.append(
-                pool.submit(_one_log, trial, handle.segmentation, log, adjustment, tissue, noise, depths_mm)
+                pool.submit(
+                    _one_log, trial, handle.segmentation, log, adjustment, tissue, noise, depths_mm, tip
+                )
             )
             while len(running) > workers:
                 found.append(running.popleft().result())
@@ -139,6 +146,7 @@ def _one_log(
     tissue: TissueEstimate,
     noise: NoiseFit,
     depths_mm: Sequence[float],
+    tip: TipOf,
 ) -> _OneLog:
     """What is kept of one log; it touches nothing else, so that logs may be looked at in threads."""
     model, theta = tissue.model, tissue.theta
@@ -150,7 +158,7 @@ def _one_log(
     told = summarise_trial(trial, segmentation, log, fitted=fitted, adjustment=adjustment, totals=totals)
     return _OneLog(
         totals=totals,
-        trial=replace(told, residual=summary),
+        trial=replace(told, residual=summary, measured=measure(trial, segmentation, geometry=tip.of(trial))),
         relaxation=relaxation_rows(trial, segmentation),
         cycles=tuple(with_model_viscosity(trial, segmentation, cycles, model, theta, adjustment)),
         holds=hold_numbers(trial, segmentation),

@@ -1,4 +1,4 @@
-"""The second pass over a log: residual summaries and a decimated curve, after which it is not needed."""
+"""The second pass over a log: residual summaries and the curve to be drawn, after which it is not needed."""
 
 from __future__ import annotations
 
@@ -17,12 +17,13 @@ from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.result import Curve, TrialFit
 from tissueid.trial import Segmentation, Trial
 
-__all__ = ["Adjustment", "ResidualTotals", "model_force", "summarise_trial"]
+__all__ = ["Adjustment", "ResidualTotals", "kept_samples", "model_force", "summarise_trial"]
 
 FloatArray = NDArray[np.float64]
 
-#: Points a kept curve has at most; the extremes of every bin are kept, so peaks and corners stay.
-CURVE_POINTS = 700
+#: Points a kept curve has at most: every sample of 100 s at 100 Hz, seven a pixel of a wide screen.  Of
+#: longer logs the extremes of every bin are kept, so peaks and corners stay.
+CURVE_POINTS = 10_000
 #: Of them, behind the corner of a hold, evenly in the logarithm of the time since.
 CORNER_POINTS = 32
 RESIDUAL_SHARE = 0.05
@@ -89,28 +90,50 @@ def model_force(model: KelvinVoigt, theta: FloatArray, log: FittedLog, adjustmen
     return np.asarray(adjustment.gain * (model.static_force(theta, shifted) + dynamic))
 
 
-def _after_corners(corners: Sequence[tuple[int, int]]) -> set[int]:
+def _after_corners(corners: Sequence[tuple[int, int]], most: int) -> set[int]:
     """Samples at geometric distances behind each corner: relaxation is fastest there.
 
     Parameters
     ----------
     corners : sequence of (int, int)
         First sample of a hold, and the one after its last.
+    most : int
+        Points of the whole curve.
     """
     keep: set[int] = set()
-    for start, stop in corners[: CURVE_POINTS // (3 * CORNER_POINTS)]:
+    for start, stop in corners[: most // (3 * CORNER_POINTS)]:
         behind = np.geomspace(1.0, max(stop - start - 1, 1), CORNER_POINTS - 1).round().astype(np.int64)
         keep |= {start, *(start + behind).tolist()}
     return keep
 
 
-def _kept(force: FloatArray, depth: FloatArray, corners: Sequence[tuple[int, int]] = ()) -> NDArray[np.int64]:
-    """Samples to keep: ends, the extremes of force and depth in every bin, and what follows the corners."""
+def kept_samples(
+    force: FloatArray,
+    depth: FloatArray,
+    corners: Sequence[tuple[int, int]] = (),
+    *,
+    most: int = CURVE_POINTS,
+) -> NDArray[np.int64]:
+    """Samples to keep: ends, the extremes of force and depth in every bin, and what follows the corners.
+
+    Parameters
+    ----------
+    force, depth : ndarray, shape (n,)
+    corners : sequence of (int, int), optional
+        First sample of each hold, and the one after its last.
+    most : int, optional
+        All are kept up to so many.
+
+    Returns
+    -------
+    ndarray of int
+        Ascending.
+    """
     n = force.size
-    if n <= CURVE_POINTS:
+    if n <= most:
         return np.arange(n)
-    keep = {0, n - 1} | {i for i in _after_corners(corners) if 0 <= i < n}
-    edges = np.linspace(0, n, (CURVE_POINTS - len(keep)) // 4 + 1).astype(np.int64)
+    keep = {0, n - 1} | {i for i in _after_corners(corners, most) if 0 <= i < n}
+    edges = np.linspace(0, n, (most - len(keep)) // 4 + 1).astype(np.int64)
     for first, last in pairwise(edges.tolist()):
         keep |= {first, first + int(np.argmin(force[first:last])), first + int(np.argmax(force[first:last]))}
         keep.add(first + int(np.argmax(depth[first:last])))
@@ -202,7 +225,7 @@ def summarise_trial(
     acf = lag_one_correlation(residual)
     first = log.first - int(log.inserted)
     corners = [(phase.start - first, phase.stop - first) for phase in segmentation.of_kind("hold")]
-    keep = _kept(data.force_N, data.depth_mm, corners)
+    keep = kept_samples(data.force_N, data.depth_mm, corners)
     return TrialFit(
         path=trial.source.path,
         sheet=trial.source.sheet,

@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 
 from tissueid.likelihood.chains import chain_breaks
 from tissueid.likelihood.sums import LogData
+from tissueid.measured.pushes import usable_until
 from tissueid.trial import Phase, Segmentation, Trial, contact_frame
 
-__all__ = ["FittedLog", "assign_folds", "first_turn", "fitted_log", "usable_until", "with_contact"]
+__all__ = ["FittedLog", "assign_folds", "first_turn", "fitted_log", "with_contact"]
 
 FloatArray = NDArray[np.float64]
 
@@ -87,13 +88,6 @@ class FittedLog:
     def duration_s(self) -> float:
         """From contact to the last fitted sample [s]."""
         return float(self.data.time_s[-1] - self.data.time_s[0])
-
-
-def usable_until(segmentation: Segmentation, size: int) -> int:
-    """One past the last sample that may be fitted at all: the first rupture, or the end of the phases."""
-    end = segmentation.phases[-1].stop if segmentation.phases else size
-    ruptures = (event.index + 1 for event in segmentation.events if event.kind == "rupture")
-    return min([end, *ruptures])
 
 
 def _first_phase(segmentation: Segmentation) -> int:

@@ -1,17 +1,11 @@
-"""Contact models: pure functions and frozen objects that identification and rendering share."""
+"""Contact models: pure functions and frozen objects that identification and rendering share.
+
+Loaded on first use: a first look at a recording needs a tip's formula and no compiled law.
+"""
 
 from __future__ import annotations
 
-from tissueid.model.base import (
-    ContactModel,
-    ContactPath,
-    ParameterSpec,
-    Stepper,
-    build_model,
-    model_keys,
-)
-from tissueid.model.impact import HertzImpact
-from tissueid.model.kelvin_voigt import KelvinVoigt
+from typing import TYPE_CHECKING, Any
 
 __all__ = [
     "ContactModel",
@@ -23,3 +17,25 @@ __all__ = [
     "build_model",
     "model_keys",
 ]
+
+if TYPE_CHECKING:
+    from tissueid.model.base import (
+        ContactModel,
+        ContactPath,
+        ParameterSpec,
+        Stepper,
+        build_model,
+        model_keys,
+    )
+    from tissueid.model.impact import HertzImpact
+    from tissueid.model.kelvin_voigt import KelvinVoigt
+
+
+def __getattr__(name: str) -> Any:
+    if name in __all__:
+        # every law, because each registers itself under its key
+        from tissueid.model import base, impact, kelvin_voigt
+
+        return next(getattr(module, name) for module in (base, impact, kelvin_voigt) if hasattr(module, name))
+    msg = f"module 'tissueid.model' has no attribute {name!r}"
+    raise AttributeError(msg)

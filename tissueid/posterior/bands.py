@@ -1,8 +1,8 @@
 """Where a new recording of the same trial would lie: predictive bands along the curves that are kept.
 
-Each draw's force is worked out along the decimated path of a curve and compared there with the force of the
-optimum; only the difference is used, so that what the decimation does to the force cancels.  The spread of
-the draws and the noise of the force make the band, as variances::
+Each draw's force is worked out along some hundred samples of a curve and compared there with the force of the
+optimum; only the difference is used, so that what is left out of the path cancels, and it is straight in time
+between them.  The spread of the draws and the noise of the force make the band, as variances::
 
     model + mean difference +- 1.96 sqrt(variance of the differences + sigma^2)
 
@@ -17,7 +17,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.fit.trials import Adjustment
+from tissueid.fit.trials import Adjustment, kept_samples
 from tissueid.model.base import ContactPath
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.posterior.target import Redrawn
@@ -29,6 +29,8 @@ FloatArray = NDArray[np.float64]
 
 #: Draws behind a band: its spread is then known to 9 %, and the noise is the larger part.
 BAND_DRAWS = 64
+#: Samples of a curve at which draws are compared.
+BAND_POINTS = 700
 TWO_SIDED_95 = 1.96
 
 
@@ -42,6 +44,14 @@ def _forces(
     x = curve.depth_mm - offset_mm[:, None]
     dynamic = (stiffness @ x[:, None] ** np.arange(stiffness.shape[2])[:, None] * states).sum(axis=1)
     return np.asarray(gain[:, None] * (_cubic(static, x) + dynamic))
+
+
+def _at(curve: Curve, index: NDArray[np.int64]) -> Curve:
+    """Some samples of a curve."""
+    time, depth, force, model = (
+        part[index] for part in (curve.time_s, curve.depth_mm, curve.force_N, curve.model_N)
+    )
+    return Curve(time, depth, force, model, curve.fitted[index])
 
 
 def _cubic(static: FloatArray, x: FloatArray) -> FloatArray:
@@ -84,10 +94,12 @@ def predictive_bands(
         curve, own = trial.curve, adjustment.contact_offset_mm
         shift, spread = np.zeros(curve.time_s.size), np.zeros(curve.time_s.size)
         if adjustment.static is None:
-            best = _forces(model, theta[None], curve, np.array([adjustment.gain]), np.array([own]))
-            change = _forces(model, drawn.theta[rows], curve, drawn.gain[rows, i], drawn.offset_mm[rows, i])
+            few = _at(curve, kept_samples(curve.force_N, curve.depth_mm, most=BAND_POINTS))
+            best = _forces(model, theta[None], few, np.array([adjustment.gain]), np.array([own]))
+            change = _forces(model, drawn.theta[rows], few, drawn.gain[rows, i], drawn.offset_mm[rows, i])
             change -= best
-            shift, spread = change.mean(axis=0), change.var(axis=0)
+            shift = np.interp(curve.time_s, few.time_s, change.mean(axis=0))
+            spread = np.interp(curve.time_s, few.time_s, change.var(axis=0))
         half = TWO_SIDED_95 * np.sqrt(spread + sigma_N**2)
         middle = curve.model_N + shift
         bands[trial.path, trial.sheet] = np.stack([middle - half, middle, middle + half])

@@ -20,16 +20,21 @@ from tissueid.result import Curve
 from tissueid.store.curves import TrialCurve
 from tissueid.store.posteriors import StoredPosterior
 
-__all__ = ["CURVE_BYTES", "curve_payload", "curves_by_trial", "packed", "quantised", "thinned"]
+__all__ = ["curve_bytes", "curve_payload", "curves_by_trial", "packed", "quantised", "thinned"]
 
-#: Bytes that the curves of a page may take in all, so that it stays below 7 MB with its script of 4.8 MB; a
-#: sample takes 23, and 33 with a band.
-CURVE_BYTES = 900_000
+#: Bytes that the curves of a page may take in all, so that it stays below 7 MB: of one specimen, and of many,
+#: whose draws need room; a sample takes 23, and 33 with a band.
+_BYTES_OF_ONE, _BYTES_OF_MANY = 3_300_000, 900_000
 _SAMPLE_BYTES, _BANDED_BYTES = 23, 33
 _FEWEST_A_TRIAL = 40
 _KEPT_A_BUCKET = 4
 #: Steps of a column that is packed in 16 bits.
 _STEPS = 65_535
+
+
+def curve_bytes(specimens: int) -> int:
+    """Bytes for all curves of a page of so many specimens."""
+    return _BYTES_OF_MANY + (_BYTES_OF_ONE - _BYTES_OF_MANY) // max(specimens, 1)
 
 
 def thinned(curve: Curve, most: int) -> NDArray[np.intp]:
@@ -129,7 +134,7 @@ def curve_payload(
         and ``low, high`` (float32: N) where there is a band.
     """
     bands = {(one.specimen, *trial): band for one in posteriors for trial, band in one.bands.items()}
-    most = CURVE_BYTES // (_BANDED_BYTES if bands else _SAMPLE_BYTES)
+    most = curve_bytes(len(specimens)) // (_BANDED_BYTES if bands else _SAMPLE_BYTES)
     share = max(most // max(len(curves), 1), _FEWEST_A_TRIAL)
     return [
         [

@@ -1,4 +1,4 @@
-"""The numbers behind the figures of a specimen's law: its parts, holds, residuals, spectra and profiles."""
+"""The numbers behind the figures of a specimen's law: groups of curves, parts, holds, residuals, profiles."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.report.figures import curves_by_trial
+from tissueid.report.groups import curve_groups
 from tissueid.report.remarks import trial_label
 from tissueid.report.speeds import SpeedGroup, peaks_payload, speed_groups
 from tissueid.report.tissue import ENDS, Tissue, brief, tissue_of
@@ -162,14 +163,6 @@ def _together(summaries: Sequence[ResidualSummary]) -> dict[str, Any]:
     }
 
 
-def _spectra(specimen: Mapping[str, Any]) -> list[dict[str, Any]]:
-    quoted = specimen["quoted"]
-    return [
-        {"label": trial_label(one), "tau": brief(one["tau_s"]), "amplitude": brief(one["amplitude_N"])}
-        for one in (quoted["spectra"] if quoted else [])
-    ]
-
-
 def _profiles(specimen: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Profile likelihood of every relaxation time that carries one."""
     found = []
@@ -208,7 +201,7 @@ def law_payload(
     Returns
     -------
     list of dict
-        ``speeds`` (label, trials), ``parts``, ``peaks``, ``holds``, ``residuals``, ``spectra``, ``profiles``;
+        ``speeds`` (label, trials), ``groups``, ``parts``, ``peaks``, ``holds``, ``residuals``, ``profiles``;
         ``parts`` and ``residuals`` are ``None`` where they are not known.
     """
     sampled = {one.specimen: one for one in posteriors}
@@ -219,13 +212,13 @@ def law_payload(
         payload.append(
             {
                 "speeds": [{"label": group.label, "trials": list(group.members)} for group in groups],
+                "groups": curve_groups([trials], specimen["units"]),
                 "parts": None
                 if tissue is None
                 else _parts(tissue, groups, COARSE if len(specimens) >= MANY else GRID),
                 "peaks": peaks_payload(specimen, trials, tissue),
                 "holds": _holds(specimen, trials),
                 "residuals": _residuals(specimen, trials),
-                "spectra": _spectra(specimen),
                 "profiles": _profiles(specimen),
             }
         )

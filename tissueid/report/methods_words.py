@@ -29,11 +29,11 @@ _NOISE: Mapping[str, str] = {
 }
 _NUMBERS = ("no", "one", "two", "three")
 _FOLD = ("constant", "linear in depth", "quadratic in depth")
-#: Libraries whose authors ask to be cited, with the DOI of their paper.
-_LIBRARIES: Mapping[str, tuple[str, str]] = {
-    "emcee": ("Foreman-Mackey et al. 2013", "10.1086/670067"),
-    "numpy": ("Harris et al. 2020", "10.1038/s41586-020-2649-2"),
-    "scipy": ("Virtanen et al. 2020", "10.1038/s41592-019-0686-2"),
+#: Libraries whose authors ask to be cited.
+_LIBRARIES: Mapping[str, str] = {
+    "emcee": "Foreman-Mackey et al. 2013, doi 10.1086/670067",
+    "numpy": "Harris et al. 2020, doi 10.1038/s41586-020-2649-2",
+    "scipy": "Virtanen et al. 2020, doi 10.1038/s41592-019-0686-2",
 }
 
 
@@ -65,46 +65,89 @@ def _recordings(specimen: Mapping[str, Any], run: Mapping[str, Any]) -> str:
     return (
         f"{len(trials)} indentation trial{'s' if len(trials) != 1 else ''} of specimen "
         f"{specimen['specimen']}{holds} loaded at {speed} {units['length']}/s to {deep} "
-        f"({specimen['n_samples']:,} samples) were analysed with tissueid {run['provenance']['tissueid']}."
+        f"({specimen['n_samples']:,} samples) were analysed with {_programs(run)}."
     )
+
+
+def _programs(run: Mapping[str, Any]) -> str:
+    """The program and the libraries behind it, with their versions and papers."""
+    known = run["provenance"].get("versions", {})
+    names = [f"{name} {version}{_cited(name)}" for name, version in sorted(known.items())]
+    return f"tissueid {run['provenance']['tissueid']}" + (f" ({', '.join(names)})" if names else "")
+
+
+def _cited(name: str) -> str:
+    return f" [{_LIBRARIES[name]}]" if name in _LIBRARIES else ""
 
 
 def _model_words(specimen: Mapping[str, Any]) -> str:
     model = specimen["model"]
     count = model["branches"]
     return (
-        f"with {_NUMBERS[count]} relaxing branch{'es' if count != 1 else ''} whose stiffness is "
-        f"{_FOLD[model['stiffness_degree']]}"
+        f"with a static force of degree {model['static_degree']} and {_NUMBERS[count]} relaxing "
+        f"branch{'es' if count != 1 else ''} whose stiffness is {_FOLD[model['stiffness_degree']]} "
+        f"(degree {model['stiffness_degree']})"
     )
 
 
-def _fit_words(specimen: Mapping[str, Any]) -> str:
-    model = specimen["model"]
-    chosen = (
-        "The number of branches and the degree of K were chosen by predicting data that were held out. "
-        if specimen["selection"]
-        else "The number of branches and the degree of K were set in advance. "
-    )
+def _choice_words(specimen: Mapping[str, Any], options: Mapping[str, Any]) -> str:
+    """How the number of branches and the degree of K came about."""
+    wanted = {"branches": "the number of branches", "stiffness_degree": "the degree of K"}
+    free = [words for key, words in wanted.items() if options.get(key, "auto") == "auto"]
+    if not free or not specimen["selection"]:
+        return "The number of branches and the degree of K were set in advance."
+    words = " and ".join(free)
+    told = f"{words[0].upper()}{words[1:]} {'were' if len(free) > 1 else 'was'} chosen by predicting data"
+    given = [words for words in wanted.values() if words not in free]
+    return f"{told} that were held out" + "".join(f"; {one} was set in advance" for one in given) + "."
+
+
+def _noise_words(specimen: Mapping[str, Any], options: Mapping[str, Any]) -> str:
     noise = specimen["noise"]
-    assumed = _NOISE[noise["model"]] if noise is not None else "white noise"
-    missed = ""
-    if noise is not None and noise["samples_per_independent"] > 1.0:
-        unit = specimen["units"]["force"]
-        missed = (
-            f" The residual, {number(noise['sigma_N'], 2)} {unit}, is no noise of these recordings: where "
-            f"nothing happens they show {number(noise['measured_N'], 2)} {unit}. Intervals count "
-            f"{number(noise['samples_per_independent'], 2)} samples as an independent one."
-        )
+    assumed = _NOISE[noise["model"]] if noise is not None else _NOISE["white"]
+    found = " (found from the residuals)" if options.get("noise") == "auto" else ""
+    return f"under {assumed} of the force{found}"
+
+
+def _missed_words(specimen: Mapping[str, Any]) -> str:
+    """What the model misses beside the noise, and what that does to the intervals."""
+    noise = specimen["noise"]
+    if noise is None or noise["samples_per_independent"] <= 1.0:
+        return ""
+    unit = specimen["units"]["force"]
     return (
-        f"The static force was {_POOLING[model['static_pooling']]}. {chosen}The model was fitted to the "
-        "recorded displacement through its whole history by variable projection over the relaxation times, "
-        f"under {assumed} of the force, within the set of passive tissues (F_s and K nowhere negative on the "
-        "fitted depth). A relaxation time is reported where its 95 % profile-likelihood interval is closed "
-        f"and narrower than a factor e.{missed}"
+        f" The residual, {number(noise['sigma_N'], 2)} {unit}, is no noise of these recordings: where "
+        f"nothing happens they show {number(noise['measured_N'], 2)} {unit}. Intervals count "
+        f"{number(noise['samples_per_independent'], 2)} samples as an independent one."
     )
 
 
-def _sampling_words(specimen: Mapping[str, Any]) -> str:
+def _decided_words(options: Mapping[str, Any]) -> str:
+    """What the user set that changes the numbers."""
+    told = []
+    if options.get("contact_displacement_mm") is not None:
+        told.append(f"Contact was set at {options['contact_displacement_mm']:g} mm.")
+    if options.get("compression_sign") is not None:
+        sign = "positive" if options["compression_sign"] > 0 else "negative"
+        told.append(f"Compression was set as {sign} displacement.")
+    if options.get("unloading"):
+        told.append("Retracts and cycles were fitted as well.")
+    return "".join(f" {one}" for one in told)
+
+
+def _fit_words(specimen: Mapping[str, Any], options: Mapping[str, Any]) -> str:
+    model = specimen["model"]
+    return (
+        f"The static force was {_POOLING[model['static_pooling']]}. {_choice_words(specimen, options)} The "
+        f"model was fitted to the recorded displacement through its whole history by "
+        f"{specimen['optimisers']['method']}, {_noise_words(specimen, options)}, within the set of passive "
+        "tissues (F_s and K nowhere negative on the fitted depth). A relaxation time is reported where its "
+        "95 % profile-likelihood interval is closed and narrower than a factor e."
+        f"{_missed_words(specimen)}{_decided_words(options)}"
+    )
+
+
+def _sampling_words(specimen: Mapping[str, Any], options: Mapping[str, Any]) -> str:
     sampler = specimen["sampler"]
     if sampler is None:
         return "Errors are standard errors at the optimum; no posterior was sampled."
@@ -112,10 +155,23 @@ def _sampling_words(specimen: Mapping[str, Any]) -> str:
     worst = max((entry["r_hat"] for entry in known), default=None)
     least = min((entry["ess_bulk"] for entry in known if entry["ess_bulk"] is not None), default=None)
     told = [f"{sampler['draws']:,} draws"]
+    if options.get("draws") is not None:
+        told[0] += f", for {options['draws']:,} effective ones"
+    seed = sampler["detail"].get("seed", options.get("seed"))
+    if seed is not None:
+        told.append(f"seed {seed}")
     if worst is not None:
         told.append(f"R-hat at most {worst:.3f}")
     if least is not None:
         told.append(f"at least {int(least):,} effective draws")
+    return (
+        f"The posterior, with the linear parameters integrated, was sampled by {sampler['name']} "
+        f"({'; '.join(told)}). {_interval_words(specimen)}"
+    )
+
+
+def _interval_words(specimen: Mapping[str, Any]) -> str:
+    """What the intervals hold, and where there is none."""
     total = any(entry["ci95_total"] is not None for entry in specimen["parameters"])
     sources = " (gains of force and displacement, time skew, force filter, frame compliance)" if total else ""
     both = (
@@ -124,16 +180,13 @@ def _sampling_words(specimen: Mapping[str, Any]) -> str:
         if total
         else "statistical (noise, scatter between trials, contact points)"
     )
-    end = "" if sampler["converged"] else " The sampler did not converge."
+    end = "" if specimen["sampler"]["converged"] else " The sampler did not converge."
     withheld = [one["symbol"] for one in specimen["parameters"] if "withheld" in one["detail"]]
     if withheld:
         end += f" No interval is given for {', '.join(withheld)}, whose values and draws do not agree."
     if any("optimum" in one["detail"] for one in specimen["parameters"]):
         end += " Values are those of the tissue nearest to the optimum that lies inside every interval."
-    return (
-        f"The posterior, with the linear parameters integrated, was sampled by {sampler['name']} "
-        f"({', '.join(told)}). Intervals are 95 % credible intervals: {both}.{end}"
-    )
+    return f"Intervals are 95 % credible intervals: {both}.{end}"
 
 
 def _result_words(specimen: Mapping[str, Any]) -> str:
@@ -142,15 +195,6 @@ def _result_words(specimen: Mapping[str, Any]) -> str:
     rmse = f"{number(specimen['nrmsd']['rmse_N'], 3)} {specimen['units']['force']}"
     name = specimen["specimen"]
     return f"Of specimen {name}, {sentence[0].lower()}{sentence[1:]} The model left {left} ({rmse})."
-
-
-def _software(run: Mapping[str, Any]) -> list[dict[str, str]]:
-    versions = run["provenance"].get("versions", {})
-    return [
-        {"name": f"{name} {versions[name]}", "paper": paper, "doi": doi}
-        for name, (paper, doi) in _LIBRARIES.items()
-        if name in versions
-    ]
 
 
 def _plain(before: str, terms: Sequence[str], after: Sequence[str]) -> str:
@@ -170,10 +214,9 @@ def methods_view(specimen: Mapping[str, Any], run: Mapping[str, Any]) -> dict[st
     Returns
     -------
     dict
-        ``before`` and ``after`` the equations, ``degree`` and ``branches`` for them, ``software`` and the
-        whole as ``plain`` text.
+        ``before`` and ``after`` the equations, ``degree`` for them, and the whole as ``plain`` text.
     """
-    degree, branches = specimen["model"]["stiffness_degree"], specimen["model"]["branches"]
+    degree, options = specimen["model"]["stiffness_degree"], run["provenance"]["options"]
     before = (
         f"{_recordings(specimen, run)} Contact force was described by a modified Kelvin-Voigt model "
         f"{_model_words(specimen)}:"
@@ -182,8 +225,8 @@ def methods_view(specimen: Mapping[str, Any], run: Mapping[str, Any]) -> dict[st
         "where x is the depth of the tool below the contact point, F_s the static force and s_j the stretch "
         "of the spring of branch j, zero at rest; the viscosity of a branch is η_j = τ_j K_j"
         + (", at half the fitted depth. " if degree else ". ")
-        + _fit_words(specimen),
-        _sampling_words(specimen),
+        + _fit_words(specimen, options),
+        _sampling_words(specimen, options),
         _result_words(specimen),
     ]
     terms = [
@@ -196,7 +239,5 @@ def methods_view(specimen: Mapping[str, Any], run: Mapping[str, Any]) -> dict[st
         "before": before,
         "after": after,
         "degree": degree,
-        "branches": branches,
-        "software": _software(run),
         "plain": _plain(before, terms, after),
     }

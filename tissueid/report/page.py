@@ -9,6 +9,7 @@ import base64
 import zlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cache
 from importlib import resources
 from typing import Any
@@ -18,23 +19,35 @@ from markupsafe import Markup
 
 from tissueid.digits import NOT_IDENTIFIED, number, rounded_to, with_error
 from tissueid.report.event_words import event_words, took
-from tissueid.report.figures import curve_payload
+from tissueid.report.figures import curve_payload, curves_by_trial
+from tissueid.report.groups import curve_groups
 from tissueid.report.law_payload import law_payload
+from tissueid.report.measured_words import measured_view
 from tissueid.report.methods_words import citation, methods_view, subscripted
 from tissueid.report.posterior_payload import posterior_payload
 from tissueid.report.quoted_words import cycle_table, quoted_tables
 from tissueid.report.remarks import remarks, trial_label
 from tissueid.report.rendering_words import metadata_view, rendering_view
-from tissueid.report.sentences import overview_sentence, tissue_sentence
+from tissueid.report.sentences import overview_sentence
 from tissueid.report.study_words import study_view
-from tissueid.report.uncertainty_words import uncertainty_view
-from tissueid.report.wording import in_units, misfit_raised, parameter_words, unit_words, verdict
+from tissueid.report.uncertainty_words import paper_view, uncertainty_view
+from tissueid.report.wording import (
+    in_units,
+    misfit_raised,
+    parameter_words,
+    symbol_words,
+    unit_words,
+    verdict,
+)
+from tissueid.report.workbook import report_workbook
 from tissueid.store.curves import TrialCurve
 from tissueid.store.posteriors import StoredPosterior
 
 __all__ = ["asset", "page_environment", "plotly_script", "render_report"]
 
-#: Remarks that the part on uncertainty makes itself, above the others.
+#: Reasons of a verdict that are seen at once.
+MOST_REASONS = 5
+#: Remarks that are said above the others, in other words.
 _TOLD_APART = frozenset({"misfit", "sampler_not_converged"})
 #: In the order in which they need each other.
 _SCRIPTS = ("boxes.js", "grids.js", "posterior.js", "law.js", "figures.js", "tables.js")
@@ -54,6 +67,7 @@ def page_environment() -> Environment:
     environment.filters["number"] = number
     environment.filters["rounded_to"] = rounded_to
     environment.filters["unit"] = unit_words
+    environment.filters["symbol"] = symbol_words
     environment.filters["in_units"] = in_units
     environment.filters["event_words"] = event_words
     environment.filters["took"] = took
@@ -100,20 +114,40 @@ def _view(
 ) -> dict[str, Any]:
     parameters = {entry["name"]: entry for entry in specimen["parameters"]}
     sure = uncertainty_view(specimen)
+    alarms = _alarms(sure)
+    told = [one for one in remarks(specimen) if sure is None or one.code not in _TOLD_APART]
+    if len(specimen["trials"]) == 1:
+        told = [replace(one, where=()) for one in told]
+    shown = MOST_REASONS - len(alarms)
     return {
         "id": f"specimen-{position + 1}",
         "position": position,
         "data": specimen,
-        "sentence": tissue_sentence(specimen),
         "sure": sure,
+        "paper": paper_view(specimen),
+        "measured": measured_view(specimen),
         "verdict": verdict(specimen),
-        "remarks": [one for one in remarks(specimen) if sure is None or one.code not in _TOLD_APART],
+        "alarms": alarms,
+        "reasons": told[:shown],
+        "more": told[shown:],
         "summary": [_without_error(parameters.get(name), specimen) for name in _SUMMARY],
         "quoted": quoted_tables(specimen["quoted"]),
         "cycles": cycle_table(specimen["cycles"]),
         "methods": methods_view(specimen, run),
         "rendering": rendering_view(rendering, specimen),
     }
+
+
+def _alarms(sure: Mapping[str, Any] | None) -> list[tuple[str, str]]:
+    """What stands above every other reason: level and sentence."""
+    found = []
+    if sure is not None and sure["raised"]:
+        found.append(
+            ("serious", f"The recordings contradict this model or its noise: {'; '.join(sure['alarm'])}.")
+        )
+    if sure is not None and not sure["converged"]:
+        found.append(("caution", "The sampler did not converge: its numbers are rough."))
+    return found
 
 
 def _without_error(entry: Mapping[str, Any] | None, specimen: Mapping[str, Any]) -> Mapping[str, Any] | None:
@@ -139,6 +173,12 @@ def _ends(specimen: Mapping[str, Any], entry: Mapping[str, Any]) -> dict[str, fl
         return {"up": entry["stderr"] or 0.0, "down": entry["stderr"] or 0.0}
     low, high = entry["ci95"]
     return {"up": max(high - entry["value"], 0.0), "down": max(entry["value"] - low, 0.0)}
+
+
+def _groups(specimens: Sequence[Mapping[str, Any]], curves: Sequence[TrialCurve]) -> list[dict[str, Any]]:
+    """Curves of all specimens by programme; none where their units differ."""
+    units = _common_units(specimens)
+    return [] if units is None else curve_groups(curves_by_trial(specimens, curves), units)
 
 
 def _counts(views: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, int]]:
@@ -191,6 +231,7 @@ def render_report(
         "specimens": curve_payload(specimens, curves, posteriors),
         "posteriors": posterior_payload(specimens, posteriors),
         "laws": law_payload(specimens, curves, posteriors),
+        "groups": _groups(specimens, curves) if len(specimens) > 1 else [],
         "units": [specimen["units"] for specimen in specimens],
         "overview": _overview(specimens),
     }
@@ -200,6 +241,7 @@ def render_report(
         run=identification,
         unfitted=cycle_table(identification["unfitted_cycles"]),
         views=views,
+        workbook=base64.b64encode(report_workbook(identification)).decode("ascii"),
         payload=payload,
         common_units=_common_units(specimens),
         overview_sentence=overview_sentence(specimens),

@@ -16,7 +16,7 @@ from tissueid.report.tissue import Tissue, brief, speed_unit
 from tissueid.result import Curve
 from tissueid.store.curves import TrialCurve
 
-__all__ = ["SpeedGroup", "peaks_payload", "speed_groups"]
+__all__ = ["SAME_SPEED", "SpeedGroup", "clusters", "peaks_payload", "speed_groups"]
 
 FloatArray = NDArray[np.float64]
 
@@ -48,7 +48,7 @@ class SpeedGroup:
     members: tuple[int, ...]
 
 
-def _clusters(values: Sequence[float], factor: float) -> list[list[int]]:
+def clusters(values: Sequence[float], factor: float) -> list[list[int]]:
     """Places of values that lie within a factor of the least of their kind, in ascending order."""
     order = sorted(range(len(values)), key=lambda i: values[i])
     found: list[list[int]] = []
@@ -76,22 +76,22 @@ def speed_groups(specimen: Mapping[str, Any], trials: Sequence[Mapping[str, Any]
         Those of its trials that have a curve.
     """
     speeds = [float(trial["speed_mm_s"]) for trial in trials]
-    clusters = _clusters(speeds, SAME_SPEED)
-    while len(clusters) > MOST_GROUPS:
+    alike = clusters(speeds, SAME_SPEED)
+    while len(alike) > MOST_GROUPS:
         # neighbours that are nearest to each other share a panel
-        centres = [float(np.median([speeds[i] for i in one])) for one in clusters]
+        centres = [float(np.median([speeds[i] for i in one])) for one in alike]
         ratios = [later / max(sooner, 1e-12) for sooner, later in pairwise(centres)]
         at = int(np.argmin(ratios))
-        clusters[at : at + 2] = [clusters[at] + clusters[at + 1]]
+        alike[at : at + 2] = [alike[at] + alike[at + 1]]
     groups = []
-    for members in clusters:
+    for members in alike:
         speed = float(np.median([speeds[i] for i in members]))
         groups.append(SpeedGroup(speed, _label(speed, specimen["units"]), tuple(sorted(members))))
     return groups
 
 
 def _peak(trial: Mapping[str, Any], curve: Curve) -> dict[str, float]:
-    """Largest recorded force of a trial; a decimated curve keeps it."""
+    """Largest recorded force of a trial; a thinned curve keeps it."""
     used = curve.force_N[curve.fitted] if curve.fitted.any() else curve.force_N
     return {
         "speed": float(trial["speed_mm_s"]),
@@ -103,7 +103,7 @@ def _peak(trial: Mapping[str, Any], curve: Curve) -> dict[str, float]:
 def _means(peaks: Sequence[Mapping[str, float]]) -> list[dict[str, Any]]:
     """Mean and standard deviation of the peaks at each speed."""
     rows = []
-    for members in _clusters([peak["speed"] for peak in peaks], SAME_SPEED):
+    for members in clusters([peak["speed"] for peak in peaks], SAME_SPEED):
         force = np.array([peaks[i]["force"] for i in members])
         sd = float(force.std(ddof=1)) if force.size > 1 else None
         rows.append(
@@ -157,7 +157,7 @@ def peaks_payload(
     found = [one for one in found if one["speed"] > 0.0 and one["depth"] > 0.0]
     every = [one["speed"] for one in found]
     groups = []
-    for members in _clusters([one["depth"] for one in found], SAME_DEPTH):
+    for members in clusters([one["depth"] for one in found], SAME_DEPTH):
         points = [found[i] for i in members]
         depth = float(np.median([one["depth"] for one in points]))
         speeds = np.geomspace(min(every), max(every), LINE_POINTS if max(every) > min(every) else 1)

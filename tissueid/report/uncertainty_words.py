@@ -1,24 +1,34 @@
 """How sure a result is, in words: intervals, sampler, noise, priors, sources, other models, checks.
 
 Every interval is said to be calibrated for the stated model and noise; where the residuals contradict them
-(:func:`misfit_alarm`) no interval stands on the first screen.  What is not identified has no interval.
+(:func:`misfit_alarm`) no interval stands on the first screen.  What is not identified has no number.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
-from tissueid.digits import NOT_IDENTIFIED, number, together
-from tissueid.report.interval_words import Bar, bar_of, bar_scale
+from tissueid.digits import NOT_IDENTIFIED, number, together, with_error
 from tissueid.report.wording import misfit_raised, parameter_words, unit_words
 
-__all__ = ["HEADLINE", "IntervalRow", "misfit_alarm", "reported_order", "uncertainty_view"]
+__all__ = ["IntervalRow", "misfit_alarm", "paper_view", "reported_order", "uncertainty_view"]
 
-#: What a reader looks for first; the common scale of the bars is theirs.
-HEADLINE = ("viscosity", "relaxation_time", "static_1", "stiffness_0")
-_ORDER = ("viscosity", "relaxation_time", "stiffness", "static")
+#: Kinds of parameters in the order of the publication, and what they are called beside a symbol.
+_KINDS = {
+    "relaxation_time": "Relaxation time",
+    "static": "Static",
+    "stiffness": "Dynamic",
+    "viscosity": "Viscosity",
+}
+_INTERVALS = {"ci95": "95 % statistical", "ci95_total": "95 % total"}
+_FOLD = ("b_0", "b_0 + b_1 x", "b_0 + b_1 x + b_2 x²")
+_POOLING: Mapping[str, str] = {
+    "partial": "static curve shared, with a gain and contact offset a log",
+    "shared": "one static curve",
+    "per-log": "a static curve a log",
+}
 #: Below this the data said little.
 LITTLE_SHRINKAGE = 0.1
 #: Sources in the order of the stacked bar: of the recordings first, then of the machine.
@@ -49,32 +59,30 @@ _VERDICTS: Mapping[str, tuple[str, str]] = {
 
 @dataclass(frozen=True, slots=True)
 class IntervalRow:
-    """One parameter with its intervals.
+    """One parameter, or those of one kind that are not identified, with its intervals.
 
     Attributes
     ----------
-    name, words, symbol, unit : str
-    value, statistical, total : str
-        As printed; empty where there is none.
-    bar : Bar or None
-        Where dot and bars stand; ``None`` where nothing is identified.
+    words, unit : str
+    symbols : tuple of str
+    value : str
+        As printed.
+    intervals : tuple of str
+        One a column; empty where there is none.
     """
 
-    name: str
     words: str
-    symbol: str
+    symbols: tuple[str, ...]
     unit: str
     value: str
-    statistical: str
-    total: str
-    bar: Bar | None
+    intervals: tuple[str, ...]
 
 
 def reported_order(parameters: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """Parameters in the order in which data determine them: viscosity, time, stiffness, static force."""
+    """Parameters in the order of the publication: relaxation time, static force, stiffness, viscosity."""
 
     def place(entry: Mapping[str, Any]) -> int:
-        return next(i for i, start in enumerate(_ORDER) if entry["name"].startswith(start))
+        return next(i for i, start in enumerate(_KINDS) if entry["name"].startswith(start))
 
     return sorted(parameters, key=place)
 
@@ -86,33 +94,94 @@ def misfit_alarm(specimen: Mapping[str, Any]) -> list[str]:
     return [check["message"].rstrip(".") for check in specimen["misfit"]["checks"] if check["raised"]]
 
 
-def _rows(specimen: Mapping[str, Any]) -> tuple[list[IntervalRow], float]:
-    entries = reported_order(specimen["parameters"])
-    known = [entry for entry in entries if entry["ci95"] is not None]
-    scale = bar_scale([entry for entry in known if entry["name"].startswith(HEADLINE)] or known)
-    return [_row(entry, scale) for entry in entries], scale
+def _rows(specimen: Mapping[str, Any], columns: Sequence[str], *, bare: bool = False) -> list[IntervalRow]:
+    """Parameters with the intervals of these keys; those of one kind that are not identified share a row.
+
+    Parameters
+    ----------
+    specimen : mapping
+    columns : sequence of str
+    bare : bool
+        Whether even standard errors are left out.
+    """
+    rows: list[IntervalRow] = []
+    unknown: dict[str, list[str]] = {}
+    for entry in reported_order(specimen["parameters"]):
+        kind = next(words for start, words in _KINDS.items() if entry["name"].startswith(start))
+        if entry["identified"]:
+            rows.append(_row(entry, kind, columns, bare=bare))
+            continue
+        if kind not in unknown:
+            unknown[kind] = []
+            rows.append(IntervalRow(kind, (), "", NOT_IDENTIFIED, ()))
+        unknown[kind].append(entry["symbol"])
+    return [
+        replace(row, symbols=tuple(unknown[row.words])) if row.value == NOT_IDENTIFIED else row
+        for row in rows
+    ]
 
 
-def _row(entry: Mapping[str, Any], scale: float) -> IntervalRow:
-    value = number(entry["value"]) if entry["identified"] else NOT_IDENTIFIED
+def _row(entry: Mapping[str, Any], words: str, columns: Sequence[str], *, bare: bool) -> IntervalRow:
+    intervals = [""] * len(columns)
     if "withheld" in entry["detail"]:
         value = f"{number(entry['value'])}, no interval"
-    statistical, total, bar = "", "", None
-    if entry["ci95"] is not None:
-        bar = bar_of(entry, scale)
-        ends = [*entry["ci95"], *(entry["ci95_total"] or [])]
-        value, *texts = together([entry["value"], *ends], entry["sd"])
-        statistical, total = f"{texts[0]} to {texts[1]}", " to ".join(texts[2:])
-    return IntervalRow(
-        name=entry["name"],
-        words=parameter_words(entry["name"]),
-        symbol=entry["symbol"],
-        unit=unit_words(entry["unit"]),
-        value=value,
-        statistical=statistical,
-        total=total,
-        bar=bar,
+    elif entry["ci95"] is None or not columns:
+        value = number(entry["value"]) if bare else with_error(entry["value"], entry["stderr"])
+    else:
+        known = [entry[key] or () for key in columns]
+        value, *ends = together([entry["value"], *(end for pair in known for end in pair)], entry["sd"])
+        left = iter(ends)
+        intervals = [f"{next(left)} to {next(left)}" if pair else "" for pair in known]
+    return IntervalRow(words, (entry["symbol"],), unit_words(entry["unit"]), value, tuple(intervals))
+
+
+def _columns(specimen: Mapping[str, Any]) -> list[str]:
+    return [key for key in _INTERVALS if any(entry[key] is not None for entry in specimen["parameters"])]
+
+
+def paper_view(specimen: Mapping[str, Any]) -> dict[str, Any]:
+    """The contact model's numbers as the publication gives them: ``rows``, names of ``intervals``, ``said``.
+
+    Parameters
+    ----------
+    specimen : mapping
+        One of ``specimens`` of identification.json.
+    """
+    raised = misfit_raised(specimen)
+    columns = [] if raised else _columns(specimen)
+    return {
+        "rows": _rows(specimen, columns, bare=raised),
+        "intervals": [_INTERVALS[key] for key in columns],
+        "said": " ".join((_fit_sentence(specimen), _range_sentence(specimen))),
+    }
+
+
+def _fit_sentence(specimen: Mapping[str, Any]) -> str:
+    """What was fitted, how, and what it leaves."""
+    model, sampler = specimen["model"], specimen["sampler"]
+    count, degree = model["branches"], model["stiffness_degree"]
+    rmse = f"{number(specimen['nrmsd']['rmse_N'], 3)} {specimen['units']['force']}"
+    drawn = f"; {sampler['name']}, {sampler['draws']:,} draws" if sampler else "; nothing sampled"
+    return (
+        f"NRMSD {100 * specimen['nrmsd']['range']:.2f} % of the range, {rmse}. Static force "
+        f"a_1 x + a_2 x² + a_3 x³, {count} branch{'es' if count != 1 else ''} with K(x) = {_FOLD[degree]}, "
+        f"{_POOLING[model['static_pooling']]}. "
+        f"{specimen['optimisers']['method']}{drawn}."
     )
+
+
+def _range_sentence(specimen: Mapping[str, Any]) -> str:
+    """Depths, speeds and holds that the numbers are of."""
+    valid, length = specimen["validity"], specimen["units"]["length"]
+    slow, fast = (number(value, 3) for value in valid["speeds_mm_s"])
+    deep = (
+        f"{number(valid['depth_mm'], 3)} mm"
+        if length == "mm"
+        else f"a strain of {number(valid['depth_mm'], 3)}"
+    )
+    windows = [row["window_s"][1] - row["window_s"][0] for row in specimen["relaxation"]]
+    held = f", holds of up to {number(max(windows), 3)} s" if windows else ""
+    return f"Valid to {deep} at {slow if slow == fast else f'{slow} to {fast}'} {length}/s{held}."
 
 
 def _sampler_sentence(specimen: Mapping[str, Any]) -> str:
@@ -272,13 +341,13 @@ def uncertainty_view(specimen: Mapping[str, Any]) -> dict[str, Any] | None:
     """
     if specimen["sampler"] is None:
         return None
-    rows, scale = _rows(specimen)
+    columns = _columns(specimen)
     return {
         "alarm": misfit_alarm(specimen),
         "raised": misfit_raised(specimen),
-        "rows": rows,
-        "scale": f"{100 * scale:g}",
-        "total": any(row.total for row in rows),
+        "rows": _rows(specimen, columns),
+        "intervals": [_INTERVALS[key] for key in columns],
+        "total": "ci95_total" in columns,
         "no_total": _no_total(specimen),
         "normalised": (specimen["units"]["length"], specimen["units"]["force"]) != ("mm", "N"),
         "converged": specimen["sampler"]["converged"],

@@ -10,6 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from markupsafe import Markup, escape
+
 from tissueid.quantity_words import QUANTITIES
 from tissueid.report.remarks import LEVELS, remarks
 from tissueid.trial import Axes
@@ -19,9 +21,19 @@ __all__ = [
     "in_units",
     "misfit_raised",
     "parameter_words",
+    "symbol_words",
     "unit_words",
     "verdict",
 ]
+
+_GREEK: Mapping[str, str] = {"tau": "τ", "eta": "η"}
+
+
+def symbol_words(symbol: str) -> Markup:
+    """A symbol as it is typeset: ``tau2`` is a Greek letter with a 2 below it."""
+    name, index = re.fullmatch(r"(\D*)(.*)", symbol, re.DOTALL).groups()  # type: ignore[union-attr]
+    letter = _GREEK.get(name, name)
+    return escape(letter) + (Markup("<sub>{}</sub>").format(index) if index else "")
 
 
 def parameter_words(name: str) -> str:

@@ -26,8 +26,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.likelihood.ramp_kernels import ramp_squares
 from tissueid.segment.bins import Bins
+from tissueid.segment.ramp_squares import ramp_squares
 
 __all__ = ["Posterior", "RampShape"]
 

@@ -1,4 +1,4 @@
-"""The decimated curves of every trial in one file, so that a report never needs the raw logs again.
+"""The curves of every trial in one file, so that a report never needs the raw logs again.
 
 Layout: the samples of all trials stand end to end in one data set a quantity; ``index`` (JSON text)
 names the trials and ``offsets`` says where each begins and ends.  Thousands of trials then cost no

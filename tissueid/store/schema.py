@@ -36,6 +36,8 @@ SCHEMA_NAMES = (
     "frame",
     "identification",
     "inspect",
+    "measured",
+    "measured-contrast",
     "outputs",
     "population",
     "quantities",

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from tissueid.fit.relaxation import relaxation_rows
 from tissueid.fit.specimen import FitOptions
 from tissueid.inspection import segmented
+from tissueid.measured.relaxation import relaxation_rows
 from tissueid.pipeline import IdentifyOptions, identify
 from tissueid.result import Refusal, RelaxationRow, SpecimenFit
 from tissueid.segment import SegmentOptions

@@ -1,5 +1,5 @@
 "use strict";
-// Every figure of the page, made from the packed curves when it comes into view.
+// The figures of the page, made from the packed curves when they come into view.
 (() => {
   const payload = JSON.parse(document.getElementById("curves").textContent);
   const bytes = (text) => Uint8Array.from(atob(text), (char) => char.charCodeAt(0));
@@ -14,85 +14,111 @@
     }
     return opened.get(specimen);
   };
-  // figures of the trials that are chosen; the others show all
-  const FOLLOW = new Set(["force-depth", "force-time", "residual"]);
-  const chosen = (specimen) => {
-    const choice = document.querySelector(`select[data-choice="${specimen}"]`);
-    const all = curves(specimen);
-    return !choice || choice.value === "all" ? all : [all[Number(choice.value)]];
-  };
-  const masked = (values, on, keep) => Array.from(values, (value, i) => (Boolean(on[i]) === keep ? value : null));
-
-  const band = (trial, x, low, high, i) => outline(x, low, high, { name: "predicted", legendgroup: "predicted", showlegend: i === 0 });
-  const bands = (trials, abscissa) => trials.filter((trial) => trial.low)
-    .map((trial, i) => band(trial, trial[abscissa], trial.low, trial.high, i));
-  const pairs = (trials, abscissa) => [...bands(trials, abscissa), ...lines(trials, abscissa)];
-  // many lines beside each other would paint one broad brush: the picture of the result then shows one trial a speed
+  // many lines beside each other would paint one broad brush: of many trials the deepest of each speed is shown
   const MOST_LINES = 8;
-  const wide = (trials) => trials.length <= MOST_LINES;
   const deepest = (specimen) => payload.laws[specimen].speeds.map((group) => group.trials.map((k) => curves(specimen)[k])
     .reduce((a, b) => (b.x.reduce((m, x) => Math.max(m, x), 0) > a.x.reduce((m, x) => Math.max(m, x), 0) ? b : a)));
-  const pictured = (specimen) => (wide(chosen(specimen)) ? chosen(specimen) : deepest(specimen));
-  const lines = (trials, abscissa) => trials.flatMap((trial, i) => [
-    { x: trial[abscissa], y: trial.f, mode: "lines", line: { color: colour("data"), width: wide(trials) ? 4 : 2 }, opacity: 0.6,
-      name: "recorded", legendgroup: "recorded", showlegend: i === 0, text: trial.label, hovertemplate: "%{x:.4g}, %{y:.4g} N<br>%{text}<extra>recorded</extra>" },
-    { x: trial[abscissa], y: trial.m, mode: "lines", line: { color: colour("model"), width: wide(trials) ? 1.6 : 0.8 },
-      name: "model", legendgroup: "model", showlegend: i === 0, text: trial.label, hovertemplate: "%{x:.4g}, %{y:.4g} N<br>%{text}<extra>model</extra>" },
-  ]).sort((a, b) => (a.name === b.name ? 0 : a.name === "recorded" ? -1 : 1));
+  const chosen = (specimen) => {
+    const choice = document.querySelector(`select[data-choice="${specimen}"]`), every = curves(specimen);
+    if (choice && choice.value !== "all") return [every[Number(choice.value)]];
+    return every.length <= MOST_LINES ? every : deepest(specimen);
+  };
+  // where samples are far apart each of them is a dot
+  const FEW_SAMPLES = 600;
 
-  const aboutModel = (trial, ends) => ends.map((value, k) => value - trial.m[k]);
-  const residuals = (specimen) => [
-    // bands of many trials would hide each other and what they are about
-    ...(chosen(specimen).length === 1 ? chosen(specimen) : []).filter((trial) => trial.low).map((trial, i) => band(trial, trial.t, aboutModel(trial, trial.low), aboutModel(trial, trial.high), i)),
-    ...residualLines(specimen),
-  ];
-  const residualLines = (specimen) => chosen(specimen).flatMap((trial, i) => {
-    const residual = trial.f.map((value, k) => value - trial.m[k]);
-    const trace = (keep, name, ink) => ({ x: trial.t, y: masked(residual, trial.on, keep), mode: "lines", line: { color: colour(ink), width: 1 },
-      name, legendgroup: name, showlegend: i === 0, text: trial.label, hovertemplate: "%{x:.4g} s, %{y:.3g} N<br>%{text}<extra></extra>" });
-    const traces = [trace(true, "fitted", "model")];
-    if (trial.on.includes(0)) traces.unshift(trace(false, "not fitted", "aside"));
-    return traces;
+  // force against time with the residual below it, and force against depth: every sample as it was recorded
+  const main = (specimen) => {
+    const trials = chosen(specimen), dots = trials.reduce((sum, trial) => sum + trial.f.length, 0) <= FEW_SAMPLES;
+    const pair = (abscissa, i) => [
+      ...trials.map((trial, k) => ({ x: trial[abscissa], y: trial.f, ...cell(i), mode: dots ? "lines+markers" : "lines",
+        line: { color: colour("data"), width: 1.5 }, marker: { color: colour("data"), size: 4 }, name: "recorded", legendgroup: "recorded", showlegend: i === 0 && k === 0,
+        text: trial.label, hovertemplate: "%{x:.4g}, %{y:.4g}<br>%{text}<extra>recorded</extra>" })),
+      ...trials.map((trial, k) => ({ x: trial[abscissa], y: trial.m, ...cell(i), mode: "lines", line: { color: colour("model"), width: 1.4 },
+        name: "model", legendgroup: "model", showlegend: i === 0 && k === 0, text: trial.label, hovertemplate: "%{x:.4g}, %{y:.4g}<br>%{text}<extra>model</extra>" })),
+    ];
+    return [...pair("t", 0), ...residual(trials), ...pair("x", 2)];
+  };
+  const residual = (trials) => {
+    const below = { xaxis: "x", yaxis: "y2" };
+    const masked = (values, on, keep) => Array.from(values, (value, i) => (Boolean(on[i]) === keep ? value : null));
+    const about = (trial, ends) => ends.map((value, k) => value - trial.m[k]);
+    // bands of several trials would hide each other and what they are about
+    const band = trials.length === 1 && trials[0].low ? [outline(trials[0].t, about(trials[0], trials[0].low), about(trials[0], trials[0].high), { ...below, name: "predicted" })] : [];
+    return [...band, ...trials.flatMap((trial) => {
+      const left = trial.f.map((value, k) => value - trial.m[k]);
+      const trace = (keep, name, ink) => ({ x: trial.t, y: masked(left, trial.on, keep), ...below, mode: "lines", line: { color: colour(ink), width: 1 },
+        name, showlegend: false, text: trial.label, hovertemplate: "%{x:.4g} s, %{y:.3g}<br>%{text}<extra></extra>" });
+      return [...(trial.on.includes(0) ? [trace(false, "not fitted", "aside")] : []), trace(true, "fitted", "model")];
+    })];
+  };
+  const unitsOf = (specimen) => payload.units[specimen] ?? payload.units[0];
+  const force = (specimen) => `Force [${unitsOf(specimen).force}]`;
+  const depth = (specimen) => (unitsOf(specimen).length === "mm" ? "Depth [mm]" : "Strain");
+  const mainLayout = (specimen, box) => {
+    const beside = box.clientWidth >= 800;
+    const place = (title, domain, more) => named(title, { domain, nticks: 8, ...more });
+    const layout = { margin: { l: 56, r: 12, t: 28, b: 40 } };
+    axesOf(layout, 0, place("Time from contact [s]", beside ? [0, 0.6] : [0, 1], { anchor: "y2" }), place(force(specimen), beside ? [0.32, 1] : [0.62, 1], {}));
+    // what was not fitted may leave far more than what was
+    const left = chosen(specimen).reduce((most, trial) => trial.f.reduce((m, f, k) => (trial.on[k] ? Math.max(m, Math.abs(f - trial.m[k])) : m), most), 0);
+    layout.yaxis2 = place(`Residual [${unitsOf(specimen).force}]`, beside ? [0, 0.26] : [0.43, 0.57], { nticks: 5, ...(left > 0 ? { range: [-1.25 * left, 1.25 * left] } : {}) });
+    layout.xaxis3 = place(depth(specimen), beside ? [0.67, 1] : [0, 1], { anchor: "y3" });
+    layout.yaxis3 = place(beside ? "" : force(specimen), beside ? [0, 1] : [0, 0.33], { anchor: "x3" });
+    return { layout, height: beside ? 370 : 620 };
+  };
+
+  // every curve of a programme, its mean and one standard deviation about it; a trace that is an area has no corner of its own
+  const groups = (specimen) => (specimen < 0 ? payload.groups : payload.laws[specimen].groups);
+  const group = (specimen) => groups(specimen).flatMap((one, g) => {
+    const ink = nth(INKS, g), same = { legendgroup: one.label, showlegend: false };
+    const faded = one.members.flatMap(([s, k]) => {
+      const trial = curves(specimen < 0 ? s : specimen)[k];
+      const deep = trial.x.reduce((a, b) => Math.max(a, b)), stop = trial.x.findIndex((x) => x - trial.x[0] >= 0.999 * (deep - trial.x[0]));
+      const line = (x, y, i) => ({ x, y, ...cell(i), ...same, mode: "lines", line: { color: ink, width: 1 }, opacity: 0.45, name: "recorded", text: trial.label, hovertemplate: "%{x:.4g}, %{y:.4g}<br>%{text}<extra></extra>" });
+      return [line(trial.x.slice(0, stop + 1), trial.f.slice(0, stop + 1), 0), line(trial.t.slice(stop).map((t) => t - trial.t[stop]), trial.f.slice(stop), 1)];
+    });
+    const mean = [one.loading, one.hold].flatMap((part, i) => (part ? [
+      outline(part.x, part.mean.map((m, k) => m - part.sd[k]), part.mean.map((m, k) => m + part.sd[k]), { ...cell(i), ...same, name: "SD", fillcolor: `${ink}33` }),
+      { x: part.x, y: part.mean, ...cell(i), ...same, mode: "lines", line: { color: ink, width: 2.6, dash: nth(DASHES, g) }, name: "mean", text: part.n, hovertemplate: "%{x:.4g}, %{y:.4g}, n = %{text}<extra>mean</extra>" },
+    ] : []));
+    return [...faded, ...mean, { x: [null], y: [null], ...cell(0), mode: "lines", line: { color: ink, width: 2.6, dash: nth(DASHES, g) }, name: one.label, legendgroup: one.label }];
   });
+  const groupLayout = (specimen, box) => {
+    const wide = box.clientWidth < 620 ? 1 : 2, layout = grid(2, wide, { showlegend: groups(specimen).length <= 12, legend: { orientation: "h", x: 0, y: 1.02, yanchor: "bottom", font: { size: 11 } } });
+    axesOf(layout, 0, named(depth(specimen)), named(force(specimen)));
+    axesOf(layout, 1, named("Time since the stop [s]"), named(wide === 1 ? force(specimen) : ""));
+    return { layout, height: 320 * (2 / wide) + 40 };
+  };
 
   const overview = () => {
     const points = payload.overview;
     return [{ x: points.map((p) => p.name), y: points.map((p) => p.value), mode: "markers", marker: { color: colour("model"), size: 8 },
       error_y: { type: "data", array: points.map((p) => p.up), arrayminus: points.map((p) => p.down), color: colour("data"), thickness: 2 },
-      name: "viscosity", hovertemplate: "%{x}: %{y:.4g} N·s/mm<extra></extra>", showlegend: false }];
+      name: "viscosity", hovertemplate: "%{x}: %{y:.4g}<extra></extra>", showlegend: false }];
   };
 
   const known = posteriorKinds(payload, bytes);
   const kinds = {
-    "force-depth": { traces: (s) => pairs(pictured(s), "x"), x: "Depth [mm]", y: "Force [N]" },
-    "force-time": { traces: (s) => pairs(chosen(s), "t"), x: "Time from contact [s]", y: "Force [N]" },
-    residual: { traces: residuals, x: "Time from contact [s]", y: "Residual [N]" },
-    overview: { traces: overview, x: "", y: "Viscosity [N·s/mm]" },
+    main: { traces: main, own: mainLayout }, group: { traces: group, own: groupLayout },
+    overview: { traces: overview, own: () => ({ layout: { xaxis: axis(""), yaxis: axis("Viscosity [N·s/mm]") }, height: 300 }) },
     ...known.kinds,
     ...lawKinds(payload, curves, known.cloud),
   };
-
-  // recordings may be normalised: labels are written in mm and N and read in the specimen's units
-  const inUnits = (label, specimen) => {
-    const units = payload.units[specimen];
-    if (!units || (units.length === "mm" && units.force === "N")) return label;
-    return label.replace("[N]", `[${units.force}]`).replace("Depth [mm]", units.length === "1" ? "Strain" : "Depth [mm]");
-  };
   const redraw = figureBoxes((box) => {
-    const kind = kinds[box.dataset.figure];
-    const specimen = Number(box.dataset.specimen);
-    const own = kind.own ? kind.own(specimen, box) : null;
-    if (!own) return { traces: kind.traces(specimen), x: inUnits(kind.x, specimen), y: inUnits(kind.y, specimen) };
-    // a grid of small axes says how high it is
-    box.style.height = `${own.height}px`;
-    return { traces: kind.traces(specimen), layout: own.layout };
+    const kind = kinds[box.dataset.figure], specimen = Number(box.dataset.specimen);
+    const { layout, height } = kind.own(specimen, box);
+    box.style.height = `${height}px`;
+    return { traces: kind.traces(specimen), layout };
   });
   document.querySelectorAll("select[data-choice]").forEach((choice) => {
-    choice.addEventListener("change", () => redraw((box) => box.dataset.specimen === choice.dataset.choice && FOLLOW.has(box.dataset.figure)));
+    choice.addEventListener("change", () => redraw((box) => box.dataset.specimen === choice.dataset.choice && box.dataset.figure === "main"));
   });
+  // what a link points into is opened, with everything around it
   const follow = () => {
     const target = location.hash && document.getElementById(decodeURIComponent(location.hash.slice(1)));
-    if (target && target.tagName === "DETAILS") { target.open = true; target.scrollIntoView(); }
+    if (!target) return;
+    for (let part = target.closest("details"); part; part = part.parentElement.closest("details")) part.open = true;
+    target.scrollIntoView();
   };
   addEventListener("hashchange", follow);
   follow();

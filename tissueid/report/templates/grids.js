@@ -2,7 +2,6 @@
 // Grids of small axes: plotly numbers its axes from 1 and leaves the 1 away.
 const cell = (i) => ({ xaxis: `x${i ? i + 1 : ""}`, yaxis: `y${i ? i + 1 : ""}` });
 const named = (title, more = {}) => ({ title: { text: title, standoff: 4, font: { size: 11 } }, gridcolor: colour("line"), zerolinecolor: colour("line"), automargin: true, tickfont: { size: 10 }, nticks: 5, ...more });
-const columns = (box) => (box.clientWidth < 520 ? 2 : box.clientWidth < 900 ? 3 : 4);
 const grid = (count, wide, extra) => ({ grid: { rows: Math.ceil(count / wide), columns: wide, pattern: "independent", xgap: 0.12, ygap: 0.45 }, showlegend: false, ...extra });
 const axesOf = (layout, i, x, y) => { layout[`xaxis${i ? i + 1 : ""}`] = x; layout[`yaxis${i ? i + 1 : ""}`] = y; };
 // the title of a small panel stands over it

@@ -1,5 +1,5 @@
 "use strict";
-// Figures of a specimen's law: a panel a speed, holds, parts, peaks, residuals, spectra, profiles.
+// Figures of a specimen's law: holds, parts, peaks, residuals, profiles.
 const lawKinds = (payload, curves, draws) => {
   const law = (s) => payload.laws[s];
   const units = (s) => payload.units[s];
@@ -8,22 +8,6 @@ const lawKinds = (payload, curves, draws) => {
   const stiffness = (s) => `K [${units(s).length === "mm" ? "N/mm" : units(s).force}]`;
   const speed = (s) => `Loading speed [${units(s).length}/s]`;
   const line = (x, y, i, name, ink, more = {}) => ({ x, y, ...cell(i), mode: "lines", name, showlegend: false, line: { color: ink, width: 1.6 }, hovertemplate: `%{x:.4g}, %{y:.4g}<extra>${name}</extra>`, ...more });
-
-  const speeds = (s) => law(s).speeds.flatMap((group, i) => {
-    const own = group.trials.map((k) => curves(s)[k]);
-    return [
-      ...own.filter((t) => t.low).map((t) => outline(t.x, t.low, t.high, { ...cell(i), name: "predicted" })),
-      ...own.map((t) => line(t.x, t.f, i, "recorded", colour("data"), { line: { color: colour("data"), width: 3 }, opacity: 0.6, text: t.label, hovertemplate: "%{x:.4g}, %{y:.4g}<br>%{text}<extra>recorded</extra>" })),
-      ...own.map((t) => line(t.x, t.m, i, "model", colour("model"), { line: { color: colour("model"), width: 1.2 } })),
-    ];
-  });
-  const speedLayout = (s, box) => {
-    const groups = law(s).speeds, wide = Math.min(groups.length, box.clientWidth < 520 ? 1 : box.clientWidth < 900 ? 2 : 3);
-    const layout = grid(groups.length, wide, { margin: { l: 50, r: 12, t: 30, b: 40 }, annotations: groups.map((g, i) => over(i, `${g.label}, ${g.trials.length} trial${g.trials.length === 1 ? "" : "s"}`)) });
-    groups.forEach((_, i) => axesOf(layout, i, named(depth(s)), named(force(s), { rangemode: "tozero" })));
-    layout.grid.ygap = 0.38;
-    return { layout, height: 260 * Math.ceil(groups.length / wide) + 30 };
-  };
 
   // force over the model's force where the window begins, so that holds of several depths share an axis
   const holds = (s) => law(s).holds.flatMap((hold) => {
@@ -125,9 +109,6 @@ const lawKinds = (payload, curves, draws) => {
     return { layout, height: (wide === 1 ? 660 : 270) + 40 };
   };
 
-  const spectra = (s) => law(s).spectra.map((one, i) => ({ x: one.tau, y: one.amplitude, mode: "lines", name: one.label, line: { color: nth(INKS, i), dash: nth(DASHES, i), width: 1.6 }, hovertemplate: "%{x:.3g} s: %{y:.3g}<extra>%{fullData.name}</extra>" }));
-  const spectrumLayout = (s) => ({ layout: { xaxis: { ...axis("Relaxation time [s]"), type: "log" }, yaxis: { ...axis(force(s)), rangemode: "tozero" }, showlegend: law(s).spectra.length <= 8 }, height: 320 });
-
   const profiles = (s) => law(s).profiles.flatMap((one, i) => {
     const found = draws(s, `relaxation_time_s${one.suffix}`, `stiffness_0_N_per_mm${one.suffix}`);
     const level = [one.tau[0], one.tau[one.tau.length - 1]];
@@ -149,8 +130,8 @@ const lawKinds = (payload, curves, draws) => {
   };
 
   return {
-    speeds: { traces: speeds, own: speedLayout }, holds: { traces: holds, own: holdLayout }, parts: { traces: parts, own: partLayout },
+    holds: { traces: holds, own: holdLayout }, parts: { traces: parts, own: partLayout },
     peaks: { traces: peaks, own: peakLayout }, residuals: { traces: residuals, own: residualLayout },
-    spectrum: { traces: spectra, own: spectrumLayout }, profile: { traces: profiles, own: profileLayout },
+    profile: { traces: profiles, own: profileLayout },
   };
 };

@@ -1,5 +1,5 @@
 "use strict";
-// Figures of a posterior: marginal densities, viscosity against relaxation time, traces of the chains.
+// Figures of a posterior: every parameter against every other, traces of the chains.
 const posteriorKinds = (payload, bytes) => {
   // columns packed in steps of their range
   const columnsOf = ({ low, high, steps }) => {
@@ -23,28 +23,6 @@ const posteriorKinds = (payload, bytes) => {
     for (const value of values) counts[Math.min(Math.max(Math.floor((value - low) / width), 0), BINS - 1)] += 1;
     return { x: counts.map((_, i) => low + (i + 0.5) * width), y: counts.map((count) => count / (values.length * width)) };
   };
-  const marginals = (specimen) => {
-    const found = posterior(specimen);
-    return found.names.flatMap((_, i) => {
-      const wide = (found.total || found.draws)[i];
-      const low = wide.reduce((a, b) => Math.min(a, b)), high = wide.reduce((a, b) => Math.max(a, b));
-      const line = (values, name, style) => ({ ...density(values, low, high), ...cell(i), mode: "lines", name, ...style,
-        hovertemplate: `%{x:.4g}<extra>${name}</extra>` });
-      const traces = [line(found.draws[i], "statistical", { fill: "tozeroy", line: { color: colour("model"), width: 1, shape: "hvh" } })];
-      if (found.total) traces.push(line(found.total[i], "total", { line: { color: colour("data"), width: 2, shape: "hvh" } }));
-      return traces;
-    });
-  };
-  const marginalLayout = (specimen, box) => {
-    const found = posterior(specimen), wide = columns(box);
-    const layout = grid(found.names.length, wide, {});
-    found.labels.forEach((label, i) => {
-      layout[`xaxis${i ? i + 1 : ""}`] = named(label);
-      layout[`yaxis${i ? i + 1 : ""}`] = { showticklabels: false, showgrid: false, zeroline: false, rangemode: "tozero" };
-    });
-    return { layout, height: 150 * Math.ceil(found.names.length / wide) + 40 };
-  };
-
   // draws of two parameters, the total ones first, so that the others lie over them
   const cloud = (specimen, first, second) => {
     if (!payload.posteriors[specimen]) return [];
@@ -104,5 +82,5 @@ const posteriorKinds = (payload, bytes) => {
     return { layout, height: 120 * Math.ceil(names.length / wide) + 40 };
   };
 
-  return { cloud, kinds: { marginals: { traces: marginals, own: marginalLayout }, corner: { traces: corner, own: cornerLayout }, trace: { traces: trace, own: traceLayout } } };
+  return { cloud, kinds: { corner: { traces: corner, own: cornerLayout }, trace: { traces: trace, own: traceLayout } } };
 };

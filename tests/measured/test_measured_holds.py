@@ -1,0 +1,192 @@
+"""Peaks, forces in the hold and their refusals, against recordings whose truth is written down."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tissueid.flags import Flag
+from tissueid.measured import measure, spread
+from tissueid.measured.geometry import Geometry, TipOf
+from tissueid.measured.spread import ramp_reason
+from tissueid.measured.verdict import verdict_of
+from tissueid.measures import Measured
+from tissueid.model.moduli import Indenter
+from tissueid.trial import Axes, Contact, Corner, Event, Phase, Protocol, Segmentation, Trial
+
+STEP = 0.01
+REST, CORNER, STOP, END = 1.0, 3.0, 3.2, 18.2
+
+
+def relaxed(time):
+    """Share of the force left so long after the stop."""
+    return 0.5 + 0.3 * np.exp(-time / 0.5) + 0.2 * np.exp(-time / 8.0)
+
+
+def recording(
+    *, noise: float = 0.0, sign: int = 1, zero: float = 0.0, stretch: float = 1.0, step: float = STEP
+) -> tuple[Trial, Segmentation]:
+    """Rest in air, 4 mm in 2 s with 0.2 s of braking, 15 s of hold; the force peaks at the corner."""
+    corner, stop, end = (REST + stretch * (at - REST) for at in (CORNER, STOP, END))
+    time = np.arange(round(end / step) + 1) * step
+    depth = np.interp(time, [0.0, REST, corner, stop, end], [0.0, 0.0, 3.95, 4.0, 4.0])
+    force = np.interp(time, [0.0, REST, corner, stop], [0.0, 0.0, 10.5, 10.0])
+    force = np.where(time > stop, 10.0 * relaxed(np.maximum(time - stop, 0.0)), force)
+    force = force + noise * np.random.default_rng(0).normal(size=time.size)
+    at = [round(one / step) for one in (REST, corner, stop)]
+    phases = (
+        Phase("rest", 0, at[0] + 1, 0.0, REST, 0.0),
+        Phase("ramp", at[0], at[2] + 1, REST, float(time[at[2]]), 2.0 / stretch),
+        Phase("hold", at[2], time.size, float(time[at[2]]), float(time[-1]), 0.0),
+    )
+    corners = (Corner(1, at[1], corner, 0.2, 0.0, 0, None),)
+    contact = Contact(at[0], 0.0, 0.01, zero, in_record=True)
+    trial = Trial("s", time, depth, zero + sign * force, Protocol())
+    return trial, Segmentation(1, sign, contact, phases, noise, corners=corners)
+
+
+@pytest.mark.parametrize(("sign", "zero"), [(1, 0.0), (-1, 3.0)])
+def test_numbers_of_a_hold_are_those_of_its_truth(sign, zero):
+    found = measure(*recording(sign=sign, zero=zero))
+    (hold,) = found.holds
+    push = hold.push
+    assert (found.base.recorded_N, found.base.source) == (zero, "air")
+    assert (push.ramp_time_s, push.depth_mm, push.travel_mm) == pytest.approx((2.2, 4.0, 4.0))
+    assert push.braking_s == pytest.approx(0.2)
+    # the crosshead brakes for 0.2 s, in which the force falls already
+    assert (push.peak.time_s, push.peak.force_N) == pytest.approx((CORNER, 10.5))
+    assert push.peak.recorded_N == pytest.approx(zero + sign * 10.5)
+    for time in (0.1, 1.0, 10.0):
+        one = hold.at(time)
+        assert one.after_stop_N == pytest.approx(10.0 * relaxed(time), rel=2e-3)
+        assert one.after_peak_N == pytest.approx(10.0 * relaxed(max(time - 0.2, 0.0)), rel=0.03)
+        assert one.over_10s == pytest.approx(relaxed(time) / relaxed(10.0), rel=3e-3)
+        assert one.over_peak == pytest.approx(one.after_peak_N / 10.5)
+        assert not one.beyond_ramp
+    assert hold.forces[3].reason == "the hold lasts 15 s"
+    assert hold.at(100.0) is None
+    # the window begins with the peak, 0.2 s of braking before the stop
+    assert hold.tau.double_s == pytest.approx((0.5, 8.0), rel=0.25)
+    assert hold.tau.window_s == pytest.approx((CORNER, END))
+
+
+def test_noise_moves_a_force_by_its_stated_sd():
+    errors = []
+    trial, divided = recording()
+    for seed in range(40):
+        noise = 0.2 * np.random.default_rng(seed).normal(size=trial.time_s.size)
+        noisy = replace(trial, force_N=trial.force_N + noise)
+        (hold,) = measure(noisy, replace(divided, force_noise_N=0.2)).holds
+        one = hold.at(10.0)
+        assert one.sd_N < 0.05
+        errors.append((one.after_stop_N - 10.0 * relaxed(10.0)) / one.sd_N)
+        # the largest of many samples would be 0.6 N high
+        assert hold.push.peak.force_N == pytest.approx(10.5, abs=0.4)
+    assert 0.6 < float(np.std(errors)) < 1.5
+
+
+def test_a_single_sample_far_off_does_not_move_a_force():
+    trial, divided = recording()
+    force = trial.force_N.copy()
+    force[round((STOP + 10.0) / STEP)] += 5.0
+    (hold,) = measure(replace(trial, force_N=force), divided).holds
+    assert hold.at(10.0).after_stop_N == pytest.approx(10.0 * relaxed(10.0), rel=2e-3)
+
+
+def test_sampling_too_slow_for_a_time_says_so():
+    (hold,) = measure(*recording(step=0.2)).holds
+    assert hold.forces[0].after_stop_N is None
+    assert "samples are 0.2 s apart" in hold.forces[0].reason
+    assert hold.at(1.0) is not None
+
+
+def test_a_hold_under_a_held_load_has_no_forces():
+    trial, divided = recording()
+    phases = (*divided.phases[:2], replace(divided.phases[2], kind="creep"))
+    (hold,) = measure(trial, replace(divided, phases=phases)).holds
+    assert (hold.control, hold.forces, hold.tau) == ("force", (), None)
+
+
+def test_forces_count_from_rest_where_there_is_no_air():
+    trial, divided = recording(zero=0.5)
+    touching = replace(divided, contact=replace(divided.contact, in_record=False, baseline_N=0.0))
+    found = measure(trial, touching)
+    assert (found.base.recorded_N, found.base.source) == (pytest.approx(0.5), "rest")
+    assert found.push.peak.force_N == pytest.approx(10.5)
+    assert measure(trial, replace(divided, contact=None)).push.depth_mm is None
+
+
+def test_a_hold_that_a_rupture_cut_is_kept_and_marked():
+    trial, divided = recording()
+    (hold,) = measure(trial, replace(divided, events=(Event("rupture", 150, 1.5),))).holds
+    assert hold.after_rupture
+    assert hold.at(1.0) is not None
+
+
+def test_no_program_is_compared_with_another_before_ten_ramp_times():
+    quick, slow = (measure(*recording(stretch=stretch)) for stretch in (0.5, 4.0))
+    rows = {(row.name, row.time_s): row for row in spread([quick, slow])}
+    refused = rows["force_over_peak", 1.0]
+    assert refused.mean is None
+    assert "depends on the ramp, and there are ramps of 1.1 to 8.8 s" in refused.reason
+    assert rows["force", 1.0].mean is None
+    assert rows["depth", None].mean == pytest.approx(4.0)
+    # one program pools
+    same = {(row.name, row.time_s): row for row in spread([quick, quick])}
+    assert same["force_over_peak", 1.0].sd == pytest.approx(0.0)
+    assert ramp_reason(100.0, [0.1, 10.0]) == ""
+    assert ramp_reason(100.0, [0.1, 10.0], peak=True) != ""
+
+
+def test_a_modulus_is_that_of_the_formula_or_refused_with_its_number():
+    trial, divided = recording()
+    stiffness = trial.displacement_mm * 2.0 * 3.0 * 0.01 / 0.75
+    flat = replace(trial, force_N=stiffness)
+    modulus = measure(flat, divided, geometry=Geometry(Indenter("flat", 10.0))).push.modulus
+    assert modulus.refused == ""
+    # F = 2 a E d / (1 - nu^2)
+    assert modulus.loading_kPa == pytest.approx(1000.0 * 0.75 * 0.08 / 20.0, rel=1e-6)
+    assert modulus.held_kPa == pytest.approx(modulus.loading_kPa, rel=1e-6)
+    ball = measure(trial, divided, geometry=Geometry(Indenter("sphere", 5.0))).push.modulus
+    assert ball.loading_kPa is None
+    assert "a/R = 0.89 (at most 0.4)" in ball.refused
+    buried = measure(trial, divided, geometry=Geometry(Indenter("flat", 2.0))).push.modulus
+    assert "depth 4 mm beyond the radius of 2 mm" in buried.refused
+    assert measure(trial, divided).push.modulus is None
+    strain = replace(trial, axes=Axes("1", "MPa"))
+    assert measure(strain, divided, geometry=Geometry(Indenter("flat", 10.0))).push.modulus is None
+
+
+def test_a_header_states_a_sphere_unless_something_else_is_stated():
+    trial = replace(recording()[0], protocol=Protocol(tip_radius_mm=0.05))
+    assert TipOf().of(trial) == Geometry(Indenter("sphere", 0.05))
+    assert TipOf(header=False).of(trial) is None
+    stated = Geometry(Indenter("flat", 1.0))
+    assert TipOf(stated).of(trial) == stated
+
+
+def test_verdicts_give_one_reason_and_its_number():
+    trial, divided = recording()
+    found = measure(trial, divided)
+    assert verdict_of(trial, divided, found).level == "good"
+    clipped = replace(divided, flags=(Flag("clipped_force", "the force stands at 10 N for 12 samples"),))
+    assert verdict_of(trial, clipped, found).as_json() == {
+        "level": "repeat",
+        "reason": "the force stands at 10 N for 12 samples",
+    }
+    early = replace(divided, phases=(*divided.phases[:2], replace(divided.phases[2], stop=420, end_s=4.19)))
+    short = verdict_of(trial, early, measure(trial, early))
+    assert short.level == "look"
+    assert short.reason.startswith("hold too short: 0.99 s for a relaxation time of ")
+    slow, divided = recording(step=0.4)
+    said = verdict_of(slow, divided, measure(slow, divided)).reason
+    assert said.startswith("sampling too slow: 7 samples in a ramp of 2.4 s")
+
+
+def test_a_recording_without_phases_has_a_base_alone():
+    trial, divided = recording()
+    assert measure(trial, replace(divided, phases=(), corners=(), contact=None)) == Measured(
+        measure(trial, replace(divided, phases=(), corners=(), contact=None)).base
+    )

@@ -1,0 +1,86 @@
+"""Measured numbers of two sides beside each other, and which of them may not be compared."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import combinations
+from typing import Any
+
+from tissueid.measured.spread import ramp_reason
+from tissueid.measures import SpreadRow
+
+__all__ = ["measured_pairs"]
+
+#: Numbers that say what was done to the tissue, whatever it answered.
+_OF_THE_PROGRAM = ("depth", "travel", "speed", "ramp_time")
+#: Depths within this share are equal.
+SAME_DEPTH = 0.1
+
+
+def measured_pairs(sides: Sequence[tuple[str, Sequence[SpreadRow]]]) -> list[dict[str, Any]]:
+    """All pairs of sides, each with every number that both have.
+
+    Parameters
+    ----------
+    sides : sequence of (name, rows)
+        What was measured of each, with the spread between its logs.
+
+    Returns
+    -------
+    list of dict
+        ``pairs`` of ``schemas/measured-contrast.schema.json``.
+    """
+    return [
+        {"one": one[0], "other": other[0], "numbers": _numbers(one[1], other[1])}
+        for one, other in combinations(sides, 2)
+    ]
+
+
+def _key(row: SpreadRow) -> tuple[str, int, float | None]:
+    return row.name, row.hold, row.time_s
+
+
+def _numbers(one: Sequence[SpreadRow], other: Sequence[SpreadRow]) -> list[dict[str, Any]]:
+    found = {_key(row): row for row in other}
+    depths = [{row.hold: row.mean for row in rows if row.name == "depth"} for rows in (one, other)]
+    return [_number(row, found[_key(row)], depths) for row in one if _key(row) in found]
+
+
+def _number(one: SpreadRow, other: SpreadRow, depths: Sequence[Mapping[int, float | None]]) -> dict[str, Any]:
+    reason = one.reason or other.reason or _reason(one, other, depths)
+    ratio = None
+    if not reason and one.mean and other.mean is not None:
+        ratio = other.mean / one.mean
+    return {
+        "name": one.name,
+        "unit": one.unit,
+        "hold": one.hold,
+        "time_s": one.time_s,
+        "one": _side(one),
+        "other": _side(other),
+        "ratio": ratio,
+        "reason": reason or None,
+    }
+
+
+def _side(row: SpreadRow) -> dict[str, Any]:
+    return {
+        "mean": row.mean,
+        "sd": row.sd,
+        "count": row.count,
+        "ramp_time_s": None if row.ramp_time_s is None else list(row.ramp_time_s),
+    }
+
+
+def _reason(one: SpreadRow, other: SpreadRow, depths: Sequence[Mapping[int, float | None]]) -> str:
+    """Why two numbers are not compared; empty where they are."""
+    if one.name in _OF_THE_PROGRAM or one.name == "loop_area":
+        return ""
+    times = [*(one.ramp_time_s or ()), *(other.ramp_time_s or ())]
+    reason = ramp_reason(one.time_s, times, peak=one.name == "force_over_peak")
+    if reason:
+        return reason
+    deep = [found.get(one.hold) for found in depths]
+    if one.unit == "N" and deep[0] and deep[1] and abs(deep[1] - deep[0]) > SAME_DEPTH * abs(deep[0]):
+        return f"forces at {deep[0]:.3g} and {deep[1]:.3g} mm of depth"
+    return ""

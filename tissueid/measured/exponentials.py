@@ -1,0 +1,262 @@
+"""Least squares of a plateau and decaying exponentials with amplitudes >= 0, from sums over the samples.
+
+Exponentials of a window are mixtures of those of a basis (:mod:`tissueid.likelihood.basis`), so that the
+samples are summed once and every relaxation time is then tried on a small matrix.  The plateau is free: all
+columns are taken off their means.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.likelihood.basis import TAU_ABOVE_LENGTH, TAU_BELOW_STEP, KernelBasis, kernel_basis
+
+__all__ = ["ExponentialSums", "exponential_ladder", "fit_exponentials"]
+
+FloatArray = NDArray[np.float64]
+
+#: Spacing of the scan in ln tau, for one exponential and for several.
+SCAN_SINGLE, SCAN_SEVERAL = 0.25, 0.6
+#: Minima of a scan that are polished.
+POLISHED = 3
+#: Exponentials closer than this in ln tau describe one relaxation.
+MIN_SEPARATION = 0.3
+#: Gauss-Newton steps, the longest in ln tau, its halvings, and the step that ends them.
+STEPS, LONGEST_STEP, HALVINGS, FINISHED = 60, 0.7, 6, 1e-10
+#: Ridge over the trace that keeps equal exponentials apart from a division by zero.
+RIDGE = 1e-14
+#: A relaxing force below this fraction of the range is rounding, not relaxation.
+MIN_AMPLITUDE = 1e-9
+#: Rows summed at once: memory stays small however long the hold.
+BLOCK = 1 << 15
+
+
+def _amplitudes(gram: FloatArray, product: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Non-negative least squares of a few columns, at many points: every set of columns is tried.
+
+    Parameters
+    ----------
+    gram, product : ndarray, shape (p, m, m) and (p, m)
+
+    Returns
+    -------
+    amplitudes, gained : ndarray, shape (p, m) and (p,)
+        And by how much the sum of squares falls.
+    """
+    points, m = product.shape
+    best, gained = np.zeros((points, m)), np.zeros(points)
+    for size in range(1, m + 1):
+        for chosen in combinations(range(m), size):
+            at = np.array(chosen)
+            inner = gram[:, at[:, None], at]
+            trace = np.trace(inner, axis1=1, axis2=2)
+            inner = inner + (RIDGE * trace + 1e-300)[:, None, None] * np.eye(size)
+            right = product[:, at]
+            found = np.linalg.solve(inner, right[:, :, None])[:, :, 0]
+            gain = (found * right).sum(axis=1)
+            better = (found >= 0.0).all(axis=1) & (gain > gained)
+            gained[better] = gain[better]
+            row = np.zeros((int(better.sum()), m))
+            row[:, at] = found[better]
+            best[better] = row
+    return best, gained
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExponentialSums:
+    """What a window's samples say of all exponentials.
+
+    Attributes
+    ----------
+    basis : KernelBasis
+    bounds : tuple of float
+        Range of ln tau.
+    count : int
+    total : ndarray, shape (k,)
+        Sums of the basis' columns and the force.
+    gram : ndarray, shape (k, k)
+        Sums of their products.
+    """
+
+    basis: KernelBasis
+    bounds: tuple[float, float]
+    count: int
+    total: FloatArray
+    gram: FloatArray
+
+    @classmethod
+    def of(cls, time_s: FloatArray, force_N: FloatArray, basis: KernelBasis | None = None) -> ExponentialSums:
+        """Sums of a window; times grow from 0.
+
+        Parameters
+        ----------
+        time_s, force_N : ndarray, shape (n,)
+        basis : KernelBasis, optional
+            Of a window that this one is a part of.
+        """
+        steps = np.diff(time_s)
+        step, length = float(np.median(steps[steps > 0.0])), float(time_s[-1])
+        basis = basis or kernel_basis(step_s=step, length_s=length)
+        size = basis.tau_s.size + 1
+        total, gram = np.zeros(size), np.zeros((size, size))
+        mean = basis.mean_over_step(basis.tau_s)
+        offset = float(force_N.mean())
+        for first in range(0, time_s.size, BLOCK):
+            block = slice(first, first + BLOCK)
+            # the basis interpolates kernels averaged over half a step, which differ by a factor in tau
+            columns = np.exp(-time_s[block, None] / basis.tau_s) * mean
+            columns = np.column_stack([columns, force_N[block] - offset])
+            total += columns.sum(axis=0)
+            gram += columns.T @ columns
+        bounds = (float(np.log(step / TAU_BELOW_STEP)), float(np.log(length * TAU_ABOVE_LENGTH)))
+        return cls(basis, bounds, time_s.size, total, gram)
+
+    def ladder(self, branches: int) -> list[FloatArray]:
+        """Relaxation times of fits with 1, 2, ... exponentials, ascending; fewer where data support fewer."""
+        centred = _Centred(self.basis, self.gram - np.outer(self.total, self.total) / self.count)
+        low = max(self.bounds[0], self.basis.log_bounds[0])
+        high = min(self.bounds[1], self.basis.log_bounds[1])
+        found: list[FloatArray] = []
+        best = np.zeros(0)
+        for number in range(1, branches + 1):
+            starts = centred.starts(number, best)
+            polished = [centred.polished(start, (low, high)) for start in starts]
+            best = np.sort(min(polished, key=centred.left_over))
+            found.append(np.exp(centred.used(best)))
+        return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Centred:
+    """Sums with the plateau taken out."""
+
+    basis: KernelBasis
+    gram: FloatArray
+
+    def left_over(self, log_tau: FloatArray) -> float:
+        """Sum of squares that exponentials leave, up to a constant."""
+        return -float(self._gains([log_tau])[0])
+
+    def _gains(self, points: Sequence[FloatArray]) -> FloatArray:
+        weights = np.stack([self.basis.weights(point)[0] for point in points])
+        inner = self.gram[:-1, :-1]
+        gram = weights.transpose(0, 2, 1) @ (inner @ weights)
+        return _amplitudes(gram, self.gram[:-1, -1] @ weights)[1]
+
+    def _amplitudes(self, log_tau: FloatArray) -> FloatArray:
+        weights = self.basis.weights(log_tau)[0]
+        inner = weights.T @ self.gram[:-1, :-1] @ weights
+        return np.asarray(_amplitudes(inner[None], (weights.T @ self.gram[:-1, -1])[None])[0][0])
+
+    def used(self, log_tau: FloatArray) -> FloatArray:
+        """Those with an amplitude."""
+        weights = self._amplitudes(log_tau)
+        scale = float(np.sqrt(max(self.gram[-1, -1], 0.0)))
+        return np.asarray(log_tau[weights > MIN_AMPLITUDE * max(scale, 1e-300)])
+
+    def starts(self, number: int, before: FloatArray) -> list[FloatArray]:
+        """Best points of a scan."""
+        low, high = self.basis.log_bounds
+        spacing = SCAN_SINGLE if number == 1 else SCAN_SEVERAL
+        grid = np.linspace(low, high, max(int(np.ceil((high - low) / spacing)), 4) + 1)
+        points = list(_points(number, grid, before))
+        if not points:
+            return [np.linspace(low, high, number + 2)[1:-1]]
+        gains = self._gains(points)
+        apart = SCAN_SINGLE if number == 1 else 2.0 * SCAN_SEVERAL
+        chosen: list[FloatArray] = []
+        for i in np.argsort(-gains, kind="stable"):
+            if all(np.abs(points[i] - other).max() > apart for other in chosen):
+                chosen.append(points[i])
+            if len(chosen) == POLISHED:
+                break
+        return chosen
+
+    def polished(self, log_tau: FloatArray, bounds: tuple[float, float]) -> FloatArray:
+        """The local minimum that a start leads to, amplitudes following."""
+        log_tau = np.clip(log_tau, *bounds)
+        value = self.left_over(log_tau)
+        for _ in range(STEPS):
+            step = self._step(log_tau)
+            for _halving in range(HALVINGS):
+                trial = np.clip(log_tau + step, *bounds)
+                reached = self.left_over(trial)
+                if reached < value:
+                    break
+                step = 0.5 * step
+            else:
+                break
+            done = float(np.abs(trial - log_tau).max()) < FINISHED
+            log_tau, value = trial, reached
+            if done:
+                break
+        return log_tau
+
+    def _step(self, log_tau: FloatArray) -> FloatArray:
+        """Gauss-Newton step of the relaxation times and amplitudes together."""
+        weights, slopes = self.basis.weights(log_tau)
+        amplitude = self._amplitudes(log_tau)
+        on = amplitude > 0.0
+        step = np.zeros(log_tau.size)
+        if not on.any():
+            return step
+        frame = np.column_stack([weights[:, on], slopes[:, on] * amplitude[on]])
+        left = self.gram[:-1, -1] - self.gram[:-1, :-1] @ (weights @ amplitude)
+        normal = frame.T @ self.gram[:-1, :-1] @ frame
+        size = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        solved = np.linalg.lstsq(normal * size[:, None] * size, (frame.T @ left) * size, rcond=1e-14)[0]
+        step[on] = np.clip((solved * size)[int(on.sum()) :], -LONGEST_STEP, LONGEST_STEP)
+        return step
+
+
+def _points(number: int, grid: FloatArray, before: FloatArray) -> Iterator[FloatArray]:
+    """Points of a scan: the grid, its pairs, or the best so far and one more."""
+    if number == 1:
+        yield from (grid[i : i + 1] for i in range(grid.size))
+    elif number == 2:
+        yield from (np.array(pair) for pair in combinations(grid, 2))
+    else:
+        yield from (
+            np.sort(np.append(before, extra))
+            for extra in grid
+            if np.abs(before - extra).min(initial=np.inf) > MIN_SEPARATION
+        )
+
+
+def exponential_ladder(
+    time_s: FloatArray, force_N: FloatArray, count: int
+) -> list[tuple[FloatArray, FloatArray]]:
+    """Fits with 1, 2, ... ``count`` exponentials.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (n,)
+        From the start of the window [s], 0 first.
+    force_N : ndarray, shape (n,)
+    count : int
+        1 to 3.
+
+    Returns
+    -------
+    list of (tau_s, model_N)
+        tau ascending, shorter where an amplitude is zero; model of shape (n,).
+    """
+    return [
+        (tau, curve_of(time_s, force_N, tau)) for tau in ExponentialSums.of(time_s, force_N).ladder(count)
+    ]
+
+
+def curve_of(time_s: FloatArray, force_N: FloatArray, tau_s: FloatArray) -> FloatArray:
+    """The least-squares curve with these relaxation times, shape (n,)."""
+    design = np.column_stack([np.ones(time_s.size), *(np.exp(-time_s / value) for value in tau_s)])
+    return np.asarray(design @ np.linalg.lstsq(design, force_N, rcond=None)[0])
+
+
+def fit_exponentials(time_s: FloatArray, force_N: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+    """The fit with ``count`` exponentials, as :func:`exponential_ladder` gives it."""
+    return exponential_ladder(time_s, force_N, count)[-1]

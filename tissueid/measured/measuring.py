@@ -1,0 +1,216 @@
+"""Compose what one recording showed from its phases."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.measured.cycles import cycle_rows
+from tissueid.measured.force_at import force_at
+from tissueid.measured.geometry import Geometry
+from tissueid.measured.modulus import modulus_of
+from tissueid.measured.pushes import Move, braking_before, move_before, moves, peak_of, usable_until
+from tissueid.measured.relaxation import hold_ladder
+from tissueid.measures import (
+    Base,
+    Measured,
+    MeasuredForce,
+    MeasuredHold,
+    MeasuredLoop,
+    MeasuredPeak,
+    MeasuredPush,
+    MeasuredTau,
+    beyond_ramp,
+)
+from tissueid.trial import Phase, Segmentation, Trial
+
+__all__ = ["TIMES_S", "measure"]
+
+FloatArray = NDArray[np.float64]
+
+#: Times after the stop at which the force of a hold is stated [s].
+TIMES_S = (0.1, 1.0, 10.0, 100.0)
+#: The time whose force the others are put over.
+REFERENCE_S = 10.0
+#: Exponentials of a hold.
+EXPONENTIALS = 2
+#: Fewest samples at rest that give a base.
+LEAST_REST = 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Record:
+    """A recording with its force above the base, growing with loading."""
+
+    trial: Trial
+    segmentation: Segmentation
+    base: Base
+    force_N: FloatArray
+    depth_mm: FloatArray
+
+    def recorded(self, force_N: float) -> float:
+        """A force above the base, as the recording has it."""
+        return self.base.recorded_N + self.segmentation.force_sign * force_N
+
+
+def measure(trial: Trial, segmentation: Segmentation, *, geometry: Geometry | None = None) -> Measured:
+    """What a recording showed, no model.
+
+    Parameters
+    ----------
+    trial : Trial
+    segmentation : Segmentation
+        A recording without phases has nothing but a base.
+    geometry : Geometry, optional
+        Tip and tissue, for a modulus.
+    """
+    record = _record(trial, segmentation)
+    phases = segmentation.phases
+    pushes = [_push(record, move, geometry) for move in moves(phases)]
+    held = [number for number, phase in enumerate(phases) if phase.kind in ("hold", "creep")]
+    holds = [
+        _hold(record, number, geometry) for number in held if phases[number].end_s > phases[number].start_s
+    ]
+    return Measured(
+        base=record.base,
+        push=max(pushes, key=lambda one: one.peak.force_N, default=None),
+        holds=tuple(holds),
+        loops=_loops(trial, segmentation),
+    )
+
+
+def _record(trial: Trial, segmentation: Segmentation) -> _Record:
+    base = _base(trial, segmentation)
+    contact = segmentation.contact
+    zero = float(trial.displacement_mm[0]) if contact is None else contact.displacement_mm
+    return _Record(
+        trial,
+        segmentation,
+        base,
+        segmentation.force_sign * (trial.force_N - base.recorded_N),
+        segmentation.compression_sign * (trial.displacement_mm - zero),
+    )
+
+
+def _base(trial: Trial, segmentation: Segmentation) -> Base:
+    """The reading in air, else the force at rest before the first move, else the record's own zero."""
+    contact = segmentation.contact
+    if contact is not None and contact.in_record:
+        return Base(contact.baseline_N, "air")
+    moving = next((phase for phase in segmentation.phases if phase.speed_mm_s != 0.0), None)
+    # the last sample at rest is the first of the move
+    if moving is not None and moving.start >= LEAST_REST:
+        return Base(float(np.median(trial.force_N[: moving.start])), "rest")
+    return Base(0.0, "recorded")
+
+
+def _push(record: _Record, move: Move, geometry: Geometry | None) -> MeasuredPush:
+    trial, segmentation, phases = record.trial, record.segmentation, record.segmentation.phases
+    start, moving = phases[move.first].start, phases[move.moving].start
+    at, force = peak_of(trial.time_s, record.force_N, segmentation, move.last + 1)
+    depth = float(record.depth_mm[move.stop])
+    start_s, stop_s = float(trial.time_s[start]), float(trial.time_s[move.stop])
+    held = phases[move.last + 1] if move.last + 1 < len(phases) else None
+    last = held.stop - 1 if held is not None and held.kind == "hold" else None
+    return MeasuredPush(
+        start_s=start_s,
+        stop_s=stop_s,
+        ramp_time_s=stop_s - start_s,
+        speed_mm_s=phases[move.last].speed_mm_s,
+        travel_mm=depth - float(record.depth_mm[moving]),
+        depth_mm=None if segmentation.contact is None else depth,
+        braking_s=braking_before(segmentation, move),
+        peak=MeasuredPeak(float(trial.time_s[at]), force, record.recorded(force)),
+        modulus=modulus_of(trial, segmentation, slice(start, move.stop + 1), last, geometry),
+    )
+
+
+def _hold(record: _Record, number: int, geometry: Geometry | None) -> MeasuredHold:
+    segmentation, phase = record.segmentation, record.segmentation.phases[number]
+    move = move_before(segmentation.phases, number)
+    push = None if move is None else _push(record, move, geometry)
+    position = phase.kind == "hold"
+    inside = record.force_N[phase.start : phase.stop]
+    return MeasuredHold(
+        start_s=phase.start_s,
+        end_s=phase.end_s,
+        control="position" if position else "force",
+        push=push,
+        forces=_forces(record, number, phase, push) if position else (),
+        end_N=float(inside[-1]),
+        creep_mm=float(record.depth_mm[phase.stop - 1] - record.depth_mm[phase.start]),
+        tau=_tau(record, number, phase) if position else None,
+        after_rupture=phase.stop > usable_until(segmentation, phase.stop),
+    )
+
+
+def _forces(
+    record: _Record, number: int, phase: Phase, push: MeasuredPush | None
+) -> tuple[MeasuredForce, ...]:
+    """Forces at the stated times after the stop."""
+    trial, noise = record.trial, record.segmentation.force_noise_N
+    peak = peak_of(trial.time_s, record.force_N, record.segmentation, number)
+    peak_N = peak.force_N if push is not None and peak.force_N > 0.0 else None
+
+    def said(start: int, wanted: float) -> tuple[float | None, float | None, str]:
+        inside = slice(start, phase.stop)
+        time = trial.time_s[inside] - trial.time_s[start]
+        return force_at(time, record.force_N[inside], wanted, noise)
+
+    reference, _, _ = said(phase.start, REFERENCE_S)
+    rows = []
+    for wanted in TIMES_S:
+        force, sd, reason = said(phase.start, wanted)
+        later, _, _ = said(peak.at, wanted)
+        over_10s = None if force is None or not reference or reference <= 0.0 else force / reference
+        rows.append(
+            MeasuredForce(
+                time_s=wanted,
+                after_stop_N=force,
+                sd_N=sd,
+                recorded_N=None if force is None else record.recorded(force),
+                after_peak_N=later,
+                over_10s=over_10s,
+                over_peak=None if later is None or peak_N is None else later / peak_N,
+                beyond_ramp=push is not None and beyond_ramp(wanted, push.ramp_time_s),
+                reason=reason,
+            )
+        )
+    return tuple(rows)
+
+
+def _tau(record: _Record, number: int, phase: Phase) -> MeasuredTau | None:
+    """Relaxation times from the peak to the end of the hold."""
+    time = record.trial.time_s
+    peak = peak_of(time, record.force_N, record.segmentation, number)
+    window = slice(peak.at, phase.stop)
+    found = hold_ladder(time[window], record.force_N[window], EXPONENTIALS)
+    if found is None:
+        return None
+    single = found.single_s
+    slope = (
+        None if single is None or found.half_s is None else float(np.log(single / found.half_s) / np.log(2.0))
+    )
+    return MeasuredTau(
+        window_s=(float(time[peak.at]), phase.end_s),
+        single_s=single,
+        double_s=found.taus_s[1],
+        nrmsd_single=found.nrmsd[0],
+        log_slope=slope,
+    )
+
+
+def _loops(trial: Trial, segmentation: Segmentation) -> tuple[MeasuredLoop, ...]:
+    return tuple(
+        MeasuredLoop(
+            row.number,
+            row.kind,
+            row.peak_depth_mm,
+            row.dissipated_mJ.value,
+            row.dissipated_mJ.stderr,
+            row.hysteresis.value,
+        )
+        for row in cycle_rows(trial, segmentation)
+    )

@@ -1,0 +1,150 @@
+"""Loading moves before holds: where they begin, where they stop, and the peak of the force.
+
+The stop is where segmentation begins the hold.  The peak is the largest force from max(0.5 s, braking) before
+the stop to 0.1 s after it: crossheads brake, and the force may fall while they do.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.trial import Phase, Segmentation
+
+__all__ = ["Move", "Peak", "braking_before", "move_before", "moves", "peak_of", "usable_until"]
+
+FloatArray = NDArray[np.float64]
+
+#: The peak is looked for from so long before the stop, at least, to so long after it [s].
+BEFORE_S, AFTER_S = 0.5, 0.1
+#: The largest of many samples is high by their noise: above this share of it, means over a few are taken ...
+NOISY_SHARE = 0.005
+#: ... no longer than this, nor than this share of the ramp.
+MEAN_S, MEAN_SHARE = 0.05, 0.02
+#: Phases that begin with a stop.
+HELD = ("hold", "creep")
+#: An approach slower than this share of the ramp stands still.
+STANDS = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Move:
+    """One loading move as phases: an approach that moves, and the ramps after it.
+
+    Attributes
+    ----------
+    moving, first, last : int
+        Phases: where the motion begins, the first ramp, and the last one.
+    stop : int
+        Sample of the stop.
+    """
+
+    moving: int
+    first: int
+    last: int
+    stop: int
+
+
+def usable_until(segmentation: Segmentation, size: int) -> int:
+    """One past the last sample that may be fitted at all: the first rupture, or the end of the phases."""
+    end = segmentation.phases[-1].stop if segmentation.phases else size
+    ruptures = (event.index + 1 for event in segmentation.events if event.kind == "rupture")
+    return min([end, *ruptures])
+
+
+def move_before(phases: tuple[Phase, ...], number: int) -> Move | None:
+    """The loading that ends where a phase begins; ``None`` where another move, or none, comes before it."""
+    first = number
+    while first > 0 and phases[first - 1].kind == "ramp":
+        first -= 1
+    if first == number:
+        return None
+    moving, speed = first, phases[first].speed_mm_s
+    while moving > 0 and phases[moving - 1].kind == "approach" and _moves(phases[moving - 1], speed):
+        moving -= 1
+    stop = phases[number].start if number < len(phases) else phases[number - 1].stop - 1
+    return Move(moving, first, number - 1, stop)
+
+
+def _moves(approach: Phase, speed_mm_s: float) -> bool:
+    return abs(approach.speed_mm_s) > STANDS * abs(speed_mm_s)
+
+
+def moves(phases: tuple[Phase, ...]) -> list[Move]:
+    """Every loading move, in time order; cycles are loops and no moves."""
+    ends = [
+        number
+        for number in range(1, len(phases) + 1)
+        if phases[number - 1].kind == "ramp" and (number == len(phases) or phases[number].kind != "ramp")
+    ]
+    found = (move_before(phases, number) for number in ends)
+    return [one for one in found if one is not None]
+
+
+def braking_before(segmentation: Segmentation, move: Move) -> float | None:
+    """From the corner of a move to its stop [s]; ``None`` where it has no corner."""
+    corner = next((one for one in segmentation.corners if one.phase == move.last), None)
+    if corner is None:
+        return None
+    phases = segmentation.phases
+    stop = phases[move.last + 1].start_s if move.last + 1 < len(phases) else phases[move.last].end_s
+    return max(stop - corner.time_s, 0.0)
+
+
+class Peak(NamedTuple):
+    """Sample of a peak, and the force there [N]: a mean over a few samples where they are noisy."""
+
+    at: int
+    force_N: float
+
+
+def peak_of(time_s: FloatArray, force_N: FloatArray, segmentation: Segmentation, number: int) -> Peak:
+    """The peak before a phase: its first sample where no loading comes before it.
+
+    Parameters
+    ----------
+    time_s, force_N : ndarray, shape (n,)
+        Force that grows with loading.
+    segmentation : Segmentation
+    number : int
+        The phase that begins with the stop; one past the last where the record ends there.
+    """
+    phases = segmentation.phases
+    move = move_before(phases, number)
+    if move is None:
+        return Peak(phases[number].start, float(force_N[phases[number].start]))
+    begin = phases[move.first].start
+    stop_s = float(time_s[move.stop])
+    held = number < len(phases) and phases[number].kind in HELD
+    # without a standstill the tissue may give way long before the end of the move
+    before = max(BEFORE_S, braking_before(segmentation, move) or 0.0) if held else np.inf
+    low = max(int(np.searchsorted(time_s, stop_s - before)), begin)
+    high = max(int(np.searchsorted(time_s, stop_s + AFTER_S, "right")), move.stop + 1)
+    ramp_s = stop_s - float(time_s[begin])
+    force = _smoothed(time_s, force_N, slice(low, high), segmentation, ramp_s)
+    at = int(np.argmax(force))
+    return Peak(low + at, float(force[at]))
+
+
+def _smoothed(
+    time_s: FloatArray, force_N: FloatArray, window: slice, segmentation: Segmentation, ramp_s: float
+) -> FloatArray:
+    """The force of a window, or its means over a few samples where noise would choose the largest."""
+    force = force_N[window]
+    bias = segmentation.force_noise_N * np.sqrt(2.0 * np.log(max(force.size, 2)))
+    if bias <= NOISY_SHARE * float(np.abs(force).max()):
+        return force
+    return _local_means(time_s, force_N, window, 0.5 * min(MEAN_S, MEAN_SHARE * ramp_s))
+
+
+def _local_means(time_s: FloatArray, values: FloatArray, window: slice, half_s: float) -> FloatArray:
+    """Means over the samples within ``half_s`` to either side, for the samples of a window."""
+    time = time_s[window]
+    left = np.searchsorted(time_s, time - half_s, "left")
+    right = np.searchsorted(time_s, time + half_s, "right")
+    first = int(left[0])
+    total = np.concatenate([[0.0], np.cumsum(values[first : int(right[-1])])])
+    return np.asarray((total[right - first] - total[left - first]) / (right - left))

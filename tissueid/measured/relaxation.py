@@ -1,0 +1,180 @@
+"""The relaxation table: what people quote, each number with the window it was taken from.
+
+For every hold, ``F = c + sum_j A_j exp(-t / tau_j)`` with one, two and three exponentials, a free
+plateau c and A_j >= 0, uniform weights, from the force peak to the end of the hold.  A relaxation
+time moves with its window, the ramp before it and the weights (statistics.md 4, formats.md 3), so the
+flags say when it did.  This table describes a hold; the contact model is not fitted from it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.flags import Flag
+from tissueid.measured.exponentials import ExponentialSums, curve_of
+from tissueid.measured.pushes import peak_of, usable_until
+from tissueid.quantities import RelaxationRow
+from tissueid.trial import Segmentation, Trial, contact_frame
+
+__all__ = ["Ladder", "hold_ladder", "relaxation_rows"]
+
+FloatArray = NDArray[np.float64]
+
+MIN_SAMPLES = 8
+MAX_EXPONENTIALS = 3
+#: Limits of the flags (statistics.md 4).
+WINDOW_SHARE = 1.0 / 3.0
+WINDOW_SHIFT = 0.2
+RESIDUAL_SHARE = 0.05
+NRMSD_RATIO = 2.0
+#: A residual below this many standard deviations of the noise says nothing of the model.
+NOISE_FACTOR = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class Ladder:
+    """Fits of one window with one, two, ... exponentials.
+
+    Attributes
+    ----------
+    taus_s : tuple of tuple of float
+        Relaxation times of each fit.
+    nrmsd : tuple of float
+        Of each fit, over the range of the force.
+    worst_N : float
+        Largest residual of the single exponential.
+    half_s : float or None
+        Single relaxation time of the first half of the window.
+    """
+
+    taus_s: tuple[tuple[float, ...], ...]
+    nrmsd: tuple[float, ...]
+    worst_N: float
+    half_s: float | None
+
+    @property
+    def single_s(self) -> float | None:
+        """The single relaxation time; ``None`` where the force does not relax."""
+        return self.taus_s[0][0] if self.taus_s[0] else None
+
+
+def hold_ladder(time_s: FloatArray, force_N: FloatArray, count: int) -> Ladder | None:
+    """Fit a window with one to ``count`` exponentials; ``None`` where it is too short or constant.
+
+    Parameters
+    ----------
+    time_s, force_N : ndarray, shape (n,)
+        From the peak on.
+    count : int
+    """
+    time = time_s - time_s[0]
+    if time.size < MIN_SAMPLES or time[-1] <= 0.0 or np.ptp(force_N) == 0.0:
+        return None
+    sums = ExponentialSums.of(time, force_N)
+    taus = sums.ladder(count)
+    residuals = [force_N - curve_of(time, force_N, tau) for tau in taus]
+    half = int(np.searchsorted(time, time[-1] / 2.0))
+    half_s = None
+    if taus[0].size and half >= MIN_SAMPLES and np.ptp(force_N[:half]) > 0.0:
+        (early,) = ExponentialSums.of(time[:half], force_N[:half], sums.basis).ladder(1)
+        half_s = float(early[0]) if early.size else None
+    return Ladder(
+        taus_s=tuple(tuple(tau.tolist()) for tau in taus),
+        nrmsd=tuple(float(np.sqrt(np.mean(left**2)) / np.ptp(force_N)) for left in residuals),
+        worst_N=float(np.abs(residuals[0]).max()),
+        half_s=half_s,
+    )
+
+
+def _flags(
+    tau: float, half_tau: float | None, window: float, step: float, misfit: tuple[float, float, bool]
+) -> list[Flag]:
+    share, ratio, beyond_noise = misfit
+    flags = []
+    if tau > WINDOW_SHARE * window:
+        flags.append(
+            Flag(
+                "tau_exceeds_window",
+                f"one exponential gives {tau:.3g} s, over a third of its window of {window:.3g} s",
+                {"tau_s": tau, "window_length_s": window},
+            )
+        )
+    if half_tau is not None and abs(half_tau - tau) > WINDOW_SHIFT * tau:
+        flags.append(
+            Flag(
+                "window_dependent",
+                f"half the window gives {half_tau:.3g} s instead of {tau:.3g} s",
+                {"tau_s": tau, "tau_half_window_s": half_tau},
+            )
+        )
+    if tau < 2.0 * step:
+        flags.append(
+            Flag(
+                "tau_below_resolution",
+                f"one exponential gives {tau:.3g} s at a sampling interval of {step:.3g} s",
+                {"tau_s": tau, "step_s": step},
+            )
+        )
+    if (share > RESIDUAL_SHARE and beyond_noise) or ratio > NRMSD_RATIO:
+        flags.append(
+            Flag(
+                "one_tau_inadequate",
+                f"one exponential leaves {100 * share:.2g} % of the hold's range; "
+                f"two fit {ratio:.2g} times better",
+                {"max_residual_fraction": share, "nrmsd_ratio": ratio},
+            )
+        )
+    return flags
+
+
+def _row(trial: Trial, force: FloatArray, noise_N: float, window: slice) -> RelaxationRow | None:
+    time, window_force = trial.time_s[window], force[window]
+    found = hold_ladder(time, window_force, MAX_EXPONENTIALS)
+    if found is None:
+        return None
+    one, two = found.nrmsd[:2]
+    single = found.single_s
+    flags: list[Flag] = []
+    if single is not None:
+        steps = np.diff(time)
+        misfit = (
+            found.worst_N / float(np.ptp(window_force)),
+            one / two if two > 0.0 else 1.0,
+            found.worst_N > NOISE_FACTOR * noise_N,
+        )
+        step = float(np.median(steps[steps > 0.0]))
+        flags = _flags(single, found.half_s, float(time[-1] - time[0]), step, misfit)
+    return RelaxationRow(
+        path=trial.source.path,
+        sheet=trial.source.sheet,
+        window_s=(float(time[0]), float(time[-1])),
+        peak_force_N=float(window_force[0]),
+        tau_single_s=single,
+        nrmsd_single=one,
+        tau_double_s=found.taus_s[1],
+        tau_triple_s=found.taus_s[2],
+        flags=tuple(flags),
+    )
+
+
+def relaxation_rows(trial: Trial, segmentation: Segmentation) -> tuple[RelaxationRow, ...]:
+    """One row for every hold in contact; none where there is no hold.
+
+    Parameters
+    ----------
+    trial : Trial
+    segmentation : Segmentation
+    """
+    if segmentation.contact is None:
+        return ()
+    _, force = contact_frame(trial, segmentation)
+    last = usable_until(segmentation, trial.time_s.size)
+    rows = []
+    for number, hold in enumerate(segmentation.phases):
+        if hold.kind == "hold" and segmentation.contact.index < hold.stop <= last:
+            peak = peak_of(trial.time_s, force, segmentation, number)
+            rows.append(_row(trial, force, segmentation.force_noise_N, slice(peak.at, hold.stop)))
+    return tuple(row for row in rows if row is not None)

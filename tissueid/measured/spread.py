@@ -1,0 +1,140 @@
+"""Mean and spread of what was measured, over the logs of a specimen.
+
+Forces that still know the ramp are pooled within one program only: logs whose ramp times differ by more than
+a factor of two follow different ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+
+from tissueid.measured.measuring import REFERENCE_S, TIMES_S
+from tissueid.measures import (
+    RAMP_TIMES,
+    Measured,
+    MeasuredForce,
+    MeasuredHold,
+    MeasuredPush,
+    SpreadRow,
+    beyond_ramp,
+)
+
+__all__ = ["SAME_PROGRAM", "ramp_reason", "spread"]
+
+#: Ramp times within this factor belong to one program.
+SAME_PROGRAM = 2.0
+
+
+def ramp_reason(time_s: float | None, ramp_times_s: Sequence[float], *, peak: bool = False) -> str:
+    """Why numbers of several ramps may not be pooled or compared; empty where they may.
+
+    Parameters
+    ----------
+    time_s : float or None
+        After the stop; ``None`` for a number of the ramp itself, such as the peak.
+    ramp_times_s : sequence of float
+    peak : bool
+        Whether the number is put over the peak, which any ramp changes.
+    """
+    if not ramp_times_s:
+        return ""
+    short, long = min(ramp_times_s), max(ramp_times_s)
+    if long <= SAME_PROGRAM * short:
+        return ""
+    between = f"ramps of {short:.3g} to {long:.3g} s"
+    if time_s is None or peak:
+        return f"depends on the ramp, and there are {between}"
+    if not beyond_ramp(time_s, long):
+        return f"depends on the ramp before {RAMP_TIMES * long:.3g} s, and there are {between}"
+    return ""
+
+
+def _push_numbers() -> Iterator[tuple[str, str, Callable[[MeasuredPush], float | None]]]:
+    yield "peak", "N", lambda push: push.peak.force_N
+    yield "depth", "mm", lambda push: push.depth_mm
+    yield "travel", "mm", lambda push: push.travel_mm
+    yield "speed", "mm/s", lambda push: push.speed_mm_s
+    yield "ramp_time", "s", lambda push: push.ramp_time_s
+    yield "modulus_loading", "kPa", lambda push: None if push.modulus is None else push.modulus.loading_kPa
+    yield "modulus_held", "kPa", lambda push: None if push.modulus is None else push.modulus.held_kPa
+
+
+def _hold_numbers() -> Iterator[tuple[str, str, float, Callable[[MeasuredForce], float | None]]]:
+    for time in TIMES_S:
+        yield "force", "N", time, lambda one: one.after_stop_N
+    for time in TIMES_S:
+        if time != REFERENCE_S:
+            yield "force_over_10s", "1", time, lambda one: one.over_10s
+    for time in TIMES_S:
+        yield "force_over_peak", "1", time, lambda one: one.over_peak
+
+
+def spread(logs: Sequence[Measured]) -> tuple[SpreadRow, ...]:
+    """Mean and standard deviation between logs of every measured number.
+
+    Parameters
+    ----------
+    logs : sequence of Measured
+        Of one specimen.
+
+    Returns
+    -------
+    tuple of SpreadRow
+        The first hold of each log, then the second, and so on; logs without a hold give their push.
+    """
+    rows: list[SpreadRow] = []
+    pushes = [log.push for log in logs if log.push is not None and not log.holds]
+    rows += _of_pushes(0, pushes)
+    for number in range(max((len(log.holds) for log in logs), default=0)):
+        holds = [log.holds[number] for log in logs if len(log.holds) > number]
+        held = [hold.push for hold in holds if hold.push is not None]
+        rows += _of_pushes(number + 1, held)
+        rows += _of_holds(number + 1, holds, [push.ramp_time_s for push in held])
+    for number in range(max((len(log.loops) for log in logs), default=0)):
+        loops = [log.loops[number].area_mJ for log in logs if len(log.loops) > number]
+        rows.append(_row("loop_area", "mJ", number + 1, None, loops, ()))
+    return tuple(row for row in rows if row.count)
+
+
+def _of_pushes(number: int, pushes: Sequence[MeasuredPush]) -> Iterator[SpreadRow]:
+    times = [push.ramp_time_s for push in pushes]
+    for name, unit, value in _push_numbers():
+        reason = ramp_reason(None, times) if unit in ("N", "kPa") else ""
+        yield _row(name, unit, number, None, [value(push) for push in pushes], times, reason)
+
+
+def _of_holds(number: int, holds: Sequence[MeasuredHold], times: Sequence[float]) -> Iterator[SpreadRow]:
+    for name, unit, time, value in _hold_numbers():
+        found = [hold.at(time) for hold in holds]
+        reason = ramp_reason(time, times, peak=name == "force_over_peak")
+        yield _row(
+            name, unit, number, time, [None if one is None else value(one) for one in found], times, reason
+        )
+    singles = [None if hold.tau is None else hold.tau.single_s for hold in holds]
+    yield _row("relaxation_time", "s", number, None, singles, times, ramp_reason(None, times))
+
+
+def _row(
+    name: str,
+    unit: str,
+    number: int,
+    time_s: float | None,
+    values: Sequence[float | None],
+    ramp_times_s: Sequence[float],
+    reason: str = "",
+) -> SpreadRow:
+    known = [value for value in values if value is not None]
+    pooled = bool(known) and not reason
+    return SpreadRow(
+        name=name,
+        unit=unit,
+        hold=number,
+        time_s=time_s,
+        ramp_time_s=(min(ramp_times_s), max(ramp_times_s)) if ramp_times_s else None,
+        count=len(known),
+        mean=float(np.mean(known)) if pooled else None,
+        sd=float(np.std(known, ddof=1)) if pooled and len(known) > 1 else None,
+        reason=reason,
+    )

@@ -1,0 +1,161 @@
+"""Keep it, push again, or stop and look: one reason with its number, while the tissue is still mounted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tissueid.flags import Flag
+from tissueid.measured.spread import ramp_reason
+from tissueid.measures import Measured, MeasuredHold, MeasuredPush
+from tissueid.trial import Contact, Segmentation, Trial
+
+__all__ = ["LEVELS", "Verdict", "verdict_of"]
+
+#: From good to bad.
+LEVELS = ("good", "look", "repeat")
+#: Flags that spoil a recording, and those that ask for a look, the gravest first.
+SPOILING = ("clipped_force", "no_contact", "no_ramp", "too_few_samples", "aborted_ramp", "no_decimals")
+DOUBTFUL = (
+    "corner_overshoot",
+    "baseline_drift",
+    "contact_uncertain",
+    "gap",
+    "spike",
+    "quantised_force",
+    "below_resolution",
+    "below_cell_range",
+)
+#: A hold times a relaxation that is shorter than this share of it.
+HOLD_SHARE = 1.0 / 3.0
+#: Samples that a ramp should have.
+SAMPLES_IN_RAMP = 10
+#: Pushes are compared where depth or peak agree within this share.
+EQUAL = 0.05
+#: Softening that is always within the spread, and its standard deviations.
+LEAST_SOFTER, SOFTER_SD = 0.02, 2.0
+#: Softening that is said where fewer than this many earlier pushes know no spread.
+UNKNOWN_SPREAD, KNOWN_FROM = 0.1, 3
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What to do after a push.
+
+    Attributes
+    ----------
+    level : str
+        Of :data:`LEVELS`: keep it, stop and look, push again.
+    reason : str
+        With its number; empty where there is nothing to say.
+    """
+
+    level: str
+    reason: str = ""
+
+    def as_json(self) -> dict[str, Any]:
+        """``{"level", "reason"}``."""
+        return {"level": self.level, "reason": self.reason or None}
+
+
+def verdict_of(
+    trial: Trial,
+    segmentation: Segmentation,
+    measured: Measured,
+    earlier: Sequence[Measured] = (),
+) -> Verdict:
+    """The verdict on one recording.
+
+    Parameters
+    ----------
+    trial : Trial
+    segmentation : Segmentation
+    measured : Measured
+    earlier : sequence of Measured
+        Of the same specimen, in the order of testing.
+    """
+    flags = {flag.code: flag for flag in reversed((*trial.flags, *segmentation.flags))}
+    again = next((flags[code] for code in SPOILING if code in flags), None)
+    if again is not None:
+        return Verdict("repeat", again.message)
+    found = next(_doubts(trial, segmentation, measured, earlier, flags), None)
+    if found is not None:
+        return Verdict("look", found)
+    return Verdict("good", _no_air(segmentation.contact, measured.push, flags))
+
+
+def _doubts(
+    trial: Trial,
+    segmentation: Segmentation,
+    measured: Measured,
+    earlier: Sequence[Measured],
+    flags: dict[str, Flag],
+) -> Iterator[str]:
+    """What asks for a look, the gravest first."""
+    if any(event.kind == "rupture" for event in segmentation.events):
+        at = next(event.time_s for event in segmentation.events if event.kind == "rupture")
+        yield flags["rupture"].message if "rupture" in flags else f"the force collapses at {at:.4g} s"
+    softer = _softer(measured.push, [one.push for one in earlier if one.push is not None])
+    if softer:
+        yield softer
+    if measured.push is not None:
+        yield from _too_slow(trial, measured.push)
+    for hold in measured.holds:
+        yield from _too_short(hold)
+    yield from (flags[code].message for code in DOUBTFUL if code in flags)
+
+
+def _softer(push: MeasuredPush | None, before: Sequence[MeasuredPush]) -> str:
+    """Whether a push is softer than the last equal one by more than they spread."""
+    if push is None:
+        return ""
+    equal = [one for one in before if _equal(push, one)]
+    if not equal:
+        return ""
+    stiffness = np.array([_secant(one) for one in equal])
+    change = 1.0 - _secant(push) / float(stiffness[-1])
+    spread = float(stiffness.std(ddof=1) / stiffness.mean()) if stiffness.size >= KNOWN_FROM else None
+    limit = UNKNOWN_SPREAD if spread is None else max(SOFTER_SD * spread, LEAST_SOFTER)
+    if change <= limit:
+        return ""
+    known = "" if spread is None else f", spread {100.0 * spread:.2g} %"
+    return f"{100.0 * change:.2g} % softer than the last push{known}: rest longer, or take another site"
+
+
+def _equal(push: MeasuredPush, other: MeasuredPush) -> bool:
+    if ramp_reason(None, [push.ramp_time_s, other.ramp_time_s]) or not _secant(other) > 0.0:
+        return False
+    depths = abs(push.travel_mm - other.travel_mm) <= EQUAL * abs(other.travel_mm)
+    return depths or abs(push.peak.force_N - other.peak.force_N) <= EQUAL * abs(other.peak.force_N)
+
+
+def _secant(push: MeasuredPush) -> float:
+    """Peak over travel: contact, which is known worse, plays no part."""
+    return push.peak.force_N / push.travel_mm if push.travel_mm > 0.0 else 0.0
+
+
+def _too_slow(trial: Trial, push: MeasuredPush) -> Iterator[str]:
+    inside = int(((trial.time_s >= push.start_s) & (trial.time_s <= push.stop_s)).sum())
+    if inside < SAMPLES_IN_RAMP and push.ramp_time_s > 0.0:
+        rate = 2.0 * SAMPLES_IN_RAMP / push.ramp_time_s
+        yield f"sampling too slow: {inside} samples in a ramp of {push.ramp_time_s:.3g} s; take {rate:.2g} Hz"
+
+
+def _too_short(hold: MeasuredHold) -> Iterator[str]:
+    tau = None if hold.tau is None else hold.tau.single_s
+    if tau is not None and tau > HOLD_SHARE * hold.length_s > 0.0:
+        yield (
+            f"hold too short: {hold.length_s:.3g} s for a relaxation time of {tau:.2g} s; "
+            f"hold {tau / HOLD_SHARE:.2g} s or longer"
+        )
+
+
+def _no_air(contact: Contact | None, push: MeasuredPush | None, flags: dict[str, Flag]) -> str:
+    if contact is None or contact.in_record or push is None or push.depth_mm is None or push.depth_mm <= 0.0:
+        return ""
+    if not {"starts_in_contact", "preload"} & set(flags):
+        return ""
+    return f"no air before contact: depth known to {100.0 * contact.sd_mm / push.depth_mm:.2g} %"

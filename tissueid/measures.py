@@ -1,0 +1,399 @@
+"""What one recording showed, no model: frozen types for pushes, holds and forces at stated times.
+
+Forces count from the base: the reading in air where the record shows it, else the force at rest before the
+first move.  They grow with compression (with pull, in tension).  ``recorded_N`` is the same force in the
+recording's own sign and zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+__all__ = [
+    "RAMP_TIMES",
+    "Base",
+    "Measured",
+    "MeasuredForce",
+    "MeasuredHold",
+    "MeasuredLoop",
+    "MeasuredModulus",
+    "MeasuredPeak",
+    "MeasuredPush",
+    "MeasuredTau",
+    "SpreadRow",
+    "beyond_ramp",
+    "spread_json",
+]
+
+#: A force earlier than so many ramp times after the stop still knows the ramp.
+RAMP_TIMES = 10.0
+#: Ramp times are known to a sample or two: a time this little short of it counts.
+ALMOST = 0.01
+
+
+def beyond_ramp(time_s: float, ramp_time_s: float) -> bool:
+    """Whether a time after the stop is ten ramp times or later."""
+    return time_s >= (1.0 - ALMOST) * RAMP_TIMES * ramp_time_s
+
+
+@dataclass(frozen=True, slots=True)
+class Base:
+    """The recorded force from which forces count.
+
+    Attributes
+    ----------
+    recorded_N : float
+        As recorded.
+    source : str
+        ``air`` (the tool before contact), ``rest`` (standing before the first move, in contact) or
+        ``recorded`` (the record shows neither: its own zero).
+    """
+
+    recorded_N: float
+    source: str
+
+    def as_json(self) -> dict[str, Any]:
+        """``{"recorded_N", "source"}``."""
+        return {"recorded_N": self.recorded_N, "source": self.source}
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredPeak:
+    """Largest force from max(0.5 s, braking) before the stop to 0.1 s after it; without a stop, of the move.
+
+    Attributes
+    ----------
+    time_s : float
+        As recorded.
+    force_N, recorded_N : float
+        Above the base, and as recorded.
+    """
+
+    time_s: float
+    force_N: float
+    recorded_N: float
+
+    def as_json(self) -> dict[str, float]:
+        """``{"time_s", "force_N", "recorded_N"}``."""
+        return {"time_s": self.time_s, "force_N": self.force_N, "recorded_N": self.recorded_N}
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredModulus:
+    """Young's modulus by the formula of the tip, from loading and from the end of the hold.
+
+    Attributes
+    ----------
+    formula, doi : str
+    tip : str
+        Shape, size, tissue and Poisson's ratio in words.
+    depth_mm : float
+    contact_mm : float or None
+        Contact radius at that depth.
+    loading_kPa, held_kPa : float or None
+        Least squares over the loading, and from the last force of the hold; ``None`` where refused.
+    refused : str
+        Limit that is passed, with its number; empty within the range.
+    """
+
+    formula: str
+    doi: str
+    tip: str
+    depth_mm: float
+    contact_mm: float | None = None
+    loading_kPa: float | None = None
+    held_kPa: float | None = None
+    refused: str = ""
+
+    def as_json(self) -> dict[str, Any]:
+        """The ``modulus`` object of ``schemas/measured.schema.json``."""
+        return {
+            "formula": self.formula,
+            "doi": self.doi,
+            "tip": self.tip,
+            "depth_mm": self.depth_mm,
+            "contact_mm": self.contact_mm,
+            "loading_kPa": self.loading_kPa,
+            "held_kPa": self.held_kPa,
+            "refused": self.refused or None,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredPush:
+    """One loading move: depth, speed, ramp time and peak.
+
+    Attributes
+    ----------
+    start_s, stop_s : float
+        Where the loading begins in contact, and its stop, as recorded.
+    ramp_time_s : float
+        Between the two.
+    speed_mm_s : float
+    travel_mm : float
+        Of the whole move, through air too.
+    depth_mm : float or None
+        Below contact at the stop; ``None`` where no contact was found.
+    braking_s : float or None
+        From the corner to the stop; ``None`` where the move has no corner.
+    peak : MeasuredPeak
+    modulus : MeasuredModulus or None
+        ``None`` where the tip is not known.
+    """
+
+    start_s: float
+    stop_s: float
+    ramp_time_s: float
+    speed_mm_s: float
+    travel_mm: float
+    depth_mm: float | None
+    braking_s: float | None
+    peak: MeasuredPeak
+    modulus: MeasuredModulus | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """The ``push`` object of ``schemas/measured.schema.json``."""
+        plain = ("start_s", "stop_s", "ramp_time_s", "speed_mm_s", "travel_mm", "depth_mm", "braking_s")
+        document: dict[str, Any] = {name: getattr(self, name) for name in plain}
+        document["peak"] = self.peak.as_json()
+        document["modulus"] = None if self.modulus is None else self.modulus.as_json()
+        return document
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredForce:
+    """The force at one time of a hold.
+
+    Attributes
+    ----------
+    time_s : float
+        After the stop, which is what counts; ``after_peak_N``: after the peak.
+    after_stop_N, sd_N, recorded_N : float or None
+        Force so long after the stop above the base, its standard deviation by white noise, and as recorded.
+    after_peak_N : float or None
+        Force so long after the peak above the base.
+    over_10s : float or None
+        ``after_stop_N`` over that at 10 s.
+    over_peak : float or None
+        ``after_peak_N`` over the peak, as relaxation is often quoted.  It depends on the ramp.
+    beyond_ramp : bool
+        Whether the time is ten ramp times or later: earlier ones are compared within a program only.
+    reason : str
+        Why there is no force.
+    """
+
+    time_s: float
+    after_stop_N: float | None = None
+    sd_N: float | None = None
+    recorded_N: float | None = None
+    after_peak_N: float | None = None
+    over_10s: float | None = None
+    over_peak: float | None = None
+    beyond_ramp: bool = False
+    reason: str = ""
+
+    def as_json(self) -> dict[str, Any]:
+        """The ``force`` object of ``schemas/measured.schema.json``."""
+        return {
+            "time_s": self.time_s,
+            "after_stop_N": self.after_stop_N,
+            "sd_N": self.sd_N,
+            "recorded_N": self.recorded_N,
+            "after_peak_N": self.after_peak_N,
+            "over_10s": self.over_10s,
+            "over_peak": self.over_peak,
+            "beyond_ramp": self.beyond_ramp,
+            "reason": self.reason or None,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredTau:
+    """Relaxation times of a hold with a free plateau, which hold for their window alone.
+
+    Attributes
+    ----------
+    window_s : tuple of float
+        Recorded times of the peak and of the end of the hold.
+    single_s : float or None
+    double_s : tuple of float
+    nrmsd_single : float
+        Of the single exponential, over the range of the force.
+    log_slope : float or None
+        d ln tau / d ln T by halving the window; above 0.2 the single time is the window's as much as the
+        tissue's.
+    """
+
+    window_s: tuple[float, float]
+    single_s: float | None
+    double_s: tuple[float, ...]
+    nrmsd_single: float
+    log_slope: float | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """The ``tau`` object of ``schemas/measured.schema.json``."""
+        return {
+            "window_s": list(self.window_s),
+            "single_s": self.single_s,
+            "double_s": list(self.double_s),
+            "nrmsd_single": self.nrmsd_single,
+            "log_slope": self.log_slope,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredHold:
+    """A hold, and the push before it.
+
+    Attributes
+    ----------
+    start_s, end_s : float
+        The stop, and the last sample, as recorded.
+    control : str
+        ``position``, or ``force`` where the load is held and the tool creeps: such a hold has no forces.
+    push : MeasuredPush or None
+        ``None`` where another move than loading came before.
+    forces : tuple of MeasuredForce
+        At :data:`tissueid.measured.TIMES_S` after the stop.
+    end_N : float
+        Last force, above the base.
+    creep_mm : float
+        How far the tool went on during the hold.
+    tau : MeasuredTau or None
+    after_rupture : bool
+        Whether the tissue broke before its end.
+    """
+
+    start_s: float
+    end_s: float
+    control: str
+    push: MeasuredPush | None
+    forces: tuple[MeasuredForce, ...]
+    end_N: float
+    creep_mm: float
+    tau: MeasuredTau | None = None
+    after_rupture: bool = False
+
+    @property
+    def length_s(self) -> float:
+        """From the stop to the last sample [s]."""
+        return self.end_s - self.start_s
+
+    def at(self, time_s: float) -> MeasuredForce | None:
+        """The force at one of the stated times; ``None`` where there is none."""
+        found = next((one for one in self.forces if one.time_s == time_s), None)
+        return None if found is None or found.after_stop_N is None else found
+
+    def as_json(self) -> dict[str, Any]:
+        """The ``hold`` object of ``schemas/measured.schema.json``."""
+        return {
+            "start_s": self.start_s,
+            "end_s": self.end_s,
+            "control": self.control,
+            "push": None if self.push is None else self.push.as_json(),
+            "forces": [one.as_json() for one in self.forces],
+            "end_N": self.end_N,
+            "creep_mm": self.creep_mm,
+            "tau": None if self.tau is None else self.tau.as_json(),
+            "after_rupture": self.after_rupture,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredLoop:
+    """Area of one load-unload loop [mJ = N mm]."""
+
+    number: int
+    kind: str
+    depth_mm: float
+    area_mJ: float | None
+    sd_mJ: float | None
+    hysteresis: float | None
+
+    def as_json(self) -> dict[str, Any]:
+        """The ``loop`` object of ``schemas/measured.schema.json``."""
+        plain = ("number", "kind", "depth_mm", "area_mJ", "sd_mJ", "hysteresis")
+        return {name: getattr(self, name) for name in plain}
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """What one recording showed, no model.
+
+    Attributes
+    ----------
+    base : Base
+    push : MeasuredPush or None
+        The one with the largest peak; ``None`` where nothing was loaded.
+    holds : tuple of MeasuredHold
+        In time order.
+    loops : tuple of MeasuredLoop
+    """
+
+    base: Base
+    push: MeasuredPush | None = None
+    holds: tuple[MeasuredHold, ...] = ()
+    loops: tuple[MeasuredLoop, ...] = ()
+
+    def as_json(self) -> dict[str, Any]:
+        """The object of ``schemas/measured.schema.json``."""
+        return {
+            "base": self.base.as_json(),
+            "push": None if self.push is None else self.push.as_json(),
+            "holds": [one.as_json() for one in self.holds],
+            "loops": [one.as_json() for one in self.loops],
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class SpreadRow:
+    """One measured number over the logs of a specimen.
+
+    Attributes
+    ----------
+    name, unit : str
+    hold : int
+        1 for the first hold of each log; 0 for what is not of a hold.
+    time_s : float or None
+        After the stop.
+    ramp_time_s : tuple of float or None
+        Shortest and longest ramp time of the logs.
+    count : int
+        Logs that have the number.
+    mean : float or None
+        ``None`` where logs of several programs may not be pooled.
+    sd : float or None
+        Between logs; ``None`` for fewer than two.
+    reason : str
+    """
+
+    name: str
+    unit: str
+    hold: int
+    time_s: float | None
+    ramp_time_s: tuple[float, float] | None
+    count: int
+    mean: float | None
+    sd: float | None
+    reason: str = ""
+
+    def as_json(self) -> dict[str, Any]:
+        """The ``spread`` object of ``schemas/measured.schema.json``."""
+        return {
+            "name": self.name,
+            "unit": self.unit,
+            "hold": self.hold,
+            "time_s": self.time_s,
+            "ramp_time_s": None if self.ramp_time_s is None else list(self.ramp_time_s),
+            "count": self.count,
+            "mean": self.mean,
+            "sd": self.sd,
+            "reason": self.reason or None,
+        }
+
+
+def spread_json(rows: Sequence[SpreadRow]) -> list[dict[str, Any]]:
+    """The ``measured`` array of a specimen."""
+    return [row.as_json() for row in rows]
