@@ -140,8 +140,8 @@ class Excluded:
     because : str
     handle : LogHandle or Refusal
         What a fit with it needs, or why there is none.
-    calibrates : bool
-        True where it is no tissue: a rigid block, behind the frame's stiffness.
+    no_specimen : bool
+        True where nobody took it out: a rigid block behind the frame's stiffness, a mean curve.
     """
 
     path: str
@@ -149,7 +149,7 @@ class Excluded:
     specimen: str
     because: str
     handle: LogHandle | Refusal
-    calibrates: bool
+    no_specimen: bool
 
 
 @dataclass(slots=True)
@@ -264,16 +264,16 @@ def collect(
     progress("reading recording 1", 0, 0)  # said before: a network folder may take its time
     for count, raw in enumerate(trials, 1):
         progress(f"read {raw.name}, reading recording {count + 1}", count, 0)
-        trial, own, why = raw, options, None
+        trial, own, decision = raw, options, None
         source = raw.source
         if study is not None:
             decision = study.decision(source.path, source.sheet)
             if study.only_listed and not decision.listed and decision.excluded is None:
                 continue
             trial, own = decided_trial(raw, decision, study), decided_options(options, decision)
-            why = why_excluded(raw, decision, study)
             collected.decisions[source.path, source.sheet] = decision
         pattern = options.excludes(trial)
+        why = why_excluded(raw, decision, study)
         if why is None and pattern is not None:
             why = f"--exclude {pattern}"
         if why is None and trial.axes != collected.axes.get(trial.specimen, trial.axes):
@@ -282,9 +282,9 @@ def collect(
         key = (source.path, source.sheet) if cache.reloads else (str(count), None)
         handle = _handle(trial, own, study, _loader(cache, key, source, study), unfitted, unloading=unloading)
         if why is not None:
-            rigid = pattern is None and decision.excluded is None
+            itself = pattern is None and (decision is None or decision.excluded is None)
             collected.excluded.append(
-                Excluded(source.path, source.sheet, trial.specimen, why, handle, calibrates=rigid)
+                Excluded(source.path, source.sheet, trial.specimen, why, handle, no_specimen=itself)
             )
         elif isinstance(handle, Refusal):
             collected.left_out.append(handle)

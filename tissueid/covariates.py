@@ -177,7 +177,7 @@ def _with_it(
     again: Refit,
 ) -> tuple[str | None, list[dict[str, Any]]]:
     """A remark, and a row a parameter; no rows where the fit with the trial is not possible."""
-    if one.calibrates:
+    if one.no_specimen:
         return None, []
     if isinstance(one.handle, Refusal):
         return f"it could not be fitted anyway: {one.handle.message}", []
@@ -216,7 +216,7 @@ def without_excluded(refused: Sequence[Refusal], collected: Collected, study: St
             continue
         specimen = decision.trial.get("specimen", one.path)
         collected.excluded.append(
-            Excluded(one.path, one.sheet, specimen, decision.excluded, one, calibrates=False)
+            Excluded(one.path, one.sheet, specimen, decision.excluded, one, no_specimen=False)
         )
     return kept
 

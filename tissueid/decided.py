@@ -80,9 +80,13 @@ def _words(value: Any) -> str:
     return f'"{value}"' if isinstance(value, str) else f"{value:g}"
 
 
-def why_excluded(trial: Trial, decision: Decision, study: Study) -> str | None:
-    """The user's reason, or that the recording calibrated the frame."""
-    frame = study.calibration.frame
-    if decision.excluded is None and frame is not None and trial.source.sha256 in frame.sources:
+def why_excluded(trial: Trial, decision: Decision | None, study: Study | None) -> str | None:
+    """The user's reason, or that the recording calibrated the frame, or is no specimen and not listed."""
+    if decision is not None and decision.excluded is not None:
+        return decision.excluded
+    frame = None if study is None else study.calibration.frame
+    if frame is not None and trial.source.sha256 in frame.sources:
         return f"a rigid block: {frame.path} was made from it"
-    return decision.excluded
+    if decision is not None and decision.listed:
+        return None
+    return next((flag.message for flag in trial.flags if flag.code == "not_a_specimen"), None)

@@ -71,6 +71,16 @@ _FILE = {
         "Export displacement and force, to feel a tissue.",
         "are normalised",
     ),
+    "not_a_specimen": Advice(
+        "It is shown, and takes no part in a fit.",
+        "List it under [[trial]] of study.toml, if it is one.",
+        "are no specimens",
+    ),
+    "cantilever_bending": Advice(
+        "The tip went less deep than the travel says, so that the tissue looks softer.",
+        "State frame_stiffness_N_per_mm in [calibration] of study.toml.",
+        "hold the bending of a cantilever",
+    ),
     "rendered": Advice(
         "A fit returns the law that was rendered. It says nothing new of the tissue.",
         "Use it to check a session, not to identify.",
@@ -102,6 +112,11 @@ _SAMPLES = {
         "If a decimal mark was lost, numbers are too large by a power of ten.",
         "Export again with more digits, or state --decimal.",
         "may have lost decimal marks",
+    ),
+    "jump": Advice(
+        "What happened in between is missing; after it another recording may go on.",
+        "Cut it by start_s or end_s of study.toml.",
+        "leap between two samples",
     ),
     "spike": Advice(
         "Single samples may pull the fit and look like misfit.",
@@ -486,12 +501,14 @@ HARM: Mapping[str, tuple[str, ...]] = MappingProxyType(
             "sampler_not_converged",
             "unloading_not_settled",
             "aborted_ramp",
+            "jump",
             "gap",
             "spike",
             "zero_dt",
             "commanded_displacement",
             "below_resolution",
             "below_cell_range",
+            "cantilever_bending",
             "contact_uncertain",
             "baseline_drift",
             "bound_active",
@@ -521,6 +538,7 @@ HARM: Mapping[str, tuple[str, ...]] = MappingProxyType(
             "population_not_passive",
         ),
         "note": (
+            "not_a_specimen",
             "units_assumed",
             "normalised_axes",
             "compliance_unknown",

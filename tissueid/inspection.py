@@ -67,7 +67,7 @@ def as_decided(
     pattern = options.excludes(trial)
     by_hand = None if pattern is None else f"--exclude {pattern}"
     if study is None:
-        return trial, options, by_hand
+        return trial, options, why_excluded(trial, None, None) or by_hand
     decision = study.decision(trial.source.path, trial.source.sheet)
     excluded = why_excluded(trial, decision, study) or by_hand
     return decided_trial(trial, decision, study), decided_options(options, decision), excluded

@@ -14,7 +14,7 @@ import hostile_files as hostile
 import pytest
 
 from tissueid.errors import InputError
-from tissueid.ingest import find_inputs, loading, read_each
+from tissueid.ingest import each_input, find_inputs, loading, read_each
 from tissueid.ingest.unpacking import too_much
 
 #: What reading may take: the libraries alone map about one GiB of address space.
@@ -210,7 +210,9 @@ def test_links_in_circles_and_deep_folders_end(tmp_path: Path) -> None:
         deep.mkdir()
     (deep / "deep.csv").write_bytes(hostile.HEAD)
     start = time.process_time()
-    names = sorted(path.name for path in find_inputs([tmp_path]))
+    found = list(each_input([tmp_path]))
+    names = sorted(item.name for item in found if isinstance(item, Path))
+    circles = {Path(item.path).name: item for item in found if isinstance(item, InputError)}
     seconds = time.process_time() - start
     # what clears folders after a test recurses
     (deep / "deep.csv").unlink()
@@ -218,8 +220,31 @@ def test_links_in_circles_and_deep_folders_end(tmp_path: Path) -> None:
         deep.rmdir()
         deep = deep.parent
     assert names == ["a.csv", "b.csv", "deep.csv", "inside.csv"]
+    assert sorted(circles) == [f"to-{name}" for name in "abcde"]
+    for error in circles.values():
+        assert error.code == "unreadable_file"
+        assert "circle" in error.message
     # five links each way between two folders are 5 ** 40 paths before the system sees the circle
     assert seconds < 20.0
+
+
+@linux_only
+def test_links_of_a_folder_do_not_lead_outside_it(tmp_path: Path) -> None:
+    inside, outside = tmp_path / "lab", tmp_path / "elsewhere"
+    for folder in (inside / "real", outside):
+        folder.mkdir(parents=True)
+        (folder / "a.csv").write_bytes(hostile.HEAD)
+    (inside / "alias").symlink_to("real")
+    (inside / "away").symlink_to(outside)
+    (inside / "away.csv").symlink_to(outside / "a.csv")
+    found = list(each_input([inside]))
+    # a folder of two names is read under the first
+    assert [item.parent.name for item in found if isinstance(item, Path)] == ["alias"]
+    refused = {Path(item.path).name: item for item in found if isinstance(item, InputError)}
+    assert sorted(refused) == ["away", "away.csv"]
+    assert all(str(outside) in error.message for error in refused.values())
+    # a link that is named itself is followed
+    assert [path.name for path in find_inputs([inside / "away"])] == ["a.csv"]
 
 
 def test_a_file_that_grows_while_it_is_read_is_refused(

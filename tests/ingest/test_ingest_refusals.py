@@ -67,10 +67,10 @@ def test_wrong_files_are_refused_with_their_kind(tmp_path, name):
 
 def test_unknown_columns_are_listed_with_the_way_out(tmp_path):
     path = tmp_path / "a.csv"
-    path.write_text("Time,L,F\n0,1,2\n1,2,3\n")
+    path.write_text("Time,x,u,F\n0,1,2,3\n1,2,3,4\n")
     error = refused(path)
     assert (error.code, error.line) == ("no_columns", 1)
-    assert "'L', 'F'" in error.message
+    assert "'x', 'u'" in error.message
     assert "--columns" in error.message
 
 

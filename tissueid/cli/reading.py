@@ -265,7 +265,8 @@ def _each_or_refusal(name: str, sheet: str | None) -> Iterator[Named | Refusal]:
     from tissueid.ingest import each_input
 
     try:
-        yield from ((file, sheet) for file in each_input([name]))
+        for file in each_input([name]):
+            yield _refusal(file) if isinstance(file, InputError) else (file, sheet)
     except InputError as error:
         # a folder without recordings does not stop the others
         yield _refusal(error)

@@ -141,10 +141,10 @@ def _session(flags: dict[str, Any]) -> WatchSession:
 def _recordings(folder: Path) -> list[Path]:
     """The recordings of the folder now; an ``OSError`` where it can't be listed."""
     from tissueid.errors import InputError
-    from tissueid.ingest import find_inputs
+    from tissueid.ingest import each_input
 
     try:
-        return find_inputs([folder])
+        return [item for item in each_input([folder]) if isinstance(item, Path)]
     except InputError as error:
         if error.code == "no_recording":
             return []
@@ -205,7 +205,7 @@ def _judged(
         say(trial, options, study, excluded)
     verdict = judge(trial, earlier, options=options, fit=fit)
     if excluded is not None:
-        told = f"study.toml takes this test out, because: {excluded}"
+        told = f"this test is taken out, because: {excluded}"
         verdict |= {"level": "look", "advice": [told], "ramp": None}
     return verdict
 

@@ -30,6 +30,7 @@ RATIO_FROM_BYTES = 1 << 24
 MOST_MEMBERS = 10_000
 _SUFFIXES = frozenset(
     {".csv", ".tsv", ".txt", ".tra", ".dat", ".asc", ".xls", ".xlsx", ".xlsm", ".xlsb", ".ods", ""}
+    | {".jpk-force", ".jpk-force-map", ".jpk-qi-data"}
 )
 #: Members of prose and the like are passed over where they hold no table.
 _PROSE = frozenset({".txt", ".dat", ".asc", ""})
@@ -133,7 +134,7 @@ def _member(
 ) -> Iterator[Table | InputError]:
     """The trials of one member, under its name."""
     place = Place(file.path, name)
-    if data.startswith(b"PK") and is_archive(data):
+    if is_archive(data):
         yield place.refusal("unreadable_archive", "an archive in an archive is not opened; unpack it")
         return
     inner = lay_out(name, data, file.options, file.digest)

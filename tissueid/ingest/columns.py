@@ -9,22 +9,24 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import cast
 
 from tissueid.errors import InputError
 from tissueid.flags import Flag
 from tissueid.ingest.options import AXES, ReadOptions
 from tissueid.ingest.refusals import Place
-from tissueid.ingest.vocabulary import CHANNELS, Channel, plain_words, rank_of
+from tissueid.ingest.vocabulary import CHANNELS, SYMBOL_RANK, Channel, plain_words, rank_of
 from tissueid.units import INTERNAL_UNITS, Quantity, bare_unit, factor_to, quantity_of
 
 __all__ = ["ColumnChoice", "choose_columns", "has_channels", "split_name"]
 
 _BRACKETED = re.compile(r"(.*?)\s*[(\[]\s*([^()\[\]]*?)\s*[)\]]\s*", re.DOTALL)
 _AFTER_COMMA = re.compile(r"(.*\S)\s*[,/]\s*(\S+)\s*", re.DOTALL)
-_AFTER_UNDERSCORE = re.compile(r"(.*[^_])_([^_\s]+)")
-#: Units that may end a name without brackets: ``Fz, gf``, ``stress_kPa``.
-_SPLIT_UNITS = (*CHANNELS, "stress")
+_AFTER_GLUE = re.compile(r"(.*[^\s_-])\s?[_-]\s?([^\s_-]+)", re.DOTALL)
+_AFTER_SPACE = re.compile(r"(.*\S)\s+(mm|[uµμn]m|[kmuµμ]?N|s|sec)")
+#: Units that may end a name without brackets: ``Fz, gf``, ``stress_kPa``, ``Stress-kPa``, ``Load N``.
+_SPLIT_UNITS = (*CHANNELS, "stress", "strain")
 #: A longer text is no name, and would cost the patterns above the square of its length.
 _LONGEST_NAME = 250
 _UNIT_LIKE = re.compile(r"[^\W\d_]{1,8}")
@@ -37,6 +39,12 @@ _NORMALISED: Mapping[Quantity, re.Pattern[str]] = {
         r"stress|spannung|contrainte|tension de|esfuerzo|tensao|tensione|sforzo|naprezenie|应力"
     ),
 }
+#: Words of strain that need no unit to be taken as one, and words of what is none of the kind.
+_STRAIN_WITHOUT_UNIT = re.compile(r"stretch|strain|lambda|dehnung|应变")
+_NO_SERIES = re.compile(r"\b(?:rate|max|maximum|min|minimum|peak|yield|mean|modulus|at|sd|error)\b")
+_ADD_TIME = (
+    "relaxation can't be timed without it: add the time to the channels of the export, and export again"
+)
 _WAY_OUT = "name it with --columns time=NAME,displacement=NAME,force=NAME (or #2 for the second column)"
 
 
@@ -53,12 +61,15 @@ class ColumnChoice:
     factors : mapping of str to float
         Channel -> what turns the printed value into s, mm or N.
     flags : tuple of Flag
+    axes : mapping of str to str
+        Channels that hold a strain or stress, as declared or as their columns say.
     """
 
     index: Mapping[Channel, int]
     names: Mapping[Channel, str]
     factors: Mapping[Channel, float]
     flags: tuple[Flag, ...]
+    axes: Mapping[str, str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +93,7 @@ def split_name(name: str) -> tuple[str, str | None]:
         if match[1] and inside and (quantity_of(inside) is not None or _UNIT_LIKE.fullmatch(inside)):
             return match[1], inside
         return name, None
-    for pattern in (_AFTER_COMMA, _AFTER_UNDERSCORE):
+    for pattern in (_AFTER_COMMA, _AFTER_GLUE, _AFTER_SPACE):
         if (match := pattern.fullmatch(name)) and quantity_of(match[2]) in _SPLIT_UNITS:
             return match[1], match[2]
     return name, None
@@ -110,7 +121,31 @@ def _candidates(
         rank = _rank(column, channel, options, loose=measured == wanted)
         if rank is not None:
             found.append((rank, column))
-    return sorted(found, key=lambda item: (item[0], item[1].index))
+    found.sort(key=lambda item: (item[0], item[1].index))
+    # of two letters either may be meant
+    return [] if len(found) > 1 and found[0][0] == SYMBOL_RANK else found
+
+
+def _normalised(columns: Sequence[_Column], options: ReadOptions) -> ReadOptions:
+    """The options, with a strain or stress declared where a column is one and no other is the channel."""
+    axes = dict(options.axes)
+    for channel, (_, axis) in AXES.items():
+        if channel in options.columns or channel in options.units or channel in axes:
+            continue
+        if not _candidates(columns, cast("Channel", channel), options) and any(
+            _is_normalised(column, cast("Quantity", axis)) for column in columns
+        ):
+            axes[channel] = axis
+    return options if axes == dict(options.axes) else replace(options, axes=axes)
+
+
+def _is_normalised(column: _Column, axis: Quantity) -> bool:
+    words = plain_words(column.base)
+    if not _NORMALISED[axis].search(words) or _NO_SERIES.search(words):
+        return False
+    if column.unit is None:
+        return axis == "strain" and _STRAIN_WITHOUT_UNIT.search(words) is not None
+    return quantity_of(column.unit) == axis
 
 
 def _ruled_out(
@@ -140,6 +175,7 @@ def _may_be(column: _Column, channel: Channel, options: ReadOptions) -> bool:
 def has_channels(names: Sequence[str], units: Sequence[str], options: ReadOptions) -> bool:
     """Whether time, displacement and force can all be found (their units may still be wrong)."""
     columns = _describe(names, units)
+    options = _normalised(columns, options)
     return all(
         _named(columns, options.columns[channel]) if channel in options.columns
         else any(_may_be(column, channel, options) for column in columns)
@@ -183,6 +219,7 @@ def choose_columns(
         ``no_columns``, ``column_not_found``, ``unknown_unit``, ``wrong_unit`` or ``unit_conflict``.
     """
     columns = _describe(names, units)
+    options = _normalised(columns, options)
     taken: dict[Channel, _Column] = {}
     flags: list[Flag] = []
     for channel in CHANNELS:
@@ -213,6 +250,7 @@ def choose_columns(
         {channel: column.name for channel, column in taken.items()},
         factors,
         tuple(flags),
+        options.axes,
     )
 
 
@@ -246,7 +284,9 @@ def _none_found(
                 line=line,
                 column=column.index + 1,
             )
-    return place.refusal("no_columns", f"no column is the {channel}; {_seen(columns)}; {_WAY_OUT}", line=line)
+    named = [column for column in columns if column.name]
+    way_out = _WAY_OUT if channel != "time" or len(named) > 2 else _ADD_TIME
+    return place.refusal("no_columns", f"no column is the {channel}; {_seen(columns)}; {way_out}", line=line)
 
 
 def _declare(column: _Column, channel: Channel) -> str:
@@ -297,10 +337,12 @@ def _factor(
         return factor
     internal = INTERNAL_UNITS[quantity]
     if column.unit is None:
+        letter = rank_of(column.base, channel, loose=True) == SYMBOL_RANK and channel in AXES
         flags.append(
             Flag(
                 "units_assumed",
-                f"column {column.name!r} has no unit; {internal} was assumed",
+                f"column {column.name!r} has no unit; {internal} was assumed"
+                + (f" (a {AXES[channel][1]}? --axes {channel}={AXES[channel][1]})" if letter else ""),
                 {"quantity": channel, "column": column.name, "unit": internal},
             )
         )

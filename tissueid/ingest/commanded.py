@@ -47,13 +47,15 @@ REGULAR_WITHIN, REGULAR_SHARE = 0.05, 0.97
 #: Samples from which a stretch between corners shows a line.
 STRETCH = 6
 _EVENT_SHARE = 0.25
+#: Samples of a stretch, and stretches, by which a long channel is judged.
+LOOKED_AT, STRETCHES_LOOKED_AT = 4096, 8
 
 
 def commanded_displacement(
     time_s: FloatArray, displacement_mm: FloatArray, force_N: FloatArray
 ) -> Flag | None:
     """``commanded_displacement``, where all rules above hold."""
-    if time_s.size < FEWEST_SAMPLES or float(np.ptp(displacement_mm)) == 0.0 or not is_noisy(force_N):
+    if time_s.size < FEWEST_SAMPLES or float(np.ptp(displacement_mm)) == 0.0 or not _is_noisy(force_N):
         return None
     step_s, x = _regular(time_s, displacement_mm)
     if x is None or not 0.0 < step_s <= LONGEST_INTERVAL_S:
@@ -91,6 +93,14 @@ def commanded_displacement(
     )
 
 
+def _is_noisy(force_N: FloatArray) -> bool:
+    """The nature of a long channel is told by stretches of it."""
+    starts = np.linspace(0, force_N.size - LOOKED_AT, STRETCHES_LOOKED_AT, dtype=np.intp)
+    if force_N.size <= LOOKED_AT * STRETCHES_LOOKED_AT:
+        return is_noisy(force_N)
+    return is_noisy(np.concatenate([force_N[start : start + LOOKED_AT] for start in starts]))
+
+
 def _third_bend(step_s: float) -> float:
     """Third largest second difference of a smooth stop, as a share of their sum, wherever it is sampled.
 
@@ -110,11 +120,12 @@ def _third_bend(step_s: float) -> float:
 def _regular(time_s: FloatArray, x: FloatArray) -> tuple[float, FloatArray | None]:
     """Sampling interval and the displacement without event rows; ``None`` where sampling is not regular."""
     dt = np.diff(time_s)
-    usual = float(np.median(dt))
-    keep = np.concatenate(([True], dt >= _EVENT_SHARE * usual))
-    dt = np.diff(time_s[keep])
+    usual = float(np.median(dt[:: dt.size // LOOKED_AT + 1]))
+    if float(dt.min()) < _EVENT_SHARE * usual:
+        keep = np.concatenate(([True], dt >= _EVENT_SHARE * usual))
+        dt, x = np.diff(time_s[keep]), x[keep]
     regular = float(np.mean(np.abs(dt - usual) <= REGULAR_WITHIN * usual))
-    return usual, x[keep] if regular >= REGULAR_SHARE else None
+    return usual, x if regular >= REGULAR_SHARE else None
 
 
 def _are_whole(x: FloatArray, decimals: int) -> bool:

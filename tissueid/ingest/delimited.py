@@ -25,7 +25,7 @@ from tissueid.ingest.recipe import Detection, InputFile, Recipe, Table
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.remarks import flag_rows_above
 from tissueid.ingest.text import Text
-from tissueid.ingest.vocabulary import CHANNELS, plain_words, specimen_key_rank
+from tissueid.ingest.vocabulary import CHANNELS, is_comment_name, plain_words, specimen_key_rank
 
 __all__ = ["BLUEHILL_CSV", "COLUMNS_TEXT", "TESTXPERT_TRA", "read_delimited", "read_table"]
 
@@ -110,21 +110,34 @@ def _read_table(file: InputFile) -> Table:
 
 
 def _refuse_unnamed(text: Text, layout: Layout, file: InputFile, place: Place) -> None:
-    """Refuse numbers beyond the names: ``0,10,2,50`` under ``Time,Load`` are two decimals, not four."""
+    """Refuse numbers that no name says what they are: shifted rows, or decimal commas among commas."""
     if layout.names_line is None or len(file.options.columns) == len(CHANNELS):
         return
     line = text.data[: layout.offset].splitlines()[layout.names_line - 1]
     printed = len(split_line(text.decode(line), layout.delimiter))
     named = max((i for i, name in enumerate(layout.names, 1) if name.strip()), default=0)
-    unnamed = [i for i in range(named, layout.n_columns) if layout.numeric[i]]
+    numbers = [i for i in range(layout.n_columns) if layout.numeric[i]]
+    unnamed = [i for i in numbers if i >= named]
+    comments = [i for i, name in enumerate(layout.names) if is_comment_name(name)]
+    way_out = (
+        "Export with another delimiter, or name the columns by --columns time=#1,displacement=#2,force=#3"
+    )
     if unnamed and (printed <= unnamed[-1] or len(unnamed) >= named):
         place.refuse(
             "ragged_rows",
             f"the names row has {named} names, the rows {layout.n_columns} cells with numbers: a decimal"
-            " comma that is also the delimiter? Export with another delimiter, or name the columns by"
-            " --columns time=#1,displacement=#2,force=#3",
+            f" comma that is also the delimiter? {way_out}",
             line=layout.first_line,
             column=unnamed[0] + 1,
+        )
+    asked = [i for i in numbers if i in comments or (comments and not layout.names[i].strip())]
+    if asked:
+        what = f"under {layout.names[asked[0]]!r}" if asked[0] in comments else "without a name"
+        place.refuse(
+            "ragged_rows",
+            f"column {asked[0] + 1} {what} holds numbers: are the names shifted against the rows? {way_out}",
+            line=layout.first_line,
+            column=asked[0] + 1,
         )
 
 
@@ -176,6 +189,7 @@ def read_table(
         metadata=metadata,
         specimen=specimen_in(metadata),
         flags=(*text.flags, *choice.flags, *body.flags),
+        axes=choice.axes,
     )
 
 

@@ -6,7 +6,7 @@ import os
 import re
 import stat
 import zipfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from hashlib import blake2b
 from itertools import chain
 from pathlib import Path, PurePosixPath
@@ -24,7 +24,10 @@ from tissueid.ingest.text import HEAD_BYTES, decode_text
 __all__ = ["SUFFIXES", "each_input", "find_inputs", "natural_key"]
 
 #: Suffixes taken from a directory.
-SUFFIXES = (".csv", ".tsv", ".tra", ".xls", ".xlsx", ".xlsm", ".xlsb", ".ods", ".zip", ".dat", ".txt")
+SUFFIXES = (
+    ".csv", ".tsv", ".tra", ".xls", ".xlsx", ".xlsm", ".xlsb", ".ods", ".zip",
+    ".jpk-force", ".jpk-force-map", ".jpk-qi-data", ".dat", ".txt",
+)  # fmt: skip
 #: Suffixes of prose and other data as well: taken from a directory only where the head holds a table.
 _PROSE_SUFFIXES = (".txt", ".dat")
 #: Texts that say themselves what they are, wherever their tables begin.
@@ -46,11 +49,16 @@ def natural_key(name: str) -> str:
 
 
 def find_inputs(paths: Iterable[str | Path]) -> list[Path]:
-    """The recordings among and under some paths, see :func:`each_input`."""
-    return list(each_input(paths))
+    """The recordings among and under some paths; raises the first refusal of :func:`each_input`."""
+    found = []
+    for item in each_input(paths):
+        if isinstance(item, InputError):
+            raise item
+        found.append(item)
+    return found
 
 
-def each_input(paths: Iterable[str | Path]) -> Iterator[Path]:
+def each_input(paths: Iterable[str | Path]) -> Iterator[Path | InputError]:
     """The recordings among and under some paths, one by one: one folder is in memory at a time.
 
     Parameters
@@ -61,8 +69,9 @@ def each_input(paths: Iterable[str | Path]) -> Iterator[Path]:
 
     Yields
     ------
-    Path
-        Each file once, whatever links lead to it.
+    Path or InputError
+        Each file once, whatever links lead to it; a link that leads out of its folder, or in a circle, is
+        refused in its place (``unreadable_file``).
 
     Raises
     ------
@@ -76,12 +85,14 @@ def each_input(paths: Iterable[str | Path]) -> Iterator[Path]:
         url = url_of(path)
         below = None if url is None else remote_files(url)
         if below is not None or path.is_dir():
-            files = _recordings(path) if below is None else _remote_recordings(below)
-            first = next(files, None)
+            files: Iterator[Path | InputError] = (
+                _recordings(path) if below is None else _remote_recordings(below)
+            )
+            first: Path | InputError | None = next(files, None)
             if first is None:
                 Place(str(path)).refuse(
                     "no_recording",
-                    f"the directory holds no recording: no {', '.join(SUFFIXES[:-1])} file and no table"
+                    f"the directory holds no recording: no {', '.join(SUFFIXES[:-2])} file and no table"
                     f" in a .txt"
                     " file; name the files themselves",
                 )
@@ -92,6 +103,9 @@ def each_input(paths: Iterable[str | Path]) -> Iterator[Path]:
             msg = f"{printable(str(path))}: there is no such file or directory"
             raise UsageError(msg)
         for file in files:
+            if isinstance(file, InputError):
+                yield file
+                continue
             # unlike Path.resolve, realpath bears a link to itself; a digest is shorter than a path
             digest = blake2b(os.fsencode(os.path.realpath(file)), digest_size=16).digest()
             if digest not in seen:
@@ -99,12 +113,18 @@ def each_input(paths: Iterable[str | Path]) -> Iterator[Path]:
                 yield file
 
 
-def _recordings(directory: Path) -> Iterator[Path]:
+def _recordings(directory: Path) -> Iterator[Path | InputError]:
     """Recordings below a directory, and what can't be looked into, for it to be refused by name."""
-    # folders and files still to come, the next one last; links may lead in circles
-    waiting, seen = [(directory, "folder")], set()
+    # folders and files still to come, the next one last, each with the folders that it is in
+    root = os.path.realpath(directory)
+    waiting: list[tuple[Path, str, tuple[str, ...]]] = [(directory, "folder", ())]
+    seen = set()
     while waiting:
-        path, kind = waiting.pop()
+        path, kind, above = waiting.pop()
+        refusal = _leads_astray(path, kind, root, above)
+        if refusal is not None:
+            yield refusal
+            continue
         if kind != "folder":
             # pipes and broken links are refused by name later
             if kind == "other" or _is_recording(path):
@@ -123,7 +143,24 @@ def _recordings(directory: Path) -> Iterator[Path]:
         if (status.st_dev, status.st_ino) in seen or any(entry.name in _OWN_OUTPUT for entry in entries):
             continue
         seen.add((status.st_dev, status.st_ino))
-        waiting += reversed(_in_order(entries))
+        # of a deep folder the system would look at every part of the path
+        real = os.path.join(above[-1], path.name) if above and not path.is_symlink() else None  # noqa: PTH118
+        inside = (*above, real or os.path.realpath(path))
+        waiting += [(entry, of_kind, inside) for entry, of_kind in reversed(_in_order(entries))]
+
+
+def _leads_astray(path: Path, kind: str, root: str, above: Sequence[str]) -> InputError | None:
+    """Why a link is not followed: it leads into a folder that it is in, or out of the one that was named."""
+    if not above or kind == "other" or not path.is_symlink():
+        return None
+    target = os.path.realpath(path)
+    if target in above:
+        message = f"the link leads in a circle, back to {printable(target)}; remove it"
+    elif os.path.commonpath([root, target]) != root:
+        message = f"the link leads out of the folder, to {printable(target)}; name that path itself"
+    else:
+        return None
+    return Place(str(path)).refusal("unreadable_file", message)
 
 
 def _remote_recordings(files: Iterable[Path]) -> Iterator[Path]:

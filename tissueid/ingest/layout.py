@@ -35,6 +35,8 @@ _TAIL_BYTES = 1 << 12
 #: Lines in which the table is sought, and how many of the last of them vote on the delimiter.
 _HEAD_LINES = 200
 _SCORED_LINES = 100
+#: Rows of numbers whose marks decide by themselves where they agree.
+_VOTING_ROWS = 40
 #: Longer cells are prose, be there words of columns in it or not.
 _LONGEST_NAME = 80
 _BRACKETED = re.compile(r"\s*[(\[].*[)\]]\s*")
@@ -251,11 +253,13 @@ def _refuse_rows_above(rows: Sequence[Row], found: Anchor, place: Place) -> None
     above = rows[: found.first if found.names is None else found.names]
     inside = {index for span in results_spans(above) for index in span}
     for run in _runs(above):
-        if len(run) > 1 and run.start not in inside:
+        # an entry of a header begins with its key, whatever numbers follow it
+        rows_alone = [index for index in run if looks_numeric(next(filter(str.strip, above[index])))]
+        if len(rows_alone) > 1 and run.start not in inside:
             place.refuse(
                 "mixed_tables",
-                f"{len(run)} rows of numbers stand above the names in line {len(above) + 1}, which are no"
-                " results: is this two files in one, or were rows moved? Export the file again",
+                f"{len(rows_alone)} rows of numbers stand above the names in line {len(above) + 1}, which are"
+                " no results: is this two files in one, or were rows moved? Export the file again",
                 line=run.start + 1,
             )
 
@@ -318,7 +322,10 @@ def _no_numbers(rows: Sequence[Row], delimiter: str, options: ReadOptions, place
 def find_decimal(
     text: Text, sample: Sequence[Row], delimiter: str, place: Place, *, first: int, rows: Sequence[Row]
 ) -> str:
-    """Point or comma, by the votes of the first rows and the last."""
+    """Point or comma, by the votes of the first rows and, where these are divided or silent, of more."""
+    votes = decimal_evidence(cell for row in sample[:_VOTING_ROWS] for cell in row if looks_numeric(cell))
+    if min(votes[:2]) == 0 < max(votes[:2]):
+        return "." if votes[0] else ","
     tail: list[Row] = []
     if len(rows) >= _HEAD_LINES:  # the sample does not reach the end of the file
         last = text.data[-_TAIL_BYTES:].splitlines()[1:-1]

@@ -165,10 +165,12 @@ def _read_block(
 
 
 def _as_keys(block: _Block) -> dict[str, str]:
-    """Header entries, a relative move's travel as its depth."""
+    """Header entries, a relative move's travel as its depth; which way a move goes is no matter."""
     relative = "relative" in plain_words(block.command)
     return {
-        (f"Depth, {key.rpartition(',')[2].strip()}" if relative and _is_travel(key) else key): value
+        (f"Depth, {key.rpartition(',')[2].strip()}" if relative and _is_travel(key) else key): (
+            value.removeprefix("-") if _is_travel(key.removeprefix("Ramp ")) else value
+        )
         for key, value in block.header.items()
     }
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from tissueid.flags import Flag
+from tissueid.ingest.broken_rows import jump
 from tissueid.ingest.cell_range import below_cell_range
 from tissueid.ingest.commanded import commanded_displacement
 from tissueid.ingest.levels import below_resolution, force_levels, no_decimals
@@ -26,7 +27,7 @@ def quality_flags(
     """Flags of the samples, in the order in which they are best read.
 
     ``zero_dt``, ``event_rows``, ``gap``, ``quantised_force``, ``clipped_force``, ``below_resolution``,
-    ``spike``, ``no_decimals``, ``commanded_displacement``, ``below_cell_range``.
+    ``jump``, ``spike``, ``no_decimals``, ``commanded_displacement``, ``below_cell_range``.
 
     Parameters
     ----------
@@ -40,6 +41,7 @@ def quality_flags(
         zero_dt(time_s, dt),
         event_rows(time_s, dt),
         gap(time_s, dt, force_N),
+        jump(time_s, displacement_mm),
         force_levels(displacement_mm, force_N),
         below_resolution(displacement_mm, force_N),
         spike(time_s, displacement_mm, force_N),

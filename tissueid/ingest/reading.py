@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from tissueid.flags import Flag
 from tissueid.ingest.cell_range import capacity_in
 from tissueid.ingest.discovery import find_inputs
 from tissueid.ingest.header import protocol_of
+from tissueid.ingest.no_specimen import no_specimen
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.quality import quality_flags
 from tissueid.ingest.recipe import InputFile, Match, Table, open_input
@@ -162,7 +164,7 @@ def _beyond_machines(file: InputFile, table: Table) -> InputError | None:
         ("force", float(np.abs(table.force_N).max()), FORCE_LIMIT_N, "N"),
     )
     for channel, reach, limit, unit in reaches:
-        if channel in file.options.axes:
+        if channel in file.options.axes or channel in table.axes:
             continue
         if reach > limit:
             return place.refusal(
@@ -192,10 +194,12 @@ def _trial(file: InputFile, match: Match, table: Table) -> Trial | InputError:
         columns={str(channel): name for channel, name in table.columns.items()},
         metadata=table.metadata,
     )
-    axes = file.options.trial_axes
+    axes = replace(file.options, axes={**file.options.axes, **table.axes}).trial_axes
+    no_test = no_specimen(file.path, table.sheet)
     flags = (
         *table.flags,
         *_normalised(axes),
+        *(() if no_test is None else (no_test,)),
         *quality_flags(
             table.time_s,
             table.displacement_mm,

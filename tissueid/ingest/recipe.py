@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import io
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -33,6 +33,7 @@ __all__ = [
     "Recipe",
     "Table",
     "is_archive",
+    "is_force_archive",
     "is_workbook",
     "lay_out",
     "open_input",
@@ -41,9 +42,10 @@ __all__ = [
 _ZIP_MAGIC = b"PK\x03\x04"
 _WORKBOOK_MAGIC = (_ZIP_MAGIC, b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1")
 #: A zip archive with a member that begins so is an .xlsx, .xlsb or .ods.
+_SEGMENT_HEADER = "/segment-header.properties"
 _WORKBOOK_PARTS = ("xl/", "[Content_Types]", "mimetype", "content.xml")
 #: Below this a hash is faster than a thread.
-_THREAD_FROM_BYTES = 1 << 20
+_THREAD_FROM_BYTES = 1 << 24
 
 Detection = tuple[float, str]
 
@@ -104,6 +106,8 @@ class Table:
         Where the recipe knows more of it than the header entries say.
     match : Match or None
         How the table itself was recognised, where the file is an archive of others.
+    axes : mapping
+        ``{"displacement": "strain"}`` and the like, where a column is normalised.
     """
 
     time_s: FloatArray
@@ -119,6 +123,7 @@ class Table:
     flags: tuple[Flag, ...] = ()
     protocol: Protocol | None = None
     match: Match | None = None
+    axes: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,19 +158,38 @@ class Match:
 
 def is_workbook(data: bytes) -> bool:
     """Whether the bytes start as those of .xlsx, .xlsb, .ods or .xls do, and are no other archive."""
-    return data.startswith(_WORKBOOK_MAGIC) and not is_archive(data)
+    return data.startswith(_WORKBOOK_MAGIC) and not is_archive(data) and not is_force_archive(data)
 
 
 def is_archive(data: bytes) -> bool:
-    """Whether the bytes are a zip archive that holds files, not the parts of a workbook."""
+    """Whether the bytes are a zip archive of files, not of parts of a workbook or of force curves."""
+    names = _members(data)
+    return (
+        names is not None
+        and not _is_force_archive(names)
+        and not any(name.startswith(_WORKBOOK_PARTS) for name in names)
+    )
+
+
+def is_force_archive(data: bytes) -> bool:
+    """Whether the bytes are the zip archive that a force microscope saves."""
+    names = _members(data)
+    return names is not None and _is_force_archive(names)
+
+
+def _is_force_archive(names: Sequence[str]) -> bool:
+    return "header.properties" in names and any(name.endswith(_SEGMENT_HEADER) for name in names)
+
+
+def _members(data: bytes) -> list[str] | None:
+    """Names in a zip archive, ``None`` where it is none."""
     if not data.startswith(_ZIP_MAGIC):
-        return False
+        return None
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            names = archive.namelist()
+            return archive.namelist()
     except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
-        return False
-    return not any(name.startswith(_WORKBOOK_PARTS) for name in names)
+        return None
 
 
 def open_input(path: str | Path, options: ReadOptions) -> InputFile:

@@ -9,6 +9,7 @@ from tissueid.errors import InputError, UsageError
 from tissueid.ingest.archive import archive_recipe
 from tissueid.ingest.chiaro import CHIARO
 from tissueid.ingest.delimited import BLUEHILL_CSV, COLUMNS_TEXT, TESTXPERT_TRA
+from tissueid.ingest.jpk import JPK_FORCE
 from tissueid.ingest.mach1 import MACH_1
 from tissueid.ingest.mts793 import MTS_793
 from tissueid.ingest.plugins import installed_recipes, report_fault
@@ -73,6 +74,7 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
             MTS_793,
             SHIMADZU,
             CHIARO,
+            JPK_FORCE,
             SESSION_LOG,
             WORKBOOK,
             COLUMNS_TEXT,

@@ -93,8 +93,8 @@ def is_units_row(row: Row) -> bool:
 
 def _is_text(row: Row) -> bool:
     """A line that holds something, but no number."""
-    filled = _filled(row)
-    return bool(filled) and not any(map(looks_numeric, filled))
+    opening = next((cell for cell in row if cell.strip()), "")
+    return bool(opening) and not looks_numeric(opening) and not any(map(looks_numeric, _filled(row)))
 
 
 def _carries_units(row: Row) -> bool:

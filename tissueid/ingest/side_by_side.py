@@ -16,7 +16,7 @@ from itertools import pairwise
 from tissueid.errors import InputError
 from tissueid.ingest.columns import has_channels, split_name
 from tissueid.ingest.options import ReadOptions
-from tissueid.ingest.vocabulary import rank_of
+from tissueid.ingest.vocabulary import Channel, rank_of
 
 __all__ = ["SpecimenColumns", "shifted", "specimen_columns"]
 
@@ -34,7 +34,7 @@ class SpecimenColumns:
 def specimen_columns(
     above: Sequence[str], names: Sequence[str], units: Sequence[str], options: ReadOptions
 ) -> list[SpecimenColumns]:
-    """The specimens of a table, each beginning at a column of time.
+    """The specimens of a table, each beginning under its name, or else at a column of time.
 
     Parameters
     ----------
@@ -45,17 +45,17 @@ def specimen_columns(
     Returns
     -------
     list of SpecimenColumns
-        Empty where a group lacks a channel, or has no name of its own above it while the groups differ.
+        Empty where the columns are not those of specimens.  A specimen may lack its time where others of the
+        same names stand beside it: it is refused by itself.
     """
-    times = [
-        index
-        for index, name in enumerate(names)
-        if rank_of(split_name(name.strip())[0], "time", loose=False) is not None
-    ]
-    if not times or any(name.strip() for name in names[: times[0]]):
-        return []
-    spans = list(pairwise([*times, len(names)]))
-    if not all(has_channels(names[start:stop], units[start:stop], options) for start, stop in spans):
+    by_name = [index for index, name in enumerate(above[: len(names)]) if name.strip()]
+    spans = _spans(by_name, names)
+    if len(spans) > 1 and all(
+        _holds_force(names[start:stop], units[start:stop], options) for start, stop in spans
+    ):
+        return [SpecimenColumns(above[start].strip(), start, stop, is_named=True) for start, stop in spans]
+    spans = _spans([i for i, name in enumerate(names) if _is(name, "time")], names)
+    if not spans or not all(has_channels(names[a:b], units[a:b], options) for a, b in spans):
         return []
     if all(_named(above[start:stop]) for start, stop in spans):
         return [SpecimenColumns(above[start].strip(), start, stop, is_named=True) for start, stop in spans]
@@ -63,6 +63,26 @@ def specimen_columns(
     if len(spans) < 2 or len(groups) > 1:
         return []
     return [SpecimenColumns(str(k), *span, is_named=False) for k, span in enumerate(spans, 1)]
+
+
+def _is(name: str, channel: Channel) -> bool:
+    return rank_of(split_name(name.strip())[0], channel, loose=False) is not None
+
+
+def _spans(starts: Sequence[int], names: Sequence[str]) -> list[tuple[int, int]]:
+    """Columns from each start to the next; none where named columns stand before the first."""
+    if not starts or any(name.strip() for name in names[: starts[0]]):
+        return []
+    return list(pairwise([*starts, len(names)]))
+
+
+def _holds_force(names: Sequence[str], units: Sequence[str], options: ReadOptions) -> bool:
+    """Columns of a recording, its time apart."""
+    return has_channels(names, units, options) or (
+        sum(bool(name.strip()) for name in names) == 2
+        and any(_is(name, "force") for name in names)
+        and any(_is(name, "displacement") for name in names)
+    )
 
 
 def _named(above: Sequence[str]) -> bool:

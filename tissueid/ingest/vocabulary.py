@@ -20,9 +20,11 @@ force          0     the load cell (``Load``, ``Force standard``, ``Kraft``, ``�
 ..             1     the same with the sense of the test (``Compressive load``)
 ..             2     another channel (``Load cell 2``)
 any            8     none of these names, but a word of them and a unit that agrees
+any            9     a letter of the field (``t``; ``x``, ``z``, ``d``, ``u``, ``h``, ``L``; ``F``), where
+                     it is the only one that could be meant
 =============  ====  =========================================================================
 
-A channel number above one (``Load 2``) adds 5.  Single letters are never taken by themselves.
+A channel number above one (``Load 2``) adds 5.
 """
 
 from __future__ import annotations
@@ -32,7 +34,16 @@ import unicodedata
 from functools import cache
 from typing import Literal
 
-__all__ = ["CHANNELS", "Channel", "is_specimen_key", "plain_words", "rank_of", "specimen_key_rank"]
+__all__ = [
+    "CHANNELS",
+    "SYMBOL_RANK",
+    "Channel",
+    "is_comment_name",
+    "is_specimen_key",
+    "plain_words",
+    "rank_of",
+    "specimen_key_rank",
+]
 
 #: The three channels every recording must have.
 Channel = Literal["time", "displacement", "force"]
@@ -51,7 +62,7 @@ _NAMES: dict[Channel, tuple[tuple[int, str], ...]] = {
             (
                 r"(?:total |test |running |measured )?time(?: measurement)?|zeit|pruf ?zeit|test ?zeit"
                 r"|versuchszeit|laufzeit|messzeit"
-                r"|temps(?: d essai)?|temps total|tiempo(?: de ensayo| total)?|tempo(?: di prova| (?:de"
+                r"|temps(?: d essai)?|temps total|duree|tiempo(?: de ensayo| total)?|tempo(?: di prova| (?:de"
                 r"|do) ensaio| total)?"
                 r"|czas(?: testu| proby)?|godzina|(?:测试|试验|試験)?(?:时间|時間)"
             ),
@@ -80,8 +91,8 @@ _NAMES: dict[Channel, tuple[tuple[int, str], ...]] = {
                 r"(?:primary |axial )?(?:extension|displacement|travel|elongation)(?: measurement)?(?: 1)?"
                 r"|standard travel|disp"
                 r"|standard ?weg|weg|hub|traversenweg|verschiebung|verlangerung|verformung|course standard"
-                r"|allongement"
-                r"|deplacement(?: traverse| de la traverse)?|traverse"
+                r"|allongement|course(?: (?:de (?:la )?)?(?:traverse|machine|verin))?"
+                r"|deplacement(?: (?:de (?:la )?)?(?:traverse|machine|verin))?|traverse"
                 r"|crosshead (?:displacement|travel|extension)"
                 r"|desplazamiento|alargamiento|carrera|carrera estandar|extensao|deslocamento"
                 r"|alongamento"
@@ -102,7 +113,7 @@ _NAMES: dict[Channel, tuple[tuple[int, str], ...]] = {
             3,
             (
                 r"(?:absolute )?(?:crosshead|traverse|traversen)(?: absolute?| absolut| position)?"
-                r"|traverse absolue"
+                r"|traverse absolue|position (?:de (?:la )?|du )?(?:traverse|verin)"
                 r"|traversen(?:position|weg absolut)|position(?: absolue| z)?|posicion|posizione|pozycja"
                 r"|stroke"
                 r"|actuator"
@@ -130,7 +141,8 @@ _NAMES: dict[Channel, tuple[tuple[int, str], ...]] = {
             (
                 r"(?:standard |primary |axial |normal |vertical )?(?:force|load)(?: measurement)?(?: 1)?"
                 r"|force standard"
-                r"|standard ?kraft|kraft|last|prufkraft|charge|fuerza(?: estandar)?|carga|forca"
+                r"|standard ?kraft|kraft|last|prufkraft|charge|effort(?: normal)?|fuerza(?: estandar)?|carga"
+                r"|forca"
                 r"|forza(?: standard)?|carico"
                 r"|sila(?: standardowa)?|obciazenie|力|标准力|载荷|载重|负荷|荷重|试验力|試験力"
                 r"|fz|load cell(?: 1)?"
@@ -149,6 +161,13 @@ _NAMES: dict[Channel, tuple[tuple[int, str], ...]] = {
 _CHANNEL_NUMBER = re.compile(r"(.*?) ([2-9])")
 _CHANNEL_PENALTY = 5
 _LOOSE_RANK = 8
+#: Rank of a letter; case matters, for ``T`` is a temperature unless its unit says otherwise.
+SYMBOL_RANK = 9
+_SYMBOLS: dict[Channel, frozenset[str]] = {
+    "time": frozenset({"t"}),
+    "displacement": frozenset("xXzZduUhLl"),
+    "force": frozenset("Ff"),
+}
 _LOOSE_WORDS = {
     "time": re.compile(r"\b(?:time|zeit|temps|tiempo|tempo|czas)\b|时间"),
     "displacement": re.compile(
@@ -179,6 +198,18 @@ _SPECIMEN_NAMING = (
     re.compile(r"\bid\b|kennung|identifi\w+|identyfik\w+|编号|番号|nummer"),
     re.compile(r"\bname\b|\w+name\b|\bnom\b|\bnombre\b|\bnome\b|nazwa|oznaczenie|名称"),
 )
+
+
+_COMMENTS = re.compile(
+    r"(?:comment|remark|note|annotation)s?|bemerkung(?:en)?|anmerkung(?:en)?|kommentare?|commentaires?"
+    r"|remarques?|comentarios?|observac(?:ion|ao|iones|oes)|notas?|commenti|commento|osservazion[ei]|uwagi"
+    r"|komentarz|备注|注释|コメント|備考"
+)
+
+
+def is_comment_name(name: str) -> bool:
+    """Whether a column is named as one of comments, which holds no numbers."""
+    return _COMMENTS.fullmatch(plain_words(name)) is not None
 
 
 @cache
@@ -214,6 +245,9 @@ def rank_of(name: str, channel: Channel, *, loose: bool) -> int | None:
             return rank + _CHANNEL_PENALTY
     if loose and _LOOSE_WORDS[channel].search(words) and not _NOT_A_CHANNEL.search(words):
         return _LOOSE_RANK
+    letter = name.strip()
+    if letter in _SYMBOLS[channel] or (loose and letter.casefold() in _SYMBOLS[channel]):
+        return SYMBOL_RANK
     return None
 
 

@@ -23,6 +23,7 @@ import python_calamine
 
 from tissueid.errors import InputError
 from tissueid.flags import Flag
+from tissueid.ingest.broken_rows import broken_row
 from tissueid.ingest.columns import ColumnChoice, choose_columns, has_channels
 from tissueid.ingest.header import header_entries, specimen_in
 from tissueid.ingest.layout import Anchor, Row, anchor
@@ -245,6 +246,7 @@ def _read_sheet(file: InputFile, sheet: str, cells: Cells, found: Anchor, *, nam
         metadata=metadata,
         specimen=specimen,
         flags=(*choice.flags, *above, *flags),
+        axes=choice.axes,
     )
 
 
@@ -338,6 +340,9 @@ def _check(table: FloatArray, lines: Sequence[int], wanted: Sequence[int], place
         row, column = int(bad[0, 0]), int(bad[0, 1])
         message = f"{table[row, column]} is not a finite number; correct or remove the row"
         place.refuse("not_finite", message, line=lines[row], column=wanted[column] + 1)
+    broken = broken_row([table[:, 0], table[:, 1], table[:, 2]])
+    if broken is not None and np.isfinite(table).all():
+        broken.refuse(place, lines[broken.row], wanted[broken.channel] + 1)
     falls = np.flatnonzero(np.diff(table[:, 0]) < 0)
     if falls.size:
         row = int(falls[0]) + 1

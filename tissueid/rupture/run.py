@@ -64,11 +64,12 @@ class _Ends:
             yield raw
 
     def _add(self, raw: Trial) -> None:
-        trial, own = raw, self.options
+        trial, own, decision = raw, self.options, None
         if self.study is not None:
             decision = self.study.decision(raw.source.path, raw.source.sheet)
-            if why_excluded(raw, decision, self.study) is not None:
-                return
+        if why_excluded(raw, decision, self.study) is not None:
+            return
+        if self.study is not None and decision is not None:
             trial = decided_trial(raw, decision, self.study)
             own = decided_options(own, decision)
         try:

@@ -90,7 +90,7 @@ def _to_read(study: Study, paths: Sequence[str], manifest_named: bool) -> tuple[
 
 def _holds_recordings(folder: str) -> bool:
     try:
-        return any(True for _ in each_input([folder]))
+        return any(isinstance(item, Path) for item in each_input([folder]))
     except InputError:
         return False
 

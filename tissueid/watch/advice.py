@@ -40,6 +40,7 @@ _CHANGE: Mapping[str, str] = MappingProxyType(
         "starts_in_contact": "the log starts in contact; start in air, so that contact and zero are seen",
         "contact_uncertain": "contact is poorly known; start in air, approach at the same speed",
         "baseline_drift": "the load cell drifts in air; let it warm up, then zero it",
+        "jump": "the travel leaps between two samples; log at a constant rate",
         "spike": "single samples stand far off; look for a bad cable",
         "load_limit_stop": "a load limit ended the move; the depth is not what was asked for",
         "not_preconditioned": "the last cycles still change; precondition longer",

@@ -1,0 +1,161 @@
+"""Names as laboratories print them: glued units, French crossheads, letters, strain and stress, comments."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tissueid.errors import InputError
+from tissueid.ingest import ReadOptions, read_each, read_trials
+from tissueid.trial import Trial
+
+ROWS = "".join(f"{k / 10:.1f},{k * 0.05:.3f},{1 + k * 0.25:.3f}\n" for k in range(30))
+
+
+def read(path: Path, head: str, rows: str = ROWS, **options: dict[str, str]) -> Trial | InputError:
+    path.write_text(f"{head}\n{rows}", encoding="utf-8")
+    (item,) = read_each(path, ReadOptions(**options))
+    return item
+
+
+def codes(trial: Trial) -> list[str]:
+    return [flag.code for flag in trial.flags]
+
+
+@pytest.mark.parametrize(
+    ("head", "factors"),
+    [
+        ("Time_s,Extension_mm,Load_N", (1, 1)),
+        ("Time-s,Extension-um,Load-mN", (1e-3, 1e-3)),
+        ("time_s,height_measured_m,force_N", (1e3, 1)),
+        ("Time s,Extension mm,Load kN", (1, 1e3)),
+        ("Temps (s),Course_Traverse (mm),Effort (N)", (1, 1)),
+        ("Temps (s),Déplacement de la traverse (mm),Force (N)", (1, 1)),
+        ("Temps (s),Position traverse (mm),Charge (N)", (1, 1)),
+    ],
+)
+def test_units_glued_to_a_name_and_french_crossheads_are_read(
+    tmp_path: Path, head: str, factors: tuple[float, float]
+) -> None:
+    trial = read(tmp_path / "a.csv", head)
+    assert isinstance(trial, Trial)
+    assert trial.flags == ()
+    assert trial.displacement_mm[2] == pytest.approx(0.1 * factors[0])
+    assert trial.force_N[2] == pytest.approx(1.5 * factors[1])
+
+
+def test_letters_are_taken_where_only_one_can_be_meant_and_said(tmp_path: Path) -> None:
+    trial = read(tmp_path / "a.csv", "t,x,F")
+    assert isinstance(trial, Trial)
+    assert codes(trial) == ["units_assumed"] * 3
+    assert "--axes displacement=strain" in trial.flags[1].message
+    assert "--axes force=stress" in trial.flags[2].message
+    two = read(tmp_path / "b.csv", "t,x,F,u", ROWS.replace("\n", ",1.5\n"))
+    assert isinstance(two, InputError)
+    assert two.code == "no_columns"
+    # a capital T is a temperature
+    warm = read(tmp_path / "c.csv", "T,x,F")
+    assert isinstance(warm, InputError)
+    named = read(tmp_path / "d.csv", "Time (s),x,Force (N),Extension (mm)", ROWS.replace("\n", ",1.5\n"))
+    assert isinstance(named, Trial)
+    assert named.source.columns["displacement"] == "Extension (mm)"
+
+
+@pytest.mark.parametrize(
+    ("head", "axes", "factor"),
+    [
+        ("Time-s,Strain-%,Stress-kPa", ("1", "MPa"), (1e-2, 1e-3)),
+        ("Time (s),Stretch,Force (N)", ("1", "N"), (1, 1)),
+        ("Time (s),Extension (mm),Stress (MPa)", ("mm", "MPa"), (1, 1)),
+        ("Time (s),Stretch (mm/mm),Stress (Pa)", ("1", "MPa"), (1, 1e-6)),
+    ],
+)
+def test_strain_and_stress_are_taken_as_such_where_nothing_else_is_there_and_said(
+    tmp_path: Path, head: str, axes: tuple[str, str], factor: tuple[float, float]
+) -> None:
+    trial = read(tmp_path / "a.csv", head)
+    assert isinstance(trial, Trial)
+    assert (trial.axes.length, trial.axes.force) == axes
+    assert "normalised_axes" in codes(trial)
+    assert trial.displacement_mm[2] == pytest.approx(0.1 * factor[0])
+    assert trial.force_N[2] == pytest.approx(1.5 * factor[1])
+
+
+def test_a_stress_without_unit_or_a_strain_rate_is_no_channel(tmp_path: Path) -> None:
+    for head in ("Time (s),Extension (mm),Stress", "Time (s),Strain rate (%/s),Force (N)"):
+        assert isinstance(read(tmp_path / "a.csv", head), InputError)
+    # a length is taken before a strain
+    both = read(
+        tmp_path / "b.csv", "Time (s),Extension (mm),Force (N),Strain (%)", ROWS.replace("\n", ",1.5\n")
+    )
+    assert isinstance(both, Trial)
+    assert (both.axes.length, both.axes.force) == ("mm", "N")
+
+
+SHIFTED = "".join(f"{k},{k / 10:.1f},{k * 0.5:.2f},{1 + k * 0.25:.3f}\n" for k in range(30))
+
+
+@pytest.mark.parametrize("name", ["Comment", "Bemerkung", "Commentaires", "Observaciones", "Note"])
+def test_numbers_under_comments_are_asked_about(tmp_path: Path, name: str) -> None:
+    error = read(tmp_path / "a.csv", f"Time,Extension,Load,{name}", SHIFTED)
+    assert isinstance(error, InputError)
+    assert (error.code, error.line, error.column) == ("ragged_rows", 2, 4)
+    assert "--columns time=#1" in error.message
+    answered = {"time": "#2", "displacement": "#3", "force": "#4"}
+    trial = read(tmp_path / "a.csv", f"Time,Extension,Load,{name}", SHIFTED, columns=answered)
+    assert isinstance(trial, Trial)
+    assert trial.time_s[2] == pytest.approx(0.2)
+
+
+def test_a_column_of_numbers_without_a_name_is_asked_about_where_the_head_has_comments(
+    tmp_path: Path,
+) -> None:
+    rows = "".join(line + ",\n" for line in SHIFTED.splitlines())
+    error = read(tmp_path / "a.csv", ",Time,Extension,Load,Comment", rows)
+    assert isinstance(error, InputError)
+    assert (error.code, error.column) == ("ragged_rows", 1)
+    # the row numbers that other programs write have no name either
+    assert isinstance(read(tmp_path / "b.csv", ",Time,Extension,Load", SHIFTED), Trial)
+    # and comments may be comments
+    said = "".join(f"{line},{'slow' if k == 3 else ''}\n" for k, line in enumerate(ROWS.splitlines()))
+    assert isinstance(read(tmp_path / "c.csv", "Time,Extension,Load,Comment", said), Trial)
+
+
+def test_specimens_side_by_side_without_time_are_refused_one_by_one(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = "".join(
+        f'"{k / 7:.4f}","{k / 50:.4f}","{k / 10:.2f}","{k / 6:.4f}","{k / 40:.4f}"\n' for k in range(30)
+    )
+    head = '"A","","B","",""\n"Force","Course","Temps","Force","Course"\n"N","mm","sec","N","mm"\n'
+    path.write_text(head + rows)
+    first, second = read_each(path)
+    assert isinstance(first, InputError)
+    assert (first.code, first.sheet) == ("no_columns", "A")
+    assert "add the time to the channels of the export" in first.message
+    assert isinstance(second, Trial)
+    assert second.force_N[7] == pytest.approx(7 / 6, abs=1e-4)
+
+
+def test_a_mach1_force_negative_in_compression_keeps_its_sign_and_the_search_is_no_specimen(
+    tmp_path: Path,
+) -> None:
+    def block(name: str, head: str, first: float) -> str:
+        rows = "".join(
+            f"{k * 0.1:.5f}\t{first + min(k, 50) * 0.01:.5f}\t0.00000\t{-20.0 * max(min(k, 50) - 10, 0) / 40 * (1 if k < 50 else 0.6 + 0.4 * 0.98 ** (k - 50)):.6f}\n"  # noqa: E501
+            for k in range(300)
+        )
+        names = "Time, s\tPosition (z), mm\tPosition (x), mm\tFz, gf\n"
+        return f"<{name}>\n{head}<DATA>\n{names}{rows}<END DATA>\n"
+
+    relax = "Stage Axis:\tPosition (z)\nRamp amplitude, mm:\t0.5000\nRamp velocity, mm/s:\t0.1000\n"
+    text = "<Mach-1 File>\n<INFO>\nTime:\t10:21:07\n<END INFO>\n"
+    text += block("Find Contact", "Stage velocity, mm/s:\t0.1\n", 0.0)
+    text += block("Stress Relaxation", relax + "Fixed relaxation time, s:\t25.000\n", 5.0)
+    path = tmp_path / "a.txt"
+    path.write_text(text)
+    search, test = read_trials(path)
+    assert "not_a_specimen" in codes(search)
+    assert "not_a_specimen" not in codes(test)
+    assert (test.protocol.speed_mm_s, test.protocol.depth_mm, test.protocol.hold_s) == (0.1, 0.5, 25.0)
+    assert test.force_N.min() == pytest.approx(-20.0 * 0.00980665, rel=1e-6)

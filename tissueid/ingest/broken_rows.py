@@ -1,0 +1,174 @@
+"""Rows from which on a file can't be what it was: marks lost, columns exchanged, a row of something else.
+
+Each number by itself is sound there; only the step to it gives it away.  A machine moves on: from one sample
+to the next neither travel nor force changes by a thousand of its usual steps and comes back, and never do
+both take each other's values.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.flags import Flag
+from tissueid.ingest.refusals import Place
+from tissueid.ingest.vocabulary import CHANNELS
+from tissueid.trial import FloatArray
+
+__all__ = ["BrokenRow", "broken_row", "jump"]
+
+_Steps = tuple[FloatArray, FloatArray]
+
+#: Rows needed to know the usual step, and rows before a break that show it.
+FEWEST_ROWS, REACH = 20, 50
+#: A lost mark multiplies by ten at least; the step to such a number is so many times the largest before.
+LOST_TIMES, LOST_STEPS = 5.0, 20.0
+#: Rows without decimals in a run, from which on the run is no accident of round numbers.
+LOST_RUN = 3
+#: Steps that exchanged columns continue crosswise within this share of what they jump by.
+CROSSWISE = 0.05
+#: Usual steps of travel, and of force, by which no sample stands off both its neighbours.
+FOREIGN_TRAVEL, FOREIGN_FORCE = 1e4, 1e2
+#: A jump that stays: so many times the steps beside it, and this share of the whole travel.
+BESIDE_TIMES, JUMP_SHARE, BESIDE = 20.0, 0.05, 5
+#: An interval so many times the usual is a gap in the log.
+GAP_TIMES = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class BrokenRow:
+    """Where and how a table breaks.
+
+    Attributes
+    ----------
+    row : int
+        Counted from 0.
+    channel : int
+        Of time, displacement, force.
+    code, message : str
+        Of the refusal.
+    """
+
+    row: int
+    channel: int
+    code: str
+    message: str
+
+    def refuse(self, place: Place, line: int, column: int) -> None:
+        """Refuse the table at a line and column, counted from 1."""
+        place.refuse(self.code, self.message, line=line, column=column)
+
+
+def broken_row(columns: list[FloatArray]) -> BrokenRow | None:
+    """The first sign that a table of time, displacement and force does not hold together.
+
+    Parameters
+    ----------
+    columns : list of ndarray, shape (n,)
+        As printed, before units.
+    """
+    if columns[0].size < FEWEST_ROWS:
+        return None
+    travel, force = columns[1], columns[2]
+    steps = np.abs(np.diff(travel)), np.abs(np.diff(force))
+    return _lost_marks(columns) or _exchanged(travel, force, steps) or _foreign(travel, force, steps)
+
+
+def _lost_marks(columns: list[FloatArray]) -> BrokenRow | None:
+    for k, column in enumerate(columns):
+        whole = column == np.floor(column)
+        if not LOST_RUN <= np.count_nonzero(whole) < column.size:
+            continue
+        for backwards in (False, True):
+            at = _lost_from(column[::-1], whole[::-1]) if backwards else _lost_from(column, whole)
+            if at is None:
+                continue
+            row = column.size - 1 - at[0] if backwards else at[0]
+            first = row - at[1] + 1 if backwards else row
+            sound = column[row + 1] if backwards else column[row - 1]
+            message = (
+                f"the {CHANNELS[k]} is {column[row]:g} beside {sound:g}, and {at[1]} rows have no decimals:"
+                " decimal marks were lost; go back to the original export"
+            )
+            return BrokenRow(first, k, "damaged_number", message)
+    return None
+
+
+def _lost_from(column: FloatArray, whole: NDArray[np.bool_]) -> tuple[int, int] | None:
+    """The first row of a run without decimals far above the rows before it, and the length of the run."""
+    edges = np.flatnonzero(np.diff(np.concatenate((whole, [False])).astype(np.int8)))
+    starts, stops = edges[:-1][whole[edges[:-1] + 1]] + 1, edges[whole[edges]] + 1
+    stops = stops[stops.size - starts.size :]
+    size = np.abs(column)
+    long = (stops - starts >= LOST_RUN) & (size[starts] >= LOST_TIMES * size[starts - 1])
+    for start, stop in zip(starts[long].tolist(), stops[long].tolist(), strict=True):
+        before = column[max(0, start - REACH) : start]
+        usual = float(np.abs(np.diff(before)).max(initial=0.0))
+        if before.size > 1 and usual > 0.0 and abs(column[start] - before[-1]) >= LOST_STEPS * usual:
+            return start, stop - start
+    return None
+
+
+def _exchanged(travel: FloatArray, force: FloatArray, steps: _Steps) -> BrokenRow | None:
+    """Displacement and force that go on in each other's column."""
+    straight = np.minimum(*steps)
+    row = int(np.argmax(straight)) + 1
+    crosswise = max(abs(travel[row] - force[row - 1]), abs(force[row] - travel[row - 1]))
+    if crosswise > CROSSWISE * straight[row - 1]:
+        return None
+    message = (
+        f"displacement and force go on in each other's column: {travel[row - 1]:g}, {force[row - 1]:g} is"
+        f" followed by {travel[row]:g}, {force[row]:g}; export the file again"
+    )
+    return BrokenRow(row, 1, "mixed_tables", message)
+
+
+def _foreign(travel: FloatArray, force: FloatArray, steps: _Steps) -> BrokenRow | None:
+    """One row off both its neighbours in travel and in force by what no machine does."""
+    rows = np.flatnonzero(steps[0][:-1] > FOREIGN_TRAVEL * _usual(steps[0])) + 1
+    for values, step, times in ((travel, steps[0], FOREIGN_TRAVEL), (force, steps[1], FOREIGN_FORCE)):
+        if rows.size == 0:
+            return None
+        usual = np.maximum(_usual(step), np.abs(values[rows + 1] - values[rows - 1]))
+        rows = rows[np.minimum(step[rows - 1], step[rows]) > times * usual]
+    if rows.size == 0:
+        return None
+    row = int(rows[0])
+    message = (
+        f"displacement {travel[row]:g} and force {force[row]:g} stand alone between {travel[row - 1]:g},"
+        f" {force[row - 1]:g} and {travel[row + 1]:g}, {force[row + 1]:g}: a row of another recording;"
+        " remove it, or export again"
+    )
+    return BrokenRow(row, 1, "mixed_tables", message)
+
+
+def _usual(steps: FloatArray) -> float:
+    # a long channel is told by some of it
+    some = steps[:: steps.size // 8192 + 1]
+    moving = some[some > 0.0]
+    return float(np.median(moving)) if moving.size else np.inf
+
+
+def jump(time_s: FloatArray, displacement_mm: FloatArray) -> Flag | None:
+    """``jump``, where the travel leaps between two samples and stays there."""
+    if time_s.size < FEWEST_ROWS:
+        return None
+    steps = np.abs(np.diff(displacement_mm))
+    at = int(np.argmax(steps))
+    leap = float(steps[at])
+    if leap < max(FOREIGN_TRAVEL * _usual(steps), JUMP_SHARE * float(np.ptp(displacement_mm))):
+        return None
+    interval = np.diff(time_s)
+    if interval[at] > GAP_TIMES * float(np.median(interval)):
+        return None  # said as a gap
+    beside = np.concatenate((steps[max(0, at - BESIDE) : at], steps[at + 1 : at + 1 + BESIDE]))
+    if beside.size == 0 or leap < BESIDE_TIMES * float(beside.max()):
+        return None
+    when = float(time_s[at])
+    return Flag(
+        "jump",
+        f"the travel leaps by {leap:.3g} mm between two samples at {when:.4g} s: two recordings in one?",
+        {"leap_mm": leap, "at_s": when},
+    )
