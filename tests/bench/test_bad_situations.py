@@ -89,6 +89,10 @@ def _file_as_folder(folder: Path) -> None:
     (folder / "out").write_text("a file", encoding="ascii")
 
 
+def _table_as_bundle(folder: Path) -> None:
+    (folder / "liver.h5").write_text("depth,force\n1,2\n", encoding="ascii")
+
+
 def _nothing(folder: Path) -> None:
     del folder
 
@@ -142,7 +146,7 @@ SITUATIONS: dict[str, Situation] = {
     ),
     "results that were never written": Situation(_lab, ("report", "lab"), 6, ("lab",), ("lab/log.csv",)),
     "a bundle that is a table": Situation(
-        _lab, ("compare", "lab/log.csv", "lab/log.csv"), 6, ("log.csv", "bundle")
+        _table_as_bundle, ("compare", "liver.h5", "liver.h5"), 6, ("liver.h5", "tissueid fit")
     ),
 }
 

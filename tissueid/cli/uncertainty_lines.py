@@ -1,8 +1,8 @@
 """Lines of ``fit`` on parameters and how sure they are; the report and the JSON have the rest.
 
 A specimen is a block of four lines: relaxation times, viscosities, static and dynamic polynomial, each value
-with its widest 95 % interval to one place.  ``-v`` prints a line a parameter, viscosity first, with both
-intervals; where the residuals contradict the model, or nothing is identified, none stands.
+with its widest 95 % interval to one place.  ``-v`` prints a line a parameter with both intervals; where the
+residuals contradict the model, or nothing is identified, none stands.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ def _wrapped(label: str, parts: Sequence[str]) -> list[str]:
 
 
 def parameter_lines(document: Mapping[str, Any]) -> list[str]:
-    """One line a parameter, viscosity first; columns are aligned.
+    """One line a parameter; columns are aligned.
 
     Parameters
     ----------
