@@ -114,7 +114,7 @@ def test_the_help_names_every_reader() -> None:
 
 
 def test_inspect_says_why_a_reader_matched(files: dict[str, Path]) -> None:
-    ended = run("inspect", files["txt"])
+    ended = run("inspect", files["txt"], "-v")
     assert "Read as mach-1 (sure to 100%)".lower() in ended.stdout.lower()
     assert "because the first line is <Mach-1 File>" in ended.stdout
 
@@ -159,7 +159,7 @@ def test_a_broken_installed_reader_is_warned_of_and_the_files_are_read(
     with monkeypatch.context() as patch:
         patch.syspath_prepend(str(info.parent))
         forget_readers()
-        ended = run("inspect", path)
+        ended = run("inspect", path, "-v")
     forget_readers()
     assert ended.code == 0
     assert "bluehill-csv" in ended.stdout

@@ -390,7 +390,7 @@ def test_the_study_of_the_folder_is_followed(tmp_path: Path) -> None:
     told = {Path(one["path"]).name: one for one in lines}
     assert {one["specimen"] for one in lines} == {"kidney"}
     assert told["one.csv"]["contact"]["displacement_mm"] == 0.25
-    assert told["two.csv"]["advice"] == ["study.toml takes this test out, because: slipped"]
+    assert told["two.csv"]["advice"] == ["this test is taken out, because: slipped"]
 
 
 def test_a_folder_that_does_not_exist_is_a_usage_error(tmp_path: Path) -> None:

@@ -51,7 +51,7 @@ DECIMALS = {"point": ".", "comma": ","}
 #: Keys of the readers, written out so that help need not load them; a test holds them against the registry.
 READERS = (
     "bluehill-csv", "testxpert-tra", "testxpert-workbook", "mach-1", "mts-793", "shimadzu", "chiaro",
-    "workbook", "columns", "zip", "session-log",
+    "workbook", "columns", "zip", "session-log", "jpk-force",
 )  # fmt: skip
 _READERS = ", ".join(READERS)
 
