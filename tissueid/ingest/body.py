@@ -24,7 +24,7 @@ from tissueid.ingest.broken_rows import broken_row
 from tissueid.ingest.columns import ColumnChoice
 from tissueid.ingest.layout import Layout
 from tissueid.ingest.lost_marks import lost_marks
-from tissueid.ingest.plain import Marks, prove_marks, single_bytes
+from tissueid.ingest.plain import make_plain
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.rows import RowReader
 from tissueid.ingest.text import Text
@@ -34,9 +34,7 @@ from tissueid.trial import FloatArray
 
 __all__ = ["Body", "read_body"]
 
-_PIECE_BYTES, _PROVED_BYTES = 1 << 22, 1 << 19
-#: What is proved before the parser is told of it.
-_MARKS = "\",.' "
+_PIECE_BYTES, _QUOTED_BYTES = 1 << 22, 1 << 19
 _MOST_THREADS = 6
 #: Of few pieces a second thread saves less than it costs the first.
 _FEW_PIECES = 4
@@ -77,84 +75,71 @@ class _Plan:
     layout: Layout
     wanted: tuple[int, ...]
 
-    def proved(self, span: tuple[int, int]) -> tuple[bytes, Marks] | None:
-        """Whole lines and what is sound in them, ``None`` where quotes or thousands are not."""
-        layout = self.layout
-        piece = single_bytes(self.data[span[0] : span[1]])
-        marks = "".join(mark for mark in _MARKS if mark.encode() in piece)
-        if not set(marks) - {layout.decimal, layout.delimiter}:
-            return piece, Marks(quoted=False, thousands=None, delimiters=-1)
-        view = np.frombuffer(piece, dtype=np.uint8)
+    def plain(self, span: tuple[int, int]) -> bytes | None:
+        """Whole lines without quotes and thousands separators, ``None`` where these are not sound."""
+        quoted = self.data.find(b'"', span[0], span[0] + _SAMPLED_BYTES) >= 0
         # vectors over a short piece stay in the processor's cache
-        found = [
-            prove_marks(view[start:stop], marks, delimiter=layout.delimiter, decimal=layout.decimal)
-            for start, stop in _spans(piece, 0, len(piece), size=_PROVED_BYTES)
+        pieces = [
+            make_plain(self.data[start:stop], delimiter=self.layout.delimiter, decimal=self.layout.decimal)
+            for start, stop in _spans(self.data, *span, size=_QUOTED_BYTES if quoted else _PIECE_BYTES)
         ]
-        sound = [one for one in found if one is not None]
-        kinds = {one.thousands for one in sound} - {None}
-        if len(sound) < len(found) or len(kinds) > 1:
-            return None
-        return piece, Marks('"' in marks, next(iter(kinds), None), sum(one.delimiters for one in sound))
+        return None if None in pieces else b"".join(cast("list[bytes]", pieces))
 
-    def parse(self, proved: tuple[bytes, Marks] | None) -> list[FloatArray] | None:
-        """The wanted columns of proved lines, ``None`` where they are not all rows of numbers."""
+    def parse(self, plain: bytes | None) -> list[FloatArray] | None:
+        """The wanted columns of plain lines, ``None`` where they are not all rows of numbers."""
         import pandas as pd  # 0.4 s: not for `tissueid --help`
 
-        if proved is None or b"\0" in proved[0]:
+        layout = self.layout
+        if plain is None or b"\0" in plain:
             return None
-        layout, (piece, marks) = self.layout, proved
-        if not piece or piece.isspace():
+        both = layout.delimiter == layout.decimal
+        separator = "\t" if both else layout.delimiter
+        if not plain or plain.isspace():
             return [np.empty(0) for _ in self.wanted]
-        if layout.delimiter == layout.decimal and not marks.quoted:
-            return None  # every cell is two
         dtypes = {
             index: np.float64 if numeric or index in self.wanted else object
             for index, numeric in enumerate(layout.numeric)
         }
         try:
             frame = pd.read_csv(
-                cast("Any", _Piece(piece)),
-                sep=layout.delimiter,
-                decimal=layout.decimal,
-                thousands=marks.thousands,
+                cast("Any", _Piece(plain)),
+                sep=separator,
                 header=None,
                 dtype=cast("Any", dtypes),
                 na_filter=False,
-                quoting=csv.QUOTE_MINIMAL if marks.quoted else csv.QUOTE_NONE,
+                quoting=csv.QUOTE_NONE,
                 engine="c",
                 low_memory=False,
                 encoding_errors="replace",
             )
         except (ValueError, OverflowError, KeyError):
             return None
-        if frame.shape[1] != layout.n_columns or not self._rows_whole(piece, marks, len(frame)):
+        if frame.shape[1] != layout.n_columns or not self._rows_whole(plain, separator, len(frame)):
             return None
-        usual = _marks_a_row(piece, layout.decimal)
-        if usual is not None and _count(piece, layout.decimal) != len(frame) * usual:
+        usual = _marks_a_row(plain)
+        if usual is not None and _count(plain, ".") != len(frame) * usual:
             return None  # a mark was lost, or gained: the slow reader looks at each number
         return [frame[index].to_numpy() for index in self.wanted]
 
-    def _rows_whole(self, piece: bytes, marks: Marks, n_rows: int) -> bool:
+    def _rows_whole(self, plain: bytes, separator: str, n_rows: int) -> bool:
         """No row is short: proved by the parser where all cells are numbers, else by counting delimiters.
 
         The parser refuses a long row, so that the right sum means that each row is right.
         """
         if all(numeric or i in self.wanted for i, numeric in enumerate(self.layout.numeric)):
             return True
-        counted = marks.delimiters if marks.delimiters >= 0 else _count(piece, self.layout.delimiter)
-        return counted == n_rows * (self.layout.n_columns - 1)
+        return _count(plain, separator) == n_rows * (self.layout.n_columns - 1)
 
 
-def _count(piece: bytes, mark: str) -> int:
+def _count(plain: bytes, mark: str) -> int:
     """Occurrences of a byte; faster than ``bytes.count`` where they are many."""
-    return int(np.count_nonzero(np.frombuffer(piece, dtype=np.uint8) == ord(mark)))
+    return int(np.count_nonzero(np.frombuffer(plain, dtype=np.uint8) == ord(mark)))
 
 
-def _marks_a_row(piece: bytes, decimal: str) -> int | None:
+def _marks_a_row(plain: bytes) -> int | None:
     """Decimal marks of a row where all rows print the same decimals, by the first rows of a piece."""
-    end = piece.rfind(b"\n", 0, _SAMPLED_BYTES) + 1
-    mark = decimal.encode()
-    counts = Counter(line.count(mark) for line in piece[:end].splitlines() if line.strip())
+    end = plain.rfind(b"\n", 0, _SAMPLED_BYTES) + 1
+    counts = Counter(line.count(b".") for line in plain[:end].splitlines() if line.strip())
     if not counts:
         return None
     usual, often = counts.most_common(1)[0]
@@ -178,10 +163,10 @@ def _read_fast(reader: RowReader) -> list[FloatArray] | None:
     pieces: list[list[FloatArray] | None]
     if most > 1:
         with ThreadPoolExecutor(most) as pool:
-            # this thread proves while the others parse, where the interpreter is released
-            pieces = list(pool.map(plan.parse, map(plan.proved, spans)))
+            # this thread makes plain while the others parse, where the interpreter is released
+            pieces = list(pool.map(plan.parse, map(plan.plain, spans)))
     else:
-        pieces = [plan.parse(plan.proved(span)) for span in spans]
+        pieces = [plan.parse(plan.plain(span)) for span in spans]
     if any(piece is None for piece in pieces):
         return None
     whole = cast("list[list[FloatArray]]", pieces)
