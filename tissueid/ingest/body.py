@@ -210,10 +210,11 @@ def read_body(text: Text, layout: Layout, choice: ColumnChoice, place: Place) ->
     falls = np.flatnonzero(np.diff(columns[0]) < 0)
     if falls.size:
         raise _backwards(reader, columns[0], int(falls[0]) + 1)
-    broken = broken_row(columns)
+    fractional = [column != np.floor(column) for column in columns]
+    broken = broken_row(columns, fractional)
     if broken is not None:
         broken.refuse(place, reader.line_of_row(broken.row), reader.wanted[broken.channel] + 1)
-    doubt = lost_marks(columns, choice.factors, reader.first_row())
+    doubt = lost_marks(columns, fractional, choice.factors, reader.first_row())
     flags += [] if doubt is None else [doubt]
     scaled = [
         column if choice.factors[channel] == 1.0 else column * choice.factors[channel]

@@ -7,6 +7,7 @@ both take each other's values.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,26 +62,30 @@ class BrokenRow:
         place.refuse(self.code, self.message, line=line, column=column)
 
 
-def broken_row(columns: list[FloatArray]) -> BrokenRow | None:
+def broken_row(columns: Sequence[FloatArray], fractional: Sequence[NDArray[np.bool_]]) -> BrokenRow | None:
     """The first sign that a table of time, displacement and force does not hold together.
 
     Parameters
     ----------
-    columns : list of ndarray, shape (n,)
+    columns : sequence of ndarray, shape (n,)
         As printed, before units.
+    fractional : sequence of ndarray of bool, shape (n,)
+        Numbers with decimals.
     """
     if columns[0].size < FEWEST_ROWS:
         return None
     travel, force = columns[1], columns[2]
     steps = np.abs(np.diff(travel)), np.abs(np.diff(force))
-    return _lost_marks(columns) or _exchanged(travel, force, steps) or _foreign(travel, force, steps)
+    return (
+        _lost_marks(columns, fractional) or _exchanged(travel, force, steps) or _foreign(travel, force, steps)
+    )
 
 
-def _lost_marks(columns: list[FloatArray]) -> BrokenRow | None:
-    for k, column in enumerate(columns):
-        whole = column == np.floor(column)
-        if not LOST_RUN <= np.count_nonzero(whole) < column.size:
+def _lost_marks(columns: Sequence[FloatArray], fractional: Sequence[NDArray[np.bool_]]) -> BrokenRow | None:
+    for k, (column, decimals) in enumerate(zip(columns, fractional, strict=True)):
+        if not LOST_RUN <= column.size - np.count_nonzero(decimals) < column.size:
             continue
+        whole = ~decimals
         for backwards in (False, True):
             at = _lost_from(column[::-1], whole[::-1]) if backwards else _lost_from(column, whole)
             if at is None:

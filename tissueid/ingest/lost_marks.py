@@ -26,7 +26,10 @@ _PADDED = re.compile(r"\s*[+-]?0\d+\s*")
 
 
 def lost_marks(
-    columns: Sequence[FloatArray], factors: Mapping[Channel, float], first_row: Sequence[str]
+    columns: Sequence[FloatArray],
+    fractional: Sequence[NDArray[np.bool_]],
+    factors: Mapping[Channel, float],
+    first_row: Sequence[str],
 ) -> Flag | None:
     """Flag ``no_decimals`` for the first of the three channels that looks as if marks were lost.
 
@@ -34,6 +37,8 @@ def lost_marks(
     ----------
     columns : sequence of ndarray, shape (n,)
         Time, displacement and force as printed.
+    fractional : sequence of ndarray of bool, shape (n,)
+        Numbers with decimals.
     factors : mapping
         What turns them into s, mm and N.
     first_row : sequence of str
@@ -42,7 +47,6 @@ def lost_marks(
     for channel, cell in zip(CHANNELS, first_row, strict=False):
         if _PADDED.fullmatch(cell):
             return _flag(channel, f"is padded with zeros, first {cell.strip()!r}")
-    fractional = [column != np.floor(column) for column in columns]
     whole = [
         column.size >= _WHOLE_FROM and not decimals.any()
         for column, decimals in zip(columns, fractional, strict=True)

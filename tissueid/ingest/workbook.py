@@ -340,8 +340,8 @@ def _check(table: FloatArray, lines: Sequence[int], wanted: Sequence[int], place
         row, column = int(bad[0, 0]), int(bad[0, 1])
         message = f"{table[row, column]} is not a finite number; correct or remove the row"
         place.refuse("not_finite", message, line=lines[row], column=wanted[column] + 1)
-    broken = broken_row([table[:, 0], table[:, 1], table[:, 2]])
-    if broken is not None and np.isfinite(table).all():
+    broken = broken_row(list(table.T), list((table != np.floor(table)).T))
+    if broken is not None:
         broken.refuse(place, lines[broken.row], wanted[broken.channel] + 1)
     falls = np.flatnonzero(np.diff(table[:, 0]) < 0)
     if falls.size:
