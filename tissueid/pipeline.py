@@ -372,6 +372,7 @@ def identify(
         specimens=tuple(fits),
         refused=tuple(everything),
         unfitted_cycles=tuple(collected.unfitted_cycles),
+        exclusions=tuple(exclusions),
         exit=exit_of(len(fits), [str(one) for one in everything], unmet(fits, options.required)),
         study=record,
         provenance=run_provenance(options, inputs, record, provenance or {}),

@@ -372,6 +372,8 @@ class Identification(Shown):
         The ``study`` object of the schema: covariates, calibration, exclusions; ``None`` without a study.
     unfitted_cycles : tuple of CycleRow
         Loops of trials that were read but could not be fitted.
+    exclusions : tuple of mapping
+        Recordings that were left out, each with its reason; the study repeats them in the document.
     """
 
     specimens: tuple[SpecimenFit, ...]
@@ -380,6 +382,7 @@ class Identification(Shown):
     provenance: Mapping[str, Any] = field(default_factory=dict)
     study: Mapping[str, Any] | None = None
     unfitted_cycles: tuple[CycleRow, ...] = ()
+    exclusions: tuple[Mapping[str, Any], ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "provenance", MappingProxyType(dict(self.provenance)))

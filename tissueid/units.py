@@ -116,7 +116,8 @@ def _parsed(unit: str) -> Any | None:
 
     try:
         return _registry().parse_units(_SPELLINGS.get(unit, unit))
-    except (pint.errors.PintError, ValueError, TypeError, AttributeError):
+    # what is shaped like a unit may be none that its parser has thought of
+    except (pint.errors.PintError, ValueError, TypeError, AttributeError, AssertionError, ArithmeticError):
         return None
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_line import QUICK, run
+from command_line import QUICK, run, write_log
 
 from tissueid.cli.reading import READERS
 from tissueid.ingest import RECIPES, forget_readers
@@ -164,3 +164,14 @@ def test_a_broken_installed_reader_is_warned_of_and_the_files_are_read(
     assert ended.code == 0
     assert "bluehill-csv" in ended.stdout
     assert "warning: the installed reader 'mine (no_such_module_at_all:RECIPE)'" in ended.stderr
+
+
+def test_a_mean_curve_is_left_out_with_one_line(tmp_path: Path) -> None:
+    write_log(tmp_path / "Mean.csv")
+    write_log(tmp_path / "cow.csv")
+    ended = run("fit", tmp_path, "-o", tmp_path / "out", *QUICK)
+    assert ended.code == 0
+    (line,) = (line for line in ended.stdout.splitlines() if line.startswith("excluded"))
+    assert "Mean.csv" in line
+    assert "no specimen" in line
+    assert "1 log," in ended.stdout

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
@@ -56,4 +55,3 @@ def test_a_mean_sheet_is_read_and_left_out_of_the_fit_unless_listed(shared_data:
     assert [one.sheet for one in found.excluded] == ["Eprouvette moyenne"]
     assert found.excluded[0].no_specimen
     assert sum(len(logs) for logs in found.groups.values()) == 1
-    json.dumps([flag.as_json() for flag in mean.flags])

@@ -222,7 +222,7 @@ def result_of(
         "provenance": {key: value for key, value in document["provenance"].items() if key not in _OF_THE_RUN},
         "reasons": unmet(fits, options.required),
         "trials": [] if study is None else study["trials"],
-        "exclusions": [] if study is None else study["exclusions"],
+        "exclusions": plain_json(identification.exclusions),
     }
     if not fits:
         return SpecimenResult(record)
