@@ -216,7 +216,7 @@ class MeasuredTau:
     Attributes
     ----------
     window_s : tuple of float
-        Recorded times of the peak and of the end of the hold.
+        Recorded times of the stop and of the end of the hold.
     single_s : float or None
     double_s : tuple of float
     nrmsd_single : float

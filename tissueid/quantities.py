@@ -146,9 +146,9 @@ class RelaxationRow:
     Attributes
     ----------
     window_s : tuple of float
-        Recorded times of the force peak and of the end of the hold [s].
+        Recorded times of the stop and of the end of the hold [s].
     peak_force_N : float
-        Largest compressive force of the window [N].
+        Largest compressive force about the stop [N]: a crosshead brakes, and the force may fall meanwhile.
     tau_single_s : float or None
     nrmsd_single : float
         Range-NRMSD of the single exponential over its window.
@@ -272,8 +272,6 @@ class QuotedNumbers:
         Two sampling intervals: nothing earlier is said.
     model : tuple of Quantity
         Functionals of the fitted model, errors by the delta method.
-    measured : tuple of Quantity
-        From the samples of the holds, no model involved.
     moduli : tuple of Quantity
         With tip (and thickness); empty where the tip is not known.
     spectra : tuple of Spectrum
@@ -284,7 +282,6 @@ class QuotedNumbers:
     window_s: float
     resolution_s: float
     model: tuple[Quantity, ...] = ()
-    measured: tuple[Quantity, ...] = ()
     moduli: tuple[Quantity, ...] = ()
     spectra: tuple[Spectrum, ...] = ()
     assumptions: Mapping[str, float | str | None] = field(default_factory=dict)
@@ -299,7 +296,6 @@ class QuotedNumbers:
             "resolution_s": self.resolution_s,
             "noise": "white",
             "model": [one.as_json() for one in self.model],
-            "measured": [one.as_json() for one in self.measured],
             "moduli": [one.as_json() for one in self.moduli],
             "spectra": [one.as_json() for one in self.spectra],
             "assumptions": dict(self.assumptions),

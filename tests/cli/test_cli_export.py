@@ -196,7 +196,7 @@ def test_loops_and_quoted_numbers_have_tables_of_their_own() -> None:
     ]
     quantity = {"name": "fraction_relaxed", "unit": "1", "at": {"time_s": 10.0}, "value": None,
                 "stderr": None, "reason": "the hold lasts 5 s"}  # fmt: skip
-    given["specimens"][0]["quoted"] = {"model": [quantity], "measured": [], "moduli": []}
+    given["specimens"][0]["quoted"] = {"model": [quantity], "moduli": []}
     (row,) = table("quantities", given)
     assert (row["kind"], row["name"], row["time_s"], row["value"]) == (
         "model",
@@ -205,6 +205,14 @@ def test_loops_and_quoted_numbers_have_tables_of_their_own() -> None:
         "",
     )
     assert row["reason"] == "the hold lasts 5 s"
+    given["specimens"][0]["measured"] = [
+        {"name": "force", "unit": "N", "hold": 1, "time_s": 10.0, "ramp_time_s": [2.0, 2.1], "count": 3,
+         "mean": 4.5, "sd": 0.25, "reason": None}
+    ]  # fmt: skip
+    row = table("quantities", given)[-1]
+    assert [row[key] for key in ("kind", "name", "time_s", "hold", "value", "sd", "logs", "stderr")] == [
+        "measured", "force", "10.0", "1", "4.5", "0.25", "3", "",
+    ]  # fmt: skip
 
 
 def test_the_bytes_are_rfc_4180_in_utf_8() -> None:

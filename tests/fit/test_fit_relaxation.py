@@ -113,7 +113,7 @@ def codes(row):
     return {flag.code: flag for flag in row.flags}
 
 
-def test_window_runs_from_the_force_peak_to_the_end_of_the_hold():
+def test_window_runs_from_the_stop_to_the_end_of_the_hold():
     trial = hold_trial(lambda t: decay(t, 20.0, [10.0], [2.0]))
     (row,) = relaxation_rows(trial, true_segmentation(trial))
     assert row.window_s == pytest.approx((1.0, 31.0))
@@ -123,13 +123,14 @@ def test_window_runs_from_the_force_peak_to_the_end_of_the_hold():
     assert row.path == trial.source.path
 
 
-def test_a_peak_before_displacement_stops_starts_the_window():
+def test_a_peak_before_the_stop_is_the_peak_and_not_in_the_window():
     trial = hold_trial(lambda t: decay(t, 20.0, [10.0], [2.0]))
     force = trial.force_N.copy()
     force[19] = 31.0
     early = Trial("s", trial.time_s, trial.displacement_mm, force, trial.protocol)
     (row,) = relaxation_rows(early, true_segmentation(early))
-    assert row.window_s[0] == pytest.approx(0.95)
+    assert row.window_s[0] == pytest.approx(1.0)
+    assert row.tau_single_s == pytest.approx(2.0, rel=1e-5)
     assert row.peak_force_N == pytest.approx(31.0)
 
 

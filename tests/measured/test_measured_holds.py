@@ -6,14 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pushed import pushed
 
 from tissueid.flags import Flag
 from tissueid.measured import measure, spread
 from tissueid.measured.geometry import Geometry, TipOf
+from tissueid.measured.relaxation import relaxation_rows
 from tissueid.measured.spread import ramp_reason
 from tissueid.measured.verdict import verdict_of
 from tissueid.measures import Measured
 from tissueid.model.moduli import Indenter
+from tissueid.segment import segment
 from tissueid.trial import Axes, Contact, Corner, Event, Phase, Protocol, Segmentation, Trial
 
 STEP = 0.01
@@ -67,9 +70,21 @@ def test_numbers_of_a_hold_are_those_of_its_truth(sign, zero):
         assert not one.beyond_ramp
     assert hold.forces[3].reason == "the hold lasts 15 s"
     assert hold.at(100.0) is None
-    # the window begins with the peak, 0.2 s of braking before the stop
-    assert hold.tau.double_s == pytest.approx((0.5, 8.0), rel=0.25)
-    assert hold.tau.window_s == pytest.approx((CORNER, END))
+    # the window begins with the stop: 0.2 s of braking before it are no relaxation at rest
+    assert hold.tau.double_s == pytest.approx((0.5, 8.0), rel=0.01)
+    assert hold.tau.window_s == pytest.approx((STOP, END))
+
+
+@pytest.mark.parametrize(("brake", "tau"), [(0.05, 0.5), (0.2, 0.5), (0.2, 2.0), (0.5, 0.5)])
+def test_braking_does_not_lengthen_relaxation(brake, tau):
+    trial = pushed(brake_s=brake, tau_s=tau)
+    divided = segment(trial)
+    (hold,) = measure(trial, divided).holds
+    # from the peak, 0.5 s would be 0.52 s where the crosshead brakes for 0.2 s, and 0.57 s for 0.5 s
+    assert hold.tau.single_s == pytest.approx(tau, rel=0.01)
+    (row,) = relaxation_rows(trial, divided)
+    assert (row.tau_single_s, row.window_s[0]) == (hold.tau.single_s, hold.start_s)
+    assert row.peak_force_N == pytest.approx(hold.push.peak.force_N, abs=0.05)
 
 
 def test_noise_moves_a_force_by_its_stated_sd():

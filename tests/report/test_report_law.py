@@ -216,7 +216,7 @@ def test_holds_are_drawn_in_linear_and_logarithmic_time_from_their_window(
     found = read_back(tab, "holds")
     recorded, model, log_recorded, log_model = found["traces"]
     assert found["titles"]["xaxis"][1] == "linear"
-    assert found["titles"]["xaxis2"] == ["Time from the force peak [s], log", "log"]
+    assert found["titles"]["xaxis2"] == ["Time from the stop [s], log", "log"]
     curve = fit.trials[0].curve
     begin = int(np.searchsorted(curve.time_s, 9.5 - 1e-6))
     inside = (curve.time_s > 9.5 + 0.3 * (curve.time_s[1] - curve.time_s[0])) & (curve.time_s <= 21.5)

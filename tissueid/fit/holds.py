@@ -1,7 +1,6 @@
-"""What a hold shows without a contact model: fraction relaxed, and a regularised relaxation spectrum.
+"""The regularised relaxation spectrum of a hold, without a contact model.
 
-The force from which relaxation is counted is that at the end of loading, by least squares over its last
-stretch.  The spectrum is a Prony series on a logarithmic grid with non-negative amplitudes, smoothed by
+The spectrum is a Prony series on a logarithmic grid with non-negative amplitudes, smoothed by
 second differences (Tikhonov); the strongest smoothing is taken that fits about as well as none
 (discrepancy principle).  It is the spectrum **as seen after the ramp**: a branch that relaxed within the
 ramp shows little of its stiffness.
@@ -9,25 +8,19 @@ ramp shows little of its stiffness.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from tissueid.measured.cycles import end_of_loading, polynomial_at
-from tissueid.quantities import Quantity, Spectrum
-from tissueid.trial import Phase, Segmentation, Trial, contact_frame
+from tissueid.quantities import Spectrum
+from tissueid.trial import Segmentation, Trial, contact_frame
 
-__all__ = ["RELAXED_TIMES_S", "HoldNumbers", "hold_numbers", "relaxation_spectrum"]
+__all__ = ["HoldNumbers", "hold_numbers", "relaxation_spectrum"]
 
 FloatArray = NDArray[np.float64]
 
-#: Times after the corner at which the fraction relaxed is quoted [s].
-RELAXED_TIMES_S = (0.1, 1.0, 10.0, 100.0)
-#: Force at a time is that of a parabola through a window of this relative half width.
-TIME_SHARE = 0.2
 MIN_SAMPLES = 12
 #: A force below so many standard deviations of its noise is none.
 NOISE_FACTOR = 5.0
@@ -44,7 +37,6 @@ class HoldNumbers:
 
     Attributes
     ----------
-    measured : tuple of Quantity
     spectra : tuple of Spectrum
     longest_s : float
         Longest hold; 0 without one.
@@ -52,7 +44,6 @@ class HoldNumbers:
         Of the ramp before the longest hold.
     """
 
-    measured: tuple[Quantity, ...] = ()
     spectra: tuple[Spectrum, ...] = ()
     longest_s: float = 0.0
     speed_mm_s: float = 0.0
@@ -67,7 +58,7 @@ def relaxation_spectrum(
     Parameters
     ----------
     time_s : ndarray, shape (n,)
-        From the corner on, growing [s].
+        From the stop on, growing [s].
     force_N : ndarray, shape (n,)
 
     Returns
@@ -119,74 +110,18 @@ def _binned(
     return np.bincount(index, time_s) / count, np.bincount(index, force_N) / count, count
 
 
-def _force_at(time: FloatArray, force: FloatArray, at: float, noise: float) -> tuple[float, float]:
-    """Force at a time and its standard error: a local parabola, or between two samples."""
-    near = np.abs(time - at) <= TIME_SHARE * at
-    found, _ = polynomial_at(time[near], force[near], at, noise)
-    if found.value is None or found.stderr is None:
-        return float(np.interp(at, time, force)), noise
-    return found.value, found.stderr
-
-
-def _fractions(
-    times_s: Sequence[float],
-    time: FloatArray,
-    force: FloatArray,
-    peak: tuple[float, float],
-    noise: float,
-    at: dict[str, float | str],
-) -> list[Quantity]:
-    """Fraction of the force at the corner that is gone, at each time that the hold reaches."""
-    rows = []
-    for wanted in times_s:
-        where = {**at, "time_s": wanted}
-        if wanted > time[-1]:
-            reason = f"the hold lasts {time[-1]:.4g} s"
-            rows.append(Quantity("fraction_relaxed", "1", where, None, None, reason))
-            continue
-        if wanted < 2.0 * float(np.median(np.diff(time))):
-            reason = "earlier than two sampling intervals"
-            rows.append(Quantity("fraction_relaxed", "1", where, None, None, reason))
-            continue
-        value, sd = _force_at(time, force, wanted, noise)
-        share = value / peak[0]
-        stderr = float(np.hypot(sd, share * peak[1])) / peak[0]
-        rows.append(Quantity("fraction_relaxed", "1", where, 1.0 - share, stderr))
-    return rows
-
-
-def _corner(
-    depth: FloatArray, force: FloatArray, segmentation: Segmentation, hold: Phase
-) -> tuple[float, float, float, float]:
-    """Force at the end of the loading before a hold, its error, and speed and depth of that loading."""
-    noise = segmentation.force_noise_N
-    ramps = [phase for phase in segmentation.of_kind("ramp") if phase.stop <= hold.start + 1]
-    top = float(force[hold.start]), noise
-    if not ramps:
-        return (*top, 0.0, float(depth[hold.start]))
-    found, _ = end_of_loading(depth, force, hold.start, ramps[-1].start, noise)
-    if found.value is not None and found.stderr is not None:
-        top = found.value, found.stderr
-    return (*top, ramps[-1].speed_mm_s, float(depth[hold.start]))
-
-
-def hold_numbers(
-    trial: Trial, segmentation: Segmentation, *, times_s: Sequence[float] = RELAXED_TIMES_S
-) -> HoldNumbers:
-    """Fraction relaxed and spectrum of every hold in contact.
+def hold_numbers(trial: Trial, segmentation: Segmentation) -> HoldNumbers:
+    """Spectrum of every hold in contact, with the length of the longest and the ramp before it.
 
     Parameters
     ----------
     trial : Trial
     segmentation : Segmentation
-    times_s : sequence of float
-        After the corner.
     """
     contact = segmentation.contact
     if contact is None:
         return HoldNumbers()
     depth, force = contact_frame(trial, segmentation)
-    measured: list[Quantity] = []
     spectra: list[Spectrum] = []
     longest = (0.0, 0.0, 0.0)
     for hold in segmentation.of_kind("hold"):
@@ -194,15 +129,12 @@ def hold_numbers(
         if hold.stop <= contact.index or time.size < MIN_SAMPLES or not time[-1] > 0.0:
             continue
         relaxing = force[hold.start : hold.stop]
-        top, top_sd, speed, deep = _corner(depth, force, segmentation, hold)
-        if not top > NOISE_FACTOR * segmentation.force_noise_N or not deep > 0.0:
+        deep = float(depth[hold.start])
+        if not relaxing[0] > NOISE_FACTOR * segmentation.force_noise_N or not deep > 0.0:
             # standing in air after a retract relaxes nothing
             continue
-        longest = max(longest, (float(time[-1]), speed, deep))
-        name = trial.source.path if trial.source.sheet is None else trial.name
-        at: dict[str, float | str] = {"path": "measured", "file": name, "depth_mm": deep, "speed_mm_s": speed}
-        noise = segmentation.force_noise_N
-        measured += _fractions(times_s, time, relaxing, (top, top_sd), noise, at)
+        ramps = [phase for phase in segmentation.of_kind("ramp") if phase.stop <= hold.start + 1]
+        longest = max(longest, (float(time[-1]), ramps[-1].speed_mm_s if ramps else 0.0, deep))
         if np.ptp(relaxing) > 0.0:
             tau, amplitude, plateau, smoothing, rmse = relaxation_spectrum(time, relaxing)
             spectra.append(
@@ -218,4 +150,4 @@ def hold_numbers(
                     rmse_N=rmse,
                 )
             )
-    return HoldNumbers(tuple(measured), tuple(spectra), *longest)
+    return HoldNumbers(tuple(spectra), *longest)

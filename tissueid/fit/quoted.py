@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.fit.estimates import TissueEstimate
-from tissueid.fit.holds import RELAXED_TIMES_S, HoldNumbers
+from tissueid.fit.holds import HoldNumbers
 from tissueid.likelihood.identifiability import MAX_WIDTH, width_of
+from tissueid.measured import TIMES_S
 from tissueid.model import functionals
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.quantities import Quantity, QuotedNumbers, Spectrum
@@ -134,7 +135,7 @@ def _relaxation(quote: _Quoter, supported: Supported) -> Iterator[Quantity]:
         at: dict[str, float | str] = {"path": path, "depth_mm": depth}
         if path == "ramp" and not reason:
             at["speed_mm_s"] = hold.speed_mm_s
-        for time in RELAXED_TIMES_S:
+        for time in TIMES_S:
 
             def relaxed(m: KelvinVoigt, t: FloatArray, force=force, time=time) -> float:  # type: ignore[no-untyped-def]
                 return float(1.0 - force(m, t, time) / force(m, t, 0.0))
@@ -222,7 +223,7 @@ def quoted_numbers(
     duration_s: float,
     frequencies_Hz: Sequence[float] = (),
 ) -> QuotedNumbers:
-    """Functionals, measured fractions and spectra of one specimen; moduli are added by whoever knows a tip.
+    """Functionals and spectra of one specimen; moduli are added by whoever knows a tip.
 
     Parameters
     ----------
@@ -244,6 +245,5 @@ def quoted_numbers(
         window_s=window,
         resolution_s=2.0 * step_s,
         model=model_numbers(tissue, supported, frequencies_Hz),
-        measured=tuple(one for hold in holds for one in hold.measured),
         spectra=spectra,
     )

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from tissueid.quantities import CycleRow, DepthStiffness, Measure
 from tissueid.trial import Segmentation, Trial, contact_frame
 
-__all__ = ["Loop", "closed_area", "cycle_rows", "end_of_loading", "loops", "polynomial_at"]
+__all__ = ["Loop", "closed_area", "cycle_rows", "loops"]
 
 FloatArray = NDArray[np.float64]
 

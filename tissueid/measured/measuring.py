@@ -141,7 +141,7 @@ def _hold(record: _Record, number: int, geometry: Geometry | None) -> MeasuredHo
         forces=_forces(record, number, phase, push) if position else (),
         end_N=float(inside[-1]),
         creep_mm=float(record.depth_mm[phase.stop - 1] - record.depth_mm[phase.start]),
-        tau=_tau(record, number, phase) if position else None,
+        tau=_tau(record, phase) if position else None,
         after_rupture=phase.stop > usable_until(segmentation, phase.stop),
     )
 
@@ -181,12 +181,10 @@ def _forces(
     return tuple(rows)
 
 
-def _tau(record: _Record, number: int, phase: Phase) -> MeasuredTau | None:
-    """Relaxation times from the peak to the end of the hold."""
-    time = record.trial.time_s
-    peak = peak_of(time, record.force_N, record.segmentation, number)
-    window = slice(peak.at, phase.stop)
-    found = hold_ladder(time[window], record.force_N[window], EXPONENTIALS)
+def _tau(record: _Record, phase: Phase) -> MeasuredTau | None:
+    """Relaxation times from the stop to the end of the hold."""
+    inside = slice(phase.start, phase.stop)
+    found = hold_ladder(record.trial.time_s[inside], record.force_N[inside], EXPONENTIALS)
     if found is None:
         return None
     single = found.single_s
@@ -194,7 +192,7 @@ def _tau(record: _Record, number: int, phase: Phase) -> MeasuredTau | None:
         None if single is None or found.half_s is None else float(np.log(single / found.half_s) / np.log(2.0))
     )
     return MeasuredTau(
-        window_s=(float(time[peak.at]), phase.end_s),
+        window_s=(phase.start_s, phase.end_s),
         single_s=single,
         double_s=found.taus_s[1],
         nrmsd_single=found.nrmsd[0],

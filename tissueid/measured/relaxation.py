@@ -1,9 +1,9 @@
 """The relaxation table: what people quote, each number with the window it was taken from.
 
 For every hold, ``F = c + sum_j A_j exp(-t / tau_j)`` with one, two and three exponentials, a free
-plateau c and A_j >= 0, uniform weights, from the force peak to the end of the hold.  A relaxation
-time moves with its window, the ramp before it and the weights (statistics.md 4, formats.md 3), so the
-flags say when it did.  This table describes a hold; the contact model is not fitted from it.
+plateau c and A_j >= 0, uniform weights, from the stop of the tool to the end of the hold: while a crosshead still brakes it
+loads, and times counted from the peak are long.  A relaxation time moves with its window, the ramp
+before it and the weights (statistics.md 4, formats.md 3), so the flags say when it did.  This table describes a hold; the contact model is not fitted from it.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def hold_ladder(time_s: FloatArray, force_N: FloatArray, count: int) -> Ladder |
     Parameters
     ----------
     time_s, force_N : ndarray, shape (n,)
-        From the peak on.
+        From the stop on.
     count : int
     """
     time = time_s - time_s[0]
@@ -130,7 +130,9 @@ def _flags(
     return flags
 
 
-def _row(trial: Trial, force: FloatArray, noise_N: float, window: slice) -> RelaxationRow | None:
+def _row(
+    trial: Trial, force: FloatArray, noise_N: float, window: slice, peak_N: float
+) -> RelaxationRow | None:
     time, window_force = trial.time_s[window], force[window]
     found = hold_ladder(time, window_force, MAX_EXPONENTIALS)
     if found is None:
@@ -151,7 +153,7 @@ def _row(trial: Trial, force: FloatArray, noise_N: float, window: slice) -> Rela
         path=trial.source.path,
         sheet=trial.source.sheet,
         window_s=(float(time[0]), float(time[-1])),
-        peak_force_N=float(window_force[0]),
+        peak_force_N=peak_N,
         tau_single_s=single,
         nrmsd_single=one,
         tau_double_s=found.taus_s[1],
@@ -176,5 +178,7 @@ def relaxation_rows(trial: Trial, segmentation: Segmentation) -> tuple[Relaxatio
     for number, hold in enumerate(segmentation.phases):
         if hold.kind == "hold" and segmentation.contact.index < hold.stop <= last:
             peak = peak_of(trial.time_s, force, segmentation, number)
-            rows.append(_row(trial, force, segmentation.force_noise_N, slice(peak.at, hold.stop)))
+            rows.append(
+                _row(trial, force, segmentation.force_noise_N, slice(hold.start, hold.stop), peak.force_N)
+            )
     return tuple(row for row in rows if row is not None)

@@ -81,7 +81,7 @@ def _values(entries: Sequence[Mapping[str, Any]], name: str, key: str) -> list[A
 
 
 def _relaxed(quoted: Mapping[str, Any]) -> Table:
-    model, measured = quoted["model"], quoted["measured"]
+    model = quoted["model"]
     times = _values(model, "fraction_relaxed", "time_s")
     rows, reasons = [], []
     for path, words in _PATHS.items():
@@ -96,19 +96,11 @@ def _relaxed(quoted: Mapping[str, Any]) -> Table:
         reasons += [entry["reason"] for entry in (*found, ratio) if entry is not None]
         name = f"Model, {words} to {number(at['depth_mm'], 3)} mm{speed}"
         rows.append([name, *(_cell(entry, percent=True) for entry in found), _cell(ratio)])
-    keys = dict.fromkeys((entry["at"]["file"], entry["at"]["depth_mm"]) for entry in measured)
-    for file, depth in keys:
-        found = [
-            _find(measured, "fraction_relaxed", file=file, depth_mm=depth, time_s=time) for time in times
-        ]
-        label = str(file).replace("\\", "/").rsplit("/", 1)[-1]
-        cells = [_cell(entry, percent=True) for entry in found]
-        rows.append([f"Measured, {label}, {number(depth, 3)} mm", *cells, NONE])
     head = ["Relaxed [%] after", *(f"{time:g} s" for time in times), "Peak over plateau"]
     sentence = (
-        "Share of the peak force that is gone, counted from the end of the step or ramp. An ideal step is "
-        f"computed, not tested. Nothing is said later than {number(quoted['window_s'], 3)} s or earlier than "
-        f"{number(quoted['resolution_s'], 3)} s, which these recordings did not show."
+        "Share of the model's peak force that is gone, counted from the end of the step or ramp. An ideal "
+        f"step is computed, not tested. Nothing is said later than {number(quoted['window_s'], 3)} s or "
+        f"earlier than {number(quoted['resolution_s'], 3)} s, which these recordings did not show."
     )
     return _shown("Relaxation", sentence, head, rows, reasons)
 

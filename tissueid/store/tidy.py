@@ -89,8 +89,8 @@ _LOOP_MEASURES = (
     *("residual_depth_mm", "viscosity_N_s_per_mm", "viscosity_model_N_s_per_mm", "peak_force_change"),
     "dissipated_change",
 )
-_QUANTITY_KINDS = ("model", "measured", "moduli")
-_CONDITIONS = ("time_s", "frequency_Hz", "depth_mm", "amplitude_mm", "speed_mm_s", "formula", "path", "file")
+_QUANTITY_KINDS = ("model", "moduli")
+_CONDITIONS = ("time_s", "frequency_Hz", "depth_mm", "amplitude_mm", "speed_mm_s", "formula", "path")
 _PROVENANCE = ("tissueid", "identification_sha256")
 
 Row = dict[str, Any]
@@ -365,7 +365,19 @@ def _cycle_rows(document: Mapping[str, Any]) -> Iterator[Row]:
 
 
 def _quantity_columns(_document: Mapping[str, Any]) -> list[str]:
-    return ["specimen", "kind", "name", "unit", *_CONDITIONS, "value", "stderr", "reason"]
+    return [
+        "specimen",
+        "kind",
+        "name",
+        "unit",
+        *_CONDITIONS,
+        "hold",
+        "value",
+        "stderr",
+        "sd",
+        "logs",
+        "reason",
+    ]
 
 
 def _quantity_rows(document: Mapping[str, Any]) -> Iterator[Row]:
@@ -376,6 +388,10 @@ def _quantity_rows(document: Mapping[str, Any]) -> Iterator[Row]:
                 plain = {key: one[key] for key in ("name", "unit", "value", "stderr", "reason")}
                 at = {key: one["at"].get(key) for key in _CONDITIONS}
                 yield {"specimen": specimen["specimen"], "kind": kind, **plain, **at}
+        for row in specimen.get("measured", ()):
+            plain = {key: row[key] for key in ("name", "unit", "time_s", "hold", "sd", "reason")}
+            more = {"kind": "measured", "value": row["mean"], "logs": row["count"]}
+            yield {"specimen": specimen["specimen"], **plain, **more}
 
 
 _Columns = Callable[[Mapping[str, Any]], list[str]]

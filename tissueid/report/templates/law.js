@@ -38,8 +38,8 @@ const lawKinds = (payload, curves, draws) => {
     });
     const low = shares.reduce((a, b) => Math.min(a, b), 1), high = shares.reduce((a, b) => Math.max(a, b), 1), room = 0.1 * (high - low);
     const y = (title) => named(title, { range: [low - room, high + room] });
-    axesOf(layout, 0, named("Time from the force peak [s]"), y("Force over its start"));
-    axesOf(layout, 1, named("Time from the force peak [s], log", { type: "log", dtick: undefined }), y(""));
+    axesOf(layout, 0, named("Time from the stop [s]"), y("Force over its start"));
+    axesOf(layout, 1, named("Time from the stop [s], log", { type: "log", dtick: undefined }), y(""));
     return { layout, height: 300 * (2 / wide) + 40 };
   };
 
