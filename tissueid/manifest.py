@@ -162,8 +162,8 @@ def _merged(entries: Iterable[Entry]) -> dict[str, Any]:
             known = merged.get(key)
             if isinstance(value, Mapping) and isinstance(known, Mapping):
                 merged[key] = {**known, **value}
-            elif key == "because" and known is not None and value not in known:
-                merged[key] = f"{known}; {value}"
+            elif key == "because" and known is not None:
+                merged[key] = known if value in known.split("; ") else f"{known}; {value}"
             elif key not in {"file", "sheet"}:
                 merged[key] = value
     return merged

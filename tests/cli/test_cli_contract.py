@@ -95,11 +95,11 @@ def test_inspect_is_valid_with_refusals_in_their_place(tmp_path: Path) -> None:
 
 
 def test_inspect_for_people_says_the_same(rows: list[tuple[float, float, float]]) -> None:
-    ended = run("inspect", LOG)
+    ended = run("inspect", LOG, "-v")
     assert f"{len(rows)}, compression is positive displacement" in ended.stdout
     for word in ("ramp", "hold", "bluehill-csv", "Extension", "paper-a"):
         assert word in ended.stdout
-    assert run("inspect", LOG, "-q").stdout == ""
+    assert run("inspect", LOG, "-q", "-v").stdout == ""
 
 
 def test_fit_prints_identification_json_and_it_is_valid(fitted: tuple[Ended, Path]) -> None:

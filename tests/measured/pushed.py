@@ -14,7 +14,8 @@ FINE = 20
 def pushed(
     *, brake_s: float = 0.2, tau_s: float = 0.5, gain: float = 1.0, speed: float = 2.0, depth_mm: float = 4.0,
     air_mm: float = 1.0, hold_s: float = 10.0, rate_Hz: float = 100.0, noise_N: float = 0.01,
-    zero_N: float = 0.0, drift_N_per_s: float = 0.0, overshoot_mm: float = 0.0, stop_force_N: float = np.inf, seed: int = 0,
+    zero_N: float = 0.0, drift_N_per_s: float = 0.0, overshoot_mm: float = 0.0,
+    stop_force_N: float = np.inf, seed: int = 0,
 ) -> Trial:  # fmt: skip
     """Force ``gain * (5 d + z)`` N, z of 10 N/mm relaxing in ``tau_s``; speed falls evenly while braking.
 

@@ -29,7 +29,7 @@ from tissueid.priors import Priors
 from tissueid.result import Refusal
 from tissueid.store.schema import first_problem, load_schema
 
-__all__ = ["MANIFEST", "SCHEMA", "read_study", "unmatched_files"]
+__all__ = ["MANIFEST", "SCHEMA", "read_study", "study_of", "unmatched_files"]
 
 #: Name of the manifest in the folder of its recordings.
 MANIFEST = "study.toml"
@@ -100,6 +100,11 @@ def read_study(path: str | Path) -> Study:
     except OSError as error:
         msg = f"{file}: can't be read ({error.strerror}); `tissueid study init` writes one"
         raise UsageError(msg) from error
+    return study_of(content, file)
+
+
+def study_of(content: bytes, file: Path) -> Study:
+    """The study that a file would be with this content; refusals are those of :func:`read_study`."""
     table, refuser = _parsed(content, str(file))
     document = _normalised(table, refuser)
     _check_schema(document, refuser)
@@ -129,10 +134,12 @@ def _check_windows(study: Study) -> None:
     for entry in study.overrides:
         for name in entry.files:
             said = study.decision(name, entry.sheet).override
-            start, end = said.get("start_s"), said.get("end_s")
-            if start is not None and end is not None and not start < end:
-                message = f"{entry.values['file']}: start_s = {start:g} is not before end_s = {end:g}"
-                raise InputError(code="invalid_study", message=message, path=study.path, line=entry.line)
+            end = said.get("end_s")
+            for key in ("start_s", "hold_from_s"):
+                start = said.get(key)
+                if start is not None and end is not None and not start < end:
+                    message = f"{entry.values['file']}: {key} = {start:g} is not before end_s = {end:g}"
+                    raise InputError(code="invalid_study", message=message, path=study.path, line=entry.line)
 
 
 def unmatched_files(study: Study) -> list[Refusal]:

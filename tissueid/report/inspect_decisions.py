@@ -35,6 +35,7 @@ _DECIDES = {
     "contact_mm": "contact",
     "contact_sd_mm": "contact",
     "minimum_hold_s": "hold",
+    "hold_from_s": "hold_from",
     "start_s": "cut",
     "end_s": "cut",
     "rupture": "rupture",
@@ -122,6 +123,7 @@ def decisions(recording: Mapping[str, Any], *, file: str) -> tuple[Decision, ...
         *_signs(recording, override),
         _contact(recording, override),
         _hold(recording, override),
+        *_hold_from(recording, override),
         _cut(recording, override),
         *_rupture(recording, override),
         Decision(
@@ -235,6 +237,18 @@ def _hold(recording: Mapping[str, Any], override: Any) -> Decision:
         f"{len(holds)} found, the shortest of {number(shortest, 3)} s; this entry would leave that one out"
     )
     return Decision("hold", "Shortest hold", taken, override(minimum_hold_s=longer))
+
+
+def _hold_from(recording: Mapping[str, Any], override: Any) -> list[Decision]:
+    holds = [phase for phase in recording["phases"] if phase["kind"] == "hold"]
+    if not holds:
+        return []
+    longest = max(holds, key=lambda phase: phase["end_s"] - phase["start_s"])
+    start, end = longest["start_s"], longest["end_s"]
+    taken = (
+        f"the longest one lasts from {number(start)} to {number(end)} s; write where the one nearest begins"
+    )
+    return [Decision("hold_from", "Start of the hold", taken, override(hold_from_s=start))]
 
 
 def _cut(recording: Mapping[str, Any], override: Any) -> Decision:

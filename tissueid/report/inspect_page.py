@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from tissueid.digits import number
 from tissueid.flag_advice import flag_level
+from tissueid.report.inspect_corrections import corrections
 from tissueid.report.inspect_decisions import Decision, decisions
 from tissueid.report.inspect_payload import DrawnRecording, drawn_recording, packed_recording
 from tissueid.report.page import asset, page_environment, plotly_script
@@ -44,12 +45,15 @@ class InspectedRecording:
     decisions : tuple of Decision
     reader : str
         Which reader read it, and why.
+    standing : mapping
+        What the user decided: value and reason by key of study.toml.
     """
 
     document: Mapping[str, Any]
     drawn: DrawnRecording
     decisions: tuple[Decision, ...]
     reader: str
+    standing: Mapping[str, tuple[Any, str]] = field(default_factory=dict)
 
     @property
     def level(self) -> str:
@@ -59,7 +63,13 @@ class InspectedRecording:
 
 
 def inspected_recording(
-    trial: Trial, segmentation: Segmentation, document: Mapping[str, Any], *, file: str, reader: str
+    trial: Trial,
+    segmentation: Segmentation,
+    document: Mapping[str, Any],
+    *,
+    file: str,
+    reader: str,
+    standing: Mapping[str, tuple[Any, str]] | None = None,
 ) -> InspectedRecording:
     """Keep of a recording what the page needs.
 
@@ -73,10 +83,11 @@ def inspected_recording(
         Its path relative to the folder of study.toml.
     reader : str
         Which reader read it, and why.
+    standing : mapping, optional
+        What the user decided of it: value and reason by key of study.toml.
     """
-    return InspectedRecording(
-        document, drawn_recording(trial, segmentation), decisions(document, file=file), reader
-    )
+    drawn = drawn_recording(trial, segmentation)
+    return InspectedRecording(document, drawn, decisions(document, file=file), reader, standing or {})
 
 
 def render_inspection(
@@ -85,6 +96,7 @@ def render_inspection(
     *,
     study: str = "study.toml",
     created: str | None = None,
+    served: bool = False,
 ) -> str:
     """Write the page.
 
@@ -97,6 +109,8 @@ def render_inspection(
         Where the entries belong.
     created : str, optional
         Time stamp to print; without it equal input gives an equal page.
+    served : bool
+        A server hears what is decided on the page.
 
     Returns
     -------
@@ -123,8 +137,9 @@ def render_inspection(
         payload=payload,
         study=study,
         created=created,
+        served=served,
         style=asset("page.css") + asset("inspect.css"),
-        script=asset("inspect.js"),
+        script=asset("inspect.js") + (asset("inspect_served.js") if served else ""),
         plotly=plotly_script(),
     )
 
@@ -191,6 +206,7 @@ def _view(position: int, recording: InspectedRecording, name: str, *, drawn: boo
         "hold_s": max((phase["end_s"] - phase["start_s"] for phase in holds), default=None),
         "reader": recording.reader,
         "decisions": recording.decisions,
+        "corrections": corrections(document, recording.standing),
         "drawn": drawn,
         "alternative": _alternative(document),
     }

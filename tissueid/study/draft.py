@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping, Sequence
+from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +16,12 @@ from tissueid.collection import display_names
 from tissueid.ingest.cell_range import capacity_in
 from tissueid.ingest.manifest import SCHEMA
 from tissueid.result import Refusal
-from tissueid.segment import segment
 from tissueid.store.schema import load_schema
-from tissueid.trial import Segmentation, Trial
+from tissueid.study.programs import programs_of
+from tissueid.trial import Trial
 
 __all__ = ["draft_study"]
 
-#: Speeds, depths and holds within this share of each other are one protocol.
-SAME_PROTOCOL = 0.03
 _PEOPLE = {
     "operator": re.compile(
         r"(?:.*\W)?(?:operator|pruefer|prüfer|tester|operateur|operador)(?: id| name)?", re.IGNORECASE
@@ -90,61 +89,20 @@ def _table(name: str, stated: Mapping[str, Any], offered: str, *, explain: bool 
     return [*lines, ""]
 
 
-def _program(trial: Trial, segmentation: Segmentation) -> dict[str, Any]:
-    """What the machine did: kind, first speed, depth from the start of the travel, first hold, cycles."""
-    holds, cycles = segmentation.of_kind("hold"), segmentation.of_kind("cycle")
-    moves = [phase for phase in segmentation.phases if phase.kind in {"approach", "ramp"}]
-    fastest = max((phase.speed_mm_s for phase in moves), default=0.0)
-    travel = segmentation.compression_sign * (trial.displacement_mm - trial.displacement_mm[0])
-    kind = "cyclic" if cycles else "ramp-hold" if holds else "ramp"
-    program: dict[str, Any] = {"kind": kind, "depth_mm": float(travel.max())}
-    if fastest > 0.0:
-        program["speed_mm_s"] = trial.protocol.speed_mm_s or fastest
-    if holds:
-        program["hold_s"] = trial.protocol.hold_s or holds[0].end_s - holds[0].start_s
-    if cycles:
-        program["cycles"] = len(cycles)
-    return program
-
-
-def _alike(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
-    if set(one) != set(other):
-        return False
-    return all(
-        other[key] == value
-        if isinstance(value, str)
-        else abs(other[key] - value) <= SAME_PROTOCOL * abs(value)
-        for key, value in one.items()
-    )
-
-
-def _protocol_name(program: Mapping[str, Any], taken: Sequence[str]) -> str:
-    parts = [program["kind"]]
-    if "speed_mm_s" in program:
-        parts.append(f"{program['speed_mm_s']:.3g} mm/s")
-    parts.append(f"to {program['depth_mm']:.3g} mm")
-    if "hold_s" in program:
-        parts.append(f"hold {program['hold_s']:.3g} s")
-    name = " ".join(parts)
-    return name if name not in taken else f"{name} ({sum(other.startswith(name) for other in taken) + 1})"
-
-
-def _protocols(trials: Sequence[Trial]) -> tuple[dict[str, dict[str, Any]], list[str | None]]:
-    """Protocols by name, and the name of every trial's; ``None`` where a trial can't be segmented."""
-    known: dict[str, dict[str, Any]] = {}
-    of_trial: list[str | None] = []
-    for trial in trials:
-        try:
-            program = _program(trial, segment(trial))
-        except (ArithmeticError, np.linalg.LinAlgError):
-            of_trial.append(None)
-            continue
-        name = next((name for name, other in known.items() if _alike(other, program)), None)
-        if name is None:
-            name = _protocol_name(program, list(known))
-            known[name] = program
-        of_trial.append(name)
-    return known, of_trial
+def _protocols(trials: Sequence[Trial]) -> tuple[list[str], dict[int, str]]:
+    """The [[protocol]] tables, each after what was seen of it, and the name of every trial's by position."""
+    lines: list[str] = []
+    of_trial: dict[int, str] = {}
+    taken: set[str] = set()
+    for program in programs_of(trials):
+        names = chain([program.name], (f"{program.name} ({number})" for number in count(2)))
+        name = next(one for one in names if one not in taken)
+        taken.add(name)
+        of_trial |= dict.fromkeys(program.trials, name)
+        lines += [*(f"# {comment}" for comment in program.comments()), "[[protocol]]"]
+        lines += [f"{key} = {_quoted(value)}" for key, value in {"name": name, **program.table}.items()]
+        lines.append("")
+    return lines, of_trial
 
 
 def _rate(trial: Trial) -> float | None:
@@ -192,17 +150,15 @@ def draft_study(folder: Path, trials: Sequence[Trial], refused: Sequence[Refusal
     ]
     for i, specimen in enumerate(dict.fromkeys(names[trial.specimen] for trial in trials)):
         lines += _table("[[specimen]]", {"name": specimen}, "specimen", explain=i == 0)
-    for name, program in protocols.items():
-        lines += ["[[protocol]]", f"name = {_quoted(name)}"]
-        lines += [*(f"{key} = {_quoted(value)}" for key, value in program.items()), ""]
+    lines += protocols
     root = os.path.realpath(folder)
-    for i, (trial, protocol) in enumerate(zip(trials, of_trial, strict=True)):
+    for i, trial in enumerate(trials):
         file = Path(os.path.relpath(os.path.realpath(trial.source.path), root)).as_posix()
         stated = {
             "file": file,
             "sheet": trial.source.sheet,
             "specimen": names[trial.specimen],
-            "protocol": protocol,
+            "protocol": of_trial.get(i),
         }
         lines += _table("[[trial]]", stated, "trial", explain=i == 0)
     for one in refused:

@@ -82,7 +82,7 @@ class Access:
         token : str or None
             From the address of the request.
         websocket : bool
-            Only these carry data, and an ``Origin``.
+            It carries data, and an ``Origin``; so does a request that changes something.
         """
         host = headers.get("host", "")
         if not self.names(host):

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,13 +25,13 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from tissueid.viewer.bundling import BUNDLE, missing_bundle_words
 from tissueid.viewer.messages import LARGEST_MESSAGE, Answer, Play, Pointer, parse_message
-from tissueid.viewer.security import Access
+from tissueid.viewer.security import Access, RefusalLog
 from tissueid.viewer.stage import Stage
 
 if TYPE_CHECKING:
     from tissueid.viewer.feed import Client
 
-__all__ = ["MOST_CLIENTS", "TlsFiles", "ViewerServer", "viewer_app"]
+__all__ = ["MOST_CLIENTS", "Guarded", "TlsFiles", "ViewerServer", "viewer_app"]
 
 MOST_CLIENTS = 16
 #: Messages a client may send in a second: answers at 100 frames/s, and a pointer at twice a screen's rate.
@@ -46,7 +46,6 @@ CONTENT_POLICY = (
 )
 
 HEADERS = (
-    (b"content-security-policy", CONTENT_POLICY),
     (b"x-content-type-options", b"nosniff"),
     (b"referrer-policy", b"no-referrer"),
     (b"cross-origin-opener-policy", b"same-origin"),
@@ -69,11 +68,23 @@ class Guarded:
     ----------
     app : ASGIApp
     access : Access
-    stage : Stage
+    log : RefusalLog
+    full : callable, optional
+        Whether one more websocket is too many.
+    policy : bytes
+        What the pages may load.
     """
 
-    def __init__(self, app: ASGIApp, access: Access, stage: Stage) -> None:
-        self._app, self._access, self._stage = app, access, stage
+    def __init__(
+        self,
+        app: ASGIApp,
+        access: Access,
+        log: RefusalLog,
+        full: Callable[[], bool] = bool,
+        policy: bytes = CONTENT_POLICY,
+    ) -> None:
+        self._app, self._access, self._log, self._full = app, access, log, full
+        self._headers = ((b"content-security-policy", policy), *HEADERS)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass on what is welcome."""
@@ -82,23 +93,41 @@ class Guarded:
             return
         why = self._refusal(scope)
         if why is not None:
-            self._stage.log.note(_name(scope), why)
-            await _refuse(scope, receive, send, why)
+            self._log.note(_name(scope), why)
+            await self._refuse(scope, receive, send, why)
         elif scope["type"] == "websocket":
             await self._app(scope, receive, send)
         else:
-            await self._app(scope, receive, _with_headers(send))
+            await self._app(scope, receive, self._with_headers(send))
 
     def _refusal(self, scope: Scope) -> str | None:
         headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
         if [name for name, _ in scope["headers"]].count(b"host") != 1:
             return "foreign Host, not one of them"
         websocket = scope["type"] == "websocket"
-        if websocket and len(self._stage.clients) >= MOST_CLIENTS:
+        if websocket and self._full():
             return "too many clients"
         # the bundle is no secret, and no address but the page's carries the token
         token = self._access.token if scope["path"].startswith("/static/") else _token(scope)
-        return self._access.refusal(headers, token, websocket=websocket)
+        # what changes something comes from the page itself, like what carries samples
+        return self._access.refusal(headers, token, websocket=websocket or scope["method"] != "GET")
+
+    async def _refuse(self, scope: Scope, receive: Receive, send: Send, why: str) -> None:
+        if scope["type"] == "websocket":
+            # before it is accepted: the handshake is answered with 403
+            await receive()
+            await send({"type": "websocket.close", "code": NOT_ALLOWED, "reason": why[:100]})
+            return
+        words = f"refused: {why}. Open the address that the terminal shows.\n"
+        await PlainTextResponse(words, status_code=403)(scope, receive, self._with_headers(send))
+
+    def _with_headers(self, send: Send) -> Send:
+        async def sent(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                message["headers"] = [*message.get("headers", ()), *self._headers]
+            await send(message)
+
+        return sent
 
 
 def _token(scope: Scope) -> str | None:
@@ -111,25 +140,6 @@ def _token(scope: Scope) -> str | None:
 def _name(scope: Scope) -> str:
     client = scope.get("client")
     return "a client" if client is None else f"{client[0]}:{client[1]}"
-
-
-async def _refuse(scope: Scope, receive: Receive, send: Send, why: str) -> None:
-    if scope["type"] == "websocket":
-        # before it is accepted: the handshake is answered with 403
-        await receive()
-        await send({"type": "websocket.close", "code": NOT_ALLOWED, "reason": why[:100]})
-        return
-    words = f"refused: {why}. Open the address that the terminal shows.\n"
-    await PlainTextResponse(words, status_code=403)(scope, receive, _with_headers(send))
-
-
-def _with_headers(send: Send) -> Send:
-    async def sent(message: Message) -> None:
-        if message["type"] == "http.response.start":
-            message["headers"] = [*message.get("headers", ()), *HEADERS]
-        await send(message)
-
-    return sent
 
 
 def viewer_app(stage: Stage, access: Access, *, bundle: Path = BUNDLE) -> ASGIApp:
@@ -168,7 +178,7 @@ def viewer_app(stage: Stage, access: Access, *, bundle: Path = BUNDLE) -> ASGIAp
         ],
         lifespan=running,
     )
-    return Guarded(app, access, stage)
+    return Guarded(app, access, stage.log, lambda: len(stage.clients) >= MOST_CLIENTS)
 
 
 async def _serve_client(websocket: WebSocket, stage: Stage) -> None:

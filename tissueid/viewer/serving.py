@@ -17,7 +17,7 @@ from tissueid.viewer.security import LOOPBACK, Access, is_loopback, new_token
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = ["DEFAULT_PORT", "ServedViewer", "ViewerOptions"]
+__all__ = ["DEFAULT_PORT", "ServedViewer", "ViewerOptions", "listening_socket"]
 
 #: Taken where it is free, so that a page finds a session that was started again.
 DEFAULT_PORT = 8765
@@ -86,7 +86,7 @@ class ServedViewer:
     """
 
     def __init__(self, options: ViewerOptions) -> None:
-        listening = _listen(options)
+        listening = listening_socket(options)
         port = listening.getsockname()[1]
         self.access = Access(
             options.host,
@@ -206,7 +206,7 @@ def _no_password() -> str:
     raise ValueError(msg)
 
 
-def _listen(options: ViewerOptions) -> socket.socket:
+def listening_socket(options: ViewerOptions) -> socket.socket:
     """A socket that listens, on the port wanted or on a free one."""
     wanted = [options.port] if options.port is not None else [DEFAULT_PORT, 0]
     for last, port in zip([False] * (len(wanted) - 1) + [True], wanted, strict=True):

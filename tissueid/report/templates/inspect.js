@@ -94,8 +94,25 @@
   };
   const say = (text) => { document.getElementById("said").textContent = text; };
 
+  // the sample that was clicked, by its place in the picture
+  const nearest = (one, figure, point) => {
+    const span = (values) => values.reduce((most, value) => Math.max(most, Math.abs(value - values[0])), 1e-12);
+    const [across, up] = figure === "time" ? [one.t, null] : [one.x, one.f];
+    const [wide, high] = [span(across), span(up || across)];
+    let best = 0;
+    let least = Infinity;
+    across.forEach((value, i) => {
+      const far = Math.abs(value - point.x) / wide + (up ? Math.abs(up[i] - point.y) / high : 0);
+      if (far < least) { least = far; best = i; }
+    });
+    return { t: one.t[best], x: one.x[best] };
+  };
+
   // a click sets the number of the decision that is open and can be set in that picture: contact by place, the cut by time
   const clicked = (box, point) => {
+    const one = recording(box.dataset.recording);
+    const pick = new CustomEvent("pick", { bubbles: true, cancelable: true, detail: { ...nearest(one, box.dataset.figure, point), recording: box.dataset.recording } });
+    if (!box.dispatchEvent(pick)) return;
     const wanted = box.dataset.figure === "time" ? "start_s" : "contact_mm";
     const entry = document.querySelector(`textarea[data-adjust="${wanted}"][id^="${box.dataset.recording}-"]`);
     if (!entry) return;

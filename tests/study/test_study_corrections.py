@@ -1,0 +1,236 @@
+"""Decisions of a page in study.toml: its own table, the recording as it is then, all else as it was."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tissueid.errors import InputError, UsageError
+from tissueid.ingest import ReadOptions, read_trials
+from tissueid.ingest.manifest import read_study
+from tissueid.segment import SegmentOptions
+from tissueid.study.correcting import CorrectedInspection
+from tissueid.study.corrections import MARK, Correction, corrected_text
+from tissueid.study.inspected import Inspection
+
+BY_HAND = '''# our study
+schema = "tissueid/study/1"
+
+[[override]]  # by Anna
+file = "a.csv"
+contact_mm = 0.9   # seen on the film
+because = "film"
+
+# trials
+[[trial]]
+file = "a.csv"
+notes = """
+[[override]]  # by inspect --serve
+"""
+'''
+
+
+def contact(value: float | None, file: str = "a.csv", because: str = "seen") -> Correction:
+    return Correction("contact_mm", file, None, value, because)
+
+
+# --- the text ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_what_stands_in_the_file_stays_to_the_last_character(end: str) -> None:
+    before = BY_HAND.replace("\n", end)
+    text = corrected_text(before, contact(1.25, because='he said "there"'))
+    assert text.startswith(before)
+    assert text.count("\n") == text.count(end)
+    added = tomllib.loads(text)["override"][-1]
+    assert added == {"file": "a.csv", "contact_mm": 1.25, "because": 'he said "there"'}
+    assert corrected_text(text, contact(None)) == before + end
+
+
+def test_its_own_table_is_replaced_and_others_are_left() -> None:
+    text = corrected_text(BY_HAND, contact(1.0))
+    text = corrected_text(text, contact(2.0, "b.csv"))
+    text = corrected_text(text, Correction("rupture", "a.csv", None, value=False, because="a slip"))
+    text = corrected_text(text, contact(3.0))
+    found = tomllib.loads(text)["override"]
+    assert [(one["file"], one.get("contact_mm")) for one in found] == [
+        ("a.csv", 0.9), ("b.csv", 2.0), ("a.csv", None), ("a.csv", 3.0),
+    ]  # fmt: skip
+    assert found[2]["rupture"] is False
+    assert text.count(MARK) == 4  # three of its own, and the one that only stands in a text
+
+
+def test_a_first_decision_makes_the_file_and_a_remark_in_its_table_stays() -> None:
+    text = corrected_text("", Correction("exclude", "a.csv", "Sheet 1", value=True, because="slipped"))
+    assert text.splitlines()[0] == 'schema = "tissueid/study/1"'
+    assert tomllib.loads(text)["exclude"] == [{"file": "a.csv", "sheet": "Sheet 1", "because": "slipped"}]
+    remarked = text.replace("because", "# asked twice\nbecause")
+    left = corrected_text(remarked, Correction("exclude", "a.csv", "Sheet 1", None))
+    assert "# asked twice" in left
+    assert "exclude" not in tomllib.loads(left)
+
+
+def test_a_layout_that_takes_no_table_is_refused() -> None:
+    inline = 'schema = "tissueid/study/1"\noverride = [{ file = "a.csv", rupture = false, because = "x" }]\n'
+    with pytest.raises(UsageError, match=r"\[\[override\]\]"):
+        corrected_text(inline, contact(1.0))
+
+
+def test_a_reason_is_needed() -> None:
+    with pytest.raises(UsageError, match="reason"):
+        contact(1.0, because="  ")
+
+
+@given(st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=40), st.floats(-1e4, 1e4))
+def test_any_reason_and_number_come_back_as_they_were(because: str, value: float) -> None:
+    if not because.strip():
+        return
+    text = corrected_text(BY_HAND, contact(value, because=because))
+    assert tomllib.loads(text)["override"][-1] == {
+        "file": "a.csv",
+        "contact_mm": value,
+        "because": because.strip(),
+    }
+    assert tomllib.loads(corrected_text(text, contact(None))) == tomllib.loads(BY_HAND)
+
+
+# --- the recordings -----------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Path:
+    """1 mm of air, 3 mm at 1 mm/s, a hold of 10 s."""
+    time = np.arange(0.0, 14.0, 0.02)
+    x = np.minimum(time, 4.0)
+    depth = np.maximum(x - 1.0, 0.0)
+    force = 2.0 * depth * (1.0 + np.where(time < 4.0, 1.0, np.exp(-(time - 4.0) / 2.0)))
+    force += np.random.default_rng(2).normal(0.0, 0.002, time.size)
+    rows = [f"{t:.3f},{place:.5f},{f:.5f}" for t, place, f in zip(time, x, force, strict=True)]
+    for name in ("a.csv", "b.csv"):
+        (tmp_path / name).write_text(
+            "\n".join(["Time,Extension,Load", "(s),(mm),(N)", *rows, ""]), encoding="ascii"
+        )
+    return tmp_path
+
+
+def corrected(lab: Path) -> CorrectedInspection:
+    manifest = lab / "study.toml"
+
+    def inspect() -> Inspection:
+        study = read_study(manifest) if manifest.exists() else None
+        found = Inspection(SegmentOptions(), study, lab, drawn=True)
+        for name in ("a.csv", "b.csv"):
+            for trial in read_trials(lab / name):
+                found.add(trial)
+        return found
+
+    return CorrectedInspection(manifest, inspect, ReadOptions())
+
+
+def decide(shown: CorrectedInspection, lab: Path, key: str, value: Any, because: str = "seen") -> str:
+    words = {"path": str(lab / "a.csv"), "sheet": None, "key": key, "value": value, "because": because}
+    return shown.decide(words)
+
+
+def hold_of(shown: CorrectedInspection) -> dict[str, Any]:
+    assert shown._inspection is not None
+    document = shown._inspection.shown[0].document
+    return next(phase for phase in document["phases"] if phase["kind"] == "hold")
+
+
+def test_a_decision_is_written_and_the_recording_segmented_anew(lab: Path) -> None:
+    shown = corrected(lab)
+    shown.page()
+    decide(shown, lab, "contact_mm", 1.25, "the film")
+    decide(shown, lab, "hold_from_s", 4.5)
+    decide(shown, lab, "end_s", 12.0)
+    assert hold_of(shown)["start_s"] == pytest.approx(4.5)
+    assert hold_of(shown)["end_s"] == pytest.approx(12.0)
+    study = read_study(lab)
+    said = study.decision(str(lab / "a.csv"), None).override
+    assert (said["contact_mm"], said["hold_from_s"], said["end_s"]) == (1.25, 4.5, 12.0)
+    assert "the film" in said["because"]
+    assert study.decision(str(lab / "b.csv"), None).override == {}
+    page = shown.page()
+    assert 'name="value" value="1.25"' in page
+    assert "the film" in page
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "because", "words"),
+    [
+        ("contact_mm", 500.0, "x", "-4 to 8 mm"),
+        ("contact_mm", "1.0", "x", "must be a number"),
+        ("contact_mm", True, "x", "must be a number"),
+        ("contact_mm", float("nan"), "x", "must be a number"),
+        ("contact_mm", 1.0, " ", "reason"),
+        ("end_s", 0.0, "x", "outside the record"),
+        ("hold_from_s", 99.0, "x", "outside the record"),
+        ("start_s", 1.0, "x", "no such"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_and_writes_nothing(
+    lab: Path, key: str, value: Any, because: str, words: str
+) -> None:
+    with pytest.raises(UsageError, match=words):
+        decide(corrected(lab), lab, key, value, because)
+    assert not (lab / "study.toml").exists()
+
+
+def test_only_recordings_of_the_page_can_be_named(lab: Path) -> None:
+    (lab / "c.csv").write_text("x", encoding="ascii")
+    words = {"path": str(lab / "c.csv"), "sheet": None, "key": "exclude", "value": True, "because": "x"}
+    with pytest.raises(UsageError, match="no such recording"):
+        corrected(lab).decide(words)
+
+
+def test_a_window_that_ends_before_it_starts_is_refused_before_it_is_written(lab: Path) -> None:
+    shown = corrected(lab)
+    decide(shown, lab, "hold_from_s", 6.0)
+    before = (lab / "study.toml").read_bytes()
+    with pytest.raises(InputError, match="hold_from_s = 6 is not before end_s = 5"):
+        decide(shown, lab, "end_s", 5.0)
+    assert (lab / "study.toml").read_bytes() == before
+
+
+def test_what_was_decided_by_hand_is_taken_back_by_hand(lab: Path) -> None:
+    (lab / "study.toml").write_text(BY_HAND, encoding="utf-8")
+    shown = corrected(lab)
+    decide(shown, lab, "contact_mm", 1.25)
+    with pytest.raises(UsageError, match=r"line 4 of study\.toml"):
+        decide(shown, lab, "contact_mm", None)
+    assert read_study(lab).decision(str(lab / "a.csv"), None).override["contact_mm"] == 1.25
+    decide(shown, lab, "rupture", True)
+    decide(shown, lab, "rupture", None)
+    assert "rupture" not in read_study(lab).decision(str(lab / "a.csv"), None).override
+
+
+def test_the_page_follows_what_somebody_else_writes_meanwhile(lab: Path) -> None:
+    shown = corrected(lab)
+    decide(shown, lab, "exclude", True, "slipped")
+    text = (lab / "study.toml").read_text(encoding="utf-8")
+    (lab / "study.toml").write_text(text.replace("slipped", "the tip was bent"), encoding="utf-8")
+    assert "the tip was bent" in shown.page()
+    (lab / "study.toml").write_text("nonsense", encoding="utf-8")
+    with pytest.raises(InputError, match="not TOML"):
+        shown.page()
+
+
+def test_a_folder_that_takes_no_file_is_said(lab: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    shown = corrected(lab)
+    monkeypatch.setattr("tissueid.study.correcting.write_file", full)
+    with pytest.raises(UsageError, match="No space left"):
+        decide(shown, lab, "exclude", True)
+    assert "excluded" not in hold_of(shown)
+    assert shown._inspection is not None
+    assert shown._inspection.shown[0].document["excluded"] is None

@@ -1,0 +1,78 @@
+"""What can be corrected on a page that is served: a number or a switch, each with its reason."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+__all__ = ["CorrectionRow", "corrections"]
+
+
+@dataclass(frozen=True, slots=True)
+class CorrectionRow:
+    """One row of the form.
+
+    Attributes
+    ----------
+    key : str
+        Key of study.toml, or ``exclude``.
+    title : str
+    unit : str
+        Of the number; empty for a switch.
+    value, because : str
+        What was decided, and why; empty where the data decide.
+    found : str
+        What counts now.
+    stands : bool
+        Whether it was decided.
+    """
+
+    key: str
+    title: str
+    unit: str = ""
+    value: str = ""
+    because: str = ""
+    found: str = ""
+    stands: bool = False
+
+
+def corrections(
+    recording: Mapping[str, Any], standing: Mapping[str, tuple[Any, str]]
+) -> tuple[CorrectionRow, ...]:
+    """The rows of one recording.
+
+    Parameters
+    ----------
+    recording : mapping
+        One trial of ``schemas/inspect.schema.json``.
+    standing : mapping
+        What the user decided: value and reason by key.
+    """
+    contact = recording["contact"]
+    holds = [phase for phase in recording["phases"] if phase["kind"] in ("hold", "creep")]
+    hold = max(holds, key=lambda phase: phase["end_s"] - phase["start_s"], default=None)
+    rows = (
+        ("contact_mm", "Contact at", "mm", None if contact is None else contact["displacement_mm"]),
+        ("hold_from_s", "Hold from", "s", None if hold is None else hold["start_s"]),
+        ("end_s", "Hold to, and what follows doesn't count", "s", None if hold is None else hold["end_s"]),
+        ("rupture", "No fall of force is a rupture", "", None),
+        ("exclude", "Leave it out of the fit", "", None),
+    )
+    return tuple(
+        CorrectionRow(
+            key,
+            title,
+            unit,
+            value=_typed(standing[key][0]) if key in standing and unit else "",
+            because=standing[key][1] if key in standing else "",
+            found="" if found is None else _typed(found),
+            stands=key in standing,
+        )
+        for key, title, unit, found in rows
+    )
+
+
+def _typed(value: float) -> str:
+    """A number as somebody would type it."""
+    return f"{value:.7g}"

@@ -1,0 +1,183 @@
+"""One decision of the user as one table of study.toml; every other character of the file stays.
+
+Tables that were written here carry :data:`MARK` behind their header; only those are replaced or taken out.
+A new table stands at the end of the file, since later tables win.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from tissueid.errors import UsageError
+from tissueid.ingest.manifest import MANIFEST, SCHEMA
+from tissueid.ingest.toml_lines import lines_of_toml
+from tissueid.manifest import Entry, Study
+from tissueid.report.inspect_decisions import toml_value
+
+__all__ = ["CORRECTED", "MARK", "Correction", "corrected_text", "standing", "stated_by_hand"]
+
+#: Comment behind the header of a table that was written here.
+MARK = "# by inspect --serve"
+#: What can be corrected, and the table it stands in.
+CORRECTED: Mapping[str, str] = {
+    "contact_mm": "override",
+    "hold_from_s": "override",
+    "end_s": "override",
+    "rupture": "override",
+    "exclude": "exclude",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Correction:
+    """One decision on one recording.
+
+    Attributes
+    ----------
+    key : str
+        Of :data:`CORRECTED`.
+    file : str
+        Path relative to the folder of study.toml, with forward slashes.
+    sheet : str or None
+    value : float or bool or None
+        ``None`` takes the decision back.
+    because : str
+        The reason; needed but where it is taken back.
+    """
+
+    key: str
+    file: str
+    sheet: str | None
+    value: float | bool | None
+    because: str = ""
+
+    def __post_init__(self) -> None:
+        if self.value is not None and not self.because.strip():
+            msg = f"{self.key} needs a reason: write it beside the number"
+            raise UsageError(msg)
+
+    @property
+    def where(self) -> dict[str, str]:
+        """The keys that name the recording."""
+        return {"file": self.file} | ({} if self.sheet is None else {"sheet": self.sheet})
+
+    @property
+    def entry(self) -> dict[str, Any]:
+        """The whole table."""
+        own = {} if self.key == "exclude" else {self.key: self.value}
+        return {**self.where, **own, "because": self.because.strip()}
+
+    def made(self, entry: Mapping[str, Any]) -> bool:
+        """Whether a table is an earlier one of this decision."""
+        keys = {*self.where, "because", *({self.key} - {"exclude"})}
+        return set(entry) == keys and all(entry[key] == value for key, value in self.where.items())
+
+
+def corrected_text(text: str, correction: Correction) -> str:
+    """The text of a study file with a decision in it, or without it again.
+
+    Parameters
+    ----------
+    text : str
+        A valid study file; empty where there is none yet.
+    correction : Correction
+
+    Raises
+    ------
+    UsageError
+        The file is laid out so that a table can't be added to it or taken out of it.
+    """
+    table = CORRECTED[correction.key]
+    text = text or f'schema = "{SCHEMA}"\n'
+    document = tomllib.loads(text)
+    lines = text.splitlines(keepends=True)
+    entries = document.get(table, [])
+    mine = {
+        number: span for number, span in _own_tables(text, table, lines) if correction.made(entries[number])
+    }
+    for span in reversed(mine.values()):
+        _take_out(lines, span)
+    wanted = [entry for number, entry in enumerate(entries) if number not in mine]
+    if correction.value is not None:
+        _append(lines, table, correction.entry, "\r\n" if "\r\n" in text else "\n")
+        wanted = [*wanted, correction.entry]
+    return _checked("".join(lines), {**document, table: wanted}, table)
+
+
+def _checked(text: str, wanted: Mapping[str, Any], table: str) -> str:
+    """A text, once it was seen to say what it should and nothing else."""
+    try:
+        found = tomllib.loads(text)
+    except tomllib.TOMLDecodeError:
+        found = {}
+    if {key: value for key, value in wanted.items() if value != []} != found:
+        msg = (
+            f"{MANIFEST} can't be changed safely here: write its {table} as [[{table}]] tables of plain lines"
+        )
+        raise UsageError(msg)
+    return text
+
+
+def _own_tables(text: str, table: str, lines: Sequence[str]) -> list[tuple[int, range]]:
+    """Number and lines of each table that was written here."""
+    places = lines_of_toml(text)
+    found = []
+    for path, line in places.items():
+        if len(path) == 2 and path[0] == table and isinstance(path[1], int):
+            last = max(at for where, at in places.items() if where[:2] == path)
+            if lines[line - 1].rstrip().endswith(f"]]  {MARK}"):
+                found.append((path[1], range(line - 1, last)))
+    return found
+
+
+def _take_out(lines: list[str], span: range) -> None:
+    """Take out a table and the empty line after it; remarks that somebody put into it stay."""
+    stop = span.stop
+    if stop < len(lines) and not lines[stop].strip():
+        stop += 1
+    lines[span.start : stop] = [line for line in lines[span.start : stop] if line.lstrip().startswith("#")]
+
+
+def _append(lines: list[str], table: str, entry: Mapping[str, Any], end: str) -> None:
+    if lines and not lines[-1].endswith("\n"):
+        lines[-1] += end
+    if lines and lines[-1].strip():
+        lines.append(end)
+    lines.append(f"[[{table}]]  {MARK}{end}")
+    lines += [f"{key} = {toml_value(value)}{end}" for key, value in entry.items()]
+
+
+def _deciding(study: Study, key: str, path: str, sheet: str | None) -> list[Entry]:
+    """Tables that decide something of a recording, the one that counts last."""
+    real = study.real_path(path)
+    if key == "exclude":
+        return [entry for entry in study.exclusions if entry.names(real, sheet)]
+    return [entry for entry in study.overrides if entry.names(real, sheet) and key in entry.values]
+
+
+def standing(study: Study | None, path: str, sheet: str | None) -> dict[str, tuple[Any, str]]:
+    """What is decided of a recording: value and reason, by key of :data:`CORRECTED`.
+
+    Parameters
+    ----------
+    study : Study or None
+    path : str
+    sheet : str or None
+    """
+    if study is None:
+        return {}
+    found = {key: _deciding(study, key, path, sheet) for key in CORRECTED}
+    return {
+        key: (entries[-1].values.get(key, True), str(entries[-1].values["because"]))
+        for key, entries in found.items()
+        if entries
+    }
+
+
+def stated_by_hand(study: Study, key: str, path: str, sheet: str | None) -> int | None:
+    """Line of the table that still decides something of a recording, ``None`` where there is none."""
+    entries = _deciding(study, key, path, sheet)
+    return entries[-1].line if entries else None

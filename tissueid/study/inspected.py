@@ -1,0 +1,159 @@
+"""Recordings as they are inspected, one after the other, and what a page of them needs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from tissueid.errors import UsageError
+from tissueid.ingest.manifest import MANIFEST
+from tissueid.inspection import as_decided, describe_segmented, measured_of, segmented
+from tissueid.manifest import Study
+from tissueid.measures import Measured
+from tissueid.report.inspect_page import InspectedRecording, inspected_recording, render_inspection
+from tissueid.result import Refusal
+from tissueid.segment import SegmentOptions
+from tissueid.study.corrections import standing
+from tissueid.trial import Trial
+
+__all__ = ["Inspection", "reader_words", "relative_name", "study_folder"]
+
+
+def study_folder(paths: Sequence[str]) -> Path:
+    """Where study.toml stands, or would: beside or above what was named."""
+    folders = [path if path.is_dir() else path.parent for path in (Path(name).resolve() for name in paths)]
+    common = folders[0]
+    while any(common not in (folder, *folder.parents) for folder in folders):
+        common = common.parent
+    above = [folder for folder in (common, *common.parents) if (folder / MANIFEST).is_file()]
+    return above[0] if above else common
+
+
+def relative_name(path: str, root: Path) -> str:
+    """A path as study.toml names it: from its folder, with forward slashes."""
+    whole = Path(path).resolve()
+    return (whole.relative_to(root) if whole.is_relative_to(root) else whole).as_posix()
+
+
+def reader_words(document: dict[str, Any]) -> str:
+    """Which reader read a recording, and why."""
+    marks = (("encoding", "{}"), ("delimiter", "delimiter {!r}"), ("decimal", "decimal mark {!r}"))
+    text = [
+        f"Read as {document['recipe']} (sure to {document['recipe_confidence']:.0%})",
+        *(form.format(document[key]) for key, form in marks if document[key]),
+    ]
+    why = document["recipe_reason"]
+    return ", ".join(text) + (f", because {why}" if why else "")
+
+
+@dataclass(frozen=True, slots=True)
+class _Made:
+    """One recording, described."""
+
+    document: dict[str, Any]
+    measured: Measured
+    drawn: InspectedRecording | None
+
+
+class Inspection:
+    """What is said of recordings, in their order; each is let go as soon as it is described.
+
+    Parameters
+    ----------
+    options : SegmentOptions
+        Of the run.
+    study : Study or None
+    root : Path
+        Folder of study.toml.
+    drawn : bool
+        Keep the curves, thinned, for a page.
+    """
+
+    def __init__(self, options: SegmentOptions, study: Study | None, root: Path, *, drawn: bool) -> None:
+        self.study = study
+        self.described: list[dict[str, Any] | Refusal] = []
+        self.shown: list[InspectedRecording] = []
+        self._options, self._root, self._drawn = options, root, drawn
+        self._earlier: dict[str, list[Measured]] = {}
+
+    @property
+    def read(self) -> list[dict[str, Any]]:
+        """Recordings that could be described."""
+        return [one for one in self.described if not isinstance(one, Refusal)]
+
+    @property
+    def refused(self) -> list[Refusal]:
+        """Those that could not."""
+        return [one for one in self.described if isinstance(one, Refusal)]
+
+    def add(self, item: Trial | Refusal) -> None:
+        """Describe one more recording."""
+        made = item if isinstance(item, Refusal) else self._made(item, self.study)
+        if isinstance(made, Refusal):
+            self.described.append(made)
+            return
+        self.described.append(made.document)
+        if made.document["excluded"] is None:
+            self._earlier.setdefault(made.document["specimen"], []).append(made.measured)
+        if made.drawn is not None:
+            self.shown.append(made.drawn)
+
+    def remade(self, trial: Trial, study: Study) -> InspectedRecording:
+        """A recording described anew, as another study has it; nothing changes before :meth:`put`.
+
+        Raises
+        ------
+        UsageError
+            It can't be segmented so.
+        """
+        made = self._made(trial, study)
+        if isinstance(made, Refusal) or made.drawn is None:
+            msg = str(made) if isinstance(made, Refusal) else "this inspection draws nothing"
+            raise UsageError(msg)
+        return made.drawn
+
+    def put(self, position: int, recording: InspectedRecording, study: Study) -> None:
+        """Take a recording that was described anew in the place of the earlier one."""
+        self.shown[position] = recording
+        self.study = study
+
+    def place(self, path: str, sheet: str | None) -> int | None:
+        """Position of a recording among those that are shown."""
+        documents = [one.document for one in self.shown]
+        return next(
+            (i for i, one in enumerate(documents) if (one["path"], one["sheet"]) == (path, sheet)), None
+        )
+
+    def page(self, *, served: bool = False) -> str:
+        """All of it as a page."""
+        study = (
+            MANIFEST
+            if (self._root / MANIFEST).is_file()
+            else f"{MANIFEST} in {self._root.name or self._root}"
+        )
+        created = datetime.now(UTC).isoformat(timespec="seconds")
+        return render_inspection(self.shown, self.refused, study=study, created=created, served=served)
+
+    def _made(self, trial: Trial, study: Study | None) -> _Made | Refusal:
+        trial, options, excluded = as_decided(trial, self._options, study)
+        divided = segmented(trial, options=options)
+        if isinstance(divided, Refusal):
+            return divided
+        measured = measured_of(trial, divided, study)
+        earlier = self._earlier.get(trial.specimen, [])
+        document = describe_segmented(trial, divided, excluded=excluded, measured=measured, earlier=earlier)
+        drawn = None
+        if self._drawn:
+            source = trial.source
+            drawn = inspected_recording(
+                trial,
+                divided,
+                document,
+                file=relative_name(source.path, self._root),
+                reader=reader_words(document),
+                standing=standing(study, source.path, source.sheet),
+            )
+        return _Made(document, measured, drawn)
