@@ -233,7 +233,9 @@ def _start_in_contact(
         contact = Contact(
             index=0, displacement_mm=compression * start, sd_mm=sd, baseline_N=force_sign * zero
         )
-    contact = replace(contact, sd_mm=float(np.hypot(contact.sd_mm, _doubt(air, contact, u, compression))))
+    # nobody knows less of it than that it lies somewhere along the travel
+    doubt = min(float(np.hypot(contact.sd_mm, _doubt(air, contact, u, compression))), float(np.ptp(u)))
+    contact = replace(contact, sd_mm=doubt)
     flags.append(
         Flag(
             "starts_in_contact", "the record shows no samples in air before contact", {"sd_mm": contact.sd_mm}
