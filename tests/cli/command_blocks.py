@@ -15,7 +15,7 @@ PROGRAMS = ("tissueid", "mkdir", "cp", "pip", "pytest", "python", "dask", "scrip
 #: Why a command is not run -> what it is known by.  The reasons stand in docs/index.md.
 NOT_RUN = {
     "it needs a device": r"falcon(?! --json)|devices (home|test|calibrate)",
-    "it goes on until it is ended": r"--viewer|--watch|--bell|devices emulate|^tissueid view"
+    "it goes on until it is ended": r"--viewer|--serve|--watch|--bell|devices emulate|^tissueid view"
     r"|^tissueid render$|^tissueid watch (?!.*--once)|^tissueid render rupture/|falcon\.emulator"
     r"|population\.h5 --draw",
     "it needs a network, a cluster or another machine": r"://|192\.0\.2\.|^dask|^pip install '",

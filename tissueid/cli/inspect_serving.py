@@ -44,7 +44,11 @@ def serve(flags: dict[str, Any]) -> int:
         with PageServer(shown, flags["viewer_port"]) as server:
             # what was asked for is told however quiet: nobody guesses a token
             echo(f"page       {server.url}", err=True)
-            note(f"corrections go into {manifest}; Ctrl-C ends", quiet=flags["quiet"])
+            folder = manifest.parent
+            note(
+                f"corrections go into {manifest}; `tissueid fit {folder}` follows it; Ctrl-C ends",
+                quiet=flags["quiet"],
+            )
             if not flags["no_browser"]:
                 open_browser(server.url)
             server.run()

@@ -53,9 +53,14 @@ def corrections(
     holds = [phase for phase in recording["phases"] if phase["kind"] in ("hold", "creep")]
     hold = max(holds, key=lambda phase: phase["end_s"] - phase["start_s"], default=None)
     rows = (
-        ("contact_mm", "Contact at", "mm", None if contact is None else contact["displacement_mm"]),
+        (
+            "contact_mm",
+            "Contact at",
+            recording["units"]["length"],
+            None if contact is None else contact["displacement_mm"],
+        ),
         ("hold_from_s", "Hold from", "s", None if hold is None else hold["start_s"]),
-        ("end_s", "Hold to, and what follows doesn't count", "s", None if hold is None else hold["end_s"]),
+        ("end_s", "Hold to (the rest is left out)", "s", None if hold is None else hold["end_s"]),
         ("rupture", "No fall of force is a rupture", "", None),
         ("exclude", "Leave it out of the fit", "", None),
     )
