@@ -82,38 +82,33 @@ def broken_row(columns: Sequence[FloatArray], fractional: Sequence[NDArray[np.bo
 
 
 def _lost_marks(columns: Sequence[FloatArray], fractional: Sequence[NDArray[np.bool_]]) -> BrokenRow | None:
+    """A run of numbers without decimals, far above the numbers before or behind it."""
     for k, (column, decimals) in enumerate(zip(columns, fractional, strict=True)):
-        if not LOST_RUN <= column.size - np.count_nonzero(decimals) < column.size:
-            continue
-        whole = ~decimals
-        for backwards in (False, True):
-            at = _lost_from(column[::-1], whole[::-1]) if backwards else _lost_from(column, whole)
-            if at is None:
+        edges = np.flatnonzero(decimals[1:] != decimals[:-1]) + 1
+        bounds = np.concatenate(([0], edges, [column.size]))
+        runs = np.flatnonzero((np.diff(bounds) >= LOST_RUN) & ~decimals[bounds[:-1]])
+        for start, stop in zip(bounds[runs].tolist(), bounds[runs + 1].tolist(), strict=True):
+            if start > 0 and _leaps(column[max(0, start - REACH) : start], column[start]):
+                row, sound = start, start - 1
+            elif stop < column.size and _leaps(column[stop : stop + REACH][::-1], column[stop - 1]):
+                row, sound = stop - 1, stop
+            else:
                 continue
-            row = column.size - 1 - at[0] if backwards else at[0]
-            first = row - at[1] + 1 if backwards else row
-            sound = column[row + 1] if backwards else column[row - 1]
             message = (
-                f"the {CHANNELS[k]} is {column[row]:g} beside {sound:g}, and {at[1]} rows have no decimals:"
-                " decimal marks were lost; go back to the original export"
+                f"the {CHANNELS[k]} is {column[row]:g} beside {column[sound]:g}, and {stop - start} rows have"
+                " no decimals: decimal marks were lost; go back to the original export"
             )
-            return BrokenRow(first, k, "damaged_number", message)
+            return BrokenRow(start, k, "damaged_number", message)
     return None
 
 
-def _lost_from(column: FloatArray, whole: NDArray[np.bool_]) -> tuple[int, int] | None:
-    """The first row of a run without decimals far above the rows before it, and the length of the run."""
-    edges = np.flatnonzero(np.diff(np.concatenate((whole, [False])).astype(np.int8)))
-    starts, stops = edges[:-1][whole[edges[:-1] + 1]] + 1, edges[whole[edges]] + 1
-    stops = stops[stops.size - starts.size :]
-    size = np.abs(column)
-    long = (stops - starts >= LOST_RUN) & (size[starts] >= LOST_TIMES * size[starts - 1])
-    for start, stop in zip(starts[long].tolist(), stops[long].tolist(), strict=True):
-        before = column[max(0, start - REACH) : start]
-        usual = float(np.abs(np.diff(before)).max(initial=0.0))
-        if before.size > 1 and usual > 0.0 and abs(column[start] - before[-1]) >= LOST_STEPS * usual:
-            return start, stop - start
-    return None
+def _leaps(towards: FloatArray, value: float) -> bool:
+    """A value several times larger than the last of those that lead to it, by far more than their steps."""
+    last = float(towards[-1])
+    if abs(value) < LOST_TIMES * abs(last):
+        return False
+    usual = float(np.abs(np.diff(towards)).max(initial=0.0))
+    return 0.0 < LOST_STEPS * usual <= abs(value - last)
 
 
 def _exchanged(travel: FloatArray, force: FloatArray, steps: _Steps) -> BrokenRow | None:

@@ -60,9 +60,9 @@ def commanded_displacement(
     step_s, x = _regular(time_s, displacement_mm)
     if x is None or not 0.0 < step_s <= LONGEST_INTERVAL_S:
         return None
-    digit = _last_digit(x)
     stride = max(1, round(CORNER_INTERVAL_S / step_s))
     x, step_s = x[::stride], step_s * stride
+    digit = _last_digit(x)
     if digit is None or x.size < FEWEST_SAMPLES:
         return None
     bend = np.diff(x, n=2)

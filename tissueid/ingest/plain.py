@@ -81,16 +81,13 @@ def _quotes_sound(control: Words, delimiter: Words, quote: Words, inside: Words)
 
 def _groups_sound(b: Bytes, mark: Words, digit: Words, start: Words, decimal: int) -> bool:
     """Every thousands separator stands in a properly grouped decimal number."""
-    zero = _words(b == _ZERO)
     follows = _behind(mark | _words(b == decimal), 4)
     for count in (1, 2, 3):
         follows &= _behind(digit, count)
-    two, three = _before(digit, 2), _before(digit, 3)
-    first = ~two & _before(start, 2, edge=True) & ~_before(zero, 1)
-    first |= two & ~three & _before(start, 3, edge=True) & ~_before(zero, 2)
-    lead = _before(start, 4, edge=True) & ~_before(zero, 3)
-    later = _before(mark, 4) & _before(digit, 5)
-    first |= two & three & ~_before(digit, 4) & (lead | later)
+    leading = digit & ~_words(b == _ZERO) & _before(start, 1, edge=True)
+    two = _before(digit, 2)
+    first = _before(leading, 1) | _before(leading, 2)
+    first |= two & (_before(leading, 3) | (_before(digit, 3) & _before(mark, 4)))
     return not (mark & ~(follows & first)).any()
 
 
