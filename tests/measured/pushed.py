@@ -32,14 +32,13 @@ def pushed(
     depth = np.maximum(travel + swing - air_mm, 0.0)
     decay = np.exp(-step / tau_s)
     branch = lfilter([10.0 * np.sqrt(decay)], [1.0, -decay], np.diff(depth, prepend=0.0))
-    force = np.minimum(gain * (5.0 * depth + branch), stop_force_N)
+    force = gain * (5.0 * depth + branch)
     seen = slice(None, None, FINE)
     noise = noise_N * np.random.default_rng(seed).normal(size=time[seen].size)
-    noise[force[seen] >= stop_force_N] = 0.0
     return Trial(
         "liver",
         time[seen],
         np.round((travel + swing)[seen], 5),
-        zero_N + drift_N_per_s * time[seen] + force[seen] + noise,
+        zero_N + drift_N_per_s * time[seen] + np.minimum(force[seen] + noise, stop_force_N),
         source=Source(path="push.csv"),
     )

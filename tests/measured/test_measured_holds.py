@@ -189,7 +189,7 @@ def test_verdicts_give_one_reason_and_its_number():
     clipped = replace(divided, flags=(Flag("clipped_force", "the force stands at 10 N for 12 samples"),))
     assert verdict_of(trial, clipped, found).as_json() == {
         "level": "repeat",
-        "reason": "the force stands at 10 N for 12 samples",
+        "reason": "the force stands at 10 N for 12 samples. Take a larger load cell, or less depth",
     }
     early = replace(divided, phases=(*divided.phases[:2], replace(divided.phases[2], stop=420, end_s=4.19)))
     short = verdict_of(trial, early, measure(trial, early))

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from tissueid.flag_advice import warning_line
 from tissueid.flags import Flag
 from tissueid.measured.spread import ramp_reason
 from tissueid.measures import Measured, MeasuredHold, MeasuredPush
@@ -18,21 +19,24 @@ __all__ = ["LEVELS", "Verdict", "verdict_of"]
 #: From good to bad.
 LEVELS = ("good", "look", "repeat")
 #: Flags that spoil a recording, and those that ask for a look, the gravest first.
-SPOILING = ("clipped_force", "no_contact", "no_ramp", "too_few_samples", "aborted_ramp", "no_decimals")
+SPOILING = ("clipped_force", "no_contact", "no_ramp", "too_few_samples", "no_decimals")
 DOUBTFUL = (
+    "doubtful_rupture",
     "corner_overshoot",
     "baseline_drift",
     "contact_uncertain",
     "gap",
+    "jump",
     "spike",
     "quantised_force",
     "below_resolution",
     "below_cell_range",
+    "not_preconditioned",
 )
-#: A hold times a relaxation that is shorter than this share of it.
-HOLD_SHARE = 1.0 / 3.0
-#: Samples that a ramp should have.
-SAMPLES_IN_RAMP = 10
+#: A hold should last so many relaxation times; it is said where it lasts less than so many.
+HELD_TAUS, FEWEST_TAUS = 3.0, 2.0
+#: Samples that a ramp and a relaxation time should have, and fewer than which are said.
+SAMPLES_IN_RAMP, SAMPLES_IN_TAU, FEWEST_IN_TAU = 10, 5.0, 2.0
 #: Pushes are compared where depth or peak agree within this share.
 EQUAL = 0.05
 #: Softening that is always within the spread, and its standard deviations.
@@ -78,9 +82,11 @@ def verdict_of(
         Of the same specimen, in the order of testing.
     """
     flags = {flag.code: flag for flag in reversed((*trial.flags, *segmentation.flags))}
-    again = next((flags[code] for code in SPOILING if code in flags), None)
+    # what broke can't be pushed again, however its ramp ended
+    spoiling = SPOILING if "rupture" in flags else (*SPOILING, "aborted_ramp")
+    again = next((code for code in spoiling if code in flags), None)
     if again is not None:
-        return Verdict("repeat", again.message)
+        return Verdict("repeat", _told(flags[again]))
     found = next(_doubts(trial, segmentation, measured, earlier, flags), None)
     if found is not None:
         return Verdict("look", found)
@@ -95,17 +101,21 @@ def _doubts(
     flags: dict[str, Flag],
 ) -> Iterator[str]:
     """What asks for a look, the gravest first."""
-    if any(event.kind == "rupture" for event in segmentation.events):
-        at = next(event.time_s for event in segmentation.events if event.kind == "rupture")
-        yield flags["rupture"].message if "rupture" in flags else f"the force collapses at {at:.4g} s"
+    if "rupture" in flags:
+        yield f"{flags['rupture'].message}. Take another site"
     softer = _softer(measured.push, [one.push for one in earlier if one.push is not None])
     if softer:
         yield softer
     if measured.push is not None:
         yield from _too_slow(trial, measured.push)
     for hold in measured.holds:
-        yield from _too_short(hold)
-    yield from (flags[code].message for code in DOUBTFUL if code in flags)
+        yield from _too_short(trial, hold)
+    yield from (_told(flags[code]) for code in DOUBTFUL if code in flags)
+
+
+def _told(flag: Flag) -> str:
+    """What was seen with its number, and the way out."""
+    return warning_line(flag.code, flag.message).rstrip(".")
 
 
 def _softer(push: MeasuredPush | None, before: Sequence[MeasuredPush]) -> str:
@@ -144,12 +154,22 @@ def _too_slow(trial: Trial, push: MeasuredPush) -> Iterator[str]:
         yield f"sampling too slow: {inside} samples in a ramp of {push.ramp_time_s:.3g} s; take {rate:.2g} Hz"
 
 
-def _too_short(hold: MeasuredHold) -> Iterator[str]:
+def _too_short(trial: Trial, hold: MeasuredHold) -> Iterator[str]:
+    """Whether the hold, or its samples, are too few for the relaxation that it shows."""
     tau = None if hold.tau is None else hold.tau.single_s
-    if tau is not None and tau > HOLD_SHARE * hold.length_s > 0.0:
+    if tau is None:
+        return
+    if hold.length_s < FEWEST_TAUS * tau:
         yield (
             f"hold too short: {hold.length_s:.3g} s for a relaxation time of {tau:.2g} s; "
-            f"hold {tau / HOLD_SHARE:.2g} s or longer"
+            f"hold {HELD_TAUS * tau:.2g} s or longer"
+        )
+    held = trial.time_s[(trial.time_s >= hold.start_s) & (trial.time_s <= hold.start_s + HELD_TAUS * tau)]
+    step = float(np.diff(held).mean()) if held.size > 1 else hold.length_s
+    if tau < FEWEST_IN_TAU * step:
+        yield (
+            f"sampling too slow: a relaxation time of {tau:.2g} s, samples {step:.2g} s apart; "
+            f"take {SAMPLES_IN_TAU / tau:.2g} Hz"
         )
 
 
@@ -158,4 +178,4 @@ def _no_air(contact: Contact | None, push: MeasuredPush | None, flags: dict[str,
         return ""
     if not {"starts_in_contact", "preload"} & set(flags):
         return ""
-    return f"no air before contact: depth known to {100.0 * contact.sd_mm / push.depth_mm:.2g} %"
+    return f"no air before contact: depth known to {100.0 * contact.sd_mm / push.depth_mm:.2g} %. Start in air"
