@@ -87,7 +87,7 @@ def verdict_of(
     again = next((code for code in spoiling if code in flags), None)
     if again is not None:
         return Verdict("repeat", _told(flags[again]))
-    found = next(_doubts(trial, segmentation, measured, earlier, flags), None)
+    found = next(_doubts(trial, measured, earlier, flags), None)
     if found is not None:
         return Verdict("look", found)
     return Verdict("good", _no_air(segmentation.contact, measured.push, flags))
@@ -95,7 +95,6 @@ def verdict_of(
 
 def _doubts(
     trial: Trial,
-    segmentation: Segmentation,
     measured: Measured,
     earlier: Sequence[Measured],
     flags: dict[str, Flag],
@@ -178,4 +177,5 @@ def _no_air(contact: Contact | None, push: MeasuredPush | None, flags: dict[str,
         return ""
     if not {"starts_in_contact", "preload"} & set(flags):
         return ""
-    return f"no air before contact: depth known to {100.0 * contact.sd_mm / push.depth_mm:.2g} %. Start in air"
+    share = 100.0 * contact.sd_mm / push.depth_mm
+    return f"no air before contact: depth known to {share:.2g} %. Start in air"
