@@ -73,7 +73,7 @@ def _places(text: str) -> Iterator[tuple[TomlPath, int]]:
     counts: dict[TomlPath, int] = {}
     table: TomlPath = ()
     value = _Value()
-    for number, line in enumerate(text.splitlines(), start=1):
+    for number, line in enumerate(text.split("\n"), start=1):
         if value.open:
             value.feed(line)
             continue

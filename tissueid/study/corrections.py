@@ -6,6 +6,7 @@ A new table stands at the end of the file, since later tables win.
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -93,7 +94,7 @@ def corrected_text(text: str, correction: Correction) -> str:
     table = CORRECTED[correction.key]
     text = text or f'schema = "{SCHEMA}"\n'
     document = tomllib.loads(text)
-    lines = text.splitlines(keepends=True)
+    lines = re.findall(r"[^\n]*\n|[^\n]+", text)
     entries = document.get(table, [])
     mine = {
         number: span for number, span in _own_tables(text, table, lines) if correction.made(entries[number])
