@@ -17,7 +17,7 @@ from tissueid.measured import measure
 from tissueid.measured.cycles import cycle_rows
 from tissueid.measured.geometry import DEFAULT_POISSON, TipOf, stated_geometry
 from tissueid.measured.verdict import verdict_of
-from tissueid.measures import Measured
+from tissueid.measures import Measured, MeasuredPush
 from tissueid.result import Refusal
 from tissueid.segment import SegmentOptions, segment
 from tissueid.trial import Phase, Segmentation, Trial
@@ -95,7 +95,7 @@ def describe_segmented(
     *,
     excluded: str | None = None,
     measured: Measured | None = None,
-    earlier: Sequence[Measured] = (),
+    earlier: Sequence[MeasuredPush] = (),
 ) -> dict[str, Any]:
     """The object of ``schemas/inspect.schema.json`` for a trial that is segmented already.
 
@@ -107,7 +107,7 @@ def describe_segmented(
         Why the user took it out of the fit.
     measured : Measured or None
         As :func:`measured_of` gives it; measured now where there is none.
-    earlier : sequence of Measured
+    earlier : sequence of MeasuredPush
         Of the same specimen, in the order of testing.
     """
     measured = measured or measured_of(trial, segmentation)

@@ -7,7 +7,7 @@ recording's own sign and zero.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,6 +29,8 @@ __all__ = [
 
 #: A force earlier than so many ramp times after the stop still knows the ramp.
 RAMP_TIMES = 10.0
+#: Plain numbers of a push.
+_PUSH = ("start_s", "stop_s", "ramp_time_s", "speed_mm_s", "travel_mm", "depth_mm", "braking_s")
 #: Ramp times are known to a sample or two: a time this little short of it counts.
 ALMOST = 0.01
 
@@ -153,10 +155,14 @@ class MeasuredPush:
     peak: MeasuredPeak
     modulus: MeasuredModulus | None = None
 
+    @classmethod
+    def of_json(cls, document: Mapping[str, Any]) -> MeasuredPush:
+        """The push of a log, without its modulus."""
+        return cls(**{name: document[name] for name in _PUSH}, peak=MeasuredPeak(**document["peak"]))
+
     def as_json(self) -> dict[str, Any]:
         """The ``push`` object of ``schemas/measured.schema.json``."""
-        plain = ("start_s", "stop_s", "ramp_time_s", "speed_mm_s", "travel_mm", "depth_mm", "braking_s")
-        document: dict[str, Any] = {name: getattr(self, name) for name in plain}
+        document: dict[str, Any] = {name: getattr(self, name) for name in _PUSH}
         document["peak"] = self.peak.as_json()
         document["modulus"] = None if self.modulus is None else self.modulus.as_json()
         return document

@@ -39,7 +39,7 @@ TYPED: dict[str, tuple[str, ...]] = {
     "status": ("status", "out"),
     "validate": ("validate", "out"),
     "migrate": ("migrate", "out"),
-    "watch": ("watch", "lab", "--once", "--no-fit"),
+    "watch": ("watch", "lab", "--once"),
     "devices list": ("devices", "list"),
     "devices info": ("devices", "info", "sim"),
     "devices home": ("devices", "home", "sim"),

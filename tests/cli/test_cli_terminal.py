@@ -98,7 +98,7 @@ TYPED: dict[str, Callable[[Path], list[object]]] = {
     "status": lambda f: ["status", f / "out"],
     "validate": lambda f: ["validate", f / "out", *f.glob("bad*")],
     "study check": lambda f: ["study", "check", f / "lab"],
-    "watch": lambda f: ["watch", f / "lab", "--once", "--no-fit"],
+    "watch": lambda f: ["watch", f / "lab", "--once"],
     "rupture": lambda f: ["rupture", f / "lab", "-o", f / "ruptured", "--no-study"],
     "cohort": lambda f: ["cohort", f / "out"],
     "calibrate": lambda f: ["calibrate", f / "lab" / "b.csv" / LABEL],

@@ -17,7 +17,7 @@ def pushed(
     zero_N: float = 0.0, drift_N_per_s: float = 0.0, overshoot_mm: float = 0.0,
     stop_force_N: float = np.inf, seed: int = 0,
 ) -> Trial:  # fmt: skip
-    """Force ``gain * (5 d + z)`` N, z of 10 N/mm relaxing in ``tau_s``; speed falls evenly while braking.
+    """Force ``gain * (5 d + z)`` N, where z of 10 N/mm relaxes in ``tau_s``; braking is even.
 
     ``overshoot_mm`` decays over 0.1 s after the stop; ``stop_force_N`` is where the load cell ends.
     """

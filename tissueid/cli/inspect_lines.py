@@ -1,4 +1,4 @@
-"""One line a recording, and one at the end, of ``tissueid inspect``."""
+"""One line a recording, and a summary at the end, of ``tissueid inspect``."""
 
 from __future__ import annotations
 
@@ -6,9 +6,12 @@ import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from textwrap import wrap
 from typing import Any
 
-__all__ = ["COLOURS", "recording_line", "shared_folder", "summary_line"]
+from tissueid.flag_advice import FLAG_ADVICE, harm_rank
+
+__all__ = ["COLOURS", "names_of", "recording_lines", "recording_name", "summary_lines"]
 
 #: What a level asks for, and its colour.
 WORDS = {"good": "keep", "look": "look", "repeat": "push again"}
@@ -16,36 +19,80 @@ COLOURS = {"good": None, "look": "yellow", "repeat": "red"}
 #: Times after the stop that stand in the line [s].
 TIMES_S = (1.0, 10.0)
 DIGITS = 4
+#: Columns of a line, and what goes before its second one.
+WIDTH, INDENT = 100, "    "
+#: Flags of a batch that are counted.
+MOST_SHARED = 5
 
 
-def shared_folder(described: Sequence[Mapping[str, Any]]) -> str:
-    """The folder of all recordings, which need not stand in every line; empty for a single one."""
+def names_of(described: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
+    """Heading, empty but before the first of several sheets of a file, and name of every recording.
+
+    The folder of all need not stand in every line, nor the file of its sheets.
+
+    Parameters
+    ----------
+    described : sequence of mapping
+        Recordings of ``inspect --json``.
+    """
+    folder = _shared_folder(described)
+    sheets = Counter(one["path"] for one in described)
+    found = []
+    before = None
+    for one in described:
+        path = one["path"].removeprefix(folder)
+        if one["sheet"] is None or sheets[one["path"]] == 1:
+            found.append(("", recording_name(one, folder)))
+        else:
+            found.append((path if one["path"] != before else "", f"  {one['sheet']}"))
+        before = one["path"]
+    return found
+
+
+def recording_name(one: Mapping[str, Any], folder: str = "") -> str:
+    """Path, without a folder in front, and sheet."""
+    path = one["path"].removeprefix(folder)
+    return path if one["sheet"] is None else f"{path} [{one['sheet']}]"
+
+
+def _shared_folder(described: Sequence[Mapping[str, Any]]) -> str:
+    """The folder of all recordings; empty for a single one."""
     folders = {os.path.dirname(one["path"]) for one in described}  # noqa: PTH120 -- paths as they were typed
     if len(described) < 2 or "" in folders or len({Path(one).is_absolute() for one in folders}) > 1:
         return ""
     return os.path.join(os.path.commonpath(folders), "")  # noqa: PTH118
 
 
-def recording_line(one: Mapping[str, Any], folder: str = "") -> str:
-    """Name, peak, depth, speed, ramp time, forces in the hold, verdict with its reason, flags.
+def recording_lines(one: Mapping[str, Any], name: str, *, alone: bool = True) -> list[str]:
+    """Name, peak, depth, speed, ramp time, forces in the hold, verdict with its reason, in 100 columns.
 
     Parameters
     ----------
     one : mapping
         A recording of ``inspect --json``.
-    folder : str
-        Left off the path.
+    name : str
+    alone : bool
+        Whether no summary follows that counts flags, and says what was kept all the same.
     """
-    path = one["path"].removeprefix(folder)
-    name = path if one["sheet"] is None else f"{path} [{one['sheet']}]"
     verdict, flags = one["verdict"], len(one["flags"])
     word = WORDS[verdict["level"]]
     if one["excluded"] is not None:
         word = f"excluded ({one['excluded']})"
-    elif verdict["reason"] is not None:
+    elif verdict["reason"] is not None and (alone or verdict["level"] != "good"):
         word += f": {verdict['reason']}"
-    counted = f"{flags} flag{'s' * (flags > 1)}" if flags else ""
-    return "  ".join(part for part in (name, _numbers(one), word, counted) if part)
+    counted = f"{flags} flag{'s' * (flags > 1)}" if flags and alone else ""
+    return _broken([part for part in (name, _numbers(one), word, counted) if part])
+
+
+def _broken(parts: Sequence[str]) -> list[str]:
+    """Parts of a line, those that pass its width on lines of their own."""
+    lines = [parts[0]]
+    for part in parts[1:]:
+        if len(lines[-1]) + 2 + len(part) <= WIDTH:
+            lines[-1] += f"  {part}"
+        else:
+            lines += wrap(part, WIDTH, initial_indent=INDENT, subsequent_indent=INDENT)
+    return lines
 
 
 def _numbers(one: Mapping[str, Any]) -> str:
@@ -63,8 +110,10 @@ def _numbers(one: Mapping[str, Any]) -> str:
         parts.append(f"creeps {hold['creep_mm']:.3g} {length} in {hold['end_s'] - hold['start_s']:.3g} s")
     else:
         at = {row["time_s"]: row["after_stop_N"] for row in hold["forces"]}
-        known = [f"F({t:g} s) {at[t]:.{DIGITS}g} {force}" for t in TIMES_S if at.get(t) is not None]
-        parts.append(", ".join(known) or f"hold of {hold['end_s'] - hold['start_s']:.3g} s")
+        known = [f"F({t:g} s) {at[t]:.{DIGITS}g}" for t in TIMES_S if at.get(t) is not None]
+        parts.append(
+            f"{', '.join(known)} {force}" if known else f"hold of {hold['end_s'] - hold['start_s']:.3g} s"
+        )
     if len(measured["holds"]) > 1:
         parts.append(f"{len(measured['holds'])} holds")
     return "; ".join(parts)
@@ -82,8 +131,8 @@ def _looped(loops: Sequence[Mapping[str, Any]], unit: str) -> str:
     return f"{len(loops)} loops, the last to {last['depth_mm']:.3g}{area}"
 
 
-def summary_line(described: Sequence[Mapping[str, Any]], refused: int) -> str:
-    """``49 read, 3 to look at, 1 to push again, 2 refused``."""
+def summary_lines(described: Sequence[Mapping[str, Any]], refused: int) -> list[str]:
+    """``49 read, 3 to look at, 1 to push again, 2 refused``, and how many share a flag, the worst first."""
     counts = Counter(one["verdict"]["level"] for one in described)
     parts = [f"{len(described)} read"]
     for level, words in (("look", "to look at"), ("repeat", "to push again")):
@@ -91,4 +140,8 @@ def summary_line(described: Sequence[Mapping[str, Any]], refused: int) -> str:
             parts.append(f"{counts[level]} {words}")
     if refused:
         parts.append(f"{refused} refused")
-    return ", ".join(parts)
+    shared = Counter(code for one in described for code in {flag["code"] for flag in one["flags"]})
+    said = [code for code in sorted(shared, key=harm_rank) if shared[code] > 1 and code in FLAG_ADVICE]
+    several = [f"{shared[code]} {FLAG_ADVICE[code].many}" for code in said[:MOST_SHARED]]
+    counted = "; ".join([*several, "-v lists flags"]) if several else ""
+    return [", ".join(parts), *wrap(counted, WIDTH, subsequent_indent=INDENT)]

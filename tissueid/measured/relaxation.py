@@ -1,10 +1,10 @@
 """The relaxation table: what people quote, each number with the window it was taken from.
 
-For every hold, ``F = c + sum_j A_j exp(-t / tau_j)`` with one, two and three exponentials, a free plateau c
-and A_j >= 0, uniform weights, from the stop of the tool to the end of the hold: while a crosshead still
-brakes it loads, and times counted from the peak are long. A relaxation time moves with its window, the ramp
-before it and the weights (statistics.md 4, formats.md 3), so the flags say when it did. This table
-describes a hold; the contact model is not fitted from it.
+For every hold, ``F = c + sum_j A_j exp(-t / tau_j)`` with one, two and three exponentials, a free
+plateau c and A_j >= 0, uniform weights, from the stop of the tool to the end of the hold: while a
+crosshead brakes it still loads, and times counted from the peak are long.  A relaxation time moves with
+its window, the ramp before it and the weights (statistics.md 4, formats.md 3), so the flags say when it
+did.  This table describes a hold; the contact model is not fitted from it.
 """
 
 from __future__ import annotations

@@ -69,7 +69,7 @@ def verdict_of(
     trial: Trial,
     segmentation: Segmentation,
     measured: Measured,
-    earlier: Sequence[Measured] = (),
+    earlier: Sequence[MeasuredPush] = (),
 ) -> Verdict:
     """The verdict on one recording.
 
@@ -78,7 +78,7 @@ def verdict_of(
     trial : Trial
     segmentation : Segmentation
     measured : Measured
-    earlier : sequence of Measured
+    earlier : sequence of MeasuredPush
         Of the same specimen, in the order of testing.
     """
     flags = {flag.code: flag for flag in reversed((*trial.flags, *segmentation.flags))}
@@ -96,13 +96,13 @@ def verdict_of(
 def _doubts(
     trial: Trial,
     measured: Measured,
-    earlier: Sequence[Measured],
+    earlier: Sequence[MeasuredPush],
     flags: dict[str, Flag],
 ) -> Iterator[str]:
     """What asks for a look, the gravest first."""
     if "rupture" in flags:
         yield f"{flags['rupture'].message}. Take another site"
-    softer = _softer(measured.push, [one.push for one in earlier if one.push is not None])
+    softer = _softer(measured.push, earlier)
     if softer:
         yield softer
     if measured.push is not None:
@@ -177,5 +177,6 @@ def _no_air(contact: Contact | None, push: MeasuredPush | None, flags: dict[str,
         return ""
     if not {"starts_in_contact", "preload"} & set(flags):
         return ""
-    share = 100.0 * contact.sd_mm / push.depth_mm
-    return f"no air before contact: depth known to {share:.2g} %. Start in air"
+    return (
+        f"no air before contact: depth known to {100.0 * contact.sd_mm / push.depth_mm:.2g} %. Start in air"
+    )

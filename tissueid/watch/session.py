@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from tissueid.errors import InputError
 from tissueid.result import Refusal
@@ -30,8 +31,8 @@ class Happening:
     Attributes
     ----------
     kind : str
-        ``verdict``, ``replaced`` (a verdict on a file that was judged before), ``renamed``, ``copy``,
-        ``gone``, ``unreachable`` or ``back``.
+        ``verdict``, ``replaced`` (a verdict on a file that was judged before), ``fitted`` (the verdict with
+        its fit), ``renamed``, ``copy``, ``gone``, ``unreachable`` or ``back``.
     text : str
         In words, but for a verdict.
     verdict : dict or None
@@ -53,6 +54,8 @@ class WatchSession:
         Trials and refusals of one file.
     judge : callable
         ``judge(trial, earlier) -> verdict``.
+    fit : callable or None
+        ``fit(trial) -> numbers``, after the verdict is told.
     log : Path or None
         Where verdicts are kept, rewritten whole after each.
     verdicts : list of dict
@@ -64,6 +67,7 @@ class WatchSession:
     judge: Callable[[Trial, Iterable[Verdict]], Verdict]
     log: Path | None = None
     verdicts: list[Verdict] = field(default_factory=list)
+    fit: Callable[[Trial], dict[str, Any] | None] | None = None
     _gone: set[str] = field(default_factory=set)
     _reachable: bool = True
 
@@ -102,7 +106,10 @@ class WatchSession:
         same = next((one for one in self.verdicts if one["digest"] == digest and one is not known), None)
         if same is None:
             earlier = [one for one in self.verdicts if one is not known and one["path"] not in self._gone]
-            yield self._keep(self._safely(trial, earlier), known)
+            verdict = self._safely(trial, earlier)
+            yield self._keep(verdict, known)
+            if self.fit is not None and verdict["contact"] is not None:
+                yield self._fitted(trial, verdict, self.fit)
         elif same["path"] in self._gone or not Path(same["path"]).exists():
             before = same["path"]
             same["path"], same["sheet"] = trial.source.path, trial.source.sheet
@@ -119,10 +126,20 @@ class WatchSession:
             if _interrupted(error):
                 raise
             message = f"it could not be judged ({type(error).__name__}: {error}); `tissueid inspect` shows it"
-            return refused_verdict(Refusal(trial.source.path, trial.source.sheet, "fit_failed", message)) | {
-                "specimen": trial.specimen,
-                "digest": samples_digest(trial),
-            }
+            refusal = Refusal(trial.source.path, trial.source.sheet, "fit_failed", message)
+            return refused_verdict(refusal, trial)
+
+    def _fitted(
+        self, trial: Trial, verdict: Verdict, fit: Callable[[Trial], dict[str, Any] | None]
+    ) -> Happening:
+        try:
+            verdict["fit"] = fit(trial)
+        except Exception as error:
+            # one file must never end the session at the machine
+            if _interrupted(error):
+                raise
+        self._save()
+        return Happening("fitted", verdict=verdict)
 
     def _find(self, path: str, sheet: str | None) -> Verdict | None:
         return next((one for one in self.verdicts if (one["path"], one["sheet"]) == (path, sheet)), None)
