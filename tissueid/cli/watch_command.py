@@ -7,6 +7,7 @@ import os
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -104,6 +105,8 @@ def _announce_compiling(quiet: int) -> None:
 
 
 def _session(flags: dict[str, Any]) -> WatchSession:
+    # readers load it at their first table, which would be waited for with a specimen on the machine
+    import_module("pandas")
     from tissueid.study.recordings import locate_study
     from tissueid.watch import FolderWatch, judge
     from tissueid.watch.folder import fingerprint
