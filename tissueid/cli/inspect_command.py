@@ -12,9 +12,6 @@ from tissueid.cli.reading import read_in_order, read_options, reading_options, s
 from tissueid.digits import with_error
 
 if TYPE_CHECKING:
-    from tissueid.manifest import Study
-    from tissueid.measures import MeasuredPush
-    from tissueid.report.inspect_page import InspectedRecording
     from tissueid.result import Refusal
     from tissueid.study.inspected import Inspection
 
@@ -96,98 +93,14 @@ def inspected(flags: dict[str, Any], *, drawn: bool) -> Inspection:
     from tissueid.study.inspected import Inspection, study_folder
     from tissueid.study.recordings import locate_study
 
-    reading = read_options(flags)
-    segmenting = segment_options(flags)
-    described: list[dict[str, Any] | Refusal] = []
-    shown: list[InspectedRecording] = []
-    earlier: dict[str, list[MeasuredPush]] = {}
     study, paths = locate_study(flags["paths"], named=flags["study"], ignore=flags["no_study"])
     root = study_folder(flags["paths"]) if study is None else Path(study.path).resolve().parent
     found = Inspection(segment_options(flags), study, root, drawn=drawn)
     with progress_bar(show=not flags["quiet"] and not flags["as_json"]) as progress:
-        for item in read_in_order(paths, reading, study):
-            progress(item.path if isinstance(item, Refusal) else item.name, len(described), 0)
-            if isinstance(item, Refusal):
-                described.append(item)
-            else:
-                page = None if flags["html"] is None else shown
-                described.append(_described(item, segmenting, study, page, root, earlier))
-    refused = [one for one in described if isinstance(one, Refusal)]
-    read = [one for one in described if not isinstance(one, Refusal)]
-    if flags["html"] is not None:
-        _write_page(flags["html"], shown, refused, root)
-        note(f"wrote {flags['html']}", quiet=flags["quiet"])
-    _write_tables(read, flags)
-    if flags["as_json"]:
-        echo_json([one.as_json() if isinstance(one, Refusal) else one for one in described])
-    else:
-        _print_all(described, quiet=flags["quiet"], verbose=flags["verbose"])
-    return exit_code({7 if len(refused) < len(described) else 3}) if refused else 0
-
-
-def _study_folder(paths: tuple[str, ...]) -> Path:
-    """Where study.toml stands, or would: beside or above what was named."""
-    folders = [path if path.is_dir() else path.parent for path in (Path(name).resolve() for name in paths)]
-    common = folders[0]
-    while any(common not in (folder, *folder.parents) for folder in folders):
-        common = common.parent
-    above = [folder for folder in (common, *common.parents) if (folder / "study.toml").is_file()]
-    return above[0] if above else common
-
-
-def _described(
-    trial: Trial,
-    options: SegmentOptions,
-    study: Study | None,
-    page: list[InspectedRecording] | None,
-    root: Path,
-    earlier: dict[str, list[MeasuredPush]],
-) -> dict[str, Any] | Refusal:
-    """What is said of a recording, which is kept for the page where one is asked for."""
-    from tissueid.inspection import as_decided, describe_segmented, measured_of, segmented
-    from tissueid.result import Refusal
-
-    trial, options, excluded = as_decided(trial, options, study)
-    divided = segmented(trial, options=options)
-    if isinstance(divided, Refusal):
-        return divided
-    measured = measured_of(trial, divided, study)
-    before = earlier.setdefault(trial.specimen, [])
-    document = describe_segmented(trial, divided, excluded=excluded, measured=measured, earlier=before)
-    if excluded is None and measured.push is not None:
-        before.append(measured.push)
-    if page is not None:
-        from tissueid.report import inspected_recording
-
-        file = _relative(trial.source.path, root)
-        page.append(inspected_recording(trial, divided, document, file=file, reader=_reader(document)))
-    return document
-
-
-def _relative(path: str, root: Path) -> str:
-    """A path as study.toml names it: from its folder, with forward slashes."""
-    whole = Path(path).resolve()
-    return (whole.relative_to(root) if whole.is_relative_to(root) else whole).as_posix()
-
-
-def _reader(document: dict[str, Any]) -> str:
-    marks = (("encoding", "{}"), ("delimiter", "delimiter {!r}"), ("decimal", "decimal mark {!r}"))
-    text = [
-        f"Read as {document['recipe']} (sure to {document['recipe_confidence']:.0%})",
-        *(form.format(document[key]) for key, form in marks if document[key]),
-    ]
-    why = document["recipe_reason"]
-    return ", ".join(text) + (f", because {why}" if why else "")
-
-
-def _write_page(target: str, shown: list[InspectedRecording], refused: list[Refusal], root: Path) -> None:
-    from datetime import UTC, datetime
-
-    from tissueid.report import render_inspection
-
-    created = datetime.now(UTC).isoformat(timespec="seconds")
-    study = "study.toml" if (root / "study.toml").is_file() else f"study.toml in {root.name or root}"
-    write_output(target, render_inspection(shown, refused, study=study, created=created).encode("utf-8"))
+        for item in read_in_order(paths, read_options(flags), study):
+            progress(item.path if isinstance(item, Refusal) else item.name, len(found.described), 0)
+            found.add(item)
+    return found
 
 
 def _write_tables(read: list[dict[str, Any]], flags: dict[str, Any]) -> None:

@@ -12,7 +12,7 @@ from tissueid.errors import UsageError
 from tissueid.ingest.manifest import MANIFEST
 from tissueid.inspection import as_decided, describe_segmented, measured_of, segmented
 from tissueid.manifest import Study
-from tissueid.measures import Measured
+from tissueid.measures import Measured, MeasuredPush
 from tissueid.report.inspect_page import InspectedRecording, inspected_recording, render_inspection
 from tissueid.result import Refusal
 from tissueid.segment import SegmentOptions
@@ -77,7 +77,7 @@ class Inspection:
         self.described: list[dict[str, Any] | Refusal] = []
         self.shown: list[InspectedRecording] = []
         self._options, self._root, self._drawn = options, root, drawn
-        self._earlier: dict[str, list[Measured]] = {}
+        self._earlier: dict[str, list[MeasuredPush]] = {}
 
     @property
     def read(self) -> list[dict[str, Any]]:
@@ -96,8 +96,9 @@ class Inspection:
             self.described.append(made)
             return
         self.described.append(made.document)
-        if made.document["excluded"] is None:
-            self._earlier.setdefault(made.document["specimen"], []).append(made.measured)
+        push = made.measured.push
+        if made.document["excluded"] is None and push is not None:
+            self._earlier.setdefault(made.document["specimen"], []).append(push)
         if made.drawn is not None:
             self.shown.append(made.drawn)
 
