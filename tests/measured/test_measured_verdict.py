@@ -21,7 +21,7 @@ def judged(trial: Trial, earlier: tuple[Measured, ...] = ()) -> Verdict:
     """The verdict of a recording as it is read: with the flags of its samples."""
     read = replace(trial, flags=quality_flags(trial.time_s, trial.displacement_mm, trial.force_N))
     divided = segment(read)
-    return verdict_of(read, divided, measure(read, divided), earlier)
+    return verdict_of(read, divided, measure(read, divided), [one.push for one in earlier if one.push])
 
 
 def shown(**made: Any) -> Measured:

@@ -129,7 +129,8 @@ def test_every_entry_parses_names_the_recording_and_is_valid() -> None:
     file = 'kidney "left"/run 3 [ä] \\ x.csv'
     found = decisions(recording(ramp_hold(sheet="A")).document | {"sheet": "A"}, file=file)
     assert [one.key for one in found] == [
-        "columns", "units", "compression", "force", "contact", "hold", "cut", "specimen", "exclude",
+        "columns", "units", "compression", "force", "contact", "hold", "hold_from", "cut", "specimen",
+        "exclude",
     ]  # fmt: skip
     for one in found:
         entry = tomllib.loads(one.toml)

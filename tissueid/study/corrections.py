@@ -94,7 +94,7 @@ def corrected_text(text: str, correction: Correction) -> str:
     table = CORRECTED[correction.key]
     text = text or f'schema = "{SCHEMA}"\n'
     document = tomllib.loads(text)
-    lines = re.findall(r"[^\n]*\n|[^\n]+", text)
+    lines = _lines(text)
     entries = document.get(table, [])
     mine = {
         number: span for number, span in _own_tables(text, table, lines) if correction.made(entries[number])
@@ -106,6 +106,11 @@ def corrected_text(text: str, correction: Correction) -> str:
         _append(lines, table, correction.entry, "\r\n" if "\r\n" in text else "\n")
         wanted = [*wanted, correction.entry]
     return _checked("".join(lines), {**document, table: wanted}, table)
+
+
+def _lines(text: str) -> list[str]:
+    """Lines with their ends; TOML knows no other end than a line feed."""
+    return [line for line in re.split(r"(?<=\n)", text) if line]
 
 
 def _checked(text: str, wanted: Mapping[str, Any], table: str) -> str:

@@ -6,18 +6,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tissueid.errors import UsageError
 from tissueid.ingest.manifest import MANIFEST
 from tissueid.inspection import as_decided, describe_segmented, measured_of, segmented
 from tissueid.manifest import Study
 from tissueid.measures import Measured, MeasuredPush
-from tissueid.report.inspect_page import InspectedRecording, inspected_recording, render_inspection
 from tissueid.result import Refusal
 from tissueid.segment import SegmentOptions
-from tissueid.study.corrections import standing
-from tissueid.trial import Trial
+from tissueid.trial import Segmentation, Trial
+
+if TYPE_CHECKING:
+    # pages load a compiler, which a line a recording doesn't need
+    from tissueid.report.inspect_page import InspectedRecording
 
 __all__ = ["Inspection", "reader_words", "relative_name", "study_folder"]
 
@@ -130,6 +132,8 @@ class Inspection:
 
     def page(self, *, served: bool = False) -> str:
         """All of it as a page."""
+        from tissueid.report.inspect_page import render_inspection
+
         study = (
             MANIFEST
             if (self._root / MANIFEST).is_file()
@@ -146,15 +150,20 @@ class Inspection:
         measured = measured_of(trial, divided, study)
         earlier = self._earlier.get(trial.specimen, [])
         document = describe_segmented(trial, divided, excluded=excluded, measured=measured, earlier=earlier)
-        drawn = None
-        if self._drawn:
-            source = trial.source
-            drawn = inspected_recording(
-                trial,
-                divided,
-                document,
-                file=relative_name(source.path, self._root),
-                reader=reader_words(document),
-                standing=standing(study, source.path, source.sheet),
-            )
+        drawn = self._page_of(trial, divided, document, study) if self._drawn else None
         return _Made(document, measured, drawn)
+
+    def _page_of(
+        self, trial: Trial, divided: Segmentation, document: dict[str, Any], study: Study | None
+    ) -> InspectedRecording:
+        from tissueid.report.inspect_page import inspected_recording
+        from tissueid.study.corrections import standing
+
+        return inspected_recording(
+            trial,
+            divided,
+            document,
+            file=relative_name(trial.source.path, self._root),
+            reader=reader_words(document),
+            standing=standing(study, trial.source.path, trial.source.sheet),
+        )
