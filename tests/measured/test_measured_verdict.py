@@ -21,7 +21,7 @@ def judged(trial: Trial, earlier: tuple[MeasuredPush, ...] = ()) -> Verdict:
     """The verdict of a recording as it is read: with the flags of its samples."""
     read = replace(trial, flags=quality_flags(trial.time_s, trial.displacement_mm, trial.force_N))
     divided = segment(read)
-    return verdict_of(read, divided, measure(read, divided), [one.push for one in earlier if one.push])
+    return verdict_of(read, divided, measure(read, divided), earlier)
 
 
 def shown(**made: Any) -> MeasuredPush:
