@@ -385,6 +385,13 @@ class SpreadRow:
     sd: float | None
     reason: str = ""
 
+    @classmethod
+    def of_json(cls, document: Mapping[str, Any]) -> SpreadRow:
+        """The row of ``specimens[].measured``."""
+        ramp = document["ramp_time_s"]
+        more = {"ramp_time_s": None if ramp is None else tuple(ramp), "reason": document["reason"] or ""}
+        return cls(**{**document, **more})
+
     def as_json(self) -> dict[str, Any]:
         """The ``spread`` object of ``schemas/measured.schema.json``."""
         return {

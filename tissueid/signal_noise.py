@@ -20,12 +20,14 @@ NORMAL_SD_OVER_MEDIAN = 1.482602218505602
 FOURTH_DIFFERENCE_VARIANCE = 70.0
 #: Share of repeated values above which a signal is taken for quantised.
 QUANTISED_SHARE = 0.2
+#: Changes that differ by less than this share are of one step.
+ALIKE = 0.1
 #: Time steps that differ by less than this share of their median count as equal.
 EQUAL_STEP = 0.01
 
 
 def quantum(values: FloatArray) -> float:
-    """Step of a quantised signal, 0 where values hardly repeat.
+    """Step of a quantised signal, 0 where values hardly repeat, or where the smallest changes are not alike.
 
     Parameters
     ----------
@@ -41,7 +43,11 @@ def quantum(values: FloatArray) -> float:
     if moved.size == 0 or moved.size > (1.0 - QUANTISED_SHARE) * steps.size:
         return 0.0
     count = max(1, moved.size // 10)
-    return float(np.median(np.partition(moved, count - 1)[:count]))
+    smallest = np.partition(moved, count - 1)[:count]
+    step = float(np.median(smallest))
+    # a crosshead that brakes to a standstill moves by less and less: no two changes are equal
+    alike = np.abs(smallest - step) <= ALIKE * step
+    return step if 2 * int(alike.sum()) >= count else 0.0
 
 
 def white_noise_sd(time_s: FloatArray, values: FloatArray) -> float:

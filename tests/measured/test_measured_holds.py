@@ -75,6 +75,16 @@ def test_numbers_of_a_hold_are_those_of_its_truth(sign, zero):
     assert hold.tau.window_s == pytest.approx((STOP, END))
 
 
+@pytest.mark.parametrize("rate", [200.0, 50.0, 20.0])
+@pytest.mark.parametrize("brake", [0.2, 0.4])
+def test_a_stop_is_where_a_thousandth_of_the_step_is_left(rate, brake):
+    trial = pushed(brake_s=brake, rate_Hz=rate)
+    (hold,) = measure(trial, segment(trial)).holds
+    # even braking from 2 mm/s leaves 5 um of 5 mm this long before it ends
+    reached = 3.5 + 0.5 * brake - np.sqrt(0.005 * brake)
+    assert reached - 1e-9 <= hold.start_s <= reached + 1.5 / rate
+
+
 @pytest.mark.parametrize(("brake", "tau"), [(0.05, 0.5), (0.2, 0.5), (0.2, 2.0), (0.5, 0.5)])
 def test_braking_does_not_lengthen_relaxation(brake, tau):
     trial = pushed(brake_s=brake, tau_s=tau)

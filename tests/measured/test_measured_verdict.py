@@ -12,21 +12,24 @@ from pushed import pushed
 from tissueid.ingest.quality import quality_flags
 from tissueid.measured import measure
 from tissueid.measured.verdict import Verdict, verdict_of
-from tissueid.measures import Measured
+from tissueid.measures import MeasuredPush
 from tissueid.segment import segment
 from tissueid.trial import Trial
 
 
-def judged(trial: Trial, earlier: tuple[Measured, ...] = ()) -> Verdict:
+def judged(trial: Trial, earlier: tuple[MeasuredPush, ...] = ()) -> Verdict:
     """The verdict of a recording as it is read: with the flags of its samples."""
     read = replace(trial, flags=quality_flags(trial.time_s, trial.displacement_mm, trial.force_N))
     divided = segment(read)
-    return verdict_of(read, divided, measure(read, divided), [one.push for one in earlier if one.push])
+    return verdict_of(read, divided, measure(read, divided), earlier)
 
 
-def shown(**made: Any) -> Measured:
+def shown(**made: Any) -> MeasuredPush:
     trial = pushed(**made)
-    return measure(trial, segment(trial))
+    push = measure(trial, segment(trial)).push
+    assert push is not None
+    assert MeasuredPush.of_json(push.as_json()) == push
+    return push
 
 
 REASONS: dict[str, tuple[dict[str, Any], str, str]] = {

@@ -139,6 +139,8 @@ def test_quantised_force_has_at_least_the_noise_of_its_step():
     assert quantum(coarse) == pytest.approx(0.5)
     assert white_noise_sd(time_s, coarse) == pytest.approx(0.5 / np.sqrt(12.0))
     assert quantum(np.random.default_rng(1).standard_normal(100)) == 0.0
+    # a crosshead that brakes and then stands still is not quantised
+    assert quantum(np.concatenate([-(np.linspace(-1.0, 0.0, 60) ** 2), np.zeros(60)])) == 0.0
 
 
 def ramp_in_air(sigma_N: float = 0.3, **changes) -> Trial:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,7 @@ from tissueid.errors import UsageError
 
 if TYPE_CHECKING:
     from tissueid.contrast.numbers import Compared
+    from tissueid.measures import SpreadRow
     from tissueid.store.bundle_content import Bundle
     from tissueid.store.posteriors import StoredPosterior
 
@@ -50,7 +52,8 @@ def command(**flags: Any) -> int:
 
     PATHS are bundles, or output folders of which every specimen is taken. Forces at depths and speeds that
     all were identified at are tested together, pair by pair; numbers stand beside each other with the
-    probability that one is larger. Two recordings of one machine share its calibration, two machines do not.
+    probability that one is larger, and of output folders what was measured, no model. Two recordings of one
+    machine share its calibration, two machines do not.
 
     PATHS may be recordings or folders of them instead, each one side: what was measured stands beside each
     other, no model. A number that depends on the ramp is compared within one program only.
@@ -60,16 +63,27 @@ def command(**flags: Any) -> int:
     if are_recordings(flags["paths"]):
         return compare_recordings(flags)
     from tissueid.contrast.document import contrast_document
+    from tissueid.measured.comparison import measured_pairs
     from tissueid.store.files import plain_json
     from tissueid.store.schema import check
 
-    tissues = [tissue for path in flags["paths"] for tissue in _tissues(Path(path), flags["interval"])]
-    if len(tissues) < 2:
+    both = [tissue for path in flags["paths"] for tissue in _tissues(Path(path), flags["interval"])]
+    if len(both) < 2:
         msg = "one tissue is nothing to compare: name a second bundle or output folder"
         raise UsageError(msg)
-    with progress_bar(show=not flags["quiet"]) as progress:
-        found = contrast_document(_apart(tissues), clamp_N=flags["clamp"], progress=progress)
-    document: dict[str, Any] = plain_json(found)
+    tissues = _apart([tissue for tissue, _ in both])
+    measured = measured_pairs(
+        [(tissue.name, rows) for tissue, (_, rows) in zip(tissues, both, strict=True) if rows]
+    )
+    try:
+        with progress_bar(show=not flags["quiet"]) as progress:
+            found = contrast_document(tissues, clamp_N=flags["clamp"], progress=progress)
+    except UsageError:
+        # models that share no speed can't be compared; what was measured at any time may
+        if not flags["as_json"] and not flags["quiet"]:
+            _print_measured(measured)
+        raise
+    document: dict[str, Any] = plain_json(found) | ({"measured": measured} if measured else {})
     check(document, "contrast", where="contrast.json")
     if flags["output"] is not None:
         _write(document, Path(flags["output"]), quiet=flags["quiet"])
@@ -100,23 +114,31 @@ def _write(document: dict[str, Any], target: Path, *, quiet: int) -> None:
     note(f"wrote {target.with_suffix('.json')} and {target.with_suffix('.html')}", quiet=quiet)
 
 
-def _tissues(path: Path, interval: str) -> list[Compared]:
-    """The tissue of a bundle, or those of a folder."""
+def _tissues(path: Path, interval: str) -> list[tuple[Compared, list[SpreadRow]]]:
+    """The tissue of a bundle, or those of a folder with what was measured of them."""
     from tissueid.store.bundle import load_bundle
 
     if path.is_file():
         if interval == "total":
             msg = f"{path}: a bundle holds no draws with the machine's calibration; name the output folder"
             raise UsageError(msg)
-        return [_compared(load_bundle(path), None)]
+        return [(_compared(load_bundle(path), None), [])]
+    from tissueid.measures import SpreadRow
     from tissueid.store.names import bundle_names
     from tissueid.store.results import read_results
 
     document, _, posteriors = read_results(str(path))
     stored = {one.specimen: one for one in posteriors}
+    rows = {
+        one["specimen"]: [SpreadRow.of_json(row) for row in one.get("measured", ())]
+        for one in document["specimens"]
+    }
     names = bundle_names(one["specimen"] for one in document["specimens"])
     return [
-        _compared(load_bundle(path / file), stored.get(name) if interval == "total" else None, interval)
+        (
+            _compared(load_bundle(path / file), stored.get(name) if interval == "total" else None, interval),
+            rows[name],
+        )
         for name, file in names.items()
     ]
 
@@ -155,7 +177,17 @@ def _apart(tissues: list[Compared]) -> list[Compared]:
     return named
 
 
+def _print_measured(pairs: Sequence[Mapping[str, Any]]) -> None:
+    from tissueid.cli.compare_measured import measured_pair_lines
+
+    for pair in pairs:
+        for line in measured_pair_lines(pair):
+            echo(line)
+        echo()
+
+
 def _print(document: dict[str, Any]) -> None:
+    _print_measured(document.get("measured", ()))
     common = document["common"]
     slow, fast = common["speeds_mm_s"]
     echo(f"compared to {common['depth_mm']:.3g} mm, {slow:.3g} to {fast:.3g} mm/s")

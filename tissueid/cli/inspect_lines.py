@@ -80,8 +80,9 @@ def recording_lines(one: Mapping[str, Any], name: str, *, alone: bool = True) ->
         word = f"excluded ({one['excluded']})"
     elif verdict["reason"] is not None and (alone or verdict["level"] != "good"):
         word += f": {verdict['reason']}"
-    counted = f"{flags} flag{'s' * (flags > 1)}" if flags and alone else ""
-    return _broken([part for part in (name, _numbers(one), word, counted) if part])
+    if flags and alone:
+        word += f"  {flags} flag{'s' * (flags > 1)}"
+    return _broken([name, _numbers(one), word])
 
 
 def _broken(parts: Sequence[str]) -> list[str]:
