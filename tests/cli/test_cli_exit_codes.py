@@ -196,12 +196,12 @@ def test_precedence_of_codes_is_that_of_the_table() -> None:
 
 
 def test_an_internal_error_is_1_in_one_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    import tissueid.inspection
+    import tissueid.study.inspected
 
     def broken(*args: object, **kwargs: object) -> None:
         raise ZeroDivisionError("for the test")
 
-    monkeypatch.setattr(tissueid.inspection, "describe_segmented", broken)
+    monkeypatch.setattr(tissueid.study.inspected, "describe_segmented", broken)
     ended: Ended = run("inspect", write_log(tmp_path / "log.csv"))
     assert ended.code == 1
     assert ended.stderr.startswith("tissueid: internal error (ZeroDivisionError: for the test)")
@@ -226,14 +226,14 @@ def test_a_full_disk_is_6_and_no_bug(monkeypatch: pytest.MonkeyPatch, tmp_path: 
 def test_an_interrupt_is_130_also_where_a_compiled_kernel_wraps_it(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, wrapped: bool
 ) -> None:
-    import tissueid.inspection
+    import tissueid.study.inspected
 
     def interrupted(*args: object, **kwargs: object) -> None:
         if wrapped:
             raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(tissueid.inspection, "describe_segmented", interrupted)
+    monkeypatch.setattr(tissueid.study.inspected, "describe_segmented", interrupted)
     ended = run("inspect", write_log(tmp_path / "log.csv"))
     assert (ended.code, ended.stdout) == (130, "")
     assert ended.stderr.strip() == "tissueid: interrupted; what was finished is kept"

@@ -375,7 +375,7 @@ def test_a_session_that_was_killed_leaves_whole_records_that_can_be_read(
     process.kill()
     process.communicate()
     assert read_session_log(part).summary is None
-    ended = run("inspect", part)
+    ended = run("inspect", part, "-v")
     assert ended.code in {0, 7}, ended.stderr
     assert "session-log" in ended.stdout
 

@@ -68,7 +68,7 @@ def test_a_test_after_cycles_gives_back_the_tissue() -> None:
     ]
     assert len(said) == 1
     assert "3 cycles before the test" in said[0]
-    assert "runs through them" in said[0]
+    assert "state is carried on" in said[0]
 
 
 @pytest.mark.needs_jit
