@@ -104,12 +104,12 @@ class CorrectedInspection:
         if value is None:
             _refuse_hand(study, str(key), known)
         drawn = inspection.remade(_read(known, self._reading, study), study)
-        self._write(content)
+        self._store(content)
         inspection.put(place, drawn, study)
         self._seen = content
         return _said(correction)
 
-    def _write(self, content: bytes) -> None:
+    def _store(self, content: bytes) -> None:
         try:
             write_file(self.manifest, content)
         except OSError as error:
