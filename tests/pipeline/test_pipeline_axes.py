@@ -46,10 +46,10 @@ def test_units_of_a_normalised_specimen_follow_to_json_report_and_bundle(tmp_pat
     assert np.array_equal(found.specimens[0].theta, plain.specimens[0].theta)
     assert found.specimens[0].parameter("viscosity_N_s_per_mm").value == pytest.approx(2.5, rel=0.02)
     page = render_report(document, [])
-    sentence = page.split('class="sentence">')[1].split("</p>")[0]
-    assert "MPa" in sentence
-    assert "N/mm" not in sentence
-    assert " mm" not in sentence
+    block = page.split(">Contact model")[1].split("</table>")[0]
+    assert "MPa" in block
+    assert "N/mm" not in block
+    assert " mm" not in block
     path = tmp_path / "bundle.h5"
     write_bundle(bundle_from_fit(found.specimens[0], provenance=document["provenance"]), path)
     bundle = load_bundle(path)
