@@ -128,7 +128,7 @@ def test_the_block_and_the_workbook_have_the_same_numbers() -> None:
     assert raw is not None
     assert base64.b64decode(raw[1]) == report_workbook(document)
     book = openpyxl.load_workbook(io.BytesIO(report_workbook(document)))
-    assert book.sheetnames == ["Parameters", "Measured", "Measured logs", "Logs"]
+    assert book.sheetnames == ["Parameters", "Measured", "Measured logs", "Logs", "Quoted"]
     head, *rows = book["Measured"].values
     force = next(row for row in rows if row[head.index("quantity")] == "F(1 s)")
     assert force[head.index("mean")] == pytest.approx(8.0)
