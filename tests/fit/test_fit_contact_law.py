@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -59,6 +61,19 @@ def test_noise_free_recordings_give_the_truth():
     # the segmenter places the contact within a sample; offsets are fitted
     for one in found.parameters:
         assert one.value == pytest.approx(TRUTH[one.name], rel=2e-3)
+
+
+@pytest.mark.needs_jit
+def test_rounding_of_the_records_begins_no_second_contact_in_a_hold():
+    rng = np.random.default_rng(3)
+    for trial in recorded(RETURNED, sigma_N=0.0):
+        found = segment(trial)
+        exact = contact_log(trial, found)
+        for _ in range(10):
+            rounded = trial.displacement_mm * (1.0 + 1e-14 * rng.standard_normal(trial.time_s.size))
+            log = contact_log(replace(trial, displacement_mm=rounded), found)
+            # a hold has no speed, whatever the sign of its rounding
+            np.testing.assert_allclose(log.ratio, exact.ratio, atol=1e-9)
 
 
 @pytest.mark.needs_jit

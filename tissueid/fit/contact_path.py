@@ -69,14 +69,18 @@ def contact_log(trial: Trial, segmentation: Segmentation) -> ContactLog | None:
     depth, force = contact_frame(trial, segmentation)
     speed = _speeds(trial.time_s, depth, segmentation)
     reach = np.arange(depth.size) < usable_until(segmentation, depth.size)
-    touching = (depth > 0.0) & reach & np.isfinite(speed)
+    touching = (depth > 0.0) & reach
     begins = np.flatnonzero(touching & ~np.concatenate([[False], touching[:-1]]))
-    begins = begins[speed[begins] > 0.0]
+    # a corner leaves samples without a speed inside a contact, which begins no other one
+    measured = np.flatnonzero(np.isfinite(speed))
+    begins = begins[begins <= measured[-1]] if measured.size else begins[:0]
+    at_begin = speed[measured[np.searchsorted(measured, begins)]]
+    begins, at_begin = begins[at_begin > 0.0], at_begin[at_begin > 0.0]
     if not begins.size:
         return None
     contacts = np.searchsorted(begins, np.arange(depth.size), side="right") - 1
-    at_contact = speed[begins][np.maximum(contacts, 0)]
-    kept = touching & (contacts >= 0)
+    at_contact = at_begin[np.maximum(contacts, 0)]
+    kept = touching & np.isfinite(speed) & (contacts >= 0)
     if int(kept.sum()) < MIN_SAMPLES:
         return None
     # in air the record says what the load cell reads there, and where the contact is not
@@ -90,7 +94,7 @@ def contact_log(trial: Trial, segmentation: Segmentation) -> ContactLog | None:
         force_N=force[kept],
         ratio=np.clip(speed / at_contact, -1.0, 1.0)[kept],
         breaks=np.concatenate([[True], np.diff(rows) > 1]),
-        speed_mm_s=float(speed[begins[0]]),
+        speed_mm_s=float(at_begin[0]),
     )
 
 
