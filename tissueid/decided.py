@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+from tissueid.errors import UsageError
 from tissueid.flags import Flag
 from tissueid.ingest.cell_range import below_cell_range
 from tissueid.manifest import Decision, Study
@@ -38,14 +39,28 @@ def arithmetic_refusal(path: str, sheet: str | None, done: str, error: Exception
 
 
 def decided_options(options: SegmentOptions, decision: Decision) -> SegmentOptions:
-    """The run's options with what the study decides for this trial."""
+    """The run's options with what the study decides for this trial.
+
+    Raises
+    ------
+    UsageError
+        Both together leave no window of time.
+    """
     said: dict[str, Any] = {
         name: decision.override[key] for key, name in _SEGMENT_KEYS.items() if key in decision.override
     }
     for key, name in _SIGN_KEYS.items():
         if key in decision.override:
             said[name] = _SIGNS[decision.override[key]]
-    return replace(options, **said)
+    try:
+        return replace(options, **said)
+    except ValueError as error:
+        because = decision.override.get("because", "")
+        msg = (
+            f"the study file and the command line contradict each other: {error} (in the study because: "
+            f"{because}); leave the option out, or --no-study"
+        )
+        raise UsageError(msg) from error
 
 
 def decided_trial(trial: Trial, decision: Decision, study: Study) -> Trial:

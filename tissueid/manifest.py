@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -226,6 +227,28 @@ class Study(Shown):
     def real_path(path: str) -> str:
         """The path that :attr:`Entry.files` would hold."""
         return os.path.realpath(path)
+
+    def of_sheets(self, picked: Mapping[str, AbstractSet[str]]) -> Study:
+        """Drop tables that speak of other sheets than those picked.
+
+        Parameters
+        ----------
+        picked : mapping
+            Real path of a file -> names of the sheets that are read of it.
+        """
+
+        def asked(entry: Entry) -> bool:
+            one = entry.sheet
+            return (
+                one is None or not entry.files or any(one in picked.get(name, {one}) for name in entry.files)
+            )
+
+        return replace(
+            self,
+            trials=tuple(filter(asked, self.trials)),
+            overrides=tuple(filter(asked, self.overrides)),
+            exclusions=tuple(filter(asked, self.exclusions)),
+        )
 
     def decision(self, path: str, sheet: str | None) -> Decision:
         """What the study says of one recording.

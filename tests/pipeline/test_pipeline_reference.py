@@ -21,7 +21,8 @@ def test_committed_sets_give_the_committed_identification(datasets: Path) -> Non
         assert fit.model.as_json() == reference["model"]
         for estimate, then in zip(fit.parameters, reference["parameters"], strict=True):
             assert (estimate.name, estimate.identified) == (then["name"], then["identified"])
-            # optimisers stop at 1e-8 of a standard error; processors differ in the last digits
-            tolerance = 1e-4 * then["detail"]["estimate_stderr"]
+            # data changed by 1e-15 of themselves move the estimates by 2e-4 of a standard error: the noise of
+            # residuals is found in rounds, and processors differ in the last digits
+            tolerance = 1e-3 * then["detail"]["estimate_stderr"]
             assert estimate.detail["estimate"] == pytest.approx(then["detail"]["estimate"], abs=tolerance)
         assert fit.nrmsd.range == pytest.approx(reference["nrmsd"]["range"], rel=1e-6)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -130,21 +131,62 @@ def test_names_in_vain_are_refused_with_their_line_and_the_rest_goes_on(tmp_path
     assert "gone.csv" in refusal["error"]["message"]
 
 
-def test_a_sheet_that_is_not_there_is_named_with_those_that_are(tmp_path: Path) -> None:
+def workbook(path: Path, *names: str) -> None:
+    """A sheet of the same recording under each name."""
     openpyxl = pytest.importorskip("openpyxl")
-    folder = lab(tmp_path / "lab", "[[exclude]]\nfile = 'w.xlsx'\nsheet = 'S9'\nbecause = 'x'\n")
     book = openpyxl.Workbook()
     book.remove(book.active)
-    for name in ("S1", "S2"):
+    for name in names:
         sheet = book.create_sheet(name)
         for i, line in enumerate(recording().splitlines()):
             sheet.append([cell if i < 2 else float(cell) for cell in line.split(",")])
-    book.save(folder / "w.xlsx")
+    book.save(path)
+
+
+def test_a_sheet_that_is_not_there_is_named_with_those_that_are(tmp_path: Path) -> None:
+    folder = lab(tmp_path / "lab", "[[exclude]]\nfile = 'w.xlsx'\nsheet = 'S9'\nbecause = 'x'\n")
+    workbook(folder / "w.xlsx", "S1", "S2")
     code, document = fit(folder, out=tmp_path / "out")
     assert code == 7
     (refusal,) = document["refused"]
     assert '"S9"' in refusal["error"]["message"]
     assert '"S1", "S2"' in refusal["error"]["message"]
+
+
+def test_a_recording_named_alone_follows_the_study_beside_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said = "[[override]]\nfile = 'a1.csv'\ncontact_mm = 0.25\nbecause = 'x'\n"
+    folder = lab(tmp_path / "lab", GROUPED + said, a1=1.0)
+    for options, specimen_name, followed in (
+        ((), "kidney", True),
+        (("--no-study",), str(folder / "a1.csv"), False),
+    ):
+        assert main(["inspect", str(folder / "a1.csv"), "--json", *options]) == 0
+        (one,) = json.loads(capsys.readouterr().out)
+        assert one["specimen"] == specimen_name
+        assert (one["contact"]["displacement_mm"] == 0.25) == followed
+
+
+def test_a_window_that_study_and_command_line_leave_empty_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said = "[[override]]\nfile = 'a1.csv'\nhold_from_s = 2.0\nbecause = 'moved'\n"
+    folder = lab(tmp_path / "lab", GROUPED + said, a1=1.0)
+    assert main(["inspect", str(folder / "a1.csv"), "--hold-to", "1.5"]) == 2
+    told = " ".join(capsys.readouterr().err.split())
+    assert "hold_from_s is 2.0 and end_s 1.5" in told
+    assert "moved" in told
+
+
+def test_a_sheet_picked_by_name_needs_no_other_that_the_study_names(tmp_path: Path) -> None:
+    said = [f"[[trial]]\nfile = 'w.xlsx'\nsheet = '{name}'\nspecimen = 'cut'\n" for name in ("S1", "S2")]
+    folder = lab(tmp_path / "lab", "".join(said))
+    workbook(folder / "w.xlsx", "S1", "S2")
+    code, document = fit(f"{folder / 'w.xlsx'}::S1", out=tmp_path / "out")
+    assert code in (0, 4)
+    assert not document["refused"]
+    assert [one["specimen"] for one in document["specimens"]] == ["cut"]
 
 
 def test_columns_and_units_of_one_file_are_those_the_study_decides(tmp_path: Path) -> None:

@@ -30,7 +30,6 @@ __all__ = [
     "READING",
     "PatternCheck",
     "inputs_in_order",
-    "picked_sheet",
     "read_all",
     "read_in_order",
     "read_options",
@@ -244,6 +243,7 @@ def inputs_in_order(paths: tuple[str, ...], study: Study | None = None) -> FileL
     """
     from tissueid.ingest.manifest import unmatched_files
     from tissueid.study.file_list import FileList
+    from tissueid.study.recordings import picked_sheet
 
     found = FileList([] if study is None else dict.fromkeys(unmatched_files(study)))
     seen: set[tuple[str, str | None] | Refusal] = set()
@@ -270,12 +270,6 @@ def _each_or_refusal(name: str, sheet: str | None) -> Iterator[Named | Refusal]:
     except InputError as error:
         # a folder without recordings does not stop the others
         yield _refusal(error)
-
-
-def picked_sheet(path: str) -> tuple[str, str | None]:
-    """A path as the user typed it, parted where it names a sheet: ``"meat.xlsx::FF1A"``."""
-    name, mark, sheet = path.partition("::")
-    return (name, sheet) if mark and not os.path.lexists(path) else (path, None)
 
 
 def _read(found: FileList, options: ReadOptions, study: Study | None) -> Iterator[Trial | Refusal]:

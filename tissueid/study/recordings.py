@@ -1,7 +1,8 @@
 """Which recordings belong to a study, and how each is read.
 
-A folder that holds ``study.toml`` is read with it.  The files that the manifest names come first, in its
-order; recordings beside them are read as well, unless the study says ``only_listed = true``.
+A folder that holds ``study.toml`` is read with it, and so is a file of that folder.  The files that the
+manifest names come first, in its order; recordings beside them are read as well, unless the study says
+``only_listed = true``.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from tissueid.ingest.manifest import MANIFEST, read_study
 from tissueid.manifest import Study
 from tissueid.trial import Trial
 
-__all__ = ["listed_files", "locate_study", "options_for", "read_decided", "read_decided_one"]
+__all__ = ["listed_files", "locate_study", "options_for", "picked_sheet", "read_decided", "read_decided_one"]
 
 _READING = ("columns", "units", "axes")
 
@@ -58,8 +59,8 @@ def locate_study(
         return None, tuple(paths)
     found = {named: named} if named else {}
     for path in paths:
-        file = path if path in manifests else os.path.join(path, MANIFEST)  # noqa: PTH118 -- kept as typed
-        if (path in manifests or Path(path).is_dir()) and (path in manifests or Path(file).is_file()):
+        file = path if path in manifests else _manifest_beside(path)
+        if path in manifests or Path(file).is_file():
             found.setdefault(os.path.realpath(file), file)
     if named and len({os.path.realpath(file) for file in found.values()}) == 1:
         found = {named: named}
@@ -71,8 +72,33 @@ def locate_study(
         raise UsageError(msg)
     if not found:
         return None, tuple(paths)
-    study = read_study(named or next(iter(found.values())))
+    study = read_study(named or next(iter(found.values()))).of_sheets(_picked(paths))
     return study, _to_read(study, [path for path in paths if path not in manifests], bool(manifests))
+
+
+def picked_sheet(path: str) -> tuple[str, str | None]:
+    """A path as the user typed it, parted where it names a sheet: ``"meat.xlsx::FF1A"``."""
+    name, mark, sheet = path.partition("::")
+    return (name, sheet) if mark and not os.path.lexists(path) else (path, None)
+
+
+def _picked(paths: Sequence[str]) -> dict[str, set[str]]:
+    """Sheets that are read of the files that are not read whole."""
+    if any(path.casefold().endswith(".toml") or Path(path).is_dir() for path in paths):
+        return {}
+    whole = {os.path.realpath(path) for path in paths if picked_sheet(path)[1] is None}
+    picked: dict[str, set[str]] = {}
+    for name, sheet in map(picked_sheet, paths):
+        if sheet is not None and os.path.realpath(name) not in whole:
+            picked.setdefault(os.path.realpath(name), set()).add(sheet)
+    return picked
+
+
+def _manifest_beside(path: str) -> str:
+    """The manifest that a folder holds, or the folder of a recording or of a sheet of it."""
+    name = picked_sheet(path)[0]
+    folder = name if Path(name).is_dir() else os.path.dirname(name)  # noqa: PTH120 -- kept as typed
+    return os.path.join(folder, MANIFEST)  # noqa: PTH118 -- kept as typed
 
 
 def _to_read(study: Study, paths: Sequence[str], manifest_named: bool) -> tuple[str, ...]:
