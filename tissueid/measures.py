@@ -360,6 +360,8 @@ class SpreadRow:
     Attributes
     ----------
     name, unit : str
+    program : int
+        1 for the first: logs of one speed and depth, those with holds first and the deepest of them first.
     hold : int
         1 for the first hold of each log; 0 for what is not of a hold.
     time_s : float or None
@@ -369,7 +371,7 @@ class SpreadRow:
     count : int
         Logs that have the number.
     mean : float or None
-        ``None`` where logs of several programs may not be pooled.
+        ``None`` where logs of several ramps may not be pooled.
     sd : float or None
         Between logs; ``None`` for fewer than two.
     reason : str
@@ -377,6 +379,7 @@ class SpreadRow:
 
     name: str
     unit: str
+    program: int
     hold: int
     time_s: float | None
     ramp_time_s: tuple[float, float] | None
@@ -397,6 +400,7 @@ class SpreadRow:
         return {
             "name": self.name,
             "unit": self.unit,
+            "program": self.program,
             "hold": self.hold,
             "time_s": self.time_s,
             "ramp_time_s": None if self.ramp_time_s is None else list(self.ramp_time_s),

@@ -206,8 +206,8 @@ def test_loops_and_quoted_numbers_have_tables_of_their_own() -> None:
     )
     assert row["reason"] == "the hold lasts 5 s"
     given["specimens"][0]["measured"] = [
-        {"name": "force", "unit": "N", "hold": 1, "time_s": 10.0, "ramp_time_s": [2.0, 2.1], "count": 3,
-         "mean": 4.5, "sd": 0.25, "reason": None}
+        {"name": "force", "unit": "N", "program": 1, "hold": 1, "time_s": 10.0, "ramp_time_s": [2.0, 2.1],
+         "count": 3, "mean": 4.5, "sd": 0.25, "reason": None}
     ]  # fmt: skip
     row = table("quantities", given)[-1]
     assert [row[key] for key in ("kind", "name", "time_s", "hold", "value", "sd", "logs", "stderr")] == [

@@ -10,7 +10,9 @@ from pushed import pushed
 
 from tissueid.flags import Flag
 from tissueid.measured import measure, spread
+from tissueid.measured.comparison import measured_pairs
 from tissueid.measured.geometry import Geometry, TipOf
+from tissueid.measured.programs import programs
 from tissueid.measured.relaxation import relaxation_rows
 from tissueid.measured.spread import ramp_reason
 from tissueid.measured.verdict import verdict_of
@@ -150,14 +152,39 @@ def test_a_hold_that_a_rupture_cut_is_kept_and_marked():
     assert hold.at(1.0) is not None
 
 
-def test_no_program_is_compared_with_another_before_ten_ramp_times():
+def test_logs_of_several_programs_are_not_pooled():
     quick, slow = (measure(*recording(stretch=stretch)) for stretch in (0.5, 4.0))
-    rows = {(row.name, row.time_s): row for row in spread([quick, slow])}
-    refused = rows["force_over_peak", 1.0]
-    assert refused.mean is None
-    assert "depends on the ramp, and there are ramps of 1.1 to 8.8 s" in refused.reason
-    assert rows["force", 1.0].mean is None
-    assert rows["depth", None].mean == pytest.approx(4.0)
+    rows = spread([quick, slow, quick])
+    speeds = {row.program: (row.mean, row.count) for row in rows if row.name == "speed"}
+    (slower, once), (faster, twice) = sorted(speeds.values())
+    assert faster == pytest.approx(8.0 * slower)
+    assert (once, twice) == (1, 2)
+    assert {row.count for row in rows if row.name == "force_over_peak"} == {1, 2}
+    assert not any(row.reason for row in rows)
+
+
+def test_a_program_is_a_speed_and_depths_that_contact_makes_differ():
+    made = [(4.0, 8.0), (0.5, 8.0), (4.1, 7.0), (4.0, 2.0), (4.0, 2.1)]
+    assert sorted(sorted(one) for one in programs(made)) == [[0, 2], [1], [3, 4]]
+
+
+def test_programs_of_two_sides_are_paired_where_they_ran_alike():
+    quick, slow = (measure(*recording(stretch=stretch)) for stretch in (0.5, 4.0))
+    both, one = spread([quick, slow]), spread([slow])
+    (pair,) = measured_pairs([("both", both), ("one", one)])
+    (peak,) = [row for row in pair["numbers"] if row["name"] == "peak"]
+    assert peak["ratio"] == pytest.approx(1.0)
+    # one program each: what knows the ramp is refused with the reason
+    (pair,) = measured_pairs([("quick", spread([quick])), ("slow", one)])
+    rows = {(row["name"], row["time_s"]): row for row in pair["numbers"]}
+    assert (
+        "depends on the ramp, and there are ramps of 1.1 to 8.8 s" in rows["force_over_peak", 1.0]["reason"]
+    )
+    assert rows["force", 1.0]["ratio"] is None
+
+
+def test_ramps_are_told_apart_before_ten_ramp_times():
+    quick = measure(*recording(stretch=0.5))
     # one program pools
     same = {(row.name, row.time_s): row for row in spread([quick, quick])}
     assert same["force_over_peak", 1.0].sd == pytest.approx(0.0)

@@ -15,7 +15,7 @@ from fit_factory import STATIC, STIFFNESS, TAU_S, identification, specimen_fit
 from posterior_factory import sampled
 
 from tissueid.report import render_report
-from tissueid.report.groups import loading_force, programmes
+from tissueid.report.groups import loading_force
 from tissueid.report.law_payload import law_payload
 from tissueid.report.speeds import speed_groups
 from tissueid.result import Curve, SpecimenFit
@@ -273,12 +273,6 @@ def test_of_many_trials_the_picture_of_the_result_shows_one_a_speed(browser: Any
 def shown_by_depth(tab: Any) -> list[dict[str, Any]]:
     traces = read_back(tab, "main")["traces"]
     return [one for one in traces if one["name"] == "recorded" and one["axis"] == "x3"]
-
-
-def test_a_programme_is_a_speed_and_depths_that_contact_makes_differ() -> None:
-    made = [(4.0, 8.0), (0.5, 8.0), (4.1, 7.0), (4.0, 2.0), (4.0, 2.1)]
-    trials = [{"speed_mm_s": speed, "depth_mm": depth} for speed, depth in made]
-    assert sorted(sorted(one) for one in programmes(trials)) == [[0, 2], [1], [3, 4]]
 
 
 def test_means_of_bins_are_those_of_the_straight_lines_between_samples() -> None:

@@ -108,7 +108,8 @@ def measured_pair_lines(pair: Mapping[str, Any]) -> list[str]:
 def _name(row: Mapping[str, Any]) -> str:
     time = "" if row["time_s"] is None else f" at {row['time_s']:g} s"
     unit = "" if row["unit"] == "1" else f" [{row['unit']}]"
-    number = f", hold {row['hold']}" if row["hold"] > 1 else ""
+    number = f", program {row['program']}" if row["program"] > 1 else ""
+    number += f", hold {row['hold']}" if row["hold"] > 1 else ""
     return f"{row['name'].replace('_', ' ')}{time}{number}{unit}"
 
 

@@ -11,6 +11,9 @@ __all__ = ["measured_lines"]
 
 Row = Mapping[str, Any]
 
+#: Programs and holds that get lines of their own.
+MOST_PLACES = 2
+
 #: Names of forces in a hold, as they are written.
 _FORCES = {
     "force": "F({t:g} s)",
@@ -29,10 +32,18 @@ def measured_lines(rows: Sequence[Row]) -> list[str]:
         ``specimens[].measured`` of identification.json.
     """
     lines: list[str] = []
-    holds = sorted({row["hold"] for row in rows if row["name"] != "loop_area"})
-    for number in holds:
-        own = [row for row in rows if row["hold"] == number and row["name"] != "loop_area"]
-        lines += _of_hold(own, f" {number}" if len(holds) > 1 else "")
+    found = {(row["program"], row["hold"]) for row in rows if row["name"] != "loop_area"}
+    places = sorted(found, key=lambda place: (place[0], place[1] == 0, place[1]))
+    several = len({program for program, _ in places}) > 1
+    for program, hold in places[:MOST_PLACES]:
+        own = [row for row in rows if (row["program"], row["hold"]) == (program, hold)]
+        held = len({number for known, number in places if known == program and number}) > 1
+        words = [f"program {program}"] * several + [f"hold {hold}"] * (held and hold > 0)
+        lines += _of_hold(
+            [row for row in own if row["name"] != "loop_area"], " " * bool(words) + ", ".join(words)
+        )
+    if len(places) > MOST_PLACES:
+        lines.append(f"{len(places) - MOST_PLACES} more programs and holds stand in the report")
     areas = [row for row in rows if row["name"] == "loop_area" and row["mean"] is not None]
     if areas:
         lines.append(f"loop area {_said(areas[-1])}")

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from itertools import combinations
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import combinations, product
 from typing import Any
 
+from tissueid.measured.programs import programs
 from tissueid.measured.spread import ramp_reason
 from tissueid.measures import SpreadRow
 
@@ -41,9 +42,37 @@ def _key(row: SpreadRow) -> tuple[str, int, float | None]:
 
 
 def _numbers(one: Sequence[SpreadRow], other: Sequence[SpreadRow]) -> list[dict[str, Any]]:
-    found = {_key(row): row for row in other}
-    depths = [{row.hold: row.mean for row in rows if row.name == "depth"} for rows in (one, other)]
-    return [_number(row, found[_key(row)], depths) for row in one if _key(row) in found]
+    rows = []
+    for own, its in _matched(_by_program(one), _by_program(other)):
+        found = {_key(row): row for row in its}
+        depths = [{row.hold: row.mean for row in every if row.name == "depth"} for every in (own, its)]
+        rows += [_number(row, found[_key(row)], depths) for row in own if _key(row) in found]
+    return rows
+
+
+def _by_program(rows: Sequence[SpreadRow]) -> list[list[SpreadRow]]:
+    numbers = dict.fromkeys(row.program for row in rows)
+    return [[row for row in rows if row.program == number] for number in numbers]
+
+
+def _matched(
+    one: Sequence[list[SpreadRow]], other: Sequence[list[SpreadRow]]
+) -> Iterator[tuple[list[SpreadRow], list[SpreadRow]]]:
+    """Programs of both sides that ran alike; where each side has one, these, whatever they are."""
+    if len(one) == len(other) == 1:
+        yield one[0], other[0]
+        return
+    for own, its in product(one, other):
+        pushes = [_push(own), _push(its)]
+        if None not in pushes and len(programs([push for push in pushes if push is not None])) == 1:
+            yield own, its
+
+
+def _push(rows: Sequence[SpreadRow]) -> tuple[float, float] | None:
+    """Mean speed and depth of a program."""
+    means = {row.name: row.mean for row in rows if row.hold <= 1 and row.mean is not None}
+    depth = means.get("depth", means.get("travel"))
+    return None if depth is None or "speed" not in means else (means["speed"], depth)
 
 
 def _number(one: SpreadRow, other: SpreadRow, depths: Sequence[Mapping[int, float | None]]) -> dict[str, Any]:
@@ -54,6 +83,7 @@ def _number(one: SpreadRow, other: SpreadRow, depths: Sequence[Mapping[int, floa
     return {
         "name": one.name,
         "unit": one.unit,
+        "program": one.program,
         "hold": one.hold,
         "time_s": one.time_s,
         "one": _side(one),

@@ -1,7 +1,7 @@
 """Mean and spread of what was measured, over the logs of a specimen.
 
-Forces that still know the ramp are pooled within one program only: logs whose ramp times differ by more than
-a factor of two follow different ones.
+Numbers are pooled within one program only (:mod:`tissueid.measured.programs`), and forces that still know
+the ramp only where ramp times differ by no more than a factor of two.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from tissueid.measured.measuring import REFERENCE_S, TIMES_S
+from tissueid.measured.programs import programs
 from tissueid.measures import (
     RAMP_TIMES,
     Measured,
@@ -72,7 +73,7 @@ def _hold_numbers() -> Iterator[tuple[str, str, float, Callable[[MeasuredForce],
 
 
 def spread(logs: Sequence[Measured]) -> tuple[SpreadRow, ...]:
-    """Mean and standard deviation between logs of every measured number.
+    """Mean and standard deviation between the logs of each program of every measured number.
 
     Parameters
     ----------
@@ -82,44 +83,65 @@ def spread(logs: Sequence[Measured]) -> tuple[SpreadRow, ...]:
     Returns
     -------
     tuple of SpreadRow
-        The first hold of each log, then the second, and so on; logs without a hold give their push.
+        Program after program; in each the first hold of each log, then the second, and so on; logs without a
+        hold give their push.
     """
     rows: list[SpreadRow] = []
-    pushes = [log.push for log in logs if log.push is not None and not log.holds]
-    rows += _of_pushes(0, pushes)
-    for number in range(max((len(log.holds) for log in logs), default=0)):
-        holds = [log.holds[number] for log in logs if len(log.holds) > number]
-        held = [hold.push for hold in holds if hold.push is not None]
-        rows += _of_pushes(number + 1, held)
-        rows += _of_holds(number + 1, holds, [push.ramp_time_s for push in held])
-    for number in range(max((len(log.loops) for log in logs), default=0)):
-        loops = [log.loops[number].area_mJ for log in logs if len(log.loops) > number]
-        rows.append(_row("loop_area", "mJ", number + 1, None, loops, ()))
+    for program, members in enumerate(_programs(logs), 1):
+        pushes = [log.push for log in members if log.push is not None and not log.holds]
+        rows += _of_pushes((program, 0), pushes)
+        for number in range(max((len(log.holds) for log in members), default=0)):
+            holds = [log.holds[number] for log in members if len(log.holds) > number]
+            held = [hold.push for hold in holds if hold.push is not None]
+            place = (program, number + 1)
+            rows += _of_pushes(place, held)
+            rows += _of_holds(place, holds, [push.ramp_time_s for push in held])
+        for number in range(max((len(log.loops) for log in members), default=0)):
+            loops = [log.loops[number].area_mJ for log in members if len(log.loops) > number]
+            rows.append(_row("loop_area", "mJ", (program, number + 1), None, loops, ()))
     return tuple(row for row in rows if row.count)
 
 
-def _of_pushes(number: int, pushes: Sequence[MeasuredPush]) -> Iterator[SpreadRow]:
+def _programs(logs: Sequence[Measured]) -> list[list[Measured]]:
+    """Logs of each program: those with holds first, the deepest of them first; logs without a push last."""
+    pushed = [(log, log.push) for log in logs if log.push is not None]
+    found = [
+        [pushed[i] for i in members]
+        for members in programs([(push.speed_mm_s, _depth(push)) for _, push in pushed])
+    ]
+    found.sort(key=lambda own: (any(log.holds for log, _ in own), _depth(own[0][1])), reverse=True)
+    rest = [log for log in logs if log.push is None]
+    return [[log for log, _ in own] for own in found] + ([rest] if rest else [])
+
+
+def _depth(push: MeasuredPush) -> float:
+    return push.travel_mm if push.depth_mm is None else push.depth_mm
+
+
+def _of_pushes(place: tuple[int, int], pushes: Sequence[MeasuredPush]) -> Iterator[SpreadRow]:
     times = [push.ramp_time_s for push in pushes]
     for name, unit, value in _push_numbers():
         reason = ramp_reason(None, times) if unit in ("N", "kPa") else ""
-        yield _row(name, unit, number, None, [value(push) for push in pushes], times, reason)
+        yield _row(name, unit, place, None, [value(push) for push in pushes], times, reason)
 
 
-def _of_holds(number: int, holds: Sequence[MeasuredHold], times: Sequence[float]) -> Iterator[SpreadRow]:
+def _of_holds(
+    place: tuple[int, int], holds: Sequence[MeasuredHold], times: Sequence[float]
+) -> Iterator[SpreadRow]:
     for name, unit, time, value in _hold_numbers():
         found = [hold.at(time) for hold in holds]
         reason = ramp_reason(time, times, peak=name == "force_over_peak")
         yield _row(
-            name, unit, number, time, [None if one is None else value(one) for one in found], times, reason
+            name, unit, place, time, [None if one is None else value(one) for one in found], times, reason
         )
     singles = [None if hold.tau is None else hold.tau.single_s for hold in holds]
-    yield _row("relaxation_time", "s", number, None, singles, times, ramp_reason(None, times))
+    yield _row("relaxation_time", "s", place, None, singles, times, ramp_reason(None, times))
 
 
 def _row(
     name: str,
     unit: str,
-    number: int,
+    place: tuple[int, int],
     time_s: float | None,
     values: Sequence[float | None],
     ramp_times_s: Sequence[float],
@@ -130,7 +152,8 @@ def _row(
     return SpreadRow(
         name=name,
         unit=unit,
-        hold=number,
+        program=place[0],
+        hold=place[1],
         time_s=time_s,
         ramp_time_s=(min(ramp_times_s), max(ramp_times_s)) if ramp_times_s else None,
         count=len(known),

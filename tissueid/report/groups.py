@@ -1,4 +1,4 @@
-"""Curves of one programme together: mean and standard deviation of the force, by depth and after the stop."""
+"""Curves of one program together: mean and standard deviation of the force, by depth and after the stop."""
 
 from __future__ import annotations
 
@@ -9,19 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.digits import number
-from tissueid.report.speeds import SAME_SPEED, clusters
+from tissueid.measured.programs import programs
 from tissueid.report.tissue import brief, speed_unit
 from tissueid.result import Curve
 from tissueid.store.curves import TrialCurve
 
-__all__ = ["curve_groups", "hold_force", "loading_force", "programme_words", "programmes"]
+__all__ = ["curve_groups", "hold_force", "loading_force", "program_words"]
 
 FloatArray = NDArray[np.float64]
 #: Trials with their curves, a list a specimen.
 Trials = Sequence[Sequence[tuple[Mapping[str, Any], TrialCurve]]]
 
-#: Depths that differ by less than this factor are of one programme: contact is found anew in every log.
-SAME_PROGRAMME = 1.25
 #: The tool has stopped at the first sample with so much of the travel behind it.
 STOPPED = 0.999
 #: Bins of depth, and of time after the stop.
@@ -30,22 +28,10 @@ BINS = 60
 EARLIEST = 1e-3
 
 
-def programmes(trials: Sequence[Mapping[str, Any]]) -> list[list[int]]:
-    """Places of the trials of each programme: one loading speed, and depths that contact makes differ."""
-    found = []
-    for of_speed in clusters([float(trial["speed_mm_s"]) for trial in trials], SAME_SPEED):
-        depths = [float(trials[i]["depth_mm"]) for i in of_speed]
-        found += [[of_speed[k] for k in of_depth] for of_depth in clusters(depths, SAME_PROGRAMME)]
-    return found
-
-
-def programme_words(trials: Sequence[Mapping[str, Any]], units: Mapping[str, str]) -> str:
-    """Median speed and depth of the trials of a programme: ``4.15 mm/s to 8.01 mm``."""
-    speed, depth = (
-        float(np.median([float(trial[key]) for trial in trials])) for key in ("speed_mm_s", "depth_mm")
-    )
+def program_words(speed_mm_s: float, depth_mm: float, units: Mapping[str, str]) -> str:
+    """Speed and depth of a program: ``4.15 mm/s to 8.01 mm``."""
     length = f" {units['length']}" if units["length"] == "mm" else ""
-    return f"{number(speed, 3)} {speed_unit(units)} to {number(depth, 3)}{length}"
+    return f"{number(speed_mm_s, 3)} {speed_unit(units)} to {number(depth_mm, 3)}{length}"
 
 
 def _stop(curve: Curve) -> int:
@@ -138,7 +124,7 @@ def _group(members: Sequence[tuple[int, int]], curves: Sequence[Curve], label: s
 
 
 def curve_groups(trials: Trials, units: Mapping[str, str]) -> list[dict[str, Any]]:
-    """Curves by programme (loading speed and depth), each with mean and standard deviation.
+    """Curves by program (loading speed and depth), each with mean and standard deviation.
 
     Parameters
     ----------
@@ -162,8 +148,10 @@ def curve_groups(trials: Trials, units: Mapping[str, str]) -> list[dict[str, Any
     if len(every) < 2:
         return []
     found = []
-    for members in programmes([trial for _, trial, _ in every]):
+    pushes = [(float(trial["speed_mm_s"]), float(trial["depth_mm"])) for _, trial, _ in every]
+    for members in programs(pushes):
         own = [every[i] for i in members]
-        label = f"{programme_words([trial for _, trial, _ in own], units)}, n = {len(own)}"
+        speed, depth = (float(np.median([pushes[i][k] for i in members])) for k in (0, 1))
+        label = f"{program_words(speed, depth, units)}, n = {len(own)}"
         found.append(_group([place for place, *_ in own], [curve for *_, curve in own], label))
     return found

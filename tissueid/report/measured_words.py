@@ -1,14 +1,13 @@
-"""What was measured, no model, for the first screen: mean and spread between the logs of one programme."""
+"""What was measured, no model, for the first screen: mean and spread between the logs of one program."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from statistics import fmean, stdev
 from typing import Any
 
 from tissueid.digits import number, with_error
-from tissueid.report.groups import programme_words, programmes
+from tissueid.report.groups import program_words
 from tissueid.report.wording import unit_words
 
 __all__ = ["measured_name", "measured_view"]
@@ -30,7 +29,7 @@ _WORDS: Mapping[str, str] = {
 }
 #: What knows the ramp stands in the workbook alone.
 _ASIDE = {"force_over_peak"}
-#: Columns that are shown, of holds or of programmes.
+#: Columns that are shown, of holds or of programs.
 MOST_COLUMNS = 2
 _REFERENCE_S = 10.0
 #: A smaller standard deviation, as a share of the mean, is one of rounding.
@@ -49,7 +48,7 @@ def measured_name(row: Mapping[str, Any]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class _Column:
-    """Numbers of one hold, or of one programme: mean, spread and reason by name and time."""
+    """Numbers of one hold of a program: mean, spread and reason by name and time."""
 
     head: str
     count: int
@@ -74,64 +73,29 @@ def _ramps(rows: Iterable[Mapping[str, Any]]) -> str:
     return f"ramp {short} s" if short == long else f"ramps {short} to {long} s"
 
 
-def _of_holds(rows: Sequence[Mapping[str, Any]]) -> list[_Column]:
-    """A column for each hold of the one programme."""
-    numbers = sorted({row["hold"] for row in rows})
+def _columns(rows: Sequence[Mapping[str, Any]], units: Mapping[str, str]) -> list[_Column]:
+    """A column for each program and each of its holds."""
+    places = list(dict.fromkeys((row["program"], row["hold"]) for row in rows))
+    several = len({program for program, _ in places}) > 1
     columns = []
-    for hold in numbers:
-        own = [row for row in rows if row["hold"] == hold]
-        name = f"Hold {hold}" if len(numbers) > 1 and hold else "Value"
-        head = ", ".join(part for part in (name, _ramps(own)) if part)
+    for place in places:
+        own = [row for row in rows if (row["program"], row["hold"]) == place]
         found = {(row["name"], row["time_s"]): row for row in own}
-        columns.append(_Column(head, max(row["count"] for row in own), found))
+        count = max(row["count"] for row in own)
+        held = len({hold for program, hold in places if program == place[0] and hold}) > 1
+        name = f"Hold {place[1]}" if held and place[1] else "" if several else "Value"
+        program = _program_words(found, units, count) if several else _ramps(own)
+        head = ", ".join(part for part in (name, program) if part)
+        columns.append(_Column(head, count, found))
     return columns
 
 
-def _numbers(measured: Mapping[str, Any]) -> dict[Key, tuple[str, float | None]]:
-    """Units and values of the hold with the largest peak, or of the push where nothing was held."""
-    held = [hold for hold in measured["holds"] if hold["push"] is not None]
-    hold = max(held, key=lambda one: float(one["push"]["peak"]["force_N"]), default=None)
-    push = measured["push"] if hold is None else hold["push"]
-    if push is None:
-        return {}
-    found: dict[Key, tuple[str, float | None]] = {
-        ("peak", None): ("N", push["peak"]["force_N"]),
-        ("depth", None): ("mm", push["depth_mm"]),
-        ("speed", None): ("mm/s", push["speed_mm_s"]),
-        ("ramp_time", None): ("s", push["ramp_time_s"]),
-    }
-    for one in () if hold is None else hold["forces"]:
-        found["force", one["time_s"]] = ("N", one["after_stop_N"])
-        if one["time_s"] != _REFERENCE_S:
-            found["force_over_10s", one["time_s"]] = ("1", one["over_10s"])
-    if hold is not None and hold["tau"] is not None:
-        found["relaxation_time", None] = ("s", hold["tau"]["single_s"])
-    return found
-
-
-def _of_programmes(specimen: Mapping[str, Any], groups: Sequence[Sequence[int]]) -> list[_Column]:
-    """A column for each programme, those with holds first and the deepest of them first."""
-    columns = []
-    for members in groups:
-        trials = [specimen["trials"][i] for i in members]
-        known = [_numbers(trial["measured"]) for trial in trials if trial.get("measured") is not None]
-        found = {}
-        for key, (unit, _) in ((key, one) for log in known for key, one in log.items()):
-            values = [log[key][1] for log in known if key in log]
-            there = [value for value in values if value is not None]
-            if there:
-                sd = stdev(there) if len(there) > 1 else None
-                found[key] = {"name": key[0], "time_s": key[1], "unit": unit, "reason": None}
-                found[key] |= {"mean": fmean(there), "sd": sd}
-        head = f"{programme_words(trials, specimen['units'])}, n = {len(members)}"
-        columns.append(_Column(head, len(members), found))
-    held = ("force", 1.0)
-
-    def rank(column: _Column) -> tuple[bool, float]:
-        depth = column.found.get(("depth", None))
-        return held in column.found, 0.0 if depth is None else depth["mean"]
-
-    return sorted((one for one in columns if one.found), key=rank, reverse=True)
+def _program_words(found: Mapping[Key, Mapping[str, Any]], units: Mapping[str, str], count: int) -> str:
+    speed, depth, travel = (found.get((name, None)) for name in ("speed", "depth", "travel"))
+    depth = depth or travel
+    if speed is None or depth is None or speed["mean"] is None or depth["mean"] is None:
+        return f"n = {count}"
+    return f"{program_words(speed['mean'], depth['mean'], units)}, n = {count}"
 
 
 def measured_view(specimen: Mapping[str, Any]) -> dict[str, Any] | None:
@@ -143,10 +107,7 @@ def measured_view(specimen: Mapping[str, Any]) -> dict[str, Any] | None:
         One of ``specimens`` of identification.json.
     """
     told = [row for row in specimen.get("measured", ()) if row["name"] in _WORDS.keys() - _ASIDE]
-    if any(row["name"] == "depth" for row in told):
-        told = [row for row in told if row["name"] != "travel"]
-    groups = programmes(specimen["trials"])
-    columns = _of_holds(told) if len(groups) < 2 else _of_programmes(specimen, groups)
+    columns = _columns(told, specimen["units"])
     if not columns:
         return None
     shown, order = columns[:MOST_COLUMNS], list(_WORDS)

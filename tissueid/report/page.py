@@ -176,7 +176,7 @@ def _ends(specimen: Mapping[str, Any], entry: Mapping[str, Any]) -> dict[str, fl
 
 
 def _groups(specimens: Sequence[Mapping[str, Any]], curves: Sequence[TrialCurve]) -> list[dict[str, Any]]:
-    """Curves of all specimens by programme; none where their units differ."""
+    """Curves of all specimens by program; none where their units differ."""
     units = _common_units(specimens)
     return [] if units is None else curve_groups(curves_by_trial(specimens, curves), units)
 

@@ -11,17 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.digits import number
+from tissueid.measured.programs import SAME_SPEED, clusters
 from tissueid.report.remarks import trial_label
 from tissueid.report.tissue import Tissue, brief, speed_unit
 from tissueid.result import Curve
 from tissueid.store.curves import TrialCurve
 
-__all__ = ["SAME_SPEED", "SpeedGroup", "clusters", "peaks_payload", "speed_groups"]
+__all__ = ["SpeedGroup", "peaks_payload", "speed_groups"]
 
 FloatArray = NDArray[np.float64]
 
-#: Speeds (and depths) that differ by less than this factor are one setting of a machine.
-SAME_SPEED = 1.12
+#: Depths that differ by less than this factor are one setting of a machine.
 SAME_DEPTH = 1.04
 #: Groups that get a panel of their own.
 MOST_GROUPS = 12
@@ -46,18 +46,6 @@ class SpeedGroup:
     speed_mm_s: float
     label: str
     members: tuple[int, ...]
-
-
-def clusters(values: Sequence[float], factor: float) -> list[list[int]]:
-    """Places of values that lie within a factor of the least of their kind, in ascending order."""
-    order = sorted(range(len(values)), key=lambda i: values[i])
-    found: list[list[int]] = []
-    for i in order:
-        if found and values[i] <= factor * values[found[-1][0]]:
-            found[-1].append(i)
-        else:
-            found.append([i])
-    return found
 
 
 def _label(speed: float, units: Mapping[str, str]) -> str:

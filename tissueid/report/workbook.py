@@ -61,12 +61,13 @@ def _parameters(document: Mapping[str, Any]) -> Sheet:
 
 def _measured(document: Mapping[str, Any]) -> Sheet:
     head = (
-        *("specimen", "quantity", "hold", "unit", "time after the stop [s]", "shortest ramp [s]"),
+        *("specimen", "quantity", "program", "hold", "unit", "time after the stop [s]", "shortest ramp [s]"),
         *("longest ramp [s]", "logs", "mean", "SD between logs", "why there is none"),
     )
     rows: list[list[Cell]] = [
         [
-            *(specimen["specimen"], measured_name(row), row["hold"] or None, row["unit"], row["time_s"]),
+            *(specimen["specimen"], measured_name(row), row["program"], row["hold"] or None, row["unit"]),
+            row["time_s"],
             *(row["ramp_time_s"] or (None, None)),
             *(row["count"], row["mean"], row["sd"], row["reason"]),
         ]

@@ -67,7 +67,7 @@
     return { layout, height: beside ? 370 : 620 };
   };
 
-  // every curve of a programme, its mean and one standard deviation about it; a trace that is an area has no corner of its own
+  // every curve of a program, its mean and one standard deviation about it; a trace that is an area has no corner of its own
   const groups = (specimen) => (specimen < 0 ? payload.groups : payload.laws[specimen].groups);
   const group = (specimen) => groups(specimen).flatMap((one, g) => {
     const ink = nth(INKS, g), same = { legendgroup: one.label, showlegend: false };
