@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from tissueid.cli.measured_lines import measured_lines
+from tissueid.cli.measured_lines import brief_measured_lines, measured_lines
 from tissueid.cli.output import echo, note
 from tissueid.cli.quoted_lines import quoted_lines
 from tissueid.cli.uncertainty_lines import alarm_lines, block_lines, parameter_lines, sampling_lines
@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from tissueid.study.assembly import Assembled
 
 __all__ = ["print_reasons", "print_summary"]
+
+#: Specimens from which on each gets one line of what was measured.
+MANY = 4
 
 
 def print_summary(found: Assembled, out: str, *, quiet: int, verbose: int) -> None:
@@ -54,8 +57,9 @@ def _print(found: Assembled, out: str, *, verbose: int) -> None:
 
 def _print_specimens(specimens: Sequence[Mapping[str, Any]], *, verbose: int) -> None:
     shared = () if verbose else shared_codes(specimens)
+    brief = len(specimens) >= MANY and not verbose
     for specimen in specimens:
-        _print_specimen(specimen, shared, verbose=verbose)
+        _print_specimen(specimen, shared, verbose=verbose, brief=brief)
     if shared:
         echo()
         echo(f"all {len(specimens)} specimens")
@@ -95,7 +99,7 @@ def print_reasons(found: Assembled, *, quiet: int) -> None:
         note(f"{'; '.join(specimens)}: not identified: {missing}", quiet=quiet)
 
 
-def _print_specimen(fit: Mapping[str, Any], shared: Sequence[str], *, verbose: int) -> None:
+def _print_specimen(fit: Mapping[str, Any], shared: Sequence[str], *, verbose: int, brief: bool) -> None:
     model, logs = fit["model"], len(fit["trials"])
     branches = "1 branch" if model["branches"] == 1 else f"{model['branches']} branches"
     echo()
@@ -106,7 +110,8 @@ def _print_specimen(fit: Mapping[str, Any], shared: Sequence[str], *, verbose: i
         bold=True,
     )
     lines = [*parameter_lines(fit), *sampling_lines(fit)] if verbose else block_lines(fit)
-    for line in (*lines, *quoted_lines(fit), *measured_lines(fit.get("measured", ()))):
+    measured = (brief_measured_lines if brief else measured_lines)(fit.get("measured", ()))
+    for line in (*lines, *quoted_lines(fit), *measured):
         echo(f"  {line}")
     alarms = alarm_lines(fit)
     for line in alarms:

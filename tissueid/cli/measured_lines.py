@@ -7,7 +7,7 @@ from typing import Any
 
 from tissueid.digits import with_error
 
-__all__ = ["measured_lines"]
+__all__ = ["brief_measured_lines", "measured_lines"]
 
 Row = Mapping[str, Any]
 
@@ -20,6 +20,9 @@ _FORCES = {
     "force_over_10s": "F({t:g} s)/F(10 s)",
     "force_over_peak": "F({t:g} s)/F_peak",
 }
+#: Numbers of the one line, and times after the stop [s].
+_BRIEF = ("peak", "depth")
+_BRIEF_TIMES_S = (1.0, 10.0)
 _PUSH = {"peak": "peak", "depth": "depth", "speed": "speed", "modulus_loading": "E loading"}
 
 
@@ -48,6 +51,26 @@ def measured_lines(rows: Sequence[Row]) -> list[str]:
     if areas:
         lines.append(f"loop area {_said(areas[-1])}")
     return lines
+
+
+def brief_measured_lines(rows: Sequence[Row]) -> list[str]:
+    """One line of a specimen among many: its first program's push, and forces in newtons.
+
+    Parameters
+    ----------
+    rows : sequence of mapping
+        ``specimens[].measured`` of identification.json.
+    """
+    first = [row for row in rows if row["program"] == 1 and row["hold"] <= 1 and row["mean"] is not None]
+    said = [f"{_PUSH[row['name']]} {_said(row)}" for row in first if row["name"] in _BRIEF]
+    said += [
+        f"{_FORCES['force'].format(t=row['time_s'])} {_said(row)}"
+        for row in first
+        if row["name"] == "force" and row["time_s"] in _BRIEF_TIMES_S
+    ]
+    more = len({row["program"] for row in rows}) - 1
+    told = f", {more} more program{'s' * (more > 1)}" * (more > 0)
+    return [f"measured    {', '.join(said)}{told}"] if said else []
 
 
 def _of_hold(rows: Sequence[Row], number: str) -> list[str]:
