@@ -158,7 +158,9 @@ def _off_line(x: FloatArray, first: NDArray[np.intp], last: NDArray[np.intp]) ->
     for start, stop in zip(starts.tolist(), stops.tolist(), strict=True):
         if stop - start < STRETCH:
             continue
-        index = np.arange(stop - start, dtype=np.float64)
-        slope, level = np.polyfit(index, x[start:stop], 1)
-        worst = max(worst, float(np.abs(x[start:stop] - level - slope * index).max()))
+        # least squares about the middle, where slope and level do not know each other
+        index = np.arange(stop - start, dtype=np.float64) - 0.5 * (stop - start - 1)
+        off = x[start:stop] - float(x[start:stop].mean())
+        off -= index * (float(index @ off) / float(index @ index))
+        worst = max(worst, float(np.abs(off, out=off).max()))
     return worst

@@ -12,6 +12,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 from tissueid.ingest.columns import has_channels
 from tissueid.ingest.numbers import decimal_evidence, looks_numeric
@@ -104,6 +105,7 @@ def split_line(line: str, delimiter: str) -> Row:
         return tuple(line.split(delimiter))
 
 
+@lru_cache(maxsize=1024)
 def _numeric_share(row: Row) -> float:
     """The share of a row's filled cells that look numeric, 0 where fewer than two do."""
     if len(row) < 2:
@@ -219,7 +221,10 @@ def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
     _refuse_rows_above(rows, found, place)
     names: Row = rows[found.names] if found.names is not None else ()
     units: Row = rows[found.units] if found.units is not None else ()
-    results = results_below(rows[found.first :], names, units, options)
+    below_names = b"".join(raw[found.first : len(rows)])
+    results = None
+    if not _ONLY_NUMBERS.fullmatch(below_names):
+        results = results_below(rows[found.first :], names, units, options)
     below = rows[found.first :] if results is None else rows[found.first : found.first + results]
     sample = [row for row in below if _numeric_share(row) >= 0.5]
     if not sample:
