@@ -20,6 +20,7 @@ __all__ = [
     "Quantity",
     "QuotedNumbers",
     "RelaxationRow",
+    "RelaxationWindow",
     "Spectrum",
 ]
 
@@ -137,6 +138,48 @@ MEASURES = (
     "peak_force_change",
     "dissipated_change",
 )
+
+
+#: From this slope d ln tau / d ln T on a relaxation time is one of its window, where the slope is known to
+#: so many standard errors.
+EFFECTIVE_SLOPE, EFFECTIVE_SD = 0.2, 2.6
+
+
+@dataclass(frozen=True, slots=True)
+class RelaxationWindow:
+    """The relaxation time of the one-branch model, of holds cut to T, T/2 and T/4.
+
+    Attributes
+    ----------
+    cut_s : tuple of float
+        Length of hold that was fitted [s], the whole first.
+    tau_s, stderr_s : tuple of float
+        Relaxation time with its standard error under white noise [s].
+    slope, slope_stderr : float
+        d ln tau / d ln T: 0 for a property of the tissue, 1 for a property of the window.
+    """
+
+    cut_s: tuple[float, ...]
+    tau_s: tuple[float, ...]
+    stderr_s: tuple[float, ...]
+    slope: float
+    slope_stderr: float
+
+    @property
+    def effective(self) -> bool:
+        """True where the relaxation time follows the length of the hold."""
+        return self.slope > max(EFFECTIVE_SLOPE, EFFECTIVE_SD * self.slope_stderr)
+
+    def as_json(self) -> dict[str, Any]:
+        """The ``relaxation_window`` object of the schema."""
+        return {
+            "cut_s": list(self.cut_s),
+            "tau_s": list(self.tau_s),
+            "stderr_s": list(self.stderr_s),
+            "slope": self.slope,
+            "slope_stderr": self.slope_stderr,
+            "effective": self.effective,
+        }
 
 
 @dataclass(frozen=True, slots=True)

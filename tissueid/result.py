@@ -14,7 +14,7 @@ from tissueid.errors import printable
 from tissueid.flags import Flag
 from tissueid.measures import Measured, SpreadRow, spread_json
 from tissueid.notebook import Shown
-from tissueid.quantities import CycleRow, QuotedNumbers, RelaxationRow
+from tissueid.quantities import CycleRow, QuotedNumbers, RelaxationRow, RelaxationWindow
 from tissueid.residuals import ResidualSummary
 from tissueid.trial import MM_N, Axes
 from tissueid.uncertainty import ParameterUncertainty, Posterior
@@ -230,6 +230,8 @@ class SpecimenFit(Shown):
         Over all fitted samples.
     trials : tuple of TrialFit
     relaxation : tuple of RelaxationRow
+    relaxation_window : RelaxationWindow or None
+        The one relaxation time of the publication, of the whole hold and of shorter ones.
     optimisers : mapping
         What Levenberg-Marquardt and variable projection reached, and whether they agree.
     selection : tuple of mapping
@@ -263,6 +265,7 @@ class SpecimenFit(Shown):
     relaxation: tuple[RelaxationRow, ...]
     optimisers: Mapping[str, Any]
     selection: tuple[Mapping[str, Any], ...]
+    relaxation_window: RelaxationWindow | None = None
     flags: tuple[Flag, ...] = ()
     axes: Axes = MM_N
     unloading: Mapping[str, Any] | None = None
@@ -295,6 +298,9 @@ class SpecimenFit(Shown):
             },
             "trials": [trial.as_json() for trial in self.trials],
             "relaxation": [row.as_json() for row in self.relaxation],
+            "relaxation_window": (
+                None if self.relaxation_window is None else self.relaxation_window.as_json()
+            ),
             "cycles": [row.as_json() for row in self.cycles],
             "measured": spread_json(self.measured),
             "quoted": None if self.quoted is None else self.quoted.as_json(),

@@ -1,7 +1,7 @@
 """Lines of ``fit`` on parameters and how sure they are; the report and the JSON have the rest.
 
-A specimen is a block of four lines: relaxation times, viscosities, static and dynamic polynomial, each value
-with its widest 95 % interval to one place.  ``-v`` prints a line a parameter with both intervals; where the
+A specimen is a block of lines: relaxation times, the one relaxation time with its window, viscosities, static
+and dynamic polynomial, each value with its widest 95 % interval to one place.  ``-v`` prints a line a parameter with both intervals; where the
 residuals contradict the model, or nothing is identified, none stands.
 """
 
@@ -46,17 +46,19 @@ def _cells(entry: Mapping[str, Any], *, intervals: bool) -> tuple[str, str, str]
 
 
 def block_lines(document: Mapping[str, Any]) -> list[str]:
-    """The model in four lines, wrapped where they are long; what is not identified is only named.
+    """The model in five lines, wrapped where they are long; what is not identified is only named.
 
     Parameters
     ----------
     document : mapping
         A specimen of identification.json.
     """
+    from tissueid.report.uncertainty_words import window_words
     from tissueid.report.wording import misfit_raised
 
     intervals = not misfit_raised(document)
     lines: list[str] = []
+    window = window_words(document)
     for label, start in _FAMILIES:
         entries = [one for one in document["parameters"] if one["name"].startswith(start)]
         known = [one for one in entries if one["value"] is not None]
@@ -64,6 +66,8 @@ def block_lines(document: Mapping[str, Any]) -> list[str]:
         unknown = [one["symbol"] for one in entries if one["value"] is None]
         parts += [f"{' '.join(unknown)} not identified"] if unknown else []
         lines += _wrapped(label, parts)
+        if window and start == "relaxation_time":
+            lines += _wrapped("one tau", [window])
     return lines
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tissueid.fit.candidates import Candidate, Solution, SpecimenSums, fit_candidate
 from tissueid.fit.unloading import FreeSurface, with_unloading
-from tissueid.fit.window import FittedLog, assign_folds, fitted_log, with_contact
+from tissueid.fit.window import FittedLog, assign_folds, fitted_log, with_contact, with_holds_cut
 from tissueid.likelihood import partial
 from tissueid.likelihood.basis import kernel_basis
 from tissueid.likelihood.objective import PartialObjective
@@ -61,6 +61,8 @@ class LogHandle:
         True where samples after the tool first turned back take part.
     surface : FreeSurface or None
         The law whose surface is followed; ``None`` takes contact loss from the measured force.
+    hold_share : float
+        First share of every hold that takes part.
     """
 
     load: Callable[[], Trial]
@@ -71,6 +73,7 @@ class LogHandle:
     guard: bool = False
     unloading: bool = False
     surface: FreeSurface | None = None
+    hold_share: float = 1.0
 
     def window(self, trial: Trial, segmentation: Segmentation, *, guard: bool = False) -> FittedLog | None:
         """The part of a trial that is fitted under a segmentation; ``None`` where there is none."""
@@ -89,6 +92,8 @@ class LogHandle:
         if log is None:
             msg = f"{trial.name} changed while it was being fitted"
             raise RuntimeError(msg)
+        if self.hold_share < 1.0:
+            log = with_holds_cut(log, self.segmentation.of_kind("hold"), self.hold_share)
         return trial, log
 
 

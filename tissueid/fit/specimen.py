@@ -20,6 +20,7 @@ from tissueid.fit.logs import LogHandle, refine_contacts, specimen_sums
 from tissueid.fit.material import with_moduli
 from tissueid.fit.one_log_choice import choose_for_one_log
 from tissueid.fit.quoted import quoted_numbers
+from tissueid.fit.relaxation_window import relaxation_window
 from tissueid.fit.rounds import Followed, follow_surfaces, unloading_handles, unloading_verdict
 from tissueid.fit.search import unbounded_covariance
 from tissueid.fit.selection import Choice, choose
@@ -33,6 +34,7 @@ from tissueid.likelihood.sums import N_STATIC, reduction
 from tissueid.measured import spread
 from tissueid.measured.geometry import DEFAULT_POISSON, Geometry, TipOf
 from tissueid.model.kelvin_voigt import KEY, STATIC_DEGREE, KelvinVoigt
+from tissueid.quantities import RelaxationWindow
 from tissueid.result import ModelChoice, SpecimenFit
 
 __all__ = [
@@ -334,6 +336,7 @@ def _fit(
         choice=choice,
         followed=followed,
         optimisers=optimisers,
+        window=relaxation_window(handles, solution.candidate, tick),
         options=options,
     )
     return _described(fitting, tissue, adjustments, tick)
@@ -349,6 +352,7 @@ class _Fitting:
     choice: Choice
     followed: Followed | None
     optimisers: dict[str, object]
+    window: RelaxationWindow | None
     options: FitOptions
 
 
@@ -418,6 +422,7 @@ def _described(
         nrmsd=told.nrmsd,
         trials=told.trials,
         relaxation=told.relaxation,
+        relaxation_window=fitting.window,
         optimisers=fitting.optimisers,
         selection=choice.table,
         flags=flags,

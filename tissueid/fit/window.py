@@ -12,6 +12,7 @@ state is integrated through them.  A record that starts in contact starts at res
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,7 +23,7 @@ from tissueid.likelihood.sums import LogData
 from tissueid.measured.pushes import usable_until
 from tissueid.trial import Phase, Segmentation, Trial, contact_frame
 
-__all__ = ["FittedLog", "assign_folds", "first_turn", "fitted_log", "with_contact"]
+__all__ = ["FittedLog", "assign_folds", "first_turn", "fitted_log", "with_contact", "with_holds_cut"]
 
 FloatArray = NDArray[np.float64]
 
@@ -215,6 +216,16 @@ def with_contact(trial: Trial, segmentation: Segmentation, *, shift_mm: float, s
         in_record=bool(depth[low] < GUARD_SD * sd_mm),
     )
     return replace(segmentation, contact=moved)
+
+
+def with_holds_cut(log: FittedLog, holds: Sequence[Phase], share: float) -> FittedLog:
+    """The same log with samples after the first ``share`` of each hold left out of the likelihood."""
+    include = log.data.include.copy()
+    time = log.data.time_s
+    for hold in holds:
+        end = hold.start_s + share * (hold.end_s - hold.start_s)
+        include &= (time <= end) | (time > hold.end_s)
+    return replace(log, data=replace(log.data, include=include), n_samples=int(include.sum()))
 
 
 def _mean_speed(time_s: FloatArray, depth_mm: FloatArray) -> float:

@@ -152,7 +152,9 @@ def paper_view(specimen: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "rows": _rows(specimen, columns, bare=raised),
         "intervals": [_INTERVALS[key] for key in columns],
-        "said": " ".join((_fit_sentence(specimen), _range_sentence(specimen))),
+        "said": " ".join(
+            filter(None, (_fit_sentence(specimen), _range_sentence(specimen), _window_sentence(specimen)))
+        ),
     }
 
 
@@ -182,6 +184,29 @@ def _range_sentence(specimen: Mapping[str, Any]) -> str:
     windows = [row["window_s"][1] - row["window_s"][0] for row in specimen["relaxation"]]
     held = f", holds of up to {number(max(windows), 3)} s" if windows else ""
     return f"Valid to {deep} at {slow if slow == fast else f'{slow} to {fast}'} {length}/s{held}."
+
+
+def window_words(specimen: Mapping[str, Any]) -> str:
+    """The one-branch relaxation time with its window, of holds cut to T, T/2 and T/4; empty without one."""
+    window = specimen.get("relaxation_window")
+    if window is None:
+        return ""
+    slope, error = window["slope"], window["slope_stderr"]
+    values = [
+        f"{number(tau, 2)}{' s' if not i else ''} over {number(cut, 2)}{' s of hold' if not i else ''}"
+        for i, (tau, cut) in enumerate(zip(window["tau_s"], window["cut_s"], strict=True))
+    ]
+    said = f"{values[0]} ({', '.join(values[1:])}; d ln tau/d ln T {with_error(slope, error)})"
+    if window["effective"]:
+        return f"effective, it follows the window: {said}"
+    if slope + EFFECTIVE_SD * error <= EFFECTIVE_SLOPE:
+        return f"{said}: not the window's"
+    return said
+
+
+def _window_sentence(specimen: Mapping[str, Any]) -> str:
+    said = window_words(specimen)
+    return f"One relaxation time: {said}." if said else ""
 
 
 def _sampler_sentence(specimen: Mapping[str, Any]) -> str:
