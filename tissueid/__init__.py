@@ -22,17 +22,17 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
-    from tissueid.fit.specimen import FitOptions
+    from tissueid.inference.posterior import PosteriorOptions
+    from tissueid.inference.specimen import FitOptions
     from tissueid.ingest import ReadOptions, read_trials
     from tissueid.ingest.manifest import read_study
     from tissueid.pipeline import IdentifyOptions, identify
-    from tissueid.posterior.specimen import PosteriorOptions
     from tissueid.store.bundle import load_bundle
 
 _LAZY = {
-    "FitOptions": "tissueid.fit.specimen",
+    "FitOptions": "tissueid.inference.specimen",
     "IdentifyOptions": "tissueid.pipeline",
-    "PosteriorOptions": "tissueid.posterior.specimen",
+    "PosteriorOptions": "tissueid.inference.posterior",
     "ReadOptions": "tissueid.ingest",
     "identify": "tissueid.pipeline",
     "load_bundle": "tissueid.store.bundle",

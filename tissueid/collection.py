@@ -16,9 +16,9 @@ import numpy as np
 
 from tissueid.decided import arithmetic_refusal, decided_options, decided_trial, why_excluded
 from tissueid.errors import InputError
-from tissueid.fit.logs import LogHandle
-from tissueid.fit.tip import beyond_calibration
-from tissueid.fit.window import fitted_log
+from tissueid.inference.logs import LogHandle
+from tissueid.inference.tip import beyond_calibration
+from tissueid.inference.window import fitted_log
 from tissueid.manifest import Decision, Study
 from tissueid.measured.cycles import cycle_rows
 from tissueid.quantities import CycleRow

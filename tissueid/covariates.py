@@ -13,9 +13,9 @@ import numpy as np
 
 from tissueid.collection import Collected, Excluded
 from tissueid.decided import arithmetic_refusal
-from tissueid.fit.frame_effect import frame_flags
-from tissueid.fit.order import gain_spread, order_effect, repeated_sites
-from tissueid.fit.specimen import FitOptions, LogHandle
+from tissueid.inference.frame_effect import frame_flags
+from tissueid.inference.order import gain_spread, order_effect, repeated_sites
+from tissueid.inference.specimen import FitOptions, LogHandle
 from tissueid.manifest import Study
 from tissueid.result import Estimate, Refusal, SpecimenFit
 from tissueid.store.schema import load_schema

@@ -10,7 +10,6 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, requires, version
-from pathlib import Path
 from typing import Any
 
 from tissueid import __version__
@@ -56,7 +55,6 @@ def examine() -> Iterator[Check]:
         _machine,
         _libraries,
         _extras,
-        _cache,
         _loop,
         _real_time,
         _devices,
@@ -109,25 +107,6 @@ def _extras() -> Check:
     if absent:
         return Check("extras", "note", words, f"where wanted: pip install 'tissueid[{','.join(absent)}]'")
     return Check("extras", "ok", words)
-
-
-def _cache() -> Check:
-    """The cache of compiled functions, and what is not in it yet."""
-    from tissueid.fit.compiled import KERNELS, kernels_to_compile
-
-    stats = getattr(KERNELS[0], "stats", None)
-    if stats is None:
-        return Check("numba cache", "note", "compilation is switched off: everything runs, slowly",
-                     "unset NUMBA_DISABLE_JIT")  # fmt: skip
-    folder = Path(stats.cache_path)
-    missing = kernels_to_compile(posterior=True)
-    if folder.is_dir() and not os.access(folder, os.W_OK):
-        return Check("numba cache", "note", f"{folder} can't be written: every run compiles anew",
-                     "set NUMBA_CACHE_DIR to a folder of yours")  # fmt: skip
-    if missing:
-        return Check("numba cache", "note", f"the next fit compiles {len(missing)} functions first",
-                     "tissueid doctor --warm")  # fmt: skip
-    return Check("numba cache", "ok", f"everything a fit needs is compiled, in {folder}")
 
 
 def _loop() -> Check:
@@ -203,9 +182,9 @@ def warm(tell: Callable[[str], None]) -> None:
     """
     import numpy as np
 
-    from tissueid.fit.specimen import FitOptions
+    from tissueid.inference.posterior import PosteriorOptions
+    from tissueid.inference.specimen import FitOptions
     from tissueid.pipeline import IdentifyOptions, identify
-    from tissueid.posterior.specimen import PosteriorOptions
     from tissueid.synth.protocols import recipe
     from tissueid.synth.simulate import as_trials, simulate
 

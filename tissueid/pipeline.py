@@ -29,19 +29,17 @@ from tissueid.covariates import (
 )
 from tissueid.decided import arithmetic_refusal
 from tissueid.errors import exit_code
-from tissueid.fit.specimen import FitOptions, FittedSpecimen, LogHandle, fit_with_state
-from tissueid.fit.stored_sums import stored_sums
-from tissueid.fit.tip import tip_handles
+from tissueid.inference.calibration_priors import calibration_priors
+from tissueid.inference.coherence import unsampled
+from tissueid.inference.posterior import PosteriorOptions, with_posterior
+from tissueid.inference.remarks import without_posterior
+from tissueid.inference.specimen import FitOptions, FittedSpecimen, LogHandle, fit_with_state
+from tissueid.inference.tip import tip_handles
 from tissueid.manifest import Study
 from tissueid.measured.geometry import stated_geometry
-from tissueid.posterior.calibration_priors import calibration_priors
-from tissueid.posterior.coherence import unsampled
-from tissueid.posterior.remarks import without_posterior
-from tissueid.posterior.specimen import PosteriorOptions, with_posterior
 from tissueid.priors import Priors
 from tissueid.result import Exit, Identification, Refusal, SpecimenFit
 from tissueid.segment import SegmentOptions
-from tissueid.store.sums import StoredSums
 from tissueid.trial import Axes, Source, Trial
 
 __all__ = [
@@ -195,12 +193,22 @@ def _fit(
     fit: FitOptions,
     study: Study | None,
     tick: Callable[[str], None],
+    *,
+    normalised: bool = False,
 ) -> FittedSpecimen:
     """Fit one specimen in the displacement of the tip."""
     frame = None if study is None else study.calibration.frame
     if frame is not None:
         handles = tip_handles(handles, frame, tick)
-    return fit_with_state(name, handles, options=fit, tick=tick)
+    return fit_with_state(
+        name, handles, options=fit, priors=_priors(study), machine=not normalised, tick=tick
+    )
+
+
+def _priors(study: Study | None) -> Priors:
+    """What is believed beforehand of tissue and machine."""
+    priors = Priors() if study is None else study.priors
+    return replace(priors, calibration=calibration_priors(None if study is None else study.calibration))
 
 
 def _sampled(
@@ -216,12 +224,10 @@ def _sampled(
     """A fit with its posterior, where one is asked for."""
     if options.posterior is None:
         return fitted.fit
-    priors = Priors() if study is None else study.priors
-    calibration = calibration_priors(None if study is None else study.calibration)
     try:
         return with_posterior(
             fitted,
-            priors=replace(priors, calibration=calibration),
+            priors=_priors(study),
             instrument=not normalised,
             options=options.posterior,
             checkpoint=None if checkpoint is None else checkpoint(fitted.fit.specimen),
@@ -268,7 +274,6 @@ def _fit_all(
     study: Study | None,
     progress: _Progress,
     checkpoint: Checkpoints | None,
-    keep_sums: Callable[[StoredSums], None] | None,
 ) -> list[SpecimenFit]:
     """Fit every specimen; one whose numbers defeat the arithmetic is refused, and the rest goes on."""
     fits: list[SpecimenFit] = []
@@ -282,13 +287,10 @@ def _fit_all(
         tick("fitting")
         try:
             own = _own_options(options.fit, study, name, collected.axes[specimen])
-            fitted = _fit(name, handles, own, study, tick)
-            identity = _identity(collected.inputs, specimen, options, study)
             normalised = collected.axes[specimen].normalised
+            fitted = _fit(name, handles, own, study, tick, normalised=normalised)
+            identity = _identity(collected.inputs, specimen, options, study)
             fit = _sampled(fitted, options, study, checkpoint, identity, tick, normalised=normalised)
-            if keep_sums is not None:
-                hashes = {(entry["path"], entry["sheet"]): entry["sha256"] for entry in collected.inputs}
-                keep_sums(stored_sums(fitted, hashes))
         except (ArithmeticError, np.linalg.LinAlgError) as error:
             collected.left_out += [
                 arithmetic_refusal(entry["path"], entry["sheet"], "fitted", error)
@@ -313,7 +315,6 @@ def identify(
     provenance: Mapping[str, Any] | None = None,
     progress: Callable[[str, int, int], None] | None = None,
     checkpoint: Checkpoints | None = None,
-    keep_sums: Callable[[StoredSums], None] | None = None,
     names: Mapping[str, str] | None = None,
 ) -> Identification:
     """Identify the contact model of every specimen among the trials.
@@ -335,8 +336,6 @@ def identify(
         ``progress(message, done, total)``; total is 0 while it is not known.
     checkpoint : callable, optional
         Gives the file in which a specimen's chain is kept while it is sampled, by the specimen's name.
-    keep_sums : callable, optional
-        Told the sums of every specimen once it is fitted.
     names : mapping, optional
         Specimen of a trial -> its name as shown, where the trials are part of a larger set.
 
@@ -357,7 +356,7 @@ def identify(
         unloading=options.fit.unloading,
     )
     names = display_names(collected.sources) if names is None else names
-    fits = _fit_all(collected, names, options, study, progress, checkpoint, keep_sums)
+    fits = _fit_all(collected, names, options, study, progress, checkpoint)
 
     def fit_again(name: str, handles: Sequence[LogHandle], fit: FitOptions, because: str) -> SpecimenFit:
         return _fit(name, handles, fit, study, lambda text: progress(f"{name} {because}: {text}", 0, 0)).fit

@@ -24,8 +24,9 @@ import numpy as np
 import pytest
 from cohort_outputs import cohort_folder
 from command_line import QUICK, REPOSITORY, run, write_log
+from identify_stand_ins import of_prior
 from rendered_tissues import PAPER_A, bundle_of
-from test_cli_calibrate import RECIPE, of_prior
+from test_cli_calibrate import RECIPE
 
 from tissueid.store.bundle import write_bundle
 
@@ -82,7 +83,7 @@ def place(prepared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> It
     """A copy of the prepared folder to work in; Ctrl-C is what it is in a shell."""
     shutil.copytree(prepared, tmp_path / "here", symlinks=True)
     monkeypatch.chdir(tmp_path / "here")
-    monkeypatch.setattr("tissueid.selfcheck.tissue.infer", of_prior)
+    monkeypatch.setattr("tissueid.selfcheck.tissue.identify", of_prior)
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield tmp_path / "here"
     signal.signal(signal.SIGINT, before)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from command_blocks import NOT_RUN, REPOSITORY, Command, commands_of, pages
 from command_line import run, write_log
-from test_cli_calibrate import of_prior
+from identify_stand_ins import of_prior
 from test_cli_contact_law import WHOLE, recordings
 from test_cli_examples import any_path, unfit
 
@@ -105,7 +105,7 @@ def place(fitted: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path
     shutil.copytree(fitted, tmp_path / "here", symlinks=True)
     monkeypatch.chdir(tmp_path / "here")
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
-    monkeypatch.setattr("tissueid.selfcheck.tissue.infer", of_prior)
+    monkeypatch.setattr("tissueid.selfcheck.tissue.identify", of_prior)
     return tmp_path / "here"
 
 

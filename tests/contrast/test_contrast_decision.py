@@ -17,11 +17,9 @@ from tissueid.contrast.numbers import Common, Compared, common_range, draws_of_n
 from tissueid.errors import UsageError
 from tissueid.model.kelvin_voigt import KelvinVoigt, constant_speed_force
 from tissueid.render.tissue_block import Tissue
-from tissueid.selfcheck.inference import infer
 from tissueid.selfcheck.protocol import Centre, of_program
-from tissueid.selfcheck.recording import simulated_logs
 from tissueid.selfcheck.tissue import TissueCheck, tissue_check
-from tissueid.selfcheck.truth import Widths, draw_truth
+from tissueid.selfcheck.truth import Widths
 from tissueid.synth.recipe import Hold, Log, Move
 
 
@@ -130,31 +128,13 @@ def check_of_one_tissue() -> TissueCheck:
 def recorded_twice(check: TissueCheck, scale: float, seed: int) -> bool:
     """Whether two recordings, the second of a tissue stiffer by a factor, are called different."""
     rng = np.random.default_rng(seed)
-    truths = [
-        draw_truth(
-            check.model,
-            check.priors,
-            offset_sd_mm=np.array([log.contact_sd_mm for log in check.logs]),
-            pooling=check.pooling,
-            correlated=False,
-            defects=False,
-            rng=rng,
-        )
-        for _ in range(2)
-    ]
+    truths = [check.truth(rng) for _ in range(2)]
     # the tissue is the same, gains and contact of the second recording are its own
     stiffer = truths[0].theta * np.array([scale, scale, scale, scale, 1.0])
     tissues = []
     for truth in (truths[0], replace(truths[1], theta=stiffer)):
-        data = simulated_logs(
-            check.model,
-            truth,
-            check.logs,
-            reference_step_s=check.reference_step_s,
-            white_share=check.white_share,
-            rng=rng,
-        )
-        draws = infer(check, data, rng).theta
+        fit = check.identified(check.trials(truth, rng), seed=int(rng.integers(2**31)))
+        draws = check.drawn(fit)
         tissues.append(Compared("tissue", check.model, draws, (1.0, 500.0 / 60.0), total=False))
     common = common_range(tissues)
     return difference(*(draws_of_numbers(tissue, common) for tissue in tissues)).different

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid import FitOptions, IdentifyOptions, identify
 from tissueid.design.given import given_protocol
 from tissueid.design.indentation import Indentation, ramp_of
 from tissueid.design.information import Chain
@@ -17,16 +18,13 @@ from tissueid.design.machine import PRESETS, Machine, Setting
 from tissueid.design.plan import matched_wants, planned
 from tissueid.design.precision import Asked, Ledger, Protocol
 from tissueid.design.tissues import Tissues, Want, of_draws
-from tissueid.fit.window import GUARD_SD
 from tissueid.model.kelvin_voigt import KelvinVoigt
-from tissueid.posterior.reported import reported_draws
 from tissueid.priors import CALIBRATION_DEFAULTS, CalibrationPrior, Priors
-from tissueid.selfcheck.inference import fitted_at_optimum, in_memory, infer
-from tissueid.selfcheck.protocol import Centre
+from tissueid.selfcheck.protocol import Centre, in_air_first
 from tissueid.selfcheck.protocol import Protocol as Recorded
-from tissueid.selfcheck.recording import ProtocolLog, simulated_logs
+from tissueid.selfcheck.recording import ProtocolLog
 from tissueid.selfcheck.tissue import TissueCheck, tissue_check
-from tissueid.selfcheck.truth import Truth, Widths
+from tissueid.selfcheck.truth import Truth, Widths, numbers_of
 from tissueid.synth import recipe
 
 FloatArray = NDArray[np.float64]
@@ -94,7 +92,9 @@ class Case:
             pooling="partial",
         )
         stated = Priors(calibration=self.instrument())
-        return tissue_check(recorded, centre, stated=stated, widths=WEAK, defects=self.asked.total)
+        check = tissue_check(recorded, centre, stated=stated, widths=WEAK, defects=self.asked.total)
+        # a plan knows contact points to the machine's standard deviation
+        return replace(check, contact_stated=True)
 
     def instrument(self) -> dict[str, CalibrationPrior]:
         """What the machine states of its calibration, as the priors of a study."""
@@ -112,7 +112,7 @@ class Case:
 
     def numbers(self, theta: FloatArray) -> dict[str, FloatArray]:
         """Logarithms of the wanted numbers; the viscosity at the depth the case has it."""
-        found = reported_draws(self.tissues.model, np.atleast_2d(theta))
+        found = numbers_of(self.tissues.model, np.atleast_2d(theta), ())
         return {want.name: np.log(found[want.name]) for want in self.asked.wants}
 
 
@@ -122,11 +122,8 @@ def recorded_logs(
     ramp = ramp_of(test, machine)
     time = np.arange(max(int(np.ceil((ramp.seconds + test.hold_s) * setting.rate_Hz)), 2)) * setting.step_s
     depth = ramp.depth(time)
-    include = depth >= GUARD_SD * machine.contact_sd_mm
-    return [
-        ProtocolLog(f"{name}-{repeat}", time, depth, include, machine.contact_sd_mm)
-        for repeat in range(count)
-    ]
+    told = {"speed_mm_s": test.speed_mm_s, "contact_sd_mm": machine.contact_sd_mm}
+    return [in_air_first(f"{name}-{repeat}", time, depth, **told) for repeat in range(count)]
 
 
 def simulated_errors(case: Case, runs: int) -> dict[str, FloatArray]:
@@ -139,16 +136,18 @@ def simulated_errors(case: Case, runs: int) -> dict[str, FloatArray]:
     rng = np.random.default_rng(case.seed)
     true = case.numbers(case.tissues.theta)
     errors: dict[str, list[float]] = {name: [] for name in true}
+    order = FitOptions(
+        branches=check.model.branches, stiffness_degree=check.model.stiffness_degree, noise=check.noise_model
+    )
     for _ in range(runs):
-        drawn = _truth(case, check, rng)
-        data = simulated_logs(
-            check.model, drawn, check.logs, reference_step_s=check.reference_step_s, white_share=0.0, rng=rng
-        )
+        trials = check.trials(_truth(case, check, rng), rng)
         if case.asked.total:
-            found = case.numbers(infer(check, data, rng).theta)
+            found = case.numbers(check.drawn(check.identified(trials, seed=int(rng.integers(2**31)))))
         else:
-            handles = [in_memory(log, one) for log, one in zip(check.logs, data, strict=True)]
-            found = case.numbers(fitted_at_optimum(check, handles).theta)
+            (fit,) = identify(
+                trials, options=IdentifyOptions(fit=order, segment=check.segmentation)
+            ).specimens
+            found = case.numbers(fit.theta)
         for name, values in found.items():
             errors[name].append(float(values.mean() - true[name][0]))
     return {name: np.array(values) for name, values in errors.items()}

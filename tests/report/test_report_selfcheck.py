@@ -52,7 +52,7 @@ def test_page_says_that_it_is_calibrated_and_for_what() -> None:
     assert "<strong>Calibrated.</strong>" in page
     assert "for this protocol, model and noise the intervals hold what they claim" in page
     assert "the program of paper-a-hold-100Hz at 100 Hz; 1 log, 3,191 samples" in page
-    assert "sampler exact, seed 7, 0.50 s each" in page
+    assert "sampler emcee, seed 7, 0.50 s each" in page
     assert "viscosity" in page
     assert "log-normal, median 0.021, sd of ln 0.4" in page
 

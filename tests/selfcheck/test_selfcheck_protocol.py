@@ -9,19 +9,11 @@ import pytest
 from fit_factory import identification, specimen_fit
 
 from tissueid.errors import InputError
-from tissueid.selfcheck.protocol import (
-    CONTACT_SD_MM,
-    of_bundle,
-    of_fit,
-    of_program,
-    of_recipe,
-    white_share,
-)
+from tissueid.selfcheck.protocol import CONTACT_SD_MM, of_bundle, of_program, of_recipe
 from tissueid.selfcheck.recorded import inputs_there
 from tissueid.selfcheck.tissue import described, tissue_check
 from tissueid.store.bundle import Bundle, bundle_from_fit
 from tissueid.synth import Branch, Hold, Log, Move, recipe
-from tissueid.uncertainty import NoiseFit
 
 
 def bundle() -> Bundle:
@@ -41,8 +33,11 @@ def test_a_recipe_becomes_its_program_and_its_tissue() -> None:
     assert (centre.sigma_N, centre.phi, centre.pooling) == (1.0, 0.0, "partial")
     first = protocol.logs[0]
     assert first.contact_sd_mm == CONTACT_SD_MM
-    # shallower than three standard deviations of its contact a sample takes no part
-    np.testing.assert_array_equal(first.include, first.depth_mm >= 3.0 * CONTACT_SD_MM)
+    # a second in air at the speed of the first move, to a contact at 0 s and 0 mm
+    air = first.time_s < 0.0
+    assert air.sum() == 100
+    np.testing.assert_allclose(first.depth_mm[air], first.time_s[air] * 10.0 / 60.0, rtol=1e-12)
+    assert (first.time_s[100], first.depth_mm[100]) == (0.0, 0.0)
 
 
 def test_noise_of_a_recipe_is_white_correlated_or_both() -> None:
@@ -67,27 +62,6 @@ def test_branches_of_different_degree_share_the_highest() -> None:
 def test_a_log_within_its_contact_s_error_is_refused() -> None:
     with pytest.raises(InputError, match="stays within its contact's standard deviation"):
         of_program((Log("tiny", (Move(0.02, 60.0),)),), rate_Hz=100.0, contact_sd_mm=0.01, words="tiny")
-
-
-@pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
-def test_the_share_of_white_noise_follows_from_its_moving_average(share: float) -> None:
-    # AR(1) of variance 1 - share and white noise of variance share: the root of the moving average of
-    # r_n - phi r_(n-1) = w_n + v_n - phi v_(n-1), whose autocovariances are (a, -phi share)
-    phi = 0.9
-    a = (1.0 - share) * (1.0 - phi**2) + share * (1.0 + phi**2)
-    b = phi * share
-    theta = (a - np.sqrt(a**2 - 4.0 * b**2)) / (2.0 * b)
-    noise = NoiseFit(model="white+ar1", sigma_N=1.0, phi=phi, reference_step_s=0.01, moving_average=theta)
-    assert white_share(noise) == pytest.approx(share, rel=1e-9)
-
-
-def test_the_noise_of_a_fit_is_that_of_its_check() -> None:
-    fit = specimen_fit()
-    ar1 = of_fit(fit, NoiseFit("ar1", 0.4, 0.8, 0.01), logs=3)
-    assert (ar1.sigma_N, ar1.phi, ar1.white_share) == (0.4, 0.8, 0.0)
-    white = of_fit(fit, NoiseFit("white", 0.3, 0.0, 0.01), logs=3)
-    assert (white.sigma_N, white.phi) == (0.3, 0.0)
-    np.testing.assert_array_equal(white.theta, fit.theta)
 
 
 def test_a_bundle_s_program_stays_within_what_it_was_identified_on() -> None:
@@ -117,7 +91,7 @@ def test_two_checks_are_told_apart_by_everything_that_decides() -> None:
     others = [
         tissue_check(protocol, replace(centre, sigma_N=2.0)),
         tissue_check(protocol, centre, defects=True),
-        tissue_check(protocol, centre, sampler="emcee"),
+        replace(tissue_check(protocol, centre), contact_stated=True),
         tissue_check(of_recipe(replace(plan, logs=logs), rate_Hz=50.0)[0], centre),
     ]
     assert all(described(one) != base for one in others)

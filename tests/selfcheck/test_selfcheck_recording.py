@@ -7,7 +7,8 @@ import pytest
 
 from tissueid.model.base import ContactPath
 from tissueid.model.kelvin_voigt import KelvinVoigt, constant_speed_force
-from tissueid.selfcheck.recording import ProtocolLog, noise, recorded_force
+from tissueid.selfcheck.recording import ProtocolLog, noise, recorded_force, simulated_trials
+from tissueid.selfcheck.truth import Truth
 from tissueid.synth.path import Path as SynthPath
 from tissueid.synth.recipe import Branch
 from tissueid.synth.response import tissue_force
@@ -20,28 +21,58 @@ DEPTH = np.minimum(SPEED * TIME, SPEED * CORNER)
 
 
 def log(time: np.ndarray = TIME, depth: np.ndarray = DEPTH) -> ProtocolLog:
-    return ProtocolLog("hold", time, depth, depth > 0.05, 0.01)
+    return ProtocolLog("hold", time, depth, 0.01)
 
 
 def force(*, gain: float = 1.0, offset_mm: float = 0.0, one: ProtocolLog | None = None, **defects: float):
     return recorded_force(MODEL, THETA, one or log(), gain=gain, offset_mm=offset_mm, calibration=defects)
 
 
-def test_a_perfect_chain_records_what_the_oracle_computes() -> None:
-    path = SynthPath(np.array([0.0, CORNER, 4.0]), np.array([0.0, 6.0, 6.0]))
-    expected = tissue_force(
-        path, TIME, offset_mm=0.0, static=(20.0, -1.2, 0.35), branches=(Branch((63.62, 10.0), 0.2),)
+def oracle(path: SynthPath, *, offset_mm: float) -> np.ndarray:
+    """The closed form, which shares no code with the contact model."""
+    return tissue_force(
+        path, TIME, offset_mm=offset_mm, static=(20.0, -1.2, 0.35), branches=(Branch((63.62, 10.0), 0.2),)
     )
-    # closed form against recursion
-    np.testing.assert_allclose(force(), expected, atol=1e-9)
 
 
-def test_gain_scales_and_a_contact_offset_shifts_the_curves_and_not_the_motion() -> None:
+@pytest.mark.parametrize("offset_mm", [0.0, 0.053, -0.02])
+def test_a_perfect_chain_records_what_the_oracle_computes(offset_mm: float) -> None:
+    path = SynthPath(np.array([0.0, CORNER, 4.0]), np.array([0.0, 6.0, 6.0]))
+    # closed form against recursion; the tissue is met between two samples, or is indented and relaxed
+    np.testing.assert_allclose(force(offset_mm=offset_mm), oracle(path, offset_mm=offset_mm), atol=1e-9)
+
+
+def test_there_is_no_force_in_air_and_none_of_an_approach() -> None:
+    # 1 mm in air first: contact at 0.25 s, between two samples where it is offset
+    path = SynthPath(np.array([0.0, CORNER + 0.25, 4.0]), np.array([-1.0, 6.0, 6.0]))
+    one = log(depth=path.at(TIME))
+    for offset in (0.0, 0.033):
+        found = force(one=one, offset_mm=offset)
+        np.testing.assert_allclose(found, oracle(path, offset_mm=offset), atol=1e-9)
+        assert (found[one.depth_mm < offset] == 0.0).all()
+    # a filter and a late force begin with the contact, not with the record
+    assert (force(one=one, force_filter_s=0.01, skew_s=0.002)[:24] == 0.0).all()
+
+
+def test_a_gain_scales_all_forces() -> None:
     np.testing.assert_allclose(force(gain=1.1), 1.1 * force(), rtol=1e-12)
-    state = MODEL.states(np.array([0.2]), ContactPath(TIME, DEPTH))[0]
-    x = DEPTH - 0.05
-    expected = 20.0 * x - 1.2 * x**2 + 0.35 * x**3 + (63.62 + 10.0 * x) * state
-    np.testing.assert_allclose(force(offset_mm=0.05), expected, rtol=1e-10)
+
+
+def test_trials_are_what_a_machine_exports() -> None:
+    truth = Truth(THETA, np.array([1.0, 1.1]), np.array([0.0, 0.02]), 0.3, 0.0, 0.05)
+    logs = (log(), ProtocolLog("later", TIME - 1.0, DEPTH - 4.0, 0.01))
+    trials = simulated_trials(
+        MODEL, truth, logs, reference_step_s=0.01, white_share=0.0, rng=np.random.default_rng(6)
+    )
+    assert [trial.name for trial in trials] == ["hold", "later"]
+    np.testing.assert_allclose(trials[1].time_s, TIME, atol=1e-12)
+    np.testing.assert_array_equal(trials[1].displacement_mm, logs[1].depth_mm)
+    for trial, one, gain, offset in zip(trials, logs, truth.gain, truth.offset_mm, strict=True):
+        left = trial.force_N - force(one=one, gain=gain, offset_mm=offset)
+        # standard error of an sd of 400 samples is 0.01
+        assert left.std() == pytest.approx(0.3, abs=0.04)
+    # and in air, of 100 samples
+    assert trials[1].force_N[logs[1].depth_mm < 0.0].std() == pytest.approx(0.3, abs=0.08)
 
 
 def test_gains_of_the_channels_are_recorded_over_true() -> None:

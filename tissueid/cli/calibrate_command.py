@@ -68,10 +68,6 @@ _FILES = ("calibrate.json", "calibrate.html", "calibrate.jsonl")
     help="Correlation of neighbouring samples in the middle of its prior, with --noise ar1.",
 )  # fmt: skip
 @click.option("--rate", type=float, metavar="HZ", help="Sampling rate of a recipe, where not its own.")
-@click.option(
-    "--sampler", type=click.Choice(["exact", "emcee"]), default="exact", show_default=True,
-    help="Which sampler is checked; where exact does not converge, emcee takes over.",
-)  # fmt: skip
 @output_options
 def command(**flags: Any) -> int:
     """Check whether the intervals hold what they claim, for your own protocol.
@@ -94,7 +90,6 @@ def command(**flags: Any) -> int:
     if flags["phi"] is not None and flags["noise"] != "ar1":
         msg = "--phi is the correlation of --noise ar1: give both, or neither"
         raise UsageError(msg)
-    _note_first_run(quiet)
     with progress_bar(show=not quiet) as progress:
         found = found_source(flags, progress)
         check = tissue_check(
@@ -102,7 +97,6 @@ def command(**flags: Any) -> int:
             _with_noise(found.centre, flags),
             stated=found.stated,
             defects=flags["interval"] == "total",
-            sampler=flags["sampler"],
         )
         out = _folder(flags["out"])
         digest = fingerprint({"check": described(check), "seed": flags["seed"]})
@@ -129,14 +123,6 @@ def command(**flags: Any) -> int:
     for reason in verdict.reasons:
         note(f"not calibrated: {reason}", quiet=quiet)
     return 0 if verdict.calibrated else EXIT_NOT_CALIBRATED
-
-
-def _note_first_run(quiet: int) -> None:
-    from tissueid.fit.compiled import first_run_words
-
-    words = first_run_words(posterior=True)
-    if words is not None:
-        note(words, quiet=quiet)
 
 
 def _folder(name: str) -> Path:

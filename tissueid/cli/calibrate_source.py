@@ -118,7 +118,7 @@ def bundle_file(path: Path) -> Path | None:
 def _bundle(path: Path, flags: Mapping[str, Any], progress: _Progress) -> Found:
     from dataclasses import replace
 
-    from tissueid.selfcheck.protocol import of_bundle
+    from tissueid.selfcheck.protocol import of_bundle, pooled
     from tissueid.selfcheck.recorded import inputs_there
     from tissueid.store.bundle import load_bundle
 
@@ -128,8 +128,7 @@ def _bundle(path: Path, flags: Mapping[str, Any], progress: _Progress) -> Found:
     if measured is None:
         note(f"note: {program.words}", quiet=flags["quiet"])
         return Found("bundle", bundle.specimen, program, centre)
-    one = len(measured.logs) == 1 and centre.pooling == "partial"
-    centre = replace(centre, pooling="shared" if one else bundle.model.static_pooling)
+    centre = replace(centre, pooling=pooled(bundle.model.static_pooling, logs=len(measured.logs)))
     return Found("bundle", bundle.specimen, measured, centre)
 
 
@@ -137,7 +136,7 @@ def _measured(bundle: Bundle, progress: _Progress) -> Protocol | None:
     """The measured x(t) behind a bundle, read as it was read then."""
     from tissueid.errors import InputError
     from tissueid.selfcheck.recorded import inputs_there, of_bundle_inputs
-    from tissueid.study.recordings import locate_study, read_decided_one
+    from tissueid.study.recordings import locate_study
 
     reading = read_options(bundle.provenance.get("reading", {}))
     manifest = bundle.provenance.get("study", {}).get("path")
@@ -149,7 +148,6 @@ def _measured(bundle: Bundle, progress: _Progress) -> Protocol | None:
             read_all(read_in_order(paths, reading, study), refused),
             bundle,
             study=study,
-            reload=lambda source: read_decided_one(source.path, source.sheet, reading, study),
             progress=progress,
         )
     except (InputError, UsageError):

@@ -21,7 +21,7 @@ LAWS = ("kelvin-voigt", "hertz-impact")
 NAMES = ("contact-law.json", "contact-law.html")
 #: Options of a tissue's fit, which mean nothing to a hard body.
 OF_A_TISSUE = (
-    *("branches", "stiffness_degree", "static", "noise", "sampler", "draws", "compare", "require"),
+    *("branches", "stiffness_degree", "static", "noise", "sampler", "draws", "require"),
     *("workers", "scheduler", "population"),
 )
 

@@ -126,7 +126,6 @@ def command(**flags: Any) -> int:
     from tissueid.store.files import plain_json
     from tissueid.store.schema import check
 
-    _note_first_run(flags["quiet"])
     machine, tissues, asked, given = _prepared(flags)
     out = None if flags["out"] is None else _folder(flags["out"])
     with progress_bar(show=not flags["quiet"]) as progress:
@@ -148,14 +147,6 @@ def command(**flags: Any) -> int:
         return 0
     note(f"no protocol on {machine.name!r} reaches what is wanted within the budget", quiet=flags["quiet"])
     return EXIT_NONE
-
-
-def _note_first_run(quiet: int) -> None:
-    from tissueid.fit.compiled import first_run_words
-
-    words = first_run_words(posterior=False)
-    if words is not None:
-        note(words, quiet=quiet)
 
 
 def _prepared(flags: dict[str, Any]) -> tuple[Machine, Tissues, Asked, Against | None]:

@@ -24,9 +24,9 @@ from tissueid.cli.reading import (
 from tissueid.errors import NotIdentifiedError, UsageError, exit_code
 
 if TYPE_CHECKING:
+    from tissueid.inference.posterior import PosteriorOptions
     from tissueid.manifest import Study
     from tissueid.pipeline import IdentifyOptions
-    from tissueid.posterior.specimen import PosteriorOptions
 
 __all__ = ["command"]
 
@@ -68,24 +68,20 @@ def _count(auto: str) -> click.Choice[str]:
     help="Degree of the dynamic stiffness K(x); auto chooses by held-out data.",
 )  # fmt: skip
 @click.option(
-    "--static", type=click.Choice(["partial", "shared", "per-log"]), default="partial", show_default=True,
-    help="Static curve of a specimen's logs: one with a gain and contact offset a log, one, or one each.",
+    "--static", type=click.Choice(["scaled", "partial", "shared"]), default="scaled", show_default=True,
+    help="Logs of a specimen: each its own static curve around a common one, a gain and contact of its own, or one.",
 )  # fmt: skip
 @click.option(
     "--noise", type=click.Choice(["auto", "white", "ar1", "white+ar1"]), default="auto", show_default=True,
     help="Noise of the force; auto takes what the residuals show.",
 )  # fmt: skip
 @click.option(
-    "--sampler", type=click.Choice(["emcee", "exact", "none"]), default="emcee", show_default=True,
+    "--sampler", type=click.Choice(["emcee", "none"]), default="emcee", show_default=True,
     help="How the posterior is sampled; none gives standard errors only.",
 )  # fmt: skip
 @click.option(
     "--draws", type=click.IntRange(min=100), default=2_000, show_default=True,
     help="Effective posterior draws to go on for.",
-)  # fmt: skip
-@click.option(
-    "--compare", is_flag=True,
-    help="Set a chosen model beside others: evidence, held-out logs and speeds (half a minute a specimen).",
 )  # fmt: skip
 @click.option(
     "--require", multiple=True, type=click.Choice(REQUIRED),
@@ -119,13 +115,12 @@ def command(**flags: Any) -> int:
 
     PATHS are exports, workbooks, folders of them, or a study.toml. Each file or sheet is its own specimen
     unless their headers carry the same specimen label, --specimen-by groups them, or a study does. Writes
-    identification.json, one bundle a specimen, curves.h5, posteriors.h5, sums.h5 and report.html to the
+    identification.json, one bundle a specimen, curves.h5, posteriors.h5 and report.html to the
     output folder, all at once or not at all.
     """
     refuse_same_folder(flags["paths"], flags["out"])
     if flags["contact_law"] != LAWS[0]:
         return fit_law(flags)
-    from tissueid.fit.compiled import first_run_words
     from tissueid.store.outputs import OutputSet
     from tissueid.study.batch import fit_cohort, prune_specimens
     from tissueid.study.pages import write_report
@@ -138,9 +133,6 @@ def command(**flags: Any) -> int:
     study, paths = locate_study(flags["paths"], named=flags["study"], ignore=flags["no_study"])
     files = inputs_in_order(paths, study)
     _refuse_foreign(Path(flags["out"]))
-    words = first_run_words(posterior=flags["sampler"] != "none")
-    if words is not None:
-        note(words, quiet=quiet)
     by_pattern = PatternCheck(reading.specimen_by, study)
     request = Request(
         files,
@@ -207,7 +199,7 @@ def _refuse_foreign(out: Path) -> None:
 
 
 def _posterior_options(flags: dict[str, Any]) -> PosteriorOptions | None:
-    from tissueid.posterior.specimen import PosteriorOptions
+    from tissueid.inference.posterior import PosteriorOptions
 
     if flags["sampler"] == "none":
         return None
@@ -216,12 +208,11 @@ def _posterior_options(flags: dict[str, Any]) -> PosteriorOptions | None:
         draws=flags["draws"],
         seed=flags["seed"],
         workers=os.cpu_count() or 1,
-        compare=flags["compare"],
     )
 
 
 def _identify_options(flags: dict[str, Any]) -> IdentifyOptions:
-    from tissueid.fit.specimen import FitOptions
+    from tissueid.inference.specimen import FitOptions
     from tissueid.pipeline import DEFAULT_REQUIRED, IdentifyOptions
 
     required = tuple(name for name in flags["require"] if name != "none")

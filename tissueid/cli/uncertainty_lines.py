@@ -1,8 +1,9 @@
 """Lines of ``fit`` on parameters and how sure they are; the report and the JSON have the rest.
 
 A specimen is a block of lines: relaxation times, the one relaxation time with its window, viscosities, static
-and dynamic polynomial, each value with its widest 95 % interval to one place.  ``-v`` prints a line a parameter with both intervals; where the
-residuals contradict the model, or nothing is identified, none stands.
+and dynamic polynomial, each value with its widest 95 % interval to one place.  ``-v`` prints a line a
+parameter with both intervals; where the residuals contradict the model, or nothing is identified, none
+stands.
 """
 
 from __future__ import annotations

@@ -79,8 +79,7 @@ def command(**flags: Any) -> int:
     """
     session = _session(flags)
     if flags["fit"]:
-        _announce_compiling(flags["quiet"])
-    looks = range(LOOKS) if flags["once"] else iter(int, 1)
+        looks = range(LOOKS) if flags["once"] else iter(int, 1)
     try:
         for number, _ in enumerate(looks):
             if number:
@@ -94,14 +93,6 @@ def command(**flags: Any) -> int:
     if not flags["as_json"] and not flags["quiet"]:
         _summary(session)
     return _exit_code(session) if flags["once"] else 0
-
-
-def _announce_compiling(quiet: int) -> None:
-    from tissueid.fit.compiled import first_run_words
-
-    words = first_run_words(posterior=False)
-    if words is not None:
-        note(words, quiet=quiet)
 
 
 def _session(flags: dict[str, Any]) -> WatchSession:

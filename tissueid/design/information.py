@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from tissueid.design.indentation import Indentation, ramp_of
 from tissueid.design.machine import CALIBRATION, Machine, Setting
-from tissueid.fit.window import GUARD_SD
+from tissueid.inference.window import GUARD_SD
 from tissueid.model.base import ContactPath
 from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
 from tissueid.model.kernels import branch_state

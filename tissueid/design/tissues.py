@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from scipy.stats import norm, qmc
 
 from tissueid.errors import UsageError
-from tissueid.fit.estimates import REFERENCE_DEPTH
+from tissueid.inference.estimates import REFERENCE_DEPTH
+from tissueid.inference.reported import reported_draws
 from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt, branch_suffix
-from tissueid.posterior.reported import reported_draws
 
 __all__ = ["Guess", "Tissues", "Want", "of_draws", "of_guesses", "parsed_guess", "parsed_want"]
 

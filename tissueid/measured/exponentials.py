@@ -1,6 +1,6 @@
 """Least squares of a plateau and decaying exponentials with amplitudes >= 0, from sums over the samples.
 
-Exponentials of a window are mixtures of those of a basis (:mod:`tissueid.likelihood.basis`), so that the
+Exponentials of a window are mixtures of those of a basis (:mod:`tissueid.measured.kernel_basis`), so that the
 samples are summed once and every relaxation time is then tried on a small matrix.  The plateau is free: all
 columns are taken off their means.
 """
@@ -14,7 +14,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.likelihood.basis import TAU_ABOVE_LENGTH, TAU_BELOW_STEP, KernelBasis, kernel_basis
+from tissueid.measured.kernel_basis import TAU_ABOVE_LENGTH, TAU_BELOW_STEP, KernelBasis, kernel_basis
 
 __all__ = ["ExponentialSums", "exponential_ladder", "fit_exponentials"]
 

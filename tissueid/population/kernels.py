@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.compiled import kernel
-from tissueid.likelihood.triangular import factor, inverse_factor, solved
 from tissueid.population.scale_kernels import draw_log_sd
+from tissueid.population.triangular import factor, inverse_factor, solved
 
 __all__ = [
     "Cohort",

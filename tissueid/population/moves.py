@@ -23,9 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.compiled import kernel
-from tissueid.likelihood.triangular import factor, solved
 from tissueid.population.kernels import Cohort, Hyper, State, centre_of
 from tissueid.population.mixture_kernels import log_mixture
+from tissueid.population.triangular import factor, solved
 
 __all__ = [
     "distance2",

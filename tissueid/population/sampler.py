@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.inference.diagnostics import Diagnostics, diagnose
 from tissueid.population.chain import Record, sweeps
 from tissueid.population.kernels import Cohort, Hyper, State
 from tissueid.population.stage_one import (
@@ -23,7 +24,6 @@ from tissueid.population.stage_one import (
     worths,
 )
 from tissueid.population.surrogate import Pilot
-from tissueid.posterior.diagnostics import Diagnostics, diagnose
 from tissueid.priors import PopulationPriors
 
 __all__ = ["PopulationDraws", "SamplerOptions", "sample_population"]
@@ -102,7 +102,7 @@ class PopulationDraws:
     moved : ndarray, shape (n,)
         Moves a sweep.
     diagnostics : mapping
-        Name -> :class:`tissueid.posterior.diagnostics.Diagnostics`.
+        Name -> :class:`tissueid.inference.diagnostics.Diagnostics`.
     converged : bool
     """
 

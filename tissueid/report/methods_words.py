@@ -20,7 +20,7 @@ _POOLING: Mapping[str, str] = {
     "partial": "shared by all trials of a specimen, each with a gain and a contact offset of its own whose "
     "spread was estimated from the data (partial pooling)",
     "shared": "the same for all trials",
-    "per-log": "free for each trial, the relaxing branches being shared",
+    "scaled": "one, each trial deviating from it by its gain, contact and shape",
 }
 _NOISE: Mapping[str, str] = {
     "white": "white noise",

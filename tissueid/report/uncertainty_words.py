@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from tissueid.digits import NOT_IDENTIFIED, number, together, with_error
+from tissueid.quantities import EFFECTIVE_SD, EFFECTIVE_SLOPE
 from tissueid.report.wording import misfit_raised, parameter_words, unit_words
 
 __all__ = ["IntervalRow", "misfit_alarm", "paper_view", "reported_order", "uncertainty_view"]
@@ -27,7 +28,7 @@ _FOLD = ("b_0", "b_0 + b_1 x", "b_0 + b_1 x + b_2 x²")
 _POOLING: Mapping[str, str] = {
     "partial": "static curve shared, with a gain and contact offset a log",
     "shared": "one static curve",
-    "per-log": "a static curve a log",
+    "scaled": "a static curve a log around a common one",
 }
 #: Below this the data said little.
 LITTLE_SHRINKAGE = 0.1

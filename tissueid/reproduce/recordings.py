@@ -10,10 +10,10 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from tissueid.errors import NotIdentifiedError
-from tissueid.fit.specimen import FitOptions
+from tissueid.inference.posterior import PosteriorOptions
+from tissueid.inference.specimen import FitOptions
 from tissueid.ingest import read_trials
 from tissueid.pipeline import IdentifyOptions, identify
-from tissueid.posterior.specimen import PosteriorOptions
 from tissueid.result import SpecimenFit
 from tissueid.synth.dataset import write_set
 from tissueid.synth.exports import EXPORTS

@@ -1,43 +1,34 @@
 """The protocol that is checked: what each log's tool did, and the tissue in the middle of the priors.
 
-From a recipe its program, from recordings their own measured x(t), from a bundle a ramp-and-hold program
-within what it was identified on.
+From a recipe its program behind an approach in air, from a bundle a ramp-and-hold program within what it was
+identified on; recordings have their own measured x(t) (:mod:`tissueid.selfcheck.recorded`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.errors import BundleError, InputError
-from tissueid.fit.logs import LogHandle
-from tissueid.fit.window import GUARD_SD
 from tissueid.model.kelvin_voigt import KEY, KelvinVoigt
-from tissueid.result import SpecimenFit
 from tissueid.selfcheck.recording import ProtocolLog
 from tissueid.store.bundle import Bundle
 from tissueid.synth.path import crosshead_path
 from tissueid.synth.recipe import Hold, Log, Move, Recipe
-from tissueid.uncertainty import NoiseFit
 
-__all__ = [
-    "Centre",
-    "Protocol",
-    "of_bundle",
-    "of_fit",
-    "of_handles",
-    "of_program",
-    "of_recipe",
-    "white_share",
-]
+__all__ = ["Centre", "Protocol", "in_air_first", "of_bundle", "of_program", "of_recipe", "pooled"]
 
 FloatArray = NDArray[np.float64]
 
-#: Contact point of a program without scatter: what segmentation and refinement reach at 1 N of noise [mm].
+#: Scatter of the contact points of a program without any [mm].
 CONTACT_SD_MM = 0.01
+#: A log that stays within so many of it is none.
+GUARD_SD = 3.0
+#: Approach in air before a program: at least so long [s], and so many samples.
+AIR_S, AIR_SAMPLES = 1.0, 50
 #: Program of a bundle whose recordings are gone: hold [s] at the least and most, in longest relaxation times.
 SHORTEST_HOLD_S, LONGEST_HOLD_S, HOLD_TIMES = 5.0, 60.0, 10.0
 #: Its sampling interval [s], in shortest relaxation times.
@@ -59,7 +50,7 @@ class Centre:
     white_share : float
         Share of the noise's variance that is white beside a correlated part.
     pooling : str
-        ``partial``, ``shared`` or ``per-log``.
+        ``scaled``, ``partial`` or ``shared``.
     """
 
     model: KelvinVoigt
@@ -89,8 +80,8 @@ class Protocol:
 
     @property
     def depth_mm(self) -> float:
-        """Largest fitted depth."""
-        return max(float(log.depth_mm[log.include].max()) for log in self.logs)
+        """Largest depth."""
+        return max(float(log.depth_mm.max()) for log in self.logs)
 
     @property
     def step_s(self) -> float:
@@ -100,13 +91,30 @@ class Protocol:
 
     @property
     def duration_s(self) -> float:
-        """Longest log."""
-        return max(float(log.time_s[-1] - log.time_s[0]) for log in self.logs)
+        """Longest log, from contact on."""
+        return max(float(log.time_s[-1]) for log in self.logs)
 
     @property
     def samples(self) -> int:
-        """Samples in the likelihood."""
-        return sum(int(log.include.sum()) for log in self.logs)
+        """Samples in contact."""
+        return sum(int((log.depth_mm > 0.0).sum()) for log in self.logs)
+
+
+def in_air_first(
+    name: str, time_s: FloatArray, depth_mm: FloatArray, *, speed_mm_s: float, contact_sd_mm: float
+) -> ProtocolLog:
+    """A log of a path that starts at contact, behind an approach in air at one speed.
+
+    Parameters
+    ----------
+    time_s, depth_mm : ndarray, shape (n,)
+        From contact on, both from 0; the first step is that of the approach.
+    """
+    step = float(time_s[1] - time_s[0])
+    air = step * np.arange(-max(int(np.ceil(AIR_S / step)), AIR_SAMPLES), 0)
+    return ProtocolLog(
+        name, np.concatenate([air, time_s]), np.concatenate([air * speed_mm_s, depth_mm]), contact_sd_mm
+    )
 
 
 def of_program(
@@ -124,12 +132,14 @@ def of_program(
         path = crosshead_path(log, rounding_s=rounding_s)
         time = np.arange(0.0, path.time_s[-1], 1.0 / rate_Hz)
         depth = path.at(time)
-        include = depth >= GUARD_SD * contact_sd_mm
-        if include.sum() < 2:
+        if (depth >= GUARD_SD * contact_sd_mm).sum() < 2:
             message = f"log {log.name!r} of the program stays within its contact's standard deviation"
             raise InputError(code="recipe", message=message, path=words)
+        first = next(move.speed_mm_s for move in log.moves if isinstance(move, Move))
         found += [
-            ProtocolLog(f"{log.name}-{repeat + 1}", time, depth, include, contact_sd_mm)
+            in_air_first(
+                f"{log.name}-{repeat + 1}", time, depth, speed_mm_s=first, contact_sd_mm=contact_sd_mm
+            )
             for repeat in range(log.repeats)
         ]
     return Protocol(words=words, logs=tuple(found), speeds_mm_s=(min(speeds), max(speeds)))
@@ -179,62 +189,14 @@ def of_recipe(recipe: Recipe, *, rate_Hz: float | None = None) -> tuple[Protocol
         sigma_N=float(np.sqrt(variance)),
         phi=recipe.ar1_phi if correlated else 0.0,
         white_share=recipe.sigma_N**2 / variance if correlated else 0.0,
-        pooling="partial" if len(protocol.logs) > 1 else "shared",
+        pooling=pooled("partial", logs=len(protocol.logs)),
     )
     return protocol, centre
 
 
-def of_handles(handles: Sequence[LogHandle], tick: Callable[[str], None]) -> Protocol:
-    """The recordings' own measured x(t): what would be fitted, without its force."""
-    logs, speeds = [], []
-    for handle in handles:
-        trial, log = handle.fitted()
-        tick(f"read {trial.name}")
-        data = log.data
-        logs.append(ProtocolLog(trial.name, data.time_s, data.depth_mm, data.include, handle.contact_sd_mm))
-        speeds += [speed for speed in log.speeds_mm_s if speed > 0.0]
-    plural = "s" if len(logs) > 1 else ""
-    return Protocol(
-        words=f"the measured x(t) of {len(logs)} recording{plural}",
-        logs=tuple(logs),
-        speeds_mm_s=(min(speeds, default=1.0), max(speeds, default=1.0)),
-    )
-
-
-def white_share(noise: NoiseFit) -> float:
-    """Share of the variance that is white beside an AR(1), from the moving average that the two make.
-
-    White noise and an AR(1) have a lag-one correlation of ``phi (1 - share)``; theirs as an ARMA(1, 1) is
-    ``(phi - theta) (1 - phi theta) / (1 + theta^2 - 2 phi theta)``.
-    """
-    phi, theta = noise.phi, noise.moving_average
-    if noise.model != "white+ar1" or phi <= 0.0:
-        return 0.0
-    lag_one = (phi - theta) * (1.0 - phi * theta) / (1.0 + theta**2 - 2.0 * phi * theta)
-    return float(np.clip(1.0 - lag_one / phi, 0.0, 1.0))
-
-
-def of_fit(fit: SpecimenFit, noise: NoiseFit, *, logs: int) -> Centre:
-    """The tissue that a fit found, and its noise."""
-    model = KelvinVoigt(
-        branches=fit.model.branches, stiffness_degree=fit.model.stiffness_degree, depth_mm=fit.depth_mm
-    )
-    centre = _centre(model, fit.theta, noise.sigma_N, fit.model.static_pooling, logs=logs)
-    if noise.model == "white":
-        return centre
-    return replace(centre, phi=noise.phi, white_share=white_share(noise))
-
-
-def _centre(model: KelvinVoigt, theta: FloatArray, sigma_N: float, pooling: str, *, logs: int) -> Centre:
-    one = logs == 1 and pooling == "partial"
-    return Centre(
-        model=model,
-        theta=np.asarray(theta),
-        sigma_N=sigma_N,
-        phi=0.0,
-        white_share=0.0,
-        pooling="shared" if one else pooling,
-    )
+def pooled(pooling: str, *, logs: int) -> str:
+    """How logs share F_s: one log has nothing to pool; bundles of before may say ``per-log``."""
+    return "shared" if logs == 1 else {"per-log": "scaled"}.get(pooling, pooling)
 
 
 def of_bundle(bundle: Bundle, *, where: str) -> tuple[Protocol, Centre]:
@@ -277,7 +239,7 @@ def of_bundle(bundle: Bundle, *, where: str) -> tuple[Protocol, Centre]:
             f"({slow:.3g} to {fast:.3g} mm/s), holds of {hold_s:.3g} s: its recordings are not there"
         ),
     )
-    centre = _centre(
-        model, bundle.theta, bundle.sigma_N, bundle.model.static_pooling, logs=len(protocol.logs)
+    pooling = pooled(bundle.model.static_pooling, logs=len(protocol.logs))
+    return protocol, Centre(
+        model, np.asarray(bundle.theta), bundle.sigma_N, phi=0.0, white_share=0.0, pooling=pooling
     )
-    return protocol, centre

@@ -1,4 +1,4 @@
-"""Protocol and tissue of recordings: read, segmented and fitted once, to centre the priors."""
+"""Protocol and tissue of recordings: read, segmented and identified once, to centre the priors."""
 
 from __future__ import annotations
 
@@ -6,39 +6,120 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from tissueid.collection import Collected, TrialCache, collect, display_names
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from tissueid import IdentifyOptions, PosteriorOptions, identify
+from tissueid.collection import display_names
+from tissueid.decided import decided_options, decided_trial, why_excluded
 from tissueid.errors import InputError, UsageError
-from tissueid.fit.logs import LogHandle
-from tissueid.fit.specimen import FitOptions, fit_with_state
-from tissueid.fit.tip import tip_handles
 from tissueid.manifest import Study
-from tissueid.segment import SegmentOptions
-from tissueid.selfcheck.protocol import Centre, Protocol, of_fit, of_handles
+from tissueid.measured.pushes import usable_until
+from tissueid.model.frame import deflection
+from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.result import SpecimenFit
+from tissueid.segment import SegmentOptions, segment
+from tissueid.selfcheck.protocol import Centre, Protocol, pooled
+from tissueid.selfcheck.ranks import DRAWS
+from tissueid.selfcheck.recording import ProtocolLog
 from tissueid.store.bundle import Bundle
 from tissueid.store.files import sha256_of
-from tissueid.trial import Source, Trial
+from tissueid.trial import Contact, Segmentation, Source, Trial, contact_frame
+from tissueid.uncertainty import NoiseFit
 
-__all__ = ["inputs_there", "of_bundle_inputs", "of_recordings"]
+__all__ = ["inputs_there", "of_bundle_inputs", "of_fit", "of_recordings", "white_share"]
 
 #: A bundle's contact points were refined by its fit: depths may differ by a little.
 DEPTH_TOLERANCE = 0.02
+#: A known frame gives under a mean force of so many samples, without most of its noise.
+SMOOTHED = 11
 
 _Progress = Callable[[str, int, int], None]
 _Reload = Callable[[Source], Trial]
 
 
-def _collected(
-    trials: Iterable[Trial], reload: _Reload, study: Study | None, progress: _Progress
-) -> Collected:
-    return collect(trials, SegmentOptions(), TrialCache(reload), progress, study)
+def _in_contact(raw: Trial, study: Study | None) -> tuple[Trial, Segmentation, Contact] | None:
+    """A recording as the study decides it, divided; ``None`` where a fit would leave it out."""
+    trial, options = raw, SegmentOptions()
+    decision = None
+    if study is not None:
+        decision = study.decision(raw.source.path, raw.source.sheet)
+        if study.only_listed and not decision.listed:
+            return None
+        trial, options = decided_trial(raw, decision, study), decided_options(options, decision)
+    if why_excluded(raw, decision, study) is not None:
+        return None
+    try:
+        found = segment(trial, options=options)
+    except (ArithmeticError, np.linalg.LinAlgError):
+        return None
+    return None if found.contact is None else (trial, found, found.contact)
 
 
-def _handles(handles: Sequence[LogHandle], study: Study | None, progress: _Progress) -> list[LogHandle]:
-    """Logs in the displacement of the tip, where the study knows the frame."""
+def _turns(found: Segmentation, contact: Contact, size: int) -> int:
+    """One past the last sample before the tool first turns back, or the tissue breaks."""
+    stop = usable_until(found, size)
+    for phase in found.phases[found.test :]:
+        if phase.kind == "cycle" and phase.peak is not None:
+            return min(phase.peak + 1, stop)
+        if phase.kind == "retract" and phase.stop > contact.index + 1:
+            return min(phase.start + 1, stop)
+    return stop
+
+
+def _log(raw: Trial, study: Study | None) -> tuple[ProtocolLog, list[float]] | None:
+    """The measured x(t) of the tip to where it turns back, and the speeds of its ramps."""
+    known = _in_contact(raw, study)
+    if known is None:
+        return None
+    trial, found, contact = known
+    depth, force = contact_frame(trial, found)
     frame = None if study is None else study.calibration.frame
-    if frame is None:
-        return list(handles)
-    return list(tip_handles(handles, frame, lambda text: progress(text, 0, 0)))
+    if frame is not None:
+        depth = depth - deflection(frame, np.maximum(uniform_filter1d(force, SMOOTHED), 0.0))
+    ramps = found.of_kind("ramp")
+    stop = _turns(found, contact, depth.size)
+    kept = slice(found.phases[0].start if found.phases else 0, stop)
+    time = trial.time_s - trial.time_s[contact.index]
+    log = ProtocolLog(trial.name, time[kept], depth[kept], contact.sd_mm)
+    speeds = [one.speed_mm_s for one in ramps if one.stop > contact.index and one.start < stop - 1]
+    return log, [speed for speed in speeds if speed > 0.0]
+
+
+def _protocol(trials: Iterable[Trial], study: Study | None) -> Protocol:
+    """The recordings' own measured x(t), without its force."""
+    known = [one for one in (_log(raw, study) for raw in trials) if one is not None]
+    speeds = [speed for _, own in known for speed in own] or [1.0]
+    return Protocol(
+        words=f"the measured x(t) of {len(known)} recording{'s' * (len(known) > 1)}",
+        logs=tuple(log for log, _ in known),
+        speeds_mm_s=(min(speeds), max(speeds)),
+    )
+
+
+def _chosen(
+    trials: Iterable[Trial], study: Study | None, specimen: str | None, where: str, progress: _Progress
+) -> tuple[str, Sequence[Source]]:
+    """Name and recordings of the one specimen that is meant."""
+    groups: dict[str, list[Source]] = {}
+    for raw in trials:
+        progress(f"read {raw.name}", 0, 0)
+        known = _in_contact(raw, study)
+        if known is not None:
+            groups.setdefault(known[0].specimen, []).append(raw.source)
+    shown = display_names([(key, sources[0]) for key, sources in groups.items()])
+    names = {shown[key]: sources for key, sources in groups.items()}
+    if not names:
+        message = "holds no recording in which the tool meets a tissue"
+        raise InputError(code="no_contact", message=message, path=where)
+    if specimen is None and len(names) > 1:
+        msg = f"{where} holds {len(names)} specimens: choose one with --specimen: {', '.join(names)}"
+        raise UsageError(msg)
+    name = specimen or next(iter(names))
+    if name not in names:
+        msg = f"{where} holds no specimen {name!r}; there are {', '.join(names)}"
+        raise UsageError(msg)
+    return name, names[name]
 
 
 def of_recordings(
@@ -50,7 +131,7 @@ def of_recordings(
     progress: _Progress,
     where: str,
 ) -> tuple[str, Protocol, Centre]:
-    """Name, protocol and fitted tissue of one specimen of some recordings.
+    """Name, protocol and identified tissue of one specimen of some recordings.
 
     Raises
     ------
@@ -59,23 +140,41 @@ def of_recordings(
     UsageError
         There are several specimens and none, or another, was named.
     """
-    collected = _collected(trials, reload, study, progress)
-    names = {name: key for key, name in display_names(collected.sources).items()}
-    if not names:
-        why = f"; the first: {collected.left_out[0]}" if collected.left_out else ""
-        message = f"holds nothing that can be fitted{why}"
+    name, sources = _chosen(trials, study, specimen, where, progress)
+    own = [reload(source) for source in sources]
+    options = IdentifyOptions(posterior=PosteriorOptions(draws=DRAWS))
+    found = identify(own, study=study, options=options, progress=progress)
+    if not found.specimens:
+        message = f"holds nothing that can be fitted; the first: {found.exit.reasons[0]}"
         raise InputError(code="no_contact", message=message, path=where)
-    if specimen is None and len(names) > 1:
-        msg = f"{where} holds {len(names)} specimens: choose one with --specimen: {', '.join(names)}"
-        raise UsageError(msg)
-    name = specimen or next(iter(names))
-    if name not in names:
-        msg = f"{where} holds no specimen {name!r}; there are {', '.join(names)}"
-        raise UsageError(msg)
-    handles = _handles(collected.groups[names[name]], study, progress)
-    fitted = fit_with_state(name, handles, options=FitOptions(), tick=lambda text: progress(text, 0, 0))
-    protocol = of_handles(handles, lambda text: progress(text, 0, 0))
-    return name, protocol, of_fit(fitted.fit, fitted.whitened.noise, logs=len(handles))
+    protocol = _protocol(own, study)
+    return name, protocol, of_fit(found.specimens[0], logs=len(protocol.logs))
+
+
+def of_fit(fit: SpecimenFit, *, logs: int) -> Centre:
+    """The tissue that was identified, and its noise: white, where no posterior tells of it."""
+    noise = NoiseFit("white", fit.sigma_N, 0.0, 1.0) if fit.posterior is None else fit.posterior.noise
+    return Centre(
+        model=KelvinVoigt(fit.model.branches, fit.model.stiffness_degree, fit.depth_mm),
+        theta=np.asarray(fit.theta),
+        sigma_N=noise.sigma_N,
+        phi=0.0 if noise.model == "white" else noise.phi,
+        white_share=white_share(noise),
+        pooling=pooled(fit.model.static_pooling, logs=logs),
+    )
+
+
+def white_share(noise: NoiseFit) -> float:
+    """Share of the variance that is white beside an AR(1), from the moving average that the two make.
+
+    White noise and an AR(1) have a lag-one correlation of ``phi (1 - share)``; theirs as an ARMA(1, 1) is
+    ``(phi - theta) (1 - phi theta) / (1 + theta^2 - 2 phi theta)``.
+    """
+    phi, theta = noise.phi, noise.moving_average
+    if noise.model != "white+ar1" or phi <= 0.0:
+        return 0.0
+    lag_one = (phi - theta) * (1.0 - phi * theta) / (1.0 + theta**2 - 2.0 * phi * theta)
+    return float(np.clip(1.0 - lag_one / phi, 0.0, 1.0))
 
 
 def inputs_there(bundle: Bundle) -> list[dict[str, Any]]:
@@ -89,23 +188,19 @@ def inputs_there(bundle: Bundle) -> list[dict[str, Any]]:
 
 
 def of_bundle_inputs(
-    trials: Iterable[Trial],
-    bundle: Bundle,
-    *,
-    study: Study | None,
-    reload: _Reload,
-    progress: _Progress,
+    trials: Iterable[Trial], bundle: Bundle, *, study: Study | None, progress: _Progress
 ) -> Protocol | None:
-    """The measured x(t) behind a bundle; ``None`` where the recordings are no longer fitted alike."""
+    """The measured x(t) behind a bundle; ``None`` where the recordings are no longer those of its fit."""
     wanted = {(entry["path"], entry["sheet"]) for entry in inputs_there(bundle)}
 
     def own() -> Iterable[Trial]:
-        return (trial for trial in trials if (trial.source.path, trial.source.sheet) in wanted)
+        for raw in trials:
+            progress(f"read {raw.name}", 0, 0)
+            if (raw.source.path, raw.source.sheet) in wanted:
+                yield raw
 
-    collected = _collected(own(), reload, study, progress)
-    handles = [handle for group in collected.groups.values() for handle in group]
-    if len(handles) != len(wanted):
+    protocol = _protocol(own(), study)
+    if len(protocol.logs) != len(wanted):
         return None
-    protocol = of_handles(_handles(handles, study, progress), lambda text: progress(text, 0, 0))
     # the passive set and the curves of the bundle end at its depth: samples beyond are none of its claims
     return protocol if protocol.depth_mm <= bundle.depth_mm * (1.0 + DEPTH_TOLERANCE) else None

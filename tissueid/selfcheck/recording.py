@@ -1,8 +1,9 @@
 """Simulate the recordings of one truth on the samples of a protocol.
 
-Force follows the contact model along the protocol's own x(t), with each log's gain and contact offset; what
-the load chain does to it comes on top, and noise last.  A calibration defect acts as in a real machine: the
-recorded displacement is given, and the tip is where gain and compliance leave it.
+Force follows the contact model along the protocol's own x(t) from the contact on, with each log's gain and
+contact offset; what the load chain does to it comes on top, and noise last, in air as well.  A calibration
+defect acts as in a real machine: the recorded displacement is given, and the tip is where gain and
+compliance leave it.
 """
 
 from __future__ import annotations
@@ -14,12 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter, lfiltic
 
-from tissueid.likelihood.sums import LogData
 from tissueid.model.base import ContactPath
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.selfcheck.truth import Truth
+from tissueid.synth.path import Path, contact_path
+from tissueid.trial import Source, Trial
 
-__all__ = ["ProtocolLog", "noise", "recorded_force", "simulated_logs"]
+__all__ = ["ProtocolLog", "low_pass", "noise", "recorded_force", "simulated_trials", "tip_depth"]
 
 FloatArray = NDArray[np.float64]
 
@@ -34,33 +36,21 @@ SAME_STEP = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProtocolLog:
-    """What one log of a protocol did, and which of its samples are fitted.
+    """What one log of a protocol did.
 
     Attributes
     ----------
     name : str
     time_s, depth_mm : ndarray, shape (n,)
-        From contact on; depth as recorded.
-    include : ndarray of bool, shape (n,)
+        As recorded, both 0 at the expected contact and negative in air before it.
     contact_sd_mm : float
-        Prior of the contact point.
+        Standard deviation of the depth at which the tool meets the tissue.
     """
 
     name: str
     time_s: FloatArray
     depth_mm: FloatArray
-    include: NDArray[np.bool_]
     contact_sd_mm: float
-
-    def with_force(self, force_N: FloatArray) -> LogData:
-        """The log as the fit takes it."""
-        return LogData(
-            time_s=self.time_s,
-            depth_mm=self.depth_mm,
-            force_N=force_N,
-            include=self.include,
-            fold=np.zeros(self.time_s.size, dtype=np.int64),
-        )
 
 
 def noise(
@@ -133,10 +123,12 @@ def recorded_force(
     offset_mm: float,
     calibration: Mapping[str, float],
 ) -> FloatArray:
-    """Force without noise as the machine records it [N].
+    """Force without noise as the machine records it [N], 0 in air.
 
     Parameters
     ----------
+    gain, offset_mm : float
+        Factor of all forces of the log, and how much deeper than expected the tool meets the tissue.
     calibration : mapping
         ``force_gain`` and ``displacement_gain`` (recorded over true), ``skew_s`` (force later than
         displacement), ``force_filter_s`` (first-order low-pass), ``frame_compliance_mm_per_N``; what is
@@ -144,29 +136,20 @@ def recorded_force(
     """
     give = calibration.get("frame_compliance_mm_per_N", 0.0)
     skew, filter_s = calibration.get("skew_s", 0.0), calibration.get("force_filter_s", 0.0)
-    time = log.time_s
-    depth = log.depth_mm / calibration.get("displacement_gain", 1.0) - offset_mm
-    acts_between = skew != 0.0 or filter_s > 0.0 or give > 0.0
-    if acts_between:
-        time = np.interp(
-            np.arange((log.time_s.size - 1) * OVERSAMPLED + 1) / OVERSAMPLED,
-            np.arange(log.time_s.size),
-            log.time_s,
-        )
+    time, depth = log.time_s, log.depth_mm / calibration.get("displacement_gain", 1.0)
+    if skew != 0.0 or filter_s > 0.0 or give > 0.0:
+        samples = np.arange(time.size)
+        time = np.interp(np.arange((time.size - 1) * OVERSAMPLED + 1) / OVERSAMPLED, samples, time)
         depth = np.interp(time, log.time_s, depth)
+    touched = contact_path(Path(time, depth), offset_mm)
     # the force that bends the frame is the log's own, gain and all
-    scaled = _scaled(model, theta, gain)
-    force = model.force(scaled, ContactPath(time, tip_depth(model, scaled, time, depth, give)))
-    if acts_between:
-        force = low_pass(time, force, filter_s)
-        force = np.interp(log.time_s - skew, time, force)
-    return np.asarray(calibration.get("force_gain", 1.0) * force)
-
-
-def _scaled(model: KelvinVoigt, theta: FloatArray, gain: float) -> FloatArray:
-    """The tissue with all its forces times a gain."""
     static, stiffness, tau = model.split(theta)
-    return model.join(gain * static, gain * stiffness, tau)
+    scaled = model.join(gain * static, gain * stiffness, tau)
+    tip = tip_depth(model, scaled, touched.time_s, touched.value_mm, give)
+    force = np.interp(time, touched.time_s, model.force(scaled, ContactPath(touched.time_s, tip)))
+    # tissue pushes and does not pull
+    force = low_pass(time, np.maximum(force, 0.0), filter_s)
+    return np.asarray(calibration.get("force_gain", 1.0) * np.interp(log.time_s - skew, time, force))
 
 
 def low_pass(time_s: FloatArray, force_N: FloatArray, filter_s: float) -> FloatArray:
@@ -193,7 +176,7 @@ def low_pass(time_s: FloatArray, force_N: FloatArray, filter_s: float) -> FloatA
     return out
 
 
-def simulated_logs(
+def simulated_trials(
     model: KelvinVoigt,
     truth: Truth,
     logs: tuple[ProtocolLog, ...],
@@ -201,8 +184,8 @@ def simulated_logs(
     reference_step_s: float,
     white_share: float,
     rng: np.random.Generator,
-) -> list[LogData]:
-    """All logs of one truth, noise and all."""
+) -> list[Trial]:
+    """All recordings of one truth, noise and all, as a machine would export them."""
     out = []
     for log, gain, offset in zip(logs, truth.gain, truth.offset_mm, strict=True):
         clean = recorded_force(
@@ -216,5 +199,7 @@ def simulated_logs(
             white_share=white_share,
             rng=rng,
         )
-        out.append(log.with_force(clean + own))
+        source = Source(path=log.name, recipe="simulated")
+        time = log.time_s - log.time_s[0]
+        out.append(Trial("simulated", time, log.depth_mm, clean + own, source=source))
     return out

@@ -6,10 +6,10 @@ import multiprocessing
 import pickle
 import signal
 import time
-from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
-from typing import Any, Protocol
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -19,24 +19,10 @@ from tissueid.selfcheck.records import Checkpoint, Record, Replicate, record_of
 
 __all__ = ["Check", "one_record", "run_simulations"]
 
-#: Simulations that wait for each worker: enough to keep it busy, few enough to stop soon.
-QUEUED = 3
-
+#: Draws a truth, simulates data and infers it again; goes to workers by pickle.  An ArithmeticError or
+#: LinAlgError says that the inference failed on these data, which is counted.
+Check = Callable[[np.random.Generator], Replicate]
 _Progress = Callable[[str, int, int], None]
-
-
-class Check(Protocol):
-    """Something that draws a truth, simulates data and infers it again; goes to workers by pickle."""
-
-    def __call__(self, rng: np.random.Generator) -> Replicate:
-        """One simulation.
-
-        Raises
-        ------
-        ArithmeticError, numpy.linalg.LinAlgError
-            The inference failed on these data, which is counted.
-        """
-        ...
 
 
 def one_record(check: Check, seed: int, index: int) -> Record:
@@ -73,21 +59,14 @@ def _records(check: Check, seed: int, indices: list[int], workers: int) -> Itera
             for index in indices:
                 yield one_record(check, seed, index)
         return
-    context = multiprocessing.get_context("spawn")
-    waiting: deque[Future[Record]] = deque()
     with ProcessPoolExecutor(
-        min(workers, len(indices)), mp_context=context, initializer=_begin, initargs=(pickle.dumps(check),)
+        min(workers, len(indices)),
+        mp_context=multiprocessing.get_context("spawn"),
+        initializer=_begin,
+        initargs=(pickle.dumps(check),),
     ) as pool:
-        try:
-            for index in indices:
-                waiting.append(pool.submit(_in_worker, seed, index))
-                if len(waiting) >= QUEUED * workers:
-                    yield waiting.popleft().result()
-            while waiting:
-                yield waiting.popleft().result()
-        finally:
-            for future in waiting:
-                future.cancel()
+        # left early, what waits is cancelled
+        yield from pool.map(partial(_in_worker, seed), indices)
 
 
 def run_simulations(

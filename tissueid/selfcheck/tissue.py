@@ -1,46 +1,44 @@
-"""One simulation of a tissue under a protocol: truth, recordings, and what ``fit`` infers from them.
+"""One simulation of a tissue under a protocol: truth, recordings, and what ``identify`` makes of them.
 
-The inference is that of a fit whose contact points are known up to their priors and whose model order is
-fixed: sums, optimum, whitening, the posterior's target, the sampler, and the redraw of what was integrated.
+Nothing of the engine is looked at: recordings with their approach in air go in, draws of theta, quoted
+intervals and flags come out.  The order of the model is the truth's, and the study that goes with the
+recordings states the very priors that the truth was drawn from.
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid import __version__
-from tissueid.model.kelvin_voigt import KelvinVoigt
-from tissueid.posterior.total_intervals import total_intervals
+from tissueid import FitOptions, IdentifyOptions, PosteriorOptions, __version__, identify
+from tissueid.manifest import Study
+from tissueid.model.kelvin_voigt import KelvinVoigt, branch_suffix
 from tissueid.priors import Priors
-from tissueid.selfcheck.inference import Inferred, infer
+from tissueid.result import SpecimenFit
+from tissueid.segment import SegmentOptions
 from tissueid.selfcheck.protocol import Centre, Protocol
-from tissueid.selfcheck.recording import ProtocolLog, simulated_logs
+from tissueid.selfcheck.ranks import DRAWS
+from tissueid.selfcheck.recording import ProtocolLog, simulated_trials
 from tissueid.selfcheck.records import Replicate
-from tissueid.selfcheck.truth import Widths, centred_priors, draw_truth, force_points, numbers_of
+from tissueid.selfcheck.truth import Truth, Widths, centred_priors, draw_truth, force_points, numbers_of
+from tissueid.trial import Trial
 
 __all__ = ["TissueCheck", "described", "tissue_check"]
 
 FloatArray = NDArray[np.float64]
 
-#: An instrument without a defect.
-PERFECT = {
-    "force_gain": 1.0,
-    "displacement_gain": 1.0,
-    "skew_s": 0.0,
-    "force_filter_s": 0.0,
-    "frame_compliance_mm_per_N": 0.0,
-}
+#: Effective draws that are asked for: those of a chain are correlated, and ranks want independent ones.
+SAMPLED = 4 * DRAWS
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TissueCheck:
-    """Draws a tissue, records it, infers it.
+    """Draws a tissue, records it, identifies it.
 
     Attributes
     ----------
@@ -49,15 +47,13 @@ class TissueCheck:
     priors : Priors
         Proper ones: truths come from them, and the inference knows them.
     pooling : str
-        ``partial``, ``shared`` or ``per-log``.
+        ``scaled``, ``partial`` or ``shared``.
     correlated : bool
         Noise with phi.
     white_share : float
         Share of its variance that is white beside the correlated part.
     defects : bool
         Calibration nuisances are drawn, and the total posterior is checked.
-    sampler : str
-        ``exact`` or ``emcee``.
     reference_step_s : float
         Step over which phi is the correlation: the finest of the logs' median steps.
     points : tuple of tuple
@@ -66,6 +62,9 @@ class TissueCheck:
         Names whose prior the study states.
     instrument : mapping or None
         The one instrument of every truth, instead of drawn defects: is it covered though it is unknown?
+    contact_stated : bool
+        The contact point is stated with its standard deviation, and not found in the recordings: the
+        posterior is checked without the segmentation before it.
     """
 
     model: KelvinVoigt
@@ -75,11 +74,11 @@ class TissueCheck:
     correlated: bool
     white_share: float
     defects: bool
-    sampler: str
     reference_step_s: float
     points: tuple[tuple[float, float], ...]
     stated: tuple[str, ...] = field(default=())
     instrument: Mapping[str, float] | None = None
+    contact_stated: bool = False
 
     @property
     def noise_model(self) -> str:
@@ -88,40 +87,31 @@ class TissueCheck:
             return "white"
         return "white+ar1" if self.white_share > 0.0 else "ar1"
 
-    def _numbers(self, theta: FloatArray) -> dict[str, FloatArray]:
-        """What is checked of tissues; logs with static curves of their own share K and tau only."""
-        numbers = numbers_of(self.model, theta, self.points)
-        if self.pooling != "per-log":
-            return numbers
-        return {name: value for name, value in numbers.items() if not name.startswith(("static", "force"))}
-
-    def _quoted(self, found: Inferred) -> dict[str, tuple[float, float]]:
-        """Intervals of the tissue that a fit quotes, where they are not central ones."""
-        if not self.defects:
-            return {}
-        priors = self.priors.calibration
-        return total_intervals(
-            self._numbers(found.theta),
-            {name: values for name, values in found.others.items() if name in priors},
-            priors,
-            cluster=found.source,
+    @property
+    def segmentation(self) -> SegmentOptions:
+        """What is stated of the contact points: nothing, or where they are and how surely."""
+        if not self.contact_stated:
+            return SegmentOptions()
+        return SegmentOptions(
+            contact_displacement_mm=0.0, contact_sd_mm=max(log.contact_sd_mm for log in self.logs)
         )
 
-    def __call__(self, rng: np.random.Generator) -> Replicate:
-        """One simulation."""
-        offset_sd = np.array([log.contact_sd_mm for log in self.logs])
-        truth = draw_truth(
+    def truth(self, rng: np.random.Generator) -> Truth:
+        """A draw from the priors, behind the instrument."""
+        drawn = draw_truth(
             self.model,
             self.priors,
-            offset_sd_mm=offset_sd,
+            offset_sd_mm=np.array([log.contact_sd_mm for log in self.logs]),
             pooling=self.pooling,
             correlated=self.correlated,
             defects=self.defects,
             rng=rng,
         )
-        if self.instrument is not None:
-            truth = replace(truth, calibration=dict(self.instrument))
-        data = simulated_logs(
+        return drawn if self.instrument is None else replace(drawn, calibration=dict(self.instrument))
+
+    def trials(self, truth: Truth, rng: np.random.Generator) -> list[Trial]:
+        """The recordings of a truth."""
+        return simulated_trials(
             self.model,
             truth,
             self.logs,
@@ -129,15 +119,80 @@ class TissueCheck:
             white_share=self.white_share,
             rng=rng,
         )
-        found = infer(self, data, rng)
-        true = {name: float(value[0]) for name, value in self._numbers(truth.theta[None]).items()}
-        draws = self._numbers(found.theta)
-        own = {"sigma_N": truth.sigma_N, "phi": truth.phi, "gain_sd": truth.gain_sd}
-        own |= PERFECT | dict(truth.calibration)
-        for name, values in found.others.items():
-            true[name] = own[name]
-            draws[name] = values
-        return Replicate(truth=true, draws=draws, detail=found.detail, quoted=self._quoted(found))
+
+    def identified(self, trials: Sequence[Trial], *, seed: int) -> SpecimenFit:
+        """What is identified from recordings of one specimen, with its posterior.
+
+        Raises
+        ------
+        ArithmeticError
+            There is no posterior, or its sampler did not converge.
+        """
+        options = IdentifyOptions(
+            segment=self.segmentation,
+            fit=FitOptions(
+                branches=self.model.branches,
+                stiffness_degree=self.model.stiffness_degree,
+                static=self.pooling,
+                noise=self.noise_model,
+            ),
+            posterior=PosteriorOptions(draws=SAMPLED, seed=seed),
+            seed=seed,
+        )
+        found = identify(trials, study=Study("simulated", priors=self.priors), options=options)
+        if not found.specimens:
+            raise ArithmeticError("; ".join(found.exit.reasons))
+        (fit,) = found.specimens
+        if fit.posterior is None or not fit.posterior.sampler.converged:
+            lost = [flag for flag in fit.flags if flag.code == "sampler_not_converged"]
+            said = [f"{flag.message}: {flag.values.get('reason', '')}" for flag in lost]
+            raise ArithmeticError("; ".join(said) or "no posterior was sampled")
+        return fit
+
+    def _numbers(self, fit: SpecimenFit, theta: FloatArray) -> dict[str, FloatArray]:
+        """What is checked of tissues; a viscosity is quoted at half of the depth that was fitted."""
+        return numbers_of(replace(self.model, depth_mm=fit.depth_mm), theta, self.points)
+
+    def drawn(self, fit: SpecimenFit) -> FloatArray:
+        """The draws behind the intervals that are checked, shape (n, p), in the model's order."""
+        posterior = fit.posterior
+        assert posterior is not None  # noqa: S101 -- identified saw to it
+        draws = posterior.draws_total if self.defects else posterior.draws
+        if draws is None or draws.shape[0] < DRAWS:
+            msg = f"{0 if draws is None else draws.shape[0]} draws, {DRAWS} are needed to rank a truth"
+            raise ArithmeticError(msg)
+        return draws[:, [posterior.theta_names.index(name) for name in self.model.parameter_names]]
+
+    def __call__(self, rng: np.random.Generator) -> Replicate:
+        """One simulation."""
+        truth = self.truth(rng)
+        fit = self.identified(self.trials(truth, rng), seed=int(rng.integers(2**31)))
+        true = self._numbers(fit, truth.theta[None])
+        return Replicate(
+            truth={name: float(value[0]) for name, value in true.items()},
+            draws=self._numbers(fit, self.drawn(fit)),
+            detail=_detail(fit),
+            quoted={name: ends for name, ends in _quoted(fit, total=self.defects).items() if name in true},
+        )
+
+
+def _detail(fit: SpecimenFit) -> dict[str, float]:
+    """Numbers of a fit that are kept as means over the simulations."""
+    assert fit.posterior is not None  # noqa: S101 -- identified saw to it
+    misfit = fit.posterior.misfit
+    return {
+        "acceptance": float(fit.posterior.sampler.acceptance),
+        "identified": float(np.mean([one.identified for one in fit.parameters])),
+        "misfit": float(misfit is not None and misfit.raised),
+        "logs": float(len(fit.trials)),
+    }
+
+
+def _quoted(fit: SpecimenFit, *, total: bool) -> dict[str, tuple[float, float]]:
+    """95 % intervals as they are quoted, by parameter."""
+    known = {one.name: one.uncertainty for one in fit.parameters if one.uncertainty is not None}
+    ends = {name: one.ci95_total if total else one.ci95 for name, one in known.items()}
+    return {name: pair for name, pair in ends.items() if pair is not None and np.isfinite(pair).all()}
 
 
 def tissue_check(
@@ -147,7 +202,6 @@ def tissue_check(
     stated: Priors | None = None,
     widths: Widths | None = None,
     defects: bool = False,
-    sampler: str = "exact",
 ) -> TissueCheck:
     """The check of a tissue under a protocol, with proper priors around it.
 
@@ -160,8 +214,6 @@ def tissue_check(
     widths : Widths, optional
     defects : bool
         Draw calibration nuisances and check the total posterior.
-    sampler : str
-        ``exact`` or ``emcee``.
     """
     stated = stated or Priors()
     return TissueCheck(
@@ -174,7 +226,6 @@ def tissue_check(
         correlated=centre.phi > 0.0,
         white_share=centre.white_share,
         defects=defects,
-        sampler=sampler,
         reference_step_s=protocol.step_s,
         points=force_points(centre.model.depth_mm, protocol.speeds_mm_s),
         stated=_stated_names(stated),
@@ -183,43 +234,19 @@ def tissue_check(
 
 def described(check: TissueCheck) -> dict[str, Any]:
     """Everything that decides a simulation, as JSON: what two calls must share to go on with each other."""
-    priors = check.priors
-    return {
-        "version": __version__,
-        "model": [check.model.branches, check.model.stiffness_degree, check.model.depth_mm],
-        "linear": {name: list(pair) for name, pair in priors.linear.items()},
-        "times": [[time.median, time.sd_ln] for time in priors.relaxation_time_s],
-        "sigma": None if priors.sigma_N is None else [priors.sigma_N.median, priors.sigma_N.sd_ln],
-        "noise": [check.noise_model, list(priors.phi), check.white_share, check.reference_step_s],
-        "gain": [check.pooling, priors.gain_sd],
-        "calibration": {
-            name: [one.mean, one.sd, str(one.lower)]
-            for name, one in priors.calibration.items()
-            if check.defects
-        },
-        "instrument": None if check.instrument is None else dict(check.instrument),
-        "sampler": check.sampler,
-        "points": [list(point) for point in check.points],
-        "logs": [
-            [log.name, log.contact_sd_mm]
-            + [
-                hashlib.sha256(np.ascontiguousarray(part).tobytes()).hexdigest()
-                for part in (log.time_s, log.depth_mm, log.include)
-            ]
-            for log in check.logs
-        ],
-    }
+    told = {name: repr(getattr(check, name)) for name in check.__dataclass_fields__ if name != "logs"}
+    paths = (log.time_s.tobytes() + log.depth_mm.tobytes() for log in check.logs)
+    logs = [
+        [log.name, log.contact_sd_mm, hashlib.sha256(path).hexdigest()]
+        for log, path in zip(check.logs, paths, strict=True)
+    ]
+    return {"version": __version__, **told, "logs": logs}
 
 
 def _stated_names(priors: Priors) -> tuple[str, ...]:
     """Names of :func:`~tissueid.selfcheck.truth.prior_words` whose prior a study states."""
     default = Priors()
-    names = list(priors.linear)
-    names += [
-        f"relaxation_time_s{'' if j == 0 else f'_b{j + 1}'}" for j in range(len(priors.relaxation_time_s))
-    ]
-    names += [
-        name for name in ("sigma_N", "phi", "gain_sd") if getattr(priors, name) != getattr(default, name)
-    ]
-    names += [name for name, prior in priors.calibration.items() if prior.stated]
-    return tuple(names)
+    times = [f"relaxation_time_s{branch_suffix(j)}" for j in range(len(priors.relaxation_time_s))]
+    scales = [one for one in ("sigma_N", "phi", "gain_sd") if getattr(priors, one) != getattr(default, one)]
+    nuisances = [name for name, prior in priors.calibration.items() if prior.stated]
+    return (*priors.linear, *times, *scales, *nuisances)

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from tissueid.errors import InputError
 from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt, branch_suffix
 from tissueid.model.polynomial import minimum_on_unit
-from tissueid.posterior.reported import reported_draws
 from tissueid.priors import CalibrationPrior, Priors, SpreadPrior
 
 __all__ = [
@@ -33,6 +32,8 @@ FloatArray = NDArray[np.float64]
 
 #: Depths, as fractions of the fitted one, at which the force is checked, from fastest to slowest speed.
 FORCE_DEPTHS = (0.25, 0.5, 1.0)
+#: Depth of a viscosity, as a fraction of the fitted one.
+REFERENCE_DEPTH = 0.5
 #: Draws after which a prior counts as one without passive tissue.
 MOST_REJECTED = 100_000
 
@@ -212,7 +213,7 @@ def draw_truth(
     offset_sd_mm : ndarray, shape (logs,)
         Prior of each contact point; 0 where it is known.
     pooling : str
-        ``partial`` gives each log a gain.
+        All but ``shared`` give each log a gain.
     correlated : bool
         Noise with phi, or white.
     defects : bool
@@ -229,7 +230,7 @@ def draw_truth(
         theta[STATIC_DEGREE + (branch + 1) * model.block - 1] = tau[branch]
     sigma = priors.sigma_N.median * float(np.exp(priors.sigma_N.sd_ln * rng.standard_normal()))
     phi = float(rng.uniform(*priors.phi)) if correlated else 0.0
-    spread = abs(priors.gain_sd * float(rng.standard_normal())) if pooling == "partial" else 0.0
+    spread = abs(priors.gain_sd * float(rng.standard_normal())) if pooling != "shared" else 0.0
     logs = offset_sd_mm.size
     calibration: dict[str, float] = {}
     if defects:
@@ -269,20 +270,23 @@ def numbers_of(
     Returns
     -------
     dict
-        Name -> ndarray of shape (n,): parameters, viscosity of each branch, ``force_N at x mm, v mm/s``.
+        Name -> ndarray of shape (n,): parameters, viscosity of each branch at half depth, and
+        ``force_N at x mm, v mm/s``.
     """
-    out = reported_draws(model, theta)
-    blocks = _blocks(model)
+    out: dict[str, FloatArray] = {name: theta[:, k] for k, name in enumerate(model.parameter_names)}
+    static, *branches = _blocks(model)
 
     def at(block: slice, depth: float) -> FloatArray:
         return np.asarray(theta[:, block] @ depth ** np.arange(float(block.stop - block.start)))
 
+    for branch, block in enumerate(branches):
+        viscosity = at(block, REFERENCE_DEPTH * model.depth_mm) * theta[:, block.stop]
+        out[f"viscosity_N_s_per_mm{branch_suffix(branch)}"] = viscosity
     for depth, speed in points:
-        force = depth * at(blocks[0], depth)
-        for block in blocks[1:]:
-            length = speed * theta[:, block.stop]
-            force = force - at(block, depth) * length * np.expm1(-depth / length)
-        out[f"force_N at {depth:.3g} mm, {speed:.3g} mm/s"] = force
+        lengths = [speed * theta[:, block.stop] for block in branches]
+        states = [-length * np.expm1(-depth / length) for length in lengths]
+        carried = (at(block, depth) * state for block, state in zip(branches, states, strict=True))
+        out[f"force_N at {depth:.3g} mm, {speed:.3g} mm/s"] = depth * at(static, depth) + sum(carried)
     return out
 
 
@@ -302,7 +306,7 @@ def prior_words(priors: Priors, *, correlated: bool, pooling: str, defects: bool
         )
     if correlated:
         said["phi"] = f"uniform, {priors.phi[0]:.4g} to {priors.phi[1]:.4g}"
-    if pooling == "partial":
+    if pooling != "shared":
         said["gain_sd"] = f"half-normal, scale {priors.gain_sd:.3g}"
     if defects:
         for name, prior in priors.calibration.items():

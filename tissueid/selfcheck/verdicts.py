@@ -187,12 +187,14 @@ class Verdict:
         }
 
 
-def _coverage(ranks: IntArray, level: float, error: float, quoted: Sequence[bool]) -> Coverage:
+def _coverage(ranks: IntArray, level: float, error: float, held: Sequence[bool | None]) -> Coverage:
     """Count truths in the quoted interval; else ranks in the central one: (L + 1) * level of the L + 1."""
     out = round((1.0 - level) / 2.0 * (DRAWS + 1))
     low, high = binomial_interval(ranks.size, level, error)
-    covered = sum(quoted) if quoted else int(((ranks >= out) & (ranks <= DRAWS - out)).sum())
-    return Coverage(level=level, covered=covered, simulations=ranks.size, low=low, high=high)
+    inside = (ranks >= out) & (ranks <= DRAWS - out)
+    if level == QUOTED:
+        inside = np.array([own if told is None else told for own, told in zip(inside, held, strict=True)])
+    return Coverage(level=level, covered=int(inside.sum()), simulations=ranks.size, low=low, high=high)
 
 
 def _parameter(
@@ -204,7 +206,7 @@ def _parameter(
     ranks = np.array([record.rank[name] for record in records], dtype=np.int64)
     z = (truth - mean) / np.maximum(sd, np.finfo(float).tiny)
     counts = ecdf_counts(ranks)
-    quoted = [record.held[name] for record in records if name in record.held]
+    held = [record.held.get(name) for record in records]
     # a truth that is the same in every simulation has no spread but that of rounding
     varies = truth.size > 1 and float(np.ptp(truth)) > SAME * float(np.abs(truth).max())
     spread = float(truth.var(ddof=1)) if varies else 0.0
@@ -213,7 +215,7 @@ def _parameter(
         name=name,
         ranks=ranks,
         counts=counts,
-        coverage=tuple(_coverage(ranks, level, error, quoted if level == QUOTED else ()) for level in LEVELS),
+        coverage=tuple(_coverage(ranks, level, error, held) for level in LEVELS),
         mean_z=float(z.mean()),
         spread_ratio=float(np.sqrt((z**2).mean())),
         contraction=1.0 - float((sd**2).mean()) / spread if spread > 0.0 else 0.0,

@@ -20,7 +20,7 @@ from tissueid.errors import BundleError
 from tissueid.store.bundle import HDF5_ERRORS, SPECIMEN_GROUP, load_bundle, write_bundle
 from tissueid.store.curves import get_curves, write_curves
 from tissueid.store.files import TEMPORARY_PREFIX, json_bytes, replace_file
-from tissueid.store.names import CURVES, ONLY_BUNDLE, POSTERIORS, SUMS, bundle_names
+from tissueid.store.names import CURVES, ONLY_BUNDLE, POSTERIORS, bundle_names
 from tissueid.store.outputs import OutputSet
 
 __all__ = ["LISTED", "SPECIMENS", "ListedSpecimen", "list_specimens", "merge_files", "read_listed"]
@@ -84,7 +84,7 @@ def read_listed(path: Path) -> Iterator[ListedSpecimen]:
 def merge_files(
     run: OutputSet, fitted: Mapping[str, Path], inputs: Mapping[str, Any], provenance: Mapping[str, Any]
 ) -> None:
-    """Write bundles, curves, posteriors and sums of a set from the files of its specimens.
+    """Write bundles, curves and posteriors of a set from the files of its specimens.
 
     Parameters
     ----------
@@ -111,7 +111,6 @@ def merge_files(
     try:
         write_curves([curve for path in paths for curve in _curves(path)], run.path(CURVES))
         _merge(paths, "posterior", run.path(POSTERIORS))
-        _merge(paths, "sums", run.path(SUMS))
     except HDF5_ERRORS as error:
         if isinstance(error, OSError) and error.errno is not None:
             raise

@@ -16,7 +16,6 @@ __all__ = [
     "ONLY_BUNDLE",
     "POSTERIORS",
     "REPORT",
-    "SUMS",
     "bundle_names",
     "file_names",
     "safe_name",
@@ -26,7 +25,6 @@ __all__ = [
 IDENTIFICATION = "identification.json"
 CURVES = "curves.h5"
 POSTERIORS = "posteriors.h5"
-SUMS = "sums.h5"
 REPORT = "report.html"
 ONLY_BUNDLE = "bundle.h5"
 

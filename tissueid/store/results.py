@@ -2,7 +2,7 @@
 
 ``identification.json`` (the numbers), ``bundle-<specimen>.h5`` (the models), ``bundle.h5`` where there is
 one specimen, ``curves.h5`` (what a report draws), ``posteriors.h5`` (draws, where a posterior was sampled),
-``sums.h5`` (all that the likelihood needs of the samples), ``specimens.csv`` (which files of ``specimens/``
+``specimens.csv`` (which files of ``specimens/``
 belong to the run: each holds all of these for one specimen).  A large cohort has the document, the list and
 the files of specimens only.  A report is written into the same set by whoever made it.
 """
@@ -25,7 +25,6 @@ from tissueid.store.names import (
     IDENTIFICATION,
     ONLY_BUNDLE,
     POSTERIORS,
-    SUMS,
     bundle_names,
 )
 from tissueid.store.outputs import CommittedRun, OutputSet, complete_refresh, current_run
@@ -37,7 +36,6 @@ from tissueid.store.posteriors import (
 )
 from tissueid.store.schema import check
 from tissueid.store.specimen_file import load_specimen
-from tissueid.store.sums import StoredSums, write_sums
 
 __all__ = [
     "each_result",
@@ -52,18 +50,14 @@ _LONGEST_LIST = 8
 _WAY_OUT = "run `tissueid fit` again"
 
 
-def write_results(
-    run: OutputSet, identification: Identification, sums: Iterable[StoredSums] = ()
-) -> dict[str, Any]:
-    """Write the numbers, bundles, curves, draws and sums of a fit into an output set.
+def write_results(run: OutputSet, identification: Identification) -> dict[str, Any]:
+    """Write the numbers, bundles, curves and draws of a fit into an output set.
 
     Parameters
     ----------
     run : OutputSet
         Open, not yet committed.
     identification : Identification
-    sums : iterable of StoredSums
-        One a specimen, or none.
 
     Returns
     -------
@@ -88,9 +82,6 @@ def write_results(
     posteriors = posteriors_of_fits(identification.specimens)
     if posteriors:
         write_posteriors(posteriors, run.path(POSTERIORS))
-    kept = list(sums)
-    if kept:
-        write_sums(kept, run.path(SUMS))
     return document
 
 

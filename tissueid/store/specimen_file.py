@@ -9,8 +9,7 @@ group beside it::
         |  attributes: format = "tissueid/specimen", schema_version = 1
         |-- record       JSON text: its entry of identification.json, refusals, inputs, rows of the study
         |-- curves/      as curves.h5
-        |-- posterior/   as posteriors.h5, where one was sampled
-        `-- sums/        as sums.h5
+        `-- posterior/   as posteriors.h5, where one was sampled
 
 A file is written and read as bytes, so that whoever computes it needs no folder of the run.
 """
@@ -33,14 +32,12 @@ from tissueid.store.bundle import HDF5_ERRORS, SPECIMEN_GROUP, Bundle, put_bundl
 from tissueid.store.curves import TrialCurve, get_curves, put_curves
 from tissueid.store.files import json_bytes
 from tissueid.store.posteriors import StoredPosterior, get_posteriors, put_posteriors
-from tissueid.store.sums import StoredSums, get_sums, put_sums
 
 __all__ = [
     "SPECIMEN_SCHEMA_VERSION",
     "SpecimenResult",
     "load_record",
     "load_specimen",
-    "load_specimen_sums",
     "specimen_bytes",
 ]
 
@@ -61,14 +58,12 @@ class SpecimenResult:
     bundle : Bundle or None
     curves : tuple of TrialCurve
     posterior : StoredPosterior or None
-    sums : StoredSums or None
     """
 
     record: dict[str, Any]
     bundle: Bundle | None = None
     curves: tuple[TrialCurve, ...] = ()
     posterior: StoredPosterior | None = None
-    sums: StoredSums | None = None
 
 
 def specimen_bytes(result: SpecimenResult) -> bytes:
@@ -93,8 +88,6 @@ def specimen_bytes(result: SpecimenResult) -> bytes:
             put_curves(group.create_group("curves"), result.curves)
         if result.posterior is not None:
             put_posteriors(group.create_group("posterior"), [result.posterior])
-        if result.sums is not None:
-            put_sums(group.create_group("sums"), [result.sums])
     return buffer.getvalue()
 
 
@@ -153,15 +146,3 @@ def load_specimen(
         curves = get_curves(group["curves"]) if "curves" in group else ()
         posteriors = get_posteriors(group["posterior"]) if "posterior" in group else ()
         return _record(group), curves, posteriors[0] if posteriors else None
-
-
-def load_specimen_sums(path: Path) -> StoredSums | None:
-    """Sums of a specimen's file, where it has any.
-
-    Raises
-    ------
-    BundleError
-        If the file is missing, damaged or another kind of file.
-    """
-    with _opened(path) as group:
-        return next(get_sums(group["sums"]), None) if "sums" in group else None

@@ -1,7 +1,7 @@
 """The public set of a run, put together from the files of its specimens in their order.
 
 Up to :data:`LARGE` specimens the set is one document, one report and merged files.  A larger cohort has
-the document, a report that is an index with a page a specimen, and leaves curves, draws, sums and bundles
+the document, a report that is an index with a page a specimen, and leaves curves, draws and bundles
 where they are, in ``specimens/``; memory does not grow with it.
 """
 

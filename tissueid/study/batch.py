@@ -27,7 +27,6 @@ from tissueid.store.index import Index, JobRow
 from tissueid.store.merged import SPECIMENS
 from tissueid.store.outputs import OutputSet
 from tissueid.store.specimen_file import specimen_bytes
-from tissueid.store.sums import StoredSums
 from tissueid.study.assembly import LARGE, Assembled, assemble, specimen_path
 from tissueid.study.inventory import Inventory
 from tissueid.study.one_specimen import SeveralSpecimensError, fit_while_read
@@ -130,7 +129,7 @@ class _Cohort:
                 self.request.all_read()
             self._plan()
             if at_once is not None:
-                self._keep_at_once(*at_once)
+                self._keep_at_once(at_once)
             if self.large:
                 begin_pages(self.run.out)
             self._compute(workplace)
@@ -150,7 +149,7 @@ class _Cohort:
         """Whether the report has a page a specimen."""
         return len(self.specimens) > LARGE
 
-    def _while_read(self, inventory: Inventory) -> tuple[Identification, list[StoredSums]] | None:
+    def _while_read(self, inventory: Inventory) -> Identification | None:
         assert self.chains is not None  # noqa: S101  (asked before)
         try:
             return fit_while_read(inventory, self.chains, self.recent, self.progress)
@@ -194,10 +193,10 @@ class _Cohort:
             return False
         return path.stat().st_size == known[1] and sha256_of(path) == known[0]
 
-    def _keep_at_once(self, identification: Identification, sums: list[StoredSums]) -> None:
+    def _keep_at_once(self, identification: Identification) -> None:
         """Put down the specimen that was fitted while it was read."""
         for job in self.index.jobs("waiting"):
-            result = result_of(identification, sums, shown=job.specimen, options=self.request.options)
+            result = result_of(identification, shown=job.specimen, options=self.request.options)
             self._keep(job, specimen_bytes(result), 0.0)
 
     def _keep(self, job: JobRow, content: bytes, seconds: float) -> None:

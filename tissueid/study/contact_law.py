@@ -7,8 +7,8 @@ from typing import Any
 
 from tissueid import __version__
 from tissueid.collection import TrialCache, collect, display_names
-from tissueid.fit.contact_law import ContactLaw, fit_contact_law
-from tissueid.fit.contact_path import ContactLog, contact_log
+from tissueid.inference.contact_law import ContactLaw, fit_contact_law
+from tissueid.inference.contact_path import ContactLog, contact_log
 from tissueid.manifest import Study
 from tissueid.model.impact import KEY
 from tissueid.result import Refusal

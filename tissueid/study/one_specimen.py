@@ -13,7 +13,6 @@ from tissueid.collection import display_names
 from tissueid.errors import InputError
 from tissueid.pipeline import identify
 from tissueid.result import Identification
-from tissueid.store.sums import StoredSums
 from tissueid.study.inventory import Inventory
 from tissueid.study.recordings import read_decided, read_decided_one
 from tissueid.study.request import Progress
@@ -30,7 +29,7 @@ class SeveralSpecimensError(Exception):
 
 def fit_while_read(
     inventory: Inventory, chains: Path, recent: RecentTrials, progress: Progress
-) -> tuple[Identification, list[StoredSums]]:
+) -> Identification:
     """Read every file of a request and fit its one specimen.
 
     Parameters
@@ -50,8 +49,7 @@ def fit_while_read(
     """
     request = inventory.request
     names: dict[str, str] = {}
-    sums: list[StoredSums] = []
-    identification = identify(
+    return identify(
         _trials(inventory, names, recent),
         study=request.study,
         options=request.options,
@@ -59,10 +57,8 @@ def fit_while_read(
         provenance=request.provenance,
         progress=progress,
         checkpoint=lambda name: chain_file(chains, name),
-        keep_sums=sums.append,
         names=names,
     )
-    return identification, sums
 
 
 def _trials(inventory: Inventory, names: dict[str, str], recent: RecentTrials) -> Iterator[Trial]:

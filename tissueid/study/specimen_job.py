@@ -25,7 +25,6 @@ from tissueid.store.files import json_bytes, plain_json
 from tissueid.store.posteriors import posteriors_of_fits
 from tissueid.store.schema import check
 from tissueid.store.specimen_file import SPECIMEN_SCHEMA_VERSION, SpecimenResult, specimen_bytes
-from tissueid.store.sums import StoredSums
 from tissueid.study.partition import facts_of
 from tissueid.study.recordings import read_decided, read_decided_one
 from tissueid.study.survey import refusal_of
@@ -178,7 +177,6 @@ def fit_here(
             else:
                 yield item
 
-    sums: list[StoredSums] = []
     folder = job.chains
     identification = identify(
         trials(),
@@ -189,15 +187,13 @@ def fit_here(
         provenance=job.provenance,
         progress=progress,
         checkpoint=None if folder is None else lambda name: chain_file(folder, name),
-        keep_sums=sums.append,
         names={job.specimen: job.shown},
     )
-    return result_of(identification, sums, shown=job.shown, options=job.options)
+    return result_of(identification, shown=job.shown, options=job.options)
 
 
 def result_of(
     identification: Identification,
-    sums: Iterable[StoredSums],
     *,
     shown: str,
     options: IdentifyOptions,
@@ -232,7 +228,6 @@ def result_of(
         bundle=bundle_from_fit(fits[0], provenance=identification.provenance),
         curves=curves_of_fits(fits),
         posterior=posteriors[0] if posteriors else None,
-        sums=next(iter(sums), None),
     )
 
 

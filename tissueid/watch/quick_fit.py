@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from tissueid.fit.specimen import FitOptions
+from tissueid.inference.specimen import FitOptions
 from tissueid.inspection import as_decided
 from tissueid.manifest import Study
 from tissueid.pipeline import IdentifyOptions, identify

@@ -1,0 +1,126 @@
+"""An independent fit of the modified Kelvin-Voigt model: lmfit on the samples, white residuals, other starts.
+
+Relaxation times are searched by their logarithms, gains and contact offsets of the logs of one specimen
+beside them, the latter with the prior of their contact points; F_s and K follow by least squares among the
+curves that are not negative within the fitted depth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import lmfit
+import numpy as np
+from numpy.typing import NDArray
+from real_baselines import RAYS, Log, Paper, cone_weights, deepest, rms
+from real_pooled import GAIN, OFFSET_MM, PartialProblem
+
+__all__ = ["independent_fit", "named"]
+
+Array = NDArray[np.float64]
+
+#: Shortest and longest relaxation time of each start, as fractions of the logarithmic range of the samples.
+STARTS = ((0.15, 0.9), (0.35, 0.7), (0.05, 0.6), (0.5, 0.95))
+#: Starts where there are several logs, which cost a hundred times more.
+POOLED_STARTS = 2
+#: ln by which a relaxation time may leave that range.
+BEYOND = 3.0
+#: Squares that span a curve of one log: its lowest point is then off by 1.5 % of the depth at the most.
+FINE_RAYS = 33
+#: Depth, as a fraction of the fitted one, at which viscosity is quoted.
+HALF = 0.5
+EVALUATIONS = 800
+
+
+def _parameters(problem: PartialProblem, span: tuple[float, float]) -> lmfit.Parameters:
+    """Start of a search: relaxation times spread over a span, offsets 0."""
+    logs, branches = problem.logs, problem.law.branches
+    step = min(float(np.median(np.diff(log.time_s))) for log in logs)
+    low, high = np.log(step), np.log(max(float(np.ptp(log.time_s)) for log in logs))
+    parameters = lmfit.Parameters()
+    places = np.linspace(*span, branches) if branches > 1 else [float(np.mean(span))]
+    for j, place in enumerate(places):
+        at = low + place * (high - low)
+        parameters.add(f"lntau{j}", value=at, min=low - BEYOND, max=high + BEYOND)
+    several = len(logs) > 1
+    for i, gain in enumerate(problem.gain_start()):
+        parameters.add(f"lngain{i}", value=gain if several else 0.0, min=-GAIN, max=GAIN, vary=several)
+        parameters.add(f"offset{i}", value=0.0, min=-OFFSET_MM, max=OFFSET_MM, vary=several)
+    return parameters
+
+
+def _parts(parameters: lmfit.Parameters, problem: PartialProblem) -> tuple[Array, Array, Array]:
+    """Ascending ln tau, ln gains and offsets."""
+    values = parameters.valuesdict()
+    count = range(len(problem.logs))
+    return (
+        np.sort([values[f"lntau{j}"] for j in range(problem.law.branches)]),
+        np.array([values[f"lngain{i}"] for i in count]),
+        np.array([values[f"offset{i}"] for i in count]),
+    )
+
+
+def named(law: Paper, weights: Array, ln_tau: Array) -> dict[str, float]:
+    """Values by the names of ``identification.json``, branches by ascending relaxation time."""
+    static, stiffness = law.coefficients(weights)
+    found = {f"static_{k}_N_per_mm{'' if k == 1 else k}": float(static[k - 1]) for k in (1, 2, 3)}
+    for j, curve in enumerate(stiffness):
+        suffix = "" if j == 0 else f"_b{j + 1}"
+        for k, value in enumerate(curve):
+            found[f"stiffness_{k}_N_per_mm{'' if k == 0 else k + 1}{suffix}"] = float(value)
+        tau = float(np.exp(ln_tau[j]))
+        found[f"relaxation_time_s{suffix}"] = tau
+        at = float(np.polynomial.polynomial.polyval(HALF * law.depth_mm, curve))
+        found[f"viscosity_N_s_per_mm{suffix}"] = tau * at
+    return found
+
+
+def independent_fit(
+    logs: Sequence[Log], order: tuple[int, int], *, sigma_N: float, contact_sd_mm: Sequence[float]
+) -> tuple[dict[str, float], float]:
+    """Fit the model of an order from other starts, and keep the best.
+
+    Parameters
+    ----------
+    logs : sequence of Log
+        Of one specimen; more than one differ by a gain and a contact offset.
+    order : tuple of int
+        Branches, and degree of K.
+    sigma_N : float
+        Standard deviation of the force that the priors of contact offsets are weighed against [N].
+    contact_sd_mm : sequence of float
+        One a log [mm].
+
+    Returns
+    -------
+    values : dict
+        Value of each parameter by its name in ``identification.json``; gains have a mean logarithm of 0.
+    rmse_N : float
+        Over the counted samples.
+    """
+    several = len(logs) > 1
+    law = Paper(*order, deepest(logs), rays=RAYS if several else FINE_RAYS)
+    problem = PartialProblem(law, logs)
+    unit, sd = max(sigma_N, 1e-300), np.maximum(contact_sd_mm, 1e-9)
+
+    def residual(parameters: lmfit.Parameters) -> Array:
+        parts = _parts(parameters, problem)
+        scaled = problem.residual(problem.columns(*parts)) / unit
+        return np.concatenate([scaled, parts[2] / sd]) if several else scaled
+
+    tried = [
+        lmfit.minimize(
+            residual,
+            _parameters(problem, span),
+            method="least_squares",
+            max_nfev=EVALUATIONS,
+            diff_step=1e-5,
+            x_scale="jac",
+        )
+        for span in STARTS[: POOLED_STARTS if several else None]
+    ]
+    best = min(tried, key=lambda one: float(one.chisqr))
+    parts = _parts(best.params, problem)
+    columns = problem.columns(*parts)
+    rmse = rms(problem.residual(columns))
+    return named(law, cone_weights(columns, problem.force), parts[0]), rmse

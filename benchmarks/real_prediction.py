@@ -1,0 +1,294 @@
+"""Prediction of real recordings that ``tissueid fit`` has not seen, and description of those it has.
+
+A hold that was left out is predicted from the other logs of its cut and from its own ramp, which gives its
+own elastic curve: the others' force is multiplied by a curve of depth, so that static force and K scale alike
+and the relaxation is that of the others.  A ramp time that was left out is predicted with nothing free.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from real_baselines import (
+    FractionalPower,
+    Law,
+    Log,
+    Paper,
+    QuasiLinear,
+    Scaled,
+    Spectrum,
+    Yardstick,
+    carried_to,
+    curve_rays,
+    deepest,
+    fit_law,
+    fit_own,
+    nrmsd,
+)
+from real_pooled import PerLog, fit_partial
+from real_recordings import Found, Recording, fit_of, grouped, tell
+
+from tissueid.model import ContactPath, KelvinVoigt
+
+__all__ = ["foreign_force", "insample", "no_model", "prediction", "speed_laws"]
+
+Array = NDArray[np.float64]
+
+#: Order of the laws written apart where tissueid gives none.
+USUAL_ORDER = (2, 1)
+NO_MODEL = "no model: peak x mean curve"
+OURS, PEER = "tissueid", "least squares, same law and freedom"
+SCALED, QUASI = "scaled: own curve, shared relaxation", "quasi-linear, own curve"
+AT_PEAK = " (peak given)"
+
+
+def foreign_force(found: Found, log: Log, shift_mm: float = 0.0) -> Array:
+    """Force that a fit predicts along the path of another log [N].
+
+    Parameters
+    ----------
+    found : Found
+    log : Log
+    shift_mm : float
+        Contact of the fit's logs above that of ``log`` [mm].
+    """
+    model = KelvinVoigt(*found.order, depth_mm=float(found.fit.depth_mm))
+    theta = np.asarray(found.fit.theta, dtype=np.float64)
+    depth = np.maximum(log.depth_mm + shift_mm, 0.0)
+    if depth.max() <= model.depth_mm or not model.is_passive(theta):
+        return model.force(theta, ContactPath(time_s=log.time_s, depth_mm=depth))
+    # beyond the fitted depth the law is continued as it is rendered
+    stepper = model.stepper(theta)
+    first = stepper.step(float(depth[0]), 0.0)
+    steps = zip(depth[1:], np.diff(log.time_s), strict=True)
+    return np.array([first, *(stepper.step(float(x), float(dt)) for x, dt in steps)])
+
+
+def no_model(log: Log, others: Sequence[Log]) -> Array:
+    """Peak times the mean normalised curve of the other logs, from the peak on [N]; NaN beyond them all."""
+    after = log.time_s[log.peak :] - log.time_s[log.peak]
+    curves = [
+        np.interp(
+            after,
+            one.time_s[one.peak :] - one.time_s[one.peak],
+            one.force_N[one.peak :] / one.force_N[one.peak],
+            right=np.nan,
+        )
+        for one in others
+    ]
+    known = np.isfinite(curves)
+    total = np.where(known, curves, 0.0).sum(axis=0)
+    mean = np.where(known.any(axis=0), total / np.maximum(known.sum(axis=0), 1), np.nan)
+    return np.asarray(log.force_N[log.peak] * mean)
+
+
+def _hold_error(predicted: Array, log: Log, usable: NDArray[np.bool_]) -> float:
+    """NRMSD of the samples after the peak, over the range of the log's forces."""
+    after = slice(log.peak + 1, None)
+    return nrmsd(predicted[after][usable[1:]], log.force_N[after][usable[1:]], float(np.ptp(log.force_N)))
+
+
+def _multiplied(force: Array, log: Log, depth_mm: float) -> Array:
+    """Force of others times a non-negative curve of depth that follows from the ramp [N]."""
+    rays = curve_rays(log.depth_mm / depth_mm, 2)
+    return carried_to(rays * force[:, None], log)
+
+
+def _peer(pooling: str, law: Paper, others: Sequence[Log]) -> Callable[[Log], Array] | None:
+    """Predictor of least squares with the freedom of a pooling; ``None`` for an unknown one."""
+    depth = law.depth_mm
+    if pooling == "partial":
+        tissue = fit_partial(law, others).fitted
+        return lambda log: _multiplied(tissue.force(log), log, depth)
+    if pooling == "shared":
+        tissue = fit_law(law, others)
+        return lambda log: _multiplied(tissue.force(log), log, depth)
+    if pooling == "per-log":
+        own = PerLog(law, tuple(one.name for one in others))
+        fitted = fit_law(own, others)
+        return lambda log: own.carried_to(fitted, log)
+    return None
+
+
+def _own_curves(order: tuple[int, int], depth_mm: float, others: Sequence[Log], log: Log) -> dict[str, Array]:
+    """Predictions of the laws with an own curve of each log, by least squares."""
+    found = {}
+    for name, law in ((SCALED, Scaled(*order, depth_mm)), (QUASI, QuasiLinear(order[0], depth_mm))):
+        fitted = fit_own(law, others)
+        found[name] = carried_to(law.columns(log, fitted.shape), log)
+    return found
+
+
+def _left_out_log(cut: str, members: Sequence[Recording], place: int) -> dict[str, Any]:
+    """Row of one log: NRMSD of its hold by every predictor."""
+    log = members[place].log
+    rest = [one for i, one in enumerate(members) if i != place]
+    others = [one.log for one in rest]
+    depth = deepest([one.log for one in members])
+    ours = fit_of(rest, cut, sampled=False)
+    order = ours.order if isinstance(ours, Found) and ours.order[0] else USUAL_ORDER
+    pooling = ours.pooling if isinstance(ours, Found) else "partial"
+    forces = _own_curves(order, depth, others, log)
+    peer = _peer(pooling, Paper(*order, depth), others)
+    # a pooling that is not known here scales each log's own curve
+    forces[PEER] = forces[SCALED] if peer is None else peer(log)
+    if isinstance(ours, Found):
+        forces[OURS] = _multiplied(foreign_force(ours, log), log, depth)
+    plain = no_model(log, others)
+    usable = np.isfinite(plain)
+    full = np.concatenate([log.force_N[: log.peak], plain])
+    errors = {NO_MODEL: _hold_error(full, log, usable)}
+    for name, force in forces.items():
+        errors[name] = _hold_error(force, log, usable)
+        errors[name + AT_PEAK] = _hold_error(force * log.force_N[log.peak] / force[log.peak], log, usable)
+    row = {"cut": cut, "log": log.name, "order": list(order), "pooling": pooling, "nrmsd": errors}
+    return row if isinstance(ours, Found) else {**row, "failed": ours}
+
+
+def speed_laws(logs: Sequence[Log]) -> dict[str, Law]:
+    """Laws that predict a ramp time that was left out."""
+    depth = deepest(logs)
+    laws: dict[str, Law] = {
+        f"paper, {b} branch{'es' if b > 1 else ''}, K of degree {d}": Paper(b, d, depth)
+        for b in (1, 2, 3)
+        for d in (0, 1, 2)
+    }
+    laws |= {f"quasi-linear, {b} branch{'es' if b > 1 else ''}": QuasiLinear(b, depth) for b in (1, 2, 3)}
+    laws |= {f"spectrum of 12, K of degree {d}": Spectrum.of(logs, degree=d) for d in (0, 2)}
+    return laws | {"yardstick": Yardstick.of(logs), "fractional x power of depth": FractionalPower(depth)}
+
+
+def _left_out_speeds(condition: str, members: Sequence[Recording]) -> list[dict[str, Any]]:
+    """Rows of one condition: each ramp time predicted from the others, nothing free."""
+    rows = []
+    for place, one in enumerate(members):
+        tell(f"prediction: {one.name} from the other ramp times")
+        rest = [other for i, other in enumerate(members) if i != place]
+        logs = [other.log for other in rest]
+        errors: dict[str, float | None] = {}
+        chosen: dict[str, Any] = {}
+        for pooling in ("partial", "shared"):
+            name = f"{OURS} ({'default' if pooling == 'partial' else 'one tissue'})"
+            options = {} if pooling == "partial" else {"static": pooling}
+            found = fit_of(rest, condition, sampled=False, **options)
+            errors[name] = None
+            chosen[name] = found if isinstance(found, str) else [*found.order, found.pooling]
+            if isinstance(found, Found):
+                depths = [float(log.depth_mm.max()) for log in found.logs()]
+                shift = float(np.mean(depths)) - float(np.mean([log.depth_mm.max() for log in logs]))
+                errors[name] = nrmsd(foreign_force(found, one.log, shift), one.log.force_N)
+        for name, law in speed_laws(logs).items():
+            errors[name] = nrmsd(fit_law(law, logs).force(one.log), one.log.force_N)
+        rows.append({"condition": condition, "left_out": one.name, "chosen": chosen, "nrmsd": errors})
+    return rows
+
+
+def _medians(rows: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, float | int]]:
+    """Median and worst NRMSD by predictor."""
+    names = list(dict.fromkeys(name for row in rows for name in row["nrmsd"]))
+    out: dict[str, dict[str, float | int]] = {}
+    for name in names:
+        values = [row["nrmsd"][name] for row in rows if row["nrmsd"].get(name) is not None]
+        if values:
+            out[name] = {"median": float(np.median(values)), "worst": max(values), "count": len(values)}
+    return out
+
+
+def prediction(found: Sequence[Recording], *, cuts: int | None, logs: int | None) -> dict[str, Any]:
+    """Holds left out of the cuts, and ramp times left out of the muscle conditions.
+
+    Parameters
+    ----------
+    found : sequence of Recording
+    cuts, logs : int, optional
+        Most cuts, and most logs left out of each.
+    """
+    holds = []
+    for cut, members in list(grouped(found, "meat", 3).items())[:cuts]:
+        for place in range(len(members))[:logs]:
+            tell(f"prediction: {members[place].name} from the other logs of {cut}")
+            holds.append(_left_out_log(cut, members, place))
+    speeds = [
+        row
+        for condition, members in grouped(found, "muscle", 3).items()
+        for row in _left_out_speeds(condition, members)
+    ]
+    return {
+        "left_out_logs": {"summary": _medians(holds), "rows": holds},
+        "left_out_speeds": {"summary": _medians(speeds), "rows": speeds},
+    }
+
+
+def _of_curves(found: Found) -> float:
+    """NRMSD of a fit over its fitted samples, from its curves."""
+    counted = [np.asarray(one.curve.fitted, dtype=bool) for one in found.fit.trials]
+    pairs = list(zip(found.fit.trials, counted, strict=True))
+    model = np.concatenate([np.asarray(one.curve.model_N)[mask] for one, mask in pairs])
+    force = np.concatenate([np.asarray(one.curve.force_N)[mask] for one, mask in pairs])
+    return nrmsd(model, force)
+
+
+def _least_squares(found: Found) -> dict[str, float]:
+    """NRMSD of least squares on the samples of a fit by freedom, its own law and order."""
+    logs, order = found.logs(), found.order
+    law = Paper(*order, deepest(logs))
+    if len(logs) == 1:
+        return {"shared": fit_law(law, logs).nrmsd}
+    names = [f"{place}: {log.name}" for place, log in enumerate(logs)]
+    logs = [
+        Log(name, log.time_s, log.depth_mm, log.force_N, log.counted)
+        for name, log in zip(names, logs, strict=True)
+    ]
+    errors = {
+        "partial": fit_partial(law, logs).fitted.nrmsd,
+        "scaled": fit_own(Scaled(*order, law.depth_mm), logs).nrmsd,
+    }
+    if found.pooling == "shared":
+        errors["shared"] = fit_law(law, logs).nrmsd
+    if found.pooling == "per-log":
+        errors["per-log"] = fit_law(PerLog(law, tuple(names)), logs).nrmsd
+    return errors
+
+
+def _in_sample(name: str, kind: str, members: Sequence[Recording]) -> dict[str, Any]:
+    tell(f"in-sample: {name}")
+    found = fit_of(members, name, sampled=False)
+    if isinstance(found, str):
+        return {"name": name, "kind": kind, "failed": found}
+    ours = _of_curves(found)
+    row = {"name": name, "kind": kind, "order": list(found.order), "pooling": found.pooling, "nrmsd": ours}
+    if not found.order[0]:
+        return row
+    peers = _least_squares(found)
+    # a pooling that is not known here scales each log's own curve
+    same = peers.get("shared" if len(members) == 1 else found.pooling, peers.get("scaled"))
+    return {**row, "least_squares": peers, "ratio": ours / same if same else None}
+
+
+def insample(found: Sequence[Recording], *, cuts: int | None) -> dict[str, Any]:
+    """NRMSD of pooled cuts over least squares with the same freedom, and of single recordings.
+
+    Parameters
+    ----------
+    found : sequence of Recording
+    cuts : int, optional
+        Most cuts.
+    """
+    pooled = [
+        _in_sample(name, "cut", members) for name, members in list(grouped(found, "meat").items())[:cuts]
+    ]
+    single = [_in_sample(one.name, one.kind, [one]) for one in found]
+    out: dict[str, Any] = {"summary": {}, "cuts": pooled, "recordings": single}
+    for kind in sorted({row["kind"] for row in [*pooled, *single]}):
+        good = [row for row in [*pooled, *single] if row["kind"] == kind and "failed" not in row]
+        ratios = [row["ratio"] for row in good if row.get("ratio")]
+        out["summary"][kind] = {
+            "count": len(good),
+            "nrmsd_median": float(np.median([row["nrmsd"] for row in good])) if good else None,
+            "ratio_median": float(np.median(ratios)) if ratios else None,
+            "ratio_worst": max(ratios, default=None),
+        }
+    return out

@@ -1,0 +1,215 @@
+"""One simulation: what goes into ``identify`` and comes out, and uniform ranks where that is exact."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from coverage_cases import CASES
+from identify_stand_ins import conjugate, conjugate_draws, of_draws, of_prior, stand_in
+
+from tissueid.flags import Flag
+from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.result import Identification
+from tissueid.segment import SegmentOptions, segment
+from tissueid.selfcheck.protocol import Centre, of_program
+from tissueid.selfcheck.run import one_record
+from tissueid.selfcheck.tissue import TissueCheck, tissue_check
+from tissueid.selfcheck.truth import Widths
+from tissueid.selfcheck.verdicts import Verdict, verdict_of
+from tissueid.synth import Hold, Log, Move
+
+#: A tissue of which only the curves are unknown: no gains, times and noise that are known.
+ONLY_CURVES = Widths(ln_tau=1e-9, ln_sigma=1e-9, gain_sd=1e-9)
+MODEL = KelvinVoigt(branches=1, stiffness_degree=1, depth_mm=4.0)
+THETA = np.array([20.0, 1.2, 0.35, 60.0, 10.0, 0.2])
+
+
+def check_of(*, pooling: str = "partial", **options: Any) -> TissueCheck:
+    logs = (Log("ramp", (Move(4.0, 240.0),)), Log("hold", (Move(4.0, 480.0), Hold(1.0))))
+    protocol = of_program(logs, rate_Hz=50.0, contact_sd_mm=0.0, words="two logs")
+    centre = Centre(MODEL, THETA, sigma_N=0.5, phi=0.0, white_share=0.0, pooling=pooling)
+    return tissue_check(protocol, centre, **options)
+
+
+def identified_by(monkeypatch: pytest.MonkeyPatch, identify: Callable[..., Identification]) -> None:
+    monkeypatch.setattr("tissueid.selfcheck.tissue.identify", identify)
+
+
+def verdict_on(check: TissueCheck, simulations: int) -> Verdict:
+    return verdict_of([one_record(check, 31, index) for index in range(simulations)])
+
+
+def test_an_exact_posterior_of_the_recordings_is_calibrated(monkeypatch: pytest.MonkeyPatch) -> None:
+    identified_by(monkeypatch, conjugate)
+    verdict = verdict_on(check_of(widths=ONLY_CURVES), 150)
+    # a right posterior leaves its bands with 2 %, this seed does not
+    assert verdict.reasons == ()
+    known = {one.name: one.contraction for one in verdict.parameters}
+    # what is recorded is the tissue: 0.5 N of noise leaves next to nothing of a prior of 15 %
+    assert known["force_N at 4 mm, 4 mm/s"] > 0.999
+    assert known["viscosity_N_s_per_mm"] > 0.99
+
+
+def test_one_that_knows_the_noise_to_be_smaller_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    def too_narrow(model: KelvinVoigt, *given: Any) -> np.ndarray:
+        theta = conjugate_draws(model, *given)
+        return theta.mean(axis=0) + 0.5 * (theta - theta.mean(axis=0))
+
+    identified_by(monkeypatch, stand_in(too_narrow))
+    verdict = verdict_on(check_of(widths=ONLY_CURVES), 100)
+    assert any("force_N at 4 mm" in reason for reason in verdict.reasons)
+
+
+def test_identify_is_given_the_order_the_noise_and_the_very_priors(monkeypatch: pytest.MonkeyPatch) -> None:
+    given: dict[str, Any] = {}
+
+    def watched(trials: Any, **options: Any) -> Identification:
+        given.update(options, trials=trials)
+        return of_prior(trials, **options)
+
+    identified_by(monkeypatch, watched)
+    check = check_of()
+    check(np.random.default_rng(2))
+    fit, posterior = given["options"].fit, given["options"].posterior
+    assert (fit.branches, fit.stiffness_degree, fit.static, fit.noise) == (1, 1, "partial", "white")
+    assert posterior.draws >= 399
+    assert given["study"].priors == check.priors
+    # one specimen, each log behind an approach in air in which its contact is found
+    assert {trial.specimen for trial in given["trials"]} == {"simulated"}
+    for trial in given["trials"]:
+        contact = segment(trial).contact
+        assert contact is not None
+        assert contact.in_record
+        assert contact.displacement_mm == pytest.approx(0.0, abs=4.0 * contact.sd_mm)
+
+
+def test_a_contact_that_is_stated_is_not_looked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Any] = []
+
+    def watched(trials: Any, **options: Any) -> Identification:
+        asked.append(options["options"].segment)
+        return of_prior(trials, **options)
+
+    identified_by(monkeypatch, watched)
+    logs = tuple(
+        replace(log, contact_sd_mm=sd) for log, sd in zip(check_of().logs, (0.01, 0.02), strict=True)
+    )
+    for stated in (False, True):
+        replace(check_of(), logs=logs, contact_stated=stated)(np.random.default_rng(2))
+    assert asked[0] == SegmentOptions()
+    assert (asked[1].contact_displacement_mm, asked[1].contact_sd_mm) == (0.0, 0.02)
+
+
+def test_the_order_of_theta_is_that_of_its_names(monkeypatch: pytest.MonkeyPatch) -> None:
+    check = check_of()
+    identified_by(monkeypatch, of_prior)
+    straight = check(np.random.default_rng(3))
+
+    def backwards(trials: Any, **options: Any) -> Identification:
+        found = of_prior(trials, **options)
+        (fit,) = found.specimens
+        own = fit.posterior
+        turned = replace(own, theta_names=own.theta_names[::-1], draws=own.draws[:, ::-1])
+        return replace(found, specimens=(replace(fit, posterior=turned),))
+
+    identified_by(monkeypatch, backwards)
+    turned = check(np.random.default_rng(3))
+    assert list(turned.draws) == list(straight.draws)
+    for name, values in straight.draws.items():
+        np.testing.assert_array_equal(turned.draws[name], values)
+
+
+def test_a_viscosity_is_compared_at_half_of_the_fitted_depth(monkeypatch: pytest.MonkeyPatch) -> None:
+    identified_by(monkeypatch, of_prior)
+    found = check_of()(np.random.default_rng(4))
+    k0, k1, tau = (
+        found.truth[name] for name in ("stiffness_0_N_per_mm", "stiffness_1_N_per_mm2", "relaxation_time_s")
+    )
+    # the last sample lies at 3.92 mm of 4: 240 mm/min at 50 Hz
+    depth = max(log.depth_mm.max() for log in check_of().logs)
+    assert found.truth["viscosity_N_s_per_mm"] == pytest.approx((k0 + 0.5 * depth * k1) * tau, rel=1e-12)
+
+
+def test_the_quoted_interval_counts_where_there_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    def far_off(trials: Any, **options: Any) -> Identification:
+        found = of_prior(trials, **options)
+        (fit,) = found.specimens
+        wide = [
+            replace(one, uncertainty=replace(one.uncertainty, ci95=(1e6, 2e6), ci95_total=(-1e6, 1e6)))
+            for one in fit.parameters
+        ]
+        wide[0] = replace(wide[0], uncertainty=replace(wide[0].uncertainty, ci95=(float("nan"), 1.0)))
+        return replace(found, specimens=(replace(fit, parameters=tuple(wide)),))
+
+    identified_by(monkeypatch, far_off)
+    statistical, total = verdict_on(check_of(), 15), verdict_on(check_of(defects=True), 15)
+    at_95 = {one.name: one.coverage[-1].covered for one in statistical.parameters}
+    assert at_95["relaxation_time_s"] == 0
+    # a parameter without an end, and a force, which is quoted nowhere: the central interval of the draws
+    assert at_95["static_1_N_per_mm"] > 10
+    assert at_95["force_N at 4 mm, 4 mm/s"] > 10
+    assert {one.coverage[-1].covered for one in total.parameters if not one.name.startswith("force")} == {15}
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"draws": np.ones((10, 6))}, "10 draws, 399 are needed"),
+        ({"draws_total": None}, "0 draws, 399 are needed"),
+    ],
+)
+def test_too_few_draws_are_no_posterior(
+    monkeypatch: pytest.MonkeyPatch, change: dict[str, Any], says: str
+) -> None:
+    theta = np.tile(THETA, (399, 1))
+    identified_by(monkeypatch, lambda *_, **__: of_draws(MODEL, theta, **change))
+    record = one_record(check_of(defects="draws_total" in change), 1, 0)
+    assert record.failed is not None
+    assert says in record.failed
+
+
+def test_a_fit_without_a_posterior_is_a_failure_with_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = of_draws(MODEL, np.tile(THETA, (399, 1)))
+    (fit,) = whole.specimens
+    flag = Flag("sampler_not_converged", "standard errors only", {"reason": "R-hat is 1.2"})
+    stuck = replace(fit.posterior, sampler=replace(fit.posterior.sampler, converged=False))
+    ends = {
+        "standard errors only: R-hat is 1.2": replace(
+            whole, specimens=(replace(fit, posterior=None, flags=(flag,)),)
+        ),
+        "no posterior was sampled": replace(whole, specimens=(replace(fit, posterior=stuck, flags=()),)),
+        "no recording was found": replace(
+            whole, specimens=(), exit=replace(whole.exit, reasons=("no recording was found",))
+        ),
+    }
+    for says, found in ends.items():
+        identified_by(monkeypatch, lambda *_, found=found, **__: found)
+        record = one_record(check_of(), 1, 0)
+        assert record.failed == f"ArithmeticError: {says}"
+
+
+def test_a_check_goes_to_other_processes() -> None:
+    check = pickle.loads(pickle.dumps(check_of()))
+    assert check.priors == check_of().priors
+
+
+@pytest.mark.system
+@pytest.mark.needs_jit
+@pytest.mark.parametrize("case", [CASES[3], CASES[5]], ids=lambda case: case.name)
+def test_a_real_identification_is_ranked(case: Any) -> None:
+    check = case.check()
+    for index in range(2):
+        record = one_record(check, case.seed, index)
+        assert record.failed is None
+        assert list(record.rank)[:6] == list(check.model.parameter_names)
+        assert sum(name.startswith("force_N at ") for name in record.rank) == 3
+        for name, truth in record.truth.items():
+            # five sd off is none of the engine's finer faults
+            assert abs(truth - record.mean[name]) < 5.0 * record.sd[name], name
+        assert set(record.held) == {*check.model.parameter_names, "viscosity_N_s_per_mm"}
+        assert record.detail["logs"] == len(check.logs)

@@ -1,0 +1,1 @@
+"""One engine: logs reduced to blocks, one law, one likelihood, one posterior with the machine inside it."""

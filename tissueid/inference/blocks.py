@@ -1,0 +1,253 @@
+"""Blocks of a log: stretches in which the measured travel is straight, each with its mean force.
+
+A short log is kept sample by sample.  A long one is cut where its travel bends, finely behind every corner
+and ever more coarsely after it (blocks grow by :data:`GROWTH`), so that a relaxation is seen evenly in ln
+time.  A block is compared with the mean of the model over it (Simpson's rule on its ends and its middle).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.inference.window import LogData
+from tissueid.signal_noise import white_noise_sd
+
+__all__ = ["Blocks", "log_blocks"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+#: Samples up to which a log is kept sample by sample.
+SAMPLED = 420
+#: Growth of blocks behind a corner, share of the depth and of the duration that one block spans at the most.
+GROWTH, TRAVEL_SHARE, TIME_SHARE = 1.25, 1.0 / 60.0, 1.0 / 25.0
+#: Root mean square distance from a straight line, over the noise of the travel, that counts as straight.
+STRAIGHT = 1.3
+#: The same relative to the depth, where travel has no noise.
+STRAIGHT_SHARE = 2e-6
+#: Samples from which a block's own line says where its ends are.
+LINE_FROM = 4
+#: Contact standard deviations by which the path is continued before its contact.
+LEAD_SD = 5.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Blocks:
+    """One log as it is compared with a law.
+
+    Attributes
+    ----------
+    time_s, depth_mm : ndarray, shape (m,)
+        Broken line of the tool's travel.
+    at : ndarray of int, shape (k, 3)
+        Points of that line of each observation: its start, middle and end; thrice the sample where it is one.
+    force_N : ndarray, shape (k,)
+        Measured mean force.
+    count : ndarray of int, shape (k,)
+        Samples of each observation.
+    mid_s, step_s : ndarray, shape (k,)
+        Mean time of an observation, and the sampling interval within it.
+    chain : ndarray of bool, shape (k,)
+        True where an observation starts a chain of noise.
+    fold : ndarray of int, shape (k,)
+        Held-out group.
+    within_N2 : float
+        Sum of squares of the samples about lines in their blocks [N^2].
+    within_freedom : int
+    contact_sd_mm : float
+    """
+
+    time_s: FloatArray
+    depth_mm: FloatArray
+    at: IntArray
+    force_N: FloatArray
+    count: IntArray
+    mid_s: FloatArray
+    step_s: FloatArray
+    chain: NDArray[np.bool_]
+    fold: IntArray
+    within_N2: float
+    within_freedom: int
+    contact_sd_mm: float
+
+
+def _edges(time: FloatArray, depth: FloatArray, stops: Sequence[int]) -> IntArray:
+    """First samples of all blocks, and the number of samples; no block runs across one of ``stops``."""
+    n = time.size
+    scale = max(float(np.ptp(depth)), 1e-300)
+    t = (time - time[0]) / max(float(time[-1] - time[0]), 1e-300)
+    x = (depth - depth[0]) / scale
+    total = np.zeros((6, n + 1))
+    np.cumsum(np.stack([np.ones(n), t, x, t * t, t * x, x * x]), axis=1, out=total[:, 1:])
+    noise = white_noise_sd(time, depth) / scale
+    limit = (STRAIGHT * noise) ** 2 + STRAIGHT_SHARE**2
+
+    def straight(i: int, j: int) -> bool:
+        """Samples i to j (without j) lie on a line."""
+        if j - i < 3:
+            return True
+        count, st, sx, stt, stx, sxx = total[:, j] - total[:, i]
+        a, b, c = stt - st * st / count, stx - st * sx / count, sxx - sx * sx / count
+        rest = c - b * b / a if a > 0.0 else c
+        return bool(rest <= limit * count + 1e-13)
+
+    out, size = [0], 1
+    following = iter([*stops, n])
+    stop = next(following)
+    i = 0
+    while i < n:
+        while stop <= i:
+            stop = next(following)
+        size = max(int(np.ceil(GROWTH * size)), size + 1)
+        size = min(size, stop - i)
+        while size > 1 and not (
+            abs(x[i + size - 1] - x[i]) <= TRAVEL_SHARE
+            and t[i + size - 1] - t[i] <= TIME_SHARE
+            and straight(i, i + size)
+        ):
+            size = max(size // 2, 1)
+        i += size
+        out.append(i)
+    return np.array(out, dtype=np.int64)
+
+
+def _ends(time: FloatArray, depth: FloatArray, edges: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Times and depths of the ends of all blocks: a broken line."""
+    first, last = edges[:-1], edges[1:]
+    count = (last - first).astype(np.float64)
+    base = time[first]
+    since = time - np.repeat(base, last - first)
+
+    def sums(values: FloatArray) -> FloatArray:
+        return np.asarray(np.add.reduceat(values, first))
+
+    mean_t, mean_x = sums(since) / count, sums(depth) / count
+    spread = sums(since * since) - count * mean_t**2
+    slope = np.divide(
+        sums(since * depth) - count * mean_t * mean_x, spread, out=np.zeros(count.size), where=spread > 0.0
+    )
+    inner = 0.5 * (time[last[:-1] - 1] + time[last[:-1]])
+    at = np.concatenate([[time[0]], inner, [time[-1]]])
+    left = mean_x + slope * (at[1:] - base - mean_t)
+    right = mean_x + slope * (at[:-1] - base - mean_t)
+    out = np.empty(at.size)
+    out[0], out[-1] = depth[0], depth[-1]
+    plain = 0.5 * (depth[last[:-1] - 1] + depth[last[:-1]])
+    weight = count[:-1] / (count[:-1] + count[1:])
+    lines = weight * left[:-1] + (1.0 - weight) * right[1:]
+    use = (count[:-1] >= LINE_FROM) & (count[1:] >= LINE_FROM)
+    out[1:-1] = np.where(use, lines, plain)
+    return at, out
+
+
+def _with_lead(time: FloatArray, depth: FloatArray, sd_mm: float, step_s: float) -> tuple[float, float]:
+    """A point before contact on the line that the first samples show."""
+    reach = min(time.size - 1, 4)
+    speed = (depth[reach] - depth[0]) / max(time[reach] - time[0], 1e-300)
+    if speed <= 0.0:
+        return float(time[0]) - step_s, float(depth[0])
+    lead = LEAD_SD * sd_mm + float(depth[0])
+    return float(time[0]) - max(lead / speed, 1e-9), float(depth[0]) - lead
+
+
+def log_blocks(
+    data: LogData, *, step_s: float, contact_sd_mm: float, leads: bool, whole: bool = False
+) -> Blocks:
+    """Reduce a log.
+
+    Parameters
+    ----------
+    data : LogData
+        From contact to the end of its fitted part.
+    step_s : float
+        Median sampling interval [s].
+    contact_sd_mm : float
+        Standard deviation of its contact point [mm].
+    leads : bool
+        The log begins at contact, and the tool came down to it: contact may lie before.
+    whole : bool
+        Keep every sample, however long the log is.
+
+    Returns
+    -------
+    Blocks
+    """
+    time, depth, force, include = data.time_s, data.depth_mm, data.force_N, data.include
+    breaks = np.zeros(time.size, dtype=bool) if data.breaks is None else data.breaks
+    if whole or time.size <= SAMPLED:
+        used = np.flatnonzero(include)
+        at = np.repeat(used[:, None], 3, axis=1)
+        grid_t, grid_x = time, depth
+        y, count, mid = force[used], np.ones(used.size, dtype=np.int64), time[used]
+        fold = data.fold[used]
+        step = np.full(used.size, step_s)
+        within, freedom = 0.0, 0
+        opens = breaks[used]
+    else:
+        stops = np.flatnonzero((np.diff(include.astype(np.int8), prepend=include[0]) != 0) | breaks)
+        if data.fold.any():
+            stops = np.union1d(stops, np.flatnonzero(np.diff(data.fold, prepend=data.fold[0]) != 0))
+        edges = _edges(time, depth, [int(one) for one in stops if one > 0])
+        ends_t, ends_x = _ends(time, depth, edges)
+        grid_t = np.empty(2 * edges.size - 1)
+        grid_x = np.empty(grid_t.size)
+        grid_t[::2], grid_x[::2] = ends_t, ends_x
+        grid_t[1::2] = 0.5 * (ends_t[1:] + ends_t[:-1])
+        grid_x[1::2] = 0.5 * (ends_x[1:] + ends_x[:-1])
+        first = edges[:-1]
+        size = np.diff(edges)
+        kept = np.flatnonzero(include[first])
+        at = 2 * kept[:, None] + np.arange(3)
+        count = size[kept]
+        y = (np.add.reduceat(force, first) / size)[kept]
+        mid = (np.add.reduceat(time, first) / size)[kept]
+        span = (time[edges[1:] - 1] - time[first])[kept]
+        step = np.where(count > 1, span / np.maximum(count - 1, 1), step_s)
+        fold = data.fold[first[kept]]
+        opens = np.add.reduceat(breaks.astype(np.int64), first)[kept] > 0
+        within, freedom = _within(time, force, edges, kept)
+    if leads:
+        t0, x0 = _with_lead(grid_t, grid_x, contact_sd_mm, step_s)
+        grid_t, grid_x = np.concatenate([[t0], grid_t]), np.concatenate([[x0], grid_x])
+        at = at + 1
+    chain = opens.copy()
+    chain[0] = True
+    gap = np.diff(at[:, 0], prepend=at[0, 0] - 1) > (1 if whole or time.size <= SAMPLED else 2)
+    return Blocks(
+        time_s=np.ascontiguousarray(grid_t),
+        depth_mm=np.ascontiguousarray(grid_x),
+        at=at,
+        force_N=np.ascontiguousarray(y),
+        count=count,
+        mid_s=mid,
+        step_s=np.maximum(step, 1e-12),
+        chain=chain | gap,
+        fold=fold,
+        within_N2=within,
+        within_freedom=freedom,
+        contact_sd_mm=contact_sd_mm,
+    )
+
+
+def _within(time: FloatArray, force: FloatArray, edges: IntArray, kept: IntArray) -> tuple[float, int]:
+    """Sum of squares about a line in each kept block, and its degrees of freedom."""
+    first, size = edges[:-1], np.diff(edges)
+    since = time - np.repeat(time[first], size)
+    level = force - np.repeat(force[first], size)
+
+    def sums(values: FloatArray) -> FloatArray:
+        return np.asarray(np.add.reduceat(values, first))
+
+    mean_t, mean_f = sums(since) / size, sums(level) / size
+    tt = sums(since * since) - size * mean_t**2
+    tf = sums(since * level) - size * mean_t * mean_f
+    ff = sums(level * level) - size * mean_f**2
+    rest = ff - np.divide(tf * tf, tt, out=np.zeros(tt.size), where=tt > 0.0)
+    lines = np.zeros(size.size, dtype=bool)
+    lines[kept] = True
+    lines &= size > 2
+    return float(np.maximum(rest[lines], 0.0).sum()), int((size[lines] - 2).sum())

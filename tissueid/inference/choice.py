@@ -1,0 +1,183 @@
+"""How many branches, and K of which degree: the simplest that predicts what was left out as well as the best.
+
+What is left out is a speed or a depth where there are three of them or more, else a log, else stretches of
+the one log.  Each is predicted from the rest by the step that the fit takes without it, within the passive
+cone; a log that is left out keeps its own gain, contact and static shape free.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.inference.optimum import Optimum, covariance_of, nearest_in_cone
+from tissueid.inference.system import System
+from tissueid.inference.window import FOLDS, FittedLog
+
+__all__ = ["Groups", "Tried", "chosen_among", "groups_of", "held_out"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+#: Speeds or depths within this factor are one; so many of them are needed to leave one out.
+ALIKE, FEWEST_GROUPS = 1.1, 3
+#: Standard errors within which a prediction counts as good as the best, and a relative gain that is none.
+STANDARD_ERRORS, NO_GAIN = 1.0, 0.002
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Groups:
+    """What is left out together: group of each observation, and what a group is."""
+
+    of: IntArray
+    kind: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tried:
+    """A candidate with its optimum and its mean square error on each group that was left out [N^2]."""
+
+    branches: int
+    degree: int
+    optimum: Optimum
+    system: System
+    errors: FloatArray
+
+
+def _clusters(values: Sequence[float]) -> IntArray:
+    """Values within a factor of each other, as groups."""
+    order = np.argsort(values)
+    out = np.zeros(len(values), dtype=np.int64)
+    group, start = 0, values[int(order[0])]
+    for i in order.tolist():
+        if values[i] > ALIKE * start:
+            group, start = group + 1, values[i]
+        out[i] = group
+    return out
+
+
+def groups_of(system: System, facts: Sequence[FittedLog]) -> Groups:
+    """What to leave out of these logs."""
+    if len(facts) == 1:
+        return Groups(system.fold % FOLDS, "stretch of the log")
+    for kind, values in (
+        ("speed", [max(one.speeds_mm_s) for one in facts]),
+        ("depth", [one.depth_mm for one in facts]),
+    ):
+        if min(values) > 0.0:
+            found = _clusters(values)
+            if found.max() + 1 >= FEWEST_GROUPS:
+                return Groups(found[system.log], kind)
+    return Groups(system.log, "log")
+
+
+def held_out(system: System, optimum: Optimum, groups: Groups) -> FloatArray:
+    """Mean square error of each group, predicted from the others [N^2, whitened]."""
+    normal, prior = optimum.normal, optimum.prior
+    logs, q = len(system.logs), normal.own.shape[1]
+    s = normal.shared.shape[1]
+    wide = np.zeros((normal.residual.size, s + logs * q))
+    wide[:, :s] = normal.shared
+    for k in range(q):
+        wide[np.arange(wide.shape[0]), s + system.log * q + k] = normal.own[:, k]
+    off = prior.rows @ optimum.point.shared - prior.target
+    precision = np.zeros((wide.shape[1], wide.shape[1]))
+    pull = np.zeros(wide.shape[1])
+    precision[:s, :s] = prior.rows.T @ prior.rows
+    pull[:s] = -prior.rows.T @ off
+    for i in range(logs):
+        at = slice(s + i * q, s + (i + 1) * q)
+        precision[at, at] = prior.own_rows.T @ (prior.own[i][:, None] * prior.own_rows)
+        pull[at] = -precision[at, at] @ optimum.point.own[i]
+    times = system.law.times
+    # the machine is held: its derivatives are zero where it was closed
+    precision[np.arange(times, times + 3), np.arange(times, times + 3)] += 1e-9 + (
+        1e30 * (np.abs(normal.shared[:, times : times + 3]).max(axis=0) == 0.0)
+    )
+    total = wide.T @ wide + precision
+    right = wide.T @ normal.residual + pull
+    out = []
+    for group in np.unique(groups.of):
+        rows = groups.of == group
+        part, left = wide[rows], normal.residual[rows]
+        hessian = total - part.T @ part
+        covariance = covariance_of(hessian)
+        move = covariance @ (right - part.T @ left)
+        shared = optimum.point.shared + move[:s]
+        inside = nearest_in_cone(shared, covariance[:s, :s], prior.cone, prior.least)
+        if inside is not shared:
+            change = np.linalg.solve(covariance[:s, :s] + 1e-14 * np.eye(s), inside - shared)
+            move = move + covariance[:, :s] @ change
+        error = left - part[:, :s] @ move[:s]
+        out.append(_own_fitted(system, rows, error, move[s:], optimum))
+    return np.array(out) * optimum.noise.sigma_N**2
+
+
+def _own_fitted(
+    system: System, rows: NDArray[np.bool_], error: FloatArray, moved: FloatArray, optimum: Optimum
+) -> float:
+    """Mean square error after whole logs that were left out have fitted their own parameters."""
+    normal, prior = optimum.normal, optimum.prior
+    q = normal.own.shape[1]
+    squares, log, own = 0.0, system.log[rows], normal.own[rows]
+    whole = len(system.logs) > 1
+    for i in np.unique(log):
+        mine = log == i
+        left, basis = error[mine], own[mine]
+        if q and whole:
+            inner = basis.T @ basis + prior.own_rows.T @ (prior.own[i][:, None] * prior.own_rows)
+            left = left - basis @ np.linalg.solve(inner, basis.T @ left)
+        elif q:
+            left = left - basis @ moved[i * q : (i + 1) * q]
+        squares += float(left @ left)
+    return squares / max(int(rows.sum()), 1)
+
+
+def _gain(better: Tried, simpler: Tried) -> tuple[float, float]:
+    """Mean and standard error over groups of what the better one gains in ln mean square error."""
+    gain = np.log(np.maximum(simpler.errors, 1e-300)) - np.log(np.maximum(better.errors, 1e-300))
+    if gain.size < 2:
+        return float(gain.mean()), 0.0
+    return float(gain.mean()), float(gain.std(ddof=1) / np.sqrt(gain.size))
+
+
+def _parameters(one: Tried) -> int:
+    return one.branches * (one.degree + 2)
+
+
+def chosen_among(
+    tried: Sequence[Tried],
+) -> tuple[Tried, tuple[dict[str, float | int | bool | None], ...], list[Tried]]:
+    """The simplest candidate within one standard error of the best, a table, and those that are as good.
+
+    Returns
+    -------
+    chosen : Tried
+    table : tuple of dict
+        branches, stiffness_degree, score (ln of the error of the best over its own; 0 is best), stderr,
+        chosen.
+    as_good : list of Tried
+        Candidates within one standard error of the best.
+    """
+    best = min(tried, key=lambda one: float(np.log(np.maximum(one.errors, 1e-300)).mean()))
+    as_good = []
+    for one in tried:
+        mean, error = _gain(best, one)
+        if one is best or mean <= max(STANDARD_ERRORS * error, NO_GAIN):
+            as_good.append(one)
+    chosen = min(as_good, key=lambda one: (_parameters(one), one.branches))
+    table = []
+    for one in sorted(tried, key=lambda one: (one.branches, one.degree)):
+        mean, error = _gain(best, one)
+        row: dict[str, float | int | bool | None] = {
+            "branches": one.branches,
+            "stiffness_degree": one.degree,
+            "score": -mean,
+            "stderr": error,
+            "chosen": one is chosen,
+        }
+        table.append(row)
+    return chosen, tuple(table), as_good

@@ -1,0 +1,339 @@
+"""From the logs of a specimen to the optimum of the law that predicts best, under its noise.
+
+The order of work: logs become blocks; candidates are fitted with the machine open; the noise is told with the
+most flexible of them, against what the recordings show; the simplest candidate that predicts what was left
+out is kept, and finished under its noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.inference.blocks import Blocks
+from tissueid.inference.choice import Tried, chosen_among, groups_of, held_out
+from tissueid.inference.evidence import LogEvidence, NoiseVerdict, verdict_on_noise
+from tissueid.inference.law import KelvinVoigtLaw
+from tissueid.inference.memory import scan_memory
+from tissueid.inference.noise import Memory
+from tissueid.inference.optimum import Noise, Optimum, minimise, prior_cost, whitener_of
+from tissueid.inference.prior import Scatter, prior_rows
+from tissueid.inference.search import starting_points
+from tissueid.inference.system import Effects, Point, System
+from tissueid.inference.window import FittedLog
+from tissueid.priors import Priors
+
+__all__ = ["Identified", "Request", "identify_logs", "refit"]
+
+FloatArray = NDArray[np.float64]
+
+#: Rounds in which the scatter between logs is estimated.
+SCATTER_ROUNDS = 4
+#: Standard deviation that the scatter counts as beforehand, worth one log.
+SCATTER_PRIOR = Scatter(gain=0.05, shape=0.01)
+#: Steps of a candidate that is only compared.
+LOOK_STEPS = 14
+#: Share of the quantum of a force's digits that is a standard deviation.
+QUANTUM_SD = 1.0 / np.sqrt(12.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What is asked of the engine.
+
+    Attributes
+    ----------
+    branches, degrees : tuple of int
+        Candidates.
+    pooling : str
+        ``scaled``, ``partial`` or ``shared``.
+    noise : str
+        ``auto``, ``white``, ``ar1`` or ``white+ar1``.
+    priors : Priors
+    machine : bool
+        Leave frame, skew and filter open.
+    """
+
+    branches: tuple[int, ...] = (1, 2, 3)
+    degrees: tuple[int, ...] = (0, 1, 2)
+    pooling: str = "scaled"
+    noise: str = "auto"
+    priors: Priors = field(default_factory=Priors)
+    machine: bool = True
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Identified:
+    """The optimum of the law that was chosen.
+
+    Attributes
+    ----------
+    system : System
+        Under that law.
+    law : KelvinVoigtLaw
+    optimum : Optimum
+    scatter : Scatter
+    verdict : NoiseVerdict
+    discrepant : bool
+        The law misses more than the noise of the recordings; levels are then weighted white.
+    table : tuple
+        Candidates with their scores.
+    as_good : tuple of (int, int)
+        Orders within one standard error of the best.
+    left_out : str
+        What was predicted.
+    request : Request
+    """
+
+    system: System
+    law: KelvinVoigtLaw
+    optimum: Optimum
+    scatter: Scatter
+    verdict: NoiseVerdict
+    discrepant: bool
+    table: tuple[dict[str, float | int | bool | None], ...]
+    as_good: tuple[tuple[int, int], ...]
+    left_out: str
+    request: Request
+
+
+def _effects(pooling: str, logs: int) -> Effects:
+    if pooling == "shared" and logs > 1:
+        return Effects(gain=False, contact=False)
+    if logs == 1:
+        return Effects()
+    return Effects(gain=True, shape=pooling == "scaled")
+
+
+def _blank(law: KelvinVoigtLaw, system: System, machine: FloatArray) -> Point:
+    own = np.zeros((len(system.logs), system.effects.size))
+    return Point(np.zeros(law.branches), machine, np.zeros(law.linear), own)
+
+
+class _Fitting:
+    """Candidates of one specimen, fitted from the same blocks."""
+
+    def __init__(self, base: System, request: Request, least_N: float, step_s: float) -> None:
+        self.base, self.request, self.least_N, self.step_s = base, request, least_N, step_s
+        self.scatter = Scatter()
+        machine = np.array([request.priors.calibration[name].mean for name in _MACHINE])
+        self.at = _blank(KelvinVoigtLaw(1, 0, base.depth_mm), base, machine)
+
+    def minimise(
+        self, system: System, law: KelvinVoigtLaw, start: Point, memory: Memory, steps: int
+    ) -> Optimum:
+        """From one starting point."""
+        return minimise(
+            system,
+            start,
+            lambda point: prior_rows(
+                system, law, point, self.scatter, self.request.priors, machine=self.request.machine
+            ),
+            memory=memory,
+            machine=self.request.machine,
+            least_sigma_N=self.least_N,
+            steps=steps,
+        )
+
+    def candidate(
+        self, branches: int, degree: int, memory: Memory, *, steps: int = LOOK_STEPS
+    ) -> tuple[System, KelvinVoigtLaw, Optimum]:
+        """The best of several starts."""
+        law = KelvinVoigtLaw(branches, degree, self.base.depth_mm)
+        system = self.base.under(law)
+        starts = starting_points(system, branches, degree, self.at, whitener_of(system, memory))
+        found = [self.minimise(system, law, start, memory, steps) for start in starts]
+        return system, law, min(found, key=lambda one: _badness(system, one))
+
+    def learn_scatter(self, branches: int, degree: int) -> None:
+        """Estimate how much logs differ, and where each stands."""
+        if not self.base.effects.gain:
+            return
+        system, law, optimum = self.candidate(branches, degree, Memory())
+        for _ in range(SCATTER_ROUNDS):
+            self.scatter = scatter_of(system, optimum)
+            optimum = self.minimise(system, law, optimum.point, Memory(), LOOK_STEPS)
+        self.at = replace(self.at, own=optimum.point.own, machine=optimum.point.machine)
+
+
+_MACHINE = ("frame_compliance_mm_per_N", "skew_s", "force_filter_s")
+
+
+def _badness(system: System, optimum: Optimum) -> float:
+    """What is smallest at the best optimum, the scale of the noise integrated."""
+    freedom = system.force.size + system.within_freedom
+    return float(freedom * 2.0 * np.log(optimum.noise.sigma_N) + prior_cost(optimum.prior, optimum.point))
+
+
+def scatter_of(system: System, optimum: Optimum) -> Scatter:
+    """Standard deviations between logs that their own parameters show at an optimum."""
+    own = optimum.point.own @ optimum.prior.own_rows.T
+    spread = np.einsum(
+        "ab,lbc,dc->lad", optimum.prior.own_rows, optimum.normal.own_inverse, optimum.prior.own_rows
+    )
+    variance = np.diagonal(spread, axis1=1, axis2=2)
+    logs, force = len(system.logs), float(np.abs(system.force).max())
+
+    def sd(columns: slice, before: float, scale: float) -> float:
+        values, known = own[:, columns] / scale, variance[:, columns] / scale**2
+        total = float((values**2).sum() + known.sum())
+        per = values.shape[1]
+        return float(np.sqrt((total / per + before**2) / max(logs - 1 + 1, 1)))
+
+    gain = sd(slice(0, 1), SCATTER_PRIOR.gain, 1.0)
+    shape = sd(slice(2, None), SCATTER_PRIOR.shape, force) if system.effects.shape else SCATTER_PRIOR.shape
+    return Scatter(max(gain, 1e-5), max(shape, 1e-6))
+
+
+def _orders(request: Request) -> list[tuple[int, int]]:
+    """First candidates: few, the others only beside a winner at their edge."""
+    branches = [b for b in request.branches if b <= 2] or [min(request.branches)]
+    degrees = [d for d in request.degrees if d <= 1] or [min(request.degrees)]
+    return [(b, d) for b in branches for d in degrees]
+
+
+def _further(request: Request, chosen: Tried, best: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Candidates beside a winner at the edge of those tried so far."""
+    wanted = []
+    if chosen.branches == 2 or (2, chosen.degree) in best:
+        wanted += [(3, 0), (3, 1)]
+    if chosen.degree == 1 or (chosen.branches, 1) in best:
+        wanted += [(1, 2), (2, 2)]
+    return [one for one in wanted if one[0] in request.branches and one[1] in request.degrees]
+
+
+def identify_logs(
+    logs: Sequence[Blocks],
+    facts: Sequence[FittedLog],
+    evidence: Callable[[System, KelvinVoigtLaw, Optimum], Sequence[LogEvidence]],
+    request: Request,
+    tick: Callable[[str], None],
+) -> Identified:
+    """Choose and fit the law of a specimen.
+
+    Parameters
+    ----------
+    logs : sequence of Blocks
+    facts : sequence of FittedLog
+        Their samples are not looked at.
+    evidence : callable
+        Gives what the recordings show of their noise, under an optimum.
+    request : Request
+    tick : callable
+        Told what is being done.
+    """
+    depth = max(one.depth_mm for one in facts)
+    step = min(one.step_s for one in facts)
+    effects = _effects(request.pooling, len(logs))
+    base = System(logs, KelvinVoigtLaw(1, 0, depth), depth, effects)
+    least = 1e-7 * float(np.ptp(base.force))
+    fitting = _Fitting(base, request, least, step)
+    flexible = (
+        max(b for b in request.branches if b <= 2 or b == min(request.branches)),
+        min(1, max(request.degrees)),
+    )
+    tick("how logs differ")
+    fitting.learn_scatter(*flexible)
+    groups = groups_of(base, facts)
+    memory, refuted = Memory(), True
+    single = len(request.branches) == len(request.degrees) == 1
+    tick("noise")
+    seen: Sequence[LogEvidence] | None = None
+    if request.noise != "white":
+        system, law, optimum = fitting.candidate(*flexible, Memory())
+        seen = evidence(system, law, optimum)
+        noise, verdict = _noise(fitting, system, optimum, seen, request.noise)
+        refuted = verdict.refuted
+        memory = Memory() if refuted else noise.memory
+    tried: list[Tried] = []
+    orders = [(request.branches[0], request.degrees[0])] if single else _orders(request)
+    while orders:
+        for branches, degree in orders:
+            tick(f"{branches} branch{'es' if branches > 1 else ''}, K of degree {degree}")
+            system, _, optimum = fitting.candidate(branches, degree, memory)
+            errors = held_out(system, optimum, groups) if not single else np.ones(1)
+            tried.append(Tried(branches, degree, optimum, system, errors))
+        chosen, table, as_good = chosen_among(tried)
+        done = {(one.branches, one.degree) for one in tried}
+        best = [(one.branches, one.degree) for one in as_good]
+        orders = [] if single else [one for one in _further(request, chosen, best) if one not in done]
+    return _finished(
+        fitting, chosen, evidence, memory, groups.kind, () if single else table,
+        tuple((one.branches, one.degree) for one in as_good), tick,
+    )  # fmt: skip
+
+
+def _noise(
+    fitting: _Fitting, system: System, optimum: Optimum, seen: Sequence[LogEvidence], model: str
+) -> tuple[Noise, NoiseVerdict]:
+    """Noise of the residuals, and whether it can be noise."""
+    parts = system.derivatives(optimum.point, machine=False)
+    scan = scan_memory(
+        system, optimum.point, parts, optimum.prior,
+        step_s=fitting.step_s, rough_N=optimum.noise.sigma_N, model=model,
+    )  # fmt: skip
+    phases = len(system.logs) == 1
+    verdict = verdict_on_noise(scan.noise, seen, step_s=fitting.step_s, alone=phases)
+    if model != "auto":
+        verdict = replace(verdict, refuted=False)
+    return scan.noise, verdict
+
+
+def _finished(
+    fitting: _Fitting,
+    chosen: Tried,
+    evidence: Callable[[System, KelvinVoigtLaw, Optimum], Sequence[LogEvidence]],
+    memory: Memory,
+    left_out: str,
+    table: tuple[dict[str, float | int | bool | None], ...],
+    as_good: tuple[tuple[int, int], ...],
+    tick: Callable[[str], None],
+) -> Identified:
+    """The chosen candidate under its own noise."""
+    request, system = fitting.request, chosen.system
+    law = KelvinVoigtLaw(chosen.branches, chosen.degree, system.depth_mm)
+    optimum = chosen.optimum
+    tick("the optimum")
+    for _ in range(2):
+        optimum = fitting.minimise(system, law, optimum.point, memory, 40)
+        if system.effects.gain:
+            fitting.scatter = scatter_of(system, optimum)
+            optimum = fitting.minimise(system, law, optimum.point, memory, 40)
+        seen = evidence(system, law, optimum)
+        noise, verdict = _noise(fitting, system, optimum, seen, request.noise)
+        wanted = Memory() if verdict.refuted else noise.memory
+        if wanted == memory:
+            break
+        memory = wanted
+    else:
+        optimum = fitting.minimise(system, law, optimum.point, memory, 40)
+    return Identified(
+        system=system, law=law, optimum=optimum, scatter=fitting.scatter, verdict=verdict,
+        discrepant=verdict.refuted, table=table, as_good=as_good, left_out=left_out, request=request,
+    )  # fmt: skip
+
+
+def refit(
+    identified: Identified,
+    *,
+    machine: bool,
+    start: Point | None = None,
+    steps: int = 40,
+    held: NDArray[np.int64] | None = None,
+) -> Optimum:
+    """The optimum again, with the machine open or held where it is."""
+    request = identified.request
+    return minimise(
+        identified.system,
+        start or identified.optimum.point,
+        lambda point: prior_rows(
+            identified.system, identified.law, point, identified.scatter, request.priors, machine=machine
+        ),
+        memory=identified.optimum.noise.memory,
+        machine=machine,
+        steps=steps,
+        held=held,
+    )

@@ -1,0 +1,221 @@
+"""Noise that recordings show where nothing happens, and whether the noise of a fit can be it.
+
+Correlation that is found in residuals is noise only where the recording shows such noise: late in its holds,
+or in air where it has none.  Slow forces are taken off there by a polynomial, and off the likelihood in the
+same step (restricted maximum likelihood; Patterson & Thompson 1971, doi 10.1093/biomet/58.3.545), so that
+noise with a long memory is not mistaken for less noise.  Everywhere, differences of the force bound what is
+new from sample to sample.  Noise that a fit needs beyond either is none: what is left is a discrepancy of the
+model (Kennedy & O'Hagan 2001, doi 10.1111/1467-9868.00294).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from tissueid.inference.noise import Memory, whitener
+from tissueid.inference.optimum import Noise
+from tissueid.inference.window import FittedLog, chain_breaks
+from tissueid.signal_noise import quantum, white_noise_sd
+from tissueid.trial import Segmentation, Trial, contact_frame
+
+__all__ = ["LogEvidence", "NoiseVerdict", "log_evidence", "verdict_on_noise"]
+
+FloatArray = NDArray[np.float64]
+
+#: Part of a hold, from its end, that counts as quiet, and degrees of the polynomials taken off it and the air.
+LATE_SHARE, HOLD_DEGREE, AIR_DEGREE = 0.5, 3, 1
+#: Part of the air that may carry the kick of the start.
+KICK_SHARE = 0.1
+#: Samples that are too few for a stretch, and most of a log that are looked at.
+FEWEST, MOST = 16, 1_500
+#: Level of the test, its free parameters (scale, memory, white share), and how many times the noise that a
+#: recording shows a fit may need.
+LEVEL, FREE, EXCESS = 0.001, 3, 1.5
+#: A median of differences is known to so much over the root of their number.
+MEDIAN_ERROR = 3.0
+#: Correlation times over the step, and white shares, that are tried.
+TIMES = np.geomspace(0.3, 3000.0, 14)
+SHARES = (0.0, 0.03, 0.2, 0.5, 0.8, 0.97)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Quiet:
+    """A stretch while nothing happens: slow columns and what is left of the force, and its clock."""
+
+    slow: FloatArray
+    left_N: FloatArray
+    step_s: FloatArray
+    chain: NDArray[np.bool_]
+
+    @property
+    def freedom(self) -> int:
+        return int(self.left_N.size - self.slow.shape[1])
+
+    def restricted(self, memory: Memory) -> tuple[float, float]:
+        """Sum of squares [N^2] and ln det of the restricted likelihood under noise of unit variance."""
+        ones = np.ones(self.left_N.size)
+        white = whitener(ones, self.step_s, self.step_s, self.chain, memory)
+        columns = white(np.column_stack([self.slow, self.left_N]))
+        gram = columns.T @ columns
+        inner = gram[:-1, :-1]
+        square = float(gram[-1, -1] - gram[-1, :-1] @ np.linalg.solve(inner, gram[:-1, -1]))
+        return max(square, 0.0), white.log_det + float(np.linalg.slogdet(inner)[1])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LogEvidence:
+    """What one recording shows of its noise.
+
+    Attributes
+    ----------
+    quiet : tuple
+        Quiet stretches.
+    difference_N : float
+        White noise that differences show [N].
+    quantum_N : float
+        Step of the digits [N].
+    samples : int
+    """
+
+    quiet: tuple[_Quiet, ...]
+    difference_N: float
+    quantum_N: float
+    samples: int
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseVerdict:
+    """Noise that a fit needs, against noise that its recordings show.
+
+    Attributes
+    ----------
+    refuted : bool
+        The recordings show that it is no noise.
+    measured_N : float
+        Standard deviation in quiet stretches, slow forces taken off, or of differences [N].
+    from_quiet : bool
+        Quiet stretches were there to be looked at.
+    excess : float
+        Needed over shown, in the measure that tells most.
+    p_value : float
+        Of the quiet stretches; 1 without any.
+    """
+
+    refuted: bool
+    measured_N: float
+    from_quiet: bool
+    excess: float
+    p_value: float
+
+
+def _quiet(time_s: FloatArray, force_N: FloatArray, degree: int) -> _Quiet:
+    span = float(np.ptp(time_s))
+    u = np.linspace(-1.0, 1.0, time_s.size) if span <= 0.0 else 2.0 * (time_s - time_s[0]) / span - 1.0
+    slow, _ = np.linalg.qr(np.polynomial.legendre.legvander(u, degree))
+    step = np.diff(time_s, prepend=time_s[0] - (time_s[1] - time_s[0]))
+    return _Quiet(slow, force_N - slow @ (slow.T @ force_N), np.maximum(step, 1e-12), chain_breaks(time_s))
+
+
+def log_evidence(
+    trial: Trial, segmentation: Segmentation, log: FittedLog, residual_N: FloatArray | None = None
+) -> LogEvidence:
+    """Look at one recording.
+
+    Parameters
+    ----------
+    trial, segmentation, log
+        The recording, its phases and its fitted part.
+    residual_N : ndarray, shape (n,), optional
+        Measured less modelled force at the samples of ``log``; the force itself otherwise [N].
+    """
+    time, include = log.data.time_s, log.data.include
+    values = log.data.force_N if residual_N is None else residual_N
+    found = []
+    for hold in segmentation.of_kind("hold"):
+        late = hold.end_s - LATE_SHARE * (hold.end_s - hold.start_s)
+        rows = np.flatnonzero((time >= late) & (time <= hold.end_s) & include)[-MOST:]
+        if rows.size >= FEWEST:
+            found.append(_quiet(time[rows], values[rows], HOLD_DEGREE))
+    if not found and segmentation.contact is not None:
+        depth, force = contact_frame(trial, segmentation)
+        before = np.flatnonzero(depth[: segmentation.contact.index] < -3.0 * segmentation.contact.sd_mm)
+        rows = before[math.ceil(KICK_SHARE * before.size) :][-MOST:]
+        if rows.size >= FEWEST:
+            found.append(_quiet(trial.time_s[rows], force[rows], AIR_DEGREE))
+    return LogEvidence(
+        quiet=tuple(found),
+        difference_N=white_noise_sd(time[include], log.data.force_N[include]),
+        quantum_N=quantum(trial.force_N),
+        samples=int(include.sum()),
+    )
+
+
+def _likelihood(
+    stretches: Sequence[_Quiet], memory: Memory, least: float, variance: float | None = None
+) -> tuple[float, float]:
+    """Restricted ln L and its variance [N^2]: the given one, or the best that is not below ``least``."""
+    parts = [one.restricted(memory) for one in stretches]
+    square, freedom = sum(one[0] for one in parts), sum(one.freedom for one in stretches)
+    if variance is None:
+        variance = max(square / freedom, least)
+    log_det = sum(one[1] for one in parts)
+    return -0.5 * (freedom * math.log(variance) + log_det + square / variance), variance
+
+
+def _expected_difference(noise: Noise, step_s: float) -> float:
+    """What :func:`~tissueid.signal_noise.white_noise_sd` shows of such noise, over its sigma."""
+    phi = noise.memory.phi(step_s)
+    rho = [(1.0 - noise.memory.white) * phi**lag for lag in range(1, 5)]
+    second = (1.5 - 2.0 * rho[0] + 0.5 * rho[1]) / 1.5
+    fourth = (70.0 - 112.0 * rho[0] + 56.0 * rho[1] - 16.0 * rho[2] + 2.0 * rho[3]) / 70.0
+    return math.sqrt(max(min(second, fourth), 0.0))
+
+
+def verdict_on_noise(
+    noise: Noise, logs: Sequence[LogEvidence], *, step_s: float, alone: bool = False
+) -> NoiseVerdict:
+    """Whether the noise that residuals suggest is noise of the recordings.
+
+    Parameters
+    ----------
+    noise : Noise
+        Of the residuals.
+    logs : sequence of LogEvidence
+    step_s : float
+        Sampling interval [s].
+    alone : bool
+        One log is all there is: of correlation that nothing quiet shows, it can't tell noise from what the
+        model lacks.
+    """
+    stretches = [one for log in logs for one in log.quiet]
+    digits = float(np.median([one.quantum_N for one in logs]))
+    samples = sum(one.samples for one in logs)
+    shown = max(float(np.median([one.difference_N for one in logs])), digits / math.sqrt(12.0))
+    needed = noise.sigma_N * _expected_difference(noise, step_s)
+    step_excess = needed / shown if shown > 0.0 else math.inf
+    refuted = step_excess > EXCESS * (1.0 + MEDIAN_ERROR / math.sqrt(max(samples, 1)))
+    if not stretches or noise.sigma_N <= 0.0:
+        refuted |= alone and noise.memory.time_s > 0.0
+        return NoiseVerdict(refuted and noise.sigma_N > 0.0, shown, False, step_excess, 1.0)
+    least = max(digits**2 / 12.0, 1e-24)
+    at_fit, _ = _likelihood(stretches, noise.memory, least, noise.sigma_N**2)
+    best, same_shape = _likelihood(stretches, noise.memory, least)
+    quietest = same_shape
+    for time in TIMES * step_s:
+        for share in SHARES:
+            value, variance = _likelihood(stretches, Memory(time, share), least)
+            if value > best:
+                best, quietest = value, variance
+    p_value = float(stats.chi2.sf(2.0 * (best - at_fit), FREE))
+    excess = noise.sigma_N / math.sqrt(min(same_shape, quietest))
+    refuted |= p_value < LEVEL and excess > EXCESS
+    power = sum(float(one.left_N @ one.left_N) for one in stretches)
+    freedom = sum(one.freedom for one in stretches)
+    measured = math.sqrt(max(power / freedom, least))
+    return NoiseVerdict(refuted, measured, True, max(excess, step_excess), p_value)

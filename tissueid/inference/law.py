@@ -1,0 +1,176 @@
+"""Laws as the engine sees them: linear columns along a path for given nonlinear parameters, and a passive
+cone.
+
+A law is a static law and channels, each a basis in depth times a relaxation kernel, inside or outside the
+convolution.  The engine asks for the columns whose weights are the linear parameters, and for the rows that
+keep these weights passive; whatever is not linear is differentiated numerically along the path.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.lapack import dtbtrs
+
+from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
+
+__all__ = ["KelvinVoigtLaw", "Law", "Path", "passive_rows", "relaxation_states"]
+
+FloatArray = NDArray[np.float64]
+
+#: Depths at which a polynomial has to be non-negative; it dips by less than 1e-4 of its curvature between them.
+PASSIVE_POINTS = 41
+#: Keeps states of a long hold out of denormal numbers.
+TINY = 1e-180
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Path:
+    """Depth below contact along all logs, one behind the other.
+
+    Attributes
+    ----------
+    step_s : ndarray, shape (m,)
+        Time since the point before; infinite at the first point of a log.
+    depth_mm : ndarray, shape (m,)
+        At least 0.
+    share : ndarray, shape (m,)
+        Share of the step that was spent in contact.
+    fresh : ndarray of int
+        First point of each log.
+    """
+
+    step_s: FloatArray
+    depth_mm: FloatArray
+    share: FloatArray
+    fresh: NDArray[np.int64]
+
+
+def relaxation_states(path: Path, value: FloatArray, tau_s: FloatArray) -> FloatArray:
+    """Convolution of the rate of ``value`` with exp(-t / tau), exact where it is linear in between.
+
+    Parameters
+    ----------
+    path : Path
+    value : ndarray, shape (m,)
+        Basis function of depth along the path.
+    tau_s : ndarray, shape (j,)
+
+    Returns
+    -------
+    ndarray, shape (j, m)
+    """
+    change = np.empty(value.size)
+    change[0] = 0.0
+    np.subtract(value[1:], value[:-1], out=change[1:])
+    change[path.fresh] = 0.0
+    rate = path.step_s / tau_s[:, None]
+    decay = np.exp(-rate)
+    z = np.maximum(rate * path.share, 1e-12)
+    right = np.expm1(-z)
+    np.divide(right, -z, out=right)
+    right *= change
+    right += TINY
+    band = np.ones((2, value.size), order="F")
+    out = np.empty((tau_s.size, value.size))
+    for j in range(tau_s.size):
+        np.negative(decay[j, 1:], out=band[1, :-1])
+        out[j] = dtbtrs(band, right[j], uplo="L", diag="U")[0]
+    return out
+
+
+def passive_rows(powers: int) -> FloatArray:
+    """Rows G with G @ c >= 0 where the polynomial c of that many powers is non-negative on [0, 1]."""
+    u = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, PASSIVE_POINTS if powers > 2 else 2))
+    rows = u[:, None] ** np.arange(float(powers)) if powers > 1 else np.ones((1, 1))
+    return np.asarray(rows / np.linalg.norm(rows, axis=1, keepdims=True))
+
+
+class Law(Protocol):
+    """What the engine asks of a law with given orders, in scaled units: depth over the largest depth, forces
+    in N."""
+
+    @property
+    def times(self) -> int:
+        """Number of nonlinear parameters: logarithms of times."""
+        ...
+
+    @property
+    def linear(self) -> int:
+        """Number of linear parameters."""
+        ...
+
+    def columns(self, log_times: FloatArray, path: Path) -> FloatArray:
+        """Columns of the linear parameters, shape (m, linear) [-]."""
+        ...
+
+    def cone(self) -> FloatArray:
+        """Rows G with G @ linear >= 0 for passive tissue."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class KelvinVoigtLaw:
+    """Modified Kelvin-Voigt law: F_s(u) + sum_j K_j(u) s_j, the stiffness outside the convolution.
+
+    Linear parameters: three static coefficients [N] of powers of u = x / depth, then for each branch the
+    coefficients [N] of K_j depth by powers of u.
+    """
+
+    branches: int
+    degree: int
+    depth_mm: float
+
+    @property
+    def times(self) -> int:
+        """Relaxation times."""
+        return self.branches
+
+    @property
+    def linear(self) -> int:
+        """Static and dynamic coefficients."""
+        return STATIC_DEGREE + self.branches * (self.degree + 1)
+
+    def columns(self, log_times: FloatArray, path: Path) -> FloatArray:
+        """Columns along a path, shape (m, linear)."""
+        u = path.depth_mm / self.depth_mm
+        out = np.empty((u.size, self.linear))
+        out[:, 0] = u
+        out[:, 1] = u * u
+        out[:, 2] = out[:, 1] * u
+        at = STATIC_DEGREE
+        for state in relaxation_states(path, u, np.exp(log_times)):
+            for k in range(self.degree + 1):
+                out[:, at] = state if k == 0 else state * out[:, k - 1]
+                at += 1
+        return out
+
+    def cone(self) -> FloatArray:
+        """F_s / x and every K_j non-negative on [0, depth]."""
+        static, stiffness = passive_rows(STATIC_DEGREE), passive_rows(self.degree + 1)
+        out = np.zeros((len(static) + self.branches * len(stiffness), self.linear))
+        out[: len(static), :STATIC_DEGREE] = static
+        for j in range(self.branches):
+            rows = slice(len(static) + j * len(stiffness), len(static) + (j + 1) * len(stiffness))
+            first = STATIC_DEGREE + j * (self.degree + 1)
+            out[rows, first : first + self.degree + 1] = stiffness
+        return out
+
+    def model(self) -> KelvinVoigt:
+        """The contact model with these orders."""
+        return KelvinVoigt(branches=self.branches, stiffness_degree=self.degree, depth_mm=self.depth_mm)
+
+    def theta(self, log_times: FloatArray, linear: FloatArray) -> FloatArray:
+        """Theta of the contact model [N, mm, s], of one point or of rows of points."""
+        log_times, linear = np.atleast_2d(log_times), np.atleast_2d(linear)
+        static = linear[:, :STATIC_DEGREE] * self.depth_mm ** -np.arange(1.0, STATIC_DEGREE + 1)
+        size = self.degree + 1
+        stiffness = linear[:, STATIC_DEGREE:].reshape(len(linear), self.branches, size)
+        stiffness = stiffness * self.depth_mm ** -np.arange(1.0, size + 1)
+        branch = np.concatenate([stiffness, np.exp(log_times)[:, :, None]], axis=2)
+        order = np.argsort(log_times, axis=1)
+        branch = np.take_along_axis(branch, order[:, :, None], axis=1)
+        return np.concatenate([static, branch.reshape(len(linear), -1)], axis=1)

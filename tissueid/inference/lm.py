@@ -1,0 +1,142 @@
+"""Levenberg-Marquardt through lmfit beside the constrained search: a second optimiser from a rougher start.
+
+Parameters are ln tau, the linear parameters that active bounds leave free, and each log's own; the machine
+stays where it is.  The Jacobian is that of the engine.
+"""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import lmfit
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.inference.engine import Identified
+from tissueid.inference.optimum import prior_cost, whitener_of
+from tissueid.inference.prior import time_bounds
+from tissueid.inference.system import Point
+
+__all__ = ["both_optimisers"]
+
+FloatArray = NDArray[np.float64]
+
+#: Relative difference of the sums of squares, and of ln tau in standard errors, within which two optima agree.
+AGREE_VALUE, AGREE_SD = 1e-6, 0.1
+#: ln tau starts at the nearest multiple of this, other parameters so far off, relatively.
+START_GRID, START_OFF = 0.5, 0.05
+MAX_EVALUATIONS, TOLERANCE = 300, 1e-10
+#: Singular value of a row of an active bound that is none.
+RANK = 1e-6
+
+
+class _Problem:
+    """The objective as lmfit sees it: a vector of residuals of a vector of parameters."""
+
+    def __init__(self, identified: Identified) -> None:
+        self.identified, self.optimum = identified, identified.optimum
+        self.system, self.law = identified.system, identified.law
+        self.white = whitener_of(self.system, self.optimum.noise.memory)
+        t = self.law.times
+        rows = self.optimum.prior.cone[self.optimum.active][:, t + 3 :]
+        rows = rows[np.abs(rows).sum(axis=1) > 0.0]
+        self.free = np.eye(self.law.linear)
+        if len(rows):
+            _, values, vectors = np.linalg.svd(rows / np.linalg.norm(rows, axis=1, keepdims=True))
+            self.free = vectors[int((values > RANK).sum()) :].T
+        point = self.optimum.point
+        self.start = np.concatenate([point.log_times, self.free.T @ point.linear, point.own.ravel()])
+
+    def point(self, values: FloatArray) -> Point:
+        """Vector -> point."""
+        t, m = self.law.times, self.free.shape[1]
+        own = values[t + m :].reshape(self.optimum.point.own.shape)
+        return Point(values[:t], self.optimum.point.machine, self.free @ values[t : t + m], own)
+
+    def residual(self, values: FloatArray) -> FloatArray:
+        """Whitened residuals and priors."""
+        point, prior = self.point(values), self.optimum.prior
+        left = self.white(self.system.force - self.system.predict(point)) / self.optimum.noise.sigma_N
+        own = np.sqrt(prior.own) * (point.own @ prior.own_rows.T)
+        return np.concatenate([left, prior.rows @ point.shared - prior.target, own.ravel()])
+
+    def jacobian(self, values: FloatArray) -> FloatArray:
+        """Derivative of :meth:`residual`."""
+        point, prior, t = self.point(values), self.optimum.prior, self.law.times
+        parts = self.system.derivatives(point, machine=False)
+        scale = -1.0 / self.optimum.noise.sigma_N
+        to = np.zeros((self.system.size, t + self.free.shape[1]))
+        to[:t, :t], to[t + 3 :, t:] = np.eye(t), self.free
+        logs, q = point.own.shape
+        shared = np.vstack([self.white(parts.shared) * scale, prior.rows]) @ to
+        out = np.zeros((len(shared) + logs * q, to.shape[1] + logs * q))
+        out[: len(shared), : to.shape[1]] = shared
+        if q:
+            own = self.white(parts.own) * scale
+            for i in range(logs):
+                at = slice(to.shape[1] + i * q, to.shape[1] + (i + 1) * q)
+                mine = np.flatnonzero(self.system.log == i)
+                out[mine, at] = own[mine]
+                out[len(shared) + i * q : len(shared) + (i + 1) * q, at] = (
+                    np.sqrt(prior.own[i])[:, None] * prior.own_rows
+                )
+        return out
+
+
+def both_optimisers(identified: Identified) -> dict[str, object]:
+    """Run Levenberg-Marquardt and compare.
+
+    Parameters
+    ----------
+    identified : Identified
+
+    Returns
+    -------
+    dict
+        The ``optimisers`` object of ``schemas/identification.schema.json``.
+    """
+    problem, t = _Problem(identified), identified.law.times
+    low, high = time_bounds(identified.system)
+    parameters = lmfit.Parameters()
+    for k, value in enumerate(problem.start.tolist()):
+        if k < t:
+            rough = float(np.clip(round(value / START_GRID) * START_GRID, low + 0.05, high - 0.05))
+            parameters.add(f"p{k}", value=rough)
+        else:
+            parameters.add(f"p{k}", value=value * (1.0 + START_OFF))
+
+    def vector(values: Any) -> FloatArray:
+        return np.array([values[f"p{k}"].value for k in range(len(problem.start))])
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        found = lmfit.Minimizer(
+            lambda values: problem.residual(vector(values)), parameters, scale_covar=False
+        ).leastsq(
+            Dfun=lambda values: problem.jacobian(vector(values)),
+            max_nfev=MAX_EVALUATIONS,
+            ftol=TOLERANCE,
+            xtol=TOLERANCE,
+        )
+    reached = vector(found.params)
+    variance = identified.optimum.noise.sigma_N**2
+    lm_value = float((problem.residual(reached) ** 2).sum())
+    value = identified.optimum.normal.objective
+    difference = (lm_value - value) / max(value, 1e-300)
+    sd = np.sqrt(np.maximum(np.diag(identified.optimum.covariance)[:t], 1e-24))
+    apart = float((np.abs(np.sort(reached[:t]) - np.sort(problem.start[:t])) / sd).max(initial=0.0))
+    agree = bool(abs(difference) <= AGREE_VALUE or apart <= AGREE_SD)
+    bounded = bool(problem.free.shape[1] < identified.law.linear)
+    return {
+        "method": "Levenberg-Marquardt (lmfit) and constrained Gauss-Newton",
+        "lm_sum_of_squares_N2": lm_value * variance,
+        "vp_sum_of_squares_N2": value * variance,
+        "relative_difference": float(difference),
+        "lm_evaluations": int(found.nfev),
+        "lm_converged": bool(found.success),
+        "agree": None if bounded and not agree else agree,
+        "bound_active": bounded,
+        "prior_cost": prior_cost(identified.optimum.prior, identified.optimum.point),
+        "sigma_gain": identified.scatter.gain if identified.system.effects.gain else None,
+    }

@@ -1,0 +1,91 @@
+"""A log that can be loaded again, with what is known of it, and its blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.inference.blocks import Blocks, log_blocks
+from tissueid.inference.unloading import FreeSurface, with_unloading
+from tissueid.inference.window import FittedLog, LogData, assign_folds, fitted_log, with_holds_cut
+from tissueid.trial import Segmentation, Trial
+
+__all__ = ["LogHandle", "blocks_of"]
+
+FloatArray = NDArray[np.float64]
+
+#: Smallest standard deviation of a contact point, as a fraction of the depth.
+OFFSET_SD_FLOOR = 1e-5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LogHandle:
+    """A trial that can be loaded again, with what is known of it.
+
+    Attributes
+    ----------
+    load : callable
+        Returns the trial.
+    segmentation : Segmentation
+    facts : FittedLog
+        Without its samples.
+    contact_sd_mm : float
+        Standard deviation of the contact point as segmented: the prior of the fit's contact offset.
+    contact_shift_mm : float
+        How far the fit has moved the contact point since.
+    guard : bool
+        See :func:`tissueid.inference.window.fitted_log`.
+    unloading : bool
+        True where samples after the tool first turned back take part.
+    surface : FreeSurface or None
+        The law whose surface is followed; ``None`` takes contact loss from the measured force.
+    hold_share : float
+        First share of every hold that takes part.
+    """
+
+    load: Callable[[], Trial]
+    segmentation: Segmentation
+    facts: FittedLog
+    contact_sd_mm: float
+    contact_shift_mm: float = 0.0
+    guard: bool = False
+    unloading: bool = False
+    surface: FreeSurface | None = None
+    hold_share: float = 1.0
+
+    def window(self, trial: Trial, segmentation: Segmentation, *, guard: bool = False) -> FittedLog | None:
+        """The part of a trial that is fitted under a segmentation; ``None`` where there is none."""
+        log = fitted_log(trial, segmentation, guard=guard, whole=self.unloading)
+        if log is None or not self.unloading:
+            return log
+        return with_unloading(segmentation, log, self.surface)
+
+    def fitted(self) -> tuple[Trial, FittedLog]:
+        """The trial and its fitted part, loaded anew."""
+        trial = self.load()
+        log = self.window(trial, self.segmentation, guard=self.guard)
+        if log is None:
+            # the guard zone may swallow a very shallow log: then it is fitted as it is
+            log = self.window(trial, self.segmentation)
+        if log is None:
+            msg = f"{trial.name} changed while it was being fitted"
+            raise RuntimeError(msg)
+        if self.hold_share < 1.0:
+            log = with_holds_cut(log, self.segmentation.of_kind("hold"), self.hold_share)
+        return trial, log
+
+
+def blocks_of(handle: LogHandle, log: FittedLog, *, whole: bool = False) -> Blocks:
+    """Blocks of the fitted part of a log; every sample of it where ``whole``."""
+    contact = handle.segmentation.contact
+    data: LogData = assign_folds(log, handle.segmentation.of_kind("hold"))
+    return log_blocks(
+        data,
+        step_s=log.step_s,
+        contact_sd_mm=max(handle.contact_sd_mm, OFFSET_SD_FLOOR * log.depth_mm),
+        leads=contact is not None and contact.in_record and not handle.unloading,
+        whole=whole,
+    )

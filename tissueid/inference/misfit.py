@@ -1,0 +1,346 @@
+"""Does the residual show what the model and its noise can't make?  Four checks, one decision.
+
+An interval is right for a model that is right.  Noise and an error of the model differ in two ways: the error
+repeats at the same place of the program in every log, and at the corners of the program it is largest.
+
+*shared structure*: signs of whole logs are exchanged at random (:data:`FLIPS` times).  Noise that is
+symmetric and independent from log to log looks the same after that, whatever its spectrum; an error that
+repeats does not.  No noise model enters: a slow mode that was left out drives the correlation of an AR(1)
+model towards one and would hide in it.  Needs :data:`FEWEST_LOGS` logs.
+
+*within logs*, *early hold*, *ramp start*: block means against their covariance under the fitted noise, after
+what the fit took out (theta, and what each log has for itself) is projected away.  The spectrum of the noise
+near zero frequency is known from few effective samples only; the F distribution carries that.
+
+The checks' levels add to less than two per cent, so the alarm is raised falsely less often than that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+from scipy.linalg import solve_triangular
+
+from tissueid.inference.residual_blocks import ResidualBlocks
+from tissueid.uncertainty import MisfitAlarm, MisfitCheck, NoiseFit
+
+__all__ = ["block_covariance", "misfit_alarm", "shared_structure"]
+
+FloatArray = NDArray[np.float64]
+
+#: Probability with which each check may be raised by noise.
+LEVELS = {"shared structure": 0.008, "within logs": 0.004, "early hold": 0.003, "ramp start": 0.003}
+FLIPS = 1999
+#: With fewer logs the exchanges of signs are too few for the level.
+FEWEST_LOGS = 8
+SEED = 20110
+#: Noise that is known from a short record may be so much stronger at long lags than its fit says.
+SPECTRUM_TOLERANCE = 1.15
+#: Blocks count as early up to this share of a hold, as the start of a ramp up to this share of its path.
+EARLY_SHARE = 0.1
+START_PLACES = 3
+
+
+class _Row(NamedTuple):
+    """One statistic of signs: which blocks it sums, for the sentence."""
+
+    words: str
+    columns: NDArray[np.int64]
+
+
+def _parts(noise: NoiseFit) -> tuple[float, float]:
+    """Variances of the white and of the correlated part [N^2]."""
+    variance = noise.sigma_N**2
+    if noise.model == "white" or noise.phi <= 0.0:
+        return variance, 0.0
+    phi, theta = noise.phi, noise.moving_average
+    lag_one = (1.0 - phi * theta) * (phi - theta) / (1.0 + theta * theta - 2.0 * phi * theta)
+    share = min(max(lag_one / phi, 0.0), 1.0)
+    return variance * (1.0 - share), variance * share
+
+
+def _rate(noise: NoiseFit) -> float:
+    """Decay of the correlation [1/s]; infinite for white noise."""
+    return -float(np.log(noise.phi)) / noise.reference_step_s if noise.phi > 0.0 else float("inf")
+
+
+def block_covariance(blocks: ResidualBlocks, noise: NoiseFit) -> FloatArray:
+    """Covariance of the block means of one log under its noise, shape (k, k) [N^2].
+
+    Sums of a geometric series: ``n + 2 sum_j (n - j) r^j`` for a block of n equally spaced samples whose
+    neighbours are correlated by r, and the product of two such series across a gap.
+
+    Parameters
+    ----------
+    blocks : ResidualBlocks
+    noise : NoiseFit
+    """
+    white, correlated = _parts(noise)
+    n = blocks.count.astype(np.float64)
+    covariance = np.diag(white / n)
+    if correlated == 0.0:
+        return covariance
+    rate = _rate(noise)
+    step = np.where(n > 1, (blocks.end_s - blocks.start_s) / np.maximum(n - 1, 1), blocks.step_s)
+    x = np.maximum(rate * step, 1e-12)
+    r, one_less = np.exp(-x), -np.expm1(-x)
+    series = -np.expm1(-n * x) / one_less
+    own = (n * (1.0 + r) - 2.0 * r * series) / one_less / n**2
+    gap = blocks.start_s[None, :] - blocks.end_s[:, None]
+    mean = series / n
+    across = np.exp(-rate * np.maximum(gap, 0.0)) * mean[:, None] * mean
+    upper = np.triu(across, 1)
+    return np.asarray(covariance + correlated * (upper + upper.T + np.diag(own)))
+
+
+def _features(logs: Sequence[ResidualBlocks], values: Sequence[FloatArray]) -> tuple[FloatArray, list[_Row]]:
+    """A value of each block by place and contrast, shape (logs, features), and how they are grouped."""
+    keys = sorted(
+        {
+            key
+            for one in logs
+            for key in zip(one.hold.tolist(), one.phase.tolist(), one.place.tolist(), strict=True)
+        }
+    )
+    at = {key: k for k, key in enumerate(keys)}
+    table = np.zeros((len(logs), len(keys)))
+    present = np.zeros_like(table, dtype=bool)
+    for i, (one, value) in enumerate(zip(logs, values, strict=True)):
+        found = zip(one.hold.tolist(), one.phase.tolist(), one.place.tolist(), strict=True)
+        columns = [at[key] for key in found]
+        table[i, columns] = value
+        present[i, columns] = True
+    speed = np.log(np.maximum([one.speed_mm_s for one in logs], 1e-12))
+    depth = np.array([one.depth_mm for one in logs])
+    held = np.array([key[0] for key in keys], dtype=bool)
+    features: list[FloatArray] = []
+    rows: list[_Row] = []
+    for kind, what in ((True, "holds"), (False, "ramps")):
+        chosen = np.flatnonzero((held == kind) & (present.sum(axis=0) > 1))
+        for contrast, words in (
+            (np.ones(len(logs)), f"{what} of all logs"),
+            (speed, f"{what}, growing or falling with speed"),
+            (depth, f"{what}, growing or falling with depth"),
+        ):
+            block = table[:, chosen]
+            if not words.endswith("all logs"):
+                there = present[:, chosen]
+                mean = (contrast[:, None] * there).sum(axis=0) / there.sum(axis=0)
+                block = block * (contrast[:, None] - mean) * there
+            block = block[:, (block**2).sum(axis=0) > 0.0]
+            if block.shape[1]:
+                start = sum(one.shape[1] for one in features)
+                rows.append(_Row(words, np.arange(start, start + block.shape[1])))
+                features.append(block)
+    return (np.concatenate(features, axis=1) if features else np.zeros((len(logs), 0))), rows
+
+
+def shared_structure(
+    logs: Sequence[ResidualBlocks], noise: NoiseFit, *, rng: np.random.Generator
+) -> tuple[float, float, str] | None:
+    """Structure that repeats from log to log, against exchanged signs.
+
+    For each place of the program the squared sum over logs of the block means, over the sum of their
+    squares; summed over the places of holds and of ramps, as such and weighted with speed and depth, for
+    the means and for the means whitened by the noise's covariance; and the largest of either.  What the
+    fit could still take out is projected away first: logs share it, and it is no error of the model.  The
+    smallest of these p-values is judged against its own distribution under the same exchanges.
+
+    Parameters
+    ----------
+    logs : sequence of ResidualBlocks
+    noise : NoiseFit
+        Weighs blocks of different length; the level does not depend on it.
+    rng : Generator
+
+    Returns
+    -------
+    tuple or None
+        Statistic (of the strongest group), p-value and the group in words; ``None`` with too few logs.
+    """
+    if len(logs) < FEWEST_LOGS:
+        return None
+    projected = _project(logs, noise)
+    white = np.split(projected.residual, np.cumsum([one.count.size for one in logs])[:-1])
+    plain = [
+        (root @ value) / np.sqrt((root**2).sum(axis=1))
+        for root, value in zip(projected.roots, white, strict=True)
+    ]
+    signs = rng.choice(np.array([-1.0, 1.0]), size=(FLIPS + 1, len(logs)))
+    signs[0] = 1.0
+    rows: list[_Row] = []
+    columns: list[FloatArray] = []
+    largest: list[FloatArray] = []
+    for values in (plain, white):
+        table, groups = _features(logs, values)
+        if not groups:
+            return None
+        squares = (signs @ table) ** 2 / (table**2).sum(axis=0)
+        rows += groups
+        columns += [squares[:, group.columns].sum(axis=1) for group in groups]
+        largest.append(squares.max(axis=1))
+    sums = np.column_stack(columns + largest)
+    p_values = (sums.shape[0] - _ranks(sums)) / sums.shape[0]
+    smallest = p_values.min(axis=1)
+    strongest = int(np.argmin(p_values[0, : len(rows)]))
+    strength = float(sums[0, strongest] / rows[strongest].columns.size)
+    return strength, float((smallest <= smallest[0]).mean()), rows[strongest].words
+
+
+def _ranks(values: FloatArray) -> FloatArray:
+    """Values of the same column that are smaller; shape as given."""
+    out = np.empty_like(values)
+    for k in range(values.shape[1]):
+        # equal values (the same exchange drawn twice) share the worst place
+        column = np.round(values[:, k], 9)
+        out[:, k] = np.searchsorted(np.sort(column), column, side="left")
+    return np.asarray(out)
+
+
+class _Projected(NamedTuple):
+    """Whitened block means of all logs after the fit is projected away."""
+
+    residual: FloatArray
+    basis: FloatArray
+    freedom: int
+    roots: list[FloatArray]
+
+
+def _orthonormal(columns: FloatArray) -> FloatArray:
+    """Orthonormal basis of the columns' span; columns of any scale."""
+    norm = np.sqrt((columns**2).sum(axis=0))
+    scaled = columns[:, norm > 0.0] / norm[norm > 0.0]
+    if scaled.shape[1] == 0:
+        return np.zeros((columns.shape[0], 0))
+    u, s, _ = np.linalg.svd(scaled, full_matrices=False)
+    return np.asarray(u[:, s > 1e-9 * s[0]])
+
+
+def _project(logs: Sequence[ResidualBlocks], noise: NoiseFit) -> _Projected:
+    roots = [np.asarray(np.linalg.cholesky(block_covariance(one, noise)), dtype=np.float64) for one in logs]
+    size = sum(one.count.size for one in logs)
+    own = np.zeros((size, sum(one.own.shape[1] for one in logs)))
+    shared, values = [], []
+    row = column = 0
+    for one, root in zip(logs, roots, strict=True):
+        k, q = one.own.shape
+        own[row : row + k, column : column + q] = solve_triangular(root, one.own, lower=True)
+        shared.append(solve_triangular(root, one.shared, lower=True))
+        values.append(solve_triangular(root, one.mean_N, lower=True))
+        row, column = row + k, column + q
+    basis = _orthonormal(np.concatenate([own, np.concatenate(shared)], axis=1))
+    value = np.concatenate(values)
+    residual = value - basis @ (basis.T @ value)
+    return _Projected(residual, basis, size - basis.shape[1], roots)
+
+
+def _effective(logs: Sequence[ResidualBlocks], noise: NoiseFit) -> float:
+    """Degrees of freedom of the noise's strength at long lags: half the effective samples under AR(1)."""
+    total = 0.0
+    for one in logs:
+        n = float(one.count.sum())
+        if _parts(noise)[1] > 0.0:
+            n *= 0.5 * np.tanh(0.5 * _rate(noise) * one.step_s)
+        total += n
+    return max(total, 1.0)
+
+
+def _within(projected: _Projected, effective: float) -> MisfitCheck:
+    name = "within logs"
+    if projected.freedom < 1:
+        return MisfitCheck(name, 0.0, 1.0, "too few samples for a look at the residual within a log", False)
+    ratio = float(projected.residual @ projected.residual) / projected.freedom
+    p = float(stats.f.sf(ratio / SPECTRUM_TOLERANCE, projected.freedom, effective))
+    raised = p < LEVELS[name]
+    message = (
+        f"block means of the residual scatter {np.sqrt(ratio):.2f} times as much as the noise model explains"
+    )
+    return MisfitCheck(name, ratio, p, message, raised)
+
+
+def _directed(
+    name: str,
+    words: str,
+    logs: Sequence[ResidualBlocks],
+    projected: _Projected,
+    masks: Sequence[NDArray[np.bool_]],
+    effective: float,
+) -> MisfitCheck:
+    """Whether the residual is of one sign over the chosen blocks of all logs."""
+    parts = [
+        solve_triangular(root, mask.astype(np.float64), lower=True)
+        for root, mask in zip(projected.roots, masks, strict=True)
+    ]
+    direction = np.concatenate(parts)
+    direction -= projected.basis @ (projected.basis.T @ direction)
+    norm = float(np.sqrt(direction @ direction))
+    before = float(np.sqrt(sum(float(one @ one) for one in parts)))
+    if not norm > 1e-6 * max(before, 1e-300):
+        return MisfitCheck(name, 0.0, 1.0, f"nothing to see {words}", False)
+    statistic = float(direction @ projected.residual) / norm
+    p = float(2.0 * stats.t.sf(abs(statistic) / np.sqrt(SPECTRUM_TOLERANCE), effective))
+    count = sum(int(one.count[mask].sum()) for one, mask in zip(logs, masks, strict=True))
+    total = sum(float(one.count[mask] @ one.mean_N[mask]) for one, mask in zip(logs, masks, strict=True))
+    message = (
+        f"{words} the force is {abs(total) / max(count, 1):.2g} N "
+        f"{'above' if total > 0.0 else 'below'} the model on average ({abs(statistic):.1f} standard errors)"
+    )
+    return MisfitCheck(name, statistic, p, message, p < LEVELS[name])
+
+
+def _early(one: ResidualBlocks) -> NDArray[np.bool_]:
+    """Blocks of the first tenth of each hold's time, at least the first one."""
+    mask = np.zeros(one.count.size, dtype=bool)
+    for phase in np.unique(one.phase[one.hold]):
+        inside = np.flatnonzero(one.hold & (one.phase == phase))
+        start = one.start_s[inside[0]]
+        early = one.end_s[inside] - start <= EARLY_SHARE * (one.end_s[inside[-1]] - start)
+        early[0] = True
+        mask[inside[early]] = True
+    return mask
+
+
+def misfit_alarm(logs: Sequence[ResidualBlocks], noise: NoiseFit) -> MisfitAlarm:
+    """Look for structure in the residuals of a specimen.
+
+    Parameters
+    ----------
+    logs : sequence of ResidualBlocks
+        Of all logs, at the optimum.
+    noise : NoiseFit
+        The noise that the fit found.
+
+    Returns
+    -------
+    MisfitAlarm
+        Raised where any check is; under the fitted model at most at two per cent.
+    """
+    logs = [one for one in logs if one.count.size]
+    if not logs or not noise.sigma_N > 0.0:
+        return MisfitAlarm(raised=False)
+    checks = []
+    found = shared_structure(logs, noise, rng=np.random.default_rng(SEED))
+    if found is not None:
+        statistic, p, words = found
+        name = "shared structure"
+        message = (
+            f"the residual repeats from log to log, most in the {words}: mean squares are {statistic:.1f} "
+            "times those of independent logs"
+        )
+        checks.append(MisfitCheck(name, statistic, p, message, p < LEVELS[name]))
+    if noise.discrepant:
+        # misses within a log are in the intervals already
+        return MisfitAlarm(raised=any(check.raised for check in checks), checks=tuple(checks))
+    projected = _project(logs, noise)
+    # what the fit has taken out is lost to the estimate of the noise as well
+    effective = max(_effective(logs, noise) - projected.basis.shape[1], 1.0)
+    checks.append(_within(projected, effective))
+    early = [_early(one) for one in logs]
+    start = [~one.hold & (one.place < START_PLACES) for one in logs]
+    checks.append(_directed("early hold", "early in the holds", logs, projected, early, effective))
+    checks.append(_directed("ramp start", "where ramps start", logs, projected, start, effective))
+    return MisfitAlarm(raised=any(check.raised for check in checks), checks=tuple(checks))

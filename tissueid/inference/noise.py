@@ -1,0 +1,160 @@
+"""Noise of the observations: white, or an AR(1) beside white noise, whitened exactly through blocks.
+
+The mean of n samples of an AR(1) depends on its state before them and leaves a state behind: a Kalman filter
+of one state.  Its gains do not depend on the data, so whitening is one banded solve for any number of
+columns.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.lapack import dtbtrs
+
+__all__ = ["Memory", "Whitener", "whitener"]
+
+FloatArray = NDArray[np.float64]
+
+#: Change of the filter's variance below which it has settled.
+SETTLED = 1e-13
+
+
+@dataclass(frozen=True, slots=True)
+class Memory:
+    """Correlation of the noise.
+
+    Attributes
+    ----------
+    time_s : float
+        Correlation time of the AR(1) part; 0 for white noise.
+    white : float
+        Share of the white part in the variance.
+    """
+
+    time_s: float = 0.0
+    white: float = 0.0
+
+    def phi(self, step_s: float) -> float:
+        """Correlation over a step."""
+        return float(np.exp(-step_s / self.time_s)) if self.time_s > 0.0 else 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Whitener:
+    """Linear map to observations of unit variance; ``log_det`` is that of their covariance."""
+
+    scale: FloatArray
+    log_det: float
+    state: FloatArray | None = None
+    band: FloatArray | None = None
+    gain: FloatArray | None = None
+
+    def __call__(self, columns: FloatArray) -> FloatArray:
+        """Whitened columns, shape as given: (k,) or (k, c)."""
+        two = columns.reshape(columns.shape[0], -1)
+        if self.band is not None and self.gain is not None and self.state is not None:
+            after, _ = dtbtrs(self.band, self.gain[:, None] * two, uplo="L", diag="U")
+            before = np.vstack([np.zeros((1, two.shape[1])), after[:-1]])
+            two = two - self.state[:, None] * before
+        return np.asarray((two * self.scale[:, None]).reshape(columns.shape))
+
+
+def _block_moments(r: FloatArray, n: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Of a block of n samples of an AR(1) of unit variance: weight of the state before it in its mean,
+    variance of the rest of the mean, covariance of that with the state after it, and decay of the state.
+    """
+    decay = r**n
+    rest = np.maximum(1.0 - r, 1e-15)
+    alpha = r * (1.0 - decay) / rest / n
+    square = np.maximum(1.0 - r * r, 1e-15)
+    variance = (
+        square * (n - 2.0 * r * (1.0 - decay) / rest + r * r * (1.0 - decay**2) / square) / (n * rest) ** 2
+    )
+    cross = square * ((1.0 - decay) / rest - r * (1.0 - decay**2) / square) / (n * rest)
+    single = n == 1.0
+    return (
+        np.where(single, r, alpha),
+        np.where(single, square, np.maximum(variance, 0.0)),
+        np.where(single, square, cross),
+        decay,
+    )
+
+
+def whitener(
+    count: FloatArray, step_s: FloatArray, gap_s: FloatArray, chain: NDArray[np.bool_], memory: Memory
+) -> Whitener:
+    """Prepare whitening under noise of unit variance.
+
+    Parameters
+    ----------
+    count : ndarray, shape (k,)
+        Samples of each observation.
+    step_s : ndarray, shape (k,)
+        Sampling interval within it.
+    gap_s : ndarray, shape (k,)
+        Time from the last sample of the observation before to its first; ignored where a chain starts.
+    chain : ndarray of bool, shape (k,)
+        Starts of chains.
+    memory : Memory
+    """
+    if memory.time_s <= 0.0 or memory.white >= 1.0:
+        return Whitener(np.sqrt(count), -float(np.log(count).sum()))
+    rate = 1.0 / memory.time_s
+    r = np.exp(-np.maximum(step_s, 1e-12) * rate)
+    # a gap longer or shorter than a step changes the state before the first sample
+    extra = np.exp(-np.maximum(gap_s - step_s, 0.0) * rate)
+    alpha, variance, cross, decay = _block_moments(r, count)
+    q = 1.0 - memory.white
+    white = memory.white / count
+    k = count.size
+    rows = np.column_stack([alpha, q * variance, q * cross, decay, q * (1.0 - decay**2), white, extra])
+    state, gain, total, inner = _gains(rows, chain, q)
+    inner[chain] = 0.0
+    state[chain] = 0.0
+    band = np.empty((2, k))
+    band[0] = 1.0
+    band[1, :-1] = -inner[1:]
+    return Whitener(1.0 / np.sqrt(total), float(np.log(total).sum()), state, band, gain)
+
+
+def _gains(
+    rows: FloatArray, chain: NDArray[np.bool_], q: float
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Weight of the state before, gain, innovation variance and decay of the filter at each observation."""
+    k = len(rows)
+    inner_rows = rows[~chain]
+    alike = bool((np.ptp(rows[:, :6], axis=0) <= 1e-9).all()) and bool(
+        inner_rows.size == 0 or (np.ptp(inner_rows[:, 6]) <= 1e-9 and inner_rows[0, 6] >= 1.0 - 1e-9)
+    )
+    if alike:
+        # one filter for all chains: it settles after some correlation times
+        starts = np.flatnonzero(chain)
+        longest = int(np.diff(np.append(starts, k)).max())
+        table = _recursion(
+            rows[:1].repeat(longest, axis=0).tolist(), [True] + [False] * (longest - 1), q, settle=True
+        )
+        since = np.arange(k) - np.repeat(starts, np.diff(np.append(starts, k)))
+        out = table[np.minimum(since, len(table) - 1)]
+    else:
+        out = _recursion(rows.tolist(), chain.tolist(), q, settle=False)
+    return out[:, 0], out[:, 1], out[:, 2], out[:, 3]
+
+
+def _recursion(rows: list[list[float]], starts: list[bool], q: float, *, settle: bool) -> FloatArray:
+    """Riccati recursion of the filter, one row an observation; stops where it has settled, if allowed."""
+    p, out = q, []
+    for (a, v, c, d, e, w, x), opens in zip(rows, starts, strict=True):
+        if opens:
+            p, x = q, 1.0
+        elif x < 1.0:
+            p = x * x * p + q * (1.0 - x * x)
+        s = a * a * p + v + w
+        g = (a * d * p + c) / s
+        out.append((a * x, g, s, (d - g * a) * x))
+        after = max(d * d * p + e - g * g * s, 0.0)
+        if settle and abs(after - p) <= SETTLED and not opens:
+            break
+        p = after
+    return np.array(out)

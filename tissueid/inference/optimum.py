@@ -1,0 +1,334 @@
+"""Constrained Gauss-Newton steps with Levenberg-Marquardt damping, the logs' own parameters eliminated.
+
+The problem is a least-squares one in shared parameters, in each log's own, and in priors as rows.  A step
+solves its quadratic model within the passive cone (least distance programming; Lawson & Hanson 1974, ch. 23).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+from scipy.optimize import nnls
+
+from tissueid.inference.noise import Memory, Whitener, whitener
+from tissueid.inference.prior import PriorRows
+from tissueid.inference.system import Derivatives, Point, System
+
+__all__ = ["Noise", "Normal", "Optimum", "minimise", "nearest_in_cone", "normal_equations", "whitener_of"]
+
+FloatArray = NDArray[np.float64]
+
+#: Steps at the most, and the largest change in standard errors that counts as none.
+MOST_STEPS, STILL = 40, 0.01
+#: Damping: where it starts, how it changes, and where it gives up.
+DAMPING, RAISED, LOWERED, HOPELESS = 1e-4, 8.0, 0.2, 1e9
+#: Curvature of a direction that has none: the relaxation time of a branch without stiffness.
+FLAT = 1e-6
+#: Constraint slack, relative to the row's size, that counts as active.
+ACTIVE = 1e-7
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Scale and correlation of the force's noise.
+
+    Attributes
+    ----------
+    sigma_N : float
+    memory : Memory
+    """
+
+    sigma_N: float
+    memory: Memory = Memory()
+
+
+def whitener_of(system: System, memory: Memory) -> Whitener:
+    """Whitening of all observations of a system."""
+    end = system.mid + 0.5 * (system.count - 1.0) * system.obs_step
+    start = system.mid - 0.5 * (system.count - 1.0) * system.obs_step
+    gap = np.append(0.0, start[1:] - end[:-1])
+    return whitener(system.count, system.obs_step, gap, system.chain, memory)
+
+
+def nearest_in_cone(
+    centre: FloatArray, covariance: FloatArray, cone: FloatArray, least: FloatArray
+) -> FloatArray:
+    """Point of ``cone @ x >= least`` nearest to a centre in the metric of a covariance.
+
+    Parameters
+    ----------
+    centre : ndarray, shape (n,)
+    covariance : ndarray, shape (n, n)
+    cone, least : ndarray, shape (c, n) and (c,)
+    """
+    missing = least - cone @ centre
+    if not (missing > 0.0).any():
+        return centre
+    scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    values, vectors = np.linalg.eigh(covariance / scale / scale[:, None])
+    root = scale[:, None] * vectors * np.sqrt(np.maximum(values, 1e-14 * values[-1]))
+    used = least > -1e200
+    a, h = (cone @ root)[used], missing[used]
+    size = np.linalg.norm(a, axis=1)
+    kept = size > 0.0
+    a, h = a[kept] / size[kept, None], h[kept] / size[kept]
+    e = np.vstack([a.T, h])
+    f = np.append(np.zeros(a.shape[1]), 1.0)
+    try:
+        dual, norm = nnls(e, f, maxiter=20 * e.shape[1])
+    except RuntimeError:
+        return centre
+    if norm <= 1e-12:
+        return centre
+    rest = e @ dual - f
+    return np.asarray(centre - root @ (rest[:-1] / rest[-1]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Normal:
+    """Normal equations at a point, in units of the noise.
+
+    Attributes
+    ----------
+    residual : ndarray, shape (k,)
+        Whitened, over sigma.
+    shared, own : ndarray, shape (k, s) and (k, q)
+        Whitened derivatives over sigma.
+    hessian : ndarray, shape (s, s)
+        Of half the objective, own parameters eliminated.
+    gradient : ndarray, shape (s,)
+        Downhill.
+    own_inverse : ndarray, shape (logs, q, q)
+    cross : ndarray, shape (logs, q, s)
+    own_gradient : ndarray, shape (logs, q)
+    objective : float
+        |residual|^2 and priors.
+    """
+
+    residual: FloatArray
+    shared: FloatArray
+    own: FloatArray
+    hessian: FloatArray
+    gradient: FloatArray
+    own_inverse: FloatArray
+    cross: FloatArray
+    own_gradient: FloatArray
+    objective: float
+
+
+def _by_log(system: System, products: FloatArray) -> FloatArray:
+    """Sums over each log's observations."""
+    return np.asarray(np.add.reduceat(products, system.begins, axis=0))
+
+
+def prior_cost(prior: PriorRows, point: Point) -> float:
+    """Twice the negative log prior of shared and own parameters."""
+    off = prior.rows @ point.shared - prior.target
+    own = point.own @ prior.own_rows.T
+    return float(off @ off + (prior.own * own**2).sum())
+
+
+def normal_equations(
+    system: System, point: Point, parts: Derivatives, white: Whitener, sigma_N: float, prior: PriorRows
+) -> Normal:
+    """Assemble the quadratic model at a point."""
+    residual = white(system.force - parts.force) / sigma_N
+    shared = white(parts.shared) / sigma_N
+    own = white(parts.own) / sigma_N if parts.own.shape[1] else parts.own
+    off = prior.rows @ point.shared - prior.target
+    hessian = shared.T @ shared + prior.rows.T @ prior.rows
+    gradient = shared.T @ residual - prior.rows.T @ off
+    q = own.shape[1]
+    if q:
+        inner = _by_log(system, own[:, :, None] * own[:, None, :])
+        coordinates = prior.own_rows
+        inner = inner + np.einsum("ab,la,ac->lbc", coordinates, prior.own, coordinates)
+        cross = _by_log(system, own[:, :, None] * shared[:, None, :])
+        own_gradient = _by_log(system, own * residual[:, None])
+        own_gradient = own_gradient - np.einsum(
+            "ab,la,la->lb", coordinates, prior.own, point.own @ coordinates.T
+        )
+        inverse = np.linalg.inv(inner)
+        hessian = hessian - np.einsum("lqs,lqr,lrt->st", cross, inverse, cross)
+        gradient = gradient - np.einsum("lqs,lqr,lr->s", cross, inverse, own_gradient)
+    else:
+        logs = len(system.logs)
+        inverse, cross = np.zeros((logs, 0, 0)), np.zeros((logs, 0, shared.shape[1]))
+        own_gradient = np.zeros((logs, 0))
+    objective = float(residual @ residual) + prior_cost(prior, point)
+    return Normal(residual, shared, own, hessian, gradient, inverse, cross, own_gradient, objective)
+
+
+def covariance_of(hessian: FloatArray) -> FloatArray:
+    """Inverse of a Hessian, scaled before it is inverted; directions without curvature get the largest
+    variance."""
+    hessian = hessian + FLAT * np.eye(len(hessian))
+    scale = np.sqrt(np.diag(hessian))
+    values, vectors = np.linalg.eigh(hessian / scale / scale[:, None])
+    values = np.maximum(values, 1e-13 * max(float(values[-1]), 1e-300))
+    return np.asarray((vectors / values) @ vectors.T / scale / scale[:, None])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Optimum:
+    """A minimum of the objective.
+
+    Attributes
+    ----------
+    point : Point
+    normal : Normal
+    prior : PriorRows
+    noise : Noise
+    covariance : ndarray, shape (s, s)
+        Inverse Hessian of the shared parameters, bounds not known to it.
+    converged : bool
+    active : ndarray of bool, shape (c,)
+        Constraints that hold with equality.
+    """
+
+    point: Point
+    normal: Normal
+    prior: PriorRows
+    noise: Noise
+    covariance: FloatArray
+    converged: bool
+    active: NDArray[np.bool_]
+
+
+def _step(normal: Normal, prior: PriorRows, point: Point, damping: float, frozen: FloatArray) -> Point:
+    """One damped step within the cone."""
+    diagonal = np.maximum(np.diag(normal.hessian), FLAT)
+    hessian = normal.hessian + np.diag(damping * diagonal + frozen + FLAT)
+    scale = 1.0 / np.sqrt(np.diag(hessian))
+    factor = cho_factor(hessian * scale * scale[:, None] + 1e-13 * np.eye(scale.size))
+    move = scale * cho_solve(factor, scale * normal.gradient)
+    shared = point.shared + move
+    if ((prior.cone @ shared) < prior.least).any():
+        covariance = scale[:, None] * cho_solve(factor, np.diag(scale))
+        shared = nearest_in_cone(shared, covariance, prior.cone, prior.least)
+        move = shared - point.shared
+    if normal.own.shape[1]:
+        rest = normal.own_gradient - np.einsum("lqs,s->lq", normal.cross, move)
+        own = point.own + np.einsum("lqr,lr->lq", normal.own_inverse, rest)
+    else:
+        own = point.own
+    return point.moved(shared, own)
+
+
+def _scale_of(
+    system: System, residual: FloatArray, white: Whitener, memory: Memory, parameters: int
+) -> float:
+    """Standard deviation of the noise that a residual shows [N]."""
+    e = white(residual)
+    total, freedom = float(e @ e), residual.size - parameters
+    if memory.time_s <= 0.0:
+        total, freedom = total + system.within_N2, freedom + system.within_freedom
+    return float(np.sqrt(max(total, 0.0) / max(freedom, 1)))
+
+
+def minimise(
+    system: System,
+    point: Point,
+    prior_at: Callable[[Point], PriorRows],
+    *,
+    memory: Memory = Memory(),
+    sigma_N: float | None = None,
+    machine: bool,
+    least_sigma_N: float = 0.0,
+    steps: int = MOST_STEPS,
+    held: NDArray[np.int64] | None = None,
+) -> Optimum:
+    """Minimise the objective from a point.
+
+    Parameters
+    ----------
+    system : System
+    point : Point
+    prior_at : callable
+        Priors around a point.
+    memory : Memory
+        Correlation of the noise.
+    sigma_N : float, optional
+        Noise held at this; otherwise it follows the residuals.
+    machine : bool
+        The machine is open.
+    least_sigma_N : float
+        Noise is not below this.
+    steps : int
+    held : ndarray of int, optional
+        Shared parameters that stay where they are.
+    """
+    white = whitener_of(system, memory)
+    prior = prior_at(point)
+    frozen = np.zeros(point.shared.size)
+    t = system.law.times
+    if not machine:
+        frozen[t : t + 3] = 1e30
+    if held is not None:
+        frozen[held] = 1e30
+    parameters = min(t + system.law.linear + point.own.size, system.force.size // 2)
+    floor = max(least_sigma_N, 1e-9 * float(np.abs(system.force).max()), 1e-15)
+    damping, converged = DAMPING, False
+    normal, noise_N = None, floor
+    for _ in range(steps):
+        parts = system.derivatives(point, machine=machine, follow=True)
+        noise_N = sigma_N or max(
+            _scale_of(system, system.force - parts.force, white, memory, parameters), floor
+        )
+        prior = prior_at(point)
+        normal = normal_equations(system, point, parts, white, noise_N, prior)
+        moved, damping = _descend(system, point, normal, prior, white, noise_N, damping, frozen)
+        if moved is None:
+            converged = True
+            break
+        error = np.sqrt(np.maximum(np.diag(covariance_of(normal.hessian)), 0.0))
+        change = np.abs(moved.shared - point.shared)
+        largest = float((change[frozen == 0.0] / np.maximum(error[frozen == 0.0], 1e-300)).max())
+        point = moved
+        if largest < STILL:
+            converged = True
+            break
+    parts = system.derivatives(point, machine=machine, follow=True)
+    noise_N = sigma_N or max(_scale_of(system, system.force - parts.force, white, memory, parameters), floor)
+    prior = prior_at(point)
+    normal = normal_equations(system, point, parts, white, noise_N, prior)
+    hessian = normal.hessian.copy()
+    hessian[np.diag_indices(len(frozen))] += frozen
+    slack = prior.cone @ point.shared - prior.least
+    size = np.abs(prior.cone) @ np.maximum(np.abs(point.shared), 1e-12)
+    return Optimum(
+        point=point,
+        normal=normal,
+        prior=prior,
+        noise=Noise(noise_N, memory),
+        covariance=covariance_of(hessian),
+        converged=converged,
+        active=slack <= ACTIVE * size,
+    )
+
+
+def _descend(
+    system: System,
+    point: Point,
+    normal: Normal,
+    prior: PriorRows,
+    white: Whitener,
+    noise_N: float,
+    damping: float,
+    frozen: FloatArray,
+) -> tuple[Point | None, float]:
+    """A point with a smaller objective, and the damping that reached it; ``None`` where there is none."""
+    while damping < HOPELESS:
+        moved = _step(normal, prior, point, damping, frozen)
+        e = white(system.force - system.predict(moved)) / noise_N
+        value = float(e @ e) + prior_cost(prior, moved)
+        if value <= normal.objective * (1.0 + 1e-12) and np.isfinite(value):
+            if normal.objective - value <= 1e-7 * max(1.0, 1e-6 * normal.objective):
+                return None, damping
+            return moved, max(damping * LOWERED, 1e-10)
+        damping *= RAISED
+    return None, DAMPING

@@ -1,0 +1,367 @@
+"""The posterior of a fitted specimen, from draws to what is reported.
+
+One set of draws with the machine open.  The total interval is read off them as they are; the statistical one
+off the same draws with the machine at its posterior mean, by the linear dependence of the tissue on it.  The
+printed value is the median.  Where the law misses more than the noise, draws are of the generalised posterior
+(:mod:`tissueid.inference.sandwich`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from tissueid.inference.bands import predictive_bands
+from tissueid.inference.budget import uncertainty_budget
+from tissueid.inference.coherence import outside, withheld
+from tissueid.inference.diagnostics import diagnose
+from tissueid.inference.engine import refit
+from tissueid.inference.law import KelvinVoigtLaw
+from tissueid.inference.misfit import misfit_alarm
+from tissueid.inference.prior_rows import log_theta_prior, prior_table
+from tissueid.inference.remarks import posterior_flags
+from tissueid.inference.reported import interval95, reported_draws
+from tissueid.inference.sampling import Sampled, sample
+from tissueid.inference.sandwich import sandwich_covariance
+from tissueid.inference.specimen import FittedSpecimen
+from tissueid.inference.system import MACHINE, Point
+from tissueid.inference.target import NormalTarget, SpecimenTarget
+from tissueid.model.kelvin_voigt import STATIC_DEGREE
+from tissueid.priors import Priors
+from tissueid.result import Estimate, SpecimenFit
+from tissueid.uncertainty import ComparisonRow, ParameterUncertainty, Posterior, SamplerReport
+
+__all__ = ["SAMPLERS", "PosteriorOptions", "with_posterior"]
+
+FloatArray = NDArray[np.float64]
+
+SAMPLERS = ("emcee", "none")
+#: Draws that a bundle and a report keep.
+KEPT_DRAWS = 2000
+#: Steps towards the centre in which a draw outside the passive set is brought inside.
+HALVINGS = 40
+#: NRMSD of the centre at the most over that of the optimum.
+WORSE = 1.1
+
+
+@dataclass(frozen=True, slots=True)
+class PosteriorOptions:
+    """How a posterior is sampled.
+
+    Attributes
+    ----------
+    sampler : str
+        ``emcee`` or ``none``.
+    draws : int
+        Effective draws that are asked for.
+    seed : int
+    workers : int
+        Kept for callers; one process samples a specimen.
+    """
+
+    sampler: str = "emcee"
+    draws: int = 2_000
+    seed: int = 0
+    workers: int = 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Draws:
+    """Draws of a specimen.
+
+    Attributes
+    ----------
+    vectors : ndarray, shape (n, size)
+        Coordinates of the target.
+    total, statistical : ndarray, shape (n, p)
+        Theta with the machine open, and at its mean.
+    gains : ndarray, shape (n, 2)
+        Force and displacement gain.
+    centre : ndarray, shape (size,)
+        Means of the coordinates.
+    """
+
+    vectors: FloatArray
+    total: FloatArray
+    statistical: FloatArray
+    gains: FloatArray
+    centre: FloatArray
+
+
+def _passive(law: KelvinVoigtLaw, linear: FloatArray, centre: FloatArray) -> FloatArray:
+    """Linear parameters drawn towards a passive centre until they are passive too."""
+    cone, out = law.cone(), linear.copy()
+    least = -1e-12 * np.abs(centre).max()
+    bad = (out @ cone.T < least).any(axis=1)
+    if not bad.any():
+        return out
+    slack, inside = cone @ centre, out[bad] @ cone.T
+    ratio = np.where(inside < 0.0, slack / np.maximum(slack - inside, 1e-300), 1.0).min(axis=1)
+    out[bad] = centre + (ratio * (1.0 - 1e-9))[:, None] * (out[bad] - centre)
+    return out
+
+
+def _theta_of(target: SpecimenTarget, vectors: FloatArray, centre: FloatArray) -> FloatArray:
+    """Theta of vectors, every one of them passive."""
+    law, shared = target.law, target.shared(vectors)
+    t = law.times
+    linear = _passive(law, shared[:, t + len(MACHINE) :], centre)
+    return law.theta(shared[:, :t], linear)
+
+
+def _at_mean_machine(target: SpecimenTarget, vectors: FloatArray) -> FloatArray:
+    """The same draws with the machine at its mean, the other coordinates following it linearly."""
+    t = target.law.times
+    at = np.arange(t, t + len(MACHINE))[target.free[t : t + len(MACHINE)]]
+    if at.size == 0:
+        return vectors
+    machine = vectors[:, at] - vectors[:, at].mean(axis=0)
+    scale = np.maximum(machine.std(axis=0), 1e-300)
+    others = np.setdiff1d(np.arange(vectors.shape[1]), at)
+    centred = vectors[:, others] - vectors[:, others].mean(axis=0)
+    slope, *_ = np.linalg.lstsq(machine / scale, centred, rcond=1e-6)
+    out = vectors.copy()
+    out[:, others] -= (machine / scale) @ slope
+    out[:, at] = vectors[:, at].mean(axis=0)
+    return out
+
+
+def _with_gains(law: KelvinVoigtLaw, theta: FloatArray, gains: FloatArray) -> FloatArray:
+    """Theta behind a force and a displacement channel of given gains."""
+    force, travel = gains[:, :1], gains[:, 1:]
+    out, size = theta.copy(), law.degree + 1
+    out[:, :STATIC_DEGREE] *= travel ** np.arange(1.0, STATIC_DEGREE + 1) / force
+    for j in range(law.branches):
+        first = STATIC_DEGREE + j * (size + 1)
+        out[:, first : first + size] *= travel ** np.arange(1.0, size + 1) / force
+    return out
+
+
+def _draws(target: SpecimenTarget, sampled: Sampled, priors: Priors, seed: int) -> Draws:
+    """Draws as vectors and as tissues."""
+    z = sampled.chain.reshape(-1, sampled.chain.shape[2])
+    vectors = target.vectors(z)
+    t = target.law.times + len(MACHINE)
+    centre = target.optimum.point.linear
+    mean = vectors.mean(axis=0)
+    inside = _passive(target.law, target.shared(mean[None])[:, t:], centre)[0]
+    gains = np.ones((len(z), 2))
+    if target.open:
+        rng = np.random.default_rng([seed, 5])
+        for k, name in enumerate(("force_gain", "displacement_gain")):
+            one = priors.calibration[name]
+            gains[:, k] = np.maximum(one.mean + one.sd * rng.standard_normal(len(z)), 0.05)
+    total = _with_gains(target.law, _theta_of(target, vectors, inside), gains)
+    statistical = _theta_of(target, _at_mean_machine(target, vectors), inside)
+    if target.open:
+        means = np.array([[priors.calibration[k].mean for k in ("force_gain", "displacement_gain")]])
+        statistical = _with_gains(target.law, statistical, means)
+    return Draws(vectors, total, statistical, gains, mean)
+
+
+def _sampled(
+    fitted: FittedSpecimen,
+    options: PosteriorOptions,
+    machine: bool,
+    checkpoint: Path | None,
+    key: str,
+    tick: Callable[[str], None],
+) -> tuple[SpecimenTarget, Sampled]:
+    """The target of a fit and its chain."""
+    target = SpecimenTarget(fitted.identified, machine=machine)
+    density: SpecimenTarget | NormalTarget = target
+    if fitted.identified.discrepant:
+        density = NormalTarget(target, sandwich_covariance(target)[0])
+    found = sample(
+        density,
+        draws=options.draws,
+        seed=options.seed,
+        checkpoint=checkpoint,
+        key=key,
+        progress=lambda steps, share: tick(f"sampling, {steps:,} steps, {100.0 * share:.0f} %"),
+    )
+    return target, found
+
+
+def with_posterior(
+    fitted: FittedSpecimen,
+    *,
+    priors: Priors,
+    options: PosteriorOptions,
+    checkpoint: Path | None = None,
+    key: str = "",
+    instrument: bool = True,
+    tick: Callable[[str], None] | None = None,
+) -> SpecimenFit:
+    """The fit of a specimen with its posterior.
+
+    Parameters
+    ----------
+    fitted : FittedSpecimen
+    priors : Priors
+    options : PosteriorOptions
+    checkpoint : Path, optional
+        File that the sampler can go on from after a kill.
+    key : str
+        Of everything the posterior depends on; a checkpoint with another key is not used.
+    instrument : bool
+        Give the total interval too; normalised recordings have no instrument to ask about.
+    tick : callable, optional
+        Told what is being done.
+    """
+    tick = tick or (lambda _: None)
+    if options.sampler == "none" or fitted.identified.law.branches == 0:
+        return fitted.fit
+    with threadpool_limits(limits=1, user_api="blas"):
+        target, sampled = _sampled(fitted, options, instrument, checkpoint, key, tick)
+        tick("the tissue's centre")
+        draws = _draws(target, sampled, priors, options.seed)
+        centred = _centred(fitted, target, draws)
+        return _assembled(centred, target, sampled, draws, priors, options, instrument=instrument)
+
+
+def _centred(fitted: FittedSpecimen, target: SpecimenTarget, draws: Draws) -> FittedSpecimen:
+    """The fit moved to one passive vector in the middle of its draws, which every curve is drawn from."""
+    t = target.law.times
+    middle = np.median(draws.vectors, axis=0)
+    start = target.optimum.point
+    times, machine = middle[:t], middle[t : t + len(MACHINE)] if target.open else start.machine
+    own = start.own
+    if "contact" in target.places:
+        own = middle[target.places["contact"]].reshape(1, 1)
+    point = Point(times, machine, start.linear, own)
+    found = refit(fitted.identified, machine=False, start=point, steps=6, held=np.arange(t)).point
+    moved = fitted.moved(found)
+    return moved if moved.fit.nrmsd.range <= WORSE * fitted.fit.nrmsd.range else fitted
+
+
+def _uncertainties(
+    names: list[str],
+    statistical: Mapping[str, FloatArray],
+    total: Mapping[str, FloatArray] | None,
+    shape: tuple[int, int],
+) -> dict[str, ParameterUncertainty]:
+    """Mean, spread, intervals and diagnostics of each reported parameter."""
+    base = statistical if total is None else total
+    found = diagnose({name: base[name].reshape(shape) for name in names})
+    central = interval95({name: statistical[name] for name in names})
+    wide = None if total is None else interval95({name: total[name] for name in names})
+    out = {}
+    for name in names:
+        whole = None
+        if wide is not None:
+            whole = (min(wide[name][0], central[name][0]), max(wide[name][1], central[name][1]))
+        out[name] = ParameterUncertainty(
+            mean=float(base[name].mean()),
+            sd=float(base[name].std(ddof=1)),
+            ci95=central[name],
+            ci95_total=whole,
+            ess_bulk=found[name].ess_bulk,
+            ess_tail=found[name].ess_tail,
+            r_hat=found[name].r_hat,
+        )
+    return out
+
+
+def _with_medians(parameters: tuple[Estimate, ...], draws: Mapping[str, FloatArray]) -> tuple[Estimate, ...]:
+    """Values are medians of the draws, kept within the statistical interval."""
+    out = []
+    for one in parameters:
+        value = float(np.median(draws[one.name]))
+        detail = {**one.detail, "mode": one.detail.get("estimate"), "estimate": value}
+        out.append(replace(one, value=value if one.value is not None else None, detail=detail))
+    return tuple(out)
+
+
+def _assembled(
+    fitted: FittedSpecimen,
+    target: SpecimenTarget,
+    sampled: Sampled,
+    draws: Draws,
+    priors: Priors,
+    options: PosteriorOptions,
+    *,
+    instrument: bool,
+) -> SpecimenFit:
+    """Values, intervals, budget and checks from draws."""
+    model, fit, noise = fitted.tissue.model, fitted.fit, fitted.noise
+    statistical = reported_draws(model, draws.statistical)
+    total = reported_draws(model, draws.total) if instrument else None
+    names = [one.name for one in fit.parameters]
+    shape = sampled.chain.shape[:2]
+    found = _uncertainties(names, statistical, total, (shape[0], shape[1]))
+    parameters = _with_medians(fit.parameters, statistical)
+    parameters, said = withheld(parameters, outside(parameters, found), "the value lies outside it")
+    parameters = tuple(replace(one, uncertainty=found.get(one.name)) for one in parameters)
+    report = SamplerReport(
+        "emcee", sampled.converged, int(shape[0] * shape[1]), sampled.acceptance, _detail(sampled, fitted)
+    )
+    posterior = Posterior(
+        sampler=report,
+        noise=noise,
+        parameters=found,
+        theta_names=fit.theta_names,
+        draws=_kept(draws.statistical),
+        log_prior=log_theta_prior(target, _kept(draws.statistical)),
+        draws_total=_kept(draws.total) if instrument else None,
+        covariance=np.cov(draws.statistical, rowvar=False),
+        chain_names=tuple(np.array(target.names)[target.free].tolist()),
+        chain=draws.vectors[:, target.free].reshape(shape[0], shape[1], -1),
+        log_density=sampled.log_density,
+        priors=prior_table(target, draws.vectors, draws.statistical, draws.gains if instrument else None),
+        budget=uncertainty_budget(target, draws.vectors, draws.gains, total) if total is not None else (),
+        comparison=_rows_of_choice(fit),
+        misfit=misfit_alarm(fitted.told.blocks, noise),
+        bands=predictive_bands(fit, fitted.tissue, _kept(draws.statistical), sigma_N=noise.sigma_N),
+    )
+    return replace(
+        fit,
+        parameters=parameters,
+        posterior=posterior,
+        flags=(*said, *fit.flags, *posterior_flags(posterior)),
+    )
+
+
+def _detail(sampled: Sampled, fitted: FittedSpecimen) -> dict[str, object]:
+    kind = "generalised" if fitted.identified.discrepant else "exact"
+    return {
+        **sampled.detail,
+        "density": kind,
+        "total": {"converged": True, "worth": sampled.detail["effective_draws"]},
+    }
+
+
+def _kept(theta: FloatArray) -> FloatArray:
+    """The draws that a bundle and a report keep, spread over all."""
+    return theta[np.linspace(0, theta.shape[0] - 1, min(KEPT_DRAWS, theta.shape[0])).astype(np.int64)]
+
+
+#: Standard errors within which a model predicts no worse than the best, and a difference that is none.
+STANDARD_ERRORS, NEGLIGIBLE = 1.0, 0.002
+
+
+def _rows_of_choice(fit: SpecimenFit) -> tuple[ComparisonRow, ...]:
+    """The candidates as the choice by held-out data saw them."""
+    rows = []
+    for row in fit.selection:
+        score, scatter = float(row["score"]), float(row["stderr"])
+        close = -score <= max(STANDARD_ERRORS * scatter, NEGLIGIBLE)
+        branches, degree = int(row["branches"]), int(row["stiffness_degree"])
+        rows.append(
+            ComparisonRow(
+                model=f"{branches} branch{'es' * (branches > 1)}, K of degree {degree}, {fit.model.static_pooling} static",
+                log_evidence=None,
+                log_evidence_se=None,
+                elpd_log=score,
+                elpd_log_se=scatter,
+                elpd_speed=None,
+                elpd_speed_se=None,
+                verdict="chosen" if row["chosen"] else "undecided" if close else "worse",
+            )
+        )
+    return tuple(sorted(rows, key=lambda one: (one.verdict != "chosen", -(one.elpd_log or 0.0))))

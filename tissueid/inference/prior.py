@@ -1,0 +1,198 @@
+"""Priors as rows of a least-squares problem: of the machine, of linear parameters, and of each log's own.
+
+Coefficients of F_s / x and of each K in the Bernstein basis are normal around 0 with the standard deviation
+at which that part alone would carry :data:`tissueid.priors.WEAK_FACTOR` times the largest force (of a branch:
+at its largest state), unless the study states one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import comb
+
+from tissueid.inference.law import KelvinVoigtLaw
+from tissueid.inference.system import MACHINE, Point, System
+from tissueid.model.kelvin_voigt import STATIC_DEGREE
+from tissueid.priors import WEAK_FACTOR, Priors
+
+__all__ = ["PriorRows", "Scatter", "bernstein", "own_rows", "prior_rows", "time_bounds"]
+
+FloatArray = NDArray[np.float64]
+
+#: Relaxation times are sought between a fifth of the shortest step and ten times the longest log.
+BELOW_STEP, ABOVE_LENGTH = 0.2, 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Scatter:
+    """Standard deviations of what logs of one specimen have for themselves.
+
+    Attributes
+    ----------
+    gain : float
+        Of ln gain.
+    shape : float
+        Of a static Bernstein coefficient, over the largest force.
+    """
+
+    gain: float = 0.1
+    shape: float = 0.02
+
+
+def bernstein(powers: int) -> FloatArray:
+    """Matrix from monomial coefficients on [0, 1] to Bernstein coefficients."""
+    degree = powers - 1
+    out = np.zeros((powers, powers))
+    for i in range(powers):
+        for k in range(i + 1):
+            out[i, k] = comb(i, k) / comb(degree, k)
+    return out
+
+
+def time_bounds(system: System) -> tuple[float, float]:
+    """Bounds of ln tau."""
+    step = min(float(np.median(one.step_s)) for one in system.logs)
+    length = max(float(one.time_s[-1] - one.time_s[0]) for one in system.logs)
+    return float(np.log(BELOW_STEP * step)), float(np.log(ABOVE_LENGTH * length))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PriorRows:
+    """Gaussian priors and bounds.
+
+    Attributes
+    ----------
+    rows, target : ndarray, shape (c, shared) and (c,)
+        Standardised: ``|rows @ shared - target|^2`` is twice the negative log prior.
+    own : ndarray, shape (logs, q)
+        Precision of each log's own parameters (around 0), in Bernstein coordinates for the shape.
+    own_rows : ndarray, shape (q, q)
+        Own parameters to those coordinates.
+    cone, least : ndarray, shape (b, shared) and (b,)
+        ``cone @ shared >= least``.
+    log_det : float
+        Half the ln determinant of the precision of the linear parameters, as it follows the relaxation times.
+    """
+
+    rows: FloatArray
+    target: FloatArray
+    own: FloatArray
+    own_rows: FloatArray
+    cone: FloatArray
+    least: FloatArray
+    log_det: float = 0.0
+
+
+def _linear_rows(
+    law: KelvinVoigtLaw, largest: FloatArray, force: float, priors: Priors
+) -> tuple[FloatArray, FloatArray, float]:
+    """Rows of the linear parameters, their targets, and how their normalisation follows the largest
+    states."""
+    rows = np.zeros((law.linear, law.linear))
+    rows[:STATIC_DEGREE, :STATIC_DEGREE] = bernstein(STATIC_DEGREE) / (WEAK_FACTOR * force)
+    size, log_det = law.degree + 1, 0.0
+    for j in range(law.branches):
+        block = slice(STATIC_DEGREE + j * size, STATIC_DEGREE + (j + 1) * size)
+        rows[block, block] = bernstein(size) * largest[j] / (WEAK_FACTOR * force)
+        log_det += size * float(np.log(largest[j]))
+    target = np.zeros(law.linear)
+    if priors.linear:
+        names = [one.name for one in law.model().parameters if not one.name.startswith("relaxation_time")]
+        powers = np.concatenate(
+            [np.arange(1.0, STATIC_DEGREE + 1), np.tile(np.arange(1.0, size + 1), law.branches)]
+        )
+        for k, name in enumerate(names):
+            if name in priors.linear:
+                mean, sd = priors.linear[name]
+                unit = law.depth_mm ** powers[k]
+                stated = np.zeros((1, law.linear))
+                stated[0, k] = 1.0 / (sd * unit)
+                rows, target = np.vstack([rows, stated]), np.append(target, mean / sd)
+    return rows, target, log_det
+
+
+def prior_rows(
+    system: System, law: KelvinVoigtLaw, point: Point, scatter: Scatter, priors: Priors, *, machine: bool
+) -> PriorRows:
+    """Priors around a point.
+
+    Parameters
+    ----------
+    system : System
+    law : KelvinVoigtLaw
+    point : Point
+        Largest states of the branches are taken here.
+    scatter : Scatter
+    priors : Priors
+    machine : bool
+        The machine is open.
+    """
+    t, m, p = law.times, len(MACHINE), law.linear
+    force = float(np.abs(system.force).max())
+    path = system.path(system.travel)
+    states = law.columns(point.log_times, path)[:, STATIC_DEGREE :: law.degree + 1]
+    largest = np.maximum(np.abs(states).max(axis=0, initial=0.0), 1e-9)
+    linear, wanted, log_det = _linear_rows(law, largest, force, priors)
+    rows = [np.hstack([np.zeros((len(linear), t + m)), linear])]
+    target = [wanted]
+    low, high = time_bounds(system)
+    cone = [np.hstack([np.zeros((len(law.cone()), t + m)), law.cone()])]
+    least = [np.zeros(len(law.cone()))]
+    bounds = np.zeros((2 * t + 2, t + m + p))
+    bound = np.full(2 * t + 2, -1e300)
+    for j in range(t):
+        bounds[2 * j, j], bound[2 * j] = 1.0, low
+        bounds[2 * j + 1, j], bound[2 * j + 1] = -1.0, -high
+        if j < len(priors.relaxation_time_s):
+            stated = priors.relaxation_time_s[j]
+            row = np.zeros((1, t + m + p))
+            row[0, j] = 1.0 / stated.sd_ln
+            rows.append(row)
+            target.append(np.array([np.log(stated.median) / stated.sd_ln]))
+    if machine:
+        for j, name in enumerate(MACHINE):
+            one = priors.calibration[name]
+            row = np.zeros((1, t + m + p))
+            row[0, t + j] = 1.0 / one.sd
+            rows.append(row)
+            target.append(np.array([one.mean / one.sd]))
+        for i, j in enumerate((0, 2)):
+            lower = priors.calibration[MACHINE[j]].lower
+            bounds[2 * t + i, t + j] = 1.0
+            bound[2 * t + i] = lower if np.isfinite(lower) else -1e300
+    own, coordinates = own_rows(system, scatter, force)
+    return PriorRows(
+        rows=np.vstack(rows),
+        target=np.concatenate(target),
+        own=own,
+        own_rows=coordinates,
+        cone=np.vstack([*cone, bounds]),
+        least=np.concatenate([*least, bound]),
+        log_det=log_det,
+    )
+
+
+def own_rows(system: System, scatter: Scatter, force: float) -> tuple[FloatArray, FloatArray]:
+    """Precisions of the logs' own parameters, and the coordinates they are of."""
+    effects = system.effects
+    columns, blocks = [], []
+    if effects.gain:
+        columns.append(np.full(len(system.logs), scatter.gain**-2))
+        blocks.append(np.ones((1, 1)))
+    if effects.contact:
+        sd = np.array([one.contact_sd_mm for one in system.logs]) / system.depth_mm
+        columns.append(sd**-2)
+        blocks.append(np.ones((1, 1)))
+    if effects.shape:
+        columns += [np.full(len(system.logs), (scatter.shape * force) ** -2)] * STATIC_DEGREE
+        blocks.append(bernstein(STATIC_DEGREE))
+    size = effects.size
+    matrix, at = np.zeros((size, size)), 0
+    for block in blocks:
+        matrix[at : at + len(block), at : at + len(block)] = block
+        at += len(block)
+    own = np.column_stack(columns) if columns else np.zeros((len(system.logs), 0))
+    return own, matrix

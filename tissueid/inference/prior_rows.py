@@ -1,0 +1,162 @@
+"""Priors beside posteriors, for the report; and the prior density of tissues, for populations."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.inference.prior import bernstein, time_bounds
+from tissueid.inference.system import MACHINE
+from tissueid.inference.target import SHAPE_SD, SpecimenTarget
+from tissueid.model.kelvin_voigt import STATIC_DEGREE
+from tissueid.priors import WEAK_FACTOR, CalibrationPrior, Priors
+from tissueid.uncertainty import PriorRow
+
+__all__ = ["log_theta_prior", "prior_table"]
+
+FloatArray = NDArray[np.float64]
+
+#: Standard deviation of a half-normal in its scale, and range of ln sigma.
+HALF_NORMAL_SD, LOG_SIGMA_RANGE = math.sqrt(1.0 - 2.0 / math.pi), 12.0 * math.log(10.0)
+
+
+def _row(name: str, words: str, stated: bool, draws: FloatArray, prior_sd: float) -> PriorRow:
+    after = float(draws.std(ddof=1))
+    return PriorRow(
+        name=name,
+        prior=words,
+        stated=stated,
+        posterior_mean=float(draws.mean()),
+        posterior_sd=after,
+        shrinkage=max(1.0 - after / prior_sd, 0.0) if prior_sd > 0.0 else 0.0,
+    )
+
+
+def _power_sd(powers: int, power: int) -> float:
+    """Standard deviation of a coefficient of u^power where Bernstein coefficients have one of 1."""
+    return float(np.linalg.norm(np.linalg.inv(bernstein(powers))[power]))
+
+
+def _largest(target: SpecimenTarget, tau_s: FloatArray) -> FloatArray:
+    """Largest state of a branch over the largest depth, by its relaxation time."""
+    return np.asarray(np.exp(np.interp(np.log(tau_s), target._ln_tau, target._ln_state)))  # noqa: SLF001
+
+
+def _linear(target: SpecimenTarget, theta: FloatArray) -> list[PriorRow]:
+    """Coefficients of F_s and K."""
+    model, priors, depth = target.law.model(), target.priors, target.law.depth_mm
+    spread, rows, size = WEAK_FACTOR * target.force, [], target.law.degree + 1
+    for k, spec in enumerate(model.parameters):
+        branch, power = divmod(k - STATIC_DEGREE, size + 1) if k >= STATIC_DEGREE else (-1, k)
+        if branch >= 0 and power == size:
+            continue
+        if spec.name in priors.linear:
+            mean, sd = priors.linear[spec.name]
+            words = f"normal, {mean:.4g} ± {sd:.3g} {spec.unit}, cut to the passive set"
+            rows.append(_row(spec.name, words, True, theta[:, k], sd))
+            continue
+        state = 1.0
+        if branch >= 0:
+            tau = np.median(theta[:, STATIC_DEGREE + branch * (size + 1) + size])
+            state = float(_largest(target, np.array([tau]))[0])
+        powers = STATIC_DEGREE if branch < 0 else size
+        sd = spread / state * depth ** -(power + 1.0) * _power_sd(powers, power)
+        words = f"weak: every part of the curve up to some {spread:.3g} N, cut to the passive set"
+        rows.append(_row(spec.name, words, False, theta[:, k], sd))
+    return rows
+
+
+def _machine_words(one: CalibrationPrior) -> tuple[str, float]:
+    """A prior of the machine in words, and its standard deviation."""
+    if one.lower == one.mean:
+        return f"half-normal from {one.lower:g}, scale {one.sd:.3g}", one.sd * HALF_NORMAL_SD
+    cut = f", not below {one.lower:g}" if math.isfinite(one.lower) else ""
+    return f"normal, {one.mean:.4g} ± {one.sd:.3g}{cut}", one.sd
+
+
+def prior_table(
+    target: SpecimenTarget, vectors: FloatArray, theta: FloatArray, gains: FloatArray | None
+) -> tuple[PriorRow, ...]:
+    """Every prior of a specimen, its posterior and the shrinkage between them.
+
+    Parameters
+    ----------
+    target : SpecimenTarget
+    vectors : ndarray, shape (n, size)
+    theta : ndarray, shape (n, p)
+    gains : ndarray, shape (n, 2), or None
+        Of force and displacement, where there is a machine.
+    """
+    priors, places = target.priors, target.places
+    rows = _linear(target, theta)
+    low, high = time_bounds(target.system)
+    for j in range(target.law.times):
+        name = f"ln_relaxation_time_{j + 1}"
+        if j < len(priors.relaxation_time_s):
+            one = priors.relaxation_time_s[j]
+            words = f"log-normal, median {one.median:.4g} s, sd {one.sd_ln:.3g} in ln"
+            rows.append(_row(name, words, True, vectors[:, j], one.sd_ln))
+        else:
+            words = f"uniform in ln tau from {math.exp(low):.3g} s to {math.exp(high):.3g} s"
+            rows.append(_row(name, words, False, vectors[:, j], (high - low) / math.sqrt(12.0)))
+    sigma, stated = vectors[:, places["ln_sigma"]], priors.sigma_N
+    if stated is None:
+        rows.append(_row("ln_sigma", "uniform in ln sigma", False, sigma, LOG_SIGMA_RANGE / 12**0.5))
+    else:
+        words = f"log-normal, median {stated.median:.4g} N, sd {stated.sd_ln:.3g} in ln"
+        rows.append(_row("ln_sigma", words, True, sigma, stated.sd_ln))
+    if "ln_gain_sd" in places:
+        words, scale = f"half-normal, scale {priors.gain_sd:.3g}", priors.gain_sd * HALF_NORMAL_SD
+        own = np.exp(vectors[:, places["ln_gain_sd"]])
+        rows.append(_row("gain_sd", words, priors.gain_sd != Priors().gain_sd, own, scale))
+    if "ln_shape_sd" in places:
+        own = np.exp(vectors[:, places["ln_shape_sd"]])
+        rows.append(
+            _row("shape_sd", f"half-normal, scale {SHAPE_SD:.3g}", False, own, SHAPE_SD * HALF_NORMAL_SD)
+        )
+    if gains is not None:
+        for k, name in enumerate(("force_gain", "displacement_gain")):
+            words, sd = _machine_words(priors.calibration[name])
+            rows.append(_row(name, words, priors.calibration[name].stated, gains[:, k], sd))
+        for k, name in enumerate(MACHINE):
+            words, sd = _machine_words(priors.calibration[name])
+            rows.append(
+                _row(name, words, priors.calibration[name].stated, vectors[:, target.law.times + k], sd)
+            )
+    return tuple(rows)
+
+
+def log_theta_prior(target: SpecimenTarget, theta: FloatArray) -> FloatArray:
+    """Ln of the prior density of tissues, up to a constant of the specimen.
+
+    The density is that of theta itself, in the units of the contact model and in tau rather than ln tau.
+
+    Parameters
+    ----------
+    target : SpecimenTarget
+    theta : ndarray, shape (n, p)
+
+    Returns
+    -------
+    ndarray, shape (n,)
+    """
+    law, priors, size = target.law, target.priors, target.law.degree + 1
+    spread, names = WEAK_FACTOR * target.force, [one.name for one in law.model().parameters]
+    static = theta[:, :STATIC_DEGREE] * law.depth_mm ** np.arange(1.0, STATIC_DEGREE + 1)
+    value = -0.5 * ((static @ bernstein(STATIC_DEGREE).T / spread) ** 2).sum(axis=1)
+    for j in range(law.branches):
+        first = STATIC_DEGREE + j * (size + 1)
+        tau = theta[:, first + size]
+        state = _largest(target, tau)
+        linear = theta[:, first : first + size] * law.depth_mm ** np.arange(1.0, size + 1)
+        value -= 0.5 * ((linear @ bernstein(size).T) ** 2).sum(axis=1) * (state / spread) ** 2
+        value += size * np.log(state) - np.log(tau)
+        if j < len(priors.relaxation_time_s):
+            stated = priors.relaxation_time_s[j]
+            value -= 0.5 * ((np.log(tau) - math.log(stated.median)) / stated.sd_ln) ** 2
+    for name, (mean, sd) in priors.linear.items():
+        if name in names:
+            value -= 0.5 * ((theta[:, names.index(name)] - mean) / sd) ** 2
+    return np.asarray(value)

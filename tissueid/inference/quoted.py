@@ -1,0 +1,248 @@
+"""The numbers people quote from a fit, each within what its data support.
+
+Nothing is said of times after the longest hold or before two sampling intervals, nor of frequencies
+outside the reciprocal band 1/(2 pi window) ... 1/(2 pi resolution); a number whose 95 % interval is as
+wide as the number is not given.  Each such place holds the reason instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.inference.estimates import MAX_WIDTH, TissueEstimate, width_of
+from tissueid.inference.holds import HoldNumbers
+from tissueid.measured import TIMES_S
+from tissueid.model import functionals
+from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.quantities import Quantity, QuotedNumbers, Spectrum
+
+__all__ = ["FREQUENCIES_HZ", "Supported", "model_numbers", "quoted_numbers", "unknown_parameters"]
+
+FloatArray = NDArray[np.float64]
+
+#: Frequencies at which moduli are quoted where the data support them [Hz].
+FREQUENCIES_HZ = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
+#: Depths of stiffness, and mean and amplitude of a cycle, as shares of the fitted depth.
+STIFFNESS_SHARES = (0.5, 1.0)
+CYCLE_DEPTH, CYCLE_AMPLITUDE = 0.5, 0.1
+#: Widest 95 % interval of a fraction that is quoted.
+MAX_FRACTION_WIDTH = 0.5
+#: A plateau is seen where the window holds so many of the slowest relaxation time.
+PLATEAU_TIMES = 3.0
+TWO_SIDED_95 = 1.96
+#: Holds at least this share of the longest count as equally long.
+EQUALLY_LONG = 0.99
+
+
+@dataclass(frozen=True, slots=True)
+class Supported:
+    """What the recordings of a specimen cover.
+
+    Attributes
+    ----------
+    window_s, resolution_s : float
+        Longest hold (longest log without one), and two sampling intervals.
+    hold : HoldNumbers
+        With the speed and depth of the ramp before the longest hold.
+    """
+
+    window_s: float
+    resolution_s: float
+    hold: HoldNumbers
+
+    def no_time(self, time_s: float) -> str:
+        """Why nothing can be said of a time; empty where something can."""
+        if time_s > self.window_s:
+            return f"later than the {self.window_s:.4g} s that were seen"
+        if time_s < self.resolution_s:
+            return f"earlier than two sampling intervals, {self.resolution_s:.3g} s"
+        return ""
+
+    def no_frequency(self, frequency_Hz: float) -> str:
+        """Why nothing can be said of a frequency; empty where something can."""
+        low, high = 1.0 / (2.0 * np.pi * self.window_s), 1.0 / (2.0 * np.pi * self.resolution_s)
+        if low <= frequency_Hz <= high:
+            return ""
+        return f"outside {low:.3g} to {high:.3g} Hz, which these times cover"
+
+
+def unknown_parameters(tissue: TissueEstimate) -> NDArray[np.bool_]:
+    """Parameters of theta whose variance is infinite, shape (p,)."""
+    known = {one.name: one for one in tissue.parameters}
+    return np.array(
+        [
+            known[name].detail["estimate_stderr"] is None and not known[name].detail["at_bound"]
+            for name in tissue.model.parameter_names
+        ],
+        dtype=np.bool_,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Quoter:
+    """Turns functions of theta into quantities with errors and verdicts."""
+
+    tissue: TissueEstimate
+    unknown: NDArray[np.bool_]
+
+    def __call__(
+        self,
+        name: str,
+        unit: str,
+        at: dict[str, float | str],
+        function: Callable[[KelvinVoigt, FloatArray], float],
+        reason: str = "",
+    ) -> Quantity:
+        if reason:
+            return Quantity(name, unit, at, None, None, reason)
+        tissue = self.tissue
+        value, stderr = functionals.delta_method(
+            lambda theta: function(tissue.model, theta), tissue.theta, tissue.covariance, self.unknown
+        )
+        fraction = name.startswith("fraction")
+        width = 2.0 * TWO_SIDED_95 * stderr if fraction else width_of(abs(value), stderr)
+        if not np.isfinite(value):
+            return Quantity(name, unit, at, None, None, "no finite value")
+        if not width <= (MAX_FRACTION_WIDTH if fraction else MAX_WIDTH):
+            return Quantity(name, unit, at, None, None, "the data do not determine it")
+        return Quantity(name, unit, at, value, stderr)
+
+
+def _relaxation(quote: _Quoter, supported: Supported) -> Iterator[Quantity]:
+    """Fraction relaxed after an ideal step and after the ramp of the longest hold."""
+    model, hold = quote.tissue.model, supported.hold
+    depth = hold.depth_mm or model.depth_mm
+    slowest = float(model.split(quote.tissue.theta)[2].max(initial=0.0))
+    flat = (
+        ""
+        if slowest * PLATEAU_TIMES <= supported.window_s
+        else f"its plateau was not seen: a relaxation time of {slowest:.3g} s in {supported.window_s:.3g} s"
+    )
+    no_ramp = "" if hold.longest_s > 0.0 and hold.speed_mm_s > 0.0 else "no ramp with a hold was recorded"
+
+    def step(model: KelvinVoigt, theta: FloatArray, time: float) -> float:
+        return functionals.force_after_step(model, theta, depth, time)
+
+    def ramp(model: KelvinVoigt, theta: FloatArray, time: float) -> float:
+        return functionals.force_after_ramp(model, theta, depth, hold.speed_mm_s, time)
+
+    for path, force, reason in (("step", step, ""), ("ramp", ramp, no_ramp)):
+        at: dict[str, float | str] = {"path": path, "depth_mm": depth}
+        if path == "ramp" and not reason:
+            at["speed_mm_s"] = hold.speed_mm_s
+        for time in TIMES_S:
+
+            def relaxed(m: KelvinVoigt, t: FloatArray, force=force, time=time) -> float:  # type: ignore[no-untyped-def]
+                return float(1.0 - force(m, t, time) / force(m, t, 0.0))
+
+            why = reason or supported.no_time(time)
+            yield quote("fraction_relaxed", "1", {**at, "time_s": time}, relaxed, why)
+
+        def ratio(m: KelvinVoigt, t: FloatArray, force=force) -> float:  # type: ignore[no-untyped-def]
+            return float(force(m, t, 0.0) / m.static_force(t, np.array([depth]))[0])
+
+        yield quote("peak_to_plateau", "1", at, ratio, reason or flat)
+
+
+def _oscillation(quote: _Quoter, supported: Supported, frequencies: Sequence[float]) -> Iterator[Quantity]:
+    """Storage, loss, tan(delta) and energy of a cycle about half depth."""
+    full = quote.tissue.model.depth_mm
+    depth, amplitude = CYCLE_DEPTH * full, CYCLE_AMPLITUDE * full
+    for f in frequencies or FREQUENCIES_HZ:
+        why = supported.no_frequency(f)
+        if why and not frequencies:
+            continue
+        at: dict[str, float | str] = {"frequency_Hz": f, "depth_mm": depth}
+
+        def storage(m: KelvinVoigt, t: FloatArray, f: float = f) -> float:
+            return functionals.complex_stiffness(m, t, depth, f)[0]
+
+        def loss(m: KelvinVoigt, t: FloatArray, f: float = f) -> float:
+            return functionals.complex_stiffness(m, t, depth, f)[1]
+
+        def tangent(m: KelvinVoigt, t: FloatArray, f: float = f) -> float:
+            return loss(m, t, f) / storage(m, t, f)
+
+        def energy(m: KelvinVoigt, t: FloatArray, f: float = f) -> float:
+            return functionals.dissipated_per_cycle(m, t, depth, amplitude, f)
+
+        yield quote("storage_stiffness", "N/mm", at, storage, why)
+        yield quote("loss_stiffness", "N/mm", at, loss, why)
+        yield quote("tan_delta", "1", at, tangent, why)
+        yield quote("dissipated_energy", "mJ", {**at, "amplitude_mm": amplitude}, energy, why)
+
+
+def _stiffness(quote: _Quoter) -> Iterator[Quantity]:
+    """Instantaneous and equilibrium stiffness at half and full depth."""
+    kinds = (
+        ("equilibrium", functionals.equilibrium_stiffness),
+        ("instantaneous", functionals.instantaneous_stiffness),
+    )
+    for share in STIFFNESS_SHARES:
+        depth = share * quote.tissue.model.depth_mm
+        for word, function in kinds:
+            for which, form in enumerate(("secant", "tangent")):
+
+                def value(m: KelvinVoigt, t: FloatArray, f=function, d=depth, w=which) -> float:  # type: ignore[no-untyped-def]
+                    return float(f(m, t, d)[w])
+
+                yield quote(f"{word}_{form}", "N/mm", {"depth_mm": depth}, value)
+
+
+def model_numbers(
+    tissue: TissueEstimate, supported: Supported, frequencies_Hz: Sequence[float] = ()
+) -> tuple[Quantity, ...]:
+    """Functionals of a fitted tissue.
+
+    Parameters
+    ----------
+    tissue : TissueEstimate
+    supported : Supported
+    frequencies_Hz : sequence of float, optional
+        Asked for: those that are not supported come with the reason.  Without any, the supported of
+        :data:`FREQUENCIES_HZ`.
+    """
+    quote = _Quoter(tissue, unknown_parameters(tissue))
+    return (
+        *_relaxation(quote, supported),
+        *_oscillation(quote, supported, frequencies_Hz),
+        *_stiffness(quote),
+    )
+
+
+def quoted_numbers(
+    tissue: TissueEstimate,
+    holds: Sequence[HoldNumbers],
+    *,
+    step_s: float,
+    duration_s: float,
+    frequencies_Hz: Sequence[float] = (),
+) -> QuotedNumbers:
+    """Functionals and spectra of one specimen; moduli are added by whoever knows a tip.
+
+    Parameters
+    ----------
+    tissue : TissueEstimate
+    holds : sequence of HoldNumbers
+        A trial each.
+    step_s, duration_s : float
+        Sampling interval and longest fitted log [s].
+    frequencies_Hz : sequence of float, optional
+    """
+    most = max((one.longest_s for one in holds), default=0.0)
+    # of holds equally long the deepest: the same protocol ends a sample earlier or later
+    equal = [one for one in holds if one.longest_s >= EQUALLY_LONG * most]
+    longest = max(equal, key=lambda one: one.depth_mm, default=HoldNumbers())
+    window = longest.longest_s or duration_s
+    supported = Supported(window_s=window, resolution_s=2.0 * step_s, hold=longest)
+    spectra: tuple[Spectrum, ...] = tuple(one for hold in holds for one in hold.spectra)
+    return QuotedNumbers(
+        window_s=window,
+        resolution_s=2.0 * step_s,
+        model=model_numbers(tissue, supported, frequencies_Hz),
+        spectra=spectra,
+    )

@@ -1,0 +1,50 @@
+"""From draws of the contact model to the numbers that are reported: one value a draw for each parameter."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.inference.estimates import REFERENCE_DEPTH
+from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt, branch_suffix
+
+__all__ = ["interval95", "reported_draws"]
+
+FloatArray = NDArray[np.float64]
+
+#: Ends of the central 95 % interval.
+CENTRAL_95 = (0.025, 0.975)
+
+
+def reported_draws(model: KelvinVoigt, theta: FloatArray) -> dict[str, FloatArray]:
+    """Every reported parameter of each draw: theta by name, and the viscosities.
+
+    Parameters
+    ----------
+    model : KelvinVoigt
+    theta : ndarray, shape (n, p)
+
+    Returns
+    -------
+    dict
+        Name -> ndarray, shape (n,), in the parameter's unit; viscosity at half depth where K varies.
+    """
+    out: dict[str, FloatArray] = {name: theta[:, k] for k, name in enumerate(model.parameter_names)}
+    powers = (REFERENCE_DEPTH * model.depth_mm) ** np.arange(float(model.stiffness_degree + 1))
+    for branch in range(model.branches):
+        first = STATIC_DEGREE + branch * model.block
+        stiffness = theta[:, first : first + powers.size] @ powers
+        tau = theta[:, first + powers.size]
+        out[f"viscosity_N_s_per_mm{branch_suffix(branch)}"] = stiffness * tau
+    return out
+
+
+def interval95(draws: Mapping[str, FloatArray]) -> dict[str, tuple[float, float]]:
+    """Central 95 % interval of each parameter's draws."""
+    out = {}
+    for name, values in draws.items():
+        low, high = np.quantile(values, CENTRAL_95)
+        out[name] = (float(low), float(high))
+    return out

@@ -1,0 +1,187 @@
+"""Means of a log's residual over blocks of its program: what is left of N samples for a look at misfit.
+
+A hold is cut into blocks of equal ln(time since its corner), a ramp (or any other move) into fractions of its
+own path, finer where it starts.  Blocks of one place in the program carry one key in every log, so that an
+error of the model, which repeats, can be told from noise, which does not.  Beside every mean stands the mean
+of the model's derivatives over the same samples: what the fit has taken out of the residual.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.inference.trials import Adjustment
+from tissueid.inference.window import FittedLog
+from tissueid.model.base import ContactPath
+from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.trial import Segmentation
+
+__all__ = ["HOLD_BLOCKS_PER_DECADE", "MOVE_EDGES", "ResidualBlocks", "residual_blocks"]
+
+FloatArray = NDArray[np.float64]
+
+#: Ends of the blocks of a move, as fractions of its path; the first hold what a late contact leaves behind.
+MOVE_EDGES = np.array([0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9])
+#: Blocks of a hold, in each decade of the time since its corner.
+HOLD_BLOCKS_PER_DECADE = 4
+#: Step for the derivative of the static force by depth, relative to the fitted depth.
+DEPTH_STEP = 1e-4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ResidualBlocks:
+    """Block means of one log; ``k`` blocks in the order of time.
+
+    Attributes
+    ----------
+    phase : ndarray of int, shape (k,)
+        Which move or hold of the log, counted from 0 by its kind.
+    hold : ndarray of bool, shape (k,)
+    place : ndarray of int, shape (k,)
+        Of a move: the index of its :data:`MOVE_EDGES`; of a hold: the whole part of
+        ``HOLD_BLOCKS_PER_DECADE log10(time since the corner / s)``.
+    count : ndarray of int, shape (k,)
+        Samples that take part in the likelihood.
+    mean_N : ndarray, shape (k,)
+        Mean of measured less modelled force.
+    start_s, end_s : ndarray, shape (k,)
+        Time of the first and of the last of these samples.
+    shared : ndarray, shape (k, p)
+        Mean derivative of the model by its theta.
+    own : ndarray, shape (k, q)
+        Mean derivative by what each log has for itself: ln gain and contact offset, or a static curve; and
+        by the branch states at its corners, which may lie between two samples.
+    speed_mm_s, depth_mm : float
+        Fastest loading and largest depth of the log.
+    step_s : float
+        Median sampling interval.
+    """
+
+    phase: NDArray[np.int64]
+    hold: NDArray[np.bool_]
+    place: NDArray[np.int64]
+    count: NDArray[np.int64]
+    mean_N: FloatArray
+    start_s: FloatArray
+    end_s: FloatArray
+    shared: FloatArray
+    own: FloatArray
+    speed_mm_s: float
+    depth_mm: float
+    step_s: float
+
+
+def _keys(segmentation: Segmentation, log: FittedLog) -> NDArray[np.int64]:
+    """Phase by kind, kind, and place of every sample; shape (n, 3).  Phase -1: in none."""
+    data = log.data
+    offset = log.first - int(log.inserted)
+    keys = np.zeros((data.time_s.size, 3), dtype=np.int64)
+    keys[:, 0] = -1
+    seen = {True: 0, False: 0}
+    for phase in segmentation.phases:
+        start, stop = max(phase.start - offset, 0), min(phase.stop - offset, data.time_s.size)
+        if stop - start < 2:
+            continue
+        held = phase.kind == "hold"
+        if held:
+            since = np.maximum(data.time_s[start:stop] - phase.start_s, log.step_s / 2.0)
+            place = np.floor(HOLD_BLOCKS_PER_DECADE * np.log10(since)).astype(np.int64)
+        else:
+            path = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(data.depth_mm[start:stop])))])
+            place = np.searchsorted(MOVE_EDGES, path / max(path[-1], 1e-300), side="right")
+        keys[start:stop] = np.column_stack(
+            [np.full(stop - start, seen[held]), np.full(stop - start, held), place]
+        )
+        seen[held] += 1
+    return keys
+
+
+def _corner_columns(
+    model: KelvinVoigt, theta: FloatArray, log: FittedLog, segmentation: Segmentation
+) -> FloatArray:
+    """What is left of an error of the branch states at each corner, shape (n, holds * branches).
+
+    A stop between two samples is not in the logged displacement: the states behind it are off by up to a
+    fraction of v tau, and forget that with their relaxation times.
+    """
+    time = log.data.time_s
+    _, _, tau = model.split(theta)
+    columns = []
+    for hold in segmentation.of_kind("hold"):
+        since = time - hold.start_s
+        inside = (since >= -0.5 * log.step_s) & (time <= hold.end_s + 0.5 * log.step_s)
+        columns += [np.where(inside, np.exp(-np.maximum(since, 0.0) / float(one)), 0.0) for one in tau]
+    return np.column_stack(columns) if columns else np.zeros((time.size, 0))
+
+
+def _own_columns(
+    model: KelvinVoigt, theta: FloatArray, log: FittedLog, adjustment: Adjustment, fitted: FloatArray
+) -> FloatArray:
+    """Derivatives of one log's force by its own parameters, shape (n, q)."""
+    x = log.data.depth_mm
+    step = DEPTH_STEP * model.depth_mm
+    # the branch's share of a contact error is that of K's slope, which is small beside F_s'
+    slope = (model.static_force(theta, x + step) - model.static_force(theta, x)) / step
+    return np.column_stack([fitted, -slope])
+
+
+def residual_blocks(
+    segmentation: Segmentation,
+    log: FittedLog,
+    model: KelvinVoigt,
+    theta: FloatArray,
+    adjustment: Adjustment,
+    fitted: FloatArray,
+) -> ResidualBlocks:
+    """Block means of one log under its specimen's model.
+
+    Parameters
+    ----------
+    segmentation : Segmentation
+    log : FittedLog
+    model, theta
+        The specimen's tissue.
+    adjustment : Adjustment
+        The log's own gain and contact offset, or static curve.
+    fitted : ndarray, shape (n,)
+        Force of all that along the log [N].
+    """
+    data = log.data
+    keys = _keys(segmentation, log)
+    used = np.flatnonzero(data.include & (keys[:, 0] >= 0))
+    keys = keys[used]
+    first = np.flatnonzero(np.any(np.diff(keys, axis=0, prepend=-2) != 0, axis=1))
+    last = np.append(first[1:], used.size) - 1
+    count = np.diff(np.append(first, used.size))
+
+    def means(columns: FloatArray) -> FloatArray:
+        if first.size == 0:
+            return np.zeros((0, *columns.shape[1:]))
+        total = np.add.reduceat(columns[used], first, axis=0)
+        return np.asarray(total / count.reshape(-1, *[1] * (columns.ndim - 1)))
+
+    return ResidualBlocks(
+        phase=keys[first, 0],
+        hold=keys[first, 1] == 1,
+        place=keys[first, 2],
+        count=count,
+        mean_N=means(data.force_N - fitted),
+        start_s=data.time_s[used[first]],
+        end_s=data.time_s[used[last]],
+        shared=means(adjustment.gain * model.jacobian(theta, ContactPath(data.time_s, data.depth_mm))),
+        own=means(
+            np.concatenate(
+                [
+                    _own_columns(model, theta, log, adjustment, fitted),
+                    _corner_columns(model, theta, log, segmentation),
+                ],
+                axis=1,
+            )
+        ),
+        speed_mm_s=max(log.speeds_mm_s),
+        depth_mm=log.depth_mm,
+        step_s=log.step_s,
+    )

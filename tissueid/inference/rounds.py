@@ -1,0 +1,217 @@
+"""Fit on the path of the surface, follow the surface under the fit, until the two agree.
+
+The rounds are a fixed-point iteration: at its end the residual is orthogonal to the columns on the path
+that those very parameters give, an unbiased estimating equation; the dependence of the path itself on the
+parameters is not differentiated.  Whether the rounds settled is said, and the result is checked against a
+direct simulation of every log.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.flags import Flag
+from tissueid.inference.engine import Identified
+from tissueid.inference.estimates import TissueEstimate
+from tissueid.inference.logs import LogHandle
+from tissueid.inference.trials import Adjustment
+from tissueid.inference.unloading import FreeSurface, air_limit
+from tissueid.inference.window import FittedLog
+from tissueid.model.kernels import surface_path
+
+__all__ = ["Followed", "follow_surfaces", "unloading_handles", "unloading_verdict"]
+
+FloatArray = NDArray[np.float64]
+
+#: Rounds, and the change of the parameters, in standard errors, that counts as none.
+MAX_ROUNDS = 12
+SETTLED_SD = 0.05
+#: Root mean square of the residual in air, over that in contact, beyond which the law of contact loss fails.
+AIR_MISFIT = 3.0
+
+
+Identify = Callable[[Sequence[LogHandle]], tuple[Identified, list[FittedLog]]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Followed:
+    """A fit on the paths of its own surfaces.
+
+    Attributes
+    ----------
+    handles : list of LogHandle
+    identified : Identified
+    facts : list of FittedLog
+    rounds : int
+    change_sd : float
+        Largest change of a shared parameter in the last round, in its standard errors.
+    """
+
+    handles: list[LogHandle]
+    identified: Identified
+    facts: list[FittedLog]
+    rounds: int
+    change_sd: float
+
+    @property
+    def settled(self) -> bool:
+        """True where the last round changed nothing."""
+        return self.change_sd < SETTLED_SD
+
+
+def unloading_handles(handles: Sequence[LogHandle]) -> list[LogHandle]:
+    """The same logs to their ends, contact loss read off the measured force."""
+    return [_refreshed(replace(handle, unloading=True, surface=None)) for handle in handles]
+
+
+def _refreshed(handle: LogHandle) -> LogHandle:
+    """A handle with the facts of the part it fits now."""
+    _, log = handle.fitted()
+    return replace(handle, facts=log.without_samples())
+
+
+def _on_surfaces(handles: Sequence[LogHandle], found: Identified) -> list[LogHandle]:
+    """The logs on the paths that their surface takes under a fit."""
+    point, effects = found.optimum.point, found.system.effects
+    theta = found.law.theta(point.log_times, point.linear)[0]
+    offset = (
+        point.own[:, int(effects.gain)] * found.system.depth_mm if effects.contact else np.zeros(len(handles))
+    )
+    model = found.law.model()
+    return [
+        _refreshed(replace(handle, surface=FreeSurface(model, theta, float(by))))
+        for handle, by in zip(handles, offset, strict=True)
+    ]
+
+
+def _moved(before: Identified, now: Identified) -> float:
+    """Largest difference of shared parameters in standard errors; infinite between different orders."""
+    if before.law != now.law:
+        return float("inf")
+    error = np.sqrt(np.maximum(np.diag(now.optimum.covariance), 0.0))
+    known = error > 0.0
+    change = np.abs(now.optimum.point.shared - before.optimum.point.shared)
+    return float((change[known] / error[known]).max(initial=0.0))
+
+
+def follow_surfaces(
+    handles: Sequence[LogHandle], identify: Identify, tick: Callable[[str], None]
+) -> Followed:
+    """Fit logs with their unloading.
+
+    Parameters
+    ----------
+    handles : sequence of LogHandle
+        From :func:`unloading_handles`.
+    identify : callable
+        Chooses and fits a law for logs.
+    tick : callable
+    """
+    current = list(handles)
+    found, facts = identify(current)
+    change, count = float("inf"), 0
+    for count in range(1, MAX_ROUNDS + 1):
+        tick(f"free surface, round {count}")
+        current = _on_surfaces(current, found)
+        after, facts = identify(current)
+        change, found = _moved(found, after), after
+        if change < SETTLED_SD:
+            break
+    return Followed(handles=current, identified=found, facts=facts, rounds=count, change_sd=change)
+
+
+def _residuals(
+    handle: LogHandle, tissue: TissueEstimate, adjustment: Adjustment
+) -> tuple[FloatArray, FloatArray, int]:
+    """Measured less directly simulated force in contact and in air, and samples that are pulled."""
+    _, log = handle.fitted()
+    assert log.tool_mm is not None  # noqa: S101  (a handle of unloading)
+    static, stiffness, tau = tissue.model.split(tissue.theta)
+    law = log.tool_mm - adjustment.contact_offset_mm
+    surface, force = surface_path(
+        np.concatenate([[0.0], static]),
+        np.ascontiguousarray(stiffness),
+        np.ascontiguousarray(tau),
+        tissue.model.depth_mm,
+        log.data.time_s,
+        np.ascontiguousarray(law),
+    )
+    residual = log.data.force_N - adjustment.gain * force
+    air = surface > law
+    air[: int(log.inserted)] = False
+    limit = air_limit(log.data.force_N, handle.segmentation.force_noise_N)
+    pulled = int((log.data.force_N < -limit).sum())
+    return residual[log.data.include & ~air], residual[air], pulled
+
+
+def unloading_verdict(
+    followed: Followed, tissue: TissueEstimate, adjustments: Sequence[Adjustment], *, sigma_N: float
+) -> tuple[dict[str, Any], list[Flag]]:
+    """How the rounds went and what a direct simulation says, with the flags of it.
+
+    Parameters
+    ----------
+    followed : Followed
+    tissue : TissueEstimate
+    adjustments : sequence of Adjustment
+        One a log.
+    sigma_N : float
+        Noise standard deviation of the fit.
+
+    Returns
+    -------
+    report : dict
+        The ``unloading`` object of ``schemas/identification.schema.json``.
+    flags : list of Flag
+    """
+    parts = [
+        _residuals(handle, tissue, one) for handle, one in zip(followed.handles, adjustments, strict=True)
+    ]
+    touching = np.concatenate([part[0] for part in parts])
+    air = np.concatenate([part[1] for part in parts])
+    pulled = sum(part[2] for part in parts)
+    unique = tissue.model.contact_loss_is_unique(tissue.theta)
+
+    def rms(values: FloatArray) -> float | None:
+        return float(np.sqrt(np.mean(values**2))) if values.size else None
+
+    rms_air = rms(air)
+    report = {
+        "rounds": followed.rounds,
+        "converged": followed.settled and unique,
+        "change_sd": followed.change_sd if np.isfinite(followed.change_sd) else None,
+        "samples_in_contact": int(touching.size),
+        "samples_in_air": int(air.size),
+        "samples_pulled": pulled,
+        "rms_in_contact_N": rms(touching),
+        "rms_in_air_N": rms_air,
+        "surface_unique": unique,
+    }
+    flags = []
+    if not followed.settled or not unique:
+        why = (
+            f"a parameter still moved by {followed.change_sd:.2g} standard errors"
+            if not followed.settled
+            else "the free surface has several positions"
+        )
+        flags.append(
+            Flag(
+                "unloading_not_settled",
+                f"unloading did not converge in {followed.rounds} rounds: {why}",
+                {"rounds": followed.rounds, "change_sd": report["change_sd"], "surface_unique": unique},
+            )
+        )
+    if rms_air is not None and rms_air > AIR_MISFIT * sigma_N:
+        flags.append(
+            Flag(
+                "contact_loss_misfit",
+                f"while the model has the tool in air the force is {rms_air:.3g} N (noise {sigma_N:.3g} N)",
+                {"rms_in_air_N": rms_air, "sigma_N": sigma_N, "samples_pulled": pulled},
+            )
+        )
+    return report, flags

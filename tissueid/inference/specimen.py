@@ -1,0 +1,359 @@
+"""The fit of one specimen: its logs to an optimum, what they say of it, and what is to be said about it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from tissueid.flags import Flag
+from tissueid.inference.engine import Identified, Request, identify_logs
+from tissueid.inference.estimates import TissueEstimate, estimate_tissue
+from tissueid.inference.evidence import LogEvidence, log_evidence
+from tissueid.inference.lm import both_optimisers
+from tissueid.inference.logs import LogHandle, blocks_of
+from tissueid.inference.material import with_moduli
+from tissueid.inference.quoted import quoted_numbers
+from tissueid.inference.relaxation_window import relaxation_window
+from tissueid.inference.rounds import follow_surfaces, unloading_handles, unloading_verdict
+from tissueid.inference.sandwich import sandwich_covariance
+from tissueid.inference.summaries import Summaries, second_pass
+from tissueid.inference.system import Point, System
+from tissueid.inference.target import SpecimenTarget
+from tissueid.inference.trials import Adjustment
+from tissueid.inference.verdict import discrepancy_flags, specimen_flags
+from tissueid.inference.window import FittedLog
+from tissueid.measured import spread
+from tissueid.measured.geometry import DEFAULT_POISSON, Geometry, TipOf
+from tissueid.model.kelvin_voigt import KEY, STATIC_DEGREE
+from tissueid.priors import Priors
+from tissueid.result import ModelChoice, SpecimenFit
+from tissueid.uncertainty import NoiseFit
+
+__all__ = ["POOLINGS", "FitOptions", "FittedSpecimen", "LogHandle", "fit_specimen", "fit_with_state"]
+
+FloatArray = NDArray[np.float64]
+
+MAX_BRANCHES, MAX_DEGREE = 3, 2
+POOLINGS = ("scaled", "partial", "shared")
+#: Iterations of the frame's deflection along all samples.
+DEFLECTED = 3
+
+
+@dataclass(frozen=True, slots=True)
+class FitOptions:
+    """What a user may ask of a fit.
+
+    Attributes
+    ----------
+    branches : int or None
+        1 to 3, or ``None`` to choose by held-out data.
+    stiffness_degree : int or None
+        0 to 2, or ``None`` to choose.
+    static : str
+        ``scaled`` (default: every log has its own static curve around the specimen's), ``partial`` (a gain
+        and a contact of its own) or ``shared``.
+    depths_mm : tuple of float
+        Depths below contact at which the stiffness of each loop is wanted.
+    frequencies_Hz : tuple of float
+        At which moduli and losses are quoted; none takes the usual ones the data support.
+    geometry : Geometry or None
+        Tip (and thickness) of this specimen, for its moduli.
+    poisson : float
+        Poisson's ratio where a study gives the tip.
+    header_tip : bool
+        Take the tip of a recording's header where there is no geometry.
+    unloading : bool
+        Fit retracts and cycles as well, with the law of contact loss (:mod:`tissueid.inference.rounds`).
+    noise : str
+        ``auto``, ``white``, ``ar1`` or ``white+ar1``.
+    """
+
+    branches: int | None = None
+    stiffness_degree: int | None = None
+    static: str = "scaled"
+    unloading: bool = False
+    depths_mm: tuple[float, ...] = ()
+    frequencies_Hz: tuple[float, ...] = ()
+    geometry: Geometry | None = None
+    poisson: float = DEFAULT_POISSON
+    header_tip: bool = True
+    noise: str = "auto"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedSpecimen:
+    """A fit with what a posterior is built from.
+
+    Attributes
+    ----------
+    fit : SpecimenFit
+    handles : tuple of LogHandle
+    identified : Identified
+    noise : NoiseFit
+    tissue : TissueEstimate
+    told : Summaries
+        Of the second pass over the logs.
+    moved : callable
+        The same at another point, with other parameters and noise.
+    """
+
+    fit: SpecimenFit
+    handles: tuple[LogHandle, ...]
+    identified: Identified
+    noise: NoiseFit
+    tissue: TissueEstimate
+    told: Summaries
+    moved: Callable[[Point], FittedSpecimen] = field(repr=False)
+
+
+def request_of(options: FitOptions, priors: Priors, *, machine: bool) -> Request:
+    """Options as the engine takes them."""
+    branches = (options.branches,) if options.branches else tuple(range(1, MAX_BRANCHES + 1))
+    degrees = (
+        tuple(range(MAX_DEGREE + 1)) if options.stiffness_degree is None else (options.stiffness_degree,)
+    )
+    return Request(branches, degrees, options.static, options.noise, priors, machine)
+
+
+def fit_specimen(
+    specimen: str,
+    handles: Sequence[LogHandle],
+    *,
+    options: FitOptions | None = None,
+    tick: Callable[[str], None] | None = None,
+) -> SpecimenFit:
+    """Identify the contact model of one specimen from its logs.
+
+    Parameters
+    ----------
+    specimen : str
+    handles : sequence of LogHandle
+        At least one.
+    options : FitOptions, optional
+    tick : callable, optional
+        Told what is being done.
+    """
+    return fit_with_state(specimen, handles, options=options, tick=tick).fit
+
+
+def fit_with_state(
+    specimen: str,
+    handles: Sequence[LogHandle],
+    *,
+    options: FitOptions | None = None,
+    priors: Priors | None = None,
+    machine: bool = True,
+    tick: Callable[[str], None] | None = None,
+) -> FittedSpecimen:
+    """Fit a specimen, and keep what a posterior is built from.
+
+    Parameters
+    ----------
+    specimen : str
+    handles : sequence of LogHandle
+    options : FitOptions, optional
+    priors : Priors, optional
+        Of tissue and machine.
+    machine : bool
+        Leave frame, skew and filter open; normalised recordings have no machine to ask about.
+    tick : callable, optional
+    """
+    options = options or FitOptions()
+    tick = tick or (lambda _: None)
+    # small matrices gain nothing from BLAS threads, and on a busy machine lose tenfold by them
+    with threadpool_limits(limits=1, user_api="blas"):
+        return _fit(
+            specimen, list(handles), options, request_of(options, priors or Priors(), machine=machine), tick
+        )
+
+
+def identify_handles(
+    handles: Sequence[LogHandle], request: Request, tick: Callable[[str], None]
+) -> tuple[Identified, list[FittedLog]]:
+    """Load the logs once, as blocks, and choose and fit their law."""
+    blocks, facts, seen = [], [], []
+    for handle in handles:
+        trial, log = handle.fitted()
+        tick(f"reading {trial.name}")
+        blocks.append(blocks_of(handle, log))
+        facts.append(log.without_samples())
+        seen.append(log_evidence(trial, handle.segmentation, log))
+
+    def evidence(*_: object) -> Sequence[LogEvidence]:
+        return seen
+
+    return identify_logs(blocks, facts, evidence, request, tick), facts
+
+
+def force_along(
+    identified: Identified, handle: LogHandle, log: FittedLog, index: int, point: Point
+) -> FloatArray:
+    """Modelled force of the load channel at every sample of one log, (n,) [N]."""
+    blocks = blocks_of(handle, log, whole=True)
+    system = System([blocks], identified.law, identified.system.depth_mm, identified.system.effects)
+    own = replace(point, own=point.own[index : index + 1])
+    for _ in range(DEFLECTED):
+        system.guess = system.tip_force(own)[0]
+    force = system.recorded(system.tip_force(own)[0], own.machine)
+    return np.asarray(force[force.size - log.data.time_s.size :])
+
+
+def adjustments_of(identified: Identified, handles: Sequence[LogHandle], point: Point) -> list[Adjustment]:
+    """Gain and contact of every log."""
+    effects, out = identified.system.effects, []
+    for i, handle in enumerate(handles):
+        own, k = point.own[i], int(effects.gain)
+        offset = float(own[k]) * identified.system.depth_mm if effects.contact else 0.0
+        gain = float(np.exp(own[0])) if effects.gain else 1.0
+        out.append(Adjustment(gain=gain, contact_offset_mm=offset, contact_shift_mm=handle.contact_shift_mm))
+    return out
+
+
+def noise_of(identified: Identified, worth: float) -> NoiseFit:
+    """The noise as it is told."""
+    found, step = (
+        identified.optimum.noise,
+        min(float(np.median(one.step_s)) for one in identified.system.logs),
+    )
+    kind = "white"
+    if found.memory.time_s > 0.0:
+        kind = "white+ar1" if found.memory.white > 0.0 else "ar1"
+    phi = found.memory.phi(step)
+    return NoiseFit(
+        model=kind,
+        sigma_N=found.sigma_N,
+        phi=phi,
+        reference_step_s=step,
+        moving_average=_moving_average(phi, found.memory.white),
+        measured_N=identified.verdict.measured_N or None,
+        samples_per_independent=max(worth, 1.0 + 1e-9) if identified.discrepant else 1.0,
+    )
+
+
+def _moving_average(phi: float, white: float) -> float:
+    """Theta of e_n = r_n - phi r_(n-1) + theta e_(n-1) of an AR(1) beside white noise."""
+    if white <= 0.0 or phi <= 0.0:
+        return 0.0
+    # autocovariances of r_n - phi r_(n-1): 1 + phi^2 - 2 phi (1 - w) phi, and -phi w
+    zero, one = 1.0 + phi * phi - 2.0 * phi * phi * (1.0 - white), phi * white
+    half = zero / (2.0 * one)
+    return float(half - np.sqrt(max(half * half - 1.0, 0.0)))
+
+
+def _fit(
+    specimen: str,
+    handles: list[LogHandle],
+    options: FitOptions,
+    request: Request,
+    tick: Callable[[str], None],
+) -> FittedSpecimen:
+    followed = None
+    if options.unloading:
+        followed = follow_surfaces(
+            unloading_handles(handles), lambda now: identify_handles(now, request, tick), tick
+        )
+        handles, identified, facts = followed.handles, followed.identified, followed.facts
+    else:
+        identified, facts = identify_handles(handles, request, tick)
+    tick("Levenberg-Marquardt")
+    optimisers = both_optimisers(identified)
+    tissue = estimate_tissue(identified)
+    worth = 1.0
+    if identified.discrepant:
+        worth = sandwich_covariance(SpecimenTarget(identified, machine=request.machine))[1]
+    noise = noise_of(identified, worth)
+    window = relaxation_window(handles, identified, tick)
+
+    def described(point: Point) -> FittedSpecimen:
+        return _described(specimen, tuple(handles), identified, noise, options, tick, point)
+
+    def _described(
+        name: str,
+        logs: tuple[LogHandle, ...],
+        found: Identified,
+        noise: NoiseFit,
+        options: FitOptions,
+        tick: Callable[[str], None],
+        point: Point,
+    ) -> FittedSpecimen:
+        theta = found.law.theta(point.log_times, point.linear)[0]
+        here = replace(tissue, theta=theta)
+        adjustments = adjustments_of(found, logs, point)
+        told = second_pass(
+            logs,
+            adjustments,
+            here,
+            tick,
+            noise=noise,
+            force_of=lambda i, log: force_along(found, logs[i], log, i, point),
+            depths_mm=options.depths_mm,
+            tip=TipOf(options.geometry, options.header_tip),
+        )
+        flags = specimen_flags(
+            here, facts, told.trials, sigma_N=noise.sigma_N, optimisers=optimisers,
+            noise=None if noise.discrepant else noise.model,
+        )  # fmt: skip
+        flags = (*discrepancy_flags(noise, told.nrmsd), *flags, *undecided_flags(found))
+        step, length = min(log.step_s for log in facts), max(log.duration_s for log in facts)
+        quoted = quoted_numbers(
+            here, told.holds, step_s=step, duration_s=length, frequencies_Hz=options.frequencies_Hz
+        )
+        quoted, said = with_moduli(quoted, here, options.geometry)
+        flags, unloading = (*flags, *said), None
+        if followed is not None:
+            unloading, more = unloading_verdict(followed, here, adjustments, sigma_N=noise.sigma_N)
+            flags = (*flags, *more)
+        speeds = [speed for log in facts for speed in log.speeds_mm_s if speed > 0.0] or [0.0]
+        fit = SpecimenFit(
+            specimen=name,
+            model=ModelChoice(
+                key=KEY,
+                branches=found.law.branches,
+                static_degree=STATIC_DEGREE,
+                stiffness_degree=found.law.degree,
+                static_pooling="shared" if len(logs) == 1 else options.static,
+            ),
+            parameters=tissue.parameters,
+            theta_names=tissue.model.parameter_names,
+            theta=theta,
+            covariance=tissue.covariance,
+            depth_mm=found.system.depth_mm,
+            speeds_mm_s=(min(speeds), max(speeds)),
+            tip_radius_mm=None,
+            sigma_N=noise.sigma_N,
+            n_samples=found.system.samples,
+            nrmsd=told.nrmsd,
+            trials=told.trials,
+            relaxation=told.relaxation,
+            relaxation_window=window,
+            optimisers=optimisers,
+            selection=found.table,
+            flags=flags,
+            unloading=unloading,
+            cycles=told.cycles,
+            measured=spread([trial.measured for trial in told.trials if trial.measured is not None]),
+            quoted=quoted,
+        )
+        return FittedSpecimen(fit, logs, found, noise, here, told, described)
+
+    return described(identified.optimum.point)
+
+
+def undecided_flags(identified: Identified) -> tuple[Flag, ...]:
+    """Other orders that predict what was left out as well as the chosen one."""
+    others = [one for one in identified.as_good if one != (identified.law.branches, identified.law.degree)]
+    if not others:
+        return ()
+    words = ", ".join(f"{b} branch{'es' * (b > 1)} with K of degree {d}" for b, d in others[:3])
+    return (
+        Flag(
+            "model_undecided",
+            f"{len(others)} other order{'s' * (len(others) > 1)} predict a left-out {identified.left_out} as "
+            f"well: {words}",
+            {"orders": [f"{b}x{d}" for b, d in others]},
+        ),
+    )

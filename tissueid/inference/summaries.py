@@ -1,0 +1,175 @@
+"""The second pass over the logs of a specimen: everything that needs samples and the fitted tissue."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.inference.estimates import TissueEstimate
+from tissueid.inference.holds import HoldNumbers, hold_numbers
+from tissueid.inference.logs import LogHandle
+from tissueid.inference.loop_area import with_model_viscosity
+from tissueid.inference.residual_blocks import ResidualBlocks, residual_blocks
+from tissueid.inference.residual_summary import residual_summary
+from tissueid.inference.trials import Adjustment, ResidualTotals, summarise_trial
+from tissueid.inference.window import FittedLog
+from tissueid.measured import measure
+from tissueid.measured.cycles import cycle_rows
+from tissueid.measured.geometry import NO_TIP, TipOf
+from tissueid.measured.relaxation import relaxation_rows
+from tissueid.processors import threads
+from tissueid.quantities import CycleRow, RelaxationRow
+from tissueid.result import Nrmsd, TrialFit
+from tissueid.trial import Segmentation, Trial
+from tissueid.uncertainty import NoiseFit
+
+__all__ = ["Summaries", "second_pass"]
+
+FloatArray = NDArray[np.float64]
+
+#: Threads that look at logs.
+MAX_WORKERS = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Summaries:
+    """What the logs of a specimen say beside its tissue.
+
+    Attributes
+    ----------
+    trials : tuple of TrialFit
+    relaxation : tuple of RelaxationRow
+    cycles : tuple of CycleRow
+    holds : tuple of HoldNumbers
+        One a trial.
+    nrmsd : Nrmsd
+        Over all fitted samples.
+    blocks : tuple of ResidualBlocks
+        One a log: what a check for misfit looks at.
+    """
+
+    trials: tuple[TrialFit, ...]
+    relaxation: tuple[RelaxationRow, ...]
+    cycles: tuple[CycleRow, ...]
+    holds: tuple[HoldNumbers, ...]
+    nrmsd: Nrmsd
+    blocks: tuple[ResidualBlocks, ...]
+
+
+class _OneLog(NamedTuple):
+    """What is kept of one log."""
+
+    totals: ResidualTotals
+    trial: TrialFit
+    relaxation: tuple[RelaxationRow, ...]
+    cycles: tuple[CycleRow, ...]
+    holds: HoldNumbers
+    blocks: ResidualBlocks
+
+
+def second_pass(
+    handles: Sequence[LogHandle],
+    adjustments: Sequence[Adjustment],
+    tissue: TissueEstimate,
+    tick: Callable[[str], None],
+    *,
+    noise: NoiseFit,
+    force_of: Callable[[int, FittedLog], FloatArray],
+    depths_mm: Sequence[float] = (),
+    tip: TipOf = NO_TIP,
+) -> Summaries:
+    """Load every log once more and keep what a report needs of it; the logs are looked at in threads.
+
+    Parameters
+    ----------
+    handles : sequence of LogHandle
+    adjustments : sequence of Adjustment
+        One a log.
+    tissue : TissueEstimate
+    tick : callable
+        Told what is being read.
+    noise : NoiseFit
+    force_of : callable
+        Modelled force at the samples of a log, by its place among the handles.
+    depths_mm : sequence of float
+        Depths at which the stiffness of each loop is wanted.
+    tip : TipOf
+        For the moduli of what is measured.
+    """
+    workers = threads(min(len(handles), MAX_WORKERS))
+    running: deque[Future[_OneLog]] = deque()
+    found: list[_OneLog] = []
+    with ThreadPoolExecutor(workers) as pool:
+        for i, (handle, adjustment) in enumerate(zip(handles, adjustments, strict=True)):
+            trial, log = handle.fitted()
+            tick(f"residuals of {trial.name}")
+            fitted = force_of(i, log)
+            running.append(
+                pool.submit(
+                    _one_log,
+                    trial,
+                    handle.segmentation,
+                    log,
+                    fitted,
+                    adjustment,
+                    tissue,
+                    noise,
+                    depths_mm,
+                    tip,
+                )
+            )
+            while len(running) > workers:
+                found.append(running.popleft().result())
+        found += [one.result() for one in running]
+    totals = ResidualTotals()
+    for one in found:
+        totals.merge(one.totals)
+    rmse = float(np.sqrt(totals.squares / totals.count))
+    spread, mean = totals.high - totals.low, abs(totals.force / totals.count)
+    overall = Nrmsd(
+        range=rmse / spread if spread > 0.0 else float("inf"),
+        mean=rmse / mean if mean > 0.0 else float("inf"),
+        rmse_N=rmse,
+    )
+    return Summaries(
+        trials=tuple(one.trial for one in found),
+        relaxation=tuple(row for one in found for row in one.relaxation),
+        cycles=tuple(row for one in found for row in one.cycles),
+        holds=tuple(one.holds for one in found),
+        nrmsd=overall,
+        blocks=tuple(one.blocks for one in found),
+    )
+
+
+def _one_log(
+    trial: Trial,
+    segmentation: Segmentation,
+    log: FittedLog,
+    fitted: FloatArray,
+    adjustment: Adjustment,
+    tissue: TissueEstimate,
+    noise: NoiseFit,
+    depths_mm: Sequence[float],
+    tip: TipOf,
+) -> _OneLog:
+    """What is kept of one log; it touches nothing else, so that logs may be looked at in threads."""
+    model, theta = tissue.model, tissue.theta
+    totals = ResidualTotals()
+    cycles = cycle_rows(trial, segmentation, depths_mm=depths_mm)
+    blocks = residual_blocks(segmentation, log, model, theta, adjustment, fitted)
+    summary = residual_summary(log, fitted, blocks, sigma_N=noise.sigma_N)
+    told = summarise_trial(trial, segmentation, log, fitted=fitted, adjustment=adjustment, totals=totals)
+    return _OneLog(
+        totals=totals,
+        trial=replace(told, residual=summary, measured=measure(trial, segmentation, geometry=tip.of(trial))),
+        relaxation=relaxation_rows(trial, segmentation),
+        cycles=tuple(with_model_viscosity(trial, segmentation, cycles, model, theta, adjustment)),
+        holds=hold_numbers(trial, segmentation),
+        blocks=blocks,
+    )

@@ -1,0 +1,316 @@
+"""All logs of a specimen under one law: predicted forces of their blocks, and derivatives of them.
+
+A point has relaxation times, a machine (frame, skew, filter), linear coefficients, and each log's own gain,
+contact and static shape.  The frame acts by the predicted force, found by iterating from the measured one;
+the filter is one pole; force lags displacement by the skew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.lapack import dtbtrs
+
+from tissueid.inference.blocks import Blocks
+from tissueid.inference.law import TINY, Law, Path
+from tissueid.model.kelvin_voigt import STATIC_DEGREE
+
+__all__ = ["MACHINE", "Derivatives", "Effects", "Point", "System"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+#: Coordinates of the machine, in their order in a point.
+MACHINE = ("frame_compliance_mm_per_N", "skew_s", "force_filter_s")
+#: Iterations of the frame's deflection: each leaves compliance times stiffness of the error before.
+FRAME_ROUNDS = 1
+#: Steps of numerical derivatives: ln times, depth over the largest depth, machine in its prior's units.
+STEP_LN, STEP_DEPTH = 1e-5, 1e-6
+STEPS_MACHINE = np.array([1e-7, 1e-7, 1e-7])
+#: A filter shorter than this share of the shortest step is none.
+NO_FILTER_S = 1e-7
+
+
+@dataclass(frozen=True, slots=True)
+class Effects:
+    """Which own parameters a log has.
+
+    Attributes
+    ----------
+    gain, contact, shape : bool
+        ln gain; contact offset; three static coefficients beside the specimen's.
+    """
+
+    gain: bool = False
+    contact: bool = True
+    shape: bool = False
+
+    @property
+    def size(self) -> int:
+        """Own parameters of a log."""
+        return int(self.gain) + int(self.contact) + STATIC_DEGREE * int(self.shape)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Point:
+    """One point of the parameters.
+
+    Attributes
+    ----------
+    log_times : ndarray, shape (t,)
+    machine : ndarray, shape (3,)
+        In the order of :data:`MACHINE`.
+    linear : ndarray, shape (p,)
+    own : ndarray, shape (logs, q)
+        ln gain, contact offset over the largest depth, static shape [N], as far as there are any.
+    """
+
+    log_times: FloatArray
+    machine: FloatArray
+    linear: FloatArray
+    own: FloatArray
+
+    @property
+    def shared(self) -> FloatArray:
+        """Times, machine and linear parameters as one vector."""
+        return np.concatenate([self.log_times, self.machine, self.linear])
+
+    def moved(self, shared: FloatArray, own: FloatArray | None = None) -> Point:
+        """The point with another vector of shared parameters."""
+        t = self.log_times.size
+        return Point(shared[:t], shared[t : t + 3], shared[t + 3 :], self.own if own is None else own)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Derivatives:
+    """Predicted forces and their derivatives at a point: (k,), (k, shared), (k, own)."""
+
+    force: FloatArray
+    shared: FloatArray
+    own: FloatArray
+
+
+class System:
+    """Blocks of all logs, laid one behind the other.
+
+    Parameters
+    ----------
+    logs : sequence of Blocks
+    law : Law
+    depth_mm : float
+        Largest fitted depth.
+    effects : Effects
+    give : callable, optional
+        Deflection [mm] of a known frame under forces [N].
+    """
+
+    def __init__(
+        self,
+        logs: Sequence[Blocks],
+        law: Law,
+        depth_mm: float,
+        effects: Effects,
+        *,
+        give: Callable[[FloatArray], FloatArray] | None = None,
+    ) -> None:
+        self.give = give
+        self.logs, self.law, self.depth_mm, self.effects = tuple(logs), law, depth_mm, effects
+        points = np.array([one.time_s.size for one in logs])
+        first = np.concatenate([[0], np.cumsum(points)[:-1]])
+        self.point_log = np.repeat(np.arange(len(logs)), points)
+        self.travel = np.concatenate([one.depth_mm for one in logs]) / depth_mm
+        step = np.diff(np.concatenate([one.time_s for one in logs]), prepend=0.0)
+        step[first] = np.inf
+        self.step = np.maximum(step, 1e-12)
+        self.fresh = first
+        rows = [one.at + offset for one, offset in zip(logs, first, strict=True)]
+        self.at = np.concatenate(rows)
+        self.sampled = bool((self.at[:, 0] == self.at[:, 2]).all())
+        self.log = np.repeat(np.arange(len(logs)), [one.force_N.size for one in logs])
+        self.begins = np.concatenate([[0], np.cumsum([one.force_N.size for one in logs])[:-1]])
+        self.force = np.concatenate([one.force_N for one in logs])
+        self.count = np.concatenate([one.count for one in logs]).astype(np.float64)
+        self.chain = np.concatenate([one.chain for one in logs])
+        self.obs_step = np.concatenate([one.step_s for one in logs])
+        self.mid = np.concatenate([one.mid_s for one in logs])
+        self.fold = np.concatenate([one.fold for one in logs])
+        self.within_N2 = sum(one.within_N2 for one in logs)
+        self.within_freedom = sum(one.within_freedom for one in logs)
+        self.samples = int(self.count.sum())
+        # force at all points, from which the frame's deflection is iterated: measured, then predicted
+        self.guess = np.concatenate([np.interp(one.time_s, one.mid_s, one.force_N) for one in logs])
+
+    def under(self, law: Law) -> System:
+        """The same logs under another law."""
+        new = object.__new__(System)
+        new.__dict__.update(self.__dict__)
+        new.law = law
+        return new
+
+    @property
+    def size(self) -> int:
+        """Shared parameters."""
+        return self.law.times + len(MACHINE) + self.law.linear
+
+    def path(self, depth: FloatArray) -> Path:
+        """Depths (over the largest depth) of all points as a path in contact."""
+        touching = depth > 0.0
+        crossing = np.flatnonzero(touching[1:] & ~touching[:-1]) + 1
+        share = np.ones(depth.size)
+        share[crossing] = depth[crossing] / (depth[crossing] - depth[crossing - 1])
+        share[self.fresh] = 1.0
+        return Path(self.step, np.maximum(depth, 0.0) * self.depth_mm, share, self.fresh)
+
+    def means(self, values: FloatArray) -> FloatArray:
+        """Observations of values at points: (m,) -> (k,), or of columns (m, c) -> (k, c)."""
+        if self.sampled:
+            return np.asarray(values[self.at[:, 0]])
+        a, b, c = self.at.T
+        return np.asarray((values[a] + 4.0 * values[b] + values[c]) / 6.0)
+
+    def recorded(self, force: FloatArray, machine: FloatArray) -> FloatArray:
+        """Force as the load channel reports it: filtered and late; (m,) or (m, c)."""
+        _, skew, pole = machine
+        if pole > NO_FILTER_S:
+            force = self._filtered(force, pole)
+        if skew != 0.0:
+            force = self._late(force, skew)
+        return force
+
+    def _filtered(self, force: FloatArray, pole: float) -> FloatArray:
+        """One pole, exact where the force is linear in between; at rest before the first point."""
+        z = self.step / pole
+        decay = np.exp(-z)
+        weight = -np.expm1(-z) / np.maximum(z, 1e-12)
+        change = np.diff(force, axis=0, prepend=force[:1])
+        change[self.fresh] = 0.0
+        shape = (slice(None),) + (None,) * (force.ndim - 1)
+        # deviation d = force - filtered follows d' + d / pole = force'
+        band = np.empty((2, force.shape[0]))
+        band[0] = 1.0
+        decay[self.fresh] = 0.0
+        band[1, :-1] = -decay[1:]
+        weight[self.fresh] = 0.0
+        right = weight[shape] * change + TINY
+        lag, _ = dtbtrs(band, right.reshape(force.shape[0], -1), uplo="L", diag="U")
+        return np.asarray(force - lag.reshape(force.shape))
+
+    def _late(self, force: FloatArray, skew: float) -> FloatArray:
+        """Force ``skew`` seconds ago, on the line between neighbouring points."""
+        shape = (slice(None),) + (None,) * (force.ndim - 1)
+        if skew > 0.0:
+            share = np.minimum(skew / self.step, 1.0)
+            share[self.fresh] = 0.0
+            change = np.diff(force, axis=0, prepend=force[:1])
+            return np.asarray(force - share[shape] * change)
+        ahead = np.append(self.step[1:], np.inf)
+        share = np.minimum(-skew / ahead, 1.0)
+        change = np.diff(force, axis=0, append=force[-1:])
+        change[self.fresh - 1] = 0.0
+        return np.asarray(force + share[shape] * change)
+
+    def _own(self, point: Point) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+        """Gain (m,), contact offset (m,) and static shape (m, 3) or ``None`` of the log of each point."""
+        own, effects = point.own, self.effects
+        gain, contact, k = np.ones(1), np.zeros(1), 0
+        if effects.gain:
+            gain, k = np.exp(own[:, 0])[self.point_log], 1
+        if effects.contact:
+            contact, k = own[self.point_log, k], k + 1
+        shape = own[self.point_log, k:] if effects.shape else None
+        return gain, contact, shape
+
+    def tip_force(self, point: Point, shift: float = 0.0) -> tuple[FloatArray, FloatArray]:
+        """Force at the tip at all points, and the columns it is made of (without the log's own).
+
+        Parameters
+        ----------
+        point : Point
+        shift : float
+            Added to every depth (over the largest depth), for derivatives by the contact.
+        """
+        gain, contact, shape = self._own(point)
+        compliance = point.machine[0] / self.depth_mm
+        depth = self.travel - contact + shift
+        stiff = compliance == 0.0 and self.give is None
+        rounds = 0 if stiff else FRAME_ROUNDS
+        force = self.guess
+        for left in range(rounds, -1, -1):
+            behind = depth
+            if not stiff:
+                behind = depth - compliance * force
+                if self.give is not None:
+                    behind = behind - self.give(force) / self.depth_mm
+            path = self.path(behind)
+            columns = self.law.columns(point.log_times, path)
+            inner = columns @ point.linear
+            if shape is not None:
+                inner = inner + (columns[:, :STATIC_DEGREE] * shape).sum(axis=1)
+            force = gain * inner
+            if left == 0:
+                break
+        return force, gain[:, None] * columns
+
+    def predict(self, point: Point) -> FloatArray:
+        """Forces of the observations, shape (k,) [N]."""
+        force, _ = self.tip_force(point)
+        return self.means(self.recorded(force, point.machine))
+
+    def with_own(self, point: Point) -> tuple[FloatArray, FloatArray]:
+        """Forces of the observations, and their derivatives by each log's own parameters: (k,) and (k, q)."""
+        base, columns = self.tip_force(point)
+        parts = [base]
+        if self.effects.gain or self.effects.contact:
+            by_depth = (self.tip_force(point, STEP_DEPTH)[0] - base) / STEP_DEPTH
+            give = 1.0 / (1.0 + point.machine[0] / self.depth_mm * by_depth)
+            parts += [give * base] if self.effects.gain else []
+            parts += [-by_depth] if self.effects.contact else []
+            parts += list((give[:, None] * columns[:, :STATIC_DEGREE]).T) if self.effects.shape else []
+        found = self.means(self.recorded(np.column_stack(parts), point.machine))
+        return found[:, 0], found[:, 1:]
+
+    def derivatives(self, point: Point, *, machine: bool, follow: bool = False) -> Derivatives:
+        """Forces with their derivatives.
+
+        Parameters
+        ----------
+        point : Point
+        machine : bool
+            Differentiate by the machine too; otherwise these columns are zero.
+        follow : bool
+            Iterate the frame's deflection from this point's force from now on.
+        """
+        base, columns = self.tip_force(point)
+        if follow:
+            self.guess = base
+            base, columns = self.tip_force(point)
+        force = self.means(self.recorded(base, point.machine))
+        stiff = point.machine[0] != 0.0
+        shared = np.zeros((force.size, self.size))
+        t = self.law.times
+        for j in range(t):
+            times = point.log_times.copy()
+            times[j] += STEP_LN
+            moved = self.predict(replace(point, log_times=times))
+            shared[:, j] = (moved - force) / STEP_LN
+        if machine:
+            for j, step in enumerate(STEPS_MACHINE):
+                other = point.machine.copy()
+                other[j] += step
+                shared[:, t + j] = (self.predict(replace(point, machine=other)) - force) / step
+        by_depth = (self.tip_force(point, STEP_DEPTH)[0] - base) / STEP_DEPTH
+        # a frame gives way to what a coefficient adds; the memory of that is of second order
+        give = 1.0 / (1.0 + point.machine[0] / self.depth_mm * by_depth) if stiff else np.ones(1)
+        shared[:, t + 3 :] = self.means(self.recorded(give[:, None] * columns, point.machine))
+        own = np.zeros((force.size, self.effects.size))
+        k = 0
+        if self.effects.gain:
+            own[:, 0], k = self.means(self.recorded(give * base, point.machine)), 1
+        if self.effects.contact:
+            own[:, k], k = -self.means(self.recorded(by_depth, point.machine)), k + 1
+        if self.effects.shape:
+            own[:, k:] = shared[:, t + 3 : t + 3 + STATIC_DEGREE]
+        return Derivatives(force, shared, own)

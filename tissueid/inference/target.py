@@ -1,0 +1,362 @@
+"""The posterior of one specimen: tissue, machine, noise and scatter between logs in one density.
+
+Shared parameters are coordinates; so is the contact of a single log.  Of several logs, gains, contacts and
+static shapes are integrated, linearised about the optimum and re-evaluated at every point.  The scale of the
+noise, its memory and the scatter between logs are coordinates too.  A branch's stiffness is sampled times its
+largest state, and polynomials of a single log about the contact of the optimum: relaxation times and contact
+then move alone.
+
+Where the law misses more than the noise, the generalised posterior is normal about the optimum within the
+passive set, its precision that of the clustered sandwich (:mod:`tissueid.inference.sandwich`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.inference.engine import Identified
+from tissueid.inference.law import passive_rows, relaxation_states
+from tissueid.inference.noise import Memory, Whitener
+from tissueid.inference.optimum import covariance_of, whitener_of
+from tissueid.inference.prior import Scatter, own_rows, time_bounds
+from tissueid.inference.system import MACHINE
+from tissueid.model.kelvin_voigt import STATIC_DEGREE
+
+__all__ = ["NormalTarget", "SpecimenTarget", "Target"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+#: Half-normal scale of the scatter of static shapes, over the largest force.
+SHAPE_SD = 0.1
+#: Points of ln tau at which the largest state is tabulated, and step of ln memory at which noise is whitened.
+TAU_GRID, MEMORY_GRID = 48, 0.05
+#: Negative slack of a constraint, relative to typical values, that counts as rounding.
+ROUNDING = 1e-9
+#: Step of numerical second derivatives of ln memory and ln scatter, and their bounds.
+STEP, LEAST_CURVATURE, MOST_CURVATURE = 0.2, 1.0, 400.0
+
+
+class Target(Protocol):
+    """A density in whitened coordinates, cut by half spaces, with the normal it is like."""
+
+    centre: FloatArray
+    rows: FloatArray
+    walls: FloatArray
+    likely: IntArray
+
+    @property
+    def size(self) -> int:
+        """Coordinates."""
+        ...
+
+    def densities(self, z: FloatArray) -> FloatArray:
+        """Log densities of rows of points, (n, d) -> (n,)."""
+        ...
+
+
+class SpecimenTarget:
+    """Log posterior density of a specimen about the optimum of its law.
+
+    Parameters
+    ----------
+    identified : Identified
+    machine : bool
+        The machine is open.
+    """
+
+    def __init__(self, identified: Identified, *, machine: bool = True) -> None:
+        self.identified = identified
+        self.system, self.law = identified.system, identified.law
+        self.optimum, self.priors = identified.optimum, identified.request.priors
+        self.alone = len(self.system.logs) == 1
+        self.force = float(np.abs(self.system.force).max())
+        self._whiteners: dict[int, Whitener] = {}
+        self._ln_tau = np.linspace(*time_bounds(self.system), TAU_GRID)
+        path = self.system.path(self.system.travel)
+        states = relaxation_states(path, path.depth_mm / self.system.depth_mm, np.exp(self._ln_tau))
+        self._ln_state = np.log(np.maximum(np.abs(states).max(axis=1), 1e-12))
+        self._lay_out(machine)
+        self._whiten()
+
+    def _lay_out(self, machine: bool) -> None:
+        """Names, places and values at the optimum of the coordinates."""
+        found, scatter, effects = self.optimum, self.identified.scatter, self.system.effects
+        names = [f"ln_tau_{j + 1}" for j in range(self.law.times)]
+        names += [*MACHINE, *(f"linear_{k + 1}" for k in range(self.law.linear))]
+        values = list(found.point.shared)
+        self.n_shared = len(names)
+        self.places: dict[str, int] = {}
+
+        def add(name: str, value: float) -> None:
+            self.places[name] = len(names)
+            names.append(name)
+            values.append(value)
+
+        if self.alone and effects.contact:
+            add("contact", float(found.point.own[0, 0]))
+        add("ln_sigma", float(np.log(found.noise.sigma_N)))
+        if found.noise.memory.time_s > 0.0:
+            add("ln_memory", float(np.log(found.noise.memory.time_s)))
+        if effects.gain:
+            add("ln_gain_sd", float(np.log(scatter.gain)))
+        if effects.shape:
+            add("ln_shape_sd", float(np.log(scatter.shape)))
+        self.names, self.mode = tuple(names), np.array(values)
+        self.free = np.ones(len(names), dtype=bool)
+        if not machine:
+            self.free[self.law.times : self.law.times + len(MACHINE)] = False
+        self.open = machine
+        typical = np.concatenate(
+            [np.ones(self.law.times), np.full(len(MACHINE), 1e-3), np.full(self.law.linear, self.force)]
+        )
+        self._slack = -ROUNDING * (np.abs(found.prior.cone) @ typical)
+
+    @property
+    def size(self) -> int:
+        """Whitened coordinates."""
+        return int(self.free.sum())
+
+    @property
+    def samples(self) -> int:
+        """Observations that the scale of the noise is known from."""
+        more = 0 if self.optimum.noise.memory.time_s > 0.0 else self.system.within_freedom
+        return int(self.system.force.size + more)
+
+    def _amplitudes(self, log_times: FloatArray) -> FloatArray:
+        """Ln of each branch's largest state, against that at the optimum; (..., j)."""
+        then = np.interp(self.optimum.point.log_times, self._ln_tau, self._ln_state)
+        return np.asarray(np.interp(log_times, self._ln_tau, self._ln_state) - then)
+
+    def _about_contact(self, x: FloatArray) -> FloatArray:
+        """Shared coordinates with polynomials about the contact, (..., size) -> (..., shared)."""
+        out = np.array(x[..., : self.n_shared])
+        if "contact" not in self.places:
+            return out
+        at = self.places["contact"]
+        by = x[..., at] - self.mode[at]
+        first, size = self.law.times + len(MACHINE), self.law.degree + 1
+        a2, a3 = out[..., first + 1].copy(), out[..., first + 2]
+        out[..., first] += by * (2.0 * a2 + 3.0 * by * a3)
+        out[..., first + 1] += 3.0 * by * a3
+        for j in range(self.law.times):
+            k = first + STATIC_DEGREE + j * size
+            if size == 2:
+                out[..., k] += by * out[..., k + 1]
+            elif size == 3:
+                out[..., k] += by * (out[..., k + 1] + by * out[..., k + 2])
+                out[..., k + 1] += 2.0 * by * out[..., k + 2]
+        return out
+
+    def _unscaled(self, out: FloatArray) -> FloatArray:
+        """Stiffness of each branch without its largest state, in place."""
+        first, size = self.law.times + len(MACHINE) + STATIC_DEGREE, self.law.degree + 1
+        scale = np.exp(-self._amplitudes(out[..., : self.law.times]))
+        for j in range(self.law.times):
+            out[..., first + j * size : first + (j + 1) * size] *= scale[..., j : j + 1]
+        return out
+
+    def shared(self, x: FloatArray) -> FloatArray:
+        """Times, machine and linear parameters of the law at vectors, (..., size) -> (..., shared)."""
+        return self._unscaled(self._about_contact(x))
+
+    def vectors(self, z: FloatArray) -> FloatArray:
+        """Whitened points -> vectors, (..., d) -> (..., size)."""
+        x = np.broadcast_to(self.mode, (*z.shape[:-1], self.mode.size)).copy()
+        x[..., self.free] += z @ self.root.T
+        return x
+
+    def _bent(self) -> FloatArray:
+        """Derivative of the law's parameters by the vector, at the optimum."""
+        out, step = np.eye(len(self.mode)), 1e-5
+        moving = [*range(self.law.times), *([self.places["contact"]] if "contact" in self.places else [])]
+        for j in moving:
+            moved = self.mode.copy()
+            moved[j] += step
+            out[: self.n_shared, j] = (self.shared(moved) - self.mode[: self.n_shared]) / step
+        return out
+
+    def _curvature(self) -> tuple[FloatArray, FloatArray]:
+        """Hessian of the negative log density at the optimum, and the downhill gradient."""
+        normal, prior, s, n = self.optimum.normal, self.optimum.prior, self.n_shared, len(self.mode)
+        hessian, gradient = np.zeros((n, n)), np.zeros(n)
+        if self.alone:
+            off = prior.rows @ self.optimum.point.shared - prior.target
+            hessian[:s, :s] = normal.shared.T @ normal.shared + prior.rows.T @ prior.rows
+            gradient[:s] = normal.shared.T @ normal.residual - prior.rows.T @ off
+            if "contact" in self.places:
+                k = self.places["contact"]
+                hessian[k, :s] = hessian[:s, k] = normal.cross[0, 0]
+                hessian[k, k] = 1.0 / normal.own_inverse[0, 0, 0]
+                gradient[k] = normal.own_gradient[0, 0]
+        else:
+            hessian[:s, :s], gradient[:s] = normal.hessian, normal.gradient
+        self.bent = self._bent()
+        hessian, gradient = self.bent.T @ hessian @ self.bent, self.bent.T @ gradient
+        k = self.places["ln_sigma"]
+        hessian[k, k] = 2.0 * self.samples
+        for name in ("ln_memory", "ln_gain_sd", "ln_shape_sd"):
+            if name in self.places:
+                hessian[self.places[name], self.places[name]] = self._numeric_curvature(self.places[name])
+        return hessian, gradient
+
+    def _numeric_curvature(self, at: int) -> float:
+        """Second derivative of the negative log density by one coordinate, bounded."""
+        values = []
+        for by in (-STEP, 0.0, STEP):
+            x = self.mode.copy()
+            x[at] += by
+            values.append(self.density(x))
+        value = (2.0 * values[1] - values[0] - values[2]) / STEP**2
+        return float(
+            np.clip(value if np.isfinite(value) else LEAST_CURVATURE, LEAST_CURVATURE, MOST_CURVATURE)
+        )
+
+    def _whiten(self) -> None:
+        """Coordinates whitened about the optimum; walls and the centre of the normal in them."""
+        hessian, gradient = self._curvature()
+        self.precision = hessian[np.ix_(self.free, self.free)]
+        covariance = covariance_of(self.precision)
+        self.root = np.linalg.cholesky(covariance + 1e-14 * np.diag(np.diag(covariance)))
+        prior = self.optimum.prior
+        used = prior.least > -1e200
+        rows = np.zeros((int(used.sum()), len(self.mode)))
+        rows[:, : self.n_shared] = prior.cone[used]
+        self.rows = rows[:, self.free] @ self.root
+        self.walls = np.minimum(prior.least[used] - rows @ self.mode, 0.0)
+        self.centre = self.root.T @ gradient[self.free]
+        self.likely = self._likely(used)
+
+    def _likely(self, used: NDArray[np.bool_]) -> IntArray:
+        """Constraints that may be active together: ends and middle of each polynomial, bounds of the
+        machine."""
+        first, rows = 0, []
+        for powers in (STATIC_DEGREE, *[self.law.degree + 1] * self.law.branches):
+            size = len(passive_rows(powers))
+            rows += [first, first + size - 1] if powers > 1 else [first]
+            rows += [first + size // 2] if powers > 2 else []
+            first += size
+        rows += [len(used) - 2, len(used) - 1] if self.open else []
+        at = np.cumsum(used) - 1
+        return np.array([at[k] for k in rows if used[k]], dtype=np.int64)
+
+    def _white(self, x: FloatArray) -> Whitener:
+        at = self.places.get("ln_memory")
+        key = -(10**9) if at is None else int(np.clip(round(float(x[at]) / MEMORY_GRID), -1000, 1000))
+        if key not in self._whiteners:
+            memory = self.optimum.noise.memory
+            memory = Memory() if at is None else replace(memory, time_s=float(np.exp(key * MEMORY_GRID)))
+            self._whiteners[key] = whitener_of(self.system, memory)
+        return self._whiteners[key]
+
+    def _log_prior(self, x: FloatArray, shared: FloatArray) -> float:
+        """Of shared parameters, scale, memory and scatter; a branch's follows its largest state, as its
+        coordinates."""
+        prior, places = self.optimum.prior, self.places
+        off = prior.rows @ shared - prior.target
+        value, at = -0.5 * float(off @ off), places["ln_sigma"]
+        if abs(x[at]) > 60.0:
+            return -np.inf
+        if self.priors.sigma_N is not None:
+            stated = self.priors.sigma_N
+            value -= 0.5 * ((x[at] - math.log(stated.median)) / stated.sd_ln) ** 2
+        for name, scale in (("ln_gain_sd", self.priors.gain_sd), ("ln_shape_sd", SHAPE_SD)):
+            if name in places:
+                v = float(x[places[name]])
+                if not -14.0 < v < 10.0:
+                    return -np.inf
+                value += v - 0.5 * (math.exp(v) / scale) ** 2
+        if "contact" in places:
+            value -= 0.5 * float(prior.own[0, 0]) * float(x[places["contact"]]) ** 2
+        if "ln_memory" in places:
+            low, high = (
+                np.log(0.1 * self.system.obs_step.min()),
+                np.log(100.0 * np.ptp(self.system.mid) + 1e-300),
+            )
+            if not low < x[places["ln_memory"]] < high:
+                return -np.inf
+        return float(value)
+
+    def density(self, x: FloatArray) -> float:
+        """Log density of a vector up to a constant; minus infinity outside the passive set."""
+        shared, prior = self._about_contact(x), self.optimum.prior
+        if (prior.cone @ shared - prior.least < self._slack).any():
+            return -np.inf
+        value = self._log_prior(x, shared)
+        if not np.isfinite(value):
+            return -np.inf
+        own = self.optimum.point.own
+        if "contact" in self.places:
+            own = x[self.places["contact"]].reshape(1, 1)
+        point = self.optimum.point.moved(self._unscaled(shared), own)
+        white, ln_sigma = self._white(x), float(x[self.places["ln_sigma"]])
+        if self.alone or not self.system.effects.size:
+            left = white(self.system.force - self.system.predict(point)) * math.exp(-ln_sigma)
+        else:
+            force, columns = self.system.with_own(point)
+            both = white(np.column_stack([self.system.force - force, columns])) * math.exp(-ln_sigma)
+            left = both[:, 0]
+            value += self._integrated(x, both)
+        square = float(left @ left)
+        if "ln_memory" not in self.places:
+            square += self.system.within_N2 * math.exp(-2.0 * ln_sigma)
+        return value - 0.5 * square - self.samples * ln_sigma - 0.5 * white.log_det
+
+    def _integrated(self, x: FloatArray, both: FloatArray) -> float:
+        """What integrating the logs' own parameters adds to the log density."""
+        scatter = Scatter(
+            gain=math.exp(x[self.places["ln_gain_sd"]]) if "ln_gain_sd" in self.places else 1.0,
+            shape=math.exp(x[self.places["ln_shape_sd"]]) if "ln_shape_sd" in self.places else 1.0,
+        )
+        precision, rows = own_rows(self.system, scatter, self.force)
+        begins, columns = self.system.begins, both[:, 1:]
+        inner = np.add.reduceat(columns[:, :, None] * columns[:, None, :], begins, axis=0)
+        right = np.add.reduceat(columns * both[:, :1], begins, axis=0)
+        own = self.optimum.point.own
+        weight = np.einsum("ab,la,ac->lbc", rows, precision, rows)
+        pull = np.einsum("lab,lb->la", weight, own)
+        factor = np.linalg.cholesky(inner + weight)
+        half = np.linalg.solve(factor, (right - pull)[:, :, None])[:, :, 0]
+        value = 0.5 * float((half**2).sum()) - 0.5 * float((own * pull).sum())
+        value -= float(np.log(np.diagonal(factor, axis1=1, axis2=2)).sum())
+        return value + 0.5 * float(np.log(precision).sum())
+
+    def densities(self, z: FloatArray) -> FloatArray:
+        """Log densities of whitened points, (n, d) -> (n,)."""
+        return np.array([self.density(x) for x in self.vectors(z)])
+
+
+class NormalTarget:
+    """The generalised posterior about an optimum: normal with a given covariance, cut to the passive set.
+
+    Parameters
+    ----------
+    base : SpecimenTarget
+        Whose coordinates and walls are used; its root is replaced.
+    covariance : ndarray, shape (d, d)
+        Of its free coordinates.
+    """
+
+    def __init__(self, base: SpecimenTarget, covariance: FloatArray) -> None:
+        root = np.linalg.cholesky(covariance + 1e-14 * np.diag(np.diag(covariance)))
+        to_old = np.linalg.solve(base.root, root)
+        self.rows, self.walls, self.likely = base.rows @ to_old, base.walls, base.likely
+        # the unbounded minimum stays where it is
+        self.centre = np.linalg.solve(to_old, base.centre)
+        base.root = root
+
+    @property
+    def size(self) -> int:
+        """Whitened coordinates."""
+        return int(self.rows.shape[1])
+
+    def densities(self, z: FloatArray) -> FloatArray:
+        """Log densities of whitened points, (n, d) -> (n,)."""
+        value = -0.5 * ((z - self.centre) ** 2).sum(axis=1)
+        outside = ((z @ self.rows.T) < self.walls - 1e-9).any(axis=1)
+        return np.asarray(np.where(outside, -np.inf, value))

@@ -1,0 +1,231 @@
+"""The second pass over a log: residual summaries and the curve to be drawn, after which it is not needed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.flags import Flag
+from tissueid.inference.metrics import lag_one_correlation, nrmsd
+from tissueid.inference.window import FittedLog
+from tissueid.result import Curve, TrialFit
+from tissueid.trial import Segmentation, Trial
+
+__all__ = ["Adjustment", "ResidualTotals", "kept_samples", "summarise_trial"]
+
+FloatArray = NDArray[np.float64]
+
+#: Points a kept curve has at most: every sample of 100 s at 100 Hz, seven a pixel of a wide screen.  Of
+#: longer logs the extremes of every bin are kept, so peaks and corners stay.
+CURVE_POINTS = 10_000
+#: Of them, behind the corner of a hold, evenly in the logarithm of the time since.
+CORNER_POINTS = 32
+RESIDUAL_SHARE = 0.05
+CORRELATED = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Adjustment:
+    """How a log differs from its specimen's tissue.
+
+    Attributes
+    ----------
+    gain : float
+    contact_offset_mm : float
+        Against the contact point its depths are counted from.
+    contact_shift_mm : float
+        How far that contact point was moved since it was segmented.
+    """
+
+    gain: float = 1.0
+    contact_offset_mm: float = 0.0
+    contact_shift_mm: float = 0.0
+
+
+@dataclass(slots=True)
+class ResidualTotals:
+    """Running totals for the NRMSD over all fitted samples of a specimen."""
+
+    squares: float = 0.0
+    force: float = 0.0
+    count: int = 0
+    low: float = np.inf
+    high: float = -np.inf
+
+    def add(self, force: FloatArray, model: FloatArray) -> None:
+        """Count one trial in."""
+        self.squares += float(((force - model) ** 2).sum())
+        self.force += float(np.abs(force).sum())
+        self.count += force.size
+        self.low = min(self.low, float(force.min()))
+        self.high = max(self.high, float(force.max()))
+
+    def merge(self, other: ResidualTotals) -> None:
+        """Count the trials of other totals in."""
+        self.squares += other.squares
+        self.force += other.force
+        self.count += other.count
+        self.low = min(self.low, other.low)
+        self.high = max(self.high, other.high)
+
+
+def _after_corners(corners: Sequence[tuple[int, int]], most: int) -> set[int]:
+    """Samples at geometric distances behind each corner: relaxation is fastest there.
+
+    Parameters
+    ----------
+    corners : sequence of (int, int)
+        First sample of a hold, and the one after its last.
+    most : int
+        Points of the whole curve.
+    """
+    keep: set[int] = set()
+    for start, stop in corners[: most // (3 * CORNER_POINTS)]:
+        behind = np.geomspace(1.0, max(stop - start - 1, 1), CORNER_POINTS - 1).round().astype(np.int64)
+        keep |= {start, *(start + behind).tolist()}
+    return keep
+
+
+def kept_samples(
+    force: FloatArray,
+    depth: FloatArray,
+    corners: Sequence[tuple[int, int]] = (),
+    *,
+    most: int = CURVE_POINTS,
+) -> NDArray[np.int64]:
+    """Samples to keep: ends, the extremes of force and depth in every bin, and what follows the corners.
+
+    Parameters
+    ----------
+    force, depth : ndarray, shape (n,)
+    corners : sequence of (int, int), optional
+        First sample of each hold, and the one after its last.
+    most : int, optional
+        All are kept up to so many.
+
+    Returns
+    -------
+    ndarray of int
+        Ascending.
+    """
+    n = force.size
+    if n <= most:
+        return np.arange(n)
+    keep = {0, n - 1} | {i for i in _after_corners(corners, most) if 0 <= i < n}
+    edges = np.linspace(0, n, (most - len(keep)) // 4 + 1).astype(np.int64)
+    for first, last in pairwise(edges.tolist()):
+        keep |= {first, first + int(np.argmin(force[first:last])), first + int(np.argmax(force[first:last]))}
+        keep.add(first + int(np.argmax(depth[first:last])))
+    return np.array(sorted(keep))
+
+
+def _left_out(trial: Trial, segmentation: Segmentation, log: FittedLog) -> Flag | None:
+    """What of the recording took no part in the fit, and why."""
+    size = int(trial.time_s.size)
+    reach = log.first + log.data.time_s.size - int(log.inserted)
+    words: list[str] = []
+    if reach < size:
+        if any(event.kind == "rupture" and event.index < reach for event in segmentation.events):
+            since = "the first rupture"
+        elif segmentation.phases and reach >= segmentation.phases[-1].stop:
+            since = "the part that was asked for"
+        else:
+            since = "the tool first turned back"
+        words.append(f"{size - reach} of {size} samples after {since}")
+    cycles = sum(phase.kind == "cycle" for phase in segmentation.phases[: segmentation.test])
+    if cycles:
+        kept = log.first < segmentation.phases[segmentation.test].start
+        how = "their state is carried on" if kept else "the tool had let go"
+        words.append(f"{cycles} cycles before the test ({how})")
+    if not words:
+        return None
+    values = {"left_out": size - reach, "cycles": cycles, "n_samples": size}
+    return Flag("unloading_left_out", f"not fitted: {' and '.join(words)}", values)
+
+
+def _trial_flags(
+    trial: Trial, segmentation: Segmentation, log: FittedLog, *, share: float, acf: float
+) -> tuple[Flag, ...]:
+    """Remarks on one trial: of its reader, its segmenter and its residual."""
+    flags = [*trial.flags, *segmentation.flags]
+    left_out = _left_out(trial, segmentation, log)
+    flags += [left_out] if left_out is not None else []
+    if share > RESIDUAL_SHARE:
+        flags.append(
+            Flag(
+                "residual_large",
+                f"the largest residual is {100 * share:.1f} % of the force range",
+                {"max_residual_fraction": share},
+            )
+        )
+    if acf > CORRELATED:
+        flags.append(
+            Flag(
+                "residual_correlated",
+                f"neighbouring residuals are correlated ({acf:.2f})",
+                {"residual_acf1": acf},
+            )
+        )
+    return tuple(flags)
+
+
+def summarise_trial(
+    trial: Trial,
+    segmentation: Segmentation,
+    log: FittedLog,
+    *,
+    fitted: FloatArray,
+    adjustment: Adjustment,
+    totals: ResidualTotals,
+) -> TrialFit:
+    """Residuals of one trial under its specimen's model.
+
+    Parameters
+    ----------
+    trial, segmentation, log
+        The recording, its phases and its fitted part.
+    fitted : ndarray, shape (n,)
+        Force of the model along it [N].
+    adjustment : Adjustment
+    totals : ResidualTotals
+        Updated.
+
+    Returns
+    -------
+    TrialFit
+    """
+    data = log.data
+    include = data.include
+    force, predicted = data.force_N[include], fitted[include]
+    totals.add(force, predicted)
+    residual = force - predicted
+    spread = float(np.ptp(force))
+    share = float(np.abs(residual).max()) / spread if spread > 0.0 else 0.0
+    acf = lag_one_correlation(residual)
+    first = log.first - int(log.inserted)
+    corners = [(phase.start - first, phase.stop - first) for phase in segmentation.of_kind("hold")]
+    keep = kept_samples(data.force_N, data.depth_mm, corners)
+    return TrialFit(
+        path=trial.source.path,
+        sheet=trial.source.sheet,
+        nrmsd=nrmsd(force, predicted),
+        max_residual_fraction=share,
+        residual_acf1=acf,
+        gain=adjustment.gain,
+        contact_offset_mm=adjustment.contact_offset_mm + adjustment.contact_shift_mm,
+        speed_mm_s=max(log.speeds_mm_s),
+        depth_mm=log.depth_mm,
+        n_samples=int(include.sum()),
+        curve=Curve(
+            time_s=data.time_s[keep] - data.time_s[0],
+            depth_mm=(data.depth_mm if log.tool_mm is None else log.tool_mm)[keep],
+            force_N=data.force_N[keep],
+            model_N=fitted[keep],
+            fitted=include[keep],
+        ),
+        flags=_trial_flags(trial, segmentation, log, share=share, acf=acf),
+    )

@@ -1,0 +1,245 @@
+"""Flags of a fitted specimen: what its numbers can't carry, each with the number that says so.
+
+Only two rules make a parameter "not identified" (a profile interval wider than one in ln tau, or open
+at a bound; :mod:`tissueid.inference.profile`).  Everything here is a warning beside them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tissueid.flags import Flag
+from tissueid.inference.estimates import TissueEstimate
+from tissueid.inference.window import FittedLog
+from tissueid.result import Nrmsd, TrialFit
+from tissueid.uncertainty import NoiseFit
+
+__all__ = ["discrepancy_flags", "one_program", "specimen_flags"]
+
+#: Relaxation times below this are moved by unstated force filters and time skew [s].
+INSTRUMENT_TAU_S = 0.2
+CORRELATED = 0.5
+#: Ratio of speeds below which a set counts as one speed.
+ONE_SPEED = 1.2
+#: Symbols named in one sentence.
+LONGEST_LIST = 4
+#: Holds whose depths differ by less than this factor have one depth.
+ONE_DEPTH = 1.2
+
+
+def _listed(symbols: Sequence[str], of: int) -> str:
+    """``eta, tau (2 of 6)``: the first few of a list, and how many there are."""
+    shown = ", ".join(symbols[:LONGEST_LIST])
+    return f"{shown}{', ...' if len(symbols) > LONGEST_LIST else ''} ({len(symbols)} of {of} parameters)"
+
+
+def _relaxation_flags(tissue: TissueEstimate, facts: Sequence[FittedLog], sigma_N: float) -> list[Flag]:
+    flags = []
+    _, _, tau = tissue.model.split(tissue.theta)
+    h = min(log.step_s for log in facts)
+    for j, interval in enumerate(tissue.intervals):
+        value = float(tau[j])
+        if interval.open_low or interval.open_high:
+            side, end = ("shortest", interval.low) if interval.open_low else ("longest", interval.high)
+            flags.append(
+                Flag(
+                    "interval_open",
+                    f"interval of relaxation time {j + 1} meets {np.exp(end):.3g} s, the {side} seen here",
+                    {
+                        "branch": j + 1,
+                        "low_s": float(np.exp(interval.low)),
+                        "high_s": float(np.exp(interval.high)),
+                    },
+                )
+            )
+        if value < 2.0 * h:
+            flags.append(
+                Flag(
+                    "tau_below_resolution",
+                    f"relaxation time {j + 1} is {value:.3g} s, under two sampling intervals of {h:.3g} s",
+                    {"branch": j + 1, "tau_s": value, "step_s": h},
+                )
+            )
+        amplitude = 0.0
+        for log in facts:
+            length = max(log.speeds_mm_s) * value
+            depth = np.array([log.depth_mm])
+            state = length * -np.expm1(-log.depth_mm / length) if length > 0.0 else 0.0
+            amplitude = max(amplitude, float(tissue.model.stiffness(tissue.theta, depth)[j, 0]) * state)
+        need = 3.0 * sigma_N * float(np.sqrt(8.0 * h / value))
+        if amplitude < need:
+            flags.append(
+                Flag(
+                    "amplitude_small",
+                    f"relaxation {j + 1} moves {amplitude:.3g} N at most; to time it takes {need:.3g} N",
+                    {"branch": j + 1, "amplitude_N": amplitude, "needed_N": need},
+                )
+            )
+    if (tau < INSTRUMENT_TAU_S).any():
+        flags.append(
+            Flag(
+                "compliance_unknown",
+                f"{float(tau.min()):.3g} s may be a force filter's, a time skew's or the frame's: none is "
+                "stated",
+                {"tau_s": float(tau.min())},
+            )
+        )
+    return flags
+
+
+def one_program(facts: Sequence[FittedLog]) -> bool:
+    """Whether all ramps have one speed and all holds one depth: only their form tells F_s from K(x) then.
+
+    Parameters
+    ----------
+    facts : sequence of FittedLog
+        Their samples are not looked at.
+    """
+    held = [log.depth_mm for log in facts if log.has_hold]
+    steps = any(len(log.speeds_mm_s) > 1 for log in facts)
+    same_depth = not held or max(held) < ONE_DEPTH * min(held)
+    return _one_speed(facts) is not None and same_depth and not steps
+
+
+def _one_speed(facts: Sequence[FittedLog]) -> float | None:
+    """The one speed of all ramps [mm/s], ``None`` where there are several."""
+    speeds = [speed for log in facts for speed in log.speeds_mm_s if speed > 0.0]
+    return float(np.mean(speeds)) if speeds and max(speeds) < ONE_SPEED * min(speeds) else None
+
+
+def _form_flag(tissue: TissueEstimate, facts: Sequence[FittedLog]) -> list[Flag]:
+    model = tissue.model
+    if model.stiffness_degree == 0 or not one_program(facts):
+        return []
+    depth = model.depth_mm
+    stiffness = model.stiffness(tissue.theta, np.array([depth]))[:, 0]
+    viscosity = float(stiffness @ model.split(tissue.theta)[2])
+    return [
+        Flag(
+            "form_dependent",
+            f"one speed, one depth: short of {depth:.3g} mm polynomials alone part F_s from K",
+            {"depth_mm": depth, "viscosity_N_s_per_mm": viscosity},
+        )
+    ]
+
+
+def _optimum_flags(tissue: TissueEstimate, optimisers: dict[str, object]) -> list[Flag]:
+    """What the optimum itself says: bounds, uniqueness after contact loss, the second optimiser."""
+    flags: list[Flag] = []
+    if tissue.bounded:
+        flags.append(
+            Flag(
+                "bound_active",
+                f"F_s or K touches zero within {tissue.model.depth_mm:.3g} mm: the passivity bound",
+            )
+        )
+    if not tissue.model.contact_loss_is_unique(tissue.theta):
+        flags.append(
+            Flag(
+                "contact_loss_ambiguous",
+                f"fitted to {tissue.model.depth_mm:.3g} mm, the free surface has several positions after "
+                "contact loss",
+            )
+        )
+    if optimisers["agree"] is False:
+        flags.append(
+            Flag(
+                "optimisers_disagree",
+                f"two optimisers ended apart by {optimisers['relative_difference']:.2g} of the misfit; the "
+                "better was kept",
+                {"relative_difference": optimisers["relative_difference"]},
+            )
+        )
+    if not optimisers["lm_converged"] and not tissue.bounded:
+        count = len(tissue.parameters)
+        flags.append(Flag("not_converged", f"Levenberg-Marquardt did not converge on {count} parameters"))
+    return flags
+
+
+def discrepancy_flags(noise: NoiseFit, nrmsd: Nrmsd) -> list[Flag]:
+    """How much the model misses beside the noise of the recordings, where it misses more.
+
+    Parameters
+    ----------
+    noise : NoiseFit
+    nrmsd : Nrmsd
+    """
+    if not noise.discrepant:
+        return []
+    measured = noise.measured_N or 0.0
+    ratio = noise.sigma_N / measured if measured > 0.0 else None
+    times = "far above the" if ratio is None else f"{ratio:.2g} times the"
+    return [
+        Flag(
+            "discrepancy",
+            f"the model misses the force by {noise.sigma_N:.2g} N ({100.0 * nrmsd.range:.2g} % of its "
+            f"range), {times} noise",
+            {
+                "rms_N": noise.sigma_N,
+                "measured_N": measured,
+                "ratio": ratio,
+                "samples_per_independent": noise.samples_per_independent,
+            },
+        )
+    ]
+
+
+def specimen_flags(
+    tissue: TissueEstimate,
+    facts: Sequence[FittedLog],
+    trials: Sequence[TrialFit],
+    *,
+    sigma_N: float,
+    optimisers: dict[str, object],
+    noise: str | None = "white",
+) -> tuple[Flag, ...]:
+    """Flags of a specimen.
+
+    Parameters
+    ----------
+    tissue : TissueEstimate
+    facts : sequence of FittedLog
+        Their samples are not looked at.
+    trials : sequence of TrialFit
+    sigma_N : float
+        Noise standard deviation [N].
+    optimisers : dict
+        Outcome of Levenberg-Marquardt beside variable projection.
+    noise : str
+        Model of the noise that the intervals know; ``None`` where they know more than noise.
+    """
+    flags = []
+    missing = [one for one in tissue.parameters if not one.identified]
+    if missing:
+        symbols = _listed([one.symbol for one in missing], len(tissue.parameters))
+        values = {"names": [one.name for one in missing]}
+        flags.append(Flag("not_identified", f"these data do not determine {symbols}", values))
+    flags += _relaxation_flags(tissue, facts, sigma_N)
+    speed = _one_speed(facts)
+    if speed is not None and not any(log.has_hold for log in facts):
+        flags.append(
+            Flag(
+                "single_speed",
+                f"one speed, {speed:.3g} mm/s, and no hold: viscosity rests on the ramp's shape alone",
+                {"speed_mm_s": speed},
+            )
+        )
+    flags += _form_flag(tissue, facts)
+    flags += _optimum_flags(tissue, optimisers)
+    acf = float(np.median([trial.residual_acf1 for trial in trials]))
+    if acf > CORRELATED and noise is not None:
+        flags.append(
+            Flag(
+                "residual_correlated",
+                f"neighbouring residuals are correlated ({acf:.2f}): "
+                + (
+                    "standard errors for white noise are too small"
+                    if noise == "white"
+                    else "noise with memory, or a lacking model"
+                ),
+                {"residual_acf1": acf},
+            )
+        )
+    return tuple(flags)

@@ -1,0 +1,339 @@
+"""Which samples of a trial are fitted, in the contact frame.
+
+From contact to the end of the last ramp or hold before the tool first turns back, or to the first rupture:
+what follows is another specimen.  Preconditioning cycles before a test take no part; where tool and tissue
+stayed in contact the branch state is integrated through them, otherwise the test starts with its own contact
+point from a tissue that is taken as recovered (a state left over decays within a few relaxation times).
+
+Near a contact point that was estimated within the record, samples shallower than three of its standard
+deviations carry the error of the branch state's start and stay out of the likelihood (model.md 2b); the
+state is integrated through them.  A record that starts in contact starts at rest, and loses nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.measured.pushes import usable_until
+from tissueid.trial import Phase, Segmentation, Trial, contact_frame
+
+__all__ = [
+    "GUARD_SD",
+    "FittedLog",
+    "LogData",
+    "assign_folds",
+    "chain_breaks",
+    "first_turn",
+    "fitted_log",
+    "with_contact",
+    "with_holds_cut",
+]
+
+FloatArray = NDArray[np.float64]
+
+#: Contact standard deviations below contact that stay out of the likelihood.
+GUARD_SD = 3.0
+#: Fewest samples that are worth a fit.
+MIN_SAMPLES = 6
+#: Held-out groups of a specimen with one log, and stretches a phase is cut into for them.
+FOLDS = 6
+STRETCHES = 24
+UNLOADING = ("retract",)
+#: Steps whose median a step is compared with: the first step of a new rate sees five of its own nine.
+AROUND = 9
+#: A regular clock keeps its step to this factor (time stamps are printed with more digits than that) ...
+REGULAR = 1.0 + 1e-4
+#: ... but for this part of its steps, which are gaps and event rows.
+IRREGULAR_SHARE = 0.05
+#: Of any other clock a step is a gap that is so many medians long, an event row one as many times shorter.
+GAP = 10.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LogData:
+    """One log in the contact frame, from contact to the end of its fitted part.
+
+    Attributes
+    ----------
+    time_s, depth_mm, force_N : ndarray, shape (n,)
+        From contact on [s], depth [mm], compressive force [N].
+    include : ndarray of bool, shape (n,)
+        Samples that take part in the likelihood (the branch state runs through all of them).
+    fold : ndarray of int, shape (n,)
+        Held-out group of every sample; all zero where whole logs are held out.
+    breaks : ndarray of bool, shape (n,), or None
+        True where a sample starts a new chain of noise (:func:`chain_breaks`);
+        ``None`` is told from the time stamps when it is needed.
+    """
+
+    time_s: FloatArray
+    depth_mm: FloatArray
+    force_N: FloatArray
+    include: NDArray[np.bool_]
+    fold: NDArray[np.int64]
+    breaks: NDArray[np.bool_] | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedLog:
+    """The fitted part of a trial and what the fit needs to know about it.
+
+    Attributes
+    ----------
+    data : LogData
+    first : int
+        Trial sample of the first row of ``data`` that was recorded (a contact inserted between two
+        samples comes before it).
+    inserted : bool
+        True where ``data`` begins with a contact point between two samples.
+    contact_sd_mm : float
+    depth_mm : float
+        Largest fitted depth.
+    step_s : float
+        Median sampling interval [s].
+    speeds_mm_s : tuple of float
+        Loading speeds of its ramps.
+    has_hold : bool
+    n_samples : int
+        Samples that take part in the likelihood.
+    tool_mm : ndarray, shape (n,) or None
+        Depth of the tool where unloading is fitted: ``data.depth_mm`` is then that of the tissue's surface,
+        which a tool that lets go leaves behind.
+    """
+
+    data: LogData
+    first: int
+    inserted: bool
+    contact_sd_mm: float
+    depth_mm: float
+    step_s: float
+    speeds_mm_s: tuple[float, ...]
+    has_hold: bool
+    n_samples: int
+    tool_mm: FloatArray | None = None
+
+    def without_samples(self) -> FittedLog:
+        """The facts alone: the first and last sample stand for all."""
+        ends = np.array([0, -1])
+        data = self.data
+        kept = LogData(
+            data.time_s[ends], data.depth_mm[ends], data.force_N[ends], data.include[ends], data.fold[ends],
+            None if data.breaks is None else data.breaks[ends],
+        )  # fmt: skip
+        return replace(self, data=kept, tool_mm=None)
+
+    @property
+    def duration_s(self) -> float:
+        """From contact to the last fitted sample [s]."""
+        return float(self.data.time_s[-1] - self.data.time_s[0])
+
+
+def chain_breaks(time_s: FloatArray) -> NDArray[np.bool_]:
+    """Samples that start a new chain of noise.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (n,)
+        Non-decreasing [s].
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+        True for the first sample, after a gap, at and after an event row, and where a time is repeated.
+    """
+    breaks = np.zeros(time_s.size, dtype=np.bool_)
+    breaks[:1] = True
+    step = np.diff(time_s)
+    if step.size == 0 or 0.0 < float(step.max()) <= REGULAR * float(step.min()):
+        return breaks
+    # imported here because most clocks need no median, and a command that fits nothing never does
+    from scipy.ndimage import median_filter
+
+    median = median_filter(step, size=min(AROUND, step.size), mode="nearest")
+    broken = _beyond(step, median, REGULAR)
+    if broken.mean() > IRREGULAR_SHARE:
+        broken = _beyond(step, median, GAP)
+    breaks[1:] = broken | (step <= 0.0)
+    return breaks
+
+
+def _beyond(step: FloatArray, median: FloatArray, factor: float) -> NDArray[np.bool_]:
+    return np.asarray((step > factor * median) | (factor * step < median))
+
+
+def _first_phase(segmentation: Segmentation) -> int:
+    """The first sample that is in a phase."""
+    return segmentation.phases[0].start if segmentation.phases else 0
+
+
+def _first_of_test(segmentation: Segmentation) -> int:
+    """The first sample of the test proper; 0 without preconditioning, or where it broke the tissue."""
+    if not segmentation.test:
+        return 0
+    start = segmentation.phases[segmentation.test].start
+    return start if usable_until(segmentation, start + 1) > start else 0
+
+
+def first_turn(segmentation: Segmentation, depth: FloatArray, first: int) -> int:
+    """One past the last sample before the tool first turns back, or the tissue breaks."""
+    stop = usable_until(segmentation, depth.size)
+    begins = _first_of_test(segmentation)
+    last = first
+    for phase in segmentation.phases:
+        if phase.stop <= first + 1 or phase.stop <= begins + 1:
+            continue
+        if phase.kind == "cycle":
+            peak = phase.start + int(np.argmax(depth[phase.start : phase.stop]))
+            return min(max(last, peak + 1), stop)
+        if phase.kind in UNLOADING:
+            return min(max(last, phase.start + 1), stop)
+        last = phase.stop
+    return min(last, stop) if last > first else stop
+
+
+def fitted_log(
+    trial: Trial, segmentation: Segmentation, *, guard: bool = False, whole: bool = False
+) -> FittedLog | None:
+    """The fitted part of a trial, or ``None`` where there is nothing to fit.
+
+    Parameters
+    ----------
+    trial : Trial
+    segmentation : Segmentation
+    guard : bool
+        Leave the neighbourhood of contact out even where the record seems to start in contact: tool and
+        tissue may have met after its first sample, within the contact point's standard deviation.
+    whole : bool
+        To the end of the recording, unloading and all, and not to where the tool first turns back.
+    """
+    contact = segmentation.contact
+    if contact is None:
+        return None
+    depth, force = contact_frame(trial, segmentation)
+    first = contact.index
+    turn = first_turn(segmentation, depth, first)
+    last = max(usable_until(segmentation, depth.size), turn) if whole else turn
+    time = trial.time_s[first:last]
+    x = depth[first:last]
+    f = force[first:last]
+    begins = _first_of_test(segmentation)
+    include = np.arange(first, last) >= begins
+    inserted = False
+    if contact.in_record or guard:
+        include &= x >= GUARD_SD * contact.sd_mm
+    if contact.in_record and 0 < first < depth.size and depth[first] > 0.0 >= depth[first - 1]:
+        share = depth[first] / (depth[first] - depth[first - 1])
+        start = trial.time_s[first] - share * (trial.time_s[first] - trial.time_s[first - 1])
+        time = np.concatenate([[start], time])
+        x = np.concatenate([[0.0], x])
+        f = np.concatenate([[0.0], f])
+        include = np.concatenate([[False], include])
+        inserted = True
+    steps = np.diff(time[1:] if inserted else time)
+    positive = steps[steps > 0.0]
+    depth_mm = float(x[include].max(initial=0.0))
+    if include.sum() < MIN_SAMPLES or positive.size == 0 or depth_mm <= 0.0 or np.ptp(f[include]) == 0.0:
+        return None
+    inside = [
+        phase for phase in segmentation.phases if max(first, begins) < phase.stop and phase.start < last - 1
+    ]
+    speeds = tuple(phase.speed_mm_s for phase in inside if phase.kind == "ramp")
+    holds = [phase for phase in inside if phase.kind == "hold"]
+    data = LogData(
+        time_s=np.ascontiguousarray(time),
+        depth_mm=np.ascontiguousarray(x),
+        force_N=np.ascontiguousarray(f),
+        include=include,
+        fold=np.zeros(time.size, dtype=np.int64),
+        breaks=chain_breaks(time),
+    )
+    return FittedLog(
+        data=data,
+        first=first,
+        inserted=inserted,
+        contact_sd_mm=contact.sd_mm,
+        depth_mm=depth_mm,
+        step_s=float(np.median(positive)),
+        speeds_mm_s=speeds or (_mean_speed(time, x[: max(turn - first, 2)]),),
+        has_hold=bool(holds),
+        n_samples=int(include.sum()),
+    )
+
+
+def with_contact(trial: Trial, segmentation: Segmentation, *, shift_mm: float, sd_mm: float) -> Segmentation:
+    """The same segmentation with its contact point moved deeper by ``shift_mm``, known to ``sd_mm``.
+
+    The record counts as starting in contact only where that is so beyond :data:`GUARD_SD` standard
+    deviations; otherwise contact is where the depth last rises through zero before its largest value.
+    """
+    contact = segmentation.contact
+    if contact is None:
+        return segmentation
+    moved = replace(
+        contact,
+        displacement_mm=contact.displacement_mm + segmentation.compression_sign * shift_mm,
+        sd_mm=sd_mm,
+    )
+    depth, _ = contact_frame(trial, replace(segmentation, contact=moved))
+    turn = first_turn(segmentation, depth, contact.index)
+    # contact of a test after cycles lies within the test, that of a cut recording after the cut
+    begins = _first_of_test(segmentation)
+    low = max(begins if contact.index >= begins else 0, _first_phase(segmentation))
+    before = np.flatnonzero(depth[low : low + int(np.argmax(depth[low : max(turn, low + 1)]))] <= 0.0)
+    moved = replace(
+        moved,
+        index=low + int(before[-1]) + 1 if before.size else low,
+        in_record=bool(depth[low] < GUARD_SD * sd_mm),
+    )
+    return replace(segmentation, contact=moved)
+
+
+def with_holds_cut(log: FittedLog, holds: Sequence[Phase], share: float) -> FittedLog:
+    """The same log with samples after the first ``share`` of each hold left out of the likelihood."""
+    include = log.data.include.copy()
+    time = log.data.time_s
+    for hold in holds:
+        end = hold.start_s + share * (hold.end_s - hold.start_s)
+        include &= (time <= end) | (time > hold.end_s)
+    return replace(log, data=replace(log.data, include=include), n_samples=int(include.sum()))
+
+
+def _mean_speed(time_s: FloatArray, depth_mm: FloatArray) -> float:
+    peak = int(np.argmax(depth_mm))
+    span = float(time_s[peak] - time_s[0])
+    return float((depth_mm[peak] - depth_mm[0]) / span) if span > 0.0 else 0.0
+
+
+def assign_folds(log: FittedLog, holds: tuple[Phase, ...]) -> LogData:
+    """Divide the samples of a log into stretches.
+
+    A ramp is cut into stretches of equal depth, a hold into stretches of equal ln(time).
+
+    Parameters
+    ----------
+    log : FittedLog
+    holds : tuple of Phase
+
+    Returns
+    -------
+    LogData
+        The same samples with the number of their stretch in ``fold``.
+    """
+    data = log.data
+    travelled = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(data.depth_mm)))])
+    progress = travelled / max(travelled[-1], 1e-300)
+    offset = log.first - int(log.inserted)
+    for hold in holds:
+        start, stop = max(hold.start - offset, 0), min(hold.stop - offset, data.time_s.size)
+        if stop - start < 2:
+            continue
+        since = data.time_s[start:stop] - data.time_s[start]
+        fraction = np.log1p(since / log.step_s) / max(np.log1p(since[-1] / log.step_s), 1e-300)
+        progress[start:stop] += fraction
+        progress[stop:] += 1.0
+    stretch = np.floor(progress * STRETCHES * (1 - 1e-12) / max(float(progress[-1]), 1e-300)).astype(np.int64)
+    return replace(data, fold=np.clip(stretch, 0, STRETCHES - 1))

@@ -1,1 +1,0 @@
-"""From an optimum to a posterior: sampling, redrawing, calibration nuisances, comparison, checks."""
