@@ -115,7 +115,7 @@ def inspected(path: Path, columns: Mapping[str, str]) -> dict[str | None, dict[s
     """Documents of ``tissueid inspect --json`` for a file, by sheet; refused recordings are left out."""
     extra = ["--columns", ",".join(f"{key}={name}" for key, name in columns.items())] if columns else []
     ended = subprocess.run(
-        [sys.executable, "-m", "tissueid", "inspect", str(path), "--json", "--no-study", *extra],
+        [sys.executable, "-P", "-m", "tissueid", "inspect", str(path), "--json", "--no-study", *extra],
         check=False,
         capture_output=True,
         text=True,

@@ -21,6 +21,8 @@ __all__ = ["Cost", "cost_of", "speed"]
 IMPORTS = "import numpy, scipy.optimize, scipy.stats, pandas, lmfit, emcee, h5py, click"
 #: A synthetic log at 100 Hz.
 LOG = Path("datasets_synthetic") / "paper-a-hold-100Hz" / "hold-8-1.csv"
+#: The tissueid of this process (-P), not one in the working directory.
+FIT = ("-P", "-m", "tissueid", "fit")
 #: Exit codes of a fit that was finished.
 FINISHED = (0, 4, 7)
 REPEATS = 3
@@ -78,7 +80,7 @@ def cost_of(command: Sequence[str], environment: Mapping[str, str] | None = None
         wall = time.perf_counter() - start
         process.returncode = os.waitstatus_to_exitcode(status)
         errors.seek(0)
-        last = errors.read().decode(errors="replace").strip()[-400:]
+        last = errors.read().decode(errors="replace").strip().rpartition("\n")[2][-300:]
     peak = usage.ru_maxrss * RSS_UNIT / 1e6
     failed = "" if process.returncode in FINISHED else last
     return Cost(usage.ru_utime + usage.ru_stime, wall, peak, process.returncode, failed)
@@ -87,8 +89,8 @@ def cost_of(command: Sequence[str], environment: Mapping[str, str] | None = None
 def _fit(inputs: Sequence[str], environment: Mapping[str, str] | None = None) -> Cost:
     """Cost of one fit into an empty folder; decisions beside the recordings are left aside."""
     with tempfile.TemporaryDirectory() as folder:
-        command = ["-m", "tissueid", "fit", *inputs, "-o", str(Path(folder) / "out"), "--no-study", "-q"]
-        return cost_of(command, environment)
+        out = str(Path(folder) / "out")
+        return cost_of([*FIT, *inputs, "-o", out, "--no-study", "-q"], environment)
 
 
 def _sheets(data: Path, limit: int | None) -> list[dict[str, Any]]:

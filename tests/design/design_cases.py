@@ -18,12 +18,13 @@ from tissueid.design.machine import PRESETS, Machine, Setting
 from tissueid.design.plan import matched_wants, planned
 from tissueid.design.precision import Asked, Ledger, Protocol
 from tissueid.design.tissues import Tissues, Want, of_draws
+from tissueid.manifest import Study
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.priors import CALIBRATION_DEFAULTS, CalibrationPrior, Priors
 from tissueid.selfcheck.protocol import Centre, in_air_first
 from tissueid.selfcheck.protocol import Protocol as Recorded
 from tissueid.selfcheck.recording import ProtocolLog
-from tissueid.selfcheck.tissue import TissueCheck, tissue_check
+from tissueid.selfcheck.tissue import KNOWN_MACHINE, TissueCheck, tissue_check
 from tissueid.selfcheck.truth import Truth, Widths, numbers_of
 from tissueid.synth import recipe
 
@@ -137,16 +138,19 @@ def simulated_errors(case: Case, runs: int) -> dict[str, FloatArray]:
     true = case.numbers(case.tissues.theta)
     errors: dict[str, list[float]] = {name: [] for name in true}
     order = FitOptions(
-        branches=check.model.branches, stiffness_degree=check.model.stiffness_degree, noise=check.noise_model
+        branches=check.model.branches,
+        stiffness_degree=check.model.stiffness_degree,
+        static=check.pooling,
+        noise=check.noise_model,
     )
+    options = IdentifyOptions(fit=order, segment=check.segmentation)
+    study = Study("a machine that is known", calibration=KNOWN_MACHINE)
     for _ in range(runs):
         trials = check.trials(_truth(case, check, rng), rng)
         if case.asked.total:
             found = case.numbers(check.drawn(check.identified(trials, seed=int(rng.integers(2**31)))))
         else:
-            (fit,) = identify(
-                trials, options=IdentifyOptions(fit=order, segment=check.segmentation)
-            ).specimens
+            (fit,) = identify(trials, study=study, options=options).specimens
             found = case.numbers(fit.theta)
         for name, values in found.items():
             errors[name].append(float(values.mean() - true[name][0]))

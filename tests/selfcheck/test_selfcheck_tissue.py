@@ -13,6 +13,7 @@ from coverage_cases import CASES
 from identify_stand_ins import conjugate, conjugate_draws, of_draws, of_prior, stand_in
 
 from tissueid.flags import Flag
+from tissueid.model.frame import tangent_stiffness
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.result import Identification
 from tissueid.segment import SegmentOptions, segment
@@ -79,9 +80,16 @@ def test_identify_is_given_the_order_the_noise_and_the_very_priors(monkeypatch: 
     assert (fit.branches, fit.stiffness_degree, fit.static, fit.noise) == (1, 1, "partial", "white")
     assert posterior.draws >= 399
     assert given["study"].priors == check.priors
+    # nothing of the machine is asked: its frame gives a millionth of a mm under 1 N, all else is perfect
+    machine = given["study"].calibration
+    assert tangent_stiffness(machine.frame, 100.0) >= 1e6
+    assert (machine.values["skew_s"], machine.values["force_filter_s"]) == (0.0, 0.0)
+    trials = given["trials"]
+    check_of(defects=True)(np.random.default_rng(2))
+    assert (given["study"].calibration.values, given["study"].calibration.frame) == ({}, None)
     # one specimen, each log behind an approach in air in which its contact is found
-    assert {trial.specimen for trial in given["trials"]} == {"simulated"}
-    for trial in given["trials"]:
+    assert {trial.specimen for trial in trials} == {"simulated"}
+    for trial in trials:
         contact = segment(trial).contact
         assert contact is not None
         assert contact.in_record

@@ -1,5 +1,4 @@
-"""Values and their intervals: a value outside its own interval, or an interval that can't be had, is
-withheld."""
+"""Values and their intervals: what is not coherent is withheld."""
 
 from __future__ import annotations
 

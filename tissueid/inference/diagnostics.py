@@ -12,12 +12,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["WORST_R_HAT", "Diagnostics", "MonteCarloErrors", "diagnose", "monte_carlo_errors"]
+__all__ = ["WORST_R_HAT", "Diagnostics", "diagnose"]
 
 FloatArray = NDArray[np.float64]
 
@@ -57,23 +56,6 @@ class Diagnostics:
     r_hat: float
 
 
-@dataclass(frozen=True, slots=True)
-class MonteCarloErrors:
-    """Standard errors of estimates from the draws of one parameter, in its unit.
-
-    Attributes
-    ----------
-    mean, sd : float
-    q025, q975 : float
-        Of the 2.5 % and 97.5 % quantiles.
-    """
-
-    mean: float
-    sd: float
-    q025: float
-    q975: float
-
-
 def diagnose(draws: Mapping[str, FloatArray]) -> dict[str, Diagnostics]:
     """Effective sizes and R-hat of each parameter.
 
@@ -103,27 +85,6 @@ def diagnose(draws: Mapping[str, FloatArray]) -> dict[str, Diagnostics]:
     return found
 
 
-def monte_carlo_errors(draws: Mapping[str, FloatArray]) -> dict[str, MonteCarloErrors]:
-    """Standard errors of the mean, the standard deviation and the bounds of the 95 % interval.
-
-    Parameters, and what is raised, as of :func:`diagnose`.
-    """
-    array_stats = _array_stats()
-    errors = {}
-    for name, values in draws.items():
-        chains = _chains(name, values)
-        if np.ptp(chains) == 0.0:
-            errors[name] = MonteCarloErrors(0.0, 0.0, 0.0, 0.0)
-            continue
-        errors[name] = MonteCarloErrors(
-            mean=float(array_stats.mcse(chains, method="mean")),
-            sd=float(array_stats.mcse(chains, method="sd")),
-            q025=float(array_stats.mcse(chains, method="quantile", prob=0.025)),
-            q975=float(array_stats.mcse(chains, method="quantile", prob=0.975)),
-        )
-    return errors
-
-
 def _chains(name: str, values: FloatArray) -> FloatArray:
     array = np.asarray(values, dtype=np.float64)
     if array.ndim == 1 or array.shape[0] == 1:
@@ -138,19 +99,12 @@ def _chains(name: str, values: FloatArray) -> FloatArray:
     return array
 
 
-def _array_stats() -> Any:
-    from arviz_stats.base.array import array_stats
-
-    return array_stats
-
-
 def _halves(chains: FloatArray) -> FloatArray:
     half = chains.shape[1] // 2
     return np.concatenate([chains[:, :half], chains[:, -half:]])
 
 
 def _diagnose_one(halves: FloatArray, scores: FloatArray) -> Diagnostics:
-    array_stats = _array_stats()
     if np.ptp(halves) == 0.0:
         return Diagnostics(ess_bulk=float(halves.size), ess_tail=float(halves.size), r_hat=1.0)
     bulk = scores[_twice_ranks(halves)]
@@ -158,12 +112,20 @@ def _diagnose_one(halves: FloatArray, scores: FloatArray) -> Diagnostics:
     below = [(halves <= bound).astype(np.float64) for bound in np.quantile(halves, _TAIL)]
     # chains that never moved have no variance within: R-hat is infinite, or undefined where folded ones agree
     with np.errstate(divide="ignore", invalid="ignore"):
-        r_hat = np.nanmax([array_stats.rhat(scored, method="identity") for scored in (bulk, folded)])
+        r_hat = np.nanmax([_r_hat(scored) for scored in (bulk, folded)])
     return Diagnostics(
         ess_bulk=_effective_size(bulk),
         ess_tail=min(_effective_size(one) for one in below),
         r_hat=float(min(r_hat, WORST_R_HAT)),
     )
+
+
+def _r_hat(chains: FloatArray) -> float:
+    """Potential scale reduction of chains, shape (chains, draws)."""
+    n = chains.shape[1]
+    within = chains.var(axis=1, ddof=1).mean()
+    between = n * chains.mean(axis=1).var(ddof=1)
+    return float(np.sqrt((between / within + n - 1.0) / n))
 
 
 def _effective_size(chains: FloatArray) -> float:

@@ -174,8 +174,7 @@ def _branch_estimates(
 
 
 def theta_covariance(identified: Identified) -> FloatArray:
-    """Covariance of theta under white noise, machine held; rows of what active bounds hold are zero, (p,
-    p)."""
+    """Covariance of theta, machine held, (p, p); rows of what active bounds hold are zero."""
     optimum, law, t = identified.optimum, identified.law, identified.law.times
     shared = np.concatenate([np.arange(t), np.arange(t + 3, t + 3 + law.linear)])
     prior, normal = optimum.prior, optimum.normal
@@ -192,13 +191,13 @@ def theta_covariance(identified: Identified) -> FloatArray:
         np.linalg.pinv(inner / scale / scale[:, None], rcond=1e-14, hermitian=True) / scale / scale[:, None]
     )
     covariance = free @ inverse @ free.T
-    theta = law.theta(optimum.point.log_times, optimum.point.linear)[0]
+    theta = law.theta(optimum.point.log_times, optimum.point.linear, exact=True)[0]
     change = np.zeros((theta.size, len(shared)))
     for k in range(len(shared)):
         step = 1e-6 * max(abs(float(optimum.point.shared[shared[k]])), 1e-3)
         moved = optimum.point.shared.copy()
         moved[shared[k]] += step
-        change[:, k] = (law.theta(moved[:t], moved[t + 3 :])[0] - theta) / step
+        change[:, k] = (law.theta(moved[:t], moved[t + 3 :], exact=True)[0] - theta) / step
     return np.asarray(change @ covariance @ change.T)
 
 

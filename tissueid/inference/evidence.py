@@ -28,7 +28,7 @@ __all__ = ["LogEvidence", "NoiseVerdict", "log_evidence", "verdict_on_noise"]
 
 FloatArray = NDArray[np.float64]
 
-#: Part of a hold, from its end, that counts as quiet, and degrees of the polynomials taken off it and the air.
+#: Part of a hold, from its end, that counts as quiet; degrees of what is taken off it and off the air.
 LATE_SHARE, HOLD_DEGREE, AIR_DEGREE = 0.5, 3, 1
 #: Part of the air that may carry the kick of the start.
 KICK_SHARE = 0.1

@@ -1,5 +1,4 @@
-"""Laws as the engine sees them: linear columns along a path for given nonlinear parameters, and a passive
-cone.
+"""Laws as the engine sees them: linear columns along a path, and a passive cone.
 
 A law is a static law and channels, each a basis in depth times a relaxation kernel, inside or outside the
 convolution.  The engine asks for the columns whose weights are the linear parameters, and for the rows that
@@ -21,7 +20,7 @@ __all__ = ["KelvinVoigtLaw", "Law", "Path", "passive_rows", "relaxation_states"]
 
 FloatArray = NDArray[np.float64]
 
-#: Depths at which a polynomial has to be non-negative; it dips by less than 1e-4 of its curvature between them.
+#: Depths at which a polynomial has to be non-negative; it dips by 1e-4 of its curvature in between.
 PASSIVE_POINTS = 41
 #: Keeps states of a long hold out of denormal numbers.
 TINY = 1e-180
@@ -90,8 +89,7 @@ def passive_rows(powers: int) -> FloatArray:
 
 
 class Law(Protocol):
-    """What the engine asks of a law with given orders, in scaled units: depth over the largest depth, forces
-    in N."""
+    """A law with given orders in scaled units: depth over the largest depth, forces in N."""
 
     @property
     def times(self) -> int:
@@ -163,9 +161,34 @@ class KelvinVoigtLaw:
         """The contact model with these orders."""
         return KelvinVoigt(branches=self.branches, stiffness_degree=self.degree, depth_mm=self.depth_mm)
 
-    def theta(self, log_times: FloatArray, linear: FloatArray) -> FloatArray:
-        """Theta of the contact model [N, mm, s], of one point or of rows of points."""
+    def lifted(self, linear: FloatArray) -> FloatArray:
+        """Rows of linear parameters, each polynomial lifted by what its minimum on [0, 1] lacks of none."""
+        out, at = np.array(linear), 0
+        for powers in (STATIC_DEGREE, *[self.degree + 1] * self.branches):
+            block = out[:, at : at + powers]
+            least = np.minimum(block[:, 0], block.sum(axis=1))
+            if powers == 3:
+                with np.errstate(divide="ignore", invalid="ignore"):
+                    turn = -block[:, 1] / (2.0 * block[:, 2])
+                inside = (turn > 0.0) & (turn < 1.0)
+                turn = np.where(inside, turn, 0.0)
+                least = np.minimum(least, block[:, 0] + turn * (block[:, 1] + turn * block[:, 2]))
+            scale = np.abs(block).max(axis=1)
+            block[:, 0] += np.where(least < 0.0, -least + 1e-14 * scale, 0.0)
+            at += powers
+        return out
+
+    def theta(self, log_times: FloatArray, linear: FloatArray, *, exact: bool = False) -> FloatArray:
+        """Theta of the contact model [N, mm, s], of one point or of rows of points.
+
+        Parameters
+        ----------
+        log_times, linear : ndarray
+        exact : bool
+            Take linear parameters as they are, not lifted to the exact passive set.
+        """
         log_times, linear = np.atleast_2d(log_times), np.atleast_2d(linear)
+        linear = linear if exact else self.lifted(linear)
         static = linear[:, :STATIC_DEGREE] * self.depth_mm ** -np.arange(1.0, STATIC_DEGREE + 1)
         size = self.degree + 1
         stiffness = linear[:, STATIC_DEGREE:].reshape(len(linear), self.branches, size)

@@ -22,7 +22,7 @@ __all__ = ["both_optimisers"]
 
 FloatArray = NDArray[np.float64]
 
-#: Relative difference of the sums of squares, and of ln tau in standard errors, within which two optima agree.
+#: Relative difference of sums of squares, and of ln tau in standard errors, within which optima agree.
 AGREE_VALUE, AGREE_SD = 1e-6, 0.1
 #: ln tau starts at the nearest multiple of this, other parameters so far off, relatively.
 START_GRID, START_OFF = 0.5, 0.05

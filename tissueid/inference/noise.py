@@ -62,8 +62,10 @@ class Whitener:
 
 
 def _block_moments(r: FloatArray, n: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Of a block of n samples of an AR(1) of unit variance: weight of the state before it in its mean,
-    variance of the rest of the mean, covariance of that with the state after it, and decay of the state.
+    """Moments of a block of n samples of an AR(1) of unit variance.
+
+    Weight of the state before it in its mean, variance of the rest of the mean, covariance of that with the
+    state after it, and decay of the state.
     """
     decay = r**n
     rest = np.maximum(1.0 - r, 1e-15)

@@ -22,6 +22,8 @@ __all__ = ["Noise", "Normal", "Optimum", "minimise", "nearest_in_cone", "normal_
 
 FloatArray = NDArray[np.float64]
 
+#: Noise without memory.
+WHITE = Memory()
 #: Steps at the most, and the largest change in standard errors that counts as none.
 MOST_STEPS, STILL = 40, 0.01
 #: Damping: where it starts, how it changes, and where it gives up.
@@ -43,7 +45,7 @@ class Noise:
     """
 
     sigma_N: float
-    memory: Memory = Memory()
+    memory: Memory = WHITE
 
 
 def whitener_of(system: System, memory: Memory) -> Whitener:
@@ -164,8 +166,7 @@ def normal_equations(
 
 
 def covariance_of(hessian: FloatArray) -> FloatArray:
-    """Inverse of a Hessian, scaled before it is inverted; directions without curvature get the largest
-    variance."""
+    """Inverse of a Hessian; directions without curvature get the largest variance there is."""
     hessian = hessian + FLAT * np.eye(len(hessian))
     scale = np.sqrt(np.diag(hessian))
     values, vectors = np.linalg.eigh(hessian / scale / scale[:, None])
@@ -235,7 +236,7 @@ def minimise(
     point: Point,
     prior_at: Callable[[Point], PriorRows],
     *,
-    memory: Memory = Memory(),
+    memory: Memory = WHITE,
     sigma_N: float | None = None,
     machine: bool,
     least_sigma_N: float = 0.0,

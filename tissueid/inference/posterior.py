@@ -222,7 +222,7 @@ def with_posterior(
         tick("the tissue's centre")
         draws = _draws(target, sampled, priors, options.seed)
         centred = _centred(fitted, target, draws)
-        return _assembled(centred, target, sampled, draws, priors, options, instrument=instrument)
+        return _assembled(centred, target, sampled, draws, instrument=instrument)
 
 
 def _centred(fitted: FittedSpecimen, target: SpecimenTarget, draws: Draws) -> FittedSpecimen:
@@ -283,8 +283,6 @@ def _assembled(
     target: SpecimenTarget,
     sampled: Sampled,
     draws: Draws,
-    priors: Priors,
-    options: PosteriorOptions,
     *,
     instrument: bool,
 ) -> SpecimenFit:
@@ -347,14 +345,14 @@ STANDARD_ERRORS, NEGLIGIBLE = 1.0, 0.002
 
 def _rows_of_choice(fit: SpecimenFit) -> tuple[ComparisonRow, ...]:
     """The candidates as the choice by held-out data saw them."""
-    rows = []
+    rows, pooling = [], fit.model.static_pooling
     for row in fit.selection:
         score, scatter = float(row["score"]), float(row["stderr"])
         close = -score <= max(STANDARD_ERRORS * scatter, NEGLIGIBLE)
         branches, degree = int(row["branches"]), int(row["stiffness_degree"])
         rows.append(
             ComparisonRow(
-                model=f"{branches} branch{'es' * (branches > 1)}, K of degree {degree}, {fit.model.static_pooling} static",
+                model=f"{branches} branch{'es' * (branches > 1)}, K of degree {degree}, {pooling} static",
                 log_evidence=None,
                 log_evidence_se=None,
                 elpd_log=score,

@@ -89,8 +89,7 @@ class PriorRows:
 def _linear_rows(
     law: KelvinVoigtLaw, largest: FloatArray, force: float, priors: Priors
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Rows of the linear parameters, their targets, and how their normalisation follows the largest
-    states."""
+    """Rows of the linear parameters, their targets, and ln of how they follow the largest states."""
     rows = np.zeros((law.linear, law.linear))
     rows[:STATIC_DEGREE, :STATIC_DEGREE] = bernstein(STATIC_DEGREE) / (WEAK_FACTOR * force)
     size, log_det = law.degree + 1, 0.0

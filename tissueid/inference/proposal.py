@@ -43,6 +43,10 @@ class CutNormal:
     width: float
     pool: FloatArray
 
+    def draw(self, count: int, rng: np.random.Generator) -> FloatArray:
+        """Draws of the pool, shape (count, d)."""
+        return self.pool[rng.integers(len(self.pool), size=count)]
+
     def log_density(self, z: FloatArray) -> FloatArray:
         """Up to a constant, within the polytope; (n, d) -> (n,)."""
         return np.asarray(-0.5 * ((z - self.centre) ** 2).sum(axis=-1) / self.width**2)

@@ -117,9 +117,7 @@ def _corner_columns(
     return np.column_stack(columns) if columns else np.zeros((time.size, 0))
 
 
-def _own_columns(
-    model: KelvinVoigt, theta: FloatArray, log: FittedLog, adjustment: Adjustment, fitted: FloatArray
-) -> FloatArray:
+def _own_columns(model: KelvinVoigt, theta: FloatArray, log: FittedLog, fitted: FloatArray) -> FloatArray:
     """Derivatives of one log's force by its own parameters, shape (n, q)."""
     x = log.data.depth_mm
     step = DEPTH_STEP * model.depth_mm
@@ -175,7 +173,7 @@ def residual_blocks(
         own=means(
             np.concatenate(
                 [
-                    _own_columns(model, theta, log, adjustment, fitted),
+                    _own_columns(model, theta, log, fitted),
                     _corner_columns(model, theta, log, segmentation),
                 ],
                 axis=1,

@@ -10,30 +10,30 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import emcee
 import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.inference.checkpoint import Checkpoint
-from tissueid.inference.proposal import CutNormal, cut_normal
+from tissueid.inference.mixture import learn_mixture
+from tissueid.inference.proposal import cut_normal
+from tissueid.inference.psis import Weighed, smoothed
 from tissueid.inference.target import Target
 
 __all__ = ["Sampled", "sample"]
 
 FloatArray = NDArray[np.float64]
 
-#: Walkers over coordinates, and the fewest.
-WALKERS_EACH, FEWEST_WALKERS = 2, 32
-#: Steps between looks, and the most.
-LOOK, MOST_STEPS = 25, 4_000
-#: Autocorrelation times that a chain must be long, and that are thrown away at its start.
-LONG_ENOUGH, BURN_IN = 20.0, 4.0
-#: Shares of the moves.
-MOVES = (0.7, 0.18, 0.12)
-#: Seconds between checkpoints.
-EVERY_S = 2.0
+#: Walkers, and steps of each from where importance sampling put it.
+WALKERS, STEPS = 128, 30
+#: Points of importance sampling in one look, and looks at the most.
+LOOK, MOST_LOOKS = 1_000, 10
+#: Share of the effective draws asked for, and the Pareto shape, with which a posterior counts as sampled.
+ENOUGH, PARETO = 0.1, 0.75
+#: Shares of the moves: independent proposals, differential evolution, stretches.
+MOVES = (0.6, 0.25, 0.15)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,12 +57,24 @@ class Sampled:
     detail: dict[str, Any] = field(default_factory=dict)
 
 
-def _independence(cut: CutNormal, rng: np.random.Generator) -> emcee.moves.MHMove:
-    """Proposals from the pool, whatever the walker's place."""
+class Proposal(Protocol):
+    """A density to draw from."""
+
+    def draw(self, count: int, rng: np.random.Generator) -> FloatArray:
+        """Draws, shape (count, d)."""
+        ...
+
+    def log_density(self, z: FloatArray) -> FloatArray:
+        """Up to a constant, (n, d) -> (n,)."""
+        ...
+
+
+def _independence(proposal: Proposal, rng: np.random.Generator) -> emcee.moves.MHMove:
+    """Proposals whatever the walker's place."""
 
     def propose(coordinates: FloatArray, _: Any) -> tuple[FloatArray, FloatArray]:
-        new = cut.pool[rng.integers(len(cut.pool), size=len(coordinates))]
-        return new, cut.log_density(coordinates) - cut.log_density(new)
+        new = proposal.draw(len(coordinates), rng)
+        return new, proposal.log_density(coordinates) - proposal.log_density(new)
 
     return emcee.moves.MHMove(propose)
 
@@ -95,87 +107,62 @@ def sample(
     d = target.size
     rng = np.random.default_rng([seed, 7])
     cut = cut_normal(target.centre, target.rows, target.walls, target.likely, rng)
-    walkers = max(FEWEST_WALKERS, 2 * ((WALKERS_EACH * d + 2) // 2))
+    kept = Checkpoint(checkpoint, key)
+    proposal: Proposal = cut
+    if not target.is_normal:
+        proposal = learn_mixture(target, cut, rng)[0]
+    points, weighed = _weighed(target, proposal, draws, rng, kept, progress)
+    if weighed.worth < WALKERS / 8.0:
+        msg = f"importance sampling is worth {weighed.worth:.0f} draws"
+        raise ArithmeticError(msg)
+    start = points[rng.choice(len(points), WALKERS, p=weighed.weights)]
+    start = start + 1e-9 * rng.standard_normal(start.shape)
+    outside = ~np.isfinite(target.densities(start))
+    start[outside] = points[int(np.argmax(weighed.weights))]
     moves = [
-        (_independence(cut, rng), MOVES[0]),
+        (_independence(proposal, rng), MOVES[0]),
         (emcee.moves.DEMove(), MOVES[1]),
         (emcee.moves.StretchMove(), MOVES[2]),
     ]
-
-    sampler = emcee.EnsembleSampler(walkers, d, target.densities, moves=moves, vectorize=True)
-    first = cut.pool[: 4 * walkers]
-    inside = np.isfinite(target.densities(first))
-    if inside.sum() < walkers // 2:
-        msg = "too few points near the optimum are passive tissue"
-        raise ArithmeticError(msg)
-    start = first[rng.choice(np.flatnonzero(inside), walkers, replace=inside.sum() < walkers)]
-    start = start + 1e-9 * rng.standard_normal(start.shape)
-    start[~np.isfinite(target.densities(start))] = first[np.flatnonzero(inside)[0]]
-    kept = Checkpoint(checkpoint, key)
-    state, chain, levels = kept.resume(sampler, start, rng, seed)
-    return _walk(sampler, state, chain, levels, draws, kept, rng, progress, began)
-
-
-def _walk(
-    sampler: Any,
-    state: Any,
-    chain: list[FloatArray],
-    levels: list[FloatArray],
-    draws: int,
-    kept: Checkpoint,
-    rng: np.random.Generator,
-    progress: Callable[[int, float], None] | None,
-    began: float,
-) -> Sampled:
-    """Steps until enough effective draws are there."""
-    last = time.perf_counter()
-    walkers = sampler.nwalkers
-    time_int, effective, accepted = np.inf, 0.0, []
-    while True:
-        steps = sum(len(one) for one in chain)
-        if steps:
-            whole = np.concatenate(chain)
-            time_int = autocorrelation_time(whole)
-            burn = int(min(BURN_IN * time_int + 5, steps // 3))
-            effective = (steps - burn) * walkers / time_int
-            if progress is not None:
-                progress(steps, min(effective / draws, 1.0))
-            if (effective >= draws and steps - burn >= LONG_ENOUGH * time_int) or steps >= MOST_STEPS:
-                break
-        sampler.reset()
-        state = sampler.run_mcmc(state, LOOK, store=True, skip_initial_state_check=True)
-        chain.append(sampler.get_chain().copy())
-        levels.append(sampler.get_log_prob().copy())
-        accepted.append(float(np.mean(sampler.acceptance_fraction)))
-        if time.perf_counter() - last > EVERY_S:
-            kept.write(state, chain, levels, rng)
-            last = time.perf_counter()
-    whole, level = np.concatenate(chain), np.concatenate(levels)
-    burn = int(min(BURN_IN * time_int + 5, len(whole) // 3))
-    converged = bool(effective >= draws)
+    sampler = emcee.EnsembleSampler(WALKERS, d, target.densities, moves=moves, vectorize=True)
+    state = emcee.State(start, random_state=np.random.RandomState(seed & 0xFFFFFFFF).get_state())
+    sampler.run_mcmc(state, STEPS, skip_initial_state_check=True)
+    converged = bool(weighed.worth >= ENOUGH * draws and weighed.pareto <= PARETO)
     detail: dict[str, Any] = {
-        "steps": len(whole),
-        "burn_in": burn,
-        "walkers": walkers,
-        "autocorrelation_time": float(time_int),
-        "effective_draws": float(effective),
+        "steps": STEPS,
+        "walkers": WALKERS,
+        "effective_draws": weighed.worth,
+        "pareto_k": weighed.pareto,
+        "proposals": len(points),
         "wall_s": time.perf_counter() - began,
     }
     if not converged:
-        detail["reason"] = f"{effective:.0f} of {draws} effective draws after {len(whole)} steps"
-    acceptance = float(np.mean(accepted)) if accepted else 0.0
-    return Sampled(np.swapaxes(whole[burn:], 0, 1), level[burn:].T, converged, acceptance, detail)
+        detail["reason"] = f"{weighed.worth:.0f} of {draws} effective draws, Pareto k {weighed.pareto:.2f}"
+    acceptance = float(np.mean(sampler.acceptance_fraction))
+    chain = np.swapaxes(sampler.get_chain(), 0, 1)
+    return Sampled(chain, sampler.get_log_prob().T, converged, acceptance, detail)
 
 
-def autocorrelation_time(chain: FloatArray) -> float:
-    """Longest integrated autocorrelation time of the coordinates of walkers, shape (steps, walkers, d)."""
-    steps = chain.shape[0]
-    centred = chain - chain.mean(axis=(0, 1))
-    size = 2 * int(2 ** np.ceil(np.log2(max(steps, 2))))
-    spectrum = np.fft.rfft(centred, n=size, axis=0)
-    cov = np.fft.irfft(np.abs(spectrum) ** 2, n=size, axis=0)[:steps].mean(axis=1)
-    rho = cov / np.maximum(cov[0], 1e-300)
-    times = 2.0 * np.cumsum(rho, axis=0) - 1.0
-    window = np.arange(steps)[:, None] >= 5.0 * times
-    at = np.where(window.any(axis=0), window.argmax(axis=0), steps - 1)
-    return float(np.maximum(times[at, np.arange(times.shape[1])], 1.0).max())
+def _weighed(
+    target: Target,
+    proposal: Proposal,
+    draws: int,
+    rng: np.random.Generator,
+    kept: Checkpoint,
+    progress: Callable[[int, float], None] | None,
+) -> tuple[FloatArray, Weighed]:
+    """Importance sampling until it is worth what was asked for."""
+    points, log_weight = kept.resume(rng, target.size)
+    found = Weighed(np.zeros(0), 0.0, np.inf)
+    for _ in range(MOST_LOOKS):
+        if len(points):
+            found = smoothed(log_weight)
+            if progress is not None:
+                progress(len(points), min(found.worth / draws, 1.0))
+            if found.worth >= draws:
+                break
+        new = proposal.draw(LOOK, rng)
+        points = np.vstack([points, new])
+        log_weight = np.append(log_weight, target.densities(new) - proposal.log_density(new))
+        kept.write(rng, points, log_weight)
+    return points, smoothed(log_weight)

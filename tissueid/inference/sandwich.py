@@ -1,5 +1,4 @@
-"""Covariance where a law misses more than the noise: the clustered sandwich, in the coordinates of the
-posterior.
+"""Covariance where a law misses more than the noise: the clustered sandwich.
 
 Scores of clusters at the optimum say how much the misfit moves each direction (Mueller 2013, doi
 10.3982/ECTA9097).  Clusters are logs where there are four or more, otherwise stretches of each log: fractions

@@ -223,7 +223,9 @@ class System:
         shape = own[self.point_log, k:] if effects.shape else None
         return gain, contact, shape
 
-    def tip_force(self, point: Point, shift: float = 0.0) -> tuple[FloatArray, FloatArray]:
+    def tip_force(
+        self, point: Point, shift: float = 0.0, rounds: int = FRAME_ROUNDS
+    ) -> tuple[FloatArray, FloatArray]:
         """Force at the tip at all points, and the columns it is made of (without the log's own).
 
         Parameters
@@ -231,12 +233,14 @@ class System:
         point : Point
         shift : float
             Added to every depth (over the largest depth), for derivatives by the contact.
+        rounds : int
+            Iterations of the frame's deflection beyond the first.
         """
         gain, contact, shape = self._own(point)
         compliance = point.machine[0] / self.depth_mm
         depth = self.travel - contact + shift
         stiff = compliance == 0.0 and self.give is None
-        rounds = 0 if stiff else FRAME_ROUNDS
+        rounds = 0 if stiff else rounds
         force = self.guess
         for left in range(rounds, -1, -1):
             behind = depth
@@ -259,18 +263,27 @@ class System:
         force, _ = self.tip_force(point)
         return self.means(self.recorded(force, point.machine))
 
-    def with_own(self, point: Point) -> tuple[FloatArray, FloatArray]:
-        """Forces of the observations, and their derivatives by each log's own parameters: (k,) and (k, q)."""
-        base, columns = self.tip_force(point)
-        parts = [base]
-        if self.effects.gain or self.effects.contact:
-            by_depth = (self.tip_force(point, STEP_DEPTH)[0] - base) / STEP_DEPTH
-            give = 1.0 / (1.0 + point.machine[0] / self.depth_mm * by_depth)
-            parts += [give * base] if self.effects.gain else []
-            parts += [-by_depth] if self.effects.contact else []
-            parts += list((give[:, None] * columns[:, :STATIC_DEGREE]).T) if self.effects.shape else []
+    def near(self, point: Point, by_contact: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
+        """Forces near the point whose force the frame's deflection is iterated from, and own derivatives.
+
+        Parameters
+        ----------
+        point : Point
+        by_contact : ndarray, shape (k,), optional
+            Derivative of the observations by the logs' contacts, taken there once.
+
+        Returns
+        -------
+        ndarray, shape (k,) and (k, q)
+        """
+        base, columns = self.tip_force(point, rounds=0)
+        if by_contact is None:
+            return self.means(self.recorded(base, point.machine)), np.zeros((self.force.size, 0))
+        parts = [base, *(columns[:, :STATIC_DEGREE].T if self.effects.shape else [])]
         found = self.means(self.recorded(np.column_stack(parts), point.machine))
-        return found[:, 0], found[:, 1:]
+        own = [found[:, :1]] if self.effects.gain else []
+        own += [by_contact[:, None]] if self.effects.contact else []
+        return found[:, 0], np.hstack([*own, found[:, 1:]])
 
     def derivatives(self, point: Point, *, machine: bool, follow: bool = False) -> Derivatives:
         """Forces with their derivatives.

@@ -51,6 +51,11 @@ class Target(Protocol):
     likely: IntArray
 
     @property
+    def is_normal(self) -> bool:
+        """True where it is that normal within the walls."""
+        ...
+
+    @property
     def size(self) -> int:
         """Coordinates."""
         ...
@@ -81,6 +86,10 @@ class SpecimenTarget:
         path = self.system.path(self.system.travel)
         states = relaxation_states(path, path.depth_mm / self.system.depth_mm, np.exp(self._ln_tau))
         self._ln_state = np.log(np.maximum(np.abs(states).max(axis=1), 1e-12))
+        self._by_contact = np.zeros(self.system.force.size)
+        if self.system.effects.contact:
+            parts = self.system.derivatives(self.optimum.point, machine=False, follow=True)
+            self._by_contact = parts.own[:, int(self.system.effects.gain)]
         self._lay_out(machine)
         self._whiten()
 
@@ -116,6 +125,11 @@ class SpecimenTarget:
             [np.ones(self.law.times), np.full(len(MACHINE), 1e-3), np.full(self.law.linear, self.force)]
         )
         self._slack = -ROUNDING * (np.abs(found.prior.cone) @ typical)
+
+    @property
+    def is_normal(self) -> bool:
+        """Its tails and bends are its own."""
+        return False
 
     @property
     def size(self) -> int:
@@ -233,8 +247,7 @@ class SpecimenTarget:
         self.likely = self._likely(used)
 
     def _likely(self, used: NDArray[np.bool_]) -> IntArray:
-        """Constraints that may be active together: ends and middle of each polynomial, bounds of the
-        machine."""
+        """Constraints that may be active: ends and middle of polynomials, bounds of the machine."""
         first, rows = 0, []
         for powers in (STATIC_DEGREE, *[self.law.degree + 1] * self.law.branches):
             size = len(passive_rows(powers))
@@ -255,8 +268,7 @@ class SpecimenTarget:
         return self._whiteners[key]
 
     def _log_prior(self, x: FloatArray, shared: FloatArray) -> float:
-        """Of shared parameters, scale, memory and scatter; a branch's follows its largest state, as its
-        coordinates."""
+        """Of shared parameters, scale, memory and scatter."""
         prior, places = self.optimum.prior, self.places
         off = prior.rows @ shared - prior.target
         value, at = -0.5 * float(off @ off), places["ln_sigma"]
@@ -296,9 +308,9 @@ class SpecimenTarget:
         point = self.optimum.point.moved(self._unscaled(shared), own)
         white, ln_sigma = self._white(x), float(x[self.places["ln_sigma"]])
         if self.alone or not self.system.effects.size:
-            left = white(self.system.force - self.system.predict(point)) * math.exp(-ln_sigma)
+            left = white(self.system.force - self.system.near(point)[0]) * math.exp(-ln_sigma)
         else:
-            force, columns = self.system.with_own(point)
+            force, columns = self.system.near(point, self._by_contact)
             both = white(np.column_stack([self.system.force - force, columns])) * math.exp(-ln_sigma)
             left = both[:, 0]
             value += self._integrated(x, both)
@@ -349,6 +361,11 @@ class NormalTarget:
         # the unbounded minimum stays where it is
         self.centre = np.linalg.solve(to_old, base.centre)
         base.root = root
+
+    @property
+    def is_normal(self) -> bool:
+        """Only the walls make it another than the normal."""
+        return True
 
     @property
     def size(self) -> int:

@@ -132,9 +132,11 @@ def tip_handles(
         for _ in range(ROUNDS):
             first = starting_points(system, SMOOTHING_BRANCHES, SMOOTHING_DEGREE, start, white)[0]
             found = minimise(
-                system, first, lambda point: prior_rows(system, law, point, Scatter(), Priors(), machine=False),
+                system,
+                first,
+                lambda point: prior_rows(system, law, point, Scatter(), Priors(), machine=False),
                 machine=False,
-            )  # fmt: skip
+            )
             system.guess = system.tip_force(found.point)[0]
         assert found is not None  # noqa: S101 -- there was a round
         return [

@@ -1,0 +1,161 @@
+"""A mixture of Student's t that learns a density: adaptive multiple importance sampling.
+
+Draws of all rounds are weighted by the density over the mixture of their proposals (Cornuet et al. 2012,
+doi 10.1111/j.1467-9469.2011.00756.x); weights are tempered while few draws would carry them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammaln, logsumexp
+
+from tissueid.inference.proposal import CutNormal
+from tissueid.inference.target import Target
+
+__all__ = ["Mixture", "learn_mixture"]
+
+FloatArray = NDArray[np.float64]
+
+#: Components, degrees of freedom, and width of a component over the spread of the draws it stands for.
+COMPONENTS, TAILS, WIDER = 6, 6.0, 1.2
+#: Draws of a round, rounds at the most, and the share of them that makes the mixture good enough.
+ROUND, ROUNDS, GOOD = 300, 12, 0.4
+#: Effective draws that a fit of the mixture needs, for each coordinate, and steps of that fit.
+EACH, EM_STEPS = 8.0, 12
+#: Rounds of proposals that the weights remember.
+REMEMBERED = 6
+#: Share of a draw's spread that every component has at least.
+RIDGE = 1e-4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mixture:
+    """Student's t components.
+
+    Attributes
+    ----------
+    weights : ndarray, shape (c,)
+    means : ndarray, shape (c, d)
+    roots : ndarray, shape (c, d, d)
+        Of the scale matrices.
+    """
+
+    weights: FloatArray
+    means: FloatArray
+    roots: FloatArray
+
+    def draw(self, count: int, rng: np.random.Generator) -> FloatArray:
+        """Draws, shape (count, d)."""
+        which = rng.choice(len(self.weights), size=count, p=self.weights)
+        normal = rng.standard_normal((count, self.means.shape[1]))
+        normal /= np.sqrt(rng.chisquare(TAILS, (count, 1)) / TAILS)
+        return np.asarray(self.means[which] + np.einsum("nij,nj->ni", self.roots[which], normal))
+
+    def log_density(self, z: FloatArray) -> FloatArray:
+        """Normalised, (n, d) -> (n,)."""
+        d = self.means.shape[1]
+        norm = gammaln(0.5 * (TAILS + d)) - gammaln(0.5 * TAILS) - 0.5 * d * np.log(TAILS * np.pi)
+        parts = np.empty((len(self.weights), len(z)))
+        for k, (mean, root) in enumerate(zip(self.means, self.roots, strict=True)):
+            y = np.linalg.solve(root, (z - mean).T)
+            parts[k] = norm - np.log(np.abs(np.diag(root))).sum()
+            parts[k] -= 0.5 * (TAILS + d) * np.log1p((y**2).sum(axis=0) / TAILS)
+        with np.errstate(divide="ignore"):
+            return np.asarray(logsumexp(parts + np.log(self.weights)[:, None], axis=0))
+
+
+def _normalised(log_weight: FloatArray) -> tuple[FloatArray, float]:
+    """Weights that add to one, and the draws they are worth."""
+    top = log_weight.max()
+    weight = np.exp(log_weight - top) if np.isfinite(top) else np.zeros(log_weight.size)
+    total = weight.sum()
+    if total <= 0.0:
+        return weight, 0.0
+    weight /= total
+    return weight, float(1.0 / (weight**2).sum())
+
+
+def _tempered(log_weight: FloatArray, least: float) -> FloatArray:
+    """Weights, raised to a power under one where they would be worth fewer than ``least`` draws."""
+    weight, worth = _normalised(log_weight)
+    if worth >= least:
+        return weight
+    low, high = 0.0, 1.0
+    finite = np.where(np.isfinite(log_weight), log_weight, -np.inf)
+    for _ in range(30):
+        middle = 0.5 * (low + high)
+        with np.errstate(invalid="ignore"):
+            weight, worth = _normalised(np.where(np.isfinite(finite), middle * finite, -np.inf))
+        low, high = (middle, high) if worth >= least else (low, middle)
+    return weight
+
+
+def _fitted(z: FloatArray, weight: FloatArray, rng: np.random.Generator) -> Mixture:
+    """Components of weighted draws, by expectation maximisation from well separated means."""
+    count, d = z.shape
+    mean = weight @ z
+    centred = z - mean
+    whole = (centred * weight[:, None]).T @ centred + 1e-12 * np.eye(d)
+    root = np.linalg.cholesky(whole)
+    y = np.linalg.solve(root, centred.T).T
+    components = int(np.clip((weight > 0.1 / count).sum() // (6 * d), 1, COMPONENTS))
+    means = y[rng.choice(count, size=components, p=weight)]
+    covs = np.repeat(np.eye(d)[None], components, axis=0)
+    shares = np.full(components, 1.0 / components)
+    for _ in range(EM_STEPS if components > 1 else 1):
+        parts = np.empty((components, count))
+        for k in range(components):
+            factor = np.linalg.cholesky(covs[k])
+            e = np.linalg.solve(factor, (y - means[k]).T)
+            parts[k] = (
+                np.log(max(shares[k], 1e-300)) - 0.5 * (e**2).sum(axis=0) - np.log(np.diag(factor)).sum()
+            )
+        belongs = np.exp(parts - logsumexp(parts, axis=0)) * weight
+        shares = np.maximum(belongs.sum(axis=1), 1e-12)
+        for k in range(components):
+            means[k] = belongs[k] @ y / shares[k]
+            off = y - means[k]
+            own = (off * belongs[k][:, None]).T @ off / shares[k]
+            few = min(1.0, shares[k] * float(1.0 / (weight**2).sum()) / (3.0 * d))
+            covs[k] = few * own + (1.0 - few) * np.eye(d) * min(1.0, np.trace(own) / d) + RIDGE * np.eye(d)
+        shares = shares / shares.sum()
+    roots = np.stack([WIDER * root @ np.linalg.cholesky(cov) for cov in covs])
+    return Mixture(shares, mean + means @ root.T, roots)
+
+
+def learn_mixture(target: Target, cut: CutNormal, rng: np.random.Generator) -> tuple[Mixture, float]:
+    """Learn a density from the cut normal beside its optimum.
+
+    Parameters
+    ----------
+    target : Target
+    cut : CutNormal
+    rng : Generator
+
+    Returns
+    -------
+    mixture : Mixture
+    efficiency : float
+        Share of its last draws that they are worth as independent ones.
+    """
+    least = EACH * target.size
+    first = cut.pool[:ROUND]
+    level = target.densities(first)
+    mixture = _fitted(first, _tempered(level - cut.log_density(first), least), rng)
+    z, levels = np.empty((0, target.size)), np.empty(0)
+    used: list[Mixture] = []
+    efficiency = 0.0
+    for _ in range(ROUNDS):
+        new = mixture.draw(ROUND, rng)
+        value = target.densities(new)
+        _, worth = _normalised(value - mixture.log_density(new))
+        efficiency = worth / ROUND
+        z, levels, used = np.vstack([z, new]), np.append(levels, value), [*used, mixture]
+        if efficiency >= GOOD:
+            break
+        proposed = logsumexp([one.log_density(z) for one in used[-REMEMBERED:]], axis=0)
+        mixture = _fitted(z, _tempered(levels - proposed, least), rng)
+    return mixture, efficiency
