@@ -164,6 +164,7 @@ def speed_laws(logs: Sequence[Log]) -> dict[str, Law]:
 def _left_out_speeds(condition: str, members: Sequence[Recording]) -> list[dict[str, Any]]:
     """Rows of one condition: each ramp time predicted from the others, nothing free."""
     rows = []
+    members = sorted(members, key=lambda one: float(one.log.time_s[one.log.peak]))
     for place, one in enumerate(members):
         tell(f"prediction: {one.name} from the other ramp times")
         rest = [other for i, other in enumerate(members) if i != place]

@@ -14,11 +14,11 @@ import tissueid
 from tissueid.kernel_cache import kernel_sources, sources_key
 
 PACKAGE = Path(tissueid.__file__).resolve().parent
-#: A leaf of ``log_passive_mass``, which stands in another file.
-LEAF = "likelihood/normal_tail.py"
+#: A leaf of the chain over a population, which stands in another file.
+LEAF = "population/triangular.py"
 ASK = (
-    "import numpy as np; from tissueid.likelihood.passive_normal import log_passive_mass; "
-    "print(repr(log_passive_mass(-np.ones(1), np.eye(1), np.array([1]))))"
+    "import numpy as np; from tissueid.population.kernels import unit_factor; "
+    "print(repr(float(unit_factor(np.zeros(1), np.eye(1))[0, 0])))"
 )
 
 
@@ -31,7 +31,7 @@ def copied(folder: Path) -> Path:
 
 def test_sources_hold_kernels_and_what_they_import() -> None:
     names = set(kernel_sources())
-    assert {"compiled.py", "model/kernels.py", "likelihood/passive_normal.py", "haptics/guard.py"} <= names
+    assert {"compiled.py", "model/kernels.py", "population/triangular.py", "haptics/guard.py"} <= names
     assert {"render/servo_loop.py", "render/environment.py", "population/kernels.py"} <= names
     assert not names & {"pipeline.py", "cli/main.py", "report/page.py"}
 
@@ -68,10 +68,10 @@ def test_an_edited_leaf_is_seen_by_a_caller_that_was_compiled_before(tmp_path: P
     assert answer(tmp_path) == before
     folders = {path.name for path in (tmp_path / "cache").iterdir()}
     assert len(folders) == 1
-    # ln of P(N(-1, 1) > 0), and the same with every ln of a tail less by one
-    assert before == pytest.approx(-1.8410216450, abs=1e-6)
-    text = leaf.read_text(encoding="utf-8")
-    head, tail = text.split("def log_tail", 1)
-    leaf.write_text(f"{head}def log_tail{tail.replace('return ', 'return -1.0 + ', 3)}", encoding="utf-8")
-    assert answer(tmp_path) == pytest.approx(before - 1.0, abs=1e-9)
+    # the inverse of a factor that is one, and the same with its diagonal twice as large
+    assert before == pytest.approx(1.0, abs=1e-12)
+    text, line = leaf.read_text(encoding="utf-8"), "inverse[i, i] = 1.0 / low[i, i]"
+    assert line in text
+    leaf.write_text(text.replace(line, line.replace("1.0", "2.0")), encoding="utf-8")
+    assert answer(tmp_path) == pytest.approx(2.0, abs=1e-12)
     assert {path.name for path in (tmp_path / "cache").iterdir()} > folders

@@ -390,7 +390,7 @@ _FIT = {
     "sampler_not_converged": Advice(
         "Intervals are rough, or there are none; stating the machine in [calibration] narrows what a "
         "total interval has to search.",
-        "Try --sampler exact, more --draws, or fewer branches.",
+        "Try fewer branches, or state the machine; look at misfits first.",
         "have rough intervals",
     ),
     "discrepancy": Advice(
@@ -411,7 +411,7 @@ _FIT = {
     ),
     "model_undecided": Advice(
         "Another model would predict as well; parameters that differ between them are not settled.",
-        "Add --compare, or a second speed.",
+        "Add a second speed; --branches and --stiffness-degree fit one order.",
         "do not decide between models",
     ),
     "calibration_dominates": Advice(

@@ -7,6 +7,7 @@ recording's own sign and zero.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -353,6 +354,25 @@ class Measured:
         }
 
 
+#: 97.5 % points of Student's t with 1, 2, ... degrees of freedom; the normal's beyond.
+_T_975 = (
+    12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201, 2.179, 2.160, 2.145, 2.131,
+    2.120, 2.110, 2.101, 2.093, 2.086, 2.080, 2.074, 2.069, 2.064, 2.060, 2.056, 2.052, 2.048, 2.045, 2.042,
+)  # fmt: skip
+_NORMAL_975 = 1.96
+
+
+def predicted(mean_ln: float, sd_ln: float, count: int) -> tuple[float, float] | None:
+    """95 % prediction interval of one more value, from mean and standard deviation of logarithms."""
+    if count < 2:
+        return None
+    t = _T_975[count - 2] if count - 2 < len(_T_975) else _NORMAL_975
+    half = t * sd_ln * math.sqrt(1.0 + 1.0 / count)
+    if not math.isfinite(half) or half > 20.0:
+        return None
+    return math.exp(mean_ln - half), math.exp(mean_ln + half)
+
+
 @dataclass(frozen=True, slots=True)
 class SpreadRow:
     """One measured number over the logs of a specimen.
@@ -393,7 +413,8 @@ class SpreadRow:
         """The row of ``specimens[].measured``."""
         ramp = document["ramp_time_s"]
         more = {"ramp_time_s": None if ramp is None else tuple(ramp), "reason": document["reason"] or ""}
-        return cls(**{**document, **more})
+        plain = {key: value for key, value in document.items() if key != "prediction95"}
+        return cls(**{**plain, **more})
 
     def as_json(self) -> dict[str, Any]:
         """The ``spread`` object of ``schemas/measured.schema.json``."""
@@ -407,8 +428,17 @@ class SpreadRow:
             "count": self.count,
             "mean": self.mean,
             "sd": self.sd,
+            "prediction95": None if self.prediction95 is None else list(self.prediction95),
             "reason": self.reason or None,
         }
+
+    @property
+    def prediction95(self) -> tuple[float, float] | None:
+        """Interval of the next indentation: t on the log scale; ``None`` with fewer than two logs."""
+        if self.mean is None or self.sd is None or self.mean <= 0.0 or self.count < 2:
+            return None
+        spread = math.sqrt(math.log1p((self.sd / self.mean) ** 2))
+        return predicted(math.log(self.mean) - 0.5 * spread**2, spread, self.count)
 
 
 def spread_json(rows: Sequence[SpreadRow]) -> list[dict[str, Any]]:

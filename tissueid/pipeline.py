@@ -103,9 +103,10 @@ def unmet(specimens: Sequence[SpecimenFit], required: Sequence[str]) -> list[str
     reasons = []
     prefixes = tuple(_PREFIX[name] for name in required)
     for fit in specimens:
-        missing = [one.name for one in fit.parameters if not one.identified and one.name.startswith(prefixes)]
-        if missing:
-            reasons.append(f"{fit.specimen}: not identified: {', '.join(missing)}")
+        for prefix in prefixes:
+            asked = [one for one in fit.parameters if one.name.startswith(prefix)]
+            if asked and not any(one.identified for one in asked):
+                reasons.append(f"{fit.specimen}: not identified: {', '.join(one.name for one in asked)}")
         if fit.posterior is not None and not fit.posterior.sampler.converged:
             why = fit.posterior.sampler.detail.get("reason", "its rule was not met")
             reasons.append(f"{fit.specimen}: the sampler did not converge: {why}")

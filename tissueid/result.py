@@ -35,7 +35,9 @@ __all__ = [
 FloatArray = NDArray[np.float64]
 
 #: What a parameter says of its uncertainty where nothing was sampled or nothing is identified.
-_NOT_SAMPLED = dict.fromkeys(("mean", "sd", "ci95", "ci95_total", "ess_bulk", "ess_tail", "r_hat"))
+_NOT_SAMPLED = dict.fromkeys(
+    ("mean", "sd", "ci95", "ci95_total", "prediction95", "ess_bulk", "ess_tail", "r_hat")
+)
 
 #: What a specimen says of a posterior it does not have.
 _NO_POSTERIOR: Mapping[str, Any] = MappingProxyType(

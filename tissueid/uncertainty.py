@@ -140,6 +140,9 @@ class ParameterUncertainty:
         are normalised, or too few draws carry it.
     ess_bulk, ess_tail, r_hat : float
         Rank-normalised (Vehtari et al. 2021, doi 10.1214/20-BA1221).
+    prediction95 : tuple of float or None
+        Of the next indentation (:mod:`tissueid.inference.prediction`); ``None`` where too few logs show how
+        much sites differ.
     """
 
     mean: float
@@ -149,6 +152,7 @@ class ParameterUncertainty:
     ess_bulk: float
     ess_tail: float
     r_hat: float
+    prediction95: tuple[float, float] | None = None
 
     def as_json(self) -> dict[str, Any]:
         """The keys that a parameter gains; a diagnostic or an end that has no value makes null of its own."""
@@ -158,6 +162,7 @@ class ParameterUncertainty:
             "sd": self.sd,
             "ci95": list(self.ci95),
             "ci95_total": None if total is None or None in total else total,
+            "prediction95": None if self.prediction95 is None else list(self.prediction95),
             "ess_bulk": _finite(self.ess_bulk),
             "ess_tail": _finite(self.ess_tail),
             "r_hat": _finite(self.r_hat),
@@ -171,12 +176,13 @@ class ParameterUncertainty:
             for key in ("ess_bulk", "ess_tail", "r_hat")
         }
         low, high = document["ci95"]
-        total = document["ci95_total"]
+        total, later = document["ci95_total"], document.get("prediction95")
         return cls(
             mean=document["mean"],
             sd=document["sd"],
             ci95=(low, high),
             ci95_total=None if total is None else (total[0], total[1]),
+            prediction95=None if later is None else (later[0], later[1]),
             **diagnostics,
         )
 

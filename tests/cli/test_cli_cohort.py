@@ -13,7 +13,7 @@ from command_line import Ended, run, write_log
 from tissueid.store.bundle import load_bundle
 
 #: One branch, constant K, few draws: what is tested is the way from a study to its population.
-SMALL = ("--branches", "1", "--stiffness-degree", "0", "--sampler", "exact", "--draws", "400")
+SMALL = ("--branches", "1", "--stiffness-degree", "0", "--draws", "400")
 #: Forces of the specimens, in those of the first.
 TIMES = (0.8, 0.9, 1.0, 1.1, 1.25)
 

@@ -150,7 +150,7 @@ def test_bash_completes_with_the_printed_script(tmp_path: Path) -> None:
         text=True,
         check=True,
     )
-    assert done.stdout.split() == ["emcee", "exact", "none"]
+    assert done.stdout.split() == ["emcee", "none"]
     assert done.stderr == ""
 
 

@@ -111,7 +111,7 @@ def test_fit_prints_identification_json_and_it_is_valid(fitted: tuple[Ended, Pat
     public = {path.name for path in out.iterdir() if not path.name.startswith(".")}
     bundles = {"bundle-paper-a.h5", "bundle.h5"}
     run_of_it = {"specimens.csv", "specimens", "index.sqlite"}
-    assert public == bundles | run_of_it | {"identification.json", "curves.h5", "sums.h5", "report.html"}
+    assert public == bundles | run_of_it | {"identification.json", "curves.h5", "report.html"}
 
 
 def test_parameters_have_the_contracts_names_and_units(fitted: tuple[Ended, Path]) -> None:

@@ -49,16 +49,6 @@ def test_a_loop_that_is_not_compiled_is_noted(monkeypatch: pytest.MonkeyPatch) -
     assert (check.state, check.way_out) == ("note", "tissueid doctor --warm")
 
 
-@pytest.mark.needs_jit
-def test_kernels_that_a_fit_would_compile_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        "tissueid.fit.compiled.kernels_to_compile", lambda *, posterior: ["solve"] * posterior
-    )
-    check = look("numba cache")
-    assert (check.state, check.way_out) == ("note", "tissueid doctor --warm")
-    assert "compiles 1 functions" in check.words
-
-
 def test_a_library_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         doctor, "requires", lambda _name: ["numpy>=1", "no-such-library>=2", "arviz; extra == 'arviz'"]

@@ -21,7 +21,6 @@ SETTINGS = """\
 [fit]
 branches = "1"
 stiffness-degree = "0"
-sampler = "exact"
 draws = 400
 population = "no"
 [calibrate]

@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 
 import tissueid
-from tissueid.fit import frame_effect
 from tissueid.flag_advice import FLAG_ADVICE, HARM, MOST_WORDS, NOTHING, flag_level, harm_rank, warning_line
 from tissueid.flags import FLAG_CODES, Flag
+from tissueid.inference import frame_effect
 from tissueid.ingest.levels import below_resolution
 from tissueid.ingest.spikes import spike
 

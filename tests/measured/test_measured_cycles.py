@@ -8,8 +8,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from tissueid.fit.loop_area import with_model_viscosity
-from tissueid.fit.trials import Adjustment
+from tissueid.inference.loop_area import with_model_viscosity
+from tissueid.inference.trials import Adjustment
 from tissueid.measured.cycles import closed_area, cycle_rows, loops
 from tissueid.model import ContactPath, KelvinVoigt
 from tissueid.trial import Contact, Phase, Segmentation, Source, Trial

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tissueid.fit.specimen import FitOptions
+from tissueid.inference.specimen import FitOptions
 from tissueid.pipeline import IdentifyOptions, identify
 from tissueid.result import SpecimenFit
 from tissueid.synth import Branch, Hold, Log, Move, Recipe, as_trials, simulate

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tissueid.fit.specimen import FitOptions
+from tissueid.inference.specimen import FitOptions
 from tissueid.ingest import read_trials
 from tissueid.manifest import Study
 from tissueid.measured.geometry import Geometry

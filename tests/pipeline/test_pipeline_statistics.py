@@ -19,7 +19,7 @@ from tissue_runs import (
     table_row,
 )
 
-from tissueid.fit.specimen import FitOptions
+from tissueid.inference.specimen import FitOptions
 
 AUTO = FitOptions()
 CONSTANT = FitOptions(branches=1, stiffness_degree=0)

@@ -10,7 +10,7 @@ from multiprocessing import get_context
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.fit.specimen import FitOptions
+from tissueid.inference.specimen import FitOptions
 from tissueid.pipeline import IdentifyOptions, identify
 from tissueid.result import Estimate
 from tissueid.synth import Recipe, as_trials, recipe, simulate

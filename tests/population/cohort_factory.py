@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
+from tissueid.inference.diagnostics import _effective_size
 from tissueid.model.base import ContactPath
 from tissueid.population.coordinates import Coordinates
 from tissueid.population.members import Member, TrialRow
@@ -39,6 +42,22 @@ def normal_stage(
     phi = tuple(y + s * rng.standard_normal((draws, y.size)) for y, s in zip(measured, sd, strict=True))
     size = places.shape[1]
     return StageOne(phi, tuple(np.zeros(draws) for _ in phi), np.zeros(size, bool), np.zeros(0, np.int64))
+
+
+@dataclass(frozen=True, slots=True)
+class MonteCarloErrors:
+    """Standard errors of the mean and the standard deviation of correlated draws."""
+
+    mean: float
+    sd: float
+
+
+def monte_carlo_errors(draws: np.ndarray) -> MonteCarloErrors:
+    """Of draws of one number, shape (chains, draws), by Geyer's sequence of their correlations."""
+    squares = (draws - draws.mean()) ** 2
+    mean = draws.std() / np.sqrt(_effective_size(draws))
+    variance = squares.std() / np.sqrt(_effective_size(squares))
+    return MonteCarloErrors(float(mean), float(variance / (2.0 * draws.std())))
 
 
 def ramp(theta: np.ndarray, *, speed_mm_s: float = 4.0, gain: float = 1.0, sigma_N: float = 0.0) -> Curve:

@@ -7,12 +7,11 @@ import math
 import emcee
 import numpy as np
 import pytest
-from cohort_factory import normal_stage
+from cohort_factory import monte_carlo_errors, normal_stage
 from scipy.special import gammaln
 
 from tissueid.population.sampler import SamplerOptions, sample_population
 from tissueid.population.stage_one import Design
-from tissueid.posterior.diagnostics import monte_carlo_errors
 from tissueid.priors import PopulationPriors
 
 SPECIMENS, SIZE = 5, 2
@@ -96,7 +95,7 @@ def test_two_stages_agree_with_joint_sampling(own: tuple[float, float], smooth: 
         axis=2,
     )
     for k, name in enumerate(NAMES):
-        errors = [monte_carlo_errors({name: one[:, :, k]})[name] for one in (joint, staged)]
+        errors = [monte_carlo_errors(one[:, :, k]) for one in (joint, staged)]
         mean, spread_of = errors[0].mean ** 2 + errors[1].mean ** 2, errors[0].sd ** 2 + errors[1].sd ** 2
         # four Monte-Carlo errors of the difference
         assert joint[:, :, k].mean() == pytest.approx(staged[:, :, k].mean(), abs=4.0 * math.sqrt(mean))

@@ -1,6 +1,6 @@
 """From simulated recordings to a population: whether it helps where a specimen says little.
 
-Two short logs a specimen at 10 to 100 Hz, each specimen fitted by itself and sampled exactly; a third log of
+Two short logs a specimen at 10 to 100 Hz, each specimen fitted and sampled by itself; a third log of
 every specimen, at another speed and never fitted, is then predicted from its own fit and with the population.
 """
 
@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 from cohort_factory import COORDINATES, TYPICAL, lkj_factor
 
-from tissueid.fit.specimen import FitOptions
+from tissueid.inference import posterior as posterior_of_specimen
+from tissueid.inference.posterior import PosteriorOptions
+from tissueid.inference.specimen import FitOptions
 from tissueid.pipeline import IdentifyOptions, identify
 from tissueid.population.members import Member, stage_one
 from tissueid.population.sampler import SamplerOptions, sample_population
 from tissueid.population.stage_one import Design
-from tissueid.posterior import specimen as posterior_of_specimen
-from tissueid.posterior.specimen import PosteriorOptions
 from tissueid.priors import PopulationPriors, Priors, SpreadPrior
 from tissueid.synth.recipe import Branch, Hold, Log, Move, Recipe
 from tissueid.synth.simulate import as_trials, simulate
@@ -39,7 +39,7 @@ SIGMA_N = 1.0
 FITTED = (Log("fast", (Move(8.0, 250.0), Hold(2.0))), Log("slow", (Move(8.0, 60.0), Hold(2.0))))
 HELD_OUT = (Log("held", (Move(8.0, 500.0), Hold(2.0))),)
 OPTIONS = IdentifyOptions(
-    fit=FitOptions(branches=1, stiffness_degree=0), posterior=PosteriorOptions(sampler="exact", draws=2000)
+    fit=FitOptions(branches=1, stiffness_degree=0), posterior=PosteriorOptions(draws=2000)
 )
 
 

@@ -2,12 +2,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from cohort_factory import lkj_factor, normal_stage
+from cohort_factory import lkj_factor, monte_carlo_errors, normal_stage
 
 from tissueid.population.sampler import SamplerOptions, sample_population
 from tissueid.population.scale_kernels import draw_scales
 from tissueid.population.stage_one import Design, StageOne
-from tissueid.posterior.diagnostics import monte_carlo_errors
 from tissueid.priors import PopulationPriors, SpreadPrior
 
 
@@ -54,11 +53,10 @@ def test_a_normal_population_of_one_number_is_that_of_a_grid(own: float, smooth:
     assert found.smoothed.size == smooth
     assert found.converged
     draws = {"mean": found.coefficient[:, :, 0, 0], "ln_sd": np.log(found.sd[:, :, 0])}
-    error = monte_carlo_errors(draws)
     expected = on_a_grid(y, np.full(12, own), priors)
     for name, values in draws.items():
         # four Monte-Carlo errors, and 0.5 % for 4000 quantiles that end at 3.7 sd
-        assert values.mean() == pytest.approx(expected[name], abs=4.0 * error[name].mean + 0.005)
+        assert values.mean() == pytest.approx(expected[name], abs=4.0 * monte_carlo_errors(values).mean + 0.005)
 
 
 def test_scales_follow_prior_and_data_together() -> None:

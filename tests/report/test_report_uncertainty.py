@@ -197,7 +197,7 @@ def test_a_page_without_a_posterior_has_standard_errors() -> None:
     assert "4.000 ± 0.050" in first_screen(html)
 
 
-def test_white_noise_and_an_exact_sampler_have_their_own_sentences() -> None:
+def test_white_noise_and_a_sampler_of_earlier_versions_have_their_own_sentences() -> None:
     fit = sampled(specimen_fit(samples=60))
     assert fit.posterior is not None
     own = replace(

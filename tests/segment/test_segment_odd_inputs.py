@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from tissueid.fit.window import fitted_log
+from tissueid.inference.window import fitted_log
 from tissueid.segment import SegmentOptions, segment
 from tissueid.trial import Protocol, Trial
 

@@ -67,10 +67,10 @@ def test_the_same_run_gives_the_same_bytes(tmp_path: Path) -> None:
 def test_names_of_the_old_set_disappear_and_files_of_others_stay(tmp_path: Path) -> None:
     write(tmp_path, "only")
     (tmp_path / "notes.txt").write_text("mine")
-    (tmp_path / "sums.h5").write_text("checkpoint")
+    (tmp_path / "old.h5").write_text("checkpoint")
     write(tmp_path, "p", "q")
     of_the_run = {"identification.json", "curves.h5", "report.html", "bundle-p.h5", "bundle-q.h5"}
-    assert public(tmp_path) == of_the_run | {"notes.txt", "sums.h5"}
+    assert public(tmp_path) == of_the_run | {"notes.txt", "old.h5"}
     assert len(list((tmp_path / ".runs").iterdir())) == 1
 
 

@@ -11,7 +11,7 @@ from tissueid.cli.main import main
 #: One branch, constant K and no posterior: the quickest fit.
 QUICK = ("--branches", "1", "--stiffness-degree", "0", "--sampler", "none")
 #: As quick as a fit with posteriors can be.
-SAMPLED = ("--branches", "1", "--stiffness-degree", "0", "--sampler", "exact", "--draws", "400")
+SAMPLED = ("--branches", "1", "--stiffness-degree", "0", "--draws", "400")
 REPOSITORY = Path(__file__).resolve().parents[2]
 LOG = REPOSITORY / "datasets_synthetic" / "paper-a-hold-100Hz" / "hold-8-1.csv"
 HEADER_LINES = 6

@@ -14,7 +14,7 @@ from study_folder import QUICK
 
 import tissueid
 from tissueid.cli.main import main
-from tissueid.fit.specimen import FitOptions
+from tissueid.inference.specimen import FitOptions
 from tissueid.pipeline import IdentifyOptions
 from tissueid.store.bundle import load_bundle
 from tissueid.store.files import plain_json

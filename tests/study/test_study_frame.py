@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.integrate import quad
 
 from tissueid.errors import InputError
-from tissueid.fit.specimen import FitOptions
+from tissueid.inference.specimen import FitOptions
 from tissueid.manifest import Calibration, FrameCurve, Study
 from tissueid.model import frame as model
 from tissueid.pipeline import IdentifyOptions, identify

@@ -78,8 +78,7 @@ def command(**flags: Any) -> int:
     each is one line. Ctrl-C ends with a summary.
     """
     session = _session(flags)
-    if flags["fit"]:
-        looks = range(LOOKS) if flags["once"] else iter(int, 1)
+    looks = range(LOOKS) if flags["once"] else iter(int, 1)
     try:
         for number, _ in enumerate(looks):
             if number:

@@ -2,7 +2,8 @@
 
 A short log is kept sample by sample.  A long one is cut where its travel bends, finely behind every corner
 and ever more coarsely after it (blocks grow by :data:`GROWTH`), so that a relaxation is seen evenly in ln
-time.  A block is compared with the mean of the model over it (Simpson's rule on its ends and its middle).
+time.  A block is compared with the mean of the model over it (Simpson's rule on its ends and its middle); a
+sample at a corner, the first and the last are blocks of their own, and compared with the model there.
 """
 
 from __future__ import annotations
@@ -83,11 +84,15 @@ def _edges(time: FloatArray, depth: FloatArray, stops: Sequence[int]) -> IntArra
     x = (depth - depth[0]) / scale
     total = np.zeros((6, n + 1))
     np.cumsum(np.stack([np.ones(n), t, x, t * t, t * x, x * x]), axis=1, out=total[:, 1:])
-    noise = white_noise_sd(time, depth) / scale
+    # equal steps between standstills are one speed, and no digits
+    still = np.diff(depth) == 0.0
+    moving = ~(np.append(still, True) & np.append(True, still))
+    noise = white_noise_sd(time[moving], depth[moving]) / scale
     limit = (STRAIGHT * noise) ** 2 + STRAIGHT_SHARE**2
 
     def straight(i: int, j: int) -> bool:
-        """Samples i to j (without j) lie on a line."""
+        """Samples i to j (without j) lie on a line, and their neighbours too: none of them is at a corner."""
+        i, j = max(i - 1, 0), min(j + 1, n)
         if j - i < 3:
             return True
         count, st, sx, stt, stx, sxx = total[:, j] - total[:, i]
@@ -104,8 +109,10 @@ def _edges(time: FloatArray, depth: FloatArray, stops: Sequence[int]) -> IntArra
             stop = next(following)
         size = max(int(np.ceil(GROWTH * size)), size + 1)
         size = min(size, stop - i)
+        # half a sample before the first and behind the last there is no path
         while size > 1 and not (
-            abs(x[i + size - 1] - x[i]) <= TRAVEL_SHARE
+            0 < i < n - size
+            and abs(x[i + size - 1] - x[i]) <= TRAVEL_SHARE
             and t[i + size - 1] - t[i] <= TIME_SHARE
             and straight(i, i + size)
         ):
@@ -186,7 +193,7 @@ def log_blocks(
         fold = data.fold[used]
         step = np.full(used.size, step_s)
         within, freedom = 0.0, 0
-        opens = breaks[used]
+        opens, place = breaks[used], used
     else:
         stops = np.flatnonzero((np.diff(include.astype(np.int8), prepend=include[0]) != 0) | breaks)
         if data.fold.any():
@@ -200,8 +207,10 @@ def log_blocks(
         grid_x[1::2] = 0.5 * (ends_x[1:] + ends_x[:-1])
         first = edges[:-1]
         size = np.diff(edges)
-        kept = np.flatnonzero(include[first])
-        at = 2 * kept[:, None] + np.arange(3)
+        single = np.flatnonzero(size == 1)
+        grid_t[2 * single + 1], grid_x[2 * single + 1] = time[first[single]], depth[first[single]]
+        place = kept = np.flatnonzero(include[first])
+        at = 2 * kept[:, None] + np.where(size[kept, None] == 1, 1, np.arange(3))
         count = size[kept]
         y = (np.add.reduceat(force, first) / size)[kept]
         mid = (np.add.reduceat(time, first) / size)[kept]
@@ -216,7 +225,7 @@ def log_blocks(
         at = at + 1
     chain = opens.copy()
     chain[0] = True
-    gap = np.diff(at[:, 0], prepend=at[0, 0] - 1) > (1 if whole or time.size <= SAMPLED else 2)
+    gap = np.diff(place, prepend=place[0] - 1) > 1
     return Blocks(
         time_s=np.ascontiguousarray(grid_t),
         depth_mm=np.ascontiguousarray(grid_x),

@@ -17,7 +17,7 @@ from tissueid.inference.optimum import Optimum, covariance_of, nearest_in_cone
 from tissueid.inference.system import System
 from tissueid.inference.window import FOLDS, FittedLog
 
-__all__ = ["Groups", "Tried", "chosen_among", "groups_of", "held_out"]
+__all__ = ["Groups", "Tried", "chosen_among", "groups_of", "held_out", "resolved"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -25,7 +25,9 @@ IntArray = NDArray[np.int64]
 #: Speeds or depths within this factor are one; so many of them are needed to leave one out.
 ALIKE, FEWEST_GROUPS = 1.1, 3
 #: Standard errors within which a prediction counts as good as the best, and a relative gain that is none.
-STANDARD_ERRORS, NO_GAIN = 1.0, 0.002
+STANDARD_ERRORS, NO_GAIN = 1.0, 0.02
+#: Largest force of a branch over the noise with which it counts as seen.
+SEEN = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,6 +148,22 @@ def _gain(better: Tried, simpler: Tried) -> tuple[float, float]:
 
 def _parameters(one: Tried) -> int:
     return one.branches * (one.degree + 2)
+
+
+def resolved(one: Tried, step_s: float) -> bool:
+    """True where no branch is faster than the sampling, nor its force far below the noise."""
+    point, law, sigma = one.optimum.point, one.system.law, one.optimum.noise.sigma_N
+    if one.branches == 1:
+        return True
+    if float(np.exp(point.log_times.min())) < step_s:
+        return False
+    columns = law.columns(point.log_times, one.system.path(one.system.travel))
+    first, size = columns.shape[1] - one.branches * (one.degree + 1), one.degree + 1
+    for j in range(one.branches):
+        part = slice(first + j * size, first + (j + 1) * size)
+        if float(np.abs(columns[:, part] @ point.linear[part]).max()) < SEEN * sigma:
+            return False
+    return True
 
 
 def chosen_among(

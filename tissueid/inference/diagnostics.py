@@ -4,8 +4,6 @@ The measures of arviz-stats, after Vehtari, Gelman, Simpson, Carpenter and Bürk
 *Rank-normalization, folding, and localization: an improved R-hat*, Bayesian Analysis 16, 667
 (doi 10.1214/20-BA1221).  Ranks with their normal scores, and effective sizes, are worked out here: nearly all
 the time goes there, and a specimen has dozens of parameters.
-
-arviz-stats imports slowly; it is imported where it is needed.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.inference.blocks import Blocks
-from tissueid.inference.choice import Tried, chosen_among, groups_of, held_out
+from tissueid.inference.choice import Tried, chosen_among, groups_of, held_out, resolved
 from tissueid.inference.evidence import LogEvidence, NoiseVerdict, verdict_on_noise
 from tissueid.inference.law import KelvinVoigtLaw
 from tissueid.inference.memory import scan_memory
@@ -175,16 +175,18 @@ def scatter_of(system: System, optimum: Optimum) -> Scatter:
         "ab,lbc,dc->lad", optimum.prior.own_rows, optimum.normal.own_inverse, optimum.prior.own_rows
     )
     variance = np.diagonal(spread, axis1=1, axis2=2)
-    logs, force = len(system.logs), float(np.abs(system.force).max())
+    logs = len(system.logs)
 
-    def sd(columns: slice, before: float, scale: float) -> float:
-        values, known = own[:, columns] / scale, variance[:, columns] / scale**2
+    def sd(columns: slice, before: float, scale: FloatArray) -> float:
+        values, known = own[:, columns] / scale[:, None], variance[:, columns] / scale[:, None] ** 2
         total = float((values**2).sum() + known.sum())
         per = values.shape[1]
         return float(np.sqrt((total / per + before**2) / max(logs - 1 + 1, 1)))
 
-    gain = sd(slice(0, 1), SCATTER_PRIOR.gain, 1.0)
-    shape = sd(slice(2, None), SCATTER_PRIOR.shape, force) if system.effects.shape else SCATTER_PRIOR.shape
+    gain = sd(slice(0, 1), SCATTER_PRIOR.gain, np.ones(logs))
+    shape = (
+        sd(slice(2, None), SCATTER_PRIOR.shape, system.peaks) if system.effects.shape else SCATTER_PRIOR.shape
+    )
     return Scatter(max(gain, 1e-5), max(shape, 1e-6))
 
 
@@ -256,7 +258,8 @@ def identify_logs(
             system, _, optimum = fitting.candidate(branches, degree, memory)
             errors = held_out(system, optimum, groups) if not single else np.ones(1)
             tried.append(Tried(branches, degree, optimum, system, errors))
-        chosen, table, as_good = chosen_among(tried)
+        seen_whole = [one for one in tried if resolved(one, step)] or tried[:1]
+        chosen, table, as_good = chosen_among(seen_whole)
         done = {(one.branches, one.degree) for one in tried}
         best = [(one.branches, one.degree) for one in as_good]
         orders = [] if single else [one for one in _further(request, chosen, best) if one not in done]

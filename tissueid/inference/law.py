@@ -8,6 +8,7 @@ keep these weights passive; whatever is not linear is differentiated numerically
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -81,6 +82,7 @@ def relaxation_states(path: Path, value: FloatArray, tau_s: FloatArray) -> Float
     return out
 
 
+@lru_cache
 def passive_rows(powers: int) -> FloatArray:
     """Rows G with G @ c >= 0 where the polynomial c of that many powers is non-negative on [0, 1]."""
     u = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, PASSIVE_POINTS if powers > 2 else 2))
@@ -148,14 +150,7 @@ class KelvinVoigtLaw:
 
     def cone(self) -> FloatArray:
         """F_s / x and every K_j non-negative on [0, depth]."""
-        static, stiffness = passive_rows(STATIC_DEGREE), passive_rows(self.degree + 1)
-        out = np.zeros((len(static) + self.branches * len(stiffness), self.linear))
-        out[: len(static), :STATIC_DEGREE] = static
-        for j in range(self.branches):
-            rows = slice(len(static) + j * len(stiffness), len(static) + (j + 1) * len(stiffness))
-            first = STATIC_DEGREE + j * (self.degree + 1)
-            out[rows, first : first + self.degree + 1] = stiffness
-        return out
+        return _cone(self.branches, self.degree)
 
     def model(self) -> KelvinVoigt:
         """The contact model with these orders."""
@@ -197,3 +192,17 @@ class KelvinVoigtLaw:
         order = np.argsort(log_times, axis=1)
         branch = np.take_along_axis(branch, order[:, :, None], axis=1)
         return np.concatenate([static, branch.reshape(len(linear), -1)], axis=1)
+
+
+@lru_cache
+def _cone(branches: int, degree: int) -> FloatArray:
+    """Rows of the passive cone of a modified Kelvin-Voigt law."""
+    static, stiffness = passive_rows(STATIC_DEGREE), passive_rows(degree + 1)
+    linear = STATIC_DEGREE + branches * (degree + 1)
+    out = np.zeros((len(static) + branches * len(stiffness), linear))
+    out[: len(static), :STATIC_DEGREE] = static
+    for j in range(branches):
+        rows = slice(len(static) + j * len(stiffness), len(static) + (j + 1) * len(stiffness))
+        first = STATIC_DEGREE + j * (degree + 1)
+        out[rows, first : first + degree + 1] = stiffness
+    return out

@@ -27,6 +27,10 @@ AGREE_VALUE, AGREE_SD = 1e-6, 0.1
 #: ln tau starts at the nearest multiple of this, other parameters so far off, relatively.
 START_GRID, START_OFF = 0.5, 0.05
 MAX_EVALUATIONS, TOLERANCE = 300, 1e-10
+#: Parameters and residuals are kept below this.
+BEYOND = 1e12
+#: ln tau is kept within this.
+FARTHEST = 40.0
 #: Singular value of a row of an active bound that is none.
 RANK = 1e-6
 
@@ -51,6 +55,7 @@ class _Problem:
     def point(self, values: FloatArray) -> Point:
         """Vector -> point."""
         t, m = self.law.times, self.free.shape[1]
+        values = np.append(np.clip(values[:t], -FARTHEST, FARTHEST), values[t:])
         own = values[t + m :].reshape(self.optimum.point.own.shape)
         return Point(values[:t], self.optimum.point.machine, self.free @ values[t : t + m], own)
 
@@ -109,12 +114,16 @@ def both_optimisers(identified: Identified) -> dict[str, object]:
     def vector(values: Any) -> FloatArray:
         return np.array([values[f"p{k}"].value for k in range(len(problem.start))])
 
-    with warnings.catch_warnings():
+    def residual(values: Any) -> FloatArray:
+        # a step that leaves the range of numbers is a bad one, not an error
+        return np.nan_to_num(
+            problem.residual(np.clip(vector(values), -BEYOND, BEYOND)), nan=BEYOND, posinf=BEYOND
+        )
+
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
-        found = lmfit.Minimizer(
-            lambda values: problem.residual(vector(values)), parameters, scale_covar=False
-        ).leastsq(
-            Dfun=lambda values: problem.jacobian(vector(values)),
+        found = lmfit.Minimizer(residual, parameters, scale_covar=False).leastsq(
+            Dfun=lambda values: np.nan_to_num(problem.jacobian(np.clip(vector(values), -BEYOND, BEYOND))),
             max_nfev=MAX_EVALUATIONS,
             ftol=TOLERANCE,
             xtol=TOLERANCE,

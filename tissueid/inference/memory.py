@@ -41,10 +41,13 @@ def _restricted(
     """Restricted ln L of a correlation, and its sigma [N]."""
     white = whitener_of(system, memory)
     normal = normal_equations(system, point, parts, white, rough_N, prior)
-    scale = np.sqrt(np.diag(normal.hessian))
-    hessian = normal.hessian / scale / scale[:, None]
-    move = np.linalg.solve(hessian + 1e-12 * np.eye(len(scale)), normal.gradient / scale)
-    off = float((normal.gradient / scale) @ move)
+    # a machine that is not asked about has neither derivatives nor priors
+    live = np.diag(normal.hessian) > 0.0
+    scale = np.sqrt(np.diag(normal.hessian)[live])
+    hessian = normal.hessian[np.ix_(live, live)] / scale / scale[:, None]
+    gradient = normal.gradient[live] / scale
+    move = np.linalg.solve(hessian + 1e-12 * np.eye(len(scale)), gradient)
+    off = float(gradient @ move)
     if normal.own.shape[1]:
         off += float(np.einsum("lq,lqr,lr->", normal.own_gradient, normal.own_inverse, normal.own_gradient))
     square = max(float(normal.residual @ normal.residual) - off, 1e-12) * rough_N**2

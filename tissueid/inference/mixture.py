@@ -142,9 +142,8 @@ def learn_mixture(target: Target, cut: CutNormal, rng: np.random.Generator) -> t
         Share of its last draws that they are worth as independent ones.
     """
     least = EACH * target.size
-    first = cut.pool[:ROUND]
-    level = target.densities(first)
-    mixture = _fitted(first, _tempered(level - cut.log_density(first), least), rng)
+    first = target.bent(cut.pool[: 2 * ROUND])
+    mixture = _fitted(first, np.full(len(first), 1.0 / len(first)), rng)
     z, levels = np.empty((0, target.size)), np.empty(0)
     used: list[Mixture] = []
     efficiency = 0.0

@@ -21,8 +21,10 @@ from tissueid.inference.budget import uncertainty_budget
 from tissueid.inference.coherence import outside, withheld
 from tissueid.inference.diagnostics import diagnose
 from tissueid.inference.engine import refit
+from tissueid.inference.estimates import MAX_WIDTH
 from tissueid.inference.law import KelvinVoigtLaw
 from tissueid.inference.misfit import misfit_alarm
+from tissueid.inference.prediction import next_indentation
 from tissueid.inference.prior_rows import log_theta_prior, prior_table
 from tissueid.inference.remarks import posterior_flags
 from tissueid.inference.reported import interval95, reported_draws
@@ -30,7 +32,7 @@ from tissueid.inference.sampling import Sampled, sample
 from tissueid.inference.sandwich import sandwich_covariance
 from tissueid.inference.specimen import FittedSpecimen
 from tissueid.inference.system import MACHINE, Point
-from tissueid.inference.target import NormalTarget, SpecimenTarget
+from tissueid.inference.target import NormalTarget, SpecimenTarget, Target
 from tissueid.model.kelvin_voigt import STATIC_DEGREE
 from tissueid.priors import Priors
 from tissueid.result import Estimate, SpecimenFit
@@ -47,6 +49,8 @@ KEPT_DRAWS = 2000
 HALVINGS = 40
 #: NRMSD of the centre at the most over that of the optimum.
 WORSE = 1.1
+#: Widest total interval of ln viscosity that counts as identified: a factor of seven from end to end.
+MAX_WIDTH_VISCOSITY = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,18 +178,25 @@ def _sampled(
 ) -> tuple[SpecimenTarget, Sampled]:
     """The target of a fit and its chain."""
     target = SpecimenTarget(fitted.identified, machine=machine)
-    density: SpecimenTarget | NormalTarget = target
+
+    def walked(density: Target) -> Sampled:
+        return sample(
+            density,
+            draws=options.draws,
+            seed=options.seed,
+            checkpoint=checkpoint,
+            key=key,
+            progress=lambda steps, share: tick(f"sampling, {steps:,} points, {100.0 * share:.0f} %"),
+        )
+
     if fitted.identified.discrepant:
-        density = NormalTarget(target, sandwich_covariance(target)[0])
-    found = sample(
-        density,
-        draws=options.draws,
-        seed=options.seed,
-        checkpoint=checkpoint,
-        key=key,
-        progress=lambda steps, share: tick(f"sampling, {steps:,} steps, {100.0 * share:.0f} %"),
-    )
-    return target, found
+        return target, walked(NormalTarget(target, sandwich_covariance(target)[0]))
+    try:
+        return target, walked(target)
+    except ArithmeticError as error:
+        # draws of the normal beside the optimum, within the passive set, and the reason
+        found = walked(NormalTarget(target, target.root @ target.root.T))
+        return target, replace(found, converged=False, detail={**found.detail, "reason": str(error)})
 
 
 def with_posterior(
@@ -268,13 +279,31 @@ def _uncertainties(
     return out
 
 
-def _with_medians(parameters: tuple[Estimate, ...], draws: Mapping[str, FloatArray]) -> tuple[Estimate, ...]:
-    """Values are medians of the draws, kept within the statistical interval."""
+def _with_medians(
+    parameters: tuple[Estimate, ...],
+    draws: Mapping[str, FloatArray],
+    found: Mapping[str, ParameterUncertainty],
+) -> tuple[Estimate, ...]:
+    """Values are medians of the draws; what is identified is judged by their intervals.
+
+    Polynomials always have an interval that says how well they are known; times and viscosities are
+    identified where theirs is closed, and narrow in the logarithm.
+    """
     out = []
     for one in parameters:
-        value = float(np.median(draws[one.name]))
+        value, own = float(np.median(draws[one.name])), found[one.name]
+        low, high = own.ci95 if own.ci95_total is None else own.ci95_total
+        width = float(np.log(high / low)) if low > 0.0 else float("inf")
+        if one.name.startswith("relaxation_time"):
+            known = width <= MAX_WIDTH and not (one.detail.get("open_low") or one.detail.get("open_high"))
+        else:
+            known = width <= MAX_WIDTH_VISCOSITY or not one.name.startswith("viscosity")
         detail = {**one.detail, "mode": one.detail.get("estimate"), "estimate": value}
-        out.append(replace(one, value=value if one.value is not None else None, detail=detail))
+        detail["width_ln"] = width if np.isfinite(width) else None
+        stderr = own.sd if known else None
+        out.append(
+            replace(one, value=value if known else None, stderr=stderr, identified=known, detail=detail)
+        )
     return tuple(out)
 
 
@@ -293,8 +322,10 @@ def _assembled(
     names = [one.name for one in fit.parameters]
     shape = sampled.chain.shape[:2]
     found = _uncertainties(names, statistical, total, (shape[0], shape[1]))
-    parameters = _with_medians(fit.parameters, statistical)
+    parameters = _with_medians(fit.parameters, statistical, found)
     parameters, said = withheld(parameters, outside(parameters, found), "the value lies outside it")
+    later = next_indentation(fitted.identified)
+    found = {name: replace(one, prediction95=later.get(name)) for name, one in found.items()}
     parameters = tuple(replace(one, uncertainty=found.get(one.name)) for one in parameters)
     report = SamplerReport(
         "emcee", sampled.converged, int(shape[0] * shape[1]), sampled.acceptance, _detail(sampled, fitted)

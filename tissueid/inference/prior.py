@@ -8,6 +8,7 @@ at its largest state), unless the study states one.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,13 +36,14 @@ class Scatter:
     gain : float
         Of ln gain.
     shape : float
-        Of a static Bernstein coefficient, over the largest force.
+        Of a static Bernstein coefficient of a log, over its largest force.
     """
 
     gain: float = 0.1
     shape: float = 0.02
 
 
+@lru_cache
 def bernstein(powers: int) -> FloatArray:
     """Matrix from monomial coefficients on [0, 1] to Bernstein coefficients."""
     degree = powers - 1
@@ -162,7 +164,7 @@ def prior_rows(
             lower = priors.calibration[MACHINE[j]].lower
             bounds[2 * t + i, t + j] = 1.0
             bound[2 * t + i] = lower if np.isfinite(lower) else -1e300
-    own, coordinates = own_rows(system, scatter, force)
+    own, coordinates = own_rows(system, scatter)
     return PriorRows(
         rows=np.vstack(rows),
         target=np.concatenate(target),
@@ -174,7 +176,7 @@ def prior_rows(
     )
 
 
-def own_rows(system: System, scatter: Scatter, force: float) -> tuple[FloatArray, FloatArray]:
+def own_rows(system: System, scatter: Scatter) -> tuple[FloatArray, FloatArray]:
     """Precisions of the logs' own parameters, and the coordinates they are of."""
     effects = system.effects
     columns, blocks = [], []
@@ -186,7 +188,7 @@ def own_rows(system: System, scatter: Scatter, force: float) -> tuple[FloatArray
         columns.append(sd**-2)
         blocks.append(np.ones((1, 1)))
     if effects.shape:
-        columns += [np.full(len(system.logs), (scatter.shape * force) ** -2)] * STATIC_DEGREE
+        columns += [(scatter.shape * system.peaks) ** -2] * STATIC_DEGREE
         blocks.append(bernstein(STATIC_DEGREE))
     size = effects.size
     matrix, at = np.zeros((size, size)), 0

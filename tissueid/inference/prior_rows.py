@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from tissueid.inference.prior import bernstein, time_bounds
 from tissueid.inference.system import MACHINE
-from tissueid.inference.target import SHAPE_SD, SpecimenTarget
+from tissueid.inference.target import SpecimenTarget
 from tissueid.model.kelvin_voigt import STATIC_DEGREE
 from tissueid.priors import WEAK_FACTOR, CalibrationPrior, Priors
 from tissueid.uncertainty import PriorRow
@@ -111,11 +111,6 @@ def prior_table(
         words, scale = f"half-normal, scale {priors.gain_sd:.3g}", priors.gain_sd * HALF_NORMAL_SD
         own = np.exp(vectors[:, places["ln_gain_sd"]])
         rows.append(_row("gain_sd", words, priors.gain_sd != Priors().gain_sd, own, scale))
-    if "ln_shape_sd" in places:
-        own = np.exp(vectors[:, places["ln_shape_sd"]])
-        rows.append(
-            _row("shape_sd", f"half-normal, scale {SHAPE_SD:.3g}", False, own, SHAPE_SD * HALF_NORMAL_SD)
-        )
     if gains is not None:
         for k, name in enumerate(("force_gain", "displacement_gain")):
             words, sd = _machine_words(priors.calibration[name])

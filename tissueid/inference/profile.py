@@ -19,7 +19,7 @@ FloatArray = NDArray[np.float64]
 #: 95 % point of chi-square with one degree of freedom, and the rise a curve is followed to.
 LEVEL_95, LARGEST_RISE = 3.841458820694124, 15.0
 #: Points on each side, steps of the fit at each, and the least and largest reach in ln tau.
-POINTS, STEPS, LEAST_REACH, MOST_REACH = 6, 3, 1e-3, 4.0
+POINTS, STEPS, LEAST_REACH, MOST_REACH = 5, 3, 1e-3, 4.0
 #: Times the reach may be doubled.
 DOUBLINGS = 4
 DIGITS = 6

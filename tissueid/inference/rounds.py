@@ -30,6 +30,8 @@ FloatArray = NDArray[np.float64]
 
 #: Rounds, and the change of the parameters, in standard errors, that counts as none.
 MAX_ROUNDS = 12
+#: Rounds after which steps are halved: they may go back and forth over a sample that is in contact or not.
+DAMPED_AFTER = 3
 SETTLED_SD = 0.05
 #: Root mean square of the residual in air, over that in contact, beyond which the law of contact loss fails.
 AIR_MISFIT = 3.0
@@ -75,18 +77,21 @@ def _refreshed(handle: LogHandle) -> LogHandle:
     return replace(handle, facts=log.without_samples())
 
 
-def _on_surfaces(handles: Sequence[LogHandle], found: Identified) -> list[LogHandle]:
-    """The logs on the paths that their surface takes under a fit."""
+def _surfaces(found: Identified, logs: int) -> list[FreeSurface]:
+    """Laws of the surfaces under a fit."""
     point, effects = found.optimum.point, found.system.effects
     theta = found.law.theta(point.log_times, point.linear)[0]
-    offset = (
-        point.own[:, int(effects.gain)] * found.system.depth_mm if effects.contact else np.zeros(len(handles))
-    )
+    offset = point.own[:, int(effects.gain)] * found.system.depth_mm if effects.contact else np.zeros(logs)
     model = found.law.model()
-    return [
-        _refreshed(replace(handle, surface=FreeSurface(model, theta, float(by))))
-        for handle, by in zip(handles, offset, strict=True)
-    ]
+    return [FreeSurface(model, theta, float(by)) for by in offset]
+
+
+def _halfway(one: FreeSurface, other: FreeSurface | None) -> FreeSurface:
+    """Between two laws of one order: passive as both are, for the cone is convex."""
+    if other is None or other.theta.shape != one.theta.shape:
+        return one
+    theta, offset = 0.5 * (one.theta + other.theta), 0.5 * (one.offset_mm + other.offset_mm)
+    return replace(one, theta=theta, offset_mm=offset)
 
 
 def _moved(before: Identified, now: Identified) -> float:
@@ -117,7 +122,12 @@ def follow_surfaces(
     change, count = float("inf"), 0
     for count in range(1, MAX_ROUNDS + 1):
         tick(f"free surface, round {count}")
-        current = _on_surfaces(current, found)
+        surfaces = _surfaces(found, len(current))
+        if count > DAMPED_AFTER:
+            pairs = zip(surfaces, current, strict=True)
+            surfaces = [_halfway(surface, handle.surface) for surface, handle in pairs]
+        on = zip(current, surfaces, strict=True)
+        current = [_refreshed(replace(handle, surface=surface)) for handle, surface in on]
         after, facts = identify(current)
         change, found = _moved(found, after), after
         if change < SETTLED_SD:

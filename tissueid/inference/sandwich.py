@@ -54,7 +54,7 @@ def sandwich_covariance(target: SpecimenTarget) -> tuple[FloatArray, float]:
         # what a log takes up by itself moves nothing that is shared
         follow = np.einsum("lqr,lrs->lqs", normal.own_inverse, normal.cross)
         columns[:, :s] -= np.einsum("kq,kqs->ks", normal.own, follow[target.system.log])
-    columns = (columns @ target.bent)[:, target.free]
+    columns = (columns @ target.slope)[:, target.free]
     covariance = covariance_of(target.precision)
     root = np.linalg.cholesky(covariance + 1e-14 * np.diag(np.diag(covariance)))
     whitened = columns @ root

@@ -65,7 +65,7 @@ class Point:
         In the order of :data:`MACHINE`.
     linear : ndarray, shape (p,)
     own : ndarray, shape (logs, q)
-        ln gain, contact offset over the largest depth, static shape [N], as far as there are any.
+        ln gain, contact offset over the largest depth, static shape beside it [N], as far as there are any.
     """
 
     log_times: FloatArray
@@ -140,6 +140,7 @@ class System:
         self.within_N2 = sum(one.within_N2 for one in logs)
         self.within_freedom = sum(one.within_freedom for one in logs)
         self.samples = int(self.count.sum())
+        self.peaks = np.array([float(np.abs(one.force_N).max()) for one in logs])
         # force at all points, from which the frame's deflection is iterated: measured, then predicted
         self.guess = np.concatenate([np.interp(one.time_s, one.mid_s, one.force_N) for one in logs])
 
@@ -250,10 +251,9 @@ class System:
                     behind = behind - self.give(force) / self.depth_mm
             path = self.path(behind)
             columns = self.law.columns(point.log_times, path)
-            inner = columns @ point.linear
+            force = gain * (columns @ point.linear)
             if shape is not None:
-                inner = inner + (columns[:, :STATIC_DEGREE] * shape).sum(axis=1)
-            force = gain * inner
+                force = force + (columns[:, :STATIC_DEGREE] * shape).sum(axis=1)
             if left == 0:
                 break
         return force, gain[:, None] * columns
@@ -279,11 +279,20 @@ class System:
         base, columns = self.tip_force(point, rounds=0)
         if by_contact is None:
             return self.means(self.recorded(base, point.machine)), np.zeros((self.force.size, 0))
-        parts = [base, *(columns[:, :STATIC_DEGREE].T if self.effects.shape else [])]
+        parts = [base]
+        if self.effects.gain:
+            parts.append(columns @ point.linear)
+        if self.effects.shape:
+            parts += list(self._static(columns, point).T)
         found = self.means(self.recorded(np.column_stack(parts), point.machine))
-        own = [found[:, :1]] if self.effects.gain else []
+        first = 1 + int(self.effects.gain)
+        own = [found[:, 1:first]]
         own += [by_contact[:, None]] if self.effects.contact else []
-        return found[:, 0], np.hstack([*own, found[:, 1:]])
+        return found[:, 0], np.hstack([*own, found[:, first:]])
+
+    def _static(self, columns: FloatArray, point: Point) -> FloatArray:
+        """Static columns without the gains of the logs, (m, 3)."""
+        return np.asarray(columns[:, :STATIC_DEGREE] / self._own(point)[0][:, None])
 
     def derivatives(self, point: Point, *, machine: bool, follow: bool = False) -> Derivatives:
         """Forces with their derivatives.
@@ -321,9 +330,10 @@ class System:
         own = np.zeros((force.size, self.effects.size))
         k = 0
         if self.effects.gain:
-            own[:, 0], k = self.means(self.recorded(give * base, point.machine)), 1
+            own[:, 0], k = self.means(self.recorded(give * (columns @ point.linear), point.machine)), 1
         if self.effects.contact:
             own[:, k], k = -self.means(self.recorded(by_depth, point.machine)), k + 1
         if self.effects.shape:
-            own[:, k:] = shared[:, t + 3 : t + 3 + STATIC_DEGREE]
+            static = give[:, None] * self._static(columns, point)
+            own[:, k:] = self.means(self.recorded(static, point.machine))
         return Derivatives(force, shared, own)

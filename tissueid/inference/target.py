@@ -18,6 +18,7 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr, ndtri
 
 from tissueid.inference.engine import Identified
 from tissueid.inference.law import passive_rows, relaxation_states
@@ -26,14 +27,13 @@ from tissueid.inference.optimum import covariance_of, whitener_of
 from tissueid.inference.prior import Scatter, own_rows, time_bounds
 from tissueid.inference.system import MACHINE
 from tissueid.model.kelvin_voigt import STATIC_DEGREE
+from tissueid.priors import CalibrationPrior
 
 __all__ = ["NormalTarget", "SpecimenTarget", "Target"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-#: Half-normal scale of the scatter of static shapes, over the largest force.
-SHAPE_SD = 0.1
 #: Points of ln tau at which the largest state is tabulated, and step of ln memory at which noise is whitened.
 TAU_GRID, MEMORY_GRID = 48, 0.05
 #: Negative slack of a constraint, relative to typical values, that counts as rounding.
@@ -53,6 +53,10 @@ class Target(Protocol):
     @property
     def is_normal(self) -> bool:
         """True where it is that normal within the walls."""
+        ...
+
+    def bent(self, z: FloatArray) -> FloatArray:
+        """Points of that normal in the coordinates of :meth:`densities`, (n, d) -> (n, d)."""
         ...
 
     @property
@@ -86,6 +90,8 @@ class SpecimenTarget:
         path = self.system.path(self.system.travel)
         states = relaxation_states(path, path.depth_mm / self.system.depth_mm, np.exp(self._ln_tau))
         self._ln_state = np.log(np.maximum(np.abs(states).max(axis=1), 1e-12))
+        self._machine_priors = [self.priors.calibration[name] for name in MACHINE]
+        self.bent_machine = True
         self._by_contact = np.zeros(self.system.force.size)
         if self.system.effects.contact:
             parts = self.system.derivatives(self.optimum.point, machine=False, follow=True)
@@ -114,8 +120,6 @@ class SpecimenTarget:
             add("ln_memory", float(np.log(found.noise.memory.time_s)))
         if effects.gain:
             add("ln_gain_sd", float(np.log(scatter.gain)))
-        if effects.shape:
-            add("ln_shape_sd", float(np.log(scatter.shape)))
         self.names, self.mode = tuple(names), np.array(values)
         self.free = np.ones(len(names), dtype=bool)
         if not machine:
@@ -182,8 +186,45 @@ class SpecimenTarget:
     def vectors(self, z: FloatArray) -> FloatArray:
         """Whitened points -> vectors, (..., d) -> (..., size)."""
         x = np.broadcast_to(self.mode, (*z.shape[:-1], self.mode.size)).copy()
-        x[..., self.free] += z @ self.root.T
+        x[..., self.free] += (self._straight(z) if self.bent_machine else z) @ self.root.T
         return x
+
+    @property
+    def _machine_places(self) -> IntArray:
+        """Places of the machine in a vector, where it is open."""
+        return (
+            np.arange(self.law.times, self.law.times + len(MACHINE))
+            if self.open
+            else np.empty(0, dtype=np.int64)
+        )
+
+    def _straight(self, z: FloatArray) -> FloatArray:
+        """Points whose machine is given by quantiles of its prior -> whitened points, (..., d) -> (..., d).
+
+        The machine comes first in whitened coordinates, and what follows it linearly goes with it.
+        """
+        at = self._machine_places
+        if at.size == 0:
+            return z
+        out = np.array(z)
+        values = [_quantile(one, z[..., k]) for k, one in enumerate(self._machine_priors)]
+        off = np.stack(values, axis=-1) - self.mode[at]
+        inner = self.root[np.searchsorted(np.flatnonzero(self.free), at)][:, : at.size]
+        out[..., : at.size] = (
+            np.linalg.solve(inner, off[..., None])[..., 0] if off.ndim > 1 else np.linalg.solve(inner, off)
+        )
+        return out
+
+    def bent(self, z: FloatArray) -> FloatArray:
+        """Whitened points -> points with the machine as quantiles of its prior, (n, d) -> (n, d)."""
+        at = self._machine_places
+        if at.size == 0:
+            return z
+        out, x = np.array(z), self.mode[self.free] + z @ self.root.T
+        places = np.searchsorted(np.flatnonzero(self.free), at)
+        for k, one in enumerate(self._machine_priors):
+            out[:, k] = _coordinate(one, x[:, places[k]])
+        return out
 
     def _bent(self) -> FloatArray:
         """Derivative of the law's parameters by the vector, at the optimum."""
@@ -210,11 +251,11 @@ class SpecimenTarget:
                 gradient[k] = normal.own_gradient[0, 0]
         else:
             hessian[:s, :s], gradient[:s] = normal.hessian, normal.gradient
-        self.bent = self._bent()
-        hessian, gradient = self.bent.T @ hessian @ self.bent, self.bent.T @ gradient
+        self.slope = self._bent()
+        hessian, gradient = self.slope.T @ hessian @ self.slope, self.slope.T @ gradient
         k = self.places["ln_sigma"]
         hessian[k, k] = 2.0 * self.samples
-        for name in ("ln_memory", "ln_gain_sd", "ln_shape_sd"):
+        for name in ("ln_memory", "ln_gain_sd"):
             if name in self.places:
                 hessian[self.places[name], self.places[name]] = self._numeric_curvature(self.places[name])
         return hessian, gradient
@@ -236,7 +277,7 @@ class SpecimenTarget:
         hessian, gradient = self._curvature()
         self.precision = hessian[np.ix_(self.free, self.free)]
         covariance = covariance_of(self.precision)
-        self.root = np.linalg.cholesky(covariance + 1e-14 * np.diag(np.diag(covariance)))
+        self.root = self.factor(covariance)
         prior = self.optimum.prior
         used = prior.least > -1e200
         rows = np.zeros((int(used.sum()), len(self.mode)))
@@ -245,6 +286,15 @@ class SpecimenTarget:
         self.walls = np.minimum(prior.least[used] - rows @ self.mode, 0.0)
         self.centre = self.root.T @ gradient[self.free]
         self.likely = self._likely(used)
+
+    def factor(self, covariance: FloatArray) -> FloatArray:
+        """Root of a covariance of the free coordinates, the machine first."""
+        places = np.searchsorted(np.flatnonzero(self.free), self._machine_places)
+        order = np.concatenate([places, np.setdiff1d(np.arange(len(covariance)), places)])
+        inner = covariance[np.ix_(order, order)]
+        out = np.empty_like(inner)
+        out[order] = np.linalg.cholesky(inner + 1e-14 * np.diag(np.diag(inner)))
+        return np.asarray(out)
 
     def _likely(self, used: NDArray[np.bool_]) -> IntArray:
         """Constraints that may be active: ends and middle of polynomials, bounds of the machine."""
@@ -277,12 +327,11 @@ class SpecimenTarget:
         if self.priors.sigma_N is not None:
             stated = self.priors.sigma_N
             value -= 0.5 * ((x[at] - math.log(stated.median)) / stated.sd_ln) ** 2
-        for name, scale in (("ln_gain_sd", self.priors.gain_sd), ("ln_shape_sd", SHAPE_SD)):
-            if name in places:
-                v = float(x[places[name]])
-                if not -14.0 < v < 10.0:
-                    return -np.inf
-                value += v - 0.5 * (math.exp(v) / scale) ** 2
+        if "ln_gain_sd" in places:
+            v = float(x[places["ln_gain_sd"]])
+            if not -14.0 < v < 10.0:
+                return -np.inf
+            value += v - 0.5 * (math.exp(v) / self.priors.gain_sd) ** 2
         if "contact" in places:
             value -= 0.5 * float(prior.own[0, 0]) * float(x[places["contact"]]) ** 2
         if "ln_memory" in places:
@@ -323,9 +372,9 @@ class SpecimenTarget:
         """What integrating the logs' own parameters adds to the log density."""
         scatter = Scatter(
             gain=math.exp(x[self.places["ln_gain_sd"]]) if "ln_gain_sd" in self.places else 1.0,
-            shape=math.exp(x[self.places["ln_shape_sd"]]) if "ln_shape_sd" in self.places else 1.0,
+            shape=self.identified.scatter.shape,
         )
-        precision, rows = own_rows(self.system, scatter, self.force)
+        precision, rows = own_rows(self.system, scatter)
         begins, columns = self.system.begins, both[:, 1:]
         inner = np.add.reduceat(columns[:, :, None] * columns[:, None, :], begins, axis=0)
         right = np.add.reduceat(columns * both[:, :1], begins, axis=0)
@@ -339,8 +388,12 @@ class SpecimenTarget:
         return value + 0.5 * float(np.log(precision).sum())
 
     def densities(self, z: FloatArray) -> FloatArray:
-        """Log densities of whitened points, (n, d) -> (n,)."""
-        return np.array([self.density(x) for x in self.vectors(z)])
+        """Log densities of points whose machine is given by quantiles, (n, d) -> (n,)."""
+        out = np.array([self.density(x) for x in self.vectors(z)])
+        x = self.vectors(z)[:, self._machine_places]
+        for k, one in enumerate(self._machine_priors if self.open else ()):
+            out += 0.5 * ((x[:, k] - one.mean) / one.sd) ** 2 - 0.5 * z[:, k] ** 2
+        return out
 
 
 class NormalTarget:
@@ -355,17 +408,21 @@ class NormalTarget:
     """
 
     def __init__(self, base: SpecimenTarget, covariance: FloatArray) -> None:
-        root = np.linalg.cholesky(covariance + 1e-14 * np.diag(np.diag(covariance)))
+        root = base.factor(covariance)
         to_old = np.linalg.solve(base.root, root)
         self.rows, self.walls, self.likely = base.rows @ to_old, base.walls, base.likely
         # the unbounded minimum stays where it is
         self.centre = np.linalg.solve(to_old, base.centre)
-        base.root = root
+        base.root, base.bent_machine = root, False
 
     @property
     def is_normal(self) -> bool:
         """Only the walls make it another than the normal."""
         return True
+
+    def bent(self, z: FloatArray) -> FloatArray:
+        """The same points."""
+        return z
 
     @property
     def size(self) -> int:
@@ -377,3 +434,22 @@ class NormalTarget:
         value = -0.5 * ((z - self.centre) ** 2).sum(axis=1)
         outside = ((z @ self.rows.T) < self.walls - 1e-9).any(axis=1)
         return np.asarray(np.where(outside, -np.inf, value))
+
+
+def _quantile(prior: CalibrationPrior, z: FloatArray) -> FloatArray:
+    """Values of a cut normal at standard normal coordinates."""
+    if not math.isfinite(prior.lower):
+        return np.asarray(prior.mean + prior.sd * z)
+    left = float(ndtr((prior.mean - prior.lower) / prior.sd))
+    # by the upper tail, which keeps its digits
+    upper = np.clip(ndtr(-z) * left, 1e-300, 1.0 - 1e-16)
+    return np.asarray(np.maximum(prior.mean - prior.sd * ndtri(upper), prior.lower))
+
+
+def _coordinate(prior: CalibrationPrior, value: FloatArray) -> FloatArray:
+    """Standard normal coordinates of values of a cut normal, kept from the ends."""
+    if not math.isfinite(prior.lower):
+        return np.asarray((value - prior.mean) / prior.sd)
+    left = float(ndtr((prior.mean - prior.lower) / prior.sd))
+    upper = ndtr((prior.mean - value) / prior.sd) / left
+    return np.asarray(-ndtri(np.clip(upper, 1e-6, 1.0 - 1e-6)))

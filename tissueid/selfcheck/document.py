@@ -21,7 +21,7 @@ __all__ = ["Asked", "check_document"]
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """What the user asked for.
+    """Request of the user.
 
     Attributes
     ----------

@@ -63,12 +63,12 @@ class Centre:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Protocol:
-    """What is recorded of one specimen.
+    """Logs that are recorded of one specimen.
 
     Attributes
     ----------
     words : str
-        Where it comes from, in one sentence.
+        Its origin, in one sentence.
     logs : tuple of ProtocolLog
     speeds_mm_s : tuple of float
         Slowest and fastest loading.
@@ -195,7 +195,7 @@ def of_recipe(recipe: Recipe, *, rate_Hz: float | None = None) -> tuple[Protocol
 
 
 def pooled(pooling: str, *, logs: int) -> str:
-    """How logs share F_s: one log has nothing to pool; bundles of before may say ``per-log``."""
+    """Way in which logs share F_s: one log has nothing to pool; bundles of before may say ``per-log``."""
     return "shared" if logs == 1 else {"per-log": "scaled"}.get(pooling, pooling)
 
 

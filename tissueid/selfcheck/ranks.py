@@ -1,4 +1,4 @@
-"""Whether ranks are uniform: ECDFs with bands that hold at every point at once.
+"""Uniform ranks, or not: ECDFs with bands that hold at every point at once.
 
 The rank of a truth among draws of its posterior is uniform where the posterior is right (simulation-based
 calibration, Talts et al. 2018, arXiv 1804.06788).  With L draws a rank is one of L + 1 values, all equally
@@ -52,7 +52,7 @@ class EcdfBand:
     level: float
 
     def holds(self, counts: IntArray) -> bool:
-        """Whether all counts lie within."""
+        """True where all counts lie within."""
         return bool(((self.low <= counts) & (counts <= self.high)).all())
 
 
@@ -77,7 +77,7 @@ def rank_of(truth: float, draws: FloatArray, rng: np.random.Generator) -> int:
 
 
 def ecdf_counts(ranks: IntArray, *, draws: int = DRAWS, points: int = POINTS) -> IntArray:
-    """How many ranks lie below each of ``points - 1`` equally spaced shares of their range.
+    """Count the ranks below each of ``points - 1`` equally spaced shares of their range.
 
     Parameters
     ----------

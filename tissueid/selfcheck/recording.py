@@ -36,7 +36,7 @@ SAME_STEP = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProtocolLog:
-    """What one log of a protocol did.
+    """Motion of the tool in one log of a protocol.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What is kept of each simulation, and the file they are appended to.
+"""Records of the simulations, and the file they are appended to.
 
 One line of JSON a simulation, written and flushed as soon as it is finished; the first line names what is
 being checked.  A line that a kill has cut is dropped, and the next call goes on behind the last whole one.
@@ -45,7 +45,7 @@ class Replicate:
     detail : mapping
         Further numbers that are kept, as the acceptance of the sampler.
     quoted : mapping
-        Some of the names -> the 95 % interval that a fit quotes, where it is not the central one.
+        Some of the names -> the 95 % interval that a fit quotes.
     """
 
     truth: Mapping[str, float]
@@ -56,7 +56,7 @@ class Replicate:
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """What is kept of one simulation.
+    """Numbers that are kept of one simulation.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class Record:
         Why there is no posterior; the mappings are then empty.
     detail : mapping
     held : mapping
-        Whether the quoted interval held the truth, for names whose interval is not the draws' central one.
+        True where the quoted interval held the truth, for names that have one.
     """
 
     index: int

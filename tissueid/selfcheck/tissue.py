@@ -103,7 +103,7 @@ class TissueCheck:
 
     @property
     def segmentation(self) -> SegmentOptions:
-        """What is stated of the contact points: nothing, or where they are and how surely."""
+        """Statement of the contact points: none, or their depth and its standard deviation."""
         if not self.contact_stated:
             return SegmentOptions()
         return SegmentOptions(
@@ -135,7 +135,7 @@ class TissueCheck:
         )
 
     def identified(self, trials: Sequence[Trial], *, seed: int) -> SpecimenFit:
-        """What is identified from recordings of one specimen, with its posterior.
+        """Identify one specimen from its recordings, with its posterior.
 
         Raises
         ------
@@ -166,7 +166,7 @@ class TissueCheck:
         return fit
 
     def _numbers(self, fit: SpecimenFit, theta: FloatArray) -> dict[str, FloatArray]:
-        """What is checked of tissues; a viscosity is quoted at half of the depth that was fitted."""
+        """Numbers that are checked; a viscosity is quoted at half of the depth that was fitted."""
         return numbers_of(replace(self.model, depth_mm=fit.depth_mm), theta, self.points)
 
     def drawn(self, fit: SpecimenFit) -> FloatArray:

@@ -93,6 +93,29 @@ def _blocks(model: KelvinVoigt) -> list[slice]:
     return [slice(0, STATIC_DEGREE), *(slice(start, start + size) for start in starts)]
 
 
+def _stated_curve(names: tuple[str, ...], stated: Priors) -> dict[str, tuple[float, float]]:
+    """Priors of one curve that a study states; empty where it states none."""
+    known = {name: stated.linear[name] for name in names if name in stated.linear}
+    if known and len(known) < len(names):
+        missing = ", ".join(name for name in names if name not in known)
+        message = (
+            f"[priors] states {', '.join(known)} and not {missing}: a check draws truths from the "
+            "priors, state all coefficients of a curve or none"
+        )
+        raise InputError(code="priors", message=message, path="study.toml")
+    return known
+
+
+def _centred_curve(
+    model: KelvinVoigt, theta: FloatArray, block: slice, share: float
+) -> dict[str, tuple[float, float]]:
+    """Normal priors around one curve, as wide as a share of it at full depth."""
+    powers = model.depth_mm ** np.arange(float(block.stop - block.start))
+    sd = share * abs(float(theta[block] @ powers)) / powers
+    pairs = zip(theta[block].tolist(), sd.tolist(), strict=True)
+    return dict(zip(model.parameter_names[block], pairs, strict=True))
+
+
 def centred_priors(
     model: KelvinVoigt,
     theta: FloatArray,
@@ -122,31 +145,13 @@ def centred_priors(
     """
     stated, widths = stated or Priors(), widths or Widths()
     linear: dict[str, tuple[float, float]] = {}
-    names = model.parameter_names
     for block in _blocks(model):
-        own = names[block]
-        known = {name: stated.linear[name] for name in own if name in stated.linear}
-        if known and len(known) < len(own):
-            missing = ", ".join(name for name in own if name not in known)
-            message = (
-                f"[priors] states {', '.join(known)} and not {missing}: a check draws truths from the "
-                "priors, state all coefficients of a curve or none"
-            )
-            raise InputError(code="priors", message=message, path="study.toml")
-        powers = model.depth_mm ** np.arange(float(len(own)))
-        top = abs(float(theta[block] @ powers))
-        centred = {
-            name: (float(value), widths.curve * top / float(power))
-            for name, value, power in zip(own, theta[block], powers, strict=True)
-        }
-        linear |= known or centred
+        linear |= _stated_curve(model.parameter_names[block], stated) or _centred_curve(
+            model, theta, block, widths.curve
+        )
     _, _, tau = model.split(theta)
-    times = tuple(
-        stated.relaxation_time_s[j]
-        if j < len(stated.relaxation_time_s)
-        else SpreadPrior(median=float(tau[j]), sd_ln=widths.ln_tau)
-        for j in range(model.branches)
-    )
+    around = tuple(SpreadPrior(float(time), widths.ln_tau) for time in tau)
+    times = (*stated.relaxation_time_s, *around[len(stated.relaxation_time_s) :])[: model.branches]
     narrow = (0.0, 1.0)
     if phi > 0.0:
         a = float(np.arctanh(phi))

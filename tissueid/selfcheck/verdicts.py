@@ -36,7 +36,7 @@ QUOTED = 0.95
 
 @dataclass(frozen=True, slots=True)
 class Coverage:
-    """How often an interval held the truth: central ones, and at 95 % the one that a fit quotes.
+    """Count of truths in an interval: the central one, and at 95 % the one that a fit quotes.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class Coverage:
 
     @property
     def inside(self) -> bool:
-        """Whether the count lies within its band."""
+        """True where the count lies within its band."""
         return self.low <= self.covered <= self.high
 
     @property
@@ -77,7 +77,7 @@ class Coverage:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ParameterCheck:
-    """What the simulations say of one parameter.
+    """Verdict of the simulations on one parameter.
 
     Attributes
     ----------
@@ -110,7 +110,7 @@ class ParameterCheck:
 
     @property
     def calibrated(self) -> bool:
-        """Whether ranks and coverage keep the family-wise bands."""
+        """True where ranks and coverage keep the family-wise bands."""
         return self.inside_family and all(row.inside for row in self.coverage)
 
     def as_json(self) -> dict[str, Any]:
@@ -168,7 +168,7 @@ class Verdict:
 
     @property
     def calibrated(self) -> bool:
-        """Whether nothing speaks against the posterior."""
+        """True where nothing speaks against the posterior."""
         return self.simulations > 0 and not self.reasons
 
     def as_json(self) -> dict[str, Any]:

@@ -24,7 +24,7 @@ LOCAL = "local"
 WORTH_PROCESSES_S = 8.0
 #: What a job is expected to cost: reading, segmenting and fitting [s a sample], and sampling [s].
 SECONDS_A_SAMPLE = 5e-6
-SECONDS_SAMPLING: Mapping[str, float] = {"emcee": 2.5, "exact": 1.0, "none": 0.2}
+SECONDS_SAMPLING: Mapping[str, float] = {"emcee": 2.5, "none": 0.2}
 
 Progress = Callable[[str, int, int], None]
 

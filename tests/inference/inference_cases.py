@@ -1,0 +1,133 @@
+"""Specimens with a known truth for the tests of inference: the segmenter's part is played by the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from tissueid.inference.blocks import Blocks, log_blocks
+from tissueid.inference.engine import Identified, Request
+from tissueid.inference.law import KelvinVoigtLaw
+from tissueid.inference.logs import LogHandle
+from tissueid.inference.specimen import identify_handles
+from tissueid.inference.system import Effects, Point, System
+from tissueid.inference.trials import Adjustment
+from tissueid.inference.window import FittedLog, LogData, fitted_log
+from tissueid.model import ContactPath, KelvinVoigt
+from tissueid.synth import Hold, Log, Move, Recipe, SyntheticLog, as_trials, simulate
+from tissueid.trial import Contact, Phase, Segmentation, Trial
+
+#: Standard deviation of a contact point that is known: small against every depth used here.
+KNOWN_CONTACT_MM = 1e-4
+
+
+def log_data(time_s, depth_mm, force_N, *, include=None, fold=None) -> LogData:
+    """A log in the contact frame; everything included, one fold, unless said."""
+    n = len(time_s)
+    return LogData(
+        time_s=np.ascontiguousarray(time_s, dtype=float),
+        depth_mm=np.ascontiguousarray(depth_mm, dtype=float),
+        force_N=np.ascontiguousarray(force_N, dtype=float),
+        include=np.ones(n, dtype=bool) if include is None else np.asarray(include, dtype=bool),
+        fold=np.zeros(n, dtype=np.int64) if fold is None else np.asarray(fold, dtype=np.int64),
+    )
+
+
+def blocks_from(data: LogData, *, whole: bool = False, contact_sd_mm: float = 0.02) -> Blocks:
+    """Blocks of a log that starts in contact."""
+    step = float(np.median(np.diff(data.time_s)))
+    return log_blocks(data, step_s=step, contact_sd_mm=contact_sd_mm, leads=False, whole=whole)
+
+
+def ramp_hold(rate_Hz: float, speed_mm_s: float, depth_mm: float, hold_s: float):
+    """Times and depths of a ramp from contact and a hold, the corner on a sample."""
+    time = np.arange(round((depth_mm / speed_mm_s + hold_s) * rate_Hz) + 1) / rate_Hz
+    return time, np.minimum(speed_mm_s * time, depth_mm)
+
+
+def point_of(law: KelvinVoigtLaw, theta, *, logs: int = 1, own: int = 1, machine=(0.0, 0.0, 0.0)) -> Point:
+    """Theta [N, mm, s] as a point of the law, the logs without anything of their own."""
+    static, stiffness, tau = law.model().split(np.asarray(theta, dtype=float))
+    linear = [static * law.depth_mm ** np.arange(1.0, 4.0)]
+    linear += [row * law.depth_mm ** np.arange(1.0, law.degree + 2.0) for row in stiffness]
+    return Point(np.log(tau), np.array(machine), np.concatenate(linear), np.zeros((logs, own)))
+
+
+def system_of(
+    logs: Sequence[LogData], law: KelvinVoigtLaw, *, effects: Effects | None = None, whole: bool = False
+) -> System:
+    """Logs that start in contact under a law."""
+    blocks = [blocks_from(one, whole=whole) for one in logs]
+    return System(blocks, law, law.depth_mm, effects or Effects())
+
+
+def model_force(model: KelvinVoigt, theta, log: FittedLog, adjustment: Adjustment):
+    """Force of the contact model along a log, by the model's own recursion."""
+    x = log.data.depth_mm - adjustment.contact_offset_mm
+    return adjustment.gain * model.force(theta, ContactPath(log.data.time_s, np.maximum(x, 0.0)))
+
+
+def phases_of(trial: Trial) -> tuple[Phase, ...]:
+    """Ramp, and hold where there is one, from the protocol that made the trial."""
+    time, n = trial.time_s, trial.time_s.size
+    speed, depth = trial.protocol.speed_mm_s, trial.protocol.depth_mm
+    corner = min(int(np.searchsorted(time, depth / speed - 1e-9)), n - 1)
+    ramp = Phase("ramp", 0, corner + 1, float(time[0]), float(time[corner]), speed)
+    if corner >= n - 2:
+        return (replace(ramp, stop=n, end_s=float(time[-1])),)
+    return ramp, Phase("hold", corner, n, float(time[corner]), float(time[-1]), 0.0)
+
+
+def true_segmentation(trial: Trial, *, sd_mm: float = KNOWN_CONTACT_MM, noise_N: float = 0.0) -> Segmentation:
+    """Contact at the first sample and at zero displacement, as the synthetic recordings have it."""
+    contact = Contact(index=0, displacement_mm=0.0, sd_mm=sd_mm)
+    return Segmentation(1, 1, contact, phases_of(trial), noise_N)
+
+
+def handle_for(trial: Trial, segmentation: Segmentation) -> LogHandle:
+    facts = fitted_log(trial, segmentation)
+    assert isinstance(facts, FittedLog)
+    return LogHandle(
+        load=lambda: trial,
+        segmentation=segmentation,
+        facts=facts.without_samples(),
+        contact_sd_mm=facts.contact_sd_mm,
+    )
+
+
+def handles_for(logs: Sequence[SyntheticLog], *, sd_mm: float = KNOWN_CONTACT_MM) -> list[LogHandle]:
+    """What the pipeline would hand to the fit."""
+    return [handle_for(trial, true_segmentation(trial, sd_mm=sd_mm)) for trial in as_trials(list(logs))]
+
+
+def identified(
+    handles: Sequence[LogHandle],
+    *,
+    branches: tuple[int, ...] = (1,),
+    degrees: tuple[int, ...] = (0,),
+    pooling: str = "shared",
+    noise: str = "auto",
+    machine: bool = False,
+    **more,
+) -> Identified:
+    """The optimum of some logs."""
+    request = Request(branches, degrees, pooling, noise, machine=machine, **more)
+    return identify_handles(list(handles), request, lambda _: None)[0]
+
+
+def small_recipe(**changes) -> Recipe:
+    """Three ramps and two short holds of one soft specimen: a few thousand samples at 100 Hz."""
+    ramps = tuple(Log(f"ramp-{v:03.0f}", (Move(4.0, v),)) for v in (60.0, 240.0, 600.0))
+    holds = tuple(Log(f"hold-{d:.0f}", (Move(d, 240.0), Hold(3.0))) for d in (2.0, 4.0))
+    return replace(Recipe("small", ramps + holds, rate_Hz=100.0, sigma_N=0.2), **changes)
+
+
+def draw(recipe: Recipe, seed: int) -> list[SyntheticLog]:
+    return simulate(recipe, rng=np.random.default_rng(seed))
+
+
+def by_name(fit) -> dict:
+    """Parameters of a fit by name."""
+    return {one.name: one for one in fit.parameters}

@@ -1,0 +1,136 @@
+"""Blocks of a log: what they keep of it, and the model through them against the mean over samples."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from inference_cases import blocks_from, log_data, point_of, ramp_hold, system_of
+
+from tissueid.inference.blocks import SAMPLED, log_blocks
+from tissueid.inference.law import KelvinVoigtLaw
+from tissueid.model import ContactPath
+
+LAW = KelvinVoigtLaw(1, 1, 4.0)
+THETA = np.array([20.0, -1.2, 0.35, 60.0, 8.0, 0.02])
+
+
+def direct(time, depth, theta=THETA, law=LAW):
+    return law.model().force(np.asarray(theta), ContactPath(time, depth))
+
+
+def between(log, blocks):
+    """Mean over the samples of each block: blocks are neighbours, and cover the log."""
+    edges = np.concatenate([[0], np.cumsum(blocks.count)])
+    assert edges[-1] == log.time_s.size
+    return np.add.reduceat(log.force_N, edges[:-1]) / blocks.count
+
+
+@pytest.mark.parametrize("tau", [0.02, 2.0])
+@pytest.mark.parametrize("rate", [50.0, 1000.0])
+def test_means_through_blocks_are_those_of_the_samples(tau, rate):
+    # the corner lies on a sample, which belongs to both lines
+    time, depth = ramp_hold(rate, 4.0, 4.0, 10.0)
+    theta = np.append(THETA[:-1], max(tau, 2.0 / rate))
+    log = log_data(time, depth, direct(time, depth, theta))
+    system = system_of([log], LAW)
+    assert system.force.size < 0.4 * time.size
+    np.testing.assert_allclose(system.force, between(log, system.logs[0]), rtol=1e-12)
+    error = system.predict(point_of(LAW, theta)) - system.force
+    assert np.abs(error).max() <= 1e-4 * np.ptp(log.force_N)
+
+
+def test_a_constant_speed_between_holds_is_no_digit():
+    # most travel repeats and all steps are alike: corners stay sharp all the same
+    time = np.arange(1001) / 50.0
+    depth = np.interp(time, [0.0, 2.0, 3.0, 4.0, 7.0, 20.0], [0.0, 2.0, 1.0, 2.0, 4.0, 4.0])
+    theta = np.append(THETA[:-1], 2.0)
+    log = log_data(time, depth, direct(time, depth, theta))
+    error = system_of([log], LAW).predict(point_of(LAW, theta)) - system_of([log], LAW).force
+    assert np.abs(error).max() <= 2e-4 * np.ptp(log.force_N)
+
+
+def test_noise_of_the_travel_is_averaged_and_not_followed():
+    rng = np.random.default_rng(1)
+    time, depth = ramp_hold(1000.0, 4.0, 4.0, 10.0)
+    noisy = depth + 0.002 * rng.standard_normal(time.size)
+    quiet, found = (blocks_from(log_data(time, x, 0.0 * x)) for x in (depth, noisy))
+    assert found.force_N.size < 3 * quiet.force_N.size
+    off = np.abs(found.depth_mm - np.interp(found.time_s, time, depth))
+    # single samples near corners keep their noise, most points lie on lines through many
+    assert np.median(off) < 0.5 * 0.002
+    assert off.max() < 4.0 * 0.002
+
+
+def test_a_short_log_is_kept_sample_by_sample():
+    time, depth = ramp_hold(100.0, 4.0, 4.0, 2.0)
+    assert time.size <= SAMPLED
+    include = np.ones(time.size, dtype=bool)
+    include[:5] = False
+    found = blocks_from(log_data(time, depth, direct(time, depth), include=include))
+    np.testing.assert_array_equal(found.force_N, direct(time, depth)[5:])
+    np.testing.assert_array_equal(found.mid_s, time[5:])
+    assert (found.count == 1).all()
+    assert found.within_freedom == 0
+    assert found.chain.sum() == 1
+
+
+def test_whole_keeps_every_sample_of_a_long_log():
+    time, depth = ramp_hold(1000.0, 4.0, 4.0, 10.0)
+    found = blocks_from(log_data(time, depth, direct(time, depth)), whole=True)
+    assert found.force_N.size == time.size
+
+
+def test_blocks_grow_behind_the_corner():
+    time, depth = ramp_hold(1000.0, 4.0, 4.0, 30.0)
+    found = blocks_from(log_data(time, depth, direct(time, depth)))
+    since = found.mid_s - 1.0
+    held = found.count[since > 0.0]
+    assert held[0] <= 2
+    assert held.max() >= 400
+    # evenly in ln time: a block is no longer than 0.4 of the time since the corner
+    late = since > 0.02
+    assert (found.count[late] * 1e-3 <= 0.4 * since[late]).all()
+
+
+def test_what_is_left_within_blocks_is_the_noise():
+    rng = np.random.default_rng(2)
+    time, depth = ramp_hold(1000.0, 4.0, 4.0, 10.0)
+    noisy = direct(time, depth) + 0.5 * rng.standard_normal(time.size)
+    found = blocks_from(log_data(time, depth, noisy))
+    # some ten thousand degrees of freedom know a standard deviation to 0.7 %
+    assert found.within_freedom > 8_000
+    assert np.sqrt(found.within_N2 / found.within_freedom) == pytest.approx(0.5, rel=0.03)
+
+
+def test_samples_that_take_no_part_and_breaks_start_chains():
+    time, depth = ramp_hold(1000.0, 4.0, 4.0, 1.0)
+    include = np.ones(time.size, dtype=bool)
+    include[600:700] = False
+    log = log_data(time, depth, direct(time, depth), include=include)
+    found = blocks_from(log)
+    assert found.count.sum() == include.sum()
+    assert found.chain.sum() == 2
+    assert found.mid_s[np.flatnonzero(found.chain)[1]] >= 0.7
+    # a corner's own block starts none
+    assert (found.count == 1).any()
+
+
+def test_folds_are_not_mixed():
+    time, depth = ramp_hold(1000.0, 4.0, 4.0, 5.0)
+    fold = (np.arange(time.size) // 977).astype(int)
+    log = log_data(time, depth, direct(time, depth), fold=fold)
+    found = blocks_from(log)
+    edges = np.concatenate([[0], np.cumsum(found.count)])
+    for number, (a, b) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+        assert set(fold[a:b]) == {int(found.fold[number])}
+
+
+def test_a_path_that_leads_begins_in_air():
+    time, depth = ramp_hold(1000.0, 4.0, 4.0, 5.0)
+    log = log_data(time, depth, direct(time, depth))
+    found = log_blocks(log, step_s=1e-3, contact_sd_mm=0.02, leads=True)
+    plain = log_blocks(log, step_s=1e-3, contact_sd_mm=0.02, leads=False)
+    assert found.depth_mm[0] == pytest.approx(-0.1)
+    # on the line of the first samples, at 4 mm/s
+    assert found.time_s[0] == pytest.approx(-0.025)
+    np.testing.assert_array_equal(found.at, plain.at + 1)

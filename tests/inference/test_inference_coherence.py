@@ -1,0 +1,87 @@
+"""Values inside their intervals: the optimum, the tissue on the way to its draws, or none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tissueid.inference.estimates import TissueEstimate
+from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.inference.coherence import MARGIN, coherent_share, outside, withheld
+from tissueid.inference.reported import interval95, reported_draws
+from tissueid.result import Estimate
+from tissueid.uncertainty import ParameterUncertainty
+
+MODEL = KelvinVoigt(branches=1, stiffness_degree=0, depth_mm=4.0)
+OPTIMUM = np.array([2.0, 0.1, 0.0, 5.0, 0.5])
+
+
+def tissue(theta: np.ndarray = OPTIMUM) -> TissueEstimate:
+    values = reported_draws(MODEL, theta[None])
+    parameters = tuple(
+        Estimate(name, name, "", float(one[0]), 0.1, identified=True, detail={"estimate": float(one[0])})
+        for name, one in values.items()
+    )
+    return TissueEstimate(MODEL, theta, np.eye(theta.size), parameters, (), bounded=True)
+
+
+def draws(centre: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    out = np.tile(centre, (4000, 1))
+    out[:, :3] += np.array([0.05, 0.01, 0.002]) * rng.standard_normal((4000, 3))
+    viscosity = centre[3] * centre[4] * np.exp(0.02 * rng.standard_normal(4000))
+    out[:, 4] = centre[4] * np.exp(0.2 * rng.standard_normal(4000))
+    out[:, 3] = viscosity / out[:, 4]
+    return out
+
+
+def uncertainties(theta: np.ndarray, wider: float | None = 1.5) -> dict[str, ParameterUncertainty]:
+    out = {}
+    for name, (low, high) in interval95(reported_draws(MODEL, theta)).items():
+        middle, half = 0.5 * (low + high), 0.5 * (high - low)
+        total = None if wider is None else (middle - wider * half, middle + wider * half)
+        out[name] = ParameterUncertainty(middle, half / 2.0, (low, high), total, 1e3, 1e3, 1.0)
+    return out
+
+
+def test_an_optimum_inside_its_intervals_stays() -> None:
+    theta = draws(OPTIMUM, np.random.default_rng(1))
+    share, same = coherent_share(tissue(), theta, np.zeros(4000), uncertainties(theta))
+    assert share == 0.0
+    assert same.theta is tissue().theta or (same.theta == OPTIMUM).all()
+
+
+def test_an_optimum_outside_moves_no_further_than_it_must() -> None:
+    elsewhere = OPTIMUM + np.array([0.2, 0.0, 0.0, 0.0, 0.0])
+    theta = draws(elsewhere, np.random.default_rng(2))
+    found = uncertainties(theta)
+    assert outside(tissue().parameters, found) == ("static_1_N_per_mm",)
+    share, moved = coherent_share(tissue(), theta, -np.abs(theta[:, 0] - elsewhere[0]), found)
+    assert 0.0 < share < 1.0
+    assert outside(moved.parameters, found, margin=MARGIN) == ()
+    # half the distance would still lie outside
+    assert abs(moved.theta[0] - OPTIMUM[0]) < abs(elsewhere[0] - OPTIMUM[0])
+    value = {one.name: one for one in moved.parameters}
+    assert value["viscosity_N_s_per_mm"].value == pytest.approx(moved.theta[3] * moved.theta[4])
+    assert value["static_1_N_per_mm"].detail["optimum"] == OPTIMUM[0]
+
+
+def test_a_total_interval_that_is_missing_counts_as_outside_where_others_have_one() -> None:
+    theta = draws(OPTIMUM, np.random.default_rng(3))
+    found = uncertainties(theta)
+    one = found["stiffness_N_per_mm"] if "stiffness_N_per_mm" in found else found[next(iter(found))]
+    name = next(key for key, value in found.items() if value is one)
+    found[name] = ParameterUncertainty(one.mean, one.sd, one.ci95, None, 1.0, 1.0, 1.0)
+    assert outside(tissue().parameters, found) == (name,)
+    assert outside(tissue().parameters, uncertainties(theta, wider=None)) == ()
+
+
+def test_what_is_withheld_is_not_identified_and_says_why() -> None:
+    parameters, (flag,) = withheld(tissue().parameters, ("static_1_N_per_mm",), "the value lies outside it")
+    first, *others = parameters
+    assert not first.identified
+    assert first.value == OPTIMUM[0]
+    assert first.as_json()["ci95"] is None
+    assert all(one.identified for one in others)
+    assert flag.code == "interval_withheld"
+    assert "the value lies outside it" in flag.message
+    assert withheld(tissue().parameters, (), "") == (tissue().parameters, ())

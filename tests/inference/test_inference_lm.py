@@ -1,0 +1,146 @@
+"""The second optimiser beside the first, and both against lmfit and paper A's own method on raw samples."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import lmfit
+import numpy as np
+import pytest
+from inference_cases import draw, handle_for, handles_for, identified, small_recipe
+
+from tissueid.inference.estimates import estimate_tissue
+from tissueid.inference.lm import both_optimisers
+from tissueid.model import ContactPath, KelvinVoigt
+from tissueid.priors import Priors
+from tissueid.trial import Contact, Phase, Segmentation, Trial
+
+N = 400
+STEP = 0.025
+DEPTH = 5.0
+TAU = 0.8
+TRUTH = {0: np.array([20.0, -1.2, 0.35, 25.0, TAU]), 1: np.array([20.0, -1.2, 0.35, 20.0, 3.0, TAU])}
+#: Priors of a few largest forces move a parameter by some 1e-4 of its standard error, contact not at all.
+WEAK = 0.02
+
+
+def one_log(degree, sigma=0.05):
+    """Two ramps with holds between and after: tau, K and the static curve are all well determined."""
+    rng = np.random.default_rng(11)
+    time = np.arange(N) * STEP
+    depth = np.interp(time, [0.0, 0.5, 3.5, 4.5, 10.0], [0.0, 2.5, 2.5, DEPTH, DEPTH])
+    model = KelvinVoigt(branches=1, stiffness_degree=degree, depth_mm=DEPTH)
+    path = ContactPath(time, depth)
+    return model, path, model.force(TRUTH[degree], path) + sigma * rng.normal(size=N)
+
+
+def found(degree):
+    """The optimum of the engine, contact known."""
+    model, path, force = one_log(degree)
+    corners = np.searchsorted(path.time_s, [0.0, 0.5, 3.5, 4.5, 10.0])
+    kinds = ("ramp", "hold", "ramp", "hold")
+    phases = tuple(
+        Phase(kind, int(a), min(int(b) + 1, N), path.time_s[a], path.time_s[min(b, N - 1)], 5.0 * (kind == "ramp"))
+        for kind, a, b in zip(kinds, corners, corners[1:], strict=False)
+    )
+    trial = Trial("s", path.time_s, path.depth_mm, force)
+    handle = handle_for(trial, Segmentation(1, 1, Contact(0, 0.0, 1e-9), phases, 0.05))
+    return model, path, force, identified([replace(handle, contact_sd_mm=1e-9)], degrees=(degree,), noise="white")
+
+
+def raw_lmfit(model, path, force, start):
+    """lmfit on all N residuals in the parameters of the model."""
+    parameters = lmfit.Parameters()
+    for i, value in enumerate(start):
+        parameters.add(f"t{i}", value=value)
+
+    def values_of(parameters):
+        return np.array([one.value for one in parameters.values()])
+
+    return lmfit.minimize(
+        lambda p: model.force(values_of(p), path) - force, parameters, method="leastsq",
+        Dfun=lambda p: model.jacobian(values_of(p), path), xtol=1e-12, ftol=1e-15,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("degree", [0, 1])
+def test_optimum_and_standard_errors_are_those_of_lmfit_on_raw_samples(degree):
+    model, path, force, ours = found(degree)
+    raw = raw_lmfit(model, path, force, 1.1 * TRUTH[degree])
+    values = np.array([one.value for one in raw.params.values()])
+    errors = np.array([one.stderr for one in raw.params.values()])
+    tissue = estimate_tissue(ours)
+    assert (np.abs(tissue.theta - values) <= WEAK * errors).all()
+    # the contact's own parameter is one more than lmfit has
+    np.testing.assert_allclose(np.sqrt(np.diag(tissue.covariance)), errors, rtol=0.01)
+    assert ours.optimum.noise.sigma_N == pytest.approx(np.sqrt(raw.redchi), rel=2.0 / N)
+
+
+def paper_a(model, path, force, weights, rounds=200):
+    """Equations (10) to (13): E = e'e/2, e = F_exp - F_model, J = de/dw, w <- w - (J'J + mu I)^-1 J'e."""
+    mu = 1e-2
+    error = force - model.force(weights, path)
+    for _ in range(rounds):
+        jacobian = -model.jacobian(weights, path)
+        slope, curvature = jacobian.T @ error, jacobian.T @ jacobian
+        while True:
+            step = np.linalg.solve(curvature + mu * np.eye(weights.size), slope)
+            trial = weights - step
+            if trial[-1] > 0.0:
+                left = force - model.force(trial, path)
+                if left @ left <= error @ error:
+                    break
+            mu *= 10.0
+            if mu > 1e12:
+                return weights
+        weights, error, mu = trial, left, mu / 10.0
+        if np.abs(step / weights).max() < 1e-13:
+            break
+    return weights
+
+
+@pytest.mark.parametrize("degree", [0, 1])
+def test_the_papers_own_levenberg_marquardt_ends_at_the_same_optimum(degree):
+    model, path, force, ours = found(degree)
+    start = TRUTH[degree] * np.where(np.arange(TRUTH[degree].size) % 2 == 0, 1.2, 0.85)
+    tissue = estimate_tissue(ours)
+    errors = np.sqrt(np.diag(tissue.covariance))
+    assert (np.abs(tissue.theta - paper_a(model, path, force, start)) <= WEAK * errors).all()
+
+
+@pytest.mark.parametrize("pooling", ["shared", "partial", "scaled"])
+def test_both_optimisers_end_at_the_same_optimum(pooling):
+    recipe = small_recipe(cv_both=0.1 if pooling != "shared" else 0.0)
+    ours = identified(handles_for(draw(recipe, 2)), pooling=pooling)
+    said = both_optimisers(ours)
+    assert said["agree"] is True
+    assert said["lm_converged"]
+    # steps end where they are a hundredth of a standard error
+    assert abs(said["relative_difference"]) <= 1e-4
+    assert said["bound_active"] is False
+
+
+def test_an_optimum_that_was_missed_is_told():
+    ours = identified(handles_for(draw(small_recipe(), 2)))
+    away = 3.0 * np.sqrt(ours.optimum.covariance[0, 0])
+    missed = replace(ours.optimum.point, log_times=ours.optimum.point.log_times + away)
+    residual = ours.system.force - ours.system.predict(missed)
+    value = float(residual @ residual) / ours.optimum.noise.sigma_N**2
+    normal = replace(ours.optimum.normal, objective=value)
+    said = both_optimisers(replace(ours, optimum=replace(ours.optimum, point=missed, normal=normal)))
+    assert said["agree"] is False
+    assert said["relative_difference"] < -0.01
+
+
+def test_at_an_active_bound_disagreement_is_no_verdict():
+    # K is zero at the largest depth: the bound holds it from below
+    model, path, force = one_log(1)
+    falling = force - 15.0 * model.states(np.array([TAU]), path)[0] * path.depth_mm / DEPTH * 2.5
+    trial = Trial("s", path.time_s, path.depth_mm, falling)
+    phases = (Phase("ramp", 0, N, 0.0, float(path.time_s[-1]), 5.0),)
+    handle = handle_for(trial, Segmentation(1, 1, Contact(0, 0.0, 1e-6), phases, 0.05))
+    ours = identified([handle], degrees=(1,), priors=Priors())
+    said = both_optimisers(ours)
+    assert said["bound_active"] is True
+    assert said["agree"] is not False
+    assert estimate_tissue(ours).bounded

@@ -1,0 +1,143 @@
+"""One specimen from its logs to its result, for the three ways to pool them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from inference_cases import by_name, draw, handles_for, small_recipe
+
+from tissueid.inference.specimen import FitOptions, fit_specimen, fit_with_state
+from tissueid.model import ContactPath, KelvinVoigt
+from tissueid.synth import Branch, recipe
+
+
+TRUE = Branch((30.0,), 0.2)
+POOLINGS = ("partial", "shared", "scaled")
+
+
+def fit(recipe_, seed=0, *, branches=1, degree=0, static="partial", sd_mm=1e-4, tick=None):
+    handles = handles_for(draw(recipe_, seed), sd_mm=sd_mm)
+    return fit_specimen(
+        "knee",
+        handles,
+        options=FitOptions(branches=branches, stiffness_degree=degree, static=static),
+        tick=tick,
+    )
+
+
+def codes(fitted):
+    return {flag.code for flag in fitted.flags}
+
+
+@pytest.mark.parametrize("static", POOLINGS)
+def test_tissue_is_identified_and_says_how(static):
+    small = small_recipe(branches=(TRUE,), rate_Hz=100.0)
+    found = fit(small, static=static)
+    assert found.specimen == "knee"
+    assert found.model.as_json() == {
+        "key": "kelvin-voigt", "branches": 1, "static_degree": 3, "stiffness_degree": 0,
+        "static_pooling": static,
+    }  # fmt: skip
+    named = by_name(found)
+    for name, truth in (
+        ("relaxation_time_s", 0.2),
+        ("viscosity_N_s_per_mm", 6.0),
+        ("static_1_N_per_mm", 20.0),
+    ):
+        assert named[name].identified, name
+        assert abs(named[name].value - truth) <= 4.0 * named[name].stderr, name
+    assert found.sigma_N == pytest.approx(0.2, rel=0.15)
+    assert found.optimisers["agree"]
+    assert found.optimisers["lm_converged"]
+    assert found.depth_mm == pytest.approx(4.0, abs=1e-3)  # contact points are refined
+    assert found.speeds_mm_s == pytest.approx((1.0, 10.0))
+    assert found.n_samples == sum(trial.n_samples for trial in found.trials)
+    assert len(found.trials) == 5
+    assert len(found.relaxation) == 2
+    assert found.theta_names == KelvinVoigt(branches=1, stiffness_degree=0, depth_mm=4.0).parameter_names
+    assert found.nrmsd.rmse_N == pytest.approx(0.2, rel=0.15)
+    assert found.selection == ()
+
+
+def test_residuals_are_those_of_the_reported_tissue():
+    logs = draw(small_recipe(branches=(TRUE,)), 1)
+    options = FitOptions(branches=1, stiffness_degree=0, static="shared")
+    found = fit_with_state("knee", handles_for(logs), options=options, machine=False).fit
+    model = KelvinVoigt(branches=1, stiffness_degree=0, depth_mm=found.depth_mm)
+    squares = 0.0
+    for log, trial in zip(logs, found.trials, strict=True):
+        residual = log.force_N - model.force(found.theta, ContactPath(log.time_s, log.displacement_mm))
+        assert trial.nrmsd.rmse_N == pytest.approx(float(np.sqrt(np.mean(residual**2))), rel=1e-9)
+        squares += float(residual @ residual)
+    assert found.nrmsd.rmse_N == pytest.approx(float(np.sqrt(squares / found.n_samples)), rel=1e-9)
+    # with the weak priors in it
+    assert found.optimisers["vp_sum_of_squares_N2"] == pytest.approx(squares, rel=1e-3)
+
+
+@pytest.mark.parametrize("static", ["partial", "scaled"])
+def test_scatter_between_logs_is_taken_up_by_each_log(static):
+    small = small_recipe(branches=(TRUE,), cv_both=0.1)
+    found = fit(small, 2, static=static)
+    assert max(trial.nrmsd.rmse_N for trial in found.trials) <= 0.25
+    if static == "partial":
+        truth = np.array([log.truth["gain"] for log in draw(small, 2)])
+        ours = np.array([trial.gain for trial in found.trials])
+        np.testing.assert_allclose(ours / ours.mean(), truth / truth.mean(), rtol=0.03)
+
+
+def test_one_log_has_nothing_to_pool():
+    small = small_recipe(branches=(TRUE,), logs=small_recipe().logs[-1:])
+    found = fit(small)
+    assert found.model.static_pooling == "shared"
+    assert len(found.trials) == 1
+    assert found.trials[0].gain == 1.0
+    assert abs(by_name(found)["relaxation_time_s"].detail["estimate"] - 0.2) <= 0.05
+
+
+def test_chosen_model_comes_with_its_table():
+    found = fit(small_recipe(branches=(TRUE,)), 3, branches=None, degree=None, static="shared")
+    rows = [row for row in found.selection if row["chosen"]]
+    assert len(rows) == 1
+    assert rows[0]["branches"] == found.model.branches
+    assert rows[0]["stiffness_degree"] == found.model.stiffness_degree
+
+
+def test_the_same_logs_give_the_same_bytes():
+    first, second = (fit(small_recipe(branches=(TRUE,)), 4) for _ in range(2))
+    np.testing.assert_array_equal(first.theta, second.theta)
+    np.testing.assert_array_equal(first.covariance, second.covariance)
+    assert [one.as_json() for one in first.parameters] == [one.as_json() for one in second.parameters]
+
+
+def test_progress_names_what_is_done():
+    said = []
+    fit(small_recipe(rate_Hz=20.0), static="shared", tick=said.append)
+    assert sum("reading" in one for one in said) == 5
+    assert sum("residuals" in one for one in said) == 5
+
+
+def test_at_10_hz_viscosity_is_known_and_the_relaxation_time_is_not():
+    slow = recipe("paper-a-30-10Hz")
+    for seed in range(1):
+        found = fit(slow, seed)
+        named = by_name(found)
+        tau, eta = named["relaxation_time_s"], named["viscosity_N_s_per_mm"]
+        assert not tau.identified
+        assert tau.value is None
+        assert eta.identified
+        assert abs(eta.value - 63.62 * 0.021) <= 4.0 * eta.stderr
+        assert {"not_identified", "compliance_unknown"} <= codes(found)
+
+
+def test_one_speed_without_hold_does_not_identify_viscosity():
+    small = small_recipe(logs=tuple(replace(log, repeats=3) for log in small_recipe().logs[1:2]))
+    found = fit(small, static="shared")
+    assert "single_speed" in codes(found)
+
+
+def test_a_slow_mode_left_out_shows_in_the_residual():
+    small = small_recipe(branches=(TRUE, Branch((15.0,), 1.5)), sigma_N=0.05)
+    found = fit(small, branches=1, static="shared")
+    assert "discrepancy" in codes(found)
