@@ -46,6 +46,7 @@ __all__ = [
     "fit_own",
     "fractional_derivative",
     "increasing",
+    "law_residual",
     "nrmsd",
     "ray_coefficients",
     "resolvable",
@@ -433,7 +434,7 @@ def counted_force(logs: Sequence[Log]) -> Array:
     return np.concatenate([log.force_N[log.counted] for log in logs])
 
 
-def _residual(law: Law, logs: Sequence[Log], shape: Array, *, own: bool) -> Array:
+def law_residual(law: Law, logs: Sequence[Log], shape: Array, *, own: bool) -> Array:
     """Residuals of the counted samples at the best weights [N]."""
     parts = [law.columns(log, shape)[log.counted] for log in logs]
     forces = [log.force_N[log.counted] for log in logs]
@@ -447,13 +448,13 @@ def _searched(law: Law, logs: Sequence[Log], *, own: bool) -> tuple[Array, Array
     """Best shape and its residuals: all starts are looked at, the best few polished."""
     starts = law.starts(logs)
     if starts[0].size == 0:
-        return starts[0], _residual(law, logs, starts[0], own=own)
+        return starts[0], law_residual(law, logs, starts[0], own=own)
     low, high = law.bounds(logs)
-    squares = [float((_residual(law, logs, start, own=own) ** 2).sum()) for start in starts]
+    squares = [float((law_residual(law, logs, start, own=own) ** 2).sum()) for start in starts]
     best: tuple[float, Array, Array] | None = None
     for place in np.argsort(squares)[:POLISHED]:
         found = least_squares(
-            lambda shape: _residual(law, logs, shape, own=own),
+            lambda shape: law_residual(law, logs, shape, own=own),
             np.clip(starts[place], low + 1e-9, high - 1e-9),
             bounds=(low, high),
             diff_step=1e-5,

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from real_independent import independent_fit
+from real_independent import independent_fit, independent_taus
 from real_recordings import Found, Recording, fit_of, grouped, tell, value_of
 
 __all__ = ["coherence", "combined_sds", "halves_of", "inside", "seed_distances"]
@@ -43,13 +43,20 @@ def seed_distances(first: Found, second: Found) -> dict[str, float]:
 
 def _independent(found: Found, members: Sequence[Recording]) -> dict[str, Any]:
     """Distances of the independent fit by parameter [total sd], and the deviations of both."""
+    logs = found.logs(as_recorded=True)
+    if len(logs) != len(members) or not found.order[0]:
+        return {"skipped": "not every log was fitted, or nothing relaxes"}
     if len(members) > 1 and found.pooling not in POOLED_LIKE_LMFIT:
-        return {"skipped": f"static {found.pooling!r} is not written apart"}
-    logs = found.logs()
-    sds = [one.contact_sd_mm for one in members]
-    if len(logs) != len(members):
-        return {"skipped": "not every log was fitted"}
-    values, rmse = independent_fit(logs, found.order, sigma_N=found.document["sigma_N"], contact_sd_mm=sds)
+        # each log has its own curve: contact points as fitted, relaxation times alone are compared
+        values, rmse = independent_taus(found.logs(), found.order)
+    else:
+        values, rmse = independent_fit(
+            logs,
+            found.order,
+            sigma_N=found.document["sigma_N"],
+            contact_sd_mm=[one.contact_sd_mm for one in members],
+            contacts=len(members) > 1 or found.offset_apart,
+        )
     distances = {}
     for name, parameter in found.printed().items():
         value, sd = value_of(parameter)

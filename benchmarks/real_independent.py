@@ -12,10 +12,10 @@ from collections.abc import Sequence
 import lmfit
 import numpy as np
 from numpy.typing import NDArray
-from real_baselines import RAYS, Log, Paper, cone_weights, deepest, rms
+from real_baselines import RAYS, Log, Paper, Scaled, cone_weights, deepest, law_residual, rms
 from real_pooled import GAIN, OFFSET_MM, PartialProblem
 
-__all__ = ["independent_fit", "named"]
+__all__ = ["independent_fit", "independent_taus", "named"]
 
 Array = NDArray[np.float64]
 
@@ -32,20 +32,26 @@ HALF = 0.5
 EVALUATIONS = 800
 
 
-def _parameters(problem: PartialProblem, span: tuple[float, float]) -> lmfit.Parameters:
-    """Start of a search: relaxation times spread over a span, offsets 0."""
-    logs, branches = problem.logs, problem.law.branches
+def _add_taus(
+    parameters: lmfit.Parameters, logs: Sequence[Log], branches: int, span: tuple[float, float]
+) -> None:
+    """Relaxation times spread over a span of the range of the samples."""
     step = min(float(np.median(np.diff(log.time_s))) for log in logs)
     low, high = np.log(step), np.log(max(float(np.ptp(log.time_s)) for log in logs))
-    parameters = lmfit.Parameters()
     places = np.linspace(*span, branches) if branches > 1 else [float(np.mean(span))]
     for j, place in enumerate(places):
         at = low + place * (high - low)
         parameters.add(f"lntau{j}", value=at, min=low - BEYOND, max=high + BEYOND)
-    several = len(logs) > 1
+
+
+def _parameters(problem: PartialProblem, span: tuple[float, float], *, contacts: bool) -> lmfit.Parameters:
+    """Start of a search: relaxation times spread over a span, offsets 0."""
+    parameters = lmfit.Parameters()
+    _add_taus(parameters, problem.logs, problem.law.branches, span)
+    several = len(problem.logs) > 1
     for i, gain in enumerate(problem.gain_start()):
         parameters.add(f"lngain{i}", value=gain if several else 0.0, min=-GAIN, max=GAIN, vary=several)
-        parameters.add(f"offset{i}", value=0.0, min=-OFFSET_MM, max=OFFSET_MM, vary=several)
+        parameters.add(f"offset{i}", value=0.0, min=-OFFSET_MM, max=OFFSET_MM, vary=contacts)
     return parameters
 
 
@@ -76,20 +82,27 @@ def named(law: Paper, weights: Array, ln_tau: Array) -> dict[str, float]:
 
 
 def independent_fit(
-    logs: Sequence[Log], order: tuple[int, int], *, sigma_N: float, contact_sd_mm: Sequence[float]
+    logs: Sequence[Log],
+    order: tuple[int, int],
+    *,
+    sigma_N: float,
+    contact_sd_mm: Sequence[float],
+    contacts: bool,
 ) -> tuple[dict[str, float], float]:
     """Fit the model of an order from other starts, and keep the best.
 
     Parameters
     ----------
     logs : sequence of Log
-        Of one specimen; more than one differ by a gain and a contact offset.
+        Of one specimen; more than one differ by a gain.
     order : tuple of int
         Branches, and degree of K.
     sigma_N : float
         Standard deviation of the force that the priors of contact offsets are weighed against [N].
     contact_sd_mm : sequence of float
         One a log [mm].
+    contacts : bool
+        Search the contact point of each log as well.
 
     Returns
     -------
@@ -106,12 +119,12 @@ def independent_fit(
     def residual(parameters: lmfit.Parameters) -> Array:
         parts = _parts(parameters, problem)
         scaled = problem.residual(problem.columns(*parts)) / unit
-        return np.concatenate([scaled, parts[2] / sd]) if several else scaled
+        return np.concatenate([scaled, parts[2] / sd]) if contacts else scaled
 
     tried = [
         lmfit.minimize(
             residual,
-            _parameters(problem, span),
+            _parameters(problem, span, contacts=contacts),
             method="least_squares",
             max_nfev=EVALUATIONS,
             diff_step=1e-5,
@@ -124,3 +137,41 @@ def independent_fit(
     columns = problem.columns(*parts)
     rmse = rms(problem.residual(columns))
     return named(law, cone_weights(columns, problem.force), parts[0]), rmse
+
+
+def independent_taus(logs: Sequence[Log], order: tuple[int, int]) -> tuple[dict[str, float], float]:
+    """Fit logs that have a curve each and the relaxation in common, and keep the best of the starts.
+
+    Returns
+    -------
+    values : dict
+        Relaxation times by their names in ``identification.json``.
+    rmse_N : float
+        Over the counted samples.
+    """
+    law = Scaled(*order, deepest(logs))
+    size = law.branches * (law.degree + 1)
+
+    def shape(parameters: lmfit.Parameters) -> Array:
+        values = parameters.valuesdict()
+        ratios = [values[f"ratio{i}"] for i in range(size)]
+        return np.array([*(values[f"lntau{j}"] for j in range(law.branches)), *ratios])
+
+    def residual(parameters: lmfit.Parameters) -> Array:
+        return law_residual(law, logs, shape(parameters), own=True)
+
+    tried = []
+    for span in STARTS[:POOLED_STARTS]:
+        start = lmfit.Parameters()
+        _add_taus(start, logs, law.branches, span)
+        for i in range(size):
+            start.add(f"ratio{i}", value=1.0, min=0.0)
+        tried.append(
+            lmfit.minimize(
+                residual, start, method="least_squares", max_nfev=EVALUATIONS, diff_step=1e-5, x_scale="jac"
+            )
+        )
+    best = min(tried, key=lambda one: float(one.chisqr))
+    taus = np.exp(np.sort(shape(best.params)[: law.branches]))
+    names = [f"relaxation_time_s{'' if j == 0 else f'_b{j + 1}'}" for j in range(law.branches)]
+    return dict(zip(names, map(float, taus), strict=True)), rms(residual(best.params))

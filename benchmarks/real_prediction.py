@@ -31,7 +31,7 @@ from real_baselines import (
 from real_pooled import PerLog, fit_partial
 from real_recordings import Found, Recording, fit_of, grouped, tell
 
-from tissueid.model import ContactPath, KelvinVoigt
+from tissueid.model import ContactPath
 
 __all__ = ["foreign_force", "insample", "no_model", "prediction", "speed_laws"]
 
@@ -55,7 +55,7 @@ def foreign_force(found: Found, log: Log, shift_mm: float = 0.0) -> Array:
     shift_mm : float
         Contact of the fit's logs above that of ``log`` [mm].
     """
-    model = KelvinVoigt(*found.order, depth_mm=float(found.fit.depth_mm))
+    model = found.law
     theta = np.asarray(found.fit.theta, dtype=np.float64)
     depth = np.maximum(log.depth_mm + shift_mm, 0.0)
     if depth.max() <= model.depth_mm or not model.is_passive(theta):

@@ -17,9 +17,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from real_baselines import Log
+from real_baselines import Log, cone_weights, curve_rays
 
 import tissueid
+from tissueid.model import ContactPath, KelvinVoigt
 from tissueid.pipeline import FitOptions, IdentifyOptions, PosteriorOptions, identify
 
 __all__ = ["Found", "Recording", "fit_of", "grouped", "recordings", "tell", "value_of", "workbooks"]
@@ -214,13 +215,38 @@ class Found:
         """Parameters with a value."""
         return {one["name"]: one for one in self.document["parameters"] if one["value"] is not None}
 
-    def logs(self) -> list[Log]:
-        """Its logs in the frame of the fit, as its curves keep them."""
+    @property
+    def law(self) -> KelvinVoigt:
+        """Contact model that belongs to theta."""
+        return KelvinVoigt(*self.order, depth_mm=float(self.fit.depth_mm))
+
+    @property
+    def offset_apart(self) -> bool:
+        """True if the law takes depths less the contact offsets, and not the depths that its curves keep."""
+        law, theta = self.law, np.asarray(self.fit.theta, dtype=np.float64)
+        if not any(one.contact_offset_mm for one in self.fit.trials):
+            return False
+        misses = []
+        for moved in (0.0, 1.0):
+            total = 0.0
+            for one in self.fit.trials:
+                depth = np.maximum(np.asarray(one.curve.depth_mm) - moved * one.contact_offset_mm, 0.0)
+                force = law.force(theta, ContactPath(np.asarray(one.curve.time_s), depth))
+                # a log may have a gain or a curve of its own
+                columns = curve_rays(depth / law.depth_mm, 2) * force[:, None]
+                model = np.asarray(one.curve.model_N)
+                total += float(((columns @ cone_weights(columns, model) - model) ** 2).sum())
+            misses.append(total)
+        return misses[1] < misses[0]
+
+    def logs(self, *, as_recorded: bool = False) -> list[Log]:
+        """Its logs in the frame of the law, or with contact before it was fitted."""
+        moved = not as_recorded and self.offset_apart
         return [
             Log(
                 f"{one.path} {one.sheet}",
                 np.asarray(one.curve.time_s),
-                np.asarray(one.curve.depth_mm),
+                np.asarray(one.curve.depth_mm) - (one.contact_offset_mm if moved else 0.0),
                 np.asarray(one.curve.force_N),
                 np.asarray(one.curve.fitted, dtype=bool),
             )

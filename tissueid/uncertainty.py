@@ -99,12 +99,12 @@ class SamplerReport:
     Attributes
     ----------
     name : str
-        ``emcee`` or ``exact``.
+        ``emcee``; ``exact`` in sets of earlier versions.
     converged : bool
     draws : int
         Draws kept (of all walkers).
     acceptance : float
-        Accepted proposals (emcee), or accepted draws of the rejection (exact), as a fraction.
+        Accepted proposals, as a fraction.
     detail : mapping
         steps, walkers, autocorrelation time, seed, wall time, the reason where not converged.
     """
@@ -233,7 +233,8 @@ class BudgetRow:
         Its name.
     source : str
         ``noise``, ``scatter between logs``, ``contact points``, ``force gain``, ``displacement gain``,
-        ``time skew``, ``force filter`` or ``frame``; ``total`` and ``cluster bootstrap`` stand beside them.
+        ``time skew``, ``force filter`` or ``frame``; ``total`` stands beside them, and ``cluster bootstrap`` in
+        sets of earlier versions.
     sd : float
         Standard deviation [unit of the parameter].
     share : float

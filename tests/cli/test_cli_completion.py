@@ -62,7 +62,7 @@ def test_commands_are_offered_with_what_they_do() -> None:
     ("typed", "expected"),
     [
         ("tissueid fit --samp", "plain,--sampler"),
-        ("tissueid fit --sampler e", "plain,exact"),
+        ("tissueid fit --sampler n", "plain,none"),
         ("tissueid fit --require rel", "plain,relaxation-time"),
         ("tissueid fit --recipe mts", "plain,mts-793"),
         ("tissueid fit lab", "file,lab"),

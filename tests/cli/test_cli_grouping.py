@@ -26,7 +26,7 @@ def test_files_with_one_header_label_are_one_specimen(tmp_path: Path) -> None:
         write_log(tmp_path / "lab" / f"log-{number}.csv", label="kidney 7", force_times=1.0 + 0.02 * number)
     document = fit(tmp_path / "out", tmp_path / "lab", *QUICK)
     assert logs_of(document) == {"kidney 7": 3}
-    assert document["specimens"][0]["model"]["static_pooling"] == "partial"
+    assert document["specimens"][0]["model"]["static_pooling"] == "scaled"
     assert (tmp_path / "out" / "bundle-kidney_7.h5").exists()
     assert {entry["specimen"] for entry in document["provenance"]["inputs"]} == {"kidney 7"}
 

@@ -97,7 +97,7 @@ def refused(*args: str) -> str:
         ("[fit]\nseed = 1.5\n", "fit", "line 2: seed = 1.5: must be a whole number"),
         ("[fit]\nseed = -1\n", "fit", "line 2: seed = -1: -1 is not in the range"),
         ("[fit]\npoisson = true\n", "fit", "line 2: poisson = True: must be a number"),
-        ("[fit]\ncompare = 1\n", "fit", "line 2: compare = 1: must be true or false, without quotes"),
+        ("[fit]\nno-rupture = 1\n", "fit", "line 2: no-rupture = 1: must be true or false, without quotes"),
         ("[fit]\nsampler = \"nuts\"\n", "fit", "line 2: sampler = 'nuts': 'nuts' is not one of"),
         ("[fit]\ntip = 3\n", "fit", "line 2: tip = 3: must be text in quotes"),
         ("[fit]\nrequire = \"static\"\n", "fit", "line 2: require = 'static': must be a list"),
@@ -127,7 +127,7 @@ def test_help_and_doctor_work_whatever_a_file_says(folder: Path) -> None:
     [
         ("TISSUEID_FIT_SEDD", "1", "did you mean TISSUEID_FIT_SEED?"),
         ("TISSUEID_FIT_SEED", "one", "TISSUEID_FIT_SEED = 'one': 'one' is not a valid integer"),
-        ("TISSUEID_FIT_COMPARE", "perhaps", "must be 1 or 0"),
+        ("TISSUEID_FIT_NO_RUPTURE", "perhaps", "must be 1 or 0"),
         ("TISSUEID_FIT_REQUIRE", "static,nothing", "'nothing' is not one of"),
     ],
 )

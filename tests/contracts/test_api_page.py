@@ -54,5 +54,5 @@ def test_the_example_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     (block,) = re.findall(r"^```python\n(.*?)^```$", PAGE, flags=re.MULTILINE | re.DOTALL)
     found: dict[str, object] = {}
     exec(compile(block, "api.md", "exec"), found)
-    # truth: 0.021 s
-    assert abs(found["fit"].parameter("relaxation_time_s").value - 0.021) < 0.002  # type: ignore[attr-defined]
+    # truth: 63.62 N/mm times 0.021 s; at 100 Hz, and a clock that may be skewed, the time alone is not known
+    assert abs(found["fit"].parameter("viscosity_N_s_per_mm").value - 1.336) < 0.2  # type: ignore[attr-defined]

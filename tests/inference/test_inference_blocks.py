@@ -30,7 +30,7 @@ def between(log, blocks):
 def test_means_through_blocks_are_those_of_the_samples(tau, rate):
     # the corner lies on a sample, which belongs to both lines
     time, depth = ramp_hold(rate, 4.0, 4.0, 10.0)
-    theta = np.append(THETA[:-1], max(tau, 2.0 / rate))
+    theta = np.append(THETA[:-1], max(tau, 20.0 / rate))
     log = log_data(time, depth, direct(time, depth, theta))
     system = system_of([log], LAW)
     assert system.force.size < 0.4 * time.size

@@ -32,7 +32,7 @@ trials = tissueid.read_trials("datasets_synthetic/paper-a-hold-100Hz")
 options = tissueid.IdentifyOptions(fit=tissueid.FitOptions(branches=1, stiffness_degree=0))
 found = tissueid.identify(trials, options=options)
 fit = found.specimens[0]
-print(fit.specimen, fit.parameter("relaxation_time_s").value, [flag.code for flag in fit.flags])
+print(fit.specimen, fit.parameter("viscosity_N_s_per_mm").value, [flag.code for flag in fit.flags])
 found  # in a notebook: a table and a drawing
 ```
 """

@@ -22,9 +22,11 @@ FloatArray = NDArray[np.float64]
 #: Components, degrees of freedom, and width of a component over the spread of the draws it stands for.
 COMPONENTS, TAILS, WIDER = 6, 6.0, 1.2
 #: Draws of a round, rounds at the most, and the share of them that makes the mixture good enough.
-ROUND, ROUNDS, GOOD = 300, 12, 0.4
+ROUND, ROUNDS, GOOD = 400, 24, 0.35
 #: Effective draws that a fit of the mixture needs, for each coordinate, and steps of that fit.
 EACH, EM_STEPS = 8.0, 12
+#: Rounds without a better one after which no more is hoped for.
+SETTLED = 8
 #: Rounds of proposals that the weights remember.
 REMEMBERED = 6
 #: Share of a draw's spread that every component has at least.
@@ -146,15 +148,17 @@ def learn_mixture(target: Target, cut: CutNormal, rng: np.random.Generator) -> t
     mixture = _fitted(first, np.full(len(first), 1.0 / len(first)), rng)
     z, levels = np.empty((0, target.size)), np.empty(0)
     used: list[Mixture] = []
-    efficiency = 0.0
+    recent, best = [0.0], (0.0, mixture)
     for _ in range(ROUNDS):
         new = mixture.draw(ROUND, rng)
         value = target.densities(new)
         _, worth = _normalised(value - mixture.log_density(new))
         efficiency = worth / ROUND
         z, levels, used = np.vstack([z, new]), np.append(levels, value), [*used, mixture]
-        if efficiency >= GOOD:
+        recent.append(efficiency)
+        best = max(best, (efficiency, mixture), key=lambda one: one[0])
+        if efficiency >= GOOD or (len(recent) > SETTLED and max(recent[-SETTLED:]) <= max(recent[:-SETTLED])):
             break
         proposed = logsumexp([one.log_density(z) for one in used[-REMEMBERED:]], axis=0)
         mixture = _fitted(z, _tempered(levels - proposed, least), rng)
-    return mixture, efficiency
+    return best[1], best[0]

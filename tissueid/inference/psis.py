@@ -69,10 +69,8 @@ def smoothed(log_weight: FloatArray) -> Weighed:
     if size >= FEWEST_TAIL and tail[-1] > 1e-12 and tail[0] >= 0.0 and np.ptp(tail) > 0.0:
         tail = np.maximum(tail, 1e-300)
         shape, scale = _pareto(tail)
-        place = (np.arange(size) + 0.5) / size
-        quantiles = (
-            scale * np.expm1(-shape * np.log1p(-place)) / shape if shape != 0.0 else -scale * np.log1p(-place)
-        )
+        far = -np.log1p(-(np.arange(size) + 0.5) / size)
+        quantiles = scale * (np.expm1(np.minimum(shape * far, 600.0)) / shape if abs(shape) > 1e-9 else far)
         part[order[-size:]] = np.minimum(cut + quantiles, part.max())
     weights[inside] = part / part.sum()
     return Weighed(weights, float(1.0 / (weights**2).sum()), float(shape))

@@ -29,9 +29,9 @@ FloatArray = NDArray[np.float64]
 #: Walkers, and steps of each from where importance sampling put it.
 WALKERS, STEPS = 128, 30
 #: Points of importance sampling in one look, and looks at the most.
-LOOK, MOST_LOOKS = 1_000, 10
+LOOK, MOST_LOOKS = 1_000, 12
 #: Share of the effective draws asked for, and the Pareto shape, with which a posterior counts as sampled.
-ENOUGH, PARETO = 0.1, 0.75
+ENOUGH, PARETO = 0.1, 0.9
 #: Shares of the moves: independent proposals, differential evolution, stretches.
 MOVES = (0.6, 0.25, 0.15)
 

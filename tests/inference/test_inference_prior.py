@@ -1,0 +1,86 @@
+"""Priors as rows: Bernstein coefficients against the polynomial, rows against the density they stand for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from inference_cases import log_data, point_of, ramp_hold, system_of
+from scipy.interpolate import BPoly
+
+from tissueid.inference.law import KelvinVoigtLaw
+from tissueid.inference.optimum import prior_cost
+from tissueid.inference.prior import Scatter, bernstein, prior_rows, time_bounds
+from tissueid.inference.system import Effects
+from tissueid.model import ContactPath
+from tissueid.priors import WEAK_FACTOR, CalibrationPrior, Priors, SpreadPrior
+
+LAW = KelvinVoigtLaw(1, 1, 4.0)
+THETA = np.array([20.0, -1.2, 0.35, 60.0, 8.0, 0.5])
+
+
+def case(effects=None, logs=1):
+    time, depth = ramp_hold(100.0, 4.0, 4.0, 3.0)
+    log = log_data(time, depth, LAW.model().force(THETA, ContactPath(time, depth)))
+    effects = effects or Effects()
+    return system_of([log] * logs, LAW, effects=effects), point_of(LAW, THETA, logs=logs, own=effects.size)
+
+
+@pytest.mark.parametrize("powers", [1, 2, 3, 5])
+def test_bernstein_coefficients_are_those_of_the_same_polynomial(powers):
+    c = np.random.default_rng(powers).standard_normal(powers)
+    u = np.linspace(0.0, 1.0, 17)
+    found = BPoly((bernstein(powers) @ c)[:, None], [0.0, 1.0])(u)
+    np.testing.assert_allclose(found, np.polynomial.polynomial.polyval(u, c), atol=1e-12)
+
+
+def test_a_weak_prior_is_of_the_largest_force_and_state():
+    system, point = case()
+    prior = prior_rows(system, LAW, point, Scatter(), Priors(), machine=False)
+    state = 4.0 * 0.5 * -np.expm1(-1.0 / 0.5) / 4.0
+    sd = WEAK_FACTOR * np.abs(system.force).max()
+    static = np.array([80.0, -19.2, 22.4])
+    expected = ((bernstein(3) @ static) ** 2).sum() / sd**2
+    expected += ((bernstein(2) @ np.array([240.0, 128.0])) ** 2).sum() * state**2 / sd**2
+    # the largest state is read at the points of the blocks
+    assert prior_cost(prior, point) == pytest.approx(expected, rel=1e-4)
+
+
+def test_stated_priors_are_standardised():
+    system, point = case()
+    priors = Priors(
+        linear={"static_2_N_per_mm2": (-1.0, 0.5)},
+        relaxation_time_s=(SpreadPrior(0.4, 0.3),),
+        calibration={"skew_s": CalibrationPrior(0.004, 0.001, stated=True)},
+    )
+    weak = prior_cost(prior_rows(system, LAW, point, Scatter(), Priors(), machine=False), point)
+    told = prior_cost(prior_rows(system, LAW, point, Scatter(), priors, machine=True), point)
+    expected = (-0.2 / 0.5) ** 2 + (np.log(0.5 / 0.4) / 0.3) ** 2 + 4.0**2
+    assert told - weak == pytest.approx(expected, rel=1e-9)
+
+
+def test_bounds_are_the_passive_set_the_times_and_the_machine():
+    system, point = case()
+    prior = prior_rows(system, LAW, point, Scatter(), Priors(), machine=True)
+    assert (prior.cone @ point.shared >= prior.least).all()
+    low, high = time_bounds(system)
+    assert (low, high) == pytest.approx((np.log(0.2 * 0.01), np.log(40.0)), abs=0.02)
+    for k, value in ((0, low - 0.01), (0, high + 0.01), (1, -1e-6), (3, -1e-6), (4, -1.0), (7, -1.0)):
+        moved = point.shared.copy()
+        moved[k] = value
+        assert (prior.cone @ moved < prior.least).any(), k
+    skewed = point.shared.copy()
+    skewed[2] = -0.01
+    assert (prior.cone @ skewed >= prior.least).all()
+
+
+def test_own_parameters_have_the_scatter_between_logs():
+    effects = Effects(gain=True, contact=True, shape=True)
+    system, point = case(effects, logs=2)
+    prior = prior_rows(system, LAW, point, Scatter(0.2, 0.03), Priors(), machine=False)
+    own = np.zeros((2, effects.size))
+    own[1] = [0.1, 0.002, 3.0, -1.0, 0.5]
+    moved = point.moved(point.shared, own)
+    force = np.abs(system.force).max()
+    expected = (0.1 / 0.2) ** 2 + (0.002 / (0.02 / 4.0)) ** 2
+    expected += ((bernstein(3) @ own[1, 2:]) ** 2).sum() / (0.03 * force) ** 2
+    assert prior_cost(prior, moved) - prior_cost(prior, point) == pytest.approx(expected, rel=1e-9)

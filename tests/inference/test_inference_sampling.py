@@ -1,0 +1,167 @@
+"""Chains of known densities, and runs that are killed and go on to the same draws."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from density_cases import COVARIANCE, MEAN, Density, banana, correlated
+
+from tissueid.inference import checkpoint, sampling
+from tissueid.inference.checkpoint import Checkpoint
+from tissueid.inference.sampling import STEPS, WALKERS, sample
+
+DRAWS = 1_500
+
+
+@pytest.fixture(autouse=True)
+def _every_look(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(checkpoint, "EVERY_S", 0.0)
+
+
+def test_a_normal_has_its_moments_within_their_errors():
+    found = sample(correlated(), draws=DRAWS, seed=1)
+    assert found.converged
+    assert found.chain.shape == (WALKERS, STEPS, 4)
+    assert found.log_density.shape == (WALKERS, STEPS)
+    assert 0.2 < found.acceptance < 0.95
+    draws = found.chain.reshape(-1, 4)
+    sd = np.sqrt(np.diag(COVARIANCE))
+    # 1,500 effective draws and more: four errors of a mean and of an sd
+    assert (np.abs(draws.mean(axis=0) - MEAN) <= 4.0 * sd / np.sqrt(DRAWS)).all()
+    np.testing.assert_allclose(draws.std(axis=0), sd, rtol=4.0 / np.sqrt(2.0 * DRAWS))
+    np.testing.assert_allclose(
+        np.corrcoef(draws.T), COVARIANCE / sd / sd[:, None], atol=4.0 / np.sqrt(DRAWS)
+    )
+    np.testing.assert_allclose(found.log_density, correlated().densities(draws).reshape(WALKERS, STEPS))
+
+
+def test_a_banana_has_its_moments():
+    draws = sample(banana(), draws=DRAWS, seed=2).chain.reshape(-1, 2)
+    assert draws[:, 0].mean() == pytest.approx(0.0, abs=0.12)
+    assert draws[:, 0].std() == pytest.approx(1.0, abs=0.1)
+    assert draws[:, 1].mean() == pytest.approx(0.0, abs=0.16)
+    # the skewness of a chi square: quantiles of y = x^2 - 1 + 0.4 e, from a million draws
+    rng = np.random.default_rng(0)
+    y = rng.standard_normal(1_000_000) ** 2 - 1.0 + 0.4 * rng.standard_normal(1_000_000)
+    np.testing.assert_allclose(
+        np.quantile(draws[:, 1], [0.1, 0.5, 0.9]), np.quantile(y, [0.1, 0.5, 0.9]), atol=0.2
+    )
+
+
+def test_a_seed_repeats_its_draws_and_another_does_not():
+    first, same, other = (sample(correlated(), draws=300, seed=seed) for seed in (3, 3, 4))
+    np.testing.assert_array_equal(first.chain, same.chain)
+    assert not np.array_equal(first.chain, other.chain)
+
+
+def test_a_density_that_no_proposal_meets_is_refused():
+    def spike(z):
+        return np.where(np.abs(z[:, 0] - 3.0) < 1e-6, 0.0, -np.inf)
+
+    with pytest.raises(ArithmeticError, match="importance sampling is worth"):
+        sample(Density(2, spike), draws=300, seed=1)
+
+
+def test_too_few_draws_are_no_convergence_and_say_so(monkeypatch):
+    monkeypatch.setattr(sampling, "MOST_LOOKS", 1)
+    found = sample(correlated(), draws=50_000, seed=1)
+    assert not found.converged
+    assert "of 50000 effective draws" in found.detail["reason"]
+
+
+def test_progress_is_told():
+    said = []
+    sample(correlated(), draws=DRAWS, seed=1, progress=lambda points, share: said.append((points, share)))
+    assert said[-1][1] == 1.0
+    assert [points for points, _ in said] == [1_000 * (k + 1) for k in range(len(said))]
+
+
+class Killed(Exception):
+    pass
+
+
+def test_a_killed_run_goes_on_to_the_same_draws(tmp_path):
+    path = tmp_path / "chains" / "liver.npz"
+    whole = sample(correlated(), draws=4_000, seed=5)
+    dying = correlated()
+
+    def told(points, share):
+        if points >= 3_000:
+            raise Killed
+
+    with pytest.raises(Killed):
+        sample(dying, draws=4_000, seed=5, checkpoint=path, key="liver", progress=told)
+    resumed = correlated()
+    found = sample(resumed, draws=4_000, seed=5, checkpoint=path, key="liver")
+    np.testing.assert_array_equal(found.chain, whole.chain)
+    np.testing.assert_array_equal(found.log_density, whole.log_density)
+    again = correlated()
+    sample(again, draws=4_000, seed=5)
+    # looks that were kept were not taken again
+    assert resumed.calls <= again.calls - 2
+
+
+def kept(path, key="key", seed=31, count=7):
+    rng = np.random.default_rng(seed)
+    points, weights = rng.standard_normal((count, 3)), rng.standard_normal(count)
+    Checkpoint(path, key).write(rng, points, weights)
+    return rng, points, weights
+
+
+def test_points_weights_and_generator_come_back_bit_for_bit(tmp_path):
+    path = tmp_path / "liver.npz"
+    rng, points, weights = kept(path)
+    other = np.random.default_rng(1)
+    found, log_weight = Checkpoint(path, "key").resume(other, 3)
+    np.testing.assert_array_equal(found, points)
+    np.testing.assert_array_equal(log_weight, weights)
+    np.testing.assert_array_equal(other.standard_normal(5), rng.standard_normal(5))
+
+
+@pytest.mark.parametrize("how", ["another key", "another size", "cut", "empty", "noise", "objects", "missing", "other"])
+def test_what_cannot_be_gone_on_from_is_left_aside(tmp_path, how):
+    path, key, size = tmp_path / "liver.npz", "key", 3
+    kept(path)
+    content = path.read_bytes()
+    if how == "another key":
+        key = "other"
+    elif how == "another size":
+        size = 4
+    elif how == "cut":
+        path.write_bytes(content[: len(content) // 2])
+    elif how == "empty":
+        path.write_bytes(b"")
+    elif how == "noise":
+        path.write_bytes(np.random.default_rng(32).bytes(5000))
+    elif how == "objects":
+        np.savez(path, key=np.array("key"), points=np.array([{"any": "object"}], dtype=object))
+    elif how == "missing":
+        path.unlink()
+    else:
+        np.savez(path, points=np.zeros(3))
+    rng = np.random.default_rng(8)
+    points, weights = Checkpoint(path, key).resume(rng, size)
+    assert points.shape == (0, size)
+    assert weights.size == 0
+    np.testing.assert_array_equal(rng.standard_normal(3), np.random.default_rng(8).standard_normal(3))
+
+
+def test_without_a_path_nothing_is_kept(tmp_path):
+    kept(None)
+    assert list(tmp_path.iterdir()) == []
+    assert Checkpoint(None, "key").resume(np.random.default_rng(1), 2)[0].shape == (0, 2)
+
+
+def test_a_write_is_due_once_an_interval(tmp_path, monkeypatch):
+    clock = [100.0]
+    monkeypatch.setattr(checkpoint, "EVERY_S", 1.0)
+    monkeypatch.setattr(checkpoint.time, "monotonic", lambda: clock[0])
+    path, rng = tmp_path / "liver.npz", np.random.default_rng(1)
+    keeper = Checkpoint(path, "key")
+    keeper.write(rng, np.zeros((1, 3)), np.zeros(1))
+    assert not path.exists()
+    clock[0] = 101.0
+    keeper.write(rng, np.zeros((2, 3)), np.zeros(2))
+    clock[0] = 101.5
+    keeper.write(rng, np.zeros((3, 3)), np.zeros(3))
+    assert len(Checkpoint(path, "key").resume(rng, 3)[0]) == 2
