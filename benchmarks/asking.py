@@ -4,7 +4,7 @@ One specimen of 22 short logs is fitted.  A cohort of hard links to its recordin
 result in place of every survey, job and page, so that thousands of specimens cost minutes: everything that
 the asking process does is done, and nothing of what workers do.  Seconds and peak memory after each stage.
 
-    python benchmarks/asking.py [--sizes 500 2000 10000] [--sampler exact]
+    python benchmarks/asking.py [--sizes 500 2000 10000] [--sampler emcee]
 
 Every size is a process of its own; peak memory is that of the process so far.
 """
@@ -128,7 +128,7 @@ def _several(*_: Any) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--sizes", type=int, nargs="+", default=[500, 2000, 10_000])
-    parser.add_argument("--sampler", choices=["exact", "none"], default="exact")
+    parser.add_argument("--sampler", choices=["emcee", "none"], default="emcee")
     parser.add_argument("--child", nargs=3, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.child:

@@ -359,7 +359,7 @@ def main() -> None:
     parser.add_argument("--specimens", type=int, default=17)
     parser.add_argument("--times", type=float, default=5.0, help="second size of cohort in --part memory")
     parser.add_argument("--rate", type=float, default=10.0, help="sampling rate of short logs [Hz]")
-    parser.add_argument("--sampler", choices=["emcee", "exact", "none"], default="exact")
+    parser.add_argument("--sampler", choices=["emcee", "none"], default="emcee")
     parser.add_argument(
         "--crews", type=int, nargs="+", default=[2, 1], help="numbers of workers in --part dask and paper"
     )

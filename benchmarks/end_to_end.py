@@ -25,9 +25,7 @@ from pathlib import Path
 
 RECIPE = "paper-a-30-k1"
 BAR = 3.0
-LIBRARIES = (
-    "click, emcee, h5py, jinja2, lmfit, numba, numpy, pandas, plotly, rich, scipy.optimize, arviz_stats"
-)
+LIBRARIES = "click, emcee, h5py, jinja2, lmfit, numba, numpy, pandas, plotly, rich, scipy.optimize"
 
 READ = """
 import sys, time

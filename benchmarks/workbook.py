@@ -17,7 +17,7 @@ import time
 import numpy as np
 from scipy.optimize import minimize
 
-from tissueid.fit.window import fitted_log
+from tissueid.inference.window import fitted_log
 from tissueid.ingest import ReadOptions, read_trials
 from tissueid.model import ContactPath, KelvinVoigt
 from tissueid.pipeline import identify

@@ -390,7 +390,7 @@ _FIT = {
     "sampler_not_converged": Advice(
         "Intervals are rough, or there are none; stating the machine in [calibration] narrows what a "
         "total interval has to search.",
-        "Try fewer branches, or state the machine; look at misfits first.",
+        "Take fewer --branches, or state the machine.",
         "have rough intervals",
     ),
     "discrepancy": Advice(

@@ -36,10 +36,11 @@ def test_a_normal_has_its_moments_within_their_errors():
 
 
 def test_a_banana_has_its_moments():
-    draws = sample(banana(), draws=DRAWS, seed=2).chain.reshape(-1, 2)
-    assert draws[:, 0].mean() == pytest.approx(0.0, abs=0.12)
-    assert draws[:, 0].std() == pytest.approx(1.0, abs=0.1)
-    assert draws[:, 1].mean() == pytest.approx(0.0, abs=0.16)
+    draws = np.concatenate([sample(banana(), draws=DRAWS, seed=seed).chain.reshape(-1, 2) for seed in range(6)])
+    assert draws[:, 0].mean() == pytest.approx(0.0, abs=0.08)
+    assert draws[:, 0].std() == pytest.approx(1.0, abs=0.06)
+    # an sd of 1.5: four errors of a mean of some 4,000 effective draws
+    assert draws[:, 1].mean() == pytest.approx(0.0, abs=0.1)
     # the skewness of a chi square: quantiles of y = x^2 - 1 + 0.4 e, from a million draws
     rng = np.random.default_rng(0)
     y = rng.standard_normal(1_000_000) ** 2 - 1.0 + 0.4 * rng.standard_normal(1_000_000)
@@ -150,6 +151,12 @@ def test_without_a_path_nothing_is_kept(tmp_path):
     kept(None)
     assert list(tmp_path.iterdir()) == []
     assert Checkpoint(None, "key").resume(np.random.default_rng(1), 2)[0].shape == (0, 2)
+
+
+def test_a_folder_that_cannot_be_written_stops_nothing(tmp_path):
+    (tmp_path / "taken").write_text("a file where the folder should be")
+    kept(tmp_path / "taken" / "liver.npz")
+    assert (tmp_path / "taken").read_text() == "a file where the folder should be"
 
 
 def test_a_write_is_due_once_an_interval(tmp_path, monkeypatch):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
 import time
@@ -42,7 +43,7 @@ class Checkpoint:
         if self.path is None or not self.path.is_file():
             return nothing
         try:
-            with np.load(self.path, allow_pickle=False) as found:
+            with np.load(io.BytesIO(self.path.read_bytes()), allow_pickle=False) as found:
                 if str(found["key"]) != self.key or found["points"].shape[1] != size:
                     return nothing
                 state = json.loads(str(found["generator"]))
@@ -53,7 +54,7 @@ class Checkpoint:
         return points, log_weight
 
     def write(self, rng: np.random.Generator, points: FloatArray, log_weight: FloatArray) -> None:
-        """Keep what there is, once in a while."""
+        """Keep what there is, once in a while; a disk that is full or read-only stops nothing."""
         if self.path is None or time.monotonic() - self._last < EVERY_S:
             return
         buffer = io.BytesIO()
@@ -64,5 +65,8 @@ class Checkpoint:
             points=points,
             log_weight=log_weight,
         )
-        write_file(self.path, buffer.getvalue())
+        # without the file a run that is killed begins anew
+        with contextlib.suppress(OSError):
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            write_file(self.path, buffer.getvalue())
         self._last = time.monotonic()

@@ -17,7 +17,7 @@ from tissueid.inference.optimum import Optimum, covariance_of, nearest_in_cone
 from tissueid.inference.system import System
 from tissueid.inference.window import FOLDS, FittedLog
 
-__all__ = ["Groups", "Tried", "chosen_among", "groups_of", "held_out", "resolved"]
+__all__ = ["Groups", "Tried", "chosen_among", "groups_of", "held_out", "resolved", "without_bends"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -26,6 +26,8 @@ IntArray = NDArray[np.int64]
 ALIKE, FEWEST_GROUPS = 1.1, 3
 #: Standard errors within which a prediction counts as good as the best, and a relative gain that is none.
 STANDARD_ERRORS, NO_GAIN = 1.0, 0.02
+#: Gain in ln mean square error that K of a higher degree must have where there is one program.
+BEND = 0.1
 #: Largest force of a branch over the noise with which it counts as seen.
 SEEN = 0.5
 
@@ -164,6 +166,20 @@ def resolved(one: Tried, step_s: float) -> bool:
         if float(np.abs(columns[:, part] @ point.linear[part]).max()) < SEEN * sigma:
             return False
     return True
+
+
+def without_bends(tried: Sequence[Tried]) -> list[Tried]:
+    """Candidates of one program: K varies with depth only where that takes much off the error.
+
+    Ramps of one speed to one depth tell F_s(x) from K(x) s(x) only by the form of their polynomials; a contact
+    that is off by its error, or a corner between two samples, is then described by a K that bends.
+    """
+    kept = []
+    for one in tried:
+        flatter = [other for other in tried if other.branches == one.branches and other.degree < one.degree]
+        if all(_gain(one, other)[0] >= BEND for other in flatter):
+            kept.append(one)
+    return kept
 
 
 def chosen_among(

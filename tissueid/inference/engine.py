@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.inference.blocks import Blocks
-from tissueid.inference.choice import Tried, chosen_among, groups_of, held_out, resolved
+from tissueid.inference.choice import Tried, chosen_among, groups_of, held_out, resolved, without_bends
 from tissueid.inference.evidence import LogEvidence, NoiseVerdict, verdict_on_noise
 from tissueid.inference.law import KelvinVoigtLaw
 from tissueid.inference.memory import scan_memory
@@ -23,7 +23,7 @@ from tissueid.inference.optimum import Noise, Optimum, minimise, prior_cost, whi
 from tissueid.inference.prior import Scatter, prior_rows
 from tissueid.inference.search import starting_points
 from tissueid.inference.system import Effects, Point, System
-from tissueid.inference.window import FittedLog
+from tissueid.inference.window import FittedLog, one_program
 from tissueid.priors import Priors
 
 __all__ = ["Identified", "Request", "identify_logs", "refit"]
@@ -259,6 +259,8 @@ def identify_logs(
             errors = held_out(system, optimum, groups) if not single else np.ones(1)
             tried.append(Tried(branches, degree, optimum, system, errors))
         seen_whole = [one for one in tried if resolved(one, step)] or tried[:1]
+        if one_program(facts) and not single:
+            seen_whole = without_bends(seen_whole)
         chosen, table, as_good = chosen_among(seen_whole)
         done = {(one.branches, one.degree) for one in tried}
         best = [(one.branches, one.degree) for one in as_good]

@@ -160,5 +160,8 @@ def learn_mixture(target: Target, cut: CutNormal, rng: np.random.Generator) -> t
         if efficiency >= GOOD or (len(recent) > SETTLED and max(recent[-SETTLED:]) <= max(recent[:-SETTLED])):
             break
         proposed = logsumexp([one.log_density(z) for one in used[-REMEMBERED:]], axis=0)
-        mixture = _fitted(z, _tempered(levels - proposed, least), rng)
+        weight = _tempered(levels - proposed, least)
+        if not weight.any():
+            break
+        mixture = _fitted(z, weight, rng)
     return best[1], best[0]

@@ -12,21 +12,17 @@ import numpy as np
 
 from tissueid.flags import Flag
 from tissueid.inference.estimates import TissueEstimate
-from tissueid.inference.window import FittedLog
+from tissueid.inference.window import FittedLog, one_program, one_speed
 from tissueid.result import Nrmsd, TrialFit
 from tissueid.uncertainty import NoiseFit
 
-__all__ = ["discrepancy_flags", "one_program", "specimen_flags"]
+__all__ = ["discrepancy_flags", "specimen_flags"]
 
 #: Relaxation times below this are moved by unstated force filters and time skew [s].
 INSTRUMENT_TAU_S = 0.2
 CORRELATED = 0.5
-#: Ratio of speeds below which a set counts as one speed.
-ONE_SPEED = 1.2
 #: Symbols named in one sentence.
 LONGEST_LIST = 4
-#: Holds whose depths differ by less than this factor have one depth.
-ONE_DEPTH = 1.2
 
 
 def _listed(symbols: Sequence[str], of: int) -> str:
@@ -87,26 +83,6 @@ def _relaxation_flags(tissue: TissueEstimate, facts: Sequence[FittedLog], sigma_
             )
         )
     return flags
-
-
-def one_program(facts: Sequence[FittedLog]) -> bool:
-    """Whether all ramps have one speed and all holds one depth: only their form tells F_s from K(x) then.
-
-    Parameters
-    ----------
-    facts : sequence of FittedLog
-        Their samples are not looked at.
-    """
-    held = [log.depth_mm for log in facts if log.has_hold]
-    steps = any(len(log.speeds_mm_s) > 1 for log in facts)
-    same_depth = not held or max(held) < ONE_DEPTH * min(held)
-    return _one_speed(facts) is not None and same_depth and not steps
-
-
-def _one_speed(facts: Sequence[FittedLog]) -> float | None:
-    """The one speed of all ramps [mm/s], ``None`` where there are several."""
-    speeds = [speed for log in facts for speed in log.speeds_mm_s if speed > 0.0]
-    return float(np.mean(speeds)) if speeds and max(speeds) < ONE_SPEED * min(speeds) else None
 
 
 def _form_flag(tissue: TissueEstimate, facts: Sequence[FittedLog]) -> list[Flag]:
@@ -217,7 +193,7 @@ def specimen_flags(
         values = {"names": [one.name for one in missing]}
         flags.append(Flag("not_identified", f"these data do not determine {symbols}", values))
     flags += _relaxation_flags(tissue, facts, sigma_N)
-    speed = _one_speed(facts)
+    speed = one_speed(facts)
     if speed is not None and not any(log.has_hold for log in facts):
         flags.append(
             Flag(

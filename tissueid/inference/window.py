@@ -29,6 +29,8 @@ __all__ = [
     "chain_breaks",
     "first_turn",
     "fitted_log",
+    "one_program",
+    "one_speed",
     "with_contact",
     "with_holds_cut",
 ]
@@ -39,6 +41,10 @@ FloatArray = NDArray[np.float64]
 GUARD_SD = 3.0
 #: Fewest samples that are worth a fit.
 MIN_SAMPLES = 6
+#: Ratio of speeds below which a set counts as one speed.
+ONE_SPEED = 1.2
+#: Holds whose depths differ by less than this factor have one depth.
+ONE_DEPTH = 1.2
 #: Held-out groups of a specimen with one log, and stretches a phase is cut into for them.
 FOLDS = 6
 STRETCHES = 24
@@ -337,3 +343,23 @@ def assign_folds(log: FittedLog, holds: tuple[Phase, ...]) -> LogData:
         progress[stop:] += 1.0
     stretch = np.floor(progress * STRETCHES * (1 - 1e-12) / max(float(progress[-1]), 1e-300)).astype(np.int64)
     return replace(data, fold=np.clip(stretch, 0, STRETCHES - 1))
+
+
+def one_program(facts: Sequence[FittedLog]) -> bool:
+    """Whether all ramps have one speed and all holds one depth: only their form tells F_s from K(x) then.
+
+    Parameters
+    ----------
+    facts : sequence of FittedLog
+        Their samples are not looked at.
+    """
+    held = [log.depth_mm for log in facts if log.has_hold]
+    steps = any(len(log.speeds_mm_s) > 1 for log in facts)
+    same_depth = not held or max(held) < ONE_DEPTH * min(held)
+    return one_speed(facts) is not None and same_depth and not steps
+
+
+def one_speed(facts: Sequence[FittedLog]) -> float | None:
+    """The one speed of all ramps [mm/s], ``None`` where there are several."""
+    speeds = [speed for log in facts for speed in log.speeds_mm_s if speed > 0.0]
+    return float(np.mean(speeds)) if speeds and max(speeds) < ONE_SPEED * min(speeds) else None

@@ -1,0 +1,113 @@
+"""Orders of the law by what was left out: the simplest that predicts as well as the best."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from inference_cases import draw, handles_for, identified, small_recipe
+
+from tissueid.inference.choice import Tried, _clusters, chosen_among, groups_of, held_out, resolved
+from tissueid.inference.window import FOLDS
+from tissueid.synth import Branch, Hold, Log, Move
+
+ONE = (Branch((30.0,), 0.3),)
+TWO = (Branch((30.0,), 0.05), Branch((25.0,), 1.5))
+GROWING = (Branch((10.0, 12.0), 0.3),)
+LOGS = tuple(
+    Log(f"hold-{d:.0f}-{v:.0f}", (Move(d, v), Hold(4.0))) for d, v in ((4.0, 60.0), (4.0, 240.0), (4.0, 600.0), (2.0, 240.0))
+)
+
+
+def chosen(branches, seed, **asked):
+    recipe = small_recipe(branches=branches, logs=LOGS, sigma_N=0.1)
+    return identified(handles_for(draw(recipe, seed)), pooling="partial", **asked)
+
+
+@pytest.mark.system
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("truth", "count"), [(ONE, 1), (TWO, 2)])
+def test_the_number_of_branches_is_that_of_the_tissue(truth, count, seed):
+    found = chosen(truth, seed, branches=(1, 2, 3), degrees=(0,))
+    assert found.law.branches == count
+    tau = np.sort(np.exp(found.optimum.point.log_times))
+    np.testing.assert_allclose(tau, [one.tau_s for one in truth], rtol=0.1)
+    rows = [row for row in found.table if row["chosen"]]
+    assert [(row["branches"], row["stiffness_degree"]) for row in rows] == [(count, 0)]
+    assert found.left_out == "speed"
+
+
+@pytest.mark.system
+def test_a_growing_stiffness_is_found_where_it_grows():
+    assert chosen(GROWING, 1, branches=(1,), degrees=(0, 1)).law.degree == 1
+    assert chosen(ONE, 1, branches=(1,), degrees=(0, 1)).law.degree == 0
+
+
+def tried(branches, degree, errors):
+    return Tried(branches, degree, None, None, np.array(errors))
+
+
+def test_the_simplest_within_one_standard_error_is_chosen():
+    best = tried(2, 1, [1.0, 1.1, 0.9, 1.0])
+    close = tried(1, 0, [1.0, 1.3, 0.9, 1.0])
+    worse = tried(1, 1, [2.0, 2.1, 2.0, 1.9])
+    found, table, as_good = chosen_among([worse, close, best])
+    assert found is close
+    assert as_good == [close, best]
+    assert [row["chosen"] for row in table] == [True, False, False]
+    assert [row["score"] for row in table][2] == 0.0
+    gain = np.log([1.0, 1.3, 0.9, 1.0]) - np.log([1.0, 1.1, 0.9, 1.0])
+    assert table[0]["score"] == pytest.approx(-gain.mean())
+    assert table[0]["stderr"] == pytest.approx(gain.std(ddof=1) / 2.0)
+
+
+def test_a_clear_gain_is_worth_its_parameters():
+    best, simple = tried(2, 0, [1.0, 1.1, 0.9, 1.0]), tried(1, 0, [1.5, 1.4, 1.6, 1.5])
+    assert chosen_among([simple, best])[0] is best
+
+
+def test_values_alike_are_one_group():
+    assert _clusters([1.0, 4.0, 1.05, 10.0, 4.2]).tolist() == [0, 1, 0, 2, 1]
+
+
+def test_what_is_left_out_is_a_speed_a_depth_a_log_or_a_stretch():
+    def facts(*rows):
+        return [SimpleNamespace(speeds_mm_s=(v,), depth_mm=d) for v, d in rows]
+
+    system = SimpleNamespace(log=np.array([0, 0, 1, 2, 3]), fold=np.array([0, 7, 1, 2, 3]))
+    speeds = groups_of(system, facts((1.0, 4.0), (1.0, 4.0), (2.0, 4.0), (5.0, 4.0)))
+    assert (speeds.kind, speeds.of.tolist()) == ("speed", [0, 0, 0, 1, 2])
+    depths = groups_of(system, facts((1.0, 1.0), (1.0, 2.0), (1.0, 3.0), (1.0, 3.0)))
+    assert (depths.kind, depths.of.tolist()) == ("depth", [0, 0, 1, 2, 2])
+    logs = groups_of(system, facts((1.0, 4.0), (1.0, 4.0), (1.0, 4.0), (2.0, 4.0)))
+    assert (logs.kind, logs.of.tolist()) == ("log", [0, 0, 1, 2, 3])
+    alone = groups_of(system, facts((1.0, 4.0)))
+    assert (alone.kind, alone.of.tolist()) == ("stretch of the log", [0, 7 % FOLDS, 1, 2, 3])
+
+
+def test_the_error_of_what_was_left_out_is_that_of_fits_without_it():
+    """One step from the optimum, against fits to the other logs."""
+    recipe = small_recipe(branches=ONE, logs=LOGS, sigma_N=0.3)
+    handles = handles_for(draw(recipe, 4))
+    ours = identified(handles, pooling="shared", noise="white")
+    facts = [handle.facts for handle in handles]
+    groups = groups_of(ours.system, facts)
+    assert groups.kind == "speed"
+    found = held_out(ours.system, ours.optimum, groups)
+    for number, error in enumerate(found):
+        out = np.unique(ours.system.log[groups.of == number])
+        rest = [one for k, one in enumerate(handles) if k not in out]
+        other = identified(rest, pooling="shared", noise="white").optimum.point
+        left = ours.system.force - ours.system.predict(ours.optimum.point.moved(other.shared))
+        rows = groups.of == number
+        # block means, weighed with their samples
+        expected = float((left[rows] ** 2 * ours.system.count[rows]).mean())
+        assert error == pytest.approx(expected, rel=0.02)
+
+
+def test_a_branch_faster_than_the_sampling_or_below_the_noise_is_not_resolved():
+    ours = identified(handles_for(draw(small_recipe(branches=TWO, logs=LOGS), 1)), branches=(2,))
+    one = Tried(2, 0, ours.optimum, ours.system, np.ones(3))
+    assert resolved(one, 0.01)
+    assert not resolved(one, 0.1)
