@@ -63,18 +63,18 @@ print(json.dumps([["import", start], *seen]))
 #: First words of a progress message -> the stage they belong to; in the order in which they are tried.
 NAMES = (
     ("reading", "read and segment"),
-    ("contact points", "contact points"),
-    ("summing", "sums"),
-    ("branches", "model choice"),
-    ("branch", "model choice"),
+    ("how logs differ", "scatter between logs"),
     ("noise", "noise"),
-    ("sums for", "sums for correlated noise"),
+    ("1 branch", "model choice"),
+    ("2 branch", "model choice"),
+    ("3 branch", "model choice"),
+    ("the optimum", "the optimum"),
+    ("the frame", "the optimum"),
+    ("Levenberg-Marquardt", "second optimiser"),
+    ("relaxation time of", "shorter windows"),
     ("residuals", "second pass"),
     ("sampling", "sampling"),
-    ("drawing", "redraw"),
-    ("force channel", "instrument, budget"),
-    ("checks", "checks"),
-    ("other models", "other models"),
+    ("the tissue's centre", "intervals, budget, checks"),
     ("writing", "report and files"),
 )
 

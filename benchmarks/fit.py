@@ -2,14 +2,15 @@
 
 The peer is what a careful notebook does: ``lmfit.minimize(leastsq)`` with numerical derivatives on a
 vectorised numpy model (recursion by ``scipy.signal.lfilter``).  Same data (paper-a-30-k1 at 1 kHz,
-N = 571,614), same model (one branch, K of degree 1, one static curve, white noise, no machine).  Ours is timed
-from the samples to all that a fit says, the second pass over the logs for residuals and measured numbers
-included, and needs no start.  Both relaxation times are given, and their difference in our standard errors.
+N = 571,614), same model (one branch, K of degree 1, one static curve, white noise, no machine).  Ours is
+timed from the samples to all that a fit says, the second pass over the logs for residuals and measured
+numbers included, and needs no start.  Both relaxation times are given, and their difference in our standard
+errors.
 
     python benchmarks/fit.py [--pairs 3] [--json]
 
-The peer's work is (parameters + 1) evaluations of the model an iteration, each several passes over the samples.
-Ratios count; seconds belong to one machine.
+The peer's work is (parameters + 1) evaluations of the model an iteration, each several passes over the
+samples.  Ratios count; seconds belong to one machine.
 """
 
 from __future__ import annotations
@@ -184,8 +185,8 @@ def main() -> int:
         return 0
     one = result["fit"]
     print(
-        f"fit      ours {one['ours_s']:.3f} s, lmfit on samples {one['lmfit_s']:.3f} s, ratio {one['ratio']:.3f}, "
-        f"relaxation times differ by {one['difference_sd']:.2g} standard errors"
+        f"fit      ours {one['ours_s']:.3f} s, lmfit on samples {one['lmfit_s']:.3f} s, "
+        f"ratio {one['ratio']:.3f}, relaxation times differ by {one['difference_sd']:.2g} standard errors"
     )
     print(f"memory   {result['memory']}")
     return 0

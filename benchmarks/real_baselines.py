@@ -5,7 +5,7 @@ Nothing of tissueid stands here.  Every law gives columns of a log that depend o
 that only the shape is searched.
 
 * :class:`Paper`: ``F = F_s(x) + sum_j K_j(x) s_j``, ``s_j' + s_j / tau_j = x'``: K outside the convolution.
-* :class:`Scaled`: the same with one curve a log that scales F_s and K alike; the relaxation is shared.
+* :class:`Proportional`: the same with one curve a log that scales F_s and K alike; the relaxation is shared.
 * :class:`QuasiLinear`: ``F = F_e(x) + sum_j r_j z_j``, ``z_j' + z_j / tau_j = (F_e(x))'``: inside it.
 * :class:`Spectrum`: the paper's law with fixed log-spaced relaxation times and no other shape.
 * :class:`Yardstick`: increasing Bernstein polynomials of depth, each with its own spectrum inside the
@@ -32,8 +32,8 @@ __all__ = [
     "Law",
     "Log",
     "Paper",
+    "Proportional",
     "QuasiLinear",
-    "Scaled",
     "Spectrum",
     "Yardstick",
     "bernstein",
@@ -232,14 +232,14 @@ class Paper:
         return _tau_bounds(logs, self.branches)
 
     def columns(self, log: Log, shape: Array) -> Array:
-        return self.columns_of(log.depth_mm, rest_states(log.time_s, log.depth_mm, np.exp(shape)))
+        depth = np.maximum(log.depth_mm, 0.0)
+        return self.columns_of(depth, rest_states(log.time_s, depth, np.exp(shape)))
 
     def columns_of(self, depth_mm: Array, states: Array) -> Array:
-        """Columns of depths and branch states; a contact offset changes the former only."""
-        x = np.maximum(depth_mm, 0.0)
-        u = x / self.depth_mm
+        """Columns of depths that are not negative, and of branch states."""
+        u = depth_mm / self.depth_mm
         stiffness = curve_rays(u, self.degree, self.rays)
-        static = x[:, None] * curve_rays(u, 2, self.rays)
+        static = depth_mm[:, None] * curve_rays(u, 2, self.rays)
         return np.column_stack([static, *(state[:, None] * stiffness for state in states.T)])
 
     def coefficients(self, weights: Array) -> tuple[Array, Array]:
@@ -252,7 +252,7 @@ class Paper:
 
 
 @dataclass(frozen=True, slots=True)
-class Scaled:
+class Proportional:
     """A curve q(x) of each log in ``F = q(x) (x + sum_j c_j(x) s_j)``; shape ln tau_j, then the c_j."""
 
     branches: int

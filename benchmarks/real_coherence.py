@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from real_independent import independent_fit, independent_taus
+from real_independent import independent_fit
 from real_recordings import Found, Recording, fit_of, grouped, tell, value_of
 
 __all__ = ["coherence", "combined_sds", "halves_of", "inside", "seed_distances"]
@@ -17,7 +17,8 @@ BARS = {"inside": 1.0, "seed_sd": 0.1, "independent": 0.90, "halves": 0.95}
 HALVES_SD = 2.6
 #: Logs that a cut must have to be halved.
 LEAST_LOGS = 4
-POOLED_LIKE_LMFIT = ("partial", "shared")
+#: Static poolings that the independent fit knows.
+WRITTEN_APART = ("scaled", "partial")
 
 
 def inside(parameter: Mapping[str, Any]) -> bool:
@@ -46,17 +47,16 @@ def _independent(found: Found, members: Sequence[Recording]) -> dict[str, Any]:
     logs = found.logs(as_recorded=True)
     if len(logs) != len(members) or not found.order[0]:
         return {"skipped": "not every log was fitted, or nothing relaxes"}
-    if len(members) > 1 and found.pooling not in POOLED_LIKE_LMFIT:
-        # each log has its own curve: contact points as fitted, relaxation times alone are compared
-        values, rmse = independent_taus(found.logs(), found.order)
-    else:
-        values, rmse = independent_fit(
-            logs,
-            found.order,
-            sigma_N=found.document["sigma_N"],
-            contact_sd_mm=[one.contact_sd_mm for one in members],
-            contacts=len(members) > 1 or found.offset_apart,
-        )
+    if len(members) > 1 and found.pooling not in WRITTEN_APART:
+        return {"skipped": f"static {found.pooling!r} is not written apart"}
+    values, rmse = independent_fit(
+        logs,
+        found.order,
+        sigma_N=found.document["sigma_N"],
+        contact_sd_mm=[one.contact_sd_mm for one in members],
+        contacts=len(members) > 1 or found.offset_apart,
+        own_static=found.pooling == "scaled",
+    )
     distances = {}
     for name, parameter in found.printed().items():
         value, sd = value_of(parameter)

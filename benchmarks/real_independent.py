@@ -12,10 +12,10 @@ from collections.abc import Sequence
 import lmfit
 import numpy as np
 from numpy.typing import NDArray
-from real_baselines import RAYS, Log, Paper, Scaled, cone_weights, deepest, law_residual, rms
-from real_pooled import GAIN, OFFSET_MM, PartialProblem
+from real_baselines import RAYS, Log, Paper, cone_weights, deepest, rms
+from real_pooled import GAIN, OFFSET_MM, PooledProblem
 
-__all__ = ["independent_fit", "independent_taus", "named"]
+__all__ = ["independent_fit", "named"]
 
 Array = NDArray[np.float64]
 
@@ -44,7 +44,7 @@ def _add_taus(
         parameters.add(f"lntau{j}", value=at, min=low - BEYOND, max=high + BEYOND)
 
 
-def _parameters(problem: PartialProblem, span: tuple[float, float], *, contacts: bool) -> lmfit.Parameters:
+def _parameters(problem: PooledProblem, span: tuple[float, float], *, contacts: bool) -> lmfit.Parameters:
     """Start of a search: relaxation times spread over a span, offsets 0."""
     parameters = lmfit.Parameters()
     _add_taus(parameters, problem.logs, problem.law.branches, span)
@@ -55,7 +55,7 @@ def _parameters(problem: PartialProblem, span: tuple[float, float], *, contacts:
     return parameters
 
 
-def _parts(parameters: lmfit.Parameters, problem: PartialProblem) -> tuple[Array, Array, Array]:
+def _parts(parameters: lmfit.Parameters, problem: PooledProblem) -> tuple[Array, Array, Array]:
     """Ascending ln tau, ln gains and offsets."""
     values = parameters.valuesdict()
     count = range(len(problem.logs))
@@ -88,6 +88,7 @@ def independent_fit(
     sigma_N: float,
     contact_sd_mm: Sequence[float],
     contacts: bool,
+    own_static: bool = False,
 ) -> tuple[dict[str, float], float]:
     """Fit the model of an order from other starts, and keep the best.
 
@@ -103,6 +104,8 @@ def independent_fit(
         One a log [mm].
     contacts : bool
         Search the contact point of each log as well.
+    own_static : bool
+        Give each of several logs a static curve; the mean of them is told.
 
     Returns
     -------
@@ -113,7 +116,7 @@ def independent_fit(
     """
     several = len(logs) > 1
     law = Paper(*order, deepest(logs), rays=RAYS if several else FINE_RAYS)
-    problem = PartialProblem(law, logs)
+    problem = PooledProblem(law, logs, own_static=own_static)
     unit, sd = max(sigma_N, 1e-300), np.maximum(contact_sd_mm, 1e-9)
 
     def residual(parameters: lmfit.Parameters) -> Array:
@@ -136,42 +139,5 @@ def independent_fit(
     parts = _parts(best.params, problem)
     columns = problem.columns(*parts)
     rmse = rms(problem.residual(columns))
-    return named(law, cone_weights(columns, problem.force), parts[0]), rmse
-
-
-def independent_taus(logs: Sequence[Log], order: tuple[int, int]) -> tuple[dict[str, float], float]:
-    """Fit logs that have a curve each and the relaxation in common, and keep the best of the starts.
-
-    Returns
-    -------
-    values : dict
-        Relaxation times by their names in ``identification.json``.
-    rmse_N : float
-        Over the counted samples.
-    """
-    law = Scaled(*order, deepest(logs))
-    size = law.branches * (law.degree + 1)
-
-    def shape(parameters: lmfit.Parameters) -> Array:
-        values = parameters.valuesdict()
-        ratios = [values[f"ratio{i}"] for i in range(size)]
-        return np.array([*(values[f"lntau{j}"] for j in range(law.branches)), *ratios])
-
-    def residual(parameters: lmfit.Parameters) -> Array:
-        return law_residual(law, logs, shape(parameters), own=True)
-
-    tried = []
-    for span in STARTS[:POOLED_STARTS]:
-        start = lmfit.Parameters()
-        _add_taus(start, logs, law.branches, span)
-        for i in range(size):
-            start.add(f"ratio{i}", value=1.0, min=0.0)
-        tried.append(
-            lmfit.minimize(
-                residual, start, method="least_squares", max_nfev=EVALUATIONS, diff_step=1e-5, x_scale="jac"
-            )
-        )
-    best = min(tried, key=lambda one: float(one.chisqr))
-    taus = np.exp(np.sort(shape(best.params)[: law.branches]))
-    names = [f"relaxation_time_s{'' if j == 0 else f'_b{j + 1}'}" for j in range(law.branches)]
-    return dict(zip(names, map(float, taus), strict=True)), rms(residual(best.params))
+    weights = problem.tissue(cone_weights(columns, problem.force))
+    return named(law, weights, parts[0]), rmse

@@ -11,7 +11,6 @@ from real_baselines import (
     FittedLaw,
     Log,
     Paper,
-    carried_to,
     cone_weights,
     counted_force,
     ray_coefficients,
@@ -20,85 +19,81 @@ from real_baselines import (
 )
 from scipy.optimize import least_squares
 
-__all__ = ["GAIN", "OFFSET_MM", "PartialFit", "PartialProblem", "PerLog", "fit_partial"]
+__all__ = ["GAIN", "OFFSET_MM", "PooledFit", "PooledProblem", "fit_pooled"]
 
 Array = NDArray[np.float64]
 
 #: Largest ln gain of a log, and largest contact offset [mm].
 GAIN, OFFSET_MM = 3.0, 1.0
+#: Powers of depth in a log's own static curve.
+POWERS = np.array([1.0, 2.0, 3.0])
 #: Step of numerical derivatives.
 STEP = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PerLog:
-    """The paper's law with a static curve of each log's own and one K for all; shape ln tau_j."""
-
-    law: Paper
-    names: tuple[str, ...]
-
-    def starts(self, logs: Sequence[Log]) -> list[Array]:
-        return self.law.starts(logs)
-
-    def bounds(self, logs: Sequence[Log]) -> tuple[Array, Array]:
-        return self.law.bounds(logs)
-
-    def columns(self, log: Log, shape: Array) -> Array:
-        own = self.law.columns(log, shape)
-        size = ray_coefficients(2, self.law.rays).shape[0]
-        static = np.zeros((log.time_s.size, len(self.names) * size))
-        place = self.names.index(log.name) * size
-        static[:, place : place + size] = own[:, :size]
-        return np.column_stack([static, own[:, size:]])
-
-    def carried_to(self, fitted: FittedLaw, log: Log) -> Array:
-        """Force of a log that was not fitted: its own static curve from its ramp, K as it is [N]."""
-        own = self.law.columns(log, fitted.shape)
-        size = ray_coefficients(2, self.law.rays).shape[0]
-        assert fitted.weights is not None
-        branches = own[:, size:] @ fitted.weights[len(self.names) * size :]
-        rest = Log(log.name, log.time_s, log.depth_mm, log.force_N - branches, log.counted)
-        return np.asarray(branches + carried_to(own[:, :size], rest, until=log.peak))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PartialFit:
-    """One tissue whose logs differ by a gain and a contact offset [mm]."""
+class PooledFit:
+    """A mean tissue with the gain and contact offset [mm] of each log."""
 
     fitted: FittedLaw
     gain: Array
     offset_mm: Array
 
 
-class PartialProblem:
+class PooledProblem:
     """Columns of one tissue whose logs differ by a contact offset and a gain, 1 in the geometric mean.
 
     Parameters
     ----------
     law : Paper
     logs : sequence of Log
+    own_static : bool
+        Give each log a static cubic of its own, of any sign, so that the gain is one of K.
     """
 
-    def __init__(self, law: Paper, logs: Sequence[Log]) -> None:
+    def __init__(self, law: Paper, logs: Sequence[Log], *, own_static: bool = False) -> None:
         self.law, self.logs, self.force = law, logs, counted_force(logs)
-        self._key, self._states = b"", list[Array]()
+        self.own_static = own_static and len(logs) > 1
+        self._size = ray_coefficients(2, law.rays).shape[0]
+        self._kept: dict[int, tuple[tuple[bytes, float], tuple[Array, Array]]] = {}
 
-    def states(self, ln_tau: Array) -> list[Array]:
-        """Branch states of every log; those of the last relaxation times are kept."""
-        if ln_tau.tobytes() != self._key:
-            tau = np.exp(ln_tau)
-            self._states = [rest_states(log.time_s, log.depth_mm, tau) for log in self.logs]
-            self._key = ln_tau.tobytes()
-        return self._states
+    def moved(self, place: int, ln_tau: Array, offset_mm: float) -> tuple[Array, Array]:
+        """Depths and branch states of a log's counted samples; those of its last point are kept."""
+        key = (ln_tau.tobytes(), offset_mm)
+        kept = self._kept.get(place)
+        if kept is not None and kept[0] == key:
+            return kept[1]
+        log = self.logs[place]
+        # tissue that isn't touched yet is at rest
+        depth = np.maximum(log.depth_mm + offset_mm, 0.0)
+        states = rest_states(log.time_s, depth, np.exp(ln_tau))
+        self._kept[place] = key, (depth[log.counted], states[log.counted])
+        return self._kept[place][1]
 
     def columns(self, ln_tau: Array, ln_gain: Array, offset_mm: Array) -> Array:
         """Columns of the counted samples of all logs."""
         gain = np.exp(ln_gain - np.mean(ln_gain))
         parts = []
-        for log, states, g, d in zip(self.logs, self.states(ln_tau), gain, offset_mm, strict=True):
-            counted = log.counted
-            parts.append(g * self.law.columns_of(log.depth_mm[counted] + d, states[counted]))
+        for i in range(len(self.logs)):
+            depth, states = self.moved(i, ln_tau, float(offset_mm[i]))
+            own = gain[i] * self.law.columns_of(depth, states)
+            if self.own_static:
+                powers = (depth / self.law.depth_mm)[:, None] ** POWERS
+                blocks = np.zeros((depth.size, len(self.logs), 2 * POWERS.size))
+                blocks[:, i] = np.column_stack([powers, -powers])
+                own = np.column_stack([blocks.reshape(depth.size, -1), own[:, self._size :]])
+            parts.append(own)
         return np.concatenate(parts)
+
+    def tissue(self, weights: Array) -> Array:
+        """Weights of the law, of the mean static curve where each log has its own."""
+        if not self.own_static:
+            return weights
+        last = len(self.logs) * 2 * POWERS.size
+        each = weights[:last].reshape(len(self.logs), 2, POWERS.size)
+        mean = (each[:, 0] - each[:, 1]).mean(axis=0) / self.law.depth_mm
+        static = np.linalg.lstsq(ray_coefficients(2, self.law.rays).T, mean, rcond=None)[0]
+        return np.concatenate([static, weights[last:]])
 
     def residual(self, columns: Array) -> Array:
         """Residuals at the best weights [N]."""
@@ -119,8 +114,7 @@ class PartialProblem:
         basis = np.linalg.qr(columns[:, active] * weights[active])[0]
         here = columns @ weights
         moved = np.empty((here.size, z.size))
-        # relaxation times come last, so that the states of this point serve all others
-        for place in range(z.size)[::-1]:
+        for place in range(z.size):
             there = z.copy()
             there[place] += STEP
             moved[:, place] = (self.columns(*parts(there)) @ weights - here) / STEP
@@ -132,9 +126,9 @@ class PartialProblem:
         return np.clip(level - level.mean(), -GAIN, GAIN)
 
 
-def fit_partial(law: Paper, logs: Sequence[Log]) -> PartialFit:
-    """Least squares with one tissue and a gain and a contact offset a log."""
-    problem = PartialProblem(law, logs)
+def fit_pooled(law: Paper, logs: Sequence[Log], *, own_static: bool = False) -> PooledFit:
+    """Least squares with a gain, a contact offset and, if wanted, a static curve of each log's own."""
+    problem = PooledProblem(law, logs, own_static=own_static)
     count, size = len(logs), law.branches
     low, high = law.bounds(logs)
 
@@ -157,5 +151,5 @@ def fit_partial(law: Paper, logs: Sequence[Log]) -> PartialFit:
     )
     shape, gain, offset = split(found.x)
     weights = cone_weights(problem.columns(shape, gain, offset), problem.force)
-    fitted = FittedLaw(law, shape, weights, rms(found.fun) / float(np.ptp(problem.force)))
-    return PartialFit(fitted, np.exp(gain - gain.mean()), offset)
+    fitted = FittedLaw(law, shape, problem.tissue(weights), rms(found.fun) / float(np.ptp(problem.force)))
+    return PooledFit(fitted, np.exp(gain - gain.mean()), offset)

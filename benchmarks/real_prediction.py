@@ -7,18 +7,19 @@ and the relaxation is that of the others.  A ramp time that was left out is pred
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from real_baselines import (
+    FittedLaw,
     FractionalPower,
     Law,
     Log,
     Paper,
+    Proportional,
     QuasiLinear,
-    Scaled,
     Spectrum,
     Yardstick,
     carried_to,
@@ -28,7 +29,7 @@ from real_baselines import (
     fit_own,
     nrmsd,
 )
-from real_pooled import PerLog, fit_partial
+from real_pooled import fit_pooled
 from real_recordings import Found, Recording, fit_of, grouped, tell
 
 from tissueid.model import ContactPath
@@ -41,7 +42,7 @@ Array = NDArray[np.float64]
 USUAL_ORDER = (2, 1)
 NO_MODEL = "no model: peak x mean curve"
 OURS, PEER = "tissueid", "least squares, same law and freedom"
-SCALED, QUASI = "scaled: own curve, shared relaxation", "quasi-linear, own curve"
+OWN, QUASI = "own curve, K in proportion", "quasi-linear, own curve"
 AT_PEAK = " (peak given)"
 
 
@@ -97,26 +98,17 @@ def _multiplied(force: Array, log: Log, depth_mm: float) -> Array:
     return carried_to(rays * force[:, None], log)
 
 
-def _peer(pooling: str, law: Paper, others: Sequence[Log]) -> Callable[[Log], Array] | None:
-    """Predictor of least squares with the freedom of a pooling; ``None`` for an unknown one."""
-    depth = law.depth_mm
-    if pooling == "partial":
-        tissue = fit_partial(law, others).fitted
-        return lambda log: _multiplied(tissue.force(log), log, depth)
-    if pooling == "shared":
-        tissue = fit_law(law, others)
-        return lambda log: _multiplied(tissue.force(log), log, depth)
-    if pooling == "per-log":
-        own = PerLog(law, tuple(one.name for one in others))
-        fitted = fit_law(own, others)
-        return lambda log: own.carried_to(fitted, log)
-    return None
+def _peer(pooling: str, law: Paper, logs: Sequence[Log]) -> FittedLaw:
+    """Least squares of the paper's law with the freedom of a pooling."""
+    if pooling == "shared" or len(logs) == 1:
+        return fit_law(law, logs)
+    return fit_pooled(law, logs, own_static=pooling == "scaled").fitted
 
 
 def _own_curves(order: tuple[int, int], depth_mm: float, others: Sequence[Log], log: Log) -> dict[str, Array]:
     """Predictions of the laws with an own curve of each log, by least squares."""
     found = {}
-    for name, law in ((SCALED, Scaled(*order, depth_mm)), (QUASI, QuasiLinear(order[0], depth_mm))):
+    for name, law in ((OWN, Proportional(*order, depth_mm)), (QUASI, QuasiLinear(order[0], depth_mm))):
         fitted = fit_own(law, others)
         found[name] = carried_to(law.columns(log, fitted.shape), log)
     return found
@@ -133,8 +125,7 @@ def _left_out_log(cut: str, members: Sequence[Recording], place: int) -> dict[st
     pooling = ours.pooling if isinstance(ours, Found) else "partial"
     forces = _own_curves(order, depth, others, log)
     peer = _peer(pooling, Paper(*order, depth), others)
-    # a pooling that is not known here scales each log's own curve
-    forces[PEER] = forces[SCALED] if peer is None else peer(log)
+    forces[PEER] = _multiplied(peer.force(log), log, depth)
     if isinstance(ours, Found):
         forces[OURS] = _multiplied(foreign_force(ours, log), log, depth)
     plain = no_model(log, others)
@@ -234,24 +225,12 @@ def _of_curves(found: Found) -> float:
 
 def _least_squares(found: Found) -> dict[str, float]:
     """NRMSD of least squares on the samples of a fit by freedom, its own law and order."""
-    logs, order = found.logs(), found.order
-    law = Paper(*order, deepest(logs))
+    logs, law = found.logs(), Paper(*found.order, deepest(found.logs()))
     if len(logs) == 1:
+        # contact is at the fit's own point
         return {"shared": fit_law(law, logs).nrmsd}
-    names = [f"{place}: {log.name}" for place, log in enumerate(logs)]
-    logs = [
-        Log(name, log.time_s, log.depth_mm, log.force_N, log.counted)
-        for name, log in zip(names, logs, strict=True)
-    ]
-    errors = {
-        "partial": fit_partial(law, logs).fitted.nrmsd,
-        "scaled": fit_own(Scaled(*order, law.depth_mm), logs).nrmsd,
-    }
-    if found.pooling == "shared":
-        errors["shared"] = fit_law(law, logs).nrmsd
-    if found.pooling == "per-log":
-        errors["per-log"] = fit_law(PerLog(law, tuple(names)), logs).nrmsd
-    return errors
+    freedoms = dict.fromkeys(("partial", "scaled", found.pooling))
+    return {pooling: _peer(pooling, law, logs).nrmsd for pooling in freedoms}
 
 
 def _in_sample(name: str, kind: str, members: Sequence[Recording]) -> dict[str, Any]:
@@ -264,8 +243,7 @@ def _in_sample(name: str, kind: str, members: Sequence[Recording]) -> dict[str, 
     if not found.order[0]:
         return row
     peers = _least_squares(found)
-    # a pooling that is not known here scales each log's own curve
-    same = peers.get("shared" if len(members) == 1 else found.pooling, peers.get("scaled"))
+    same = peers["shared" if len(members) == 1 else found.pooling]
     return {**row, "least_squares": peers, "ratio": ours / same if same else None}
 
 

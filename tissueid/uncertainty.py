@@ -232,9 +232,9 @@ class BudgetRow:
     parameter : str
         Its name.
     source : str
-        ``noise``, ``scatter between logs``, ``contact points``, ``force gain``, ``displacement gain``,
-        ``time skew``, ``force filter`` or ``frame``; ``total`` stands beside them, and ``cluster bootstrap`` in
-        sets of earlier versions.
+        ``noise``, ``scatter between logs``, ``contact points``, ``force gain``, ``displacement gain``, ``time
+        skew``, ``force filter`` or ``frame``; ``total`` stands beside them, and ``cluster bootstrap`` in sets
+        of earlier versions.
     sd : float
         Standard deviation [unit of the parameter].
     share : float

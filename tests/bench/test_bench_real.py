@@ -168,7 +168,7 @@ def test_gains_and_contacts_of_logs_of_one_tissue_are_found() -> None:
         log(one.time_s, one.depth_mm - offset, gain * one.force_N, one.name)
         for one, gain, offset in zip(table_logs(20.0), gains, offsets, strict=True)
     ]
-    found = pooled.fit_partial(laws.Paper(1, 0, DEPTH), made)
+    found = pooled.fit_pooled(laws.Paper(1, 0, DEPTH), made)
     assert found.fitted.nrmsd <= 1e-3
     np.testing.assert_allclose(found.gain, gains, rtol=0.02)
     np.testing.assert_allclose(found.offset_mm - found.offset_mm[1], offsets, atol=0.05)
@@ -181,7 +181,7 @@ def test_a_left_out_log_takes_its_curve_from_its_ramp_and_its_relaxation_from_ot
         return log(time, x, curve * (x + 1.5 * ramp_hold_state(time, 2.0, 1.3)), f"{scale}")
 
     others, left_out = [made(1.0, 0.2), made(1.7, 1.0)], made(0.6, 2.0)
-    law = laws.Scaled(1, 0, DEPTH)
+    law = laws.Proportional(1, 0, DEPTH)
     fitted = laws.fit_own(law, others)
     predicted = laws.carried_to(law.columns(left_out, fitted.shape), left_out)
     hold = slice(left_out.peak, None)

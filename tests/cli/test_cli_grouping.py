@@ -131,7 +131,8 @@ def test_auto_prints_the_candidates_it_chose_from(tmp_path: Path) -> None:
     (one,) = fit(tmp_path / "out", log)["specimens"]
     tried = {(row["branches"], row["stiffness_degree"]) for row in one["selection"]}
     (chosen,) = [row for row in one["selection"] if row["chosen"]]
-    assert {(1, 0), (1, 1)} <= tried
+    # a bending K, and branches that can't be seen, are no candidates of one ramp and hold
+    assert (1, 0) in tried
     assert chosen["branches"] == one["model"]["branches"]
     assert chosen["stiffness_degree"] == one["model"]["stiffness_degree"]
     options = json.loads((tmp_path / "out" / "identification.json").read_bytes())["provenance"]["options"]

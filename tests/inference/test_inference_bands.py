@@ -2,102 +2,84 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from fit_factory import THETA, specimen_fit
 
-from tissueid.inference.trials import Adjustment
+from tissueid.inference.bands import BAND_DRAWS, BAND_POINTS, predictive_bands
 from tissueid.model.base import ContactPath
 from tissueid.model.kelvin_voigt import KelvinVoigt
-from tissueid.inference.bands import BAND_DRAWS, BAND_POINTS, predictive_bands
-from tissueid.inference.target import Redrawn
 
 MODEL = KelvinVoigt(branches=1, stiffness_degree=0, depth_mm=6.0)
 SIGMA = 0.3
 
 
-def redrawn(theta: np.ndarray, *, gain: np.ndarray, offset_mm: np.ndarray) -> Redrawn:
-    count = len(theta)
-    return Redrawn(theta, gain, offset_mm, np.full(count, SIGMA), np.zeros(count), theta, 1.0)
+def alone(samples: int = 300):
+    """A fit of one log that differs in nothing from its tissue."""
+    fit = specimen_fit(trials=1, samples=samples)
+    (trial,) = fit.trials
+    return replace(fit, trials=(replace(trial, gain=1.0, contact_offset_mm=0.0),))
 
 
-def bands(
-    theta: np.ndarray,
-    *,
-    gain: np.ndarray | None = None,
-    offset_mm: np.ndarray | None = None,
-    samples: int = 300,
-):
-    trials = specimen_fit(trials=2, samples=samples).trials
-    flat = np.ones((len(theta), 2))
-    drawn = redrawn(
-        theta,
-        gain=flat if gain is None else gain,
-        offset_mm=0.0 * flat if offset_mm is None else offset_mm,
-    )
-    own = [Adjustment(), Adjustment()]
-    return trials, predictive_bands(MODEL, THETA, trials, own, drawn, sigma_N=SIGMA)
+def bands(theta: np.ndarray, fit=None):
+    fit = fit or alone()
+    tissue = SimpleNamespace(model=MODEL, theta=THETA)
+    return fit.trials, predictive_bands(fit, tissue, theta, sigma_N=SIGMA)  # type: ignore[arg-type]
+
+
+def two_values(theta: np.ndarray, share: float) -> np.ndarray:
+    """Draws of two values of equal weight: their mean and their variance are known."""
+    sign = np.where(np.arange(BAND_DRAWS) % 2, 1.0, -1.0)[:, None]
+    return theta * (1.0 + share * sign * (np.arange(theta.size) == theta.size - 1))
 
 
 def test_where_everything_is_known_the_noise_is_the_band() -> None:
     trials, found = bands(np.tile(THETA, (BAND_DRAWS, 1)))
-    for trial in trials:
-        low, middle, high = found[trial.path, trial.sheet]
-        # the same numbers added and taken off again: rounding of forces near 100 N
-        assert middle == pytest.approx(trial.curve.model_N, abs=1e-11)
-        assert high - low == pytest.approx(2 * 1.96 * SIGMA, rel=1e-9)
+    low, middle, high = found[trials[0].path, trials[0].sheet]
+    assert np.array_equal(middle, trials[0].curve.model_N)
+    assert high - low == pytest.approx(2 * 1.96 * SIGMA, rel=1e-4)
 
 
-def test_a_gain_that_scatters_widens_the_band_by_its_share_of_the_force() -> None:
-    # two values of equal weight: their mean is one, their variance known
-    spread = 0.02
-    gain = 1.0 + spread * np.where(np.arange(BAND_DRAWS) % 2, 1.0, -1.0)[:, None] * np.ones((1, 2))
-    trials, found = bands(np.tile(THETA, (BAND_DRAWS, 1)), gain=gain)
-    for trial in trials:
-        low, _, high = found[trial.path, trial.sheet]
-        path = ContactPath(trial.curve.time_s, trial.curve.depth_mm)
-        expected = 1.96 * np.hypot(spread * MODEL.force(THETA, path), SIGMA)
-        assert (high - low) / 2 == pytest.approx(expected, rel=1e-9)
+def test_draws_widen_the_band_by_their_spread() -> None:
+    trials, found = bands(two_values(THETA, 0.1))
+    curve = trials[0].curve
+    path = ContactPath(curve.time_s, curve.depth_mm)
+    low, _, high = found[trials[0].path, trials[0].sheet]
+    longer, shorter = (MODEL.force(THETA * [1, 1, 1, 1, by], path) for by in (1.1, 0.9))
+    expected = 1.96 * np.hypot(0.5 * (longer - shorter), SIGMA)
+    # straight between some hundred samples of it
+    assert (high - low) / 2 == pytest.approx(expected, rel=0.02)
+    assert ((high - low) / 2).max() > 1.5 * 1.96 * SIGMA
 
 
-def test_an_offset_moves_the_band_along_the_slope_of_the_curve() -> None:
-    offset = np.full((BAND_DRAWS, 2), 1e-4)
-    trials, found = bands(np.tile(THETA, (BAND_DRAWS, 1)), offset_mm=offset)
-    for trial in trials:
-        _, middle, _ = found[trial.path, trial.sheet]
-        x = trial.curve.depth_mm
-        slope = THETA[0] + 2 * THETA[1] * x + 3 * THETA[2] * x**2
-        # second order of an offset of 1e-4 mm: half the curvature (1.7 N/mm^2) times 1e-8 mm^2
-        assert middle - trial.curve.model_N == pytest.approx(-1e-4 * slope, abs=2e-8)
-
-
-def test_a_longer_relaxation_time_moves_the_middle_as_the_model_says() -> None:
-    theta = THETA.copy()
-    theta[-1] *= 1.1
-    trials, found = bands(np.tile(theta, (BAND_DRAWS, 1)))
-    for trial in trials:
-        path = ContactPath(trial.curve.time_s, trial.curve.depth_mm)
-        expected = trial.curve.model_N + MODEL.force(theta, path) - MODEL.force(THETA, path)
-        assert found[trial.path, trial.sheet][1] == pytest.approx(expected, abs=1e-9)
+def test_a_log_among_others_takes_up_by_its_gain_what_all_depths_share() -> None:
+    fit = specimen_fit(trials=2, samples=300)
+    sign = np.where(np.arange(BAND_DRAWS) % 2, 1.0, -1.0)[:, None]
+    scaled = THETA * (1.0 + 0.1 * sign * np.array([1, 1, 1, 1, 0]))
+    for trial, (low, _, high) in zip(fit.trials, bands(scaled, fit)[1].values(), strict=True):
+        # all forces ten per cent up or down: a gain
+        assert high - low == pytest.approx(2 * 1.96 * SIGMA, rel=1e-3), trial.path
+    wide = bands(scaled)[1]
+    ((low, _, high),) = wide.values()
+    assert (high - low).max() > 2 * 2 * 1.96 * SIGMA
 
 
 def test_a_long_curve_has_the_band_of_its_every_sample() -> None:
     """Draws are compared at some hundred samples of it, and the band is laid out between them."""
-    theta = THETA.copy()
-    theta[-1] *= 1.1
-    trials, found = bands(np.tile(theta, (BAND_DRAWS, 1)), samples=12 * BAND_POINTS)
-    for trial in trials:
-        path = ContactPath(trial.curve.time_s, trial.curve.depth_mm)
-        shift = MODEL.force(theta, path) - MODEL.force(THETA, path)
-        low, middle, high = found[trial.path, trial.sheet]
-        assert middle.size == trial.curve.time_s.size
-        assert high - low == pytest.approx(2 * 1.96 * SIGMA, rel=1e-6)
-        # straight between samples 12 apart: far below the noise of 0.3 N
-        assert middle - trial.curve.model_N == pytest.approx(shift, abs=0.002)
+    trials, found = bands(two_values(THETA, 0.1), alone(12 * BAND_POINTS))
+    curve = trials[0].curve
+    path = ContactPath(curve.time_s, curve.depth_mm)
+    low, middle, high = found[trials[0].path, trials[0].sheet]
+    assert middle.size == curve.time_s.size
+    longer, shorter = (MODEL.force(THETA * [1, 1, 1, 1, by], path) for by in (1.1, 0.9))
+    assert (high - low) / 2 == pytest.approx(1.96 * np.hypot(0.5 * (longer - shorter), SIGMA), rel=0.02)
 
 
 def test_the_band_of_a_known_tissue_holds_nineteen_samples_in_twenty() -> None:
-    trials, found = bands(np.tile(THETA, (BAND_DRAWS, 1)))
+    trials, found = bands(np.tile(THETA, (BAND_DRAWS, 1)), specimen_fit(trials=2, samples=300))
     inside = np.concatenate(
         [
             (trial.curve.force_N >= found[trial.path, trial.sheet][0])
@@ -107,14 +89,3 @@ def test_the_band_of_a_known_tissue_holds_nineteen_samples_in_twenty() -> None:
     )
     # 600 independent samples: three binomial standard deviations
     assert abs(inside.mean() - 0.95) <= 3 * np.sqrt(0.95 * 0.05 / inside.size)
-
-
-def test_logs_with_curves_of_their_own_have_the_band_of_the_noise() -> None:
-    trials = specimen_fit(trials=1, samples=100).trials
-    theta = np.tile(THETA * 1.2, (BAND_DRAWS, 1))
-    ones = np.ones((BAND_DRAWS, 1))
-    drawn = redrawn(theta, gain=ones, offset_mm=0.0 * ones)
-    own = [Adjustment(static=np.zeros(4))]
-    ((low, middle, high),) = predictive_bands(MODEL, THETA, trials, own, drawn, sigma_N=SIGMA).values()
-    assert np.array_equal(middle, trials[0].curve.model_N)
-    assert high - low == pytest.approx(2 * 1.96 * SIGMA, rel=1e-9)

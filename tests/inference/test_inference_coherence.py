@@ -1,13 +1,16 @@
-"""Values inside their intervals: the optimum, the tissue on the way to its draws, or none."""
+"""Values inside their intervals, and what is withheld where they are not."""
 
 from __future__ import annotations
 
-import numpy as np
-import pytest
+from dataclasses import replace
 
+import numpy as np
+from fit_factory import specimen_fit
+
+from tissueid.flags import Flag
 from tissueid.inference.estimates import TissueEstimate
 from tissueid.model.kelvin_voigt import KelvinVoigt
-from tissueid.inference.coherence import MARGIN, coherent_share, outside, withheld
+from tissueid.inference.coherence import outside, unsampled, withheld
 from tissueid.inference.reported import interval95, reported_draws
 from tissueid.result import Estimate
 from tissueid.uncertainty import ParameterUncertainty
@@ -43,26 +46,28 @@ def uncertainties(theta: np.ndarray, wider: float | None = 1.5) -> dict[str, Par
     return out
 
 
-def test_an_optimum_inside_its_intervals_stays() -> None:
-    theta = draws(OPTIMUM, np.random.default_rng(1))
-    share, same = coherent_share(tissue(), theta, np.zeros(4000), uncertainties(theta))
-    assert share == 0.0
-    assert same.theta is tissue().theta or (same.theta == OPTIMUM).all()
+def test_values_inside_their_intervals_are_coherent() -> None:
+    found = uncertainties(draws(OPTIMUM, np.random.default_rng(1)))
+    assert outside(tissue().parameters, found) == ()
+    # nearly half of an interval from its ends is its middle: most values are not there
+    assert len(outside(tissue().parameters, found, margin=0.499)) >= 4
 
 
-def test_an_optimum_outside_moves_no_further_than_it_must() -> None:
-    elsewhere = OPTIMUM + np.array([0.2, 0.0, 0.0, 0.0, 0.0])
-    theta = draws(elsewhere, np.random.default_rng(2))
-    found = uncertainties(theta)
+def test_a_value_outside_an_interval_of_its_is_named() -> None:
+    found = uncertainties(draws(OPTIMUM + np.array([0.2, 0.0, 0.0, 0.0, 0.0]), np.random.default_rng(2)))
     assert outside(tissue().parameters, found) == ("static_1_N_per_mm",)
-    share, moved = coherent_share(tissue(), theta, -np.abs(theta[:, 0] - elsewhere[0]), found)
-    assert 0.0 < share < 1.0
-    assert outside(moved.parameters, found, margin=MARGIN) == ()
-    # half the distance would still lie outside
-    assert abs(moved.theta[0] - OPTIMUM[0]) < abs(elsewhere[0] - OPTIMUM[0])
-    value = {one.name: one for one in moved.parameters}
-    assert value["viscosity_N_s_per_mm"].value == pytest.approx(moved.theta[3] * moved.theta[4])
-    assert value["static_1_N_per_mm"].detail["optimum"] == OPTIMUM[0]
+    none = tuple(replace(one, value=None) for one in tissue().parameters)
+    assert outside(none, found) == ()
+
+
+def test_a_fit_without_draws_keeps_its_values_and_identifies_none() -> None:
+    fit = specimen_fit()
+    flag = Flag("sampler_not_converged", "too few draws")
+    bare = unsampled(fit, "no posterior could be sampled", (flag,))
+    assert [one.value for one in bare.parameters] == [one.value for one in fit.parameters]
+    assert not any(one.identified for one in bare.parameters)
+    assert bare.flags == (*fit.flags, flag)
+    assert bare.parameters[0].detail["withheld"] == "no posterior could be sampled"
 
 
 def test_a_total_interval_that_is_missing_counts_as_outside_where_others_have_one() -> None:

@@ -3,27 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
+from inference_cases import handles_for
 from scipy.stats import binomtest
 
-from tissueid.inference.candidates import Candidate, fit_candidate
-from tissueid.inference.estimates import in_field_units
-from tissueid.inference.logs import LogHandle, specimen_sums
-from tissueid.inference.residual_blocks import HOLD_BLOCKS_PER_DECADE, ResidualBlocks, residual_blocks
-from tissueid.inference.specimen import fit_with_state
-from tissueid.inference.trials import Adjustment, model_force
-from tissueid.inference.window import fitted_log
-from tissueid.likelihood.noise import estimate_noise, noise_chain
 from tissueid.inference.misfit import block_covariance, misfit_alarm, shared_structure
-from tissueid.synth import Branch, as_trials, recipe, simulate
-from tissueid.trial import Contact, Phase, Segmentation
+from tissueid.inference.residual_blocks import HOLD_BLOCKS_PER_DECADE, ResidualBlocks
+from tissueid.inference.specimen import FitOptions, fit_with_state
+from tissueid.synth import Branch, recipe, simulate
 from tissueid.uncertainty import NoiseFit
 
-
-CONTACT_SD_MM = 1e-4
 #: Specimens a rate is counted on.
 MANY = 300
 PAPER = replace(recipe("paper-a-30"), rate_Hz=100.0)
@@ -38,48 +29,12 @@ NOISES = {
 }
 
 
-def segmentation_of(trial):
-    """Ramp and hold from the protocol that made the trial; contact at the first sample."""
-    time, n = trial.time_s, trial.time_s.size
-    speed, depth = trial.protocol.speed_mm_s, trial.protocol.depth_mm
-    corner = min(int(np.searchsorted(time, depth / speed - 1e-9)), n - 1)
-    phases = [Phase("ramp", 0, corner + 1, 0.0, float(time[corner]), speed)]
-    if corner < n - 2:
-        phases.append(Phase("hold", corner, n, float(time[corner]), float(time[-1]), 0.0))
-    else:
-        phases[0] = replace(phases[0], stop=n, end_s=float(time[-1]))
-    return Segmentation(1, 1, Contact(index=0, displacement_mm=0.0, sd_mm=CONTACT_SD_MM), tuple(phases), 0.0)
-
-
-def handle_of(trial):
-    segmentation = segmentation_of(trial)
-    facts = fitted_log(trial, segmentation)
-    return LogHandle(partial(lambda one: one, trial), segmentation, facts.without_samples(), CONTACT_SD_MM)
-
-
-def fitted_blocks(logs):
-    """Blocks of a fit with one branch, and the noise that its residuals show."""
-    handles = [handle_of(trial) for trial in as_trials(logs)]
-    sums = specimen_sums(handles, 0, lambda _: None, cut=False)
-    pooling = "partial" if len(handles) > 1 else "shared"
-    solution = fit_candidate(sums, Candidate(1, 0, pooling))
-    model, theta, _, _, _ = in_field_units(sums, solution)
-    found, blocks, chains = solution.evaluation, [], []
-    for i, handle in enumerate(handles):
-        _, log = handle.fitted()
-        one = Adjustment()
-        if pooling == "partial":
-            one = Adjustment(gain=float(np.exp(found.gamma[i])), contact_offset_mm=float(found.delta[i]))
-        fitted = model_force(model, theta, log, one)
-        blocks.append(residual_blocks(handle.segmentation, log, model, theta, one, fitted))
-        residual = log.data.force_N - fitted
-        chains.append(noise_chain(log.data, residual, reference_step_s=sums.step_s))
-    noise = estimate_noise(chains, parameters=5, model="auto")
-    return blocks, NoiseFit(noise.model, noise.sigma_N, noise.phi, sums.step_s, noise.moving_average)
-
-
-def alarm_for(plan, seed):
-    return misfit_alarm(*fitted_blocks(simulate(plan, rng=np.random.default_rng(seed))))
+def alarm_for(plan, seed, **options):
+    """Alarm of a fit with one branch."""
+    chosen = FitOptions(**{"branches": 1, "stiffness_degree": 0, "static": "partial", **options})
+    handles = handles_for(simulate(plan, rng=np.random.default_rng(seed)))
+    found = fit_with_state("s", handles, options=chosen, machine=False)
+    return misfit_alarm(found.told.blocks, found.noise), found
 
 
 def with_logs(plan, count):
@@ -135,24 +90,21 @@ def test_covariance_of_block_means_is_that_of_the_noise_summed_directly(model, p
 
 
 def test_blocks_hold_the_mean_residual_of_their_samples():
-    (log,) = simulate(with_logs(PAPER, 1), rng=np.random.default_rng(3))
-    (handle,) = [handle_of(trial) for trial in as_trials([log])]
-    _, fitted = handle.fitted()
-    sums = specimen_sums([handle], 0, lambda _: None, cut=False)
-    solution = fit_candidate(sums, Candidate(1, 0, "shared"))
-    model, theta, _, _, _ = in_field_units(sums, solution)
-    force = model_force(model, theta, fitted, Adjustment())
-    blocks = residual_blocks(handle.segmentation, fitted, model, theta, Adjustment(), force)
-    residual = fitted.data.force_N - force
+    _, found = alarm_for(with_logs(PAPER, 1), 3)
+    (blocks,), (trial,), (handle,) = found.told.blocks, found.fit.trials, found.handles
+    _, log = handle.fitted()
+    # a log of fewer samples than a curve keeps is there whole
+    residual = trial.curve.force_N - trial.curve.model_N
+    assert residual.size == log.data.time_s.size
     hold = handle.segmentation.of_kind("hold")[0]
-    since = fitted.data.time_s[hold.start + 1 : hold.stop] - hold.start_s
+    since = log.data.time_s[hold.start + 1 : hold.stop] - hold.start_s
     place = np.floor(HOLD_BLOCKS_PER_DECADE * np.log10(since) + 1e-12)
-    for wanted in (0, 3, 5):
+    for wanted in (-2, 0, 2):
         at = int(np.flatnonzero(blocks.hold & (blocks.place == wanted))[0])
         expected = residual[hold.start + 1 : hold.stop][place == wanted]
         assert blocks.count[at] == expected.size
         assert blocks.mean_N[at] == pytest.approx(expected.mean(), abs=1e-12)
-    assert blocks.count.sum() == fitted.data.include.sum()
+    assert blocks.count.sum() == log.data.include.sum()
 
 
 def test_structure_that_repeats_is_found_and_independent_blocks_are_not():
@@ -188,8 +140,9 @@ def test_nothing_to_look_at_raises_nothing():
     assert not misfit_alarm([made_blocks([0.1])], NoiseFit("white", 0.0, 0.0, 0.01)).raised
 
 
+@pytest.mark.system
 def test_a_slow_mode_left_out_raises_the_alarm_with_its_reason():
-    alarm = alarm_for(replace(PAPER, branches=(*PAPER.branches, SLOW)), 0)
+    alarm = alarm_for(with_logs(replace(PAPER, branches=(*PAPER.branches, SLOW)), 10), 0)[0]
     assert alarm.raised
     named = {check.name: check for check in alarm.checks}
     assert set(named) == {"shared structure", "within logs", "early hold", "ramp start"}
@@ -198,9 +151,10 @@ def test_a_slow_mode_left_out_raises_the_alarm_with_its_reason():
     assert alarm.as_json()["checks"][0]["p_value"] == named["shared structure"].p_value
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("noise", ["white", "ar1 0.99", "gain 15 %"])
 def test_data_of_the_fitted_model_raise_no_alarm(noise):
-    raised = [alarm_for(with_logs(replace(PAPER, **NOISES[noise]), 10), seed).raised for seed in range(4)]
+    raised = [alarm_for(with_logs(replace(PAPER, **NOISES[noise]), 10), seed)[0].raised for seed in range(4)]
     # at two per cent each, two of four have a chance of 0.2 %
     assert sum(raised) <= 1
 
@@ -209,7 +163,7 @@ def test_data_of_the_fitted_model_raise_no_alarm(noise):
 @pytest.mark.parametrize("noise", ["white", "ar1 0.9", "ar1 0.99"])
 def test_a_mode_of_5_s_and_3_N_left_out_is_seen(noise):
     plan = replace(PAPER, branches=(*PAPER.branches, SLOW), **NOISES[noise])
-    raised = sum(alarm_for(plan, 50_000 + seed).raised for seed in range(MANY))
+    raised = sum(alarm_for(plan, 50_000 + seed)[0].raised for seed in range(MANY))
     low, _ = bounds_99(raised, MANY)
     print(f"\nmode of 5 s, 3 N left out, {noise}: {raised} of {MANY} raised, lower bound {low:.3f}", end="")  # noqa: T201
     # over the record's few memories of 1 s, noise of 1 N may look like a mode of 5 s
@@ -219,11 +173,10 @@ def test_a_mode_of_5_s_and_3_N_left_out_is_seen(noise):
 @pytest.mark.slow
 def test_where_the_alarm_is_silent_a_free_choice_of_branches_finds_the_mode():
     plan = replace(PAPER, branches=(*PAPER.branches, SLOW), **NOISES["ar1 0.99"])
-    silent = [50_000 + seed for seed in range(MANY) if not alarm_for(plan, 50_000 + seed).raised]
+    silent = [50_000 + seed for seed in range(MANY) if not alarm_for(plan, 50_000 + seed)[0].raised]
     found = 0
     for seed in silent:
-        trials = as_trials(simulate(plan, rng=np.random.default_rng(seed)))
-        found += fit_with_state("s", [handle_of(trial) for trial in trials]).fit.model.branches > 1
+        found += alarm_for(plan, seed, branches=None, stiffness_degree=None)[1].fit.model.branches > 1
     print(f"\nsilent, ar1 0.99: {len(silent)} of {MANY}; a second branch is found in {found} of them", end="")  # noqa: T201
     low, _ = bounds_99(MANY - len(silent) + found, MANY)
     assert low >= 0.92
@@ -234,7 +187,7 @@ def test_where_the_alarm_is_silent_a_free_choice_of_branches_finds_the_mode():
 @pytest.mark.parametrize("noise", list(NOISES))
 def test_false_alarms_are_rare(noise, logs):
     plan = with_logs(replace(PAPER, **NOISES[noise]), logs)
-    raised = sum(alarm_for(plan, 60_000 + seed).raised for seed in range(MANY))
+    raised = sum(alarm_for(plan, 60_000 + seed)[0].raised for seed in range(MANY))
     _, high = bounds_99(raised, MANY)
     print(f"\nfalse alarms, {noise}, {logs} logs: {raised} of {MANY}, upper 99 % bound {high:.3f}", end="")  # noqa: T201
     assert high <= 0.08

@@ -1,83 +1,88 @@
-"""The prior density of draws, against the definition written out for one branch."""
+"""The prior density of draws against its definition, and the table of priors beside posteriors."""
 
 from __future__ import annotations
 
-import math
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
+from inference_cases import draw, handles_for, identified, small_recipe
 
-from tissueid.likelihood.linearise import Optimum
-from tissueid.model.kelvin_voigt import KelvinVoigt
-from tissueid.inference.linear_priors import Facts
-from tissueid.inference.theta_prior import log_theta_prior
+from tissueid.inference.prior import bernstein
+from tissueid.inference.prior_rows import log_theta_prior, prior_table
+from tissueid.inference.target import SpecimenTarget
+from tissueid.model import ContactPath, KelvinVoigt
 from tissueid.priors import WEAK_FACTOR, Priors, SpreadPrior
 
-DEPTH = 8.0
-FACTS = Facts(
-    force_N=150.0,
-    speed_mm_s=np.array([0.2, 4.0]),
-    depth_mm=np.array([8.0, 8.0]),
-    log_tau_bounds=(math.log(1e-3), math.log(300.0)),
-    offset_sd_mm=np.zeros(1),
-    offset_mean_mm=np.zeros(1),
-)
+RECIPE = small_recipe(logs=small_recipe().logs[-1:])
 THETA = np.array(
-    [[20.0, -1.2, 0.35, 63.0, 0.021], [25.0, -2.0, 0.4, 10.0, 1.5], [15.0, 0.5, 0.1, 90.0, 0.004]]
+    [[20.0, -1.2, 0.35, 63.0, 0.2], [25.0, -2.0, 0.4, 10.0, 1.5], [15.0, 0.5, 0.1, 90.0, 0.04]]
+)
+STATED = Priors(
+    linear={"static_1_N_per_mm": (20.0, 5.0), "stiffness_0_N_per_mm": (60.0, 20.0)},
+    relaxation_time_s=(SpreadPrior(0.2, 0.5),),
 )
 
 
-def target(priors: Priors, *, static: bool = True) -> SimpleNamespace:
-    optimum = Optimum(
-        theta=np.zeros(4 if static else 1), log_tau=np.zeros(1), gamma=np.zeros(1), delta=np.zeros(1),
-        own=np.zeros((1, 4)), scale=DEPTH, degree=0,
-    )  # fmt: skip
-    return SimpleNamespace(optimum=optimum, priors=priors, facts=FACTS, model=KelvinVoigt(1, 0, DEPTH))
+def target(priors=None, **asked):
+    (log,) = draw(RECIPE, 1)
+    ours = identified(handles_for([log]), noise="white", priors=priors or Priors(), **asked)
+    return log, SpecimenTarget(ours, machine=asked.get("machine", False))
 
 
-def weak(theta: np.ndarray) -> float:
+def largest_state(log, tau):
+    """Of a branch along the recording, over the depth."""
+    model = KelvinVoigt(branches=1, stiffness_degree=0, depth_mm=4.0)
+    return float(model.states(np.array([tau]), ContactPath(log.time_s, log.displacement_mm))[0].max()) / 4.0
+
+
+def weak(log, force, theta):
     """Bernstein coefficients of F_s/x by depth, and K at the largest state: normal around 0."""
     a1, a2, a3, k, tau = theta
-    u = np.array([a1 * DEPTH, a2 * DEPTH**2, a3 * DEPTH**3])
-    bernstein = np.array([u[0], u[0] + u[1] / 2.0, u.sum()])
-    sd = WEAK_FACTOR * FACTS.force_N
-    state = 4.0 * tau * (1.0 - math.exp(-DEPTH / (4.0 * tau)))
-    branch = -0.5 * (k * state / sd) ** 2 + math.log(state)
+    sd, state = WEAK_FACTOR * force, largest_state(log, tau)
+    static = bernstein(3) @ np.array([a1 * 4.0, a2 * 16.0, a3 * 64.0])
     # uniform in ln tau is 1 / tau in tau
-    return float(-0.5 * (bernstein**2).sum() / sd**2 + branch - math.log(tau))
+    return -0.5 * (static @ static) / sd**2 - 0.5 * (k * 4.0 * state / sd) ** 2 + np.log(state / tau)
 
 
-def test_the_weak_prior_is_its_definition() -> None:
-    found = log_theta_prior(target(Priors()), THETA)  # type: ignore[arg-type]
+def test_the_weak_prior_is_its_definition():
+    log, at = target()
+    expected = np.array([weak(log, at.force, theta) for theta in THETA])
+    found = log_theta_prior(at, THETA)
+    # the largest state is read off a table of 48 times
+    assert found - found[0] == pytest.approx(expected - expected[0], abs=0.03)
 
-    expected = np.array([weak(theta) for theta in THETA])
-    assert found - found[0] == pytest.approx(expected - expected[0], abs=1e-10)
 
-
-def test_stated_priors_are_their_densities() -> None:
-    priors = Priors(
-        linear={
-            "static_1_N_per_mm": (20.0, 5.0),
-            "static_2_N_per_mm2": (-1.0, 1.0),
-            "static_3_N_per_mm3": (0.3, 0.1),
-            "stiffness_0_N_per_mm": (60.0, 20.0),
-        },
-        relaxation_time_s=(SpreadPrior(0.02, 0.5),),
-    )
-
-    found = log_theta_prior(target(priors), THETA)  # type: ignore[arg-type]
-
-    mean, sd = np.array([20.0, -1.0, 0.3, 60.0]), np.array([5.0, 1.0, 0.1, 20.0])
-    expected = -0.5 * (((THETA[:, :4] - mean) / sd) ** 2).sum(axis=1)
-    expected = expected - 0.5 * (np.log(THETA[:, 4] / 0.02) / 0.5) ** 2 - np.log(THETA[:, 4])
+def test_stated_priors_are_their_densities():
+    _, plain = target()
+    _, at = target(STATED)
+    found = log_theta_prior(at, THETA) - log_theta_prior(plain, THETA)
+    expected = -0.5 * ((THETA[:, 0] - 20.0) / 5.0) ** 2 - 0.5 * ((THETA[:, 3] - 60.0) / 20.0) ** 2
+    expected -= 0.5 * (np.log(THETA[:, 4] / 0.2) / 0.5) ** 2
     assert found - found[0] == pytest.approx(expected - expected[0], abs=1e-9)
 
 
-def test_a_curve_of_a_second_stage_has_a_flat_prior() -> None:
-    moved = THETA.copy()
-    moved[:, :3] *= 1.7
-
-    found = log_theta_prior(target(Priors(), static=False), moved)  # type: ignore[arg-type]
-
-    assert found == pytest.approx(log_theta_prior(target(Priors(), static=False), THETA))  # type: ignore[arg-type]
+def test_the_table_names_every_prior_and_what_the_data_added():
+    _, at = target(STATED, machine=True)
+    rng = np.random.default_rng(1)
+    n = 400
+    vectors = at.mode + 0.01 * rng.standard_normal((n, at.mode.size))
+    theta = THETA[0] * (1.0 + 0.01 * rng.standard_normal((n, 5)))
+    gains = 1.0 + 0.005 * rng.standard_normal((n, 2))
+    rows = {row.name: row for row in prior_table(at, vectors, theta, gains)}
+    assert set(rows) == {
+        "static_1_N_per_mm", "static_2_N_per_mm2", "static_3_N_per_mm3", "stiffness_0_N_per_mm",
+        "ln_relaxation_time_1", "ln_sigma", "force_gain", "displacement_gain", "frame_compliance_mm_per_N",
+        "skew_s", "force_filter_s",
+    }  # fmt: skip
+    assert [name for name, row in rows.items() if row.stated] == [
+        "static_1_N_per_mm", "stiffness_0_N_per_mm", "ln_relaxation_time_1",
+    ]  # fmt: skip
+    one = rows["static_1_N_per_mm"]
+    assert "normal, 20" in one.prior
+    assert one.posterior_sd == pytest.approx(0.2, rel=0.15)
+    assert one.shrinkage == pytest.approx(1.0 - one.posterior_sd / 5.0)
+    assert "weak" in rows["static_2_N_per_mm2"].prior
+    assert "log-normal" in rows["ln_relaxation_time_1"].prior
+    assert rows["force_gain"].shrinkage == pytest.approx(0.5, abs=0.1)
+    assert {"force_gain", "skew_s"}.isdisjoint(
+        row.name for row in prior_table(target()[1], vectors, theta, None)
+    )

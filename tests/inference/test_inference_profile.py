@@ -29,7 +29,7 @@ def test_a_well_determined_time_is_closed_and_about_its_standard_errors():
     np.testing.assert_allclose(curve["rise"], rise, rtol=0.15, atol=0.05)
     # K tau is what the ramps know
     product = np.array(curve["tau_s"]) * curve["stiffness_N_per_mm"]
-    assert np.ptp(product) < 0.3 * np.ptp(curve["tau_s"]) / 0.2 * product.mean()
+    assert np.ptp(product) < 0.6 * np.ptp(curve["tau_s"]) / 0.2 * product.mean()
 
 
 def test_a_time_far_below_the_sampling_is_open_at_the_short_end():

@@ -1,36 +1,33 @@
-"""Predictive bands of the recordings under draws of the tissue."""
+"""Predictive bands of the recordings under draws of the posterior."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.inference.estimates import TissueEstimate
-from tissueid.inference.trials import kept_samples
-from tissueid.model.base import ContactPath
+from tissueid.inference.target import SpecimenTarget
 from tissueid.result import SpecimenFit
 
 __all__ = ["predictive_bands"]
 
 FloatArray = NDArray[np.float64]
 
-#: Draws and points that a band is made of.
-BAND_DRAWS, BAND_POINTS = 200, 120
+#: Draws that a band is made of.
+BAND_DRAWS = 120
 TWO_SIDED_95 = 1.959963984540054
 
 
 def predictive_bands(
-    fit: SpecimenFit, tissue: TissueEstimate, draws: FloatArray, *, sigma_N: float
+    fit: SpecimenFit, target: SpecimenTarget, vectors: FloatArray, *, sigma_N: float
 ) -> dict[tuple[str, str | None], FloatArray]:
     """The 95 % predictive band of every trial.
 
     Parameters
     ----------
     fit : SpecimenFit
-    tissue : TissueEstimate
-        Its centre.
-    draws : ndarray, shape (n, p)
-        Theta.
+    target : SpecimenTarget
+    vectors : ndarray, shape (n, size)
+        Draws, machine and contact with them: what they share moves no force.
     sigma_N : float
         Standard deviation of the noise [N].
 
@@ -39,22 +36,22 @@ def predictive_bands(
     dict
         (path, sheet) -> ndarray, shape (3, m): low, middle, high [N] at the samples of the trial's curve.
     """
-    model = tissue.model
-    rows = np.linspace(0, len(draws) - 1, min(len(draws), BAND_DRAWS)).astype(np.int64)
-    middle_theta = np.mean(draws, axis=0)
+    system = target.system
+    rows = np.linspace(0, len(vectors) - 1, min(len(vectors), BAND_DRAWS)).astype(np.int64)
+    force = np.stack([system.near(target.point(x))[0] for x in vectors[rows]])
+    change = force - np.median(force, axis=0)
     bands = {}
-    for trial in fit.trials:
-        curve = trial.curve
-        few = kept_samples(curve.force_N, curve.depth_mm, most=BAND_POINTS)
-        depth = np.maximum(curve.depth_mm[few] - trial.contact_offset_mm, 0.0)
-        path = ContactPath(curve.time_s[few], depth)
-        base = model.force(middle_theta, path)
-        change = np.stack([model.force(theta, path) for theta in draws[rows]]) - base
-        # logs differ in level: their own gain takes up what all depths share
-        weight = base / max(float(base @ base), 1e-300)
+    for i, trial in enumerate(fit.trials):
+        mine, curve = system.log == i, trial.curve
+        own = change[:, mine]
         if len(fit.trials) > 1:
-            change = change - (change @ weight)[:, None] * base
-        spread = np.interp(curve.time_s, curve.time_s[few], trial.gain**2 * change.var(axis=0))
-        half = TWO_SIDED_95 * np.sqrt(spread + sigma_N**2)
+            # logs differ in level: their own gain takes up what all depths share
+            base = np.median(force[:, mine], axis=0)
+            own = own - ((own @ base) / max(float(base @ base), 1e-300))[:, None] * base
+        # a few draws far out would be the whole of a variance
+        sd = np.subtract(*np.quantile(own, [0.84, 0.16], axis=0)) / 2.0
+        since = system.mid[mine] - system.logs[i].time_s[0]
+        spread = np.interp(curve.time_s, since - since[0], sd)
+        half = TWO_SIDED_95 * np.sqrt(spread**2 + sigma_N**2)
         bands[trial.path, trial.sheet] = np.stack([curve.model_N - half, curve.model_N, curve.model_N + half])
     return bands

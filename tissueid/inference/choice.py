@@ -171,8 +171,8 @@ def resolved(one: Tried, step_s: float) -> bool:
 def without_bends(tried: Sequence[Tried]) -> list[Tried]:
     """Candidates of one program: K varies with depth only where that takes much off the error.
 
-    Ramps of one speed to one depth tell F_s(x) from K(x) s(x) only by the form of their polynomials; a contact
-    that is off by its error, or a corner between two samples, is then described by a K that bends.
+    Ramps of one speed to one depth tell F_s(x) from K(x) s(x) only by the form of their polynomials; a
+    contact that is off by its error, or a corner between two samples, is then described by a K that bends.
     """
     kept = []
     for one in tried:

@@ -33,6 +33,7 @@ from tissueid.inference.sandwich import sandwich_covariance
 from tissueid.inference.specimen import FittedSpecimen
 from tissueid.inference.system import MACHINE, Point
 from tissueid.inference.target import NormalTarget, SpecimenTarget, Target
+from tissueid.inference.verdict import unidentified
 from tissueid.model.kelvin_voigt import STATIC_DEGREE
 from tissueid.priors import Priors
 from tissueid.result import Estimate, SpecimenFit
@@ -346,13 +347,14 @@ def _assembled(
         budget=uncertainty_budget(target, draws.vectors, draws.gains, total) if total is not None else (),
         comparison=_rows_of_choice(fit),
         misfit=misfit_alarm(fitted.told.blocks, noise),
-        bands=predictive_bands(fit, fitted.tissue, _kept(draws.statistical), sigma_N=noise.sigma_N),
+        bands=predictive_bands(fit, target, draws.vectors, sigma_N=noise.sigma_N),
     )
+    kept = [flag for flag in fit.flags if flag.code != "not_identified"]
     return replace(
         fit,
         parameters=parameters,
         posterior=posterior,
-        flags=(*said, *fit.flags, *posterior_flags(posterior)),
+        flags=(*said, *unidentified(parameters), *kept, *posterior_flags(posterior)),
     )
 
 

@@ -25,7 +25,7 @@ from tissueid.inference.law import passive_rows, relaxation_states
 from tissueid.inference.noise import Memory, Whitener
 from tissueid.inference.optimum import covariance_of, whitener_of
 from tissueid.inference.prior import Scatter, own_rows, time_bounds
-from tissueid.inference.system import MACHINE
+from tissueid.inference.system import MACHINE, Point
 from tissueid.model.kelvin_voigt import STATIC_DEGREE
 from tissueid.priors import CalibrationPrior
 
@@ -182,6 +182,13 @@ class SpecimenTarget:
     def shared(self, x: FloatArray) -> FloatArray:
         """Times, machine and linear parameters of the law at vectors, (..., size) -> (..., shared)."""
         return self._unscaled(self._about_contact(x))
+
+    def point(self, x: FloatArray) -> Point:
+        """Vector -> point; own parameters that are integrated stay at the optimum."""
+        own = self.optimum.point.own
+        if "contact" in self.places:
+            own = x[self.places["contact"]].reshape(1, 1)
+        return self.optimum.point.moved(self.shared(x), own)
 
     def vectors(self, z: FloatArray) -> FloatArray:
         """Whitened points -> vectors, (..., d) -> (..., size)."""

@@ -13,10 +13,10 @@ import numpy as np
 from tissueid.flags import Flag
 from tissueid.inference.estimates import TissueEstimate
 from tissueid.inference.window import FittedLog, one_program, one_speed
-from tissueid.result import Nrmsd, TrialFit
+from tissueid.result import Estimate, Nrmsd, TrialFit
 from tissueid.uncertainty import NoiseFit
 
-__all__ = ["discrepancy_flags", "specimen_flags"]
+__all__ = ["discrepancy_flags", "specimen_flags", "unidentified"]
 
 #: Relaxation times below this are moved by unstated force filters and time skew [s].
 INSTRUMENT_TAU_S = 0.2
@@ -162,6 +162,16 @@ def discrepancy_flags(noise: NoiseFit, nrmsd: Nrmsd) -> list[Flag]:
     ]
 
 
+def unidentified(parameters: Sequence[Estimate]) -> list[Flag]:
+    """``not_identified`` with the parameters that the data do not determine."""
+    missing = [one for one in parameters if not one.identified]
+    if not missing:
+        return []
+    symbols = _listed([one.symbol for one in missing], len(parameters))
+    values = {"names": [one.name for one in missing]}
+    return [Flag("not_identified", f"these data do not determine {symbols}", values)]
+
+
 def specimen_flags(
     tissue: TissueEstimate,
     facts: Sequence[FittedLog],
@@ -186,12 +196,7 @@ def specimen_flags(
     noise : str
         Model of the noise that the intervals know; ``None`` where they know more than noise.
     """
-    flags = []
-    missing = [one for one in tissue.parameters if not one.identified]
-    if missing:
-        symbols = _listed([one.symbol for one in missing], len(tissue.parameters))
-        values = {"names": [one.name for one in missing]}
-        flags.append(Flag("not_identified", f"these data do not determine {symbols}", values))
+    flags = unidentified(tissue.parameters)
     flags += _relaxation_flags(tissue, facts, sigma_N)
     speed = one_speed(facts)
     if speed is not None and not any(log.has_hold for log in facts):

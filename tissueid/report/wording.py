@@ -71,7 +71,8 @@ def verdict(specimen: Mapping[str, Any]) -> Verdict:
     unknown = [entry for entry in specimen["parameters"] if not entry["identified"]]
     found = remarks(specimen)
     level = found[0].level if found else "ok"
-    if any(entry["name"].startswith(("viscosity", "static_1")) for entry in unknown):
+    asked = [entry for entry in specimen["parameters"] if entry["name"].startswith(("viscosity", "static_1"))]
+    if asked and not any(entry["identified"] for entry in asked):
         level = "serious"
     elif unknown and level in {"ok", "note"}:
         level = "caution"

@@ -1,0 +1,166 @@
+"""A simulated log from its samples to its intervals: the truth in them, the same draws for a seed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from inference_cases import draw, handles_for, small_recipe
+
+from tissueid.inference.law import KelvinVoigtLaw
+from tissueid.inference.posterior import PosteriorOptions, _at_mean_machine, _passive, _with_gains, with_posterior
+from tissueid.inference.specimen import FitOptions, fit_with_state
+from tissueid.inference.target import SpecimenTarget
+from tissueid.priors import Priors
+from tissueid.synth import Branch, Hold, Log, Move
+
+TRUTH = {
+    "static_1_N_per_mm": 20.0, "static_2_N_per_mm2": -1.2, "static_3_N_per_mm3": 0.35,
+    "stiffness_0_N_per_mm": 30.0, "relaxation_time_s": 0.2, "viscosity_N_s_per_mm": 6.0,
+}  # fmt: skip
+ONE = small_recipe(branches=(Branch((30.0,), 0.2),), logs=(Log("hold", (Move(4.0, 240.0), Hold(5.0))),))
+SEVERAL = small_recipe(branches=(Branch((30.0,), 0.2),))
+FIT = FitOptions(branches=1, stiffness_degree=0)
+
+
+def fitted(recipe=ONE, seed=7, machine=True, **options):
+    chosen = replace(FIT, **options)
+    return fit_with_state("knee", handles_for(draw(recipe, seed), sd_mm=0.01), options=chosen, machine=machine)
+
+
+def sampled(state, *, instrument=True, seed=3, draws=600):
+    options = PosteriorOptions(draws=draws, seed=seed)
+    return with_posterior(state, priors=Priors(), options=options, instrument=instrument)
+
+
+@pytest.fixture(scope="module")
+def fit():
+    return sampled(fitted())
+
+
+@pytest.mark.system
+def test_the_truth_lies_in_its_intervals(fit):
+    assert fit.posterior.sampler.converged
+    for name, truth in TRUTH.items():
+        own = fit.parameter(name).uncertainty
+        low, high = own.ci95_total
+        assert low < truth < high, name
+        # the total interval holds the statistical one and the value
+        assert low <= own.ci95[0] <= fit.parameter(name).value <= own.ci95[1] <= high, name
+        assert fit.parameter(name).identified, name
+    # and they are no wider than a machine nobody stated makes them
+    low, high = fit.parameter("relaxation_time_s").uncertainty.ci95_total
+    assert np.log(high / low) < 0.5
+    assert fit.posterior.noise.sigma_N == pytest.approx(0.2, rel=0.1)
+
+
+@pytest.mark.system
+def test_draws_are_passive_tissues_with_their_log_density(fit):
+    posterior = fit.posterior
+    model = KelvinVoigtLaw(1, 0, fit.depth_mm).model()
+    for theta in (*posterior.draws[::50], *posterior.draws_total[::50]):
+        assert model.is_passive(theta)
+    assert posterior.chain.shape[:2] == posterior.log_density.shape
+    assert np.isfinite(posterior.log_density).all()
+    assert len(posterior.chain_names) == posterior.chain.shape[2]
+    assert posterior.log_prior.shape == (len(posterior.draws),)
+    assert {row.source for row in posterior.budget} >= {"noise", "frame", "time skew", "contact points", "total"}
+    (band,) = posterior.bands.values()
+    inside = (fit.trials[0].curve.force_N >= band[0]) & (fit.trials[0].curve.force_N <= band[2])
+    # 500 samples: three binomial standard deviations
+    assert inside.mean() == pytest.approx(0.95, abs=0.03)
+
+
+@pytest.mark.system
+def test_a_seed_repeats_its_draws_and_another_agrees(fit):
+    state = fitted()
+    same, other = sampled(state), sampled(state, seed=4)
+    np.testing.assert_array_equal(same.posterior.draws, fit.posterior.draws)
+    np.testing.assert_array_equal(same.posterior.draws_total, fit.posterior.draws_total)
+    for name in TRUTH:
+        a, b = fit.parameter(name).uncertainty, other.parameter(name).uncertainty
+        assert abs(a.mean - b.mean) <= 0.3 * a.sd, name
+        assert b.sd == pytest.approx(a.sd, rel=0.3), name
+
+
+@pytest.mark.system
+def test_a_known_machine_narrows_the_interval_to_that_of_the_noise(fit):
+    alone = sampled(fitted(machine=False), instrument=False)
+    assert alone.posterior.draws_total is None
+    assert alone.posterior.budget == ()
+    for name in ("relaxation_time_s", "viscosity_N_s_per_mm", "static_1_N_per_mm"):
+        own = alone.parameter(name).uncertainty
+        assert own.ci95_total is None
+        assert own.ci95[0] < TRUTH[name] < own.ci95[1]
+        low, high = fit.parameter(name).uncertainty.ci95_total
+        assert own.ci95[1] - own.ci95[0] < high - low
+    # a well determined time is as sharp as its standard error says
+    bare = fitted(machine=False).fit.parameter("relaxation_time_s")
+    assert alone.parameter("relaxation_time_s").uncertainty.sd == pytest.approx(bare.stderr, rel=0.25)
+
+
+@pytest.mark.system
+def test_several_logs_with_scatter_hold_the_truth_too():
+    found = sampled(fitted(replace(SEVERAL, cv_both=0.05), seed=2))
+    for name in ("relaxation_time_s", "viscosity_N_s_per_mm"):
+        low, high = found.parameter(name).uncertainty.ci95_total
+        assert low < TRUTH[name] < high, name
+    assert "ln_gain_sd" in found.posterior.chain_names
+
+
+@pytest.mark.system
+def test_a_law_that_lacks_a_branch_has_the_generalised_posterior():
+    lacking = replace(ONE, branches=(Branch((30.0,), 0.2), Branch((20.0,), 2.5)), sigma_N=0.05)
+    state = fitted(lacking)
+    assert state.identified.discrepant
+    found = sampled(state)
+    assert found.posterior.sampler.as_json()["detail"]["density"] == "generalised"
+    assert found.posterior.noise.samples_per_independent > 1.0
+    plain = state.fit.parameter("static_1_N_per_mm").detail["estimate_stderr"]
+    assert found.parameter("static_1_N_per_mm").uncertainty.sd > 1.5 * plain
+
+
+def test_without_a_sampler_the_fit_stands():
+    state = fitted()
+    assert with_posterior(state, priors=Priors(), options=PosteriorOptions(sampler="none")) is state.fit
+
+
+def test_gains_of_the_channels_scale_the_tissue():
+    law = KelvinVoigtLaw(1, 1, 4.0)
+    theta = np.array([[20.0, -1.2, 0.35, 30.0, 6.0, 0.2]])
+    force, travel = 1.02, 0.97
+    found = law.model(), _with_gains(law, theta, np.array([[force, travel]]))[0]
+    # F_shown = g_F F(x), x_shown = g_x x
+    x = np.linspace(0.1, 3.0, 5)
+    shown = law.model().static_force(theta[0], travel * x) / force
+    np.testing.assert_allclose(found[0].static_force(found[1], x), shown, rtol=1e-12)
+    np.testing.assert_allclose(
+        found[0].stiffness(found[1], x)[0] * x, law.model().stiffness(theta[0], travel * x)[0] * travel * x / force
+    )
+    assert found[1][-1] == 0.2
+
+
+def test_draws_are_brought_inside_no_further_than_needed():
+    law = KelvinVoigtLaw(1, 1, 1.0)
+    centre = np.array([3.0, 0.0, 0.0, 2.0, 0.0])
+    linear = np.array([centre, [3.0, 0.0, 0.0, -1.0, 4.0], [4.0, 0.0, 0.0, 1.0, 1.0]])
+    found = _passive(law, linear, centre)
+    np.testing.assert_array_equal(found[[0, 2]], linear[[0, 2]])
+    # K of 2 at the centre and -1 there: a third of the way is left out
+    np.testing.assert_allclose(found[1], centre + (linear[1] - centre) * 2.0 / 3.0, rtol=1e-6)
+    assert (law.cone() @ found.T >= -1e-12).all()
+
+
+def test_statistical_draws_have_the_machine_at_its_mean():
+    at = SpecimenTarget(fitted().identified, machine=True)
+    rng = np.random.default_rng(1)
+    vectors = at.mode + rng.standard_normal((500, at.mode.size)) * 0.01
+    k = at.law.times
+    vectors[:, 0] += 5.0 * (vectors[:, k] - at.mode[k])
+    found = _at_mean_machine(at, vectors)
+    assert np.ptp(found[:, k : k + 3], axis=0) == pytest.approx(np.zeros(3))
+    # what followed the machine is taken off, the rest and all means stay
+    assert found[:, 0].std() == pytest.approx(0.01, rel=0.1)
+    np.testing.assert_allclose(found.mean(axis=0), vectors.mean(axis=0), atol=1e-12)
+    assert found[:, -1].std() == pytest.approx(vectors[:, -1].std(), rel=0.02)

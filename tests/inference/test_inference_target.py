@@ -1,0 +1,173 @@
+"""The log density of a specimen against the same written out, and integrals against brute force."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from inference_cases import draw, handles_for, identified, small_recipe
+from scipy.stats import multivariate_normal
+
+from tissueid.inference.noise import Memory
+from tissueid.inference.optimum import Noise
+from tissueid.inference.target import NormalTarget, SpecimenTarget, _coordinate, _quantile
+from tissueid.priors import CalibrationPrior
+
+#: Half the logs are short: they are kept sample by sample.
+SHORT = small_recipe(rate_Hz=50.0)
+
+
+def one_log(**asked):
+    ours = identified(handles_for(draw(replace(SHORT, logs=SHORT.logs[-1:]), 1), sd_mm=0.02), **asked)
+    return ours, SpecimenTarget(ours, machine=asked.get("machine", False))
+
+
+def points(at, n=8, seed=3, size=0.5):
+    z = size * np.random.default_rng(seed).standard_normal((n, at.size))
+    return at.vectors(z)
+
+
+def test_a_single_log_has_the_likelihood_of_its_samples_and_its_priors():
+    ours, at = one_log(noise="white")
+    x = points(at)
+    found = np.array([at.density(one) for one in x])
+    prior = ours.optimum.prior
+    expected = []
+    for one in x:
+        shared, contact = at.shared(one), one[at.places["contact"]]
+        point = ours.optimum.point.moved(shared, np.array([[contact]]))
+        ours.system.guess = ours.system.tip_force(point)[0]
+        left = ours.system.force - ours.system.predict(point)
+        sigma = np.exp(one[at.places["ln_sigma"]])
+        # priors are of the coefficients times the largest states
+        about = at._about_contact(one)
+        value = -0.5 * ((prior.rows @ about - prior.target) ** 2).sum() - 0.5 * prior.own[0, 0] * contact**2
+        value += -0.5 * float(left @ left) / sigma**2 - left.size * np.log(sigma)
+        expected.append(value)
+    inside = np.isfinite(found)
+    assert inside.sum() >= 4
+    np.testing.assert_allclose(
+        (found - found[inside][0])[inside], (expected - np.array(expected)[inside][0])[inside], rtol=1e-7, atol=1e-6
+    )
+
+
+def test_correlated_noise_has_its_dense_covariance():
+    ours, _ = one_log(noise="white")
+    noise = Noise(ours.optimum.noise.sigma_N, Memory(0.08, 0.2))
+    at = SpecimenTarget(replace(ours, optimum=replace(ours.optimum, noise=noise)), machine=False)
+    mid, n = ours.system.mid, ours.system.force.size
+    assert at.samples == n
+    x = np.array([at.mode, at.mode])
+    x[1, at.places["ln_memory"]] += np.log(2.0)
+    x[1, at.places["ln_sigma"]] += 0.1
+    left = ours.system.force - ours.system.predict(ours.optimum.point)
+    expected = []
+    for one in x:
+        # ln memory is taken to the nearest twentieth
+        time = np.exp(0.05 * round(float(one[at.places["ln_memory"]]) / 0.05))
+        covariance = 0.8 * np.exp(-np.abs(np.subtract.outer(mid, mid)) / time) + 0.2 * np.eye(n)
+        covariance = covariance * np.exp(2.0 * one[at.places["ln_sigma"]])
+        expected.append(multivariate_normal.logpdf(left, cov=covariance))
+    found = at.density(x[1]) - at.density(x[0])
+    assert found == pytest.approx(expected[1] - expected[0], abs=1e-6)
+
+
+def test_what_logs_have_for_themselves_is_integrated():
+    """Gains, contacts and shapes are linear about the optimum: a normal of the whole covariance."""
+    ours = identified(handles_for(draw(SHORT, 2), sd_mm=0.02), pooling="scaled", noise="white")
+    at = SpecimenTarget(ours, machine=False)
+    system, own = ours.system, ours.optimum.point.own
+    x = np.array([at.mode, at.mode])
+    x[1, at.places["ln_sigma"]] += 0.2
+    x[1, at.places["ln_gain_sd"]] += 0.5
+    force, columns = system.near(ours.optimum.point, at._by_contact)
+    expected = []
+    for one in x:
+        sigma, gain = np.exp(one[at.places["ln_sigma"]]), np.exp(one[at.places["ln_gain_sd"]])
+        value = 0.5 * -((gain / at.priors.gain_sd) ** 2) + np.log(gain)
+        for i in range(len(system.logs)):
+            mine = system.log == i
+            size = np.concatenate(
+                [[gain, 0.02 / system.depth_mm], np.full(3, ours.scatter.shape * system.peaks[i])]
+            )
+            coordinates = np.linalg.inv(ours.optimum.prior.own_rows)
+            spread = columns[mine] @ coordinates * size
+            covariance = spread @ spread.T + sigma**2 * np.diag(1.0 / system.count[mine])
+            # the force where the log has nothing of its own, linearly
+            mean = force[mine] - columns[mine] @ own[i]
+            value += multivariate_normal.logpdf(system.force[mine], mean, covariance, allow_singular=True)
+        value -= 0.5 * system.within_N2 / sigma**2 + system.within_freedom * np.log(sigma)
+        expected.append(value)
+    found = at.density(x[1]) - at.density(x[0])
+    assert found == pytest.approx(expected[1] - expected[0], abs=1e-4)
+
+
+def test_outside_the_passive_set_there_is_no_density():
+    _, at = one_log(noise="white")
+    x = at.mode.copy()
+    x[at.law.times + 3 + 3] = -1.0
+    assert at.density(x) == -np.inf
+    assert at.density(at.mode) > -np.inf
+
+
+def test_whitened_coordinates_are_those_of_the_curvature():
+    _, at = one_log(noise="white")
+    z = np.zeros((2 * at.size + 1, at.size))
+    step = 0.3
+    for k in range(at.size):
+        z[1 + 2 * k, k], z[2 + 2 * k, k] = step, -step
+    values = at.densities(z)
+    second = (values[1::2] + values[2::2] - 2.0 * values[0]) / step**2
+    # of directions that no wall cuts
+    inside = np.isfinite(second)
+    assert inside.sum() >= at.size - 3
+    assert np.median(second[inside]) == pytest.approx(-1.0, abs=0.1)
+
+
+def test_a_machine_by_quantiles_has_its_prior_and_keeps_its_digits():
+    z = np.linspace(-6.0, 6.0, 41)
+    for prior in (CalibrationPrior(0.0, 0.004, 0.0), CalibrationPrior(0.01, 0.002, 0.0), CalibrationPrior(0.0, 0.002)):
+        values = _quantile(prior, z)
+        assert (np.diff(values) > 0.0).all()
+        assert (values >= prior.lower).all()
+        middle = np.abs(z) < 4.5
+        np.testing.assert_allclose(_coordinate(prior, values)[middle], z[middle], atol=1e-5)
+    half = np.median(_quantile(CalibrationPrior(0.0, 1.0, 0.0), np.random.default_rng(1).standard_normal(100_000)))
+    assert half == pytest.approx(0.6745, abs=0.01)
+
+
+def test_the_density_does_not_depend_on_how_the_machine_is_given():
+    """A change of variables: density times its Jacobian."""
+    _, at = one_log(noise="white", machine=True)
+    z = 0.3 * np.random.default_rng(5).standard_normal((6, at.size))
+    found = at.densities(z)
+    x = at.vectors(z)
+    names = list(at.names)
+    expected = np.array([at.density(one) for one in x])
+    for k, name in enumerate(("frame_compliance_mm_per_N", "skew_s", "force_filter_s")):
+        prior = at.priors.calibration[name]
+        values = x[:, names.index(name)]
+        by = (_quantile(prior, z[:, k] + 1e-5) - _quantile(prior, z[:, k] - 1e-5)) / 2e-5
+        np.testing.assert_allclose(values, _quantile(prior, z[:, k]), atol=1e-9)
+        expected = expected + np.log(by)
+    inside = np.isfinite(found)
+    assert inside.sum() >= 2
+    np.testing.assert_allclose(np.diff(found[inside]), np.diff(expected[inside]), atol=1e-5)
+
+
+def test_a_normal_target_is_normal_within_the_walls():
+    _, at = one_log(noise="white")
+    covariance = at.root @ at.root.T * 4.0
+    centre = at.vectors(at.centre[None])[0, at.free]
+    found = NormalTarget(at, covariance)
+    assert found.is_normal
+    z = 0.5 * np.random.default_rng(6).standard_normal((40, found.size))
+    x = at.vectors(z)[:, at.free]
+    inside = np.isfinite(found.densities(z))
+    expected = -0.5 * np.einsum("ni,ni->n", x - centre, np.linalg.solve(covariance, (x - centre).T).T)
+    np.testing.assert_allclose(found.densities(z)[inside], expected[inside], rtol=1e-4, atol=1e-4)
+    rows = at.optimum.prior.cone[at.optimum.prior.least > -1e200]
+    least = at.optimum.prior.least[at.optimum.prior.least > -1e200]
+    passive = (at.vectors(z)[:, : at.n_shared] @ rows.T >= least - 1e-6).all(axis=1)
+    assert (passive == inside).mean() > 0.95

@@ -1,0 +1,110 @@
+"""A stated frame is taken off the displacement, and noise of the force with it is not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from inference_cases import draw, handle_for, small_recipe, true_segmentation
+
+from tissueid.inference.specimen import FitOptions, fit_with_state
+from tissueid.inference.tip import _moving_mean, beyond_calibration, tip_handles
+from tissueid.manifest import FrameCurve
+from tissueid.model.frame import linear_frame
+from tissueid.synth import Branch, as_trials
+
+STIFFNESS = 200.0
+TISSUE = (Branch((30.0,), 0.2),)
+
+
+def crosshead(trials, quiet):
+    """The same recordings behind a frame: the crosshead travels further by what the force makes it give."""
+    return [
+        replace(trial, displacement_mm=trial.displacement_mm + clean.force_N / STIFFNESS)
+        for trial, clean in zip(trials, quiet, strict=True)
+    ]
+
+
+def recorded(seed=1, sigma=0.2):
+    recipe = small_recipe(branches=TISSUE, sigma_N=sigma)
+    trials = as_trials(draw(recipe, seed))
+    quiet = as_trials(draw(replace(recipe, sigma_N=0.0), seed))
+    behind = crosshead(trials, quiet)
+    handles = [handle_for(trial, true_segmentation(clean)) for trial, clean in zip(behind, quiet, strict=True)]
+    return trials, behind, handles
+
+
+def test_the_tip_is_where_it_was():
+    trials, behind, handles = recorded()
+    said = []
+    found = tip_handles(handles, linear_frame(STIFFNESS), said.append)
+    for trial, before, handle in zip(trials, behind, found, strict=True):
+        tip = handle.load()
+        np.testing.assert_array_equal(tip.force_N, trial.force_N)
+        assert np.abs(before.displacement_mm - trial.displacement_mm).max() > 0.2
+        off = tip.displacement_mm - trial.displacement_mm
+        # noise of 0.2 N behind 200 N/mm is 1e-3 mm: of it, a law of fifteen parameters lets little through
+        assert np.abs(off).max() < 1e-3
+        assert off.std() < 3e-4
+        (flag,) = [flag for flag in tip.flags if flag.code == "frame_corrected"]
+        assert flag.values["deflection_mm"] == pytest.approx(
+            float(np.ptp(before.displacement_mm - trial.displacement_mm)), rel=0.02
+        )
+    assert said == ["the frame"]
+
+
+def test_a_corrected_fit_is_that_of_the_tissue():
+    _, _, handles = recorded(seed=2)
+    options = FitOptions(branches=1, stiffness_degree=0, static="shared")
+
+    def tau(logs):
+        fit = fit_with_state("a", logs, options=options, machine=False).fit
+        return fit.parameter("relaxation_time_s"), fit.parameter("viscosity_N_s_per_mm")
+
+    rigid, eta = tau(tip_handles(handles, linear_frame(STIFFNESS)))
+    assert abs(rigid.value - 0.2) <= 4.0 * rigid.stderr
+    assert abs(eta.value - 6.0) <= 4.0 * eta.stderr
+    bent, _ = tau(handles)
+    assert abs(bent.value - 0.2) > 10.0 * bent.stderr
+
+
+def test_speeds_and_depths_are_those_of_the_tip():
+    _, _, handles = recorded(sigma=0.0)
+    found = tip_handles(handles, linear_frame(STIFFNESS))
+    for before, after in zip(handles, found, strict=True):
+        assert after.facts.depth_mm < before.facts.depth_mm
+        ramp = after.segmentation.of_kind("ramp")[0]
+        assert ramp.speed_mm_s < before.segmentation.of_kind("ramp")[0].speed_mm_s * 1.0001
+
+
+def test_a_nonlinear_frame_is_taken_off_as_it_was_calibrated():
+    soft = FrameCurve(np.array([0.0, 100.0]), np.array([0.01, 0.002]), np.zeros((2, 2)))
+    recipe = small_recipe(branches=TISSUE, sigma_N=0.0)
+    trials = as_trials(draw(recipe, 3))
+    # u is the integral of a compliance that falls from 0.01 to 0.002 mm/N over the first 100 N
+    behind = []
+    for trial in trials:
+        f = trial.force_N
+        below = np.minimum(f, 100.0)
+        give = 0.01 * below - 0.5 * 8e-5 * below**2 + 0.002 * np.maximum(f - 100.0, 0.0)
+        behind.append(replace(trial, displacement_mm=trial.displacement_mm + give))
+    handles = [handle_for(trial, true_segmentation(clean)) for trial, clean in zip(behind, trials, strict=True)]
+    for trial, handle in zip(trials, tip_handles(handles, soft), strict=True):
+        # the smoothing law is another one in the tip's travel: some 0.1 N of 200 N, behind 100 N/mm
+        assert np.abs(handle.load().displacement_mm - trial.displacement_mm).max() < 5e-3
+
+
+def test_forces_far_beyond_the_calibration_are_told():
+    curve = FrameCurve(np.array([0.0, 100.0]), np.array([0.01, 0.002]), np.zeros((2, 2)), range_N=(5.0, 100.0))
+    assert beyond_calibration(curve, 151.0)
+    assert not beyond_calibration(curve, 149.0)
+    assert not beyond_calibration(linear_frame(STIFFNESS), 1e9)
+
+
+def test_a_moving_mean_keeps_a_constant_and_its_length():
+    np.testing.assert_allclose(_moving_mean(np.full(30, 2.0), 11), 2.0)
+    values = np.arange(20.0)
+    np.testing.assert_allclose(_moving_mean(values, 5)[2:-2], values[2:-2])
+    assert _moving_mean(values, 5).size == 20
+    np.testing.assert_array_equal(_moving_mean(values[:1], 5), values[:1])
