@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from inference_cases import blocks_from, log_data, point_of, ramp_hold, system_of
@@ -121,7 +123,7 @@ def test_folds_are_not_mixed():
     log = log_data(time, depth, direct(time, depth), fold=fold)
     found = blocks_from(log)
     edges = np.concatenate([[0], np.cumsum(found.count)])
-    for number, (a, b) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+    for number, (a, b) in enumerate(pairwise(edges)):
         assert set(fold[a:b]) == {int(found.fold[number])}
 
 

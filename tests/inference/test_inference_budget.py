@@ -9,7 +9,15 @@ import pytest
 
 from tissueid.inference.budget import TOTAL, uncertainty_budget
 
-NAMES = ("ln_tau_1", "frame_compliance_mm_per_N", "skew_s", "force_filter_s", "linear_1", "contact", "ln_sigma")
+NAMES = (
+    "ln_tau_1",
+    "frame_compliance_mm_per_N",
+    "skew_s",
+    "force_filter_s",
+    "linear_1",
+    "contact",
+    "ln_sigma",
+)
 #: Change of the parameter by one standard deviation of each source, and of noise beside them.
 PARTS = {"frame": 3.0, "time skew": 0.0, "force filter": -2.0, "contact points": 1.0, "force gain": 4.0,
          "displacement gain": 0.5}  # fmt: skip
@@ -50,8 +58,8 @@ def test_every_parameter_has_its_rows_noise_first_and_the_total_last():
     vectors, gains, value = drawn(500)
     rows = uncertainty_budget(target(), vectors, gains, {"a": value, "b": 2.0 * value})
     assert [row.parameter for row in rows] == ["a"] * 8 + ["b"] * 8
-    assert [row.source for row in rows][:: 8] == ["noise", "noise"]
-    assert [row.source for row in rows][7:: 8] == [TOTAL, TOTAL]
+    assert [row.source for row in rows][::8] == ["noise", "noise"]
+    assert [row.source for row in rows][7::8] == [TOTAL, TOTAL]
     assert rows[8 + 3].sd == pytest.approx(2.0 * rows[3].sd)
 
 

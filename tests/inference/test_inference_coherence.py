@@ -8,10 +8,10 @@ import numpy as np
 from fit_factory import specimen_fit
 
 from tissueid.flags import Flag
-from tissueid.inference.estimates import TissueEstimate
-from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.inference.coherence import outside, unsampled, withheld
+from tissueid.inference.estimates import TissueEstimate
 from tissueid.inference.reported import interval95, reported_draws
+from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.result import Estimate
 from tissueid.uncertainty import ParameterUncertainty
 

@@ -12,7 +12,6 @@ from tissueid.inference.estimates import MAX_WIDTH, estimate_tissue
 from tissueid.inference.profile import LEVEL_95
 from tissueid.synth import Branch
 
-
 GROWING = Branch((30.0, 6.0), 0.2)
 SEEDS = 25
 

@@ -40,12 +40,24 @@ def found(degree):
     corners = np.searchsorted(path.time_s, [0.0, 0.5, 3.5, 4.5, 10.0])
     kinds = ("ramp", "hold", "ramp", "hold")
     phases = tuple(
-        Phase(kind, int(a), min(int(b) + 1, N), path.time_s[a], path.time_s[min(b, N - 1)], 5.0 * (kind == "ramp"))
+        Phase(
+            kind,
+            int(a),
+            min(int(b) + 1, N),
+            path.time_s[a],
+            path.time_s[min(b, N - 1)],
+            5.0 * (kind == "ramp"),
+        )
         for kind, a, b in zip(kinds, corners, corners[1:], strict=False)
     )
     trial = Trial("s", path.time_s, path.depth_mm, force)
     handle = handle_for(trial, Segmentation(1, 1, Contact(0, 0.0, 1e-9), phases, 0.05))
-    return model, path, force, identified([replace(handle, contact_sd_mm=1e-9)], degrees=(degree,), noise="white")
+    return (
+        model,
+        path,
+        force,
+        identified([replace(handle, contact_sd_mm=1e-9)], degrees=(degree,), noise="white"),
+    )
 
 
 def raw_lmfit(model, path, force, start):

@@ -21,7 +21,9 @@ def dense(count, first_s, step_s, chain, memory):
             if of[i] != of[j]:
                 continue
             apart = np.abs(one[:, None] - other)
-            both = (1.0 - memory.white) * (np.exp(-apart / memory.time_s) if memory.time_s > 0.0 else apart == 0)
+            both = (1.0 - memory.white) * (
+                np.exp(-apart / memory.time_s) if memory.time_s > 0.0 else apart == 0
+            )
             out[i, j] = (both + memory.white * (apart == 0.0)).mean()
     return out
 

@@ -4,7 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from inference_cases import draw, handles_for, identified, log_data, point_of, ramp_hold, small_recipe, system_of
+from inference_cases import (
+    draw,
+    handles_for,
+    identified,
+    log_data,
+    point_of,
+    ramp_hold,
+    small_recipe,
+    system_of,
+)
 from scipy.optimize import minimize
 
 from tissueid.inference.law import KelvinVoigtLaw
@@ -51,7 +60,9 @@ def test_a_point_inside_stays():
 
 def test_a_bound_that_is_none_is_not_looked_at():
     cone, least = np.array([[1.0, 0.0], [0.0, 1.0]]), np.array([0.0, -1e300])
-    np.testing.assert_allclose(nearest_in_cone(np.array([-1.0, -5.0]), np.eye(2), cone, least), [0.0, -5.0], atol=1e-12)
+    np.testing.assert_allclose(
+        nearest_in_cone(np.array([-1.0, -5.0]), np.eye(2), cone, least), [0.0, -5.0], atol=1e-12
+    )
 
 
 def test_a_covariance_is_the_inverse_and_a_flat_direction_is_wide():
@@ -78,7 +89,7 @@ def fitted(theta, *, start, sigma=0.1, degree=0, seed=1):
 
 
 def test_the_optimum_is_one_of_the_objective():
-    law, system, found = fitted([20.0, -1.2, 0.35, 30.0, 0.2], start=[15.0, 0.0, 0.1, 50.0, 0.5])
+    _, system, found = fitted([20.0, -1.2, 0.35, 30.0, 0.2], start=[15.0, 0.0, 0.1, 50.0, 0.5])
     assert found.converged
     assert not found.active.any()
     free = np.r_[0, 4:8]
@@ -100,7 +111,9 @@ def test_the_optimum_is_one_of_the_objective():
 
 def test_an_optimum_on_the_cone_is_passive_and_no_better_point_is():
     # K falls to less than none: the bound holds it
-    law, system, found = fitted([20.0, 0.0, 0.0, 30.0, -9.0, 0.2], start=[20.0, 0.0, 0.0, 20.0, 0.0, 0.3], degree=1)
+    law, system, found = fitted(
+        [20.0, 0.0, 0.0, 30.0, -9.0, 0.2], start=[20.0, 0.0, 0.0, 20.0, 0.0, 0.3], degree=1
+    )
     assert found.active.any()
     at = law.theta(found.point.log_times, found.point.linear)[0]
     assert law.model().is_passive(at)

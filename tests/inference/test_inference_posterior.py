@@ -9,10 +9,16 @@ import pytest
 from inference_cases import draw, handles_for, small_recipe
 
 from tissueid.inference.law import KelvinVoigtLaw
-from tissueid.inference.posterior import PosteriorOptions, _at_mean_machine, _passive, _with_gains, with_posterior
+from tissueid.inference.posterior import (
+    PosteriorOptions,
+    _at_mean_machine,
+    _passive,
+    _with_gains,
+    with_posterior,
+)
 from tissueid.inference.specimen import FitOptions, fit_with_state
 from tissueid.inference.target import SpecimenTarget
-from tissueid.priors import Priors
+from tissueid.priors import CalibrationPrior, Priors
 from tissueid.synth import Branch, Hold, Log, Move
 
 TRUTH = {
@@ -22,16 +28,25 @@ TRUTH = {
 ONE = small_recipe(branches=(Branch((30.0,), 0.2),), logs=(Log("hold", (Move(4.0, 240.0), Hold(5.0))),))
 SEVERAL = small_recipe(branches=(Branch((30.0,), 0.2),))
 FIT = FitOptions(branches=1, stiffness_degree=0)
+#: A machine that was calibrated: what remains of its frame, of its skew and of its filter.
+CALIBRATED = Priors(
+    calibration={
+        "frame_compliance_mm_per_N": CalibrationPrior(0.0, 2e-4, stated=True),
+        "skew_s": CalibrationPrior(0.0, 3e-4, stated=True),
+        "force_filter_s": CalibrationPrior(0.0, 3e-4, 0.0, stated=True),
+    }
+)
 
 
 def fitted(recipe=ONE, seed=7, machine=True, **options):
     chosen = replace(FIT, **options)
-    return fit_with_state("knee", handles_for(draw(recipe, seed), sd_mm=0.01), options=chosen, machine=machine)
+    handles = handles_for(draw(recipe, seed), sd_mm=0.01)
+    return fit_with_state("knee", handles, options=chosen, priors=CALIBRATED, machine=machine)
 
 
 def sampled(state, *, instrument=True, seed=3, draws=600):
     options = PosteriorOptions(draws=draws, seed=seed)
-    return with_posterior(state, priors=Priors(), options=options, instrument=instrument)
+    return with_posterior(state, priors=CALIBRATED, options=options, instrument=instrument)
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +64,7 @@ def test_the_truth_lies_in_its_intervals(fit):
         # the total interval holds the statistical one and the value
         assert low <= own.ci95[0] <= fit.parameter(name).value <= own.ci95[1] <= high, name
         assert fit.parameter(name).identified, name
-    # and they are no wider than a machine nobody stated makes them
+    # and they are no wider than that machine makes them
     low, high = fit.parameter("relaxation_time_s").uncertainty.ci95_total
     assert np.log(high / low) < 0.5
     assert fit.posterior.noise.sigma_N == pytest.approx(0.2, rel=0.1)
@@ -65,7 +80,13 @@ def test_draws_are_passive_tissues_with_their_log_density(fit):
     assert np.isfinite(posterior.log_density).all()
     assert len(posterior.chain_names) == posterior.chain.shape[2]
     assert posterior.log_prior.shape == (len(posterior.draws),)
-    assert {row.source for row in posterior.budget} >= {"noise", "frame", "time skew", "contact points", "total"}
+    assert {row.source for row in posterior.budget} >= {
+        "noise",
+        "frame",
+        "time skew",
+        "contact points",
+        "total",
+    }
     (band,) = posterior.bands.values()
     inside = (fit.trials[0].curve.force_N >= band[0]) & (fit.trials[0].curve.force_N <= band[2])
     # 500 samples: three binomial standard deviations
@@ -80,7 +101,7 @@ def test_a_seed_repeats_its_draws_and_another_agrees(fit):
     np.testing.assert_array_equal(same.posterior.draws_total, fit.posterior.draws_total)
     for name in TRUTH:
         a, b = fit.parameter(name).uncertainty, other.parameter(name).uncertainty
-        assert abs(a.mean - b.mean) <= 0.3 * a.sd, name
+        assert abs(a.mean - b.mean) <= 0.4 * a.sd, name
         assert b.sd == pytest.approx(a.sd, rel=0.3), name
 
 
@@ -136,7 +157,8 @@ def test_gains_of_the_channels_scale_the_tissue():
     shown = law.model().static_force(theta[0], travel * x) / force
     np.testing.assert_allclose(found[0].static_force(found[1], x), shown, rtol=1e-12)
     np.testing.assert_allclose(
-        found[0].stiffness(found[1], x)[0] * x, law.model().stiffness(theta[0], travel * x)[0] * travel * x / force
+        found[0].stiffness(found[1], x)[0] * x,
+        law.model().stiffness(theta[0], travel * x)[0] * travel * x / force,
     )
     assert found[1][-1] == 0.2
 
@@ -148,7 +170,7 @@ def test_draws_are_brought_inside_no_further_than_needed():
     found = _passive(law, linear, centre)
     np.testing.assert_array_equal(found[[0, 2]], linear[[0, 2]])
     # K of 2 at the centre and -1 there: a third of the way is left out
-    np.testing.assert_allclose(found[1], centre + (linear[1] - centre) * 2.0 / 3.0, rtol=1e-6)
+    np.testing.assert_allclose(found[1], centre + (linear[1] - centre) * 2.0 / 3.0, atol=1e-6)
     assert (law.cone() @ found.T >= -1e-12).all()
 
 

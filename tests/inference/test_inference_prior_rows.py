@@ -13,9 +13,7 @@ from tissueid.model import ContactPath, KelvinVoigt
 from tissueid.priors import WEAK_FACTOR, Priors, SpreadPrior
 
 RECIPE = small_recipe(logs=small_recipe().logs[-1:])
-THETA = np.array(
-    [[20.0, -1.2, 0.35, 63.0, 0.2], [25.0, -2.0, 0.4, 10.0, 1.5], [15.0, 0.5, 0.1, 90.0, 0.04]]
-)
+THETA = np.array([[20.0, -1.2, 0.35, 63.0, 0.2], [25.0, -2.0, 0.4, 10.0, 1.5], [15.0, 0.5, 0.1, 90.0, 0.04]])
 STATED = Priors(
     linear={"static_1_N_per_mm": (20.0, 5.0), "stiffness_0_N_per_mm": (60.0, 20.0)},
     relaxation_time_s=(SpreadPrior(0.2, 0.5),),

@@ -15,7 +15,6 @@ from tissueid.model.functionals import complex_stiffness, force_after_ramp, forc
 from tissueid.model.moduli import Indenter, contact_of
 from tissueid.synth import Branch, Hold, Log, Move
 
-
 TRUE = Branch((30.0,), 0.2)
 MODEL = KelvinVoigt(branches=1, stiffness_degree=0, depth_mm=4.0)
 THETA = MODEL.join(np.array([20.0, -1.2, 0.35]), np.array([[30.0]]), np.array([0.2]))

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 import tissueid
+from tissueid.inference.posterior import PosteriorOptions
 from tissueid.inference.specimen import FitOptions
 from tissueid.ingest.options import ReadOptions
 from tissueid.pipeline import IdentifyOptions
-from tissueid.inference.posterior import PosteriorOptions
 from tissueid.result import SpecimenFit
 
 pytestmark = pytest.mark.slow

@@ -1,4 +1,4 @@
-"""The one relaxation time under shorter holds: it follows the window of a broad relaxation, and of one time not."""
+"""The one relaxation time under shorter holds: of a broad relaxation it follows the window."""
 
 from __future__ import annotations
 

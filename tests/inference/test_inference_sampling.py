@@ -29,9 +29,7 @@ def test_a_normal_has_its_moments_within_their_errors():
     # 1,500 effective draws and more: four errors of a mean and of an sd
     assert (np.abs(draws.mean(axis=0) - MEAN) <= 4.0 * sd / np.sqrt(DRAWS)).all()
     np.testing.assert_allclose(draws.std(axis=0), sd, rtol=4.0 / np.sqrt(2.0 * DRAWS))
-    np.testing.assert_allclose(
-        np.corrcoef(draws.T), COVARIANCE / sd / sd[:, None], atol=4.0 / np.sqrt(DRAWS)
-    )
+    np.testing.assert_allclose(np.corrcoef(draws.T), COVARIANCE / sd / sd[:, None], atol=4.0 / np.sqrt(DRAWS))
     np.testing.assert_allclose(found.log_density, correlated().densities(draws).reshape(WALKERS, STEPS))
 
 
@@ -79,7 +77,7 @@ def test_progress_is_told():
     assert [points for points, _ in said] == [1_000 * (k + 1) for k in range(len(said))]
 
 
-class Killed(Exception):
+class KilledError(Exception):
     pass
 
 
@@ -90,9 +88,9 @@ def test_a_killed_run_goes_on_to_the_same_draws(tmp_path):
 
     def told(points, share):
         if points >= 3_000:
-            raise Killed
+            raise KilledError
 
-    with pytest.raises(Killed):
+    with pytest.raises(KilledError):
         sample(dying, draws=4_000, seed=5, checkpoint=path, key="liver", progress=told)
     resumed = correlated()
     found = sample(resumed, draws=4_000, seed=5, checkpoint=path, key="liver")
@@ -121,7 +119,9 @@ def test_points_weights_and_generator_come_back_bit_for_bit(tmp_path):
     np.testing.assert_array_equal(other.standard_normal(5), rng.standard_normal(5))
 
 
-@pytest.mark.parametrize("how", ["another key", "another size", "cut", "empty", "noise", "objects", "missing", "other"])
+@pytest.mark.parametrize(
+    "how", ["another key", "another size", "cut", "empty", "noise", "objects", "missing", "other"]
+)
 def test_what_cannot_be_gone_on_from_is_left_aside(tmp_path, how):
     path, key, size = tmp_path / "liver.npz", "key", 3
     kept(path)

@@ -11,18 +11,18 @@ from tissueid.inference.sandwich import FEWEST_LOGS, TOGETHER, _clusters, sandwi
 from tissueid.inference.target import SpecimenTarget
 from tissueid.synth import Hold, Log, Move
 
-MANY = tuple(
-    Log(f"a-{k}", (Move(4.0, v), Hold(3.0))) for k, v in enumerate((60.0, 120.0, 240.0, 480.0) * 3)
-)
+MANY = tuple(Log(f"a-{k}", (Move(4.0, v), Hold(3.0))) for k, v in enumerate((60.0, 120.0, 240.0, 480.0) * 3))
 
 
 def target(seed=1, logs=MANY, pooling="shared", **noise):
-    ours = identified(handles_for(draw(small_recipe(logs=logs, **noise), seed)), noise="white", pooling=pooling)
+    ours = identified(
+        handles_for(draw(small_recipe(logs=logs, **noise), seed)), noise="white", pooling=pooling
+    )
     return SpecimenTarget(ours, machine=False)
 
 
 def inflation(seed, pooling, **noise):
-    """Standard deviations over those of independent samples, of tau and of the coefficients; and the worth."""
+    """Standard deviations of tau and coefficients over those of independent samples; and the worth."""
     at = target(seed, pooling=pooling, **noise)
     found, worth = sandwich_covariance(at)
     plain = covariance_of(at.precision)

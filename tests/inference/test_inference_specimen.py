@@ -12,7 +12,6 @@ from tissueid.inference.specimen import FitOptions, fit_specimen, fit_with_state
 from tissueid.model import ContactPath, KelvinVoigt
 from tissueid.synth import Branch, recipe
 
-
 TRUE = Branch((30.0,), 0.2)
 POOLINGS = ("partial", "shared", "scaled")
 

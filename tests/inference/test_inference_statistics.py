@@ -15,7 +15,6 @@ from inference_cases import by_name, draw, handles_for
 from tissueid.inference.specimen import FitOptions, fit_with_state
 from tissueid.synth import recipe
 
-
 TAU, STIFFNESS = 0.021, 63.62
 AT_HALF_DEPTH = {0: STIFFNESS, 1: STIFFNESS + 10.0 * 4.0}
 NAMES = {"tau": "relaxation_time_s", "eta": "viscosity_N_s_per_mm"}

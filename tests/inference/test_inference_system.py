@@ -48,7 +48,9 @@ def difference(system, point, change):
     return out[0] - out[1]
 
 
-@pytest.mark.parametrize("machine", [(0.0, 0.0, 0.0), (0.0, 0.003, 0.004), (0.0, -0.003, 0.0), (5e-4, 0.002, 0.003)])
+@pytest.mark.parametrize(
+    "machine", [(0.0, 0.0, 0.0), (0.0, 0.003, 0.004), (0.0, -0.003, 0.0), (5e-4, 0.002, 0.003)]
+)
 def test_derivatives_are_differences_of_predictions(machine):
     system = system_of(three_logs(), LAW, effects=ALL)
     point = scattered(system, np.random.default_rng(1), machine)
@@ -83,7 +85,9 @@ def test_derivatives_are_differences_of_predictions(machine):
         if inside and machine[k - t] == 0.0:
             continue
         expected = shared(k, 1e-6 if inside else 1e-4)
-        assert np.abs(column - expected).max() <= max(worst, 1e-4) * max(np.abs(expected).max(), 1e-3 * scale), k
+        assert np.abs(column - expected).max() <= max(worst, 1e-4) * max(
+            np.abs(expected).max(), 1e-3 * scale
+        ), k
     for k in range(ALL.size):
         expected = own(k, 1e-5 if k == 1 else 1e-4)
         assert np.abs(found.own[:, k] - expected).max() <= max(worst, 1e-4) * np.abs(expected).max(), k

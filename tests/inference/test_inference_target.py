@@ -48,7 +48,10 @@ def test_a_single_log_has_the_likelihood_of_its_samples_and_its_priors():
     inside = np.isfinite(found)
     assert inside.sum() >= 4
     np.testing.assert_allclose(
-        (found - found[inside][0])[inside], (expected - np.array(expected)[inside][0])[inside], rtol=1e-7, atol=1e-6
+        (found - found[inside][0])[inside],
+        (expected - np.array(expected)[inside][0])[inside],
+        rtol=1e-7,
+        atol=1e-6,
     )
 
 
@@ -127,13 +130,19 @@ def test_whitened_coordinates_are_those_of_the_curvature():
 
 def test_a_machine_by_quantiles_has_its_prior_and_keeps_its_digits():
     z = np.linspace(-6.0, 6.0, 41)
-    for prior in (CalibrationPrior(0.0, 0.004, 0.0), CalibrationPrior(0.01, 0.002, 0.0), CalibrationPrior(0.0, 0.002)):
+    for prior in (
+        CalibrationPrior(0.0, 0.004, 0.0),
+        CalibrationPrior(0.01, 0.002, 0.0),
+        CalibrationPrior(0.0, 0.002),
+    ):
         values = _quantile(prior, z)
         assert (np.diff(values) > 0.0).all()
         assert (values >= prior.lower).all()
         middle = np.abs(z) < 4.5
         np.testing.assert_allclose(_coordinate(prior, values)[middle], z[middle], atol=1e-5)
-    half = np.median(_quantile(CalibrationPrior(0.0, 1.0, 0.0), np.random.default_rng(1).standard_normal(100_000)))
+    half = np.median(
+        _quantile(CalibrationPrior(0.0, 1.0, 0.0), np.random.default_rng(1).standard_normal(100_000))
+    )
     assert half == pytest.approx(0.6745, abs=0.01)
 
 

@@ -31,7 +31,9 @@ def recorded(seed=1, sigma=0.2):
     trials = as_trials(draw(recipe, seed))
     quiet = as_trials(draw(replace(recipe, sigma_N=0.0), seed))
     behind = crosshead(trials, quiet)
-    handles = [handle_for(trial, true_segmentation(clean)) for trial, clean in zip(behind, quiet, strict=True)]
+    handles = [
+        handle_for(trial, true_segmentation(clean)) for trial, clean in zip(behind, quiet, strict=True)
+    ]
     return trials, behind, handles
 
 
@@ -89,14 +91,18 @@ def test_a_nonlinear_frame_is_taken_off_as_it_was_calibrated():
         below = np.minimum(f, 100.0)
         give = 0.01 * below - 0.5 * 8e-5 * below**2 + 0.002 * np.maximum(f - 100.0, 0.0)
         behind.append(replace(trial, displacement_mm=trial.displacement_mm + give))
-    handles = [handle_for(trial, true_segmentation(clean)) for trial, clean in zip(behind, trials, strict=True)]
+    handles = [
+        handle_for(trial, true_segmentation(clean)) for trial, clean in zip(behind, trials, strict=True)
+    ]
     for trial, handle in zip(trials, tip_handles(handles, soft), strict=True):
         # the smoothing law is another one in the tip's travel: some 0.1 N of 200 N, behind 100 N/mm
         assert np.abs(handle.load().displacement_mm - trial.displacement_mm).max() < 5e-3
 
 
 def test_forces_far_beyond_the_calibration_are_told():
-    curve = FrameCurve(np.array([0.0, 100.0]), np.array([0.01, 0.002]), np.zeros((2, 2)), range_N=(5.0, 100.0))
+    curve = FrameCurve(
+        np.array([0.0, 100.0]), np.array([0.01, 0.002]), np.zeros((2, 2)), range_N=(5.0, 100.0)
+    )
     assert beyond_calibration(curve, 151.0)
     assert not beyond_calibration(curve, 149.0)
     assert not beyond_calibration(linear_frame(STIFFNESS), 1e9)

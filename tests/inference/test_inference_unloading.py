@@ -15,7 +15,6 @@ from tissueid.pipeline import IdentifyOptions, identify
 from tissueid.segment import segment
 from tissueid.synth import Branch, Hold, Log, Move, Recipe, as_trials
 
-
 STIFFNESS, TAU_S = 30.0, 0.2
 TISSUE = (Branch((STIFFNESS,), TAU_S),)
 #: Ramp, hold, retract and a wait in air at one speed each.

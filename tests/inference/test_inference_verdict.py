@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tissueid.inference.verdict import specimen_flags
 from tissueid.inference.profile import ProfileInterval
+from tissueid.inference.verdict import specimen_flags
 from tissueid.model import KelvinVoigt
 from tissueid.result import Estimate
 
@@ -31,9 +31,7 @@ def flags(
     )  # fmt: skip
     facts = [SimpleNamespace(speeds_mm_s=one, depth_mm=4.0, has_hold=hold, step_s=step) for one in speeds]
     trials = [SimpleNamespace(residual_acf1=acf) for _ in speeds]
-    found = specimen_flags(
-        tissue, facts, trials, sigma_N=sigma, optimisers=optimisers
-    )
+    found = specimen_flags(tissue, facts, trials, sigma_N=sigma, optimisers=optimisers)
     return {flag.code: flag for flag in found}
 
 

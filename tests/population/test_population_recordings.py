@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 from cohort_factory import COORDINATES, TYPICAL, lkj_factor
 
-from tissueid.inference import posterior as posterior_of_specimen
 from tissueid.inference.posterior import PosteriorOptions
 from tissueid.inference.specimen import FitOptions
 from tissueid.pipeline import IdentifyOptions, identify
@@ -139,16 +138,8 @@ def cohort_of_recordings(seed: int, rate_Hz: float | None = None) -> SimpleNames
     )
 
 
-@pytest.fixture
-def without_the_machine(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A population is drawn from statistical posteriors: the machine's part of each would be thrown away."""
-    monkeypatch.setattr(posterior_of_specimen, "_total", lambda *_: None)
-    monkeypatch.setattr(posterior_of_specimen, "_budget", lambda *_: ())
-
-
 @pytest.mark.slow
 @pytest.mark.needs_jit
-@pytest.mark.usefixtures("without_the_machine")
 def test_populations_of_recordings_predict_better_than_separate_fits(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -168,7 +159,6 @@ def test_populations_of_recordings_predict_better_than_separate_fits(
 
 @pytest.mark.slow
 @pytest.mark.needs_jit
-@pytest.mark.usefixtures("without_the_machine")
 def test_where_specimens_say_much_the_population_does_no_harm(capsys: pytest.CaptureFixture[str]) -> None:
     rows = []
     for seed in range(FAST_COHORTS):

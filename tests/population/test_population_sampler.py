@@ -56,7 +56,8 @@ def test_a_normal_population_of_one_number_is_that_of_a_grid(own: float, smooth:
     expected = on_a_grid(y, np.full(12, own), priors)
     for name, values in draws.items():
         # four Monte-Carlo errors, and 0.5 % for 4000 quantiles that end at 3.7 sd
-        assert values.mean() == pytest.approx(expected[name], abs=4.0 * monte_carlo_errors(values).mean + 0.005)
+        error = 4.0 * monte_carlo_errors(values).mean + 0.005
+        assert values.mean() == pytest.approx(expected[name], abs=error)
 
 
 def test_scales_follow_prior_and_data_together() -> None:

@@ -1,20 +1,22 @@
-"""Products of small triangular factors."""
+"""Triangular factors of small matrices."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from tissueid.population.triangular import squared_distances
+from tissueid.population.triangular import factor, inverse_factor, solved
 
 
-def test_squared_distances_are_those_of_the_inverse_covariance() -> None:
+def test_factors_are_those_of_numpy() -> None:
     rng = np.random.default_rng(3)
-    points, means = rng.standard_normal((50, 4)), rng.standard_normal((3, 4))
-    lows = np.linalg.cholesky(np.array([np.cov(rng.standard_normal((4, 20))) for _ in means]))
-    found = squared_distances(points, means, lows)
-
-    away = points[:, None] - means
-    expected = np.einsum("nki,kij,nkj->nk", away, np.linalg.inv(lows @ lows.transpose(0, 2, 1)), away)
+    matrix, away = np.cov(rng.standard_normal((4, 20))), rng.standard_normal(4)
+    low = np.linalg.cholesky(matrix)
     # condition numbers below a hundred: rounding only
-    assert found == pytest.approx(expected, rel=1e-10)
+    assert factor(matrix) == pytest.approx(low, rel=1e-10)
+    assert inverse_factor(low) == pytest.approx(np.linalg.inv(low), rel=1e-10)
+    assert solved(low, away) == pytest.approx(np.linalg.solve(low, away), rel=1e-10)
+
+
+def test_a_matrix_that_is_not_positive_definite_has_no_factor() -> None:
+    assert np.isnan(np.diag(factor(np.array([[1.0, 2.0], [2.0, 1.0]])))).any()

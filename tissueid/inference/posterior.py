@@ -197,7 +197,8 @@ def _sampled(
     except ArithmeticError as error:
         # draws of the normal beside the optimum, within the passive set, and the reason
         found = walked(NormalTarget(target, target.root @ target.root.T))
-        return target, replace(found, converged=False, detail={**found.detail, "reason": str(error)})
+        detail = {**found.detail, "reason": str(error), "density": "normal"}
+        return target, replace(found, converged=False, detail=detail)
 
 
 def with_posterior(
@@ -359,12 +360,10 @@ def _assembled(
 
 
 def _detail(sampled: Sampled, fitted: FittedSpecimen) -> dict[str, object]:
+    """What is told of the draws: of which density they are, and how many they are worth."""
     kind = "generalised" if fitted.identified.discrepant else "exact"
-    return {
-        **sampled.detail,
-        "density": kind,
-        "total": {"converged": True, "worth": sampled.detail["effective_draws"]},
-    }
+    worth = {"converged": True, "worth": sampled.detail["effective_draws"]}
+    return {"density": kind, **sampled.detail, "total": worth}
 
 
 def _kept(theta: FloatArray) -> FloatArray:

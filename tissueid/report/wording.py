@@ -104,7 +104,8 @@ def _beside_noise(specimen: Mapping[str, Any]) -> str:
     if noise is None or noise["samples_per_independent"] <= 1.0:
         return ""
     unit = specimen["units"]["force"]
-    return f" and misses {noise['sigma_N']:.2g} {unit} where the noise is {noise['measured_N']:.2g} {unit}"
+    beside = "" if noise["measured_N"] is None else f" where the noise is {noise['measured_N']:.2g} {unit}"
+    return f" and misses {noise['sigma_N']:.2g} {unit}{beside}"
 
 
 def misfit_raised(specimen: Mapping[str, Any]) -> bool:
