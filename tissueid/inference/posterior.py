@@ -186,7 +186,7 @@ def _sampled(
             draws=options.draws,
             seed=options.seed,
             checkpoint=checkpoint,
-            key=key,
+            key=f"{key} {type(density).__name__}",
             progress=lambda steps, share: tick(f"sampling, {steps:,} points, {100.0 * share:.0f} %"),
         )
 
