@@ -94,7 +94,7 @@ def test_two_stages_agree_with_joint_sampling(own: tuple[float, float], smooth: 
         ],
         axis=2,
     )
-    for k, name in enumerate(NAMES):
+    for k in range(len(NAMES)):
         errors = [monte_carlo_errors(one[:, :, k]) for one in (joint, staged)]
         mean, spread_of = errors[0].mean ** 2 + errors[1].mean ** 2, errors[0].sd ** 2 + errors[1].sd ** 2
         # four Monte-Carlo errors of the difference
