@@ -49,12 +49,12 @@ def _independent(found: Found, members: Sequence[Recording]) -> dict[str, Any]:
         return {"skipped": "not every log was fitted, or nothing relaxes"}
     if len(members) > 1 and found.pooling not in WRITTEN_APART:
         return {"skipped": f"static {found.pooling!r} is not written apart"}
+    searched = len(members) > 1 or found.offset_apart
     values, rmse = independent_fit(
         logs,
         found.order,
         sigma_N=found.document["sigma_N"],
-        contact_sd_mm=[one.contact_sd_mm for one in members],
-        contacts=len(members) > 1 or found.offset_apart,
+        contact_sd_mm=[one.contact_sd_mm for one in members] if searched else None,
         own_static=found.pooling == "scaled",
     )
     distances = {}

@@ -81,13 +81,36 @@ def named(law: Paper, weights: Array, ln_tau: Array) -> dict[str, float]:
     return found
 
 
+def _best(problem: PooledProblem, unit: float, contact_sd: Array | None) -> lmfit.Parameters:
+    """Parameters of the best of all starts; contact points are searched if they have a standard deviation."""
+
+    def residual(parameters: lmfit.Parameters) -> Array:
+        parts = _parts(parameters, problem)
+        scaled = problem.residual(problem.columns(*parts)) / unit
+        return scaled if contact_sd is None else np.concatenate([scaled, parts[2] / contact_sd])
+
+    several = len(problem.logs) > 1
+    tried = [
+        lmfit.minimize(
+            residual,
+            _parameters(problem, span, contacts=contact_sd is not None),
+            method="least_squares",
+            calc_covar=False,
+            max_nfev=EVALUATIONS,
+            diff_step=1e-5,
+            x_scale="jac",
+        )
+        for span in STARTS[: POOLED_STARTS if several else None]
+    ]
+    return min(tried, key=lambda one: float(one.chisqr)).params
+
+
 def independent_fit(
     logs: Sequence[Log],
     order: tuple[int, int],
     *,
     sigma_N: float,
-    contact_sd_mm: Sequence[float],
-    contacts: bool,
+    contact_sd_mm: Sequence[float] | None,
     own_static: bool = False,
 ) -> tuple[dict[str, float], float]:
     """Fit the model of an order from other starts, and keep the best.
@@ -100,10 +123,8 @@ def independent_fit(
         Branches, and degree of K.
     sigma_N : float
         Standard deviation of the force that the priors of contact offsets are weighed against [N].
-    contact_sd_mm : sequence of float
-        One a log [mm].
-    contacts : bool
-        Search the contact point of each log as well.
+    contact_sd_mm : sequence of float, optional
+        One a log [mm]; contact points are not searched without.
     own_static : bool
         Give each of several logs a static curve; the mean of them is told.
 
@@ -114,30 +135,10 @@ def independent_fit(
     rmse_N : float
         Over the counted samples.
     """
-    several = len(logs) > 1
-    law = Paper(*order, deepest(logs), rays=RAYS if several else FINE_RAYS)
+    law = Paper(*order, deepest(logs), rays=RAYS if len(logs) > 1 else FINE_RAYS)
     problem = PooledProblem(law, logs, own_static=own_static)
-    unit, sd = max(sigma_N, 1e-300), np.maximum(contact_sd_mm, 1e-9)
-
-    def residual(parameters: lmfit.Parameters) -> Array:
-        parts = _parts(parameters, problem)
-        scaled = problem.residual(problem.columns(*parts)) / unit
-        return np.concatenate([scaled, parts[2] / sd]) if contacts else scaled
-
-    tried = [
-        lmfit.minimize(
-            residual,
-            _parameters(problem, span, contacts=contacts),
-            method="least_squares",
-            max_nfev=EVALUATIONS,
-            diff_step=1e-5,
-            x_scale="jac",
-        )
-        for span in STARTS[: POOLED_STARTS if several else None]
-    ]
-    best = min(tried, key=lambda one: float(one.chisqr))
-    parts = _parts(best.params, problem)
+    sd = None if contact_sd_mm is None else np.maximum(contact_sd_mm, 1e-9)
+    parts = _parts(_best(problem, max(sigma_N, 1e-300), sd), problem)
     columns = problem.columns(*parts)
-    rmse = rms(problem.residual(columns))
     weights = problem.tissue(cone_weights(columns, problem.force))
-    return named(law, weights, parts[0]), rmse
+    return named(law, weights, parts[0]), rms(problem.residual(columns))

@@ -23,6 +23,8 @@ FloatArray = NDArray[np.float64]
 
 #: Depths at which a polynomial has to be non-negative; it dips by 1e-4 of its curvature in between.
 PASSIVE_POINTS = 41
+#: Coefficients below this share of the largest of their polynomial are rounding.
+NONE = 1e-13
 #: Keeps states of a long hold out of denormal numbers.
 TINY = 1e-180
 
@@ -170,6 +172,7 @@ class KelvinVoigtLaw:
                 least = np.minimum(least, block[:, 0] + turn * (block[:, 1] + turn * block[:, 2]))
             scale = np.abs(block).max(axis=1)
             block[:, 0] += np.where(least < 0.0, -least + 1e-14 * scale, 0.0)
+            block[np.abs(block) < NONE * scale[:, None]] = 0.0
             at += powers
         return out
 

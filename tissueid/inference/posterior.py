@@ -190,13 +190,19 @@ def _sampled(
             progress=lambda steps, share: tick(f"sampling, {steps:,} points, {100.0 * share:.0f} %"),
         )
 
+    def bounded(density: NormalTarget) -> Sampled:
+        found = walked(density)
+        thin = found.chain[:, ::2]
+        inside = density.passive(thin.reshape(-1, thin.shape[2])).reshape(thin.shape)
+        return replace(found, chain=inside, log_density=found.log_density[:, ::2])
+
     if fitted.identified.discrepant:
-        return target, walked(NormalTarget(target, sandwich_covariance(target)[0]))
+        return target, bounded(NormalTarget(target, sandwich_covariance(target)[0]))
     try:
         return target, walked(target)
     except ArithmeticError as error:
         # draws of the normal beside the optimum, within the passive set, and the reason
-        found = walked(NormalTarget(target, target.root @ target.root.T))
+        found = bounded(NormalTarget(target, target.root @ target.root.T))
         detail = {**found.detail, "reason": str(error), "density": "normal"}
         return target, replace(found, converged=False, detail=detail)
 

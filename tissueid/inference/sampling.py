@@ -27,11 +27,12 @@ __all__ = ["Sampled", "sample"]
 FloatArray = NDArray[np.float64]
 
 #: Walkers, and steps of each from where importance sampling put it.
-WALKERS, STEPS = 128, 30
+WALKERS, STEPS, MORE_STEPS = 128, 30, 90
 #: Points of importance sampling in one look, and looks at the most.
 LOOK, MOST_LOOKS = 1_000, 12
-#: Share of the effective draws asked for, and the Pareto shape, with which a posterior counts as sampled.
-ENOUGH, PARETO = 0.1, 0.9
+#: Share of the effective draws asked for, and Pareto shapes, with which a posterior counts as sampled, and up
+#: to which few steps are enough.
+ENOUGH, PARETO, TRUSTED = 0.1, 0.9, 0.7
 #: Shares of the moves: independent proposals, differential evolution, stretches.
 MOVES = (0.6, 0.25, 0.15)
 
@@ -67,6 +68,21 @@ class Proposal(Protocol):
     def log_density(self, z: FloatArray) -> FloatArray:
         """Up to a constant, (n, d) -> (n,)."""
         ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Normal:
+    """A unit normal about a centre."""
+
+    centre: FloatArray
+
+    def draw(self, count: int, rng: np.random.Generator) -> FloatArray:
+        """Draws, shape (count, d)."""
+        return np.asarray(self.centre + rng.standard_normal((count, self.centre.size)))
+
+    def log_density(self, z: FloatArray) -> FloatArray:
+        """Up to a constant, (n, d) -> (n,)."""
+        return np.asarray(-0.5 * ((z - self.centre) ** 2).sum(axis=1))
 
 
 def _independence(proposal: Proposal, rng: np.random.Generator) -> emcee.moves.MHMove:
@@ -106,10 +122,10 @@ def sample(
     began = time.perf_counter()
     d = target.size
     rng = np.random.default_rng([seed, 7])
-    cut = cut_normal(target.centre, target.rows, target.walls, target.likely, rng)
     kept = Checkpoint(checkpoint, key)
-    proposal: Proposal = cut
+    proposal: Proposal = Normal(target.centre)
     if not target.is_normal:
+        cut = cut_normal(target.centre, target.rows, target.walls, target.likely, rng)
         proposal = learn_mixture(target, cut, rng)[0]
     points, weighed = _weighed(target, proposal, draws, rng, kept, progress)
     if weighed.worth < WALKERS / 8.0:
@@ -126,10 +142,11 @@ def sample(
     ]
     sampler = emcee.EnsembleSampler(WALKERS, d, target.densities, moves=moves, vectorize=True)
     state = emcee.State(start, random_state=np.random.RandomState(seed & 0xFFFFFFFF).get_state())
-    sampler.run_mcmc(state, STEPS, skip_initial_state_check=True)
+    steps = STEPS if weighed.pareto <= TRUSTED else MORE_STEPS
+    sampler.run_mcmc(state, steps, skip_initial_state_check=True)
     converged = bool(weighed.worth >= ENOUGH * draws and weighed.pareto <= PARETO)
     detail: dict[str, Any] = {
-        "steps": STEPS,
+        "steps": steps,
         "walkers": WALKERS,
         "effective_draws": weighed.worth,
         "pareto_k": weighed.pareto,
@@ -139,8 +156,9 @@ def sample(
     if not converged:
         detail["reason"] = f"{weighed.worth:.0f} of {draws} effective draws, Pareto k {weighed.pareto:.2f}"
     acceptance = float(np.mean(sampler.acceptance_fraction))
-    chain = np.swapaxes(sampler.get_chain(), 0, 1)
-    return Sampled(chain, sampler.get_log_prob().T, converged, acceptance, detail)
+    # walkers that were put in a thin tail have gone on by then
+    chain = np.swapaxes(sampler.get_chain()[-STEPS:], 0, 1)
+    return Sampled(chain, sampler.get_log_prob()[-STEPS:].T, converged, acceptance, detail)
 
 
 def _weighed(

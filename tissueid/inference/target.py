@@ -18,6 +18,7 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import nnls
 from scipy.special import ndtr, ndtri
 
 from tissueid.inference.engine import Identified
@@ -404,7 +405,11 @@ class SpecimenTarget:
 
 
 class NormalTarget:
-    """The generalised posterior about an optimum: normal with a given covariance, cut to the passive set.
+    """The generalised posterior about an optimum: a normal of given covariance, brought into the passive set.
+
+    Draws are of the normal about the unbounded minimum; each is moved to the nearest passive point in its
+    metric. So is the estimate itself, and their distribution is that of estimates at active bounds (Andrews
+    1999, doi 10.1111/1468-0262.00082): an interval may include the bound, and its middle is the optimum.
 
     Parameters
     ----------
@@ -424,7 +429,7 @@ class NormalTarget:
 
     @property
     def is_normal(self) -> bool:
-        """Only the walls make it another than the normal."""
+        """Its walls are met after drawing."""
         return True
 
     def bent(self, z: FloatArray) -> FloatArray:
@@ -437,10 +442,29 @@ class NormalTarget:
         return int(self.rows.shape[1])
 
     def densities(self, z: FloatArray) -> FloatArray:
-        """Log densities of whitened points, (n, d) -> (n,)."""
-        value = -0.5 * ((z - self.centre) ** 2).sum(axis=1)
-        outside = ((z @ self.rows.T) < self.walls - 1e-9).any(axis=1)
-        return np.asarray(np.where(outside, -np.inf, value))
+        """Log densities of whitened points, walls apart, (n, d) -> (n,)."""
+        return np.asarray(-0.5 * ((z - self.centre) ** 2).sum(axis=1))
+
+    def passive(self, z: FloatArray) -> FloatArray:
+        """Nearest points within the walls, (n, d) -> (n, d)."""
+        size = np.linalg.norm(self.rows, axis=1)
+        kept = size > 0.0
+        rows, walls = self.rows[kept] / size[kept, None], self.walls[kept] / size[kept]
+        out = z.copy()
+        target = np.append(np.zeros(z.shape[1]), 1.0)
+        for i in np.flatnonzero(((z @ rows.T) < walls - 1e-12).any(axis=1)):
+            matrix = np.vstack([rows.T, walls - rows @ z[i]])
+            try:
+                dual, norm = nnls(matrix, target, maxiter=60 * rows.shape[0])
+            except RuntimeError:
+                out[i] = 0.0
+                continue
+            if norm <= 1e-12:
+                out[i] = 0.0
+                continue
+            rest = matrix @ dual - target
+            out[i] = z[i] - rest[:-1] / rest[-1]
+        return out
 
 
 def _quantile(prior: CalibrationPrior, z: FloatArray) -> FloatArray:
