@@ -71,9 +71,10 @@ def verdict(specimen: Mapping[str, Any]) -> Verdict:
     unknown = [entry for entry in specimen["parameters"] if not entry["identified"]]
     found = remarks(specimen)
     level = found[0].level if found else "ok"
-    asked = [entry for entry in specimen["parameters"] if entry["name"].startswith(("viscosity", "static_1"))]
-    if asked and not any(entry["identified"] for entry in asked):
-        level = "serious"
+    for family in ("viscosity", "static_1"):
+        asked = [entry for entry in specimen["parameters"] if entry["name"].startswith(family)]
+        if asked and not any(entry["identified"] for entry in asked):
+            level = "serious"
     elif unknown and level in {"ok", "note"}:
         level = "caution"
     if misfit_raised(specimen):
