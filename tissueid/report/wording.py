@@ -75,7 +75,7 @@ def verdict(specimen: Mapping[str, Any]) -> Verdict:
         asked = [entry for entry in specimen["parameters"] if entry["name"].startswith(family)]
         if asked and not any(entry["identified"] for entry in asked):
             level = "serious"
-    elif unknown and level in {"ok", "note"}:
+    if unknown and level in {"ok", "note"}:
         level = "caution"
     if misfit_raised(specimen):
         level = "serious"
