@@ -185,8 +185,8 @@ def test_without_a_calibration_the_flag_says_what_a_frame_would_do() -> None:
         small_plan(1000.0), linear_frame(200.0), sigma_N=0.1, rng=np.random.default_rng(SEEDS[2])
     )
     (fit,) = identify(trials, options=ONE_BRANCH).specimens
-    # the truth is far off, which is why it must be said
-    assert errors(fit)[0] > 0.1
+    # the frame is open in the fit, a series shows it, and the relaxation time is not too long by it
+    assert abs(errors(fit)[0]) < 0.1
     (flag,) = [flag for flag in fit.flags if flag.code == "compliance_unknown"]
     stiffness = float(fit.theta[3])
     static = float(np.polyval([*fit.theta[2::-1], 0.0], fit.depth_mm / 2) / (fit.depth_mm / 2))
