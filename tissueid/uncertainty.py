@@ -136,7 +136,7 @@ class ParameterUncertainty:
     ci95 : tuple of float
         Central 95 % interval, statistical.
     ci95_total : tuple of float or None
-        With the calibration nuisances (:mod:`tissueid.inference.total_intervals`); ``None`` where recordings
+        With the calibration nuisances (:mod:`tissueid.inference.posterior`); ``None`` where recordings
         are normalised, or too few draws carry it.
     ess_bulk, ess_tail, r_hat : float
         Rank-normalised (Vehtari et al. 2021, doi 10.1214/20-BA1221).
