@@ -27,12 +27,15 @@ __all__ = ["Sampled", "sample"]
 FloatArray = NDArray[np.float64]
 
 #: Walkers, and steps of each from where importance sampling put it.
-WALKERS, STEPS, MORE_STEPS = 128, 30, 90
+WALKERS, STEPS = 128, 30
+#: Steps of a round where importance weights have too thick a tail, rounds at the most, and the effective
+#: draws of the walkers themselves that end them.
+ROUND, ROUNDS, WALKED = 60, 5, 400.0
 #: Points of importance sampling in one look, and looks at the most.
 LOOK, MOST_LOOKS = 1_000, 12
-#: Share of the effective draws asked for, and Pareto shapes, with which a posterior counts as sampled, and up
-#: to which few steps are enough.
-ENOUGH, PARETO, TRUSTED = 0.1, 0.9, 0.7
+#: Effective draws that intervals must be worth (their ends are then good to a quarter of a standard deviation),
+#: and Pareto shapes: the largest that is trusted at all, and that up to which few steps are enough.
+ENOUGH, PARETO, TRUSTED = 100.0, 0.9, 0.7
 #: Shares of the moves: independent proposals, differential evolution, stretches.
 MOVES = (0.6, 0.25, 0.15)
 
@@ -142,23 +145,49 @@ def sample(
     ]
     sampler = emcee.EnsembleSampler(WALKERS, d, target.densities, moves=moves, vectorize=True)
     state = emcee.State(start, random_state=np.random.RandomState(seed & 0xFFFFFFFF).get_state())
-    steps = STEPS if weighed.pareto <= TRUSTED else MORE_STEPS
-    sampler.run_mcmc(state, steps, skip_initial_state_check=True)
-    converged = bool(weighed.worth >= ENOUGH * draws and weighed.pareto <= PARETO)
+    walked = _walked(sampler, state, trusted=weighed.pareto <= TRUSTED)
+    trusted = weighed.worth >= ENOUGH and weighed.pareto <= PARETO
+    converged = bool(trusted or walked >= ENOUGH)
     detail: dict[str, Any] = {
-        "steps": steps,
+        "steps": int(sampler.iteration),
         "walkers": WALKERS,
-        "effective_draws": weighed.worth,
+        "effective_draws": max(weighed.worth, walked),
         "pareto_k": weighed.pareto,
         "proposals": len(points),
         "wall_s": time.perf_counter() - began,
     }
     if not converged:
-        detail["reason"] = f"{weighed.worth:.0f} of {draws} effective draws, Pareto k {weighed.pareto:.2f}"
+        most = max(weighed.worth, walked)
+        detail["reason"] = f"{most:.0f} of {draws} effective draws, Pareto k {weighed.pareto:.2f}"
     acceptance = float(np.mean(sampler.acceptance_fraction))
-    # walkers that were put in a thin tail have gone on by then
-    chain = np.swapaxes(sampler.get_chain()[-STEPS:], 0, 1)
-    return Sampled(chain, sampler.get_log_prob()[-STEPS:].T, converged, acceptance, detail)
+    # walkers that were put in a thin tail have gone on by the second half
+    kept_steps = np.linspace(sampler.iteration - _late(sampler), sampler.iteration - 1, STEPS).astype(
+        np.int64
+    )
+    chain = np.swapaxes(sampler.get_chain()[kept_steps], 0, 1)
+    return Sampled(chain, sampler.get_log_prob()[kept_steps].T, converged, acceptance, detail)
+
+
+def _late(sampler: Any) -> int:
+    """Steps that count: all of few, the second half of many."""
+    return int(sampler.iteration if sampler.iteration <= STEPS else sampler.iteration // 2)
+
+
+def _walked(sampler: Any, state: Any, *, trusted: bool) -> float:
+    """Walk, and tell the effective draws: walkers over the share of the variance that their means have."""
+    if trusted:
+        sampler.run_mcmc(state, STEPS, skip_initial_state_check=True)
+        return 0.0
+    found = 0.0
+    for _ in range(ROUNDS):
+        state = sampler.run_mcmc(state, ROUND, skip_initial_state_check=True)
+        chain = sampler.get_chain()[-_late(sampler) :]
+        whole = chain.reshape(-1, chain.shape[2]).var(axis=0)
+        means = chain.mean(axis=0).var(axis=0, ddof=1)
+        found = float((WALKERS * whole / np.maximum(means, 1e-300)).min())
+        if found >= WALKED:
+            break
+    return found
 
 
 def _weighed(
