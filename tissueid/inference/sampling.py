@@ -33,8 +33,8 @@ WALKERS, STEPS = 128, 30
 ROUND, ROUNDS, WALKED = 60, 5, 400.0
 #: Points of importance sampling in one look, and looks at the most.
 LOOK, MOST_LOOKS = 1_000, 12
-#: Effective draws that intervals must be worth (their ends are then good to a quarter of a standard deviation),
-#: and Pareto shapes: the largest that is trusted at all, and that up to which few steps are enough.
+#: Effective draws that intervals must be worth (ends are then good to a quarter of a standard deviation), and
+#: Pareto shapes: the largest that is trusted at all, and that up to which few steps are enough.
 ENOUGH, PARETO, TRUSTED = 100.0, 0.9, 0.7
 #: Shares of the moves: independent proposals, differential evolution, stretches.
 MOVES = (0.6, 0.25, 0.15)
