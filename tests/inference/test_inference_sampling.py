@@ -65,6 +65,7 @@ def test_a_density_that_no_proposal_meets_is_refused():
 
 def test_too_few_draws_are_no_convergence_and_say_so(monkeypatch):
     monkeypatch.setattr(sampling, "MOST_LOOKS", 1)
+    monkeypatch.setattr(sampling, "ENOUGH", 2_000.0)
     found = sample(correlated(), draws=50_000, seed=1)
     assert not found.converged
     assert "of 50000 effective draws" in found.detail["reason"]
