@@ -26,13 +26,13 @@ MOST_PERSISTENT = 0.99
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Autoregression:
-    """What each earlier sample contributes, shape (order,), and the standard deviation of what is new."""
+    """Contributions of earlier samples, shape (order,), and the standard deviation of what is new."""
 
     phi: FloatArray
     sd: float
 
     def worth(self, variance: float) -> float:
-        """What a sample counts for the mean of many: 1 for white noise of that variance."""
+        """Weight of a sample in the mean of many: 1 for white noise of that variance."""
         if self.sd == 0.0:
             return 1.0
         return min(variance * (1.0 - float(self.phi.sum())) ** 2 / self.sd**2, 1.0)

@@ -1,4 +1,4 @@
-"""What each source adds to the uncertainty of a reported parameter, read off the draws.
+"""Uncertainty budget of a reported parameter by source, read off the draws.
 
 Parameters depend on the machine's coordinates, on the gains of its channels and on a single log's contact
 almost linearly over the posterior: each source's share is its variance in that linear dependence, and noise

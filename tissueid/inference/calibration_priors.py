@@ -1,4 +1,4 @@
-"""What [calibration] of a study says of the instrument, as priors of its nuisances; defaults else.
+"""Priors of the instrument's nuisances from [calibration] of a study; defaults else.
 
 A class is a limit of error in percent of the reading (ISO 7500-1 for force, ISO 9513 for displacement),
 taken as two standard deviations.  A frame that is known has been taken off the displacement already

@@ -1,4 +1,4 @@
-"""How many branches, and K of which degree: the simplest that predicts what was left out as well as the best.
+"""Choice of branches and of the degree of K: the simplest that predicts left-out data as well as the best.
 
 What is left out is a speed or a depth where there are three of them or more, else a log, else stretches of
 the one log.  Each is predicted from the rest by the step that the fit takes without it, within the passive
@@ -34,7 +34,7 @@ SEEN = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Groups:
-    """What is left out together: group of each observation, and what a group is."""
+    """Groups left out together: group of each observation, and the name of a group."""
 
     of: IntArray
     kind: str
@@ -64,7 +64,7 @@ def _clusters(values: Sequence[float]) -> IntArray:
 
 
 def groups_of(system: System, facts: Sequence[FittedLog]) -> Groups:
-    """What to leave out of these logs."""
+    """Choose the groups to leave out of these logs."""
     if len(facts) == 1:
         return Groups(system.fold % FOLDS, "stretch of the log")
     for kind, values in (

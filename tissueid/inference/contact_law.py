@@ -127,7 +127,7 @@ class ContactLaw:
 
     @property
     def identified(self) -> bool:
-        """Whether all three are."""
+        """True if all three are."""
         return all(one.value is not None for one in self.parameters)
 
 

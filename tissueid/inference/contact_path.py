@@ -1,4 +1,4 @@
-"""What a contact law with memory of its first touch is given: depth, force and speed over speed at contact.
+"""Input of a contact law with memory of its first touch: depth, force and speed over speed at contact.
 
 Speeds are slopes of a line through a short stretch of displacement that never reaches over the corner of a
 phase: a machine's speed changes at corners, and a window across one would blur them.

@@ -1,4 +1,4 @@
-"""Whether draws of a Markov chain are enough: effective sizes, R-hat and Monte-Carlo errors.
+"""Diagnostics of Markov chains: effective sample sizes, R-hat and Monte-Carlo errors.
 
 The measures of arviz-stats, after Vehtari, Gelman, Simpson, Carpenter and Bürkner (2021),
 *Rank-normalization, folding, and localization: an improved R-hat*, Bayesian Analysis 16, 667
@@ -36,7 +36,7 @@ _RANK_OFFSET = 3.0 / 8.0
 
 @dataclass(frozen=True, slots=True)
 class Diagnostics:
-    """How far the draws of one parameter may be trusted.
+    """Convergence diagnostics of one parameter's draws.
 
     Attributes
     ----------

@@ -42,7 +42,7 @@ QUANTUM_SD = 1.0 / np.sqrt(12.0)
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What is asked of the engine.
+    """Request to the engine.
 
     Attributes
     ----------
@@ -163,7 +163,7 @@ _MACHINE = ("frame_compliance_mm_per_N", "skew_s", "force_filter_s")
 
 
 def _badness(system: System, optimum: Optimum) -> float:
-    """What is smallest at the best optimum, the scale of the noise integrated."""
+    """Criterion smallest at the best optimum, the scale of the noise integrated."""
     freedom = system.force.size + system.within_freedom
     return float(freedom * 2.0 * np.log(optimum.noise.sigma_N) + prior_cost(optimum.prior, optimum.point))
 

@@ -89,7 +89,7 @@ def _estimate(
 
 
 def _curve_verdict(coefficients: FloatArray, basis: FloatArray, covariance: FloatArray) -> tuple[bool, float]:
-    """Whether a curve's widest 95 % interval is narrower than the curve is high.
+    """Test if a curve's widest 95 % interval is narrower than the curve is high.
 
     A curve may start soft: an interval relative to its own height at each depth would condemn it there.
 

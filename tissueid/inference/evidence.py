@@ -70,7 +70,7 @@ class _Quiet:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LogEvidence:
-    """What one recording shows of its noise.
+    """Evidence of one recording on its noise.
 
     Attributes
     ----------
@@ -169,7 +169,7 @@ def _likelihood(
 
 
 def _expected_difference(noise: Noise, step_s: float) -> float:
-    """What :func:`~tissueid.signal_noise.white_noise_sd` shows of such noise, over its sigma."""
+    """Ratio of what :func:`~tissueid.signal_noise.white_noise_sd` shows of such noise to its sigma."""
     phi = noise.memory.phi(step_s)
     rho = [(1.0 - noise.memory.white) * phi**lag for lag in range(1, 5)]
     second = (1.5 - 2.0 * rho[0] + 0.5 * rho[1]) / 1.5
@@ -180,7 +180,7 @@ def _expected_difference(noise: Noise, step_s: float) -> float:
 def verdict_on_noise(
     noise: Noise, logs: Sequence[LogEvidence], *, step_s: float, alone: bool = False
 ) -> NoiseVerdict:
-    """Whether the noise that residuals suggest is noise of the recordings.
+    """Judge if the noise that residuals suggest is noise of the recordings.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What a compliant frame does to the numbers: as a remark where none is known, as an sd where one is.
+"""Effect of a compliant frame on the numbers: as a remark where none is known, as an sd where one is.
 
 A hold behind a frame of stiffness k_f relaxes with ``tau_app = tau (1 + K / (k_f + k_0))``, k_0 the static
 stiffness: while the force falls the frame gives back and the tip moves on.  In a ramp tip speed and force
@@ -57,7 +57,7 @@ def _stiffnesses(fit: SpecimenFit) -> tuple[float, float]:
 
 
 def frame_effect(fit: SpecimenFit, frame_N_per_mm: float) -> FrameEffect:
-    """What a frame of that stiffness would do to the numbers of a fit that takes it as rigid."""
+    """Predict the effect of a frame of that stiffness on a fit that takes it as rigid."""
     branch, static = _stiffnesses(fit)
     share = frame_N_per_mm / (frame_N_per_mm + static)
     return FrameEffect(tau=branch / (frame_N_per_mm + static), viscosity=share**2 - 1.0)
@@ -116,7 +116,7 @@ def _unknown(
 
 
 def _frame_sd(fit: SpecimenFit, frame: FrameCurve) -> Flag:
-    """How far the frame's own uncertainty moves tau: d ln tau_app = -K dk / (k + k_0)^2."""
+    """Shift of tau by the frame's own uncertainty: d ln tau_app = -K dk / (k + k_0)^2."""
     branch, static = _stiffnesses(fit)
     force = static * fit.depth_mm / 2.0
     k = tangent_stiffness(frame, force)

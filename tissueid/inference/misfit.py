@@ -270,7 +270,7 @@ def _directed(
     masks: Sequence[NDArray[np.bool_]],
     effective: float,
 ) -> MisfitCheck:
-    """Whether the residual is of one sign over the chosen blocks of all logs."""
+    """Test the residual for one sign over the chosen blocks of all logs."""
     parts = [
         solve_triangular(root, mask.astype(np.float64), lower=True)
         for root, mask in zip(projected.roots, masks, strict=True)

@@ -56,7 +56,7 @@ MAX_WIDTH_VISCOSITY = 2.0
 
 @dataclass(frozen=True, slots=True)
 class PosteriorOptions:
-    """How a posterior is sampled.
+    """Options of a posterior's sampling.
 
     Attributes
     ----------
@@ -366,7 +366,7 @@ def _assembled(
 
 
 def _detail(sampled: Sampled, fitted: FittedSpecimen) -> dict[str, object]:
-    """What is told of the draws: of which density they are, and how many they are worth."""
+    """Describe the draws: their density and their effective number."""
     kind = "generalised" if fitted.identified.discrepant else "exact"
     worth = {"converged": True, "worth": sampled.detail["effective_draws"]}
     return {"density": kind, **sampled.detail, "total": worth}

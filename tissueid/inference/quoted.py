@@ -40,7 +40,7 @@ EQUALLY_LONG = 0.99
 
 @dataclass(frozen=True, slots=True)
 class Supported:
-    """What the recordings of a specimen cover.
+    """Coverage of a specimen's recordings.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class Supported:
     hold: HoldNumbers
 
     def no_time(self, time_s: float) -> str:
-        """Why nothing can be said of a time; empty where something can."""
+        """Reason that nothing can be said of a time; empty where something can."""
         if time_s > self.window_s:
             return f"later than the {self.window_s:.4g} s that were seen"
         if time_s < self.resolution_s:
@@ -63,7 +63,7 @@ class Supported:
         return ""
 
     def no_frequency(self, frequency_Hz: float) -> str:
-        """Why nothing can be said of a frequency; empty where something can."""
+        """Reason that nothing can be said of a frequency; empty where something can."""
         low, high = 1.0 / (2.0 * np.pi * self.window_s), 1.0 / (2.0 * np.pi * self.resolution_s)
         if low <= frequency_Hz <= high:
             return ""

@@ -1,4 +1,4 @@
-"""What has to be said beside a posterior: misfit, a sampler that stopped early, priors that decide."""
+"""Remarks beside a posterior: misfit, a sampler that stopped early, priors that decide."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def _misfit(alarm: MisfitAlarm | None) -> list[Flag]:
 
 
 def not_linear(error: Exception, alarm: MisfitAlarm) -> tuple[Flag, ...]:
-    """What is said of a fit whose posterior lies nowhere near a point it can be linearised about."""
+    """Remark on a fit whose posterior lies nowhere near a point it can be linearised about."""
     said = Flag(
         "sampler_not_converged",
         "no interval, standard errors only: nowhere near the optimum is the posterior like a normal one",
@@ -83,7 +83,7 @@ def not_linear(error: Exception, alarm: MisfitAlarm) -> tuple[Flag, ...]:
 
 
 def without_posterior(error: Exception) -> Flag:
-    """What is said of a fit whose posterior could not be sampled: its numbers stand, with standard errors."""
+    """Remark on a fit whose posterior could not be sampled: its numbers stand, with standard errors."""
     return Flag(
         "sampler_not_converged",
         "no posterior could be sampled: standard errors only",
@@ -92,7 +92,7 @@ def without_posterior(error: Exception) -> Flag:
 
 
 def _machine(posterior: Posterior) -> list[Flag]:
-    """Where what is not known of the machine outweighs the noise of the recordings."""
+    """Remark where what is not known of the machine outweighs the noise of the recordings."""
     eta = posterior.parameters.get(VISCOSITY)
     if eta is None or eta.ci95_total is None:
         return []

@@ -102,7 +102,7 @@ def _keys(segmentation: Segmentation, log: FittedLog) -> NDArray[np.int64]:
 def _corner_columns(
     model: KelvinVoigt, theta: FloatArray, log: FittedLog, segmentation: Segmentation
 ) -> FloatArray:
-    """What is left of an error of the branch states at each corner, shape (n, holds * branches).
+    """Remainder of an error of the branch states at each corner, shape (n, holds * branches).
 
     A stop between two samples is not in the logged displacement: the states behind it are off by up to a
     fraction of v tau, and forget that with their relaxation times.

@@ -162,7 +162,7 @@ def _residuals(
 def unloading_verdict(
     followed: Followed, tissue: TissueEstimate, adjustments: Sequence[Adjustment], *, sigma_N: float
 ) -> tuple[dict[str, Any], list[Flag]]:
-    """How the rounds went and what a direct simulation says, with the flags of it.
+    """Report of the rounds and of a direct simulation, with their flags.
 
     Parameters
     ----------

@@ -45,7 +45,7 @@ DEFLECTED = 3
 
 @dataclass(frozen=True, slots=True)
 class FitOptions:
-    """What a user may ask of a fit.
+    """Options of a fit.
 
     Attributes
     ----------

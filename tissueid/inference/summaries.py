@@ -39,7 +39,7 @@ MAX_WORKERS = 4
 
 @dataclass(frozen=True, slots=True)
 class Summaries:
-    """What the logs of a specimen say beside its tissue.
+    """Summaries of a specimen's logs beside its tissue.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class Summaries:
 
 
 class _OneLog(NamedTuple):
-    """What is kept of one log."""
+    """Summary of one log."""
 
     totals: ResidualTotals
     trial: TrialFit
@@ -158,7 +158,7 @@ def _one_log(
     depths_mm: Sequence[float],
     tip: TipOf,
 ) -> _OneLog:
-    """What is kept of one log; it touches nothing else, so that logs may be looked at in threads."""
+    """Summarise one log; it touches nothing else, so that logs may be looked at in threads."""
     model, theta = tissue.model, tissue.theta
     totals = ResidualTotals()
     cycles = cycle_rows(trial, segmentation, depths_mm=depths_mm)

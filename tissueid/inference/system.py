@@ -36,7 +36,7 @@ NO_FILTER_S = 1e-7
 
 @dataclass(frozen=True, slots=True)
 class Effects:
-    """Which own parameters a log has.
+    """Own parameters of a log.
 
     Attributes
     ----------

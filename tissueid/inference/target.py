@@ -377,7 +377,7 @@ class SpecimenTarget:
         return value - 0.5 * square - self.samples * ln_sigma - 0.5 * white.log_det
 
     def _integrated(self, x: FloatArray, both: FloatArray) -> float:
-        """What integrating the logs' own parameters adds to the log density."""
+        """Term that integrating the logs' own parameters adds to the log density."""
         scatter = Scatter(
             gain=math.exp(x[self.places["ln_gain_sd"]]) if "ln_gain_sd" in self.places else 1.0,
             shape=self.identified.scatter.shape,

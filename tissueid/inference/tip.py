@@ -1,4 +1,4 @@
-"""Where the tip was behind a compliant frame: ``x_tip = x - u(F)``, without the noise of F.
+"""Travel of the tip behind a compliant frame: ``x_tip = x - u(F)``, without the noise of F.
 
 The measured force is the tissue's plus noise n, and ``x - u(F + n)`` is wrong by ``n / k``: an error of the
 depth that is the force's own noise again.  Both sides of the regression then carry it, and behind 200 N/mm,
@@ -57,7 +57,7 @@ def _moving_mean(values: FloatArray, samples: int) -> FloatArray:
 
 
 def beyond_calibration(frame: FrameCurve, force_N: float) -> bool:
-    """Whether a force lies so far beyond the calibrated ones that its deflection is unknown."""
+    """Test if a force lies so far beyond the calibrated ones that its deflection is unknown."""
     return frame.range_N is not None and force_N > BEYOND_LIMIT * frame.range_N[1]
 
 
@@ -85,7 +85,7 @@ def _moved(handle: LogHandle, give_mm: FloatArray, flags: tuple[Flag, ...] = ())
 
 
 def _flag(frame: FrameCurve, peak_N: float) -> Flag:
-    """What was taken off, with its sd, and whether the calibration reaches so far."""
+    """Flag of the deflection taken off, with its sd and the calibration's reach."""
     at = np.array([peak_N])
     give, sd = float(deflection(frame, at)[0]), float(deflection_sd(frame, at)[0])
     stiffness = tangent_stiffness(frame, peak_N)

@@ -30,7 +30,7 @@ CORRELATED = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Adjustment:
-    """How a log differs from its specimen's tissue.
+    """Difference of a log from its specimen's tissue.
 
     Attributes
     ----------
@@ -124,7 +124,7 @@ def kept_samples(
 
 
 def _left_out(trial: Trial, segmentation: Segmentation, log: FittedLog) -> Flag | None:
-    """What of the recording took no part in the fit, and why."""
+    """Parts of the recording left out of the fit, with reasons."""
     size = int(trial.time_s.size)
     reach = log.first + log.data.time_s.size - int(log.inserted)
     words: list[str] = []

@@ -102,7 +102,7 @@ def _form_flag(tissue: TissueEstimate, facts: Sequence[FittedLog]) -> list[Flag]
 
 
 def _optimum_flags(tissue: TissueEstimate, optimisers: dict[str, object]) -> list[Flag]:
-    """What the optimum itself says: bounds, uniqueness after contact loss, the second optimiser."""
+    """Flags of the optimum itself: bounds, uniqueness after contact loss, the second optimiser."""
     flags: list[Flag] = []
     if tissue.bounded:
         flags.append(
@@ -135,7 +135,7 @@ def _optimum_flags(tissue: TissueEstimate, optimisers: dict[str, object]) -> lis
 
 
 def discrepancy_flags(noise: NoiseFit, nrmsd: Nrmsd) -> list[Flag]:
-    """How much the model misses beside the noise of the recordings, where it misses more.
+    """Flags of a misfit that exceeds the noise of the recordings.
 
     Parameters
     ----------

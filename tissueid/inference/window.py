@@ -1,4 +1,4 @@
-"""Which samples of a trial are fitted, in the contact frame.
+"""Fitted samples of a trial, in the contact frame.
 
 From contact to the end of the last ramp or hold before the tool first turns back, or to the first rupture:
 what follows is another specimen.  Preconditioning cycles before a test take no part; where tool and tissue
@@ -346,7 +346,7 @@ def assign_folds(log: FittedLog, holds: tuple[Phase, ...]) -> LogData:
 
 
 def one_program(facts: Sequence[FittedLog]) -> bool:
-    """Whether all ramps have one speed and all holds one depth: only their form tells F_s from K(x) then.
+    """Test for one speed of all ramps and one depth of all holds: only their form tells F_s from K(x) then.
 
     Parameters
     ----------
