@@ -124,7 +124,7 @@ def profile(identified: Identified, branch: int) -> tuple[ProfileInterval, dict[
 
 
 def _crossing(place: FloatArray, height: FloatArray, centre: float, sign: int) -> tuple[float, bool]:
-    """Place at which the rise first passes the 95 % level on one side; the last place, open, where it never does."""
+    """First crossing of the 95 % level on one side; the last place, open, where it never does."""
     order = np.argsort(sign * place)
     order = order[sign * (place[order] - centre) >= 0.0]
     x, y = place[order], np.sqrt(height[order])
