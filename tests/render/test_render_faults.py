@@ -213,7 +213,7 @@ def test_firmware_that_fails_twice_succeeds_on_the_third_try(tmp_path, monkeypat
 def test_homing_that_never_completes_ends_with_what_to_do():
     settings = EmulatorSettings(homes=False, period_s=TICK_S)
     with EmulatedLink(settings) as link:
-        device = FalconDevice(LIMITS, port=link.descriptor(), calibration=Calibration(), homing_timeout_s=0.3)
+        device = FalconDevice(LIMITS, port=link.descriptor(), calibration=Calibration(), homing_timeout_s=2.0)
         device.open()
         with pytest.raises(DeviceError, match=r"homing never completed.*pull the grip") as refused:
             device.home()
