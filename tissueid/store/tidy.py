@@ -121,7 +121,8 @@ def tidy_table(document: Mapping[str, Any], name: str) -> TidyTable:
     name : str
     """
     columns, rows = TABLES[name]
-    found = [{**row, **_provenance(document)} for row in rows(document)]
+    provenance = _provenance(document)
+    found = [{**row, **provenance} for row in rows(document)]
     return TidyTable((*columns(document), *_PROVENANCE), tuple(found))
 
 
