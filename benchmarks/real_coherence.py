@@ -55,7 +55,7 @@ def _independent(found: Found, members: Sequence[Recording]) -> dict[str, Any]:
         found.order,
         sigma_N=found.document["sigma_N"],
         contact_sd_mm=[one.contact_sd_mm for one in members] if searched else None,
-        own_static=found.pooling == "scaled",
+        shaped=found.pooling == "scaled",
     )
     distances = {}
     for name, parameter in found.printed().items():

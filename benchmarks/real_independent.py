@@ -13,7 +13,7 @@ import lmfit
 import numpy as np
 from numpy.typing import NDArray
 from real_baselines import RAYS, Log, Paper, cone_weights, deepest, rms
-from real_pooled import GAIN, OFFSET_MM, PooledProblem
+from real_pooled import GAIN, OFFSET_MM, SHAPE, PooledProblem
 
 __all__ = ["independent_fit", "named"]
 
@@ -44,7 +44,9 @@ def _add_taus(
         parameters.add(f"lntau{j}", value=at, min=low - BEYOND, max=high + BEYOND)
 
 
-def _parameters(problem: PooledProblem, span: tuple[float, float], *, contacts: bool) -> lmfit.Parameters:
+def _parameters(
+    problem: PooledProblem, span: tuple[float, float], *, contacts: bool, shaped: bool
+) -> lmfit.Parameters:
     """Start of a search: relaxation times spread over a span, offsets 0."""
     parameters = lmfit.Parameters()
     _add_taus(parameters, problem.logs, problem.law.branches, span)
@@ -52,17 +54,20 @@ def _parameters(problem: PooledProblem, span: tuple[float, float], *, contacts: 
     for i, gain in enumerate(problem.gain_start()):
         parameters.add(f"lngain{i}", value=gain if several else 0.0, min=-GAIN, max=GAIN, vary=several)
         parameters.add(f"offset{i}", value=0.0, min=-OFFSET_MM, max=OFFSET_MM, vary=contacts)
+        for k in range(2):
+            parameters.add(f"shape{i}_{k}", value=0.0, min=-SHAPE, max=SHAPE, vary=several and shaped)
     return parameters
 
 
-def _parts(parameters: lmfit.Parameters, problem: PooledProblem) -> tuple[Array, Array, Array]:
-    """Ascending ln tau, ln gains and offsets."""
+def _parts(parameters: lmfit.Parameters, problem: PooledProblem) -> tuple[Array, Array, Array, Array]:
+    """Ascending ln tau, ln gains, offsets and shapes."""
     values = parameters.valuesdict()
     count = range(len(problem.logs))
     return (
         np.sort([values[f"lntau{j}"] for j in range(problem.law.branches)]),
         np.array([values[f"lngain{i}"] for i in count]),
         np.array([values[f"offset{i}"] for i in count]),
+        np.array([[values[f"shape{i}_{k}"] for k in range(2)] for i in count]),
     )
 
 
@@ -81,7 +86,7 @@ def named(law: Paper, weights: Array, ln_tau: Array) -> dict[str, float]:
     return found
 
 
-def _best(problem: PooledProblem, unit: float, contact_sd: Array | None) -> lmfit.Parameters:
+def _best(problem: PooledProblem, unit: float, contact_sd: Array | None, *, shaped: bool) -> lmfit.Parameters:
     """Parameters of the best of all starts; contact points are searched if they have a standard deviation."""
 
     def residual(parameters: lmfit.Parameters) -> Array:
@@ -93,7 +98,7 @@ def _best(problem: PooledProblem, unit: float, contact_sd: Array | None) -> lmfi
     tried = [
         lmfit.minimize(
             residual,
-            _parameters(problem, span, contacts=contact_sd is not None),
+            _parameters(problem, span, contacts=contact_sd is not None, shaped=shaped),
             method="least_squares",
             calc_covar=False,
             max_nfev=EVALUATIONS,
@@ -111,7 +116,7 @@ def independent_fit(
     *,
     sigma_N: float,
     contact_sd_mm: Sequence[float] | None,
-    own_static: bool = False,
+    shaped: bool = False,
 ) -> tuple[dict[str, float], float]:
     """Fit the model of an order from other starts, and keep the best.
 
@@ -125,8 +130,8 @@ def independent_fit(
         Standard deviation of the force that the priors of contact offsets are weighed against [N].
     contact_sd_mm : sequence of float, optional
         One a log [mm]; contact points are not searched without.
-    own_static : bool
-        Give each of several logs a static curve; the mean of them is told.
+    shaped : bool
+        The gain of each of several logs is a curve of depth.
 
     Returns
     -------
@@ -136,9 +141,9 @@ def independent_fit(
         Over the counted samples.
     """
     law = Paper(*order, deepest(logs), rays=RAYS if len(logs) > 1 else FINE_RAYS)
-    problem = PooledProblem(law, logs, own_static=own_static)
+    problem = PooledProblem(law, logs)
     sd = None if contact_sd_mm is None else np.maximum(contact_sd_mm, 1e-9)
-    parts = _parts(_best(problem, max(sigma_N, 1e-300), sd), problem)
+    parts = _parts(_best(problem, max(sigma_N, 1e-300), sd, shaped=shaped), problem)
     columns = problem.columns(*parts)
-    weights = problem.tissue(cone_weights(columns, problem.force))
+    weights = cone_weights(columns, problem.force)
     return named(law, weights, parts[0]), rms(problem.residual(columns))

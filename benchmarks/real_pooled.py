@@ -13,7 +13,6 @@ from real_baselines import (
     Paper,
     cone_weights,
     counted_force,
-    ray_coefficients,
     rest_states,
     rms,
 )
@@ -25,8 +24,8 @@ Array = NDArray[np.float64]
 
 #: Largest ln gain of a log, and largest contact offset [mm].
 GAIN, OFFSET_MM = 3.0, 1.0
-#: Powers of depth in a log's own static curve.
-POWERS = np.array([1.0, 2.0, 3.0])
+#: Largest ln gain at the surface and at half depth beside that at the largest depth.
+SHAPE = 3.0
 #: Step of numerical derivatives.
 STEP = 1e-6
 
@@ -47,14 +46,10 @@ class PooledProblem:
     ----------
     law : Paper
     logs : sequence of Log
-    own_static : bool
-        Give each log a static cubic of its own, of any sign, so that the gain is one of K.
     """
 
-    def __init__(self, law: Paper, logs: Sequence[Log], *, own_static: bool = False) -> None:
+    def __init__(self, law: Paper, logs: Sequence[Log]) -> None:
         self.law, self.logs, self.force = law, logs, counted_force(logs)
-        self.own_static = own_static and len(logs) > 1
-        self._size = ray_coefficients(2, law.rays).shape[0]
         self._kept: dict[int, tuple[tuple[bytes, float], tuple[Array, Array]]] = {}
 
     def moved(self, place: int, ln_tau: Array, offset_mm: float) -> tuple[Array, Array]:
@@ -70,43 +65,29 @@ class PooledProblem:
         self._kept[place] = key, (depth[log.counted], states[log.counted])
         return self._kept[place][1]
 
-    def columns(self, ln_tau: Array, ln_gain: Array, offset_mm: Array) -> Array:
-        """Columns of the counted samples of all logs."""
-        gain = np.exp(ln_gain - np.mean(ln_gain))
+    def columns(self, ln_tau: Array, ln_gain: Array, offset_mm: Array, shape: Array) -> Array:
+        """Columns of the counted samples of all logs; shapes (logs, 2) bend a log's gain over depth."""
+        gain = ln_gain - np.mean(ln_gain)
         parts = []
         for i in range(len(self.logs)):
             depth, states = self.moved(i, ln_tau, float(offset_mm[i]))
-            own = gain[i] * self.law.columns_of(depth, states)
-            if self.own_static:
-                powers = (depth / self.law.depth_mm)[:, None] ** POWERS
-                blocks = np.zeros((depth.size, len(self.logs), 2 * POWERS.size))
-                blocks[:, i] = np.column_stack([powers, -powers])
-                own = np.column_stack([blocks.reshape(depth.size, -1), own[:, self._size :]])
-            parts.append(own)
+            u = depth / self.law.depth_mm
+            bend = (1.0 - u) * (shape[i, 0] * (1.0 - u) + 2.0 * shape[i, 1] * u)
+            parts.append(np.exp(gain[i] + bend)[:, None] * self.law.columns_of(depth, states))
         return np.concatenate(parts)
-
-    def tissue(self, weights: Array) -> Array:
-        """Weights of the law, of the mean static curve where each log has its own."""
-        if not self.own_static:
-            return weights
-        last = len(self.logs) * 2 * POWERS.size
-        each = weights[:last].reshape(len(self.logs), 2, POWERS.size)
-        mean = (each[:, 0] - each[:, 1]).mean(axis=0) / self.law.depth_mm
-        static = np.linalg.lstsq(ray_coefficients(2, self.law.rays).T, mean, rcond=None)[0]
-        return np.concatenate([static, weights[last:]])
 
     def residual(self, columns: Array) -> Array:
         """Residuals at the best weights [N]."""
         return np.asarray(columns @ cone_weights(columns, self.force) - self.force)
 
-    def jacobian(self, z: Array, parts: Callable[[Array], tuple[Array, Array, Array]]) -> Array:
+    def jacobian(self, z: Array, parts: Callable[[Array], tuple[Array, Array, Array, Array]]) -> Array:
         """Derivative of the residuals by all that isn't linear, the weights following (Kaufman 1975).
 
         Parameters
         ----------
         z : ndarray, shape (p,)
         parts : callable
-            ln tau, ln gains and contact offsets of a point.
+            ln tau, ln gains, contact offsets and shapes of a point.
         """
         columns = self.columns(*parts(z))
         weights = cone_weights(columns, self.force)
@@ -126,21 +107,32 @@ class PooledProblem:
         return np.clip(level - level.mean(), -GAIN, GAIN)
 
 
-def fit_pooled(law: Paper, logs: Sequence[Log], *, own_static: bool = False) -> PooledFit:
-    """Least squares with a gain, a contact offset and, if wanted, a static curve of each log's own."""
-    problem = PooledProblem(law, logs, own_static=own_static)
+def fit_pooled(law: Paper, logs: Sequence[Log], *, shaped: bool = False) -> PooledFit:
+    """Least squares with a gain, a contact offset and, if wanted, a curve of depth of each log's own.
+
+    Parameters
+    ----------
+    law : Paper
+    logs : sequence of Log
+    shaped : bool
+        A log's gain is a curve of depth: the exponential of a quadratic.
+    """
+    problem = PooledProblem(law, logs)
     count, size = len(logs), law.branches
+    bent = 2 * count if shaped else 0
     low, high = law.bounds(logs)
 
-    def split(z: Array) -> tuple[Array, Array, Array]:
-        return z[:size], z[size : size + count], z[size + count :]
+    def split(z: Array) -> tuple[Array, Array, Array, Array]:
+        offset, shape = z[size + count : size + 2 * count], z[size + 2 * count :]
+        return z[:size], z[size : size + count], offset, np.resize(shape if bent else 0.0, (count, 2))
 
     gains, still = problem.gain_start(), np.zeros(count)
     starts = law.starts(logs)
-    squares = [(problem.residual(problem.columns(one, gains, still)) ** 2).sum() for one in starts]
-    first = np.concatenate([starts[int(np.argmin(squares))], gains, still])
-    lower = np.concatenate([low, np.full(count, -GAIN - 1.0), np.full(count, -OFFSET_MM)])
-    upper = np.concatenate([high, np.full(count, GAIN + 1.0), np.full(count, OFFSET_MM)])
+    flat = np.zeros((count, 2))
+    squares = [(problem.residual(problem.columns(one, gains, still, flat)) ** 2).sum() for one in starts]
+    first = np.concatenate([starts[int(np.argmin(squares))], gains, still, np.zeros(bent)])
+    wide = np.repeat([GAIN + 1.0, OFFSET_MM, SHAPE], [count, count, bent])
+    lower, upper = np.concatenate([low, -wide]), np.concatenate([high, wide])
     found = least_squares(
         lambda z: problem.residual(problem.columns(*split(z))),
         jac=lambda z: problem.jacobian(z, split),
@@ -149,7 +141,7 @@ def fit_pooled(law: Paper, logs: Sequence[Log], *, own_static: bool = False) -> 
         x_scale="jac",
         max_nfev=80,
     )
-    shape, gain, offset = split(found.x)
-    weights = cone_weights(problem.columns(shape, gain, offset), problem.force)
-    fitted = FittedLaw(law, shape, problem.tissue(weights), rms(found.fun) / float(np.ptp(problem.force)))
-    return PooledFit(fitted, np.exp(gain - gain.mean()), offset)
+    parts = split(found.x)
+    weights = cone_weights(problem.columns(*parts), problem.force)
+    fitted = FittedLaw(law, parts[0], weights, rms(found.fun) / float(np.ptp(problem.force)))
+    return PooledFit(fitted, np.exp(parts[1] - parts[1].mean()), parts[2])

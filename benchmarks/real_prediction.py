@@ -102,7 +102,7 @@ def _peer(pooling: str, law: Paper, logs: Sequence[Log]) -> FittedLaw:
     """Least squares of the paper's law with the freedom of a pooling."""
     if pooling == "shared" or len(logs) == 1:
         return fit_law(law, logs)
-    return fit_pooled(law, logs, own_static=pooling == "scaled").fitted
+    return fit_pooled(law, logs, shaped=pooling == "scaled").fitted
 
 
 def _own_curves(order: tuple[int, int], depth_mm: float, others: Sequence[Log], log: Log) -> dict[str, Array]:

@@ -160,7 +160,7 @@ def test_logs_own_parameters_are_eliminated_exactly():
     for i in range(logs):
         at = slice(s + i * q, s + (i + 1) * q)
         wide[ours.system.log == i, at] = normal.own[ours.system.log == i]
-        whole[at, at] = prior.own_rows.T @ np.diag(prior.own[i]) @ prior.own_rows
+        whole[at, at] = np.diag(prior.own[i])
     whole[:s, :s] = prior.rows.T @ prior.rows
     whole += wide.T @ wide
     k = np.r_[0 : ours.law.times, ours.law.times + 3 : s]

@@ -34,7 +34,7 @@ def three_logs(rate=200.0):
 def scattered(system: System, rng, machine=(0.0, 0.0, 0.0)):
     """A point with something of its own in every log, all of them in contact from their first sample."""
     point = point_of(LAW, THETA, logs=3, own=ALL.size, machine=machine)
-    own = rng.normal(size=point.own.shape) * np.array([0.1, 0.01, 2.0, 2.0, 2.0])
+    own = rng.normal(size=point.own.shape) * np.array([0.1, 0.01, 0.1, 0.1])
     own[:, 1] = -np.abs(own[:, 1]) - 0.01
     return replace(point, own=own)
 
@@ -90,7 +90,9 @@ def test_derivatives_are_differences_of_predictions(machine):
         ), k
     for k in range(ALL.size):
         expected = own(k, 1e-5 if k == 1 else 1e-4)
-        assert np.abs(found.own[:, k] - expected).max() <= max(worst, 1e-4) * np.abs(expected).max(), k
+        # a shape adds most in the middle of a ramp, where that memory is longest
+        least = max(worst, 1e-4) * (1.0 if k < 2 else 1.5)
+        assert np.abs(found.own[:, k] - expected).max() <= least * np.abs(expected).max(), k
 
 
 def test_a_closed_machine_has_no_derivatives():
@@ -103,15 +105,16 @@ def test_a_closed_machine_has_no_derivatives():
 def test_gain_contact_and_shape_of_a_log_are_its_own():
     system = system_of(three_logs(), LAW, effects=ALL, whole=True)
     own = np.zeros((3, ALL.size))
-    own[1] = [np.log(1.1), 0.02, 4.0, 0.0, 0.0]
+    own[1] = [np.log(1.1), 0.02, 0.3, -0.2]
     found = system.predict(replace(point_of(LAW, THETA, logs=3, own=ALL.size), own=own))
     time, depth = ramp_hold(200.0, 4.0, 4.0, 3.0)
     # contact lies 0.08 mm deeper: the samples before it are in air
     below = np.maximum(depth - 0.02 * 4.0, 0.0)
     fine = np.linspace(0.0, time[-1], 20 * (time.size - 1) + 1)
     exact = np.interp(time, fine, force_of(fine, np.maximum(np.minimum(4.0 * fine, 4.0) - 0.08, 0.0)))
-    # a shape is no part of what the gain multiplies
-    expected = 1.1 * exact + 4.0 * below / 4.0
+    # a shape bends the gain of all forces between the surface and the largest depth
+    u = below / 4.0
+    expected = exact * 1.1 * np.exp(0.3 * (1.0 - u) ** 2 - 0.2 * 2.0 * u * (1.0 - u))
     mine = system.log == 1
     # the fine grid meets contact between two of its samples
     np.testing.assert_allclose(found[mine], expected, atol=2e-3 * expected.max())

@@ -91,11 +91,8 @@ def test_what_logs_have_for_themselves_is_integrated():
         value = 0.5 * -((gain / at.priors.gain_sd) ** 2) + np.log(gain)
         for i in range(len(system.logs)):
             mine = system.log == i
-            size = np.concatenate(
-                [[gain, 0.02 / system.depth_mm], np.full(3, ours.scatter.shape * system.peaks[i])]
-            )
-            coordinates = np.linalg.inv(ours.optimum.prior.own_rows)
-            spread = columns[mine] @ coordinates * size
+            size = np.array([gain, 0.02 / system.depth_mm, ours.scatter.shape, ours.scatter.shape])
+            spread = columns[mine] * size
             covariance = spread @ spread.T + sigma**2 * np.diag(1.0 / system.count[mine])
             # the force where the log has nothing of its own, linearly
             mean = force[mine] - columns[mine] @ own[i]

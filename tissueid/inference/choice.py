@@ -1,19 +1,21 @@
 """Choice of branches and of the degree of K: the simplest that predicts left-out data as well as the best.
 
-What is left out is a speed or a depth where there are three of them or more, else a log, else stretches of
-the one log.  Each is predicted from the rest by the step that the fit takes without it, within the passive
-cone; a log that is left out keeps its own gain, contact and static shape free.
+What is left out is a speed or a depth where there are three of them or more, else a log (of many logs an
+eighth), else stretches of the one log.  Logs are predicted by a fit of the others, and have their own gain,
+contact and shape from their ramps; stretches by the step that the fit takes without them, within the passive
+cone.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.inference.optimum import Optimum, covariance_of, nearest_in_cone
+from tissueid.inference.blocks import Blocks
+from tissueid.inference.optimum import Optimum, covariance_of, minimise, nearest_in_cone, whitener_of
 from tissueid.inference.system import System
 from tissueid.inference.window import FOLDS, FittedLog
 
@@ -28,6 +30,10 @@ ALIKE, FEWEST_GROUPS = 1.1, 3
 STANDARD_ERRORS, NO_GAIN = 1.0, 0.02
 #: Gain in ln mean square error that K of a higher degree must have where there is one program.
 BEND = 0.1
+#: Groups of logs at the most, steps of a fit without one, and of a log's own parameters under it.
+MOST_GROUPS, REFIT_STEPS, OWN_STEPS = 8, 6, 8
+#: Share of its depth at which a ramp has ended, and fewest observations that tell a log's own parameters.
+AT_DEPTH, FEWEST_OF_RAMP = 0.995, 4
 #: Largest force of a branch over the noise with which it counts as seen.
 SEEN = 0.5
 
@@ -75,69 +81,87 @@ def groups_of(system: System, facts: Sequence[FittedLog]) -> Groups:
             found = _clusters(values)
             if found.max() + 1 >= FEWEST_GROUPS:
                 return Groups(found[system.log], kind)
-    return Groups(system.log, "log")
+    return Groups(system.log % MOST_GROUPS, "log")
 
 
 def held_out(system: System, optimum: Optimum, groups: Groups) -> FloatArray:
     """Mean square error of each group, predicted from the others [N^2, whitened]."""
-    normal, prior = optimum.normal, optimum.prior
-    logs, q = len(system.logs), normal.own.shape[1]
-    s = normal.shared.shape[1]
-    wide = np.zeros((normal.residual.size, s + logs * q))
-    wide[:, :s] = normal.shared
-    for k in range(q):
-        wide[np.arange(wide.shape[0]), s + system.log * q + k] = normal.own[:, k]
-    off = prior.rows @ optimum.point.shared - prior.target
-    precision = np.zeros((wide.shape[1], wide.shape[1]))
-    pull = np.zeros(wide.shape[1])
-    precision[:s, :s] = prior.rows.T @ prior.rows
-    pull[:s] = -prior.rows.T @ off
-    for i in range(logs):
-        at = slice(s + i * q, s + (i + 1) * q)
-        precision[at, at] = prior.own_rows.T @ (prior.own[i][:, None] * prior.own_rows)
-        pull[at] = -precision[at, at] @ optimum.point.own[i]
-    times = system.law.times
+    if len(system.logs) == 1:
+        return _stretches(system, optimum, groups)
+    of = groups.of[system.begins]
+    return np.array([_left_out(system, optimum, of == group) for group in np.unique(of)])
+
+
+def _stretches(system: System, optimum: Optimum, groups: Groups) -> FloatArray:
+    """Mean square error of each stretch of a log, by one step without it."""
+    normal, prior, point = optimum.normal, optimum.prior, optimum.point
+    s, times = normal.shared.shape[1], system.law.times
+    wide = np.hstack([normal.shared, normal.own])
+    own = prior.own[0] if normal.own.shape[1] else np.zeros(0)
+    rows = np.zeros((len(prior.rows), wide.shape[1]))
+    rows[:, :s] = prior.rows
+    precision = rows.T @ rows
+    precision[s:, s:] = np.diag(own)
+    pull = -rows.T @ (prior.rows @ point.shared - prior.target)
+    pull[s:] = -own * point.own[0]
     # the machine is held: its derivatives are zero where it was closed
     precision[np.arange(times, times + 3), np.arange(times, times + 3)] += 1e-9 + (
         1e30 * (np.abs(normal.shared[:, times : times + 3]).max(axis=0) == 0.0)
     )
-    total = wide.T @ wide + precision
-    right = wide.T @ normal.residual + pull
+    total, right = wide.T @ wide + precision, wide.T @ normal.residual + pull
     out = []
     for group in np.unique(groups.of):
-        rows = groups.of == group
-        part, left = wide[rows], normal.residual[rows]
-        hessian = total - part.T @ part
-        covariance = covariance_of(hessian)
+        part, left = wide[groups.of == group], normal.residual[groups.of == group]
+        covariance = covariance_of(total - part.T @ part)
         move = covariance @ (right - part.T @ left)
-        shared = optimum.point.shared + move[:s]
+        shared = point.shared + move[:s]
         inside = nearest_in_cone(shared, covariance[:s, :s], prior.cone, prior.least)
         if inside is not shared:
             change = np.linalg.solve(covariance[:s, :s] + 1e-14 * np.eye(s), inside - shared)
             move = move + covariance[:, :s] @ change
-        error = left - part[:, :s] @ move[:s]
-        out.append(_own_fitted(system, rows, error, move[s:], optimum))
+        error = left - part @ move
+        out.append(float(error @ error) / max(error.size, 1))
     return np.array(out) * optimum.noise.sigma_N**2
 
 
-def _own_fitted(
-    system: System, rows: NDArray[np.bool_], error: FloatArray, moved: FloatArray, optimum: Optimum
-) -> float:
-    """Mean square error after whole logs that were left out have fitted their own parameters."""
-    normal, prior = optimum.normal, optimum.prior
-    q = normal.own.shape[1]
-    squares, log, own = 0.0, system.log[rows], normal.own[rows]
-    whole = len(system.logs) > 1
-    for i in np.unique(log):
-        mine = log == i
-        left, basis = error[mine], own[mine]
-        if q and whole:
-            inner = basis.T @ basis + prior.own_rows.T @ (prior.own[i][:, None] * prior.own_rows)
-            left = left - basis @ np.linalg.solve(inner, basis.T @ left)
-        elif q:
-            left = left - basis @ moved[i * q : (i + 1) * q]
-        squares += float(left @ left)
-    return squares / max(int(rows.sum()), 1)
+def _left_out(system: System, optimum: Optimum, out: NDArray[np.bool_]) -> float:
+    """Mean square error of logs under a fit of the others, their own parameters from their ramps."""
+    prior, noise, law = optimum.prior, optimum.noise, system.law
+
+    def of(logs: Sequence[Blocks]) -> System:
+        return System(logs, law, system.depth_mm, system.effects, give=system.give)
+
+    rest = of([one for one, gone in zip(system.logs, out, strict=True) if not gone])
+    theirs = replace(prior, own=prior.own[~out])
+    found = minimise(
+        rest, replace(optimum.point, own=optimum.point.own[~out]), lambda _: theirs,
+        memory=noise.memory, sigma_N=noise.sigma_N, machine=False, steps=REFIT_STEPS,
+    )  # fmt: skip
+    squares, count = 0.0, 0
+    for i in np.flatnonzero(out):
+        point, own = replace(found.point, own=optimum.point.own[i : i + 1]), prior.own[i : i + 1]
+        if system.effects.size:
+            point = minimise(
+                of([_ramp(system.logs[i])]), point, lambda _, own=own: replace(prior, own=own),  # type: ignore[misc]
+                memory=noise.memory, sigma_N=noise.sigma_N, machine=False, steps=OWN_STEPS,
+                held=np.arange(point.shared.size),
+            ).point  # fmt: skip
+        one = of([system.logs[i]])
+        error = whitener_of(one, noise.memory)(one.force - one.predict(point))
+        squares, count = squares + float(error @ error), count + error.size
+    return squares / max(count, 1)
+
+
+def _ramp(log: Blocks) -> Blocks:
+    """Observations before a log is first at its depth; all of a log that has too few of them."""
+    arrived = int(np.argmax(log.depth_mm >= AT_DEPTH * log.depth_mm.max()))
+    count = int((log.mid_s <= log.time_s[arrived]).sum())
+    if count < FEWEST_OF_RAMP:
+        return log
+    return replace(
+        log, at=log.at[:count], force_N=log.force_N[:count], count=log.count[:count], mid_s=log.mid_s[:count],
+        step_s=log.step_s[:count], chain=log.chain[:count], fold=log.fold[:count],
+    )  # fmt: skip
 
 
 def _gain(better: Tried, simpler: Tried) -> tuple[float, float]:

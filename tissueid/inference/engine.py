@@ -22,7 +22,7 @@ from tissueid.inference.noise import Memory
 from tissueid.inference.optimum import Noise, Optimum, minimise, prior_cost, whitener_of
 from tissueid.inference.prior import Scatter, prior_rows
 from tissueid.inference.search import starting_points
-from tissueid.inference.system import Effects, Point, System
+from tissueid.inference.system import SHAPE, Effects, Point, System
 from tissueid.inference.window import FittedLog, one_program
 from tissueid.priors import Priors
 
@@ -170,24 +170,17 @@ def _badness(system: System, optimum: Optimum) -> float:
 
 def scatter_of(system: System, optimum: Optimum) -> Scatter:
     """Standard deviations between logs that their own parameters show at an optimum."""
-    own = optimum.point.own @ optimum.prior.own_rows.T
-    spread = np.einsum(
-        "ab,lbc,dc->lad", optimum.prior.own_rows, optimum.normal.own_inverse, optimum.prior.own_rows
-    )
-    variance = np.diagonal(spread, axis1=1, axis2=2)
-    logs = len(system.logs)
+    own = optimum.point.own
+    variance = np.diagonal(optimum.normal.own_inverse, axis1=1, axis2=2)
 
-    def sd(columns: slice, before: float, scale: FloatArray) -> float:
-        values, known = own[:, columns] / scale[:, None], variance[:, columns] / scale[:, None] ** 2
-        total = float((values**2).sum() + known.sum())
-        per = values.shape[1]
-        return float(np.sqrt((total / per + before**2) / max(logs - 1 + 1, 1)))
+    def sd(columns: slice, before: float) -> float:
+        total = float((own[:, columns] ** 2).sum() + variance[:, columns].sum())
+        per = own[:, columns].shape[1]
+        return float(np.sqrt((total / per + before**2) / len(system.logs)))
 
-    gain = sd(slice(0, 1), SCATTER_PRIOR.gain, np.ones(logs))
-    shape = (
-        sd(slice(2, None), SCATTER_PRIOR.shape, system.peaks) if system.effects.shape else SCATTER_PRIOR.shape
-    )
-    return Scatter(max(gain, 1e-5), max(shape, 1e-6))
+    gain = sd(slice(0, 1), SCATTER_PRIOR.gain)
+    shape = sd(slice(-SHAPE, None), SCATTER_PRIOR.shape) if system.effects.shape else SCATTER_PRIOR.shape
+    return Scatter(max(gain, 1e-5), max(shape, 1e-5))
 
 
 def _orders(request: Request) -> list[tuple[int, int]]:

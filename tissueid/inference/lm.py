@@ -63,7 +63,7 @@ class _Problem:
         """Whitened residuals and priors."""
         point, prior = self.point(values), self.optimum.prior
         left = self.white(self.system.force - self.system.predict(point)) / self.optimum.noise.sigma_N
-        own = np.sqrt(prior.own) * (point.own @ prior.own_rows.T)
+        own = np.sqrt(prior.own) * point.own
         return np.concatenate([left, prior.rows @ point.shared - prior.target, own.ravel()])
 
     def jacobian(self, values: FloatArray) -> FloatArray:
@@ -83,9 +83,7 @@ class _Problem:
                 at = slice(to.shape[1] + i * q, to.shape[1] + (i + 1) * q)
                 mine = np.flatnonzero(self.system.log == i)
                 out[mine, at] = own[mine]
-                out[len(shared) + i * q : len(shared) + (i + 1) * q, at] = (
-                    np.sqrt(prior.own[i])[:, None] * prior.own_rows
-                )
+                out[len(shared) + i * q : len(shared) + (i + 1) * q, at] = np.diag(np.sqrt(prior.own[i]))
         return out
 
 

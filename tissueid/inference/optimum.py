@@ -130,8 +130,7 @@ def _by_log(system: System, products: FloatArray) -> FloatArray:
 def prior_cost(prior: PriorRows, point: Point) -> float:
     """Twice the negative log prior of shared and own parameters."""
     off = prior.rows @ point.shared - prior.target
-    own = point.own @ prior.own_rows.T
-    return float(off @ off + (prior.own * own**2).sum())
+    return float(off @ off + (prior.own * point.own**2).sum())
 
 
 def normal_equations(
@@ -147,13 +146,9 @@ def normal_equations(
     q = own.shape[1]
     if q:
         inner = _by_log(system, own[:, :, None] * own[:, None, :])
-        coordinates = prior.own_rows
-        inner = inner + np.einsum("ab,la,ac->lbc", coordinates, prior.own, coordinates)
+        inner = inner + prior.own[:, :, None] * np.eye(q)
         cross = _by_log(system, own[:, :, None] * shared[:, None, :])
-        own_gradient = _by_log(system, own * residual[:, None])
-        own_gradient = own_gradient - np.einsum(
-            "ab,la,la->lb", coordinates, prior.own, point.own @ coordinates.T
-        )
+        own_gradient = _by_log(system, own * residual[:, None]) - prior.own * point.own
         inverse = np.linalg.inv(inner)
         hessian = hessian - np.einsum("lqs,lqr,lrt->st", cross, inverse, cross)
         gradient = gradient - np.einsum("lqs,lqr,lr->s", cross, inverse, own_gradient)
@@ -201,12 +196,18 @@ class Optimum:
 
 
 def _step(normal: Normal, prior: PriorRows, point: Point, damping: float, frozen: FloatArray) -> Point:
-    """One damped step within the cone."""
-    diagonal = np.maximum(np.diag(normal.hessian), FLAT)
-    hessian = normal.hessian + np.diag(damping * diagonal + frozen + FLAT)
+    """One damped step within the cone, of shared and own parameters alike."""
+    hessian, gradient, own_inverse = normal.hessian, normal.gradient, normal.own_inverse
+    if normal.own.shape[1]:
+        inner = np.linalg.inv(own_inverse)
+        own_inverse = np.linalg.inv(inner * (1.0 + damping * np.eye(inner.shape[1])))
+        stiffer = normal.own_inverse - own_inverse
+        hessian = hessian + np.einsum("lqs,lqr,lrt->st", normal.cross, stiffer, normal.cross)
+        gradient = gradient + np.einsum("lqs,lqr,lr->s", normal.cross, stiffer, normal.own_gradient)
+    hessian = hessian + np.diag(damping * np.maximum(np.diag(hessian), FLAT) + frozen + FLAT)
     scale = 1.0 / np.sqrt(np.diag(hessian))
     factor = cho_factor(hessian * scale * scale[:, None] + 1e-13 * np.eye(scale.size))
-    move = scale * cho_solve(factor, scale * normal.gradient)
+    move = scale * cho_solve(factor, scale * gradient)
     shared = point.shared + move
     if ((prior.cone @ shared) < prior.least).any():
         covariance = scale[:, None] * cho_solve(factor, np.diag(scale))
@@ -214,7 +215,7 @@ def _step(normal: Normal, prior: PriorRows, point: Point, damping: float, frozen
         move = shared - point.shared
     if normal.own.shape[1]:
         rest = normal.own_gradient - np.einsum("lqs,s->lq", normal.cross, move)
-        own = point.own + np.einsum("lqr,lr->lq", normal.own_inverse, rest)
+        own = point.own + np.einsum("lqr,lr->lq", own_inverse, rest)
     else:
         own = point.own
     return point.moved(shared, own)
@@ -229,6 +230,17 @@ def _scale_of(
     if memory.time_s <= 0.0:
         total, freedom = total + system.within_N2, freedom + system.within_freedom
     return float(np.sqrt(max(total, 0.0) / max(freedom, 1)))
+
+
+def _change(normal: Normal, point: Point, moved: Point, free: NDArray[np.bool_]) -> float:
+    """Largest change in standard errors: of free shared parameters, of own ones where none is free."""
+    if free.any():
+        variance = np.diag(covariance_of(normal.hessian))[free]
+        change = np.abs(moved.shared - point.shared)[free]
+    else:
+        variance = np.diagonal(normal.own_inverse, axis1=1, axis2=2)
+        change = np.abs(moved.own - point.own)
+    return float((change / np.sqrt(np.maximum(variance, 1e-300))).max())
 
 
 def minimise(
@@ -286,9 +298,7 @@ def minimise(
         if moved is None:
             converged = True
             break
-        error = np.sqrt(np.maximum(np.diag(covariance_of(normal.hessian)), 0.0))
-        change = np.abs(moved.shared - point.shared)
-        largest = float((change[frozen == 0.0] / np.maximum(error[frozen == 0.0], 1e-300)).max())
+        largest = _change(normal, point, moved, frozen == 0.0)
         point = moved
         if largest < STILL:
             converged = True

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from scipy.special import comb
 
 from tissueid.inference.law import KelvinVoigtLaw
-from tissueid.inference.system import MACHINE, Point, System
+from tissueid.inference.system import MACHINE, SHAPE, Point, System
 from tissueid.model.kelvin_voigt import STATIC_DEGREE
 from tissueid.priors import WEAK_FACTOR, Priors
 
-__all__ = ["PriorRows", "Scatter", "bernstein", "own_rows", "prior_rows", "time_bounds"]
+__all__ = ["PriorRows", "Scatter", "bernstein", "own_precision", "prior_rows", "time_bounds"]
 
 FloatArray = NDArray[np.float64]
 
@@ -36,7 +36,7 @@ class Scatter:
     gain : float
         Of ln gain.
     shape : float
-        Of a static Bernstein coefficient of a log, over its largest force.
+        Of ln gain at lesser depths beside that at the largest.
     """
 
     gain: float = 0.1
@@ -70,9 +70,7 @@ class PriorRows:
     rows, target : ndarray, shape (c, shared) and (c,)
         Standardised: ``|rows @ shared - target|^2`` is twice the negative log prior.
     own : ndarray, shape (logs, q)
-        Precision of each log's own parameters (around 0), in Bernstein coordinates for the shape.
-    own_rows : ndarray, shape (q, q)
-        Own parameters to those coordinates.
+        Precision of each log's own parameters, around 0.
     cone, least : ndarray, shape (b, shared) and (b,)
         ``cone @ shared >= least``.
     log_det : float
@@ -82,7 +80,6 @@ class PriorRows:
     rows: FloatArray
     target: FloatArray
     own: FloatArray
-    own_rows: FloatArray
     cone: FloatArray
     least: FloatArray
     log_det: float = 0.0
@@ -164,36 +161,25 @@ def prior_rows(
             lower = priors.calibration[MACHINE[j]].lower
             bounds[2 * t + i, t + j] = 1.0
             bound[2 * t + i] = lower if np.isfinite(lower) else -1e300
-    own, coordinates = own_rows(system, scatter)
     return PriorRows(
         rows=np.vstack(rows),
         target=np.concatenate(target),
-        own=own,
-        own_rows=coordinates,
+        own=own_precision(system, scatter),
         cone=np.vstack([*cone, bounds]),
         least=np.concatenate([*least, bound]),
         log_det=log_det,
     )
 
 
-def own_rows(system: System, scatter: Scatter) -> tuple[FloatArray, FloatArray]:
-    """Precisions of the logs' own parameters, and the coordinates they are of."""
-    effects = system.effects
-    columns, blocks = [], []
+def own_precision(system: System, scatter: Scatter) -> FloatArray:
+    """Precisions of the logs' own parameters, (logs, q)."""
+    effects, logs = system.effects, len(system.logs)
+    columns = []
     if effects.gain:
-        columns.append(np.full(len(system.logs), scatter.gain**-2))
-        blocks.append(np.ones((1, 1)))
+        columns.append(np.full(logs, scatter.gain**-2))
     if effects.contact:
         sd = np.array([one.contact_sd_mm for one in system.logs]) / system.depth_mm
         columns.append(sd**-2)
-        blocks.append(np.ones((1, 1)))
     if effects.shape:
-        columns += [(scatter.shape * system.peaks) ** -2] * STATIC_DEGREE
-        blocks.append(bernstein(STATIC_DEGREE))
-    size = effects.size
-    matrix, at = np.zeros((size, size)), 0
-    for block in blocks:
-        matrix[at : at + len(block), at : at + len(block)] = block
-        at += len(block)
-    own = np.column_stack(columns) if columns else np.zeros((len(system.logs), 0))
-    return own, matrix
+        columns += [np.full(logs, scatter.shape**-2)] * SHAPE
+    return np.column_stack(columns) if columns else np.zeros((logs, 0))

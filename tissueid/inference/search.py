@@ -83,10 +83,10 @@ def starting_points(system: System, branches: int, degree: int, at: Point, white
     point = Point(nodes, at.machine, np.zeros(every.linear), at.own)
     static = at.machine.copy()
     static[0] = 0.0
-    gain, contact, _ = wide._own(point)  # noqa: SLF001  (the same room)
     compliance = at.machine[0] / system.depth_mm
-    columns = every.columns(nodes, wide.path(wide.travel - contact - compliance * wide.guess))
-    columns = wide.means(wide.recorded(gain[:, None] * columns, static))
+    path = wide.path(wide.travel - wide.contact(point) - compliance * wide.guess)
+    gain = wide.gain(point, path.depth_mm / system.depth_mm)
+    columns = wide.means(wide.recorded(gain[:, None] * every.columns(nodes, path), static))
     size = degree + 1
     to = np.linalg.inv(bernstein(STATIC_DEGREE))
     own = np.linalg.inv(bernstein(size))

@@ -1,8 +1,9 @@
 """All logs of a specimen under one law: predicted forces of their blocks, and derivatives of them.
 
 A point has relaxation times, a machine (frame, skew, filter), linear coefficients, and each log's own gain,
-contact and static shape.  The frame acts by the predicted force, found by iterating from the measured one;
-the filter is one pole; force lags displacement by the skew.
+contact and shape: a curve of depth that multiplies the whole force of the specimen, so that static force and
+K of a log are in proportion and its relaxation is the specimen's.  The frame acts by the predicted force,
+found by iterating from the measured one; the filter is one pole; force lags displacement by the skew.
 """
 
 from __future__ import annotations
@@ -16,7 +17,6 @@ from scipy.linalg.lapack import dtbtrs
 
 from tissueid.inference.blocks import Blocks
 from tissueid.inference.law import TINY, Law, Path
-from tissueid.model.kelvin_voigt import STATIC_DEGREE
 
 __all__ = ["MACHINE", "Derivatives", "Effects", "Point", "System"]
 
@@ -30,6 +30,8 @@ FRAME_ROUNDS = 1
 #: Steps of numerical derivatives: ln times, depth over the largest depth, machine in its prior's units.
 STEP_LN, STEP_DEPTH = 1e-5, 1e-6
 STEPS_MACHINE = np.array([1e-7, 1e-7, 1e-7])
+#: Coefficients of a log's shape: ln gain at the surface and at half depth, beside that at the largest depth.
+SHAPE = 2
 #: A filter shorter than this share of the shortest step is none.
 NO_FILTER_S = 1e-7
 
@@ -41,7 +43,7 @@ class Effects:
     Attributes
     ----------
     gain, contact, shape : bool
-        ln gain; contact offset; three static coefficients beside the specimen's.
+        ln gain at the largest depth; contact offset; ln gain at lesser depths beside it.
     """
 
     gain: bool = False
@@ -51,7 +53,7 @@ class Effects:
     @property
     def size(self) -> int:
         """Own parameters of a log."""
-        return int(self.gain) + int(self.contact) + STATIC_DEGREE * int(self.shape)
+        return int(self.gain) + int(self.contact) + SHAPE * int(self.shape)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,7 +67,7 @@ class Point:
         In the order of :data:`MACHINE`.
     linear : ndarray, shape (p,)
     own : ndarray, shape (logs, q)
-        ln gain, contact offset over the largest depth, static shape beside it [N], as far as there are any.
+        ln gain, contact offset over the largest depth, shape, as far as there are any.
     """
 
     log_times: FloatArray
@@ -91,6 +93,12 @@ class Derivatives:
     force: FloatArray
     shared: FloatArray
     own: FloatArray
+
+
+def _shape(u: FloatArray) -> FloatArray:
+    """Bernstein polynomials of degree 2 that vanish at the largest depth, (m, 2)."""
+    left = 1.0 - u
+    return np.column_stack([left * left, 2.0 * u * left])
 
 
 class System:
@@ -213,21 +221,26 @@ class System:
         change[self.fresh - 1] = 0.0
         return np.asarray(force + share[shape] * change)
 
-    def _own(self, point: Point) -> tuple[FloatArray, FloatArray, FloatArray | None]:
-        """Gain (m,), contact offset (m,) and static shape (m, 3) or ``None`` of the log of each point."""
-        own, effects = point.own, self.effects
-        gain, contact, k = np.ones(1), np.zeros(1), 0
-        if effects.gain:
-            gain, k = np.exp(own[:, 0])[self.point_log], 1
-        if effects.contact:
-            contact, k = own[self.point_log, k], k + 1
-        shape = own[self.point_log, k:] if effects.shape else None
-        return gain, contact, shape
+    def contact(self, point: Point) -> FloatArray:
+        """Contact offset of the log of each point over the largest depth, (m,) or (1,)."""
+        if not self.effects.contact:
+            return np.zeros(1)
+        return np.asarray(point.own[self.point_log, int(self.effects.gain)])
+
+    def gain(self, point: Point, u: FloatArray) -> FloatArray:
+        """Gain of each point at depths over the largest depth, (m,) or (1,)."""
+        if not self.effects.gain:
+            return np.ones(1)
+        ln_gain = point.own[self.point_log, 0]
+        if self.effects.shape:
+            own = point.own[self.point_log, -SHAPE:]
+            ln_gain = ln_gain + (own * _shape(u)).sum(axis=1)
+        return np.asarray(np.exp(ln_gain))
 
     def tip_force(
         self, point: Point, shift: float = 0.0, rounds: int = FRAME_ROUNDS
     ) -> tuple[FloatArray, FloatArray]:
-        """Force at the tip at all points, and the columns it is made of (without the log's own).
+        """Force at the tip at all points, and the columns that it is made of, gains in them.
 
         Parameters
         ----------
@@ -237,7 +250,7 @@ class System:
         rounds : int
             Iterations of the frame's deflection beyond the first.
         """
-        gain, contact, shape = self._own(point)
+        contact = self.contact(point)
         compliance = point.machine[0] / self.depth_mm
         depth = self.travel - contact + shift
         stiff = compliance == 0.0 and self.give is None
@@ -251,12 +264,11 @@ class System:
                     behind = behind - self.give(force) / self.depth_mm
             path = self.path(behind)
             columns = self.law.columns(point.log_times, path)
-            force = gain * (columns @ point.linear)
-            if shape is not None:
-                force = force + (columns[:, :STATIC_DEGREE] * shape).sum(axis=1)
+            columns *= self.gain(point, path.depth_mm / self.depth_mm)[:, None]
+            force = columns @ point.linear
             if left == 0:
                 break
-        return force, gain[:, None] * columns
+        return force, columns
 
     def predict(self, point: Point) -> FloatArray:
         """Forces of the observations, shape (k,) [N]."""
@@ -276,23 +288,26 @@ class System:
         -------
         ndarray, shape (k,) and (k, q)
         """
-        base, columns = self.tip_force(point, rounds=0)
+        base, _ = self.tip_force(point, rounds=0)
         if by_contact is None:
             return self.means(self.recorded(base, point.machine)), np.zeros((self.force.size, 0))
         parts = [base]
         if self.effects.gain:
-            parts.append(columns @ point.linear)
+            parts.append(base)
         if self.effects.shape:
-            parts += list(self._static(columns, point).T)
+            parts += list((base[:, None] * self._shapes(point, base)).T)
         found = self.means(self.recorded(np.column_stack(parts), point.machine))
         first = 1 + int(self.effects.gain)
         own = [found[:, 1:first]]
         own += [by_contact[:, None]] if self.effects.contact else []
         return found[:, 0], np.hstack([*own, found[:, first:]])
 
-    def _static(self, columns: FloatArray, point: Point) -> FloatArray:
-        """Static columns without the gains of the logs, (m, 3)."""
-        return np.asarray(columns[:, :STATIC_DEGREE] / self._own(point)[0][:, None])
+    def _shapes(self, point: Point, force: FloatArray) -> FloatArray:
+        """Basis of the logs' shapes at all points, under a force at the tip; (m, 2)."""
+        depth = self.travel - self.contact(point) - point.machine[0] / self.depth_mm * force
+        if self.give is not None:
+            depth = depth - self.give(force) / self.depth_mm
+        return _shape(np.maximum(depth, 0.0))
 
     def derivatives(self, point: Point, *, machine: bool, follow: bool = False) -> Derivatives:
         """Forces with their derivatives.
@@ -330,10 +345,10 @@ class System:
         own = np.zeros((force.size, self.effects.size))
         k = 0
         if self.effects.gain:
-            own[:, 0], k = self.means(self.recorded(give * (columns @ point.linear), point.machine)), 1
+            own[:, 0], k = self.means(self.recorded(give * base, point.machine)), 1
         if self.effects.contact:
             own[:, k], k = -self.means(self.recorded(by_depth, point.machine)), k + 1
         if self.effects.shape:
-            static = give[:, None] * self._static(columns, point)
-            own[:, k:] = self.means(self.recorded(static, point.machine))
+            shapes = (give * base)[:, None] * self._shapes(point, base)
+            own[:, k:] = self.means(self.recorded(shapes, point.machine))
         return Derivatives(force, shared, own)

@@ -1,7 +1,7 @@
 """The posterior of one specimen: tissue, machine, noise and scatter between logs in one density.
 
 Shared parameters are coordinates; so is the contact of a single log.  Of several logs, gains, contacts and
-static shapes are integrated, linearised about the optimum and re-evaluated at every point.  The scale of the
+shapes are integrated, linearised about the optimum and re-evaluated at every point.  The scale of the
 noise, its memory and the scatter between logs are coordinates too.  A branch's stiffness is sampled times its
 largest state, and polynomials of a single log about the contact of the optimum: relaxation times and contact
 then move alone.
@@ -25,7 +25,7 @@ from tissueid.inference.engine import Identified
 from tissueid.inference.law import passive_rows, relaxation_states
 from tissueid.inference.noise import Memory, Whitener
 from tissueid.inference.optimum import covariance_of, whitener_of
-from tissueid.inference.prior import Scatter, own_rows, time_bounds
+from tissueid.inference.prior import Scatter, own_precision, time_bounds
 from tissueid.inference.system import MACHINE, Point
 from tissueid.model.kelvin_voigt import STATIC_DEGREE
 from tissueid.priors import CalibrationPrior
@@ -382,14 +382,13 @@ class SpecimenTarget:
             gain=math.exp(x[self.places["ln_gain_sd"]]) if "ln_gain_sd" in self.places else 1.0,
             shape=self.identified.scatter.shape,
         )
-        precision, rows = own_rows(self.system, scatter)
+        precision = own_precision(self.system, scatter)
         begins, columns = self.system.begins, both[:, 1:]
         inner = np.add.reduceat(columns[:, :, None] * columns[:, None, :], begins, axis=0)
         right = np.add.reduceat(columns * both[:, :1], begins, axis=0)
         own = self.optimum.point.own
-        weight = np.einsum("ab,la,ac->lbc", rows, precision, rows)
-        pull = np.einsum("lab,lb->la", weight, own)
-        factor = np.linalg.cholesky(inner + weight)
+        pull = precision * own
+        factor = np.linalg.cholesky(inner + precision[:, :, None] * np.eye(own.shape[1]))
         half = np.linalg.solve(factor, (right - pull)[:, :, None])[:, :, 0]
         value = 0.5 * float((half**2).sum()) - 0.5 * float((own * pull).sum())
         value -= float(np.log(np.diagonal(factor, axis1=1, axis2=2)).sum())
