@@ -34,8 +34,8 @@ BEND = 0.1
 MOST_GROUPS, REFIT_STEPS, OWN_STEPS = 8, 6, 8
 #: Share of its depth at which a ramp has ended, and fewest observations that tell a log's own parameters.
 AT_DEPTH, FEWEST_OF_RAMP = 0.995, 4
-#: Largest force of a branch over the noise with which it counts as seen.
-SEEN = 0.5
+#: Largest force of a branch over the noise with which it counts as seen, and factor between two times.
+SEEN, APART = 0.5, 1.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,11 +177,13 @@ def _parameters(one: Tried) -> int:
 
 
 def resolved(one: Tried, step_s: float) -> bool:
-    """True where no branch is faster than the sampling, nor its force far below the noise."""
+    """True where no branch is faster than the sampling, far below the noise, or as fast as another."""
     point, law, sigma = one.optimum.point, one.system.law, one.optimum.noise.sigma_N
     if one.branches == 1:
         return True
     if float(np.exp(point.log_times.min())) < step_s:
+        return False
+    if float(np.diff(np.sort(point.log_times)).min()) < np.log(APART):
         return False
     columns = law.columns(point.log_times, one.system.path(one.system.travel))
     first, size = columns.shape[1] - one.branches * (one.degree + 1), one.degree + 1
