@@ -17,7 +17,7 @@ from scipy.linalg.lapack import dtbtrs
 
 from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
 
-__all__ = ["KelvinVoigtLaw", "Law", "Path", "passive_rows", "relaxation_states"]
+__all__ = ["KelvinVoigtLaw", "Law", "Path", "Slopes", "passive_rows", "relaxation_states", "sudden_shares"]
 
 FloatArray = NDArray[np.float64]
 
@@ -57,31 +57,34 @@ def relaxation_states(path: Path, value: FloatArray, tau_s: FloatArray) -> Float
     Parameters
     ----------
     path : Path
-    value : ndarray, shape (m,)
-        Basis function of depth along the path.
+    value : ndarray, shape (m,) or (m, c)
+        Basis function of depth along the path, or several.
     tau_s : ndarray, shape (j,)
 
     Returns
     -------
-    ndarray, shape (j, m)
+    ndarray, shape (j, m) or (j, m, c)
     """
-    change = np.empty(value.size)
+    change = np.empty(value.shape)
     change[0] = 0.0
     np.subtract(value[1:], value[:-1], out=change[1:])
     change[path.fresh] = 0.0
-    rate = path.step_s / tau_s[:, None]
-    decay = np.exp(-rate)
-    z = np.maximum(rate * path.share, 1e-12)
-    right = np.expm1(-z)
-    np.divide(right, -z, out=right)
-    right *= change
+    decay = np.exp(-path.step_s / tau_s[:, None])
+    right = sudden_shares(path, tau_s).reshape(tau_s.size, *[-1, 1][: value.ndim]) * change
     right += TINY
-    band = np.ones((2, value.size), order="F")
-    out = np.empty((tau_s.size, value.size))
+    band = np.ones((2, len(value)), order="F")
+    out = np.empty((tau_s.size, *value.shape))
     for j in range(tau_s.size):
         np.negative(decay[j, 1:], out=band[1, :-1])
         out[j] = dtbtrs(band, right[j], uplo="L", diag="U")[0]
     return out
+
+
+def sudden_shares(path: Path, tau_s: FloatArray) -> FloatArray:
+    """Share of a step's change that is left at its end by each relaxation time, shape (j, m)."""
+    z = np.maximum(path.step_s * path.share / tau_s[:, None], 1e-12)
+    right = np.expm1(-z)
+    return np.asarray(np.divide(right, -z, out=right))
 
 
 @lru_cache
@@ -90,6 +93,36 @@ def passive_rows(powers: int) -> FloatArray:
     u = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, PASSIVE_POINTS if powers > 2 else 2))
     rows = u[:, None] ** np.arange(float(powers)) if powers > 1 else np.ones((1, 1))
     return np.asarray(rows / np.linalg.norm(rows, axis=1, keepdims=True))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Slopes:
+    """Derivative of a force along a path by depth over the largest depth [N].
+
+    The force changes by ``direct`` times the change at the same moment, and by ``outer`` times the
+    convolution of the change with each relaxation time.
+
+    Attributes
+    ----------
+    direct : ndarray, shape (m,)
+    outer : ndarray, shape (j, m)
+    tau_s : ndarray, shape (j,)
+    """
+
+    direct: FloatArray
+    outer: FloatArray
+    tau_s: FloatArray
+
+    def sudden(self, path: Path) -> FloatArray:
+        """Change of the force by a change of depth within one step, shape (m,)."""
+        shares = sudden_shares(path, self.tau_s)
+        shares[:, path.fresh] = 0.0
+        return np.asarray(self.direct + (self.outer * shares).sum(axis=0))
+
+    def change(self, path: Path, depth: FloatArray) -> FloatArray:
+        """Changes of the force by changes of depth, (m, c) -> (m, c)."""
+        states = relaxation_states(path, depth, self.tau_s)
+        return np.asarray(self.direct[:, None] * depth + (self.outer[:, :, None] * states).sum(axis=0))
 
 
 class Law(Protocol):
@@ -111,6 +144,10 @@ class Law(Protocol):
 
     def cone(self) -> FloatArray:
         """Rows G with G @ linear >= 0 for passive tissue."""
+        ...
+
+    def slopes(self, log_times: FloatArray, path: Path, linear: FloatArray) -> Slopes:
+        """Answer of the force to small changes of depth along a path."""
         ...
 
 
@@ -149,6 +186,18 @@ class KelvinVoigtLaw:
                 out[:, at] = state if k == 0 else state * out[:, k - 1]
                 at += 1
         return out
+
+    def slopes(self, log_times: FloatArray, path: Path, linear: FloatArray) -> Slopes:
+        """F_s' + sum_j K_j' s_j at once, and K_j through the states."""
+        u, tau = path.depth_mm / self.depth_mm, np.exp(log_times)
+        a, b, c = linear[:STATIC_DEGREE]
+        direct = a + u * (2.0 * b + 3.0 * c * u)
+        rows = linear[STATIC_DEGREE:].reshape(self.branches, self.degree + 1).T
+        outer = np.polynomial.polynomial.polyval(u, rows)
+        if self.degree:
+            bend = np.polynomial.polynomial.polyval(u, np.polynomial.polynomial.polyder(rows))
+            direct = direct + (bend * relaxation_states(path, u, tau)).sum(axis=0)
+        return Slopes(np.asarray(direct), np.asarray(outer), tau)
 
     def cone(self) -> FloatArray:
         """F_s / x and every K_j non-negative on [0, depth]."""

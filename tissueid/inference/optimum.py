@@ -149,7 +149,7 @@ def normal_equations(
         inner = inner + prior.own[:, :, None] * np.eye(q)
         cross = _by_log(system, own[:, :, None] * shared[:, None, :])
         own_gradient = _by_log(system, own * residual[:, None]) - prior.own * point.own
-        inverse = np.linalg.inv(inner)
+        inverse = np.asarray(np.linalg.inv(inner))
         hessian = hessian - np.einsum("lqs,lqr,lrt->st", cross, inverse, cross)
         gradient = gradient - np.einsum("lqs,lqr,lr->s", cross, inverse, own_gradient)
     else:
@@ -200,10 +200,12 @@ def _step(normal: Normal, prior: PriorRows, point: Point, damping: float, frozen
     hessian, gradient, own_inverse = normal.hessian, normal.gradient, normal.own_inverse
     if normal.own.shape[1]:
         inner = np.linalg.inv(own_inverse)
-        own_inverse = np.linalg.inv(inner * (1.0 + damping * np.eye(inner.shape[1])))
+        own_inverse = np.asarray(np.linalg.inv(inner * (1.0 + damping * np.eye(inner.shape[1]))))
         stiffer = normal.own_inverse - own_inverse
         hessian = hessian + np.einsum("lqs,lqr,lrt->st", normal.cross, stiffer, normal.cross)
-        gradient = gradient + np.einsum("lqs,lqr,lr->s", normal.cross, stiffer, normal.own_gradient)
+        gradient = np.asarray(
+            gradient + np.einsum("lqs,lqr,lr->s", normal.cross, stiffer, normal.own_gradient)
+        )
     hessian = hessian + np.diag(damping * np.maximum(np.diag(hessian), FLAT) + frozen + FLAT)
     scale = 1.0 / np.sqrt(np.diag(hessian))
     factor = cho_factor(hessian * scale * scale[:, None] + 1e-13 * np.eye(scale.size))

@@ -77,11 +77,11 @@ def _refreshed(handle: LogHandle) -> LogHandle:
     return replace(handle, facts=log.without_samples())
 
 
-def _surfaces(found: Identified, logs: int) -> list[FreeSurface]:
+def _surfaces(found: Identified) -> list[FreeSurface]:
     """Laws of the surfaces under a fit."""
-    point, effects = found.optimum.point, found.system.effects
+    point = found.optimum.point
     theta = found.law.theta(point.log_times, point.linear)[0]
-    offset = point.own[:, int(effects.gain)] * found.system.depth_mm if effects.contact else np.zeros(logs)
+    offset = found.system.offsets(point) * found.system.depth_mm
     model = found.law.model()
     return [FreeSurface(model, theta, float(by)) for by in offset]
 
@@ -122,7 +122,7 @@ def follow_surfaces(
     change, count = float("inf"), 0
     for count in range(1, MAX_ROUNDS + 1):
         tick(f"free surface, round {count}")
-        surfaces = _surfaces(found, len(current))
+        surfaces = _surfaces(found)
         if count > DAMPED_AFTER:
             pairs = zip(surfaces, current, strict=True)
             surfaces = [_halfway(surface, handle.surface) for surface, handle in pairs]

@@ -204,11 +204,11 @@ def force_along(
 
 def adjustments_of(identified: Identified, handles: Sequence[LogHandle], point: Point) -> list[Adjustment]:
     """Gain and contact of every log."""
-    effects, out = identified.system.effects, []
+    system, out = identified.system, []
+    offsets = system.offsets(point) * system.depth_mm
     for i, handle in enumerate(handles):
-        own, k = point.own[i], int(effects.gain)
-        offset = float(own[k]) * identified.system.depth_mm if effects.contact else 0.0
-        gain = float(np.exp(own[0])) if effects.gain else 1.0
+        offset = float(offsets[i])
+        gain = float(np.exp(point.own[i, 0])) if system.effects.gain else 1.0
         out.append(Adjustment(gain=gain, contact_offset_mm=offset, contact_shift_mm=handle.contact_shift_mm))
     return out
 

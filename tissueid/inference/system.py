@@ -9,14 +9,14 @@ found by iterating from the measured one; the filter is one pole; force lags dis
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dtbtrs
 
 from tissueid.inference.blocks import Blocks
-from tissueid.inference.law import TINY, Law, Path
+from tissueid.inference.law import TINY, Law, Path, Slopes
 
 __all__ = ["MACHINE", "Derivatives", "Effects", "Point", "System"]
 
@@ -27,9 +27,13 @@ IntArray = NDArray[np.int64]
 MACHINE = ("frame_compliance_mm_per_N", "skew_s", "force_filter_s")
 #: Iterations of the frame's deflection: each leaves compliance times stiffness of the error before.
 FRAME_ROUNDS = 1
+#: Iterations until a deflection has settled, and the share of the largest force that it then changes by.
+SETTLING, SETTLED = 12, 1e-7
+#: Share of its depth over which a log's speed at contact is taken.
+ONSET_SHARE = 0.2
 #: Steps of numerical derivatives: ln times, depth over the largest depth, machine in its prior's units.
 STEP_LN, STEP_DEPTH = 1e-5, 1e-6
-STEPS_MACHINE = np.array([1e-7, 1e-7, 1e-7])
+STEP_MACHINE, STEP_FORCE = 1e-6, 1e-6
 #: Coefficients of a log's shape: ln gain at the surface and at half depth, beside that at the largest depth.
 SHAPE = 2
 #: A filter shorter than this share of the shortest step is none.
@@ -101,6 +105,22 @@ def _shape(u: FloatArray) -> FloatArray:
     return np.column_stack([left * left, 2.0 * u * left])
 
 
+def _onset(log: Blocks) -> float:
+    """Speed at which a tool meets the tissue [mm/s]; 0 where the log begins in contact."""
+    if log.depth_mm[0] >= 0.0:
+        return 0.0
+    first = int(np.argmax(log.depth_mm > 0.0))
+    last = first + int(np.argmax(log.depth_mm[first:] >= ONSET_SHARE * log.depth_mm.max()))
+    begins = max(first - 1, 0)
+    time = float(log.time_s[last] - log.time_s[begins])
+    return max(float(log.depth_mm[last] - log.depth_mm[begins]) / time, 0.0) if time > 0.0 else 0.0
+
+
+def _bend(u: FloatArray) -> FloatArray:
+    """Derivatives of :func:`_shape`, (m, 2)."""
+    return np.column_stack([2.0 * (u - 1.0), 2.0 - 4.0 * u])
+
+
 class System:
     """Blocks of all logs, laid one behind the other.
 
@@ -151,6 +171,8 @@ class System:
         self.peaks = np.array([float(np.abs(one.force_N).max()) for one in logs])
         # force at all points, from which the frame's deflection is iterated: measured, then predicted
         self.guess = np.concatenate([np.interp(one.time_s, one.mid_s, one.force_N) for one in logs])
+        self.soft = np.ones(self.guess.size)
+        self.onset = np.array([_onset(one) for one in logs]) / depth_mm
 
     def under(self, law: Law) -> System:
         """The same logs under another law."""
@@ -221,11 +243,19 @@ class System:
         change[self.fresh - 1] = 0.0
         return np.asarray(force + share[shape] * change)
 
+    def offsets(self, point: Point) -> FloatArray:
+        """Contact offset of each log over the largest depth, (logs,).
+
+        A contact that was found in the force was found as late as the force was recorded.
+        """
+        late = -self.onset * (point.machine[1] + point.machine[2])
+        if self.effects.contact:
+            late = late + point.own[:, int(self.effects.gain)]
+        return np.asarray(late)
+
     def contact(self, point: Point) -> FloatArray:
-        """Contact offset of the log of each point over the largest depth, (m,) or (1,)."""
-        if not self.effects.contact:
-            return np.zeros(1)
-        return np.asarray(point.own[self.point_log, int(self.effects.gain)])
+        """Contact offset of the log of each point over the largest depth, (m,)."""
+        return np.asarray(self.offsets(point)[self.point_log])
 
     def gain(self, point: Point, u: FloatArray) -> FloatArray:
         """Gain of each point at depths over the largest depth, (m,) or (1,)."""
@@ -237,43 +267,87 @@ class System:
             ln_gain = ln_gain + (own * _shape(u)).sum(axis=1)
         return np.asarray(np.exp(ln_gain))
 
-    def tip_force(
-        self, point: Point, shift: float = 0.0, rounds: int = FRAME_ROUNDS
-    ) -> tuple[FloatArray, FloatArray]:
+    def _behind(self, point: Point, force: FloatArray) -> FloatArray:
+        """Depths over the largest depth, behind a frame that gives way to a force at the tip."""
+        depth = self.travel - self.contact(point)
+        if point.machine[0] != 0.0:
+            depth = depth - point.machine[0] / self.depth_mm * force
+        if self.give is not None:
+            depth = depth - self.give(force) / self.depth_mm
+        return np.asarray(depth)
+
+    def _yields(self, point: Point) -> bool:
+        """True where the frame gives way."""
+        return bool(point.machine[0] != 0.0) or self.give is not None
+
+    def tip_force(self, point: Point, rounds: int = FRAME_ROUNDS) -> tuple[FloatArray, FloatArray]:
         """Force at the tip at all points, and the columns that it is made of, gains in them.
 
         Parameters
         ----------
         point : Point
-        shift : float
-            Added to every depth (over the largest depth), for derivatives by the contact.
         rounds : int
             Iterations of the frame's deflection beyond the first.
         """
-        contact = self.contact(point)
-        compliance = point.machine[0] / self.depth_mm
-        depth = self.travel - contact + shift
-        stiff = compliance == 0.0 and self.give is None
-        rounds = 0 if stiff else rounds
-        force = self.guess
-        for left in range(rounds, -1, -1):
-            behind = depth
-            if not stiff:
-                behind = depth - compliance * force
-                if self.give is not None:
-                    behind = behind - self.give(force) / self.depth_mm
-            path = self.path(behind)
+        yields, force = self._yields(point), self.guess
+        for _ in range(1 + rounds * yields):
+            path = self.path(self._behind(point, force))
             columns = self.law.columns(point.log_times, path)
             columns *= self.gain(point, path.depth_mm / self.depth_mm)[:, None]
-            force = columns @ point.linear
-            if left == 0:
-                break
+            found = columns @ point.linear
+            # what the frame gives way to on the way there
+            force = force + self.soft * (found - force) if yields else found
         return force, columns
 
     def predict(self, point: Point) -> FloatArray:
         """Forces of the observations, shape (k,) [N]."""
         force, _ = self.tip_force(point)
         return self.means(self.recorded(force, point.machine))
+
+    def follow(self, point: Point) -> None:
+        """Iterate the frame's deflection from this point's force from now on."""
+        for _ in range(SETTLING if self._yields(point) else 1):
+            before, self.guess = self.guess, self.tip_force(point)[0]
+            if float(np.abs(self.guess - before).max()) <= SETTLED * float(np.abs(self.guess).max()):
+                break
+        if self._yields(point):
+            path = self.path(self._behind(point, self.guess))
+            self.soft = 1.0 / (1.0 + self._compliance(point) * self._slopes(point, path).sudden(path))
+
+    def _compliance(self, point: Point) -> FloatArray:
+        """Deflection of the frame over the largest depth by a force at the tip [1/N], (m,)."""
+        out = np.full(self.guess.size, point.machine[0] / self.depth_mm)
+        if self.give is not None:
+            step = STEP_FORCE * max(float(np.abs(self.guess).max()), 1e-300)
+            out += (self.give(self.guess + step) - self.give(self.guess)) / (step * self.depth_mm)
+        return out
+
+    def _slopes(self, point: Point, path: Path) -> Slopes:
+        """Answer of the force to changes of depth, gains in it; none in air."""
+        u = path.depth_mm / self.depth_mm
+        slopes, gain = self.law.slopes(point.log_times, path, point.linear), self.gain(point, u)
+        direct = gain * slopes.direct
+        if self.effects.shape:
+            own = point.own[self.point_log, -SHAPE:]
+            direct = direct + (own * _bend(u)).sum(axis=1) * self.guess
+        touching = u > 0.0
+        return Slopes(np.where(touching, direct, 0.0), slopes.outer * (gain * touching), slopes.tau_s)
+
+    def _given_way(self, point: Point, path: Path, columns: FloatArray) -> FloatArray:
+        """Changes of the force that are left of ``columns``, the frame giving way to them."""
+        slopes, compliance = self._slopes(point, path), self._compliance(point)[:, None]
+        sudden = slopes.sudden(path)[:, None]
+        soft = 1.0 / (1.0 + compliance * sudden)
+        size = np.abs(columns).max(axis=0)
+        out = soft * columns
+        for _ in range(SETTLING):
+            deeper = compliance * out
+            deeper[path.depth_mm <= 0.0] = 0.0
+            new = soft * (columns - slopes.change(path, deeper) + sudden * deeper)
+            error, out = np.abs(new - out).max(axis=0), new
+            if (error <= SETTLED * size).all():
+                break
+        return np.asarray(out)
 
     def near(self, point: Point, by_contact: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
         """Forces near the point whose force the frame's deflection is iterated from, and own derivatives.
@@ -291,23 +365,17 @@ class System:
         base, _ = self.tip_force(point, rounds=0)
         if by_contact is None:
             return self.means(self.recorded(base, point.machine)), np.zeros((self.force.size, 0))
-        parts = [base]
+        parts, soft = [base], self.soft if self._yields(point) else 1.0
         if self.effects.gain:
-            parts.append(base)
+            parts.append(soft * base)
         if self.effects.shape:
-            parts += list((base[:, None] * self._shapes(point, base)).T)
+            shapes = _shape(np.maximum(self._behind(point, base), 0.0))
+            parts += list(soft * base * shapes.T)
         found = self.means(self.recorded(np.column_stack(parts), point.machine))
         first = 1 + int(self.effects.gain)
         own = [found[:, 1:first]]
         own += [by_contact[:, None]] if self.effects.contact else []
         return found[:, 0], np.hstack([*own, found[:, first:]])
-
-    def _shapes(self, point: Point, force: FloatArray) -> FloatArray:
-        """Basis of the logs' shapes at all points, under a force at the tip; (m, 2)."""
-        depth = self.travel - self.contact(point) - point.machine[0] / self.depth_mm * force
-        if self.give is not None:
-            depth = depth - self.give(force) / self.depth_mm
-        return _shape(np.maximum(depth, 0.0))
 
     def derivatives(self, point: Point, *, machine: bool, follow: bool = False) -> Derivatives:
         """Forces with their derivatives.
@@ -320,35 +388,57 @@ class System:
         follow : bool
             Iterate the frame's deflection from this point's force from now on.
         """
-        base, columns = self.tip_force(point)
         if follow:
-            self.guess = base
-            base, columns = self.tip_force(point)
-        force = self.means(self.recorded(base, point.machine))
-        stiff = point.machine[0] != 0.0
-        shared = np.zeros((force.size, self.size))
-        t = self.law.times
-        for j in range(t):
+            self.follow(point)
+        base, columns = self.tip_force(point)
+        behind = self._behind(point, base)
+        path = self.path(behind)
+        gain = self.gain(point, path.depth_mm / self.depth_mm)
+        parts = []
+        for j in range(self.law.times):
             times = point.log_times.copy()
             times[j] += STEP_LN
-            moved = self.predict(replace(point, log_times=times))
-            shared[:, j] = (moved - force) / STEP_LN
+            moved = gain * (self.law.columns(times, path) @ point.linear)
+            parts.append((moved - columns @ point.linear)[:, None] / STEP_LN)
+        by_force = -(base / self.depth_mm)[:, None]
+        by_force[path.depth_mm <= 0.0] = 0.0
+        parts += [self._slopes(point, path).change(path, by_force)] if machine else [np.zeros((base.size, 1))]
+        by_contact = self._by_contact(point, behind)
+        late = -self.onset[self.point_log][:, None] * by_contact
+        parts += [late if machine else np.zeros((base.size, 1)), columns]
+        parts += self._by_own(base, behind, by_contact)
+        tip = np.hstack(parts)
+        if self._yields(point):
+            tip = self._given_way(point, path, tip)
+        found = self.means(self.recorded(np.column_stack([base, tip]), point.machine))
+        t = self.law.times
+        last = t + 3 + self.law.linear
+        shared = np.zeros((self.force.size, self.size))
+        shared[:, : t + 1], shared[:, t + 3 :] = found[:, 1 : t + 2], found[:, t + 3 : last]
         if machine:
-            for j, step in enumerate(STEPS_MACHINE):
+            for j in (1, 2):
                 other = point.machine.copy()
-                other[j] += step
-                shared[:, t + j] = (self.predict(replace(point, machine=other)) - force) / step
-        by_depth = (self.tip_force(point, STEP_DEPTH)[0] - base) / STEP_DEPTH
-        # a frame gives way to what a coefficient adds; the memory of that is of second order
-        give = 1.0 / (1.0 + point.machine[0] / self.depth_mm * by_depth) if stiff else np.ones(1)
-        shared[:, t + 3 :] = self.means(self.recorded(give[:, None] * columns, point.machine))
-        own = np.zeros((force.size, self.effects.size))
-        k = 0
+                other[j] += STEP_MACHINE
+                moved = self.means(self.recorded(base, other))
+                shared[:, t + j] = (moved - found[:, 0]) / STEP_MACHINE + found[:, t + 2]
+        return Derivatives(found[:, 0], shared, found[:, last:])
+
+    def _by_contact(self, point: Point, behind: FloatArray) -> FloatArray:
+        """Derivative of the force at the tip by the contact offset, the frame held; (m, 1)."""
+        forces = []
+        for depth in (behind, behind + STEP_DEPTH):
+            path = self.path(depth)
+            gain = self.gain(point, path.depth_mm / self.depth_mm)
+            forces.append(gain * (self.law.columns(point.log_times, path) @ point.linear))
+        return np.asarray((forces[0] - forces[1])[:, None] / STEP_DEPTH)
+
+    def _by_own(self, base: FloatArray, behind: FloatArray, by_contact: FloatArray) -> list[FloatArray]:
+        """Derivatives of the force at the tip by what is a log's own, the frame held; (m, c) each."""
+        out = []
         if self.effects.gain:
-            own[:, 0], k = self.means(self.recorded(give * base, point.machine)), 1
+            out.append(base[:, None])
         if self.effects.contact:
-            own[:, k], k = -self.means(self.recorded(by_depth, point.machine)), k + 1
+            out.append(by_contact)
         if self.effects.shape:
-            shapes = (give * base)[:, None] * self._shapes(point, base)
-            own[:, k:] = self.means(self.recorded(shapes, point.machine))
-        return Derivatives(force, shared, own)
+            out.append(base[:, None] * _shape(np.maximum(behind, 0.0)))
+        return out

@@ -1,0 +1,366 @@
+"""Calibration and alarms of ``tissueid fit`` on tissues and machines as laboratories have them.
+
+Every specimen is drawn, recorded by :mod:`field_simulator`, and identified by the public interface with its
+default options: nothing of the truth is told.  Specimens are taken case by case in turn, so that a run that
+is stopped has the same number of each; records are kept, and a second call goes on where the first ended.
+
+    python benchmarks/field.py [--kind calibration|forms|mechanisms|all] [--specimens 200]
+                               [--cases NAME ...] [--minutes M] [--records FILE] [--json]
+
+Calibration: truths inside 95 % intervals, bias and spread in units of the interval's own deviation, error of
+tau, and orders.  Forms: laws that are not the paper's.  Mechanisms: flags that are raised, and false ones.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from field_simulator import Log, Machine, Tissue, recorded
+from threadpoolctl import threadpool_limits
+
+PROGRAM = (
+    Log(4.0, 1.0),
+    Log(8.0, 250.0 / 60.0),
+    Log(8.0, 500.0 / 60.0),
+    Log(4.0, 250.0 / 60.0, 3.0),
+    Log(8.0, 250.0 / 60.0, 3.0),
+    Log(8.0, 250.0 / 60.0, 3.0),
+)
+HOLDS = tuple(Log(6.0, 4.0, 6.0) for _ in range(6))
+PLAIN = Machine(sigma_N=0.5)
+#: Coefficient of variation of sites, and standard deviation of contact points [mm].
+SITES, CONTACT_MM = 0.02, 0.02
+#: Depth at which viscosity is quoted, over the largest.
+HALF = 0.5
+NORMAL_95 = 1.96
+
+
+@dataclass(frozen=True)
+class Specimen:
+    """Logs with their tissue and machine; what is true of the order, and which flag is due."""
+
+    tissue: Tissue
+    logs: tuple[Log, ...]
+    machine: Machine
+    order: tuple[int, int] | None = None
+    tissues: tuple[Tissue, ...] = ()
+
+
+Maker = Callable[[np.random.Generator], Specimen]
+
+
+def _tissue(
+    rng: np.random.Generator, *, rows: tuple[tuple[float, ...], ...], tau: tuple[float, ...]
+) -> Tissue:
+    """A tissue near the middle of its kind."""
+    size = float(np.exp(rng.normal(0.0, 0.15)))
+    static = (20.0 * size, -1.2 * size, 0.35 * size)
+    scaled = tuple(tuple(size * k for k in row) for row in rows)
+    times = tuple(float(t * np.exp(rng.normal(0.0, 0.3))) for t in tau)
+    return Tissue(static, scaled, times)
+
+
+def _sites(rng: np.random.Generator, logs: tuple[Log, ...], cv: float = SITES) -> tuple[Log, ...]:
+    return tuple(
+        replace(log, gain=float(np.exp(rng.normal(0.0, cv))), offset_mm=float(rng.normal(0.0, CONTACT_MM)))
+        for log in logs
+    )
+
+
+def _case(
+    rows: tuple[tuple[float, ...], ...] = ((30.0, 4.0),),
+    tau: tuple[float, ...] = (0.3,),
+    logs: tuple[Log, ...] = PROGRAM,
+    machine: Callable[[np.random.Generator], Machine] = lambda _: PLAIN,
+    each: Callable[[int, Log], Log] = lambda _, log: log,
+    **changes: Any,
+) -> Maker:
+    """Maker of specimens of one kind."""
+    order = (len(tau), len(rows[0]) - 1)
+
+    def make(rng: np.random.Generator) -> Specimen:
+        tissue = replace(_tissue(rng, rows=rows, tau=tau), **changes)
+        own = tuple(each(i, log) for i, log in enumerate(_sites(rng, logs)))
+        return Specimen(tissue, own, machine(rng), None if changes else order)
+
+    return make
+
+
+def _unstated(rng: np.random.Generator) -> Machine:
+    """An ordinary machine of which nothing was stated."""
+    stiffness = float(np.exp(rng.uniform(np.log(300.0), np.log(5000.0))))
+    return replace(
+        PLAIN,
+        compliance_mm_per_N=1.0 / stiffness,
+        filter_s=float(rng.uniform(0.0, 0.008)),
+        skew_s=float(rng.normal(0.0, 0.0015)),
+    )
+
+
+def _drifting(i: int, log: Log) -> Log:
+    return replace(log, gain=log.gain * (1.0 + 0.03 * (i - (len(PROGRAM) - 1) / 2.0)))
+
+
+CALIBRATION: dict[str, Maker] = {
+    "plain": _case(),
+    "constant K": _case(rows=((60.0,),)),
+    "rounded corners": _case(machine=lambda _: replace(PLAIN, rounding_s=0.06)),
+    "unstated machine": _case(machine=_unstated),
+    "K of degree 1 at the edge": _case(rows=((0.0, 12.0),)),
+    "K of degree 2 at the edge": _case(rows=((48.0, -24.0, 3.0),)),
+    "quantum 0.1 N": _case(machine=lambda _: replace(PLAIN, sigma_N=0.02, quantum_N=0.1)),
+    "one log": _case(logs=HOLDS[:1]),
+    "two logs": _case(logs=HOLDS[:2]),
+    "three logs": _case(logs=HOLDS[:3]),
+    "hold of 0.3 tau": _case(
+        rows=((60.0,),), tau=(5.0,), logs=tuple(replace(one, hold_s=1.5) for one in PROGRAM)
+    ),
+    "two branches": _case(rows=((60.0,), (20.0,)), tau=(0.1, 1.5), logs=(*PROGRAM, *HOLDS[:2])),
+    "drift of 3 % a log": _case(each=_drifting),
+}
+FORMS: dict[str, Maker] = {
+    "quasi-linear": _case(inside=True, tau=(1.0,), rows=((30.0,),), logs=(*PROGRAM[:3], *HOLDS[:3])),
+    "power law": _case(power=0.2, rows=((60.0,),), logs=(*PROGRAM[:3], *HOLDS[:3])),
+}
+
+
+def _base(depth: np.ndarray, force: np.ndarray) -> np.ndarray:
+    """A rigid base 9 mm below the surface."""
+    return force / (1.0 - np.clip(depth / 9.0, 0.0, 0.95)) ** 3
+
+
+def _stick_slip(depth: np.ndarray, force: np.ndarray) -> np.ndarray:
+    """Friction that builds up over 0.6 mm of travel and lets go, 8 % of the force."""
+    phase = np.mod(np.maximum(depth, 0.0), 0.6) / 0.6
+    return force * (1.0 + 0.08 * (phase - 0.5))
+
+
+def _first(i: int, log: Log) -> Log:
+    return replace(log, gain=log.gain * (1.2 if i == 0 else 1.0))
+
+
+def _damaged(i: int, log: Log) -> Log:
+    return replace(log, gain=log.gain * 0.95**i)
+
+
+def _all_bent(bent: Any) -> Callable[[int, Log], Log]:
+    return lambda _, log: replace(log, bent=bent)
+
+
+#: Makers with the flags of which one is due.
+MECHANISMS: dict[str, tuple[Maker, tuple[str, ...]]] = {
+    "none": (_case(logs=HOLDS), ()),
+    "first push 20 % stiffer": (
+        _case(logs=HOLDS, each=_first),
+        ("order_effect", "first_push", "gain_spread"),
+    ),
+    "damage of 5 % a push": (_case(logs=HOLDS, each=_damaged), ("order_effect", "gain_spread")),
+    "rigid base": (_case(each=_all_bent(_base)), ("discrepancy", "misfit")),
+    "stick-slip": (_case(logs=HOLDS, each=_all_bent(_stick_slip)), ("discrepancy", "misfit", "slip")),
+}
+FALSE_ALARMS = ("discrepancy", "misfit", "order_effect", "first_push", "gain_spread", "slip")
+
+
+def _identified(specimen: Specimen, rng: np.random.Generator, seed: int) -> dict[str, Any]:
+    """Document of a specimen, fitted as by default."""
+    from tissueid.inference.specimen import FitOptions
+    from tissueid.pipeline import IdentifyOptions, PosteriorOptions, identify
+    from tissueid.trial import Trial
+
+    trials = [Trial("field", *recorded(specimen.tissue, log, specimen.machine, rng)) for log in specimen.logs]
+    options = IdentifyOptions(fit=FitOptions(), posterior=PosteriorOptions(seed=seed), seed=seed)
+    return identify(trials, options=options).as_json()["specimens"][0]
+
+
+def _truths(tissue: Tissue, depth_mm: float) -> dict[str, float]:
+    """True parameters by the names of ``identification.json``, branches by ascending relaxation time."""
+    found = {f"static_{k}_N_per_mm{'' if k == 1 else k}": tissue.static[k - 1] for k in (1, 2, 3)}
+    for j, at in enumerate(np.argsort(tissue.tau_s)):
+        suffix, row = "" if j == 0 else f"_b{j + 1}", tissue.stiffness[at]
+        for k, value in enumerate(row):
+            found[f"stiffness_{k}_N_per_mm{'' if k == 0 else k + 1}{suffix}"] = value
+        found[f"relaxation_time_s{suffix}"] = tissue.tau_s[at]
+        here = sum(k * (HALF * depth_mm) ** i for i, k in enumerate(row))
+        found[f"viscosity_N_s_per_mm{suffix}"] = tissue.tau_s[at] * here
+    return found
+
+
+def _relaxed(tissue: Tissue, at: dict[str, Any]) -> float:
+    """Share of the peak that the true tissue loses after a ramp."""
+    exact = Machine(sigma_N=0.0, rate_Hz=1000.0, decimals=12)
+    log = Log(at["depth_mm"], at["speed_mm_s"], at["time_s"] + 0.1)
+    time_s, _, force = recorded(tissue, log, exact, np.random.default_rng(0))
+    peak = float(np.interp(log.depth_mm / log.speed_mm_s + 0.6, time_s, force))
+    later = float(np.interp(log.depth_mm / log.speed_mm_s + 0.6 + at["time_s"], time_s, force))
+    return 1.0 - later / peak
+
+
+def _judged(specimen: Specimen, document: dict[str, Any]) -> dict[str, Any]:
+    """What of a document is right."""
+    depth = float(document["validity"]["depth_mm"]) if "depth_mm" in document["validity"] else 8.0
+    truths = _truths(specimen.tissue, depth) if specimen.order else {}
+    model = document["model"]
+    found = (model["branches"], model["stiffness_degree"])
+    codes = sorted({flag["code"] for flag in document["flags"]})
+    rows: dict[str, Any] = {}
+    for one in document["parameters"]:
+        truth, value, total = truths.get(one["name"]), one["value"], one["ci95_total"]
+        if truth is None or value is None or total is None or found != specimen.order:
+            continue
+        sd = max((total[1] - total[0]) / 3.92, 1e-300)
+        rows[one["name"]] = {
+            "z": (value - truth) / sd,
+            "in": one["ci95"][0] <= truth <= one["ci95"][1],
+            "in_total": total[0] <= truth <= total[1],
+            "error": (value - truth) / truth if truth else None,
+        }
+    shares = [
+        one for one in document["quoted"]["model"]
+        if one["name"] == "fraction_relaxed" and one["at"]["path"] == "ramp" and one["at"]["time_s"] == 1.0
+    ]  # fmt: skip
+    share = None
+    if shares and shares[0]["value"] is not None:
+        truth = _relaxed(specimen.tissue, shares[0]["at"])
+        share = {
+            "value": shares[0]["value"],
+            "truth": truth,
+            "z": (shares[0]["value"] - truth) / shares[0]["stderr"],
+        }
+    tau = next(one for one in document["parameters"] if one["name"] == "relaxation_time_s")
+    return {
+        "order": list(found),
+        "truth": None if specimen.order is None else list(specimen.order),
+        "flags": codes,
+        "parameters": rows,
+        "share": share,
+        "tau_error": None
+        if tau["value"] is None or not specimen.order
+        else tau["value"] / min(specimen.tissue.tau_s) - 1.0,
+        "tau_identified": bool(tau["identified"]),
+    }
+
+
+def records(names: dict[str, Maker], count: int, path: Path, minutes: float) -> Iterator[dict[str, Any]]:
+    """Records of specimens, those that stand in a file first; new ones are appended to it."""
+    known = {}
+    if path.exists():
+        for line in path.read_text(encoding="utf-8").splitlines():
+            one = json.loads(line)
+            known[one["case"], one["number"]] = one
+    until = time.monotonic() + 60.0 * minutes
+    for number in range(count):
+        for name, make in names.items():
+            one = known.get((name, number))
+            if one is None:
+                if time.monotonic() > until:
+                    continue
+                # a seed of its own: the same specimen in whatever order they are drawn
+                rng = np.random.default_rng([20261125, number, *name.encode()])
+                specimen, started = make(rng), time.process_time()
+                document = _identified(specimen, rng, number)
+                one = {"case": name, "number": number, **_judged(specimen, document)}
+                one["cpu_s"] = time.process_time() - started
+                with path.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(one) + "\n")
+            yield one
+
+
+def _share(values: list[bool]) -> str:
+    return f"{100.0 * float(np.mean(values)):5.1f}" if values else "    -"
+
+
+def _middle(values: list[float]) -> str:
+    """Median in percent."""
+    return f"{100.0 * float(np.median(values)):.2f}" if values else "-"
+
+
+def calibration_lines(found: list[dict[str, Any]]) -> Iterator[str]:
+    """Tables of one case after another."""
+    for name in dict.fromkeys(one["case"] for one in found):
+        mine = [one for one in found if one["case"] == name]
+        right = [one["order"] == one["truth"] for one in mine]
+        open_ = ["model_undecided" in one["flags"] and one["order"] != one["truth"] for one in mine]
+        wrong = [not r and not u for r, u in zip(right, open_, strict=True)]
+        errors = [abs(one["tau_error"]) for one in mine if one["tau_error"] is not None]
+        false = [bool({"misfit", "discrepancy"} & set(one["flags"])) for one in mine]
+        yield (
+            f"{name}: {len(mine)} specimens, order right {_share(right)} %, undecided {_share(open_)} %, "
+            f"wrong {_share(wrong)} %; median error of tau {_middle(errors)} %; "
+            f"false alarms {_share(false)} %; {np.median([one['cpu_s'] for one in mine]):.1f} s a specimen"
+        )
+        names = dict.fromkeys(key for one in mine for key in one["parameters"])
+        for key in names:
+            rows = [one["parameters"][key] for one in mine if key in one["parameters"]]
+            z = np.array([row["z"] for row in rows])
+            yield (
+                f"  {key:32} n {len(rows):4d}  ci95 {_share([row['in'] for row in rows])}  total "
+                f"{_share([row['in_total'] for row in rows])}  bias {np.mean(z):+.2f}  sd {np.std(z):.2f}"
+            )
+        shares = [one["share"]["z"] for one in mine if one["share"]]
+        if shares:
+            inside = _share([abs(z) < NORMAL_95 for z in shares])
+            yield f"  {'relaxed 1 s after a ramp':32} n {len(shares):4d}  ci95 {inside}"
+
+
+def form_lines(found: list[dict[str, Any]]) -> Iterator[str]:
+    """Laws that are not the paper's."""
+    for name in dict.fromkeys(one["case"] for one in found):
+        mine = [one for one in found if one["case"] == name]
+        shares = [one["share"]["z"] for one in mine if one["share"]]
+        off = [abs(one["share"]["value"] - one["share"]["truth"]) for one in mine if one["share"]]
+        yield (
+            f"{name}: {len(mine)} specimens, share relaxed inside its interval "
+            f"{_share([abs(z) < NORMAL_95 for z in shares])} %, off by {_middle(off)} points; tau identified "
+            f"{_share([one['tau_identified'] for one in mine])} %; flags "
+            + ", ".join(
+                f"{code} {_share([code in one['flags'] for one in mine])} %"
+                for code in ("form_dependent", "discrepancy", "misfit", "model_undecided")
+            )
+        )
+
+
+def mechanism_lines(found: list[dict[str, Any]]) -> Iterator[str]:
+    """Flags that are raised, and false ones."""
+    for name in dict.fromkeys(one["case"] for one in found):
+        mine, due = [one for one in found if one["case"] == name], MECHANISMS[name][1]
+        wanted = due or FALSE_ALARMS
+        hit = [bool(set(wanted) & set(one["flags"])) for one in mine]
+        each = ", ".join(f"{code} {_share([code in one['flags'] for one in mine])}" for code in FALSE_ALARMS)
+        yield f"{name}: {len(mine)} specimens, {'named' if due else 'false'} {_share(hit)} %  ({each})"
+
+
+KINDS: dict[str, tuple[dict[str, Maker], Callable[[list[dict[str, Any]]], Iterator[str]]]] = {
+    "calibration": (CALIBRATION, calibration_lines),
+    "forms": (FORMS, form_lines),
+    "mechanisms": ({name: one[0] for name, one in MECHANISMS.items()}, mechanism_lines),
+}
+
+
+def main() -> None:
+    """Run what was asked for."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--kind", choices=(*KINDS, "all"), default="all")
+    parser.add_argument("--specimens", type=int, default=200)
+    parser.add_argument("--cases", nargs="*", help="names of cases; all without")
+    parser.add_argument("--minutes", type=float, default=480.0, help="no specimen is begun after so long")
+    parser.add_argument("--records", type=Path, default=Path("field-records.jsonl"))
+    parser.add_argument("--json", action="store_true", help="print records instead of tables")
+    asked = parser.parse_args()
+    for kind, (makers, lines) in KINDS.items():
+        if asked.kind not in (kind, "all"):
+            continue
+        names = {name: one for name, one in makers.items() if not asked.cases or name in asked.cases}
+        with threadpool_limits(1):
+            found = list(records(names, asked.specimens, asked.records, asked.minutes))
+        print(json.dumps(found) if asked.json else "\n".join([kind, *lines(found)]), flush=True)
+
+
+if __name__ == "__main__":
+    main()
