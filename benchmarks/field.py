@@ -116,9 +116,9 @@ CALIBRATION: dict[str, Maker] = {
     "K of degree 1 at the edge": _case(rows=((0.0, 12.0),)),
     "K of degree 2 at the edge": _case(rows=((48.0, -24.0, 3.0),)),
     "quantum 0.1 N": _case(machine=lambda _: replace(PLAIN, sigma_N=0.02, quantum_N=0.1)),
-    "one log": _case(logs=HOLDS[:1]),
-    "two logs": _case(logs=HOLDS[:2]),
-    "three logs": _case(logs=HOLDS[:3]),
+    "one log": _case(rows=((60.0,),), logs=HOLDS[:1]),
+    "two logs": _case(rows=((60.0,),), logs=HOLDS[:2]),
+    "three logs": _case(rows=((60.0,),), logs=HOLDS[:3]),
     "hold of 0.3 tau": _case(
         rows=((60.0,),), tau=(5.0,), logs=tuple(replace(one, hold_s=1.5) for one in PROGRAM)
     ),
