@@ -39,8 +39,6 @@ FloatArray = NDArray[np.float64]
 
 MAX_BRANCHES, MAX_DEGREE = 3, 2
 POOLINGS = ("scaled", "partial", "shared")
-#: Iterations of the frame's deflection along all samples.
-DEFLECTED = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,8 +194,7 @@ def force_along(
     blocks = blocks_of(handle, log, whole=True)
     system = System([blocks], identified.law, identified.system.depth_mm, identified.system.effects)
     own = replace(point, own=point.own[index : index + 1])
-    for _ in range(DEFLECTED):
-        system.guess = system.tip_force(own)[0]
+    system.follow(own)
     force = system.recorded(system.tip_force(own)[0], own.machine)
     return np.asarray(force[force.size - log.data.time_s.size :])
 

@@ -28,7 +28,9 @@ MACHINE = ("frame_compliance_mm_per_N", "skew_s", "force_filter_s")
 #: Iterations of the frame's deflection: each leaves compliance times stiffness of the error before.
 FRAME_ROUNDS = 1
 #: Iterations until a deflection has settled, and the share of the largest force that it then changes by.
-SETTLING, SETTLED = 12, 1e-7
+SETTLING, SETTLED, UNSETTLED = 12, 1e-7, 1e-2
+#: Depths over the largest depth behind a frame; what lies beyond is no deflection.
+FARTHEST = 2.0
 #: Share of its depth over which a log's speed at contact is taken.
 ONSET_SHARE = 0.2
 #: Steps of numerical derivatives: ln times, depth over the largest depth, machine in its prior's units.
@@ -274,7 +276,7 @@ class System:
             depth = depth - point.machine[0] / self.depth_mm * force
         if self.give is not None:
             depth = depth - self.give(force) / self.depth_mm
-        return np.asarray(depth)
+        return np.asarray(np.clip(depth, -FARTHEST, FARTHEST))
 
     def _yields(self, point: Point) -> bool:
         """True where the frame gives way."""
@@ -306,13 +308,21 @@ class System:
 
     def follow(self, point: Point) -> None:
         """Iterate the frame's deflection from this point's force from now on."""
-        for _ in range(SETTLING if self._yields(point) else 1):
-            before, self.guess = self.guess, self.tip_force(point)[0]
-            if float(np.abs(self.guess - before).max()) <= SETTLED * float(np.abs(self.guess).max()):
-                break
-        if self._yields(point):
+        if not self._yields(point):
+            self.guess = self.tip_force(point)[0]
+            return
+        start = self.guess
+        for _ in range(SETTLING):
             path = self.path(self._behind(point, self.guess))
-            self.soft = 1.0 / (1.0 + self._compliance(point) * self._slopes(point, path).sudden(path))
+            stiffness = np.maximum(self._slopes(point, path).sudden(path), 0.0)
+            self.soft = 1.0 / (1.0 + self._compliance(point) * stiffness)
+            before, self.guess = self.guess, self.tip_force(point)[0]
+            moved = float(np.abs(self.guess - before).max()) / max(float(np.abs(self.guess).max()), 1e-300)
+            if moved <= SETTLED:
+                break
+        else:
+            # of a point without a settled deflection nothing is kept
+            self.guess = self.guess if moved <= UNSETTLED else start
 
     def _compliance(self, point: Point) -> FloatArray:
         """Deflection of the frame over the largest depth by a force at the tip [1/N], (m,)."""

@@ -40,8 +40,8 @@ FloatArray = NDArray[np.float64]
 SMOOTHING_BRANCHES, SMOOTHING_DEGREE = 2, 2
 #: Unloading is smoothed by the mean of so many samples: it takes part in no fit unless that is asked for.
 UNLOADING_SAMPLES = 11
-#: Starts of the fit, each from the deflection that the one before found; and iterations of it along samples.
-ROUNDS, DEFLECTED = 2, 4
+#: Starts of the fit, each from the deflection that the one before found.
+ROUNDS = 2
 #: A force this many times the largest calibrated one can't be corrected.
 BEYOND_LIMIT = 1.5
 
@@ -156,8 +156,7 @@ def _corrected(
         [blocks_of(handle, log, whole=True)], system.law, system.depth_mm, system.effects, give=system.give
     )
     own = replace(point, own=point.own[index : index + 1])
-    for _ in range(DEFLECTED):
-        alone.guess = alone.tip_force(own)[0]
+    alone.follow(own)
     expected = alone.guess[alone.guess.size - log.data.time_s.size + int(log.inserted) :]
     measured = handle.segmentation.force_sign * (trial.force_N - contact.baseline_N)
     # the tool is in air before contact
