@@ -228,7 +228,7 @@ def chosen_among(
         mean, error = _gain(best, one)
         if one is best or mean <= max(STANDARD_ERRORS * error, NO_GAIN):
             as_good.append(one)
-    chosen = min(as_good, key=lambda one: (_parameters(one), one.branches))
+    chosen = min(as_good, key=lambda one: (_parameters(one), _gain(best, one)[0], one.branches))
     table = []
     for one in sorted(tried, key=lambda one: (one.branches, one.degree)):
         mean, error = _gain(best, one)

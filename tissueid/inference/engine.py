@@ -34,6 +34,8 @@ FloatArray = NDArray[np.float64]
 SCATTER_ROUNDS = 4
 #: Standard deviation that the scatter counts as beforehand, worth one log.
 SCATTER_PRIOR = Scatter(gain=0.05, shape=0.01)
+#: Scatter that the search begins with: too narrow a one would have to be outgrown.
+WIDE = Scatter(gain=0.5, shape=0.5)
 #: Steps of a candidate that is only compared.
 LOOK_STEPS = 14
 #: Share of the quantum of a force's digits that is a standard deviation.
@@ -118,7 +120,7 @@ class _Fitting:
 
     def __init__(self, base: System, request: Request, least_N: float, step_s: float) -> None:
         self.base, self.request, self.least_N, self.step_s = base, request, least_N, step_s
-        self.scatter = Scatter()
+        self.scatter = WIDE
         machine = np.array([request.priors.calibration[name].mean for name in _MACHINE])
         self.at = _blank(KelvinVoigtLaw(1, 0, base.depth_mm), base, machine)
 
@@ -169,8 +171,12 @@ def _badness(system: System, optimum: Optimum) -> float:
 
 
 def scatter_of(system: System, optimum: Optimum) -> Scatter:
-    """Standard deviations between logs that their own parameters show at an optimum."""
-    own = optimum.point.own
+    """Standard deviations between logs that their own parameters show at an optimum.
+
+    They are taken about the mean of the logs: what all of them share is the specimen's, and a prior around 0
+    that is as wide as their spread leaves it nowhere else.
+    """
+    own = optimum.point.own - optimum.point.own.mean(axis=0)
     variance = np.diagonal(optimum.normal.own_inverse, axis1=1, axis2=2)
 
     def sd(columns: slice, before: float) -> float:
@@ -184,10 +190,14 @@ def scatter_of(system: System, optimum: Optimum) -> Scatter:
 
 
 def _orders(request: Request) -> list[tuple[int, int]]:
-    """First candidates: few, the others only beside a winner at their edge."""
+    """First candidates: few, the others only beside a winner at their edge.
+
+    Shapes of logs can stand in for a K that bends, which then shows nowhere: it is tried at once.
+    """
     branches = [b for b in request.branches if b <= 2] or [min(request.branches)]
     degrees = [d for d in request.degrees if d <= 1] or [min(request.degrees)]
-    return [(b, d) for b in branches for d in degrees]
+    bent = [(1, d) for d in request.degrees if d > max(degrees) and 1 in branches]
+    return [*((b, d) for b in branches for d in degrees), *(bent if request.pooling == "scaled" else [])]
 
 
 def _further(request: Request, chosen: Tried, best: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
@@ -228,7 +238,9 @@ def identify_logs(
     fitting = _Fitting(base, request, least, step)
     flexible = (
         max(b for b in request.branches if b <= 2 or b == min(request.branches)),
-        min(1, max(request.degrees)),
+        max(request.degrees)
+        if request.pooling == "scaled" and len(logs) > 1
+        else min(1, max(request.degrees)),
     )
     tick("how logs differ")
     fitting.learn_scatter(*flexible)
