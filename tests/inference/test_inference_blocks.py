@@ -136,3 +136,28 @@ def test_a_path_that_leads_begins_in_air():
     # on the line of the first samples, at 4 mm/s
     assert found.time_s[0] == pytest.approx(-0.025)
     np.testing.assert_array_equal(found.at, plain.at + 1)
+
+
+@pytest.mark.parametrize("whole", [True, False])
+def test_a_corner_between_two_samples_is_a_point_of_the_path(whole):
+    time = np.arange(801) / 100.0
+    depth = np.round(np.minimum(3.7 * time, 4.0), 5)
+    blocks = blocks_from(log_data(time, depth, depth), whole=whole)
+    corner = 4.0 / 3.7
+    nearest = int(np.argmin(np.abs(blocks.time_s - corner)))
+    assert blocks.time_s[nearest] == pytest.approx(corner, abs=1e-5)
+    assert blocks.depth_mm[nearest] == pytest.approx(4.0, abs=2e-5)
+    # observations are where they were
+    middle = blocks.at[:, 1]
+    one = blocks.count == 1
+    np.testing.assert_allclose(blocks.time_s[middle[one]], blocks.mid_s[one], atol=1e-12)
+
+
+def test_a_stop_that_brakes_or_lies_on_a_sample_gets_no_corner():
+    time = np.arange(801) / 100.0
+    braked = np.convolve(
+        np.minimum(4.0 * np.pad(time, 10, mode="edge"), 4.0), np.ones(11) / 11.0, mode="same"
+    )[10:-10]
+    for depth in (braked, np.minimum(4.0 * time, 4.0)):
+        blocks = blocks_from(log_data(time, depth, depth), whole=True)
+        assert blocks.time_s.size == time.size

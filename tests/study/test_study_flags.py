@@ -52,10 +52,24 @@ def test_scatter_is_no_order_effect_more_often_than_the_chance_it_states() -> No
     assert found <= 13
 
 
-def test_without_the_order_nothing_is_said() -> None:
-    assert order_effect(logs([1.0, 0.9, 0.8, 0.7]), [None] * 4) == []
+def test_where_no_order_is_stated_it_is_that_of_the_files() -> None:
+    (flag,) = order_effect(logs([1.0, 0.95, 0.9, 0.85]), [None] * 4)
+    assert "from file 1 to file 4" in flag.message
     assert order_effect(logs([1.0, 0.9, 0.8]), [1, 2, 3]) == []
     assert order_effect(logs([1.0, 1.0, 1.0, 1.0]), [1, 2, 3, 4]) == []
+
+
+def test_a_first_test_that_is_stiffer_than_all_others_is_said() -> None:
+    gains = [1.2, 1.0, 1.01, 0.99, 1.005, 0.995]
+    (flag,) = order_effect(logs(gains), [None] * 6)
+    assert flag.message.startswith("the first file is 20.0 % stiffer than the other 5")
+    assert flag.values["first"]
+    rng = np.random.default_rng(33)
+    found = sum(
+        bool(order_effect(logs(np.exp(0.05 * rng.standard_normal(6))), [None] * 6)) for _ in range(400)
+    )
+    # two tests of p < 0.01: 8 expected, 19 is the upper 99.99 % bound of a binomial of 400
+    assert found <= 19
 
 
 @pytest.mark.parametrize(

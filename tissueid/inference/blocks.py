@@ -32,6 +32,12 @@ STRAIGHT = 1.3
 STRAIGHT_SHARE = 2e-6
 #: Samples from which a block's own line says where its ends are.
 LINE_FROM = 4
+#: Median of the size of second differences over the standard deviation of white noise.
+SECOND_DIFFERENCE = 0.6745 * 6.0**0.5
+#: Samples of a straight line beside a corner; its tolerance in noise of the travel, and in depths.
+LINE_SAMPLES, CORNER_SD, CORNER_SHARE = 4, 3.0, 1e-5
+#: Bend over one step in tolerances, and share of a step at its ends, of a corner between samples.
+CORNER_BEND, CORNER_EDGE = 20.0, 0.01
 #: Contact standard deviations by which the path is continued before its contact.
 LEAD_SD = 5.0
 
@@ -151,6 +157,45 @@ def _ends(time: FloatArray, depth: FloatArray, edges: IntArray) -> tuple[FloatAr
     return at, out
 
 
+def _corners(time: FloatArray, depth: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Times and depths of sharp corners that lie between two samples: where two straight lines meet."""
+    nothing = np.empty(0)
+    if time.size < 2 * LINE_SAMPLES:
+        return nothing, nothing
+    i = np.arange(LINE_SAMPLES - 1, time.size - LINE_SAMPLES)
+    step = np.diff(time)
+    # ramps and holds are straight nearly everywhere; what isn't fails as a line below
+    noise = float(np.median(np.abs(np.diff(depth, n=2)))) / SECOND_DIFFERENCE
+    tolerance = max(CORNER_SD * noise, CORNER_SHARE * float(np.ptp(depth)))
+
+    def line(first: IntArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+        last = first + LINE_SAMPLES - 1
+        slope = (depth[last] - depth[first]) / (time[last] - time[first])
+        off = np.zeros(first.size)
+        for k in range(1, LINE_SAMPLES - 1):
+            straight = depth[first] + slope * (time[first + k] - time[first])
+            off = np.maximum(off, np.abs(depth[first + k] - straight))
+        return slope, off <= tolerance
+
+    left, left_straight = line(i - LINE_SAMPLES + 1)
+    right, right_straight = line(i + 1)
+    bend = left - right
+    sharp = left_straight & right_straight & (np.abs(bend) * step[i] > CORNER_BEND * tolerance)
+    i, right, bend, left = i[sharp], right[sharp], bend[sharp], left[sharp]
+    after = (depth[i + 1] - depth[i] - right * step[i]) / bend
+    inside = (after > CORNER_EDGE * step[i]) & (after < (1.0 - CORNER_EDGE) * step[i])
+    return (time[i] + after)[inside], (depth[i] + left * after)[inside]
+
+
+def _with_corners(
+    grid: tuple[FloatArray, FloatArray], at: IntArray, corners: tuple[FloatArray, FloatArray]
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    """A broken line with further points, and where its observations lie then."""
+    place = np.searchsorted(grid[0], corners[0])
+    moved = at + np.searchsorted(place, at, side="right")
+    return np.insert(grid[0], place, corners[0]), np.insert(grid[1], place, corners[1]), moved
+
+
 def _with_lead(time: FloatArray, depth: FloatArray, sd_mm: float, step_s: float) -> tuple[float, float]:
     """A point before contact on the line that the first samples show."""
     reach = min(time.size - 1, 4)
@@ -219,6 +264,7 @@ def log_blocks(
         fold = data.fold[first[kept]]
         opens = np.add.reduceat(breaks.astype(np.int64), first)[kept] > 0
         within, freedom = _within(time, force, edges, kept)
+    grid_t, grid_x, at = _with_corners((grid_t, grid_x), at, _corners(time, depth))
     if leads:
         t0, x0 = _with_lead(grid_t, grid_x, contact_sd_mm, step_s)
         grid_t, grid_x = np.concatenate([[t0], grid_t]), np.concatenate([[x0], grid_x])

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import stats
 
 from tissueid.flags import Flag
@@ -23,6 +24,8 @@ MUCH_SPREAD = 0.10
 FEWEST_RUNS = 4
 CHANCE = 0.01
 LEAST_CHANGE = 0.02
+#: Least difference of a first test from the others.
+FIRST_CHANGE = 0.05
 
 
 def gain_spread(trials: Sequence[TrialFit]) -> list[Flag]:
@@ -43,31 +46,40 @@ def gain_spread(trials: Sequence[TrialFit]) -> list[Flag]:
 
 
 def order_effect(trials: Sequence[TrialFit], runs: Sequence[int | None]) -> list[Flag]:
-    """``order_effect`` where stiffness follows the order of testing.
+    """``order_effect`` where stiffness follows the order of testing, or the first test differs from the rest.
 
     Parameters
     ----------
     trials : sequence of TrialFit
     runs : sequence of int or None
-        Place of each in the order of testing; ``None`` where it was not stated.
+        Place of each in the order of testing; ``None`` where it was not stated.  Where none was, the order is
+        that of the files.
     """
-    known = [
+    stated = any(run is not None for run in runs)
+    places = runs if stated else range(1, len(trials) + 1)
+    known = sorted(
         (run, trial.gain)
-        for run, trial in zip(runs, trials, strict=True)
+        for run, trial in zip(places, trials, strict=True)
         if run is not None and trial.gain > 0.0
-    ]
+    )
     order = np.array([float(run) for run, _ in known])
     log_gain = np.log([gain for _, gain in known])
     if order.size < FEWEST_RUNS or np.ptp(order) == 0.0 or np.ptp(log_gain) == 0.0:
         return []
+    what = "run" if stated else "file"
+    return _first_apart(log_gain, what) or _trend(order, log_gain, what)
+
+
+def _trend(order: NDArray[np.float64], log_gain: NDArray[np.float64], what: str) -> list[Flag]:
+    """The flag of a slope over the order."""
     line = stats.linregress(order, log_gain)
     change = float(np.expm1(line.slope * np.ptp(order)))
     if line.pvalue >= CHANCE or abs(change) < LEAST_CHANGE:
         return []
     first, last = int(order.min()), int(order.max())
     message = (
-        f"stiffness {'falls' if change < 0.0 else 'rises'} by {100 * abs(change):.1f} % from run {first} to "
-        f"run {last} ({order.size} logs, p = {line.pvalue:.1g})"
+        f"stiffness {'falls' if change < 0.0 else 'rises'} by {100 * abs(change):.1f} % from {what} {first} "
+        f"to {what} {last} ({order.size} logs, p = {line.pvalue:.1g})"
     )
     values = {
         "change": change,
@@ -76,6 +88,27 @@ def order_effect(trials: Sequence[TrialFit], runs: Sequence[int | None]) -> list
         "runs": int(order.size),
     }
     return [Flag("order_effect", message, values)]
+
+
+def _first_apart(log_gain: NDArray[np.float64], what: str) -> list[Flag]:
+    """The flag of a first test that differs from all others by far more than they do among each other."""
+    rest = log_gain[1:]
+    # the others may follow a line of their own
+    line = np.polynomial.Polynomial.fit(np.arange(1.0, log_gain.size), rest, 1)
+    spread = float(np.sqrt(((rest - rest.mean()) ** 2).sum() / max(rest.size - 1, 1)))
+    apart = float(log_gain[0] - rest.mean())
+    if abs(np.expm1(apart)) < FIRST_CHANGE or abs(log_gain[0] - float(line(0.0))) < np.log1p(FIRST_CHANGE):
+        return []
+    t = abs(apart) / max(spread * np.sqrt(1.0 + 1.0 / rest.size), 1e-12)
+    p = float(2.0 * stats.t.sf(t, rest.size - 1))
+    if p >= CHANCE:
+        return []
+    change = float(np.expm1(apart))
+    message = (
+        f"the first {what} is {100 * abs(change):.1f} % {'stiffer' if change > 0.0 else 'softer'} than the "
+        f"other {rest.size} (p = {p:.1g})"
+    )
+    return [Flag("order_effect", message, {"change": change, "first": True, "p": p, "runs": log_gain.size})]
 
 
 def repeated_sites(trials: Sequence[TrialFit], rows: Sequence[Mapping[str, Any]]) -> list[Flag]:

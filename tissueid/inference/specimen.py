@@ -196,7 +196,7 @@ def force_along(
     own = replace(point, own=point.own[index : index + 1])
     system.follow(own)
     force = system.recorded(system.tip_force(own)[0], own.machine)
-    return np.asarray(force[force.size - log.data.time_s.size :])
+    return np.asarray(force[np.searchsorted(blocks.time_s, log.data.time_s)])
 
 
 def adjustments_of(identified: Identified, handles: Sequence[LogHandle], point: Point) -> list[Adjustment]:

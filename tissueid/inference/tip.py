@@ -157,7 +157,8 @@ def _corrected(
     )
     own = replace(point, own=point.own[index : index + 1])
     alone.follow(own)
-    expected = alone.guess[alone.guess.size - log.data.time_s.size + int(log.inserted) :]
+    samples = log.data.time_s[int(log.inserted) :]
+    expected = alone.guess[np.searchsorted(alone.logs[0].time_s, samples)]
     measured = handle.segmentation.force_sign * (trial.force_N - contact.baseline_N)
     # the tool is in air before contact
     force = np.zeros_like(measured)
