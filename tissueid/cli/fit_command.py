@@ -69,7 +69,7 @@ def _count(auto: str) -> click.Choice[str]:
 )  # fmt: skip
 @click.option(
     "--static", type=click.Choice(["scaled", "partial", "shared"]), default="scaled", show_default=True,
-    help="Logs of a specimen: each its static curve around a common one, its gain and contact, or none.",
+    help="Logs of a specimen: each its curve of depth for static force and K, its gain and contact, or none.",
 )  # fmt: skip
 @click.option(
     "--noise", type=click.Choice(["auto", "white", "ar1", "white+ar1"]), default="auto", show_default=True,

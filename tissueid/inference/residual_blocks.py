@@ -52,7 +52,7 @@ class ResidualBlocks:
     shared : ndarray, shape (k, p)
         Mean derivative of the model by its theta.
     own : ndarray, shape (k, q)
-        Mean derivative by what each log has for itself: ln gain and contact offset, or a static curve; and
+        Mean derivative by what each log has for itself: ln gain, contact offset and shape; and
         by the branch states at its corners, which may lie between two samples.
     speed_mm_s, depth_mm : float
         Fastest loading and largest depth of the log.
@@ -143,7 +143,7 @@ def residual_blocks(
     model, theta
         The specimen's tissue.
     adjustment : Adjustment
-        The log's own gain and contact offset, or static curve.
+        The log's own gain, contact offset and shape.
     fitted : ndarray, shape (n,)
         Force of all that along the log [N].
     """

@@ -52,8 +52,8 @@ class FitOptions:
     stiffness_degree : int or None
         0 to 2, or ``None`` to choose.
     static : str
-        ``scaled`` (default: every log has its own static curve around the specimen's), ``partial`` (a gain
-        and a contact of its own) or ``shared``.
+        ``scaled`` (default: static force and K of a log in proportion, by its own curve of depth),
+        ``partial`` (a gain and a contact of its own) or ``shared``.
     depths_mm : tuple of float
         Depths below contact at which the stiffness of each loop is wanted.
     frequencies_Hz : tuple of float
