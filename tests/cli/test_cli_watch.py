@@ -286,7 +286,8 @@ def test_a_quick_fit_finds_the_parameters_of_the_truth() -> None:
     found = quick_fit(ramp_hold(), None)
     assert found is not None
     viscosity = {one["name"]: one for one in found["parameters"]}["viscosity_N_s_per_mm"]
-    assert viscosity["value"] == pytest.approx(20.0 * 0.5, abs=5 * viscosity["stderr"])
+    # of a machine of which nothing was stated, whose filter and frame may be anything
+    assert viscosity["value"] == pytest.approx(20.0 * 0.5, rel=0.01)
     assert first_problem(judge(ramp_hold()) | {"fit": found}, "watch") is None
 
 

@@ -44,8 +44,10 @@ def test_the_number_of_branches_is_that_of_the_tissue(truth, count):
 
 @pytest.mark.system
 def test_a_growing_stiffness_is_found_where_it_grows():
-    assert chosen(GROWING, 1, branches=(1,), degrees=(0, 1)).law.degree == 1
-    assert chosen(ONE, 1, branches=(1,), degrees=(0, 1)).law.degree == 0
+    seeds = range(6)
+    assert [chosen(GROWING, seed, branches=(1,), degrees=(0, 1)).law.degree for seed in seeds] == [1] * 6
+    # one standard error is one in six that a bend too many is kept
+    assert sum(chosen(ONE, seed, branches=(1,), degrees=(0, 1)).law.degree == 0 for seed in seeds) >= 5
 
 
 def tried(branches, degree, errors):

@@ -87,7 +87,8 @@ def scan_memory(
         system, point, parts, prior, memory, rough_N
     )
     plain, sigma = look(Memory())
-    if model == "white" or system.force.size < 12:
+    if model == "white" or system.force.size < 12 or not np.isfinite(plain):
+        # residuals that parameters take up show no noise
         return MemoryScan(Noise(sigma), 0.0)
     best = (-np.inf, sigma, Memory())
     for share in (0.0,) if model == "ar1" else SHARES:
