@@ -400,20 +400,27 @@ class System:
         """
         if follow:
             self.follow(point)
-        base, columns = self.tip_force(point)
+        base, _ = self.tip_force(point)
         behind = self._behind(point, base)
         path = self.path(behind)
         gain = self.gain(point, path.depth_mm / self.depth_mm)
+        # differences are of forces on one and the same path
+        columns = gain[:, None] * self.law.columns(point.log_times, path)
+        still = columns @ point.linear
         parts = []
         for j in range(self.law.times):
             times = point.log_times.copy()
             times[j] += STEP_LN
             moved = gain * (self.law.columns(times, path) @ point.linear)
-            parts.append((moved - columns @ point.linear)[:, None] / STEP_LN)
+            parts.append((moved - still)[:, None] / STEP_LN)
         by_force = -(base / self.depth_mm)[:, None]
         by_force[path.depth_mm <= 0.0] = 0.0
         parts += [self._slopes(point, path).change(path, by_force)] if machine else [np.zeros((base.size, 1))]
-        by_contact = self._by_contact(point, behind)
+        deeper = self.path(behind + STEP_DEPTH)
+        moved = self.gain(point, deeper.depth_mm / self.depth_mm) * (
+            self.law.columns(point.log_times, deeper) @ point.linear
+        )
+        by_contact = (still - moved)[:, None] / STEP_DEPTH
         late = -self.onset[self.point_log][:, None] * by_contact
         parts += [late if machine else np.zeros((base.size, 1)), columns]
         parts += self._by_own(base, behind, by_contact)
@@ -432,15 +439,6 @@ class System:
                 moved = self.means(self.recorded(base, other))
                 shared[:, t + j] = (moved - found[:, 0]) / STEP_MACHINE + found[:, t + 2]
         return Derivatives(found[:, 0], shared, found[:, last:])
-
-    def _by_contact(self, point: Point, behind: FloatArray) -> FloatArray:
-        """Derivative of the force at the tip by the contact offset, the frame held; (m, 1)."""
-        forces = []
-        for depth in (behind, behind + STEP_DEPTH):
-            path = self.path(depth)
-            gain = self.gain(point, path.depth_mm / self.depth_mm)
-            forces.append(gain * (self.law.columns(point.log_times, path) @ point.linear))
-        return np.asarray((forces[0] - forces[1])[:, None] / STEP_DEPTH)
 
     def _by_own(self, base: FloatArray, behind: FloatArray, by_contact: FloatArray) -> list[FloatArray]:
         """Derivatives of the force at the tip by what is a log's own, the frame held; (m, c) each."""
