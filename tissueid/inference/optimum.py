@@ -24,8 +24,8 @@ FloatArray = NDArray[np.float64]
 
 #: Noise without memory.
 WHITE = Memory()
-#: Steps at the most, and the largest change in standard errors that counts as none.
-MOST_STEPS, STILL = 40, 0.01
+#: Steps at the most; the largest change in standard errors and the gain of the objective that count as none.
+MOST_STEPS, STILL, NO_GAIN = 40, 0.01, 1e-3
 #: Damping: where it starts, how it changes, and where it gives up.
 DAMPING, RAISED, LOWERED, HOPELESS = 1e-4, 8.0, 0.2, 1e9
 #: Curvature of a direction that has none: the relaxation time of a branch without stiffness.
@@ -296,13 +296,14 @@ def minimise(
         )
         prior = prior_at(point)
         normal = normal_equations(system, point, parts, white, noise_N, prior)
-        moved, damping = _descend(system, point, normal, prior, white, noise_N, damping, frozen)
+        moved, damping, gain = _descend(system, point, normal, prior, white, noise_N, damping, frozen)
         if moved is None:
             converged = True
             break
         largest = _change(normal, point, moved, frozen == 0.0)
         point = moved
-        if largest < STILL:
+        # what shared parameters no longer gain, those of the logs may
+        if largest < STILL and gain < NO_GAIN:
             converged = True
             break
     parts = system.derivatives(point, machine=machine, follow=True)
@@ -333,15 +334,15 @@ def _descend(
     noise_N: float,
     damping: float,
     frozen: FloatArray,
-) -> tuple[Point | None, float]:
-    """A point with a smaller objective, and the damping that reached it; ``None`` where there is none."""
+) -> tuple[Point | None, float, float]:
+    """A point with a smaller objective or ``None``, the damping that reached it, and the gain."""
     while damping < HOPELESS:
         moved = _step(normal, prior, point, damping, frozen)
         e = white(system.force - system.predict(moved)) / noise_N
         value = float(e @ e) + prior_cost(prior, moved)
         if value <= normal.objective * (1.0 + 1e-12) and np.isfinite(value):
             if normal.objective - value <= 1e-7 * max(1.0, 1e-6 * normal.objective):
-                return None, damping
-            return moved, max(damping * LOWERED, 1e-10)
+                return None, damping, 0.0
+            return moved, max(damping * LOWERED, 1e-10), normal.objective - value
         damping *= RAISED
-    return None, DAMPING
+    return None, DAMPING, 0.0
