@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from collections.abc import Callable
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,16 +16,17 @@ from tissueid.result import SpecimenFit
 SIGMA = 0.3
 
 
-def bands_of(fit: SpecimenFit, force_of: object, vectors: np.ndarray) -> list[np.ndarray]:
+def bands_of(
+    fit: SpecimenFit, force_of: Callable[[np.ndarray], np.ndarray], vectors: np.ndarray
+) -> list[np.ndarray]:
     """Bands of logs whose observations are the samples of their curves."""
     times = [trial.curve.time_s for trial in fit.trials]
     system = SimpleNamespace(
         log=np.repeat(np.arange(len(times)), [one.size for one in times]),
         mid=np.concatenate(times),
         logs=[SimpleNamespace(time_s=one) for one in times],
-        near=lambda point: (point, None),
     )
-    target = SimpleNamespace(system=system, point=force_of)
+    target = SimpleNamespace(system=system, forces=lambda x: np.stack([force_of(one) for one in x]))
     return list(predictive_bands(fit, target, vectors, sigma_N=SIGMA).values())  # type: ignore[arg-type]
 
 

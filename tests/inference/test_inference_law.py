@@ -52,7 +52,7 @@ def test_columns_times_coefficients_are_the_contact_model(branches, degree):
     time, depth = ramp_hold(200.0, 3.0, 4.0, 2.0)
     point = point_of(law, theta)
     path = Path(np.append(np.inf, np.diff(time)), depth, np.ones(time.size), np.array([0]))
-    force = law.columns(point.log_times, path) @ point.linear
+    force = point.linear @ law.columns(point.log_times, path)
     expected = law.model().force(theta, ContactPath(time, depth))
     np.testing.assert_allclose(force, expected, atol=1e-11 * expected.max())
     np.testing.assert_allclose(law.theta(point.log_times, point.linear)[0], theta, rtol=1e-12)

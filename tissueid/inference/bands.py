@@ -38,7 +38,7 @@ def predictive_bands(
     """
     system = target.system
     rows = np.linspace(0, len(vectors) - 1, min(len(vectors), BAND_DRAWS)).astype(np.int64)
-    force = np.stack([system.near(target.point(x))[0] for x in vectors[rows]])
+    force = target.forces(vectors[rows])
     change = force - np.median(force, axis=0)
     bands = {}
     for i, trial in enumerate(fit.trials):

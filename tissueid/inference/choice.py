@@ -186,10 +186,10 @@ def resolved(one: Tried, step_s: float) -> bool:
     if float(np.diff(np.sort(point.log_times)).min()) < np.log(APART):
         return False
     columns = law.columns(point.log_times, one.system.path(one.system.travel))
-    first, size = columns.shape[1] - one.branches * (one.degree + 1), one.degree + 1
+    first, size = len(columns) - one.branches * (one.degree + 1), one.degree + 1
     for j in range(one.branches):
         part = slice(first + j * size, first + (j + 1) * size)
-        if float(np.abs(columns[:, part] @ point.linear[part]).max()) < SEEN * sigma:
+        if float(np.abs(point.linear[part] @ columns[part]).max()) < SEEN * sigma:
             return False
     return True
 

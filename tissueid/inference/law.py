@@ -17,7 +17,17 @@ from scipy.linalg.lapack import dtbtrs
 
 from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
 
-__all__ = ["KelvinVoigtLaw", "Law", "Path", "Slopes", "passive_rows", "relaxation_states", "sudden_shares"]
+__all__ = [
+    "KelvinVoigtLaw",
+    "Law",
+    "Path",
+    "Slopes",
+    "driven",
+    "passive_rows",
+    "relaxation_states",
+    "sudden_shares",
+    "weighted",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -37,9 +47,9 @@ class Path:
     ----------
     step_s : ndarray, shape (m,)
         Time since the point before; infinite at the first point of a log.
-    depth_mm : ndarray, shape (m,)
-        At least 0.
-    share : ndarray, shape (m,)
+    depth_mm : ndarray, shape (m,) or (n, m)
+        At least 0; of one point of the parameters or of n.
+    share : ndarray, shape of ``depth_mm``
         Share of the step that was spent in contact.
     fresh : ndarray of int
         First point of each log.
@@ -51,40 +61,61 @@ class Path:
     fresh: NDArray[np.int64]
 
 
+def driven(decay: FloatArray, right: FloatArray) -> FloatArray:
+    """States y with y_i = decay_i y_(i-1) + right_i along the last axis, in one banded solve.
+
+    Parameters
+    ----------
+    decay : ndarray, shape (..., m)
+        0 at the first point of each log.
+    right : ndarray, shape (c, ..., m) or (..., m)
+
+    Returns
+    -------
+    ndarray, shape of ``right``
+    """
+    band = np.empty((2, decay.size), order="F")
+    band[0] = 1.0
+    np.negative(decay.reshape(-1)[1:], out=band[1, :-1])
+    two = np.ascontiguousarray(right).reshape(-1, decay.size)
+    return np.asarray(dtbtrs(band, two.T, uplo="L", diag="U")[0].T.reshape(right.shape))
+
+
 def relaxation_states(path: Path, value: FloatArray, tau_s: FloatArray) -> FloatArray:
     """Convolution of the rate of ``value`` with exp(-t / tau), exact where it is linear in between.
 
     Parameters
     ----------
     path : Path
-    value : ndarray, shape (m,) or (m, c)
+    value : ndarray, shape (m,), (n, m) or (c, m)
         Basis function of depth along the path, or several.
-    tau_s : ndarray, shape (j,)
+    tau_s : ndarray, shape (j,) or (j, n)
 
     Returns
     -------
-    ndarray, shape (j, m) or (j, m, c)
+    ndarray, shape (j, m), (j, n, m) or (c, j, m)
     """
     change = np.empty(value.shape)
-    change[0] = 0.0
-    np.subtract(value[1:], value[:-1], out=change[1:])
-    change[path.fresh] = 0.0
-    decay = np.exp(-path.step_s / tau_s[:, None])
-    right = sudden_shares(path, tau_s).reshape(tau_s.size, *[-1, 1][: value.ndim]) * change
+    change[..., 0] = 0.0
+    np.subtract(value[..., 1:], value[..., :-1], out=change[..., 1:])
+    change[..., path.fresh] = 0.0
+    right = sudden_shares(path, tau_s) * np.expand_dims(change, value.ndim - path.depth_mm.ndim)
     right += TINY
-    band = np.ones((2, len(value)), order="F")
-    out = np.empty((tau_s.size, *value.shape))
-    for j in range(tau_s.size):
-        np.negative(decay[j, 1:], out=band[1, :-1])
-        out[j] = dtbtrs(band, right[j], uplo="L", diag="U")[0]
-    return out
+    return driven(np.exp(-path.step_s / tau_s[..., None]), right)
 
 
 def sudden_shares(path: Path, tau_s: FloatArray) -> FloatArray:
-    """Share of a step's change that is left at its end by each relaxation time, shape (j, m)."""
-    z = np.maximum(path.step_s * path.share / tau_s[:, None], 1e-12)
+    """Share of a step's change that is left at its end by each relaxation time, (j, m) or (j, n, m)."""
+    z = np.maximum(path.step_s * path.share / tau_s[..., None], 1e-12)
     right = np.expm1(-z)
     return np.asarray(np.divide(right, -z, out=right))
+
+
+def weighted(columns: FloatArray, linear: FloatArray) -> FloatArray:
+    """Force of columns: (p, m) and (p,) -> (m,), or (p, n, m) and (n, p) -> (n, m)."""
+    if linear.ndim == 1:
+        return np.asarray(linear @ columns)
+    return np.asarray((columns * linear.T[:, :, None]).sum(axis=0))
 
 
 @lru_cache
@@ -120,9 +151,9 @@ class Slopes:
         return np.asarray(self.direct + (self.outer * shares).sum(axis=0))
 
     def change(self, path: Path, depth: FloatArray) -> FloatArray:
-        """Changes of the force by changes of depth, (m, c) -> (m, c)."""
+        """Changes of the force by changes of depth, (c, m) -> (c, m)."""
         states = relaxation_states(path, depth, self.tau_s)
-        return np.asarray(self.direct[:, None] * depth + (self.outer[:, :, None] * states).sum(axis=0))
+        return np.asarray(self.direct * depth + (self.outer * states).sum(axis=1))
 
 
 class Law(Protocol):
@@ -139,7 +170,10 @@ class Law(Protocol):
         ...
 
     def columns(self, log_times: FloatArray, path: Path) -> FloatArray:
-        """Columns of the linear parameters, shape (m, linear) [-]."""
+        """Columns of the linear parameters, shape (linear, m) [-].
+
+        Of n points of the parameters, (n, t) and a path of (n, m), they are (linear, n, m).
+        """
         ...
 
     def cone(self) -> FloatArray:
@@ -174,17 +208,18 @@ class KelvinVoigtLaw:
         return STATIC_DEGREE + self.branches * (self.degree + 1)
 
     def columns(self, log_times: FloatArray, path: Path) -> FloatArray:
-        """Columns along a path, shape (m, linear)."""
+        """Columns along a path, shape (linear, m) or (linear, n, m)."""
         u = path.depth_mm / self.depth_mm
-        out = np.empty((u.size, self.linear))
-        out[:, 0] = u
-        out[:, 1] = u * u
-        out[:, 2] = out[:, 1] * u
+        out = np.empty((self.linear, *u.shape))
+        out[0] = u
+        np.multiply(u, u, out=out[1])
+        np.multiply(out[1], u, out=out[2])
         at = STATIC_DEGREE
-        for state in relaxation_states(path, u, np.exp(log_times)):
-            for k in range(self.degree + 1):
-                out[:, at] = state if k == 0 else state * out[:, k - 1]
-                at += 1
+        for state in relaxation_states(path, u, np.exp(log_times.T)):
+            out[at] = state
+            for k in range(1, self.degree + 1):
+                np.multiply(state, out[k - 1], out=out[at + k])
+            at += self.degree + 1
         return out
 
     def slopes(self, log_times: FloatArray, path: Path, linear: FloatArray) -> Slopes:

@@ -131,8 +131,8 @@ def prior_rows(
     t, m, p = law.times, len(MACHINE), law.linear
     force = float(np.abs(system.force).max())
     path = system.path(system.travel)
-    states = law.columns(point.log_times, path)[:, STATIC_DEGREE :: law.degree + 1]
-    largest = np.maximum(np.abs(states).max(axis=0, initial=0.0), 1e-9)
+    states = law.columns(point.log_times, path)[STATIC_DEGREE :: law.degree + 1]
+    largest = np.maximum(np.abs(states).max(axis=1, initial=0.0), 1e-9)
     linear, wanted, log_det = _linear_rows(law, largest, force, priors)
     rows = [np.hstack([np.zeros((len(linear), t + m)), linear])]
     target = [wanted]

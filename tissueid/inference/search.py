@@ -86,7 +86,7 @@ def starting_points(system: System, branches: int, degree: int, at: Point, white
     compliance = at.machine[0] / system.depth_mm
     path = wide.path(wide.travel - wide.contact(point) - compliance * wide.guess)
     gain = wide.gain(point, path.depth_mm / system.depth_mm)
-    columns = wide.means(wide.recorded(gain[:, None] * every.columns(nodes, path), static))
+    columns = wide.means(wide.recorded(gain * every.columns(nodes, path), static)).T
     size = degree + 1
     to = np.linalg.inv(bernstein(STATIC_DEGREE))
     own = np.linalg.inv(bernstein(size))

@@ -13,10 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dtbtrs
 
 from tissueid.inference.blocks import Blocks
-from tissueid.inference.law import TINY, Law, Path, Slopes
+from tissueid.inference.law import TINY, Law, Path, Slopes, driven, weighted
 
 __all__ = ["MACHINE", "Derivatives", "Effects", "Point", "System"]
 
@@ -38,8 +37,8 @@ STEP_LN, STEP_DEPTH = 1e-5, 1e-6
 STEP_MACHINE, STEP_FORCE = 1e-6, 1e-6
 #: Coefficients of a log's shape: ln gain at the surface and at half depth, beside that at the largest depth.
 SHAPE = 2
-#: A filter shorter than this share of the shortest step is none.
-NO_FILTER_S = 1e-7
+#: A filter shorter than this is none, and its pole where others of the same call are filtered.
+NO_FILTER_S, NO_POLE_S = 1e-7, 1e-12
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,15 +63,15 @@ class Effects:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Point:
-    """One point of the parameters.
+    """One point of the parameters, or n of them along a first axis.
 
     Attributes
     ----------
-    log_times : ndarray, shape (t,)
-    machine : ndarray, shape (3,)
+    log_times : ndarray, shape (t,) or (n, t)
+    machine : ndarray, shape (3,) or (n, 3)
         In the order of :data:`MACHINE`.
-    linear : ndarray, shape (p,)
-    own : ndarray, shape (logs, q)
+    linear : ndarray, shape (p,) or (n, p)
+    own : ndarray, shape (logs, q), or (n, logs, q) of points whose own parameters differ
         ln gain, contact offset over the largest depth, shape, as far as there are any.
     """
 
@@ -84,12 +83,13 @@ class Point:
     @property
     def shared(self) -> FloatArray:
         """Times, machine and linear parameters as one vector."""
-        return np.concatenate([self.log_times, self.machine, self.linear])
+        return np.concatenate([self.log_times, self.machine, self.linear], axis=-1)
 
     def moved(self, shared: FloatArray, own: FloatArray | None = None) -> Point:
         """The point with another vector of shared parameters."""
-        t = self.log_times.size
-        return Point(shared[:t], shared[t : t + 3], shared[t + 3 :], self.own if own is None else own)
+        t = self.log_times.shape[-1]
+        own = self.own if own is None else own
+        return Point(shared[..., :t], shared[..., t : t + 3], shared[..., t + 3 :], own)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,9 +102,9 @@ class Derivatives:
 
 
 def _shape(u: FloatArray) -> FloatArray:
-    """Bernstein polynomials of degree 2 that vanish at the largest depth, (m, 2)."""
+    """Bernstein polynomials of degree 2 that vanish at the largest depth, (2, ..., m)."""
     left = 1.0 - u
-    return np.column_stack([left * left, 2.0 * u * left])
+    return np.stack([left * left, 2.0 * u * left])
 
 
 def _onset(log: Blocks) -> float:
@@ -119,8 +119,8 @@ def _onset(log: Blocks) -> float:
 
 
 def _bend(u: FloatArray) -> FloatArray:
-    """Derivatives of :func:`_shape`, (m, 2)."""
-    return np.column_stack([2.0 * (u - 1.0), 2.0 - 4.0 * u])
+    """Derivatives of :func:`_shape`, (2, ..., m)."""
+    return np.stack([2.0 * (u - 1.0), 2.0 - 4.0 * u])
 
 
 class System:
@@ -189,98 +189,100 @@ class System:
         return self.law.times + len(MACHINE) + self.law.linear
 
     def path(self, depth: FloatArray) -> Path:
-        """Depths (over the largest depth) of all points as a path in contact."""
+        """Depths (over the largest depth) of all points as a path in contact, (m,) or (n, m)."""
         touching = depth > 0.0
-        crossing = np.flatnonzero(touching[1:] & ~touching[:-1]) + 1
-        share = np.ones(depth.size)
-        share[crossing] = depth[crossing] / (depth[crossing] - depth[crossing - 1])
-        share[self.fresh] = 1.0
+        crossing = (*np.nonzero(touching[..., 1:] & ~touching[..., :-1]),)
+        after = (*crossing[:-1], crossing[-1] + 1)
+        share = np.ones(depth.shape)
+        share[after] = depth[after] / (depth[after] - depth[crossing])
+        share[..., self.fresh] = 1.0
         return Path(self.step, np.maximum(depth, 0.0) * self.depth_mm, share, self.fresh)
 
     def means(self, values: FloatArray) -> FloatArray:
-        """Observations of values at points: (m,) -> (k,), or of columns (m, c) -> (k, c)."""
+        """Observations of values at points, (..., m) -> (..., k)."""
         if self.sampled:
-            return np.asarray(values[self.at[:, 0]])
+            return np.asarray(values[..., self.at[:, 0]])
         a, b, c = self.at.T
-        return np.asarray((values[a] + 4.0 * values[b] + values[c]) / 6.0)
+        return np.asarray((values[..., a] + 4.0 * values[..., b] + values[..., c]) / 6.0)
 
     def recorded(self, force: FloatArray, machine: FloatArray) -> FloatArray:
-        """Force as the load channel reports it: filtered and late; (m,) or (m, c)."""
-        _, skew, pole = machine
-        if pole > NO_FILTER_S:
-            force = self._filtered(force, pole)
-        if skew != 0.0:
+        """Force as the load channel reports it, filtered and late: (c, m) or (c, n, m), or without c."""
+        pole, skew = machine[..., 2], machine[..., 1]
+        if (pole > NO_FILTER_S).any():
+            force = self._filtered(force, np.maximum(pole, NO_POLE_S))
+        if (skew != 0.0).any():
             force = self._late(force, skew)
         return force
 
-    def _filtered(self, force: FloatArray, pole: float) -> FloatArray:
-        """One pole, exact where the force is linear in between; at rest before the first point."""
-        z = self.step / pole
-        decay = np.exp(-z)
-        weight = -np.expm1(-z) / np.maximum(z, 1e-12)
-        change = np.diff(force, axis=0, prepend=force[:1])
-        change[self.fresh] = 0.0
-        shape = (slice(None),) + (None,) * (force.ndim - 1)
-        # deviation d = force - filtered follows d' + d / pole = force'
-        band = np.empty((2, force.shape[0]))
-        band[0] = 1.0
-        decay[self.fresh] = 0.0
-        band[1, :-1] = -decay[1:]
-        weight[self.fresh] = 0.0
-        right = weight[shape] * change + TINY
-        lag, _ = dtbtrs(band, right.reshape(force.shape[0], -1), uplo="L", diag="U")
-        return np.asarray(force - lag.reshape(force.shape))
+    def _change(self, force: FloatArray) -> FloatArray:
+        """Change since the point before; none at the first of a log."""
+        out = np.empty(force.shape)
+        np.subtract(force[..., 1:], force[..., :-1], out=out[..., 1:])
+        out[..., self.fresh] = 0.0
+        return out
 
-    def _late(self, force: FloatArray, skew: float) -> FloatArray:
+    def _filtered(self, force: FloatArray, pole: FloatArray) -> FloatArray:
+        """One pole, exact where the force is linear in between; at rest before the first point."""
+        z = self.step / pole[..., None]
+        # deviation d = force - filtered follows d' + d / pole = force'
+        right = -np.expm1(-z) / np.maximum(z, 1e-12) * self._change(force)
+        return np.asarray(force - driven(np.exp(-z), right + TINY))
+
+    def _late(self, force: FloatArray, skew: FloatArray) -> FloatArray:
         """Force ``skew`` seconds ago, on the line between neighbouring points."""
-        shape = (slice(None),) + (None,) * (force.ndim - 1)
-        if skew > 0.0:
-            share = np.minimum(skew / self.step, 1.0)
-            share[self.fresh] = 0.0
-            change = np.diff(force, axis=0, prepend=force[:1])
-            return np.asarray(force - share[shape] * change)
-        ahead = np.append(self.step[1:], np.inf)
-        share = np.minimum(-skew / ahead, 1.0)
-        change = np.diff(force, axis=0, append=force[-1:])
-        change[self.fresh - 1] = 0.0
-        return np.asarray(force + share[shape] * change)
+        change, late = self._change(force), skew[..., None]
+        out = force
+        if (skew > 0.0).any():
+            out = out - np.clip(late / self.step, 0.0, 1.0) * change
+        if (skew < 0.0).any():
+            ahead = np.append(self.step[1:], np.inf)
+            following = np.zeros(force.shape)
+            following[..., :-1] = change[..., 1:]
+            out = out + np.clip(-late / ahead, 0.0, 1.0) * following
+        return np.asarray(out)
 
     def offsets(self, point: Point) -> FloatArray:
-        """Contact offset of each log over the largest depth, (logs,).
+        """Contact offset of each log over the largest depth, (logs,) or (n, logs).
 
         A contact that was found in the force was found as late as the force was recorded.
         """
-        late = -self.onset * (point.machine[1] + point.machine[2])
+        late = -self.onset * (point.machine[..., 1] + point.machine[..., 2])[..., None]
         if self.effects.contact:
-            late = late + point.own[:, int(self.effects.gain)]
+            late = late + point.own[..., int(self.effects.gain)]
         return np.asarray(late)
 
     def contact(self, point: Point) -> FloatArray:
-        """Contact offset of the log of each point over the largest depth, (m,)."""
-        return np.asarray(self.offsets(point)[self.point_log])
+        """Contact offset of the log of each point over the largest depth, (m,) or (n, m)."""
+        return np.asarray(self.offsets(point)[..., self.point_log])
 
     def gain(self, point: Point, u: FloatArray) -> FloatArray:
-        """Gain of each point at depths over the largest depth, (m,) or (1,)."""
+        """Gain of each point at depths over the largest depth, (m,), (n, m) or (1,)."""
         if not self.effects.gain:
             return np.ones(1)
-        ln_gain = point.own[self.point_log, 0]
+        ln_gain = point.own[..., 0][..., self.point_log]
         if self.effects.shape:
-            own = point.own[self.point_log, -SHAPE:]
-            ln_gain = ln_gain + (own * _shape(u)).sum(axis=1)
+            ln_gain = ln_gain + self._by_shape(point, _shape(u))
         return np.asarray(np.exp(ln_gain))
+
+    def _by_shape(self, point: Point, curves: FloatArray) -> FloatArray:
+        """Curves of depth times the shape of each point's log, (2, ..., m) -> (..., m)."""
+        own = np.moveaxis(point.own[..., -SHAPE:], -1, 0)[..., self.point_log]
+        if own.ndim < curves.ndim:
+            own = own[:, None]
+        return np.asarray((own * curves).sum(axis=0))
 
     def _behind(self, point: Point, force: FloatArray) -> FloatArray:
         """Depths over the largest depth, behind a frame that gives way to a force at the tip."""
         depth = self.travel - self.contact(point)
-        if point.machine[0] != 0.0:
-            depth = depth - point.machine[0] / self.depth_mm * force
+        if (point.machine[..., 0] != 0.0).any():
+            depth = depth - point.machine[..., :1] / self.depth_mm * force
         if self.give is not None:
             depth = depth - self.give(force) / self.depth_mm
         return np.asarray(np.clip(depth, -FARTHEST, FARTHEST))
 
     def _yields(self, point: Point) -> bool:
         """True where the frame gives way."""
-        return bool(point.machine[0] != 0.0) or self.give is not None
+        return bool((point.machine[..., 0] != 0.0).any()) or self.give is not None
 
     def tip_force(self, point: Point, rounds: int = FRAME_ROUNDS) -> tuple[FloatArray, FloatArray]:
         """Force at the tip at all points, and the columns that it is made of, gains in them.
@@ -295,8 +297,8 @@ class System:
         for _ in range(1 + rounds * yields):
             path = self.path(self._behind(point, force))
             columns = self.law.columns(point.log_times, path)
-            columns *= self.gain(point, path.depth_mm / self.depth_mm)[:, None]
-            found = columns @ point.linear
+            columns *= self.gain(point, path.depth_mm / self.depth_mm)
+            found = weighted(columns, point.linear)
             # what the frame gives way to on the way there
             force = force + self.soft * (found - force) if yields else found
         return force, columns
@@ -338,54 +340,30 @@ class System:
         slopes, gain = self.law.slopes(point.log_times, path, point.linear), self.gain(point, u)
         direct = gain * slopes.direct
         if self.effects.shape:
-            own = point.own[self.point_log, -SHAPE:]
-            direct = direct + (own * _bend(u)).sum(axis=1) * self.guess
+            direct = direct + self._by_shape(point, _bend(u)) * self.guess
         touching = u > 0.0
         return Slopes(np.where(touching, direct, 0.0), slopes.outer * (gain * touching), slopes.tau_s)
 
-    def _given_way(self, point: Point, path: Path, columns: FloatArray) -> FloatArray:
-        """Changes of the force that are left of ``columns``, the frame giving way to them."""
-        slopes, compliance = self._slopes(point, path), self._compliance(point)[:, None]
-        sudden = slopes.sudden(path)[:, None]
+    def _given_way(self, point: Point, path: Path, rows: FloatArray) -> FloatArray:
+        """Changes of the force that are left of ``rows``, the frame giving way to them, (c, m)."""
+        slopes, compliance = self._slopes(point, path), self._compliance(point)
+        sudden = slopes.sudden(path)
         soft = 1.0 / (1.0 + compliance * sudden)
-        size = np.abs(columns).max(axis=0)
-        out = soft * columns
+        size = np.abs(rows).max(axis=1)
+        out = soft * rows
+        compliance = np.where(path.depth_mm <= 0.0, 0.0, compliance)
         for _ in range(SETTLING):
             deeper = compliance * out
-            deeper[path.depth_mm <= 0.0] = 0.0
-            new = soft * (columns - slopes.change(path, deeper) + sudden * deeper)
-            error, out = np.abs(new - out).max(axis=0), new
+            new = soft * (rows - slopes.change(path, deeper) + sudden * deeper)
+            error, out = np.abs(new - out).max(axis=1), new
             if (error <= SETTLED * size).all():
                 break
         return np.asarray(out)
 
-    def near(self, point: Point, by_contact: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
-        """Forces near the point whose force the frame's deflection is iterated from, and own derivatives.
-
-        Parameters
-        ----------
-        point : Point
-        by_contact : ndarray, shape (k,), optional
-            Derivative of the observations by the logs' contacts, taken there once.
-
-        Returns
-        -------
-        ndarray, shape (k,) and (k, q)
-        """
+    def near(self, point: Point) -> FloatArray:
+        """Forces (k,) or (n, k) near the point whose force the frame's deflection is iterated from."""
         base, _ = self.tip_force(point, rounds=0)
-        if by_contact is None:
-            return self.means(self.recorded(base, point.machine)), np.zeros((self.force.size, 0))
-        parts, soft = [base], self.soft if self._yields(point) else 1.0
-        if self.effects.gain:
-            parts.append(soft * base)
-        if self.effects.shape:
-            shapes = _shape(np.maximum(self._behind(point, base), 0.0))
-            parts += list(soft * base * shapes.T)
-        found = self.means(self.recorded(np.column_stack(parts), point.machine))
-        first = 1 + int(self.effects.gain)
-        own = [found[:, 1:first]]
-        own += [by_contact[:, None]] if self.effects.contact else []
-        return found[:, 0], np.hstack([*own, found[:, first:]])
+        return self.means(self.recorded(base, point.machine))
 
     def derivatives(self, point: Point, *, machine: bool, follow: bool = False) -> Derivatives:
         """Forces with their derivatives.
@@ -405,29 +383,28 @@ class System:
         path = self.path(behind)
         gain = self.gain(point, path.depth_mm / self.depth_mm)
         # differences are of forces on one and the same path
-        columns = gain[:, None] * self.law.columns(point.log_times, path)
-        still = columns @ point.linear
+        columns = gain * self.law.columns(point.log_times, path)
+        still = point.linear @ columns
         parts = []
         for j in range(self.law.times):
             times = point.log_times.copy()
             times[j] += STEP_LN
-            moved = gain * (self.law.columns(times, path) @ point.linear)
-            parts.append((moved - still)[:, None] / STEP_LN)
-        by_force = -(base / self.depth_mm)[:, None]
-        by_force[path.depth_mm <= 0.0] = 0.0
-        parts += [self._slopes(point, path).change(path, by_force)] if machine else [np.zeros((base.size, 1))]
+            moved = gain * (point.linear @ self.law.columns(times, path))
+            parts.append((moved - still) / STEP_LN)
+        by_force = np.where(path.depth_mm <= 0.0, 0.0, -base / self.depth_mm)[None]
+        none = np.zeros(base.size)
+        parts += [self._slopes(point, path).change(path, by_force)[0] if machine else none]
         deeper = self.path(behind + STEP_DEPTH)
         moved = self.gain(point, deeper.depth_mm / self.depth_mm) * (
-            self.law.columns(point.log_times, deeper) @ point.linear
+            point.linear @ self.law.columns(point.log_times, deeper)
         )
-        by_contact = (still - moved)[:, None] / STEP_DEPTH
-        late = -self.onset[self.point_log][:, None] * by_contact
-        parts += [late if machine else np.zeros((base.size, 1)), columns]
+        by_contact = (still - moved) / STEP_DEPTH
+        parts += [-self.onset[self.point_log] * by_contact if machine else none, *columns]
         parts += self._by_own(base, behind, by_contact)
-        tip = np.hstack(parts)
+        tip = np.stack(parts)
         if self._yields(point):
             tip = self._given_way(point, path, tip)
-        found = self.means(self.recorded(np.column_stack([base, tip]), point.machine))
+        found = self.means(self.recorded(np.vstack([base, tip]), point.machine)).T
         t = self.law.times
         last = t + 3 + self.law.linear
         shared = np.zeros((self.force.size, self.size))
@@ -441,12 +418,12 @@ class System:
         return Derivatives(found[:, 0], shared, found[:, last:])
 
     def _by_own(self, base: FloatArray, behind: FloatArray, by_contact: FloatArray) -> list[FloatArray]:
-        """Derivatives of the force at the tip by what is a log's own, the frame held; (m, c) each."""
+        """Derivatives of the force at the tip by what is a log's own, the frame held; (m,) each."""
         out = []
         if self.effects.gain:
-            out.append(base[:, None])
+            out.append(base)
         if self.effects.contact:
             out.append(by_contact)
         if self.effects.shape:
-            out.append(base[:, None] * _shape(np.maximum(behind, 0.0)))
+            out += list(base * _shape(np.maximum(behind, 0.0)))
         return out

@@ -25,7 +25,7 @@ from tissueid.inference.engine import Identified
 from tissueid.inference.law import passive_rows, relaxation_states
 from tissueid.inference.noise import Memory, Whitener
 from tissueid.inference.optimum import covariance_of, whitener_of
-from tissueid.inference.prior import Scatter, own_precision, time_bounds
+from tissueid.inference.prior import own_precision, time_bounds
 from tissueid.inference.system import MACHINE, Point
 from tissueid.model.kelvin_voigt import STATIC_DEGREE
 from tissueid.priors import CalibrationPrior
@@ -41,6 +41,10 @@ TAU_GRID, MEMORY_GRID = 48, 0.05
 ROUNDING = 1e-9
 #: Step of numerical second derivatives of ln memory and ln scatter, and their bounds.
 STEP, LEAST_CURVATURE, MOST_CURVATURE = 0.2, 1.0, 400.0
+#: Share of the largest force below which own derivatives stay those of the optimum.
+SLIGHT = 1e-3
+#: Points along all logs, times vectors, of one evaluation.
+PART = 16_384
 
 
 class Target(Protocol):
@@ -93,10 +97,8 @@ class SpecimenTarget:
         self._ln_state = np.log(np.maximum(np.abs(states).max(axis=1), 1e-12))
         self._machine_priors = [self.priors.calibration[name] for name in MACHINE]
         self.bent_machine = True
-        self._by_contact = np.zeros(self.system.force.size)
-        if self.system.effects.contact:
-            parts = self.system.derivatives(self.optimum.point, machine=False, follow=True)
-            self._by_contact = parts.own[:, int(self.system.effects.gain)]
+        parts = self.system.derivatives(self.optimum.point, machine=False, follow=True)
+        self._own_at_optimum, self._force_at_optimum = parts.own.T, parts.force
         self._lay_out(machine)
         self._whiten()
 
@@ -185,11 +187,23 @@ class SpecimenTarget:
         return self._unscaled(self._about_contact(x))
 
     def point(self, x: FloatArray) -> Point:
-        """Vector -> point; own parameters that are integrated stay at the optimum."""
-        own = self.optimum.point.own
+        """Vectors -> point, or n of them; own parameters that are integrated stay at the optimum."""
+        return self.optimum.point.moved(self.shared(x), self._own(x))
+
+    def _own(self, x: FloatArray) -> FloatArray:
+        """Own parameters of the logs: the contact of a single one moves, others stay at the optimum."""
         if "contact" in self.places:
-            own = x[self.places["contact"]].reshape(1, 1)
-        return self.optimum.point.moved(self.shared(x), own)
+            return np.asarray(x[..., self.places["contact"], None, None])
+        return self.optimum.point.own
+
+    def forces(self, x: FloatArray) -> FloatArray:
+        """Observations near the optimum at vectors, (n, size) -> (n, k)."""
+        return np.concatenate([self.system.near(self.point(part)) for part in self._parts(x)])
+
+    def _parts(self, x: FloatArray) -> list[FloatArray]:
+        """Vectors in parts whose forces stay in the processor's cache."""
+        size = max(PART // self.system.travel.size, 1)
+        return [x[i : i + size] for i in range(0, len(x), size)]
 
     def vectors(self, z: FloatArray) -> FloatArray:
         """Whitened points -> vectors, (..., d) -> (..., size)."""
@@ -270,11 +284,9 @@ class SpecimenTarget:
 
     def _numeric_curvature(self, at: int) -> float:
         """Second derivative of the negative log density by one coordinate, bounded."""
-        values = []
-        for by in (-STEP, 0.0, STEP):
-            x = self.mode.copy()
-            x[at] += by
-            values.append(self.density(x))
+        x = np.tile(self.mode, (3, 1))
+        x[:, at] += (-STEP, 0.0, STEP)
+        values = self.density(x)
         value = (2.0 * values[1] - values[0] - values[2]) / STEP**2
         return float(
             np.clip(value if np.isfinite(value) else LEAST_CURVATURE, LEAST_CURVATURE, MOST_CURVATURE)
@@ -316,90 +328,123 @@ class SpecimenTarget:
         at = np.cumsum(used) - 1
         return np.array([at[k] for k in rows if used[k]], dtype=np.int64)
 
-    def _white(self, x: FloatArray) -> Whitener:
-        at = self.places.get("ln_memory")
-        key = -(10**9) if at is None else int(np.clip(round(float(x[at]) / MEMORY_GRID), -1000, 1000))
+    def _white(self, key: int) -> Whitener:
+        """Whitening by the number of a step of ln memory."""
         if key not in self._whiteners:
             memory = self.optimum.noise.memory
-            memory = Memory() if at is None else replace(memory, time_s=float(np.exp(key * MEMORY_GRID)))
+            if "ln_memory" in self.places:
+                memory = replace(memory, time_s=float(np.exp(key * MEMORY_GRID)))
+            else:
+                memory = Memory()
             self._whiteners[key] = whitener_of(self.system, memory)
         return self._whiteners[key]
 
-    def _log_prior(self, x: FloatArray, shared: FloatArray) -> float:
-        """Of shared parameters, scale, memory and scatter."""
+    def _whitened(self, x: FloatArray, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Observations in units of the noise of each vector, (n, k, c), and ln determinants of it, (n,)."""
+        keys = np.zeros(len(x), dtype=np.int64)
+        if "ln_memory" in self.places:
+            steps = np.round(x[:, self.places["ln_memory"]] / MEMORY_GRID)
+            keys = np.clip(steps, -1000, 1000).astype(np.int64)
+        out, log_det = np.empty(rows.shape), np.empty(len(x))
+        c, _, k = rows.shape
+        for key in np.unique(keys):
+            mine, white = keys == key, self._white(int(key))
+            out[:, mine] = white(rows[:, mine].reshape(-1, k).T).T.reshape(c, -1, k)
+            log_det[mine] = white.log_det
+        return out * np.exp(-x[:, self.places["ln_sigma"]])[None, :, None], log_det
+
+    def _log_prior(self, x: FloatArray, shared: FloatArray) -> FloatArray:
+        """Of shared parameters, scale, memory and scatter, (n,); minus infinity out of their bounds."""
         prior, places = self.optimum.prior, self.places
-        off = prior.rows @ shared - prior.target
-        value, at = -0.5 * float(off @ off), places["ln_sigma"]
-        if abs(x[at]) > 60.0:
-            return -np.inf
+        off = shared @ prior.rows.T - prior.target
+        value, ln_sigma = -0.5 * (off**2).sum(axis=1), x[:, places["ln_sigma"]]
+        outside = np.abs(ln_sigma) > 60.0
         if self.priors.sigma_N is not None:
             stated = self.priors.sigma_N
-            value -= 0.5 * ((x[at] - math.log(stated.median)) / stated.sd_ln) ** 2
+            value -= 0.5 * ((ln_sigma - math.log(stated.median)) / stated.sd_ln) ** 2
         if "ln_gain_sd" in places:
-            v = float(x[places["ln_gain_sd"]])
-            if not -14.0 < v < 10.0:
-                return -np.inf
-            value += v - 0.5 * (math.exp(v) / self.priors.gain_sd) ** 2
+            v = x[:, places["ln_gain_sd"]]
+            outside |= (v <= -14.0) | (v >= 10.0)
+            value += v - 0.5 * (np.exp(np.minimum(v, 10.0)) / self.priors.gain_sd) ** 2
         if "contact" in places:
-            value -= 0.5 * float(prior.own[0, 0]) * float(x[places["contact"]]) ** 2
+            value -= 0.5 * float(prior.own[0, 0]) * x[:, places["contact"]] ** 2
         if "ln_memory" in places:
-            low, high = (
-                np.log(0.1 * self.system.obs_step.min()),
-                np.log(100.0 * np.ptp(self.system.mid) + 1e-300),
-            )
-            if not low < x[places["ln_memory"]] < high:
-                return -np.inf
-        return float(value)
+            low = np.log(0.1 * self.system.obs_step.min())
+            high = np.log(100.0 * np.ptp(self.system.mid) + 1e-300)
+            outside |= (x[:, places["ln_memory"]] <= low) | (x[:, places["ln_memory"]] >= high)
+        return np.where(outside, -np.inf, value)
 
-    def density(self, x: FloatArray) -> float:
-        """Log density of a vector up to a constant; minus infinity outside the passive set."""
+    def density(self, x: FloatArray) -> FloatArray:
+        """Log densities of vectors up to a constant, (n, size) -> (n,); minus infinity where not passive."""
+        return np.concatenate([self._density(part) for part in self._parts(x)])
+
+    def _density(self, x: FloatArray) -> FloatArray:
+        """Log densities of some vectors, (n,)."""
         shared, prior = self._about_contact(x), self.optimum.prior
-        if (prior.cone @ shared - prior.least < self._slack).any():
-            return -np.inf
-        value = self._log_prior(x, shared)
-        if not np.isfinite(value):
-            return -np.inf
-        own = self.optimum.point.own
-        if "contact" in self.places:
-            own = x[self.places["contact"]].reshape(1, 1)
-        point = self.optimum.point.moved(self._unscaled(shared), own)
-        white, ln_sigma = self._white(x), float(x[self.places["ln_sigma"]])
-        if self.alone or not self.system.effects.size:
-            left = white(self.system.force - self.system.near(point)[0]) * math.exp(-ln_sigma)
-        else:
-            force, columns = self.system.near(point, self._by_contact)
-            both = white(np.column_stack([self.system.force - force, columns])) * math.exp(-ln_sigma)
-            left = both[:, 0]
-            value += self._integrated(x, both)
-        square = float(left @ left)
-        if "ln_memory" not in self.places:
-            square += self.system.within_N2 * math.exp(-2.0 * ln_sigma)
-        return value - 0.5 * square - self.samples * ln_sigma - 0.5 * white.log_det
+        out = self._log_prior(x, shared)
+        out[(shared @ prior.cone.T - prior.least < self._slack).any(axis=1)] = -np.inf
+        inside = np.flatnonzero(np.isfinite(out))
+        if inside.size:
+            out[inside] += self._log_likelihood(x[inside], shared[inside])
+        return out
 
-    def _integrated(self, x: FloatArray, both: FloatArray) -> float:
-        """Term that integrating the logs' own parameters adds to the log density."""
-        scatter = Scatter(
-            gain=math.exp(x[self.places["ln_gain_sd"]]) if "ln_gain_sd" in self.places else 1.0,
-            shape=self.identified.scatter.shape,
-        )
-        precision = own_precision(self.system, scatter)
-        begins, columns = self.system.begins, both[:, 1:]
-        inner = np.add.reduceat(columns[:, :, None] * columns[:, None, :], begins, axis=0)
-        right = np.add.reduceat(columns * both[:, :1], begins, axis=0)
-        own = self.optimum.point.own
+    def _log_likelihood(self, x: FloatArray, shared: FloatArray) -> FloatArray:
+        """Log likelihoods of passive vectors, what is the logs' own integrated, (n,)."""
+        point = self.optimum.point.moved(self._unscaled(shared), self._own(x))
+        ln_sigma = x[:, self.places["ln_sigma"]]
+        integrated = not self.alone and self.system.effects.size > 0
+        force = self.system.near(point)
+        rows = (self.system.force - force)[None]
+        white, log_det = self._whitened(x, np.concatenate([rows, self.by_own(force)]) if integrated else rows)
+        square = (white[0] ** 2).sum(axis=1)
+        if "ln_memory" not in self.places:
+            square += self.system.within_N2 * np.exp(-2.0 * ln_sigma)
+        value = -0.5 * square - self.samples * ln_sigma - 0.5 * log_det
+        return value + self._integrated(x, white) if integrated else value
+
+    def _integrated(self, x: FloatArray, white: FloatArray) -> FloatArray:
+        """Term that integrating the logs' own parameters adds to log densities, (n,)."""
+        gain = np.exp(x[:, self.places["ln_gain_sd"]]) if "ln_gain_sd" in self.places else np.ones(len(x))
+        own, logs = self.optimum.point.own, len(self.system.logs)
+        begins, columns, q = self.system.begins, white[1:], white.shape[0] - 1
+        inner, right = np.empty((len(x), logs, q, q)), np.empty((len(x), logs, q))
+        for i in range(q):
+            right[:, :, i] = np.add.reduceat(columns[i] * white[0], begins, axis=1)
+            for j in range(i + 1):
+                inner[:, :, i, j] = inner[:, :, j, i] = np.add.reduceat(
+                    columns[i] * columns[j], begins, axis=1
+                )
+        precision = np.broadcast_to(own_precision(self.system, self.identified.scatter), (len(x), logs, q))
+        if self.system.effects.gain:
+            precision = precision.copy()
+            precision[:, :, 0] = (gain**-2)[:, None]
         pull = precision * own
-        factor = np.linalg.cholesky(inner + precision[:, :, None] * np.eye(own.shape[1]))
-        half = np.linalg.solve(factor, (right - pull)[:, :, None])[:, :, 0]
-        value = 0.5 * float((half**2).sum()) - 0.5 * float((own * pull).sum())
-        value -= float(np.log(np.diagonal(factor, axis1=1, axis2=2)).sum())
-        return value + 0.5 * float(np.log(precision).sum())
+        factor = np.linalg.cholesky(inner + precision[..., None] * np.eye(q))
+        half = np.linalg.solve(factor, (right - pull)[..., None])[..., 0]
+        value = 0.5 * (half**2).sum(axis=(1, 2)) - 0.5 * (own * pull).sum(axis=(1, 2))
+        value -= np.log(np.diagonal(factor, axis1=2, axis2=3)).sum(axis=(1, 2))
+        return np.asarray(value + 0.5 * np.log(precision).sum(axis=(1, 2)))
+
+    def by_own(self, force: FloatArray) -> FloatArray:
+        """Derivatives of the observations by the logs' own parameters, (n, k) -> (q, n, k).
+
+        Those at the optimum, in proportion to the force where they are changes of ln gain.
+        """
+        out, then = self._own_at_optimum[:, None], self._force_at_optimum
+        found = np.repeat(out, len(force), axis=1)
+        share = np.divide(force, then, out=np.ones(force.shape), where=np.abs(then) > SLIGHT * self.force)
+        for i in range(len(found)):
+            if not (self.system.effects.contact and i == int(self.system.effects.gain)):
+                found[i] *= share
+        return found
 
     def densities(self, z: FloatArray) -> FloatArray:
         """Log densities of points whose machine is given by quantiles, (n, d) -> (n,)."""
-        out = np.array([self.density(x) for x in self.vectors(z)])
-        x = self.vectors(z)[:, self._machine_places]
+        x = self.vectors(z)
+        out = self.density(x)
         for k, one in enumerate(self._machine_priors if self.open else ()):
-            out += 0.5 * ((x[:, k] - one.mean) / one.sd) ** 2 - 0.5 * z[:, k] ** 2
+            off = (x[:, self.law.times + k] - one.mean) / one.sd
+            out += 0.5 * off**2 - 0.5 * z[:, k] ** 2
         return out
 
 
