@@ -273,8 +273,15 @@ def _judged(specimen: Specimen, document: dict[str, Any]) -> dict[str, Any]:
         "tau_error": None
         if tau["value"] is None or not specimen.order
         else tau["value"] / min(specimen.tissue.tau_s) - 1.0,
-        "tau_identified": bool(tau["identified"]),
+        # of a window, where it follows the hold
+        "tau_identified": bool(tau["identified"]) and not _effective(document),
     }
+
+
+def _effective(document: dict[str, Any]) -> bool:
+    """The relaxation time is said to be one of the hold's length."""
+    window = document.get("relaxation_window")
+    return bool(window and window["effective"])
 
 
 def records(names: dict[str, Maker], count: int, path: Path, minutes: float) -> Iterator[dict[str, Any]]:

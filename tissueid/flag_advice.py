@@ -345,10 +345,10 @@ _FIT = {
         "show a force in air",
     ),
     "form_dependent": Advice(
-        "At smaller depths the split between F_s and K is the polynomials', not the data's; the "
-        "viscosity of all branches at the largest depth is known.",
-        "Test a second speed, or hold at a second depth.",
-        "have one speed and one depth",
+        "Of one speed and one depth, the split between F_s and K at smaller depths is the polynomials', "
+        "not the data's; a relaxation time that follows the hold is one of that window.",
+        "Test a second speed or depth; quote the hold beside a relaxation time, and compare forces.",
+        "have numbers that rest on the form of the law",
     ),
     "unloading_left_out": Advice(
         "Only loading and holds are fitted.",

@@ -80,7 +80,7 @@ FLAG_CODES: Mapping[str, str] = MappingProxyType(
         "single_speed": "one speed and no hold: only the ramp's shape tells viscosity from static stiffness",
         "unloading_not_settled": "the fit of unloading did not converge",
         "contact_loss_misfit": "the load cell shows a force while the model has the tool in air",
-        "form_dependent": "one speed and one depth: how F_s and K share the force rests on their polynomials",
+        "form_dependent": "the share of F_s and K, or the relaxation time, rests on the form of the law",
         "unloading_left_out": "samples after the tool first turned back took no part in the fit",
         "frame_corrected": "the deflection of machine and fixture was taken off the displacement",
         "gain_spread": "logs of one specimen differ much in stiffness",

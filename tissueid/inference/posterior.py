@@ -357,8 +357,10 @@ def _assembled(
         bands=predictive_bands(fit, target, draws.vectors, sigma_N=noise.sigma_N),
     )
     kept = [flag for flag in fit.flags if flag.code != "not_identified"]
+    spread = np.cov(draws.total if instrument else draws.statistical, rowvar=False)
     return replace(
         fit,
+        quoted=fitted.quoted(replace(fitted.tissue, covariance=np.atleast_2d(spread)))[0],
         parameters=parameters,
         posterior=posterior,
         flags=(*said, *unidentified(parameters), *kept, *posterior_flags(posterior)),

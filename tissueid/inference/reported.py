@@ -14,8 +14,11 @@ __all__ = ["interval95", "reported_draws"]
 
 FloatArray = NDArray[np.float64]
 
-#: Ends of the central 95 % interval.
-CENTRAL_95 = (0.025, 0.975)
+#: Ends of the central 95 % interval, and the end of the one that begins at an active bound.
+CENTRAL_95, FROM_BOUND_95 = (0.025, 0.975), 0.95
+#: Lower end of the central interval over the median below which positive draws are densest at their bound:
+#: of a normal that is cut where its density is that of the upper end (0.12).
+CROWDED = 0.1
 
 
 def reported_draws(model: KelvinVoigt, theta: FloatArray) -> dict[str, FloatArray]:
@@ -42,9 +45,15 @@ def reported_draws(model: KelvinVoigt, theta: FloatArray) -> dict[str, FloatArra
 
 
 def interval95(draws: Mapping[str, FloatArray]) -> dict[str, tuple[float, float]]:
-    """Central 95 % interval of each parameter's draws."""
+    """The 95 % interval of each parameter's draws: central, or of highest density from an active bound of 0.
+
+    Relaxation times have no bound at 0.
+    """
     out = {}
     for name, values in draws.items():
-        low, high = np.quantile(values, CENTRAL_95)
+        low, middle, high = np.quantile(values, (CENTRAL_95[0], 0.5, CENTRAL_95[1]))
+        bounded = not name.startswith("relaxation_time") and float(values.min()) >= 0.0
+        if bounded and low < CROWDED * middle:
+            low, high = 0.0, np.quantile(values, FROM_BOUND_95)
         out[name] = (float(low), float(high))
     return out

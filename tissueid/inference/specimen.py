@@ -30,6 +30,7 @@ from tissueid.measured import spread
 from tissueid.measured.geometry import DEFAULT_POISSON, Geometry, TipOf
 from tissueid.model.kelvin_voigt import KEY, STATIC_DEGREE
 from tissueid.priors import Priors
+from tissueid.quantities import QuotedNumbers, RelaxationWindow
 from tissueid.result import ModelChoice, SpecimenFit
 from tissueid.uncertainty import NoiseFit
 
@@ -95,6 +96,8 @@ class FittedSpecimen:
     tissue : TissueEstimate
     told : Summaries
         Of the second pass over the logs.
+    quoted : callable
+        What is derived from a tissue, with errors of that tissue's covariance, and flags of it.
     moved : callable
         The same at another point, with other parameters and noise.
     """
@@ -105,6 +108,7 @@ class FittedSpecimen:
     noise: NoiseFit
     tissue: TissueEstimate
     told: Summaries
+    quoted: Callable[[TissueEstimate], tuple[QuotedNumbers, tuple[Flag, ...]]] = field(repr=False)
     moved: Callable[[Point], FittedSpecimen] = field(repr=False)
 
 
@@ -294,12 +298,21 @@ def _fit(
             here, facts, told.trials, sigma_N=noise.sigma_N, optimisers=optimisers,
             noise=None if noise.discrepant else noise.model,
         )  # fmt: skip
-        flags = (*discrepancy_flags(noise, told.nrmsd), *flags, *undecided_flags(found))
-        step, length = min(log.step_s for log in facts), max(log.duration_s for log in facts)
-        quoted = quoted_numbers(
-            here, told.holds, step_s=step, duration_s=length, frequencies_Hz=options.frequencies_Hz
+        flags = (
+            *discrepancy_flags(noise, told.nrmsd),
+            *flags,
+            *undecided_flags(found),
+            *window_flags(window),
         )
-        quoted, said = with_moduli(quoted, here, options.geometry)
+        step, length = min(log.step_s for log in facts), max(log.duration_s for log in facts)
+
+        def quoted_of(tissue: TissueEstimate) -> tuple[QuotedNumbers, tuple[Flag, ...]]:
+            numbers = quoted_numbers(
+                tissue, told.holds, step_s=step, duration_s=length, frequencies_Hz=options.frequencies_Hz
+            )
+            return with_moduli(numbers, tissue, options.geometry)
+
+        quoted, said = quoted_of(here)
         flags, unloading = (*flags, *said), None
         if followed is not None:
             unloading, more = unloading_verdict(followed, here, adjustments, sigma_N=noise.sigma_N)
@@ -335,9 +348,20 @@ def _fit(
             measured=spread([trial.measured for trial in told.trials if trial.measured is not None]),
             quoted=quoted,
         )
-        return FittedSpecimen(fit, logs, found, noise, here, told, described)
+        return FittedSpecimen(fit, logs, found, noise, here, told, quoted_of, described)
 
     return described(identified.optimum.point)
+
+
+def window_flags(window: RelaxationWindow | None) -> tuple[Flag, ...]:
+    """A relaxation time that follows the hold it was shown."""
+    if window is None or not window.effective:
+        return ()
+    words = (
+        f"one relaxation time follows the hold, {window.tau_s[-1]:.3g} s in {window.cut_s[-1]:.3g} s and "
+        f"{window.tau_s[0]:.3g} s in {window.cut_s[0]:.3g} s: it is of that window"
+    )
+    return (Flag("form_dependent", words, {"slope": window.slope}),)
 
 
 def undecided_flags(identified: Identified) -> tuple[Flag, ...]:

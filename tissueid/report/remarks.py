@@ -79,7 +79,7 @@ REMARK_TITLES: Mapping[str, str] = MappingProxyType(
         "optimisers_disagree": "Two optima",
         "not_converged": "Convergence",
         "single_speed": "One speed",
-        "form_dependent": "One speed, one depth",
+        "form_dependent": "Form of the law",
         "unloading_not_settled": "Unloading",
         "contact_loss_misfit": "Contact loss",
         "unloading_left_out": "Unloading",
