@@ -79,15 +79,21 @@ def test_the_numbers_of_scale_and_stability_are_printed_before_and_kept_in_the_l
 
 
 def in_real_time(path: Path, *args: object) -> Any:
-    """A session in real time; one that a busy processor ended early is tried again, twice at the most."""
-    for _ in range(3):
+    """A session in real time; one that a busy processor ended or limited is tried again, four times."""
+    for _ in range(5):
         path.unlink(missing_ok=True)
         ended = run("render", *args, "--log", path)
         assert ended.code == 0, ended.stderr
-        summary = read_session_log(path).summary
-        if summary is not None and summary["deepest_mm"] > 0.98:
+        log = read_session_log(path)
+        whole = log.summary is not None and log.summary["deepest_mm"] > 0.98
+        if whole and untouched(log.records)["tissue_force_N"].max(initial=0.0) > 10.0:
             break
     return ended
+
+
+def untouched(records: np.ndarray) -> np.ndarray:
+    """Ticks that no limit touched."""
+    return records[(records["lamps"] & 0x5A5) == 0]
 
 
 def test_the_servo_process_renders_in_real_time_and_names_the_log(bundle: Path, tmp_path: Path) -> None:
@@ -97,7 +103,7 @@ def test_the_servo_process_renders_in_real_time_and_names_the_log(bundle: Path, 
     assert "period error" in ended.stderr
     records = read_session_log(path).records
     assert (np.diff(records["tick"]) == 1).all()
-    felt = records[(records["lamps"] & 0x5A5) == 0]
+    felt = untouched(records)
     scale = read_session_log(path).head["scale"]["force_scale"]
     # every tick that no limit touched carries the tissue's force at the stated scale
     assert felt["force_N"][:, 2] == pytest.approx(felt["tissue_force_N"] * scale, rel=1e-9, abs=1e-9)
