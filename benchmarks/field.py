@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from field_simulator import Log, Machine, Tissue, recorded
+from field_simulator import Drainage, Log, Machine, Tissue, recorded
 from threadpoolctl import threadpool_limits
 
 PROGRAM = (
@@ -53,7 +53,7 @@ class Specimen:
     logs: tuple[Log, ...]
     machine: Machine
     order: tuple[int, int] | None = None
-    tissues: tuple[Tissue, ...] = ()
+    tip: str = ""
 
 
 Maker = Callable[[np.random.Generator], Specimen]
@@ -154,10 +154,38 @@ def _damaged(i: int, log: Log) -> Log:
     return replace(log, gain=log.gain * 0.95**i)
 
 
+def _tilted(depth: np.ndarray) -> np.ndarray:
+    """Mean depth of a flat punch of 5 mm radius that stands 8 degrees askew."""
+    across = 5.0 * np.sin(np.radians(8.0)) * np.linspace(-1.0, 1.0, 41)
+    chord = np.sqrt(1.0 - np.linspace(-1.0, 1.0, 41) ** 2)
+    lower = np.maximum(depth[:, None] - 5.0 * np.sin(np.radians(8.0)) + across, 0.0)
+    return np.asarray(lower @ (chord / chord.sum()))
+
+
+def _drained(rng: np.random.Generator) -> Specimen:
+    """A soaked disc under a sphere, held at four depths twice each."""
+    size, spread = rng.lognormal(0.0, 0.15), rng.lognormal(0.0, 0.3)
+    tissue = Tissue(drains=Drainage(8.0 * size, 0.5, 60.0 * spread, 20.0))
+    return Specimen(tissue, _sites(rng, DEPTHS), PLAIN, tip=SPHERE)
+
+
+def _viscous(rng: np.random.Generator) -> Specimen:
+    """The same program on a viscous tissue."""
+    return replace(_case(logs=DEPTHS)(rng), tip=SPHERE)
+
+
 def _all_bent(bent: Any) -> Callable[[int, Log], Log]:
     return lambda _, log: replace(log, bent=bent)
 
 
+#: Two pushes each to four depths, and the tip that they are made with.
+DEPTHS = tuple(Log(depth, 2.0 * depth, 8.0) for depth in (2.0, 4.0, 6.0, 9.0) for _ in range(2))
+SPHERE = """schema = "tissueid/study/1"
+[tip]
+shape = "sphere"
+radius_mm = 20.0
+"""
+FLAT = SPHERE.replace("sphere", "flat").replace("20.0", "5.0")
 #: Makers with the flags of which one is due.
 MECHANISMS: dict[str, tuple[Maker, tuple[str, ...]]] = {
     "none": (_case(logs=HOLDS), ()),
@@ -167,9 +195,19 @@ MECHANISMS: dict[str, tuple[Maker, tuple[str, ...]]] = {
     ),
     "damage of 5 % a push": (_case(logs=HOLDS, each=_damaged), ("order_effect",)),
     "rigid base": (_case(each=_all_bent(_base)), ("discrepancy", "misfit")),
+    "drainage at four depths": (_drained, ("poroelastic",)),
+    "viscous at four depths": (_viscous, ()),
+    "pull-off": (
+        _case(logs=tuple(replace(one, returns=True) for one in HOLDS), adhesion_N=8.0),
+        ("adhesion", "contact_loss_misfit"),
+    ),
+    "tilt of 8 degrees": (
+        lambda rng: replace(_case(each=lambda _, log: replace(log, met=_tilted))(rng), tip=FLAT),
+        ("discrepancy", "misfit"),
+    ),
     "stick-slip": (_case(logs=HOLDS, each=_all_bent(_stick_slip)), ("discrepancy", "misfit", "slip")),
 }
-FALSE_ALARMS = ("discrepancy", "misfit", "order_effect", "gain_spread", "slip")
+FALSE_ALARMS = ("discrepancy", "misfit", "order_effect", "gain_spread", "slip", "poroelastic", "adhesion")
 
 
 #: A study that states the machine of :data:`PLAIN`.
@@ -192,15 +230,18 @@ def _identified(
     import tissueid
     from tissueid.inference.specimen import FitOptions
     from tissueid.pipeline import IdentifyOptions, PosteriorOptions, identify
-    from tissueid.trial import Trial
+    from tissueid.trial import Source, Trial
 
-    trials = [Trial("field", *recorded(specimen.tissue, log, specimen.machine, rng)) for log in specimen.logs]
+    trials = [
+        Trial("field", *recorded(specimen.tissue, log, specimen.machine, rng), source=Source(path=f"{k}.csv"))
+        for k, log in enumerate(specimen.logs)
+    ]
     options = IdentifyOptions(fit=FitOptions(), posterior=PosteriorOptions(seed=seed), seed=seed)
-    study = None
-    if stated:
+    study, told = None, STATED if stated else specimen.tip
+    if told:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "study.toml"
-            path.write_text(STATED, encoding="utf-8")
+            path.write_text(told, encoding="utf-8")
             study = tissueid.read_study(path)
     return identify(trials, study=study, options=options).as_json()["specimens"][0]
 
@@ -238,7 +279,8 @@ def _judged(specimen: Specimen, document: dict[str, Any]) -> dict[str, Any]:
         truths = {name: value * (1.0 if "time" in name else gain) for name, value in truths.items()}
     model = document["model"]
     found = (model["branches"], model["stiffness_degree"])
-    codes = sorted({flag["code"] for flag in document["flags"]})
+    said = [*document["flags"], *(flag for trial in document["trials"] for flag in trial["flags"])]
+    codes = sorted({flag["code"] for flag in said})
     rows: dict[str, Any] = {}
     for one in document["parameters"]:
         truth, value, total = truths.get(one["name"]), one["value"], one["ci95_total"]

@@ -8,13 +8,13 @@ is written is rounded to a quantum.  A mechanism changes one thing that the cont
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
+from scipy.signal import fftconvolve, lfilter
 
-__all__ = ["Log", "Machine", "Tissue", "recorded"]
+__all__ = ["Drainage", "Log", "Machine", "Tissue", "recorded"]
 
 Array = NDArray[np.float64]
 
@@ -22,6 +22,22 @@ FINE = 20
 #: Iterations of the frame's deflection; each leaves compliance times stiffness of the error before.
 FRAME_ROUNDS = 40
 AIR_S = 0.6
+#: Height above the surface to which tissue that adheres is drawn.
+NECK_MM = 0.8
+
+
+@dataclass(frozen=True)
+class Drainage:
+    """A poroelastic half-space under a sphere [N, mm, s].
+
+    Force of a sudden push: modulus x^1.5, of which a share is lost as fluid drains from a contact of radius
+    a = sqrt(R x), by the function of Hu, Zhao, Vlassak & Suo 2010 (doi 10.1063/1.3370354, equation 11).
+    """
+
+    modulus: float
+    share: float
+    diffusivity_mm2_s: float
+    radius_mm: float
 
 
 @dataclass(frozen=True)
@@ -37,7 +53,7 @@ class Tissue:
     tau_s: tuple[float, ...] = (0.3,)
     inside: bool = False
     power: float | None = None
-    drained: tuple[float, float] | None = None
+    drains: Drainage | None = None
     adhesion_N: float = 0.0
 
     def elastic(self, x: Array) -> Array:
@@ -71,6 +87,7 @@ class Log:
     gain: float = 1.0
     offset_mm: float = 0.0
     bent: Callable[[Array, Array], Array] | None = field(default=None, repr=False)
+    met: Callable[[Array], Array] | None = field(default=None, repr=False)
 
 
 def _state(x: Array, tau: float, dt: float) -> Array:
@@ -80,9 +97,20 @@ def _state(x: Array, tau: float, dt: float) -> Array:
     return np.asarray(lfilter([tau / dt * (1.0 - decay)], [1.0, -decay], change))
 
 
+def _draining(tissue: Drainage, deep: Array, dt: float) -> Array:
+    """Force of each small push, lost by the function of drainage for the contact at the largest depth."""
+    sudden = tissue.modulus * deep**1.5
+    time = np.arange(deep.size) * dt * tissue.diffusivity_mm2_s / (tissue.radius_mm * deep.max())
+    left = 0.491 * np.exp(-0.908 * np.sqrt(time)) + 0.509 * np.exp(-1.679 * time)
+    kept = 1.0 - tissue.share + tissue.share * left
+    return np.asarray(fftconvolve(np.diff(sudden, prepend=sudden[0]), kept)[: deep.size])
+
+
 def tissue_force(tissue: Tissue, x: Array, dt: float) -> Array:
     """Force along a depth [N]; air is no depth."""
     deep = np.maximum(x, 0.0)
+    if tissue.drains is not None:
+        return _draining(tissue.drains, deep, dt)
     elastic = tissue.elastic(deep)
     if tissue.power is not None:
         times = np.logspace(-3, 3, 25)
@@ -125,6 +153,15 @@ def _travel(log: Log, machine: Machine) -> tuple[Array, Array]:
     return time, np.asarray(x)
 
 
+def _pull(tissue: Tissue, depth: Array) -> Array:
+    """Adhesion: none while the tool goes in, all of it once it comes back, until the tissue lets go [N]."""
+    if tissue.adhesion_N == 0.0:
+        return np.zeros_like(depth)
+    back = np.arange(depth.size) > int(np.flatnonzero(depth >= depth.max() - 1e-9)[-1])
+    held = np.clip((depth + NECK_MM) / NECK_MM, 0.0, 1.0)
+    return np.where(back, tissue.adhesion_N * held, 0.0)
+
+
 def recorded(
     tissue: Tissue, log: Log, machine: Machine, rng: np.random.Generator
 ) -> tuple[Array, Array, Array]:
@@ -134,8 +171,9 @@ def recorded(
     force = np.zeros_like(travel)
     for _ in range(FRAME_ROUNDS if machine.compliance_mm_per_N else 1):
         depth = travel - log.offset_mm - machine.compliance_mm_per_N * force
-        bare = replace(tissue, adhesion_N=0.0)
-        force = log.gain * tissue_force(bare, depth, dt)
+        force = log.gain * tissue_force(tissue, depth if log.met is None else log.met(depth), dt)
+        # a tool without adhesion is never pulled
+        force = np.maximum(force, 0.0) - _pull(tissue, depth)
         if log.bent is not None:
             force = log.bent(depth, force)
     if machine.filter_s > 0.0:

@@ -191,6 +191,11 @@ _SEGMENTS = {
         "Look at the grip: --exclude leaves it out.",
         "slip on a ramp",
     ),
+    "adhesion": Advice(
+        "Loading and holds are fitted; the model has no pull, so unloading does not follow.",
+        "Wet or powder the tip, or leave the retract out.",
+        "pull at the tool as it leaves",
+    ),
     "speed_differs": Advice(
         "The measured speed counts; the machine did not do what its header says.",
         "Check the header and the time column.",
@@ -495,6 +500,7 @@ HARM: Mapping[str, tuple[str, ...]] = MappingProxyType(
             "rupture",
             "doubtful_rupture",
             "speed_differs",
+            "adhesion",
             "slip",
             "not_identified",
             "discrepancy",

@@ -49,6 +49,7 @@ FLAG_CODES: Mapping[str, str] = MappingProxyType(
         "rupture": "the force collapses while the tool moves on: the tissue broke or the tool slipped",
         "doubtful_rupture": "most of the force is lost within 0.1 s of a stop: relaxation, or a rupture?",
         "slip": "the force falls a little on a ramp and recovers: the tool or the grip slipped",
+        "adhesion": "tissue pulls at the tool as it leaves",
         "speed_differs": "the ramp runs at another speed than the file states",
         "load_limit_stop": "the ramp ended at a load limit, not at a depth",
         "preconditioned": "the last cycles change by less than 2 %",

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from tissueid.digits import with_error
+from tissueid.inference.depth_test import NAME as SLOPE
 
 __all__ = ["quoted_lines"]
 
@@ -40,9 +41,21 @@ def quoted_lines(document: Mapping[str, Any]) -> list[str]:
             words = {"modulus_equilibrium": "E_inf", "modulus_instantaneous": "E_0"}
             parts = [_said(one, words[one["name"]]) for one in chosen]
             lines.append(f"modulus by {best} at {depth:.3g} mm  {', '.join(parts)}")
+        lines += [_drainage(one) for one in quoted["model"] if one["name"] == SLOPE]
     if document["cycles"]:
         lines.append(_loops(document["cycles"]))
     return lines
+
+
+def _drainage(slope: Mapping[str, Any]) -> str:
+    """The depth test: drainage or viscosity."""
+    if slope["value"] is None:
+        return f"depth test: can't decide, {slope['reason']}"
+    at = slope["at"]
+    return (
+        f"depth test: tau grows as contact radius^{slope['value']:.2f} [{at['low']:.2f}, {at['high']:.2f}], "
+        f"{at['verdict']} (0 viscous, 2 drainage)"
+    )
 
 
 def _loops(cycles: list[Mapping[str, Any]]) -> str:

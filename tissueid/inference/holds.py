@@ -12,12 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import nnls
+from scipy.optimize import minimize_scalar, nnls
 
 from tissueid.quantities import Spectrum
 from tissueid.trial import Segmentation, Trial, contact_frame
 
-__all__ = ["HoldNumbers", "hold_numbers", "relaxation_spectrum"]
+__all__ = ["HoldNumbers", "drainage_time", "drained_share", "hold_numbers", "relaxation_spectrum"]
 
 FloatArray = NDArray[np.float64]
 
@@ -27,6 +27,8 @@ NOISE_FACTOR = 5.0
 #: Relaxation times a decade, and bins a decade of the samples.
 PER_DECADE = 8
 BINS_PER_DECADE = 40
+#: Nodes of a ramp whose parts drain, and points of the search in ln time.
+RAMP_NODES, DRAINAGE_GRID = 16, 25
 #: Grid of smoothing weights, strongest first.
 SMOOTHINGS = np.geomspace(1e3, 1e-6, 28)
 
@@ -42,12 +44,58 @@ class HoldNumbers:
         Longest hold; 0 without one.
     speed_mm_s, depth_mm : float
         Of the ramp before the longest hold.
+    drainage_s : float
+        Time a^2 / D of the drainage function nearest to the longest hold; 0 without one.
     """
 
     spectra: tuple[Spectrum, ...] = ()
     longest_s: float = 0.0
     speed_mm_s: float = 0.0
     depth_mm: float = 0.0
+    drainage_s: float = 0.0
+
+
+def drained_share(time: FloatArray) -> FloatArray:
+    """Share of the pressure that is left under a sphere, of time over a^2 / D.
+
+    Hu, Zhao, Vlassak & Suo 2010, doi 10.1063/1.3370354.
+    """
+    return np.asarray(0.491 * np.exp(-0.908 * np.sqrt(time)) + 0.509 * np.exp(-1.679 * time))
+
+
+def drainage_time(time_s: FloatArray, force_N: FloatArray, ramp_s: float) -> float:
+    """Time a^2 / D of drainage that comes nearest to a hold after a ramp [s].
+
+    Of a ramp at constant speed under a sphere, force F_e ~ x^1.5: each part of it drains from its own moment.
+
+    Parameters
+    ----------
+    time_s, force_N : ndarray, shape (n,)
+        Since the stop.
+    ramp_s : float
+    """
+    if time_s.size < MIN_SAMPLES or not time_s[-1] > 2.0 * ramp_s:
+        return 0.0
+    step = float(np.median(np.diff(time_s)))
+    time, force, weight = _binned(time_s, force_N, max(step, 1e-9))
+    root = np.sqrt(weight)
+    # x = s^2 along the ramp: d F_e ~ 3 s^2 ds
+    node, share = np.polynomial.legendre.leggauss(RAMP_NODES)
+    node = 0.5 * (node + 1.0)
+    since, share = time[:, None] + ramp_s * (1.0 - node**2), 1.5 * share * node**2
+
+    def misfit(ln_time: float) -> float:
+        columns = np.column_stack([drained_share(since * np.exp(-ln_time)) @ share, np.ones(time.size)])
+        left = np.linalg.lstsq(columns * root[:, None], force * root, rcond=None)[1]
+        return float(left[0]) if left.size else 0.0
+
+    span = np.log(max(float(time[0]), step)), np.log(10.0 * float(time[-1]))
+    grid = np.linspace(*span, DRAINAGE_GRID)
+    best = int(np.argmin([misfit(one) for one in grid]))
+    if best in (0, DRAINAGE_GRID - 1):
+        return 0.0
+    found = minimize_scalar(misfit, bounds=(grid[best - 1], grid[best + 1]), method="bounded")
+    return float(np.exp(found.x))
 
 
 def relaxation_spectrum(
@@ -123,7 +171,7 @@ def hold_numbers(trial: Trial, segmentation: Segmentation) -> HoldNumbers:
         return HoldNumbers()
     depth, force = contact_frame(trial, segmentation)
     spectra: list[Spectrum] = []
-    longest = (0.0, 0.0, 0.0)
+    longest = (0.0, 0.0, 0.0, 0.0)
     for hold in segmentation.of_kind("hold"):
         time = trial.time_s[hold.start : hold.stop] - hold.start_s
         if hold.stop <= contact.index or time.size < MIN_SAMPLES or not time[-1] > 0.0:
@@ -134,7 +182,10 @@ def hold_numbers(trial: Trial, segmentation: Segmentation) -> HoldNumbers:
             # standing in air after a retract relaxes nothing
             continue
         ramps = [phase for phase in segmentation.of_kind("ramp") if phase.stop <= hold.start + 1]
-        longest = max(longest, (float(time[-1]), ramps[-1].speed_mm_s if ramps else 0.0, deep))
+        speed = ramps[-1].speed_mm_s if ramps else 0.0
+        if float(time[-1]) > longest[0]:
+            drains = drainage_time(time, relaxing, deep / speed if speed > 0.0 else 0.0)
+            longest = (float(time[-1]), speed, deep, drains)
         if np.ptp(relaxing) > 0.0:
             tau, amplitude, plateau, smoothing, rmse = relaxation_spectrum(time, relaxing)
             spectra.append(

@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from tissueid.flags import Flag
+from tissueid.inference.depth_test import depth_test
 from tissueid.inference.engine import Identified, Request, identify_logs
 from tissueid.inference.estimates import TissueEstimate, estimate_tissue
 from tissueid.inference.evidence import LogEvidence, log_evidence
 from tissueid.inference.lm import both_optimisers
 from tissueid.inference.logs import LogHandle, blocks_of
 from tissueid.inference.material import with_moduli
-from tissueid.inference.quoted import quoted_numbers
+from tissueid.inference.quoted import EQUALLY_LONG, quoted_numbers
 from tissueid.inference.relaxation_window import relaxation_window
 from tissueid.inference.rounds import follow_surfaces, unloading_handles, unloading_verdict
 from tissueid.inference.sandwich import sandwich_covariance
@@ -108,7 +109,7 @@ class FittedSpecimen:
     noise: NoiseFit
     tissue: TissueEstimate
     told: Summaries
-    quoted: Callable[[TissueEstimate], tuple[QuotedNumbers, tuple[Flag, ...]]] = field(repr=False)
+    quoted: Callable[[TissueEstimate], tuple[QuotedNumbers, list[Flag]]] = field(repr=False)
     moved: Callable[[Point], FittedSpecimen] = field(repr=False)
 
 
@@ -306,11 +307,17 @@ def _fit(
         )
         step, length = min(log.step_s for log in facts), max(log.duration_s for log in facts)
 
-        def quoted_of(tissue: TissueEstimate) -> tuple[QuotedNumbers, tuple[Flag, ...]]:
+        def quoted_of(tissue: TissueEstimate) -> tuple[QuotedNumbers, list[Flag]]:
             numbers = quoted_numbers(
                 tissue, told.holds, step_s=step, duration_s=length, frequencies_Hz=options.frequencies_Hz
             )
-            return with_moduli(numbers, tissue, options.geometry)
+            numbers, said = with_moduli(numbers, tissue, options.geometry)
+            slope, drains = depth_test(options.geometry, *_equal_holds(told))
+            if slope is None:
+                return numbers, said
+            decided = slope.at.get("verdict") in {"viscous", "drainage"}
+            kept = [flag for flag in said if not (decided and flag.code == "poroelastic")]
+            return replace(numbers, model=(*numbers.model, slope)), [*kept, *drains]
 
         quoted, said = quoted_of(here)
         flags, unloading = (*flags, *said), None
@@ -351,6 +358,13 @@ def _fit(
         return FittedSpecimen(fit, logs, found, noise, here, told, quoted_of, described)
 
     return described(identified.optimum.point)
+
+
+def _equal_holds(told: Summaries) -> tuple[list[float], list[float]]:
+    """Depths and times of drainage of the longest hold of each log, of holds as long as the longest."""
+    most = max((one.longest_s for one in told.holds), default=0.0)
+    known = [one for one in told.holds if one.drainage_s > 0.0 and one.longest_s >= EQUALLY_LONG * most]
+    return [one.depth_mm for one in known], [one.drainage_s for one in known]
 
 
 def window_flags(window: RelaxationWindow | None) -> tuple[Flag, ...]:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from tissueid.digits import number, with_error
+from tissueid.inference.depth_test import NAME as DEPTH_TEST
 from tissueid.report.remarks import trial_label
 
 __all__ = ["Table", "cycle_table", "quoted_tables"]
@@ -172,6 +173,24 @@ def _moduli(quoted: Mapping[str, Any]) -> Table | None:
     return _shown("Modulus", sentence, head, rows, reasons)
 
 
+def _drainage(quoted: Mapping[str, Any]) -> Table | None:
+    """The depth test: relaxation times by contact radius."""
+    found = _find(quoted["model"], DEPTH_TEST)
+    if found is None:
+        return None
+    at = found["at"]
+    interval, verdict = (NONE, "can't decide") if found["value"] is None else (
+        f"{number(at['low'], 3)} to {number(at['high'], 3)}", str(at["verdict"])
+    )  # fmt: skip
+    row = (f"{number(at['depth_mm'], 3)} mm", f"{int(at['holds'])}", _cell(found), interval, verdict)
+    sentence = (
+        "Slope of ln relaxation time on ln contact radius, over holds of one length at several depths: a "
+        "viscous tissue has 0, one that drains 2."
+    )
+    head = ("Depth up to", "Holds", "Slope", "95 %", "Verdict")
+    return _shown("Drainage or viscosity", sentence, head, [row], [found["reason"]])
+
+
 def _spectra(quoted: Mapping[str, Any]) -> Table | None:
     """Share of the relaxing force by decades of relaxation time."""
     spectra = quoted["spectra"]
@@ -217,6 +236,7 @@ def quoted_tables(quoted: Mapping[str, Any] | None) -> tuple[Table, ...]:
         _stiffness(quoted),
         _oscillation(quoted),
         _moduli(quoted),
+        _drainage(quoted),
         _spectra(quoted),
     )
     return tuple(table for table in tables if table is not None and table.rows)

@@ -51,6 +51,7 @@ REMARK_TITLES: Mapping[str, str] = MappingProxyType(
         "rupture": "Rupture",
         "doubtful_rupture": "Rupture?",
         "slip": "Slip",
+        "adhesion": "Adhesion",
         "speed_differs": "Speed",
         "load_limit_stop": "Load limit",
         "preconditioned": "Preconditioning",

@@ -30,6 +30,8 @@ START_DENSITY = 0.135
 DOUBTFUL_START_DENSITY = 0.03
 #: ... and, where samples in air are few, where contact lies this many of its sd behind the start.
 FEW_AIR_SD = 3.5
+#: Share of the depth over which the secant of a curved tip is taken.
+EARLY_SHARE = 0.2
 #: A preload is believed where that density, with a load cell that was tared, is below this share.
 PRELOAD_DENSITY = 0.05
 #: ... and where contact all along would have raised the force by so many sd of its mean in air; more where
@@ -139,10 +141,14 @@ def _meets(force_N: FloatArray, piece: Piece, noise_N: float) -> bool:
 def _least_slope(u: FloatArray, f: FloatArray, air: HingeFit) -> float:
     """The smaller of the stiffness at contact and that of the whole ramp [N/mm], > 0.
 
-    At contact the branch adds to the static stiffness, further in the static curve may harden.
+    At contact the branch adds to the static stiffness, further in the static curve may harden. A curved tip
+    begins without any: its secant over the first travel in tissue counts.
     """
-    whole = float(np.ptp(f)) / max(float(u.max()) - air.contact_mm, 1e-3 * float(np.ptp(u)))
-    return max(min(air.slope_N_per_mm, whole), 1e-3 * whole)
+    depth = max(float(u.max()) - air.contact_mm, 1e-3 * float(np.ptp(u)))
+    whole = float(np.ptp(f)) / depth
+    first = (u >= air.contact_mm) & (u <= air.contact_mm + EARLY_SHARE * depth)
+    early = float(f[first].max() - air.baseline_N) / (EARLY_SHARE * depth) if first.any() else 0.0
+    return max(min(max(air.slope_N_per_mm, early), whole), 1e-3 * whole)
 
 
 def _reading_in_air(u: FloatArray, f: FloatArray, air: HingeFit, noise_N: float) -> float:

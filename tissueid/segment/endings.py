@@ -19,7 +19,7 @@ from tissueid.segment.motion import Piece
 from tissueid.segment.spikes import running_median
 from tissueid.trial import Event, Phase, Protocol
 
-__all__ = ["aborts", "ending_flags", "held_from", "load_limits"]
+__all__ = ["aborts", "ending_flags", "held_from", "load_limits", "pull_off"]
 
 FloatArray = NDArray[np.float64]
 
@@ -41,12 +41,38 @@ LIMIT_FROM, LIMIT_TO = 0.97, 1.1
 FEWEST_AT_LIMIT = 5
 #: Fewest samples of the ramp's end whose slope leads to the held load; a tenth of the ramp is taken.
 LEAD_SAMPLES = 20
+#: Samples of the reading in air after a pull, which exceeds so many noise sd and a share of the range.
+PULL_SAMPLES, PULL_SD, PULL_SHARE = 5, 6.0, 0.01
 #: Loops that turn at one force: fewest of them, and how many times more their depths let it vary.
 FEWEST_TURNS = 3
 TURN_RATIO = 3.0
 #: Peak forces agree within this share of their mean, so many noise sd, or the force between two samples.
 TURN_SHARE = 0.01
 TURN_SD = 3.0
+
+
+def pull_off(depth_mm: FloatArray, force_N: FloatArray, *, surface_mm: float, noise_N: float) -> list[Flag]:
+    """Tissue that holds the tool as it leaves: the force falls below its reading in air, and comes back.
+
+    Parameters
+    ----------
+    depth_mm, force_N : ndarray, shape (n,)
+        Growing into the tissue.
+    surface_mm : float
+        Depth of the contact.
+    noise_N : float
+    """
+    away = np.flatnonzero(depth_mm >= surface_mm)
+    leaves = int(np.argmax(depth_mm))
+    if away.size == 0 or force_N.size - int(away[-1]) < 2 * PULL_SAMPLES:
+        return []
+    calm = running_median(force_N)
+    zero = float(np.median(force_N[-PULL_SAMPLES:]))
+    pull = zero - float(calm[leaves:].min())
+    if not pull > max(PULL_SD * noise_N, PULL_SHARE * float(np.ptp(force_N))):
+        return []
+    words = f"tissue pulls at the tool by up to {pull:.3g} N as it leaves: it adheres"
+    return [Flag("adhesion", words, {"pull_N": pull})]
 
 
 def held_from(

@@ -16,7 +16,7 @@ from tissueid.segment.contact import find_contact
 from tissueid.segment.corner import corner_flags, corners_of
 from tissueid.segment.cycles import cycle_flags, loops_of
 from tissueid.segment.edges import leaves_line
-from tissueid.segment.endings import aborts, ending_flags, held_from, load_limits
+from tissueid.segment.endings import aborts, ending_flags, held_from, load_limits, pull_off
 from tissueid.segment.motion import Piece, displacement_tolerance, pieces
 from tissueid.segment.options import SegmentOptions
 from tissueid.segment.phases import Surface, name_phases, settled
@@ -312,6 +312,7 @@ def _remarks(
             stated_N=protocol.load_limit_N,
         )
         flags += ending_flags(endings)
+        flags += pull_off(depth, force, surface_mm=zero[0], noise_N=path.noise_N)
         events += endings
     flags += cycle_flags(loops, before_test=divided.test > 0, baseline_N=baseline)
     flags += _missing(phases)
