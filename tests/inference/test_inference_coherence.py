@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from fit_factory import specimen_fit
 
 from tissueid.flags import Flag
@@ -90,3 +91,15 @@ def test_what_is_withheld_is_not_identified_and_says_why() -> None:
     assert flag.code == "interval_withheld"
     assert "the value lies outside it" in flag.message
     assert withheld(tissue().parameters, (), "") == (tissue().parameters, ())
+
+
+def test_an_interval_at_an_active_bound_includes_it():
+    """Of highest density: from the bound where draws are densest there; central elsewhere, and for times."""
+    rng = np.random.default_rng(2)
+    near = np.abs(rng.standard_normal(20_000))
+    far = 4.0 + rng.standard_normal(20_000)
+    far = far[far > 0.0]
+    found = interval95({"stiffness_0_N_per_mm": near, "static_1_N_per_mm": far, "relaxation_time_s": near})
+    assert found["stiffness_0_N_per_mm"] == pytest.approx((0.0, 1.96), abs=0.04)
+    assert found["static_1_N_per_mm"] == pytest.approx((2.04, 5.96), abs=0.06)
+    assert found["relaxation_time_s"][0] == pytest.approx(0.0313, abs=0.01)

@@ -7,6 +7,7 @@ import pytest
 from inference_cases import draw, handles_for, identified, small_recipe
 
 from tissueid.inference.relaxation_window import _slope, relaxation_window
+from tissueid.inference.specimen import window_flags
 from tissueid.synth import Branch, Hold, Log, Move
 
 LOGS = tuple(Log(f"hold-{v:.0f}", (Move(4.0, v), Hold(16.0))) for v in (240.0, 480.0))
@@ -58,3 +59,11 @@ def test_a_slope_is_that_of_the_line():
     assert slope == pytest.approx(0.7)
     by = np.linalg.pinv(np.column_stack([x, np.ones(3)]))[0]
     assert error == pytest.approx(float(np.sqrt(by**2 @ np.array([0.01, 0.04, 0.09]))))
+
+
+def test_a_time_that_follows_its_window_is_said_with_both():
+    found, _ = window(BROAD, branches=(2,))
+    (flag,) = window_flags(found)
+    assert flag.code == "form_dependent"
+    assert f"{found.tau_s[0]:.3g} s in 16 s" in flag.message
+    assert window_flags(None) == window_flags(window((Branch((30.0,), 0.8),))[0]) == ()

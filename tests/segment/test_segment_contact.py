@@ -230,3 +230,22 @@ def test_wild_recordings_are_divided_without_a_warning(kind):
         }[kind]
         contact = segment(Trial("wild", time_s, *wild)).contact
         assert contact is None or (np.isfinite(contact.displacement_mm) and contact.sd_mm >= 0.0)
+
+
+def test_a_curved_tip_after_clear_air_is_not_in_contact_from_the_start():
+    """A force that begins without a slope (Hertz): 0.6 s in air, noise of a fortieth to a four hundredth."""
+    rng, scores = np.random.default_rng(11), []
+    time = np.arange(0.0, 6.0, 0.01)
+    for depth in (2.0, 4.0, 6.0, 9.0):
+        for _ in range(5):
+            at = 1.2 * depth + float(rng.normal(0.0, 0.02))
+            travel = np.interp(time, [0.0, 1.1], [0.0, 2.2 * depth])
+            force = 8.0 * np.maximum(travel - at, 0.0) ** 1.5 + 0.5 * rng.standard_normal(time.size)
+            found = segment(Trial("ball", time, travel, force))
+            contact = found.contact
+            assert contact is not None
+            assert contact.in_record
+            assert "starts_in_contact" not in codes(found)
+            scores.append((contact.displacement_mm - at) / contact.sd_mm)
+    # the form at contact is no polynomial: within three of its errors, not two
+    assert (np.abs(scores) < 3.5).all()

@@ -136,3 +136,26 @@ def test_a_ramp_that_ends_at_the_stated_force_was_stopped_by_it(limit_N: float, 
         assert event.values["limit_N"] == limit_N
         assert event.values["force_N"] == pytest.approx(40.0, abs=0.2)
         assert event.time_s == pytest.approx(4.0, abs=0.03)
+
+
+def retracted(pull_N: float, end_N: float = 0.0) -> Trial:
+    """In, hold, out of the tissue: it pulls as the tool leaves; the cell reads ``end_N`` at last."""
+    time = np.arange(0.0, 8.0, 0.01)
+    depth = np.interp(time, [0.0, 0.5, 2.0, 4.0, 6.0, 8.0], [-1.0, 0.0, 3.0, 3.0, -1.0, -1.0])
+    force = 10.0 * np.maximum(depth, 0.0)
+    leaving = (time > 4.0) & (depth < 0.5) & (depth > -0.5)
+    force[leaving] -= pull_N
+    force[time > 4.0] += end_N
+    return Trial("drawn", time, depth, force + 0.02 * np.random.default_rng(4).standard_normal(time.size))
+
+
+def test_tissue_that_pulls_as_the_tool_leaves_adheres() -> None:
+    found = segment(retracted(2.0))
+    (flag,) = [one for one in found.flags if one.code == "adhesion"]
+    # what the tissue itself pushes with is not part of it
+    assert flag.values["pull_N"] == pytest.approx(2.0, abs=0.1)
+
+
+@pytest.mark.parametrize(("pull_N", "end_N"), [(0.0, 0.0), (0.1, 0.0), (0.0, -1.5)])
+def test_a_clean_retract_or_a_zero_that_drifted_is_no_adhesion(pull_N: float, end_N: float) -> None:
+    assert "adhesion" not in codes(segment(retracted(pull_N, end_N)))

@@ -400,7 +400,7 @@ class SpecimenTarget:
         if "ln_memory" not in self.places:
             square += self.system.within_N2 * np.exp(-2.0 * ln_sigma)
         value = -0.5 * square - self.samples * ln_sigma - 0.5 * log_det
-        return value + self._integrated(x, white) if integrated else value
+        return np.asarray(value + self._integrated(x, white) if integrated else value)
 
     def _integrated(self, x: FloatArray, white: FloatArray) -> FloatArray:
         """Term that integrating the logs' own parameters adds to log densities, (n,)."""
