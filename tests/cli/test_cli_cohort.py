@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from command_line import Ended, run, write_log
 
+from tissueid.population.members import thawed_among_fresh
 from tissueid.store.bundle import load_bundle
 
 #: One branch, constant K, few draws: what is tested is the way from a study to its population.
@@ -18,13 +20,14 @@ SMALL = ("--branches", "1", "--stiffness-degree", "0", "--draws", "400")
 TIMES = (0.8, 0.9, 1.0, 1.1, 1.25)
 
 
-def a_study(folder: Path, times: tuple[float, ...]) -> Path:
-    """One log a specimen, the same but for its force."""
+def a_study(folder: Path, times: tuple[float, ...], storage: tuple[str, ...] = ()) -> Path:
+    """One log a specimen, the same but for its force (and its storage)."""
     lines = ['schema = "tissueid/study/1"']
     for number, factor in enumerate(times, 1):
         write_log(folder / f"{number}.csv", label=None, force_times=factor)
         lines += [
             f'[[specimen]]\nname = "head {number}"\nage_years = {50 + number}',
+            *([f'storage = "{storage[number - 1]}"'] if storage else []),
             f'[[trial]]\nfile = "{number}.csv"\nspecimen = "head {number}"',
         ]
     (folder / "study.toml").write_text("\n".join(lines), encoding="utf-8")
@@ -94,3 +97,32 @@ def test_a_folder_without_a_run_has_no_cohort(tmp_path: Path) -> None:
     ended = run("cohort", tmp_path / "empty")
     assert ended.code == 6
     assert "tissueid fit" in ended.stderr
+
+
+def test_thawed_specimens_among_fresh_ones_are_named_and_not_pooled_unasked(tmp_path: Path) -> None:
+    folder = a_study(tmp_path / "heads", TIMES[:3], ("fresh, 4 C", "frozen at -20 C", "fresh"))
+    ended = run("fit", folder, "-o", tmp_path / "out", *SMALL, "--population", "yes")
+    assert ended.code == 4
+    assert "head 2 thawed among 2 fresh" in ended.stderr
+    assert "--mix-states" in ended.stderr
+    assert not (tmp_path / "out" / "population.json").exists()
+    run("cohort", tmp_path / "out", "--mix-states")
+    assert (tmp_path / "out" / "population.json").is_file()
+
+
+@pytest.mark.parametrize(
+    ("covariates", "state"),
+    [
+        ({"storage": "frozen"}, "thawed"),
+        ({"freeze_thaw_cycles": 1}, "thawed"),
+        ({"storage": "-80 C, thawed overnight"}, "thawed"),
+        ({"storage": "never frozen"}, "fresh"),
+        ({"storage": "saline, 4 C"}, "fresh"),
+        ({"freeze_thaw_cycles": 0, "storage": "frozen gel pack"}, "fresh"),
+        ({}, None),
+    ],
+)
+def test_the_state_is_read_from_storage_and_cycles(covariates: dict[str, Any], state: str | None) -> None:
+    one: Any = SimpleNamespace(specimen="a", covariates=covariates)
+    found = dict(zip(("thawed", "fresh"), thawed_among_fresh([one]), strict=True))
+    assert found == {name: ["a"] if name == state else [] for name in ("thawed", "fresh")}

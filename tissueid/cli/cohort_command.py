@@ -28,6 +28,7 @@ NOT_CONVERGED = 4
     "--tails", type=click.Choice(["t", "normal"]), default="t", show_default=True,
     help="How specimens scatter: t lets the data say how heavy the tails are.",
 )  # fmt: skip
+@click.option("--mix-states", is_flag=True, help="Pool thawed specimens with fresh ones.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the chains.")
 @click.option(
     "--no-held-out", is_flag=True, help="Leave out the prediction of each specimen from the others."
@@ -50,6 +51,7 @@ def command(**flags: Any) -> int:
         tails=flags["tails"],
         seed=flags["seed"],
         hold_out=not flags["no_held_out"],
+        mix_states=flags["mix_states"],
     )
     with progress_bar(show=not quiet) as progress:
         written = write_population(Path(flags["out"]), request, progress)

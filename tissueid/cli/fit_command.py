@@ -102,6 +102,7 @@ def _count(auto: str) -> click.Choice[str]:
     "--population", type=click.Choice(["auto", "yes", "no"]), default="auto", show_default=True,
     help="What the specimens have in common, as tissueid cohort says it; auto does it for a study of five.",
 )  # fmt: skip
+@click.option("--mix-states", is_flag=True, help="Let a population pool thawed specimens with fresh ones.")
 @click.option(
     "--study", type=click.Path(), metavar="FILE",
     help="Study file. [default: study.toml of the folder that is fitted]",
@@ -175,7 +176,8 @@ def _population(flags: dict[str, Any], study: Study | None, fitted: int) -> int:
     quiet = flags["quiet"]
     try:
         with progress_bar(show=not quiet) as progress:
-            written = write_population(Path(flags["out"]), PopulationRequest(seed=flags["seed"]), progress)
+            asked = PopulationRequest(seed=flags["seed"], mix_states=flags["mix_states"])
+            written = write_population(Path(flags["out"]), asked, progress)
     except NotIdentifiedError as error:
         note(error.message, quiet=quiet)
         return error.exit_status if flags["population"] == "yes" else 0

@@ -36,6 +36,9 @@ FEWEST_DRAWS = 500
 #: Quantiles whose distances to the median say how even draws are about it.
 _TAILS = (0.05, 0.95)
 
+#: Words of a storage that froze the tissue.
+FROZEN = ("frozen", "freez", "thaw", "-20", "-80", "\N{MINUS SIGN}20", "\N{MINUS SIGN}80")
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrialRow:
@@ -152,6 +155,21 @@ def fit_for_cohort(members: Sequence[Member]) -> tuple[tuple[Member, ...], tuple
         else:
             left.append(LeftOut(one.specimen, reason))
     return tuple(kept), tuple(left)
+
+
+def thawed_among_fresh(members: Sequence[Member]) -> tuple[list[str], list[str]]:
+    """Names of specimens that were frozen, and of those that were not, as far as their storage is stated."""
+    thawed: list[str] = []
+    fresh: list[str] = []
+    for one in members:
+        cycles, storage = one.covariates.get("freeze_thaw_cycles"), one.covariates.get("storage")
+        if cycles is None and storage is None:
+            continue
+        words = str(storage or "").lower()
+        never = cycles == 0 or any(word in words for word in ("never", "not frozen", "unfrozen"))
+        frozen = not never and (bool(cycles) or any(word in words for word in FROZEN))
+        (thawed if frozen else fresh).append(one.specimen)
+    return thawed, fresh
 
 
 def _order_words(order: tuple[int, int]) -> str:

@@ -11,6 +11,7 @@ from typing import Any
 from tissueid.errors import NotIdentifiedError, printable
 from tissueid.population.cohort import CohortFit, CohortOptions, cohort
 from tissueid.population.document import as_document, members_of, population_bundle, population_priors
+from tissueid.population.members import thawed_among_fresh
 from tissueid.population.sampler import SamplerOptions
 from tissueid.report.population_page import render_population
 from tissueid.store.bundle import write_bundle
@@ -23,6 +24,8 @@ from tissueid.store.schema import check
 __all__ = ["POPULATION_FILES", "PopulationRequest", "WrittenPopulation", "write_population"]
 
 _DOCUMENT, _BUNDLE, _PAGE = "population.json", "population.h5", "cohort.html"
+#: Covariates that tell thawed tissue from fresh, and specimens that a refusal names.
+STATES, MOST_NAMED = {"storage", "freeze_thaw_cycles"}, 5
 #: What is written into the output folder.
 POPULATION_FILES = (_DOCUMENT, _BUNDLE, _PAGE)
 
@@ -41,6 +44,8 @@ class PopulationRequest:
     seed : int
     hold_out : bool
         Predict every specimen from the others.
+    mix_states : bool
+        Pool thawed specimens with fresh ones.
     """
 
     group_by: str | None = None
@@ -48,6 +53,7 @@ class PopulationRequest:
     tails: str = "t"
     seed: int = 0
     hold_out: bool = True
+    mix_states: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,6 +99,8 @@ def write_population(
             hold_out=request.hold_out,
         )
         members = members_of(identification, each_result(out))
+        if not request.mix_states and not STATES & {request.group_by, *request.covariates}:
+            _refuse_mixed(*thawed_among_fresh(members))
         fit = cohort(members, options, lambda text: progress(text, 0, 0))
         source = sha256_of(out / IDENTIFICATION)
         document: dict[str, Any] = plain_json(as_document(fit, options, source=source))
@@ -109,6 +117,18 @@ def write_population(
         run.write(_PAGE, render_population(document, bundle, created=created).encode("utf-8"))
         run.commit()
     return WrittenPopulation(document=document, fit=fit)
+
+
+def _refuse_mixed(thawed: list[str], fresh: list[str]) -> None:
+    """Freezing damages cells and matrix: thawed and fresh tissue are no one population."""
+    if thawed and fresh:
+        names = ", ".join(printable(one) for one in thawed[:MOST_NAMED])
+        more = f" and {len(thawed) - MOST_NAMED} more" if len(thawed) > MOST_NAMED else ""
+        msg = (
+            f"no population: {names}{more} thawed among {len(fresh)} fresh; --mix-states pools them, "
+            "tissueid cohort --group-by storage compares them"
+        )
+        raise NotIdentifiedError(msg)
 
 
 def _no_population(document: dict[str, Any]) -> str:
