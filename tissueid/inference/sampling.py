@@ -36,8 +36,9 @@ LOOK, MOST_LOOKS = 1_000, 12
 #: Effective draws that intervals must be worth (ends are then good to a quarter of a standard deviation), and
 #: Pareto shapes: the largest that is trusted at all, and that up to which few steps are enough.
 ENOUGH, PARETO, TRUSTED = 100.0, 0.9, 0.7
-#: Shares of the moves: independent proposals, differential evolution, stretches.
-MOVES = (0.6, 0.25, 0.15)
+#: Shares of the moves: independent proposals, differential evolution, stretches; and those where the
+#: Pareto shape says that proposals have the target's tails.
+MOVES, MOVES_IN_TAILS, GOOD_TAILS = (0.6, 0.25, 0.15), (0.92, 0.05, 0.03), 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,11 +139,9 @@ def sample(
     start = start + 1e-9 * rng.standard_normal(start.shape)
     outside = ~np.isfinite(target.densities(start))
     start[outside] = points[int(np.argmax(weighed.weights))]
-    moves = [
-        (_independence(proposal, rng), MOVES[0]),
-        (emcee.moves.DEMove(), MOVES[1]),
-        (emcee.moves.StretchMove(), MOVES[2]),
-    ]
+    kinds = (_independence(proposal, rng), emcee.moves.DEMove(), emcee.moves.StretchMove())
+    shares = MOVES_IN_TAILS if weighed.pareto <= GOOD_TAILS else MOVES
+    moves = list(zip(kinds, shares, strict=True))
     sampler = emcee.EnsembleSampler(WALKERS, d, target.densities, moves=moves, vectorize=True)
     state = emcee.State(start, random_state=np.random.RandomState(seed & 0xFFFFFFFF).get_state())
     walked = _walked(sampler, state, trusted=weighed.pareto <= TRUSTED)
