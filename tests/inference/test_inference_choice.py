@@ -117,3 +117,11 @@ def test_a_branch_faster_than_the_sampling_or_below_the_noise_is_not_resolved():
     one = Tried(2, 0, ours.optimum, ours.system, np.ones(3))
     assert resolved(one, 0.01)
     assert not resolved(one, 0.1)
+
+
+def test_one_group_of_three_decides_nothing():
+    """Two groups alike: the gain of the third is its own standard error, whatever it is."""
+    best, simple = tried(1, 2, [1.0, 1.0, 1.0]), tried(1, 1, [1.0, 5.0, 1.0])
+    found, _, as_good = chosen_among([simple, best])
+    assert found is simple
+    assert as_good == [simple, best]

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import t
 
 from tissueid.inference.blocks import Blocks
 from tissueid.inference.optimum import Optimum, covariance_of, minimise, nearest_in_cone, whitener_of
@@ -26,10 +27,11 @@ IntArray = NDArray[np.int64]
 
 #: Speeds or depths within this factor are one; so many of them are needed to leave one out.
 ALIKE, FEWEST_GROUPS = 1.1, 3
-#: Standard errors within which a prediction counts as good as the best, and a relative gain that is none.
-STANDARD_ERRORS, NO_GAIN = 1.0, 0.02
+#: Probability within which a prediction counts as good as the best (one standard error of many groups, by
+#: Student's t of few), and a relative gain that is none.
+ONE_ERROR, NO_GAIN = 0.8413, 0.02
 #: Gain in ln mean square error that K of a higher degree must have where there is one program.
-BEND = 0.1
+BEND = 0.2
 #: Groups of logs at the most, steps of a fit without one, and of a log's own parameters under it.
 MOST_GROUPS, REFIT_STEPS, OWN_STEPS = 8, 6, 8
 #: Share of its depth at which a ramp has ended, and fewest observations that tell a log's own parameters.
@@ -223,10 +225,10 @@ def chosen_among(
         Candidates within one standard error of the best.
     """
     best = min(tried, key=lambda one: float(np.log(np.maximum(one.errors, 1e-300)).mean()))
-    as_good = []
+    as_good, wide = [], float(t.ppf(ONE_ERROR, max(best.errors.size - 1, 1)))
     for one in tried:
         mean, error = _gain(best, one)
-        if one is best or mean <= max(STANDARD_ERRORS * error, NO_GAIN):
+        if one is best or mean <= max(wide * error, NO_GAIN):
             as_good.append(one)
     chosen = min(as_good, key=lambda one: (_parameters(one), _gain(best, one)[0], one.branches))
     table = []
