@@ -352,7 +352,7 @@ _FIT = {
     "form_dependent": Advice(
         "Of one speed and one depth, the split between F_s and K at smaller depths is the polynomials', "
         "not the data's; a relaxation time that follows the hold is one of that window.",
-        "Test a second speed or depth; quote the hold beside a relaxation time, and compare forces.",
+        "Test a second speed or depth.",
         "have numbers that rest on the form of the law",
     ),
     "unloading_left_out": Advice(

@@ -14,6 +14,7 @@ from typing import Any
 from tissueid.flags import Flag
 
 __all__ = [
+    "DEPTH_TEST",
     "CycleRow",
     "DepthStiffness",
     "Measure",
@@ -222,6 +223,10 @@ class RelaxationRow:
             "tau_triple_s": list(self.tau_triple_s),
             "flags": [flag.as_json() for flag in self.flags],
         }
+
+
+#: Name of the slope of ln relaxation time on ln contact radius among the quantities of a model.
+DEPTH_TEST = "relaxation_by_contact_radius"
 
 
 @dataclass(frozen=True, slots=True)

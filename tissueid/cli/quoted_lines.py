@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from tissueid.digits import with_error
-from tissueid.inference.depth_test import NAME as SLOPE
+from tissueid.quantities import DEPTH_TEST
 
 __all__ = ["quoted_lines"]
 
@@ -41,7 +41,7 @@ def quoted_lines(document: Mapping[str, Any]) -> list[str]:
             words = {"modulus_equilibrium": "E_inf", "modulus_instantaneous": "E_0"}
             parts = [_said(one, words[one["name"]]) for one in chosen]
             lines.append(f"modulus by {best} at {depth:.3g} mm  {', '.join(parts)}")
-        lines += [_drainage(one) for one in quoted["model"] if one["name"] == SLOPE]
+        lines += [_drainage(one) for one in quoted["model"] if one["name"] == DEPTH_TEST]
     if document["cycles"]:
         lines.append(_loops(document["cycles"]))
     return lines

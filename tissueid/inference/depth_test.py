@@ -16,13 +16,13 @@ from scipy.stats import t
 from tissueid.flags import Flag
 from tissueid.measured.geometry import Geometry
 from tissueid.model.moduli import formulas_for
-from tissueid.quantities import Quantity
+from tissueid.quantities import DEPTH_TEST, Quantity
 
-__all__ = ["NAME", "depth_test"]
+__all__ = ["depth_test"]
 
 FloatArray = NDArray[np.float64]
 
-NAME, UNIT = "relaxation_by_contact_radius", "1"
+UNIT = "1"
 #: Slopes of ln tau on ln contact radius of a viscous tissue and of one that drains.
 VISCOUS, DRAINAGE = 0.0, 2.0
 #: Ratio of the largest to the smallest contact radius, depth over tip radius, and holds, that can decide.
@@ -62,7 +62,7 @@ def depth_test(
     tip = geometry.indenter.radius_mm
     if geometry.indenter.shape == "sphere" and tip is not None and deepest > BURIED * tip:
         reason = f"the tip is buried: {deepest:.3g} mm of depth, {tip:.3g} mm of radius"
-        return Quantity(NAME, UNIT, at, None, None, reason), ()
+        return Quantity(DEPTH_TEST, UNIT, at, None, None, reason), ()
     slope, error, half = _slope(np.log(radius), np.log(tau_s))
     verdict = _verdict(slope - half, slope + half)
     at |= {"low": slope - half, "high": slope + half, "verdict": verdict}
@@ -73,7 +73,7 @@ def depth_test(
             f"{slope + half:.2f}] to {deepest:.3g} mm: fluid drains"
         )
         flags = (Flag("poroelastic", words, {"slope": slope, "stderr": error}),)
-    return Quantity(NAME, UNIT, at, slope, error), flags
+    return Quantity(DEPTH_TEST, UNIT, at, slope, error), flags
 
 
 def _slope(x: FloatArray, y: FloatArray) -> tuple[float, float, float]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from tissueid.digits import number, with_error
-from tissueid.inference.depth_test import NAME as DEPTH_TEST
+from tissueid.quantities import DEPTH_TEST
 from tissueid.report.remarks import trial_label
 
 __all__ = ["Table", "cycle_table", "quoted_tables"]
