@@ -8,7 +8,7 @@ printed value is the median.  Where the law misses more than the noise, draws ar
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -352,7 +352,7 @@ def _assembled(
         log_density=sampled.log_density,
         priors=prior_table(target, draws.vectors, draws.statistical, draws.gains if instrument else None),
         budget=uncertainty_budget(target, draws.vectors, draws.gains, total) if total is not None else (),
-        comparison=_rows_of_choice(fit),
+        comparison=_rows_of_choice(fit, fitted.identified.as_good),
         misfit=misfit_alarm(fitted.told.blocks, noise),
         bands=predictive_bands(fit, target, draws.vectors, sigma_N=noise.sigma_N),
     )
@@ -379,16 +379,11 @@ def _kept(theta: FloatArray) -> FloatArray:
     return theta[np.linspace(0, theta.shape[0] - 1, min(KEPT_DRAWS, theta.shape[0])).astype(np.int64)]
 
 
-#: Standard errors within which a model predicts no worse than the best, and a difference that is none.
-STANDARD_ERRORS, NEGLIGIBLE = 1.0, 0.002
-
-
-def _rows_of_choice(fit: SpecimenFit) -> tuple[ComparisonRow, ...]:
+def _rows_of_choice(fit: SpecimenFit, as_good: Sequence[tuple[int, int]]) -> tuple[ComparisonRow, ...]:
     """The candidates as the choice by held-out data saw them."""
     rows, pooling = [], fit.model.static_pooling
     for row in fit.selection:
         score, scatter = float(row["score"]), float(row["stderr"])
-        close = -score <= max(STANDARD_ERRORS * scatter, NEGLIGIBLE)
         branches, degree = int(row["branches"]), int(row["stiffness_degree"])
         rows.append(
             ComparisonRow(
@@ -399,7 +394,11 @@ def _rows_of_choice(fit: SpecimenFit) -> tuple[ComparisonRow, ...]:
                 elpd_log_se=scatter,
                 elpd_speed=None,
                 elpd_speed_se=None,
-                verdict="chosen" if row["chosen"] else "undecided" if close else "worse",
+                verdict="chosen"
+                if row["chosen"]
+                else "undecided"
+                if (branches, degree) in as_good
+                else "worse",
             )
         )
     return tuple(sorted(rows, key=lambda one: (one.verdict != "chosen", -(one.elpd_log or 0.0))))

@@ -306,13 +306,13 @@ def _fit(
             *window_flags(window),
         )
         step, length = min(log.step_s for log in facts), max(log.duration_s for log in facts)
+        slope, drains = depth_test(options.geometry, *_equal_holds(told))
 
         def quoted_of(tissue: TissueEstimate) -> tuple[QuotedNumbers, list[Flag]]:
             numbers = quoted_numbers(
                 tissue, told.holds, step_s=step, duration_s=length, frequencies_Hz=options.frequencies_Hz
             )
             numbers, said = with_moduli(numbers, tissue, options.geometry)
-            slope, drains = depth_test(options.geometry, *_equal_holds(told))
             if slope is None:
                 return numbers, said
             decided = slope.at.get("verdict") in {"viscous", "drainage"}

@@ -191,7 +191,7 @@ class System:
     def path(self, depth: FloatArray) -> Path:
         """Depths (over the largest depth) of all points as a path in contact, (m,) or (n, m)."""
         touching = depth > 0.0
-        crossing = (*np.nonzero(touching[..., 1:] & ~touching[..., :-1]),)
+        crossing = np.nonzero(touching[..., 1:] & ~touching[..., :-1])
         after = (*crossing[:-1], crossing[-1] + 1)
         share = np.ones(depth.shape)
         share[after] = depth[after] / (depth[after] - depth[crossing])
