@@ -19,14 +19,21 @@ __all__ = ["Mixture", "learn_mixture"]
 
 FloatArray = NDArray[np.float64]
 
-#: Components, degrees of freedom, and width of a component over the spread of the draws it stands for.
-COMPONENTS, TAILS, WIDER = 6, 6.0, 1.2
-#: Draws of a round, rounds at the most, and the share of them that makes the mixture good enough.
-ROUND, ROUNDS, GOOD = 400, 24, 0.35
+#: Components at the most; degrees of freedom with the width of a component over the spread of the draws it
+#: stands for, the widest first.
+COMPONENTS = 6
+TAILS = ((6.0, 1.2), (12.0, 1.1), (40.0, 1.04))
+#: Share of draws that keep the widest tails.
+WIDE_SHARE = 0.15
+#: Draws of a round, rounds at the most, the share of them that makes the mixture good enough, and that from
+#: which rounds that gain nothing end it.
+ROUND, ROUNDS, GOOD, FAIR = 400, 24, 0.6, 0.35
 #: Effective draws that a fit of the mixture needs, for each coordinate, and steps of that fit.
 EACH, EM_STEPS = 8.0, 12
-#: Rounds without a better one after which no more is hoped for.
-SETTLED = 8
+#: Rounds without a better one after which no more is hoped for, of a poor mixture and of a fair one.
+SETTLED, SETTLED_FAIR = 8, 3
+#: Power of weights by which tails are chosen.
+STUCK = 1.5
 #: Rounds of proposals that the weights remember.
 REMEMBERED = 6
 #: Share of a draw's spread that every component has at least.
@@ -43,28 +50,32 @@ class Mixture:
     means : ndarray, shape (c, d)
     roots : ndarray, shape (c, d, d)
         Of the scale matrices.
+    tails : ndarray, shape (c,)
+        Degrees of freedom.
     """
 
     weights: FloatArray
     means: FloatArray
     roots: FloatArray
+    tails: FloatArray
 
     def draw(self, count: int, rng: np.random.Generator) -> FloatArray:
         """Draws, shape (count, d)."""
         which = rng.choice(len(self.weights), size=count, p=self.weights)
         normal = rng.standard_normal((count, self.means.shape[1]))
-        normal /= np.sqrt(rng.chisquare(TAILS, (count, 1)) / TAILS)
+        nu = self.tails[which]
+        normal /= np.sqrt(rng.chisquare(nu) / nu)[:, None]
         return np.asarray(self.means[which] + np.einsum("nij,nj->ni", self.roots[which], normal))
 
     def log_density(self, z: FloatArray) -> FloatArray:
         """Normalised, (n, d) -> (n,)."""
-        d = self.means.shape[1]
-        norm = gammaln(0.5 * (TAILS + d)) - gammaln(0.5 * TAILS) - 0.5 * d * np.log(TAILS * np.pi)
+        d, nu = self.means.shape[1], self.tails
+        norms = gammaln(0.5 * (nu + d)) - gammaln(0.5 * nu) - 0.5 * d * np.log(nu * np.pi)
         parts = np.empty((len(self.weights), len(z)))
         for k, (mean, root) in enumerate(zip(self.means, self.roots, strict=True)):
             y = np.linalg.solve(root, (z - mean).T)
-            parts[k] = norm - np.log(np.abs(np.diag(root))).sum()
-            parts[k] -= 0.5 * (TAILS + d) * np.log1p((y**2).sum(axis=0) / TAILS)
+            parts[k] = norms[k] - np.log(np.abs(np.diag(root))).sum()
+            parts[k] -= 0.5 * (nu[k] + d) * np.log1p((y**2).sum(axis=0) / nu[k])
         with np.errstate(divide="ignore"):
             return np.asarray(logsumexp(parts + np.log(self.weights)[:, None], axis=0))
 
@@ -124,8 +135,36 @@ def _fitted(z: FloatArray, weight: FloatArray, rng: np.random.Generator) -> Mixt
             few = min(1.0, shares[k] * float(1.0 / (weight**2).sum()) / (3.0 * d))
             covs[k] = few * own + (1.0 - few) * np.eye(d) * min(1.0, np.trace(own) / d) + RIDGE * np.eye(d)
         shares = shares / shares.sum()
-    roots = np.stack([WIDER * root @ np.linalg.cholesky(cov) for cov in covs])
-    return Mixture(shares, mean + means @ root.T, roots)
+    roots = np.stack([root @ np.linalg.cholesky(cov) for cov in covs])
+    (tails, wider), *_ = TAILS
+    return Mixture(shares, mean + means @ root.T, wider * roots, np.full(components, tails))
+
+
+def _guarded(mixture: Mixture, tails: float, wider: float) -> Mixture:
+    """The mixture with thin tails beside a share with the widest: none of its weights is large then.
+
+    A defensive mixture (Hesterberg 1995, doi 10.1080/00401706.1995.10484303).
+    """
+    return Mixture(
+        np.concatenate([(1.0 - WIDE_SHARE) * mixture.weights, WIDE_SHARE * mixture.weights]),
+        np.concatenate([mixture.means, mixture.means]),
+        np.concatenate([mixture.roots * (wider / TAILS[0][1]), mixture.roots]),
+        np.concatenate([np.full(mixture.tails.size, tails), mixture.tails]),
+    )
+
+
+def _best_tails(mixture: Mixture, z: FloatArray, weight: FloatArray, levels: FloatArray) -> Mixture:
+    """The mixture with the tails that suit weighted draws best: the mean of a power of p / q under p is least.
+
+    The first power counts what importance draws are worth; a higher one bears on where walkers get stuck.
+    """
+    tried = [mixture, *(_guarded(mixture, nu, wider) for nu, wider in TAILS[1:])]
+    used = weight > 0.0
+
+    def spread(one: Mixture) -> float:
+        return float(logsumexp(STUCK * (levels[used] - one.log_density(z[used])), b=weight[used]))
+
+    return min(tried, key=spread)
 
 
 def learn_mixture(target: Target, cut: CutNormal, rng: np.random.Generator) -> tuple[Mixture, float]:
@@ -157,11 +196,12 @@ def learn_mixture(target: Target, cut: CutNormal, rng: np.random.Generator) -> t
         z, levels, used = np.vstack([z, new]), np.append(levels, value), [*used, mixture]
         recent.append(efficiency)
         best = max(best, (efficiency, mixture), key=lambda one: one[0])
-        if efficiency >= GOOD or (len(recent) > SETTLED and max(recent[-SETTLED:]) <= max(recent[:-SETTLED])):
+        settled = SETTLED_FAIR if best[0] >= FAIR else SETTLED
+        if efficiency >= GOOD or (len(recent) > settled and max(recent[-settled:]) <= max(recent[:-settled])):
             break
         proposed = logsumexp([one.log_density(z) for one in used[-REMEMBERED:]], axis=0)
         weight = _tempered(levels - proposed, least)
         if not weight.any():
             break
-        mixture = _fitted(z, weight, rng)
+        mixture = _best_tails(_fitted(z, weight, rng), z, weight, levels)
     return best[1], best[0]

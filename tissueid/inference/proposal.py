@@ -35,17 +35,37 @@ class CutNormal:
     ----------
     centre : ndarray, shape (d,)
     width : float
+    rows, least : ndarray, shape (c, d) and (c,)
+        Half spaces ``rows @ z >= least``.
     pool : ndarray, shape (n, d)
         Draws.
     """
 
     centre: FloatArray
     width: float
+    rows: FloatArray
+    least: FloatArray
     pool: FloatArray
 
+    def _whole(self, count: int, rng: np.random.Generator) -> FloatArray:
+        """Draws of the normal that is not cut, shape (count, d)."""
+        return self.centre + self.width * rng.standard_normal((count, self.centre.size))
+
+    def _inside(self, z: FloatArray) -> FloatArray:
+        """Those of some points that the half spaces leave, (n, d) -> (k, d)."""
+        return z[(z @ self.rows.T >= self.least).all(axis=1)]
+
+    def left(self, rng: np.random.Generator) -> float:
+        """Share of the normal that the half spaces leave."""
+        return len(self._inside(self._whole(CHAINS, rng))) / CHAINS
+
     def draw(self, count: int, rng: np.random.Generator) -> FloatArray:
-        """Draws of the pool, shape (count, d)."""
-        return self.pool[rng.integers(len(self.pool), size=count)]
+        """Draws by rejection, shape (count, d)."""
+        parts, known = [], 0
+        while known < count:
+            parts.append(self._inside(self._whole(2 * (count - known), rng)))
+            known += len(parts[-1])
+        return np.concatenate(parts)[:count]
 
     def log_density(self, z: FloatArray) -> FloatArray:
         """Up to a constant, within the polytope; (n, d) -> (n,)."""
@@ -137,4 +157,4 @@ def cut_normal(
         move = _truncated(mean, WIDER, np.minimum(low, 0.0), np.maximum(high, 0.0), rng.random(CHAINS))
         z += move[:, None] * direction
         slack += move[:, None] * along
-    return CutNormal(centre, WIDER, z)
+    return CutNormal(centre, WIDER, rows, least, z)

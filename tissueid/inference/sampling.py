@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.inference.checkpoint import Checkpoint
+from tissueid.inference.diagnostics import diagnose
 from tissueid.inference.mixture import learn_mixture
 from tissueid.inference.proposal import cut_normal
 from tissueid.inference.psis import Weighed, smoothed
@@ -36,6 +37,13 @@ LOOK, MOST_LOOKS = 1_000, 12
 #: Effective draws that intervals must be worth (ends are then good to a quarter of a standard deviation), and
 #: Pareto shapes: the largest that is trusted at all, and that up to which few steps are enough.
 ENOUGH, PARETO, TRUSTED = 100.0, 0.9, 0.7
+#: Share of the normal within the walls below which rejection wastes its draws, and share of them that they
+#: are worth where the target is nearly normal.
+LEAST_LEFT, NEARLY = 0.05, 0.8
+#: Share of the points of a first look, tails trusted, from which the walkers alone make the draws.
+GOOD_LOOK = 0.5
+#: Share of the draws asked for that walkers still have to make where importance sampling is worth them.
+HALF = 0.5
 #: Shares of the moves: independent proposals, differential evolution, stretches; and those where the
 #: Pareto shape says that proposals have the target's tails.
 MOVES, MOVES_IN_TAILS, GOOD_TAILS = (0.6, 0.25, 0.15), (0.92, 0.05, 0.03), 0.5
@@ -89,6 +97,19 @@ class Normal:
         return np.asarray(-0.5 * ((z - self.centre) ** 2).sum(axis=1))
 
 
+def _proposal(target: Target, rng: np.random.Generator) -> Proposal:
+    """The normal within its walls where the target is nearly that, else a mixture that learns it."""
+    if target.is_normal:
+        return Normal(target.centre)
+    cut = cut_normal(target.centre, target.rows, target.walls, target.likely, rng)
+    if cut.left(rng) >= LEAST_LEFT:
+        first = cut.draw(LOOK // 4, rng)
+        worth = smoothed(target.densities(first) - cut.log_density(first)).worth
+        if worth >= NEARLY * len(first):
+            return cut
+    return learn_mixture(target, cut, rng)[0]
+
+
 def _independence(proposal: Proposal, rng: np.random.Generator) -> emcee.moves.MHMove:
     """Proposals whatever the walker's place."""
 
@@ -127,10 +148,7 @@ def sample(
     d = target.size
     rng = np.random.default_rng([seed, 7])
     kept = Checkpoint(checkpoint, key)
-    proposal: Proposal = Normal(target.centre)
-    if not target.is_normal:
-        cut = cut_normal(target.centre, target.rows, target.walls, target.likely, rng)
-        proposal = learn_mixture(target, cut, rng)[0]
+    proposal = _proposal(target, rng)
     points, weighed = _weighed(target, proposal, draws, rng, kept, progress)
     if weighed.worth < WALKERS / 8.0:
         msg = f"importance sampling is worth {weighed.worth:.0f} draws"
@@ -144,7 +162,12 @@ def sample(
     moves = list(zip(kinds, shares, strict=True))
     sampler = emcee.EnsembleSampler(WALKERS, d, target.densities, moves=moves, vectorize=True)
     state = emcee.State(start, random_state=np.random.RandomState(seed & 0xFFFFFFFF).get_state())
-    walked = _walked(sampler, state, trusted=weighed.pareto <= TRUSTED)
+
+    def told(steps: int, share: float) -> None:
+        if progress is not None:
+            progress(len(points) + WALKERS * steps, share)
+
+    walked = _walked(sampler, state, weighed, draws, told)
     trusted = weighed.worth >= ENOUGH and weighed.pareto <= PARETO
     converged = bool(trusted or walked >= ENOUGH)
     detail: dict[str, Any] = {
@@ -159,32 +182,31 @@ def sample(
         most = max(weighed.worth, walked)
         detail["reason"] = f"{most:.0f} of {draws} effective draws, Pareto k {weighed.pareto:.2f}"
     acceptance = float(np.mean(sampler.acceptance_fraction))
-    # walkers that were put in a thin tail have gone on by the second half
-    kept_steps = np.linspace(sampler.iteration - _late(sampler), sampler.iteration - 1, STEPS).astype(
-        np.int64
-    )
+    first = sampler.iteration - _counted(sampler, trusted=weighed.pareto <= TRUSTED)
+    kept_steps = np.linspace(first, sampler.iteration - 1, STEPS).astype(np.int64)
     chain = np.swapaxes(sampler.get_chain()[kept_steps], 0, 1)
     return Sampled(chain, sampler.get_log_prob()[kept_steps].T, converged, acceptance, detail)
 
 
-def _late(sampler: Any) -> int:
-    """Steps that count: all of few, the second half of many."""
-    return int(sampler.iteration if sampler.iteration <= STEPS else sampler.iteration // 2)
+def _counted(sampler: Any, *, trusted: bool) -> int:
+    """Steps that count: walkers that were put in a thin tail have gone on by the second half."""
+    return int(sampler.iteration if trusted else sampler.iteration - sampler.iteration // 2)
 
 
-def _walked(sampler: Any, state: Any, *, trusted: bool) -> float:
-    """Walk, and tell the effective draws: walkers over the share of the variance that their means have."""
-    if trusted:
-        sampler.run_mcmc(state, STEPS, skip_initial_state_check=True)
-        return 0.0
+def _walked(
+    sampler: Any, state: Any, weighed: Weighed, draws: int, progress: Callable[[int, float], None]
+) -> float:
+    """Walk, and tell the effective draws of the coordinate that has the fewest."""
+    trusted = weighed.pareto <= TRUSTED
+    steps, wanted = (STEPS, float(draws)) if trusted else (ROUND, WALKED)
     found = 0.0
     for _ in range(ROUNDS):
-        state = sampler.run_mcmc(state, ROUND, skip_initial_state_check=True)
-        chain = sampler.get_chain()[-_late(sampler) :]
-        whole = chain.reshape(-1, chain.shape[2]).var(axis=0)
-        means = chain.mean(axis=0).var(axis=0, ddof=1)
-        found = float((WALKERS * whole / np.maximum(means, 1e-300)).min())
-        if found >= WALKED:
+        state = sampler.run_mcmc(state, steps, skip_initial_state_check=True)
+        chain = np.swapaxes(sampler.get_chain()[-_counted(sampler, trusted=trusted) :], 0, 1)
+        coordinates = diagnose({str(k): chain[:, :, k] for k in range(chain.shape[2])})
+        found = min(one.ess_bulk for one in coordinates.values())
+        progress(int(sampler.iteration), min(found / wanted, 1.0))
+        if found >= wanted or (trusted and weighed.worth >= draws and found >= HALF * draws):
             break
     return found
 
@@ -205,7 +227,8 @@ def _weighed(
             found = smoothed(log_weight)
             if progress is not None:
                 progress(len(points), min(found.worth / draws, 1.0))
-            if found.worth >= draws:
+            good = found.worth >= GOOD_LOOK * len(points) and found.pareto <= GOOD_TAILS
+            if found.worth >= draws or good:
                 break
         new = proposal.draw(LOOK, rng)
         points = np.vstack([points, new])
