@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from inference_cases import blocks_from, log_data, point_of, ramp_hold, system_of
 
-from tissueid.inference.blocks import SAMPLED, log_blocks
+from tissueid.inference.blocks import SAMPLED, _digits, log_blocks
 from tissueid.inference.law import KelvinVoigtLaw
 from tissueid.model import ContactPath
 
@@ -161,3 +161,18 @@ def test_a_stop_that_brakes_or_lies_on_a_sample_gets_no_corner():
     for depth in (braked, np.minimum(4.0 * time, 4.0)):
         blocks = blocks_from(log_data(time, depth, depth), whole=True)
         assert blocks.time_s.size == time.size
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02, 0.05])
+@pytest.mark.parametrize("slope", [1e-3, 1.0])
+def test_rounding_that_samples_share_is_not_averaged(noise, slope):
+    """Means of 200 samples of a slow force keep its rounding; quick ones and much noise do not."""
+    rng, step = np.random.default_rng(4), 0.1
+    time = np.arange(40_000.0) * 0.01
+    level = slope * time
+    force = np.round((level + noise * rng.standard_normal(time.size)) / step) * step
+    off = (force - level).reshape(-1, 200)
+    found = float(np.median(_digits(force, force.reshape(-1, 200).mean(axis=1))))
+    # variance of the means, less the part that averages
+    left = (off.mean(axis=1).var() - off.var() / 200) / off.var()
+    assert left - 0.02 <= found <= 2.7 * left + 0.02

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.inference.window import LogData
-from tissueid.signal_noise import white_noise_sd
+from tissueid.signal_noise import quantum, white_noise_sd
 
 __all__ = ["Blocks", "log_blocks"]
 
@@ -38,6 +38,8 @@ SECOND_DIFFERENCE = 0.6745 * 6.0**0.5
 LINE_SAMPLES, CORNER_SD, CORNER_SHARE = 4, 3.0, 1e-5
 #: Bend over one step in tolerances, and share of a step at its ends, of a corner between samples.
 CORNER_BEND, CORNER_EDGE = 20.0, 0.01
+#: Steps of the digits over which neighbouring differences of force differ at a corner.
+FEW_STEPS = 4.0
 #: Contact standard deviations by which the path is continued before its contact.
 LEAD_SD = 5.0
 
@@ -66,6 +68,8 @@ class Blocks:
         Sum of squares of the samples about lines in their blocks [N^2].
     within_freedom : int
     contact_sd_mm : float
+    digits : ndarray, shape (k,)
+        Variance of the digits' error that no averaging takes off, over that of a sample.
     """
 
     time_s: FloatArray
@@ -80,6 +84,26 @@ class Blocks:
     within_N2: float
     within_freedom: int
     contact_sd_mm: float
+    digits: FloatArray
+
+
+def _digits(force: FloatArray, means: FloatArray) -> FloatArray:
+    """Variance of rounding that the samples of a block share, over the variance of a sample's noise.
+
+    Force that passes a step within a block is rounded up and down.  Noise before rounding of standard
+    deviation s leaves exp(-(2 pi s / q)^2) of the correlation that the errors of a step q have in a slow
+    signal (Widrow & Kollar 2008, doi 10.1017/CBO9780511754661).
+    """
+    step, none = quantum(force), np.zeros(means.size)
+    if step == 0.0 or means.size < 2:
+        return none
+    bends = np.diff(force, 2)
+    # most neighbours are alike: a mean of squares counts the others, and leaves corners out
+    noise = float(np.mean(bends[np.abs(bends) <= FEW_STEPS * step] ** 2)) / 6.0
+    rounding = step**2 / 12.0
+    before = max(noise - rounding, 0.0)
+    share = rounding * np.exp(-before * (2.0 * np.pi / step) ** 2) / max(noise, rounding)
+    return np.where(np.abs(np.gradient(means)) < step, share, 0.0)
 
 
 def _edges(time: FloatArray, depth: FloatArray, stops: Sequence[int]) -> IntArray:
@@ -285,6 +309,7 @@ def log_blocks(
         within_N2=within,
         within_freedom=freedom,
         contact_sd_mm=contact_sd_mm,
+        digits=_digits(force[include], y),
     )
 
 

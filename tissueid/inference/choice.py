@@ -163,6 +163,7 @@ def _ramp(log: Blocks) -> Blocks:
     return replace(
         log, at=log.at[:count], force_N=log.force_N[:count], count=log.count[:count], mid_s=log.mid_s[:count],
         step_s=log.step_s[:count], chain=log.chain[:count], fold=log.fold[:count],
+        digits=log.digits[:count],
     )  # fmt: skip
 
 

@@ -154,7 +154,7 @@ def _guarded(mixture: Mixture, tails: float, wider: float) -> Mixture:
 
 
 def _best_tails(mixture: Mixture, z: FloatArray, weight: FloatArray, levels: FloatArray) -> Mixture:
-    """The mixture with the tails that suit weighted draws best: the mean of a power of p / q under p is least.
+    """The mixture with the tails that suit weighted draws: the mean of a power of p / q under p is least.
 
     The first power counts what importance draws are worth; a higher one bears on where walkers get stuck.
     """

@@ -53,7 +53,9 @@ def whitener_of(system: System, memory: Memory) -> Whitener:
     end = system.mid + 0.5 * (system.count - 1.0) * system.obs_step
     start = system.mid - 0.5 * (system.count - 1.0) * system.obs_step
     gap = np.append(0.0, start[1:] - end[:-1])
-    return whitener(system.count, system.obs_step, gap, system.chain, memory)
+    # rounding that samples share is one more source of white errors, which correlated noise would hide
+    count = system.worth if memory.time_s <= 0.0 else system.count
+    return whitener(count, system.obs_step, gap, system.chain, memory)
 
 
 def nearest_in_cone(

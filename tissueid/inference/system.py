@@ -163,6 +163,7 @@ class System:
         self.begins = np.concatenate([[0], np.cumsum([one.force_N.size for one in logs])[:-1]])
         self.force = np.concatenate([one.force_N for one in logs])
         self.count = np.concatenate([one.count for one in logs]).astype(np.float64)
+        self.worth = 1.0 / (1.0 / self.count + np.concatenate([one.digits for one in logs]))
         self.chain = np.concatenate([one.chain for one in logs])
         self.obs_step = np.concatenate([one.step_s for one in logs])
         self.mid = np.concatenate([one.mid_s for one in logs])
