@@ -10,6 +10,7 @@ from inference_cases import blocks_from, log_data, point_of, ramp_hold, system_o
 
 from tissueid.inference.blocks import SAMPLED, _digits, log_blocks
 from tissueid.inference.law import KelvinVoigtLaw
+from tissueid.inference.window import LogData
 from tissueid.model import ContactPath
 
 LAW = KelvinVoigtLaw(1, 1, 4.0)
@@ -176,3 +177,17 @@ def test_rounding_that_samples_share_is_not_averaged(noise, slope):
     # variance of the means, less the part that averages
     left = (off.mean(axis=1).var() - off.var() / 200) / off.var()
     assert left - 0.02 <= found <= 2.7 * left + 0.02
+
+
+@pytest.mark.parametrize("share", [0.05, 0.4, 0.9])
+def test_samples_beside_a_contact_between_samples_are_compared_where_they_are(share):
+    """Contact a part of a step before the first sample: nothing of a noise-free log is missed."""
+    time = np.concatenate([[0.0], (share + np.arange(1_000.0)) * 0.01])
+    depth = np.minimum(4.0 * time, 6.0)
+    include = np.arange(time.size) > 0
+    data = LogData(time, depth, 50.0 * depth, include, np.zeros(time.size, dtype=np.int64))
+    blocks = log_blocks(data, step_s=0.01, contact_sd_mm=0.004, leads=True)
+    assert blocks.count.max() > 1
+    x = blocks.depth_mm[blocks.at]
+    mean = (x[:, 0] + 4.0 * x[:, 1] + x[:, 2]) / 6.0
+    np.testing.assert_allclose(blocks.force_N, 50.0 * mean, atol=1e-9)

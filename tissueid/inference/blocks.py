@@ -264,10 +264,12 @@ def log_blocks(
         within, freedom = 0.0, 0
         opens, place = breaks[used], used
     else:
-        stops = np.flatnonzero((np.diff(include.astype(np.int8), prepend=include[0]) != 0) | breaks)
+        opened = np.flatnonzero((np.diff(include.astype(np.int8), prepend=include[0]) != 0) | breaks)
+        # a sample beside a gap is alone: half of the gap is not what its block was sampled over
+        stops = np.unique(np.concatenate([opened - 1, opened, opened + 1]))
         if data.fold.any():
             stops = np.union1d(stops, np.flatnonzero(np.diff(data.fold, prepend=data.fold[0]) != 0))
-        edges = _edges(time, depth, [int(one) for one in stops if one > 0])
+        edges = _edges(time, depth, [int(one) for one in stops if 0 < one < time.size])
         ends_t, ends_x = _ends(time, depth, edges)
         grid_t = np.empty(2 * edges.size - 1)
         grid_x = np.empty(grid_t.size)
