@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from tissueid.inference.blocks import Blocks, log_blocks
+from tissueid.inference.channel_law import ChannelLaw
 from tissueid.inference.engine import Identified, Request
-from tissueid.inference.law import KelvinVoigtLaw
 from tissueid.inference.logs import LogHandle
 from tissueid.inference.specimen import identify_handles
 from tissueid.inference.system import Effects, Point, System
@@ -47,7 +47,7 @@ def ramp_hold(rate_Hz: float, speed_mm_s: float, depth_mm: float, hold_s: float)
     return time, np.minimum(speed_mm_s * time, depth_mm)
 
 
-def point_of(law: KelvinVoigtLaw, theta, *, logs: int = 1, own: int = 1, machine=(0.0, 0.0, 0.0)) -> Point:
+def point_of(law: ChannelLaw, theta, *, logs: int = 1, own: int = 1, machine=(0.0, 0.0, 0.0)) -> Point:
     """Theta [N, mm, s] as a point of the law, the logs without anything of their own."""
     static, stiffness, tau = law.model().split(np.asarray(theta, dtype=float))
     linear = [static * law.depth_mm ** np.arange(1.0, 4.0)]
@@ -56,7 +56,7 @@ def point_of(law: KelvinVoigtLaw, theta, *, logs: int = 1, own: int = 1, machine
 
 
 def system_of(
-    logs: Sequence[LogData], law: KelvinVoigtLaw, *, effects: Effects | None = None, whole: bool = False
+    logs: Sequence[LogData], law: ChannelLaw, *, effects: Effects | None = None, whole: bool = False
 ) -> System:
     """Logs that start in contact under a law."""
     blocks = [blocks_from(one, whole=whole) for one in logs]

@@ -9,11 +9,11 @@ import pytest
 from inference_cases import blocks_from, log_data, point_of, ramp_hold, system_of
 
 from tissueid.inference.blocks import SAMPLED, _digits, log_blocks
-from tissueid.inference.law import KelvinVoigtLaw
+from tissueid.inference.channel_law import kelvin_voigt_law
 from tissueid.inference.window import LogData
 from tissueid.model import ContactPath
 
-LAW = KelvinVoigtLaw(1, 1, 4.0)
+LAW = kelvin_voigt_law(1, 1, 4.0)
 THETA = np.array([20.0, -1.2, 0.35, 60.0, 8.0, 0.02])
 
 

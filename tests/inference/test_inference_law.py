@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from inference_cases import point_of, ramp_hold
 
-from tissueid.inference.law import KelvinVoigtLaw, Path, passive_rows, relaxation_states
+from tissueid.inference.channel_law import kelvin_voigt_law
+from tissueid.inference.law import Path, passive_rows, relaxation_states
 from tissueid.model import ContactPath
 
 
@@ -46,7 +47,7 @@ def test_states_are_the_recursion_step_by_step():
 
 @pytest.mark.parametrize(("branches", "degree"), [(1, 0), (1, 2), (2, 1)])
 def test_columns_times_coefficients_are_the_contact_model(branches, degree):
-    law = KelvinVoigtLaw(branches, degree, 4.0)
+    law = kelvin_voigt_law(branches, degree, 4.0)
     stiffness = np.array([[30.0, 6.0, 0.7], [12.0, -1.0, 0.2]])[:branches, : degree + 1]
     theta = law.model().join(np.array([20.0, -1.2, 0.35]), stiffness, np.array([0.05, 1.5])[:branches])
     time, depth = ramp_hold(200.0, 3.0, 4.0, 2.0)
@@ -59,7 +60,7 @@ def test_columns_times_coefficients_are_the_contact_model(branches, degree):
 
 
 def test_branches_of_theta_stand_by_ascending_time():
-    law = KelvinVoigtLaw(2, 0, 4.0)
+    law = kelvin_voigt_law(2, 0, 4.0)
     theta = law.theta(np.log([2.0, 0.1]), np.array([80.0, 0.0, 0.0, 4.0, 40.0]))[0]
     np.testing.assert_allclose(theta, [20.0, 0.0, 0.0, 10.0, 0.1, 1.0, 2.0])
 
@@ -76,7 +77,7 @@ def test_rows_of_the_cone_are_signs_of_the_polynomial(powers):
 
 
 def test_lifted_polynomials_are_passive_and_others_stay():
-    law = KelvinVoigtLaw(1, 2, 1.0)
+    law = kelvin_voigt_law(1, 2, 1.0)
     rng = np.random.default_rng(4)
     linear = rng.standard_normal((500, law.linear))
     lifted = law.lifted(linear)

@@ -16,7 +16,7 @@ from inference_cases import (
 )
 from scipy.optimize import minimize
 
-from tissueid.inference.law import KelvinVoigtLaw
+from tissueid.inference.channel_law import kelvin_voigt_law
 from tissueid.inference.noise import Memory
 from tissueid.inference.optimum import covariance_of, minimise, nearest_in_cone, prior_cost
 from tissueid.inference.prior import Scatter, prior_rows
@@ -76,7 +76,7 @@ def test_a_covariance_is_the_inverse_and_a_flat_direction_is_wide():
 
 def fitted(theta, *, start, sigma=0.1, degree=0, seed=1):
     """One log of samples, contact known, from a start."""
-    law = KelvinVoigtLaw(1, degree, 4.0)
+    law = kelvin_voigt_law(1, degree, 4.0)
     time, depth = ramp_hold(100.0, 4.0, 4.0, 3.0)
     force = law.model().force(np.asarray(theta), ContactPath(time, depth))
     log = log_data(time, depth, force + sigma * np.random.default_rng(seed).standard_normal(time.size))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from inference_cases import draw, handles_for, small_recipe
 
-from tissueid.inference.law import KelvinVoigtLaw
+from tissueid.inference.channel_law import kelvin_voigt_law
 from tissueid.inference.posterior import (
     PosteriorOptions,
     _at_mean_machine,
@@ -73,7 +73,7 @@ def test_the_truth_lies_in_its_intervals(fit):
 @pytest.mark.system
 def test_draws_are_passive_tissues_with_their_log_density(fit):
     posterior = fit.posterior
-    model = KelvinVoigtLaw(1, 0, fit.depth_mm).model()
+    model = kelvin_voigt_law(1, 0, fit.depth_mm).model()
     for theta in (*posterior.draws[::50], *posterior.draws_total[::50]):
         assert model.is_passive(theta)
     assert posterior.chain.shape[:2] == posterior.log_density.shape
@@ -148,7 +148,7 @@ def test_without_a_sampler_the_fit_stands():
 
 
 def test_gains_of_the_channels_scale_the_tissue():
-    law = KelvinVoigtLaw(1, 1, 4.0)
+    law = kelvin_voigt_law(1, 1, 4.0)
     theta = np.array([[20.0, -1.2, 0.35, 30.0, 6.0, 0.2]])
     force, travel = 1.02, 0.97
     found = law.model(), _with_gains(law, theta, np.array([[force, travel]]))[0]
@@ -164,7 +164,7 @@ def test_gains_of_the_channels_scale_the_tissue():
 
 
 def test_draws_are_brought_inside_no_further_than_needed():
-    law = KelvinVoigtLaw(1, 1, 1.0)
+    law = kelvin_voigt_law(1, 1, 1.0)
     centre = np.array([3.0, 0.0, 0.0, 2.0, 0.0])
     linear = np.array([centre, [3.0, 0.0, 0.0, -1.0, 4.0], [4.0, 0.0, 0.0, 1.0, 1.0]])
     found = _passive(law, linear, centre)

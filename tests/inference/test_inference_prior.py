@@ -7,14 +7,14 @@ import pytest
 from inference_cases import log_data, point_of, ramp_hold, system_of
 from scipy.interpolate import BPoly
 
-from tissueid.inference.law import KelvinVoigtLaw
+from tissueid.inference.channel_law import kelvin_voigt_law
 from tissueid.inference.optimum import prior_cost
 from tissueid.inference.prior import Scatter, bernstein, prior_rows, time_bounds
 from tissueid.inference.system import Effects
 from tissueid.model import ContactPath
 from tissueid.priors import WEAK_FACTOR, CalibrationPrior, Priors, SpreadPrior
 
-LAW = KelvinVoigtLaw(1, 1, 4.0)
+LAW = kelvin_voigt_law(1, 1, 4.0)
 THETA = np.array([20.0, -1.2, 0.35, 60.0, 8.0, 0.5])
 
 

@@ -9,11 +9,11 @@ import pytest
 from inference_cases import log_data, point_of, ramp_hold, system_of
 from scipy.signal import lfilter
 
-from tissueid.inference.law import KelvinVoigtLaw
+from tissueid.inference.channel_law import kelvin_voigt_law
 from tissueid.inference.system import MACHINE, Effects, System
 from tissueid.model import ContactPath
 
-LAW = KelvinVoigtLaw(2, 1, 4.0)
+LAW = kelvin_voigt_law(2, 1, 4.0)
 THETA = np.array([20.0, -1.2, 0.35, 60.0, 8.0, 0.05, 25.0, -2.0, 1.2])
 ALL = Effects(gain=True, contact=True, shape=True)
 

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.inference.blocks import Blocks
+from tissueid.inference.channel_law import ChannelLaw, kelvin_voigt_law
 from tissueid.inference.choice import Tried, chosen_among, groups_of, held_out, resolved, without_bends
 from tissueid.inference.evidence import LogEvidence, NoiseVerdict, verdict_on_noise
-from tissueid.inference.law import KelvinVoigtLaw
 from tissueid.inference.memory import scan_memory
 from tissueid.inference.noise import Memory
 from tissueid.inference.optimum import Noise, Optimum, minimise, prior_cost, whitener_of
@@ -75,7 +75,7 @@ class Identified:
     ----------
     system : System
         Under that law.
-    law : KelvinVoigtLaw
+    law : ChannelLaw
     optimum : Optimum
     scatter : Scatter
     verdict : NoiseVerdict
@@ -91,7 +91,7 @@ class Identified:
     """
 
     system: System
-    law: KelvinVoigtLaw
+    law: ChannelLaw
     optimum: Optimum
     scatter: Scatter
     verdict: NoiseVerdict
@@ -110,9 +110,9 @@ def _effects(pooling: str, logs: int) -> Effects:
     return Effects(gain=True, shape=pooling == "scaled")
 
 
-def _blank(law: KelvinVoigtLaw, system: System, machine: FloatArray) -> Point:
+def _blank(law: ChannelLaw, system: System, machine: FloatArray) -> Point:
     own = np.zeros((len(system.logs), system.effects.size))
-    return Point(np.zeros(law.branches), machine, np.zeros(law.linear), own)
+    return Point(np.zeros(law.times), machine, np.zeros(law.linear), own)
 
 
 class _Fitting:
@@ -122,11 +122,9 @@ class _Fitting:
         self.base, self.request, self.least_N, self.step_s = base, request, least_N, step_s
         self.scatter = WIDE
         machine = np.array([request.priors.calibration[name].mean for name in _MACHINE])
-        self.at = _blank(KelvinVoigtLaw(1, 0, base.depth_mm), base, machine)
+        self.at = _blank(kelvin_voigt_law(1, 0, base.depth_mm), base, machine)
 
-    def minimise(
-        self, system: System, law: KelvinVoigtLaw, start: Point, memory: Memory, steps: int
-    ) -> Optimum:
+    def minimise(self, system: System, law: ChannelLaw, start: Point, memory: Memory, steps: int) -> Optimum:
         """From one starting point."""
         return minimise(
             system,
@@ -142,11 +140,11 @@ class _Fitting:
 
     def candidate(
         self, branches: int, degree: int, memory: Memory, *, steps: int = LOOK_STEPS
-    ) -> tuple[System, KelvinVoigtLaw, Optimum]:
+    ) -> tuple[System, ChannelLaw, Optimum]:
         """The best of several starts."""
-        law = KelvinVoigtLaw(branches, degree, self.base.depth_mm)
+        law = kelvin_voigt_law(branches, degree, self.base.depth_mm)
         system = self.base.under(law)
-        starts = starting_points(system, branches, degree, self.at, whitener_of(system, memory))
+        starts = starting_points(system, law, self.at, whitener_of(system, memory))
         found = [self.minimise(system, law, start, memory, steps) for start in starts]
         return system, law, min(found, key=lambda one: _badness(system, one))
 
@@ -213,7 +211,7 @@ def _further(request: Request, chosen: Tried, best: Sequence[tuple[int, int]]) -
 def identify_logs(
     logs: Sequence[Blocks],
     facts: Sequence[FittedLog],
-    evidence: Callable[[System, KelvinVoigtLaw, Optimum], Sequence[LogEvidence]],
+    evidence: Callable[[System, ChannelLaw, Optimum], Sequence[LogEvidence]],
     request: Request,
     tick: Callable[[str], None],
 ) -> Identified:
@@ -233,7 +231,7 @@ def identify_logs(
     depth = max(one.depth_mm for one in facts)
     step = min(one.step_s for one in facts)
     effects = _effects(request.pooling, len(logs))
-    base = System(logs, KelvinVoigtLaw(1, 0, depth), depth, effects)
+    base = System(logs, kelvin_voigt_law(1, 0, depth), depth, effects)
     least = 1e-7 * float(np.ptp(base.force))
     fitting = _Fitting(base, request, least, step)
     flexible = (
@@ -295,7 +293,7 @@ def _noise(
 def _finished(
     fitting: _Fitting,
     chosen: Tried,
-    evidence: Callable[[System, KelvinVoigtLaw, Optimum], Sequence[LogEvidence]],
+    evidence: Callable[[System, ChannelLaw, Optimum], Sequence[LogEvidence]],
     memory: Memory,
     left_out: str,
     table: tuple[dict[str, float | int | bool | None], ...],
@@ -304,7 +302,7 @@ def _finished(
 ) -> Identified:
     """The chosen candidate under its own noise."""
     request, system = fitting.request, chosen.system
-    law = KelvinVoigtLaw(chosen.branches, chosen.degree, system.depth_mm)
+    law = kelvin_voigt_law(chosen.branches, chosen.degree, system.depth_mm)
     optimum = chosen.optimum
     tick("the optimum")
     for _ in range(2):

@@ -18,11 +18,11 @@ from threadpoolctl import threadpool_limits
 
 from tissueid.inference.bands import predictive_bands
 from tissueid.inference.budget import uncertainty_budget
+from tissueid.inference.channel_law import ChannelLaw
 from tissueid.inference.coherence import outside, withheld
 from tissueid.inference.diagnostics import diagnose
 from tissueid.inference.engine import refit
 from tissueid.inference.estimates import MAX_WIDTH
-from tissueid.inference.law import KelvinVoigtLaw
 from tissueid.inference.misfit import misfit_alarm
 from tissueid.inference.prediction import next_indentation
 from tissueid.inference.prior_rows import log_theta_prior, prior_table
@@ -34,7 +34,7 @@ from tissueid.inference.specimen import FittedSpecimen
 from tissueid.inference.system import MACHINE, Point
 from tissueid.inference.target import NormalTarget, SpecimenTarget, Target
 from tissueid.inference.verdict import unidentified
-from tissueid.model.kelvin_voigt import STATIC_DEGREE
+from tissueid.model.base import scaled_theta
 from tissueid.priors import Priors
 from tissueid.result import Estimate, SpecimenFit
 from tissueid.uncertainty import ComparisonRow, ParameterUncertainty, Posterior, SamplerReport
@@ -98,7 +98,7 @@ class Draws:
     centre: FloatArray
 
 
-def _passive(law: KelvinVoigtLaw, linear: FloatArray, centre: FloatArray) -> FloatArray:
+def _passive(law: ChannelLaw, linear: FloatArray, centre: FloatArray) -> FloatArray:
     """Linear parameters drawn towards a passive centre until they are passive too."""
     cone, out = law.cone(), linear.copy()
     least = -1e-12 * np.abs(centre).max()
@@ -136,15 +136,9 @@ def _at_mean_machine(target: SpecimenTarget, vectors: FloatArray) -> FloatArray:
     return out
 
 
-def _with_gains(law: KelvinVoigtLaw, theta: FloatArray, gains: FloatArray) -> FloatArray:
+def _with_gains(law: ChannelLaw, theta: FloatArray, gains: FloatArray) -> FloatArray:
     """Theta behind a force and a displacement channel of given gains."""
-    force, travel = gains[:, :1], gains[:, 1:]
-    out, size = theta.copy(), law.degree + 1
-    out[:, :STATIC_DEGREE] *= travel ** np.arange(1.0, STATIC_DEGREE + 1) / force
-    for j in range(law.branches):
-        first = STATIC_DEGREE + j * (size + 1)
-        out[:, first : first + size] *= travel ** np.arange(1.0, size + 1) / force
-    return out
+    return scaled_theta(law.model().parameters, theta, gains[:, 0], gains[:, 1])
 
 
 def _draws(target: SpecimenTarget, sampled: Sampled, priors: Priors, seed: int) -> Draws:

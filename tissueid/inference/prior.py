@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import comb
 
-from tissueid.inference.law import KelvinVoigtLaw
+from tissueid.inference.channel_law import ChannelLaw
 from tissueid.inference.system import MACHINE, SHAPE, Point, System
-from tissueid.model.kelvin_voigt import STATIC_DEGREE
 from tissueid.priors import WEAK_FACTOR, Priors
 
 __all__ = ["PriorRows", "Scatter", "bernstein", "own_precision", "prior_rows", "time_bounds"]
@@ -86,41 +85,37 @@ class PriorRows:
 
 
 def _linear_rows(
-    law: KelvinVoigtLaw, largest: FloatArray, force: float, priors: Priors
+    law: ChannelLaw, log_times: FloatArray, largest: FloatArray, force: float, priors: Priors
 ) -> tuple[FloatArray, FloatArray, float]:
     """Rows of the linear parameters, their targets, and ln of how they follow the largest states."""
-    rows = np.zeros((law.linear, law.linear))
-    rows[:STATIC_DEGREE, :STATIC_DEGREE] = bernstein(STATIC_DEGREE) / (WEAK_FACTOR * force)
-    size, log_det = law.degree + 1, 0.0
-    for j in range(law.branches):
-        block = slice(STATIC_DEGREE + j * size, STATIC_DEGREE + (j + 1) * size)
-        rows[block, block] = bernstein(size) * largest[j] / (WEAK_FACTOR * force)
-        log_det += size * float(np.log(largest[j]))
+    rows, log_det = np.zeros((law.linear, law.linear)), 0.0
+    for one in law.blocks:
+        inner = bernstein(one.size) if one.polynomial else np.eye(one.size)
+        rows[one.at, one.at] = inner / (WEAK_FACTOR * force)
+        if one.branch >= 0:
+            rows[one.at, one.at] *= largest[one.branch]
+            log_det += one.size * float(np.log(largest[one.branch]))
     target = np.zeros(law.linear)
     if priors.linear:
-        names = [one.name for one in law.model().parameters if not one.name.startswith("relaxation_time")]
-        powers = np.concatenate(
-            [np.arange(1.0, STATIC_DEGREE + 1), np.tile(np.arange(1.0, size + 1), law.branches)]
-        )
-        for k, name in enumerate(names):
+        field = law.field(log_times[None])[0]
+        for k, name in enumerate(law.linear_names):
             if name in priors.linear:
                 mean, sd = priors.linear[name]
-                unit = law.depth_mm ** powers[k]
                 stated = np.zeros((1, law.linear))
-                stated[0, k] = 1.0 / (sd * unit)
+                stated[0, k] = field[k] / sd
                 rows, target = np.vstack([rows, stated]), np.append(target, mean / sd)
     return rows, target, log_det
 
 
 def prior_rows(
-    system: System, law: KelvinVoigtLaw, point: Point, scatter: Scatter, priors: Priors, *, machine: bool
+    system: System, law: ChannelLaw, point: Point, scatter: Scatter, priors: Priors, *, machine: bool
 ) -> PriorRows:
     """Priors around a point.
 
     Parameters
     ----------
     system : System
-    law : KelvinVoigtLaw
+    law : ChannelLaw
     point : Point
         Largest states of the branches are taken here.
     scatter : Scatter
@@ -131,20 +126,19 @@ def prior_rows(
     t, m, p = law.times, len(MACHINE), law.linear
     force = float(np.abs(system.force).max())
     path = system.path(system.travel)
-    states = law.columns(point.log_times, path)[STATIC_DEGREE :: law.degree + 1]
-    largest = np.maximum(np.abs(states).max(axis=1, initial=0.0), 1e-9)
-    linear, wanted, log_det = _linear_rows(law, largest, force, priors)
+    largest = law.largest_states(point.log_times, path)
+    linear, wanted, log_det = _linear_rows(law, point.log_times, largest, force, priors)
     rows = [np.hstack([np.zeros((len(linear), t + m)), linear])]
     target = [wanted]
-    low, high = time_bounds(system)
+    low, high = law.bounds(*time_bounds(system))
     cone = [np.hstack([np.zeros((len(law.cone()), t + m)), law.cone()])]
     least = [np.zeros(len(law.cone()))]
     bounds = np.zeros((2 * t + 2, t + m + p))
     bound = np.full(2 * t + 2, -1e300)
     for j in range(t):
-        bounds[2 * j, j], bound[2 * j] = 1.0, low
-        bounds[2 * j + 1, j], bound[2 * j + 1] = -1.0, -high
-        if j < len(priors.relaxation_time_s):
+        bounds[2 * j, j], bound[2 * j] = 1.0, low[j]
+        bounds[2 * j + 1, j], bound[2 * j + 1] = -1.0, -high[j]
+        if j < min(len(priors.relaxation_time_s), law.counts[0]):
             stated = priors.relaxation_time_s[j]
             row = np.zeros((1, t + m + p))
             row[0, j] = 1.0 / stated.sd_ln

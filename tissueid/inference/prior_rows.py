@@ -46,25 +46,23 @@ def _largest(target: SpecimenTarget, tau_s: FloatArray) -> FloatArray:
 
 def _linear(target: SpecimenTarget, theta: FloatArray) -> list[PriorRow]:
     """Coefficients of F_s and K."""
-    model, priors, depth = target.law.model(), target.priors, target.law.depth_mm
-    spread, rows, size = WEAK_FACTOR * target.force, [], target.law.degree + 1
-    for k, spec in enumerate(model.parameters):
-        branch, power = divmod(k - STATIC_DEGREE, size + 1) if k >= STATIC_DEGREE else (-1, k)
-        if branch >= 0 and power == size:
-            continue
-        if spec.name in priors.linear:
-            mean, sd = priors.linear[spec.name]
-            words = f"normal, {mean:.4g} ± {sd:.3g} {spec.unit}, cut to the passive set"
-            rows.append(_row(spec.name, words, True, theta[:, k], sd))
-            continue
-        state = 1.0
-        if branch >= 0:
-            tau = np.median(theta[:, STATIC_DEGREE + branch * (size + 1) + size])
-            state = float(_largest(target, np.array([tau]))[0])
-        powers = STATIC_DEGREE if branch < 0 else size
-        sd = spread / state * depth ** -(power + 1.0) * _power_sd(powers, power)
-        words = f"weak: every part of the curve up to some {spread:.3g} N, cut to the passive set"
-        rows.append(_row(spec.name, words, False, theta[:, k], sd))
+    law, priors, point = target.law, target.priors, target.optimum.point
+    specs = {spec.name: (k, spec) for k, spec in enumerate(law.model().parameters)}
+    spread, rows = WEAK_FACTOR * target.force, []
+    field = law.field(point.log_times[None])[0]
+    states = law.largest_states(point.log_times, target.system.path(target.system.travel))
+    for block in law.blocks:
+        for power, at in enumerate(range(block.at.start, block.at.stop)):
+            k, spec = specs[law.linear_names[at]]
+            if spec.name in priors.linear:
+                mean, sd = priors.linear[spec.name]
+                words = f"normal, {mean:.4g} ± {sd:.3g} {spec.unit}, cut to the passive set"
+                rows.append(_row(spec.name, words, True, theta[:, k], sd))
+                continue
+            state = states[block.branch] if block.branch >= 0 else 1.0
+            wide = _power_sd(block.size, power) if block.polynomial else 1.0
+            words = f"weak: every part of the curve up to some {spread:.3g} N, cut to the passive set"
+            rows.append(_row(spec.name, words, False, theta[:, k], float(spread / state * field[at] * wide)))
     return rows
 
 
@@ -92,7 +90,7 @@ def prior_table(
     priors, places = target.priors, target.places
     rows = _linear(target, theta)
     low, high = time_bounds(target.system)
-    for j in range(target.law.times):
+    for j in range(target.law.counts[0]):
         name = f"ln_relaxation_time_{j + 1}"
         if j < len(priors.relaxation_time_s):
             one = priors.relaxation_time_s[j]
@@ -101,6 +99,11 @@ def prior_table(
         else:
             words = f"uniform in ln tau from {math.exp(low):.3g} s to {math.exp(high):.3g} s"
             rows.append(_row(name, words, False, vectors[:, j], (high - low) / math.sqrt(12.0)))
+    for j, shape in enumerate(target.law.shapes[target.law.counts[0] :], target.law.counts[0]):
+        ends = math.log(shape.spec.lower), math.log(shape.spec.upper)
+        words = f"uniform in its logarithm from {shape.spec.lower:g} to {shape.spec.upper:g}"
+        sd = (ends[1] - ends[0]) / math.sqrt(12.0)
+        rows.append(_row(f"ln_{shape.spec.name}", words, False, vectors[:, j], sd))
     sigma, stated = vectors[:, places["ln_sigma"]], priors.sigma_N
     if stated is None:
         rows.append(_row("ln_sigma", "uniform in ln sigma", False, sigma, LOG_SIGMA_RANGE / 12**0.5))
@@ -138,6 +141,9 @@ def log_theta_prior(target: SpecimenTarget, theta: FloatArray) -> FloatArray:
     ndarray, shape (n,)
     """
     law, priors, size = target.law, target.priors, target.law.degree + 1
+    if law.model_of is not None:
+        # populations take Kelvin-Voigt tissues only
+        return np.zeros(len(theta))
     spread, names = WEAK_FACTOR * target.force, [one.name for one in law.model().parameters]
     static = theta[:, :STATIC_DEGREE] * law.depth_mm ** np.arange(1.0, STATIC_DEGREE + 1)
     value = -0.5 * ((static @ bernstein(STATIC_DEGREE).T / spread) ** 2).sum(axis=1)

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from tissueid.inference.engine import Identified
 from tissueid.inference.optimum import Optimum, minimise
 from tissueid.inference.prior import prior_rows, time_bounds
-from tissueid.model.kelvin_voigt import STATIC_DEGREE
 
 __all__ = ["LEVEL_95", "ProfileInterval", "profile"]
 
@@ -92,11 +91,14 @@ def profile(identified: Identified, branch: int) -> tuple[ProfileInterval, dict[
     centre = float(optimum.point.log_times[branch])
     bounds = time_bounds(identified.system)
     sd = float(np.sqrt(optimum.covariance[branch, branch]))
-    first = STATIC_DEGREE + branch * (law.degree + 1)
     depth = (0.5 if law.degree else 1.0) ** np.arange(law.degree + 1.0)
 
     def stiffness(found: Optimum) -> float:
-        return float(found.point.linear[first : first + law.degree + 1] @ depth) / law.depth_mm
+        if law.inside:
+            ratio = np.exp(found.point.log_times[law.ratio_place(branch)])
+            return float(ratio * found.point.linear[: law.static_size].sum()) / law.depth_mm
+        block = next(one for one in law.blocks if one.branch == branch)
+        return float(found.point.linear[block.at] @ depth) / law.depth_mm
 
     here = _held(identified, branch, centre, optimum)
     base = here.normal.objective

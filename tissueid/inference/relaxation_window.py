@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.inference.channel_law import kelvin_voigt_law
 from tissueid.inference.engine import Identified
-from tissueid.inference.law import KelvinVoigtLaw
 from tissueid.inference.logs import LogHandle, blocks_of
 from tissueid.inference.noise import Memory
 from tissueid.inference.optimum import minimise, whitener_of
@@ -49,11 +49,11 @@ def _ln_tau(identified: Identified, handles: Sequence[LogHandle], share: float) 
         _, log = cut.fitted()
         blocks.append(blocks_of(cut, log))
     found, request = identified.optimum.point, identified.request
-    law = KelvinVoigtLaw(1, identified.law.degree, identified.system.depth_mm)
+    law = kelvin_voigt_law(1, identified.law.degree, identified.system.depth_mm)
     system = System(blocks, law, identified.system.depth_mm, identified.system.effects)
     at = Point(np.zeros(1), found.machine, np.zeros(law.linear), found.own)
     best = None
-    for start in starting_points(system, 1, law.degree, at, whitener_of(system, Memory()))[:1]:
+    for start in starting_points(system, law, at, whitener_of(system, Memory()))[:1]:
         best = minimise(
             system,
             start,

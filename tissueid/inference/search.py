@@ -6,17 +6,16 @@ Columns of all nodes are worked out once; every combination is then a small prob
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from tissueid.inference.law import KelvinVoigtLaw
+from tissueid.inference.channel_law import ChannelLaw
 from tissueid.inference.noise import Whitener
 from tissueid.inference.prior import bernstein, time_bounds
 from tissueid.inference.system import Point, System
-from tissueid.model.kelvin_voigt import STATIC_DEGREE
 
 __all__ = ["starting_points"]
 
@@ -24,6 +23,8 @@ FloatArray = NDArray[np.float64]
 
 #: Nodes of ln tau, pairs from which triples are looked for, and starting points of each number of branches.
 NODES, PAIRS_EXTENDED, STARTS = 27, 8, {1: 3, 2: 2, 3: 2}
+#: Times that are tried of a law whose shapes are on a grid, and its starting points.
+GRID_NODES, GRID_STARTS = 7, 2
 #: Share of the Gram's diagonal that keeps equal columns apart.
 RIDGE = 1e-10
 #: Nodes between two starting points, at the least.
@@ -33,8 +34,8 @@ APART = 2
 class _Combinations:
     """Misfit of every choice of nodes."""
 
-    def __init__(self, columns: FloatArray, force: FloatArray, size: int) -> None:
-        self.size = size
+    def __init__(self, columns: FloatArray, force: FloatArray, static: int, size: int) -> None:
+        self.static, self.size = static, size
         self.scale = 1.0 / np.sqrt(np.maximum((columns**2).sum(axis=0), 1e-300))
         scaled = columns * self.scale
         self.gram = scaled.T @ scaled
@@ -43,9 +44,9 @@ class _Combinations:
 
     def solve(self, nodes: tuple[int, ...]) -> tuple[float, FloatArray]:
         """Sum of squares and Bernstein coefficients (static, then each node's)."""
-        at = [*range(STATIC_DEGREE)]
+        at = [*range(self.static)]
         for node in nodes:
-            at += range(STATIC_DEGREE + node * self.size, STATIC_DEGREE + (node + 1) * self.size)
+            at += range(self.static + node * self.size, self.static + (node + 1) * self.size)
         gram = self.gram[np.ix_(at, at)] + RIDGE * np.eye(len(at))
         root = np.linalg.cholesky(gram).T
         coefficients, _ = nnls(root, np.linalg.solve(root.T, self.right[at]))
@@ -64,50 +65,82 @@ def _ranked(found: dict[tuple[int, ...], float], most: int) -> Iterator[tuple[in
             return
 
 
-def starting_points(system: System, branches: int, degree: int, at: Point, white: Whitener) -> list[Point]:
+def _columns(system: System, law: ChannelLaw, shapes: FloatArray, at: Point) -> FloatArray:
+    """Observed columns of a law for non-negative generators of its linear parameters, (k, linear)."""
+    wide = system.under(law)
+    point = Point(shapes, at.machine, np.zeros(law.linear), at.own)
+    still = at.machine.copy()
+    still[0] = 0.0
+    compliance = at.machine[0] / system.depth_mm
+    path = wide.path(wide.travel - wide.contact(point) - compliance * wide.guess)
+    gain = wide.gain(point, path.depth_mm / system.depth_mm)
+    return np.asarray(wide.means(wide.recorded(gain * law.columns(shapes, path), still)).T) @ _generators(law)
+
+
+def _generators(law: ChannelLaw) -> FloatArray:
+    """Matrix from non-negative coefficients to linear parameters."""
+    out = np.zeros((law.linear, law.linear))
+    for one in law.blocks:
+        out[one.at, one.at] = np.linalg.inv(bernstein(one.size)) if one.polynomial else np.eye(one.size)
+    return out
+
+
+def starting_points(system: System, law: ChannelLaw, at: Point, white: Whitener) -> list[Point]:
     """Points to start from, the best first.
 
     Parameters
     ----------
     system : System
-    branches, degree : int
+    law : ChannelLaw
     at : Point
         Machine and own parameters of the logs are those of this point.
     white : Whitener
         Weights.
     """
+    if law.inside or law.counts[0] != law.branches or law.counts[2]:
+        return _of_grid(system, law, at, white)
     low, high = time_bounds(system)
     nodes = np.linspace(low + 0.5, high - 0.5, NODES)
-    every = KelvinVoigtLaw(NODES, degree, system.depth_mm)
-    wide = system.under(every)
-    point = Point(nodes, at.machine, np.zeros(every.linear), at.own)
-    static = at.machine.copy()
-    static[0] = 0.0
-    compliance = at.machine[0] / system.depth_mm
-    path = wide.path(wide.travel - wide.contact(point) - compliance * wide.guess)
-    gain = wide.gain(point, path.depth_mm / system.depth_mm)
-    columns = wide.means(wide.recorded(gain * every.columns(nodes, path), static)).T
-    size = degree + 1
-    to = np.linalg.inv(bernstein(STATIC_DEGREE))
-    own = np.linalg.inv(bernstein(size))
-    columns[:, :STATIC_DEGREE] = columns[:, :STATIC_DEGREE] @ to
-    for k in range(NODES):
-        block = slice(STATIC_DEGREE + k * size, STATIC_DEGREE + (k + 1) * size)
-        columns[:, block] = columns[:, block] @ own
-    problem = _Combinations(white(columns), white(system.force), size)
-    found: dict[tuple[int, ...], float] = {(k,): problem.solve((k,))[0] for k in range(NODES)}
-    if branches >= 2:
-        found = {pair: problem.solve(pair)[0] for pair in combinations(range(NODES), 2)}
-    if branches == 3:
-        best = sorted(found, key=lambda one: found[one])[:PAIRS_EXTENDED]
-        triples = {tuple(sorted({*pair, k})) for pair in best for k in range(NODES)}
-        found = {three: problem.solve(three)[0] for three in triples if len(three) == 3}
-    out = []
-    for chosen in _ranked(found, STARTS[branches]):
-        _, coefficients = problem.solve(chosen)
-        linear = np.concatenate(
-            [to @ coefficients[:STATIC_DEGREE]]
-            + [own @ coefficients[i : i + size] for i in range(STATIC_DEGREE, coefficients.size, size)]
-        )
-        out.append(Point(nodes[list(chosen)], at.machine, linear, at.own))
-    return out
+    target, out = white(system.force), []
+    for shapes in product(*[np.log(one.starts) for one in law.shapes[law.branches :]]):
+        every = law.with_branches(NODES)
+        columns = _columns(system, every, np.concatenate([nodes, shapes]), at)
+        problem = _Combinations(white(columns), target, law.static_size, law.powers)
+        to = _generators(law)
+        for chosen in _ranked(_misfits(problem, law.branches), STARTS[law.branches]):
+            value, coefficients = problem.solve(chosen)
+            times = np.concatenate([nodes[list(chosen)], shapes])
+            out.append((value, Point(times, at.machine, to @ coefficients, at.own)))
+    out.sort(key=lambda one: one[0])
+    return [point for _, point in out[: STARTS[law.branches]]]
+
+
+def _misfits(problem: _Combinations, branches: int) -> dict[tuple[int, ...], float]:
+    """Sum of squares of combinations of nodes."""
+    if branches == 1:
+        return {(k,): problem.solve((k,))[0] for k in range(NODES)}
+    found = {pair: problem.solve(pair)[0] for pair in combinations(range(NODES), 2)}
+    if branches == 2:
+        return found
+    best = sorted(found, key=lambda one: found[one])[:PAIRS_EXTENDED]
+    triples = {tuple(sorted({*pair, k})) for pair in best for k in range(NODES)}
+    return {three: problem.solve(three)[0] for three in triples if len(three) == 3}
+
+
+def _of_grid(system: System, law: ChannelLaw, at: Point, white: Whitener) -> list[Point]:
+    """Starting points of a law whose shapes are tried on a grid."""
+    low, high = time_bounds(system)
+    nodes = np.linspace(low + 1.0, high - 1.0, GRID_NODES)
+    times = [np.array(one) for one in combinations(nodes, law.counts[0])]
+    # branches begin with the same shapes: their times tell them apart
+    further = law.shapes[law.counts[0] : law.counts[0] + law.counts[1] + law.counts[2]]
+    target, to, out = white(system.force), _generators(law), []
+    for time, shapes in product(times, product(*[np.log(one.starts) for one in further])):
+        static, own = shapes[: law.counts[1]], shapes[law.counts[1] :]
+        values = np.concatenate([time, static, np.tile(own, law.branches)])
+        columns = white(_columns(system, law, values, at))
+        size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+        coefficients, rest = nnls(columns / size, target)
+        out.append((rest, Point(values, at.machine, to @ (coefficients / size), at.own)))
+    out.sort(key=lambda one: one[0])
+    return [point for _, point in out[:GRID_STARTS]]

@@ -22,12 +22,11 @@ from scipy.optimize import nnls
 from scipy.special import ndtr, ndtri
 
 from tissueid.inference.engine import Identified
-from tissueid.inference.law import passive_rows, relaxation_states
+from tissueid.inference.law import relaxation_states
 from tissueid.inference.noise import Memory, Whitener
 from tissueid.inference.optimum import covariance_of, whitener_of
 from tissueid.inference.prior import own_precision, time_bounds
 from tissueid.inference.system import MACHINE, Point
-from tissueid.model.kelvin_voigt import STATIC_DEGREE
 from tissueid.priors import CalibrationPrior
 
 __all__ = ["NormalTarget", "SpecimenTarget", "Target"]
@@ -105,7 +104,8 @@ class SpecimenTarget:
     def _lay_out(self, machine: bool) -> None:
         """Names, places and values at the optimum of the coordinates."""
         found, scatter, effects = self.optimum, self.identified.scatter, self.system.effects
-        names = [f"ln_tau_{j + 1}" for j in range(self.law.times)]
+        names = [f"ln_tau_{j + 1}" for j in range(self.law.counts[0])]
+        names += [f"ln_{one.spec.name}" for one in self.law.shapes[len(names) :]]
         names += [*MACHINE, *(f"linear_{k + 1}" for k in range(self.law.linear))]
         values = list(found.point.shared)
         self.n_shared = len(names)
@@ -151,7 +151,8 @@ class SpecimenTarget:
 
     def _amplitudes(self, log_times: FloatArray) -> FloatArray:
         """Ln of each branch's largest state, against that at the optimum; (..., j)."""
-        then = np.interp(self.optimum.point.log_times, self._ln_tau, self._ln_state)
+        times = self.optimum.point.log_times[: self.law.counts[0]]
+        then = np.interp(times, self._ln_tau, self._ln_state)
         return np.asarray(np.interp(log_times, self._ln_tau, self._ln_state) - then)
 
     def _about_contact(self, x: FloatArray) -> FloatArray:
@@ -160,26 +161,25 @@ class SpecimenTarget:
         if "contact" not in self.places:
             return out
         at = self.places["contact"]
-        by = x[..., at] - self.mode[at]
-        first, size = self.law.times + len(MACHINE), self.law.degree + 1
-        a2, a3 = out[..., first + 1].copy(), out[..., first + 2]
-        out[..., first] += by * (2.0 * a2 + 3.0 * by * a3)
-        out[..., first + 1] += 3.0 * by * a3
-        for j in range(self.law.times):
-            k = first + STATIC_DEGREE + j * size
-            if size == 2:
-                out[..., k] += by * out[..., k + 1]
-            elif size == 3:
-                out[..., k] += by * (out[..., k + 1] + by * out[..., k + 2])
-                out[..., k + 1] += 2.0 * by * out[..., k + 2]
+        by, first = x[..., at] - self.mode[at], self.law.times + len(MACHINE)
+        for one in self.law.blocks:
+            if one.polynomial:
+                # a static polynomial has no constant term, which the shift would give it
+                lowest = int(one.branch < 0)
+                part = slice(first + one.at.start, first + one.at.stop)
+                out[..., part] = _shifted(out[..., part], by, lowest)
         return out
 
     def _unscaled(self, out: FloatArray) -> FloatArray:
         """Stiffness of each branch without its largest state, in place."""
-        first, size = self.law.times + len(MACHINE) + STATIC_DEGREE, self.law.degree + 1
-        scale = np.exp(-self._amplitudes(out[..., : self.law.times]))
-        for j in range(self.law.times):
-            out[..., first + j * size : first + (j + 1) * size] *= scale[..., j : j + 1]
+        if not (self.law.relaxation.branches and self.law.counts[0]):
+            return out
+        first = self.law.times + len(MACHINE)
+        scale = np.exp(-self._amplitudes(out[..., : self.law.counts[0]]))
+        for one in self.law.blocks:
+            if one.branch >= 0:
+                part = slice(first + one.at.start, first + one.at.stop)
+                out[..., part] *= scale[..., one.branch, None]
         return out
 
     def shared(self, x: FloatArray) -> FloatArray:
@@ -319,10 +319,10 @@ class SpecimenTarget:
     def _likely(self, used: NDArray[np.bool_]) -> IntArray:
         """Constraints that may be active: ends and middle of polynomials, bounds of the machine."""
         first, rows = 0, []
-        for powers in (STATIC_DEGREE, *[self.law.degree + 1] * self.law.branches):
-            size = len(passive_rows(powers))
-            rows += [first, first + size - 1] if powers > 1 else [first]
-            rows += [first + size // 2] if powers > 2 else []
+        for one in self.law.blocks:
+            size = len(self.law.passive(one))
+            rows += [first, first + size - 1] if one.size > 1 else [first]
+            rows += [first + size // 2] if one.size > 2 else []
             first += size
         rows += [len(used) - 2, len(used) - 1] if self.open else []
         at = np.cumsum(used) - 1
@@ -509,6 +509,15 @@ class NormalTarget:
             rest = matrix @ dual - target
             out[i] = z[i] - rest[:-1] / rest[-1]
         return out
+
+
+def _shifted(rows: FloatArray, by: FloatArray, lowest: int) -> FloatArray:
+    """Coefficients of polynomials in u from those in u + by, powers from ``lowest``, (..., p) -> (..., p)."""
+    out, p = np.array(rows), rows.shape[-1]
+    for i in range(p):
+        for k in range(i + 1, p):
+            out[..., i] += math.comb(k + lowest, i + lowest) * by ** (k - i) * rows[..., k]
+    return out
 
 
 def _quantile(prior: CalibrationPrior, z: FloatArray) -> FloatArray:

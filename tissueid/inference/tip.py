@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from tissueid.flags import Flag
-from tissueid.inference.law import KelvinVoigtLaw
+from tissueid.inference.channel_law import kelvin_voigt_law
 from tissueid.inference.logs import LogHandle, blocks_of
 from tissueid.inference.noise import Memory
 from tissueid.inference.optimum import minimise, whitener_of
@@ -121,7 +121,7 @@ def tip_handles(
     pairs = [handle.fitted() for handle in handles]
     with threadpool_limits(limits=1, user_api="blas"):
         depth = max(log.depth_mm for _, log in pairs)
-        law = KelvinVoigtLaw(SMOOTHING_BRANCHES, SMOOTHING_DEGREE, depth)
+        law = kelvin_voigt_law(SMOOTHING_BRANCHES, SMOOTHING_DEGREE, depth)
         effects = Effects(gain=len(handles) > 1)
         blocks = [blocks_of(handle, log) for handle, (_, log) in zip(handles, pairs, strict=True)]
         system = System(blocks, law, depth, effects, give=lambda force: deflection(frame, force))
@@ -130,7 +130,7 @@ def tip_handles(
         white = whitener_of(system, Memory())
         found = None
         for _ in range(ROUNDS):
-            first = starting_points(system, SMOOTHING_BRANCHES, SMOOTHING_DEGREE, start, white)[0]
+            first = starting_points(system, law, start, white)[0]
             found = minimise(
                 system,
                 first,

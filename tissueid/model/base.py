@@ -7,14 +7,23 @@ fitted, sampled, simulated and felt; a contract test replays a recording through
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ContactModel", "ContactPath", "ParameterSpec", "Stepper", "build_model", "model_keys", "register"]
+__all__ = [
+    "ContactModel",
+    "ContactPath",
+    "ParameterSpec",
+    "Stepper",
+    "build_model",
+    "model_keys",
+    "register",
+    "scaled_theta",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -111,6 +120,31 @@ class ContactModel(Protocol):
     def stepper(self, theta: FloatArray) -> Stepper:
         """A running copy for rendering."""
         ...
+
+
+def scaled_theta(
+    parameters: Sequence[ParameterSpec], theta: FloatArray, force: FloatArray, travel: FloatArray
+) -> FloatArray:
+    """Theta of a tissue whose force and travel were read too large by gains.
+
+    Parameters
+    ----------
+    parameters : sequence of ParameterSpec
+        Their units say how they scale: N with the force, 1/mm with the travel.
+    theta : ndarray, shape (n, p)
+    force, travel : ndarray, shape (n,)
+        Gains.
+    """
+    out, names = theta.copy(), [spec.name for spec in parameters]
+    for k, spec in enumerate(parameters):
+        top, per, power = spec.unit.partition("/mm")
+        if power == "^n":
+            out[:, k] *= travel ** theta[:, names.index("static_exponent")]
+        elif per:
+            out[:, k] *= travel ** float(power[1:] or 1.0)
+        if top == "N":
+            out[:, k] /= force
+    return out
 
 
 Factory = Callable[[int, int, float], ContactModel]

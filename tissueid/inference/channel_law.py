@@ -1,0 +1,381 @@
+"""Any contact model as the engine sees it: columns along a path, a passive cone, and theta.
+
+Linear parameters are forces [N]: each static coefficient's at the largest depth, then for each branch the
+coefficients of K_j depth by powers of u = x / depth.  What is not linear is a positive number, sought in its
+logarithm: first the relaxation times, then shapes of the static law, then of each branch the ratio of an
+inside channel and further shapes of its relaxation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.inference.law import Path, Slopes, passive_rows, relaxation_states
+from tissueid.model.channels import ChannelModel
+from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.model.law import RelaxationLaw, Shape, StaticLaw
+from tissueid.model.laws.polynomial import Polynomial
+from tissueid.model.laws.prony import Prony
+
+__all__ = ["Block", "ChannelLaw", "kelvin_voigt_law"]
+
+FloatArray = NDArray[np.float64]
+
+#: Coefficients below this share of the largest of their polynomial are rounding.
+NONE = 1e-13
+#: Rows of a static polynomial that has to grow.
+GROWING_POINTS = 41
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Linear parameters that belong together.
+
+    Attributes
+    ----------
+    at : slice
+    branch : int
+        -1 of the static law.
+    polynomial : bool
+        Only their sum has to be positive; each otherwise.
+    """
+
+    at: slice
+    branch: int
+    polynomial: bool
+
+    @property
+    def size(self) -> int:
+        """Number of parameters."""
+        return int(self.at.stop - self.at.start)
+
+
+@dataclass(frozen=True)
+class ChannelLaw:
+    """Law of a static law and relaxing parts.
+
+    Attributes
+    ----------
+    static : StaticLaw
+    powers : int
+        Of depth in each K_j; 0 where the static law itself is convolved.
+    relaxation : RelaxationLaw
+    branches : int
+        Relaxing parts.
+    depth_mm : float
+    model_of : ChannelModel or None
+        The model that it was made from; None of a Kelvin-Voigt law.
+    """
+
+    static: StaticLaw
+    powers: int
+    relaxation: RelaxationLaw
+    branches: int
+    depth_mm: float
+    model_of: ChannelModel | None = None
+
+    @classmethod
+    def of(cls, model: ChannelModel) -> ChannelLaw:
+        """The law of a model."""
+        return cls(
+            model.static, model.stiffness_law.powers, model.relaxation, model.branches, model.depth_mm, model
+        )
+
+    def with_branches(self, branches: int) -> ChannelLaw:
+        """The same law with another number of exponentials, for columns only."""
+        return replace(self, branches=branches, model_of=None)
+
+    @property
+    def degree(self) -> int:
+        """Degree of K; 0 inside."""
+        return max(self.powers - 1, 0)
+
+    @property
+    def inside(self) -> bool:
+        """True where the static law itself is convolved."""
+        return self.powers == 0
+
+    @property
+    def fixed_s(self) -> FloatArray:
+        """Times of a discrete spectrum."""
+        return np.zeros(0) if self.model_of is None else self.model_of.fixed_s
+
+    @cached_property
+    def counts(self) -> tuple[int, int, int]:
+        """Relaxation times, shapes of the static law, and further shapes of each branch, ratio included."""
+        shapes = 0 if self.fixed_s.size else len(self.relaxation.shapes)
+        times = min(shapes, 1) * self.branches
+        return times, len(self.static.shapes), max(shapes - 1, 0) + int(self.inside)
+
+    @cached_property
+    def times(self) -> int:
+        """Parameters that the force is not linear in."""
+        times, static, further = self.counts
+        return times + static + self.branches * further
+
+    @cached_property
+    def static_size(self) -> int:
+        """Static coefficients."""
+        return len(self.static.coefficients)
+
+    @cached_property
+    def linear(self) -> int:
+        """Static and dynamic coefficients."""
+        return self.static_size + self.branches * self.powers
+
+    @cached_property
+    def linear_names(self) -> tuple[str, ...]:
+        """Names of the linear parameters."""
+        model = self.model()
+        shapes = {one.spec.name for one in self.shapes}
+        shapes |= {spec.name for spec in model.parameters if spec.name.startswith("relaxation_time")}
+        return tuple(spec.name for spec in model.parameters if spec.name not in shapes)
+
+    @cached_property
+    def blocks(self) -> tuple[Block, ...]:
+        """Linear parameters that belong together."""
+        first = self.static_size
+        out = [Block(slice(0, first), -1, self.static.polynomial)]
+        if self.powers:
+            ends = range(first, self.linear, self.powers)
+            out += [Block(slice(at, at + self.powers), j, polynomial=True) for j, at in enumerate(ends)]
+        return tuple(out)
+
+    @cached_property
+    def shapes(self) -> tuple[Shape, ...]:
+        """Parameters that the force is not linear in, in the engine's order; times of a law without model."""
+        if self.model_of is None:
+            return tuple(self.relaxation.shapes[0] for _ in range(self.branches))
+        specs = self.model_of.shape_specs
+        return tuple(specs[k] for k in np.argsort(self._order, kind="stable"))
+
+    @cached_property
+    def _order(self) -> NDArray[np.int64]:
+        """Place among the engine's shapes of each shape in the order of theta."""
+        times, static, further = self.counts
+        out = [times + k for k in range(static)]
+        for j in range(self.branches):
+            own = [times + static + j * further + k for k in range(further)]
+            ratio, rest = (own[:1], own[1:]) if self.inside else ([], own)
+            out += [*ratio, *([j] if times else []), *rest]
+        return np.array(out, dtype=np.int64)
+
+    def ratio_place(self, branch: int) -> int:
+        """Place of the ratio of an inside branch among the shapes."""
+        times, static, further = self.counts
+        return times + static + branch * further
+
+    def bounds(self, low: float, high: float) -> tuple[FloatArray, FloatArray]:
+        """Bounds of the logarithms, (t,) each, times between ``low`` and ``high``."""
+        ends = [
+            (low, high) if one.is_time else (float(np.log(one.spec.lower)), float(np.log(one.spec.upper)))
+            for one in self.shapes
+        ]
+        return np.array([one[0] for one in ends]), np.array([one[1] for one in ends])
+
+    def _values(self, log_times: FloatArray) -> list[Any]:
+        """Shapes as numbers, or as columns (n, 1) of n points."""
+        values = np.exp(log_times.T)
+        return [one[:, None] if one.ndim else one for one in values]
+
+    def _of_static(self, values: list[Any]) -> list[Any]:
+        times, static, _ = self.counts
+        return values[times : times + static]
+
+    def _of_branch(self, values: list[Any], branch: int) -> list[Any]:
+        """Ratio, if inside, and further shapes of a branch."""
+        times, static, further = self.counts
+        first = times + static + branch * further
+        return values[first : first + further]
+
+    def _static_columns(self, path: Path, values: list[Any], out: FloatArray) -> None:
+        """Columns of the static coefficients, 1 at the largest depth."""
+        if self.static.polynomial:
+            np.divide(path.depth_mm, self.depth_mm, out=out[0])
+            for k in range(1, self.static_size):
+                np.multiply(out[k - 1], out[0], out=out[k])
+            return
+        shapes = self._of_static(values)
+        out[: self.static_size] = self.static.basis(path.depth_mm, *shapes) / self._full(shapes)
+
+    def _full(self, shapes: list[Any]) -> FloatArray:
+        """Static columns at the largest depth, (p,) or (p, n, 1)."""
+        depth = np.full(np.shape(shapes[0]) if shapes else (), self.depth_mm)
+        return self.static.basis(depth, *shapes)
+
+    def _parts(self, values: list[Any], many: int | None) -> Iterator[tuple[FloatArray, FloatArray | None]]:
+        """Times (j,) or (j, n) and weights of the exponentials of each relaxing part; no weights: of one."""
+        times, _, _ = self.counts
+        for j in range(self.branches):
+            if self.relaxation.branches or self.fixed_s.size:
+                tau = values[j] if times else np.full(() if many is None else (many, 1), self.fixed_s[j])
+                yield np.reshape(tau, (1,) if many is None else (1, many)), None
+                continue
+            assert self.model_of is not None  # noqa: S101 -- only exponentials have no model
+            nodes, own = self.model_of.nodes, self._of_branch(values, j)[int(self.inside) :]
+            relaxed = self.relaxation.value(nodes.time_s, values[0], *own)
+            weights = nodes.project @ relaxed.T
+            tau = nodes.tau_s if many is None else np.repeat(nodes.tau_s[:, None], many, axis=1)
+            yield tau, weights
+
+    def _relaxed(self, path: Path, driver: FloatArray, values: list[Any]) -> Iterator[FloatArray]:
+        """Relaxed driver of each part, (..., m) -> (..., m)."""
+        many = path.depth_mm.shape[0] if path.depth_mm.ndim > 1 else None
+        parts = list(self._parts(values, many))
+        if all(weights is None for _, weights in parts):
+            states = relaxation_states(path, driver, np.concatenate([tau for tau, _ in parts]))
+            places = states.ndim - 1 - path.depth_mm.ndim
+            yield from np.moveaxis(states, places, 0)
+            return
+        for tau, weights in parts:
+            states = relaxation_states(path, driver, tau)
+            assert weights is not None  # noqa: S101 -- all parts are of one kind
+            lead = states.ndim - 1 - path.depth_mm.ndim
+            share = weights.reshape((1,) * lead + weights.shape + (1,))
+            yield (states * share).sum(axis=lead)
+
+    def columns(self, log_times: FloatArray, path: Path) -> FloatArray:
+        """Columns along a path, shape (linear, m) or (linear, n, m)."""
+        out = np.empty((self.linear, *path.depth_mm.shape))
+        values = self._values(log_times)
+        self._static_columns(path, values, out)
+        if self.inside:
+            static = out.copy()
+            for j, state in enumerate(self._relaxed(path, static, values)):
+                out += self._of_branch(values, j)[0] * state
+            return out
+        u = out[0] if self.static.polynomial else path.depth_mm / self.depth_mm
+        at = self.static_size
+        for state in self._relaxed(path, u, values):
+            out[at] = state
+            for k in range(1, self.powers):
+                np.multiply(out[at + k - 1], u, out=out[at + k])
+            at += self.powers
+        return out
+
+    def slopes(self, log_times: FloatArray, path: Path, linear: FloatArray) -> Slopes:
+        """F_s' + sum_j K_j' s_j at once, K_j through the states, and what is inside the convolution."""
+        values, u = self._values(log_times), path.depth_mm / self.depth_mm
+        shapes = self._of_static(values)
+        slope = self.static.slope(path.depth_mm, *shapes) * self.depth_mm / _column(self._full(shapes))
+        direct = linear[: self.static_size] @ slope
+        found = list(self._parts(values, None))
+        tau = np.concatenate([one[0] for one in found])
+        weights = [np.ones(1) if one[1] is None else one[1] for one in found]
+        if self.inside:
+            ratios = [self._of_branch(values, j)[0] for j in range(self.branches)]
+            share = np.concatenate([ratio * one for ratio, one in zip(ratios, weights, strict=True)])
+            return Slopes(direct, np.zeros((tau.size, u.size)), tau, share[:, None] * direct)
+        rows = linear[self.static_size :].reshape(self.branches, self.powers).T
+        stiffness = np.polynomial.polynomial.polyval(u, rows)
+        outer = np.concatenate([one[:, None] * k for one, k in zip(weights, stiffness, strict=True)])
+        if self.degree:
+            bend = np.polynomial.polynomial.polyval(u, np.polynomial.polynomial.polyder(rows))
+            states = np.stack(list(self._relaxed(path, u, values)))
+            direct = direct + (bend * states).sum(axis=0)
+        return Slopes(np.asarray(direct), np.asarray(outer), tau)
+
+    def passive(self, block: Block) -> FloatArray:
+        """Rows that keep a block passive: F_s / x, or F_s' inside, or K_j non-negative on [0, depth]."""
+        if not block.polynomial:
+            return np.eye(block.size)
+        return _growing_rows(block.size) if self.inside else passive_rows(block.size)
+
+    def cone(self) -> FloatArray:
+        """Rows of the passive cone."""
+        return self._cone
+
+    @cached_property
+    def _cone(self) -> FloatArray:
+        parts = []
+        for one in self.blocks:
+            rows = self.passive(one)
+            parts.append(np.zeros((len(rows), self.linear)))
+            parts[-1][:, one.at] = rows
+        return np.vstack(parts)
+
+    def largest_states(self, log_times: FloatArray, path: Path) -> FloatArray:
+        """Largest state of each branch over the largest depth, (branches,); none inside."""
+        columns = self.columns(log_times, path)[self.static_size :: max(self.powers, 1)]
+        return np.maximum(np.abs(columns).max(axis=1, initial=0.0), 1e-9)
+
+    def model(self) -> KelvinVoigt | ChannelModel:
+        """The contact model with these orders."""
+        if self.model_of is not None:
+            return self.model_of
+        return KelvinVoigt(branches=self.branches, stiffness_degree=self.degree, depth_mm=self.depth_mm)
+
+    def lifted(self, linear: FloatArray) -> FloatArray:
+        """Rows of linear parameters, each polynomial lifted by what its minimum on [0, 1] lacks of none."""
+        out = np.array(linear)
+        for one in self.blocks:
+            block = out[:, one.at]
+            if not one.polynomial:
+                np.maximum(block, 0.0, out=block)
+                continue
+            least = np.minimum(block[:, 0], block.sum(axis=1))
+            if one.size == 3:
+                with np.errstate(divide="ignore", invalid="ignore"):
+                    turn = -block[:, 1] / (2.0 * block[:, 2])
+                inside = (turn > 0.0) & (turn < 1.0)
+                turn = np.where(inside, turn, 0.0)
+                least = np.minimum(least, block[:, 0] + turn * (block[:, 1] + turn * block[:, 2]))
+            scale = np.abs(block).max(axis=1)
+            block[:, 0] += np.where(least < 0.0, -least + 1e-14 * scale, 0.0)
+            block[np.abs(block) < NONE * scale[:, None]] = 0.0
+        return out
+
+    def field(self, log_times: FloatArray) -> FloatArray:
+        """Factors from linear parameters to units of the field, (n, linear) at points (n, t)."""
+        n = len(log_times)
+        shapes = self._of_static(self._values(log_times))
+        static = np.broadcast_to(self._full(shapes).reshape(self.static_size, -1).T, (n, self.static_size))
+        powers = self.depth_mm ** -np.arange(1.0, self.powers + 1)
+        return np.concatenate([1.0 / static, np.tile(powers, (n, self.branches))], axis=1)
+
+    def theta(self, log_times: FloatArray, linear: FloatArray, *, exact: bool = False) -> FloatArray:
+        """Theta of the contact model [N, mm, s], of one point or of rows of points.
+
+        Parameters
+        ----------
+        log_times, linear : ndarray
+        exact : bool
+            Take linear parameters as they are, not lifted to the exact passive set.
+        """
+        log_times, linear = np.atleast_2d(log_times), np.atleast_2d(linear)
+        linear = (linear if exact else self.lifted(linear)) * self.field(log_times)
+        static = linear[:, : self.static_size]
+        stiffness = linear[:, self.static_size :].reshape(len(linear), self.branches, self.powers)
+        shapes = np.exp(log_times)[:, self._order]
+        count = len(self.static.shapes)
+        own = shapes[:, count:].reshape(len(linear), self.branches, -1)
+        branch = np.concatenate([stiffness, own], axis=2)
+        if self.counts[0] > 1:
+            order = np.argsort(log_times[:, : self.branches], axis=1)
+            branch = np.take_along_axis(branch, order[:, :, None], axis=1)
+        return np.concatenate([static, shapes[:, :count], branch.reshape(len(linear), -1)], axis=1)
+
+
+def _column(values: FloatArray) -> FloatArray:
+    """Values at one depth beside columns along a path."""
+    return values.reshape(len(values), 1)
+
+
+def kelvin_voigt_law(branches: int, degree: int, depth_mm: float) -> ChannelLaw:
+    """Modified Kelvin-Voigt law: F_s(u) + sum_j K_j(u) s_j, the stiffness outside the convolution."""
+    return ChannelLaw(Polynomial(), degree + 1, Prony(), branches, depth_mm)
+
+
+@lru_cache
+def _growing_rows(powers: int) -> FloatArray:
+    """Rows that keep the slope of a static polynomial non-negative on [0, 1]."""
+    u = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, GROWING_POINTS))
+    k = np.arange(1.0, powers + 1)
+    rows = k * u[:, None] ** (k - 1.0)
+    return np.asarray(rows / np.linalg.norm(rows, axis=1, keepdims=True))

@@ -1,0 +1,349 @@
+"""Contact model of a static law, a stiffness law and a relaxation law.
+
+::
+
+    F(t) = F_s(x) + sum_j K_j(x) s_j,             s_j = int R_j(t - t') dx(t')       (outside)
+    F(t) = F_s(x) + sum_j g_j int R_j(t - t') dF_s(x(t'))                             (inside: tangent)
+
+theta = static coefficients, shapes of the static law, then of each branch its stiffness coefficients (or the
+ratio g) and the shapes of its relaxation.  A relaxation that is no exponential is a sum of exponentials at
+fixed nodes whose weights are linear in its values (:class:`Nodes`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.model.base import ContactPath, ParameterSpec
+from tissueid.model.kelvin_voigt import branch_suffix
+from tissueid.model.law import RelaxationLaw, Shape, StaticLaw, StiffnessLaw
+from tissueid.model.polynomial import minimum_on_unit
+
+__all__ = ["ChannelModel", "Nodes", "Part"]
+
+FloatArray = NDArray[np.float64]
+
+#: Nodes of a decade, reach of the nodes below the resolution and beyond the window, and a time that is none.
+PER_DECADE, BELOW, BEYOND, FOREVER = 5, 30.0, 30.0, 1e6
+#: Times of a decade at which a relaxation is looked at, and ridge of the projection.
+TIMES_PER_DECADE, RIDGE = 16, 1e-13
+#: Points of a ramp by which an inside channel is integrated, and step of derivatives.
+RAMP_POINTS, STEP = 64, 6e-6
+#: Negative static forces up to this share of the largest coefficient are rounding.
+PASSIVE_TOLERANCE = 1e-10
+#: Bounds and starts of the ratio of relaxing to static force.
+RATIO = ((1e-3, 1e3), (0.3, 2.0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Nodes:
+    """Exponentials at fixed times for relaxations that are looked at from a resolution to a window.
+
+    Attributes
+    ----------
+    tau_s : ndarray, shape (n,)
+    time_s : ndarray, shape (t,)
+        At which a relaxation is given.
+    project : ndarray, shape (n, t)
+        From values at ``time_s`` to weights.
+    """
+
+    tau_s: FloatArray
+    time_s: FloatArray
+    project: FloatArray
+
+
+@lru_cache(maxsize=16)
+def nodes_for(resolution_s: float, window_s: float) -> Nodes:
+    """Nodes for times from a fifth of the resolution to ten windows."""
+    low, high = np.log10(resolution_s), np.log10(window_s)
+    below, beyond = np.log10(BELOW), np.log10(BEYOND)
+    count = int(np.ceil(PER_DECADE * (high + beyond - low + below))) + 1
+    tau = np.append(np.logspace(low - below, high + beyond, count), FOREVER * window_s)
+    span = high + 1.0 - low + np.log10(5.0)
+    time = np.append(0.0, np.logspace(low - np.log10(5.0), high + 1.0, int(TIMES_PER_DECADE * span)))
+    matrix = np.exp(-time[:, None] / tau)
+    left, size, right = np.linalg.svd(matrix, full_matrices=False)
+    project = (right.T * (size / (size**2 + RIDGE * size[0] ** 2))) @ left.T
+    return Nodes(tau, time, project)
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One relaxing part of a model.
+
+    Attributes
+    ----------
+    stiffness : slice
+        Its stiffness coefficients in theta; empty inside.
+    ratio : int or None
+        Place of g in theta, inside.
+    shapes : slice
+        Shapes of its relaxation in theta.
+    tau_s : float or None
+        Of a fixed exponential.
+    """
+
+    stiffness: slice
+    ratio: int | None
+    shapes: slice
+    tau_s: float | None = None
+
+
+@dataclass(frozen=True)
+class ChannelModel:
+    """Contact model by its parts.
+
+    Attributes
+    ----------
+    static, stiffness, relaxation
+        Laws.
+    depth_mm : float
+        Largest depth that it is claimed for.
+    resolution_s, window_s : float
+        Times between which relaxations are looked at.
+    name : str
+        As it was asked for.
+    """
+
+    static: StaticLaw
+    stiffness_law: StiffnessLaw
+    relaxation: RelaxationLaw
+    depth_mm: float
+    resolution_s: float
+    window_s: float
+    name: str = field(default="", compare=False)
+
+    @property
+    def key(self) -> str:
+        """Name of the model."""
+        return self.name
+
+    @property
+    def inside(self) -> bool:
+        """True where the static law itself is convolved."""
+        return self.stiffness_law.powers == 0
+
+    @cached_property
+    def nodes(self) -> Nodes:
+        """Nodes of its relaxation."""
+        return nodes_for(self.resolution_s, self.window_s)
+
+    @cached_property
+    def fixed_s(self) -> FloatArray:
+        """Times of a discrete spectrum; none of other relaxations."""
+        count = int(getattr(self.relaxation, "nodes", 0))
+        return np.geomspace(self.resolution_s, self.window_s, count) if count else np.zeros(0)
+
+    @property
+    def branches(self) -> int:
+        """Relaxing parts."""
+        return max(self.relaxation.branches, self.fixed_s.size, 1)
+
+    @cached_property
+    def shape_specs(self) -> tuple[Shape, ...]:
+        """Shapes in the order of theta."""
+        places = {spec.name for spec in self.parameters}
+        known = {one.spec.name: one for one in (*self.static.shapes, *self.relaxation.shapes)}
+        known["relaxation_ratio"] = _ratio(0)
+        out = []
+        for spec in self.parameters:
+            base = spec.name.partition("_b")[0] if spec.name not in known else spec.name
+            if base in known and spec.name in places:
+                out.append(Shape(spec, known[base].starts))
+        return tuple(out)
+
+    @cached_property
+    def shape_places(self) -> NDArray[np.int64]:
+        """Places of the shapes in theta."""
+        names = {one.spec.name for one in self.shape_specs}
+        return np.array([k for k, spec in enumerate(self.parameters) if spec.name in names], dtype=np.int64)
+
+    @cached_property
+    def linear_places(self) -> NDArray[np.int64]:
+        """Places of the linear parameters in theta."""
+        return np.setdiff1d(np.arange(len(self.parameters)), self.shape_places)
+
+    @cached_property
+    def parts(self) -> tuple[Part, ...]:
+        """Relaxing parts."""
+        at, out = len(self.static.coefficients) + len(self.static.shapes), []
+        shapes = 0 if self.fixed_s.size else len(self.relaxation.shapes)
+        for j in range(self.branches):
+            size = self.stiffness_law.powers
+            ratio = at if self.inside else None
+            last = at + size + int(self.inside)
+            tau = float(self.fixed_s[j]) if self.fixed_s.size else None
+            out.append(Part(slice(at, at + size), ratio, slice(last, last + shapes), tau))
+            at = last + shapes
+        return tuple(out)
+
+    @cached_property
+    def parameters(self) -> tuple[ParameterSpec, ...]:
+        """Parameters in the order of theta."""
+        specs = [*self.static.coefficients, *(one.spec for one in self.static.shapes)]
+        for j in range(self.branches):
+            specs += [_stiffness_spec(k, j) for k in range(self.stiffness_law.powers)]
+            specs += [_ratio(j).spec] if self.inside else []
+            specs += [_numbered(one.spec, j) for one in self.relaxation.shapes if not self.fixed_s.size]
+        return tuple(specs)
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names in the order of theta."""
+        return tuple(spec.name for spec in self.parameters)
+
+    def _static_parts(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Coefficients and shapes of the static law."""
+        count = len(self.static.coefficients)
+        return theta[:count], theta[count : count + len(self.static.shapes)]
+
+    def static_force(self, theta: FloatArray, depth_mm: FloatArray) -> FloatArray:
+        """F_s [N] at depths within the identified range."""
+        linear, shapes = self._static_parts(theta)
+        return np.asarray(linear @ self.static.basis(np.asarray(depth_mm, dtype=np.float64), *shapes))
+
+    def static_slope(self, theta: FloatArray, depth_mm: FloatArray) -> FloatArray:
+        """F_s' [N/mm]."""
+        linear, shapes = self._static_parts(theta)
+        return np.asarray(linear @ self.static.slope(np.asarray(depth_mm, dtype=np.float64), *shapes))
+
+    def exponentials(self, theta: FloatArray, part: Part) -> tuple[FloatArray, FloatArray]:
+        """Weights and times of a part's relaxation, (n,) each."""
+        if part.tau_s is not None:
+            return np.ones(1), np.array([part.tau_s])
+        shapes = theta[part.shapes]
+        if self.relaxation.branches:
+            return np.ones(1), shapes[:1]
+        return self.nodes.project @ self.relaxation.value(self.nodes.time_s, *shapes), self.nodes.tau_s
+
+    def stiffness(self, theta: FloatArray, depth_mm: FloatArray) -> FloatArray:
+        """Stiffness that relaxes after a small sudden move at depths, (branches, n) [N/mm]."""
+        x = np.asarray(depth_mm, dtype=np.float64)
+        rows = []
+        for part in self.parts:
+            if part.ratio is not None:
+                rows.append(theta[part.ratio] * self.static_slope(theta, x))
+            else:
+                rows.append(np.polynomial.polynomial.polyval(x, theta[part.stiffness]))
+        return np.array(rows)
+
+    def modes(self, theta: FloatArray, depth_mm: float) -> tuple[FloatArray, FloatArray]:
+        """Stiffness and time of every exponential at a depth, (n,) each [N/mm, s]."""
+        sizes = self.stiffness(theta, np.array([depth_mm]))[:, 0]
+        found = [self.exponentials(theta, part) for part in self.parts]
+        weights = [size * one[0] for size, one in zip(sizes, found, strict=True)]
+        return np.concatenate(weights), np.concatenate([one[1] for one in found])
+
+    def relaxing(
+        self, theta: FloatArray, depth_mm: float, time_s: FloatArray, speed_mm_s: float | None
+    ) -> FloatArray:
+        """Relaxing force at times after a ramp to a depth, or after an ideal step, (n,) -> (n,) [N]."""
+        time, x = np.asarray(time_s, dtype=np.float64), np.array([depth_mm])
+        at, weight = np.polynomial.legendre.leggauss(RAMP_POINTS)
+        deep = 0.5 * depth_mm * (at + 1.0)
+        total = np.zeros(time.shape)
+        for part in self.parts:
+            weights, tau = self.exponentials(theta, part)
+            if part.ratio is None:
+                sudden = np.polynomial.polynomial.polyval(x, theta[part.stiffness]) * np.ones(RAMP_POINTS)
+            else:
+                sudden = theta[part.ratio] * self.static_slope(theta, deep)
+            pushed = 0.5 * depth_mm * weight * sudden
+            left = np.ones((tau.size, RAMP_POINTS))
+            if speed_mm_s is not None:
+                left = np.exp(-(depth_mm - deep) / (speed_mm_s * tau[:, None]))
+            total += (weights * (left @ pushed)) @ np.exp(-time / tau[:, None])
+        return total
+
+    def force(self, theta: FloatArray, path: ContactPath) -> FloatArray:
+        """Force [N] along a path in permanent contact, within the identified depth."""
+        x = path.depth_mm
+        total, elastic = self.static_force(theta, x), self.static_force(theta, x)
+        for part in self.parts:
+            weights, tau = self.exponentials(theta, part)
+            driver = elastic if part.ratio is not None else x
+            state = weights @ _states(path.time_s, driver, tau)
+            if part.ratio is not None:
+                total = total + theta[part.ratio] * state
+            else:
+                total = total + np.polynomial.polynomial.polyval(x, theta[part.stiffness]) * state
+        return np.asarray(total)
+
+    def jacobian(self, theta: FloatArray, path: ContactPath) -> FloatArray:
+        """Derivative of :meth:`force` by theta, shape (n, p), by central differences."""
+        columns = []
+        for k, value in enumerate(theta):
+            step = STEP * max(abs(float(value)), 1e-3)
+            up, down = theta.copy(), theta.copy()
+            up[k] += step
+            down[k] -= step
+            columns.append((self.force(up, path) - self.force(down, path)) / (2.0 * step))
+        return np.column_stack(columns)
+
+    def is_passive(self, theta: FloatArray) -> bool:
+        """F_s >= 0 and K >= 0 on [0, depth_mm], shapes positive, F_s growing where it is convolved."""
+        if not np.isfinite(theta).all() or (theta[self.shape_places] <= 0.0).any():
+            return False
+        count = len(self.static.coefficients)
+        powers = np.arange(float(max(count, 3)))
+        blocks = [theta[part.stiffness] for part in self.parts if part.ratio is None]
+        if self.static.polynomial:
+            blocks.append(theta[:count])
+        elif (theta[:count] < 0.0).any():
+            return False
+        for one in blocks:
+            q = one * self.depth_mm ** powers[: one.size]
+            if minimum_on_unit(q) < -PASSIVE_TOLERANCE * np.abs(q).max(initial=0.0):
+                return False
+        grid = np.linspace(0.0, self.depth_mm, 65)
+        slope = self.static_slope(theta, grid)
+        return bool(not self.inside or slope.min() >= -PASSIVE_TOLERANCE * np.abs(slope).max())
+
+
+def _states(time_s: FloatArray, driver: FloatArray, tau: FloatArray) -> FloatArray:
+    """Convolutions of a driver's rate with exponentials, linear in between; (n,) -> (t, n)."""
+    step, change = np.diff(time_s), np.diff(driver)
+    out = np.zeros((tau.size, time_s.size))
+    z = np.maximum(step / tau[:, None], 1e-12)
+    decay, gain = np.exp(-z), -np.expm1(-z) / z * change
+    for i in range(step.size):
+        out[:, i + 1] = decay[:, i] * out[:, i] + gain[:, i]
+    return out
+
+
+def _stiffness_spec(power: int, branch: int) -> ParameterSpec:
+    per = "mm" if power == 0 else f"mm{power + 1}"
+    return ParameterSpec(
+        name=f"stiffness_{power}_N_per_{per}{branch_suffix(branch)}",
+        symbol=f"b{power}" if branch == 0 else f"b{power},{branch + 1}",
+        unit="N/mm" if power == 0 else f"N/mm^{power + 1}",
+        lower=-np.inf,
+        upper=np.inf,
+        meaning=f"coefficient of x^{power} in the dynamic stiffness K of branch {branch + 1}",
+    )
+
+
+def _numbered(spec: ParameterSpec, branch: int) -> ParameterSpec:
+    if branch == 0:
+        return spec
+    return ParameterSpec(
+        spec.name + branch_suffix(branch),
+        f"{spec.symbol}{branch + 1}",
+        spec.unit,
+        spec.lower,
+        spec.upper,
+        f"{spec.meaning} of branch {branch + 1}",
+    )
+
+
+def _ratio(branch: int) -> Shape:
+    (low, high), starts = RATIO
+    spec = ParameterSpec(
+        "relaxation_ratio", "g", "1", low, high, "relaxing over static force of a sudden push"
+    )
+    return Shape(_numbered(spec, branch), starts)

@@ -1,0 +1,140 @@
+"""Names of contact models: ``STATIC * [STIFFNESS *] RELAXATION``, and the laws that they are made of.
+
+Laws are found in the folder :mod:`tissueid.model.laws`, a file each, and behind the entry point
+``tissueid.models`` of other packages.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import import_module
+from importlib.metadata import entry_points
+from pkgutil import iter_modules
+from typing import Any
+
+from tissueid.model import laws
+from tissueid.model.channels import ChannelModel
+from tissueid.model.law import About
+
+__all__ = ["KELVIN_VOIGT", "ModelNameError", "Named", "known_laws", "parsed", "whole_names"]
+
+KELVIN_VOIGT = "kelvin-voigt"
+#: Degrees of K by name, as the Kelvin-Voigt law takes them.
+DEGREES = {"constant": 0, "linear": 1, "quadratic": 2}
+KINDS = ("static", "stiffness", "relaxation")
+#: Argument of a law in the grammar, and its default.
+ARGUMENTS = {"polynomial": 3, "prony": 1, "spectrum": 8}
+
+
+class ModelNameError(ValueError):
+    """A name that is not of the grammar."""
+
+
+@dataclass(frozen=True, slots=True)
+class Named:
+    """A contact model by its name.
+
+    Attributes
+    ----------
+    name : str
+        As it was asked for.
+    branches, degree : int or None
+        Of a Kelvin-Voigt law; None where they are chosen, and of other laws.
+    parts : tuple or None
+        Static, stiffness and relaxation law; None where it is a Kelvin-Voigt law.
+    """
+
+    name: str
+    branches: int | None = None
+    degree: int | None = None
+    parts: tuple[Any, Any, Any] | None = None
+
+    def model(self, depth_mm: float, resolution_s: float, window_s: float) -> ChannelModel:
+        """The model of its parts for a depth and a range of times."""
+        if self.parts is None:
+            msg = f"{self.name} is a Kelvin-Voigt law"
+            raise ValueError(msg)
+        static, stiffness, relaxation = self.parts
+        return ChannelModel(static, stiffness, relaxation, depth_mm, resolution_s, window_s, self.name)
+
+
+@lru_cache
+def known_laws() -> Mapping[str, Any]:
+    """Every law by its key."""
+    found = {}
+    for one in iter_modules(laws.__path__):
+        law = import_module(f"{laws.__name__}.{one.name}").LAW
+        found[law.about.key] = law
+    for point in entry_points(group="tissueid.models"):
+        law = point.load()
+        found[law.about.key] = law
+    return found
+
+
+def whole_names() -> tuple[About, ...]:
+    """Names that stand for a whole model."""
+    return (
+        About(
+            key=KELVIN_VOIGT,
+            kind="whole",
+            equation="F = a1 x + a2 x^2 + a3 x^3 + sum_j K_j(x) s_j, tau_j s_j' + s_j = tau_j x'",
+            source="10.1109/ROBOT.2009.5152617",
+            purpose="the default: branches and the degree of K are chosen by what they predict",
+            refuses="nothing of its own",
+        ),
+    )
+
+
+def _law(word: str, kind: str, name: str) -> Any:
+    """A law by its word, with its argument."""
+    key, colon, argument = word.partition(":")
+    law = known_laws().get(key)
+    if law is None or law.about.kind != kind:
+        there = ", ".join(k for k, one in known_laws().items() if one.about.kind == kind)
+        msg = f"{name!r}: no {kind} law {key!r}; there are {there}"
+        raise ModelNameError(msg)
+    if not colon:
+        return law()
+    if key not in ARGUMENTS or not argument.isdecimal():
+        takes = f"a number, as in {key}:{ARGUMENTS[key]}" if key in ARGUMENTS else "no argument"
+        msg = f"{name!r}: {key} takes {takes}, got {argument!r}"
+        raise ModelNameError(msg)
+    try:
+        return law(int(argument))
+    except ValueError as error:
+        msg = f"{name!r}: {error}"
+        raise ModelNameError(msg) from None
+
+
+def parsed(name: str) -> Named:
+    """A contact model by its name.
+
+    Parameters
+    ----------
+    name : str
+        ``kelvin-voigt``, or ``STATIC * [STIFFNESS *] RELAXATION``; spaces are free.
+
+    Raises
+    ------
+    ModelNameError
+        A word is not known, or stands in the wrong place; the message lists those that are known.
+    """
+    words = [word.strip() for word in name.split("*")]
+    if words == [KELVIN_VOIGT]:
+        return Named(name)
+    if len(words) not in {2, 3} or not all(words):
+        form = f"STATIC * [STIFFNESS *] RELAXATION, as in 'power * prony:2', or {KELVIN_VOIGT}"
+        msg = f"{name!r} is no model: {form}"
+        raise ModelNameError(msg)
+    if len(words) == 2:
+        words.insert(1, "constant")
+    static, stiffness, relaxation = (_law(word, kind, name) for word, kind in zip(words, KINDS, strict=True))
+    keys = [one.about.key for one in (static, stiffness, relaxation)]
+    if keys[1] == "tangent" and keys[2] == "spectrum":
+        msg = f"{name!r}: a spectrum has a stiffness at each time; take constant, linear or quadratic with it"
+        raise ModelNameError(msg)
+    if keys[0] == "polynomial" and static.degree == 3 and keys[1] in DEGREES and keys[2] == "prony":
+        return Named(name, relaxation.branches, DEGREES[keys[1]])
+    return Named(name, parts=(static, stiffness, relaxation))

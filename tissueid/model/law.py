@@ -1,0 +1,132 @@
+"""Parts of a contact model: a static law, a stiffness law and a relaxation law, each one file in ``laws``.
+
+A part names its parameters, and nobody else does.  Coefficients are linear in the force; shapes are not, are
+positive, and are sought in their logarithm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.model.base import ParameterSpec
+
+__all__ = ["About", "RelaxationLaw", "Shape", "StaticLaw", "StiffnessLaw"]
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class About:
+    """Description of a part, as ``tissueid models`` prints it.
+
+    Attributes
+    ----------
+    key : str
+        Word of the grammar.
+    kind : str
+        ``static``, ``stiffness`` or ``relaxation``.
+    equation, purpose, refuses : str
+    source : str
+        DOI, or "reconstructed" with its derivation.
+    """
+
+    key: str
+    kind: str
+    equation: str
+    source: str
+    purpose: str
+    refuses: str
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """A positive parameter that the force is not linear in.
+
+    Attributes
+    ----------
+    spec : ParameterSpec
+        Its bounds are those of the search; of a time they are 0 and infinity, and follow the recordings.
+    starts : tuple of float
+        Values that a search begins with; none for a time.
+    """
+
+    spec: ParameterSpec
+    starts: tuple[float, ...] = ()
+
+    @property
+    def is_time(self) -> bool:
+        """True where bounds and starts follow the recordings."""
+        return self.spec.unit == "s"
+
+
+class StaticLaw(Protocol):
+    """Force once everything has relaxed, by depth."""
+
+    @property
+    def about(self) -> About:
+        """Its description."""
+        ...
+
+    @property
+    def coefficients(self) -> tuple[ParameterSpec, ...]:
+        """Linear parameters."""
+        ...
+
+    @property
+    def shapes(self) -> tuple[Shape, ...]:
+        """Parameters that the force is not linear in."""
+        ...
+
+    @property
+    def polynomial(self) -> bool:
+        """True where coefficients are those of x, x^2, ... and only their sum has to be positive."""
+        ...
+
+    def basis(self, depth_mm: FloatArray, *shape: Any) -> FloatArray:
+        """Columns of the coefficients at depths of 0 and more, (...) -> (p, ...)."""
+        ...
+
+    def slope(self, depth_mm: FloatArray, *shape: Any) -> FloatArray:
+        """Their derivatives by depth, (...) -> (p, ...)."""
+        ...
+
+
+class StiffnessLaw(Protocol):
+    """Stiffness that a relaxation acts on: by depth outside the convolution, or the static law inside it."""
+
+    @property
+    def about(self) -> About:
+        """Its description."""
+        ...
+
+    @property
+    def powers(self) -> int:
+        """Powers of depth in K(x); 0 where the static law itself is convolved."""
+        ...
+
+
+class RelaxationLaw(Protocol):
+    """Relaxation after a step, from 1 down."""
+
+    @property
+    def about(self) -> About:
+        """Its description."""
+        ...
+
+    @property
+    def branches(self) -> int:
+        """Exponentials with a stiffness of their own; 0 where :meth:`value` is the relaxation."""
+        ...
+
+    @property
+    def shapes(self) -> tuple[Shape, ...]:
+        """Parameters of one branch, or of the relaxation."""
+        ...
+
+    def value(self, time_s: FloatArray, *shape: Any) -> FloatArray:
+        """Relaxation at times [s], (...) -> (...)."""
+        ...

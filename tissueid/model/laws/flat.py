@@ -1,0 +1,48 @@
+"""Elastic contact of a flat punch: a known power of depth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.model.base import ParameterSpec
+from tissueid.model.law import About, Shape
+
+__all__ = ["LAW", "Flat"]
+
+FloatArray = NDArray[np.float64]
+
+POWER = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Flat:
+    """F_s = c x."""
+
+    about: ClassVar[About] = About(
+        key="flat",
+        kind="static",
+        equation="F_s = c x",
+        source="10.1016/0020-7225(65)90019-4",
+        purpose="a flat punch on a thick specimen; with its radius in the study, Young's modulus",
+        refuses="depths beyond half of the punch's radius",
+    )
+    polynomial: ClassVar[bool] = False
+    shapes: ClassVar[tuple[Shape, ...]] = ()
+    coefficients: ClassVar[tuple[ParameterSpec, ...]] = (
+        ParameterSpec("static_N_per_mm", "c", "N/mm", 0.0, np.inf, "static force at a depth of 1 mm"),
+    )
+
+    def basis(self, depth_mm: FloatArray) -> FloatArray:
+        """The power of depth."""
+        return np.asarray(depth_mm**POWER)[None]
+
+    def slope(self, depth_mm: FloatArray) -> FloatArray:
+        """Its derivative."""
+        return np.asarray(POWER * depth_mm ** (POWER - 1.0))[None]
+
+
+LAW = Flat

@@ -1,0 +1,48 @@
+"""Elastic contact of a cone: a known power of depth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.model.base import ParameterSpec
+from tissueid.model.law import About, Shape
+
+__all__ = ["LAW", "Sneddon"]
+
+FloatArray = NDArray[np.float64]
+
+POWER = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Sneddon:
+    """F_s = c x^2."""
+
+    about: ClassVar[About] = About(
+        key="sneddon",
+        kind="static",
+        equation="F_s = c x^2",
+        source="10.1016/0020-7225(65)90019-4",
+        purpose="a cone in a thick specimen; with its angle in the study, Young's modulus",
+        refuses="strains beyond 0.1",
+    )
+    polynomial: ClassVar[bool] = False
+    shapes: ClassVar[tuple[Shape, ...]] = ()
+    coefficients: ClassVar[tuple[ParameterSpec, ...]] = (
+        ParameterSpec("static_N_per_mm2", "c", "N/mm^2", 0.0, np.inf, "static force at a depth of 1 mm"),
+    )
+
+    def basis(self, depth_mm: FloatArray) -> FloatArray:
+        """The power of depth."""
+        return np.asarray(depth_mm**POWER)[None]
+
+    def slope(self, depth_mm: FloatArray) -> FloatArray:
+        """Its derivative."""
+        return np.asarray(POWER * depth_mm ** (POWER - 1.0))[None]
+
+
+LAW = Sneddon
