@@ -104,18 +104,22 @@ class Estimate(Shown):
 
 @dataclass(frozen=True, slots=True)
 class ModelChoice:
-    """Which model was fitted."""
+    """Model that was fitted: its key, and the name it was asked for by."""
 
     key: str
     branches: int
     static_degree: int
     stiffness_degree: int
     static_pooling: str
+    name: str = ""
+    range_s: tuple[float, float] | None = None
 
     def as_json(self) -> dict[str, Any]:
         """The ``model`` object of the schema."""
         return {
             "key": self.key,
+            "name": self.name or self.key,
+            "range_s": None if self.range_s is None else list(self.range_s),
             "branches": self.branches,
             "static_degree": self.static_degree,
             "stiffness_degree": self.stiffness_degree,

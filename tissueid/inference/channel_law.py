@@ -29,6 +29,10 @@ FloatArray = NDArray[np.float64]
 
 #: Coefficients below this share of the largest of their polynomial are rounding.
 NONE = 1e-13
+#: Logarithm of a time beyond which there is none.
+LARGEST_LN = 60.0
+#: Room beyond the bounds of a shape's logarithm in which the force is still differentiated.
+SLACK_LN = 0.01
 #: Rows of a static polynomial that has to grow.
 GROWING_POINTS = 41
 
@@ -151,7 +155,7 @@ class ChannelLaw:
     def shapes(self) -> tuple[Shape, ...]:
         """Parameters that the force is not linear in, in the engine's order; times of a law without model."""
         if self.model_of is None:
-            return tuple(self.relaxation.shapes[0] for _ in range(self.branches))
+            return (*(self.relaxation.shapes[0] for _ in range(self.branches)), *self.static.shapes)
         specs = self.model_of.shape_specs
         return tuple(specs[k] for k in np.argsort(self._order, kind="stable"))
 
@@ -179,9 +183,15 @@ class ChannelLaw:
         ]
         return np.array([one[0] for one in ends]), np.array([one[1] for one in ends])
 
+    @cached_property
+    def _ends(self) -> tuple[FloatArray, FloatArray]:
+        return self.bounds(-LARGEST_LN, LARGEST_LN)
+
     def _values(self, log_times: FloatArray) -> list[Any]:
         """Shapes as numbers, or as columns (n, 1) of n points."""
-        values = np.exp(log_times.T)
+        low, high = self._ends
+        # a step of a search may leave the range in which a law is one; at its end it still has a slope
+        values = np.exp(np.clip(log_times, low - SLACK_LN, high + SLACK_LN).T)
         return [one[:, None] if one.ndim else one for one in values]
 
     def _of_static(self, values: list[Any]) -> list[Any]:
@@ -303,7 +313,7 @@ class ChannelLaw:
     def largest_states(self, log_times: FloatArray, path: Path) -> FloatArray:
         """Largest state of each branch over the largest depth, (branches,); none inside."""
         columns = self.columns(log_times, path)[self.static_size :: max(self.powers, 1)]
-        return np.maximum(np.abs(columns).max(axis=1, initial=0.0), 1e-9)
+        return np.asarray(np.maximum(np.abs(columns).max(axis=1, initial=0.0), 1e-9))
 
     def model(self) -> KelvinVoigt | ChannelModel:
         """The contact model with these orders."""
@@ -352,7 +362,7 @@ class ChannelLaw:
         linear = (linear if exact else self.lifted(linear)) * self.field(log_times)
         static = linear[:, : self.static_size]
         stiffness = linear[:, self.static_size :].reshape(len(linear), self.branches, self.powers)
-        shapes = np.exp(log_times)[:, self._order]
+        shapes = np.exp(np.clip(log_times, *self._ends))[:, self._order]
         count = len(self.static.shapes)
         own = shapes[:, count:].reshape(len(linear), self.branches, -1)
         branch = np.concatenate([stiffness, own], axis=2)

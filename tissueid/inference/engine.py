@@ -24,6 +24,7 @@ from tissueid.inference.prior import Scatter, prior_rows
 from tissueid.inference.search import starting_points
 from tissueid.inference.system import SHAPE, Effects, Point, System
 from tissueid.inference.window import FittedLog, one_program
+from tissueid.model.grammar import Named
 from tissueid.priors import Priors
 
 __all__ = ["Identified", "Request", "identify_logs", "refit"]
@@ -57,6 +58,8 @@ class Request:
     priors : Priors
     machine : bool
         Leave frame, skew and filter open.
+    named : Named or None
+        A law that is no Kelvin-Voigt law: nothing is chosen then.
     """
 
     branches: tuple[int, ...] = (1, 2, 3)
@@ -65,6 +68,7 @@ class Request:
     noise: str = "auto"
     priors: Priors = field(default_factory=Priors)
     machine: bool = True
+    named: Named | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,7 +126,14 @@ class _Fitting:
         self.base, self.request, self.least_N, self.step_s = base, request, least_N, step_s
         self.scatter = WIDE
         machine = np.array([request.priors.calibration[name].mean for name in _MACHINE])
-        self.at = _blank(kelvin_voigt_law(1, 0, base.depth_mm), base, machine)
+        self.at = _blank(self.law(1, 0), base, machine)
+
+    def law(self, branches: int, degree: int) -> ChannelLaw:
+        """The law that was asked for, or a Kelvin-Voigt law."""
+        if self.request.named is None:
+            return kelvin_voigt_law(branches, degree, self.base.depth_mm)
+        longest = max(float(one.time_s[-1] - one.time_s[0]) for one in self.base.logs)
+        return ChannelLaw.of(self.request.named.model(self.base.depth_mm, self.step_s, longest))
 
     def minimise(self, system: System, law: ChannelLaw, start: Point, memory: Memory, steps: int) -> Optimum:
         """From one starting point."""
@@ -142,7 +153,7 @@ class _Fitting:
         self, branches: int, degree: int, memory: Memory, *, steps: int = LOOK_STEPS
     ) -> tuple[System, ChannelLaw, Optimum]:
         """The best of several starts."""
-        law = kelvin_voigt_law(branches, degree, self.base.depth_mm)
+        law = self.law(branches, degree)
         system = self.base.under(law)
         starts = starting_points(system, law, self.at, whitener_of(system, memory))
         found = [self.minimise(system, law, start, memory, steps) for start in starts]
@@ -244,7 +255,7 @@ def identify_logs(
     fitting.learn_scatter(*flexible)
     groups = groups_of(base, facts)
     memory, refuted = Memory(), True
-    single = len(request.branches) == len(request.degrees) == 1
+    single = request.named is not None or len(request.branches) == len(request.degrees) == 1
     tick("noise")
     seen: Sequence[LogEvidence] | None = None
     if request.noise != "white":
@@ -302,7 +313,7 @@ def _finished(
 ) -> Identified:
     """The chosen candidate under its own noise."""
     request, system = fitting.request, chosen.system
-    law = kelvin_voigt_law(chosen.branches, chosen.degree, system.depth_mm)
+    law = fitting.law(chosen.branches, chosen.degree)
     optimum = chosen.optimum
     tick("the optimum")
     for _ in range(2):

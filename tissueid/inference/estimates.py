@@ -7,6 +7,7 @@ fitted depth.  Standard errors are those of white noise.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +16,8 @@ from numpy.typing import NDArray
 from tissueid.inference.engine import Identified
 from tissueid.inference.profile import LEVEL_95, ProfileInterval, profile
 from tissueid.model.base import ParameterSpec
-from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt, branch_suffix
+from tissueid.model.channels import TissueModel, viscous
+from tissueid.model.kelvin_voigt import branch_suffix
 from tissueid.result import Estimate
 
 __all__ = ["MAX_WIDTH", "REFERENCE_DEPTH", "TissueEstimate", "estimate_tissue", "width_of"]
@@ -47,7 +49,7 @@ class TissueEstimate:
 
     Attributes
     ----------
-    model : KelvinVoigt
+    model : TissueModel
     theta, covariance : ndarray
         In the order of ``model.parameter_names``, units of the field.
     parameters : tuple of Estimate
@@ -57,7 +59,7 @@ class TissueEstimate:
         True where a passivity bound is active.
     """
 
-    model: KelvinVoigt
+    model: TissueModel
     theta: FloatArray
     covariance: FloatArray
     parameters: tuple[Estimate, ...]
@@ -88,33 +90,47 @@ def _estimate(
     )
 
 
-def _curve_verdict(coefficients: FloatArray, basis: FloatArray, covariance: FloatArray) -> tuple[bool, float]:
+def _curve_verdict(
+    curve: Callable[[FloatArray], FloatArray], theta: FloatArray, at: Sequence[int], covariance: FloatArray
+) -> tuple[bool, float]:
     """Test if a curve's widest 95 % interval is narrower than the curve is high.
 
     A curve may start soft: an interval relative to its own height at each depth would condemn it there.
 
     Parameters
     ----------
-    coefficients : ndarray, shape (p,)
-    basis : ndarray, shape (n, p)
-        Powers of the depths at which it is looked at.
+    curve : callable
+        Values of the curve at some depths, by theta.
+    theta : ndarray, shape (p,)
+    at : sequence of int
+        Places in theta that it depends on.
     covariance : ndarray, shape (p, p)
     """
-    spread = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", basis, covariance, basis), 0.0))
-    width = width_of(float((basis @ coefficients).max()), float(spread.max()))
+    height, slopes = curve(theta), []
+    for k in at:
+        step = 1e-6 * max(abs(float(theta[k])), float(np.sqrt(max(covariance[k, k], 0.0))), 1e-12)
+        moved = theta.copy()
+        moved[k] += step
+        slopes.append((curve(moved) - height) / step)
+    basis, block = np.array(slopes).T, covariance[np.ix_(at, at)]
+    spread = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", basis, block, basis), 0.0))
+    width = width_of(float(height.max()), float(spread.max()))
     return width <= MAX_WIDTH, width
 
 
-def _static_estimates(model: KelvinVoigt, theta: FloatArray, covariance: FloatArray) -> list[Estimate]:
-    """a1, a2, a3, with one verdict on the curve."""
-    depths = np.array(CURVE_DEPTHS) * model.depth_mm
-    basis = depths[:, None] ** np.arange(1.0, STATIC_DEGREE + 1)
-    block = covariance[:STATIC_DEGREE, :STATIC_DEGREE]
-    verdict = _curve_verdict(theta[:STATIC_DEGREE], basis, block)
+def _alike(
+    model: TissueModel, theta: FloatArray, covariance: FloatArray, at: Sequence[int],
+    curve: Callable[[FloatArray], FloatArray],
+) -> list[Estimate]:  # fmt: skip
+    """Parameters of one curve, with one verdict."""
+    verdict = _curve_verdict(curve, theta, at, covariance)
     return [
-        _estimate(spec.name, spec.symbol, spec.unit, float(theta[k]), float(np.sqrt(block[k, k])), verdict)
-        for k, spec in enumerate(model.parameters[:STATIC_DEGREE])
-    ]
+        _estimate(
+            model.parameters[k].name, model.parameters[k].symbol, model.parameters[k].unit, float(theta[k]),
+            float(np.sqrt(max(covariance[k, k], 0.0))), verdict,
+        )
+        for k in at
+    ]  # fmt: skip
 
 
 def _time_estimate(
@@ -137,40 +153,56 @@ def _time_estimate(
 
 
 def _branch_estimates(
-    model: KelvinVoigt, theta: FloatArray, covariance: FloatArray, branch: int, interval: ProfileInterval
-) -> list[Estimate]:
-    """Stiffness coefficients, relaxation time and viscosity of one branch."""
-    size = model.stiffness_degree + 1
-    first = STATIC_DEGREE + branch * model.block
-    span, last = slice(first, first + size), first + size
-    specs = model.parameters[first : last + 1]
-    powers = np.arange(float(size))
-    curve = (np.array(CURVE_DEPTHS) * model.depth_mm)[:, None] ** powers
-    stderr = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    verdict = _curve_verdict(theta[span], curve, covariance[span, span])
-    tau = float(theta[last])
-    estimates = [
-        _estimate(
-            spec.name, spec.symbol, spec.unit, float(theta[first + k]), float(stderr[first + k]), verdict
+    model: TissueModel, theta: FloatArray, covariance: FloatArray, branch: int,
+    interval: ProfileInterval | None,
+) -> list[Estimate]:  # fmt: skip
+    """Stiffness or ratio, relaxation time, further shapes and viscosity of one branch."""
+    names, suffix = model.parameter_names, branch_suffix(branch)
+    own = [k for k, name in enumerate(names) if _is_of(name, suffix)]
+    curve = [k for k in own if names[k].startswith("stiffness")]
+    depths = np.array(CURVE_DEPTHS) * model.depth_mm
+    estimates = []
+    if curve:
+        estimates += _alike(
+            model, theta, covariance, curve, lambda theta: model.stiffness(theta, depths)[branch]
         )
-        for k, spec in enumerate(specs[:-1])
-    ]
-    estimates.append(
-        _time_estimate(specs[-1], tau, float(stderr[last]), interval, several=model.branches > 1)
-    )
-    reference = (REFERENCE_DEPTH * model.depth_mm) ** powers if model.stiffness_degree else np.ones(1)
-    stiffness = float(theta[span] @ reference)
+    stderr = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    for k in own[len(curve) :]:
+        spec, value, error = model.parameters[k], float(theta[k]), float(stderr[k])
+        if names[k].startswith("relaxation_time") and interval is not None:
+            estimates.append(_time_estimate(spec, value, error, interval, several=model.branches > 1))
+        else:
+            width = width_of(value, error)
+            verdict = (width <= MAX_WIDTH, width)
+            estimates.append(_estimate(spec.name, spec.symbol, spec.unit, value, error, verdict))
+    if viscous(model):
+        estimates.append(_viscosity(model, theta, covariance, curve, branch))
+    return estimates
+
+
+def _is_of(name: str, suffix: str) -> bool:
+    """True of a parameter of a branch."""
+    branched = name.startswith(("stiffness", "relaxation"))
+    return branched and (name.endswith(suffix) if suffix else "_b" not in name)
+
+
+def _viscosity(
+    model: TissueModel, theta: FloatArray, covariance: FloatArray, curve: list[int], branch: int
+) -> Estimate:
+    """K tau of a branch, at half depth where K varies."""
+    suffix, place = branch_suffix(branch), curve[-1] + 1
+    powers = np.arange(float(len(curve)))
+    reference = (REFERENCE_DEPTH * model.depth_mm) ** powers if len(curve) > 1 else np.ones(1)
+    stiffness, tau = float(theta[curve] @ reference), float(theta[place])
     slope = np.concatenate([reference * tau, [stiffness]])
-    block = covariance[first : last + 1, first : last + 1]
+    block = covariance[np.ix_([*curve, place], [*curve, place])]
     used = np.where(np.outer(slope, slope) != 0.0, block, 0.0)
     eta, eta_stderr = stiffness * tau, float(np.sqrt(max(slope @ used @ slope, 0.0)))
     width = width_of(eta, eta_stderr)
-    name, symbol = (
-        f"viscosity_N_s_per_mm{branch_suffix(branch)}",
-        "eta" if branch == 0 else f"eta{branch + 1}",
+    symbol = "eta" if branch == 0 else f"eta{branch + 1}"
+    return _estimate(
+        f"viscosity_N_s_per_mm{suffix}", symbol, "N s/mm", eta, eta_stderr, (width <= MAX_WIDTH, width)
     )
-    estimates.append(_estimate(name, symbol, "N s/mm", eta, eta_stderr, (width <= MAX_WIDTH, width)))
-    return estimates
 
 
 def theta_covariance(identified: Identified) -> FloatArray:
@@ -215,10 +247,16 @@ def estimate_tissue(identified: Identified) -> TissueEstimate:
     model, point = identified.law.model(), identified.optimum.point
     theta = identified.law.theta(point.log_times, point.linear)[0]
     covariance = theta_covariance(identified)
-    parameters = _static_estimates(model, theta, covariance)
-    intervals = []
-    for branch, at in enumerate(np.argsort(point.log_times).tolist()):
-        interval, curve = profile(identified, at)
+    static = [k for k, name in enumerate(model.parameter_names) if name.startswith("static")]
+    depths = np.array(CURVE_DEPTHS) * model.depth_mm
+    parameters = _alike(model, theta, covariance, static, lambda theta: model.static_force(theta, depths))
+    intervals, law = [], identified.law
+    order = np.argsort(point.log_times[: law.counts[0]]).tolist()
+    for branch in range(law.branches):
+        if not order:
+            parameters += _branch_estimates(model, theta, covariance, branch, None)
+            continue
+        interval, curve = profile(identified, order[branch])
         intervals.append(interval)
         parameters += [
             replace(one, detail={**one.detail, "profile": curve})

@@ -17,7 +17,7 @@ import numpy as np
 from tissueid.flags import Flag
 from tissueid.manifest import FrameCurve
 from tissueid.model.frame import tangent_stiffness, tangent_stiffness_sd
-from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.model.grammar import rebuilt
 from tissueid.result import SpecimenFit
 
 __all__ = ["ASSUMED_FRAME_N_PER_MM", "FrameEffect", "frame_effect", "frame_flags"]
@@ -49,7 +49,7 @@ class FrameEffect:
 
 def _stiffnesses(fit: SpecimenFit) -> tuple[float, float]:
     """Largest branch stiffness at half depth, and secant static stiffness at half depth [N/mm]."""
-    model = KelvinVoigt(fit.model.branches, fit.model.stiffness_degree, fit.depth_mm)
+    model = rebuilt(fit.model, fit.depth_mm)
     half = np.array([fit.depth_mm / 2.0])
     branch = float(model.stiffness(fit.theta, half).max(initial=0.0))
     static = float(model.static_force(fit.theta, half)[0] / half[0])
@@ -86,8 +86,7 @@ def frame_flags(fit: SpecimenFit, frame: FrameCurve | None, stated: Mapping[str,
 
 def _shortest(fit: SpecimenFit) -> float:
     """Shortest relaxation time, as estimated, identified or not [s]."""
-    model = KelvinVoigt(fit.model.branches, fit.model.stiffness_degree, fit.depth_mm)
-    return float(model.split(fit.theta)[2].min())
+    return float(rebuilt(fit.model, fit.depth_mm).times(fit.theta).min())
 
 
 def _unknown(

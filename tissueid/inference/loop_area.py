@@ -16,6 +16,7 @@ from scipy.interpolate import PchipInterpolator
 
 from tissueid.inference.trials import Adjustment
 from tissueid.measured.cycles import closed_area
+from tissueid.model.channels import TissueModel
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.model.kernels import surface_path
 from tissueid.quantities import CycleRow, Measure
@@ -43,7 +44,7 @@ def with_model_viscosity(
     trial: Trial,
     segmentation: Segmentation,
     rows: Sequence[CycleRow],
-    model: KelvinVoigt,
+    model: TissueModel,
     theta: FloatArray,
     adjustment: Adjustment,
 ) -> tuple[CycleRow, ...]:
@@ -60,7 +61,7 @@ def with_model_viscosity(
     adjustment : Adjustment
         Gain and contact offset of this log.
     """
-    if not rows or model.branches == 0:
+    if not rows or not isinstance(model, KelvinVoigt) or model.branches == 0:
         return tuple(rows)
     assert segmentation.contact is not None  # noqa: S101  (there are loops)
     depth, _ = contact_frame(trial, segmentation)

@@ -17,7 +17,7 @@ from tissueid.inference.estimates import MAX_WIDTH, TissueEstimate, width_of
 from tissueid.inference.quoted import unknown_parameters
 from tissueid.measured.geometry import Geometry
 from tissueid.model import functionals
-from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.model.channels import TissueModel
 from tissueid.model.moduli import FORMULAS, Contact, formulas_for, poroelastic_band
 from tissueid.quantities import Quantity, QuotedNumbers
 
@@ -30,11 +30,11 @@ SHARES = (0.5, 1.0)
 KPA_PER_MPA = 1000.0
 
 
-def _static(model: KelvinVoigt, theta: FloatArray, depth: float) -> float:
+def _static(model: TissueModel, theta: FloatArray, depth: float) -> float:
     return float(model.static_force(theta, np.array([depth]))[0])
 
 
-def _sudden(model: KelvinVoigt, theta: FloatArray, depth: float) -> float:
+def _sudden(model: TissueModel, theta: FloatArray, depth: float) -> float:
     return functionals.force_after_step(model, theta, depth, 0.0)
 
 
@@ -61,7 +61,7 @@ def _moduli(tissue: TissueEstimate, formula: str, depth: float, contact: Contact
 
 def _poroelastic(tissue: TissueEstimate, contact: Contact) -> list[Flag]:
     """Relaxation times that fluid flow under this contact could have as well."""
-    tau = tissue.model.split(tissue.theta)[2]
+    tau = tissue.model.times(tissue.theta)
     low, high = poroelastic_band(contact.contact_mm)
     suspect = [float(value) for value in tau if low <= value <= high]
     if not suspect:

@@ -299,7 +299,7 @@ def _with_medians(
         if one.name.startswith("relaxation_time"):
             known = width <= MAX_WIDTH and not (one.detail.get("open_low") or one.detail.get("open_high"))
         else:
-            known = width <= MAX_WIDTH_VISCOSITY or not one.name.startswith("viscosity")
+            known = width <= MAX_WIDTH_VISCOSITY or one.name.startswith(("static", "stiffness"))
         detail = {**one.detail, "mode": one.detail.get("estimate"), "estimate": value}
         detail["width_ln"] = width if np.isfinite(width) else None
         stderr = own.sd if known else None

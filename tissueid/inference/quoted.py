@@ -17,7 +17,7 @@ from tissueid.inference.estimates import MAX_WIDTH, TissueEstimate, width_of
 from tissueid.inference.holds import HoldNumbers
 from tissueid.measured import TIMES_S
 from tissueid.model import functionals
-from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.model.channels import TissueModel
 from tissueid.quantities import Quantity, QuotedNumbers, Spectrum
 
 __all__ = ["FREQUENCIES_HZ", "Supported", "model_numbers", "quoted_numbers", "unknown_parameters"]
@@ -94,7 +94,7 @@ class _Quoter:
         name: str,
         unit: str,
         at: dict[str, float | str],
-        function: Callable[[KelvinVoigt, FloatArray], float],
+        function: Callable[[TissueModel, FloatArray], float],
         reason: str = "",
     ) -> Quantity:
         if reason:
@@ -116,7 +116,7 @@ def _relaxation(quote: _Quoter, supported: Supported) -> Iterator[Quantity]:
     """Fraction relaxed after an ideal step and after the ramp of the longest hold."""
     model, hold = quote.tissue.model, supported.hold
     depth = hold.depth_mm or model.depth_mm
-    slowest = float(model.split(quote.tissue.theta)[2].max(initial=0.0))
+    slowest = float(model.times(quote.tissue.theta).max(initial=0.0))
     flat = (
         ""
         if slowest * PLATEAU_TIMES <= supported.window_s
@@ -124,10 +124,10 @@ def _relaxation(quote: _Quoter, supported: Supported) -> Iterator[Quantity]:
     )
     no_ramp = "" if hold.longest_s > 0.0 and hold.speed_mm_s > 0.0 else "no ramp with a hold was recorded"
 
-    def step(model: KelvinVoigt, theta: FloatArray, time: float) -> float:
+    def step(model: TissueModel, theta: FloatArray, time: float) -> float:
         return functionals.force_after_step(model, theta, depth, time)
 
-    def ramp(model: KelvinVoigt, theta: FloatArray, time: float) -> float:
+    def ramp(model: TissueModel, theta: FloatArray, time: float) -> float:
         return functionals.force_after_ramp(model, theta, depth, hold.speed_mm_s, time)
 
     for path, force, reason in (("step", step, ""), ("ramp", ramp, no_ramp)):
@@ -136,13 +136,13 @@ def _relaxation(quote: _Quoter, supported: Supported) -> Iterator[Quantity]:
             at["speed_mm_s"] = hold.speed_mm_s
         for time in TIMES_S:
 
-            def relaxed(m: KelvinVoigt, t: FloatArray, force=force, time=time) -> float:  # type: ignore[no-untyped-def]
+            def relaxed(m: TissueModel, t: FloatArray, force=force, time=time) -> float:  # type: ignore[no-untyped-def]
                 return float(1.0 - force(m, t, time) / force(m, t, 0.0))
 
             why = reason or supported.no_time(time)
             yield quote("fraction_relaxed", "1", {**at, "time_s": time}, relaxed, why)
 
-        def ratio(m: KelvinVoigt, t: FloatArray, force=force) -> float:  # type: ignore[no-untyped-def]
+        def ratio(m: TissueModel, t: FloatArray, force=force) -> float:  # type: ignore[no-untyped-def]
             return float(force(m, t, 0.0) / m.static_force(t, np.array([depth]))[0])
 
         yield quote("peak_to_plateau", "1", at, ratio, reason or flat)
@@ -158,16 +158,16 @@ def _oscillation(quote: _Quoter, supported: Supported, frequencies: Sequence[flo
             continue
         at: dict[str, float | str] = {"frequency_Hz": f, "depth_mm": depth}
 
-        def storage(m: KelvinVoigt, t: FloatArray, f: float = f) -> float:
+        def storage(m: TissueModel, t: FloatArray, f: float = f) -> float:
             return functionals.complex_stiffness(m, t, depth, f)[0]
 
-        def loss(m: KelvinVoigt, t: FloatArray, f: float = f) -> float:
+        def loss(m: TissueModel, t: FloatArray, f: float = f) -> float:
             return functionals.complex_stiffness(m, t, depth, f)[1]
 
-        def tangent(m: KelvinVoigt, t: FloatArray, f: float = f) -> float:
+        def tangent(m: TissueModel, t: FloatArray, f: float = f) -> float:
             return loss(m, t, f) / storage(m, t, f)
 
-        def energy(m: KelvinVoigt, t: FloatArray, f: float = f) -> float:
+        def energy(m: TissueModel, t: FloatArray, f: float = f) -> float:
             return functionals.dissipated_per_cycle(m, t, depth, amplitude, f)
 
         yield quote("storage_stiffness", "N/mm", at, storage, why)
@@ -187,7 +187,7 @@ def _stiffness(quote: _Quoter) -> Iterator[Quantity]:
         for word, function in kinds:
             for which, form in enumerate(("secant", "tangent")):
 
-                def value(m: KelvinVoigt, t: FloatArray, f=function, d=depth, w=which) -> float:  # type: ignore[no-untyped-def]
+                def value(m: TissueModel, t: FloatArray, f=function, d=depth, w=which) -> float:  # type: ignore[no-untyped-def]
                     return float(f(m, t, d)[w])
 
                 yield quote(f"{word}_{form}", "N/mm", {"depth_mm": depth}, value)

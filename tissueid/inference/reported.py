@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.inference.estimates import REFERENCE_DEPTH
-from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt, branch_suffix
+from tissueid.model.channels import TissueModel, viscous
+from tissueid.model.kelvin_voigt import branch_suffix
 
 __all__ = ["interval95", "reported_draws"]
 
@@ -21,12 +22,12 @@ CENTRAL_95, FROM_BOUND_95 = (0.025, 0.975), 0.95
 CROWDED = 0.1
 
 
-def reported_draws(model: KelvinVoigt, theta: FloatArray) -> dict[str, FloatArray]:
+def reported_draws(model: TissueModel, theta: FloatArray) -> dict[str, FloatArray]:
     """Every reported parameter of each draw: theta by name, and the viscosities.
 
     Parameters
     ----------
-    model : KelvinVoigt
+    model : TissueModel
     theta : ndarray, shape (n, p)
 
     Returns
@@ -35,12 +36,13 @@ def reported_draws(model: KelvinVoigt, theta: FloatArray) -> dict[str, FloatArra
         Name -> ndarray, shape (n,), in the parameter's unit; viscosity at half depth where K varies.
     """
     out: dict[str, FloatArray] = {name: theta[:, k] for k, name in enumerate(model.parameter_names)}
+    if not viscous(model):
+        return out
     powers = (REFERENCE_DEPTH * model.depth_mm) ** np.arange(float(model.stiffness_degree + 1))
     for branch in range(model.branches):
-        first = STATIC_DEGREE + branch * model.block
-        stiffness = theta[:, first : first + powers.size] @ powers
-        tau = theta[:, first + powers.size]
-        out[f"viscosity_N_s_per_mm{branch_suffix(branch)}"] = stiffness * tau
+        last = model.parameter_names.index(f"relaxation_time_s{branch_suffix(branch)}")
+        stiffness = theta[:, last - powers.size : last] @ powers
+        out[f"viscosity_N_s_per_mm{branch_suffix(branch)}"] = stiffness * theta[:, last]
     return out
 
 

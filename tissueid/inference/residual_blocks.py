@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from tissueid.inference.trials import Adjustment
 from tissueid.inference.window import FittedLog
 from tissueid.model.base import ContactPath
-from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.model.channels import TissueModel
 from tissueid.trial import Segmentation
 
 __all__ = ["HOLD_BLOCKS_PER_DECADE", "MOVE_EDGES", "ResidualBlocks", "residual_blocks"]
@@ -100,7 +100,7 @@ def _keys(segmentation: Segmentation, log: FittedLog) -> NDArray[np.int64]:
 
 
 def _corner_columns(
-    model: KelvinVoigt, theta: FloatArray, log: FittedLog, segmentation: Segmentation
+    model: TissueModel, theta: FloatArray, log: FittedLog, segmentation: Segmentation
 ) -> FloatArray:
     """Remainder of an error of the branch states at each corner, shape (n, holds * branches).
 
@@ -108,8 +108,8 @@ def _corner_columns(
     fraction of v tau, and forget that with their relaxation times.
     """
     time = log.data.time_s
-    _, _, tau = model.split(theta)
     columns = []
+    tau = model.times(theta)
     for hold in segmentation.of_kind("hold"):
         since = time - hold.start_s
         inside = (since >= -0.5 * log.step_s) & (time <= hold.end_s + 0.5 * log.step_s)
@@ -117,7 +117,7 @@ def _corner_columns(
     return np.column_stack(columns) if columns else np.zeros((time.size, 0))
 
 
-def _own_columns(model: KelvinVoigt, theta: FloatArray, log: FittedLog, fitted: FloatArray) -> FloatArray:
+def _own_columns(model: TissueModel, theta: FloatArray, log: FittedLog, fitted: FloatArray) -> FloatArray:
     """Derivatives of one log's force by its own parameters, shape (n, q)."""
     x = log.data.depth_mm
     step = DEPTH_STEP * model.depth_mm
@@ -129,7 +129,7 @@ def _own_columns(model: KelvinVoigt, theta: FloatArray, log: FittedLog, fitted: 
 def residual_blocks(
     segmentation: Segmentation,
     log: FittedLog,
-    model: KelvinVoigt,
+    model: TissueModel,
     theta: FloatArray,
     adjustment: Adjustment,
     fitted: FloatArray,

@@ -97,7 +97,7 @@ def starting_points(system: System, law: ChannelLaw, at: Point, white: Whitener)
     white : Whitener
         Weights.
     """
-    if law.inside or law.counts[0] != law.branches or law.counts[2]:
+    if law.inside or law.fixed_s.size or not law.relaxation.branches:
         return _of_grid(system, law, at, white)
     low, high = time_bounds(system)
     nodes = np.linspace(low + 0.5, high - 0.5, NODES)
@@ -119,6 +119,7 @@ def _misfits(problem: _Combinations, branches: int) -> dict[tuple[int, ...], flo
     """Sum of squares of combinations of nodes."""
     if branches == 1:
         return {(k,): problem.solve((k,))[0] for k in range(NODES)}
+    found: dict[tuple[int, ...], float]
     found = {pair: problem.solve(pair)[0] for pair in combinations(range(NODES), 2)}
     if branches == 2:
         return found

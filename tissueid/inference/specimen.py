@@ -29,7 +29,8 @@ from tissueid.inference.verdict import discrepancy_flags, specimen_flags
 from tissueid.inference.window import FittedLog
 from tissueid.measured import spread
 from tissueid.measured.geometry import DEFAULT_POISSON, Geometry, TipOf
-from tissueid.model.kelvin_voigt import KEY, STATIC_DEGREE
+from tissueid.model.grammar import KELVIN_VOIGT, parsed
+from tissueid.model.kelvin_voigt import KEY
 from tissueid.priors import Priors
 from tissueid.quantities import QuotedNumbers, RelaxationWindow
 from tissueid.result import ModelChoice, SpecimenFit
@@ -70,6 +71,8 @@ class FitOptions:
         Fit retracts and cycles as well, with the law of contact loss (:mod:`tissueid.inference.rounds`).
     noise : str
         ``auto``, ``white``, ``ar1`` or ``white+ar1``.
+    model : str
+        Of the grammar of :mod:`tissueid.model.grammar`.
     """
 
     branches: int | None = None
@@ -82,6 +85,7 @@ class FitOptions:
     poisson: float = DEFAULT_POISSON
     header_tip: bool = True
     noise: str = "auto"
+    model: str = KELVIN_VOIGT
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,11 +119,13 @@ class FittedSpecimen:
 
 def request_of(options: FitOptions, priors: Priors, *, machine: bool) -> Request:
     """Options as the engine takes them."""
-    branches = (options.branches,) if options.branches else tuple(range(1, MAX_BRANCHES + 1))
-    degrees = (
-        tuple(range(MAX_DEGREE + 1)) if options.stiffness_degree is None else (options.stiffness_degree,)
-    )
-    return Request(branches, degrees, options.static, options.noise, priors, machine)
+    named = parsed(options.model)
+    asked, degree = named.branches or options.branches, named.degree
+    degree = options.stiffness_degree if degree is None else degree
+    branches = (asked,) if asked else tuple(range(1, MAX_BRANCHES + 1))
+    degrees = tuple(range(MAX_DEGREE + 1)) if degree is None else (degree,)
+    other = None if named.parts is None else named
+    return Request(branches, degrees, options.static, options.noise, priors, machine, other)
 
 
 def fit_specimen(
@@ -328,11 +334,15 @@ def _fit(
         fit = SpecimenFit(
             specimen=name,
             model=ModelChoice(
-                key=KEY,
+                key=KEY if found.law.model_of is None else found.law.model_of.key,
+                name=options.model,
                 branches=found.law.branches,
-                static_degree=STATIC_DEGREE,
+                static_degree=found.law.static_size,
                 stiffness_degree=found.law.degree,
                 static_pooling="shared" if len(logs) == 1 else options.static,
+                range_s=None
+                if found.law.model_of is None
+                else (found.law.model_of.resolution_s, found.law.model_of.window_s),
             ),
             parameters=tissue.parameters,
             theta_names=tissue.model.parameter_names,

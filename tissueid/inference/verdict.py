@@ -33,7 +33,7 @@ def _listed(symbols: Sequence[str], of: int) -> str:
 
 def _relaxation_flags(tissue: TissueEstimate, facts: Sequence[FittedLog], sigma_N: float) -> list[Flag]:
     flags = []
-    _, _, tau = tissue.model.split(tissue.theta)
+    tau = tissue.model.times(tissue.theta)
     h = min(log.step_s for log in facts)
     for j, interval in enumerate(tissue.intervals):
         value = float(tau[j])
@@ -91,7 +91,7 @@ def _form_flag(tissue: TissueEstimate, facts: Sequence[FittedLog]) -> list[Flag]
         return []
     depth = model.depth_mm
     stiffness = model.stiffness(tissue.theta, np.array([depth]))[:, 0]
-    viscosity = float(stiffness @ model.split(tissue.theta)[2])
+    viscosity = float(stiffness @ model.times(tissue.theta))
     return [
         Flag(
             "form_dependent",

@@ -19,16 +19,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.model.base import ContactPath, ParameterSpec
-from tissueid.model.kelvin_voigt import branch_suffix
+from tissueid.model.kelvin_voigt import KelvinVoigt, branch_suffix
+from tissueid.model.kernels import branch_state
 from tissueid.model.law import RelaxationLaw, Shape, StaticLaw, StiffnessLaw
 from tissueid.model.polynomial import minimum_on_unit
 
-__all__ = ["ChannelModel", "Nodes", "Part"]
+__all__ = ["ChannelModel", "Nodes", "Part", "TissueModel", "viscous"]
 
 FloatArray = NDArray[np.float64]
 
 #: Nodes of a decade, reach of the nodes below the resolution and beyond the window, and a time that is none.
-PER_DECADE, BELOW, BEYOND, FOREVER = 5, 30.0, 30.0, 1e6
+PER_DECADE, BELOW, BEYOND, FOREVER = 4, 30.0, 30.0, 1e6
 #: Times of a decade at which a relaxation is looked at, and ridge of the projection.
 TIMES_PER_DECADE, RIDGE = 16, 1e-13
 #: Points of a ramp by which an inside channel is integrated, and step of derivatives.
@@ -232,9 +233,26 @@ class ChannelModel:
                 rows.append(np.polynomial.polynomial.polyval(x, theta[part.stiffness]))
         return np.array(rows)
 
-    def modes(self, theta: FloatArray, depth_mm: float) -> tuple[FloatArray, FloatArray]:
-        """Stiffness and time of every exponential at a depth, (n,) each [N/mm, s]."""
+    @property
+    def stiffness_degree(self) -> int:
+        """Degree of K; 0 inside."""
+        return max(self.stiffness_law.powers - 1, 0)
+
+    def times(self, theta: FloatArray) -> FloatArray:
+        """Relaxation time of each relaxing part [s], (branches,)."""
+        return np.array([theta[p.shapes][0] if p.tau_s is None else p.tau_s for p in self.parts])
+
+    def contact_loss_is_unique(self, theta: FloatArray) -> bool:
+        """True: the free surface of these laws is not followed."""
+        return bool(np.isfinite(theta).all())
+
+    def modes(
+        self, theta: FloatArray, depth_mm: float, amplitude_mm: float = 0.0
+    ) -> tuple[FloatArray, FloatArray]:
+        """Stiffness [N/mm] and time [s] of every exponential for a cycle about a depth, (n,) each."""
         sizes = self.stiffness(theta, np.array([depth_mm]))[:, 0]
+        if self.stiffness_law.powers > 2:
+            sizes = sizes + np.array([theta[p.stiffness][2] for p in self.parts]) * amplitude_mm**2 / 4.0
         found = [self.exponentials(theta, part) for part in self.parts]
         weights = [size * one[0] for size, one in zip(sizes, found, strict=True)]
         return np.concatenate(weights), np.concatenate([one[1] for one in found])
@@ -305,15 +323,19 @@ class ChannelModel:
         return bool(not self.inside or slope.min() >= -PASSIVE_TOLERANCE * np.abs(slope).max())
 
 
+#: Contact models of a tissue.
+TissueModel = KelvinVoigt | ChannelModel
+
+
+def viscous(model: TissueModel) -> bool:
+    """True of exponentials outside the convolution: K tau is the viscosity of each."""
+    return isinstance(model, KelvinVoigt) or bool(model.relaxation.branches and not model.inside)
+
+
 def _states(time_s: FloatArray, driver: FloatArray, tau: FloatArray) -> FloatArray:
     """Convolutions of a driver's rate with exponentials, linear in between; (n,) -> (t, n)."""
-    step, change = np.diff(time_s), np.diff(driver)
-    out = np.zeros((tau.size, time_s.size))
-    z = np.maximum(step / tau[:, None], 1e-12)
-    decay, gain = np.exp(-z), -np.expm1(-z) / z * change
-    for i in range(step.size):
-        out[:, i + 1] = decay[:, i] * out[:, i] + gain[:, i]
-    return out
+    driver = np.ascontiguousarray(driver)
+    return np.stack([branch_state(time_s, driver, float(one), 0.0) for one in tau])
 
 
 def _stiffness_spec(power: int, branch: int) -> ParameterSpec:

@@ -21,7 +21,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.model.channels import TissueModel
 
 __all__ = [
     "complex_stiffness",
@@ -41,68 +41,56 @@ STEP = 6e-6
 NO_INFLUENCE = 1e-6
 
 
-def _static(model: KelvinVoigt, theta: FloatArray, depth_mm: float) -> tuple[float, float]:
+def _static(model: TissueModel, theta: FloatArray, depth_mm: float) -> tuple[float, float]:
     """F_s and F_s' at a depth."""
-    a = model.split(theta)[0]
-    x = depth_mm
-    return float(x * (a[0] + x * (a[1] + x * a[2]))), float(a[0] + x * (2.0 * a[1] + 3.0 * x * a[2]))
+    at = np.array([depth_mm])
+    return float(model.static_force(theta, at)[0]), float(model.static_slope(theta, at)[0])
 
 
-def _stiffness(model: KelvinVoigt, theta: FloatArray, depth_mm: float) -> FloatArray:
-    """K_j at a depth, shape (branches,)."""
-    return model.stiffness(theta, np.array([depth_mm]))[:, 0]
-
-
-def force_after_step(model: KelvinVoigt, theta: FloatArray, depth_mm: float, time_s: float) -> float:
+def force_after_step(model: TissueModel, theta: FloatArray, depth_mm: float, time_s: float) -> float:
     """Force a time after an ideal step from rest to a depth [N]."""
-    tau = model.split(theta)[2]
-    branches = _stiffness(model, theta, depth_mm) * depth_mm * np.exp(-time_s / tau)
-    return _static(model, theta, depth_mm)[0] + float(branches.sum())
+    relaxing = model.relaxing(theta, depth_mm, np.array([time_s]), None)
+    return _static(model, theta, depth_mm)[0] + float(relaxing[0])
 
 
 def force_after_ramp(
-    model: KelvinVoigt, theta: FloatArray, depth_mm: float, speed_mm_s: float, time_s: float
+    model: TissueModel, theta: FloatArray, depth_mm: float, speed_mm_s: float, time_s: float
 ) -> float:
     """Force a time after the end of a ramp from rest, at constant speed, to a depth [N]."""
-    tau = model.split(theta)[2]
-    length = speed_mm_s * tau
-    state = -length * np.expm1(-depth_mm / length) * np.exp(-time_s / tau)
-    branches = _stiffness(model, theta, depth_mm) * state
-    return _static(model, theta, depth_mm)[0] + float(branches.sum())
+    relaxing = model.relaxing(theta, depth_mm, np.array([time_s]), speed_mm_s)
+    return _static(model, theta, depth_mm)[0] + float(relaxing[0])
 
 
 def complex_stiffness(
-    model: KelvinVoigt, theta: FloatArray, depth_mm: float, frequency_Hz: float
+    model: TissueModel, theta: FloatArray, depth_mm: float, frequency_Hz: float
 ) -> tuple[float, float]:
     """Storage and loss stiffness of a small oscillation about rest at a depth [N/mm]."""
-    phase = 2.0 * np.pi * frequency_Hz * model.split(theta)[2]
-    stiffness = _stiffness(model, theta, depth_mm)
+    stiffness, tau = model.modes(theta, depth_mm)
+    phase = 2.0 * np.pi * frequency_Hz * tau
     storage = _static(model, theta, depth_mm)[1] + float((stiffness * phase**2 / (1.0 + phase**2)).sum())
     return storage, float((stiffness * phase / (1.0 + phase**2)).sum())
 
 
 def dissipated_per_cycle(
-    model: KelvinVoigt, theta: FloatArray, depth_mm: float, amplitude_mm: float, frequency_Hz: float
+    model: TissueModel, theta: FloatArray, depth_mm: float, amplitude_mm: float, frequency_Hz: float
 ) -> float:
     """Energy lost in one cycle of a sine of some amplitude about a depth, in lasting contact [mJ]."""
-    _, coefficients, tau = model.split(theta)
+    stiffness, tau = model.modes(theta, depth_mm, amplitude_mm)
     phase = 2.0 * np.pi * frequency_Hz * tau
-    curved = coefficients[:, 2] if coefficients.shape[1] > 2 else np.zeros(tau.size)
-    stiffness = _stiffness(model, theta, depth_mm) + curved * amplitude_mm**2 / 4.0
     return float(np.pi * amplitude_mm**2 * (stiffness * phase / (1.0 + phase**2)).sum())
 
 
-def equilibrium_stiffness(model: KelvinVoigt, theta: FloatArray, depth_mm: float) -> tuple[float, float]:
+def equilibrium_stiffness(model: TissueModel, theta: FloatArray, depth_mm: float) -> tuple[float, float]:
     """Secant and tangent stiffness once every branch has relaxed [N/mm]."""
     force, slope = _static(model, theta, depth_mm)
     return force / depth_mm, slope
 
 
-def instantaneous_stiffness(model: KelvinVoigt, theta: FloatArray, depth_mm: float) -> tuple[float, float]:
+def instantaneous_stiffness(model: TissueModel, theta: FloatArray, depth_mm: float) -> tuple[float, float]:
     """Secant of an ideal step from rest, and tangent of a small step at rest at a depth [N/mm]."""
-    secant, tangent = equilibrium_stiffness(model, theta, depth_mm)
-    sudden = float(_stiffness(model, theta, depth_mm).sum())
-    return secant + sudden, tangent + sudden
+    _, tangent = equilibrium_stiffness(model, theta, depth_mm)
+    sudden = float(model.stiffness(theta, np.array([depth_mm])).sum())
+    return force_after_step(model, theta, depth_mm, 0.0) / depth_mm, tangent + sudden
 
 
 def delta_method(

@@ -15,10 +15,12 @@ from pkgutil import iter_modules
 from typing import Any
 
 from tissueid.model import laws
-from tissueid.model.channels import ChannelModel
+from tissueid.model.channels import ChannelModel, TissueModel
+from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.model.law import About
+from tissueid.result import ModelChoice
 
-__all__ = ["KELVIN_VOIGT", "ModelNameError", "Named", "known_laws", "parsed", "whole_names"]
+__all__ = ["KELVIN_VOIGT", "ModelNameError", "Named", "known_laws", "parsed", "rebuilt", "whole_names"]
 
 KELVIN_VOIGT = "kelvin-voigt"
 #: Degrees of K by name, as the Kelvin-Voigt law takes them.
@@ -85,6 +87,16 @@ def whole_names() -> tuple[About, ...]:
             refuses="nothing of its own",
         ),
     )
+
+
+def rebuilt(choice: ModelChoice, depth_mm: float) -> TissueModel:
+    """The contact model of a fit, for its largest depth."""
+    if choice.key == KELVIN_VOIGT:
+        return KelvinVoigt(choice.branches, choice.stiffness_degree, depth_mm)
+    if choice.range_s is None:
+        msg = f"{choice.key}: the times that its relaxation was looked at are missing"
+        raise ValueError(msg)
+    return parsed(choice.name or choice.key).model(depth_mm, *choice.range_s)
 
 
 def _law(word: str, kind: str, name: str) -> Any:

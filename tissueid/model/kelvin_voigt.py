@@ -174,6 +174,35 @@ class KelvinVoigt:
         powers = np.asarray(depth_mm)[None, :] ** np.arange(self.stiffness_degree + 1)[:, None]
         return np.asarray(stiffness @ powers)
 
+    def static_slope(self, theta: FloatArray, depth_mm: FloatArray) -> FloatArray:
+        """F_s' [N/mm]."""
+        static, _, _ = self.split(theta)
+        x = np.asarray(depth_mm)
+        return np.asarray(static[0] + x * (2.0 * static[1] + 3.0 * x * static[2]))
+
+    def times(self, theta: FloatArray) -> FloatArray:
+        """Relaxation time of each branch [s], (branches,)."""
+        return self.split(theta)[2]
+
+    def modes(
+        self, theta: FloatArray, depth_mm: float, amplitude_mm: float = 0.0
+    ) -> tuple[FloatArray, FloatArray]:
+        """Stiffness [N/mm] and time [s] of every exponential for a cycle about a depth, (branches,) each."""
+        _, coefficients, tau = self.split(theta)
+        curved = coefficients[:, 2] if coefficients.shape[1] > 2 else np.zeros(tau.size)
+        return self.stiffness(theta, np.array([depth_mm]))[:, 0] + curved * amplitude_mm**2 / 4.0, tau
+
+    def relaxing(
+        self, theta: FloatArray, depth_mm: float, time_s: FloatArray, speed_mm_s: float | None
+    ) -> FloatArray:
+        """Relaxing force at times after a ramp to a depth, or after an ideal step, (n,) -> (n,) [N]."""
+        stiffness, tau = self.modes(theta, depth_mm)
+        state = np.full(tau.size, depth_mm)
+        if speed_mm_s is not None:
+            length = speed_mm_s * tau
+            state = -length * np.expm1(-depth_mm / length)
+        return np.asarray((stiffness * state) @ np.exp(-np.asarray(time_s) / tau[:, None]))
+
     def states(self, tau: FloatArray, path: ContactPath) -> FloatArray:
         """Branch states [mm] from rest, shape (branches, n)."""
         if len(tau) == 0:
