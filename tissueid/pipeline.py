@@ -164,6 +164,7 @@ def run_provenance(
         "tissueid": __version__,
         "versions": dict(_versions()),
         "options": {
+            "model": options.fit.model,
             "branches": options.fit.branches or "auto",
             "stiffness_degree": (
                 "auto" if options.fit.stiffness_degree is None else options.fit.stiffness_degree

@@ -114,6 +114,12 @@ class ModelChoice:
     name: str = ""
     range_s: tuple[float, float] | None = None
 
+    @classmethod
+    def from_json(cls, found: Mapping[str, Any]) -> ModelChoice:
+        """A choice from the ``model`` object of the schema."""
+        ends = found.get("range_s")
+        return cls(**{**found, "range_s": None if ends is None else (float(ends[0]), float(ends[1]))})
+
     def as_json(self) -> dict[str, Any]:
         """The ``model`` object of the schema."""
         return {

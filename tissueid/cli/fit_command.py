@@ -36,12 +36,14 @@ Examples:
   tissueid fit "session 3/"*.csv --branches 2 --stiffness-degree 1
   tissueid fit lab_data/study.toml -o out
   tissueid fit meat.xlsx --json > meat.json
+  tissueid fit lab_data/ --model "polynomial * tangent * prony:2"
   tissueid fit rig/ --contact-law hertz-impact -o wall
   tissueid fit odd.csv --columns "time=t,displacement=pos,force=F" --units "force=mN"
 """
 
 #: A study of so many specimens is a cohort.
 COHORT_FROM = 5
+KELVIN_VOIGT = "kelvin-voigt"
 REQUIRED = ["viscosity", "static", "stiffness", "relaxation-time", "none"]
 
 
@@ -54,6 +56,10 @@ def _count(auto: str) -> click.Choice[str]:
 @click.option(
     "-o", "--out", type=click.Path(file_okay=False), default="tissueid-out", show_default=True,
     help="Output folder.",
+)  # fmt: skip
+@click.option(
+    "--model", metavar="NAME", default=KELVIN_VOIGT, show_default=True,
+    help="Contact model: kelvin-voigt, or STATIC * [STIFFNESS *] RELAXATION of the laws in tissueid models.",
 )  # fmt: skip
 @click.option(
     "--contact-law", type=click.Choice(LAWS), default=LAWS[0], show_default=True,
@@ -213,13 +219,34 @@ def _posterior_options(flags: dict[str, Any]) -> PosteriorOptions | None:
     )
 
 
+def _checked_model(flags: dict[str, Any]) -> None:
+    """Refuse a name that is no model, and options that this model does not take."""
+    from tissueid.model.grammar import ModelNameError, parsed
+
+    try:
+        named = parsed(flags["model"])
+    except ModelNameError as error:
+        raise UsageError(str(error)) from None
+    if named.parts is None and named.branches is None:
+        return
+    asked = [f"--{key.replace('_', '-')}" for key in ("branches", "stiffness_degree") if flags[key] != "auto"]
+    if asked:
+        msg = f"{' and '.join(asked)}: {flags['model']!r} says it already; leave one of them out"
+        raise UsageError(msg)
+    if named.parts is not None and flags.get("unloading"):
+        msg = f"--unloading follows the surface of a kelvin-voigt model, not of {flags['model']!r}"
+        raise UsageError(msg)
+
+
 def _identify_options(flags: dict[str, Any]) -> IdentifyOptions:
     from tissueid.inference.specimen import FitOptions
     from tissueid.pipeline import DEFAULT_REQUIRED, IdentifyOptions
 
     required = tuple(name for name in flags["require"] if name != "none")
+    _checked_model(flags)
     return IdentifyOptions(
         fit=FitOptions(
+            model=flags["model"],
             branches=None if flags["branches"] == "auto" else int(flags["branches"]),
             stiffness_degree=None if flags["stiffness_degree"] == "auto" else int(flags["stiffness_degree"]),
             static=flags["static"],

@@ -102,10 +102,12 @@ def print_reasons(found: Assembled, *, quiet: int) -> None:
 def _print_specimen(fit: Mapping[str, Any], shared: Sequence[str], *, verbose: int, brief: bool) -> None:
     model, logs = fit["model"], len(fit["trials"])
     branches = "1 branch" if model["branches"] == 1 else f"{model['branches']} branches"
+    law = f"{branches}, K of degree {model['stiffness_degree']}"
+    if model["key"] != "kelvin-voigt":
+        law = model["key"]
     echo()
     echo(
-        f"{fit['specimen']}  {logs} log{'s' * (logs > 1)}, {branches}, K of degree "
-        f"{model['stiffness_degree']}, {model['static_pooling']} static, "
+        f"{fit['specimen']}  {logs} log{'s' * (logs > 1)}, {law}, {model['static_pooling']} static, "
         f"NRMSD {100 * fit['nrmsd']['range']:.2f} % of range",
         bold=True,
     )

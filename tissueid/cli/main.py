@@ -27,6 +27,7 @@ __all__ = ["cli", "main", "with_verb"]
 #: Sub-command -> what it does; its module is ``tissueid.cli.<name>_command``.
 COMMANDS = {
     "fit": "Identify the tissue behind recordings: bundle, numbers, report.",
+    "models": "List the laws that contact models are made of.",
     "cohort": "Say what the specimens of a fit have in common: population, report.",
     "rupture": "Study tests to rupture: force, work, speed, and what broke the tissue.",
     "study": "Write, check, correct and publish the study file.",
@@ -61,7 +62,7 @@ BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREA
 EXIT_OUTPUT = 6
 
 #: Commands that must work whatever a configuration file says.
-UNSET = frozenset({"completion", "config", "doctor", "explain"})
+UNSET = frozenset({"completion", "config", "doctor", "explain", "models"})
 HELP = frozenset({"-h", "--help"})
 
 EPILOG = """\b

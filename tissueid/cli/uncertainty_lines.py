@@ -19,7 +19,7 @@ __all__ = ["WIDTH", "alarm_lines", "block_lines", "parameter_lines", "sampling_l
 WIDTH = 98
 #: Lines of the block: what they are of, and how the names of their parameters begin.
 _FAMILIES = (
-    ("relaxation", "relaxation_time"),
+    ("relaxation", "relaxation"),
     ("viscosity", "viscosity"),
     ("static F_s", "static"),
     ("dynamic K", "stiffness"),
@@ -33,13 +33,14 @@ def _cells(entry: Mapping[str, Any], *, intervals: bool) -> tuple[str, str, str]
 
     if entry["value"] is None:
         return "not identified", "", ""
+    unit = "" if entry["unit"] == "1" else f" {entry['unit']}"
     if "withheld" in entry["detail"]:
-        return f"{entry['value']:.4g} {entry['unit']}, no interval", "", ""
+        return f"{entry['value']:.4g}{unit}, no interval", "", ""
     if entry["ci95"] is None:
-        return f"{with_error(entry['value'], entry['stderr'])} {entry['unit']}", "", ""
+        return f"{with_error(entry['value'], entry['stderr'])}{unit}", "", ""
     ends = [*entry["ci95"], *(entry["ci95_total"] or [])]
     value, *texts = together([entry["value"], *ends], entry["sd"])
-    said = f"{value} {entry['unit']}"
+    said = f"{value}{unit}"
     if not intervals:
         return said, "", ""
     total = f"[{', '.join(texts[2:])}]" if texts[2:] else ""
@@ -67,7 +68,7 @@ def block_lines(document: Mapping[str, Any]) -> list[str]:
         unknown = [one["symbol"] for one in entries if one["value"] is None]
         parts += [f"{' '.join(unknown)} not identified"] if unknown else []
         lines += _wrapped(label, parts)
-        if window and start == "relaxation_time":
+        if window and start == "relaxation":
             lines += _wrapped("one tau", [window])
     return lines
 

@@ -34,6 +34,8 @@ PER_DECADE, BELOW, BEYOND, FOREVER = 4, 30.0, 30.0, 1e6
 TIMES_PER_DECADE, RIDGE = 16, 1e-13
 #: Points of a ramp by which an inside channel is integrated, and step of derivatives.
 RAMP_POINTS, STEP = 64, 6e-6
+#: Depths between which a static law is a line where it is convolved along a ramp.
+LOADING_POINTS = 201
 #: Negative static forces up to this share of the largest coefficient are rounding.
 PASSIVE_TOLERANCE = 1e-10
 #: Bounds and starts of the ratio of relaxing to static force.
@@ -277,6 +279,13 @@ class ChannelModel:
                 left = np.exp(-(depth_mm - deep) / (speed_mm_s * tau[:, None]))
             total += (weights * (left @ pushed)) @ np.exp(-time / tau[:, None])
         return total
+
+    def loading(self, theta: FloatArray, depth_mm: FloatArray, speed_mm_s: float) -> FloatArray:
+        """Relaxing force at ascending depths reached at constant speed from rest, (n,) -> (n,) [N]."""
+        x = np.asarray(depth_mm, dtype=np.float64)
+        fine = np.union1d(np.linspace(0.0, float(x.max()), LOADING_POINTS), x)
+        force = self.force(theta, ContactPath(fine / speed_mm_s, fine)) - self.static_force(theta, fine)
+        return np.asarray(force[np.searchsorted(fine, x)])
 
     def force(self, theta: FloatArray, path: ContactPath) -> FloatArray:
         """Force [N] along a path in permanent contact, within the identified depth."""

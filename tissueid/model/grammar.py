@@ -6,7 +6,7 @@ Laws are found in the folder :mod:`tissueid.model.laws`, a file each, and behind
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import import_module
@@ -15,12 +15,22 @@ from pkgutil import iter_modules
 from typing import Any
 
 from tissueid.model import laws
+from tissueid.model.base import ParameterSpec
 from tissueid.model.channels import ChannelModel, TissueModel
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.model.law import About
 from tissueid.result import ModelChoice
 
-__all__ = ["KELVIN_VOIGT", "ModelNameError", "Named", "known_laws", "parsed", "rebuilt", "whole_names"]
+__all__ = [
+    "KELVIN_VOIGT",
+    "ModelNameError",
+    "Named",
+    "described",
+    "known_laws",
+    "parsed",
+    "rebuilt",
+    "whole_names",
+]
 
 KELVIN_VOIGT = "kelvin-voigt"
 #: Degrees of K by name, as the Kelvin-Voigt law takes them.
@@ -90,13 +100,48 @@ def whole_names() -> tuple[About, ...]:
 
 
 def rebuilt(choice: ModelChoice, depth_mm: float) -> TissueModel:
-    """The contact model of a fit, for its largest depth."""
+    """The contact model of a fit, for its largest depth.
+
+    Raises
+    ------
+    ValueError
+        The name is of no law, or what it needs is missing.
+    """
     if choice.key == KELVIN_VOIGT:
         return KelvinVoigt(choice.branches, choice.stiffness_degree, depth_mm)
     if choice.range_s is None:
         msg = f"{choice.key}: the times that its relaxation was looked at are missing"
         raise ValueError(msg)
     return parsed(choice.name or choice.key).model(depth_mm, *choice.range_s)
+
+
+def described() -> list[dict[str, Any]]:
+    """Every law and whole name: key, kind, equation, parameters, source, purpose, what it refuses."""
+    rows = []
+    for kind in KINDS:
+        for law in known_laws().values():
+            if law.about.kind != kind:
+                continue
+            made = law()
+            specs = [*getattr(made, "coefficients", ()), *(one.spec for one in getattr(made, "shapes", ()))]
+            rows.append(_row(law.about, specs))
+    specs = [*KelvinVoigt(1, 2, 1.0).parameters]
+    return [*rows, *(_row(about, specs) for about in whole_names())]
+
+
+def _row(about: About, specs: Sequence[ParameterSpec]) -> dict[str, Any]:
+    parameters = [
+        {"name": one.name, "symbol": one.symbol, "unit": one.unit, "meaning": one.meaning} for one in specs
+    ]
+    return {
+        "key": about.key,
+        "kind": about.kind,
+        "equation": about.equation,
+        "parameters": parameters,
+        "source": about.source,
+        "purpose": about.purpose,
+        "refuses": about.refuses,
+    }
 
 
 def _law(word: str, kind: str, name: str) -> Any:

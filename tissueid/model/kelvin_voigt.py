@@ -203,6 +203,12 @@ class KelvinVoigt:
             state = -length * np.expm1(-depth_mm / length)
         return np.asarray((stiffness * state) @ np.exp(-np.asarray(time_s) / tau[:, None]))
 
+    def loading(self, theta: FloatArray, depth_mm: FloatArray, speed_mm_s: float) -> FloatArray:
+        """Relaxing force at depths reached at constant speed from rest, (n,) -> (n,) [N]."""
+        return constant_speed_force(self, theta, depth_mm, speed_mm_s=speed_mm_s) - self.static_force(
+            theta, depth_mm
+        )
+
     def states(self, tau: FloatArray, path: ContactPath) -> FloatArray:
         """Branch states [mm] from rest, shape (branches, n)."""
         if len(tau) == 0:

@@ -56,7 +56,7 @@ def members_of(
         members.append(
             Member(
                 specimen=entry["specimen"],
-                model=ModelChoice(**entry["model"]),
+                model=ModelChoice.from_json(entry["model"]),
                 depth_mm=validity["depth_mm"],
                 **_draws(posterior, most),
                 covariates=known,

@@ -82,6 +82,8 @@ def _cited(name: str) -> str:
 
 def _model_words(specimen: Mapping[str, Any]) -> str:
     model = specimen["model"]
+    if model["key"] != "kelvin-voigt":
+        return f"with the contact model {model['key']}"
     count = model["branches"]
     return (
         f"with a static force of degree {model['static_degree']} and {_NUMBERS[count]} relaxing "
@@ -92,6 +94,8 @@ def _model_words(specimen: Mapping[str, Any]) -> str:
 
 def _choice_words(specimen: Mapping[str, Any], options: Mapping[str, Any]) -> str:
     """How the number of branches and the degree of K came about."""
+    if specimen["model"]["key"] != "kelvin-voigt":
+        return "The contact model was set in advance."
     wanted = {"branches": "the number of branches", "stiffness_degree": "the degree of K"}
     free = [words for key, words in wanted.items() if options.get(key, "auto") == "auto"]
     if not free or not specimen["selection"]:

@@ -45,7 +45,7 @@ def _with_viscosity(names: Sequence[str], draws: FloatArray, depth_mm: float) ->
             for power, name in enumerate(f"stiffness_{unit}{suffix}" for unit in powers)
             if name in columns
         ]
-        if terms:
+        if terms and f"relaxation_time_s{suffix}" in columns:
             columns[f"viscosity_N_s_per_mm{suffix}"] = sum(terms) * columns[f"relaxation_time_s{suffix}"]
     return columns
 

@@ -12,7 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
+from tissueid.model.channels import TissueModel
+from tissueid.model.grammar import rebuilt
+from tissueid.result import ModelChoice
 from tissueid.store.posteriors import StoredPosterior
 
 __all__ = ["Tissue", "brief", "speed_unit", "tissue_of"]
@@ -43,39 +45,27 @@ class Tissue:
 
     Attributes
     ----------
-    model : KelvinVoigt
+    model : TissueModel
     theta : ndarray, shape (p,)
     draws : ndarray, shape (n, p), or None
         Of the total posterior where there is one, else of the statistical one; ``None``: nothing was sampled.
     """
 
-    model: KelvinVoigt
+    model: TissueModel
     theta: FloatArray
     draws: FloatArray | None
 
-    def _branches(self, thetas: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Coefficients of K (n, branches, degree + 1) and relaxation times (n, branches)."""
-        parts = thetas[:, STATIC_DEGREE:].reshape(len(thetas), self.model.branches, self.model.block)
-        return parts[..., :-1], parts[..., -1]
-
     def static(self, thetas: FloatArray, depth_mm: FloatArray) -> FloatArray:
         """F_s [N] of several thetas, shape (n, depths)."""
-        powers = depth_mm[None, :] ** np.arange(1.0, STATIC_DEGREE + 1)[:, None]
-        return np.asarray(thetas[:, :STATIC_DEGREE] @ powers)
+        return np.stack([self.model.static_force(theta, depth_mm) for theta in thetas])
 
     def stiffness(self, thetas: FloatArray, depth_mm: FloatArray) -> FloatArray:
-        """Sum of K_j [N/mm] of several thetas, shape (n, depths)."""
-        coefficients, _ = self._branches(thetas)
-        powers = depth_mm[None, :] ** np.arange(coefficients.shape[-1])[:, None]
-        return np.asarray(coefficients.sum(axis=1) @ powers)
+        """Stiffness that relaxes [N/mm] of several thetas, shape (n, depths)."""
+        return np.stack([self.model.stiffness(theta, depth_mm).sum(axis=0) for theta in thetas])
 
     def dynamic(self, thetas: FloatArray, depth_mm: FloatArray, speed_mm_s: float) -> FloatArray:
-        """Force of the branches in loading at constant speed from rest [N], shape (n, depths)."""
-        coefficients, tau = self._branches(thetas)
-        powers = depth_mm[None, :] ** np.arange(coefficients.shape[-1])[:, None]
-        length = speed_mm_s * tau[..., None]
-        states = -length * np.expm1(-depth_mm[None, None, :] / length)
-        return np.asarray(((coefficients @ powers) * states).sum(axis=1))
+        """Relaxing force in loading at constant speed from rest [N], shape (n, depths)."""
+        return np.stack([self.model.loading(theta, depth_mm, speed_mm_s) for theta in thetas])
 
     def force(self, thetas: FloatArray, depth_mm: FloatArray, speed_mm_s: float) -> FloatArray:
         """Force in loading at constant speed from rest [N], shape (n, depths)."""
@@ -91,11 +81,7 @@ def tissue_of(specimen: Mapping[str, Any], stored: StoredPosterior | None) -> Ti
     stored : StoredPosterior or None
     """
     choice = specimen["model"]
-    model = KelvinVoigt(
-        branches=choice["branches"],
-        stiffness_degree=choice["stiffness_degree"],
-        depth_mm=specimen["validity"]["depth_mm"],
-    )
+    model = rebuilt(ModelChoice.from_json(choice), specimen["validity"]["depth_mm"])
     known = {entry["name"]: entry for entry in specimen["parameters"]}
     values = [
         known[name]["detail"].get("estimate", known[name]["value"]) if name in known else None

@@ -22,6 +22,7 @@ _KINDS = {
     "static": "Static",
     "stiffness": "Dynamic",
     "viscosity": "Viscosity",
+    "relaxation": "Relaxation",
 }
 _INTERVALS = {"ci95": "95 % statistical", "ci95_total": "95 % total"}
 _FOLD = ("b_0", "b_0 + b_1 x", "b_0 + b_1 x + b_2 x²")

@@ -252,7 +252,7 @@ def bundle_of_document(document: Mapping[str, Any], arrays: Mapping[str, FloatAr
     slowest, fastest = validity["speeds_mm_s"]
     return Bundle(
         specimen=document["specimen"],
-        model=ModelChoice(**document["model"]),
+        model=ModelChoice.from_json(document["model"]),
         theta_names=tuple(document["theta_names"]),
         theta=arrays["theta"],
         covariance=arrays["covariance"],

@@ -16,7 +16,7 @@ from tissueid.rupture_law import RuptureLaw
 from tissueid.trial import Axes
 
 if TYPE_CHECKING:
-    from tissueid.model import ContactModel
+    from tissueid.model.channels import TissueModel
 
 __all__ = ["ARRAYS", "BUNDLE_FORMAT", "BUNDLE_SCHEMA_VERSION", "OPTIONAL", "UNITS", "Bundle"]
 
@@ -95,16 +95,11 @@ class Bundle(Shown):
         """Whether its draws are specimens of a population, and not what is known of one."""
         return self.population_mean is not None
 
-    def contact_model(self) -> ContactModel:
+    def contact_model(self) -> TissueModel:
         """Build the contact model these parameters belong to, as it was fitted."""
-        from tissueid.model import build_model
+        from tissueid.model.grammar import rebuilt
 
-        return build_model(
-            self.model.key,
-            branches=self.model.branches,
-            stiffness_degree=self.model.stiffness_degree,
-            depth_mm=self.depth_mm,
-        )
+        return rebuilt(self.model, self.depth_mm)
 
     def require_renderable(self) -> None:
         """Check that a device could render this tissue.

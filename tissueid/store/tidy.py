@@ -2,8 +2,8 @@
 
 CSV after RFC 4180 in UTF-8: comma, decimal point, CRLF, quotes where needed; an empty cell is "not known",
 and a parameter that the data do not determine is empty with ``FALSE`` beside it.  Units stand in the column
-names.  Columns and their order do not depend on the data, but for the parameters of a second and third
-branch.
+names.  Columns and their order do not depend on the data, but for the parameters of further branches and of
+other laws.
 """
 
 from __future__ import annotations
@@ -160,9 +160,10 @@ def _codes(*parts: Iterable[Mapping[str, Any]]) -> list[str]:
 
 
 def _parameter_names(document: Mapping[str, Any]) -> list[str]:
-    most = max((specimen["model"]["branches"] for specimen in document["specimens"]), default=1)
+    most = min(max((specimen["model"]["branches"] for specimen in document["specimens"]), default=1), 3)
     branches = [f"{name}_b{branch}" for branch in range(2, most + 1) for name in _BRANCH_PARAMETERS]
-    return [*_PARAMETERS, *branches]
+    seen = (one["name"] for specimen in document["specimens"] for one in specimen["parameters"])
+    return list(dict.fromkeys([*_PARAMETERS, *branches, *seen]))
 
 
 def _specimen_columns(document: Mapping[str, Any]) -> list[str]:

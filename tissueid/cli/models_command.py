@@ -1,0 +1,76 @@
+"""``tissueid models``."""
+
+from __future__ import annotations
+
+from textwrap import wrap
+from typing import Any
+
+import click
+
+from tissueid.cli.output import echo, echo_json, echo_lines, output_options
+from tissueid.errors import UsageError
+
+__all__ = ["command"]
+
+WIDTH, MARGIN = 98, 16
+
+EPILOG = """\b
+Examples:
+  tissueid models
+  tissueid models fractional
+  tissueid models --json
+  tissueid fit lab_data/ --model "power * fractional"
+"""
+
+
+@click.command("models", epilog=EPILOG)
+@click.argument("names", nargs=-1, metavar="[NAME]...")
+@output_options
+def command(**flags: Any) -> int:
+    """List the laws that contact models are made of, for fit --model.
+
+    A model is kelvin-voigt, or STATIC * [STIFFNESS *] RELAXATION; NAME is the word of one law. Laws of other
+    packages are found behind the entry point tissueid.models.
+    """
+    from tissueid.model.grammar import described
+
+    rows = described()
+    if flags["names"]:
+        known = {row["key"]: row for row in rows}
+        missing = [name for name in flags["names"] if name not in known]
+        if missing:
+            msg = f"no law {missing[0]!r}; there are {', '.join(known)}"
+            raise UsageError(msg)
+        rows = [known[name] for name in flags["names"]]
+    if flags["as_json"]:
+        echo_json(rows)
+    elif not flags["quiet"]:
+        (_each if flags["names"] else _table)(rows)
+    return 0
+
+
+def _table(rows: list[dict[str, Any]]) -> None:
+    """One line a law, under its kind."""
+    kind = ""
+    for row in rows:
+        if row["kind"] != kind:
+            kind = row["kind"]
+            echo(f"{kind}:")
+        echo(f"  {row['key']:<{MARGIN - 4}}  {row['equation']}")
+
+
+def _each(rows: list[dict[str, Any]]) -> None:
+    """Everything of some laws."""
+    for position, row in enumerate(rows):
+        if position:
+            echo()
+        echo(f"{row['key']} ({row['kind']}): {row['equation']}")
+        names = ", ".join(f"{one['symbol']} [{one['unit']}]" for one in row["parameters"])
+        for label, text in (
+            ("parameters", names or "none of its own"),
+            ("for", row["purpose"]),
+            ("refuses", row["refuses"]),
+            ("source", f"doi {row['source']}" if row["source"][:3] == "10." else row["source"]),
+        ):
+            first = f"  {label + ':':<{MARGIN - 2}}"
+            echo_lines(wrap(text, WIDTH, initial_indent=first, subsequent_indent=" " * MARGIN))
