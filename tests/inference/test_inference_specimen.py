@@ -36,8 +36,8 @@ def test_tissue_is_identified_and_says_how(static):
     found = fit(small, static=static)
     assert found.specimen == "knee"
     assert found.model.as_json() == {
-        "key": "kelvin-voigt", "branches": 1, "static_degree": 3, "stiffness_degree": 0,
-        "static_pooling": static,
+        "key": "kelvin-voigt", "name": "kelvin-voigt", "range_s": None, "branches": 1,
+        "static_degree": 3, "stiffness_degree": 0, "static_pooling": static,
     }  # fmt: skip
     named = by_name(found)
     for name, truth in (

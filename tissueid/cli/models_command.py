@@ -19,7 +19,6 @@ Examples:
   tissueid models
   tissueid models fractional
   tissueid models --json
-  tissueid fit lab_data/ --model "power * fractional"
 """
 
 

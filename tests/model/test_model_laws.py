@@ -1,0 +1,203 @@
+"""Every registered law: its name, its slope, its relaxation on nodes, against references written here."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.special import exp1
+
+from tissueid.model import ContactPath
+from tissueid.model.base import scaled_theta
+from tissueid.model.channels import nodes_for
+from tissueid.model.grammar import KELVIN_VOIGT, ModelNameError, described, known_laws, parsed, rebuilt
+from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.result import ModelChoice
+
+RESOLUTION, WINDOW = 0.01, 30.0
+STATIC = [key for key, law in known_laws().items() if law.about.kind == "static"]
+RELAXATIONS = [
+    key
+    for key, law in known_laws().items()
+    if law.about.kind == "relaxation" and key not in {"prony", "spectrum"}
+]
+TIMES = (0.003, 0.05, 1.0, 20.0, 300.0)
+
+
+def mittag_leffler(alpha: float, x: float) -> float:
+    """E_alpha(-x) by its power series where that converges well, by its integral elsewhere."""
+    if x < 1.0:
+        return sum((-x) ** k / math.gamma(alpha * k + 1.0) for k in range(120))
+    ln_t = math.log(x) / alpha
+
+    def integrand(w: float) -> float:
+        decay = math.exp(-math.exp(min(w / alpha + ln_t, 7.0)))
+        return decay / (2.0 * math.cosh(w) + 2.0 * math.cos(alpha * math.pi))
+
+    ends = [-40.0, min(-alpha * ln_t, 39.0), 40.0]
+    value = sum(quad(integrand, a, b, limit=400)[0] for a, b in itertools.pairwise(ends))
+    return value * math.sin(alpha * math.pi) / (math.pi * alpha)
+
+
+CLOSED = {
+    "power-law": lambda t, tau, alpha: (1.0 + t / tau) ** -alpha,
+    "stretched": lambda t, tau, beta: math.exp(-((t / tau) ** beta)),
+    "fractional": lambda t, tau, alpha: mittag_leffler(alpha, (t / tau) ** alpha) if t > 0.0 else 1.0,
+    "fung": lambda t, tau, span: (
+        1.0 if t == 0.0 else (exp1(t / (tau * span)) - exp1(t / tau)) / math.log(span)
+    ),
+    "poroelastic": lambda t, tau: (
+        0.491 * math.exp(-0.908 * math.sqrt(t / tau)) + 0.509 * math.exp(-1.679 * t / tau)
+    ),
+}
+
+
+def shapes_of(law):
+    """Ends and starts of every shape but the time."""
+    return list(itertools.product(*[(one.spec.lower, *one.starts, one.spec.upper) for one in law.shapes[1:]]))
+
+
+@pytest.mark.parametrize("key", RELAXATIONS)
+def test_a_relaxation_is_its_closed_form(key):
+    law = known_laws()[key]()
+    times = [0.0, *np.logspace(-2.0, 2.0, 9)]
+    for tau in (0.05, 1.0, 20.0):
+        for shape in shapes_of(law):
+            expected = [CLOSED[key](t, tau, *shape) for t in times]
+            np.testing.assert_allclose(law.value(np.array(times), tau, *shape), expected, atol=2e-5)
+
+
+@pytest.mark.parametrize("key", RELAXATIONS)
+def test_nodes_hold_a_relaxation_from_the_resolution_to_ten_windows(key):
+    law, nodes = known_laws()[key](), nodes_for(RESOLUTION, WINDOW)
+    times = np.append(0.0, np.geomspace(RESOLUTION, 10.0 * WINDOW, 300))
+    for tau in TIMES:
+        for shape in shapes_of(law):
+            weights = nodes.project @ law.value(nodes.time_s, tau, *shape)
+            found = weights @ np.exp(-times / nodes.tau_s[:, None])
+            assert np.abs(found - law.value(times, tau, *shape)).max() < 1e-4, (tau, shape)
+
+
+@pytest.mark.parametrize("key", STATIC)
+def test_a_static_law_has_its_slope_and_no_force_at_the_surface(key):
+    law = known_laws()[key]()
+    x = np.linspace(0.2, 9.0, 40)
+    for shape in itertools.product(*[(*one.starts,) for one in law.shapes]):
+        step = 1e-6
+        expected = (law.basis(x + step, *shape) - law.basis(x - step, *shape)) / (2.0 * step)
+        np.testing.assert_allclose(law.slope(x, *shape), expected, rtol=1e-6)
+        assert np.abs(law.basis(np.zeros(1), *shape)).max() == 0.0
+        assert law.basis(x, *shape).shape == (len(law.coefficients), x.size)
+
+
+def test_every_law_is_described_and_has_its_source():
+    rows = described()
+    assert {row["kind"] for row in rows} == {"static", "stiffness", "relaxation", "whole"}
+    assert KELVIN_VOIGT in {row["key"] for row in rows}
+    for row in rows:
+        assert row["source"].startswith("10."), row["key"]
+        assert all(row[key] for key in ("equation", "purpose", "refuses")), row["key"]
+
+
+@pytest.mark.parametrize(
+    ("name", "branches", "degree"),
+    [
+        ("polynomial * prony", 1, 0),
+        ("polynomial:3*linear*prony:3", 3, 1),
+        (" polynomial *quadratic* prony:2 ", 2, 2),
+    ],
+)
+def test_names_of_the_papers_law_are_that_law(name, branches, degree):
+    found = parsed(name)
+    assert (found.branches, found.degree, found.parts) == (branches, degree, None)
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("", "is no model"),
+        ("polynomial", "is no model"),
+        ("a * b * c * d", "is no model"),
+        ("cubic * prony", "no static law 'cubic'; there are"),
+        ("prony * polynomial", "no static law 'prony'"),
+        ("polynomial * stiff * prony", "no stiffness law 'stiff'"),
+        ("polynomial * tangent * maxwell", "no relaxation law 'maxwell'"),
+        ("polynomial:7 * prony", "degree 7"),
+        ("power * prony:9", "9 branches"),
+        ("power * prony:x", "takes a number"),
+        ("hertz:2 * prony", "takes no argument"),
+        ("power * tangent * spectrum", "has a stiffness at each time"),
+    ],
+)
+def test_a_name_that_is_none_says_what_there_is(name, says):
+    with pytest.raises(ModelNameError, match=says):
+        parsed(name)
+
+
+def model(name: str):
+    return parsed(name).model(8.0, RESOLUTION, WINDOW)
+
+
+def test_parts_of_the_papers_law_give_its_force():
+    """The same parameters by :class:`KelvinVoigt` and by their parts."""
+    static, stiffness, relaxation = (known_laws()[key]() for key in ("polynomial", "linear", "prony"))
+    from tissueid.model.channels import ChannelModel
+
+    parts = ChannelModel(static, stiffness, relaxation, 8.0, RESOLUTION, WINDOW, "x")
+    whole = KelvinVoigt(1, 1, 8.0)
+    assert parts.parameter_names == whole.parameter_names
+    theta = np.array([20.0, -1.2, 0.35, 30.0, 4.0, 0.4])
+    time = np.concatenate([np.linspace(0.0, 2.0, 201), np.linspace(2.01, 10.0, 400)])
+    path = ContactPath(time, np.minimum(4.0 * time, 8.0))
+    np.testing.assert_allclose(parts.force(theta, path), whole.force(theta, path), rtol=1e-12)
+    at = np.array([0.0, 0.5, 3.0])
+    for speed in (None, 4.0):
+        np.testing.assert_allclose(
+            parts.relaxing(theta, 6.0, at, speed), whole.relaxing(theta, 6.0, at, speed), rtol=1e-10
+        )
+    np.testing.assert_allclose(parts.jacobian(theta, path), whole.jacobian(theta, path), rtol=2e-5, atol=1e-5)
+
+
+def test_inside_the_convolution_the_relaxed_force_is_that_of_the_integral():
+    law = model("polynomial * tangent * prony")
+    theta = np.array([20.0, -1.2, 0.35, 1.5, 0.4])
+    speed, depth = 4.0, 6.0
+
+    def rate(y: float) -> float:
+        return 1.5 * (20.0 - 2.4 * y + 1.05 * y * y) * math.exp(-(depth - y) / (speed * 0.4))
+
+    expected, _ = quad(rate, 0.0, depth)
+    assert law.relaxing(theta, depth, np.zeros(1), speed)[0] == pytest.approx(expected, rel=1e-9)
+    time = np.linspace(0.0, depth / speed, 4001)
+    force = law.force(theta, ContactPath(time, speed * time))[-1]
+    assert force - law.static_force(theta, np.array([depth]))[0] == pytest.approx(expected, rel=1e-6)
+
+
+def test_gains_of_the_machine_scale_by_units():
+    law = model("power * linear * fractional")
+    theta = np.array([[10.0, 1.5, 30.0, 4.0, 0.4, 0.5]])
+    found = scaled_theta(law.parameters, theta, np.array([2.0]), np.array([1.1]))[0]
+    np.testing.assert_allclose(found, [5.0 * 1.1**1.5, 1.5, 15.0 * 1.1, 2.0 * 1.1**2, 0.4, 0.5])
+
+
+def test_a_model_is_rebuilt_from_what_a_file_holds():
+    choice = ModelChoice("power*fung", 1, 1, 0, "scaled", "power*fung", (RESOLUTION, WINDOW))
+    again = rebuilt(ModelChoice.from_json(choice.as_json()), 8.0)
+    assert again == model("power*fung")
+    assert rebuilt(ModelChoice("kelvin-voigt", 2, 3, 1, "scaled"), 8.0) == KelvinVoigt(2, 1, 8.0)
+    with pytest.raises(ValueError, match="are missing"):
+        rebuilt(ModelChoice("power*fung", 1, 1, 0, "scaled", "power*fung"), 8.0)
+
+
+@pytest.mark.parametrize("theta", [[-1.0, 1.5, 30.0, 0.4], [10.0, 1.5, -30.0, 0.4], [10.0, 1.5, 30.0, -0.4]])
+def test_what_would_put_out_energy_is_not_passive(theta):
+    law = model("power * prony")
+    assert law.is_passive(np.array([10.0, 1.5, 30.0, 0.4]))
+    assert not law.is_passive(np.array(theta))
+    falling = np.array([20.0, -6.0, 0.45, 1.5, 0.4])
+    inside = model("polynomial * tangent * prony")
+    assert inside.static_force(falling, np.linspace(0.1, 8.0, 50)).min() > 0.0
+    assert not inside.is_passive(falling)
