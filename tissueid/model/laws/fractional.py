@@ -30,12 +30,12 @@ class Fractional:
         equation="R = E_alpha(-(t / tau)^alpha)",
         source="10.1142/p614",
         purpose="a springpot (fractional Zener): two parameters for decades of relaxation",
-        refuses="orders beyond 0.05 to 0.95",
+        refuses="orders beyond 0.1 to 0.95",
     )
     shapes: ClassVar[tuple[Shape, ...]] = (
         Shape(ParameterSpec("relaxation_time_s", "tau", "s", 0.0, np.inf, "time of the springpot")),
         Shape(
-            ParameterSpec("relaxation_exponent", "alpha", "1", 0.05, 0.95, "order of the derivative"),
+            ParameterSpec("relaxation_exponent", "alpha", "1", 0.1, 0.95, "order of the derivative"),
             (0.3, 0.6, 0.9),
         ),
     )
