@@ -24,7 +24,7 @@ from tissueid.model.kernels import branch_state
 from tissueid.model.law import RelaxationLaw, Shape, StaticLaw, StiffnessLaw
 from tissueid.model.polynomial import minimum_on_unit
 
-__all__ = ["ChannelModel", "Nodes", "Part", "TissueModel", "viscous"]
+__all__ = ["ChannelModel", "Nodes", "Part", "TissueModel", "loading_force", "viscous"]
 
 FloatArray = NDArray[np.float64]
 
@@ -334,6 +334,14 @@ class ChannelModel:
 
 #: Contact models of a tissue.
 TissueModel = KelvinVoigt | ChannelModel
+
+
+def loading_force(
+    model: TissueModel, theta: FloatArray, depth_mm: FloatArray, *, speed_mm_s: float
+) -> FloatArray:
+    """Force at depths reached at constant speed from rest, (n,) -> (n,) [N]."""
+    x = np.asarray(depth_mm, dtype=np.float64)
+    return np.asarray(model.static_force(theta, x) + model.loading(theta, x, speed_mm_s))
 
 
 def viscous(model: TissueModel) -> bool:

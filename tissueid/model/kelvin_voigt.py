@@ -205,9 +205,11 @@ class KelvinVoigt:
 
     def loading(self, theta: FloatArray, depth_mm: FloatArray, speed_mm_s: float) -> FloatArray:
         """Relaxing force at depths reached at constant speed from rest, (n,) -> (n,) [N]."""
-        return constant_speed_force(self, theta, depth_mm, speed_mm_s=speed_mm_s) - self.static_force(
-            theta, depth_mm
-        )
+        _, _, tau = self.split(theta)
+        x = np.asarray(depth_mm)
+        length = speed_mm_s * tau[:, None]
+        states = -length * np.expm1(-x[None, :] / length)
+        return np.asarray((self.stiffness(theta, x) * states).sum(axis=0))
 
     def states(self, tau: FloatArray, path: ContactPath) -> FloatArray:
         """Branch states [mm] from rest, shape (branches, n)."""
@@ -329,11 +331,7 @@ def constant_speed_force(
 
     ``F = F_s(x) + sum_j K_j(x) v tau_j (1 - exp(-x / (v tau_j)))``.
     """
-    _, _, tau = model.split(theta)
-    x = np.asarray(depth_mm)
-    length = speed_mm_s * tau[:, None]
-    states = -length * np.expm1(-x[None, :] / length)
-    return np.asarray(model.static_force(theta, x) + (model.stiffness(theta, x) * states).sum(axis=0))
+    return model.static_force(theta, depth_mm) + model.loading(theta, depth_mm, speed_mm_s)
 
 
 def ramp_hold_state(time_s: FloatArray, *, speed_mm_s: float, depth_mm: float, tau_s: float) -> FloatArray:

@@ -24,10 +24,13 @@ from tissueid.compiled import kernel, tick_kernel, tick_part
 
 __all__ = [
     "LAW_SIZE",
+    "MOST_BRANCHES",
+    "MOST_PIECES",
     "STATE_SIZE",
     "branch_sensitivity",
     "branch_state",
     "pack_law",
+    "pack_pieces",
     "step_weights",
     "surface_path",
     "tissue_step",
@@ -129,24 +132,31 @@ def branch_sensitivity(time_s: FloatArray, depth_mm: FloatArray, tau: float) -> 
 
 
 # -- the law as one flat block --------------------------------------------------------------------
-LAW_SIZE = 18
+LAW_SIZE = 116
+MOST_BRANCHES = 12
+MOST_PIECES = 16
 _DEPTH = 0
 _BRANCHES = 1
-_STATIC = 2
+#: Pieces of F_s, cubic each: piece i begins at depth (i / pieces)^2.
+_PIECES = 2
+#: 1 where the static force is what the branches follow, 0 where it is the depth.
+_INSIDE = 3
+_STATIC = 4
 _STATIC_SIZE = 4
-_STIFFNESS = 6
+_STIFFNESS = 68
 #: Coefficients of K kept a branch, constant first; a lower degree has zeros.
 _STIFFNESS_SIZE = 3
-_TAU = 15
-_MOST_BRANCHES = 3
+_TAU = 104
 
 # -- what a tissue remembers ----------------------------------------------------------------------
-STATE_SIZE = 10
+STATE_SIZE = 38
 _SURFACE = 0
-_STATES = 1
-#: Room of one step: states decayed over it, and their gain by the surface's motion.
-_DECAYED = 4
-_GAIN = 7
+#: What the branches follow, at the surface: the depth [mm] or the static force [N].
+_DRIVER = 1
+_STATES = 2
+#: Room of one step: states decayed over it, and their gain by the driver's motion.
+_DECAYED = 14
+_GAIN = 26
 
 
 @tick_part
@@ -169,19 +179,42 @@ def _continued(block: FloatArray, at: int, size: int, x: float, depth: float) ->
 
 
 @tick_part
+def _static(law: FloatArray, at: int, x: float) -> tuple[float, float]:
+    """F_s and its slope, piece by piece, continued beyond the depth with its end slope, not below 0."""
+    depth = law[at + _DEPTH]
+    pieces = int(law[at + _PIECES])
+    if pieces == 1:
+        return _continued(law, at + _STATIC, _STATIC_SIZE, x, depth)
+    inside = min(max(x, 0.0), depth)
+    piece = min(int(pieces * math.sqrt(inside / depth)), pieces - 1)
+    start = depth * (piece / pieces) * (piece / pieces)
+    end = depth * ((piece + 1) / pieces) * ((piece + 1) / pieces)
+    value, slope = _continued(
+        law, at + _STATIC + piece * _STATIC_SIZE, _STATIC_SIZE, inside - start, end - start
+    )
+    if x > depth:
+        slope = max(slope, 0.0)
+        value += slope * (x - depth)
+    return value, slope
+
+
+@tick_part
 def _following_force(
     law: FloatArray, at: int, state: FloatArray, first: int, y: float
 ) -> tuple[float, float]:
     """Force on a surface that moves linearly to ``y`` in this step, and its slope by y."""
     depth = law[at + _DEPTH]
-    force, slope = _continued(law, at + _STATIC, _STATIC_SIZE, y, depth)
-    moved = y - state[first + _SURFACE]
+    force, slope = _static(law, at, y)
+    driver, rate = y, 1.0
+    if law[at + _INSIDE] > 0.0:
+        driver, rate = force, slope
+    moved = driver - state[first + _DRIVER]
     for j in range(int(law[at + _BRANCHES])):
         gain = state[first + _GAIN + j]
         elongation = state[first + _DECAYED + j] + gain * moved
         k, dk = _continued(law, at + _STIFFNESS + j * _STIFFNESS_SIZE, _STIFFNESS_SIZE, y, depth)
         force += k * elongation
-        slope += dk * elongation + k * gain
+        slope += dk * elongation + k * gain * rate
     return force, slope
 
 
@@ -236,8 +269,8 @@ def tissue_step_in(law: FloatArray, at: int, state: FloatArray, first: int, x: f
         Holds what :func:`pack_law` wrote, from index ``at``.
     at : int
     state : ndarray
-        Holds :data:`STATE_SIZE` numbers from index ``first``: the surface [mm], the branch states [mm],
-        and room to work in; all zero at rest.  **Updated in place.**
+        Holds :data:`STATE_SIZE` numbers from index ``first``: the surface [mm], what the branches follow
+        there, the branch states, and room to work in; all zero at rest.  **Updated in place.**
     first : int
     x : float
         Tool position at the end of the step [mm]; negative is in air.
@@ -259,11 +292,15 @@ def tissue_step_in(law: FloatArray, at: int, state: FloatArray, first: int, x: f
     y = target
     if force < 0.0 and n > 0:
         y = _force_free_surface(law, at, state, first, target)
-    moved = y - state[first + _SURFACE]
+    driver = y
+    if law[at + _INSIDE] > 0.0:
+        driver, _slope = _static(law, at, y)
+    moved = driver - state[first + _DRIVER]
     for j in range(n):
         elongation = state[first + _DECAYED + j] + state[first + _GAIN + j] * moved
         state[first + _STATES + j] = elongation if abs(elongation) >= FLUSH_MM else 0.0
     state[first + _SURFACE] = y
+    state[first + _DRIVER] = driver
     # a tool in air touches nothing, even where rounding leaves a force at the rest level
     return max(force, 0.0) if x >= 0.0 else 0.0
 
@@ -278,7 +315,7 @@ def pack_law(
     static : ndarray, shape (4,)
         Coefficients of F_s by powers of x, constant term first (0) [N/mm^k].
     stiffness : ndarray, shape (branches, degree + 1)
-        Coefficients of K_j by powers of x [N/mm^(k+1)]; at most 3 branches, degree at most 2.
+        Coefficients of K_j by powers of x [N/mm^(k+1)]; at most :data:`MOST_BRANCHES`, degree at most 2.
     tau : ndarray, shape (branches,)
         Relaxation times [s].
     depth : float
@@ -291,12 +328,30 @@ def pack_law(
         law[at + k] = 0.0
     law[at + _DEPTH] = depth
     law[at + _BRANCHES] = tau.size
+    law[at + _PIECES] = 1.0
     for k in range(_STATIC_SIZE):
         law[at + _STATIC + k] = static[k]
-    for j in range(min(tau.size, _MOST_BRANCHES)):
+    for j in range(min(tau.size, MOST_BRANCHES)):
         law[at + _TAU + j] = tau[j]
         for k in range(stiffness.shape[1]):
             law[at + _STIFFNESS + j * _STIFFNESS_SIZE + k] = stiffness[j, k]
+
+
+def pack_pieces(law: FloatArray, at: int, pieces: FloatArray, *, inside: bool) -> None:
+    """Write a static law by pieces over one that :func:`pack_law` wrote.
+
+    Parameters
+    ----------
+    law : ndarray
+    at : int
+    pieces : ndarray, shape (n, 4)
+        Cubic of each piece by powers of the distance from its beginning, at most :data:`MOST_PIECES`.
+    inside : bool
+        The branches follow the static force, their stiffness being a ratio to it.
+    """
+    law[at + _PIECES] = len(pieces)
+    law[at + _INSIDE] = float(inside)
+    law[at + _STATIC : at + _STATIC + pieces.size] = pieces.ravel()
 
 
 #: For compiled callers; writing one law from Python is not worth setting numba up for.
@@ -336,6 +391,7 @@ def tissue_step(
     _pack_law(static, stiffness, tau, depth, law, 0)
     state = np.zeros(STATE_SIZE)
     state[_SURFACE] = surface
+    state[_DRIVER] = surface
     for j in range(states.size):
         state[_STATES + j] = states[j]
     force = tissue_step_in(law, 0, state, 0, x, h)
@@ -375,7 +431,8 @@ def surface_path(
     state = np.zeros(STATE_SIZE)
     surface[0] = max(tool_mm[0], 0.0)
     state[_SURFACE] = surface[0]
-    force[0] = _continued(law, _STATIC, _STATIC_SIZE, surface[0], depth)[0] if tool_mm[0] >= 0.0 else 0.0
+    state[_DRIVER] = surface[0]
+    force[0] = _static(law, 0, surface[0])[0] if tool_mm[0] >= 0.0 else 0.0
     for i in range(1, n):
         force[i] = tissue_step_in(law, 0, state, 0, tool_mm[i], time_s[i] - time_s[i - 1])
         surface[i] = state[_SURFACE]

@@ -18,8 +18,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.model.channels import TissueModel
 from tissueid.model.scaling import Scaling
+from tissueid.model.servo_law import servo_law
 
 __all__ = ["DEFAULT_DELAY_TICKS", "damping_bound", "required_damping"]
 
@@ -85,7 +86,7 @@ def damping_bound(
 
 
 def required_damping(
-    model: KelvinVoigt,
+    model: TissueModel,
     theta: FloatArray,
     scaling: Scaling,
     *,
@@ -96,9 +97,7 @@ def required_damping(
 
     The tissue is linearised at rest at depths over [0, depth_mm]; the largest need counts.
     """
-    static, _, tau = model.split(theta)
-    x = np.linspace(0.0, model.depth_mm, DEPTHS)
-    slope = static[0] + x * (2.0 * static[1] + 3.0 * x * static[2])
-    stiffness = model.stiffness(theta, x)
+    law, x = servo_law(model, theta), np.linspace(0.0, model.depth_mm, DEPTHS)
+    slope, stiffness, tau = model.static_slope(theta, x), law.linearised(model, theta, x), law.tau_s
     factor = scaling.force / scaling.motion * N_PER_MM_TO_N_PER_M
     return damping_bound(slope * factor, stiffness * factor, tau, period_s=period_s, delay_ticks=delay_ticks)

@@ -13,6 +13,7 @@ from tissueid.compiled import tick_part
 from tissueid.model.kernels import (
     _BRANCHES,
     _DEPTH,
+    _PIECES,
     _STATES,
     _STATIC,
     _STATIC_SIZE,
@@ -20,6 +21,7 @@ from tissueid.model.kernels import (
     _STIFFNESS_SIZE,
     _SURFACE,
     _continued,
+    _static,
 )
 
 __all__ = ["static_force_in", "stored_energy_in"]
@@ -33,7 +35,7 @@ NEAR, FAR = (1.0 - 3.0**-0.5) / 2.0, (1.0 + 3.0**-0.5) / 2.0
 @tick_part
 def static_force_in(law: FloatArray, at: int, state: FloatArray, first: int) -> float:
     """F_s at the surface [N]; ``law``, ``at``, ``state``, ``first`` as of ``tissue_step_in``."""
-    value, _slope = _continued(law, at + _STATIC, _STATIC_SIZE, state[first + _SURFACE], law[at + _DEPTH])
+    value, _slope = _static(law, at, state[first + _SURFACE])
     return value
 
 
@@ -43,11 +45,18 @@ def stored_energy_in(law: FloatArray, at: int, state: FloatArray, first: int) ->
     depth = law[at + _DEPTH]
     x = state[first + _SURFACE]
     inside = min(x, depth)
-    energy = 0.0
-    for k in range(_STATIC_SIZE - 1, -1, -1):
-        energy = (energy + law[at + _STATIC + k] / (k + 1.0)) * inside
+    energy, pieces = 0.0, int(law[at + _PIECES])
+    for piece in range(pieces):
+        start = depth * (piece / pieces) * (piece / pieces)
+        end = depth * ((piece + 1) / pieces) * ((piece + 1) / pieces)
+        width, part = min(inside, end) - start, 0.0
+        if width <= 0.0:
+            break
+        for k in range(_STATIC_SIZE - 1, -1, -1):
+            part = (part + law[at + _STATIC + piece * _STATIC_SIZE + k] / (k + 1.0)) * width
+        energy += part
     if x > depth:
-        force, slope = _continued(law, at + _STATIC, _STATIC_SIZE, depth, depth)
+        force, slope = _static(law, at, depth)
         beyond = x - depth
         energy += (force + 0.5 * max(slope, 0.0) * beyond) * beyond
     for j in range(int(law[at + _BRANCHES])):

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.model.kelvin_voigt import KelvinVoigt, constant_speed_force
+from tissueid.model.channels import TissueModel, loading_force
 
 __all__ = ["Scaling", "largest_tangent", "scaling_for"]
 
@@ -47,16 +47,14 @@ class Scaling:
     peak_force_N: float
 
 
-def largest_tangent(model: KelvinVoigt, theta: FloatArray) -> float:
+def largest_tangent(model: TissueModel, theta: FloatArray) -> float:
     """Largest instantaneous stiffness F_s' + sum K_j on [0, depth] [N/mm]."""
     x = np.linspace(0.0, model.depth_mm, GRID)
-    static, _, _ = model.split(theta)
-    slope = static[0] + x * (2.0 * static[1] + 3.0 * x * static[2])
-    return float((slope + model.stiffness(theta, x).sum(axis=0)).max())
+    return float((model.static_slope(theta, x) + model.stiffness(theta, x).sum(axis=0)).max())
 
 
 def scaling_for(
-    model: KelvinVoigt,
+    model: TissueModel,
     theta: FloatArray,
     *,
     clamp_N: float,
@@ -81,7 +79,7 @@ def scaling_for(
     ValueError
         The tissue gives no force at full depth, so that no scale can be computed.
     """
-    peak = float(constant_speed_force(model, theta, np.array([model.depth_mm]), speed_mm_s=fastest_mm_s)[0])
+    peak = float(loading_force(model, theta, np.array([model.depth_mm]), speed_mm_s=fastest_mm_s)[0])
     if not peak > 0.0:
         msg = f"the tissue's force at {model.depth_mm:g} mm is {peak:g} N: no force scale can be computed"
         raise ValueError(msg)

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.errors import BundleError, UsageError, printable
-from tissueid.model.kelvin_voigt import KelvinVoigt, constant_speed_force
+from tissueid.errors import UsageError, printable
+from tissueid.model.channels import TissueModel, loading_force
 from tissueid.render.tissue_block import Tissue
 from tissueid.store.bundle import Bundle
 
@@ -62,10 +62,10 @@ class Functional:
     def __str__(self) -> str:
         return f"force at {self.depth_mm:g} mm, {self.speed_mm_s * S_PER_MIN:g} mm/min"
 
-    def of(self, model: KelvinVoigt, theta: FloatArray) -> float:
+    def of(self, model: TissueModel, theta: FloatArray) -> float:
         """Its value for one tissue [N]."""
         depth = np.array([self.depth_mm])
-        return float(constant_speed_force(model, theta, depth, speed_mm_s=self.speed_mm_s)[0])
+        return float(loading_force(model, theta, depth, speed_mm_s=self.speed_mm_s)[0])
 
 
 DEFAULT_FUNCTIONAL = "force at 6 mm, 250 mm/min"
@@ -126,9 +126,6 @@ def as_tissue(bundle: Bundle, theta: FloatArray | None = None) -> Tissue:
     """
     bundle.require_renderable()
     model = bundle.contact_model()
-    if not isinstance(model, KelvinVoigt):
-        msg = f"{bundle.specimen}: the servo renders Kelvin-Voigt tissues, this one is {bundle.model.key!r}"
-        raise BundleError(msg)
     return Tissue(
         model=model,
         theta=bundle.theta if theta is None else theta,

@@ -61,8 +61,8 @@ TISSUE = 1
 GUIDANCE = 2
 
 # -- the block ------------------------------------------------------------------------------------
-BLOCK_VERSION = 1
-ENVIRONMENT_SIZE = 64
+BLOCK_VERSION = 2
+ENVIRONMENT_SIZE = 144
 VERSION = 0
 KIND = 1
 #: Which of the things to be compared this is: 0 for the first; copied to the info.
@@ -80,7 +80,7 @@ SURFACE = 10
 #: :data:`~tissueid.model.kernels.LAW_SIZE` numbers.
 LAW = 24
 #: w of the weighted force F_s + w F_d; behind the law.
-RUPTURE_WEIGHT = 60
+RUPTURE_WEIGHT = 140
 
 #: :data:`~tissueid.render.guidance.GUIDANCE_SIZE` numbers, in the place of everything from the surface on.
 GUIDED = 10
@@ -94,17 +94,17 @@ RUPTURE_STORED = 3.0
 RUPTURE_DEPTH = 4.0
 
 # -- the memory -----------------------------------------------------------------------------------
-MEMORY_SIZE = 24
+MEMORY_SIZE = 56
 #: :data:`~tissueid.model.kernels.STATE_SIZE` numbers, the surface [mm] first.
 TISSUE_STATE = 0
-LAST_DEPTH = 10
-LAST_FORCE = 11
-SPEED = 12
-WORK = 13
-BROKEN = 14
+LAST_DEPTH = 40
+LAST_FORCE = 41
+SPEED = 42
+WORK = 43
+BROKEN = 44
 #: :data:`~tissueid.render.surface.TOUCH_SIZE` numbers, the face first, then the normal.
-TOUCH = 15
-NORMAL = 16
+TOUCH = 45
+NORMAL = 46
 #: What guidance says of a step; its own memory stands before it.
 SAID = GUIDANCE_MEMORY
 

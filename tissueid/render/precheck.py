@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.errors import DeviceError, UsageError
-from tissueid.model.kelvin_voigt import constant_speed_force
+from tissueid.model.channels import loading_force
 from tissueid.model.passivity import required_damping
 from tissueid.model.scaling import DEFAULT_MOTION_SCALE, Scaling, largest_tangent, scaling_for
 from tissueid.render.tissue_block import Tissue
@@ -165,7 +165,7 @@ def scaling_at(tissue: Tissue, *, force: float, motion: float) -> Scaling:
         s_F and s_x.
     """
     depth = np.array([tissue.model.depth_mm])
-    peak = constant_speed_force(tissue.model, tissue.theta, depth, speed_mm_s=tissue.speeds_mm_s[1])
+    peak = loading_force(tissue.model, tissue.theta, depth, speed_mm_s=tissue.speeds_mm_s[1])
     tangent = largest_tangent(tissue.model, tissue.theta) * N_PER_MM_TO_N_PER_M
     return Scaling(
         force=force,
@@ -282,7 +282,7 @@ def _affordable(tissue: Tissue, wanted: Scaling, need: float, demands: Demands, 
 def _clipped_share(tissue: Tissue, scaling: Scaling, clamp_N: float) -> float:
     """Share of the identified depth at which the force at the fastest speed is over the clamp."""
     depth = np.linspace(0.0, tissue.model.depth_mm, GRID)
-    force = constant_speed_force(tissue.model, tissue.theta, depth, speed_mm_s=tissue.speeds_mm_s[1])
+    force = loading_force(tissue.model, tissue.theta, depth, speed_mm_s=tissue.speeds_mm_s[1])
     return float(np.mean(force * scaling.force > clamp_N))
 
 
@@ -312,5 +312,5 @@ def _remarks(tissue: Tissue, check: Precheck) -> tuple[str, ...]:
 def _largest_viscous_force(tissue: Tissue) -> float:
     """Largest branch force at the fastest identified speed [N of tissue]."""
     depth = np.linspace(0.0, tissue.model.depth_mm, GRID)
-    total = constant_speed_force(tissue.model, tissue.theta, depth, speed_mm_s=tissue.speeds_mm_s[1])
+    total = loading_force(tissue.model, tissue.theta, depth, speed_mm_s=tissue.speeds_mm_s[1])
     return float((total - tissue.model.static_force(tissue.theta, depth)).max())

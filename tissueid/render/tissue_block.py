@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.model.kelvin_voigt import KelvinVoigt
-from tissueid.model.kernels import pack_law
+from tissueid.model.channels import TissueModel
+from tissueid.model.servo_law import servo_law
 from tissueid.render import environment as env
 from tissueid.render import surface as srf
 from tissueid.rupture_law import RuptureLaw
@@ -153,7 +153,7 @@ class Tissue:
 
     Attributes
     ----------
-    model : KelvinVoigt
+    model : TissueModel
     theta : ndarray, shape (p,)
     speeds_mm_s : tuple of float
         Slowest and fastest identified speed [mm/s].
@@ -165,7 +165,7 @@ class Tissue:
         When it breaks.
     """
 
-    model: KelvinVoigt
+    model: TissueModel
     theta: FloatArray
     speeds_mm_s: tuple[float, float]
     tip_radius_mm: float | None = None
@@ -211,7 +211,6 @@ def tissue_block(
     if not tissue.model.is_passive(tissue.theta):
         msg = "the tissue is not passive (F_s or K negative somewhere): it can't be rendered"
         raise ValueError(msg)
-    static, stiffness, tau = tissue.model.split(tissue.theta)
     block = free_air_block(label=label)
     block[env.KIND] = env.TISSUE
     block[env.FORCE_SCALE] = force_scale
@@ -224,8 +223,7 @@ def tissue_block(
         block[env.RUPTURE_RESIDUAL] = tissue.rupture.residual
         block[env.RUPTURE_WEIGHT] = tissue.rupture.weight
     block[env.SURFACE : env.SURFACE + srf.SURFACE_SIZE] = surface.numbers(tool_radius_m)
-    parts = (np.concatenate([[0.0], static]), np.array(stiffness), np.array(tau))
-    pack_law(*parts, tissue.model.depth_mm, block, env.LAW)
+    servo_law(tissue.model, tissue.theta).pack(block, env.LAW)
     return block
 
 

@@ -15,7 +15,6 @@ from tissueid.errors import TissueidError
 from tissueid.haptics.arm import Arm
 from tissueid.haptics.falcon.calibration import Calibration
 from tissueid.haptics.limits import GuardLimits
-from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.model.passivity import DEFAULT_DELAY_TICKS
 from tissueid.render.precheck import Demands, Precheck, check_before_force
 from tissueid.render.tissue_block import WORKSPACE_CENTRE_M
@@ -86,7 +85,7 @@ def rendering_of(specimen: Mapping[str, Any], stored: StoredPosterior | None) ->
     if (specimen["units"]["length"], specimen["units"]["force"]) != ("mm", "N"):
         return {"normalised": True}
     tissue = tissue_of(specimen, stored)
-    if tissue is None or not isinstance(tissue.model, KelvinVoigt):
+    if tissue is None:
         return None
     model, theta = tissue.model, tissue.theta
     slow, fast = (float(value) for value in specimen["validity"]["speeds_mm_s"])

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.model.kelvin_voigt import constant_speed_force
+from tissueid.model.channels import loading_force
 from tissueid.render.tissue_block import Tissue
 
 __all__ = ["band_of"]
@@ -36,7 +36,7 @@ def band_of(tissue: Tissue, draws: FloatArray | None) -> dict[str, Any]:
     dict
         ``draws`` (their number), ``curves``: ``speed_mm_s``, ``depth_mm``, ``force_N`` and, with draws,
         ``low_N`` and ``high_N``: pointwise 2.5 and 97.5 % quantiles of the force reached from rest at that
-        speed (:func:`~tissueid.model.kelvin_voigt.constant_speed_force`).
+        speed (:func:`~tissueid.model.channels.loading_force`).
     """
     depth = np.linspace(0.0, tissue.model.depth_mm, POINTS)
     used = np.zeros((0, tissue.theta.size)) if draws is None else draws[:: max(1, len(draws) // MOST_DRAWS)]
@@ -45,10 +45,10 @@ def band_of(tissue: Tissue, draws: FloatArray | None) -> dict[str, Any]:
         curve = {
             "speed_mm_s": float(speed),
             "depth_mm": depth.tolist(),
-            "force_N": constant_speed_force(tissue.model, tissue.theta, depth, speed_mm_s=speed).tolist(),
+            "force_N": loading_force(tissue.model, tissue.theta, depth, speed_mm_s=speed).tolist(),
         }
         if len(used):
-            forces = [constant_speed_force(tissue.model, draw, depth, speed_mm_s=speed) for draw in used]
+            forces = [loading_force(tissue.model, draw, depth, speed_mm_s=speed) for draw in used]
             low, high = np.quantile(forces, [LOW, HIGH], axis=0)
             curve |= {"low_N": low.tolist(), "high_N": high.tolist()}
         curves.append(curve)

@@ -259,11 +259,10 @@ class ControlSettings:
 
     def largest_tangent(self) -> float:
         """Largest stiffness of the tissue at the device [N/m], on one and a half times its depth."""
-        static, stiffness, _tau = self.tissue.model.split(self.tissue.theta)
-        x = np.linspace(0.0, TANGENT_REACH * self.tissue.model.depth_mm, 61)
-        slope = np.polynomial.polynomial.polyval(x, static * np.arange(1, static.size + 1))
-        branches = sum(np.polynomial.polynomial.polyval(x, np.asarray(one)) for one in stiffness)
-        tangent_N_per_mm = float(np.max(slope + branches)) * self.stiffness_scale
+        model, theta = self.tissue.model, self.tissue.theta
+        x = np.linspace(0.0, TANGENT_REACH * model.depth_mm, 61)
+        tangent = model.static_slope(theta, x) + model.stiffness(theta, x).sum(axis=0)
+        tangent_N_per_mm = float(np.max(tangent)) * self.stiffness_scale
         return 1e3 * tangent_N_per_mm * self.force_scale / self.motion_scale
 
     def tool_substeps(self) -> int:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.model.kernels import LAW_SIZE, pack_law
+from tissueid.model.servo_law import servo_law
 from tissueid.render.control import block as at
 from tissueid.render.control.continuous import continuous_room, run_continuous
 from tissueid.render.control.drive import DRIVE_ROWS
@@ -116,13 +116,8 @@ def loop_block(settings: ControlSettings, *, period_s: float, substeps: int) -> 
 
 def tissue_law(settings: ControlSettings) -> FloatArray:
     """The tissue's law, made stiffer by the scale, shape (LAW_SIZE,)."""
-    model = settings.tissue.model
-    static, stiffness, tau = model.split(settings.tissue.theta)
-    law = np.zeros(LAW_SIZE)
-    scale = settings.stiffness_scale
-    parts = (scale * np.concatenate([[0.0], static]), scale * np.asarray(stiffness), np.asarray(tau))
-    pack_law(*parts, model.depth_mm, law, 0)
-    return law
+    law = servo_law(settings.tissue.model, settings.tissue.theta)
+    return law.stiffer(settings.stiffness_scale).packed()
 
 
 def _drive(settings: ControlSettings) -> FloatArray:

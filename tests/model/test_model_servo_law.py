@@ -1,0 +1,125 @@
+"""The servo's law of any model: ticks against the model's force, passivity, errors of a projection."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import nnls
+
+from tissueid.model import ContactPath
+from tissueid.model.grammar import known_laws, parsed
+from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.model.kernels import LAW_SIZE, STATE_SIZE, pack_law, tissue_step_in
+from tissueid.model.servo_law import _nonnegative, servo_law
+
+DEPTH, RESOLUTION, WINDOW = 8.0, 0.01, 20.0
+TICK = 1e-3
+#: Values of parameters by the beginning of their names.
+VALUES = {
+    "static_1": 20.0, "static_2": -1.2, "static_3": 0.35, "static_N_per_mm": 12.0, "static_exponent": 1.4,
+    "static_stiffness": 12.0, "static_rate": 0.15, "stiffness_0": 30.0, "stiffness_1": 4.0,
+    "stiffness_2": -0.2, "relaxation_time": 0.4, "relaxation_exponent": 0.5, "relaxation_span": 200.0,
+    "relaxation_ratio": 1.2,
+}  # fmt: skip
+
+
+def of_kind(kind):
+    return [key for key, law in known_laws().items() if law.about.kind == kind]
+
+
+NAMES = [
+    *(f"{static} * linear * fractional" for static in of_kind("static")),
+    *(f"power * quadratic * {relaxation}" for relaxation in of_kind("relaxation")),
+    *(f"exponential * tangent * {one}" for one in of_kind("relaxation") if one != "spectrum"),
+    "polynomial * tangent * prony:3",
+    "flat * prony:2",
+]
+
+
+def tissue(name: str):
+    """A model and its theta; times of further branches are longer."""
+    model = parsed(name).model(DEPTH, RESOLUTION, WINDOW)
+    theta = []
+    for one in model.parameters:
+        value = next(v for start, v in VALUES.items() if one.name.startswith(start))
+        branch = int(one.name.rpartition("_b")[2]) if "_b" in one.name else 1
+        theta.append(
+            value * 5.0 ** (branch - 1) if "time" in one.name else value / branch if branch > 1 else value
+        )
+    return model, np.array(theta)
+
+
+def walked(model, theta, time, depth):
+    """Force of the servo at every tick."""
+    law, state = servo_law(model, theta).packed(), np.zeros(STATE_SIZE)
+    steps = np.diff(time, prepend=time[0])
+    return np.array([tissue_step_in(law, 0, state, 0, x, h) for x, h in zip(depth, steps, strict=True)])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_ticks_follow_the_force_of_the_model(name):
+    """A ramp, a hold and a slow return to half depth, in lasting contact: within 1 % of the largest force."""
+    model, theta = tissue(name)
+    time = np.arange(0.0, 3.0, TICK)
+    depth = np.interp(time, [0.0, 1.0, 2.0, 3.0], [0.0, DEPTH, DEPTH, 0.7 * DEPTH])
+    expected = model.force(theta, ContactPath(time, depth))
+    assert expected.min() >= 0.0
+    error = np.abs(walked(model, theta, time, depth) - expected).max()
+    assert error < 0.01 * expected.max()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_projection_says_what_it_misses(name):
+    model, theta = tissue(name)
+    law = servo_law(model, theta)
+    assert law.tau_s.size <= 12
+    assert (law.stiffness[:, 0] > 0.0).all()
+    assert law.error < 0.01
+    if model.relaxation.branches or model.fixed_s.size:
+        assert law.error == 0.0
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_loops_put_out_no_energy(name):
+    """Random closed loops: the work done on the tissue is never negative."""
+    rng = np.random.default_rng([7, *name.encode()])
+    model, theta = tissue(name)
+    for _ in range(6):
+        knots = np.concatenate([[0.0], rng.uniform(-0.2, 1.0, 7) * DEPTH, [-0.2]])
+        time = np.cumsum(0.1 + rng.exponential(0.15, knots.size))
+        ticks = np.arange(0.0, time[-1], TICK)
+        depth = np.interp(ticks, time, knots)
+        force = walked(model, theta, ticks, depth)
+        work = float((0.5 * (force[1:] + force[:-1]) * np.diff(depth)).sum())
+        assert work >= -1e-6 * force.max() * DEPTH
+        assert force.min() >= 0.0
+
+
+def test_a_kelvin_voigt_law_is_packed_as_it_is():
+    model, theta = KelvinVoigt(2, 1, DEPTH), np.array([20.0, -1.2, 0.35, 30.0, 4.0, 0.1, 12.0, 0.5, 2.0])
+    expected = np.zeros(LAW_SIZE)
+    static, stiffness, tau = model.split(theta)
+    pack_law(np.array([0.0, *static]), stiffness, tau, DEPTH, expected, 0)
+    np.testing.assert_array_equal(servo_law(model, theta).packed(), expected)
+
+
+def test_a_tissue_made_stiffer_has_all_its_forces_times_that():
+    time = np.arange(0.0, 1.0, TICK)
+    depth = 6.0 * time
+    for name in ("power * linear * fractional", "polynomial * tangent * prony"):
+        model, theta = tissue(name)
+        law, twice = servo_law(model, theta).packed(), servo_law(model, theta).stiffer(2.0).packed()
+        one, two = np.zeros(STATE_SIZE), np.zeros(STATE_SIZE)
+        for x in depth:
+            force = tissue_step_in(law, 0, one, 0, x, TICK)
+            assert tissue_step_in(twice, 0, two, 0, x, TICK) == pytest.approx(
+                2.0 * force, rel=1e-9, abs=1e-12
+            )
+
+
+def test_non_negative_least_squares_are_those_of_scipy():
+    rng = np.random.default_rng(3)
+    for _ in range(40):
+        matrix = np.abs(rng.standard_normal((30, 9)))
+        target = matrix @ rng.standard_normal(9) + 0.1 * rng.standard_normal(30)
+        np.testing.assert_allclose(_nonnegative(matrix, target), nnls(matrix, target)[0], atol=1e-9)

@@ -1,0 +1,171 @@
+"""A contact model as the servo steps it: cubic pieces of the static law, and at most twelve exponentials.
+
+A Kelvin-Voigt law is this exactly.  Of other laws the static curve is interpolated by cubics (Hermite) at
+depths that are dense at the surface, and a relaxation that is no exponential is projected on non-negative
+exponentials (Lawson & Hanson 1974, doi 10.1137/1.9781611971217), which are passive by construction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.model.channels import ChannelModel, Part, TissueModel
+from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.model.kernels import LAW_SIZE, MOST_BRANCHES, MOST_PIECES, pack_law, pack_pieces
+
+__all__ = ["ServoLaw", "servo_law"]
+
+FloatArray = NDArray[np.float64]
+
+#: Nodes of a projection go from this share of the resolution to this many windows.
+BELOW, BEYOND = 0.1, 5.0
+#: Times at which a projection is compared, and a time that is none, in windows.
+TIMES, FOREVER = 160, 1e6
+#: Share of the largest weight that is none.
+NONE = 1e-12
+#: Depth at which the slope at the surface is taken, in first pieces.
+NEAR = 1e-3
+#: Steps of the active set.
+MOST_STEPS = 200
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ServoLaw:
+    """Law of a servo.
+
+    Attributes
+    ----------
+    static : ndarray, shape (pieces, 4)
+        Cubics; piece i begins at depth (i / pieces)^2 [N, mm].
+    stiffness : ndarray, shape (branches, k)
+        Coefficients of K_j by powers of x [N/mm^(k+1)]; inside, the ratio to the static force.
+    tau_s : ndarray, shape (branches,)
+    inside : bool
+        The branches follow the static force.
+    depth_mm : float
+    error : float
+        Largest error of the relaxing force by the projection, over the force of a sudden push.
+    """
+
+    static: FloatArray
+    stiffness: FloatArray
+    tau_s: FloatArray
+    inside: bool
+    depth_mm: float
+    error: float
+
+    def pack(self, law: FloatArray, at: int) -> None:
+        """Write it from index ``at``, :data:`~tissueid.model.kernels.LAW_SIZE` numbers."""
+        pack_law(self.static[0], self.stiffness, self.tau_s, self.depth_mm, law, at)
+        if len(self.static) > 1 or self.inside:
+            pack_pieces(law, at, self.static, inside=self.inside)
+
+    def packed(self) -> FloatArray:
+        """A block of its own, shape (LAW_SIZE,)."""
+        law = np.zeros(LAW_SIZE)
+        self.pack(law, 0)
+        return law
+
+    def stiffer(self, factor: float) -> ServoLaw:
+        """The same tissue with all its forces times a factor."""
+        stiffness = self.stiffness if self.inside else factor * self.stiffness
+        return replace(self, static=factor * self.static, stiffness=stiffness)
+
+    def linearised(self, model: TissueModel, theta: FloatArray, depth_mm: FloatArray) -> FloatArray:
+        """Stiffness of every exponential for small moves about rest at depths, (branches, n) [N/mm]."""
+        if self.inside:
+            return np.asarray(self.stiffness[:, :1] * model.static_slope(theta, depth_mm))
+        found = np.polynomial.polynomial.polyval(np.asarray(depth_mm), self.stiffness.T)
+        return np.asarray(found, dtype=np.float64).reshape(len(self.tau_s), np.size(depth_mm))
+
+
+def servo_law(model: TissueModel, theta: FloatArray) -> ServoLaw:
+    """The law that the servo steps for a tissue.
+
+    Parameters
+    ----------
+    model : TissueModel
+    theta : ndarray, shape (p,)
+    """
+    if isinstance(model, KelvinVoigt):
+        static, stiffness, tau = model.split(theta)
+        whole = np.concatenate([[0.0], static])[None]
+        return ServoLaw(whole, np.array(stiffness), np.array(tau), False, model.depth_mm, 0.0)
+    rows, times, worst = [], [], 0.0
+    share = max(MOST_BRANCHES // model.branches, 1)
+    for part in model.parts:
+        weights, tau, error = _exponentials(model, theta, part, share)
+        size = np.array([theta[part.ratio]]) if part.ratio is not None else theta[part.stiffness]
+        rows.append(weights[:, None] * size)
+        times.append(tau)
+        worst = max(worst, error)
+    return ServoLaw(
+        _pieces(model, theta),
+        np.concatenate(rows),
+        np.concatenate(times),
+        model.inside,
+        model.depth_mm,
+        worst,
+    )
+
+
+def _pieces(model: ChannelModel, theta: FloatArray) -> FloatArray:
+    """Cubics with the values and slopes of the static law at their ends; one of a polynomial."""
+    if model.static.polynomial:
+        out = np.zeros((1, 4))
+        coefficients = theta[: len(model.static.coefficients)]
+        out[0, 1 : 1 + coefficients.size] = coefficients
+        return out
+    ends = model.depth_mm * (np.arange(MOST_PIECES + 1) / MOST_PIECES) ** 2
+    value, width = model.static_force(theta, ends), np.diff(ends)
+    # an infinite slope at the surface would be none that a servo can render: the first chord stands there
+    slope = model.static_slope(theta, np.maximum(ends, NEAR * ends[1]))
+    slope[0] = min(slope[0], value[1] / width[0])
+    rise = np.diff(value) / width
+    square = (3.0 * rise - 2.0 * slope[:-1] - slope[1:]) / width
+    cube = (slope[:-1] + slope[1:] - 2.0 * rise) / width**2
+    return np.column_stack([value[:-1], slope[:-1], square, cube])
+
+
+def _exponentials(
+    model: ChannelModel, theta: FloatArray, part: Part, most: int
+) -> tuple[FloatArray, FloatArray, float]:
+    """Weights, times and largest error of at most ``most`` exponentials for a part's relaxation."""
+    if part.tau_s is not None or model.relaxation.branches:
+        weights, tau = model.exponentials(theta, part)
+        return weights, tau, 0.0
+    low, high = BELOW * model.resolution_s, BEYOND * model.window_s
+    tau = np.append(np.geomspace(low, high, most - 1), FOREVER * model.window_s)
+    time = np.append(0.0, np.geomspace(0.2 * low, 2.0 * model.window_s, TIMES))
+    wanted = model.relaxation.value(time, *theta[part.shapes])
+    matrix = np.exp(-time[:, None] / tau)
+    weights = _nonnegative(matrix, wanted)
+    used = weights > NONE * weights.max()
+    seen = time >= model.resolution_s
+    error = float(np.abs(matrix @ weights - wanted)[seen].max())
+    return weights[used], tau[used], error
+
+
+def _nonnegative(matrix: FloatArray, target: FloatArray) -> FloatArray:
+    """Least squares with non-negative unknowns, by Lawson and Hanson's active set."""
+    count = matrix.shape[1]
+    passive, out = np.zeros(count, dtype=bool), np.zeros(count)
+    for _ in range(MOST_STEPS):
+        gradient = matrix.T @ (target - matrix @ out)
+        if passive.all() or gradient[~passive].max() <= NONE * np.abs(target).max():
+            break
+        passive[np.flatnonzero(~passive)[np.argmax(gradient[~passive])]] = True
+        for _ in range(count):
+            trial = np.zeros(count)
+            trial[passive] = np.linalg.lstsq(matrix[:, passive], target, rcond=None)[0]
+            bad = passive & (trial <= 0.0)
+            if not bad.any():
+                break
+            out = out + float((out[bad] / (out[bad] - trial[bad])).min()) * (trial - out)
+            passive &= out > NONE
+            out[~passive] = 0.0
+        out = trial
+    return out
