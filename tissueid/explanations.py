@@ -9,6 +9,7 @@ from difflib import get_close_matches
 from tissueid.errors import UsageError
 from tissueid.flag_advice import FLAG_ADVICE, flag_level
 from tissueid.flags import FLAG_CODES
+from tissueid.model.grammar import described
 from tissueid.quantity_words import QUANTITIES, quantity_name
 from tissueid.report.remarks import REMARK_TITLES
 
@@ -95,6 +96,17 @@ def explanations() -> dict[str, Explanation]:
         )
         for name, one in QUANTITIES.items()
     ]
+    known = {one.name for one in found}
+    for row in described():
+        for one in row["parameters"]:
+            if one["name"] not in known:
+                known.add(one["name"])
+                of = f"{one['meaning']}, of {row['key']} (tissueid models {row['key']})"
+                found.append(
+                    Explanation(
+                        "parameter", one["name"], "", of, symbol=one["symbol"], unit=one["unit"]
+                    )
+                )  # fmt: skip
     found += [
         Explanation("exit code", code, "", meaning, remedy=way)
         for code, (meaning, way) in EXIT_MEANINGS.items()

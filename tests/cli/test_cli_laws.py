@@ -1,0 +1,120 @@
+"""Every registered law from a recording to the hand: fit, validate, render, export, by its name."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import run
+
+from tissueid.model import ContactPath
+from tissueid.model.grammar import known_laws, parsed
+
+DEPTH, RATE = 6.0, 100.0
+#: Truths by the beginning of a parameter's name.
+TRUTH = {
+    "static_1": 20.0, "static_2": -1.2, "static_3": 0.35, "static_N_per_mm": 12.0, "static_exponent": 1.4,
+    "static_stiffness": 12.0, "static_rate": 0.15, "stiffness_0": 30.0, "stiffness_1": 4.0,
+    "stiffness_2": -0.2, "relaxation_time": 0.4, "relaxation_exponent": 0.5, "relaxation_span": 100.0,
+    "relaxation_ratio": 1.2,
+}  # fmt: skip
+#: What is known of the machine of these recordings: it has no fault.
+STUDY = """schema = "tissueid/study/1"
+[calibration]
+frame_stiffness_N_per_mm = 1e7
+force_filter_s = 0.0
+force_filter_s_sd = 1e-6
+skew_s = 0.0
+skew_s_sd = 1e-6
+"""
+
+
+def of_kind(kind: str, *without: str) -> list[str]:
+    return [key for key, law in known_laws().items() if law.about.kind == kind and key not in without]
+
+
+NAMES = (
+    *(f"{key} * prony" for key in of_kind("static", "polynomial")),
+    *(f"power * {key} * prony:1" for key in of_kind("stiffness")),
+    *(f"flat*{key}" for key in of_kind("relaxation", "prony")),
+    "polynomial * tangent * prony:2",
+    "polynomial:2 * linear * prony",
+    "kelvin-voigt",
+    "polynomial * linear * prony:2",
+)
+
+
+def recorded(name: str, path: Path) -> dict[str, float]:
+    """A push and a hold of a tissue of that law, as a CSV; its truth."""
+    named = parsed(name)
+    law = named if named.parts else parsed("polynomial:3 * tangent * prony")
+    model = law.model(DEPTH, 1.0 / RATE, 8.0)
+    truth = {
+        one.name: next(value for start, value in TRUTH.items() if one.name.startswith(start))
+        * (4.0 if one.name == "relaxation_time_s_b2" else 1.0)
+        for one in model.parameters
+    }
+    time = np.arange(0.0, 8.5, 1.0 / RATE)
+    depth = np.interp(time, [0.5, 2.0], [0.0, DEPTH])
+    force = model.force(np.array(list(truth.values())), ContactPath(time, depth))
+    force = force + np.random.default_rng([3, *name.encode()]).normal(0.0, 0.15, time.size)
+    travel = np.where(time < 0.5, 4.0 * (time - 0.5), depth)
+    rows = [f"{t:.3f},{x:.5f},{f:.5f}" for t, x, f in zip(time, travel + 2.0, force, strict=True)]
+    path.write_text("\n".join(["time (s),displacement (mm),force (N)", *rows]) + "\n", encoding="ascii")
+    return truth
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_law_is_fitted_written_felt_and_told(name: str, tmp_path: Path) -> None:
+    truth = recorded(name, tmp_path / "log.csv")
+    out = tmp_path / "out"
+    (tmp_path / "study.toml").write_text(STUDY, encoding="ascii")
+    study = ("--study", tmp_path / "study.toml")
+    ended = run("fit", tmp_path / "log.csv", "--model", name, "--json", "-o", out, *study)
+    assert ended.code in (0, 4), ended.stderr
+    document = json.loads(ended.stdout)["specimens"][0]
+    assert document["model"]["name"] == name
+    assert run("validate", out).code == 0
+    assert (out / "report.html").stat().st_size > 10_000
+    felt = run(
+        "render", out / "bundle.h5", "--device", "sim", "--virtual", "--log", tmp_path / "felt.h5",
+        "--script", "indent 4 mm at 250 mm/min; hold 1 s",
+    )  # fmt: skip
+    assert felt.code == 0, felt.stderr
+    assert "% of the depth clipped" in felt.stdout + felt.stderr
+    found = {one["name"]: one for one in document["parameters"]}
+    if parsed(name).parts is None:
+        return
+    assert document["nrmsd"]["range"] < 0.004
+    for key, one in found.items():
+        # times of a spectrum follow the length of the log
+        if key not in truth or not one["identified"] or one["ci95_total"] is None or "spectrum" in name:
+            continue
+        low, high = one["ci95_total"]
+        # one recording of each law: within four standard errors
+        assert abs(truth[key] - 0.5 * (low + high)) <= high - low, key
+
+
+def test_a_name_that_is_no_model_is_2_and_says_what_there_is(tmp_path: Path) -> None:
+    recorded("power * prony", tmp_path / "log.csv")
+    for name, said in (
+        ("cubic * prony", "there are exponential, flat"),
+        ("prony", "STATIC * [STIFFNESS *] RELAXATION"),
+        ("polynomial * prony:7", "7 branches"),
+    ):
+        ended = run("fit", tmp_path / "log.csv", "--model", name, "-o", tmp_path / "out")
+        assert ended.code == 2
+        assert said in ended.stderr
+    ended = run("fit", tmp_path / "log.csv", "--model", "polynomial * prony", "--branches", "2")
+    assert ended.code == 2
+    assert "says it already" in ended.stderr
+
+
+def test_models_lists_every_law_flat() -> None:
+    rows = json.loads(run("models", "--json").stdout)
+    assert {row["key"] for row in rows} >= {*known_laws(), "kelvin-voigt"}
+    assert all(isinstance(row["parameters"], list) for row in rows)
+    assert "springpot" in run("models", "fractional").stdout
+    assert run("models", "nope").code == 2
