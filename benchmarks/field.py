@@ -316,15 +316,9 @@ def _judged(specimen: Specimen, document: dict[str, Any]) -> dict[str, Any]:
         "tau_error": None
         if tau["value"] is None or not specimen.order
         else tau["value"] / min(specimen.tissue.tau_s) - 1.0,
-        # of a window, where it follows the hold
-        "tau_identified": bool(tau["identified"]) and not _effective(document),
+        # no property of the tissue, where it follows the hold, or the law that predicts as well
+        "tau_identified": bool(tau["identified"]) and "form_dependent" not in codes,
     }
-
-
-def _effective(document: dict[str, Any]) -> bool:
-    """The relaxation time is said to be one of the hold's length."""
-    window = document.get("relaxation_window")
-    return bool(window and window["effective"])
 
 
 def records(names: dict[str, Maker], count: int, path: Path, minutes: float) -> Iterator[dict[str, Any]]:

@@ -9,18 +9,30 @@ cone.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t
 
 from tissueid.inference.blocks import Blocks
+from tissueid.inference.channel_law import ChannelLaw
 from tissueid.inference.optimum import Optimum, covariance_of, minimise, nearest_in_cone, whitener_of
 from tissueid.inference.system import System
 from tissueid.inference.window import FOLDS, FittedLog
+from tissueid.model.channels import TissueModel
 
-__all__ = ["Groups", "Tried", "chosen_among", "groups_of", "held_out", "resolved", "without_bends"]
+__all__ = [
+    "Groups",
+    "Rival",
+    "Tried",
+    "chosen_among",
+    "groups_of",
+    "held_out",
+    "resolved",
+    "rival_of",
+    "without_bends",
+]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -38,6 +50,8 @@ MOST_GROUPS, REFIT_STEPS, OWN_STEPS = 8, 6, 8
 AT_DEPTH, FEWEST_OF_RAMP = 0.995, 4
 #: Largest force of a branch over the noise with which it counts as seen, and factor between two times.
 SEEN, APART = 0.5, 1.5
+#: Standard deviations of ln tau that two laws are apart, and the least that counts as one.
+FAR_APART, LEAST_SD = 3.0, 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,6 +71,71 @@ class Tried:
     optimum: Optimum
     system: System
     errors: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Rival:
+    """Another law beside the chosen one.
+
+    Attributes
+    ----------
+    name : str
+    gain, stderr : float
+        Ln of the chosen law's mean square error over its own, on what was left out.
+    wide : float
+        Gain within which they predict alike.
+    tau_s, tau_sd_ln : float
+        Its shortest relaxation time, with the standard deviation of the logarithm.
+    apart : float
+        Difference of ln tau from the chosen law's, in standard deviations of both.
+    model : TissueModel
+    theta : ndarray
+    """
+
+    name: str
+    gain: float
+    stderr: float
+    wide: float
+    tau_s: float
+    tau_sd_ln: float
+    apart: float
+    model: TissueModel = field(repr=False)
+    theta: FloatArray = field(repr=False)
+
+    @property
+    def better(self) -> bool:
+        """It predicts better, by more than one standard error and a fifth."""
+        return self.gain > max(self.stderr, BEND)
+
+    @property
+    def as_good(self) -> bool:
+        """It predicts as well as the chosen law, or better."""
+        return self.better or abs(self.gain) <= max(self.wide, NO_GAIN)
+
+    @property
+    def disagrees(self) -> bool:
+        """It predicts as well, and its relaxation time is another."""
+        return self.as_good and abs(self.apart) > FAR_APART
+
+
+def rival_of(name: str, tried: Tried, chosen: Tried) -> Rival:
+    """A law that was tried beside the chosen one."""
+    gain, stderr = _gain(tried, chosen)
+    wide = float(t.ppf(ONE_ERROR, max(chosen.errors.size - 1, 1))) * stderr
+    ln_tau, sd = _first_time(tried)
+    other, other_sd = _first_time(chosen)
+    apart = (ln_tau - other) / max(float(np.hypot(sd, other_sd)), LEAST_SD)
+    law, point = tried.system.law, tried.optimum.point
+    assert isinstance(law, ChannelLaw)  # noqa: S101 -- there is no other
+    theta = law.theta(point.log_times, point.linear)[0]
+    return Rival(name, gain, stderr, wide, float(np.exp(ln_tau)), sd, apart, law.model(), theta)
+
+
+def _first_time(one: Tried) -> tuple[float, float]:
+    """Ln of the shortest relaxation time and its standard deviation."""
+    at = int(np.argmin(one.optimum.point.log_times[: one.branches]))
+    variance = float(one.optimum.covariance[at, at])
+    return float(one.optimum.point.log_times[at]), float(np.sqrt(max(variance, 0.0)))
 
 
 def _clusters(values: Sequence[float]) -> IntArray:

@@ -15,7 +15,17 @@ from numpy.typing import NDArray
 
 from tissueid.inference.blocks import Blocks
 from tissueid.inference.channel_law import ChannelLaw, kelvin_voigt_law
-from tissueid.inference.choice import Tried, chosen_among, groups_of, held_out, resolved, without_bends
+from tissueid.inference.choice import (
+    Groups,
+    Rival,
+    Tried,
+    chosen_among,
+    groups_of,
+    held_out,
+    resolved,
+    rival_of,
+    without_bends,
+)
 from tissueid.inference.evidence import LogEvidence, NoiseVerdict, verdict_on_noise
 from tissueid.inference.memory import scan_memory
 from tissueid.inference.noise import Memory
@@ -24,13 +34,15 @@ from tissueid.inference.prior import Scatter, prior_rows
 from tissueid.inference.search import starting_points
 from tissueid.inference.system import SHAPE, Effects, Point, System
 from tissueid.inference.window import FittedLog, one_program
-from tissueid.model.grammar import Named
+from tissueid.model.grammar import Named, parsed
 from tissueid.priors import Priors
 
 __all__ = ["Identified", "Request", "identify_logs", "refit"]
 
 FloatArray = NDArray[np.float64]
 
+#: Laws that the chosen one is held against.
+RIVALS = ("polynomial * tangent * prony:1", "polynomial * tangent * prony:2")
 #: Rounds in which the scatter between logs is estimated.
 SCATTER_ROUNDS = 4
 #: Standard deviation that the scatter counts as beforehand, worth one log.
@@ -92,6 +104,8 @@ class Identified:
     left_out : str
         What was predicted.
     request : Request
+    rivals : tuple of Rival
+        Other laws beside the chosen one.
     """
 
     system: System
@@ -104,6 +118,7 @@ class Identified:
     as_good: tuple[tuple[int, int], ...]
     left_out: str
     request: Request
+    rivals: tuple[Rival, ...] = ()
 
 
 def _effects(pooling: str, logs: int) -> Effects:
@@ -132,8 +147,12 @@ class _Fitting:
         """The law that was asked for, or a Kelvin-Voigt law."""
         if self.request.named is None:
             return kelvin_voigt_law(branches, degree, self.base.depth_mm)
+        return self.named(self.request.named)
+
+    def named(self, name: Named) -> ChannelLaw:
+        """A law by its name."""
         longest = max(float(one.time_s[-1] - one.time_s[0]) for one in self.base.logs)
-        return ChannelLaw.of(self.request.named.model(self.base.depth_mm, self.step_s, longest))
+        return ChannelLaw.of(name.model(self.base.depth_mm, self.step_s, longest))
 
     def minimise(self, system: System, law: ChannelLaw, start: Point, memory: Memory, steps: int) -> Optimum:
         """From one starting point."""
@@ -150,10 +169,9 @@ class _Fitting:
         )
 
     def candidate(
-        self, branches: int, degree: int, memory: Memory, *, steps: int = LOOK_STEPS
+        self, law: ChannelLaw, memory: Memory, *, steps: int = LOOK_STEPS
     ) -> tuple[System, ChannelLaw, Optimum]:
         """The best of several starts."""
-        law = self.law(branches, degree)
         system = self.base.under(law)
         starts = starting_points(system, law, self.at, whitener_of(system, memory))
         found = [self.minimise(system, law, start, memory, steps) for start in starts]
@@ -163,7 +181,7 @@ class _Fitting:
         """Estimate how much logs differ, and where each stands."""
         if not self.base.effects.gain:
             return
-        system, law, optimum = self.candidate(branches, degree, Memory())
+        system, law, optimum = self.candidate(self.law(branches, degree), Memory())
         for _ in range(SCATTER_ROUNDS):
             self.scatter = scatter_of(system, optimum)
             optimum = self.minimise(system, law, optimum.point, Memory(), LOOK_STEPS)
@@ -259,7 +277,7 @@ def identify_logs(
     tick("noise")
     seen: Sequence[LogEvidence] | None = None
     if request.noise != "white":
-        system, law, optimum = fitting.candidate(*flexible, Memory())
+        system, law, optimum = fitting.candidate(fitting.law(*flexible), Memory())
         seen = evidence(system, law, optimum)
         noise, verdict = _noise(fitting, system, optimum, seen, request.noise)
         refuted = verdict.refuted
@@ -269,7 +287,7 @@ def identify_logs(
     while orders:
         for branches, degree in orders:
             tick(f"{branches} branch{'es' if branches > 1 else ''}, K of degree {degree}")
-            system, _, optimum = fitting.candidate(branches, degree, memory)
+            system, _, optimum = fitting.candidate(fitting.law(branches, degree), memory)
             errors = held_out(system, optimum, groups) if not single else np.ones(1)
             tried.append(Tried(branches, degree, optimum, system, errors))
         seen_whole = [one for one in tried if resolved(one, step)] or tried[:1]
@@ -279,10 +297,22 @@ def identify_logs(
         done = {(one.branches, one.degree) for one in tried}
         best = [(one.branches, one.degree) for one in as_good]
         orders = [] if single else [one for one in _further(request, chosen, best) if one not in done]
-    return _finished(
+    rivals: tuple[Rival, ...] = ()
+    if not single:
+        tick("other laws")
+        rivals = tuple(_rival(fitting, chosen, name, memory, groups) for name in RIVALS)
+    found = _finished(
         fitting, chosen, evidence, memory, groups.kind, () if single else table,
         tuple((one.branches, one.degree) for one in as_good), tick,
     )  # fmt: skip
+    return replace(found, rivals=rivals)
+
+
+def _rival(fitting: _Fitting, chosen: Tried, name: str, memory: Memory, groups: Groups) -> Rival:
+    """Another law, fitted and asked to predict as the chosen one was."""
+    system, law, optimum = fitting.candidate(fitting.named(parsed(name)), memory)
+    tried = Tried(law.branches, 0, optimum, system, held_out(system, optimum, groups))
+    return rival_of(name, tried, chosen)
 
 
 def _noise(

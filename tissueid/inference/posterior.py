@@ -377,6 +377,8 @@ def _rows_of_choice(fit: SpecimenFit, as_good: Sequence[tuple[int, int]]) -> tup
     """The candidates as the choice by held-out data saw them."""
     rows, pooling = [], fit.model.static_pooling
     for row in fit.selection:
+        if "model" in row:
+            continue
         score, scatter = float(row["score"]), float(row["stderr"])
         branches, degree = int(row["branches"]), int(row["stiffness_degree"])
         rows.append(

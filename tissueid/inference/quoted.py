@@ -8,11 +8,12 @@ wide as the number is not given.  Each such place holds the reason instead.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.inference.choice import Rival
 from tissueid.inference.estimates import MAX_WIDTH, TissueEstimate, width_of
 from tissueid.inference.holds import HoldNumbers
 from tissueid.measured import TIMES_S
@@ -20,7 +21,14 @@ from tissueid.model import functionals
 from tissueid.model.channels import TissueModel
 from tissueid.quantities import Quantity, QuotedNumbers, Spectrum
 
-__all__ = ["FREQUENCIES_HZ", "Supported", "model_numbers", "quoted_numbers", "unknown_parameters"]
+__all__ = [
+    "FREQUENCIES_HZ",
+    "Supported",
+    "model_numbers",
+    "quoted_numbers",
+    "unknown_parameters",
+    "with_form",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -34,6 +42,8 @@ MAX_FRACTION_WIDTH = 0.5
 #: A plateau is seen where the window holds so many of the slowest relaxation time.
 PLATEAU_TIMES = 3.0
 TWO_SIDED_95 = 1.96
+#: Least uncertainty by the form of the law, of the peak, where another law predicts as well.
+LEAST_FORM = 0.02
 #: Holds at least this share of the longest count as equally long.
 EQUALLY_LONG = 0.99
 
@@ -212,6 +222,35 @@ def model_numbers(
         *_oscillation(quote, supported, frequencies_Hz),
         *_stiffness(quote),
     )
+
+
+def with_form(numbers: QuotedNumbers, rivals: Sequence[Rival]) -> QuotedNumbers:
+    """The same numbers, shares that relax with the spread over laws that predict as well.
+
+    Half the range over the laws, at least :data:`LEAST_FORM` of the peak, is added in quadrature.
+    """
+    alike = [one for one in rivals if one.as_good]
+    if not alike:
+        return numbers
+    rows = []
+    for one in numbers.model:
+        if one.name != "fraction_relaxed" or one.value is None or one.stderr is None:
+            rows.append(one)
+            continue
+        depth, time = float(one.at["depth_mm"]), float(one.at["time_s"])
+        speed = float(one.at["speed_mm_s"]) if "speed_mm_s" in one.at else None
+        values = [one.value, *(_share(rival, depth, speed, time) for rival in alike)]
+        form = max(0.5 * float(np.ptp(values)), LEAST_FORM)
+        rows.append(replace(one, stderr=float(np.hypot(one.stderr, form))))
+    return replace(numbers, model=tuple(rows))
+
+
+def _share(rival: Rival, depth: float, speed: float | None, time: float) -> float:
+    """Share of the peak that a rival's tissue loses."""
+    model, theta = rival.model, rival.theta
+    still = float(model.static_force(theta, np.array([depth]))[0])
+    peak, later = still + model.relaxing(theta, depth, np.array([0.0, time]), speed)
+    return float(1.0 - later / peak)
 
 
 def quoted_numbers(

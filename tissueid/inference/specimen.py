@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from tissueid.flags import Flag
+from tissueid.inference.choice import Rival
 from tissueid.inference.depth_test import depth_test
 from tissueid.inference.engine import Identified, Request, identify_logs
 from tissueid.inference.estimates import TissueEstimate, estimate_tissue
@@ -17,7 +18,7 @@ from tissueid.inference.evidence import LogEvidence, log_evidence
 from tissueid.inference.lm import both_optimisers
 from tissueid.inference.logs import LogHandle, blocks_of
 from tissueid.inference.material import with_moduli
-from tissueid.inference.quoted import EQUALLY_LONG, quoted_numbers
+from tissueid.inference.quoted import EQUALLY_LONG, quoted_numbers, with_form
 from tissueid.inference.relaxation_window import relaxation_window
 from tissueid.inference.rounds import follow_surfaces, unloading_handles, unloading_verdict
 from tissueid.inference.sandwich import sandwich_covariance
@@ -309,6 +310,7 @@ def _fit(
             *discrepancy_flags(noise, told.nrmsd),
             *flags,
             *undecided_flags(found),
+            *rival_flags(found),
             *window_flags(window),
         )
         step, length = min(log.step_s for log in facts), max(log.duration_s for log in facts)
@@ -318,7 +320,7 @@ def _fit(
             numbers = quoted_numbers(
                 tissue, told.holds, step_s=step, duration_s=length, frequencies_Hz=options.frequencies_Hz
             )
-            numbers, said = with_moduli(numbers, tissue, options.geometry)
+            numbers, said = with_moduli(with_form(numbers, found.rivals), tissue, options.geometry)
             if slope is None:
                 return numbers, said
             decided = slope.at.get("verdict") in {"viscous", "drainage"}
@@ -358,7 +360,7 @@ def _fit(
             relaxation=told.relaxation,
             relaxation_window=window,
             optimisers=optimisers,
-            selection=found.table,
+            selection=(*found.table, *map(_rival_row, found.rivals)),
             flags=flags,
             unloading=unloading,
             cycles=told.cycles,
@@ -386,6 +388,27 @@ def window_flags(window: RelaxationWindow | None) -> tuple[Flag, ...]:
         f"{window.tau_s[0]:.3g} s in {window.cut_s[0]:.3g} s"
     )
     return (Flag("form_dependent", words, {"slope": window.slope}),)
+
+
+def _rival_row(one: Rival) -> dict[str, float | int | bool | str | None]:
+    """A row of the candidates' table."""
+    branches = int(one.name.rpartition(":")[2])
+    return {
+        "model": one.name, "branches": branches, "stiffness_degree": 0, "score": one.gain,
+        "stderr": one.stderr, "chosen": False,
+    }  # fmt: skip
+
+
+def rival_flags(identified: Identified) -> tuple[Flag, ...]:
+    """The law that predicts better, or as well with another relaxation time."""
+    worth = [one for one in identified.rivals if one.better or one.disagrees]
+    if not worth:
+        return ()
+    best = max(worth, key=lambda one: one.gain)
+    closer = 100.0 * (1.0 - float(np.exp(-0.5 * best.gain)))
+    how = f"{closer:.0f} % closer" if best.better else "as well"
+    words = f"{best.name} predicts a left-out {identified.left_out} {how}, with tau {best.tau_s:.3g} s"
+    return (Flag("form_dependent", words, {"gain": best.gain, "stderr": best.stderr, "tau_s": best.tau_s}),)
 
 
 def undecided_flags(identified: Identified) -> tuple[Flag, ...]:
