@@ -361,7 +361,7 @@ def _fit(
             relaxation_window=window,
             optimisers=optimisers,
             selection=(*found.table, *map(_rival_row, found.rivals)),
-            flags=flags,
+            flags=_one_form(flags),
             unloading=unloading,
             cycles=told.cycles,
             measured=spread([trial.measured for trial in told.trials if trial.measured is not None]),
@@ -397,6 +397,16 @@ def _rival_row(one: Rival) -> dict[str, float | int | bool | str | None]:
         "model": one.name, "branches": branches, "stiffness_degree": 0, "score": one.gain,
         "stderr": one.stderr, "chosen": False,
     }  # fmt: skip
+
+
+def _one_form(flags: tuple[Flag, ...]) -> tuple[Flag, ...]:
+    """Flags with one remark on the form of the law: by another law, else the window, else the program."""
+    forms = [flag for flag in flags if flag.code == "form_dependent"]
+    for key in ("gain", "slope", "depth_mm"):
+        told = [flag for flag in forms if key in flag.values]
+        if told:
+            return tuple(flag for flag in flags if flag not in forms or flag is told[0])
+    return flags
 
 
 def rival_flags(identified: Identified) -> tuple[Flag, ...]:
