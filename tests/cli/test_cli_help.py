@@ -106,7 +106,18 @@ def reader_folder(tmp_path: Path, datasets: Path, monkeypatch: pytest.MonkeyPatc
 
 def test_readme_runs_as_printed(reader_folder: Path) -> None:
     commands = readme_commands()
-    named = ["lab_data/", "inspect", "inspect", "study", "fit", "validate", "report", "export", "watch"]
+    named = [
+        "lab_data/",
+        "inspect",
+        "inspect",
+        "study",
+        "fit",
+        "models",
+        "validate",
+        "report",
+        "export",
+        "watch",
+    ]
     named += ["synth", "render"]
     assert [words[0] for words in commands] == named
     for words in commands:

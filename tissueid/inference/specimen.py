@@ -414,7 +414,9 @@ def rival_flags(identified: Identified) -> tuple[Flag, ...]:
     worth = [one for one in identified.rivals if one.better or one.disagrees]
     if not worth:
         return ()
-    best = max(worth, key=lambda one: one.gain)
+    most = max(one.gain for one in worth)
+    # they stand in the order of their branches
+    best = next(one for one in worth if one.gain >= most - one.stderr)
     closer = 100.0 * (1.0 - float(np.exp(-0.5 * best.gain)))
     how = f"{closer:.0f} % closer" if best.better else "as well"
     words = f"{best.name} predicts a left-out {identified.left_out} {how}, with tau {best.tau_s:.3g} s"

@@ -220,6 +220,8 @@ def methods_view(specimen: Mapping[str, Any], run: Mapping[str, Any]) -> dict[st
     dict
         ``before`` and ``after`` the equations, ``degree`` for them, and the whole as ``plain`` text.
     """
+    if specimen["model"]["key"] != "kelvin-voigt":
+        return _other_law(specimen, run)
     degree, options = specimen["model"]["stiffness_degree"], run["provenance"]["options"]
     before = (
         f"{_recordings(specimen, run)} Contact force was described by a modified Kelvin-Voigt model "
@@ -245,3 +247,14 @@ def methods_view(specimen: Mapping[str, Any], run: Mapping[str, Any]) -> dict[st
         "degree": degree,
         "plain": _plain(before, terms, after),
     }
+
+
+def _other_law(specimen: Mapping[str, Any], run: Mapping[str, Any]) -> dict[str, Any]:
+    """The paragraph of a law that is not the paper's: without its equations."""
+    options = run["provenance"]["options"]
+    before = (
+        f"{_recordings(specimen, run)} Contact force was described by the contact model "
+        f"{specimen['model']['key']} (static law, stiffness and relaxation as tissueid models lists them)."
+    )
+    after = [_fit_words(specimen, options), _sampling_words(specimen, options), _result_words(specimen)]
+    return {"before": before, "after": after, "degree": None, "plain": _plain(before, [], after)}

@@ -14,7 +14,7 @@ from tissueid.digits import NOT_IDENTIFIED, number, together, with_error
 from tissueid.quantities import EFFECTIVE_SD, EFFECTIVE_SLOPE
 from tissueid.report.wording import misfit_raised, parameter_words, unit_words
 
-__all__ = ["IntervalRow", "misfit_alarm", "paper_view", "reported_order", "uncertainty_view"]
+__all__ = ["IntervalRow", "misfit_alarm", "model_words", "paper_view", "reported_order", "uncertainty_view"]
 
 #: Kinds of parameters in the order of the publication, and what they are called beside a symbol.
 _KINDS = {
@@ -142,7 +142,7 @@ def _columns(specimen: Mapping[str, Any]) -> list[str]:
 
 
 def paper_view(specimen: Mapping[str, Any]) -> dict[str, Any]:
-    """The contact model's numbers as the publication gives them: ``rows``, names of ``intervals``, ``said``.
+    """The contact model's numbers: words of the ``model``, ``rows``, names of ``intervals``, ``said``.
 
     Parameters
     ----------
@@ -152,6 +152,7 @@ def paper_view(specimen: Mapping[str, Any]) -> dict[str, Any]:
     raised = misfit_raised(specimen)
     columns = [] if raised else _columns(specimen)
     return {
+        "model": model_words(specimen["model"]),
         "rows": _rows(specimen, columns, bare=raised),
         "intervals": [_INTERVALS[key] for key in columns],
         "said": " ".join(
@@ -160,15 +161,25 @@ def paper_view(specimen: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
+def model_words(model: Mapping[str, Any]) -> str:
+    """Name of a contact model in a heading."""
+    return "modified Kelvin-Voigt" if model["key"] == "kelvin-voigt" else str(model["key"])
+
+
 def _fit_sentence(specimen: Mapping[str, Any]) -> str:
     """What was fitted, how, and what it leaves."""
     model, sampler = specimen["model"], specimen["sampler"]
     count, degree = model["branches"], model["stiffness_degree"]
     rmse = f"{number(specimen['nrmsd']['rmse_N'], 3)} {specimen['units']['force']}"
     drawn = f"; {sampler['name']}, {sampler['draws']:,} draws" if sampler else "; nothing sampled"
+    law = (
+        f"Static force a_1 x + a_2 x² + a_3 x³, {count} branch{'es' if count != 1 else ''} with K(x) = "
+        f"{_FOLD[degree]}"
+    )
+    if model["key"] != "kelvin-voigt":
+        law = f"Model {model['key']}"
     return (
-        f"NRMSD {100 * specimen['nrmsd']['range']:.2f} % of the range, {rmse}. Static force "
-        f"a_1 x + a_2 x² + a_3 x³, {count} branch{'es' if count != 1 else ''} with K(x) = {_FOLD[degree]}, "
+        f"NRMSD {100 * specimen['nrmsd']['range']:.2f} % of the range, {rmse}. {law}, "
         f"{_POOLING[model['static_pooling']]}. "
         f"{specimen['optimisers']['method']}{drawn}."
     )
