@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import itertools
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.integrate import quad
 from scipy.special import exp1
 
-from tissueid.model import ContactPath
-from tissueid.model.base import scaled_theta
+from tissueid.model import ContactPath, grammar
+from tissueid.model.base import ParameterSpec, scaled_theta
 from tissueid.model.channels import nodes_for
 from tissueid.model.grammar import KELVIN_VOIGT, ModelNameError, described, known_laws, parsed, rebuilt
 from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.model.kernels import STATE_SIZE, tissue_step_in
+from tissueid.model.law import About
+from tissueid.model.servo_law import servo_law
 from tissueid.result import ModelChoice
 
 RESOLUTION, WINDOW = 0.01, 30.0
@@ -201,3 +205,37 @@ def test_what_would_put_out_energy_is_not_passive(theta):
     inside = model("polynomial * tangent * prony")
     assert inside.static_force(falling, np.linspace(0.1, 8.0, 50)).min() > 0.0
     assert not inside.is_passive(falling)
+
+
+class Toe:
+    """A law of another package: nothing up to a toe of 1 mm that grows, in a dozen lines."""
+
+    about = About("toe", "static", "F_s = c x^3", "10.1000/none", "a toe region", "nothing")
+    polynomial, shapes = False, ()
+    coefficients = (ParameterSpec("static_toe_N_per_mm3", "c", "N/mm^3", 0.0, np.inf, "of x^3"),)
+
+    def basis(self, depth_mm):
+        return np.asarray(depth_mm**3)[None]
+
+    def slope(self, depth_mm):
+        return np.asarray(3.0 * depth_mm**2)[None]
+
+
+def test_a_law_of_another_package_is_one_of_ours(monkeypatch):
+    point = SimpleNamespace(load=lambda: Toe)
+    monkeypatch.setattr(grammar, "entry_points", lambda group: [point] if group == "tissueid.models" else [])
+    known_laws.cache_clear()
+    try:
+        law = parsed("toe * tangent * fung").model(8.0, RESOLUTION, WINDOW)
+        assert law.parameter_names[0] == "static_toe_N_per_mm3"
+        assert "toe" in {row["key"] for row in described()}
+        theta = np.array([0.5, 1.2, 0.4, 100.0])
+        time = np.linspace(0.0, 2.0, 400)
+        path = ContactPath(time, np.minimum(4.0 * time, 6.0))
+        servo, state = servo_law(law, theta).packed(), np.zeros(STATE_SIZE)
+        steps = np.diff(time, prepend=0.0)
+        felt = [tissue_step_in(servo, 0, state, 0, x, h) for x, h in zip(path.depth_mm, steps, strict=True)]
+        expected = law.force(theta, path)
+        assert np.abs(np.array(felt) - expected).max() < 0.01 * expected.max()
+    finally:
+        known_laws.cache_clear()

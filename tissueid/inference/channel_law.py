@@ -18,10 +18,9 @@ from numpy.typing import NDArray
 
 from tissueid.inference.law import Path, Slopes, passive_rows, relaxation_states
 from tissueid.model.channels import ChannelModel
+from tissueid.model.grammar import known_laws
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.model.law import RelaxationLaw, Shape, StaticLaw
-from tissueid.model.laws.polynomial import Polynomial
-from tissueid.model.laws.prony import Prony
 
 __all__ = ["Block", "ChannelLaw", "kelvin_voigt_law"]
 
@@ -379,7 +378,8 @@ def _column(values: FloatArray) -> FloatArray:
 
 def kelvin_voigt_law(branches: int, degree: int, depth_mm: float) -> ChannelLaw:
     """Modified Kelvin-Voigt law: F_s(u) + sum_j K_j(u) s_j, the stiffness outside the convolution."""
-    return ChannelLaw(Polynomial(), degree + 1, Prony(), branches, depth_mm)
+    laws = known_laws()
+    return ChannelLaw(laws["polynomial"](), degree + 1, laws["prony"](), branches, depth_mm)
 
 
 @lru_cache
