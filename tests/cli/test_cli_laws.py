@@ -118,3 +118,18 @@ def test_models_lists_every_law_flat() -> None:
     assert all(isinstance(row["parameters"], list) for row in rows)
     assert "springpot" in run("models", "fractional").stdout
     assert run("models", "nope").code == 2
+
+
+def test_what_takes_the_papers_law_only_says_so(tmp_path: Path) -> None:
+    recorded("power * prony", tmp_path / "log.csv")
+    out = tmp_path / "out"
+    quick = ("--sampler", "none", "--no-study", "-q")
+    assert run("fit", tmp_path / "log.csv", "--model", "power * prony", "-o", out, *quick).code in (0, 4)
+    for command, code in (
+        (("cohort", out), 4),
+        (("compare", out / "bundle.h5", out / "bundle.h5"), 2),
+        (("export", out, "--format", "c-header", "-o", tmp_path / "c"), 2),
+    ):
+        ended = run(*command)
+        assert ended.code == code, ended.stderr
+        assert "elvin-" in ended.stderr

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from tissueid.errors import NotIdentifiedError, printable
+from tissueid.model.kelvin_voigt import KEY
 from tissueid.population.cohort import CohortFit, CohortOptions, cohort
 from tissueid.population.document import as_document, members_of, population_bundle, population_priors
 from tissueid.population.members import thawed_among_fresh
@@ -99,6 +100,13 @@ def write_population(
             hold_out=request.hold_out,
         )
         members = members_of(identification, each_result(out))
+        other = next((one for one in members if one.model.key != KEY), None)
+        if other is not None:
+            msg = (
+                f"{other.specimen} is a {other.model.key!r} tissue, and a population is of kelvin-voigt "
+                "ones: fit without --model for it"
+            )
+            raise NotIdentifiedError(msg)
         if not request.mix_states and not STATES & {request.group_by, *request.covariates}:
             _refuse_mixed(*thawed_among_fresh(members))
         fit = cohort(members, options, lambda text: progress(text, 0, 0))
