@@ -22,6 +22,7 @@ PRESS = ("--device", "sim", "--script", "indent 2 mm at 250 mm/min", "--virtual"
 #: Command -> what to type in the prepared folder; what takes long is stopped by an input that is refused.
 TYPED: dict[str, tuple[str, ...]] = {
     "fit": ("fit", "lab", "-o", "again", *QUICK),
+    "models": ("models", "fung"),
     "cohort": ("cohort", "out"),
     "rupture": ("rupture", "lab", "-o", "ruptured"),
     "study init": ("study", "init", "other"),
