@@ -8,9 +8,13 @@ import numpy as np
 import pytest
 from passive_tissues import DEPTH_MM, tissue
 
-from tissueid.model import ContactModel, ContactPath, build_model, model_keys
+from tissueid.model import ContactModel, ContactPath, HertzImpact, KelvinVoigt
 
-#: A passive theta for (branches, degree of K); a newly registered model enters its own.
+MODELS = {
+    "kelvin-voigt": lambda branches, degree: KelvinVoigt(branches, degree, DEPTH_MM),
+    "hertz-impact": lambda _branches, _degree: HertzImpact(DEPTH_MM),
+}
+#: A passive theta for (branches, degree of K).
 PASSIVE_THETA = {
     "kelvin-voigt": lambda branches, degree: tissue(branches, degree)[1],
     # chi = 0.69: a withdrawal at any speed keeps the force above zero
@@ -19,7 +23,7 @@ PASSIVE_THETA = {
 
 CASES = [
     (key, branches, degree)
-    for key, branches, degree in itertools.product(model_keys(), (1, 2, 3), (0, 1, 2))
+    for key, branches, degree in itertools.product(MODELS, (1, 2, 3), (0, 1, 2))
     if key == "kelvin-voigt" or (branches, degree) == (1, 0)
 ]
 
@@ -39,14 +43,13 @@ def loading_path() -> ContactPath:
 @pytest.fixture(params=CASES, ids=lambda case: "-".join(map(str, case)))
 def model_and_theta(request: pytest.FixtureRequest) -> tuple[ContactModel, np.ndarray]:
     key, branches, degree = request.param
-    model = build_model(key, branches=branches, stiffness_degree=degree, depth_mm=DEPTH_MM)
-    return model, PASSIVE_THETA[key](branches, degree)
+    return MODELS[key](branches, degree), PASSIVE_THETA[key](branches, degree)
 
 
 def test_model_satisfies_the_protocol(model_and_theta: tuple[ContactModel, np.ndarray]) -> None:
     model, theta = model_and_theta
     assert isinstance(model, ContactModel)
-    assert model.key in model_keys()
+    assert model.key in MODELS
     assert len(model.parameters) == len(model.parameter_names) == theta.size
     assert model.is_passive(theta)
 

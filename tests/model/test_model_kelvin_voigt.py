@@ -7,9 +7,8 @@ import pytest
 from passive_tissues import DEPTH_MM, SEED_MODEL, SEED_THETA, TAU, tissue
 from scipy.integrate import solve_ivp
 
-from tissueid.model import ContactPath, KelvinVoigt, build_model, model_keys
-from tissueid.model.base import register
-from tissueid.model.kelvin_voigt import KEY, constant_speed_force, ramp_hold_state
+from tissueid.model import ContactPath, KelvinVoigt
+from tissueid.model.kelvin_voigt import constant_speed_force, ramp_hold_state
 
 BRANCHES_AND_DEGREES = [(b, d) for b in (1, 2, 3) for d in (0, 1, 2)]
 every_tissue = pytest.mark.parametrize(("branches", "degree"), BRANCHES_AND_DEGREES)
@@ -263,20 +262,3 @@ def test_theta_of_the_wrong_length_is_refused_with_the_length_needed() -> None:
     ):
         with pytest.raises(ValueError, match=r"theta has shape \(4,\), \(5,\) is needed"):
             use(SEED_THETA[:-1])
-
-
-def test_registry_builds_the_model_by_its_key() -> None:
-    assert KEY in model_keys()
-    model = build_model(KEY, branches=2, stiffness_degree=1, depth_mm=3.5)
-    assert model == KelvinVoigt(branches=2, stiffness_degree=1, depth_mm=3.5)
-    assert model.key == KEY
-
-
-def test_unknown_key_lists_the_keys_there_are() -> None:
-    with pytest.raises(KeyError, match=r"no contact model 'maxwell'; there are .*kelvin-voigt"):
-        build_model("maxwell", branches=1, stiffness_degree=0, depth_mm=8.0)
-
-
-def test_a_key_is_registered_once() -> None:
-    with pytest.raises(ValueError, match="'kelvin-voigt' is registered already"):
-        register(KEY, KelvinVoigt)

@@ -239,3 +239,20 @@ def test_a_law_of_another_package_is_one_of_ours(monkeypatch):
         assert np.abs(np.array(felt) - expected).max() < 0.01 * expected.max()
     finally:
         known_laws.cache_clear()
+
+
+def test_an_unknown_key_lists_what_there_is():
+    with pytest.raises(ModelNameError, match="'maxwell' is no model: STATIC"):
+        rebuilt(ModelChoice("maxwell", 1, 3, 0, "shared", "maxwell", (RESOLUTION, WINDOW)), 8.0)
+
+
+def test_a_key_is_registered_once(monkeypatch):
+    again = SimpleNamespace(name="other-package", load=lambda: known["prony"])
+    known = dict(known_laws())
+    monkeypatch.setattr(grammar, "entry_points", lambda group: [again] if group == "tissueid.models" else [])
+    known_laws.cache_clear()
+    try:
+        with pytest.raises(ModelNameError, match="'prony' is registered already"):
+            parsed("kelvin-voigt")
+    finally:
+        known_laws.cache_clear()

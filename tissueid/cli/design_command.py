@@ -195,7 +195,7 @@ def _asked(flags: dict[str, Any], machine: Machine, tissues: Tissues) -> Asked:
     """Wants and limits as numbers."""
     from tissueid.design.precision import Asked
     from tissueid.design.tissues import parsed_want
-    from tissueid.model.kelvin_voigt import branch_suffix
+    from tissueid.model.base import branch_suffix
 
     endings = [branch_suffix(branch) for branch in range(tissues.model.branches)]
     default = [f"{name}{ending}={DEFAULT_WANT}" for ending in endings for name in ("tau", "eta")]

@@ -17,7 +17,8 @@ from scipy.stats import norm, qmc
 from tissueid.errors import UsageError
 from tissueid.inference.estimates import REFERENCE_DEPTH
 from tissueid.inference.reported import reported_draws
-from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt, branch_suffix
+from tissueid.model.base import branch_suffix
+from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
 
 __all__ = ["Guess", "Tissues", "Want", "of_draws", "of_guesses", "parsed_guess", "parsed_want"]
 

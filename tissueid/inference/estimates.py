@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from tissueid.inference.engine import Identified
 from tissueid.inference.profile import LEVEL_95, ProfileInterval, profile
-from tissueid.model.base import ParameterSpec
+from tissueid.model.base import ParameterSpec, branch_suffix
 from tissueid.model.channels import TissueModel, viscous
-from tissueid.model.kelvin_voigt import branch_suffix
 from tissueid.result import Estimate
 
 __all__ = ["MAX_WIDTH", "REFERENCE_DEPTH", "TissueEstimate", "estimate_tissue", "width_of"]

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.inference.estimates import REFERENCE_DEPTH
+from tissueid.model.base import branch_suffix
 from tissueid.model.channels import TissueModel, viscous
-from tissueid.model.kelvin_voigt import branch_suffix
 
 __all__ = ["interval95", "reported_draws"]
 

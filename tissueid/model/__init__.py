@@ -14,8 +14,6 @@ __all__ = [
     "KelvinVoigt",
     "ParameterSpec",
     "Stepper",
-    "build_model",
-    "model_keys",
 ]
 
 if TYPE_CHECKING:
@@ -24,8 +22,6 @@ if TYPE_CHECKING:
         ContactPath,
         ParameterSpec,
         Stepper,
-        build_model,
-        model_keys,
     )
     from tissueid.model.impact import HertzImpact
     from tissueid.model.kelvin_voigt import KelvinVoigt
@@ -33,7 +29,6 @@ if TYPE_CHECKING:
 
 def __getattr__(name: str) -> Any:
     if name in __all__:
-        # every law, because each registers itself under its key
         from tissueid.model import base, impact, kelvin_voigt
 
         return next(getattr(module, name) for module in (base, impact, kelvin_voigt) if hasattr(module, name))

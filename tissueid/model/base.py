@@ -1,4 +1,4 @@
-"""What every contact model offers, and the registry of models.
+"""Contact models in common: parameters by name, paths, and what a model offers.
 
 A contact model is a law that turns the history of a tool's depth into a force.  The same object is
 fitted, sampled, simulated and felt; a contract test replays a recording through
@@ -7,7 +7,7 @@ fitted, sampled, simulated and felt; a contract test replays a recording through
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
@@ -19,10 +19,10 @@ __all__ = [
     "ContactPath",
     "ParameterSpec",
     "Stepper",
-    "build_model",
-    "model_keys",
-    "register",
+    "branch_suffix",
     "scaled_theta",
+    "static_spec",
+    "stiffness_spec",
 ]
 
 FloatArray = NDArray[np.float64]
@@ -147,42 +147,30 @@ def scaled_theta(
     return out
 
 
-Factory = Callable[[int, int, float], ContactModel]
-_MODELS: dict[str, Factory] = {}
+def static_spec(power: int) -> ParameterSpec:
+    """Coefficient of a power of depth in a static force."""
+    return ParameterSpec(
+        name=f"static_{power}_N_per_mm{'' if power == 1 else power}",
+        symbol=f"a{power}",
+        unit="N/mm" if power == 1 else f"N/mm^{power}",
+        lower=-np.inf,
+        upper=np.inf,
+        meaning=f"coefficient of x^{power} in the static force F_s",
+    )
 
 
-def register(key: str, factory: Factory) -> None:
-    """Enter a model under its key."""
-    if key in _MODELS:
-        msg = f"contact model {key!r} is registered already"
-        raise ValueError(msg)
-    _MODELS[key] = factory
+def branch_suffix(branch: int) -> str:
+    """Ending of the parameter names of a branch: none for the first, then ``_b2``, ``_b3``."""
+    return "" if branch == 0 else f"_b{branch + 1}"
 
 
-def model_keys() -> tuple[str, ...]:
-    """Keys of the registered models."""
-    return tuple(sorted(_MODELS))
-
-
-def build_model(key: str, *, branches: int, stiffness_degree: int, depth_mm: float) -> ContactModel:
-    """The contact model of that key.
-
-    Parameters
-    ----------
-    key : str
-    branches : int
-        Number of relaxation branches.
-    stiffness_degree : int
-        Degree of K(x).
-    depth_mm : float
-        Largest depth the model is claimed for [mm].
-
-    Raises
-    ------
-    KeyError
-        No such model; the message lists the keys there are.
-    """
-    if key not in _MODELS:
-        msg = f"no contact model {key!r}; there are {', '.join(model_keys())}"
-        raise KeyError(msg)
-    return _MODELS[key](branches, stiffness_degree, depth_mm)
+def stiffness_spec(power: int, branch: int) -> ParameterSpec:
+    """Coefficient of a power of depth in the dynamic stiffness of a branch."""
+    return ParameterSpec(
+        name=f"stiffness_{power}_N_per_mm{power + 1 if power else ''}{branch_suffix(branch)}",
+        symbol=f"b{power}" if branch == 0 else f"b{power},{branch + 1}",
+        unit=f"N/mm^{power + 1}" if power else "N/mm",
+        lower=-np.inf,
+        upper=np.inf,
+        meaning=f"coefficient of x^{power} in the dynamic stiffness K of branch {branch + 1}",
+    )

@@ -18,8 +18,8 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.model.base import ContactPath, ParameterSpec
-from tissueid.model.kelvin_voigt import KelvinVoigt, branch_suffix
+from tissueid.model.base import ContactPath, ParameterSpec, branch_suffix, stiffness_spec
+from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.model.kernels import branch_state
 from tissueid.model.law import RelaxationLaw, Shape, StaticLaw, StiffnessLaw
 from tissueid.model.polynomial import minimum_on_unit
@@ -190,7 +190,7 @@ class ChannelModel:
         """Parameters in the order of theta."""
         specs = [*self.static.coefficients, *(one.spec for one in self.static.shapes)]
         for j in range(self.branches):
-            specs += [_stiffness_spec(k, j) for k in range(self.stiffness_law.powers)]
+            specs += [stiffness_spec(k, j) for k in range(self.stiffness_law.powers)]
             specs += [_ratio(j).spec] if self.inside else []
             specs += [_numbered(one.spec, j) for one in self.relaxation.shapes if not self.fixed_s.size]
         return tuple(specs)
@@ -353,18 +353,6 @@ def _states(time_s: FloatArray, driver: FloatArray, tau: FloatArray) -> FloatArr
     """Convolutions of a driver's rate with exponentials, linear in between; (n,) -> (t, n)."""
     driver = np.ascontiguousarray(driver)
     return np.stack([branch_state(time_s, driver, float(one), 0.0) for one in tau])
-
-
-def _stiffness_spec(power: int, branch: int) -> ParameterSpec:
-    per = "mm" if power == 0 else f"mm{power + 1}"
-    return ParameterSpec(
-        name=f"stiffness_{power}_N_per_{per}{branch_suffix(branch)}",
-        symbol=f"b{power}" if branch == 0 else f"b{power},{branch + 1}",
-        unit="N/mm" if power == 0 else f"N/mm^{power + 1}",
-        lower=-np.inf,
-        upper=np.inf,
-        meaning=f"coefficient of x^{power} in the dynamic stiffness K of branch {branch + 1}",
-    )
 
 
 def _numbered(spec: ParameterSpec, branch: int) -> ParameterSpec:

@@ -81,6 +81,11 @@ def known_laws() -> Mapping[str, Any]:
         found[law.about.key] = law
     for point in entry_points(group="tissueid.models"):
         law = point.load()
+        if law.about.key in found:
+            msg = (
+                f"contact law {law.about.key!r} is registered already; {point.name} has to choose another key"
+            )
+            raise ModelNameError(msg)
         found[law.about.key] = law
     return found
 
@@ -178,6 +183,7 @@ def parsed(name: str) -> Named:
     ModelNameError
         A word is not known, or stands in the wrong place; the message lists those that are known.
     """
+    known_laws()  # what is wrong with a plug-in is said whatever was asked for
     words = [word.strip() for word in name.split("*")]
     if words == [KELVIN_VOIGT]:
         return Named(name)

@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.compiled import tick_part
-from tissueid.model.base import ContactPath, ParameterSpec, Stepper, register
+from tissueid.model.base import ContactPath, ParameterSpec, Stepper
 
 __all__ = [
     "IMPACT_SIZE",
@@ -343,10 +343,3 @@ class ImpactStepper:
     def reset(self) -> None:
         """Out of contact, nothing remembered."""
         self._memory[:] = 0.0
-
-
-def _build(_branches: int, _stiffness_degree: int, depth_mm: float) -> HertzImpact:
-    return HertzImpact(depth_mm)
-
-
-register(KEY, _build)

@@ -20,7 +20,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.model.base import ContactPath, ParameterSpec, Stepper, register
+from tissueid.model.base import (
+    ContactPath,
+    ParameterSpec,
+    Stepper,
+    branch_suffix,
+    static_spec,
+    stiffness_spec,
+)
 from tissueid.model.kernels import (
     LAW_SIZE,
     STATE_SIZE,
@@ -44,53 +51,15 @@ CONTACT_LOSS_GRID = 257
 PASSIVE_TOLERANCE = 1e-10
 
 
-def _power(base: str, k: int) -> str:
-    return base if k == 1 else f"{base}{k}"
-
-
-def _static_specs() -> list[ParameterSpec]:
-    return [
-        ParameterSpec(
-            name=f"static_{k}_N_per_{_power('mm', k)}",
-            symbol=f"a{k}",
-            unit="N/mm" if k == 1 else f"N/mm^{k}",
-            lower=-np.inf,
-            upper=np.inf,
-            meaning=f"coefficient of x^{k} in the static force F_s",
-        )
-        for k in range(1, STATIC_DEGREE + 1)
-    ]
-
-
-def branch_suffix(branch: int) -> str:
-    """Ending of the parameter names of a branch: none for the first, then ``_b2``, ``_b3``."""
-    return "" if branch == 0 else f"_b{branch + 1}"
-
-
-def _branch_specs(branch: int, degree: int) -> list[ParameterSpec]:
-    suffix = branch_suffix(branch)
-    specs = [
-        ParameterSpec(
-            name=f"stiffness_{k}_N_per_{_power('mm', k + 1)}{suffix}",
-            symbol=f"b{k}" if branch == 0 else f"b{k},{branch + 1}",
-            unit="N/mm" if k == 0 else f"N/mm^{k + 1}",
-            lower=-np.inf,
-            upper=np.inf,
-            meaning=f"coefficient of x^{k} in the dynamic stiffness K of branch {branch + 1}",
-        )
-        for k in range(degree + 1)
-    ]
-    specs.append(
-        ParameterSpec(
-            name=f"relaxation_time_s{suffix}",
-            symbol="tau" if branch == 0 else f"tau{branch + 1}",
-            unit="s",
-            lower=0.0,
-            upper=np.inf,
-            meaning=f"relaxation time of branch {branch + 1}",
-        )
+def _time_spec(branch: int) -> ParameterSpec:
+    return ParameterSpec(
+        name=f"relaxation_time_s{branch_suffix(branch)}",
+        symbol="tau" if branch == 0 else f"tau{branch + 1}",
+        unit="s",
+        lower=0.0,
+        upper=np.inf,
+        meaning=f"relaxation time of branch {branch + 1}",
     )
-    return specs
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,9 +100,10 @@ class KelvinVoigt:
     @property
     def parameters(self) -> tuple[ParameterSpec, ...]:
         """Parameters in the order of theta."""
-        specs = _static_specs()
+        specs = [static_spec(power) for power in range(1, STATIC_DEGREE + 1)]
         for branch in range(self.branches):
-            specs += _branch_specs(branch, self.stiffness_degree)
+            specs += [stiffness_spec(power, branch) for power in range(self.stiffness_degree + 1)]
+            specs.append(_time_spec(branch))
         return tuple(specs)
 
     @property
@@ -340,10 +310,3 @@ def ramp_hold_state(time_s: FloatArray, *, speed_mm_s: float, depth_mm: float, t
     time = np.asarray(time_s)
     rising = -speed_mm_s * tau_s * np.expm1(-np.minimum(time, corner) / tau_s)
     return rising * np.exp(-np.maximum(time - corner, 0.0) / tau_s)
-
-
-def _build(branches: int, stiffness_degree: int, depth_mm: float) -> KelvinVoigt:
-    return KelvinVoigt(branches=branches, stiffness_degree=stiffness_degree, depth_mm=depth_mm)
-
-
-register(KEY, _build)

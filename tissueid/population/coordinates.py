@@ -19,7 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt, branch_suffix
+from tissueid.model.base import branch_suffix
+from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
 
 __all__ = ["FLOOR_SHARE", "Coordinates"]
 

@@ -13,7 +13,7 @@ import numpy as np
 from tissueid.decided import decided_options, decided_trial, why_excluded
 from tissueid.errors import InputError, NotIdentifiedError
 from tissueid.manifest import Study
-from tissueid.model import build_model
+from tissueid.model.grammar import rebuilt
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.pipeline import IdentifyOptions, identify
 from tissueid.result import Identification, Refusal, SpecimenFit
@@ -165,11 +165,6 @@ def _why_not(test: LoadedTest, offset_mm: float) -> str | None:
 
 
 def _law(fit: SpecimenFit) -> SpecimenLaw:
-    model = build_model(
-        fit.model.key,
-        branches=fit.model.branches,
-        stiffness_degree=fit.model.stiffness_degree,
-        depth_mm=fit.depth_mm,
-    )
+    model = rebuilt(fit.model, fit.depth_mm)
     assert isinstance(model, KelvinVoigt)  # noqa: S101 -- the only law that is fitted
     return SpecimenLaw(fit.specimen, model, np.asarray(fit.theta), np.asarray(fit.covariance))

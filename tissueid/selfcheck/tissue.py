@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from tissueid import FitOptions, IdentifyOptions, PosteriorOptions, __version__, identify
 from tissueid.manifest import Calibration, Study
+from tissueid.model.base import branch_suffix
 from tissueid.model.frame import linear_frame
-from tissueid.model.kelvin_voigt import KelvinVoigt, branch_suffix
+from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.priors import Priors
 from tissueid.result import SpecimenFit
 from tissueid.segment import SegmentOptions

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.errors import InputError
-from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt, branch_suffix
+from tissueid.model.base import branch_suffix
+from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
 from tissueid.model.polynomial import minimum_on_unit
 from tissueid.priors import CalibrationPrior, Priors, SpreadPrior
 

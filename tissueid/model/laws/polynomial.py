@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.model.base import ParameterSpec
+from tissueid.model.base import ParameterSpec, static_spec
 from tissueid.model.law import About, Shape
 
 __all__ = ["LAW", "Polynomial"]
@@ -40,17 +40,7 @@ class Polynomial:
     @property
     def coefficients(self) -> tuple[ParameterSpec, ...]:
         """a1, a2, ..."""
-        return tuple(
-            ParameterSpec(
-                name=f"static_{k}_N_per_mm{'' if k == 1 else k}",
-                symbol=f"a{k}",
-                unit="N/mm" if k == 1 else f"N/mm^{k}",
-                lower=-np.inf,
-                upper=np.inf,
-                meaning=f"coefficient of x^{k} in the static force F_s",
-            )
-            for k in range(1, self.degree + 1)
-        )
+        return tuple(static_spec(power) for power in range(1, self.degree + 1))
 
     def basis(self, depth_mm: FloatArray) -> FloatArray:
         """Powers of depth."""
