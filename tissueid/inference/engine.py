@@ -282,21 +282,7 @@ def identify_logs(
         noise, verdict = _noise(fitting, system, optimum, seen, request.noise)
         refuted = verdict.refuted
         memory = Memory() if refuted else noise.memory
-    tried: list[Tried] = []
-    orders = [(request.branches[0], request.degrees[0])] if single else _orders(request)
-    while orders:
-        for branches, degree in orders:
-            tick(f"{branches} branch{'es' if branches > 1 else ''}, K of degree {degree}")
-            system, _, optimum = fitting.candidate(fitting.law(branches, degree), memory)
-            errors = held_out(system, optimum, groups) if not single else np.ones(1)
-            tried.append(Tried(branches, degree, optimum, system, errors))
-        seen_whole = [one for one in tried if resolved(one, step)] or tried[:1]
-        if one_program(facts) and not single:
-            seen_whole = without_bends(seen_whole)
-        chosen, table, as_good = chosen_among(seen_whole)
-        done = {(one.branches, one.degree) for one in tried}
-        best = [(one.branches, one.degree) for one in as_good]
-        orders = [] if single else [one for one in _further(request, chosen, best) if one not in done]
+    chosen, table, as_good = _chosen(fitting, memory, groups, facts, tick, single=single)
     rivals: tuple[Rival, ...] = ()
     if not single:
         tick("other laws")
@@ -306,6 +292,35 @@ def identify_logs(
         tuple((one.branches, one.degree) for one in as_good), tick,
     )  # fmt: skip
     return replace(found, rivals=rivals)
+
+
+def _chosen(
+    fitting: _Fitting,
+    memory: Memory,
+    groups: Groups,
+    facts: Sequence[FittedLog],
+    tick: Callable[[str], None],
+    *,
+    single: bool,
+) -> tuple[Tried, tuple[dict[str, float | int | bool | None], ...], list[Tried]]:
+    """Candidates until none is wanted: the chosen one, their table, those that are as good."""
+    request, tried = fitting.request, list[Tried]()
+    orders = [(request.branches[0], request.degrees[0])] if single else _orders(request)
+    while True:
+        for branches, degree in orders:
+            tick(f"{branches} branch{'es' if branches > 1 else ''}, K of degree {degree}")
+            system, _, optimum = fitting.candidate(fitting.law(branches, degree), memory)
+            errors = held_out(system, optimum, groups) if not single else np.ones(1)
+            tried.append(Tried(branches, degree, optimum, system, errors))
+        seen_whole = [one for one in tried if resolved(one, fitting.step_s)] or tried[:1]
+        if one_program(facts) and not single:
+            seen_whole = without_bends(seen_whole)
+        found = chosen_among(seen_whole)
+        done = {(one.branches, one.degree) for one in tried}
+        best = [(one.branches, one.degree) for one in found[2]]
+        orders = [] if single else [one for one in _further(request, found[0], best) if one not in done]
+        if not orders:
+            return found
 
 
 def _rival(fitting: _Fitting, chosen: Tried, name: str, memory: Memory, groups: Groups) -> Rival:
