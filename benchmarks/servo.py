@@ -36,11 +36,11 @@ from tissueid.haptics.device import CompiledIO
 from tissueid.haptics.falcon.constants import DEFAULT_GEOMETRY
 from tissueid.haptics.guard import GuardLimits, new_guard
 from tissueid.haptics.watchdogs import REPLY_VALID
-from tissueid.render.falcon_io import command_descriptor, sense_descriptor
-from tissueid.render.selftest import FORCE_STEP_NS, TICK_US, time_ticks
-from tissueid.render.servo import ServoProcess
-from tissueid.render.servo_io import compiled_io
-from tissueid.render.servo_plan import ServoPlan
+from tissueid.rendering.falcon_io import command_descriptor, sense_descriptor
+from tissueid.rendering.selftest import FORCE_STEP_NS, TICK_US, time_ticks
+from tissueid.rendering.servo import ServoProcess
+from tissueid.rendering.servo_io import compiled_io
+from tissueid.rendering.servo_plan import ServoPlan
 
 RATIO = 1.5
 RATES_HZ = (1000, 4000)

@@ -33,9 +33,9 @@ from typing import Any
 import numpy as np
 from websockets.sync.client import connect
 
-from tissueid.render.options import RenderOptions
-from tissueid.render.plan import plan_session
-from tissueid.render.session import Session
+from tissueid.rendering.options import RenderOptions
+from tissueid.rendering.plan import plan_session
+from tissueid.rendering.session import Session
 from tissueid.viewer.frames import read_frame
 from tissueid.viewer.serving import ServedViewer, ViewerOptions
 from tissueid.viewer.showing import show_session

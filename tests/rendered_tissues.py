@@ -9,8 +9,8 @@ import numpy as np
 from fit_factory import identification, specimen_fit
 
 from tissueid.model import KelvinVoigt
-from tissueid.render import environment as env
-from tissueid.render.tissue_block import Tissue
+from tissueid.rendering import environment as env
+from tissueid.rendering.tissue_block import Tissue
 from tissueid.store.bundle import Bundle, bundle_from_fit
 
 DEPTH_MM = 8.0

@@ -32,7 +32,7 @@ def copied(folder: Path) -> Path:
 def test_sources_hold_kernels_and_what_they_import() -> None:
     names = set(kernel_sources())
     assert {"compiled.py", "model/kernels.py", "population/triangular.py", "haptics/guard.py"} <= names
-    assert {"render/servo_loop.py", "render/environment.py", "population/kernels.py"} <= names
+    assert {"rendering/servo_loop.py", "rendering/environment.py", "population/kernels.py"} <= names
     assert not names & {"pipeline.py", "cli/main.py", "report/page.py"}
 
 

@@ -112,7 +112,7 @@ def _extras() -> Check:
 def _loop() -> Check:
     if sys.platform == "win32":
         return Check("servo loop", "missing", "rendering needs Linux or macOS")
-    from tissueid.render.first_start import is_compiled
+    from tissueid.rendering.first_start import is_compiled
 
     if is_compiled():
         return Check("servo loop", "ok", "compiled")
@@ -128,7 +128,7 @@ def _real_time() -> Check:
         )
     try:
         told = subprocess.run(  # noqa: S603 -- our own interpreter and module
-            own_process("tissueid.render.servo_schedule"),
+            own_process("tissueid.rendering.servo_schedule"),
             capture_output=True,
             check=True,
             timeout=PATIENCE_S,
@@ -194,7 +194,7 @@ def warm(tell: Callable[[str], None]) -> None:
         options = IdentifyOptions(fit=FitOptions(noise=noise), posterior=PosteriorOptions(draws=1000))
         identify(trials, options=options)
     if sys.platform != "win32":
-        from tissueid.render.first_start import compile_loop
+        from tissueid.rendering.first_start import compile_loop
 
         tell("compiling the servo's loop")
         compile_loop()

@@ -10,7 +10,7 @@ import pytest
 from command_line import run
 
 from tissueid.errors import UsageError
-from tissueid.render.scene import load_scene
+from tissueid.rendering.scene import load_scene
 from tissueid.store.schema import first_problem
 from tissueid.synth.contact_law import simulate_contact_law
 from tissueid.synth.recipe import Hold, Log, Move, Recipe

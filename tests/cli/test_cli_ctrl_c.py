@@ -46,7 +46,7 @@ AT_A_STEP: list[tuple[tuple[str, ...], int]] = [
 ]
 #: Command without a progress display, and the function in which the signal comes.
 IN_A_FUNCTION: list[tuple[tuple[str, ...], str]] = [
-    (("control", "a.h5", "--html", "old.html"), "tissueid.render.control.document.as_document"),
+    (("control", "a.h5", "--html", "old.html"), "tissueid.rendering.control.document.as_document"),
     (("export", "out", "-o", "old.json"), "tissueid.store.results.read_results"),
     (("report", "out"), "tissueid.store.results.read_results"),
     (("synth", "paper-a-22", "-o", "syn"), "tissueid.synth.write_set"),

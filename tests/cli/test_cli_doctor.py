@@ -10,7 +10,7 @@ import pytest
 from command_line import run
 
 from tissueid import doctor
-from tissueid.render import first_start
+from tissueid.rendering import first_start
 from tissueid.viewer import bundling
 
 NAMES = [

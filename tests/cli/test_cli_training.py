@@ -12,12 +12,12 @@ from command_line import run
 
 from tissueid.haptics.ring import RECORD
 from tissueid.haptics.states import State
-from tissueid.render.options import RenderOptions
-from tissueid.render.participation import CONSENT_TRAINING, Participation, with_consent
-from tissueid.render.plan import plan_session
-from tissueid.render.recorder import Recorder
-from tissueid.render.scene import load_scene
-from tissueid.render.summary import SessionSummary
+from tissueid.rendering.options import RenderOptions
+from tissueid.rendering.participation import CONSENT_TRAINING, Participation, with_consent
+from tissueid.rendering.plan import plan_session
+from tissueid.rendering.recorder import Recorder
+from tissueid.rendering.scene import load_scene
+from tissueid.rendering.summary import SessionSummary
 from tissueid.store.schema import first_problem
 from tissueid.store.session_log import read_session_log
 

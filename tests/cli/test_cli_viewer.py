@@ -14,7 +14,7 @@ from session_heads import head_of, records_of, summary_of
 from tissueid.cli import viewer_serving
 from tissueid.cli.render_command import _CHOICES, _choose_demonstration
 from tissueid.cli.viewer_serving import open_browser, telling_stop
-from tissueid.render.recorder import Recorder
+from tissueid.rendering.recorder import Recorder
 
 
 def recorded(folder: Path) -> Path:

@@ -16,7 +16,7 @@ from tissueid.contrast.noticeable import LIMITS, noticed
 from tissueid.contrast.numbers import Common, Compared, common_range, draws_of_numbers
 from tissueid.errors import UsageError
 from tissueid.model.kelvin_voigt import KelvinVoigt, constant_speed_force
-from tissueid.render.tissue_block import Tissue
+from tissueid.rendering.tissue_block import Tissue
 from tissueid.selfcheck.protocol import Centre, of_program
 from tissueid.selfcheck.tissue import TissueCheck, tissue_check
 from tissueid.selfcheck.truth import Widths

@@ -21,7 +21,7 @@ from tissueid.haptics.forcedimension import ForceDimensionDevice
 from tissueid.haptics.guard_states import GUARD_SIZE, STATE
 from tissueid.haptics.states import State
 from tissueid.haptics.watchdogs import REPLY_LOST, REPLY_VALID
-from tissueid.render.servo_io import HOMED, PRESSED, REPLY, WORDS_SIZE, command, compiled_io, sense
+from tissueid.rendering.servo_io import HOMED, PRESSED, REPLY, WORDS_SIZE, command, compiled_io, sense
 
 FloatArray = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tissueid.own_process import own_process
-from tissueid.render import servo_spawn
+from tissueid.rendering import servo_spawn
 
 
 @pytest.fixture

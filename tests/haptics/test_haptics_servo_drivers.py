@@ -14,8 +14,8 @@ from tissueid.haptics.falcon.constants import DEFAULT_GEOMETRY
 from tissueid.haptics.falcon.kinematics import forward
 from tissueid.haptics.guard import GuardLimits, new_guard
 from tissueid.haptics.watchdogs import REPLY_LOST, REPLY_VALID
-from tissueid.render.servo_io import compiled_io, sense
-from tissueid.render.servo_tick import send
+from tissueid.rendering.servo_io import compiled_io, sense
+from tissueid.rendering.servo_tick import send
 
 LIMITS = GuardLimits(clamp_N=2.0, rms_limit_N=2.0, dead_man=False).block()
 #: Turns the driver's x, y, z into our y, z, x; its origin lies 0.1 m out.

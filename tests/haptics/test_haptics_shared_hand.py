@@ -12,8 +12,8 @@ from tissueid.haptics.shared_hand import SharedHand
 from tissueid.haptics.sim import CENTRE_M, SimulatedDevice
 from tissueid.haptics.sim_kernels import simulated_advance
 from tissueid.haptics.simulated_layout import SIM_PARAMETERS
-from tissueid.render.servo_plan import ServoPlan
-from tissueid.render.servo_process import _share_hand
+from tissueid.rendering.servo_plan import ServoPlan
+from tissueid.rendering.servo_process import _share_hand
 
 
 def test_a_hand_that_is_led_from_another_mapping_arrives_and_no_faster_than_it_may() -> None:

@@ -24,13 +24,13 @@ from tissueid.haptics.sim import CENTRE_M, SimulatedDevice
 from tissueid.haptics.simulated_layout import QUANTUM
 from tissueid.model.passivity import required_damping
 from tissueid.model.scaling import scaling_for
-from tissueid.render.environment import INFO_DEPTH_MM
-from tissueid.render.passivity_control import CORRECTION, TOTAL_J, PassivityLimits
-from tissueid.render.precheck import scaling_at
-from tissueid.render.presets import PRESETS, preset_tissue
-from tissueid.render.servo_io import SimulatedIO
-from tissueid.render.servo_tick import BLOCK_SIZE, new_servo, tick
-from tissueid.render.tissue_block import Plane, Tissue, tissue_block
+from tissueid.rendering.environment import INFO_DEPTH_MM
+from tissueid.rendering.passivity_control import CORRECTION, TOTAL_J, PassivityLimits
+from tissueid.rendering.precheck import scaling_at
+from tissueid.rendering.presets import PRESETS, preset_tissue
+from tissueid.rendering.servo_io import SimulatedIO
+from tissueid.rendering.servo_tick import BLOCK_SIZE, new_servo, tick
+from tissueid.rendering.tissue_block import Plane, Tissue, tissue_block
 
 SURFACE = np.array(CENTRE_M)
 INWARD = np.array([0.0, 0.0, -1.0])

@@ -18,11 +18,11 @@ from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.parameter_block import COMMAND_ENGAGE, ParameterBlock
 from tissueid.haptics.ring import Ring
 from tissueid.haptics.states import Fault, State
-from tissueid.render.passivity_control import PassivityLimits
-from tissueid.render.presets import preset_check, preset_tissue
-from tissueid.render.servo_io import compiled_io
-from tissueid.render.servo_tick import BLOCK_SIZE, compiled_tick, new_servo
-from tissueid.render.tissue_block import Plane, tissue_block
+from tissueid.rendering.passivity_control import PassivityLimits
+from tissueid.rendering.presets import preset_check, preset_tissue
+from tissueid.rendering.servo_io import compiled_io
+from tissueid.rendering.servo_tick import BLOCK_SIZE, compiled_tick, new_servo
+from tissueid.rendering.tissue_block import Plane, tissue_block
 
 TICK_S = 1e-3
 LIMITS = GuardLimits(clamp_N=5.0, rms_limit_N=5.0, dead_man=False, ramp_s=0.5)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numba as nb
 import numpy as np
 
-from tissueid.render.guidance import GUIDANCE_MEMORY, SAID_SIZE, guidance_step
+from tissueid.rendering.guidance import GUIDANCE_MEMORY, SAID_SIZE, guidance_step
 
 HAND_N_PER_M, HAND_N_S_PER_M = 300.0, 5.0
 #: Moving mass with the fingers' share [kg], the arm's damping [N s/m], the guard's clamp [N].

@@ -10,11 +10,11 @@ import numpy as np
 
 from tissueid.haptics.falcon.calibration import Calibration
 from tissueid.haptics.limits import GuardLimits
-from tissueid.render.passivity_control import PassivityLimits
-from tissueid.render.presets import preset_check, preset_tissue
-from tissueid.render.servo import ServoProcess
-from tissueid.render.servo_plan import ServoPlan
-from tissueid.render.tissue_block import Plane, tissue_block
+from tissueid.rendering.passivity_control import PassivityLimits
+from tissueid.rendering.presets import preset_check, preset_tissue
+from tissueid.rendering.servo import ServoProcess
+from tissueid.rendering.servo_plan import ServoPlan
+from tissueid.rendering.tissue_block import Plane, tissue_block
 
 #: A loaded machine starves an emulator for longer than a device would be silent.
 LIMITS = replace(GuardLimits(clamp_N=5.0, rms_limit_N=5.0, dead_man=False, ramp_s=0.5), no_reply_s=1.0)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from rendered_tissues import PAPER_A, TWO_BRANCHES, pressed, walk
 
-from tissueid.render.tissue_block import Plane, Tissue, tissue_block
+from tissueid.rendering.tissue_block import Plane, Tissue, tissue_block
 
 #: The law written a second time: exact recursion, Horner's scheme, bracketed Newton where the tool leaves.
 C_SOURCE = r"""
@@ -80,7 +80,7 @@ import json, sys
 import numpy as np
 from rendered_tissues import PAPER_A, TWO_BRANCHES, pressed, walk
 from test_render_bits import path_of
-from tissueid.render.tissue_block import Plane, tissue_block
+from tissueid.rendering.tissue_block import Plane, tissue_block
 tissue = {"paper-a": PAPER_A, "two branches": TWO_BRANCHES}[sys.argv[1]]
 times, depth = path_of()
 block = tissue_block(tissue, Plane(), force_scale=1.0, motion_scale=1.0)

@@ -10,8 +10,8 @@ import pytest
 from session_heads import indentation, records_of
 
 from tissueid.errors import UsageError
-from tissueid.render.bridge import LARGEST_DATAGRAM, BridgeRequest, UdpBridge, parse_address, parse_request
-from tissueid.render.tissue_block import Plane
+from tissueid.rendering.bridge import LARGEST_DATAGRAM, BridgeRequest, UdpBridge, parse_address, parse_request
+from tissueid.rendering.tissue_block import Plane
 
 
 def test_requests_are_read() -> None:

@@ -12,9 +12,9 @@ from rendered_tissues import PAPER_A, TWO_BRANCHES, bundle_of
 
 from tissueid.errors import BundleError, UsageError
 from tissueid.haptics.sim import SimulatedDevice
-from tissueid.render import surface as srf
-from tissueid.render.blind import check_pseudonym, draw_order, write_key
-from tissueid.render.choice import (
+from tissueid.rendering import surface as srf
+from tissueid.rendering.blind import check_pseudonym, draw_order, write_key
+from tissueid.rendering.choice import (
     Functional,
     as_tissue,
     noticeable_ratio,
@@ -22,9 +22,9 @@ from tissueid.render.choice import (
     pick_draw,
     pick_quantile,
 )
-from tissueid.render.contact_geometry import parse_surface, place_surface, surface_remarks, travel_behind
-from tissueid.render.script import REST_S, read_script
-from tissueid.render.tissue_block import Box, Plane, Sphere, surface_from
+from tissueid.rendering.contact_geometry import parse_surface, place_surface, surface_remarks, travel_behind
+from tissueid.rendering.script import REST_S, read_script
+from tissueid.rendering.tissue_block import Box, Plane, Sphere, surface_from
 
 SIX_MM = Functional(6.0, 250.0 / 60.0)
 

@@ -7,10 +7,10 @@ import pytest
 
 from tissueid.errors import DeviceError, UsageError
 from tissueid.haptics.limits import GuardLimits
-from tissueid.render.control import admittance
-from tissueid.render.control.admittance import render_on_simulated, require_force_sensor
-from tissueid.render.precheck import check_before_force
-from tissueid.render.presets import ASSUMED_DEVICE, preset_tissue
+from tissueid.rendering.control import admittance
+from tissueid.rendering.control.admittance import render_on_simulated, require_force_sensor
+from tissueid.rendering.precheck import check_before_force
+from tissueid.rendering.presets import ASSUMED_DEVICE, preset_tissue
 
 PAPER_A = preset_tissue("paper-a")
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from tissueid.render.control import (
+from tissueid.rendering.control import (
     ControlRun,
     ControlSettings,
     Gains,
@@ -18,9 +18,9 @@ from tissueid.render.control import (
     Signal,
     simulate,
 )
-from tissueid.render.control.plant import damping_form, generalised_force, inertia, solve
-from tissueid.render.control.simulation import loop_block
-from tissueid.render.presets import preset_tissue
+from tissueid.rendering.control.plant import damping_form, generalised_force, inertia, solve
+from tissueid.rendering.control.simulation import loop_block
+from tissueid.rendering.presets import preset_tissue
 
 PAPER_A = preset_tissue("paper-a")
 #: Large gains and estimates from 0, so that the adaptation's share of V' is large.

@@ -10,7 +10,7 @@ import pytest
 from tissueid.errors import UsageError
 from tissueid.model import KelvinVoigt
 from tissueid.model.polynomial import from_coordinates
-from tissueid.render.control import (
+from tissueid.rendering.control import (
     ControlRun,
     ControlSettings,
     Gains,
@@ -20,12 +20,12 @@ from tissueid.render.control import (
     VirtualTool,
     simulate,
 )
-from tissueid.render.control.law import saturate
-from tissueid.render.control.measures import measured
-from tissueid.render.control.simulation import loop_block
-from tissueid.render.control.virtual_mass import turn_multiplier, virtual_mass_bound
-from tissueid.render.presets import preset_tissue
-from tissueid.render.tissue_block import Tissue
+from tissueid.rendering.control.law import saturate
+from tissueid.rendering.control.measures import measured
+from tissueid.rendering.control.simulation import loop_block
+from tissueid.rendering.control.virtual_mass import turn_multiplier, virtual_mass_bound
+from tissueid.rendering.presets import preset_tissue
+from tissueid.rendering.tissue_block import Tissue
 
 PAPER_A = preset_tissue("paper-a")
 M_D, M_H = 1.158, 1.25

@@ -22,8 +22,8 @@ from scipy.integrate import solve_ivp
 
 from tissueid.model.base import ContactPath
 from tissueid.model.rupture import rupture_measures
-from tissueid.render import environment as env
-from tissueid.render.tissue_block import Box, Plane, Sphere, Tissue, free_air_block, tissue_block
+from tissueid.rendering import environment as env
+from tissueid.rendering.tissue_block import Box, Plane, Sphere, Tissue, free_air_block, tissue_block
 from tissueid.rupture_law import RuptureLaw
 
 FloatArray = NDArray[np.float64]

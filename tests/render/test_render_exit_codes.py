@@ -156,7 +156,7 @@ def test_a_damaged_bundle_is_exit_6_before_the_device_hears_anything(monkeypatch
 LIMITED = """
 import resource, sys
 from tissueid.cli.main import main
-from tissueid.render.recorder import Recorder
+from tissueid.rendering.recorder import Recorder
 made = Recorder.append
 def append(self, records):
     # from here on, because the shared memory of the records counts as a file too

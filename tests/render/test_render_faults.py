@@ -22,8 +22,8 @@ from tissueid.haptics.falcon.packet_kernels import INVALID, PACKETS
 from tissueid.haptics.guard_states import HEARTBEAT_LOST, PHASE, YIELDING, transition
 from tissueid.haptics.hand import Hand, preset
 from tissueid.haptics.states import FAULT_WORDS, Fault, Lamp, State
-from tissueid.render.environment import LAW
-from tissueid.render.servo_clock import CLOCK_SIZE, monotonic_ns
+from tissueid.rendering.environment import LAW
+from tissueid.rendering.servo_clock import CLOCK_SIZE, monotonic_ns
 
 pytestmark = pytest.mark.needs_jit
 

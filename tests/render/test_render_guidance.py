@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from tissueid.render import environment as env
-from tissueid.render import guidance as gd
-from tissueid.render.guidance import GUIDANCE_MEMORY, axial_stiffness, guidance_step
-from tissueid.render.guidance_block import Bone, Funnel, Guidance, Pull, guidance_block
+from tissueid.rendering import environment as env
+from tissueid.rendering import guidance as gd
+from tissueid.rendering.guidance import GUIDANCE_MEMORY, axial_stiffness, guidance_step
+from tissueid.rendering.guidance_block import Bone, Funnel, Guidance, Pull, guidance_block
 
 #: A funnel nothing here comes near to.
 WIDE = Funnel(radius_m=0.5, offset_m=0.0, slope=0.01)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from guided_hand import end_error_m, track_angle_rad, track_of
 
-from tissueid.render.guidance_block import Bone, Funnel, Guidance, Pull
+from tissueid.rendering.guidance_block import Bone, Funnel, Guidance, Pull
 
 pytestmark = pytest.mark.needs_jit
 

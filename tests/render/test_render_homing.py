@@ -16,10 +16,10 @@ from tissueid.haptics.falcon.device import HOMING_STEPS, limits_of
 from tissueid.haptics.falcon.emulator import EmulatedLink, EmulatorSettings
 from tissueid.haptics.parameter_block import ParameterBlock
 from tissueid.haptics.ring import Ring
-from tissueid.render.servo import ServoProcess
-from tissueid.render.servo_plan import ServoPlan
-from tissueid.render.servo_process import run_plan
-from tissueid.render.servo_tick import BLOCK_SIZE
+from tissueid.rendering.servo import ServoProcess
+from tissueid.rendering.servo_plan import ServoPlan
+from tissueid.rendering.servo_process import run_plan
+from tissueid.rendering.servo_tick import BLOCK_SIZE
 
 #: A busy machine starves an emulator for longer than a device may be silent.
 LIMITS = replace(limits_of(Calibration()), no_reply_s=10.0)

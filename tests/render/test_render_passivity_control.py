@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tissueid.render import passivity_control as control
-from tissueid.render.passivity_control import PassivityLimits, note_sent, passivity_step
+from tissueid.rendering import passivity_control as control
+from tissueid.rendering.passivity_control import PassivityLimits, note_sent, passivity_step
 
 FloatArray = NDArray[np.float64]
 PERIOD_S = 0.001

@@ -12,9 +12,9 @@ from rendered_tissues import PAPER_A, TWO_BRANCHES
 from tissueid.errors import DeviceError, UsageError
 from tissueid.model import KelvinVoigt
 from tissueid.model.passivity import required_damping
-from tissueid.render.precheck import Demands, check_before_force, scaling_at
-from tissueid.render.presets import ASSUMED_DEVICE, PRESETS, preset_check, preset_tissue
-from tissueid.render.tissue_block import Tissue
+from tissueid.rendering.precheck import Demands, check_before_force, scaling_at
+from tissueid.rendering.presets import ASSUMED_DEVICE, PRESETS, preset_check, preset_tissue
+from tissueid.rendering.tissue_block import Tissue
 
 FALCON_LIKE = Demands(clamp_N=5.0, damping_N_s_per_m=0.5, delay_ticks=1.5)
 STRONG = replace(FALCON_LIKE, damping_N_s_per_m=20.0)

@@ -18,7 +18,7 @@ from owner_to_kill import parameters, plan
 
 from tissueid.haptics.falcon.emulator import EmulatedFalcon, EmulatedLink, EmulatorSettings, ScriptedFault
 from tissueid.haptics.states import Fault, State
-from tissueid.render.servo import ServoProcess
+from tissueid.rendering.servo import ServoProcess
 
 pytestmark = pytest.mark.needs_jit
 

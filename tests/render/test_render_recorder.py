@@ -11,7 +11,7 @@ import pytest
 from session_heads import head_of, indentation, records_of, summary_of
 
 from tissueid.errors import UsageError
-from tissueid.render.recorder import Recorder
+from tissueid.rendering.recorder import Recorder
 from tissueid.store.session_log import read_session_log
 
 LIMIT_BYTES = 60_000
@@ -48,7 +48,7 @@ import resource, sys
 sys.path[:0] = sys.argv[2:]
 from pathlib import Path
 from session_heads import head_of, indentation, records_of, summary_of
-from tissueid.render.recorder import Recorder
+from tissueid.rendering.recorder import Recorder
 records = records_of(indentation(2.0))
 recorder = Recorder(Path(sys.argv[1]), head_of())
 resource.setrlimit(resource.RLIMIT_FSIZE, ({LIMIT_BYTES}, {LIMIT_BYTES}))
@@ -76,7 +76,7 @@ def test_a_full_disk_stops_the_recording_and_keeps_what_is_there(tmp_path: Path)
 def test_no_room_even_for_the_head_is_said_before_the_session(tmp_path: Path) -> None:
     script = (
         "import resource, sys\nsys.path[:0] = sys.argv[2:]\nfrom pathlib import Path\n"
-        "from session_heads import head_of\nfrom tissueid.render.recorder import Recorder\n"
+        "from session_heads import head_of\nfrom tissueid.rendering.recorder import Recorder\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (64, 64))\nRecorder(Path(sys.argv[1]), head_of())\n"
     )
     folders = [str(Path(__file__).parent), str(Path(__file__).parents[1])]

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from tissueid.errors import DeviceError, UsageError
-from tissueid.render import guidance as gd
-from tissueid.render.environment import GUIDANCE, GUIDED, KIND
-from tissueid.render.guidance_block import Bone, Funnel, Guidance, Pull
-from tissueid.render.guidance_check import check_guidance, needed_damping, weaker
-from tissueid.render.options import RenderOptions
-from tissueid.render.plan import plan_session
-from tissueid.render.presets import ASSUMED_DEVICE
-from tissueid.render.scene import load_scene, scene_names
+from tissueid.rendering import guidance as gd
+from tissueid.rendering.environment import GUIDANCE, GUIDED, KIND
+from tissueid.rendering.guidance_block import Bone, Funnel, Guidance, Pull
+from tissueid.rendering.guidance_check import check_guidance, needed_damping, weaker
+from tissueid.rendering.options import RenderOptions
+from tissueid.rendering.plan import plan_session
+from tissueid.rendering.presets import ASSUMED_DEVICE
+from tissueid.rendering.scene import load_scene, scene_names
 from tissueid.store.schema import first_problem
 
 HEAD = 'schema = "tissueid/scene/1"\nname = "a scene"\n'

@@ -10,9 +10,9 @@ from tissueid.haptics import guard_states as machine
 from tissueid.haptics import sim_kernels as sim
 from tissueid.haptics.guard import transition
 from tissueid.haptics.states import Fault, State
-from tissueid.render.environment import LAW
-from tissueid.render.servo_io import PythonIO
-from tissueid.render.servo_tick import tick
+from tissueid.rendering.environment import LAW
+from tissueid.rendering.servo_io import PythonIO
+from tissueid.rendering.servo_tick import tick
 
 pytestmark = pytest.mark.needs_jit
 

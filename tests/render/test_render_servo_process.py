@@ -20,11 +20,11 @@ from tissueid.haptics.parameter_block import COMMAND_ENGAGE, COMMAND_STOP, Param
 from tissueid.haptics.ring import Ring
 from tissueid.haptics.sim import CENTRE_M
 from tissueid.haptics.states import Fault, State
-from tissueid.render import servo_process
-from tissueid.render.servo import ServoProcess
-from tissueid.render.servo_plan import ServoEnd, ServoPlan, receive_plan, send_line, send_plan
-from tissueid.render.servo_spawn import spawn_servo
-from tissueid.render.servo_tick import BLOCK_SIZE
+from tissueid.rendering import servo_process
+from tissueid.rendering.servo import ServoProcess
+from tissueid.rendering.servo_plan import ServoEnd, ServoPlan, receive_plan, send_line, send_plan
+from tissueid.rendering.servo_spawn import spawn_servo
+from tissueid.rendering.servo_tick import BLOCK_SIZE
 
 #: A hand that presses 10 mm deep within half a second of the end of the start-up ramp.
 PRESS = Hand(
@@ -303,7 +303,7 @@ class TestPlan:
 def test_the_process_does_not_load_what_a_servo_has_no_use_for():
     # numba itself looks at scipy's version
     program = (
-        "import sys, tissueid.render.servo_process\n"
+        "import sys, tissueid.rendering.servo_process\n"
         "heavy = {'scipy.optimize', 'scipy.special', 'scipy.linalg', 'pandas', 'lmfit', 'emcee', 'click',\n"
         "         'pint', 'jinja2', 'plotly', 'h5py'}\n"
         "print(sorted(heavy & set(sys.modules)))"

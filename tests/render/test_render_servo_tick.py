@@ -15,12 +15,12 @@ from tissueid.haptics.parameter_block import COMMAND_ENGAGE, COMMAND_STOP, Param
 from tissueid.haptics.ring import Ring
 from tissueid.haptics.sim import CENTRE_M, SimulatedDevice
 from tissueid.haptics.states import Fault, Lamp, State
-from tissueid.render.passivity_control import PassivityLimits
-from tissueid.render.presets import preset_tissue
-from tissueid.render.servo_io import PythonIO, compiled_io
-from tissueid.render.servo_loop import ENDED_FAULT, ENDED_STOPPED, ENDED_TICKS, new_watch, virtual_loop
-from tissueid.render.servo_tick import BLOCK_SIZE, CLIPPED, VERSION, new_servo, tick
-from tissueid.render.tissue_block import Plane, free_air_block, tissue_block
+from tissueid.rendering.passivity_control import PassivityLimits
+from tissueid.rendering.presets import preset_tissue
+from tissueid.rendering.servo_io import PythonIO, compiled_io
+from tissueid.rendering.servo_loop import ENDED_FAULT, ENDED_STOPPED, ENDED_TICKS, new_watch, virtual_loop
+from tissueid.rendering.servo_tick import BLOCK_SIZE, CLIPPED, VERSION, new_servo, tick
+from tissueid.rendering.tissue_block import Plane, free_air_block, tissue_block
 
 PERIOD = 1e-3
 HAND_N_PER_M = 300.0

@@ -17,15 +17,15 @@ from rendered_tissues import PAPER_A, bundle_of
 
 from tissueid.errors import UsageError
 from tissueid.haptics.states import Fault, Lamp, State
-from tissueid.render.bridge import BridgeRequest
-from tissueid.render.environment import FORCE_SCALE, LABEL, SURFACE
-from tissueid.render.first_start import first_start, is_compiled
-from tissueid.render.options import RenderOptions
-from tissueid.render.plan import plan_session
-from tissueid.render.recorder import Recorder
-from tissueid.render.session import Session, Wish
-from tissueid.render.summary import SessionSummary, period_statistics
-from tissueid.render.tissue_block import Plane
+from tissueid.rendering.bridge import BridgeRequest
+from tissueid.rendering.environment import FORCE_SCALE, LABEL, SURFACE
+from tissueid.rendering.first_start import first_start, is_compiled
+from tissueid.rendering.options import RenderOptions
+from tissueid.rendering.plan import plan_session
+from tissueid.rendering.recorder import Recorder
+from tissueid.rendering.session import Session, Wish
+from tissueid.rendering.summary import SessionSummary, period_statistics
+from tissueid.rendering.tissue_block import Plane
 from tissueid.store.bundle import write_bundle
 from tissueid.store.session_log import read_session_log
 
@@ -157,7 +157,7 @@ def test_a_law_of_another_distribution_is_rendered_and_says_its_rate(tmp_path: P
 
 def test_rendering_never_loads_what_a_servo_must_not_wait_for() -> None:
     code = (
-        "import sys, tissueid.render.plan, tissueid.render.session, tissueid.render.servo_process\n"
+        "import sys, tissueid.rendering.plan, tissueid.rendering.session, tissueid.rendering.servo_process\n"
         "print(sorted(sys.modules))"
     )
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tissueid.render.control import ControlSettings, Gains, VirtualTool, simulate
-from tissueid.render.control.document import as_document, series_of
-from tissueid.render.presets import preset_tissue
+from tissueid.rendering.control import ControlSettings, Gains, VirtualTool, simulate
+from tissueid.rendering.control.document import as_document, series_of
+from tissueid.rendering.presets import preset_tissue
 from tissueid.report.control_page import control_remarks, render_control
 
 pytestmark = pytest.mark.needs_jit

@@ -54,7 +54,7 @@ def test_records_outlive_a_kill_in_the_middle_of_writing(tmp_path: Path) -> None
         "import sys; sys.path[:0] = sys.argv[2:]\n"
         "from pathlib import Path\n"
         "from session_heads import head_of, indentation, records_of\n"
-        "from tissueid.render.recorder import Recorder\n"
+        "from tissueid.rendering.recorder import Recorder\n"
         "recorder = Recorder(Path(sys.argv[1]), head_of())\n"
         "records = records_of(indentation(2.0))\n"
         "while True:\n"

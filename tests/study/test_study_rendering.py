@@ -11,8 +11,8 @@ from posterior_factory import sampled
 
 from tissueid.haptics.limits import GuardLimits
 from tissueid.model import KelvinVoigt
-from tissueid.render.precheck import Demands, check_before_force
-from tissueid.render.tissue_block import Tissue
+from tissueid.rendering.precheck import Demands, check_before_force
+from tissueid.rendering.tissue_block import Tissue
 from tissueid.result import SpecimenFit
 from tissueid.store.files import plain_json
 from tissueid.store.posteriors import posteriors_of_fits

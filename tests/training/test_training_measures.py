@@ -9,7 +9,7 @@ import pytest
 
 from tissueid.haptics.ring import RECORD
 from tissueid.haptics.states import State
-from tissueid.render.guidance_block import Guidance, guidance_block
+from tissueid.rendering.guidance_block import Guidance, guidance_block
 from tissueid.training.learning import learning_curve
 from tissueid.training.measures import measured
 

@@ -12,7 +12,7 @@ import pytest
 from rendered_session import Session
 
 from tissueid.haptics.states import State
-from tissueid.render.scene import load_scene
+from tissueid.rendering.scene import load_scene
 
 # a page that is drawn without a graphics card takes every core there is: not beside other tests
 pytestmark = [pytest.mark.browser, pytest.mark.slow]

@@ -7,11 +7,11 @@ import json
 import numpy as np
 import pytest
 
-from tissueid.render.funnel import funnel_touch
-from tissueid.render.guidance_block import Bone, Funnel, Guidance, guidance_block
-from tissueid.render.options import RenderOptions
-from tissueid.render.plan import plan_session
-from tissueid.render.scene import load_scene
+from tissueid.rendering.funnel import funnel_touch
+from tissueid.rendering.guidance_block import Bone, Funnel, Guidance, guidance_block
+from tissueid.rendering.options import RenderOptions
+from tissueid.rendering.plan import plan_session
+from tissueid.rendering.scene import load_scene
 from tissueid.viewer.guided_objects import guided_objects
 from tissueid.viewer.hello import hello
 

@@ -23,9 +23,9 @@ from tissueid.errors import BundleError, UsageError
 from tissueid.haptics.ring import RECORD, Ring
 from tissueid.haptics.shared_hand import SharedHand
 from tissueid.model.kelvin_voigt import constant_speed_force
-from tissueid.render.options import RenderOptions
-from tissueid.render.plan import plan_session
-from tissueid.render.recorder import Recorder
+from tissueid.rendering.options import RenderOptions
+from tissueid.rendering.plan import plan_session
+from tissueid.rendering.recorder import Recorder
 from tissueid.store.bundle import write_bundle
 from tissueid.viewer import server_process, serving
 from tissueid.viewer.band import band_of

@@ -49,7 +49,7 @@ def _dialects() -> Iterable[str]:
 
 
 def _presets() -> Iterable[str]:
-    from tissueid.render.presets import PRESETS
+    from tissueid.rendering.presets import PRESETS
 
     return PRESETS
 
@@ -57,7 +57,7 @@ def _presets() -> Iterable[str]:
 def _scenes() -> Iterable[str]:
     from importlib import resources
 
-    folder = resources.files("tissueid.render") / "scenes"
+    folder = resources.files("tissueid.rendering") / "scenes"
     return sorted(one.name.removesuffix(".toml") for one in folder.iterdir() if one.name.endswith(".toml"))
 
 

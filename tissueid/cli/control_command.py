@@ -13,9 +13,9 @@ from tissueid.cli.completing import presets
 from tissueid.cli.output import echo_json, echo_lines, note, output_options, write_output
 
 if TYPE_CHECKING:
-    from tissueid.render.control.settings import ControlSettings
-    from tissueid.render.control.simulation import ControlRun
-    from tissueid.render.tissue_block import Tissue
+    from tissueid.rendering.control.settings import ControlSettings
+    from tissueid.rendering.control.simulation import ControlRun
+    from tissueid.rendering.tissue_block import Tissue
 
 __all__ = ["command"]
 
@@ -90,9 +90,9 @@ def command(**flags: Any) -> int:
     --frozen), and the tissue at its own stiffness. Which numbers are published, read, derived or assumed is
     in the page and in --json. Exit code 4 where the loop does not stay bounded.
     """
-    from tissueid.render.control.admittance import render_on_simulated, require_force_sensor
-    from tissueid.render.control.document import as_document
-    from tissueid.render.control.simulation import simulate
+    from tissueid.rendering.control.admittance import render_on_simulated, require_force_sensor
+    from tissueid.rendering.control.document import as_document
+    from tissueid.rendering.control.simulation import simulate
 
     if flags["device"] is not None:
         require_force_sensor(flags["device"])
@@ -115,8 +115,8 @@ def command(**flags: Any) -> int:
 
 def _tissue(flags: Mapping[str, Any]) -> tuple[Tissue, str]:
     from tissueid.errors import UsageError
-    from tissueid.render.choice import as_tissue
-    from tissueid.render.presets import preset_tissue
+    from tissueid.rendering.choice import as_tissue
+    from tissueid.rendering.presets import preset_tissue
     from tissueid.store.bundle import load_bundle
 
     if (flags["bundle"] is None) == (flags["preset"] is None):
@@ -130,8 +130,8 @@ def _tissue(flags: Mapping[str, Any]) -> tuple[Tissue, str]:
 def _settings(flags: Mapping[str, Any], tissue: Tissue) -> ControlSettings:
     import math
 
-    from tissueid.render.control.mechanics import TABLE_3_DEVICE, TABLE_3_OPERATOR, Mechanics
-    from tissueid.render.control.settings import ControlSettings, Gains, VirtualTool
+    from tissueid.rendering.control.mechanics import TABLE_3_DEVICE, TABLE_3_OPERATOR, Mechanics
+    from tissueid.rendering.control.settings import ControlSettings, Gains, VirtualTool
 
     gains = Gains(
         damping_N_s_per_m=flags["kr"],
@@ -173,7 +173,7 @@ def _beside(settings: ControlSettings) -> dict[str, ControlSettings]:
 def _write_page(path: str, document: Mapping[str, Any], runs: Mapping[str, ControlRun]) -> None:
     from datetime import UTC, datetime
 
-    from tissueid.render.control.document import series_of
+    from tissueid.rendering.control.document import series_of
     from tissueid.report.control_page import render_control
 
     series = {name: series_of(run) for name, run in runs.items()}

@@ -15,12 +15,12 @@ from tissueid.cli.output import echo, echo_json, note, output_options
 from tissueid.cli.viewer_serving import served, telling_stop, viewer_options
 
 if TYPE_CHECKING:
-    from tissueid.render.options import RenderOptions
-    from tissueid.render.scene import Scene
-    from tissueid.render.servo import ServoProcess
-    from tissueid.render.servo_spawn import SpawnedServo
-    from tissueid.render.session import Outcome, Session
-    from tissueid.render.session_plan import SessionPlan
+    from tissueid.rendering.options import RenderOptions
+    from tissueid.rendering.scene import Scene
+    from tissueid.rendering.servo import ServoProcess
+    from tissueid.rendering.servo_spawn import SpawnedServo
+    from tissueid.rendering.session import Outcome, Session
+    from tissueid.rendering.session_plan import SessionPlan
     from tissueid.viewer.serving import ServedViewer
 
 __all__ = ["command"]
@@ -169,7 +169,7 @@ def _viewer(flags: dict[str, Any]) -> Iterator[ServedViewer | None]:
 @contextmanager
 def _waiting_servo(flags: dict[str, Any]) -> Iterator[SpawnedServo | None]:
     """A servo's process that loads while the plan is made; none where no clock runs."""
-    from tissueid.render.servo_spawn import spawn_servo
+    from tissueid.rendering.servo_spawn import spawn_servo
 
     if flags["virtual"]:
         yield None
@@ -182,11 +182,11 @@ def _prepared(flags: dict[str, Any], spawned: SpawnedServo | None, viewer: Serve
     """Everything that can be refused before a force."""
     from tissueid.cli.render_screen import Keyboard, StatusLine, ask_for_consent
     from tissueid.errors import DeviceError, UsageError
-    from tissueid.render.bridge import UdpBridge, parse_address
-    from tissueid.render.participation import with_consent
-    from tissueid.render.plan import plan_session
-    from tissueid.render.recorder import Recorder
-    from tissueid.render.session import Session
+    from tissueid.rendering.bridge import UdpBridge, parse_address
+    from tissueid.rendering.participation import with_consent
+    from tissueid.rendering.plan import plan_session
+    from tissueid.rendering.recorder import Recorder
+    from tissueid.rendering.session import Session
 
     options = _asked(flags)
     try:
@@ -228,7 +228,7 @@ def _show(viewer: ServedViewer | None, plan: SessionPlan, servo: ServoProcess, b
 
 
 def _asked(flags: dict[str, Any]) -> RenderOptions:
-    from tissueid.render.options import RenderOptions
+    from tissueid.rendering.options import RenderOptions
 
     scene = _scene(flags)
     if scene is not None and scene.device is not None and flags["name"] == "auto":
@@ -281,7 +281,7 @@ def _scene(flags: dict[str, Any]) -> Scene | None:
             msg = "--plan is an axis to be guided to: add --scene hip-resurfacing, or a scene of your own"
             raise UsageError(msg)
         return None
-    from tissueid.render.scene import load_scene
+    from tissueid.rendering.scene import load_scene
 
     if flags["bundle"] is not None or flags["preset"] is not None or flags["environment"] is not None:
         msg = "--scene brings what is felt: leave bundle, --preset and --environment out"
@@ -315,7 +315,7 @@ def _with_way_out(error: Any, plan: SessionPlan | None) -> Any:
 
 def _write_key(flags: dict[str, Any], plan: SessionPlan) -> None:
     """The answer key of a blind comparison, apart from the log."""
-    from tissueid.render.blind import write_key
+    from tissueid.rendering.blind import write_key
 
     if plan.order is None:
         return
@@ -363,7 +363,7 @@ def _selftest(flags: dict[str, Any]) -> int:
     from dataclasses import asdict
 
     from tissueid.cli.output import progress_bar
-    from tissueid.render.selftest import DEFAULT_SECONDS, run_selftest
+    from tissueid.rendering.selftest import DEFAULT_SECONDS, run_selftest
 
     seconds = flags["seconds"] or DEFAULT_SECONDS
     with progress_bar(show=not flags["quiet"]) as report:

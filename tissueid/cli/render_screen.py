@@ -13,9 +13,9 @@ from tissueid.cli.output import draw, note
 from tissueid.errors import UsageError
 
 if TYPE_CHECKING:
-    from tissueid.render.session import Outcome, Wish
-    from tissueid.render.session_plan import SessionPlan
-    from tissueid.render.summary import SessionSummary
+    from tissueid.rendering.session import Outcome, Wish
+    from tissueid.rendering.session_plan import SessionPlan
+    from tissueid.rendering.summary import SessionSummary
 
 __all__ = ["Keyboard", "StatusLine", "ask_for_consent", "summary_lines"]
 
@@ -35,8 +35,8 @@ def ask_for_consent(plan: SessionPlan, *, given: bool, quiet: int) -> None:
     click.Abort
         It was refused.
     """
-    from tissueid.render.blind import CONSENT_BLIND, CONSENT_HARDWARE
-    from tissueid.render.participation import CONSENT_TRAINING
+    from tissueid.rendering.blind import CONSENT_BLIND, CONSENT_HARDWARE
+    from tissueid.rendering.participation import CONSENT_TRAINING
 
     texts = [CONSENT_HARDWARE] if plan.capabilities.hardware else []
     texts += [CONSENT_BLIND] if plan.order is not None else []
@@ -69,7 +69,7 @@ class Keyboard:
 
     def __call__(self) -> Wish:
         """What was typed since the last call; never waits."""
-        from tissueid.render.session import Wish
+        from tissueid.rendering.session import Wish
 
         if not self._heard or not select.select([sys.stdin], [], [], 0.0)[0]:
             return Wish()

@@ -14,7 +14,7 @@ import click
 from tissueid.cli.output import draw, echo, note
 
 if TYPE_CHECKING:
-    from tissueid.render.recorder import Recorder
+    from tissueid.rendering.recorder import Recorder
     from tissueid.viewer.serving import ServedViewer
 
 __all__ = ["open_browser", "served", "telling_stop", "viewer_options"]

@@ -11,12 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from tissueid.render.control.measures import Measures, measured
-from tissueid.render.control.mechanics import Mechanics
-from tissueid.render.control.settings import ControlSettings
-from tissueid.render.control.simulation import ControlRun, simulate
-from tissueid.render.control.virtual_mass import virtual_mass_bound
-from tissueid.render.tissue_block import Tissue as RenderedTissue
+from tissueid.rendering.control.measures import Measures, measured
+from tissueid.rendering.control.mechanics import Mechanics
+from tissueid.rendering.control.settings import ControlSettings
+from tissueid.rendering.control.simulation import ControlRun, simulate
+from tissueid.rendering.control.virtual_mass import virtual_mass_bound
+from tissueid.rendering.tissue_block import Tissue as RenderedTissue
 from tissueid.reproduce.items import Figure, Item, Kind, Trace
 from tissueid.reproduce.published import PUBLISHED, SADEGHNEJAD, Ledger, Published
 from tissueid.reproduce.readings import Readings

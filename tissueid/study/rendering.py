@@ -16,9 +16,9 @@ from tissueid.haptics.arm import Arm
 from tissueid.haptics.falcon.calibration import Calibration
 from tissueid.haptics.limits import GuardLimits
 from tissueid.model.passivity import DEFAULT_DELAY_TICKS
-from tissueid.render.precheck import Demands, Precheck, check_before_force
-from tissueid.render.tissue_block import WORKSPACE_CENTRE_M
-from tissueid.render.tissue_block import Tissue as RenderedTissue
+from tissueid.rendering.precheck import Demands, Precheck, check_before_force
+from tissueid.rendering.tissue_block import WORKSPACE_CENTRE_M
+from tissueid.rendering.tissue_block import Tissue as RenderedTissue
 from tissueid.report.tissue import tissue_of
 from tissueid.store.posteriors import StoredPosterior
 

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.haptics.states import State
-from tissueid.render import guidance as gd
-from tissueid.render.environment import GUIDED
+from tissueid.rendering import guidance as gd
+from tissueid.rendering.environment import GUIDED
 
 __all__ = ["CONE_ENTRY_MM", "Attempt", "measured", "track"]
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.model.channels import loading_force
-from tissueid.render.tissue_block import Tissue
+from tissueid.rendering.tissue_block import Tissue
 
 __all__ = ["band_of"]
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from tissueid.render import guidance as gd
-from tissueid.render.environment import GUIDED
-from tissueid.render.funnel import CONE, PRINTED_ONE_M
+from tissueid.rendering import guidance as gd
+from tissueid.rendering.environment import GUIDED
+from tissueid.rendering.funnel import CONE, PRINTED_ONE_M
 
 __all__ = ["guided_objects"]
 

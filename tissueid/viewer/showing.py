@@ -7,8 +7,8 @@ from functools import partial
 from pathlib import Path
 
 from tissueid.errors import BundleError
-from tissueid.render.servo import ServoProcess
-from tissueid.render.session_plan import SessionPlan
+from tissueid.rendering.servo import ServoProcess
+from tissueid.rendering.session_plan import SessionPlan
 from tissueid.store.bundle import load_bundle
 from tissueid.store.session_log import SessionLog, read_session_log
 from tissueid.viewer.band import band_of

@@ -1,0 +1,216 @@
+"""UDP bridge for other programs: positions and forces out, parameters in.
+
+One JSON object a datagram, at most 1,200 bytes.  Out, at most 250 a second::
+
+    {"v": 1, "tick": 5120, "time_s": 81.2, "position_m": [0, 0, 0.12], "force_N": [0, 0, 0.4],
+     "depth_mm": 1.93, "tissue_force_N": 31.6, "state": "engaged", "lamps": ["clipped"], "tissue": 0}
+
+In, any of these members, each checked::
+
+    {"v": 1, "tissue": 1}                                   take another tissue when nothing is touched
+    {"v": 1, "plane": {"point_m": [0, 0, 0.13], "normal": [0, 0, 1]}}    move the surface, likewise
+    {"v": 1, "engage": false}                               no force; true asks for it again
+    {"v": 1, "stop": true}                                  end the session
+
+Forces are never taken from outside.  What comes in is heard on the loopback interface alone, at most
+32 datagrams a turn; what is none of these is counted and dropped.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import socket
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.errors import UsageError, printable
+from tissueid.haptics.states import Lamp, State
+from tissueid.rendering.tissue_block import Plane
+
+__all__ = ["BridgeRequest", "UdpBridge", "parse_address", "parse_request"]
+
+VERSION = 1
+LARGEST_DATAGRAM = 1200
+#: Datagrams heard a turn: a flood must not keep the session from its heartbeat.
+MOST_A_TURN = 32
+#: Time between two datagrams out [s].
+INTERVAL_S = 0.004
+LOOPBACK = "127.0.0.1"
+#: A surface lies within this of the device's axis [m].
+REACH_M = 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class BridgeRequest:
+    """What a datagram asks for; None where it does not.
+
+    Attributes
+    ----------
+    tissue : int or None
+    plane : Plane or None
+    engage : bool or None
+    stop : bool
+    """
+
+    tissue: int | None = None
+    plane: Plane | None = None
+    engage: bool | None = None
+    stop: bool = False
+
+
+def parse_address(text: str) -> tuple[str, int]:
+    """Read ``HOST:PORT`` or ``PORT`` (then loopback).
+
+    Raises
+    ------
+    UsageError
+        No port between 1 and 65535.
+    """
+    host, _, port = text.rpartition(":")
+    if not (port.isascii() and port.isdigit() and 0 < int(port) < 65536):
+        msg = f"--bridge {printable(text)!r}: give a port, or HOST:PORT, e.g. 5005"
+        raise UsageError(msg)
+    return host or LOOPBACK, int(port)
+
+
+def parse_request(data: bytes) -> BridgeRequest | None:
+    """Read a datagram; None for whatever is no request.
+
+    Parameters
+    ----------
+    data : bytes
+    """
+    if len(data) > LARGEST_DATAGRAM:
+        return None
+    try:
+        found = json.loads(data)
+    except (ValueError, RecursionError):
+        return None
+    if not isinstance(found, dict) or found.get("v") != VERSION:
+        return None
+    if not found.keys() <= {"v", "tissue", "plane", "engage", "stop"}:
+        return None
+    tissue, engage, stop = found.get("tissue"), found.get("engage"), found.get("stop", False)
+    if tissue is not None and not (type(tissue) is int and 0 <= tissue < 65536):
+        return None
+    if engage is not None and type(engage) is not bool:
+        return None
+    if type(stop) is not bool:
+        return None
+    plane = None
+    if "plane" in found:
+        plane = _plane(found["plane"])
+        if plane is None:
+            return None
+    return BridgeRequest(tissue, plane, engage, stop)
+
+
+def _plane(value: Any) -> Plane | None:
+    """A plane within reach, None for anything else."""
+    if not isinstance(value, dict) or value.keys() != {"point_m", "normal"}:
+        return None
+    point, normal = _vector(value["point_m"]), _vector(value["normal"])
+    if point is None or normal is None or max(map(abs, point)) > REACH_M:
+        return None
+    try:
+        return Plane(point, normal)
+    except ValueError:
+        return None
+
+
+def _vector(value: Any) -> tuple[float, float, float] | None:
+    if not isinstance(value, list) or len(value) != 3:
+        return None
+    if not all(type(one) in {int, float} and math.isfinite(one) for one in value):
+        return None
+    return float(value[0]), float(value[1]), float(value[2])
+
+
+class UdpBridge:
+    """The two sockets of a bridge.
+
+    Parameters
+    ----------
+    send_to : tuple
+        Host and port that positions go to; parameters are heard on the next port, on loopback.
+
+    Raises
+    ------
+    UsageError
+        The port to listen on is taken, or there is no such host.
+    """
+
+    def __init__(self, send_to: tuple[str, int]) -> None:
+        #: Datagrams that were dropped because they were no requests.
+        self.dropped = 0
+        self._last_s = -math.inf
+        self._in = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        for one in (self._in, self._out):
+            one.setblocking(False)
+        try:
+            self._target = socket.getaddrinfo(*send_to, socket.AF_INET, socket.SOCK_DGRAM)[0][4]
+            self._in.bind((LOOPBACK, send_to[1] + 1))
+        except (OSError, OverflowError) as error:
+            self.close()
+            msg = f"--bridge {printable(send_to[0])}:{send_to[1]}: {error}; choose another port"
+            raise UsageError(msg) from error
+
+    @property
+    def listens_on(self) -> tuple[str, int]:
+        """Where parameters are heard."""
+        host, port = self._in.getsockname()
+        return str(host), int(port)
+
+    def send(self, records: NDArray[Any]) -> None:
+        """Send the newest record, unless the last was sent a moment ago; never waits.
+
+        Parameters
+        ----------
+        records : ndarray of RECORD, shape (n,)
+        """
+        if not records.size or records["time_s"][-1] - self._last_s < INTERVAL_S:
+            return
+        newest = records[-1]
+        self._last_s = float(newest["time_s"])
+        document = {
+            "v": VERSION,
+            "tick": int(newest["tick"]),
+            "time_s": self._last_s,
+            "position_m": np.round(newest["position_m"], 7).tolist(),
+            "force_N": np.round(newest["force_N"], 5).tolist(),
+            "depth_mm": round(float(newest["depth_mm"]), 5),
+            "tissue_force_N": round(float(newest["tissue_force_N"]), 5),
+            "state": State(int(newest["state"])).name.lower(),
+            "lamps": [str(lamp.name).lower() for lamp in Lamp(int(newest["lamps"]))],
+            "tissue": int(newest["label"]),
+        }
+        try:
+            self._out.sendto(json.dumps(document).encode(), self._target)
+        except OSError:
+            # nobody listens, or the network is slow: a picture may be lost, the force may not wait
+            self.dropped += 1
+
+    def requests(self) -> list[BridgeRequest]:
+        """What was asked for since the last call."""
+        found = []
+        for _ in range(MOST_A_TURN):
+            try:
+                data = self._in.recv(LARGEST_DATAGRAM + 1)
+            except OSError:
+                break
+            request = parse_request(data)
+            if request is None:
+                self.dropped += 1
+            else:
+                found.append(request)
+        return found
+
+    def close(self) -> None:
+        """Give both ports back."""
+        self._out.close()
+        self._in.close()

@@ -1,0 +1,245 @@
+"""Which tissue of a posterior is felt, and whether a hand could tell two of them apart.
+
+All parameters at their 97.5 % is no tissue.  A quantile is that of one named number of the whole law, the
+force at a depth reached at a speed, and the posterior draw nearest to it is rendered: a tissue that the
+recordings allow.  Two tissues are compared by the same number at the device, against the just-noticeable
+difference of force: 7 % of it between 2.5 and 10 N (Pang, Tan & Durlach, Percept Psychophys 49:531, 1991);
+below 2.5 N it is taken not to shrink further than 7 % of 0.5 N (an assumption).
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.errors import UsageError, printable
+from tissueid.model.channels import TissueModel, loading_force
+from tissueid.rendering.tissue_block import Tissue
+from tissueid.store.bundle import Bundle
+
+__all__ = [
+    "DEFAULT_FUNCTIONAL",
+    "NEW_SPECIMEN",
+    "Functional",
+    "Picked",
+    "as_tissue",
+    "noticeable_ratio",
+    "parse_functional",
+    "pick_draw",
+    "pick_quantile",
+    "pick_specimen",
+]
+
+FloatArray = NDArray[np.float64]
+
+#: Just-noticeable difference of force, as a share of it.
+WEBER_SHARE = 0.07
+#: Force below which the difference that is noticed no longer shrinks [N].
+WEBER_FROM_N = 0.5
+S_PER_MIN = 60.0
+
+_FUNCTIONAL = re.compile(
+    r"force\s+at\s+(?P<depth>\d+(?:\.\d*)?|\.\d+)\s*mm\s*,\s*"
+    r"(?P<speed>\d+(?:\.\d*)?|\.\d+)\s*mm\s*/\s*(?P<per>min|s)"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Functional:
+    """The force at a depth that was reached at one speed from rest.
+
+    Attributes
+    ----------
+    depth_mm, speed_mm_s : float
+    """
+
+    depth_mm: float
+    speed_mm_s: float
+
+    def __str__(self) -> str:
+        return f"force at {self.depth_mm:g} mm, {self.speed_mm_s * S_PER_MIN:g} mm/min"
+
+    def of(self, model: TissueModel, theta: FloatArray) -> float:
+        """Its value for one tissue [N]."""
+        depth = np.array([self.depth_mm])
+        return float(loading_force(model, theta, depth, speed_mm_s=self.speed_mm_s)[0])
+
+
+DEFAULT_FUNCTIONAL = "force at 6 mm, 250 mm/min"
+#: What ``--draw-specimen`` means without a number.
+NEW_SPECIMEN = "new"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Picked:
+    """A tissue, and how it was chosen.
+
+    Attributes
+    ----------
+    tissue : Tissue
+    draw : int or None
+        Row of the posterior; None for the fitted values.
+    why : str
+        One sentence.
+    """
+
+    tissue: Tissue
+    draw: int | None
+    why: str
+
+
+def parse_functional(text: str) -> Functional:
+    """Read what ``--of`` says.
+
+    Raises
+    ------
+    UsageError
+        It is nothing of the kind, or has no depth or speed.
+    """
+    found = _FUNCTIONAL.fullmatch(" ".join(text.split()))
+    if found is None:
+        msg = f"--of {printable(text)!r} is not understood; write e.g. {DEFAULT_FUNCTIONAL!r}"
+        raise UsageError(msg)
+    depth, speed = float(found["depth"]), float(found["speed"])
+    if not (depth > 0.0 and speed > 0.0):
+        msg = f"--of {printable(text)!r}: depth and speed must be above 0"
+        raise UsageError(msg)
+    return Functional(depth, speed / (S_PER_MIN if found["per"] == "min" else 1.0))
+
+
+def as_tissue(bundle: Bundle, theta: FloatArray | None = None) -> Tissue:
+    """What a renderer needs of a bundle.
+
+    Parameters
+    ----------
+    bundle : Bundle
+    theta : ndarray, optional
+        A draw; the fitted values where none is given.
+
+    Raises
+    ------
+    BundleError
+        Its recordings were normalised, or its model is none that can be rendered.
+    """
+    bundle.require_renderable()
+    model = bundle.contact_model()
+    return Tissue(
+        model=model,
+        theta=bundle.theta if theta is None else theta,
+        speeds_mm_s=bundle.speeds_mm_s,
+        tip_radius_mm=bundle.tip_radius_mm,
+        name=bundle.specimen,
+        rupture=bundle.rupture,
+    )
+
+
+def pick_draw(bundle: Bundle, number: int) -> Picked:
+    """Posterior draw by its number, counted from 0.
+
+    Raises
+    ------
+    UsageError
+        There is no such draw.
+    """
+    draws = _draws(bundle, "--draw")
+    if not 0 <= number < len(draws):
+        msg = f"--draw {number}: the bundle has draws 0 to {len(draws) - 1}"
+        raise UsageError(msg)
+    return Picked(as_tissue(bundle, draws[number]), number, f"posterior draw {number} of {len(draws)}")
+
+
+def pick_specimen(bundle: Bundle, seed: str) -> Picked:
+    """One specimen drawn from a population.
+
+    Parameters
+    ----------
+    bundle : Bundle
+        Of a population.
+    seed : str
+        A whole number; :data:`NEW_SPECIMEN` takes another one each time, which ``why`` tells.
+
+    Raises
+    ------
+    UsageError
+        The bundle is of one specimen, or the seed no number.
+    """
+    if not bundle.is_population:
+        msg = (
+            f"--draw-specimen: the bundle of {bundle.specimen} holds one specimen; `tissueid cohort OUT` "
+            "writes population.h5, and --draw chooses among what is known of one"
+        )
+        raise UsageError(msg)
+    draws = _draws(bundle, "--draw-specimen")
+    if seed != NEW_SPECIMEN and not (seed.isascii() and seed.isdigit()):
+        msg = f"--draw-specimen {printable(seed)!r}: the seed is a whole number, or nothing for a new one"
+        raise UsageError(msg)
+    known = int(np.random.SeedSequence().generate_state(1)[0]) if seed == NEW_SPECIMEN else int(seed)
+    number = int(np.random.default_rng(known).integers(len(draws)))
+    why = f"specimen {number} of {len(draws)} drawn from the {bundle.specimen} (--draw-specimen {known})"
+    return Picked(as_tissue(bundle, draws[number]), number, why)
+
+
+def pick_quantile(bundle: Bundle, quantile: float, functional: Functional) -> Picked:
+    """The posterior draw whose functional is nearest to its quantile over all draws.
+
+    Parameters
+    ----------
+    bundle : Bundle
+    quantile : float
+        0 to 1.
+    functional : Functional
+
+    Raises
+    ------
+    UsageError
+        No quantile, or a depth beyond what was identified: there the draws say nothing.
+    """
+    if not 0.0 <= quantile <= 1.0:
+        msg = f"--quantile is {quantile:g}, must lie within 0 and 1"
+        raise UsageError(msg)
+    if functional.depth_mm > bundle.depth_mm:
+        msg = f"--of {str(functional)!r} is deeper than the {bundle.depth_mm:.3g} mm that were identified"
+        raise UsageError(msg)
+    draws = _draws(bundle, "--quantile")
+    fitted = as_tissue(bundle)
+    values = np.array([functional.of(fitted.model, draw) for draw in draws])
+    wanted = float(np.quantile(values, quantile))
+    nearest = int(np.abs(values - wanted).argmin())
+    why = (
+        f"posterior draw {nearest}: {functional} is {values[nearest]:.4g} N, the {quantile:g} quantile "
+        f"{wanted:.4g} N (median {np.median(values):.4g} N)"
+    )
+    return Picked(as_tissue(bundle, draws[nearest]), nearest, why)
+
+
+def noticeable_ratio(
+    one: Tissue, other: Tissue, functional: Functional, *, force_scale: float
+) -> tuple[float, float, float]:
+    """How far two tissues differ at the device, in just-noticeable differences.
+
+    Parameters
+    ----------
+    one, other : Tissue
+    functional : Functional
+    force_scale : float
+        s_F.
+
+    Returns
+    -------
+    one_N, other_N, ratio : float
+        Forces at the device [N], and their difference over the just-noticeable one.
+    """
+    a = functional.of(one.model, one.theta) * force_scale
+    b = functional.of(other.model, other.theta) * force_scale
+    noticeable = WEBER_SHARE * max(0.5 * (a + b), WEBER_FROM_N)
+    return a, b, abs(a - b) / noticeable
+
+
+def _draws(bundle: Bundle, option: str) -> FloatArray:
+    if bundle.draws is None or not len(bundle.draws):
+        msg = f"{option}: the bundle of {bundle.specimen} holds no posterior draws; fit it with a sampler"
+        raise UsageError(msg)
+    return bundle.draws

@@ -1,0 +1,77 @@
+"""One tick of the controller: from what was measured to the control force (compiled)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.compiled import tick_kernel
+from tissueid.rendering.control.block import PERIOD, TOUCHED_BY_DEVICE
+from tissueid.rendering.control.drive import advance_tool, environment_force, tool_acceleration
+from tissueid.rendering.control.law import control_force, reference, robust_term, saturate, sigma_at
+from tissueid.rendering.control.plant import regress
+
+__all__ = ["command"]
+
+FloatArray = NDArray[np.float64]
+
+
+@tick_kernel
+def command(
+    block: FloatArray,
+    law: FloatArray,
+    state: FloatArray,
+    time: float,
+    device: tuple[FloatArray, FloatArray],
+    hand: FloatArray,
+    touched: float,
+    tool: tuple[FloatArray, FloatArray, FloatArray],
+    wanted: tuple[FloatArray, FloatArray, FloatArray],
+    robust: FloatArray,
+    estimates: FloatArray,
+    Y: FloatArray,
+    u: FloatArray,
+) -> float:
+    """Step the virtual tool through the coming period and say the force that is held through it.
+
+    Held until the next tick, the command aims at where the tool will be then.
+
+    Parameters
+    ----------
+    block, law, state
+        Of the loop, of the tissue, and what the tissue remembers (**updated**).
+    time : float
+        Since the start [s]; sigma falls with it.
+    device : tuple of ndarray, shape (n,)
+        Measured position [m] and velocity [m/s].
+    hand : ndarray, shape (n,)
+        Measured force of the hand on the device [N].
+    touched : float
+        Force of the environment after the last period [N].
+    tool : tuple of ndarray, shape (n,)
+        Position, velocity, acceleration of the virtual tool; **updated**.
+    wanted : tuple of ndarray, shape (n,)
+        **Written**: vr, ar, rho.
+    robust : ndarray, shape (n,)
+        **Written**: u_r [N].
+    estimates : ndarray, shape (p,)
+    Y : ndarray, shape (n, p)
+        **Written**: the regressor, for :func:`tissueid.rendering.control.law.adapt`.
+    u : ndarray, shape (n,)
+        **Written**: control force [N], saturated.
+
+    Returns
+    -------
+    float
+        Force of the environment at the end of the period [N].
+    """
+    if block[TOUCHED_BY_DEVICE] > 0.0:
+        touched = environment_force(block, law, state, device[0], block[PERIOD])
+    touched = advance_tool(block, law, state, tool, hand, touched)
+    tool_acceleration(block, tool[1], hand, touched, tool[2])
+    reference(block, device, tool, wanted)
+    robust_term(block, wanted[2], sigma_at(block, time), robust)
+    regress(block, device[0], device[1], wanted[0], wanted[1], Y)
+    control_force(block, Y, estimates, wanted[2], robust, hand, u)
+    saturate(block, u)
+    return float(touched)

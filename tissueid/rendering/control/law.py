@@ -1,0 +1,212 @@
+"""Control law, adaptation and Lyapunov function (compiled): equations (16) to (22), (I-1) and (I-4).
+
+Of the equations of Sadeghnejad et al. the text kept the numbers alone: what stands here is a set that
+satisfies each of their sentences (docs/control.md says which parts are readings)::
+
+    (17) vr  = ve + L (xe - x)                  ar = ae + L (ve - v)
+    (16) rho = vr - v
+    (20) u   = Y th + Kr rho + ur               variant B: less the measured force of the hand
+    (21) ur  = delta^2 rho / (delta |rho| + sigma(t))
+    (22) sigma(t) = sigma0 exp(-g t), not below a floor in a sampled loop
+         th' = Gamma Y' rho, kept within bounds
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.compiled import tick_kernel
+from tissueid.rendering.control.block import (
+    ADAPTATION_SIGN,
+    DAMPING,
+    DISTURBANCE_BOUND,
+    PROJECTION,
+    REFERENCE_RATE,
+    SATURATION,
+    SIGMA_FLOOR,
+    SIGMA_RATE,
+    SIGMA_START,
+    VARIANT,
+    VARIANT_B,
+)
+from tissueid.rendering.control.plant import damping_form, inertia
+
+__all__ = [
+    "adapt",
+    "control_force",
+    "lyapunov",
+    "not_covered",
+    "reference",
+    "robust_term",
+    "saturate",
+    "sigma_at",
+]
+
+FloatArray = NDArray[np.float64]
+
+
+@tick_kernel
+def reference(
+    block: FloatArray,
+    device: tuple[FloatArray, FloatArray],
+    tool: tuple[FloatArray, FloatArray, FloatArray],
+    wanted: tuple[FloatArray, FloatArray, FloatArray],
+) -> None:
+    """Reference of the device: equations (16) and (17).
+
+    Parameters
+    ----------
+    block : ndarray, shape (BLOCK_SIZE,)
+    device : tuple of ndarray, shape (n,)
+        Position [m] and velocity [m/s].
+    tool : tuple of ndarray, shape (n,)
+        Position, velocity and acceleration of the virtual tool.
+    wanted : tuple of ndarray, shape (n,)
+        **Written**: vr [m/s], ar [m/s^2], rho [m/s].
+    """
+    x, v = device
+    xe, ve, ae = tool
+    vr, ar, rho = wanted
+    rate = block[REFERENCE_RATE]
+    for i in range(x.size):
+        vr[i] = ve[i] + rate * (xe[i] - x[i])
+        ar[i] = ae[i] + rate * (ve[i] - v[i])
+        rho[i] = vr[i] - v[i]
+
+
+@tick_kernel
+def sigma_at(block: FloatArray, time: float) -> float:
+    """sigma(t) of equation (22) [N m/s]."""
+    return float(max(block[SIGMA_START] * math.exp(-block[SIGMA_RATE] * time), block[SIGMA_FLOOR]))
+
+
+@tick_kernel
+def robust_term(block: FloatArray, rho: FloatArray, sigma: float, out: FloatArray) -> None:
+    """Write u_r [N], equation (21): smooth, along rho, of length delta at most."""
+    length = 0.0
+    for i in range(rho.size):
+        length += rho[i] * rho[i]
+    delta = block[DISTURBANCE_BOUND]
+    below = delta * math.sqrt(length) + sigma
+    for i in range(rho.size):
+        out[i] = delta * delta * rho[i] / below if below > 0.0 else 0.0
+
+
+@tick_kernel
+def control_force(
+    block: FloatArray,
+    Y: FloatArray,
+    estimates: FloatArray,
+    rho: FloatArray,
+    robust: FloatArray,
+    hand: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Write u [N], equation (20), before saturation; ``hand`` is the measured force of the hand."""
+    for i in range(out.size):
+        total = block[DAMPING] * rho[i] + robust[i]
+        for k in range(estimates.size):
+            total += Y[i, k] * estimates[k]
+        if block[VARIANT] == VARIANT_B:
+            total -= hand[i]
+        out[i] = total
+
+
+@tick_kernel
+def saturate(block: FloatArray, u: FloatArray) -> None:
+    """Shorten a force to what the device can give, in its direction."""
+    length = 0.0
+    for i in range(u.size):
+        length += u[i] * u[i]
+    length = math.sqrt(length)
+    if length > block[SATURATION]:
+        for i in range(u.size):
+            u[i] *= block[SATURATION] / length
+
+
+@tick_kernel
+def adapt(
+    block: FloatArray,
+    Y: FloatArray,
+    rho: FloatArray,
+    gains: FloatArray,
+    bounds: FloatArray,
+    h: float,
+    estimates: FloatArray,
+) -> None:
+    """Move the estimates on by ``h`` seconds; with projection they stay within their bounds.
+
+    Parameters
+    ----------
+    block, Y, rho
+        As above.
+    gains : ndarray, shape (p,)
+        Diagonal of Gamma.
+    bounds : ndarray, shape (2, p)
+        Smallest and largest value of each parameter.
+    h : float
+    estimates : ndarray, shape (p,)
+        **Updated.**
+    """
+    for k in range(estimates.size):
+        slope = 0.0
+        for i in range(rho.size):
+            slope += Y[i, k] * rho[i]
+        estimates[k] += h * block[ADAPTATION_SIGN] * gains[k] * slope
+        if block[PROJECTION] > 0.0:
+            estimates[k] = min(max(estimates[k], bounds[0, k]), bounds[1, k])
+
+
+@tick_kernel
+def not_covered(block: FloatArray, push: FloatArray, disturbed: FloatArray, out: FloatArray) -> None:
+    """Write what the estimates don't cover [N]: F* - d in variant A, -d in B."""
+    for i in range(out.size):
+        out[i] = -disturbed[i] if block[VARIANT] == VARIANT_B else push[i] - disturbed[i]
+
+
+@tick_kernel
+def lyapunov(
+    block: FloatArray,
+    x: FloatArray,
+    rho: FloatArray,
+    robust: FloatArray,
+    unknown: FloatArray,
+    truth: FloatArray,
+    estimates: FloatArray,
+    gains: FloatArray,
+    spare: FloatArray,
+    Y: FloatArray,
+    M: FloatArray,
+) -> tuple[float, float]:
+    """V of (I-1) and the right side of (I-4), which V' equals where nothing is sampled, late or saturated.
+
+    Parameters
+    ----------
+    block, x, rho, robust, estimates, gains
+        As above.
+    unknown : ndarray, shape (n,)
+        Of :func:`not_covered` [N].
+    truth : ndarray, shape (p,)
+        True parameters of what is estimated.
+    spare, Y, M : ndarray, shapes (2, n), (n, p) and (n, n)
+        Room to work in, and written.
+
+    Returns
+    -------
+    V, rate : float
+        [J] where the gains are in their units; [W].
+    """
+    inertia(block, truth, x, spare, Y, M)
+    V = 0.0
+    rate = -damping_form(truth, rho)
+    for i in range(rho.size):
+        for j in range(rho.size):
+            V += 0.5 * rho[i] * M[i, j] * rho[j]
+        rate -= rho[i] * (block[DAMPING] * rho[i] + unknown[i] + robust[i])
+    for k in range(truth.size):
+        if gains[k] > 0.0:
+            V += 0.5 * (truth[k] - estimates[k]) ** 2 / gains[k]
+    return V, rate

@@ -1,0 +1,314 @@
+"""What a controlled loop is made of, as frozen data: the virtual mass and all gains are assumed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.errors import UsageError
+from tissueid.rendering.control.block import ARM_PARAMETERS, BASE_X, BASE_Y, BLOCK_SIZE, LINK_1, LINK_2
+from tissueid.rendering.control.mechanics import (
+    TABLE_3_DEVICE,
+    TABLE_3_OPERATOR,
+    TASKS,
+    Mechanics,
+    PlanarArm,
+    Signal,
+)
+from tissueid.rendering.control.plant import inertia
+from tissueid.rendering.tissue_block import Tissue
+
+__all__ = ["ControlSettings", "Gains", "VirtualTool"]
+
+FloatArray = NDArray[np.float64]
+
+#: Robust bound where none is given [N]: in variant A it covers the whole push of the hand, in B friction.
+BOUND_A_N = 25.0
+BOUND_B_N = 3.0
+#: sigma's floor over the bound below which the robust term chatters; at 1.5 times it still does.
+FLOOR_MARGIN = 3.0
+#: Largest estimate over the true value: of inertia, so that a virtual mass of 1.5 times its bound bears it
+#: (1.25 / 1.5 < 1); of damping and stiffness.  Assumed knowledge of device and hand.
+LARGEST_INERTIA = 1.25
+LARGEST_REST = 2.0
+#: Sub-steps of tool, device and hand in a tick at least, and their length times the tool's frequency at most.
+LEAST_SUBSTEPS = 20
+LARGEST_ANGLE = 0.2
+#: The tangent of a tissue is taken up to this share of its identified depth.
+TANGENT_REACH = 1.5
+
+
+@dataclass(frozen=True, slots=True)
+class VirtualTool:
+    """Tool between hand and tissue.  2 kg is assumed; the paper's "has been selected to maintain stability".
+
+    Attributes
+    ----------
+    mass_kg, damping_N_s_per_m : float
+    """
+
+    mass_kg: float = 2.0
+    damping_N_s_per_m: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Gains:
+    """Gains of the controller, all assumed.
+
+    Attributes
+    ----------
+    reference_rate_per_s : float
+        Lambda of equation (17).
+    damping_N_s_per_m : float
+        K_r of equation (20).
+    disturbance_bound_N : float or None
+        delta of equation (21); None is 25 N in variant A and 3 N in B.
+    sigma_start, sigma_rate_per_s : float
+        sigma(0) [N m/s] and how fast it falls.
+    sigma_floor : float or None
+        None is three times the bound below which the robust term chatters, or 0 in a continuous loop.
+    adaptation : tuple of float
+        Gamma of masses, dampings and stiffnesses.
+    arm_adaptation : float
+        Gamma of an arm's p1, p2, p3.
+    projection : bool
+        Estimates stay within their bounds.
+    adaptation_sign : int
+        1; 0 is the frozen controller, -1 is wrong on purpose and must never pass for right.
+    saturation_N : float
+        Largest control force; infinite without one.
+    """
+
+    reference_rate_per_s: float = 50.0
+    damping_N_s_per_m: float = 100.0
+    disturbance_bound_N: float | None = None
+    sigma_start: float = 5.0
+    sigma_rate_per_s: float = 0.5
+    sigma_floor: float | None = None
+    adaptation: tuple[float, float, float] = (0.05, 5.0, 50.0)
+    arm_adaptation: float = 0.05
+    projection: bool = True
+    adaptation_sign: int = 1
+    saturation_N: float = math.inf
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ControlSettings:
+    """A hand, a device, a controller, a virtual tool and a tissue.
+
+    Attributes
+    ----------
+    tissue : Tissue
+    stiffness_scale : float
+        Factor on F_s and K; the paper takes 100 "to check the system stability".
+    force_scale, motion_scale : float
+        Force and travel at the device over those of the tissue, as in rendering.
+    variant : str
+        "A": estimates device and hand, the robust term covers the push of the hand; "B": uses the measured
+        force, estimates the device alone.
+    environment : str
+        "admittance": the virtual tool touches the tissue; "impedance": the device itself does.
+    device, operator : Mechanics
+    arm : PlanarArm or None
+    tool : VirtualTool
+    gains : Gains
+    push, disturbance : Signal or None
+        F* and d; None is the task "sustained", and nothing.
+    push_rise_s : float
+        Time in which the push rises from 0.
+    seconds, rate_Hz : float
+        Length of the run, and the controller's rate; of a continuous loop, how often a row is kept.
+    continuous_step_s : float or None
+        Step of the loop without sampling and delay; None is the sampled loop.
+    substeps : int or None
+        Steps of the tool in a tick; None is as many as the stiffness asks for, 20 at least.
+    start_estimates : ndarray, shape (p,), or None
+        None is half of what is true, in every parameter (assumed).
+    sensor_noise_N : float
+        Standard deviation of the force sensor's white noise.
+    seed : int
+        Of that noise.
+    unchecked : bool
+        Run even below the bound of the virtual mass; for showing what happens there.
+
+    Raises
+    ------
+    UsageError
+        A number makes no sense, with the way out.
+    """
+
+    tissue: Tissue
+    stiffness_scale: float = 1.0
+    force_scale: float = 1.0
+    motion_scale: float = 1.0
+    variant: str = "B"
+    environment: str = "admittance"
+    device: Mechanics = TABLE_3_DEVICE
+    operator: Mechanics = TABLE_3_OPERATOR
+    arm: PlanarArm | None = None
+    tool: VirtualTool = field(default_factory=VirtualTool)
+    gains: Gains = field(default_factory=Gains)
+    push: Signal | None = None
+    disturbance: Signal | None = None
+    push_rise_s: float = 0.5
+    seconds: float = 12.0
+    rate_Hz: float = 1000.0
+    continuous_step_s: float | None = None
+    substeps: int | None = None
+    start_estimates: FloatArray | None = None
+    sensor_noise_N: float = 0.0
+    seed: int = 0
+    unchecked: bool = False
+
+    def __post_init__(self) -> None:
+        for message in _problems(self):
+            raise UsageError(message)
+
+    @property
+    def axes(self) -> int:
+        """Axes of device and hand."""
+        return self.device.axes
+
+    def task(self, name: str) -> ControlSettings:
+        """The same loop under another push, one of :data:`TASKS`."""
+        return replace(self, push=Signal.along(*TASKS[name], axes=self.axes))
+
+    def frozen(self) -> ControlSettings:
+        """The same loop with estimates that stay where they start."""
+        return replace(self, gains=replace(self.gains, adaptation_sign=0))
+
+    def true_parameters(self) -> tuple[FloatArray, FloatArray]:
+        """Parameters of the device, with its arm first, and of the hand, in the same places."""
+        arm = np.zeros(0) if self.arm is None else np.array(self.arm.inertia_kg_m2)
+        return (
+            np.concatenate([arm, self.device.parameters()]),
+            np.concatenate([np.zeros(arm.size), self.operator.parameters()]),
+        )
+
+    def inertias(self) -> tuple[FloatArray, FloatArray]:
+        """Inertia of the device where its tool touches the tissue, and of the hand [kg], shape (n, n)."""
+        block = np.zeros(BLOCK_SIZE)
+        if self.arm is not None:
+            block[[LINK_1, LINK_2]] = self.arm.links_m
+            block[[BASE_X, BASE_Y]] = self.arm.base_m
+        device, _operator = self.true_parameters()
+        found = np.zeros((self.axes, self.axes))
+        n = self.axes
+        inertia(block, device, np.zeros(n), np.zeros((2, n)), np.zeros((n, device.size)), found)
+        return found, self.operator.mass_kg
+
+    def estimated_truth(self) -> FloatArray:
+        """What the estimates should be, shape (p,): device and hand in variant A, the device in B."""
+        device, operator = self.true_parameters()
+        return device + operator if self.variant == "A" else device
+
+    def estimate_bounds(self) -> FloatArray:
+        """Bounds of the projection, shape (2, p); an entry beside a diagonal may have either sign."""
+        truth = self.estimated_truth()
+        per_matrix = self.axes * (self.axes + 1) // 2
+        arm = truth.size - 3 * per_matrix
+        share = np.full(truth.size, LARGEST_REST)
+        share[: arm + per_matrix] = LARGEST_INERTIA
+        off_diagonal = np.zeros(truth.size, bool)
+        rows, columns = np.triu_indices(self.axes)
+        off_diagonal[arm:] = np.tile(rows != columns, 3)
+        high = share * np.abs(truth)
+        return np.array([np.where(off_diagonal, -high, 0.0), high])
+
+    def adaptation_gains(self) -> FloatArray:
+        """Diagonal of Gamma, shape (p,)."""
+        per_matrix = self.axes * (self.axes + 1) // 2
+        arm = [] if self.arm is None else [self.gains.arm_adaptation] * ARM_PARAMETERS
+        return np.array([*arm, *np.repeat(self.gains.adaptation, per_matrix)])
+
+    def disturbance_bound_N(self) -> float:
+        """Bound of what the estimates don't cover, delta of equation (21) [N]."""
+        given = self.gains.disturbance_bound_N
+        return given if given is not None else BOUND_A_N if self.variant == "A" else BOUND_B_N
+
+    def chatter_floor(self) -> float:
+        """Smoothing sigma [N m/s] below which the sampled robust term chatters: delta^2 T / (2 M - Kr T).
+
+        The smallest mass that the robust term may move is taken: of device and hand in variant A; of the
+        device in B, whose hand is fed back one sample late.
+
+        Raises
+        ------
+        UsageError
+            K_r alone already overshoots in one sample.
+        """
+        device, hand = self.inertias()
+        mass = device + hand if self.variant == "A" else device
+        below = 2.0 * float(np.linalg.eigvalsh(mass)[0]) - self.gains.damping_N_s_per_m / self.rate_Hz
+        if below <= 0.0:
+            msg = (
+                f"K_r of {self.gains.damping_N_s_per_m:g} N s/m overshoots within one sample of "
+                f"{1e3 / self.rate_Hz:g} ms; lower it, or raise the rate"
+            )
+            raise UsageError(msg)
+        return self.disturbance_bound_N() ** 2 / self.rate_Hz / below
+
+    def sigma_floor(self) -> float:
+        """Smallest sigma(t) of this loop [N m/s]."""
+        if self.gains.sigma_floor is not None:
+            return self.gains.sigma_floor
+        return 0.0 if self.continuous_step_s is not None else FLOOR_MARGIN * self.chatter_floor()
+
+    def largest_tangent(self) -> float:
+        """Largest stiffness of the tissue at the device [N/m], on one and a half times its depth."""
+        model, theta = self.tissue.model, self.tissue.theta
+        x = np.linspace(0.0, TANGENT_REACH * model.depth_mm, 61)
+        tangent = model.static_slope(theta, x) + model.stiffness(theta, x).sum(axis=0)
+        tangent_N_per_mm = float(np.max(tangent)) * self.stiffness_scale
+        return 1e3 * tangent_N_per_mm * self.force_scale / self.motion_scale
+
+    def tool_substeps(self) -> int:
+        """Steps of the tool in a tick."""
+        if self.substeps is not None:
+            return self.substeps
+        angle = math.sqrt(self.largest_tangent() / self.tool.mass_kg) / self.rate_Hz
+        return max(LEAST_SUBSTEPS, math.ceil(angle / LARGEST_ANGLE))
+
+
+def _problems(settings: ControlSettings) -> list[str]:
+    """What makes no sense."""
+    found = []
+    if settings.variant not in ("A", "B"):
+        found.append(f"there is no variant {settings.variant!r}; give A or B")
+    if settings.environment not in ("admittance", "impedance"):
+        found.append(f"there is no {settings.environment!r} environment; give admittance or impedance")
+    positive = {
+        "the stiffness scale": settings.stiffness_scale,
+        "the force scale": settings.force_scale,
+        "the motion scale": settings.motion_scale,
+        "the length of the run": settings.seconds,
+        "the rate": settings.rate_Hz,
+        "the virtual mass": settings.tool.mass_kg,
+        "the continuous step": 1.0 if settings.continuous_step_s is None else settings.continuous_step_s,
+        "the number of sub-steps": 1.0 if settings.substeps is None else settings.substeps,
+    }
+    found += [
+        f"{name} is {value:g}, must be above 0"
+        for name, value in positive.items()
+        if not 0.0 < value < math.inf
+    ]
+    if settings.device.axes != settings.operator.axes:
+        found.append(f"the device has {settings.device.axes} axes and the hand {settings.operator.axes}")
+    for name, signal in (("push", settings.push), ("disturbance", settings.disturbance)):
+        parts = () if signal is None else (signal.offset_N, signal.amplitude_N, signal.frequency_Hz)
+        if any(len(part) != settings.axes for part in parts):
+            found.append(f"the {name} needs {settings.axes} offsets, amplitudes and frequencies")
+    if settings.arm is not None and settings.device.axes != 2:
+        found.append("an arm in the plane has two axes; give device and hand as 2 x 2 matrices")
+    if settings.arm is None and not np.linalg.eigvalsh(settings.device.mass_kg)[0] > 0.0:
+        found.append("the device needs a mass along every axis")
+    if settings.continuous_step_s is not None and math.isfinite(settings.gains.saturation_N):
+        found.append("a saturated controller is sampled; leave the continuous step out")
+    if not found and settings.start_estimates is not None:
+        size = settings.estimated_truth().size
+        if np.shape(settings.start_estimates) != (size,):
+            found.append(f"the first estimates are {size}: masses, dampings, stiffnesses")
+    return found

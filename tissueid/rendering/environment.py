@@ -1,0 +1,260 @@
+"""The force that is felt: a tool tip against a surface of identified tissue (compiled).
+
+One step: penetration and normal of the tip in the surface, depth of the tissue by the motion scale,
+:func:`tissueid.model.kernels.tissue_step_in` (the law that was fitted), force by the force scale along
+the normal.  Unloading, loss of contact and recovery are the law's own; beyond the identified depth the
+law is continued and the tick is marked.  No friction: the force has the direction of the normal.
+
+A guided axis (:mod:`tissueid.rendering.guidance`) takes the place of the tissue where the block is one of it.
+
+Everything a step needs stands in one flat, versioned block (:data:`ENVIRONMENT_SIZE` numbers, written by
+:mod:`tissueid.rendering.tissue_block`) so that it can be exchanged while the loop runs, at zero penetration;
+what a step remembers stands in a memory of :data:`MEMORY_SIZE` numbers, all zero for tissue at rest.
+
+A rupture, where the block has one, leaves a share of the force from that tick on until the tissue is put
+back at rest (criteria of model.md 1.5, readings: total work, weighted force, stored energy or depth).  The
+share multiplies the whole law: what is left is passive as the law is, and the fall only takes energy away.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.compiled import tick_kernel, tick_part
+from tissueid.haptics.states import Lamp
+from tissueid.model.kernels import tissue_step_in
+from tissueid.model.rupture_kernels import static_force_in, stored_energy_in
+from tissueid.rendering.guidance import (
+    GUIDANCE_MEMORY,
+    SAID_BONE_N,
+    SAID_HEIGHT_M,
+    SAID_PENETRATION_M,
+    guidance_step,
+)
+from tissueid.rendering.surface import touch
+
+__all__ = [
+    "BLOCK_VERSION",
+    "ENVIRONMENT_SIZE",
+    "FREE_AIR",
+    "GUIDANCE",
+    "GUIDED",
+    "INFO_SIZE",
+    "MEMORY_SIZE",
+    "OUTSIDE_DEPTH",
+    "OUTSIDE_SPEED",
+    "RUPTURED",
+    "TISSUE",
+    "environment_step",
+    "new_memory",
+    "put_at_rest",
+]
+
+FloatArray = NDArray[np.float64]
+
+#: Kinds of environment the compiled loop knows.
+FREE_AIR = 0
+TISSUE = 1
+GUIDANCE = 2
+
+# -- the block ------------------------------------------------------------------------------------
+BLOCK_VERSION = 2
+ENVIRONMENT_SIZE = 144
+VERSION = 0
+KIND = 1
+#: Which of the things to be compared this is: 0 for the first; copied to the info.
+LABEL = 2
+FORCE_SCALE = 3
+MOTION_SCALE = 4
+DEPTH_MM = 5
+FASTEST_MM_S = 6
+RUPTURE_KIND = 7
+RUPTURE_VALUE = 8
+#: Share of the force that is left after a rupture.
+RUPTURE_RESIDUAL = 9
+#: :data:`~tissueid.rendering.surface.SURFACE_SIZE` numbers.
+SURFACE = 10
+#: :data:`~tissueid.model.kernels.LAW_SIZE` numbers.
+LAW = 24
+#: w of the weighted force F_s + w F_d; behind the law.
+RUPTURE_WEIGHT = 140
+
+#: :data:`~tissueid.rendering.guidance.GUIDANCE_SIZE` numbers, in the place of everything from the surface on.
+GUIDED = 10
+
+#: Criteria of rupture: none; work done on the tissue [N mm]; weighted force on it [N]; energy stored in it
+#: [N mm]; depth [mm].
+RUPTURE_NONE = 0.0
+RUPTURE_WORK = 1.0
+RUPTURE_FORCE = 2.0
+RUPTURE_STORED = 3.0
+RUPTURE_DEPTH = 4.0
+
+# -- the memory -----------------------------------------------------------------------------------
+MEMORY_SIZE = 56
+#: :data:`~tissueid.model.kernels.STATE_SIZE` numbers, the surface [mm] first.
+TISSUE_STATE = 0
+LAST_DEPTH = 40
+LAST_FORCE = 41
+SPEED = 42
+WORK = 43
+BROKEN = 44
+#: :data:`~tissueid.rendering.surface.TOUCH_SIZE` numbers, the face first, then the normal.
+TOUCH = 45
+NORMAL = 46
+#: What guidance says of a step; its own memory stands before it.
+SAID = GUIDANCE_MEMORY
+
+# -- what a step says -----------------------------------------------------------------------------
+INFO_SIZE = 8
+INFO_PENETRATION_M = 0
+INFO_DEPTH_MM = 1
+INFO_SPEED_MM_S = 2
+INFO_TISSUE_FORCE_N = 3
+INFO_DEVICE_FORCE_N = 4
+#: Bits of :class:`tissueid.haptics.states.Lamp`.
+INFO_FLAGS = 5
+INFO_SURFACE_MM = 6
+INFO_LABEL = 7
+
+OUTSIDE_DEPTH = int(Lamp.OUTSIDE_DEPTH)
+OUTSIDE_SPEED = int(Lamp.OUTSIDE_SPEED)
+RUPTURED = int(Lamp.RUPTURED)
+
+#: Time constant of the speed behind the lamp [s]: one count of an encoder in one tick is 45 mm/s.
+SPEED_FILTER_S = 0.05
+#: Share over the identified depth, and over the fastest identified speed, that is rounding and ripple.
+DEPTH_MARGIN = 0.01
+SPEED_MARGIN = 0.05
+M_TO_MM = 1000.0
+
+
+def new_memory() -> FloatArray:
+    """Memory of a tissue at rest, shape (MEMORY_SIZE,)."""
+    return np.zeros(MEMORY_SIZE)
+
+
+@tick_kernel
+def put_at_rest(memory: FloatArray) -> None:
+    """Tissue whole and at rest, as before anything touched it."""
+    for i in range(memory.size):
+        memory[i] = 0.0
+
+
+@tick_part
+def environment_step(
+    kind: int,
+    parameters: FloatArray,
+    memory: FloatArray,
+    position: FloatArray,
+    velocity: FloatArray,
+    dt: float,
+    force: FloatArray,
+    info: FloatArray,
+) -> None:
+    """Force of the environment on the tool at the end of a step.
+
+    Parameters
+    ----------
+    kind : int
+        :data:`FREE_AIR`, :data:`TISSUE` or :data:`GUIDANCE`; any other number is free air.
+    parameters : ndarray, shape (ENVIRONMENT_SIZE,)
+    memory : ndarray, shape (MEMORY_SIZE,)
+        Updated in place.
+    position, velocity : ndarray, shape (3,)
+        Of the tool tip's centre [m], [m/s]; the velocity only judges whether the law was identified there.
+    dt : float
+        Measured step [s].
+    force : ndarray, shape (3,)
+        Written: force on the tool [N, at the device].
+    info : ndarray, shape (INFO_SIZE,)
+        Written: penetration [m], depth [mm] (negative in air), tissue speed [mm/s], tissue force [N],
+        device force [N], lamps, tissue surface [mm], label.
+    """
+    for i in range(3):
+        force[i] = 0.0
+    for i in range(INFO_SIZE):
+        info[i] = 0.0
+    info[INFO_LABEL] = parameters[LABEL]
+    if kind == TISSUE:
+        _tissue(parameters, memory, position, velocity, dt, force, info)
+    elif kind == GUIDANCE:
+        guidance_step(parameters, GUIDED, memory, position, dt, force, memory, SAID)
+        info[INFO_PENETRATION_M] = memory[SAID + SAID_PENETRATION_M]
+        info[INFO_DEPTH_MM] = -memory[SAID + SAID_HEIGHT_M] * M_TO_MM
+        info[INFO_TISSUE_FORCE_N] = memory[SAID + SAID_BONE_N]
+        info[INFO_DEVICE_FORCE_N] = math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
+
+
+@tick_part
+def _tissue(
+    parameters: FloatArray,
+    memory: FloatArray,
+    position: FloatArray,
+    velocity: FloatArray,
+    dt: float,
+    force: FloatArray,
+    info: FloatArray,
+) -> None:
+    """One step against a tissue surface."""
+    penetration = touch(parameters, SURFACE, position, memory, TOUCH)
+    depth = penetration / parameters[MOTION_SCALE] * M_TO_MM
+    tissue_force = tissue_step_in(parameters, LAW, memory, TISSUE_STATE, depth, dt)
+    _rupture(parameters, memory, depth, tissue_force)
+    if memory[BROKEN] > 0.0:
+        tissue_force *= parameters[RUPTURE_RESIDUAL]
+    inward = 0.0
+    for i in range(3):
+        inward -= velocity[i] * memory[NORMAL + i]
+    share = dt / (dt + SPEED_FILTER_S)
+    memory[SPEED] += share * (inward / parameters[MOTION_SCALE] * M_TO_MM - memory[SPEED])
+    speed = memory[SPEED]
+    device_force = tissue_force * parameters[FORCE_SCALE]
+    for i in range(3):
+        force[i] = device_force * memory[NORMAL + i]
+    info[INFO_PENETRATION_M] = penetration
+    info[INFO_DEPTH_MM] = depth
+    info[INFO_SPEED_MM_S] = speed
+    info[INFO_TISSUE_FORCE_N] = tissue_force
+    info[INFO_DEVICE_FORCE_N] = device_force
+    info[INFO_SURFACE_MM] = memory[TISSUE_STATE]
+    info[INFO_FLAGS] = _lamps(parameters, memory, depth, speed)
+    memory[LAST_DEPTH] = depth
+    memory[LAST_FORCE] = tissue_force
+
+
+@tick_part
+def _rupture(parameters: FloatArray, memory: FloatArray, depth: float, tissue_force: float) -> None:
+    """Count the work done on the tissue and see whether it breaks."""
+    kind = parameters[RUPTURE_KIND]
+    if kind == RUPTURE_NONE or memory[BROKEN] > 0.0:
+        return
+    before = max(memory[LAST_DEPTH], 0.0)
+    memory[WORK] += 0.5 * (memory[LAST_FORCE] + tissue_force) * (max(depth, 0.0) - before)
+    if kind == RUPTURE_WORK:
+        reached = memory[WORK]
+    elif kind == RUPTURE_FORCE:
+        static = static_force_in(parameters, LAW, memory, TISSUE_STATE)
+        reached = static + parameters[RUPTURE_WEIGHT] * (tissue_force - static)
+    elif kind == RUPTURE_STORED:
+        reached = stored_energy_in(parameters, LAW, memory, TISSUE_STATE)
+    else:
+        reached = max(depth, 0.0)
+    if depth > 0.0 and reached >= parameters[RUPTURE_VALUE]:
+        memory[BROKEN] = 1.0
+
+
+@tick_part
+def _lamps(parameters: FloatArray, memory: FloatArray, depth: float, speed: float) -> float:
+    """Lamps of this step: only tissue that is touched is outside what was identified."""
+    flags = 0
+    if depth > parameters[DEPTH_MM] * (1.0 + DEPTH_MARGIN):
+        flags |= OUTSIDE_DEPTH
+    if depth > 0.0 and abs(speed) > parameters[FASTEST_MM_S] * (1.0 + SPEED_MARGIN):
+        flags |= OUTSIDE_SPEED
+    if memory[BROKEN] > 0.0:
+        flags |= RUPTURED
+    return float(flags)

@@ -1,0 +1,256 @@
+"""The numbers of a guided axis, with a default for everything the paper does not print."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.model.impact import DampingLaw, damping_factor, pack_impact
+from tissueid.rendering import environment as env
+from tissueid.rendering import guidance as gd
+from tissueid.rendering.funnel import CONE, HYPERBOLOID, hyperboloid_constants
+
+__all__ = ["ASSUMED", "Bone", "Funnel", "Guidance", "Pull", "guidance_block"]
+
+FloatArray = NDArray[np.float64]
+
+Vector = tuple[float, float, float]
+
+M_TO_MM = 1000.0
+UNIT_TOLERANCE = 1e-9
+
+#: What Pires et al. print: the form of the contact law, the form of the surface and tau = 0.05 s.  All other
+#: numbers below are assumed, forces such that a device of which nothing was measured renders them stably.
+ASSUMED = (
+    "radius_m", "offset_m", "slope", "stiffness_N_per_m_n", "exponent", "restitution", "slowest_m_s",
+    "far_N_per_m", "near_N_per_m", "reach_m", "filter_s", "bone",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Funnel:
+    """The guiding surface and its contact law.
+
+    Attributes
+    ----------
+    kind : {"hyperboloid", "cone"}
+        How the printed equation is read (:mod:`tissueid.rendering.funnel`).
+    radius_m, offset_m, slope : float
+        Radius at the entry point [m], depth of throat or apex below it [m], growth of the radius with the
+        height.  The radius of a cone follows from the other two.
+    stiffness_N_per_m_n, exponent : float
+        k [N/m^n] and n.
+    restitution : float
+        e.
+    law : {"flores", "exact"}
+    slowest_m_s : float
+        Floor of the speed at contact [m/s].
+    """
+
+    kind: Literal["hyperboloid", "cone"] = "hyperboloid"
+    radius_m: float = 0.004
+    offset_m: float = 0.006
+    slope: float = 0.35
+    stiffness_N_per_m_n: float = 400.0
+    exponent: float = 1.5
+    restitution: float = 0.9
+    law: DampingLaw = "flores"
+    slowest_m_s: float = 0.05
+
+    def numbers(self) -> FloatArray:
+        """Shape of :mod:`tissueid.rendering.funnel`, shape (FUNNEL_SIZE,).
+
+        Raises
+        ------
+        ValueError
+            No surface has these numbers.
+        """
+        if self.kind == "cone":
+            if not (self.slope > 0.0 and self.offset_m >= 0.0):
+                msg = f"a cone needs a slope above 0 and an offset from 0, got {self.slope}, {self.offset_m}"
+                raise ValueError(msg)
+            return np.array([CONE, self.slope, self.offset_m, 1.0])
+        return np.array([HYPERBOLOID, *hyperboloid_constants(self.radius_m, self.offset_m, self.slope)])
+
+
+@dataclass(frozen=True, slots=True)
+class Pull:
+    """The impedance that pulls to the axis.
+
+    Attributes
+    ----------
+    far_N_per_m, near_N_per_m : float
+        K far above the entry point, and at it [N/m].
+    reach_m : float
+        Height L over which it rises [m].
+    tau_s : float
+        b / K [s]; printed.
+    filter_s : float
+        Of the velocity [s].
+    conservative : bool
+        With the axial force; without it the paper's variant.
+    """
+
+    far_N_per_m: float = 10.0
+    near_N_per_m: float = 75.0
+    reach_m: float = 0.02
+    tau_s: float = 0.05
+    filter_s: float = 0.05
+    conservative: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Bone:
+    """The femoral head.
+
+    Attributes
+    ----------
+    radius_m : float
+        0 for none.
+    stiffness_N_per_m : float
+    hole_radius_m : float
+        Within it the tip drills.
+    resistance_N_s_per_m : float
+        Pressing force over feed.
+    drill_depth_m : float
+        At which the wire is through.
+    """
+
+    radius_m: float = 0.024
+    stiffness_N_per_m: float = 200.0
+    hole_radius_m: float = 0.003
+    resistance_N_s_per_m: float = 300.0
+    drill_depth_m: float = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Guidance:
+    """A planned axis and everything that guides to it.
+
+    Attributes
+    ----------
+    entry_m : tuple of float
+        Entry point [m, device frame].
+    axis : tuple of float
+        Out of the bone; made a unit vector.
+    funnel : Funnel
+    pull : Pull
+    bone : Bone
+    weight_N : tuple of float
+        Force that carries the tool at the entry point [N].
+    weight_slope_N_per_m : tuple of tuple of float
+        Its change with the position: a row a component of the force.
+
+    Raises
+    ------
+    ValueError
+        The axis has no direction, or a number is out of its range.
+    """
+
+    entry_m: Vector
+    axis: Vector = (0.0, 0.0, 1.0)
+    funnel: Funnel = field(default_factory=Funnel)
+    pull: Pull = field(default_factory=Pull)
+    bone: Bone = field(default_factory=Bone)
+    weight_N: Vector = (0.0, 0.0, 0.0)
+    weight_slope_N_per_m: tuple[Vector, Vector, Vector] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+
+    def __post_init__(self) -> None:
+        if not np.isfinite(self.numbers()).all():
+            msg = f"every number of a guided axis must be finite: {self}"
+            raise ValueError(msg)
+        pull, bone = self.pull, self.bone
+        if not (0.0 <= pull.far_N_per_m <= pull.near_N_per_m and pull.reach_m > 0.0):
+            msg = f"the pull must rise toward the entry over a reach above 0, got {pull}"
+            raise ValueError(msg)
+        if not (pull.tau_s >= 0.0 and pull.filter_s >= 0.0):
+            msg = f"times can't be negative, got {pull}"
+            raise ValueError(msg)
+        if bone.radius_m > 0.0 and not (
+            bone.stiffness_N_per_m > 0.0
+            and bone.resistance_N_s_per_m > 0.0
+            and 0.0 <= bone.hole_radius_m < bone.radius_m
+            and bone.drill_depth_m >= 0.0
+        ):
+            msg = f"a bone needs stiffness and resistance above 0 and a hole narrower than itself, got {bone}"
+            raise ValueError(msg)
+
+    def unit_axis(self) -> FloatArray:
+        """Unit vector out of the bone, shape (3,).
+
+        Raises
+        ------
+        ValueError
+            The axis has no direction.
+        """
+        axis = np.asarray(self.axis, dtype=np.float64)
+        length = float(np.linalg.norm(axis))
+        if not (np.isfinite(length) and length > UNIT_TOLERANCE):
+            msg = f"an axis needs a direction, got {self.axis}"
+            raise ValueError(msg)
+        return np.asarray(axis / length)
+
+    def numbers(self) -> FloatArray:
+        """The block of :mod:`tissueid.rendering.guidance`, shape (GUIDANCE_SIZE,).
+
+        Raises
+        ------
+        ValueError
+            The axis has no direction, or no surface has the funnel's numbers.
+        """
+        out = np.empty(gd.GUIDANCE_SIZE)
+        out[gd.ORIGIN : gd.ORIGIN + 3] = self.entry_m
+        out[gd.AXIS : gd.AXIS + 3] = self.unit_axis()
+        out[gd.FUNNEL : gd.CONTACT] = self.funnel.numbers()
+        funnel, pull, bone = self.funnel, self.pull, self.bone
+        pack_impact(
+            # the law steps in millimetres
+            funnel.stiffness_N_per_m_n * M_TO_MM**-funnel.exponent,
+            funnel.exponent,
+            damping_factor(funnel.restitution, funnel.law),
+            out,
+            gd.CONTACT,
+            slowest_mm_s=funnel.slowest_m_s * M_TO_MM,
+            filter_s=pull.filter_s,
+            hysteresis_mm=0.2,
+        )
+        out[gd.PULL : gd.WEIGHT] = (
+            pull.far_N_per_m,
+            pull.near_N_per_m,
+            pull.reach_m,
+            pull.tau_s,
+            pull.filter_s,
+            float(pull.conservative),
+        )
+        out[gd.WEIGHT : gd.WEIGHT_SLOPE] = self.weight_N
+        out[gd.WEIGHT_SLOPE : gd.BONE] = np.ravel(self.weight_slope_N_per_m)
+        out[gd.BONE :] = (
+            bone.radius_m,
+            bone.stiffness_N_per_m,
+            bone.hole_radius_m,
+            bone.resistance_N_s_per_m,
+            bone.drill_depth_m,
+        )
+        return out
+
+
+def guidance_block(plan: Guidance, *, label: int = 0) -> FloatArray:
+    """The block of an environment that is this guidance, shape (ENVIRONMENT_SIZE,).
+
+    Parameters
+    ----------
+    plan : Guidance
+    label : int
+        Which of the things to be compared it is.
+    """
+    block = np.zeros(env.ENVIRONMENT_SIZE)
+    block[env.VERSION] = env.BLOCK_VERSION
+    block[env.KIND] = env.GUIDANCE
+    block[env.LABEL] = label
+    # nothing is scaled: forces and motion are the device's own
+    block[env.FORCE_SCALE] = block[env.MOTION_SCALE] = 1.0
+    block[env.GUIDED : env.GUIDED + gd.GUIDANCE_SIZE] = plan.numbers()
+    return block

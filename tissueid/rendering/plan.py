@@ -1,0 +1,394 @@
+"""Everything that is decided before any force: which tissue, device, scale, surface, order, log.
+
+:func:`plan_session` refuses what can't be rendered (damaged bundle, missing device, unstable scale, another
+tip) while nothing moves yet; what it returns is all that :mod:`tissueid.rendering.session` needs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.errors import UsageError
+from tissueid.haptics.device import HapticDevice
+from tissueid.haptics.hand import Hand
+from tissueid.haptics.limits import GuardLimits
+from tissueid.haptics.registry import check_present, choose_device, device_class, environment_law
+from tissueid.haptics.sim import carried
+from tissueid.rendering.blind import BlindOrder, check_pseudonym, draw_order
+from tissueid.rendering.choice import (
+    Functional,
+    Picked,
+    as_tissue,
+    noticeable_ratio,
+    parse_functional,
+    pick_draw,
+    pick_quantile,
+    pick_specimen,
+)
+from tissueid.rendering.contact_geometry import parse_surface, place_surface, surface_remarks, travel_behind
+from tissueid.rendering.law_session import demands_of, guided_session, law_session
+from tissueid.rendering.options import RenderOptions
+from tissueid.rendering.participation import Participation
+from tissueid.rendering.passivity_control import PassivityLimits
+from tissueid.rendering.precheck import Precheck, check_before_force
+from tissueid.rendering.presets import preset_tissue
+from tissueid.rendering.script import RAMP_S, Script, read_script
+from tissueid.rendering.session_plan import SessionPlan, session_head
+from tissueid.rendering.surface import TOOL_RADIUS
+from tissueid.rendering.tissue_block import (
+    Plane,
+    Sphere,
+    Surface,
+    surface_from,
+    tissue_block,
+)
+from tissueid.store.bundle import Bundle, load_bundle
+from tissueid.store.session_log import read_session_log
+
+__all__ = ["plan_session"]
+
+FloatArray = NDArray[np.float64]
+
+MM = 1e-3
+DEFAULT_COUNT_M = 45e-6
+S_PER_MIN = 60.0
+#: Share of the identified depth that a simulated grip shows where no script was given.
+DEMONSTRATED_DEPTH = 0.75
+DEFAULT_PRESENTATIONS = 10
+#: Height above the tissue at which a hand waits for a pointer [m].
+REST_M = 0.005
+#: Devices that a script can move, and that can run faster than time.
+SIMULATED = "sim"
+
+
+def plan_session(options: RenderOptions) -> SessionPlan:
+    """Decide everything, or refuse.
+
+    Raises
+    ------
+    UsageError, BundleError, DeviceError
+        Before anything moved, with the way out.
+    """
+    name = "replay" if options.replay is not None else options.device
+    guided = options.scene is not None and options.scene.guidance is not None
+    if guided or options.environment is not None:
+        _must_be_alone(options)
+        choice, device = _device(options, name)
+        _must_fit(options, choice, None)
+        _must_be_a_person(options, known=options.pseudonym is not None)
+        return (guided_session if guided else law_session)(options, choice, device)
+    _must_be_a_person(options, known=options.blind)
+    functional = parse_functional(options.of)
+    picked, hashes = _tissues(options, functional)
+    options, replayed = _replayed(options)
+    choice, device = _device(options, name)
+    script = _script(options, choice, picked[0])
+    _must_fit(options, choice, script)
+    shape = parse_surface(options.surface)
+    remarks = [one for each in picked for one in surface_remarks(each.tissue, shape, options.tip_radius_mm)]
+    check, surface, radius_m = _scaled(options, picked, device, shape)
+    if replayed is not None:
+        surface, radius_m = replayed
+    check = replace(check, remarks=(*check.remarks, *dict.fromkeys(remarks)))
+    order = _order(options, picked)
+    blocks = _blocks(options, picked, check, surface, radius_m, order)
+    given = dict(options.device_options)
+    if options.replay is not None:
+        given["log"] = options.replay
+    if script is not None:
+        given["limits"] = replace(GuardLimits.simulated(), ramp_s=RAMP_S)
+        given["hand"] = script.hand(
+            motion_scale=check.scaling.motion,
+            surface_m=_touch_point(surface, radius_m),
+            inward=_inward(surface),
+        )
+    led = options.led and script is None and choice[0] == SIMULATED
+    if led:
+        rest_m = _touch_point(surface, radius_m) - REST_M * _inward(surface)
+        # a hand that is led may rest while the tissue relaxes: its encoders then stand still in good health
+        given["limits"] = carried(GuardLimits.simulated())
+        given["hand"] = Hand((0.0,), ((float(rest_m[0]), float(rest_m[1]), float(rest_m[2])),), (1.0,))
+    plan = SessionPlan(
+        device=choice[0],
+        device_options=given,
+        why=choice[1],
+        capabilities=device.capabilities,
+        blocks=blocks,
+        picked=picked,
+        check=check,
+        order=order,
+        head={},
+        script=script,
+        seconds=options.seconds if script is None else script.duration_s,
+        environment=None,
+        virtual=options.virtual,
+        lines=(
+            choice[1],
+            *(() if options.scene is None else options.scene.lines()),
+            *_lines(options, picked, check, functional),
+        ),
+        led=led,
+        scene=None if options.scene is None else options.scene.name,
+        participation=None if order is None else Participation(options.ethics, options.keep_days),
+    )
+    return replace(plan, head=session_head(plan, surface.numbers(radius_m), hashes))
+
+
+def _must_be_a_person(options: RenderOptions, *, known: bool) -> None:
+    """Refuse what is said of a person where there is none."""
+    if not known and (options.ethics is not None or options.keep_days is not None):
+        msg = "--ethics and --keep-days are said of a person: add --pseudonym P17, or --blind"
+        raise UsageError(msg)
+
+
+def _tissues(
+    options: RenderOptions, functional: Functional
+) -> tuple[tuple[Picked, ...], tuple[str | None, ...]]:
+    """The tissue, and the one it is compared with; the content hashes of their bundles."""
+    if (options.bundle is None) == (options.preset is None):
+        msg = "give a bundle, or --preset, and not both: tissueid render bundle.h5"
+        raise UsageError(msg)
+    if options.preset is not None:
+        if (options.draw, options.quantile, options.draw_specimen) != (None, None, None):
+            msg = "--draw, --quantile and --draw-specimen choose among a bundle's draws; a preset has none"
+            raise UsageError(msg)
+        first = Picked(preset_tissue(options.preset), None, f"preset {options.preset}")
+        bundle = None
+    else:
+        assert options.bundle is not None  # noqa: S101 -- one of the two is given
+        bundle = load_bundle(options.bundle)
+        first = _pick(bundle, options.draw, options.quantile, functional, options.draw_specimen)
+    compared = (options.against, options.against_draw, options.against_quantile)
+    if all(one is None for one in compared):
+        return (first,), (_digest(options.bundle),)
+    other = bundle if options.against is None else load_bundle(options.against)
+    if other is None:
+        msg = "--against-draw and --against-quantile choose from a bundle; give one, or --against BUNDLE"
+        raise UsageError(msg)
+    second = _pick(other, options.against_draw, options.against_quantile, functional)
+    return (first, second), (_digest(options.bundle), _digest(options.against or options.bundle))
+
+
+def _pick(
+    bundle: Bundle,
+    draw: int | None,
+    quantile: float | None,
+    functional: Functional,
+    specimen: str | None = None,
+) -> Picked:
+    if [draw, quantile, specimen].count(None) < 2:
+        msg = "give one of --draw, --quantile and --draw-specimen"
+        raise UsageError(msg)
+    if specimen is not None:
+        return pick_specimen(bundle, specimen)
+    if draw is not None:
+        return pick_draw(bundle, draw)
+    if quantile is not None:
+        return pick_quantile(bundle, quantile, functional)
+    why = "the typical tissue of the population" if bundle.is_population else "the fitted values"
+    return Picked(as_tissue(bundle), None, why)
+
+
+def _digest(path: Path | None) -> str | None:
+    from tissueid.store.files import sha256_of
+
+    return None if path is None else sha256_of(path)
+
+
+def _device(options: RenderOptions, name: str) -> tuple[tuple[str, str], HapticDevice]:
+    """The device and why it was taken; made, not opened."""
+    found = choose_device(name)
+    given = dict(options.device_options)
+    if options.replay is not None:
+        given["log"] = options.replay
+    if "port" not in given:
+        check_present(found.name)
+    return (found.name, found.why), device_class(found.name)(**given)
+
+
+def _script(options: RenderOptions, choice: tuple[str, str], first: Picked) -> Script | None:
+    """What the user wrote; a simulated grip that nobody moves shows three quarters of the depth."""
+    if options.script is not None:
+        return read_script(options.script)
+    if choice[0] != SIMULATED or options.seconds is not None or options.bridge or options.led:
+        return None
+    depth, speed = DEMONSTRATED_DEPTH * first.tissue.model.depth_mm, S_PER_MIN * first.tissue.speeds_mm_s[1]
+    return read_script(
+        f"indent {depth:.3g} mm at {speed:.4g} mm/min; hold 1 s; retract at {speed:.4g} mm/min"
+    )
+
+
+def _replayed(options: RenderOptions) -> tuple[RenderOptions, tuple[Surface, float] | None]:
+    """A replay takes scale, surface and length from its log, where nothing else was asked for."""
+    if options.replay is None:
+        return options, None
+    log = read_session_log(options.replay)
+    scale, times = log.head["scale"], log.records["time_s"]
+    if scale is None or times.size < 2:
+        msg = f"{options.replay}: the log of a force law of its own, or an empty one, can't be replayed"
+        raise UsageError(msg)
+    numbers = np.array(log.head["surface"])
+    options = replace(
+        options,
+        force_scale=options.force_scale or scale["force_scale"],
+        motion_scale=options.motion_scale or scale["motion_scale"],
+        seconds=options.seconds or float(times[-1] - times[0]),
+    )
+    return options, (surface_from(numbers), float(numbers[TOOL_RADIUS]))
+
+
+def _must_fit(options: RenderOptions, choice: tuple[str, str], script: Script | None) -> None:
+    """Options that belong to a simulated device."""
+    simulated = choice[0] == SIMULATED
+    if script is not None and not simulated:
+        msg = f"--script moves a simulated grip, and the device is {choice[0]}; add --device sim"
+        raise UsageError(msg)
+    if options.virtual and not (simulated and script is not None):
+        msg = "--virtual runs a script on the simulated device faster than time; add --device sim --script"
+        raise UsageError(msg)
+    if options.seconds is not None and not options.seconds > 0.0:
+        msg = f"--seconds is {options.seconds:g}, must be above 0"
+        raise UsageError(msg)
+
+
+def _scaled(
+    options: RenderOptions, picked: tuple[Picked, ...], device: HapticDevice, shape: tuple[str, Any]
+) -> tuple[Precheck, Surface, float]:
+    """One scale for all tissues: the smallest that any of them needs; the surface at that scale."""
+    capabilities = device.capabilities
+    checks = []
+    for each in picked:
+        motion = options.motion_scale
+        demands = demands_of(capabilities)
+        first = check_before_force(each.tissue, demands, force_scale=options.force_scale, motion_scale=motion)
+        scale = first.scaling.motion
+        radius_m = (each.tissue.tip_radius_mm or options.tip_radius_mm or 0.0) * MM * scale
+        surface = place_surface(
+            shape,
+            capabilities,
+            depth_mm=each.tissue.model.depth_mm,
+            motion_scale=scale,
+            tool_radius_m=radius_m,
+        )
+        travel_m = travel_behind(surface, capabilities, tool_radius_m=radius_m)
+        checks.append(
+            (
+                check_before_force(
+                    each.tissue,
+                    replace(demands, travel_m=travel_m),
+                    force_scale=options.force_scale,
+                    motion_scale=motion,
+                ),
+                surface,
+                radius_m,
+            )
+        )
+    return min(checks, key=lambda one: one[0].scaling.force)
+
+
+def _order(options: RenderOptions, picked: tuple[Picked, ...]) -> BlindOrder | None:
+    if not options.blind:
+        if options.presentations is not None or options.pseudonym is not None:
+            msg = "--presentations and --pseudonym belong to --blind"
+            raise UsageError(msg)
+        return None
+    count = DEFAULT_PRESENTATIONS if options.presentations is None else options.presentations
+    pseudonym = check_pseudonym(options.pseudonym)
+    return draw_order(len(picked), count, pseudonym=pseudonym, seed=options.seed)
+
+
+def _blocks(
+    options: RenderOptions,
+    picked: tuple[Picked, ...],
+    check: Precheck,
+    surface: Surface,
+    radius_m: float,
+    order: BlindOrder | None,
+) -> tuple[FloatArray, ...]:
+    """A block for each presentation: the tissues themselves, or the blind order of them."""
+    control = PassivityLimits(
+        on=options.control,
+        count_m=DEFAULT_COUNT_M,
+        stiffness_N_per_m=check.scaling.device_stiffness_N_per_m,
+    ).block()
+    presented = range(len(picked)) if order is None else order.tissues
+    return tuple(
+        np.concatenate(
+            [
+                tissue_block(
+                    picked[tissue].tissue,
+                    surface,
+                    force_scale=check.scaling.force,
+                    motion_scale=check.scaling.motion,
+                    tool_radius_m=radius_m,
+                    label=label,
+                ),
+                control,
+            ]
+        )
+        for label, tissue in enumerate(presented, 0 if order is None else 1)
+    )
+
+
+def _touch_point(surface: Surface, radius_m: float) -> FloatArray:
+    """Where the centre of the tip is when it touches the highest point of a surface."""
+    if isinstance(surface, Plane):
+        top_m, reach_m = surface.point_m, radius_m
+    else:
+        size_m = surface.radius_m if isinstance(surface, Sphere) else surface.half_widths_m[2]
+        top_m, reach_m = surface.centre_m, size_m + radius_m
+    return np.asarray(np.asarray(top_m) - reach_m * _inward(surface))
+
+
+def _inward(surface: Surface) -> FloatArray:
+    """Unit vector into the tissue at its highest point."""
+    if isinstance(surface, Plane):
+        normal = np.asarray(surface.normal)
+        return np.array(-normal / np.linalg.norm(normal))
+    return np.array([0.0, 0.0, -1.0])
+
+
+def _lines(
+    options: RenderOptions, picked: tuple[Picked, ...], check: Precheck, functional: Functional
+) -> list[str]:
+    """What is printed: nothing that gives a blind comparison away."""
+    text = [] if options.blind else [line for each in picked for line in _tissue_lines(each)]
+    if len(picked) > 1:
+        one, other, ratio = noticeable_ratio(
+            picked[0].tissue, picked[1].tissue, functional, force_scale=check.scaling.force
+        )
+        forces = "" if options.blind else f"{one:.3g} against {other:.3g} N at the device, "
+        text.append(
+            f"contrast   {functional}: {forces}{ratio:.2g} times the just-noticeable difference"
+            + ("; hardly anybody would tell them apart" if ratio < 1.0 else "")
+        )
+    return text + check.lines()
+
+
+def _tissue_lines(each: Picked) -> list[str]:
+    """What a tissue is, and when it breaks."""
+    lines, law = [f"tissue     {each.tissue.name}: {each.why}"], each.tissue.rupture
+    if law is not None:
+        lines.append(
+            f"rupture    at a {law.criterion.replace('-', ' ')} of {law.threshold:.4g} {law.unit} (median of "
+            f"its tests; a criterion is a reading); {100.0 * law.residual:.0f} % of the force is left"
+        )
+    return lines
+
+
+def _must_be_alone(options: RenderOptions) -> None:
+    """A force law takes the place of everything that belongs to a tissue."""
+    given = (options.bundle, options.preset, options.script, options.replay)
+    if options.blind or any(one is not None for one in given):
+        word = "--environment" if options.environment is not None else "a scene with guidance"
+        msg = (
+            f"{word} takes the place of a tissue: leave bundle, --preset, --blind, --replay and --script out"
+        )
+        raise UsageError(msg)
+    if options.environment is not None:
+        environment_law(options.environment)

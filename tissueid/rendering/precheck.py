@@ -1,0 +1,316 @@
+"""Before any force: whether this device can render this tissue, at which scale, and what will be felt.
+
+The tissue is scaled by the guard's own clamp (:mod:`tissueid.model.scaling`); the damping it then needs
+over all frequencies, with the device's delay (:mod:`tissueid.model.passivity`), is held against the damping
+the device has.  A scale that was computed is lowered until it fits; one that the user asked for is refused,
+with the largest that fits.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.errors import DeviceError, UsageError
+from tissueid.model.channels import loading_force
+from tissueid.model.passivity import required_damping
+from tissueid.model.scaling import DEFAULT_MOTION_SCALE, Scaling, largest_tangent, scaling_for
+from tissueid.rendering.tissue_block import Tissue
+
+__all__ = ["MOST_DAMPING", "Demands", "Precheck", "check_before_force", "scaling_at"]
+
+FloatArray = NDArray[np.float64]
+
+#: A device's damping is a calibration value: only this share of it is counted on.
+DAMPING_SHARE = 0.95
+#: Peak force at the device below which hardly anything is felt over friction [N] (model.md 6.5).
+SMALLEST_PEAK_N = 0.1
+#: Stiffness beyond which a Falcon's own driver does not go [N/m] (falcon.md 8).
+LARGEST_STIFFNESS_N_PER_M = 3000.0
+N_PER_MM_TO_N_PER_M = 1000.0
+MM_PER_M = 1000.0
+#: Damping of a replayed motion, which no force moves, as far as a number can say it [N s/m].
+MOST_DAMPING = 1e6
+#: Limits of what can be asked for: outside, a typing error is likelier than a wish.
+SCALE_RANGE = (1e-6, 10.0)
+MOTION_RANGE = (0.1, 100.0)
+#: Depths at which the share of clipped travel is looked for.
+GRID = 501
+
+
+@dataclass(frozen=True, slots=True)
+class Demands:
+    """What a device offers, as far as the check needs it.
+
+    Attributes
+    ----------
+    clamp_N : float
+        Force clamp of the guard at this moment [N].
+    damping_N_s_per_m : float
+    delay_ticks : float
+    period_s : float
+        Of the servo.
+    travel_m : float
+        Room along the normal behind the surface [m].
+    known : str
+        Where damping and newton come from, in words.
+    """
+
+    clamp_N: float
+    damping_N_s_per_m: float
+    delay_ticks: float
+    period_s: float = 0.001
+    travel_m: float = np.inf
+    known: str = "assumed, not measured on this unit"
+
+
+@dataclass(frozen=True, slots=True)
+class Precheck:
+    """The scale that will be felt, and the numbers behind it.
+
+    Attributes
+    ----------
+    scaling : Scaling
+    required_damping_N_s_per_m : float
+        At that scale.
+    demands : Demands
+    wanted_force_scale : float
+        Before it was lowered.
+    clipped_share : float
+        Share of the identified depth, at the fastest identified speed, where the clamp bites.
+    depth_mm : float
+        Identified depth.
+    remarks : tuple of str
+        What the user should know; sentences.
+    """
+
+    scaling: Scaling
+    required_damping_N_s_per_m: float
+    demands: Demands
+    wanted_force_scale: float
+    clipped_share: float
+    depth_mm: float
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def lowered(self) -> bool:
+        """Whether the scale was lowered for the sake of stability."""
+        return self.scaling.force < self.wanted_force_scale
+
+    @property
+    def force_over(self) -> float:
+        """N in "felt force = measured / N"."""
+        return 1.0 / self.scaling.force
+
+    @property
+    def stiffness_over(self) -> float:
+        """M in "felt stiffness = measured / M"."""
+        return self.scaling.motion / self.scaling.force
+
+    def lines(self) -> list[str]:
+        """What is printed before force is enabled."""
+        scale, device = self.scaling, self.demands
+        felt = (
+            f"felt force = measured/{self.force_over:.4g}, "
+            f"felt stiffness = measured/{self.stiffness_over:.4g}, motion x{scale.motion:g}"
+        )
+        limits = (
+            f"up to {scale.device_stiffness_N_per_m:.0f} N/m and {scale.peak_force_N:.3g} N for "
+            f"{self.depth_mm:g} mm of tissue ({self.depth_mm * scale.motion:.4g} mm of travel); clamp "
+            f"{device.clamp_N:.3g} N, {100.0 * self.clipped_share:.3g} % of the depth clipped"
+        )
+        stability = (
+            f"needs {self.required_damping_N_s_per_m:.3g} N s/m of damping at {device.delay_ticks:g} ticks "
+            f"of {1e3 * device.period_s:g} ms; the device has {device.damping_N_s_per_m:.3g} N s/m "
+            f"({device.known})"
+        )
+        text = [f"scale      {felt}", f"device     {limits}", f"stability  {stability}"]
+        if self.lowered:
+            text.append(
+                f"lowered    from measured/{1.0 / self.wanted_force_scale:.4g}, which would need "
+                f"{self.required_damping_N_s_per_m * self.wanted_force_scale / scale.force:.3g} N s/m"
+            )
+        return text + [f"remark     {remark}" for remark in self.remarks]
+
+    def as_json(self) -> dict[str, object]:
+        """Numbers of :meth:`lines`, for logs and ``--json``."""
+        return {
+            "force_scale": self.scaling.force,
+            "motion_scale": self.scaling.motion,
+            "felt_force_is_measured_over": self.force_over,
+            "felt_stiffness_is_measured_over": self.stiffness_over,
+            "device_stiffness_N_per_m": self.scaling.device_stiffness_N_per_m,
+            "peak_force_N": self.scaling.peak_force_N,
+            "clamp_N": self.demands.clamp_N,
+            "clipped_share_expected": self.clipped_share,
+            "required_damping_N_s_per_m": self.required_damping_N_s_per_m,
+            "device_damping_N_s_per_m": min(self.demands.damping_N_s_per_m, MOST_DAMPING),
+            "delay_ticks": self.demands.delay_ticks,
+            "period_s": self.demands.period_s,
+            "known": self.demands.known,
+            "lowered_from_force_scale": self.wanted_force_scale if self.lowered else None,
+            "remarks": list(self.remarks),
+        }
+
+
+def scaling_at(tissue: Tissue, *, force: float, motion: float) -> Scaling:
+    """The numbers of a scale that is given.
+
+    Parameters
+    ----------
+    tissue : Tissue
+    force, motion : float
+        s_F and s_x.
+    """
+    depth = np.array([tissue.model.depth_mm])
+    peak = loading_force(tissue.model, tissue.theta, depth, speed_mm_s=tissue.speeds_mm_s[1])
+    tangent = largest_tangent(tissue.model, tissue.theta) * N_PER_MM_TO_N_PER_M
+    return Scaling(
+        force=force,
+        motion=motion,
+        device_stiffness_N_per_m=tangent * force / motion,
+        peak_force_N=float(peak[0]) * force,
+    )
+
+
+def check_before_force(
+    tissue: Tissue,
+    demands: Demands,
+    *,
+    force_scale: float | None = None,
+    motion_scale: float | None = None,
+) -> Precheck:
+    """Choose or check the scale of a rendering.
+
+    Parameters
+    ----------
+    tissue : Tissue
+    demands : Demands
+        Of the device.
+    force_scale, motion_scale : float, optional
+        What the user asked for; a force scale that was asked for is never changed.
+
+    Returns
+    -------
+    Precheck
+
+    Raises
+    ------
+    UsageError
+        A scale is outside what can be meant.
+    DeviceError
+        The device can't render this tissue stably: at the scale asked for, or at any that could be felt.
+    """
+    motion = DEFAULT_MOTION_SCALE if motion_scale is None else motion_scale
+    _must_lie("--motion-scale", motion, MOTION_RANGE)
+    if force_scale is not None:
+        _must_lie("--force-scale", force_scale, SCALE_RANGE)
+    try:
+        wanted = (
+            scaling_for(
+                tissue.model,
+                tissue.theta,
+                clamp_N=demands.clamp_N,
+                fastest_mm_s=tissue.speeds_mm_s[1],
+                motion=motion,
+            )
+            if force_scale is None
+            else scaling_at(tissue, force=force_scale, motion=motion)
+        )
+    except ValueError as error:
+        msg = f"no force scale: {error}; give --force-scale"
+        raise DeviceError(msg) from error
+    need = _need(tissue, wanted, demands)
+    scaling = _affordable(tissue, wanted, need, demands, asked=force_scale is not None)
+    result = Precheck(
+        scaling=scaling,
+        required_damping_N_s_per_m=need * scaling.force / wanted.force,
+        demands=demands,
+        wanted_force_scale=wanted.force,
+        clipped_share=_clipped_share(tissue, scaling, demands.clamp_N),
+        depth_mm=tissue.model.depth_mm,
+    )
+    return replace(result, remarks=_remarks(tissue, result))
+
+
+def _must_lie(name: str, value: float, allowed: tuple[float, float]) -> None:
+    if not allowed[0] <= value <= allowed[1]:
+        msg = f"{name} is {value:g}, must lie within {allowed[0]:g} and {allowed[1]:g}"
+        raise UsageError(msg)
+
+
+def _need(tissue: Tissue, scaling: Scaling, demands: Demands) -> float:
+    return required_damping(
+        tissue.model,
+        tissue.theta,
+        scaling,
+        period_s=demands.period_s,
+        delay_ticks=demands.delay_ticks,
+    )
+
+
+def _affordable(tissue: Tissue, wanted: Scaling, need: float, demands: Demands, *, asked: bool) -> Scaling:
+    """The wanted scale, or the largest that the device's damping bears: the need is linear in it."""
+    offered = DAMPING_SHARE * demands.damping_N_s_per_m
+    if need <= offered:
+        return wanted
+    largest = wanted.force * offered / need
+    numbers = (
+        f"needs {need:.3g} N s/m of damping at {demands.delay_ticks:g} ticks, and {offered:.3g} N s/m of the "
+        f"device's {demands.damping_N_s_per_m:.3g} may be counted on"
+    )
+    if asked:
+        msg = (
+            f"--force-scale {wanted.force:.4g} would be unstable: it {numbers}; the largest that fits at "
+            f"motion scale {wanted.motion:g} is {largest:.3g} (measured/{1.0 / max(largest, 1e-12):.4g}), or "
+            "raise --motion-scale"
+        )
+        raise DeviceError(msg)
+    lowered = scaling_at(tissue, force=largest, motion=wanted.motion) if largest > 0.0 else wanted
+    if not largest > 0.0 or lowered.peak_force_N < SMALLEST_PEAK_N:
+        msg = (
+            f"this tissue can't be felt on this device: the scale that fits its clamp {numbers}, and lowered "
+            f"to that it would peak at {lowered.peak_force_N if largest > 0.0 else 0.0:.2g} N, under "
+            f"{SMALLEST_PEAK_N:g} N; raise --motion-scale, or measure the device's damping and delay"
+        )
+        raise DeviceError(msg)
+    return lowered
+
+
+def _clipped_share(tissue: Tissue, scaling: Scaling, clamp_N: float) -> float:
+    """Share of the identified depth at which the force at the fastest speed is over the clamp."""
+    depth = np.linspace(0.0, tissue.model.depth_mm, GRID)
+    force = loading_force(tissue.model, tissue.theta, depth, speed_mm_s=tissue.speeds_mm_s[1])
+    return float(np.mean(force * scaling.force > clamp_N))
+
+
+def _remarks(tissue: Tissue, check: Precheck) -> tuple[str, ...]:
+    found = []
+    scaling, demands = check.scaling, check.demands
+    travel_mm = tissue.model.depth_mm * scaling.motion
+    if demands.travel_m * MM_PER_M < travel_mm:
+        found.append(
+            f"the device has {demands.travel_m * MM_PER_M:.3g} mm of travel behind the surface, the "
+            f"identified depth needs {travel_mm:.3g}: the deepest part can't be reached; lower --motion-scale"
+        )
+    if scaling.device_stiffness_N_per_m > LARGEST_STIFFNESS_N_PER_M:
+        found.append(
+            f"{scaling.device_stiffness_N_per_m:.0f} N/m is stiffer than the {LARGEST_STIFFNESS_N_PER_M:.0f} "
+            "N/m that such devices are driven with"
+        )
+    viscous = _largest_viscous_force(tissue) * scaling.force
+    if viscous < SMALLEST_PEAK_N:
+        found.append(
+            f"the relaxing part of the force is at most {viscous:.2g} N at the fastest identified speed: "
+            "it is hardly felt"
+        )
+    return tuple(found)
+
+
+def _largest_viscous_force(tissue: Tissue) -> float:
+    """Largest branch force at the fastest identified speed [N of tissue]."""
+    depth = np.linspace(0.0, tissue.model.depth_mm, GRID)
+    total = loading_force(tissue.model, tissue.theta, depth, speed_mm_s=tissue.speeds_mm_s[1])
+    return float((total - tissue.model.static_force(tissue.theta, depth)).max())

@@ -1,0 +1,213 @@
+"""Scenes as files: what is felt, where, and on which device (``scene.toml``, schemas/scene.schema.json).
+
+A scene is a tissue on a surface, or guidance along a planned axis.  Some come along and are asked for by
+their name; what no source states is listed in the scene under ``assumed``, and printed.
+"""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from tissueid.errors import UsageError, printable
+from tissueid.rendering.guidance_block import Bone, Funnel, Guidance, Pull
+from tissueid.rendering.tissue_block import WORKSPACE_CENTRE_M
+from tissueid.store.schema import first_problem
+
+__all__ = ["Scene", "load_scene", "read_plan", "scene_names"]
+
+MM = 1e-3
+#: Keys of a scene that are lengths or speeds in millimetres -> fields in metres.
+_IN_MM = "_mm"
+_PER_S = "_mm_per_s"
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """What a file says.
+
+    Attributes
+    ----------
+    name : str
+    about : str
+    assumed : tuple of str
+        Keys whose numbers no source states.
+    device : str or None
+    tissue : mapping
+        Of :class:`tissueid.rendering.options.RenderOptions`: bundle, preset, surface, scales, tip.
+    guidance : Guidance or None
+    """
+
+    name: str
+    about: str
+    assumed: tuple[str, ...]
+    device: str | None
+    tissue: Mapping[str, Any]
+    guidance: Guidance | None
+
+    def lines(self) -> list[str]:
+        """What is printed before force is enabled."""
+        text = [f"scene      {self.name}"]
+        if self.assumed:
+            text.append(f"assumed    {', '.join(self.assumed)}")
+        return text
+
+
+def scene_names() -> tuple[str, ...]:
+    """Scenes that come along."""
+    folder = resources.files("tissueid.rendering") / "scenes"
+    return tuple(sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir()))
+
+
+def load_scene(given: str, *, plan: Path | None = None) -> Scene:
+    """A scene by its name, or by the path of its file.
+
+    Parameters
+    ----------
+    given : str
+    plan : Path, optional
+        A file with the axis and the entry point of a patient, in the place of the scene's own.
+
+    Raises
+    ------
+    UsageError
+        There is none, or it says what can't be.
+    """
+    if given in scene_names():
+        text = (resources.files("tissueid.rendering") / "scenes" / f"{given}.toml").read_text(
+            encoding="utf-8"
+        )
+        folder = Path()
+    else:
+        path = Path(given)
+        if not path.is_file():
+            known = ", ".join(scene_names())
+            msg = f"--scene {printable(given)!r} is no file, and scenes that come along are {known}"
+            raise UsageError(msg)
+        text, folder = _text_of(path), path.parent
+    document = _parsed(text, given)
+    if plan is not None:
+        if "guidance" not in document:
+            msg = f"--plan is an axis to be guided along, and scene {printable(given)!r} has no guidance"
+            raise UsageError(msg)
+        document["plan"] = read_plan(plan)
+    problem = first_problem(document, "scene")
+    if problem is not None:
+        msg = f"scene {printable(given)!r}, {problem}"
+        raise UsageError(msg)
+    return Scene(
+        name=document["name"],
+        about=" ".join(document.get("about", "").split()),
+        assumed=tuple(document.get("assumed", ())),
+        device=document.get("device"),
+        tissue=_tissue(document.get("tissue", {}), folder),
+        guidance=_guidance(document, given, folder),
+    )
+
+
+def read_plan(path: Path) -> dict[str, Any]:
+    """``entry_mm`` and ``axis`` of a file of their own.
+
+    Raises
+    ------
+    UsageError
+        It can't be read, or is no TOML.
+    """
+    return _parsed(_text_of(path), str(path))
+
+
+def _text_of(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        msg = f"{printable(str(path))} can't be read: {error}"
+        raise UsageError(msg) from error
+
+
+def _parsed(text: str, name: str) -> dict[str, Any]:
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        msg = f"{printable(name)} is no TOML: {error}"
+        raise UsageError(msg) from error
+
+
+def _tissue(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    out = dict(table)
+    if "bundle" in out:
+        out["bundle"] = folder / out["bundle"]
+    return out
+
+
+def _funnel(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Fields of the guiding surface, with the contact law of recordings where one is named."""
+    fields = _in_metres(table)
+    named = fields.pop("contact_law", None)
+    return fields if named is None else fields | _law(folder / named)
+
+
+def _law(path: Path) -> dict[str, float]:
+    """Stiffness [N/m^n], exponent and restitution of the one specimen of a contact-law.json."""
+    try:
+        document = json.loads(_text_of(path))
+        problem = first_problem(document, "contact-law")
+    except json.JSONDecodeError as error:
+        msg = f"{printable(str(path))} is no JSON: {error}"
+        raise UsageError(msg) from error
+    if problem is not None:
+        msg = f"{printable(str(path))}, {problem}"
+        raise UsageError(msg)
+    specimens = document["specimens"]
+    if len(specimens) != 1:
+        msg = f"{printable(str(path))} holds {len(specimens)} specimens: fit the one that is to be felt alone"
+        raise UsageError(msg)
+    values = {one["symbol"]: one["value"] for one in specimens[0]["parameters"]}
+    unknown = [one["symbol"] for one in specimens[0]["parameters"] if one["value"] is None]
+    if unknown:
+        msg = f"{printable(str(path))}: {', '.join(unknown)} not identified; there is no law to be felt"
+        raise UsageError(msg)
+    return {
+        "stiffness_N_per_m_n": values["k"] * MM ** -values["n"],
+        "exponent": values["n"],
+        "restitution": values["e"],
+    }
+
+
+def _guidance(document: Mapping[str, Any], given: str, folder: Path) -> Guidance | None:
+    if "guidance" not in document:
+        return None
+    table, plan = document["guidance"], document["plan"]
+    weight = {"force_N": [0.0] * 3, "slope_N_per_m": [[0.0] * 3] * 3} | table.get("weight", {})
+    rows = weight["slope_N_per_m"]
+    x, y, z = (centre + MM * off for centre, off in zip(WORKSPACE_CENTRE_M, plan["entry_mm"], strict=True))
+    try:
+        return Guidance(
+            entry_m=(x, y, z),
+            axis=tuple(plan["axis"]),
+            funnel=Funnel(**_funnel(table.get("funnel", {}), folder)),
+            pull=Pull(**_in_metres(table.get("pull", {}))),
+            bone=Bone(**_in_metres(table.get("bone", {}))),
+            weight_N=tuple(weight["force_N"]),
+            weight_slope_N_per_m=(tuple(rows[0]), tuple(rows[1]), tuple(rows[2])),
+        )
+    except ValueError as error:
+        msg = f"scene {printable(given)!r}: {error}"
+        raise UsageError(msg) from error
+
+
+def _in_metres(table: Mapping[str, Any]) -> dict[str, Any]:
+    """The same with fields in metres and metres a second."""
+    out = {}
+    for key, value in table.items():
+        if key.endswith(_PER_S):
+            out[key.removesuffix(_PER_S) + "_m_s"] = MM * value
+        elif key.endswith(_IN_MM):
+            out[key.removesuffix(_IN_MM) + "_m"] = MM * value
+        else:
+            out[key] = value
+    return out

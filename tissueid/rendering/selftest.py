@@ -1,0 +1,226 @@
+"""The figures of this machine: how punctual its servo is, and how long a tick takes.
+
+Measured on the simulated device, so that nothing moves; a real device adds its wire.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.compiled import tick_kernel
+from tissueid.haptics.guard import guard
+from tissueid.haptics.parameter_block import COMMAND_ENGAGE, ParameterBlock
+from tissueid.haptics.ring import Ring
+from tissueid.haptics.sim import CENTRE_M, SimulatedDevice
+from tissueid.rendering.environment import INFO_SIZE, KIND, MEMORY_SIZE, environment_step
+from tissueid.rendering.passivity_control import PassivityLimits
+from tissueid.rendering.presets import preset_tissue
+from tissueid.rendering.servo import ServoProcess
+from tissueid.rendering.servo_clock import CLOCK_SIZE, monotonic_ns
+from tissueid.rendering.servo_io import SimulatedIO, compiled_io
+from tissueid.rendering.servo_loop import new_watch, virtual_loop
+from tissueid.rendering.servo_plan import ServoPlan
+from tissueid.rendering.servo_statistics import PeriodStatistics
+from tissueid.rendering.servo_tick import BLOCK_SIZE, Servo, compiled_tick, new_servo
+from tissueid.rendering.tissue_block import Plane, tissue_block
+
+__all__ = ["Figure", "SelfTest", "TickTimes", "run_selftest", "time_ticks"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+#: Bars (haptics.md 6): of the servo's own process at 1 kHz under SCHED_FIFO, of one force step, of a tick.
+P99_US, P999_US, FORCE_STEP_NS, TICK_US = 100.0, 1000.0, 100.0, 5.0
+DEFAULT_SECONDS = 60.0
+TICKS = 20_000
+#: Homing takes 50 ticks, the start-up ramp 1000.
+START_TICKS = 1_500
+#: How deep the tool is in tissue while it is timed [m].
+DEPTH_M = 1e-3
+#: How far it is pressed in a force step [m].
+PRESSED_M = 1e-9
+#: Force steps timed at once, and how often: the median leaves out what other programs took.
+FORCE_STEPS, BLOCKS = 10_000, 21
+PERIOD_S = 1e-3
+#: How often a sign of life is given [s].
+BEAT_S = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One figure against its bar.
+
+    Attributes
+    ----------
+    name : str
+    value, bar : float
+    unit : str
+    """
+
+    name: str
+    value: float
+    bar: float
+    unit: str
+
+    @property
+    def holds(self) -> bool:
+        """Whether the bar is kept."""
+        return self.value <= self.bar
+
+
+@dataclass(frozen=True, slots=True)
+class TickTimes:
+    """Computing time without the device's wire.
+
+    Attributes
+    ----------
+    force_step_ns : float
+        Tissue law and guard, in contact, mean of many.
+    tick_median_us, tick_p99_us : float
+        A whole tick: simulated device, law, passivity, watchdogs, guard, record.
+    """
+
+    force_step_ns: float
+    tick_median_us: float
+    tick_p99_us: float
+
+
+@dataclass(frozen=True, slots=True)
+class SelfTest:
+    """What ``tissueid render --selftest`` prints.
+
+    Attributes
+    ----------
+    statistics : PeriodStatistics
+    remedies : tuple of str
+        What the machine refused, and how to get it.
+    times : TickTimes
+    start_s : float
+        From the start of the process to its first tick [s].
+    """
+
+    statistics: PeriodStatistics
+    remedies: tuple[str, ...]
+    times: TickTimes
+    start_s: float
+
+    @property
+    def figures(self) -> tuple[Figure, ...]:
+        """Every figure that has a bar."""
+        return (
+            Figure("period error, 99 %", self.statistics.p99_us, P99_US, "us"),
+            Figure("period error, 99.9 %", self.statistics.p999_us, P999_US, "us"),
+            Figure("force step", self.times.force_step_ns, FORCE_STEP_NS, "ns"),
+            Figure("tick, 99 %", self.times.tick_p99_us, TICK_US, "us"),
+        )
+
+
+def run_selftest(
+    seconds: float = DEFAULT_SECONDS, progress: Callable[[float], None] = lambda _share: None
+) -> SelfTest:
+    """Measure this machine.
+
+    Parameters
+    ----------
+    seconds : float
+        How long the servo runs [s].
+    progress : callable
+        Told the share that is done.
+
+    Returns
+    -------
+    SelfTest
+
+    Raises
+    ------
+    DeviceError
+        The servo process can't be started, or took the force away.
+    """
+    begun = time.monotonic()
+    with ServoProcess(ServoPlan("sim", {"real_time": True})) as servo:
+        start_s = time.monotonic() - begun
+        servo.engage()
+        begun = time.monotonic()
+        while servo.poll() is None and (done := time.monotonic() - begun) < seconds:
+            servo.beat()
+            progress(done / seconds)
+            time.sleep(min(BEAT_S, seconds - done))
+        end = servo.stop() if servo.end is None else servo.end
+        remedies = servo.ready.remedies if servo.ready is not None else ()
+    return SelfTest(end.statistics, remedies, time_ticks(), start_s)
+
+
+def time_ticks() -> TickTimes:
+    """Time the force step and the whole tick, compiled, in this process."""
+    device = SimulatedDevice()
+    ring, block = Ring.create(), ParameterBlock.create(BLOCK_SIZE)
+    try:
+        with device:
+            servo = new_servo(device, ring, block)
+            block.write(_tissue_at(-DEPTH_M))
+            block.order(COMMAND_ENGAGE)
+            io = compiled_io(device.compiled())
+            # past homing and the start-up ramp with a free tool, then with tissue around it
+            virtual_loop(io, servo, new_watch(), 0.0, np.full(START_TICKS, PERIOD_S))
+            block.write(_tissue_at(DEPTH_M))
+            took = np.zeros(TICKS, np.int64)
+            _time_each(io, servo, took, np.zeros(CLOCK_SIZE, np.int64))
+            force_step = _force_step_ns(servo)
+        return TickTimes(force_step, float(np.median(took)) * 1e-3, float(np.quantile(took, 0.99)) * 1e-3)
+    finally:
+        ring.close()
+        block.close()
+
+
+def _tissue_at(height_m: float) -> FloatArray:
+    """Parameters of a preset tissue whose surface lies ``height_m`` above the resting tool."""
+    x, y, z = CENTRE_M
+    surface = Plane((x, y, z + height_m))
+    environment = tissue_block(preset_tissue("paper-a"), surface, force_scale=0.01, motion_scale=5.0)
+    return np.concatenate([environment, PassivityLimits().block()])
+
+
+@tick_kernel
+def _time_each(io: SimulatedIO, servo: Servo, took: IntArray, room: IntArray) -> None:
+    """Time of every tick [ns]."""
+    for k in range(took.size):
+        begun = monotonic_ns(room)
+        compiled_tick(io, servo, k * PERIOD_S, PERIOD_S, 0.0, 0)
+        took[k] = monotonic_ns(room) - begun
+
+
+def _force_step_ns(servo: Servo) -> float:
+    """Time of one force step [ns]."""
+    room = np.zeros(CLOCK_SIZE, np.int64)
+    memory, info = np.zeros(MEMORY_SIZE), np.zeros(INFO_SIZE)
+    _force_steps(servo, memory, info, 1)
+    took = np.zeros(BLOCKS)
+    for k in range(BLOCKS):
+        begun = monotonic_ns(room)
+        _force_steps(servo, memory, info, FORCE_STEPS)
+        took[k] = (monotonic_ns(room) - begun) / FORCE_STEPS
+    return float(np.median(took))
+
+
+@tick_kernel
+def _force_steps(servo: Servo, memory: FloatArray, info: FloatArray, count: int) -> None:
+    """Tissue law and guard, on a tool that is pressed in slowly."""
+    servo.velocity[2] = -PRESSED_M / PERIOD_S
+    for _ in range(count):
+        servo.position[2] -= PRESSED_M
+        environment_step(
+            int(servo.environment[KIND]),
+            servo.environment,
+            memory,
+            servo.position,
+            servo.velocity,
+            PERIOD_S,
+            servo.force,
+            info,
+        )
+        guard(servo.guard_memory, servo.limits, servo.force, PERIOD_S, servo.out)

@@ -1,0 +1,197 @@
+"""The servo's loops: in real time with absolute deadlines, and in virtual time; both call the same tick.
+
+Deadlines that were missed are skipped, never replayed in a burst; the tick gets the time that was measured.
+The loop asks every 5 ms whether the owner still lives (its end of a pipe), wants an end, gives signs of
+life, or a signal came; each of them ends in zero force.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.compiled import tick_kernel, tick_part
+from tissueid.haptics.device import ZERO_COMMANDS
+from tissueid.haptics.guard import transition
+from tissueid.haptics.guard_states import (
+    ENGAGED,
+    FAULTED,
+    HEARTBEAT_LOST,
+    PARENT_DIED,
+    STATE,
+)
+from tissueid.haptics.limits import HEARTBEAT_S
+from tissueid.haptics.parameter_block import COMMAND_STOP, beats
+from tissueid.haptics.parameter_block import command as ordered
+from tissueid.haptics.states import Lamp
+from tissueid.rendering.servo_clock import CLOCK_SIZE, monotonic_ns, readable, sleep_until
+from tissueid.rendering.servo_tick import MISSED, Servo, compiled_tick, tick
+
+__all__ = [
+    "BINS",
+    "ENDED_FAULT",
+    "ENDED_SIGNAL",
+    "ENDED_STOPPED",
+    "ENDED_TICKS",
+    "compiled_loop",
+    "new_watch",
+    "realtime_loop",
+    "virtual_loop",
+]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+#: Why a loop ended: a fault; the owner's wish; a signal; all ticks asked for are done.
+ENDED_FAULT, ENDED_STOPPED, ENDED_SIGNAL, ENDED_TICKS = 0, 1, 2, 3
+
+#: Words of a watch: the owner's pipe and the pipe of signals (-1: none), whether signs of life are asked for,
+#: signs of life so far, when the last one came [ns], ticks of zero force at the end, room for system calls.
+OWNER, SIGNALS, ALIVE_WANTED, BEATS, BEAT_NS, ZEROS, ROOM = range(7)
+WATCH_SIZE = ROOM + CLOCK_SIZE
+
+#: Period errors are counted in bins of 1 us; the last bin has all beyond 20 ms.
+BINS = 20_001
+BIN_NS = 1_000
+#: How often the world outside is looked at [ns]: its system calls are no part of a tick.
+LOOK_NS = 5_000_000
+#: A tick whose period is off by more than this share is late.
+LATE_SHARE = 10
+
+_LATE = int(Lamp.LATE)
+
+
+def new_watch(owner: int = -1, signals: int = -1, *, alive_wanted: bool = False) -> IntArray:
+    """What a loop looks at besides the device.
+
+    Parameters
+    ----------
+    owner : int
+        Descriptor of a pipe whose other end the owner holds; its end of file is the owner's death.
+    signals : int
+        Descriptor that becomes readable when a signal came.
+    alive_wanted : bool
+        Whether signs of life are asked for.
+    """
+    watch = np.zeros(WATCH_SIZE, np.int64)
+    watch[OWNER], watch[SIGNALS], watch[ALIVE_WANTED] = owner, signals, alive_wanted
+    return watch
+
+
+@tick_kernel
+def _look(servo: Servo, watch: IntArray, now_ns: int, room: IntArray) -> bool:
+    """Look outside; True if a signal came."""
+    if readable(watch[OWNER], room):
+        transition(servo.guard_memory, servo.limits, PARENT_DIED)
+    count = beats(servo.block_head)
+    if count != watch[BEATS] or watch[BEAT_NS] == 0:
+        watch[BEATS] = count
+        watch[BEAT_NS] = now_ns
+    elif watch[ALIVE_WANTED] != 0 and (now_ns - watch[BEAT_NS]) * 1e-9 > servo.limits[HEARTBEAT_S]:
+        transition(servo.guard_memory, servo.limits, HEARTBEAT_LOST)
+    return readable(watch[SIGNALS], room)
+
+
+@tick_part
+def _over(servo: Servo, watch: IntArray) -> bool:
+    """Whether enough ticks of zero force followed a fault, or the owner's wish to end."""
+    state = servo.guard_memory[STATE]
+    ending = state == FAULTED or (state != ENGAGED and ordered(servo.block_head) == COMMAND_STOP)
+    force = servo.out[0] != 0.0 or servo.out[1] != 0.0 or servo.out[2] != 0.0
+    watch[ZEROS] = watch[ZEROS] + 1 if ending and not force else 0
+    return bool(watch[ZEROS] >= ZERO_COMMANDS)
+
+
+@tick_part
+def _count(histogram: IntArray, error_ns: int) -> None:
+    """Count one absolute period error."""
+    histogram[min(error_ns // BIN_NS, histogram.size - 2)] += 1
+    # the largest error itself, in the last word
+    histogram[histogram.size - 1] = max(histogram[histogram.size - 1], error_ns)
+
+
+def realtime_loop(
+    io: Any, servo: Servo, watch: IntArray, histogram: IntArray, period_ns: int, ticks: int
+) -> int:
+    """Run in real time until something ends it.
+
+    Parameters
+    ----------
+    io : tuple
+        The device, of :mod:`tissueid.rendering.servo_io`.
+    servo : Servo
+    watch : ndarray of int64
+        :func:`new_watch`.
+    histogram : ndarray of int64, shape (BINS + 1,)
+        Absolute period errors by microsecond, then the largest [ns]; added to.
+    period_ns : int
+    ticks : int
+        Most ticks to run.
+
+    Returns
+    -------
+    int
+        ENDED_FAULT, ENDED_STOPPED, ENDED_SIGNAL or ENDED_TICKS.
+    """
+    room = watch[ROOM:]
+    last = monotonic_ns(room)
+    looked = last
+    deadline = last + period_ns
+    for _ in range(ticks):
+        sleep_until(deadline, room)
+        now = monotonic_ns(room)
+        elapsed = now - last
+        last = now
+        error = abs(elapsed - period_ns)
+        _count(histogram, error)
+        lamp = _LATE if error * LATE_SHARE > period_ns else 0
+        tick(io, servo, now * 1e-9, elapsed * 1e-9, (now - deadline) * 1e-9, lamp)
+        if _over(servo, watch):
+            return ENDED_FAULT if servo.guard_memory[STATE] == FAULTED else ENDED_STOPPED
+        deadline += period_ns
+        now = monotonic_ns(room)
+        if now - looked >= LOOK_NS:
+            looked = now
+            if _look(servo, watch, now, room):
+                return ENDED_SIGNAL
+        if now > deadline:
+            missed = (now - deadline) // period_ns
+            servo.counters[MISSED] += missed
+            deadline += missed * period_ns
+    return ENDED_TICKS
+
+
+#: :func:`realtime_loop`, compiled for the type of its ``io``.
+compiled_loop = tick_kernel(realtime_loop)
+
+
+@tick_kernel
+def virtual_loop(io: Any, servo: Servo, watch: IntArray, start_s: float, steps: FloatArray) -> int:
+    """Run in virtual time, as fast as it goes.
+
+    Parameters
+    ----------
+    io : tuple
+        A simulated device; its arm moves by each step.
+    servo : Servo
+    watch : ndarray of int64
+        :func:`new_watch`; nothing outside is looked at.
+    start_s : float
+        Time before the first tick [s].
+    steps : ndarray, shape (n,)
+        Time from tick to tick [s]: all equal, or as jittery as wanted.
+
+    Returns
+    -------
+    int
+        ENDED_FAULT, ENDED_STOPPED or ENDED_TICKS.
+    """
+    now = start_s
+    for k in range(steps.size):
+        now += steps[k]
+        compiled_tick(io, servo, now, steps[k], 0.0, 0)
+        if _over(servo, watch):
+            return ENDED_FAULT if servo.guard_memory[STATE] == FAULTED else ENDED_STOPPED
+    return ENDED_TICKS

@@ -1,0 +1,175 @@
+"""What the owner and the servo process tell each other, as frozen data.
+
+Down goes one plan, pickled, with the descriptors of the shared memories, over a private socket whose other
+end stays open: its end of file is the owner's death.  Up come lines of JSON: ``ready``, then ``ended`` or
+``failed``.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from tissueid.haptics.states import FAULT_WORDS, Fault, State
+from tissueid.rendering.servo_statistics import PeriodStatistics
+
+__all__ = ["REASONS", "ServoEnd", "ServoPlan", "ServoReady", "receive_plan", "send_line", "send_plan"]
+
+#: Why a loop ended, by the numbers of :mod:`tissueid.rendering.servo_loop`.
+REASONS = ("fault", "stopped", "signal", "ticks")
+_LENGTH_BYTES = 8
+#: At 1 kHz more ticks than anybody's session: 24 days.
+NO_END = 2**31
+
+
+@dataclass(frozen=True, slots=True)
+class ServoPlan:
+    """One session of the servo.
+
+    Attributes
+    ----------
+    device : str
+        Name in the registry; never ``auto``, which the owner resolves and says.
+    options : dict
+        Arguments of the device's class; must pickle.
+    law : str, optional
+        Name of a force law of another distribution, in the place of the compiled environment.
+    period_ns : int
+    ticks : int
+        Most ticks to run.
+    alive_wanted : bool
+        Whether 500 ms without a sign of life take the force away.
+    shared_hand : bool
+        Whether the hand of the simulated device lies in shared memory, for a pointer; no other device's does.
+    """
+
+    device: str
+    options: dict[str, Any] = field(default_factory=dict)
+    law: str | None = None
+    period_ns: int = 1_000_000
+    ticks: int = NO_END
+    alive_wanted: bool = True
+    shared_hand: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class ServoReady:
+    """The servo runs.
+
+    Attributes
+    ----------
+    compiled : bool
+        False for a device or a law in Python, and where compiling is switched off: the loop runs uncompiled.
+    scheduling : str
+        Scheduling class.
+    remedies : tuple of str
+        What was refused, and how to get it.
+    """
+
+    compiled: bool
+    scheduling: str
+    remedies: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ServoEnd:
+    """How a session ended.
+
+    Attributes
+    ----------
+    reason : str
+        One of REASONS.
+    fault : Fault
+    state : State
+        Before the device was closed.
+    statistics : PeriodStatistics
+    outside_share, clipped_share : float
+        Of the ticks with tissue touched: outside the identified range, and at the clamp.
+    """
+
+    reason: str
+    fault: Fault
+    state: State
+    statistics: PeriodStatistics
+    outside_share: float
+    clipped_share: float
+
+    @property
+    def message(self) -> str:
+        """One sentence for the console and the log."""
+        if self.fault is not Fault.NONE:
+            return f"the servo took the force away: {FAULT_WORDS[self.fault]}"
+        return {"signal": "the servo was told to end by a signal"}.get(self.reason, "the servo ended")
+
+    def as_dict(self) -> dict[str, Any]:
+        """For a line of JSON and the log."""
+        words = asdict(self)
+        return {**words, "fault": int(self.fault), "state": int(self.state)}
+
+    @classmethod
+    def from_dict(cls, words: dict[str, Any]) -> ServoEnd:
+        """The inverse of :meth:`as_dict`."""
+        return cls(
+            **{
+                **words,
+                "fault": Fault(words["fault"]),
+                "state": State(words["state"]),
+                "statistics": PeriodStatistics(**words["statistics"]),
+            }
+        )
+
+
+def send_plan(descriptor: int, plan: ServoPlan, ring: int, block: int, *hand: int) -> None:
+    """Send a plan and the descriptors of the shared memories through the owner's socket."""
+    data = pickle.dumps(plan)
+    with _socket(descriptor) as there:
+        socket.send_fds(there, [len(data).to_bytes(_LENGTH_BYTES, "little")], [ring, block, *hand])
+        there.sendall(data)
+
+
+def receive_plan(descriptor: int) -> tuple[ServoPlan, list[int]]:
+    """The plan that :func:`send_plan` sent, and this process's own descriptors: ring, block, perhaps a hand.
+
+    Raises
+    ------
+    EOFError
+        The owner died meanwhile.
+    """
+    data = b""
+    with _socket(descriptor) as there:
+        head, shared, _, _ = socket.recv_fds(there, _LENGTH_BYTES, 3)
+        if len(head) < _LENGTH_BYTES:
+            raise EOFError
+        size = int.from_bytes(head, "little")
+        while len(data) < size:
+            got = there.recv(size - len(data))
+            if not got:
+                raise EOFError
+            data += got
+    # the sender is the process that spawned this one, over a socket nobody else has
+    plan: ServoPlan = pickle.loads(data)  # noqa: S301
+    return plan, shared
+
+
+@contextmanager
+def _socket(descriptor: int) -> Iterator[socket.socket]:
+    """The socket behind a descriptor, which stays open."""
+    there = socket.socket(fileno=descriptor)
+    try:
+        yield there
+    finally:
+        there.detach()
+
+
+def send_line(descriptor: int, **words: Any) -> None:
+    """One line of JSON; nothing happens where nobody reads any more."""
+    try:
+        os.write(descriptor, json.dumps(words).encode() + b"\n")
+    except BrokenPipeError:
+        return

@@ -1,0 +1,207 @@
+"""The servo process: nothing but the loop, spawned, with zero force on every way out.
+
+It ends when the owner says so, dies (end of file on a pipe) or falls silent, when a fault was handled, and
+on SIGTERM, SIGINT or SIGHUP.  SIGKILL can't be caught: then the device keeps the last force until its own
+firmware or its power plug takes it away.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+from types import FrameType
+from typing import Any, Self
+
+import numba
+import numpy as np
+
+from tissueid.compiled import without_scipy
+from tissueid.errors import DeviceError, TissueidError
+from tissueid.haptics.device import HapticDevice
+from tissueid.haptics.guard import new_guard, transition
+from tissueid.haptics.guard_states import SHUT
+from tissueid.haptics.limits import GuardLimits
+from tissueid.haptics.parameter_block import ParameterBlock
+from tissueid.haptics.registry import device_class, environment_law
+from tissueid.haptics.ring import Ring
+from tissueid.haptics.shared_hand import SharedHand
+from tissueid.haptics.sim import SimulatedDevice
+from tissueid.haptics.states import FAULT_WORDS, Fault
+from tissueid.rendering.servo_io import PythonIO, compiled_io
+from tissueid.rendering.servo_loop import BINS, compiled_loop, new_watch, realtime_loop
+from tissueid.rendering.servo_plan import REASONS, ServoEnd, ServoPlan, receive_plan, send_line
+from tissueid.rendering.servo_schedule import make_punctual
+from tissueid.rendering.servo_statistics import period_statistics
+from tissueid.rendering.servo_tick import CLIPPED, MISSED, OUTSIDE, TOUCHED, Servo, new_servo
+
+__all__ = ["main", "run_plan"]
+
+#: Signals that end a session with zero force.
+SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
+
+
+class Signalled(BaseException):
+    """A signal came while no loop ran; like KeyboardInterrupt, nothing but a way out catches it."""
+
+
+class SignalWatch:
+    """Makes signals readable for the compiled loop, and an exception everywhere else."""
+
+    def __init__(self) -> None:
+        self.descriptor, self._writing = os.pipe()
+        os.set_blocking(self._writing, False)
+        #: In the loop a signal ends it; elsewhere it raises.
+        self.in_loop = False
+
+    def __enter__(self) -> Self:
+        self._before = [signal.signal(number, self._came) for number in SIGNALS]
+        # the C handler writes here at once, even while compiled code holds the only thread
+        self._wakeup = signal.set_wakeup_fd(self._writing, warn_on_full_buffer=False)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        signal.set_wakeup_fd(self._wakeup)
+        for number, handler in zip(SIGNALS, self._before, strict=True):
+            signal.signal(number, handler)
+        os.close(self.descriptor)
+        os.close(self._writing)
+
+    def _came(self, _number: int, _frame: FrameType | None) -> None:
+        if not self.in_loop:
+            raise Signalled
+
+
+def _must_be_owned(owner: int) -> None:
+    """Refuse to wait for anything once the owner is dead.
+
+    Raises
+    ------
+    DeviceError
+        Nothing but the end of file ever comes after the plan.
+    """
+    if select.select([owner], [], [], 0.0)[0]:
+        raise DeviceError(FAULT_WORDS[Fault.PARENT_DIED])
+
+
+def _reach(device: HapticDevice, law: str | None) -> tuple[Any, bool]:
+    """How the loop reaches an open device, and whether it is compiled."""
+    if law is not None:
+        return PythonIO(device, environment_law(law)), False
+    given = device.compiled()
+    compiles = not getattr(numba.config, "DISABLE_JIT", False)
+    return (PythonIO(device), False) if given is None else (compiled_io(given), compiles)
+
+
+def _share_hand(device: HapticDevice, hand: SharedHand) -> None:
+    """Let a pointer lead a simulated hand.
+
+    Raises
+    ------
+    DeviceError
+        The device is another: only a hand of a real person moves it.
+    """
+    if not isinstance(device, SimulatedDevice):
+        msg = f"{device.name}: a pointer leads the simulated device alone"
+        raise DeviceError(msg)
+    device.share(hand)
+
+
+def _end(reason: int, servo: Servo, device: HapticDevice, plan: ServoPlan, timing: Any) -> ServoEnd:
+    """The figures of a session."""
+    counters = servo.counters
+    touched = max(int(counters[TOUCHED]), 1)
+    histogram, scheduling = timing
+    return ServoEnd(
+        reason=REASONS[reason],
+        fault=device.fault,
+        state=device.state,
+        statistics=period_statistics(histogram, int(counters[MISSED]), plan.period_ns, scheduling),
+        outside_share=int(counters[OUTSIDE]) / touched,
+        clipped_share=int(counters[CLIPPED]) / touched,
+    )
+
+
+def run_plan(
+    plan: ServoPlan,
+    ring: Ring,
+    block: ParameterBlock,
+    owner: int,
+    report: int,
+    hand: SharedHand | None = None,
+) -> ServoEnd:
+    """Open the device, run the loop, close the device.
+
+    Parameters
+    ----------
+    plan : ServoPlan
+    ring, block
+        Shared with the owner.
+    owner : int
+        Descriptor whose end of file is the owner's death.
+    report : int
+        Descriptor for lines of JSON.
+    hand : SharedHand, optional
+        Through which a pointer leads the simulated device.
+
+    Raises
+    ------
+    DeviceError, UsageError
+        The device can't be used, or is none that a pointer may lead.
+    """
+    with SignalWatch() as signals:
+        device = device_class(plan.device)(**plan.options)
+        if hand is not None:
+            _share_hand(device, hand)
+        device.tell = lambda sentence: send_line(report, event="told", sentence=sentence)
+        device.while_waiting = lambda: _must_be_owned(owner)
+        try:
+            device.open()
+            device.home()
+            io, compiled = _reach(device, plan.law)
+            loop = compiled_loop if compiled else realtime_loop
+            servo = new_servo(device, ring, block)
+            histogram = np.zeros(BINS + 1, np.int64)
+            watch = new_watch(owner, signals.descriptor, alive_wanted=plan.alive_wanted)
+            # compiled or taken from the disk before any force, and before priorities change
+            loop(io, servo, watch, histogram, plan.period_ns, 0)
+            schedule = make_punctual(collect=not compiled)
+            send_line(
+                report,
+                event="ready",
+                compiled=compiled,
+                scheduling=schedule.name,
+                remedies=schedule.remedies,
+            )
+            signals.in_loop = True
+            reason = loop(io, servo, watch, histogram, plan.period_ns, plan.ticks)
+            return _end(reason, servo, device, plan, (histogram, schedule.name))
+        finally:
+            signals.in_loop = True
+            device.close()
+
+
+def main(arguments: list[str]) -> int:
+    """The spawned process: two descriptors, the owner's socket and the report's pipe.
+
+    Returns
+    -------
+    int
+        Exit code of :mod:`tissueid.errors`.
+    """
+    owner, report = (int(word) for word in arguments)
+    # numba sets itself up at the first call: while the owner decides, not when it waits
+    with without_scipy():
+        transition(new_guard(), GuardLimits().block(), SHUT)
+    try:
+        plan, shared = receive_plan(owner)
+        ring, block = shared[:2]
+        hand = SharedHand.attach(shared[2]) if len(shared) > 2 else None
+        end = run_plan(plan, Ring.attach(ring), ParameterBlock.attach(block), owner, report, hand)
+    except TissueidError as error:
+        send_line(report, event="failed", kind=type(error).__name__, message=error.message)
+        return error.exit_status
+    except (EOFError, Signalled):
+        return DeviceError.exit_status
+    send_line(report, event="ended", **end.as_dict())
+    return 0 if end.fault == 0 else DeviceError.exit_status

@@ -1,0 +1,98 @@
+"""The servo's process before it has a plan: spawned early, it loads while its owner decides.
+
+Loading numba and the compiled loop takes most of a second, reading a bundle and choosing a scale another;
+both at once, a session begins in half the time.  A process without a plan has no device and waits: nothing
+can move before the plan passed its checks and was sent.
+
+This module is the entry of that process, and imports nothing slow.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+from dataclasses import dataclass
+
+from tissueid.own_process import own_process
+
+__all__ = ["REAP_S", "SpawnedServo", "spawn_servo"]
+
+#: How long the end of a process is waited for before it is killed [s]: ramp, zero commands, closing.
+REAP_S = 5.0
+
+
+@dataclass(slots=True)
+class SpawnedServo:
+    """A servo's process, as its owner holds it.
+
+    Attributes
+    ----------
+    process : Popen
+    owner : int
+        Descriptor of the socket the plan goes through; its end of file is the owner's death.  -1 once
+        closed.
+    report : int
+        Descriptor of the pipe that lines of JSON come from.
+    planned : bool
+        Whether a plan was sent: from then on it may have a device, and ends with zero force in its own time.
+    """
+
+    process: subprocess.Popen[bytes]
+    owner: int
+    report: int
+    planned: bool = False
+
+    def reap(self) -> int:
+        """Wait for the end, a while kindly; the exit code."""
+        try:
+            return self.process.wait(REAP_S)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            return self.process.wait()
+
+    def close(self) -> None:
+        """Let go of the process, which ends it, and wait for that; harmless when called twice."""
+        if self.owner < 0:
+            return
+        # to a servo with a device this is the owner's death: zero force, whatever it was doing
+        os.close(self.owner)
+        self.owner = -1
+        if not self.planned:
+            self.process.terminate()
+        self.reap()
+        os.close(self.report)
+
+
+def spawn_servo() -> SpawnedServo:
+    """Start a servo's process, without a plan."""
+    theirs, ours = socket.socketpair()
+    report, reporting = os.pipe()
+    command = own_process(__name__, str(theirs.fileno()), str(reporting))
+    try:
+        # our own interpreter and module; nothing of it comes from a user
+        process = subprocess.Popen(  # noqa: S603
+            command, pass_fds=(theirs.fileno(), reporting), stdin=subprocess.DEVNULL
+        )
+    except BaseException:
+        ours.close()
+        os.close(report)
+        raise
+    finally:
+        theirs.close()
+        os.close(reporting)
+    return SpawnedServo(process, ours.detach(), report)
+
+
+def _main() -> int:
+    # Ctrl-C reaches every process of a terminal: until the servo hears signals itself it just ends
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    from tissueid.rendering.servo_process import main
+
+    return main(sys.argv[1:])
+
+
+if __name__ == "__main__":
+    sys.exit(_main())

@@ -1,0 +1,362 @@
+"""One tick of the servo: read, velocity, force law, passivity, watchdogs, guard, command, record.
+
+Every loop (real time, virtual time, compiled or not) calls :func:`tick`, so that what is tested in virtual
+time is what runs on a device.  It allocates nothing.
+
+The force law sees the measured time since the last tick: the law's recursion is exact for any step, so that
+a late tick is no wrong force.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba.extending import overload
+from numpy.typing import NDArray
+
+from tissueid.compiled import tick_kernel, tick_part
+from tissueid.errors import DeviceError
+from tissueid.haptics.device import HapticDevice
+from tissueid.haptics.guard import guard, observe, transition
+from tissueid.haptics.guard_states import DISENGAGE, ENGAGE, FAULT, HOMING, LAMPS, STATE, SWAP, WANTED
+from tissueid.haptics.parameter_block import COMMAND_ENGAGE, ParameterBlock, take, waiting
+from tissueid.haptics.parameter_block import command as ordered
+from tissueid.haptics.ring import Ring
+from tissueid.haptics.ring_publishing import publish
+from tissueid.haptics.states import Lamp
+from tissueid.haptics.velocity import velocity_step
+from tissueid.haptics.watchdogs import REPLY_VALID
+from tissueid.rendering.environment import (
+    ENVIRONMENT_SIZE,
+    INFO_DEPTH_MM,
+    INFO_FLAGS,
+    INFO_LABEL,
+    INFO_PENETRATION_M,
+    INFO_SIZE,
+    INFO_SPEED_MM_S,
+    INFO_TISSUE_FORCE_N,
+    KIND,
+    MEMORY_SIZE,
+    environment_step,
+    put_at_rest,
+)
+from tissueid.rendering.passivity_control import (
+    ACTIVE,
+    CONTROL_MEMORY_SIZE,
+    CONTROL_SIZE,
+    TOTAL_J,
+    note_sent,
+    passivity_step,
+)
+from tissueid.rendering.servo_io import HOMED, PRESSED, REPLY, WORDS_SIZE, PythonIO, command, sense
+
+__all__ = ["BLOCK_SIZE", "Servo", "compiled_tick", "new_servo", "tick"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+#: Parameters of one version: the environment's, then the passivity controller's.
+BLOCK_SIZE = ENVIRONMENT_SIZE + CONTROL_SIZE
+
+#: Counters: ticks so far, ticks skipped, version of the parameters, whether a position was seen, the tissue
+#: outside its identified range, ticks with tissue touched, ticks in which the clamp bit.
+TICKS, MISSED, VERSION, SEEN, OUTSIDE, TOUCHED, CLIPPED = range(7)
+COUNTERS_SIZE = 8
+#: Readings at the start of a loop that show no motion: each command is answered once, so that only the
+#: first can be old.
+FRESH_READINGS = 2
+#: Longest step the force law is given [s]: after a second nothing of a stall is left in tissue.
+LONGEST_STEP_S = 1.0
+#: Shortest step [s]: a late tick and a punctual one lie so close that their difference is noise.
+SHORTEST_STEP_S = 1e-5
+#: Largest number of skipped ticks a record can hold.
+MISSED_LIMIT = 65_535
+COUNT_LIMIT = 32_767
+
+_PASSIVITY, _CLIPPED = int(Lamp.PASSIVITY), int(Lamp.CLIPPED)
+_OUTSIDE = int(Lamp.OUTSIDE_DEPTH) | int(Lamp.OUTSIDE_SPEED)
+
+
+class Servo(NamedTuple):
+    """Everything a tick remembers, as arrays that compiled code shares with Python.
+
+    Attributes
+    ----------
+    guard_memory, limits
+        Of :mod:`tissueid.haptics.guard`; the device's own.
+    environment, environment_memory
+        Of :mod:`tissueid.rendering.environment`.
+    control, control_memory
+        Of :mod:`tissueid.rendering.passivity_control`.
+    position, last_position, velocity, force, out
+        [m], [m/s], [N]; shape (3,).
+    info
+        What the environment said.
+    since_valid
+        Time since the last valid reading [s], shape (1,).
+    counts, last_counts, moved, words
+        Encoder counts; words of a reading.
+    counters : ndarray of int64
+    ring_head, records
+        Of :class:`tissueid.haptics.ring.Ring`.
+    block_head, block_values
+        Of :class:`tissueid.haptics.parameter_block.ParameterBlock`.
+    staged : ndarray, shape (BLOCK_SIZE,)
+        A version while it is taken over.
+    """
+
+    guard_memory: FloatArray
+    limits: FloatArray
+    environment: FloatArray
+    environment_memory: FloatArray
+    control: FloatArray
+    control_memory: FloatArray
+    position: FloatArray
+    last_position: FloatArray
+    velocity: FloatArray
+    force: FloatArray
+    out: FloatArray
+    info: FloatArray
+    since_valid: FloatArray
+    counts: IntArray
+    last_counts: IntArray
+    moved: IntArray
+    words: IntArray
+    counters: IntArray
+    ring_head: IntArray
+    records: NDArray[Any]
+    block_head: IntArray
+    block_values: FloatArray
+    staged: FloatArray
+
+
+def new_servo(device: HapticDevice, ring: Ring, block: ParameterBlock) -> Servo:
+    """A servo at rest in free air, until parameters are published.
+
+    Parameters
+    ----------
+    device : HapticDevice
+        Its guard's memory and limits are used.
+    ring, block
+        Shared with the owner; ``block`` for BLOCK_SIZE parameters.
+    """
+    return Servo(
+        guard_memory=device.guard_memory,
+        limits=device.limits.block(),
+        environment=np.zeros(ENVIRONMENT_SIZE),
+        environment_memory=np.zeros(MEMORY_SIZE),
+        control=np.zeros(CONTROL_SIZE),
+        control_memory=np.zeros(CONTROL_MEMORY_SIZE),
+        position=np.zeros(3),
+        last_position=np.zeros(3),
+        velocity=np.zeros(3),
+        force=np.zeros(3),
+        out=np.zeros(3),
+        info=np.zeros(INFO_SIZE),
+        since_valid=np.zeros(1),
+        counts=np.zeros(3, np.int64),
+        last_counts=np.zeros(3, np.int64),
+        moved=np.zeros(3, np.int64),
+        words=np.zeros(WORDS_SIZE, np.int64),
+        counters=np.zeros(COUNTERS_SIZE, np.int64),
+        ring_head=ring.head,
+        records=ring.records,
+        block_head=block.head,
+        block_values=block.values,
+        staged=np.zeros(BLOCK_SIZE),
+    )
+
+
+# Kernels take the few arrays they work on, not the whole servo: passing it costs more than most of them.
+
+
+@tick_part
+def _count_motion(fresh: bool, valid: bool, counts: IntArray, last_counts: IntArray, moved: IntArray) -> None:
+    """Encoder counts since the last valid reading."""
+    for i in range(3):
+        moved[i] = counts[i] - last_counts[i] if valid and not fresh else 0
+        if valid:
+            last_counts[i] = counts[i]
+
+
+@tick_part
+def _obey(guard_memory: FloatArray, limits: FloatArray, block_head: IntArray) -> bool:
+    """Want force or none as the owner does; True where new parameters may be taken now."""
+    wanted = ordered(block_head) == COMMAND_ENGAGE
+    if wanted and guard_memory[WANTED] == 0.0:
+        transition(guard_memory, limits, ENGAGE)
+    elif not wanted and guard_memory[WANTED] != 0.0:
+        transition(guard_memory, limits, DISENGAGE)
+    return bool(waiting(block_head) and transition(guard_memory, limits, SWAP))
+
+
+@tick_kernel
+def _exchange(
+    block_head: IntArray,
+    block_values: FloatArray,
+    staged: FloatArray,
+    environment: FloatArray,
+    environment_memory: FloatArray,
+    control: FloatArray,
+) -> int:
+    """Take new parameters over, with tissue at rest; returns their version."""
+    version = take(block_head, block_values, staged)
+    for i in range(ENVIRONMENT_SIZE):
+        environment[i] = staged[i]
+    for i in range(CONTROL_SIZE):
+        control[i] = staged[ENVIRONMENT_SIZE + i]
+    put_at_rest(environment_memory)
+    return int(version)
+
+
+def apply_law(io: Any, position: FloatArray, velocity: FloatArray, dt: float, force: FloatArray) -> bool:
+    """Put the force of a law in Python in the place of the environment's; False where there is none."""
+    law = io.law if isinstance(io, PythonIO) else None
+    if law is None:
+        return False
+    force[:] = law(position.copy(), velocity.copy(), dt)
+    return True
+
+
+@overload(apply_law)
+def _no_law(io, position, velocity, dt, force):  # type: ignore[no-untyped-def] # noqa: ARG001
+    """A compiled loop has compiled laws only."""
+    return lambda io, position, velocity, dt, force: False  # noqa: ARG005
+
+
+def send(
+    io: Any, guard_memory: FloatArray, limits: FloatArray, force: FloatArray, dt: float, out: FloatArray
+) -> None:
+    """Pass the guard and command the device: the only way from a force to a transport."""
+    if isinstance(io, PythonIO):
+        out[:] = 0.0
+        # a device that is gone gets nothing; its next reading says so to the watchdogs
+        with contextlib.suppress(DeviceError):
+            out[:] = io.device.write_force(force, dt)
+    else:
+        _send(io, guard_memory, limits, force, dt, out)
+
+
+@tick_kernel
+def _send(
+    io: Any, guard_memory: FloatArray, limits: FloatArray, force: FloatArray, dt: float, out: FloatArray
+) -> None:
+    guard(guard_memory, limits, force, dt, out)
+    command(io, guard_memory, limits, out)
+
+
+@overload(send)
+def _compiled_send(io, guard_memory, limits, force, dt, out):  # type: ignore[no-untyped-def] # noqa: ARG001
+    """Guard and command of a device the servo knows."""
+    return lambda io, guard_memory, limits, force, dt, out: _send(io, guard_memory, limits, force, dt, out)
+
+
+@tick_part
+def _lamps(guard_memory: FloatArray, control_memory: FloatArray, info: FloatArray, counters: IntArray) -> int:
+    """Lamps of guard, environment and controller, counted."""
+    lamps = int(guard_memory[LAMPS]) | int(info[INFO_FLAGS])
+    if control_memory[ACTIVE] != 0.0:
+        lamps |= _PASSIVITY
+    counters[OUTSIDE] += 1 if lamps & _OUTSIDE else 0
+    counters[TOUCHED] += 1 if info[INFO_DEPTH_MM] > 0.0 else 0
+    counters[CLIPPED] += 1 if lamps & _CLIPPED else 0
+    return lamps
+
+
+@tick_kernel
+def _record(servo: Servo, now_s: float, dt: float, late_s: float, lamps: int) -> None:
+    """Write the record of this tick and publish it."""
+    counters = servo.counters
+    count = counters[TICKS]
+    record = servo.records[count % servo.records.size]
+    record["tick"] = count
+    record["time_s"] = now_s
+    record["dt_s"] = dt
+    for i in range(3):
+        record["position_m"][i] = servo.position[i]
+        record["force_N"][i] = servo.out[i]
+        record["counts"][i] = min(max(servo.counts[i], -COUNT_LIMIT), COUNT_LIMIT)
+    record["depth_mm"] = servo.info[INFO_DEPTH_MM]
+    record["tissue_force_N"] = servo.info[INFO_TISSUE_FORCE_N]
+    record["speed_mm_per_s"] = servo.info[INFO_SPEED_MM_S]
+    record["energy_J"] = servo.control_memory[TOTAL_J]
+    record["lamps"] = lamps
+    record["state"] = int(servo.guard_memory[STATE])
+    record["fault"] = int(servo.guard_memory[FAULT])
+    record["buttons"] = servo.words[PRESSED]
+    record["late_s"] = late_s
+    record["version"] = counters[VERSION]
+    record["missed"] = min(counters[MISSED], MISSED_LIMIT)
+    record["label"] = int(servo.info[INFO_LABEL])
+    counters[TICKS] = count + 1
+    publish(servo.ring_head, count + 1)
+
+
+def tick(io: Any, servo: Servo, now_s: float, dt: float, late_s: float, late_lamp: int) -> None:
+    """One tick.
+
+    Parameters
+    ----------
+    io : tuple
+        The device, of :mod:`tissueid.rendering.servo_io`.
+    servo : Servo
+    now_s, dt, late_s : float
+        Time of the tick, since the last one, and after its deadline [s].
+    late_lamp : int
+        ``Lamp.LATE`` where the tick's period was off by more than a tenth, else 0.
+    """
+    memory, limits, environment = servo.guard_memory, servo.limits, servo.environment
+    position, velocity, force, info, words = (
+        servo.position, servo.velocity, servo.force, servo.info, servo.words,
+    )  # fmt: skip
+    sense(io, dt, position, servo.counts, words)
+    valid = words[REPLY] == REPLY_VALID
+    # until homing ends coordinates jump, and the first reading may be an answer from before the loop began,
+    # seconds old: nothing moved
+    fresh = servo.counters[SEEN] < FRESH_READINGS or memory[STATE] <= HOMING
+    _count_motion(fresh, valid, servo.counts, servo.last_counts, servo.moved)
+    servo.since_valid[0] += dt
+    if valid:
+        servo.counters[SEEN] = min(servo.counters[SEEN] + 1, FRESH_READINGS)
+        for i in range(3):
+            if fresh:
+                servo.last_position[i] = position[i]
+                velocity[i] = 0.0
+        # over the whole gap where readings were missing, or a slow hand would look fast after it
+        velocity_step(velocity, position, servo.last_position, servo.since_valid[0])
+        servo.since_valid[0] = 0.0
+    if _obey(memory, limits, servo.block_head):
+        servo.counters[VERSION] = _exchange(
+            servo.block_head, servo.block_values, servo.staged, environment, servo.environment_memory,
+            servo.control,
+        )  # fmt: skip
+    step = min(max(dt, SHORTEST_STEP_S), LONGEST_STEP_S)
+    environment_step(
+        int(environment[KIND]), environment, servo.environment_memory, position, velocity, step, force, info
+    )
+    if apply_law(io, position, velocity, step, force):
+        # such a law knows no depth: engaging waits for a small force, an exchange for no force at all
+        info[INFO_PENETRATION_M] = np.nan
+    passivity_step(servo.control_memory, servo.control, position, force, dt)
+    observe(
+        memory, limits, words[REPLY], words[HOMED] != 0, words[PRESSED], servo.moved, velocity,
+        info[INFO_PENETRATION_M], dt,
+    )  # fmt: skip
+    send(io, memory, limits, force, dt, servo.out)
+    note_sent(servo.control_memory, servo.out)
+    lamps = _lamps(memory, servo.control_memory, info, servo.counters)
+    _record(servo, now_s, dt, late_s, lamps | late_lamp)
+
+
+#: One tick, compiled for the type of its ``io``; loops in Python call :func:`tick` itself.
+compiled_tick = tick_kernel(tick)
+
+
+@overload(tick)
+def _tick_in_loop(io, servo, now_s, dt, late_s, late_lamp):  # type: ignore[no-untyped-def] # noqa: ARG001
+    """A compiled loop takes the compiled tick."""
+    return lambda io, servo, now_s, dt, late_s, late_lamp: compiled_tick(
+        io, servo, now_s, dt, late_s, late_lamp
+    )

@@ -1,0 +1,331 @@
+"""One session from its plan to its summary: servo, records, switches, and zero force at the end.
+
+The loop of the owner does little and often: read what is new in the ring, hand it to recorder, summary,
+bridge and display, give a sign of life, exchange the tissue where that was asked for.  Nothing here touches
+a force.
+"""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.haptics.ring import RingReader
+from tissueid.haptics.states import Fault
+from tissueid.rendering.bridge import BridgeRequest, UdpBridge
+from tissueid.rendering.environment import KIND as BLOCK_KIND
+from tissueid.rendering.environment import SURFACE, TISSUE
+from tissueid.rendering.first_start import first_start
+from tissueid.rendering.recorder import Recorder
+from tissueid.rendering.servo import ServoProcess
+from tissueid.rendering.servo_plan import ServoPlan
+from tissueid.rendering.servo_spawn import SpawnedServo
+from tissueid.rendering.session_plan import PERIOD_S, SessionPlan
+from tissueid.rendering.summary import SessionSummary
+from tissueid.rendering.surface import SURFACE_SIZE, TOOL_RADIUS
+from tissueid.rendering.tissue_block import Plane
+
+__all__ = ["Outcome", "Session", "Wish"]
+
+FloatArray = NDArray[np.float64]
+Records = NDArray[Any]
+
+#: Pause between two turns of the owner's loop [s]: a twentieth of the heartbeat's limit.
+TURN_S = 0.02
+#: A device that is homed by hand takes its time [s].
+HOMING_TIMEOUT_S = 300.0
+#: Ticks computed at a time in virtual time.
+VIRTUAL_TICKS = 500
+
+
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """What the person at the keyboard asks for.
+
+    Attributes
+    ----------
+    switch : bool
+        The next tissue.
+    stop : bool
+    """
+
+    switch: bool = False
+    stop: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """How a session ended.
+
+    Attributes
+    ----------
+    summary : mapping
+        Of ``schemas/session.schema.json``.
+    log : Path or None
+    fault : Fault
+    message : str
+        One sentence on the end.
+    remedies : tuple of str
+        What would make the servo more punctual.
+    interrupted : bool
+        By Ctrl-C or a signal.
+    """
+
+    summary: dict[str, Any]
+    log: Path | None
+    fault: Fault
+    message: str
+    remedies: tuple[str, ...]
+    interrupted: bool
+
+
+class Session:
+    """Runs a plan.
+
+    Parameters
+    ----------
+    plan : SessionPlan
+    recorder : Recorder or None
+    bridge : UdpBridge or None
+    ask : callable
+        What the person wants now; asked every turn, must not wait.
+    show : callable
+        ``show(newest record, summary)``, every turn in which something is new.
+    tell : callable, optional
+        Told what a device asks of its user while it is homed.
+    spawned : SpawnedServo, optional
+        A process that waits for the plan; its owner closes it, whether it was taken or not.
+    watch : callable, optional
+        Given the servo before its first tick, for its records and, in a simulation, its hand.
+    """
+
+    def __init__(
+        self,
+        plan: SessionPlan,
+        *,
+        recorder: Recorder | None = None,
+        bridge: UdpBridge | None = None,
+        ask: Callable[[], Wish] = Wish,
+        show: Callable[[Any, SessionSummary], None] = lambda _record, _summary: None,
+        tell: Callable[[str], None] | None = None,
+        spawned: SpawnedServo | None = None,
+        watch: Callable[[ServoProcess], None] = lambda _servo: None,
+    ) -> None:
+        self.plan = plan
+        self.recorder = recorder
+        self.bridge = bridge
+        self.summary = SessionSummary(PERIOD_S)
+        self._ask = ask
+        self._show = show
+        self._tell = tell
+        self._spawned = spawned
+        self._watch = watch
+        self._blocks = [block.copy() for block in plan.blocks]
+        self._current = 0
+        self._wanted = 0
+        self._changed = False
+        self._stop = False
+        self._engage = True
+        self._switches_s = list(() if plan.script is None else plan.script.switches_s)
+
+    def run(self) -> Outcome:
+        """Run to the end.
+
+        Raises
+        ------
+        DeviceError, UsageError, BundleError
+            The device could not be used.
+        """
+        try:
+            if self.plan.virtual:
+                return self._virtual()
+            with first_start(self.plan.device, self._tell or (lambda _sentence: None)) as uncompiled:
+                return self._live(uncompiled=uncompiled)
+        except BaseException:
+            # what was recorded before the device was lost, or we failed, is kept whole
+            if self.recorder is not None:
+                self.recorder.finish(
+                    self.summary.as_json(scheduling="unknown", virtual_time=self.plan.virtual)
+                )
+            raise
+
+    def _live(self, *, uncompiled: bool) -> Outcome:
+        plan = self.plan
+        servo_plan = ServoPlan(
+            plan.device, dict(plan.device_options), law=plan.environment, shared_hand=plan.led
+        )
+        patience = {"start_timeout_s": HOMING_TIMEOUT_S} if plan.capabilities.hardware else {}
+        if uncompiled and self._spawned is not None:
+            # whether a process compiles is settled when it starts: this one would
+            self._spawned.close()
+            self._spawned = None
+        servo = ServoProcess(servo_plan, tell=self._tell, spawned=self._spawned, **patience)
+        servo.block.write(self._blocks[0])
+        self._watch(servo)
+        interrupted = False
+        with _signals(), servo:
+            # asked for before the loop's first ticks are over; the guard waits until it may
+            servo.engage()
+            try:
+                while servo.poll() is None and not self._over():
+                    self._turn(servo)
+                    time.sleep(TURN_S)
+            except KeyboardInterrupt:
+                interrupted = True
+            end = servo.poll() or servo.stop()
+            self._take(servo.records)
+        ready = servo.ready
+        return self._finish(
+            scheduling=end.statistics.scheduling + (", not compiled yet" if uncompiled else ""),
+            fault=end.fault,
+            message=end.message,
+            remedies=() if ready is None else ready.remedies,
+            interrupted=interrupted or end.reason == "signal",
+        )
+
+    def _turn(self, servo: ServoProcess) -> None:
+        """Everything the owner does in one turn."""
+        servo.beat()
+        self._take(servo.records)
+        wish = self._ask()
+        self._stop = self._stop or wish.stop
+        if wish.switch:
+            self._next()
+        for request in () if self.bridge is None else self.bridge.requests():
+            self._obey(request)
+        if self._engage:
+            servo.engage()
+        else:
+            servo.disengage()
+        self._exchange(servo.block)
+
+    def _exchange(self, block: Any) -> None:
+        """Publish the wanted tissue, once the last one was taken over."""
+        if (self._wanted != self._current or self._changed) and block.published == block.taken:
+            block.write(self._blocks[self._wanted])
+            self._current, self._changed = self._wanted, False
+
+    def _take(self, reader: RingReader) -> None:
+        """Hand on what is new."""
+        records, lost = reader.read_new()
+        self.summary.add(records, lost)
+        if self.recorder is not None:
+            self.recorder.append(records)
+        if self.bridge is not None:
+            self.bridge.send(records)
+        while self._switches_s and self.summary.seconds >= self._switches_s[0]:
+            self._switches_s.pop(0)
+            self._next()
+        if records.size:
+            self._show(records[-1], self.summary)
+
+    def _next(self) -> None:
+        """Want the next tissue; after the last presentation of a blind session, the end."""
+        if self._wanted + 1 < len(self._blocks):
+            self._wanted += 1
+        elif self.plan.order is not None:
+            self._stop = True
+        else:
+            self._wanted = 0
+
+    def _obey(self, request: BridgeRequest) -> None:
+        """What another program asked for."""
+        self._stop = self._stop or request.stop
+        if request.engage is not None:
+            self._engage = request.engage
+        if request.tissue is not None and request.tissue < len(self._blocks):
+            self._wanted = request.tissue
+        if request.plane is not None:
+            self._move(request.plane)
+
+    def _move(self, plane: Plane) -> None:
+        """Put every tissue behind another plane."""
+        for block in self._blocks:
+            if block[BLOCK_KIND] == TISSUE:
+                radius_m = float(block[SURFACE + TOOL_RADIUS])
+                block[SURFACE : SURFACE + SURFACE_SIZE] = plane.numbers(radius_m)
+        self._changed = True
+
+    def _over(self) -> bool:
+        seconds = self.plan.seconds
+        return self._stop or (seconds is not None and self.summary.seconds >= seconds)
+
+    def _virtual(self) -> Outcome:
+        """The same loop without a clock: ticks are computed as fast as they go."""
+        from tissueid.haptics.parameter_block import COMMAND_ENGAGE, ParameterBlock
+        from tissueid.haptics.registry import device_class
+        from tissueid.haptics.ring import Ring
+        from tissueid.rendering.servo_io import compiled_io
+        from tissueid.rendering.servo_loop import ENDED_TICKS, new_watch, virtual_loop
+        from tissueid.rendering.servo_tick import BLOCK_SIZE, new_servo
+
+        ring, block = Ring.create(), ParameterBlock.create(BLOCK_SIZE)
+        device = device_class(self.plan.device)(**self.plan.device_options)
+        interrupted = False
+        try:
+            with device:
+                given = device.compiled()
+                assert given is not None  # noqa: S101 -- the simulated device is compiled
+                io, servo, watch = compiled_io(given), new_servo(device, ring, block), new_watch()
+                block.write(self._blocks[0])
+                block.order(COMMAND_ENGAGE)
+                reader = ring.reader(from_start=True)
+                now, steps = 0.0, np.full(VIRTUAL_TICKS, PERIOD_S)
+                try:
+                    while virtual_loop(io, servo, watch, now, steps) == ENDED_TICKS and not self._over():
+                        now += VIRTUAL_TICKS * PERIOD_S
+                        self._take(reader)
+                        self._exchange(block)
+                except KeyboardInterrupt:
+                    interrupted = True
+                self._take(reader)
+                fault = device.fault
+        finally:
+            ring.close()
+            block.close()
+        return self._finish(
+            scheduling="virtual time",
+            fault=fault,
+            message="the session ended",
+            remedies=(),
+            interrupted=interrupted,
+        )
+
+    def _finish(
+        self, *, scheduling: str, fault: Fault, message: str, remedies: tuple[str, ...], interrupted: bool
+    ) -> Outcome:
+        summary = self.summary.as_json(scheduling=scheduling, virtual_time=self.plan.virtual)
+        log = None
+        if self.recorder is not None:
+            log = self.recorder.finish(summary)
+            summary["recording_stopped"] = self.recorder.stopped
+        return Outcome(summary, log, fault, message, remedies, interrupted)
+
+
+@contextmanager
+def _signals() -> Iterator[None]:
+    """SIGTERM and SIGHUP end a session as Ctrl-C does: with a ramp, a summary and a whole log."""
+
+    def interrupt(_number: int, _frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    numbers = (signal.SIGTERM, signal.SIGHUP)
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.signal(number, interrupt) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,150 @@
+"""A session that is ready to begin, and what its log says of it first."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid import __version__
+from tissueid.haptics.device import Capabilities
+from tissueid.rendering.blind import BlindOrder
+from tissueid.rendering.choice import Picked
+from tissueid.rendering.participation import Participation
+from tissueid.rendering.precheck import MOST_DAMPING, Precheck
+from tissueid.rendering.script import Script
+
+__all__ = ["PERIOD_S", "SessionPlan", "session_head"]
+
+FloatArray = NDArray[np.float64]
+
+#: The servo runs at 1 kHz.
+PERIOD_S = 0.001
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SessionPlan:
+    """A session, ready to begin.
+
+    Attributes
+    ----------
+    device : str
+    device_options : mapping
+    why : str
+        Why this device.
+    capabilities : Capabilities
+    blocks : tuple of ndarray
+        Parameter blocks (environment, then passivity controller), in the order of presentation.
+    picked : tuple of Picked
+        The tissues, first and second.
+    check : Precheck or None
+        None for an installed force law.
+    order : BlindOrder or None
+    head : mapping
+        Of the log.
+    script : Script or None
+    seconds : float or None
+        When the session ends by itself.
+    environment : str or None
+    virtual : bool
+    lines : tuple of str
+        What is printed before force.
+    led : bool
+        Whether a pointer on a screen leads the hand of the simulated device.
+    guided : bool
+        Whether the block is a guided axis.
+    pseudonym : str or None
+        Of the person who is guided; a blind order has its own.
+    scene : str or None
+        Name of the scene it comes from.
+    participation : Participation or None
+        Of a person, where there is one.
+    """
+
+    device: str
+    device_options: Mapping[str, Any]
+    why: str
+    capabilities: Capabilities
+    blocks: tuple[FloatArray, ...]
+    picked: tuple[Picked, ...]
+    check: Precheck | None
+    order: BlindOrder | None
+    head: Mapping[str, Any]
+    script: Script | None
+    seconds: float | None
+    environment: str | None
+    virtual: bool
+    lines: tuple[str, ...]
+    led: bool = False
+    guided: bool = False
+    pseudonym: str | None = None
+    participation: Participation | None = None
+    scene: str | None = None
+
+
+def session_head(plan: SessionPlan, surface: FloatArray, hashes: tuple[str | None, ...]) -> dict[str, Any]:
+    """Head of the log; in a blind session it knows numbers of presentations alone.
+
+    Parameters
+    ----------
+    plan : SessionPlan
+    surface : ndarray, shape (SURFACE_SIZE,)
+    hashes : tuple
+        SHA-256 of the bundle of each tissue, or None.
+    """
+    capabilities = plan.capabilities
+    person = {} if plan.participation is None else {"participation": plan.participation.as_json()}
+    return {
+        "tissueid": __version__,
+        "started": datetime.now(UTC).isoformat(timespec="seconds"),
+        "pseudonym": plan.pseudonym if plan.order is None else plan.order.pseudonym,
+        "blind": plan.order is not None,
+        "tissues": _tissue_entries(plan, hashes),
+        "environment": plan.environment or ("guidance" if plan.guided else "tissue"),
+        "surface": [float(value) for value in surface],
+        "device": {
+            "name": plan.device,
+            "why": plan.why,
+            "hardware": capabilities.hardware,
+            "calibrated": capabilities.calibrated,
+            "clamp_N": float(capabilities.clamp_N),
+            "damping_N_s_per_m": min(float(capabilities.damping_N_s_per_m), MOST_DAMPING),
+            "delay_ticks": float(capabilities.delay_ticks),
+        },
+        "scale": None if plan.check is None else plan.check.as_json(),
+        "script": None if plan.script is None else plan.script.text,
+        "servo": {"period_s": PERIOD_S, "virtual_time": plan.virtual},
+        **person,
+        **({} if plan.scene is None or plan.order is not None else {"scene": plan.scene}),
+    }
+
+
+def _tissue_entries(plan: SessionPlan, hashes: tuple[str | None, ...]) -> list[dict[str, Any]]:
+    nothing: dict[str, Any] = {"content_sha256": None, "draw": None, "tip_radius_mm": None, "block": []}
+    nothing |= {"depth_mm": None, "fastest_mm_s": None}
+    if plan.order is not None:
+        return [
+            {**nothing, "label": number, "name": f"presentation {number}"}
+            for number in range(1, len(plan.order.tissues) + 1)
+        ]
+    if not plan.picked:
+        # what was felt can be computed again from the block; of an installed law nothing is known
+        known = {"name": "guidance", "block": plan.blocks[0].tolist()} if plan.guided else {}
+        return [{**nothing, "label": 0, "name": str(plan.environment), **known}]
+    return [
+        {
+            "label": label,
+            "name": each.tissue.name,
+            "content_sha256": digest,
+            "draw": each.draw,
+            "depth_mm": each.tissue.model.depth_mm,
+            "fastest_mm_s": each.tissue.speeds_mm_s[1],
+            "tip_radius_mm": each.tissue.tip_radius_mm,
+            "block": plan.blocks[label].tolist(),
+        }
+        for label, (each, digest) in enumerate(zip(plan.picked, hashes, strict=True))
+    ]

@@ -1,0 +1,236 @@
+"""The flat block of an environment, written from an identified tissue, its scale and a surface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.model.channels import TissueModel
+from tissueid.model.servo_law import servo_law
+from tissueid.rendering import environment as env
+from tissueid.rendering import surface as srf
+from tissueid.rupture_law import RuptureLaw
+
+__all__ = ["Box", "Plane", "Sphere", "Surface", "Tissue", "free_air_block", "surface_from", "tissue_block"]
+
+FloatArray = NDArray[np.float64]
+
+Vector = tuple[float, float, float]
+
+#: Middle of a Falcon's workspace [m, device frame], and the direction out of it toward the user.
+WORKSPACE_CENTRE_M: Vector = (0.0, 0.0, 0.130)
+TOWARD_USER: Vector = (0.0, 0.0, 1.0)
+UNIT_TOLERANCE = 1e-9
+
+
+#: Criteria of rupture as the environment knows them.
+RUPTURE_KINDS = {
+    "work": env.RUPTURE_WORK,
+    "weighted-force": env.RUPTURE_FORCE,
+    "stored-energy": env.RUPTURE_STORED,
+    "depth": env.RUPTURE_DEPTH,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Plane:
+    """Half space below a plane.
+
+    Attributes
+    ----------
+    point_m : tuple of float
+        A point on the plane.
+    normal : tuple of float
+        Out of the tissue; made a unit vector.
+
+    Raises
+    ------
+    ValueError
+        The normal has no direction, or a number is not finite.
+    """
+
+    point_m: Vector = WORKSPACE_CENTRE_M
+    normal: Vector = TOWARD_USER
+
+    def __post_init__(self) -> None:
+        length = float(np.linalg.norm(self.normal))
+        if not (np.isfinite(self.point_m).all() and np.isfinite(length) and length > UNIT_TOLERANCE):
+            msg = f"a plane needs a point and a normal with a direction, got {self.point_m} and {self.normal}"
+            raise ValueError(msg)
+
+    def numbers(self, tool_radius_m: float) -> FloatArray:
+        """The block of :mod:`tissueid.rendering.surface`."""
+        normal = np.asarray(self.normal, dtype=np.float64)
+        normal = normal / np.linalg.norm(normal)
+        return np.array([srf.PLANE, *self.point_m, *normal, 0.0, 0.0, 0.0, tool_radius_m])
+
+
+@dataclass(frozen=True, slots=True)
+class Sphere:
+    """A ball.
+
+    Attributes
+    ----------
+    centre_m : tuple of float
+    radius_m : float
+
+    Raises
+    ------
+    ValueError
+        The radius is not positive, or a number is not finite.
+    """
+
+    centre_m: Vector
+    radius_m: float
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.centre_m).all() and 0.0 < self.radius_m < np.inf):
+            msg = f"a sphere needs a centre and a radius above 0, got {self.centre_m} and {self.radius_m}"
+            raise ValueError(msg)
+
+    def numbers(self, tool_radius_m: float) -> FloatArray:
+        """The block of :mod:`tissueid.rendering.surface`."""
+        size = (self.radius_m, 0.0, 0.0)
+        return np.array([srf.SPHERE, *self.centre_m, *TOWARD_USER, *size, tool_radius_m])
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """A block with faces along the axes.
+
+    Attributes
+    ----------
+    centre_m : tuple of float
+    half_widths_m : tuple of float
+
+    Raises
+    ------
+    ValueError
+        A half width is not positive, or a number is not finite.
+    """
+
+    centre_m: Vector
+    half_widths_m: Vector
+
+    def __post_init__(self) -> None:
+        widths = np.asarray(self.half_widths_m)
+        if not (np.isfinite(self.centre_m).all() and np.isfinite(widths).all() and (widths > 0.0).all()):
+            msg = (
+                f"a box needs a centre and half widths above 0, got {self.centre_m} and {self.half_widths_m}"
+            )
+            raise ValueError(msg)
+
+    def numbers(self, tool_radius_m: float) -> FloatArray:
+        """The block of :mod:`tissueid.rendering.surface`."""
+        return np.array([srf.BOX, *self.centre_m, *TOWARD_USER, *self.half_widths_m, tool_radius_m])
+
+
+Surface = Plane | Sphere | Box
+
+
+def surface_from(numbers: FloatArray) -> Surface:
+    """The surface behind the numbers that it wrote, :data:`~tissueid.rendering.surface.SURFACE_SIZE` of them.
+
+    Raises
+    ------
+    ValueError
+        They describe none.
+    """
+    point = (float(numbers[1]), float(numbers[2]), float(numbers[3]))
+    size = (float(numbers[7]), float(numbers[8]), float(numbers[9]))
+    if numbers[0] == srf.SPHERE:
+        return Sphere(point, size[0])
+    if numbers[0] == srf.BOX:
+        return Box(point, size)
+    return Plane(point, (float(numbers[4]), float(numbers[5]), float(numbers[6])))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tissue:
+    """What a renderer needs of one identified tissue.
+
+    Attributes
+    ----------
+    model : TissueModel
+    theta : ndarray, shape (p,)
+    speeds_mm_s : tuple of float
+        Slowest and fastest identified speed [mm/s].
+    tip_radius_mm : float or None
+        Of the tip it was identified with.
+    name : str
+        For print; empty where it must not be told.
+    rupture : RuptureLaw or None
+        When it breaks.
+    """
+
+    model: TissueModel
+    theta: FloatArray
+    speeds_mm_s: tuple[float, float]
+    tip_radius_mm: float | None = None
+    name: str = ""
+    rupture: RuptureLaw | None = None
+
+
+def tissue_block(
+    tissue: Tissue,
+    surface: Surface,
+    *,
+    force_scale: float,
+    motion_scale: float,
+    tool_radius_m: float = 0.0,
+    label: int = 0,
+) -> FloatArray:
+    """Write the block of a tissue behind a surface.
+
+    Parameters
+    ----------
+    tissue : Tissue
+    surface : Plane, Sphere or Box
+    force_scale, motion_scale : float
+        Device force over tissue force, device travel over tissue depth.
+    tool_radius_m : float
+        Of the tip that is drawn at the device [m]; 0 is a point.
+    label : int
+        Which of several tissues this is.
+
+    Returns
+    -------
+    ndarray, shape (ENVIRONMENT_SIZE,)
+
+    Raises
+    ------
+    ValueError
+        A number is not finite, a scale is not positive, or the tissue is not passive.
+    """
+    numbers = (force_scale, motion_scale)
+    if not (np.isfinite(numbers).all() and min(numbers) > 0.0 and 0.0 <= tool_radius_m < np.inf):
+        msg = f"scales must be above 0 and the tip's radius finite, got {numbers} and {tool_radius_m}"
+        raise ValueError(msg)
+    if not tissue.model.is_passive(tissue.theta):
+        msg = "the tissue is not passive (F_s or K negative somewhere): it can't be rendered"
+        raise ValueError(msg)
+    block = free_air_block(label=label)
+    block[env.KIND] = env.TISSUE
+    block[env.FORCE_SCALE] = force_scale
+    block[env.MOTION_SCALE] = motion_scale
+    block[env.DEPTH_MM] = tissue.model.depth_mm
+    block[env.FASTEST_MM_S] = tissue.speeds_mm_s[1]
+    if tissue.rupture is not None:
+        block[env.RUPTURE_KIND] = RUPTURE_KINDS[tissue.rupture.criterion]
+        block[env.RUPTURE_VALUE] = tissue.rupture.threshold
+        block[env.RUPTURE_RESIDUAL] = tissue.rupture.residual
+        block[env.RUPTURE_WEIGHT] = tissue.rupture.weight
+    block[env.SURFACE : env.SURFACE + srf.SURFACE_SIZE] = surface.numbers(tool_radius_m)
+    servo_law(tissue.model, tissue.theta).pack(block, env.LAW)
+    return block
+
+
+def free_air_block(*, label: int = 0) -> FloatArray:
+    """Write the block of nothing: no force anywhere, shape (ENVIRONMENT_SIZE,)."""
+    block = np.zeros(env.ENVIRONMENT_SIZE)
+    block[env.VERSION] = env.BLOCK_VERSION
+    block[env.KIND] = env.FREE_AIR
+    block[env.LABEL] = label
+    return block
