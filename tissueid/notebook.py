@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from tissueid.trial import Trial
     from tissueid.uncertainty import ParameterUncertainty, Posterior
 
-__all__ = ["Shown", "drawing", "table"]
+__all__ = ["Shown", "drawing", "html_of", "table"]
 
 FloatArray = NDArray[np.float64]
 
@@ -39,7 +39,12 @@ class Shown:
     __slots__ = ()
 
     def _repr_html_(self) -> str:
-        return f'<div class="tissueid">{_WRITERS[type(self).__name__](self)}</div>'
+        return html_of(self)
+
+
+def html_of(one: Any) -> str:
+    """A result as a notebook shows it."""
+    return f'<div class="tissueid">{_WRITERS[type(one).__name__](one)}</div>'
 
 
 def table(caption: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -50,6 +50,7 @@ __all__ = [
     "identify",
     "run_provenance",
     "unmet",
+    "with_draws",
 ]
 
 #: Libraries whose version may change a number.
@@ -213,27 +214,41 @@ def _priors(study: Study | None) -> Priors:
     return replace(priors, calibration=calibration_priors(None if study is None else study.calibration))
 
 
-def _sampled(
+def with_draws(
     fitted: FittedSpecimen,
-    options: IdentifyOptions,
-    study: Study | None,
-    checkpoint: Checkpoints | None,
-    identity: str,
-    tick: Callable[[str], None],
+    options: PosteriorOptions | None,
+    priors: Priors,
     *,
-    normalised: bool,
+    instrument: bool,
+    checkpoint: Path | None = None,
+    key: str = "",
+    tick: Callable[[str], None] | None = None,
 ) -> SpecimenFit:
-    """A fit with its posterior, where one is asked for."""
-    if options.posterior is None:
+    """A fit with its posterior, where one is asked for; where none can be drawn, the fit and why.
+
+    Parameters
+    ----------
+    fitted : FittedSpecimen
+    options : PosteriorOptions or None
+    priors : Priors
+    instrument : bool
+        Give the total interval too.
+    checkpoint : Path, optional
+        File that the sampler goes on from.
+    key : str
+        Of everything that the posterior depends on.
+    tick : callable, optional
+    """
+    if options is None:
         return fitted.fit
     try:
         return with_posterior(
             fitted,
-            priors=_priors(study),
-            instrument=not normalised,
-            options=options.posterior,
-            checkpoint=None if checkpoint is None else checkpoint(fitted.fit.specimen),
-            key=identity,
+            priors=priors,
+            instrument=instrument,
+            options=options,
+            checkpoint=checkpoint,
+            key=key,
             tick=tick,
         )
     except (ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
@@ -292,7 +307,15 @@ def _fit_all(
             normalised = collected.axes[specimen].normalised
             fitted = _fit(name, handles, own, study, tick, normalised=normalised)
             identity = _identity(collected.inputs, specimen, options, study)
-            fit = _sampled(fitted, options, study, checkpoint, identity, tick, normalised=normalised)
+            fit = with_draws(
+                fitted,
+                options.posterior,
+                _priors(study),
+                instrument=not normalised,
+                checkpoint=None if checkpoint is None else checkpoint(fitted.fit.specimen),
+                key=identity,
+                tick=tick,
+            )
         except (ArithmeticError, np.linalg.LinAlgError) as error:
             collected.left_out += [
                 arithmetic_refusal(entry["path"], entry["sheet"], "fitted", error)

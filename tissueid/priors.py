@@ -136,6 +136,8 @@ class Priors:
         missing are weak.
     relaxation_time_s : tuple of SpreadPrior
         One a branch by ascending time; branches without one are uniform in ln tau on [h/5, 10 T].
+    shapes : mapping
+        Name of a shape of a law -> SpreadPrior; those that are missing are uniform in their logarithm.
     sigma_N : SpreadPrior or None
         Standard deviation of the noise; ``None`` is uniform in its logarithm over twelve decades.
     phi : tuple of float
@@ -148,6 +150,7 @@ class Priors:
 
     linear: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     relaxation_time_s: tuple[SpreadPrior, ...] = ()
+    shapes: Mapping[str, SpreadPrior] = field(default_factory=dict)
     sigma_N: SpreadPrior | None = None
     phi: tuple[float, float] = (0.0, 1.0)
     gain_sd: float = 0.3
@@ -155,6 +158,7 @@ class Priors:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "linear", MappingProxyType(dict(self.linear)))
+        object.__setattr__(self, "shapes", MappingProxyType(dict(self.shapes)))
         object.__setattr__(
             self, "calibration", MappingProxyType({**CALIBRATION_DEFAULTS, **self.calibration})
         )

@@ -52,6 +52,11 @@ def frozen_array(values: Any) -> FloatArray:
     return array
 
 
+def _none() -> FloatArray:
+    """Samples that were not given: refused."""
+    return frozen_array(())
+
+
 @dataclass(frozen=True, slots=True)
 class Axes:
     """What the displacement and the force of a recording are.
@@ -171,8 +176,8 @@ class Trial(Shown):
 
     Attributes
     ----------
-    specimen : str
-        Name of the specimen; trials of one name are pooled by the fit.
+    specimen : str, optional
+        Name of the specimen; trials of one name are pooled by :func:`tissueid.identify`.
     time_s, displacement_mm, force_N : ndarray, shape (n,)
         As recorded, converted to s, mm and N, read-only, time non-decreasing.
     protocol : Protocol
@@ -183,10 +188,10 @@ class Trial(Shown):
         Whether displacement and force are lengths and forces, or normalised.
     """
 
-    specimen: str
-    time_s: FloatArray
-    displacement_mm: FloatArray
-    force_N: FloatArray
+    specimen: str = "specimen"
+    time_s: FloatArray = field(default_factory=_none)
+    displacement_mm: FloatArray = field(default_factory=_none)
+    force_N: FloatArray = field(default_factory=_none)
     protocol: Protocol = field(default_factory=Protocol)
     source: Source = field(default_factory=lambda: Source(path="<array>"))
     flags: tuple[Flag, ...] = ()

@@ -126,13 +126,14 @@ def test_readme_runs_as_printed(reader_folder: Path) -> None:
     table = re.findall(r"^\| `([^`]+)` \|", README, flags=re.MULTILINE)
     for name in table:
         assert list((reader_folder / "out").glob(name.replace("<specimen>", "*"))), name
-    (block,) = blocks("python")
     found: dict[str, object] = {}
-    exec(compile(block, "README.md", "exec"), found)
-    assert found["bundle"].specimen == "paper-a"  # type: ignore[attr-defined]
-    estimate = found["found"].specimens[0].parameter("viscosity_N_s_per_mm")  # type: ignore[attr-defined]
+    for block in blocks("python"):
+        exec(compile(block, "README.md", "exec"), found)
+    viscosity = found["sampled"]["eta"]  # type: ignore[index]
     # truth: 63.62 N/mm times 0.021 s
-    assert abs(estimate.value - 63.62 * 0.021) <= 3.0 * estimate.stderr
+    low, high = viscosity.interval(0.95)
+    assert low <= 63.62 * 0.021 <= high
+    assert found["own"].result.model.name == "power * constant * creep"  # type: ignore[attr-defined]
 
 
 def test_readme_names_every_exit_code_a_command_can_end_with() -> None:

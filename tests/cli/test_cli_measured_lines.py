@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from tissueid.cli.measured_lines import brief_measured_lines, measured_lines
+from tissueid.report.measured_lines import brief_measured_lines, measured_lines
 
 
 def row(name: str, mean: float | None, **more: Any) -> dict[str, Any]:

@@ -11,8 +11,8 @@ from command_line import run
 from fit_factory import identification, specimen_fit
 from posterior_factory import sampled
 
-from tissueid.cli.uncertainty_lines import alarm_lines, parameter_lines, sampling_lines
 from tissueid.flags import Flag
+from tissueid.report.uncertainty_lines import alarm_lines, parameter_lines, sampling_lines
 from tissueid.result import SpecimenFit
 from tissueid.store.outputs import OutputSet
 from tissueid.store.results import write_results

@@ -10,10 +10,10 @@ from fit_factory import specimen_fit
 from posterior_factory import sampled
 
 from tissueid.cli.fit_summary import _print_specimens
-from tissueid.cli.uncertainty_lines import WIDTH, block_lines
-from tissueid.cli.warning_lines import MOST_WARNINGS, shared_codes, shared_lines, warning_lines
 from tissueid.flag_advice import FLAG_ADVICE, MOST_WORDS, harm_rank
 from tissueid.flags import Flag
+from tissueid.report.uncertainty_lines import WIDTH, block_lines
+from tissueid.report.warning_lines import MOST_WARNINGS, shared_codes, shared_lines, warning_lines
 
 #: Lines of a specimen without -v.
 MOST_LINES = 12

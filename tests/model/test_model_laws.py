@@ -224,7 +224,7 @@ class Toe:
 def test_a_law_of_another_package_is_one_of_ours(monkeypatch):
     point = SimpleNamespace(load=lambda: Toe)
     monkeypatch.setattr(grammar, "entry_points", lambda group: [point] if group == "tissueid.models" else [])
-    known_laws.cache_clear()
+    grammar._installed.cache_clear()
     try:
         law = parsed("toe * tangent * fung").model(8.0, RESOLUTION, WINDOW)
         assert law.parameter_names[0] == "static_toe_N_per_mm3"
@@ -238,7 +238,7 @@ def test_a_law_of_another_package_is_one_of_ours(monkeypatch):
         expected = law.force(theta, path)
         assert np.abs(np.array(felt) - expected).max() < 0.01 * expected.max()
     finally:
-        known_laws.cache_clear()
+        grammar._installed.cache_clear()
 
 
 def test_an_unknown_key_lists_what_there_is():
@@ -250,9 +250,9 @@ def test_a_key_is_registered_once(monkeypatch):
     again = SimpleNamespace(name="other-package", load=lambda: known["prony"])
     known = dict(known_laws())
     monkeypatch.setattr(grammar, "entry_points", lambda group: [again] if group == "tissueid.models" else [])
-    known_laws.cache_clear()
+    grammar._installed.cache_clear()
     try:
         with pytest.raises(ModelNameError, match="'prony' is registered already"):
             parsed("kelvin-voigt")
     finally:
-        known_laws.cache_clear()
+        grammar._installed.cache_clear()

@@ -26,14 +26,15 @@ _HEADING = re.compile(r"^(\w[\w ]*)\n-{3,}$", re.MULTILINE)
 _ENTRY = re.compile(r"^(\S.*?)(?: : (.+))?$")
 EXAMPLE = """\
 ```python
-import tissueid
+import tissueid as ti
 
-trials = tissueid.read_trials("datasets_synthetic/paper-a-hold-100Hz")
-options = tissueid.IdentifyOptions(fit=tissueid.FitOptions(branches=1, stiffness_degree=0))
-found = tissueid.identify(trials, options=options)
-fit = found.specimens[0]
-print(fit.specimen, fit.parameter("viscosity_N_s_per_mm").value, [flag.code for flag in fit.flags])
-found  # in a notebook: a table and a drawing
+trials = ti.read("datasets_synthetic/paper-a-hold-100Hz")
+fit = ti.fit(trials, "kelvin-voigt")
+print(fit["eta"].value, fit["eta"].stderr, [flag.code for flag in fit.flags])
+fit  # in a notebook: a table and a drawing
+
+options = ti.IdentifyOptions(fit=ti.FitOptions(branches=1, stiffness_degree=0))
+found = ti.identify(trials, options=options)  # every specimen among the recordings
 ```
 """
 

@@ -6,12 +6,10 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from tissueid.cli.measured_lines import brief_measured_lines, measured_lines
 from tissueid.cli.output import echo, note
-from tissueid.cli.quoted_lines import quoted_lines
-from tissueid.cli.uncertainty_lines import alarm_lines, block_lines, parameter_lines, sampling_lines
-from tissueid.cli.warning_lines import shared_codes, shared_lines, warning_lines
 from tissueid.digits import with_error
+from tissueid.report.specimen_lines import specimen_lines
+from tissueid.report.warning_lines import shared_codes, shared_lines
 
 if TYPE_CHECKING:
     from tissueid.study.assembly import Assembled
@@ -20,6 +18,7 @@ __all__ = ["print_reasons", "print_summary"]
 
 #: Specimens from which on each gets one line of what was measured.
 MANY = 4
+_COLOURS = {"alarm": "red", "serious": "red", "remark": "yellow"}
 
 
 def print_summary(found: Assembled, out: str, *, quiet: int, verbose: int) -> None:
@@ -100,28 +99,6 @@ def print_reasons(found: Assembled, *, quiet: int) -> None:
 
 
 def _print_specimen(fit: Mapping[str, Any], shared: Sequence[str], *, verbose: int, brief: bool) -> None:
-    model, logs = fit["model"], len(fit["trials"])
-    branches = "1 branch" if model["branches"] == 1 else f"{model['branches']} branches"
-    law = f"{branches}, K of degree {model['stiffness_degree']}"
-    if model["key"] != "kelvin-voigt":
-        law = model["key"]
     echo()
-    echo(
-        f"{fit['specimen']}  {logs} log{'s' * (logs > 1)}, {law}, {model['static_pooling']} static, "
-        f"NRMSD {100 * fit['nrmsd']['range']:.2f} % of range",
-        bold=True,
-    )
-    lines = [*parameter_lines(fit), *sampling_lines(fit)] if verbose else block_lines(fit)
-    measured = (brief_measured_lines if brief else measured_lines)(fit.get("measured", ()))
-    for line in (*lines, *quoted_lines(fit), *measured):
-        echo(f"  {line}")
-    alarms = alarm_lines(fit)
-    for line in alarms:
-        echo(f"  ! {line}", fg="red", bold=True)
-    for level, line in warning_lines(fit, shared=shared, verbose=verbose, alarms=len(alarms)):
-        echo(f"  ! {line}", fg="red" if level == "serious" else "yellow")
-    if verbose:
-        for row in fit["relaxation"]:
-            tau = "none" if row["tau_single_s"] is None else f"{row['tau_single_s']:.4g} s"
-            window = f"{row['window_s'][0]:g} to {row['window_s'][1]:g} s"
-            echo(f"  hold {window}: one exponential {tau}")
+    for line in specimen_lines(fit, shared, verbose=verbose, brief=brief):
+        echo(line.text, fg=_COLOURS.get(line.kind), bold=line.kind in {"title", "alarm"})

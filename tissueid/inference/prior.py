@@ -24,6 +24,8 @@ FloatArray = NDArray[np.float64]
 
 #: Relaxation times are sought between a fifth of the shortest step and ten times the longest log.
 BELOW_STEP, ABOVE_LENGTH = 0.2, 10.0
+#: Step of a shape's logarithm.
+SHAPE_STEP = 1e-5
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,10 +86,8 @@ class PriorRows:
     log_det: float = 0.0
 
 
-def _linear_rows(
-    law: ChannelLaw, log_times: FloatArray, largest: FloatArray, force: float, priors: Priors
-) -> tuple[FloatArray, FloatArray, float]:
-    """Rows of the linear parameters, their targets, and ln of how they follow the largest states."""
+def _linear_rows(law: ChannelLaw, largest: FloatArray, force: float) -> tuple[FloatArray, float]:
+    """Rows of the linear parameters around 0, and ln of how they follow the largest states."""
     rows, log_det = np.zeros((law.linear, law.linear)), 0.0
     for one in law.blocks:
         inner = bernstein(one.size) if one.polynomial else np.eye(one.size)
@@ -95,16 +95,30 @@ def _linear_rows(
         if one.branch >= 0:
             rows[one.at, one.at] *= largest[one.branch]
             log_det += one.size * float(np.log(largest[one.branch]))
-    target = np.zeros(law.linear)
-    if priors.linear:
-        field = law.field(log_times[None])[0]
-        for k, name in enumerate(law.linear_names):
-            if name in priors.linear:
-                mean, sd = priors.linear[name]
-                stated = np.zeros((1, law.linear))
-                stated[0, k] = field[k] / sd
-                rows, target = np.vstack([rows, stated]), np.append(target, mean / sd)
-    return rows, target, log_det
+    return rows, log_det
+
+
+def _stated_rows(law: ChannelLaw, point: Point, priors: Priors) -> tuple[FloatArray, FloatArray]:
+    """Rows of coefficients that a study states, in units of the field, which follow the shapes of a law."""
+    t, m = law.times, len(MACHINE)
+    rows, target = [], []
+    log_times = point.log_times[None]
+    for k, name in enumerate(law.linear_names):
+        if name not in priors.linear:
+            continue
+        mean, sd = priors.linear[name]
+        size = law.field(log_times)[0, k]
+        row = np.zeros(t + m + law.linear)
+        row[t + m + k] = size / sd
+        for j in range(law.counts[0], t):
+            step = np.zeros((1, t))
+            step[0, j] = SHAPE_STEP
+            rise = law.field(log_times + step)[0, k] - law.field(log_times - step)[0, k]
+            row[j] = point.linear[k] * rise / (2.0 * SHAPE_STEP) / sd
+        rows.append(row)
+        off = (point.linear[k] * size - mean) / sd
+        target.append(float(row @ point.shared) - off)
+    return np.reshape(rows, (len(rows), t + m + law.linear)), np.array(target)
 
 
 def prior_rows(
@@ -127,9 +141,10 @@ def prior_rows(
     force = float(np.abs(system.force).max())
     path = system.path(system.travel)
     largest = law.largest_states(point.log_times, path)
-    linear, wanted, log_det = _linear_rows(law, point.log_times, largest, force, priors)
-    rows = [np.hstack([np.zeros((len(linear), t + m)), linear])]
-    target = [wanted]
+    linear, log_det = _linear_rows(law, largest, force)
+    stated_rows, wanted = _stated_rows(law, point, priors)
+    rows = [np.hstack([np.zeros((len(linear), t + m)), linear]), stated_rows]
+    target = [np.zeros(len(linear)), wanted]
     low, high = law.bounds(*time_bounds(system))
     cone = [np.hstack([np.zeros((len(law.cone()), t + m)), law.cone()])]
     least = [np.zeros(len(law.cone()))]
@@ -138,8 +153,10 @@ def prior_rows(
     for j in range(t):
         bounds[2 * j, j], bound[2 * j] = 1.0, low[j]
         bounds[2 * j + 1, j], bound[2 * j + 1] = -1.0, -high[j]
+        stated = priors.shapes.get(law.shapes[j].spec.name)
         if j < min(len(priors.relaxation_time_s), law.counts[0]):
             stated = priors.relaxation_time_s[j]
+        if stated is not None:
             row = np.zeros((1, t + m + p))
             row[0, j] = 1.0 / stated.sd_ln
             rows.append(row)

@@ -100,6 +100,11 @@ def prior_table(
             words = f"uniform in ln tau from {math.exp(low):.3g} s to {math.exp(high):.3g} s"
             rows.append(_row(name, words, False, vectors[:, j], (high - low) / math.sqrt(12.0)))
     for j, shape in enumerate(target.law.shapes[target.law.counts[0] :], target.law.counts[0]):
+        given = priors.shapes.get(shape.spec.name)
+        if given is not None:
+            words = f"log-normal, median {given.median:.4g} {shape.spec.unit}, sd {given.sd_ln:.3g} in ln"
+            rows.append(_row(f"ln_{shape.spec.name}", words, True, vectors[:, j], given.sd_ln))
+            continue
         ends = math.log(shape.spec.lower), math.log(shape.spec.upper)
         words = f"uniform in its logarithm from {shape.spec.lower:g} to {shape.spec.upper:g}"
         sd = (ends[1] - ends[0]) / math.sqrt(12.0)

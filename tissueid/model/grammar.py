@@ -29,6 +29,7 @@ __all__ = [
     "known_laws",
     "parsed",
     "rebuilt",
+    "register",
     "whole_names",
 ]
 
@@ -72,9 +73,32 @@ class Named:
         return ChannelModel(static, stiffness, relaxation, depth_mm, resolution_s, window_s, self.name)
 
 
-@lru_cache
+#: Laws of this process alone.
+_OWN: dict[str, Any] = {}
+
+
+def register(law: Any) -> None:
+    """Make a law known to this process; one of the same key that was registered before gives way.
+
+    Raises
+    ------
+    ModelNameError
+        A law that is installed has this key.
+    """
+    if law.about.key in _installed():
+        msg = f"contact law {law.about.key!r} is registered already; choose another name"
+        raise ModelNameError(msg)
+    _OWN[law.about.key] = law
+
+
 def known_laws() -> Mapping[str, Any]:
     """Every law by its key."""
+    return {**_installed(), **_OWN}
+
+
+@lru_cache
+def _installed() -> Mapping[str, Any]:
+    """Laws of the folder and of other packages."""
     found = {}
     for one in iter_modules(laws.__path__):
         law = import_module(f"{laws.__name__}.{one.name}").LAW

@@ -1,0 +1,188 @@
+"""The library from recordings to a hand: what its numbers are, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import tissueid as ti
+from tissueid.errors import BundleError, InputError, UsageError
+from tissueid.model import grammar
+from tissueid.model.grammar import ModelNameError
+
+TAU, POWER = 0.3, 0.5
+
+
+def creep(t, tau, p=(0.1, 3.0)):
+    """(1 + t/tau)^-p"""
+    return (1.0 + t / tau) ** -p
+
+
+def relaxed(t):
+    """Integral of the relaxation from 0 to t."""
+    return TAU / (1.0 - POWER) * ((1.0 + np.maximum(t, 0.0) / TAU) ** (1.0 - POWER) - 1.0)
+
+
+def recorded(*, depth_mm=6.0, sign=1.0, zero_N=0.0, seed=2):
+    """A ramp and a hold of a tissue whose relaxation is a power of time, in closed form."""
+    time, speed = np.arange(0.0, 8.0, 0.01), 4.0
+    begin, end = 0.5, 0.5 + depth_mm / speed
+    x = np.clip(speed * (time - begin), 0.0, depth_mm)
+    force = 2.0 * x**1.5 + 6.0 * speed * (relaxed(time - begin) - relaxed(time - end))
+    force = force + np.random.default_rng(seed).normal(0.0, 0.05, time.size)
+    return ti.Trial(time_s=time, displacement_mm=x, force_N=sign * force + zero_N)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def only_here():
+    """Functions that are registered here are no law elsewhere."""
+    yield
+    grammar._OWN.clear()
+
+
+@pytest.fixture(scope="module")
+def own():
+    return ti.fit(recorded(), ti.ContactModel(static="power", relaxation=creep))
+
+
+def test_a_function_is_a_law_and_its_truth_is_found(own):
+    for symbol, truth in {"n": 1.5, "c": 2.0, "b0": 6.0, "tau": TAU, "p": POWER}.items():
+        assert abs(own[symbol].value - truth) < 4.0 * own[symbol].stderr
+    assert own["tau"] is own["relaxation_time_s"]
+    assert own.result.model.name == "power * constant * creep"
+
+
+def test_residuals_are_those_of_the_fit(own):
+    (trial,) = own.trials
+    residual = own.residual(trial)
+    assert np.isfinite(residual).all()
+    assert residual.std() == pytest.approx(0.05, rel=0.15)
+    inside = trial.time_s > 0.55
+    assert np.sqrt((residual[inside] ** 2).mean()) == pytest.approx(own.result.nrmsd.rmse_N, rel=0.05)
+
+
+@pytest.mark.parametrize(("sign", "zero_N"), [(1.0, 0.0), (-1.0, 3.0)])
+def test_another_recording_is_predicted_in_its_own_sign_and_zero(own, sign, zero_N):
+    other = recorded(depth_mm=4.0, sign=sign, zero_N=zero_N, seed=3)
+    residual = own.residual(other)
+    assert np.sqrt(np.nanmean(residual**2)) < 0.01 * np.ptp(other.force_N)
+
+
+def test_a_parameter_that_is_fixed_stays_and_the_others_follow(own):
+    fixed = own.fix(p=0.55, c=2.02)
+    assert fixed["p"].value == pytest.approx(0.55, rel=1e-4)
+    assert fixed["c"].value == pytest.approx(2.02, rel=1e-4)
+    assert fixed["tau"].value > own["tau"].value
+    assert fixed.result.nrmsd.range >= own.result.nrmsd.range
+    assert own["p"].value == pytest.approx(POWER, abs=0.03)
+
+
+def test_a_fixed_time_of_the_paper_s_model_keeps_its_order(datasets):
+    fit = ti.fit(ti.read(datasets / "paper-a-hold-100Hz"))
+    fixed = fit.fix(tau=0.03)
+    assert fixed["tau"].value == pytest.approx(0.03, rel=1e-4)
+    assert fixed.result.model.branches == fit.result.model.branches
+    assert [row["chosen"] for row in fit.selection].count(True) == 1
+
+
+def test_what_is_sampled_kept_and_felt_is_one_tissue(own, tmp_path):
+    sampled = own.sample(draws=400, seed=3)
+    marginal = sampled["p"]
+    low, high = marginal.interval()
+    assert low <= POWER <= high
+    assert (low, high) == marginal.uncertainty.ci95_total
+    inner = marginal.interval(0.5)
+    assert low < inner[0] < marginal.median < inner[1] < high
+    assert marginal.median == pytest.approx(sampled.parameter("p").value, rel=1e-2)
+    path = ti.Bundle(own, sampled).save(tmp_path / "own.h5")
+    bundle = ti.load_bundle(path)
+    assert bundle.contact_model().key == own.result.model.name
+    assert np.array_equal(bundle.theta, sampled.result.theta)
+    assert json.loads(json.dumps(bundle.provenance["options"]))["draws"] == 400
+    script = "indent 5 mm at 200 mm/min; hold 1 s"
+    first, second = (ti.render(path, script=script, log=tmp_path / f"{k}.h5") for k in (1, 2))
+    assert first.summary["peak_tissue_force_N"] == second.summary["peak_tissue_force_N"] > 20.0
+    assert first.log is not None
+
+
+def test_a_drawing_is_a_file_of_its_own(own, tmp_path):
+    path = own.plot().save(tmp_path / "fit.svg")
+    text = path.read_text(encoding="utf-8")
+    assert text.startswith("<svg xmlns=")
+    assert text.count("<polyline") == 2
+    assert "<table" in own._repr_html_()
+
+
+def test_lines_are_those_of_the_command(own):
+    text = str(own)
+    assert text.startswith("specimen  1 log, power * constant * creep")
+    assert "  static F_s  c " in text
+
+
+def test_what_could_not_be_read_stands_beside(tmp_path, datasets):
+    (tmp_path / "bad.csv").write_bytes(bytes(range(256)))
+    with pytest.raises(InputError):
+        ti.read(tmp_path)
+    good = datasets / "paper-a-hold-100Hz" / "hold-8-1.csv"
+    (tmp_path / "good.csv").write_bytes(good.read_bytes())
+    trials = ti.read(tmp_path)
+    assert [Path(one.source.path).name for one in trials] == ["good.csv"]
+    assert [one.path for one in trials.refused] == [str(tmp_path / "bad.csv")]
+
+
+def test_a_recording_without_contact_is_refused_and_the_rest_is_fitted(own):
+    rng = np.random.default_rng(0)
+    air = ti.Trial(time_s=own.trials[0].time_s, displacement_mm=np.zeros(800), force_N=rng.normal(size=800))
+    with pytest.raises(InputError, match="no contact"):
+        ti.fit(air)
+    with pytest.raises(InputError, match="no contact"):
+        own.force(air)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "error", "match"),
+    [
+        (lambda fit: ti.fit([]), UsageError, "no recordings"),
+        (lambda fit: ti.fit(fit.trials, "hooke"), ModelNameError, "'hooke' is no model"),
+        (lambda fit: fit["nothing"], KeyError, r"there are c \(static_N_per_mm_n\)"),
+        (lambda fit: fit.fix(tau=-1.0), UsageError, "has to be positive"),
+        (lambda fit: ti.read("/no/such/folder"), UsageError, "no such file"),
+        (lambda fit: ti.render("nope.h5"), BundleError, "no such bundle"),
+        (lambda fit: ti.Trial(time_s=fit.trials[0].time_s), ValueError, "displacement_mm must be"),
+        (lambda fit: ti.ContactModel(stiffness=ti.Polynomial(3)), ValueError, "degree 0 to 2, got 3"),
+        (lambda fit: ti.ContactModel(stiffness=ti.Prony(2)), ValueError, "can't stand here"),
+        (lambda fit: ti.ContactModel(relaxation=lambda t, tau: 2.0 - t), ValueError, "1 at t = 0, not 2"),
+        (lambda fit: ti.ContactModel(relaxation=lambda t, tau: 1.0 + t), ValueError, "does not rise"),
+        (lambda fit: ti.ContactModel(relaxation=lambda t: t), ValueError, "no relaxation time"),
+        (lambda fit: ti.ContactModel(static=lambda x: 1.0 + x), ValueError, "0 at x = 0, not 1"),
+        (lambda fit: ti.ContactModel(static=lambda x, a=-1.0: a * x), ValueError, "a is -1.0"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_with_its_number(own, wrong, error, match):
+    with pytest.raises(error, match=match):
+        wrong(own)
+
+
+def test_a_function_of_an_installed_name_is_refused():
+    def prony(t, tau):
+        return np.exp(-t / tau)
+
+    with pytest.raises(ModelNameError, match="'prony' is registered already"):
+        ti.ContactModel(relaxation=prony)
+
+
+def test_a_viscosity_follows_and_can_t_be_fixed(datasets):
+    fit = ti.fit(ti.read(datasets / "paper-a-hold-100Hz"), "polynomial * prony")
+    with pytest.raises(UsageError, match="follows from other parameters; static_1_N_per_mm"):
+        fit.fix(eta=1.3)
+
+
+def test_no_package_has_the_name_of_a_function(own):
+    for _ in range(2):
+        assert callable(ti.fit)
+        assert callable(ti.render)
+        assert callable(ti.read)
+        assert ti.fit(own.trials, "power * power-law").result.specimen == "specimen"

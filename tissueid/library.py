@@ -1,0 +1,573 @@
+"""Ten-line interface: read recordings, fit a contact model, look at it, sample it, keep it, feel it.
+
+::
+
+    import tissueid as ti
+    trials = ti.read("lab_data/")
+    fit = ti.fit(trials)
+    print(fit)
+    sampled = fit.sample()
+    ti.Bundle(fit, sampled).save("liver.h5")
+    ti.render("liver.h5", device="sim")
+
+Everything stands on the functions of the command line; a whole study with its specimens is
+:func:`tissueid.identify`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.collection import TrialCache, collect, display_names
+from tissueid.errors import BundleError, InputError, NotIdentifiedError, UsageError
+from tissueid.flags import Flag
+from tissueid.inference.logs import LogHandle
+from tissueid.inference.posterior import PosteriorOptions
+from tissueid.inference.reported import reported_draws
+from tissueid.inference.specimen import FitOptions, FittedSpecimen, fit_with_state, force_along
+from tissueid.ingest import ReadOptions, find_inputs, read_each
+from tissueid.model.composed import ContactModel
+from tissueid.model.grammar import KELVIN_VOIGT
+from tissueid.notebook import Shown, drawing, html_of
+from tissueid.pipeline import IdentifyOptions, run_provenance, with_draws
+from tissueid.priors import Priors, SpreadPrior
+from tissueid.report.specimen_lines import specimen_lines
+from tissueid.result import Estimate, Refusal, SpecimenFit
+from tissueid.segment import SegmentOptions
+from tissueid.store.bundle import bundle_from_fit, load_bundle, write_bundle
+from tissueid.trial import Trial, contact_frame
+from tissueid.uncertainty import ParameterUncertainty
+
+if TYPE_CHECKING:
+    from tissueid.rendering.session import Outcome
+    from tissueid.store.bundle_content import Bundle as BundleContent
+
+__all__ = ["Bundle", "Fit", "Marginal", "Plot", "Sampled", "Trials", "fit", "read", "render"]
+
+FloatArray = NDArray[np.float64]
+
+#: Relative standard deviation of a parameter that is fixed.
+FIXED = 1e-6
+MEASURED, MODEL = "#56b4e9", "#d55e00"
+
+
+class Trials(list[Trial]):
+    """Recordings that were read, in the order of their files.
+
+    Attributes
+    ----------
+    refused : tuple of InputError
+        Recordings that were not, with the reason.
+    """
+
+    def __init__(self, trials: Iterable[Trial], refused: Iterable[InputError] = ()) -> None:
+        super().__init__(trials)
+        self.refused = tuple(refused)
+
+
+def read(path: str | Path, options: ReadOptions | None = None) -> Trials:
+    """Read a recording, a workbook, or every recording of a folder.
+
+    Parameters
+    ----------
+    path : str or Path
+    options : ReadOptions, optional
+        Columns and units that a file does not say.
+
+    Returns
+    -------
+    Trials
+        A list of :class:`Trial`; what was refused stands in its ``refused``.
+
+    Raises
+    ------
+    UsageError
+        There is no such path.
+    InputError
+        Nothing could be read: the first refusal.
+    """
+    found: list[Trial] = []
+    refused: list[InputError] = []
+    for file in find_inputs([path]):
+        for one in read_each(file, options):
+            if isinstance(one, InputError):
+                refused.append(one)
+            else:
+                found.append(one)
+    if refused and not found:
+        raise refused[0]
+    return Trials(found, refused)
+
+
+def fit(
+    trials: Trial | Iterable[Trial],
+    model: ContactModel | str | None = None,
+    *,
+    specimen: str | None = None,
+    options: FitOptions | None = None,
+    segment: SegmentOptions | None = None,
+    priors: Priors | None = None,
+) -> Fit:
+    """Fit one contact model to recordings of one specimen.
+
+    Parameters
+    ----------
+    trials : Trial or iterable of Trial
+        All of them are pooled, whatever specimen they name.
+    model : ContactModel or str, optional
+        None is the modified Kelvin-Voigt model, whose order is chosen (``Fit.selection`` says why).
+    specimen : str, optional
+        Its name; by default that of the recordings.
+    options : FitOptions, optional
+        Pooling, noise, tip; its ``model`` gives way to ``model``.
+    segment : SegmentOptions, optional
+        Overrides of contact, signs and times.
+    priors : Priors, optional
+        What is believed beforehand of tissue and machine.
+
+    Raises
+    ------
+    InputError
+        No recording can be fitted: the first reason.
+    UsageError
+        There are no recordings, or displacement and force differ in their units.
+    """
+    options = options or FitOptions()
+    if model is not None:
+        options = replace(options, model=str(ContactModel(str(model))))
+    given = [trials] if isinstance(trials, Trial) else list(trials)
+    if not given:
+        msg = "there are no recordings to fit; read some with tissueid.read(folder)"
+        raise UsageError(msg)
+    names = display_names([(one.specimen, one.source) for one in given])
+    known = {names[one.specimen] for one in given}
+    name = specimen or (known.pop() if len(known) == 1 else "specimen")
+    pooled = [replace(one, specimen=name) for one in given]
+    found = collect(
+        pooled, segment or SegmentOptions(), TrialCache(None), lambda *_: None,
+        depths_mm=options.depths_mm, unloading=options.unloading,
+    )  # fmt: skip
+    if not found.groups:
+        first = found.left_out[0]
+        raise InputError(first.code, first.message, path=first.path, sheet=first.sheet)
+    if any(one.code == "mixed_axes" for one in found.left_out):
+        msg = "recordings of lengths and of strains can't be fitted together; fit each kind by itself"
+        raise UsageError(msg)
+    own = tuple(one for one in given if not _refused(one, found.left_out))
+    setting = _Setting(options, priors or Priors(), tuple(found.inputs), not found.axes[name].normalised)
+    fitted = fit_with_state(
+        name, found.groups[name], options=options, priors=setting.priors, machine=setting.machine
+    )
+    result = replace(fitted.fit, axes=found.axes[name])
+    return Fit(own, tuple(found.left_out), setting, replace(fitted, fit=result))
+
+
+def _refused(trial: Trial, left_out: Iterable[Refusal]) -> bool:
+    return any((one.path, one.sheet) == (trial.source.path, trial.source.sheet) for one in left_out)
+
+
+@dataclass(frozen=True, slots=True)
+class _Setting:
+    """Surroundings of a fit: what it was asked for with."""
+
+    options: FitOptions
+    priors: Priors
+    inputs: tuple[Mapping[str, Any], ...]
+    machine: bool
+
+    def provenance(self, posterior: PosteriorOptions | None) -> dict[str, Any]:
+        """The provenance of a bundle."""
+        asked = IdentifyOptions(fit=self.options, posterior=posterior)
+        return run_provenance(asked, [dict(one) for one in self.inputs], None, {})
+
+
+class _Reported:
+    """Numbers of a specimen by name or symbol, and the lines of the command."""
+
+    result: SpecimenFit
+
+    def __str__(self) -> str:
+        return "\n".join(line.text for line in specimen_lines(self.result.as_json()))
+
+    def _repr_html_(self) -> str:
+        return html_of(self.result)
+
+    def parameter(self, name: str) -> Estimate:
+        """A reported parameter, by name (``relaxation_time_s``) or symbol (``tau``).
+
+        Raises
+        ------
+        KeyError
+            There is none; the message lists those that there are.
+        """
+        for one in self.result.parameters:
+            if name in {one.name, one.symbol}:
+                return one
+        known = ", ".join(f"{one.symbol} ({one.name})" for one in self.result.parameters)
+        msg = f"no parameter {name!r}; there are {known}"
+        raise KeyError(msg)
+
+    @property
+    def flags(self) -> tuple[Flag, ...]:
+        """Remarks on the specimen."""
+        return self.result.flags
+
+    @property
+    def selection(self) -> tuple[Mapping[str, Any], ...]:
+        """Candidates with their scores on what was left out; the chosen one says so."""
+        return self.result.selection
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Fit(_Reported):
+    """A fitted contact model.
+
+    Attributes
+    ----------
+    trials : tuple of Trial
+    refused : tuple of Refusal
+        Recordings that could not be fitted, with the reason.
+    setting : object
+        Options and priors that it was fitted with.
+    fitted : FittedSpecimen
+        Optimum, noise and everything derived from them.
+    """
+
+    trials: tuple[Trial, ...]
+    refused: tuple[Refusal, ...]
+    setting: _Setting
+    fitted: FittedSpecimen
+
+    @property
+    def result(self) -> SpecimenFit:  # type: ignore[override]
+        """The specimen as identification.json has it."""
+        return self.fitted.fit
+
+    def __getitem__(self, name: str) -> Estimate:
+        return self.parameter(name)
+
+    def __repr__(self) -> str:
+        return f"<Fit of {self.result.specimen}: {self.result.model.name or self.result.model.key}>"
+
+    def fix(self, **values: float) -> Fit:
+        """Fit again with parameters held at values.
+
+        Parameters
+        ----------
+        **values : float
+            By name or symbol, in the unit of the parameter: ``fit.fix(tau=0.02)``.
+
+        Raises
+        ------
+        UsageError
+            A value is none that the parameter can have, or follows from others, as a viscosity does.
+        """
+        priors = self.setting.priors
+        linear, shapes = dict(priors.linear), dict(priors.shapes)
+        law = self.fitted.identified.law
+        positive = {one.name for one in law.model().parameters} - set(law.linear_names)
+        for name, value in values.items():
+            one = self.parameter(name)
+            if one.name in law.linear_names:
+                linear[one.name] = (float(value), FIXED * max(abs(float(value)), FIXED))
+            elif one.name in positive and value > 0.0:
+                shapes[one.name] = SpreadPrior(float(value), FIXED)
+            else:
+                why = "has to be positive" if one.name in positive else "follows from other parameters"
+                names = ", ".join(law.model().parameter_names)
+                msg = f"{name} = {value:g}: {one.name} {why}; {names} can be fixed"
+                raise UsageError(msg)
+        options = self.setting.options
+        if self.result.model.key == KELVIN_VOIGT:
+            chosen = self.result.model
+            options = replace(
+                options,
+                model=KELVIN_VOIGT,
+                branches=chosen.branches,
+                stiffness_degree=chosen.stiffness_degree,
+            )
+        return fit(
+            self.trials, specimen=self.result.specimen, options=options,
+            priors=replace(priors, linear=linear, shapes=shapes),
+        )  # fmt: skip
+
+    def force(self, trial: Trial) -> FloatArray:
+        """Force of the load channel that the model predicts at every sample of a recording, (n,) [N].
+
+        Signs and zero are the recording's.  A recording of the fit has its own gain and contact; of another
+        the tissue is predicted as it is, with nothing free.  Before contact it is the reading in air, and
+        after the part that can be predicted (the tool turned back) NaN.
+
+        Raises
+        ------
+        InputError
+            There is no contact in the recording.
+        """
+        place = next((i for i, one in enumerate(self.trials) if one is trial), None)
+        if place is not None:
+            handle, own = self.fitted.handles[place], place
+        else:
+            handle, own = _handle_of(trial, self.setting.options), 0
+        point = self.fitted.identified.optimum.point
+        if place is None:
+            point = replace(point, own=np.zeros_like(point.own[:1]))
+        _, log = handle.fitted()
+        force = force_along(self.fitted.identified, handle, log, own, point)[int(log.inserted) :]
+        depth, _ = contact_frame(trial, handle.segmentation)
+        out = np.full(trial.time_s.size, np.nan)
+        out[: log.first] = 0.0
+        out[log.first : log.first + force.size] = force
+        out[: log.first][depth[: log.first] > log.depth_mm] = np.nan
+        contact = handle.segmentation.contact
+        assert contact is not None  # noqa: S101 -- without one there is no handle
+        return np.asarray(handle.segmentation.force_sign * out + contact.baseline_N)
+
+    def residual(self, trial: Trial) -> FloatArray:
+        """Measured minus predicted force, (n,) [N]; NaN where nothing is predicted."""
+        return np.asarray(trial.force_N - self.force(trial))
+
+    def plot(self, trial: Trial | None = None) -> Plot:
+        """Measured and predicted force of a recording against time; by default of the largest force."""
+        trial = trial or max(self.trials, key=lambda one: float(np.ptp(one.force_N)))
+        predicted = self.force(trial)
+        shown = np.isfinite(predicted)
+        axes = self.result.axes
+        curves = [
+            ("measured", trial.time_s, trial.force_N, MEASURED),
+            ("model", trial.time_s[shown], predicted[shown], MODEL),
+        ]
+        return Plot(
+            drawing(curves, across="time [s]", up=f"[{axes.force}]", words=f"Force of {trial.name} and model")
+        )
+
+    def sample(self, draws: int = 2_000, seed: int = 0) -> Sampled:
+        """Draw from the posterior, from this optimum on.
+
+        Parameters
+        ----------
+        draws : int
+            Effective draws to go on for.
+        seed : int
+
+        Raises
+        ------
+        NotIdentifiedError
+            Nothing could be drawn, with the reason.
+        """
+        asked = PosteriorOptions(draws=draws, seed=seed)
+        found = with_draws(self.fitted, asked, self.setting.priors, instrument=self.setting.machine)
+        if found.posterior is None:
+            said = [flag.message for flag in found.flags if flag.code == "sampler_not_converged"]
+            msg = f"{found.specimen}: no posterior could be sampled: {'; '.join(said) or 'see Fit.flags'}"
+            raise NotIdentifiedError(msg)
+        return Sampled(self, found, asked)
+
+
+def _handle_of(trial: Trial, options: FitOptions) -> LogHandle:
+    """A recording that the fit does not have, segmented."""
+    found = collect([trial], SegmentOptions(), TrialCache(None), lambda *_: None, unloading=options.unloading)
+    if not found.groups:
+        first = found.left_out[0]
+        raise InputError(first.code, first.message, path=first.path, sheet=first.sheet)
+    return found.groups[trial.specimen][0]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Marginal:
+    """Posterior of one parameter.
+
+    Attributes
+    ----------
+    name, unit : str
+    values : ndarray, shape (n,)
+        Draws with the machine open (statistical ones of normalised recordings).
+    uncertainty : ParameterUncertainty
+        Printed numbers: ``ci95`` of the specimen, ``ci95_total`` with the machine, ``prediction95``.
+    """
+
+    name: str
+    unit: str
+    values: FloatArray
+    uncertainty: ParameterUncertainty
+
+    @property
+    def median(self) -> float:
+        """Median of the draws."""
+        return float(np.median(self.values))
+
+    def interval(self, level: float = 0.95) -> tuple[float, float]:
+        """Interval that holds this share of the draws; at 0.95 the printed total interval.
+
+        Raises
+        ------
+        ValueError
+            The level is no share.
+        """
+        if not 0.0 < level < 1.0:
+            msg = f"an interval holds a share between 0 and 1 of the draws, got {level:g}"
+            raise ValueError(msg)
+        if level == 0.95:
+            return self.uncertainty.ci95_total or self.uncertainty.ci95
+        low, high = np.quantile(self.values, (0.5 - 0.5 * level, 0.5 + 0.5 * level))
+        return float(low), float(high)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Sampled(_Reported):
+    """A fit with its posterior: values are medians, intervals have been read off the draws.
+
+    Attributes
+    ----------
+    fit : Fit
+    result : SpecimenFit
+    options : PosteriorOptions
+    """
+
+    fit: Fit
+    result: SpecimenFit
+    options: PosteriorOptions
+
+    def __repr__(self) -> str:
+        return f"<Sampled {self.result.specimen}: {len(self._draws)} draws kept>"
+
+    @cached_property
+    def _draws(self) -> FloatArray:
+        posterior = self.result.posterior
+        assert posterior is not None  # noqa: S101 -- it was checked when this was made
+        return posterior.draws if posterior.draws_total is None else posterior.draws_total
+
+    def __getitem__(self, name: str) -> Marginal:
+        one, posterior = self.parameter(name), self.result.posterior
+        assert posterior is not None  # noqa: S101 -- it was checked when this was made
+        values = reported_draws(self.fit.fitted.tissue.model, self._draws)[one.name]
+        return Marginal(one.name, one.unit, values, posterior.parameters[one.name])
+
+    def to_arviz(self) -> Any:
+        """The draws as arviz knows them.
+
+        Raises
+        ------
+        UsageError
+            arviz, of the extra ``tissueid[arviz]``, is not installed.
+        """
+        posterior = self.result.posterior
+        assert posterior is not None  # noqa: S101 -- it was checked when this was made
+        return posterior.to_arviz()
+
+
+@dataclass(frozen=True, slots=True)
+class Plot:
+    """A drawing that a notebook shows, and that can be saved.
+
+    Attributes
+    ----------
+    svg : str
+    """
+
+    svg: str
+
+    def _repr_html_(self) -> str:
+        return self.svg
+
+    def save(self, path: str | Path) -> Path:
+        """Write it as an SVG file."""
+        path = Path(path)
+        text = self.svg.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" color="#222" ', 1)
+        replaced = path.with_name(f".{path.name}.part")
+        replaced.write_text(text, encoding="utf-8")
+        replaced.replace(path)
+        return path
+
+
+class Bundle(Shown):
+    """A fit as a file that a device renders and a colleague reads.
+
+    Parameters
+    ----------
+    fit : Fit
+    sampled : Sampled, optional
+        Its posterior; values and draws are then taken from it.
+    """
+
+    def __init__(self, fit: Fit, sampled: Sampled | None = None) -> None:
+        posterior = None if sampled is None else sampled.options
+        found = fit.result if sampled is None else sampled.result
+        self.content: BundleContent = bundle_from_fit(found, provenance=fit.setting.provenance(posterior))
+
+    def _repr_html_(self) -> str:
+        return html_of(self.content)
+
+    def save(self, path: str | Path) -> Path:
+        """Write the bundle, whole or not at all.
+
+        Raises
+        ------
+        BundleError
+            It could not be loaded again.
+        """
+        write_bundle(self.content, path)
+        return Path(path)
+
+
+def render(
+    bundle: str | Path,
+    *,
+    device: str = "sim",
+    script: str | None = None,
+    seconds: float | None = None,
+    log: str | Path | None = None,
+    agreed: bool = False,
+) -> Outcome:
+    """Render a bundle on a device; without one, a script runs as fast as it can be computed.
+
+    Parameters
+    ----------
+    bundle : str or Path
+    device : str
+        ``sim``, ``emulator``, ``falcon``, ``forcedimension``, or an installed one.
+    script : str, optional
+        Strokes of the simulated grip (docs/render.md); by default one push of the identified depth.
+    seconds : float, optional
+        Length of a session that a hand leads.
+    log : str or Path, optional
+        Record the session to this HDF5 file.
+    agreed : bool
+        The person who holds a device with motors was told and agreed.
+
+    Returns
+    -------
+    Outcome
+        Summary, log, and how the session ended.
+
+    Raises
+    ------
+    BundleError, UsageError, DeviceError
+        Before anything moved, with the way out.
+    """
+    from tissueid.rendering.options import RenderOptions
+    from tissueid.rendering.participation import with_consent
+    from tissueid.rendering.plan import plan_session
+    from tissueid.rendering.recorder import Recorder
+    from tissueid.rendering.session import Session
+
+    if not Path(bundle).is_file():
+        msg = f"{bundle}: there is no such bundle; Bundle(fit).save({str(bundle)!r}) writes one"
+        raise BundleError(msg)
+    load_bundle(bundle)
+    virtual = device == "sim" and seconds is None
+    plan = plan_session(
+        RenderOptions(bundle=Path(bundle), device=device, script=script, seconds=seconds, virtual=virtual)
+    )
+    if plan.capabilities.hardware and not agreed:
+        msg = f"{device} has motors: tell the person who holds it, then say agreed=True"
+        raise UsageError(msg)
+    plan = replace(plan, head=with_consent(plan.head, how="given before"))
+    recorder = None if log is None else Recorder(Path(log), plan.head)
+    return Session(plan, recorder=recorder).run()

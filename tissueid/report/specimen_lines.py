@@ -1,0 +1,74 @@
+"""Lines that the command and the library print of a fitted specimen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from tissueid.report.measured_lines import brief_measured_lines, measured_lines
+from tissueid.report.quoted_lines import quoted_lines
+from tissueid.report.uncertainty_lines import alarm_lines, block_lines, parameter_lines, sampling_lines
+from tissueid.report.warning_lines import warning_lines
+
+__all__ = ["Line", "specimen_lines"]
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One line.
+
+    Attributes
+    ----------
+    text : str
+    kind : str
+        ``title``, ``plain``, ``alarm``, ``serious`` or ``remark``.
+    """
+
+    text: str
+    kind: str = "plain"
+
+
+def specimen_lines(
+    fit: Mapping[str, Any], shared: Sequence[str] = (), *, verbose: int = 0, brief: bool = False
+) -> list[Line]:
+    """Title, model, measured block and warnings of a specimen.
+
+    Parameters
+    ----------
+    fit : mapping
+        A specimen of identification.json.
+    shared : sequence of str
+        Codes of warnings that are said once for a batch.
+    verbose : int
+        Above 0 nothing is left out.
+    brief : bool
+        One line of what was measured.
+    """
+    lines = [Line(_title(fit), "title")]
+    own = [*parameter_lines(fit), *sampling_lines(fit)] if verbose else block_lines(fit)
+    measured = (brief_measured_lines if brief else measured_lines)(fit.get("measured", ()))
+    lines += [Line(f"  {line}") for line in (*own, *quoted_lines(fit), *measured)]
+    alarms = alarm_lines(fit)
+    lines += [Line(f"  ! {line}", "alarm") for line in alarms]
+    for level, line in warning_lines(fit, shared=shared, verbose=verbose, alarms=len(alarms)):
+        lines.append(Line(f"  ! {line}", "serious" if level == "serious" else "remark"))
+    if verbose:
+        for row in fit["relaxation"]:
+            tau = "none" if row["tau_single_s"] is None else f"{row['tau_single_s']:.4g} s"
+            window = f"{row['window_s'][0]:g} to {row['window_s'][1]:g} s"
+            lines.append(Line(f"  hold {window}: one exponential {tau}"))
+    return lines
+
+
+def _title(fit: Mapping[str, Any]) -> str:
+    """Specimen, logs, law and deviation."""
+    model, logs = fit["model"], len(fit["trials"])
+    branches = "1 branch" if model["branches"] == 1 else f"{model['branches']} branches"
+    law = f"{branches}, K of degree {model['stiffness_degree']}"
+    if model["key"] != "kelvin-voigt":
+        law = model["key"]
+    return (
+        f"{fit['specimen']}  {logs} log{'s' * (logs > 1)}, {law}, {model['static_pooling']} static, "
+        f"NRMSD {100 * fit['nrmsd']['range']:.2f} % of range"
+    )
