@@ -162,7 +162,8 @@ def lines(found: list[dict[str, Any]]) -> Iterator[str]:
             share = 100.0 * inside / len(rows)
             kept = "" if low <= share <= high else "  OUTSIDE"
             yield (
-                f"  {key:32} n {len(rows):4d}  total {share:5.1f} (99 % band {low:.0f} to {high:.0f})  bias {z.mean():+.2f}  sd {z.std():.2f}{kept}"
+                f"  {key:32} n {len(rows):4d}  total {share:5.1f} (99 % band {low:.0f} to {high:.0f})  "
+                f"bias {z.mean():+.2f}  sd {z.std():.2f}{kept}"
             )
 
 
