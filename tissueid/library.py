@@ -34,9 +34,9 @@ from tissueid.inference.reported import reported_draws
 from tissueid.inference.specimen import FitOptions, FittedSpecimen, fit_with_state, force_along
 from tissueid.ingest import ReadOptions, find_inputs, read_each
 from tissueid.model.composed import ContactModel
-from tissueid.model.grammar import KELVIN_VOIGT
+from tissueid.model.grammar import KELVIN_VOIGT, candidates
 from tissueid.notebook import Shown, drawing, html_of
-from tissueid.pipeline import IdentifyOptions, run_provenance, with_draws
+from tissueid.pipeline import IdentifyOptions, run_provenance, with_draws, with_model
 from tissueid.priors import Priors, SpreadPrior
 from tissueid.report.specimen_lines import specimen_lines
 from tissueid.result import Estimate, Refusal, SpecimenFit
@@ -122,7 +122,8 @@ def fit(
     trials : Trial or iterable of Trial
         All of them are pooled, whatever specimen they name.
     model : ContactModel or str, optional
-        None is the modified Kelvin-Voigt model, whose order is chosen (``Fit.selection`` says why).
+        None is the modified Kelvin-Voigt model, whose order is chosen (``Fit.selection`` says why); ``auto``,
+        or names with ``|`` between them, are chosen among.
     specimen : str, optional
         Its name; by default that of the recordings.
     options : FitOptions, optional
@@ -141,7 +142,8 @@ def fit(
     """
     options = options or FitOptions()
     if model is not None:
-        options = replace(options, model=str(ContactModel(str(model))))
+        options = replace(options, model=str(model))
+    candidates(options.model or KELVIN_VOIGT)
     given = [trials] if isinstance(trials, Trial) else list(trials)
     if not given:
         msg = "there are no recordings to fit; read some with tissueid.read(folder)"
@@ -184,7 +186,7 @@ class _Setting:
 
     def provenance(self, posterior: PosteriorOptions | None) -> dict[str, Any]:
         """The provenance of a bundle."""
-        asked = IdentifyOptions(fit=self.options, posterior=posterior)
+        asked = with_model(IdentifyOptions(fit=self.options, posterior=posterior), None)
         return run_provenance(asked, [dict(one) for one in self.inputs], None, {})
 
 

@@ -187,6 +187,8 @@ class Study(Shown):
     calibration : Calibration
     priors : Priors
         ``[priors]``; defaults where nothing is stated.
+    model : str or None
+        Name of ``[model]``, or its candidates with ``|`` between them.
     population : PopulationPriors or None
         ``[population]``; ``None`` where nothing is stated.
     specimens : mapping
@@ -202,6 +204,7 @@ class Study(Shown):
     tip: Mapping[str, Any] = field(default_factory=dict)
     calibration: Calibration = field(default_factory=Calibration)
     priors: Priors = field(default_factory=Priors)
+    model: str | None = None
     population: PopulationPriors | None = None
     specimens: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     protocols: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)

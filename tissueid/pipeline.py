@@ -37,6 +37,7 @@ from tissueid.inference.specimen import FitOptions, FittedSpecimen, LogHandle, f
 from tissueid.inference.tip import tip_handles
 from tissueid.manifest import Study
 from tissueid.measured.geometry import stated_geometry
+from tissueid.model.grammar import KELVIN_VOIGT
 from tissueid.priors import Priors
 from tissueid.result import Exit, Identification, Refusal, SpecimenFit
 from tissueid.segment import SegmentOptions
@@ -51,6 +52,7 @@ __all__ = [
     "run_provenance",
     "unmet",
     "with_draws",
+    "with_model",
 ]
 
 #: Libraries whose version may change a number.
@@ -272,6 +274,12 @@ def _identity(
     return hashlib.sha256(repr((own, said, versions, asked)).encode()).hexdigest()
 
 
+def with_model(options: IdentifyOptions, study: Study | None) -> IdentifyOptions:
+    """Options that name their contact model: the one asked for, else the study's, else Kelvin-Voigt."""
+    said = options.fit.model or (study.model if study is not None else None) or KELVIN_VOIGT
+    return replace(options, fit=replace(options.fit, model=said))
+
+
 def _own_options(options: FitOptions, study: Study | None, name: str, axes: Axes) -> FitOptions:
     """Options with the tip and the thickness of one specimen."""
     if axes.normalised:
@@ -369,7 +377,7 @@ def identify(
     Identification
         Its ``exit`` says whether something was left out or not identified.
     """
-    options = options or IdentifyOptions()
+    options = with_model(options or IdentifyOptions(), study)
     progress = progress or (lambda _message, _done, _total: None)
     collected = collect(
         trials,

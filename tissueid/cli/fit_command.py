@@ -37,6 +37,7 @@ Examples:
   tissueid fit lab_data/study.toml -o out
   tissueid fit meat.xlsx --json > meat.json
   tissueid fit lab_data/ --model "polynomial * tangent * prony:2"
+  tissueid fit lab_data/ --model "kelvin-voigt | power * fractional | power * fung"
   tissueid fit rig/ --contact-law hertz-impact -o wall
   tissueid fit odd.csv --columns "time=t,displacement=pos,force=F" --units "force=mN"
 """
@@ -58,8 +59,9 @@ def _count(auto: str) -> click.Choice[str]:
     help="Output folder.",
 )  # fmt: skip
 @click.option(
-    "--model", metavar="NAME", default=KELVIN_VOIGT, show_default=True,
-    help="Contact model: kelvin-voigt, or STATIC * [STIFFNESS *] RELAXATION of the laws in tissueid models.",
+    "--model", metavar="NAME", show_default=KELVIN_VOIGT,
+    help="Contact model: kelvin-voigt, or STATIC * [STIFFNESS *] RELAXATION of the laws in tissueid models; "
+    "auto, or several with | between them, takes the one that predicts best.",
 )  # fmt: skip
 @click.option(
     "--contact-law", type=click.Choice(LAWS), default=LAWS[0], show_default=True,
@@ -136,8 +138,10 @@ def command(**flags: Any) -> int:
 
     quiet: int = flags["quiet"]
     reading = read_options(flags)
-    options = _identify_options(flags)
     study, paths = locate_study(flags["paths"], named=flags["study"], ignore=flags["no_study"])
+    if study is not None:
+        flags["model"] = flags["model"] or study.model
+    options = _identify_options(flags)
     files = inputs_in_order(paths, study)
     _refuse_foreign(Path(flags["out"]))
     by_pattern = PatternCheck(reading.specimen_by, study)
@@ -221,20 +225,21 @@ def _posterior_options(flags: dict[str, Any]) -> PosteriorOptions | None:
 
 def _checked_model(flags: dict[str, Any]) -> None:
     """Refuse a name that is no model, and options that this model does not take."""
-    from tissueid.model.grammar import ModelNameError, parsed
+    from tissueid.model.grammar import ModelNameError, candidates
 
     try:
-        named = parsed(flags["model"])
+        laws = candidates(flags["model"] or KELVIN_VOIGT)
     except ModelNameError as error:
         raise UsageError(str(error)) from None
-    if named.parts is None and named.branches is None:
+    others = laws.paper is None or laws.choose
+    if others and flags.get("unloading"):
+        msg = f"--unloading follows the surface of a kelvin-voigt model, not of {flags['model']!r}"
+        raise UsageError(msg)
+    if laws.paper is not None and laws.paper.branches is None:
         return
     asked = [f"--{key.replace('_', '-')}" for key in ("branches", "stiffness_degree") if flags[key] != "auto"]
     if asked:
         msg = f"{' and '.join(asked)}: {flags['model']!r} says it already; leave one of them out"
-        raise UsageError(msg)
-    if named.parts is not None and flags.get("unloading"):
-        msg = f"--unloading follows the surface of a kelvin-voigt model, not of {flags['model']!r}"
         raise UsageError(msg)
 
 
@@ -246,7 +251,7 @@ def _identify_options(flags: dict[str, Any]) -> IdentifyOptions:
     _checked_model(flags)
     return IdentifyOptions(
         fit=FitOptions(
-            model=flags["model"],
+            model=flags["model"] or KELVIN_VOIGT,
             branches=None if flags["branches"] == "auto" else int(flags["branches"]),
             stiffness_degree=None if flags["stiffness_degree"] == "auto" else int(flags["stiffness_degree"]),
             static=flags["static"],

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,14 +24,17 @@ from tissueid.inference.window import FOLDS, FittedLog
 from tissueid.model.channels import TissueModel
 
 __all__ = [
+    "Choice",
     "Groups",
     "Rival",
     "Tried",
+    "choice_of",
     "chosen_among",
     "groups_of",
     "held_out",
     "resolved",
     "rival_of",
+    "table_of",
     "without_bends",
 ]
 
@@ -50,6 +54,8 @@ MOST_GROUPS, REFIT_STEPS, OWN_STEPS = 8, 6, 8
 AT_DEPTH, FEWEST_OF_RAMP = 0.995, 4
 #: Largest force of a branch over the noise with which it counts as seen, and factor between two times.
 SEEN, APART = 0.5, 1.5
+#: Words of the degrees of K.
+STIFFNESS = ("constant", "linear", "quadratic")
 #: Standard deviations of ln tau that two laws are apart, and the least that counts as one.
 FAR_APART, LEAST_SD = 3.0, 0.02
 
@@ -71,6 +77,20 @@ class Tried:
     optimum: Optimum
     system: System
     errors: FloatArray
+
+    @property
+    def law(self) -> ChannelLaw:
+        """The law."""
+        law = self.system.law
+        assert isinstance(law, ChannelLaw)  # noqa: S101 -- there is no other
+        return law
+
+    @property
+    def name(self) -> str:
+        """Name of the law in the grammar."""
+        if self.law.model_of is not None:
+            return self.law.model_of.name
+        return f"polynomial * {STIFFNESS[self.degree]} * prony:{self.branches}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,22 +138,24 @@ class Rival:
         return self.as_good and abs(self.apart) > FAR_APART
 
 
-def rival_of(name: str, tried: Tried, chosen: Tried) -> Rival:
+def rival_of(tried: Tried, chosen: Tried) -> Rival:
     """A law that was tried beside the chosen one."""
     gain, stderr = _gain(tried, chosen)
     wide = float(t.ppf(ONE_ERROR, max(chosen.errors.size - 1, 1))) * stderr
     ln_tau, sd = _first_time(tried)
     other, other_sd = _first_time(chosen)
     apart = (ln_tau - other) / max(float(np.hypot(sd, other_sd)), LEAST_SD)
-    law, point = tried.system.law, tried.optimum.point
-    assert isinstance(law, ChannelLaw)  # noqa: S101 -- there is no other
+    law, point = tried.law, tried.optimum.point
     theta = law.theta(point.log_times, point.linear)[0]
-    return Rival(name, gain, stderr, wide, float(np.exp(ln_tau)), sd, apart, law.model(), theta)
+    return Rival(tried.name, gain, stderr, wide, float(np.exp(ln_tau)), sd, apart, law.model(), theta)
 
 
 def _first_time(one: Tried) -> tuple[float, float]:
     """Ln of the shortest relaxation time and its standard deviation."""
-    at = int(np.argmin(one.optimum.point.log_times[: one.branches]))
+    if one.law.counts[0] == 0:
+        # a spectrum: its times are given
+        return float(np.log(one.law.fixed_s.min())), 0.0
+    at = int(np.argmin(one.optimum.point.log_times[: one.law.counts[0]]))
     variance = float(one.optimum.covariance[at, at])
     return float(one.optimum.point.log_times[at]), float(np.sqrt(max(variance, 0.0)))
 
@@ -255,7 +277,7 @@ def _gain(better: Tried, simpler: Tried) -> tuple[float, float]:
 
 
 def _parameters(one: Tried) -> int:
-    return one.branches * (one.degree + 2)
+    return one.law.times + one.law.linear
 
 
 def resolved(one: Tried, step_s: float) -> bool:
@@ -290,9 +312,77 @@ def without_bends(tried: Sequence[Tried]) -> list[Tried]:
     return kept
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Choice:
+    """The law that is fitted, beside those that are not.
+
+    Attributes
+    ----------
+    chosen : Tried
+    rivals : tuple of Rival
+        Other laws beside it.
+    """
+
+    chosen: Tried
+    rivals: tuple[Rival, ...]
+
+
+def choice_of(paper: Tried | None, others: Sequence[Tried], *, choose: bool) -> Choice:
+    """Choose among laws: of those within one standard error of the best, the one of fewest parameters.
+
+    Of two with as many the Kelvin-Voigt law is taken.
+
+    Parameters
+    ----------
+    paper : Tried or None
+        The Kelvin-Voigt law in its chosen order.
+    others : sequence of Tried
+    choose : bool
+        Other laws may be chosen.
+    """
+    everyone = [one for one in (paper, *others) if one is not None]
+    if paper is not None and not choose:
+        chosen = paper
+    else:
+        as_good = chosen_among(everyone)[2]
+        chosen = min(
+            as_good, key=lambda one: (_parameters(one), one is not paper, -rival_of(one, as_good[0]).gain)
+        )
+    rivals = [one for one in everyone if one is not chosen]
+    return Choice(chosen, tuple(rival_of(one, chosen) for one in rivals))
+
+
+def table_of(
+    orders: Sequence[dict[str, Any]], choice: Choice, paper: Tried | None
+) -> tuple[dict[str, Any], ...]:
+    """Rows of every candidate: orders of the Kelvin-Voigt law, then the other laws by their names.
+
+    Scores are ln of the mean square error of the chosen one over a candidate's, on what was left out.
+    """
+    chosen, rows = choice.chosen, [dict(row) for row in orders]
+    if paper is not None and chosen is not paper:
+        behind = next(one.gain for one in choice.rivals if one.name == paper.name)
+        rows = [{**row, "score": row["score"] + behind, "chosen": False} for row in rows]
+    if chosen is not paper:
+        rows.append(_named_row(chosen.name, chosen.law, 0.0, 0.0) | {"chosen": True})
+    for one in choice.rivals:
+        if paper is None or one.name != paper.name:
+            rows.append(_named_row(one.name, one.model, one.gain, one.stderr) | {"tau_s": one.tau_s})
+    return tuple(rows)
+
+
+def _named_row(name: str, law: ChannelLaw | TissueModel, score: float, stderr: float) -> dict[str, Any]:
+    """A row of a law that is no Kelvin-Voigt law."""
+    degree = law.degree if isinstance(law, ChannelLaw) else law.stiffness_degree
+    return {
+        "model": name, "branches": law.branches, "stiffness_degree": degree, "score": score,
+        "stderr": stderr, "chosen": False,
+    }  # fmt: skip
+
+
 def chosen_among(
     tried: Sequence[Tried],
-) -> tuple[Tried, tuple[dict[str, float | int | bool | None], ...], list[Tried]]:
+) -> tuple[Tried, tuple[dict[str, Any], ...], list[Tried]]:
     """The simplest candidate within one standard error of the best, a table, and those that are as good.
 
     Returns
@@ -300,7 +390,7 @@ def chosen_among(
     chosen : Tried
     table : tuple of dict
         branches, stiffness_degree, score (ln of the error of the best over its own; 0 is best), stderr,
-        chosen.
+        chosen, tau_s (shortest relaxation time).
     as_good : list of Tried
         Candidates within one standard error of the best.
     """
@@ -314,12 +404,13 @@ def chosen_among(
     table = []
     for one in sorted(tried, key=lambda one: (one.branches, one.degree)):
         mean, error = _gain(best, one)
-        row: dict[str, float | int | bool | None] = {
+        row: dict[str, Any] = {
             "branches": one.branches,
             "stiffness_degree": one.degree,
             "score": -mean,
             "stderr": error,
             "chosen": one is chosen,
+            "tau_s": float(np.exp(_first_time(one)[0])),
         }
         table.append(row)
     return chosen, tuple(table), as_good

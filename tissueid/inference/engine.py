@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +20,12 @@ from tissueid.inference.choice import (
     Groups,
     Rival,
     Tried,
+    choice_of,
     chosen_among,
     groups_of,
     held_out,
     resolved,
-    rival_of,
+    table_of,
     without_bends,
 )
 from tissueid.inference.evidence import LogEvidence, NoiseVerdict, verdict_on_noise
@@ -34,15 +36,13 @@ from tissueid.inference.prior import Scatter, prior_rows
 from tissueid.inference.search import starting_points
 from tissueid.inference.system import SHAPE, Effects, Point, System
 from tissueid.inference.window import FittedLog, one_program
-from tissueid.model.grammar import Named, parsed
+from tissueid.model.grammar import KELVIN_VOIGT, Candidates, Named, candidates
 from tissueid.priors import Priors
 
 __all__ = ["Identified", "Request", "identify_logs", "refit"]
 
 FloatArray = NDArray[np.float64]
 
-#: Laws that the chosen one is held against.
-RIVALS = ("polynomial * tangent * prony:1", "polynomial * tangent * prony:2")
 #: Rounds in which the scatter between logs is estimated.
 SCATTER_ROUNDS = 4
 #: Standard deviation that the scatter counts as beforehand, worth one log.
@@ -62,7 +62,7 @@ class Request:
     Attributes
     ----------
     branches, degrees : tuple of int
-        Candidates.
+        Orders of the Kelvin-Voigt law that are tried.
     pooling : str
         ``scaled``, ``partial`` or ``shared``.
     noise : str
@@ -70,8 +70,8 @@ class Request:
     priors : Priors
     machine : bool
         Leave frame, skew and filter open.
-    named : Named or None
-        A law that is no Kelvin-Voigt law: nothing is chosen then.
+    candidates : Candidates
+        Laws.
     """
 
     branches: tuple[int, ...] = (1, 2, 3)
@@ -80,7 +80,14 @@ class Request:
     noise: str = "auto"
     priors: Priors = field(default_factory=Priors)
     machine: bool = True
-    named: Named | None = None
+    candidates: Candidates = field(default_factory=lambda: candidates(KELVIN_VOIGT))
+
+    @property
+    def single(self) -> bool:
+        """True where nothing is chosen, and nothing held against."""
+        laws = self.candidates
+        orders = len(self.branches) * len(self.degrees)
+        return not laws.choose and (laws.paper is None or orders == 1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,7 +121,7 @@ class Identified:
     scatter: Scatter
     verdict: NoiseVerdict
     discrepant: bool
-    table: tuple[dict[str, float | int | bool | None], ...]
+    table: tuple[dict[str, Any], ...]
     as_good: tuple[tuple[int, int], ...]
     left_out: str
     request: Request
@@ -139,15 +146,19 @@ class _Fitting:
 
     def __init__(self, base: System, request: Request, least_N: float, step_s: float) -> None:
         self.base, self.request, self.least_N, self.step_s = base, request, least_N, step_s
-        self.scatter = WIDE
+        self.scatter, laws = WIDE, request.candidates
+        self.others = {one.name: self.named(one) for one in laws.laws}
+        # of laws without a Kelvin-Voigt one, the noise and the logs' differences are told by the freest
+        self.freest = max(self.others.values(), key=_freedom, default=None)
         machine = np.array([request.priors.calibration[name].mean for name in _MACHINE])
         self.at = _blank(self.law(1, 0), base, machine)
 
     def law(self, branches: int, degree: int) -> ChannelLaw:
-        """The law that was asked for, or a Kelvin-Voigt law."""
-        if self.request.named is None:
-            return kelvin_voigt_law(branches, degree, self.base.depth_mm)
-        return self.named(self.request.named)
+        """A Kelvin-Voigt law, or the freest of those that were asked for instead."""
+        if self.request.candidates.paper is None:
+            assert self.freest is not None  # noqa: S101 -- one of them is asked for
+            return self.freest
+        return kelvin_voigt_law(branches, degree, self.base.depth_mm)
 
     def named(self, name: Named) -> ChannelLaw:
         """A law by its name."""
@@ -186,6 +197,10 @@ class _Fitting:
             self.scatter = scatter_of(system, optimum)
             optimum = self.minimise(system, law, optimum.point, Memory(), LOOK_STEPS)
         self.at = replace(self.at, own=optimum.point.own, machine=optimum.point.machine)
+
+
+def _freedom(law: ChannelLaw) -> int:
+    return law.times + law.linear
 
 
 _MACHINE = ("frame_compliance_mm_per_N", "skew_s", "force_filter_s")
@@ -273,7 +288,6 @@ def identify_logs(
     fitting.learn_scatter(*flexible)
     groups = groups_of(base, facts)
     memory, refuted = Memory(), True
-    single = request.named is not None or len(request.branches) == len(request.degrees) == 1
     tick("noise")
     seen: Sequence[LogEvidence] | None = None
     if request.noise != "white":
@@ -282,52 +296,63 @@ def identify_logs(
         noise, verdict = _noise(fitting, system, optimum, seen, request.noise)
         refuted = verdict.refuted
         memory = Memory() if refuted else noise.memory
-    chosen, table, as_good = _chosen(fitting, memory, groups, facts, tick, single=single)
-    rivals: tuple[Rival, ...] = ()
-    if not single:
-        tick("other laws")
-        rivals = tuple(_rival(fitting, chosen, name, memory, groups) for name in RIVALS)
-    found = _finished(
-        fitting, chosen, evidence, memory, groups.kind, () if single else table,
-        tuple((one.branches, one.degree) for one in as_good), tick,
-    )  # fmt: skip
-    return replace(found, rivals=rivals)
+    orders = _Orders(None, (), ())
+    if request.candidates.paper is not None or request.single:
+        orders = _orders_tried(fitting, memory, groups, facts, tick)
+    others = []
+    if not request.single:
+        for name, other in fitting.others.items():
+            tick(name)
+            others.append(_tried(fitting, other, memory, groups))
+    paper = orders.chosen
+    choice = choice_of(paper, others, choose=request.candidates.choose)
+    found = _finished(fitting, choice.chosen, evidence, memory, groups.kind, tick)
+    table = () if request.single else table_of(orders.table, choice, paper)
+    as_good = orders.as_good if choice.chosen is paper else ()
+    return replace(found, table=table, as_good=as_good, rivals=choice.rivals)
 
 
-def _chosen(
+@dataclass(frozen=True, slots=True, eq=False)
+class _Orders:
+    """Orders of the Kelvin-Voigt law: the chosen one, their table, those that are as good."""
+
+    chosen: Tried | None
+    table: tuple[dict[str, Any], ...]
+    as_good: tuple[tuple[int, int], ...]
+
+
+def _orders_tried(
     fitting: _Fitting,
     memory: Memory,
     groups: Groups,
     facts: Sequence[FittedLog],
     tick: Callable[[str], None],
-    *,
-    single: bool,
-) -> tuple[Tried, tuple[dict[str, float | int | bool | None], ...], list[Tried]]:
-    """Candidates until none is wanted: the chosen one, their table, those that are as good."""
+) -> _Orders:
+    """Orders until none is wanted."""
     request, tried = fitting.request, list[Tried]()
+    single = len(request.branches) * len(request.degrees) == 1 or request.candidates.paper is None
     orders = [(request.branches[0], request.degrees[0])] if single else _orders(request)
     while True:
         for branches, degree in orders:
             tick(f"{branches} branch{'es' if branches > 1 else ''}, K of degree {degree}")
-            system, _, optimum = fitting.candidate(fitting.law(branches, degree), memory)
-            errors = held_out(system, optimum, groups) if not single else np.ones(1)
-            tried.append(Tried(branches, degree, optimum, system, errors))
+            one = _tried(fitting, fitting.law(branches, degree), memory, None if request.single else groups)
+            tried.append(replace(one, branches=branches, degree=degree))
         seen_whole = [one for one in tried if resolved(one, fitting.step_s)] or tried[:1]
         if one_program(facts) and not single:
             seen_whole = without_bends(seen_whole)
-        found = chosen_among(seen_whole)
+        chosen, table, as_good = chosen_among(seen_whole)
         done = {(one.branches, one.degree) for one in tried}
-        best = [(one.branches, one.degree) for one in found[2]]
-        orders = [] if single else [one for one in _further(request, found[0], best) if one not in done]
+        best = tuple((one.branches, one.degree) for one in as_good)
+        orders = [] if single else [one for one in _further(request, chosen, best) if one not in done]
         if not orders:
-            return found
+            return _Orders(chosen, table, best)
 
 
-def _rival(fitting: _Fitting, chosen: Tried, name: str, memory: Memory, groups: Groups) -> Rival:
-    """Another law, fitted and asked to predict as the chosen one was."""
-    system, law, optimum = fitting.candidate(fitting.named(parsed(name)), memory)
-    tried = Tried(law.branches, 0, optimum, system, held_out(system, optimum, groups))
-    return rival_of(name, tried, chosen)
+def _tried(fitting: _Fitting, law: ChannelLaw, memory: Memory, groups: Groups | None) -> Tried:
+    """A law, fitted, and asked to predict what is left out."""
+    system, law, optimum = fitting.candidate(law, memory)
+    errors = np.ones(1) if groups is None else held_out(system, optimum, groups)
+    return Tried(law.branches, law.degree, optimum, system, errors)
 
 
 def _noise(
@@ -352,13 +377,10 @@ def _finished(
     evidence: Callable[[System, ChannelLaw, Optimum], Sequence[LogEvidence]],
     memory: Memory,
     left_out: str,
-    table: tuple[dict[str, float | int | bool | None], ...],
-    as_good: tuple[tuple[int, int], ...],
     tick: Callable[[str], None],
 ) -> Identified:
     """The chosen candidate under its own noise."""
-    request, system = fitting.request, chosen.system
-    law = fitting.law(chosen.branches, chosen.degree)
+    request, system, law = fitting.request, chosen.system, chosen.law
     optimum = chosen.optimum
     tick("the optimum")
     for _ in range(2):
@@ -376,7 +398,7 @@ def _finished(
         optimum = fitting.minimise(system, law, optimum.point, memory, 40)
     return Identified(
         system=system, law=law, optimum=optimum, scatter=fitting.scatter, verdict=verdict,
-        discrepant=verdict.refuted, table=table, as_good=as_good, left_out=left_out, request=request,
+        discrepant=verdict.refuted, table=(), as_good=(), left_out=left_out, request=request,
     )  # fmt: skip
 
 

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from tissueid.flags import Flag
-from tissueid.inference.choice import Rival
 from tissueid.inference.depth_test import depth_test
 from tissueid.inference.engine import Identified, Request, identify_logs
 from tissueid.inference.estimates import TissueEstimate, estimate_tissue
@@ -30,7 +29,7 @@ from tissueid.inference.verdict import discrepancy_flags, specimen_flags
 from tissueid.inference.window import FittedLog
 from tissueid.measured import spread
 from tissueid.measured.geometry import DEFAULT_POISSON, Geometry, TipOf
-from tissueid.model.grammar import KELVIN_VOIGT, parsed
+from tissueid.model.grammar import KELVIN_VOIGT, candidates, parsed
 from tissueid.model.kelvin_voigt import KEY
 from tissueid.priors import Priors
 from tissueid.quantities import QuotedNumbers, RelaxationWindow
@@ -72,8 +71,9 @@ class FitOptions:
         Fit retracts and cycles as well, with the law of contact loss (:mod:`tissueid.inference.rounds`).
     noise : str
         ``auto``, ``white``, ``ar1`` or ``white+ar1``.
-    model : str
-        Of the grammar of :mod:`tissueid.model.grammar`.
+    model : str, optional
+        Of the grammar of :mod:`tissueid.model.grammar`; several with ``|`` between them, or ``auto``, are
+        chosen among.  None is the Kelvin-Voigt law, or what a study says.
     """
 
     branches: int | None = None
@@ -86,7 +86,7 @@ class FitOptions:
     poisson: float = DEFAULT_POISSON
     header_tip: bool = True
     noise: str = "auto"
-    model: str = KELVIN_VOIGT
+    model: str | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,13 +120,13 @@ class FittedSpecimen:
 
 def request_of(options: FitOptions, priors: Priors, *, machine: bool) -> Request:
     """Options as the engine takes them."""
-    named = parsed(options.model)
-    asked, degree = named.branches or options.branches, named.degree
+    laws = candidates(options.model or KELVIN_VOIGT)
+    paper = laws.paper or parsed(KELVIN_VOIGT)
+    asked, degree = paper.branches or options.branches, paper.degree
     degree = options.stiffness_degree if degree is None else degree
     branches = (asked,) if asked else tuple(range(1, MAX_BRANCHES + 1))
     degrees = tuple(range(MAX_DEGREE + 1)) if degree is None else (degree,)
-    other = None if named.parts is None else named
-    return Request(branches, degrees, options.static, options.noise, priors, machine, other)
+    return Request(branches, degrees, options.static, options.noise, priors, machine, laws)
 
 
 def fit_specimen(
@@ -337,7 +337,7 @@ def _fit(
             specimen=name,
             model=ModelChoice(
                 key=KEY if found.law.model_of is None else found.law.model_of.key,
-                name=options.model,
+                name=_name_of(found),
                 branches=found.law.branches,
                 static_degree=found.law.static_size,
                 stiffness_degree=found.law.degree,
@@ -360,7 +360,7 @@ def _fit(
             relaxation=told.relaxation,
             relaxation_window=window,
             optimisers=optimisers,
-            selection=(*found.table, *map(_rival_row, found.rivals)),
+            selection=found.table,
             flags=_one_form(flags),
             unloading=unloading,
             cycles=told.cycles,
@@ -390,13 +390,12 @@ def window_flags(window: RelaxationWindow | None) -> tuple[Flag, ...]:
     return (Flag("form_dependent", words, {"slope": window.slope}),)
 
 
-def _rival_row(one: Rival) -> dict[str, float | int | bool | str | None]:
-    """A row of the candidates' table."""
-    branches = int(one.name.rpartition(":")[2])
-    return {
-        "model": one.name, "branches": branches, "stiffness_degree": 0, "score": one.gain,
-        "stderr": one.stderr, "chosen": False,
-    }  # fmt: skip
+def _name_of(found: Identified) -> str:
+    """Name of the law that was fitted: as it was asked for, or as it was chosen."""
+    laws = found.request.candidates
+    if found.law.model_of is not None:
+        return found.law.model_of.name
+    return KELVIN_VOIGT if laws.paper is None else laws.paper.name
 
 
 def _one_form(flags: tuple[Flag, ...]) -> tuple[Flag, ...]:

@@ -25,6 +25,7 @@ from tissueid.ingest.stated_priors import PriorError, plain_priors, population_o
 from tissueid.ingest.toml_lines import TomlPath, line_of, lines_of_toml
 from tissueid.manifest import Calibration, Entry, FrameCurve, Study
 from tissueid.model.frame import linear_frame
+from tissueid.model.grammar import ModelNameError, candidates
 from tissueid.priors import Priors
 from tissueid.result import Refusal
 from tissueid.store.schema import first_problem, load_schema
@@ -118,6 +119,7 @@ def study_of(content: bytes, file: Path) -> Study:
         tip=document.get("tip", {}),
         calibration=_calibration(document.get("calibration", {}), folder, refuser),
         priors=_priors(document.get("priors", {}), refuser),
+        model=_model(document["model"], refuser) if "model" in document else None,
         population=population_of(document["population"]) if "population" in document else None,
         specimens={entry["name"]: entry for entry in document.get("specimen", ())},
         protocols={entry["name"]: entry for entry in document.get("protocol", ())},
@@ -127,6 +129,18 @@ def study_of(content: bytes, file: Path) -> Study:
     )
     _check_windows(study)
     return study
+
+
+def _model(table: Mapping[str, Any], refuser: _Refuser) -> str:
+    """The contact model, or those to choose among, as ``fit --model`` takes them."""
+    if ("name" in table) == ("candidates" in table):
+        refuser.refuse(("model",), '[model] takes name = "..." or candidates = ["...", "..."], one of them')
+    said = table["name"] if "name" in table else " | ".join(table["candidates"])
+    try:
+        candidates(said)
+    except ModelNameError as error:
+        refuser.refuse(("model", "name" if "name" in table else "candidates"), str(error))
+    return str(said)
 
 
 def _check_windows(study: Study) -> None:

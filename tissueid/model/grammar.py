@@ -23,8 +23,10 @@ from tissueid.result import ModelChoice
 
 __all__ = [
     "KELVIN_VOIGT",
+    "Candidates",
     "ModelNameError",
     "Named",
+    "candidates",
     "described",
     "known_laws",
     "parsed",
@@ -34,6 +36,9 @@ __all__ = [
 ]
 
 KELVIN_VOIGT = "kelvin-voigt"
+#: Choice among the Kelvin-Voigt law and what it is held against anyway.
+AUTO = "auto"
+HELD_AGAINST = ("polynomial * tangent * prony:1", "polynomial * tangent * prony:2")
 #: Degrees of K by name, as the Kelvin-Voigt law takes them.
 DEGREES = {"constant": 0, "linear": 1, "quadratic": 2}
 KINDS = ("static", "stiffness", "relaxation")
@@ -71,6 +76,26 @@ class Named:
             raise ValueError(msg)
         static, stiffness, relaxation = self.parts
         return ChannelModel(static, stiffness, relaxation, depth_mm, resolution_s, window_s, self.name)
+
+
+@dataclass(frozen=True, slots=True)
+class Candidates:
+    """Laws of one fit.
+
+    Attributes
+    ----------
+    paper : Named or None
+        A Kelvin-Voigt law, whose order may be open.
+    laws : tuple of Named
+        Others.
+    choose : bool
+        The one that predicts best is fitted; otherwise the Kelvin-Voigt law, held against the others, or the
+        only one.
+    """
+
+    paper: Named | None
+    laws: tuple[Named, ...]
+    choose: bool = False
 
 
 #: Laws of this process alone.
@@ -225,3 +250,24 @@ def parsed(name: str) -> Named:
     if keys[0] == "polynomial" and static.degree == 3 and keys[1] in DEGREES and keys[2] == "prony":
         return Named(name, relaxation.branches, DEGREES[keys[1]])
     return Named(name, parts=(static, stiffness, relaxation))
+
+
+def candidates(name: str) -> Candidates:
+    """Laws that a fit is asked for: one, ``auto``, or several with ``|`` between them.
+
+    Raises
+    ------
+    ModelNameError
+        A name is not known, or there are two Kelvin-Voigt laws.
+    """
+    names = [one.strip() for one in name.split("|")]
+    if names == [AUTO]:
+        return Candidates(parsed(KELVIN_VOIGT), tuple(parsed(one) for one in HELD_AGAINST), choose=True)
+    found = [parsed(one) for one in names]
+    paper, laws = [one for one in found if one.parts is None], [one for one in found if one.parts is not None]
+    if len(paper) > 1:
+        msg = f"{name!r}: {paper[0].name} and {paper[1].name} are one law; {KELVIN_VOIGT} chooses its order"
+        raise ModelNameError(msg)
+    if len(found) == 1 and paper and paper[0].branches is None:
+        return Candidates(paper[0], tuple(parsed(one) for one in HELD_AGAINST))
+    return Candidates(paper[0] if paper else None, tuple(laws), choose=len(found) > 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -46,6 +47,7 @@ def specimen_lines(
         One line of what was measured.
     """
     lines = [Line(_title(fit), "title")]
+    lines += [Line(f"  {line}") for line in _paper(fit)]
     own = [*parameter_lines(fit), *sampling_lines(fit)] if verbose else block_lines(fit)
     measured = (brief_measured_lines if brief else measured_lines)(fit.get("measured", ()))
     lines += [Line(f"  {line}") for line in (*own, *quoted_lines(fit), *measured)]
@@ -59,6 +61,20 @@ def specimen_lines(
             window = f"{row['window_s'][0]:g} to {row['window_s'][1]:g} s"
             lines.append(Line(f"  hold {window}: one exponential {tau}"))
     return lines
+
+
+def _paper(fit: Mapping[str, Any]) -> list[str]:
+    """The paper's model beside another that was chosen because it predicts as well or better."""
+    rows = fit["selection"]
+    others = [row for row in rows if "model" not in row]
+    if not others or "model" not in next((row for row in rows if row["chosen"]), {}):
+        return []
+    best = max(others, key=lambda row: float(row["score"]))
+    branches = f"{best['branches']} branch{'es' * (best['branches'] > 1)}"
+    more = 100.0 * (math.exp(-0.5 * best["score"]) - 1.0)
+    how = f"{abs(more):.0f} % {'more' if more >= 0.0 else 'less'}"
+    words = f"{branches}, K of degree {best['stiffness_degree']}: tau {best['tau_s']:.3g} s"
+    return [f"paper's model  {words}, misses what was left out by {how}; --model kelvin-voigt fits it"]
 
 
 def _title(fit: Mapping[str, Any]) -> str:
