@@ -104,7 +104,7 @@ class Estimate(Shown):
 
 @dataclass(frozen=True, slots=True)
 class ModelChoice:
-    """Model that was fitted: its key, and the name it was asked for by."""
+    """Model that was fitted: its key, the name it was asked for by, and nodes of the yardstick [s]."""
 
     key: str
     branches: int
@@ -113,12 +113,17 @@ class ModelChoice:
     static_pooling: str
     name: str = ""
     range_s: tuple[float, float] | None = None
+    inside_s: tuple[float, ...] = ()
+    outside_s: tuple[float, ...] = ()
 
     @classmethod
     def from_json(cls, found: Mapping[str, Any]) -> ModelChoice:
         """A choice from the ``model`` object of the schema."""
         ends = found.get("range_s")
-        return cls(**{**found, "range_s": None if ends is None else (float(ends[0]), float(ends[1]))})
+        nodes = {key: tuple(float(one) for one in found.get(key, ())) for key in ("inside_s", "outside_s")}
+        return cls(
+            **{**found, **nodes, "range_s": None if ends is None else (float(ends[0]), float(ends[1]))}
+        )
 
     def as_json(self) -> dict[str, Any]:
         """The ``model`` object of the schema."""
@@ -130,6 +135,8 @@ class ModelChoice:
             "static_degree": self.static_degree,
             "stiffness_degree": self.stiffness_degree,
             "static_pooling": self.static_pooling,
+            **({"inside_s": list(self.inside_s)} if self.inside_s else {}),
+            **({"outside_s": list(self.outside_s)} if self.outside_s else {}),
         }
 
 

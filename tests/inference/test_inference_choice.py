@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from inference_cases import draw, handles_for, identified, small_recipe
 
-from tissueid.inference.choice import Tried, _clusters, chosen_among, groups_of, held_out, resolved
+from tissueid.inference.channel_law import ChannelLaw, kelvin_voigt_law
+from tissueid.inference.choice import (
+    Tried,
+    _clusters,
+    choice_of,
+    chosen_among,
+    groups_of,
+    held_out,
+    resolved,
+    table_of,
+)
 from tissueid.inference.window import FOLDS
+from tissueid.model.grammar import parsed
 from tissueid.synth import Branch, Hold, Log, Move
 
 ONE = (Branch((30.0,), 0.3),)
@@ -50,8 +62,49 @@ def test_a_growing_stiffness_is_found_where_it_grows():
     assert sum(chosen(ONE, seed, branches=(1,), degrees=(0, 1)).law.degree == 0 for seed in seeds) >= 5
 
 
-def tried(branches, degree, errors):
-    return Tried(branches, degree, None, None, np.array(errors))
+def tried(branches, degree, errors, law=None):
+    law = law or kelvin_voigt_law(branches, degree, 8.0)
+    point = SimpleNamespace(log_times=np.log(np.arange(1.0, law.times + 1)), linear=np.ones(law.linear))
+    optimum = SimpleNamespace(point=point, covariance=1e-4 * np.eye(law.times + law.linear))
+    return Tried(branches, degree, optimum, SimpleNamespace(law=law), np.array(errors))
+
+
+def named(name, errors):
+    law = ChannelLaw.of(parsed(name).model(8.0, 0.01, 10.0))
+    return tried(law.branches, law.degree, errors, law)
+
+
+NEAR, FAR = [1.0, 1.1, 0.9, 1.0], [2.0, 2.1, 2.0, 1.9]
+
+
+def test_a_law_of_fewer_parameters_that_predicts_as_well_is_chosen():
+    paper, simple = tried(2, 1, NEAR), named("power * power-law", [1.0, 1.2, 0.9, 1.0])
+    found = choice_of(paper, [simple], choose=True)
+    assert found.chosen is simple
+    (beside,) = found.rivals
+    assert beside.name == "polynomial * linear * prony:2"
+    rows = table_of([{"branches": 2, "stiffness_degree": 1, "score": 0.0, "chosen": True}], found, paper)
+    assert [row["chosen"] for row in rows] == [False, True]
+    assert rows[0]["score"] == pytest.approx(beside.gain)
+    assert rows[1]["model"] == "power * power-law"
+
+
+def test_of_as_many_parameters_the_papers_law_is_kept_and_unasked_always():
+    paper, other = tried(1, 0, NEAR), named("polynomial * tangent * prony:1", [0.99, 1.09, 0.9, 1.0])
+    assert choice_of(paper, [other], choose=True).chosen is paper
+    better = named("power * fung", [0.1, 0.1, 0.1, 0.1])
+    assert choice_of(paper, [better], choose=False).chosen is paper
+    assert choice_of(paper, [better], choose=True).chosen is better
+
+
+def test_the_yardstick_is_a_row_and_never_chosen():
+    paper, mark = tried(1, 0, FAR), named("power * fung", NEAR)
+    law = replace(mark.law, model_of=replace(mark.law.model_of, name="yardstick"))
+    found = choice_of(paper, [tried(1, 0, NEAR, law)], choose=True)
+    assert found.chosen is paper
+    assert found.rivals == ()
+    assert found.mark.gain > 0.5
+    assert [row.get("model") for row in table_of([], found, paper)] == ["yardstick"]
 
 
 def test_the_simplest_within_one_standard_error_is_chosen():

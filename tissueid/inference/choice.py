@@ -22,6 +22,7 @@ from tissueid.inference.optimum import Optimum, covariance_of, minimise, nearest
 from tissueid.inference.system import System
 from tissueid.inference.window import FOLDS, FittedLog
 from tissueid.model.channels import TissueModel
+from tissueid.model.yardstick import YARDSTICK
 
 __all__ = [
     "Choice",
@@ -321,10 +322,13 @@ class Choice:
     chosen : Tried
     rivals : tuple of Rival
         Other laws beside it.
+    mark : Rival or None
+        The yardstick beside it.
     """
 
     chosen: Tried
     rivals: tuple[Rival, ...]
+    mark: Rival | None
 
 
 def choice_of(paper: Tried | None, others: Sequence[Tried], *, choose: bool) -> Choice:
@@ -341,15 +345,18 @@ def choice_of(paper: Tried | None, others: Sequence[Tried], *, choose: bool) -> 
         Other laws may be chosen.
     """
     everyone = [one for one in (paper, *others) if one is not None]
+    laws = [one for one in everyone if one.name != YARDSTICK] or everyone
     if paper is not None and not choose:
         chosen = paper
     else:
-        as_good = chosen_among(everyone)[2]
+        # the yardstick is the mark: it is chosen only where it alone was asked for
+        as_good = chosen_among(laws)[2]
         chosen = min(
             as_good, key=lambda one: (_parameters(one), one is not paper, -rival_of(one, as_good[0]).gain)
         )
-    rivals = [one for one in everyone if one is not chosen]
-    return Choice(chosen, tuple(rival_of(one, chosen) for one in rivals))
+    beside = [rival_of(one, chosen) for one in everyone if one is not chosen]
+    mark = next((one for one in beside if one.name == YARDSTICK), None)
+    return Choice(chosen, tuple(one for one in beside if one is not mark), mark)
 
 
 def table_of(
@@ -365,7 +372,7 @@ def table_of(
         rows = [{**row, "score": row["score"] + behind, "chosen": False} for row in rows]
     if chosen is not paper:
         rows.append(_named_row(chosen.name, chosen.law, 0.0, 0.0) | {"chosen": True})
-    for one in choice.rivals:
+    for one in (*choice.rivals, *(() if choice.mark is None else (choice.mark,))):
         if paper is None or one.name != paper.name:
             rows.append(_named_row(one.name, one.model, one.gain, one.stderr) | {"tau_s": one.tau_s})
     return tuple(rows)

@@ -36,6 +36,7 @@ from tissueid.inference.prior import Scatter, prior_rows
 from tissueid.inference.search import starting_points
 from tissueid.inference.system import SHAPE, Effects, Point, System
 from tissueid.inference.window import FittedLog, one_program
+from tissueid.inference.yardstick_law import YardstickLaw, yardstick_law
 from tissueid.model.grammar import KELVIN_VOIGT, Candidates, Named, candidates
 from tissueid.priors import Priors
 
@@ -127,6 +128,11 @@ class Identified:
     request: Request
     rivals: tuple[Rival, ...] = ()
 
+    @property
+    def quotable(self) -> bool:
+        """False of the yardstick, which has no parameters to quote."""
+        return not isinstance(self.law, YardstickLaw)
+
 
 def _effects(pooling: str, logs: int) -> Effects:
     if pooling == "shared" and logs > 1:
@@ -147,21 +153,22 @@ class _Fitting:
     def __init__(self, base: System, request: Request, least_N: float, step_s: float) -> None:
         self.base, self.request, self.least_N, self.step_s = base, request, least_N, step_s
         self.scatter, laws = WIDE, request.candidates
-        self.others = {one.name: self.named(one) for one in laws.laws}
         # of laws without a Kelvin-Voigt one, the noise and the logs' differences are told by the freest
-        self.freest = max(self.others.values(), key=_freedom, default=None)
+        told = [] if laws.paper is not None else [self.named(one) for one in laws.laws if not one.mark]
+        self.freest = max(told, key=_freedom, default=None)
         machine = np.array([request.priors.calibration[name].mean for name in _MACHINE])
         self.at = _blank(self.law(1, 0), base, machine)
 
     def law(self, branches: int, degree: int) -> ChannelLaw:
         """A Kelvin-Voigt law, or the freest of those that were asked for instead."""
-        if self.request.candidates.paper is None:
-            assert self.freest is not None  # noqa: S101 -- one of them is asked for
+        if self.freest is not None:
             return self.freest
         return kelvin_voigt_law(branches, degree, self.base.depth_mm)
 
     def named(self, name: Named) -> ChannelLaw:
         """A law by its name."""
+        if name.mark:
+            return yardstick_law(self.base, self.at, whitener_of(self.base, Memory()))
         longest = max(float(one.time_s[-1] - one.time_s[0]) for one in self.base.logs)
         return ChannelLaw.of(name.model(self.base.depth_mm, self.step_s, longest))
 
@@ -296,14 +303,13 @@ def identify_logs(
         noise, verdict = _noise(fitting, system, optimum, seen, request.noise)
         refuted = verdict.refuted
         memory = Memory() if refuted else noise.memory
-    orders = _Orders(None, (), ())
-    if request.candidates.paper is not None or request.single:
+    orders, laws = _Orders(None, (), ()), request.candidates
+    if laws.paper is not None:
         orders = _orders_tried(fitting, memory, groups, facts, tick)
     others = []
-    if not request.single:
-        for name, other in fitting.others.items():
-            tick(name)
-            others.append(_tried(fitting, other, memory, groups))
+    for one in () if laws.paper is not None and request.single else laws.laws:
+        tick(one.name)
+        others.append(_tried(fitting, fitting.named(one), memory, None if request.single else groups))
     paper = orders.chosen
     choice = choice_of(paper, others, choose=request.candidates.choose)
     found = _finished(fitting, choice.chosen, evidence, memory, groups.kind, tick)
@@ -330,7 +336,7 @@ def _orders_tried(
 ) -> _Orders:
     """Orders until none is wanted."""
     request, tried = fitting.request, list[Tried]()
-    single = len(request.branches) * len(request.degrees) == 1 or request.candidates.paper is None
+    single = len(request.branches) * len(request.degrees) == 1
     orders = [(request.branches[0], request.degrees[0])] if single else _orders(request)
     while True:
         for branches, degree in orders:

@@ -246,6 +246,9 @@ def estimate_tissue(identified: Identified) -> TissueEstimate:
     model, point = identified.law.model(), identified.optimum.point
     theta = identified.law.theta(point.log_times, point.linear)[0]
     covariance = theta_covariance(identified)
+    bounded = bool(identified.optimum.active[: len(identified.law.cone())].any())
+    if not identified.quotable:
+        return TissueEstimate(model, theta, covariance, (), (), bounded)
     static = [k for k, name in enumerate(model.parameter_names) if name.startswith("static")]
     depths = np.array(CURVE_DEPTHS) * model.depth_mm
     parameters = _alike(model, theta, covariance, static, lambda theta: model.static_force(theta, depths))
@@ -269,5 +272,5 @@ def estimate_tissue(identified: Identified) -> TissueEstimate:
         covariance=np.where(np.isfinite(covariance), covariance, 0.0),
         parameters=tuple(parameters),
         intervals=tuple(intervals),
-        bounded=bool(identified.optimum.active[: len(identified.law.cone())].any()),
+        bounded=bounded,
     )

@@ -75,7 +75,7 @@ def frame_flags(fit: SpecimenFit, frame: FrameCurve | None, stated: Mapping[str,
         ``[calibration]`` of the study.
     """
     flags = [flag for flag in fit.flags if flag.code != "compliance_unknown"]
-    if fit.model.branches == 0 or fit.axes.normalised:
+    if not fit.parameters or fit.model.branches == 0 or fit.axes.normalised:
         return flags
     short = _shortest(fit)
     if frame is not None:

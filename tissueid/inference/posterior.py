@@ -228,7 +228,7 @@ def with_posterior(
         Told what is being done.
     """
     tick = tick or (lambda _: None)
-    if options.sampler == "none" or fitted.identified.law.branches == 0:
+    if options.sampler == "none" or fitted.identified.law.branches == 0 or not fitted.identified.quotable:
         return fitted.fit
     with threadpool_limits(limits=1, user_api="blas"):
         target, sampled = _sampled(fitted, options, instrument, checkpoint, key, tick)

@@ -17,7 +17,7 @@ from tissueid.inference.noise import Whitener
 from tissueid.inference.prior import bernstein, time_bounds
 from tissueid.inference.system import Point, System
 
-__all__ = ["starting_points"]
+__all__ = ["observed_columns", "starting_points"]
 
 FloatArray = NDArray[np.float64]
 
@@ -65,7 +65,7 @@ def _ranked(found: dict[tuple[int, ...], float], most: int) -> Iterator[tuple[in
             return
 
 
-def _columns(system: System, law: ChannelLaw, shapes: FloatArray, at: Point) -> FloatArray:
+def observed_columns(system: System, law: ChannelLaw, shapes: FloatArray, at: Point) -> FloatArray:
     """Observed columns of a law for non-negative generators of its linear parameters, (k, linear)."""
     wide = system.under(law)
     point = Point(shapes, at.machine, np.zeros(law.linear), at.own)
@@ -97,14 +97,14 @@ def starting_points(system: System, law: ChannelLaw, at: Point, white: Whitener)
     white : Whitener
         Weights.
     """
-    if law.inside or law.fixed_s.size or not law.relaxation.branches:
+    if law.inside or law.times == 0 or law.fixed_s.size or not law.relaxation.branches:
         return _of_grid(system, law, at, white)
     low, high = time_bounds(system)
     nodes = np.linspace(low + 0.5, high - 0.5, NODES)
     target, out = white(system.force), []
     for shapes in product(*[np.log(one.starts) for one in law.shapes[law.branches :]]):
         every = law.with_branches(NODES)
-        columns = _columns(system, every, np.concatenate([nodes, shapes]), at)
+        columns = observed_columns(system, every, np.concatenate([nodes, shapes]), at)
         problem = _Combinations(white(columns), target, law.static_size, law.powers)
         to = _generators(law)
         for chosen in _ranked(_misfits(problem, law.branches), STARTS[law.branches]):
@@ -139,7 +139,7 @@ def _of_grid(system: System, law: ChannelLaw, at: Point, white: Whitener) -> lis
     for time, shapes in product(times, product(*[np.log(one.starts) for one in further])):
         static, own = shapes[: law.counts[1]], shapes[law.counts[1] :]
         values = np.concatenate([time, static, np.tile(own, law.branches)])
-        columns = white(_columns(system, law, values, at))
+        columns = white(observed_columns(system, law, values, at))
         size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
         coefficients, rest = nnls(columns / size, target)
         out.append((rest, Point(values, at.machine, to @ (coefficients / size), at.own)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,7 @@ from tissueid.inference.target import SpecimenTarget
 from tissueid.inference.trials import Adjustment
 from tissueid.inference.verdict import discrepancy_flags, specimen_flags
 from tissueid.inference.window import FittedLog
+from tissueid.inference.yardstick_law import YardstickLaw
 from tissueid.measured import spread
 from tissueid.measured.geometry import DEFAULT_POISSON, Geometry, TipOf
 from tissueid.model.grammar import KELVIN_VOIGT, candidates, parsed
@@ -40,7 +42,7 @@ __all__ = ["POOLINGS", "FitOptions", "FittedSpecimen", "LogHandle", "fit_specime
 
 FloatArray = NDArray[np.float64]
 
-MAX_BRANCHES, MAX_DEGREE = 3, 2
+MAX_BRANCHES, MAX_DEGREE, MAX_STATIC = 3, 2, 3
 POOLINGS = ("scaled", "partial", "shared")
 
 
@@ -272,10 +274,10 @@ def _fit(
     optimisers = both_optimisers(identified)
     tissue = estimate_tissue(identified)
     worth = 1.0
-    if identified.discrepant:
+    if identified.discrepant and identified.quotable:
         worth = sandwich_covariance(SpecimenTarget(identified, machine=request.machine))[1]
     noise = noise_of(identified, worth)
-    window = relaxation_window(handles, identified, tick)
+    window = relaxation_window(handles, identified, tick) if identified.quotable else None
 
     def described(point: Point) -> FittedSpecimen:
         return _described(specimen, tuple(handles), identified, noise, options, tick, point)
@@ -302,13 +304,15 @@ def _fit(
             depths_mm=options.depths_mm,
             tip=TipOf(options.geometry, options.header_tip),
         )
-        flags = specimen_flags(
-            here, facts, told.trials, sigma_N=noise.sigma_N, optimisers=optimisers,
-            noise=None if noise.discrepant else noise.model,
-        )  # fmt: skip
+        told_flags: tuple[Flag, ...] = ()
+        if found.quotable:
+            told_flags = specimen_flags(
+                here, facts, told.trials, sigma_N=noise.sigma_N, optimisers=optimisers,
+                noise=None if noise.discrepant else noise.model,
+            )  # fmt: skip
         flags = (
             *discrepancy_flags(noise, told.nrmsd),
-            *flags,
+            *told_flags,
             *undecided_flags(found),
             *rival_flags(found),
             *window_flags(window),
@@ -327,7 +331,7 @@ def _fit(
             kept = [flag for flag in said if not (decided and flag.code == "poroelastic")]
             return replace(numbers, model=(*numbers.model, slope)), [*kept, *drains]
 
-        quoted, said = quoted_of(here)
+        quoted, said = quoted_of(here) if found.quotable else (None, [])
         flags, unloading = (*flags, *said), None
         if followed is not None:
             unloading, more = unloading_verdict(followed, here, adjustments, sigma_N=noise.sigma_N)
@@ -339,12 +343,13 @@ def _fit(
                 key=KEY if found.law.model_of is None else found.law.model_of.key,
                 name=_name_of(found),
                 branches=found.law.branches,
-                static_degree=found.law.static_size,
+                static_degree=min(found.law.static_size, MAX_STATIC),
                 stiffness_degree=found.law.degree,
                 static_pooling="shared" if len(logs) == 1 else options.static,
                 range_s=None
                 if found.law.model_of is None
                 else (found.law.model_of.resolution_s, found.law.model_of.window_s),
+                **_nodes(found),
             ),
             parameters=tissue.parameters,
             theta_names=tissue.model.parameter_names,
@@ -388,6 +393,13 @@ def window_flags(window: RelaxationWindow | None) -> tuple[Flag, ...]:
         f"{window.tau_s[0]:.3g} s in {window.cut_s[0]:.3g} s"
     )
     return (Flag("form_dependent", words, {"slope": window.slope}),)
+
+
+def _nodes(found: Identified) -> dict[str, Any]:
+    """Nodes of the yardstick."""
+    if not isinstance(found.law, YardstickLaw):
+        return {}
+    return {"inside_s": found.law.mark.inside_s, "outside_s": found.law.mark.outside_s}
 
 
 def _name_of(found: Identified) -> str:

@@ -294,7 +294,7 @@ class ChannelModel:
         for part in self.parts:
             weights, tau = self.exponentials(theta, part)
             driver = elastic if part.ratio is not None else x
-            state = weights @ _states(path.time_s, driver, tau)
+            state = weights @ branch_states(path.time_s, driver, tau)
             if part.ratio is not None:
                 total = total + theta[part.ratio] * state
             else:
@@ -349,7 +349,7 @@ def viscous(model: TissueModel) -> bool:
     return isinstance(model, KelvinVoigt) or bool(model.relaxation.branches and not model.inside)
 
 
-def _states(time_s: FloatArray, driver: FloatArray, tau: FloatArray) -> FloatArray:
+def branch_states(time_s: FloatArray, driver: FloatArray, tau: FloatArray) -> FloatArray:
     """Convolutions of a driver's rate with exponentials, linear in between; (n,) -> (t, n)."""
     driver = np.ascontiguousarray(driver)
     return np.stack([branch_state(time_s, driver, float(one), 0.0) for one in tau])

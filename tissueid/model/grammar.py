@@ -19,6 +19,7 @@ from tissueid.model.base import ParameterSpec
 from tissueid.model.channels import ChannelModel, TissueModel
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.model.law import About
+from tissueid.model.yardstick import YARDSTICK, yardstick_of
 from tissueid.result import ModelChoice
 
 __all__ = [
@@ -36,7 +37,7 @@ __all__ = [
 ]
 
 KELVIN_VOIGT = "kelvin-voigt"
-#: Choice among the Kelvin-Voigt law and what it is held against anyway.
+#: Choice among the Kelvin-Voigt law and what it is held against anyway, beside the yardstick.
 AUTO = "auto"
 HELD_AGAINST = ("polynomial * tangent * prony:1", "polynomial * tangent * prony:2")
 #: Degrees of K by name, as the Kelvin-Voigt law takes them.
@@ -62,17 +63,25 @@ class Named:
         Of a Kelvin-Voigt law; None where they are chosen, and of other laws.
     parts : tuple or None
         Static, stiffness and relaxation law; None where it is a Kelvin-Voigt law.
+    mark : bool
+        It is the yardstick.
     """
 
     name: str
     branches: int | None = None
     degree: int | None = None
     parts: tuple[Any, Any, Any] | None = None
+    mark: bool = False
+
+    @property
+    def paper(self) -> bool:
+        """True of a Kelvin-Voigt law."""
+        return self.parts is None and not self.mark
 
     def model(self, depth_mm: float, resolution_s: float, window_s: float) -> ChannelModel:
         """The model of its parts for a depth and a range of times."""
         if self.parts is None:
-            msg = f"{self.name} is a Kelvin-Voigt law"
+            msg = f"{self.name} is not made of three parts"
             raise ValueError(msg)
         static, stiffness, relaxation = self.parts
         return ChannelModel(static, stiffness, relaxation, depth_mm, resolution_s, window_s, self.name)
@@ -150,6 +159,14 @@ def whole_names() -> tuple[About, ...]:
             purpose="the default: branches and the degree of K are chosen by what they predict",
             refuses="nothing of its own",
         ),
+        About(
+            key=YARDSTICK,
+            kind="whole",
+            equation="F = G_0(x) + sum_j int e^(-(t-t')/tau_j) dG_j + sum_k K_k(x) s_k, G_j grow, K_k >= 0",
+            source="10.1016/0022-5096(68)90016-1",
+            purpose="the mark of what can be reached: one least squares with non-negative weights",
+            refuses="to be quoted: it has no parameters and no intervals",
+        ),
     )
 
 
@@ -163,6 +180,8 @@ def rebuilt(choice: ModelChoice, depth_mm: float) -> TissueModel:
     """
     if choice.key == KELVIN_VOIGT:
         return KelvinVoigt(choice.branches, choice.stiffness_degree, depth_mm)
+    if choice.key == YARDSTICK:
+        return yardstick_of(depth_mm, choice.inside_s, choice.outside_s)
     if choice.range_s is None:
         msg = f"{choice.key}: the times that its relaxation was looked at are missing"
         raise ValueError(msg)
@@ -179,8 +198,8 @@ def described() -> list[dict[str, Any]]:
             made = law()
             specs = [*getattr(made, "coefficients", ()), *(one.spec for one in getattr(made, "shapes", ()))]
             rows.append(_row(law.about, specs))
-    specs = [*KelvinVoigt(1, 2, 1.0).parameters]
-    return [*rows, *(_row(about, specs) for about in whole_names())]
+    own: dict[str, Sequence[ParameterSpec]] = {KELVIN_VOIGT: KelvinVoigt(1, 2, 1.0).parameters}
+    return [*rows, *(_row(about, own.get(about.key, ())) for about in whole_names())]
 
 
 def _row(about: About, specs: Sequence[ParameterSpec]) -> dict[str, Any]:
@@ -236,8 +255,10 @@ def parsed(name: str) -> Named:
     words = [word.strip() for word in name.split("*")]
     if words == [KELVIN_VOIGT]:
         return Named(name)
+    if words == [YARDSTICK]:
+        return Named(name, mark=True)
     if len(words) not in {2, 3} or not all(words):
-        form = f"STATIC * [STIFFNESS *] RELAXATION, as in 'power * prony:2', or {KELVIN_VOIGT}"
+        form = f"STATIC * [STIFFNESS *] RELAXATION, as in 'power * prony:2', {KELVIN_VOIGT} or {YARDSTICK}"
         msg = f"{name!r} is no model: {form}"
         raise ModelNameError(msg)
     if len(words) == 2:
@@ -262,9 +283,10 @@ def candidates(name: str) -> Candidates:
     """
     names = [one.strip() for one in name.split("|")]
     if names == [AUTO]:
-        return Candidates(parsed(KELVIN_VOIGT), tuple(parsed(one) for one in HELD_AGAINST), choose=True)
+        beside = tuple(parsed(one) for one in (*HELD_AGAINST, YARDSTICK))
+        return Candidates(parsed(KELVIN_VOIGT), beside, choose=True)
     found = [parsed(one) for one in names]
-    paper, laws = [one for one in found if one.parts is None], [one for one in found if one.parts is not None]
+    paper, laws = [one for one in found if one.paper], [one for one in found if not one.paper]
     if len(paper) > 1:
         msg = f"{name!r}: {paper[0].name} and {paper[1].name} are one law; {KELVIN_VOIGT} chooses its order"
         raise ModelNameError(msg)

@@ -26,6 +26,7 @@ __all__ = [
     "LAW_SIZE",
     "MOST_BRANCHES",
     "MOST_PIECES",
+    "OWN_SIZE",
     "STATE_SIZE",
     "branch_sensitivity",
     "branch_state",
@@ -132,31 +133,34 @@ def branch_sensitivity(time_s: FloatArray, depth_mm: FloatArray, tau: float) -> 
 
 
 # -- the law as one flat block --------------------------------------------------------------------
-LAW_SIZE = 116
+LAW_SIZE = 176
 MOST_BRANCHES = 12
 MOST_PIECES = 16
 _DEPTH = 0
 _BRANCHES = 1
 #: Pieces of F_s, cubic each: piece i begins at depth (i / pieces)^2.
 _PIECES = 2
-#: 1 where the static force is what the branches follow, 0 where it is the depth.
-_INSIDE = 3
+#: What the branches follow: 0 the depth, 1 the static force, 2 a polynomial of depth each.
+_FOLLOWED = 3
 _STATIC = 4
 _STATIC_SIZE = 4
 _STIFFNESS = 68
 #: Coefficients of K kept a branch, constant first; a lower degree has zeros.
 _STIFFNESS_SIZE = 3
 _TAU = 104
+#: Polynomials that the branches follow, constant term first (0).
+_OWN = 116
+OWN_SIZE = 5
 
 # -- what a tissue remembers ----------------------------------------------------------------------
-STATE_SIZE = 38
+STATE_SIZE = 49
 _SURFACE = 0
-#: What the branches follow, at the surface: the depth [mm] or the static force [N].
-_DRIVER = 1
-_STATES = 2
-#: Room of one step: states decayed over it, and their gain by the driver's motion.
-_DECAYED = 14
-_GAIN = 26
+_STATES = 1
+#: Room of one step: states decayed over it, and their gain by the motion of what they follow.
+_DECAYED = 13
+_GAIN = 25
+#: What each branch follows, at the surface: a depth [mm] or a force [N].
+_DRIVERS = 37
 
 
 @tick_part
@@ -199,19 +203,28 @@ def _static(law: FloatArray, at: int, x: float) -> tuple[float, float]:
 
 
 @tick_part
+def _followed(law: FloatArray, at: int, j: int, y: float, force: float, slope: float) -> tuple[float, float]:
+    """What a branch follows at a surface position, and its rate by it; static force and slope are given."""
+    kind = law[at + _FOLLOWED]
+    if kind < 1.0:
+        return y, 1.0
+    if kind < 2.0:
+        return force, slope
+    return _continued(law, at + _OWN + j * OWN_SIZE, OWN_SIZE, y, law[at + _DEPTH])
+
+
+@tick_part
 def _following_force(
     law: FloatArray, at: int, state: FloatArray, first: int, y: float
 ) -> tuple[float, float]:
     """Force on a surface that moves linearly to ``y`` in this step, and its slope by y."""
     depth = law[at + _DEPTH]
-    force, slope = _static(law, at, y)
-    driver, rate = y, 1.0
-    if law[at + _INSIDE] > 0.0:
-        driver, rate = force, slope
-    moved = driver - state[first + _DRIVER]
+    static, rise = _static(law, at, y)
+    force, slope = static, rise
     for j in range(int(law[at + _BRANCHES])):
         gain = state[first + _GAIN + j]
-        elongation = state[first + _DECAYED + j] + gain * moved
+        driver, rate = _followed(law, at, j, y, static, rise)
+        elongation = state[first + _DECAYED + j] + gain * (driver - state[first + _DRIVERS + j])
         k, dk = _continued(law, at + _STIFFNESS + j * _STIFFNESS_SIZE, _STIFFNESS_SIZE, y, depth)
         force += k * elongation
         slope += dk * elongation + k * gain * rate
@@ -269,8 +282,8 @@ def tissue_step_in(law: FloatArray, at: int, state: FloatArray, first: int, x: f
         Holds what :func:`pack_law` wrote, from index ``at``.
     at : int
     state : ndarray
-        Holds :data:`STATE_SIZE` numbers from index ``first``: the surface [mm], what the branches follow
-        there, the branch states, and room to work in; all zero at rest.  **Updated in place.**
+        Holds :data:`STATE_SIZE` numbers from index ``first``: the surface [mm], the branch states, room to
+        work in, and what the branches follow there; all zero at rest.  **Updated in place.**
     first : int
     x : float
         Tool position at the end of the step [mm]; negative is in air.
@@ -292,15 +305,16 @@ def tissue_step_in(law: FloatArray, at: int, state: FloatArray, first: int, x: f
     y = target
     if force < 0.0 and n > 0:
         y = _force_free_surface(law, at, state, first, target)
-    driver = y
-    if law[at + _INSIDE] > 0.0:
-        driver, _slope = _static(law, at, y)
-    moved = driver - state[first + _DRIVER]
+    static, rise = 0.0, 0.0
+    if law[at + _FOLLOWED] > 0.0:
+        static, rise = _static(law, at, y)
     for j in range(n):
+        driver, _rate = _followed(law, at, j, y, static, rise)
+        moved = driver - state[first + _DRIVERS + j]
         elongation = state[first + _DECAYED + j] + state[first + _GAIN + j] * moved
         state[first + _STATES + j] = elongation if abs(elongation) >= FLUSH_MM else 0.0
+        state[first + _DRIVERS + j] = driver
     state[first + _SURFACE] = y
-    state[first + _DRIVER] = driver
     # a tool in air touches nothing, even where rounding leaves a force at the rest level
     return max(force, 0.0) if x >= 0.0 else 0.0
 
@@ -337,7 +351,7 @@ def pack_law(
             law[at + _STIFFNESS + j * _STIFFNESS_SIZE + k] = stiffness[j, k]
 
 
-def pack_pieces(law: FloatArray, at: int, pieces: FloatArray, *, inside: bool) -> None:
+def pack_pieces(law: FloatArray, at: int, pieces: FloatArray, *, followed: int, own: FloatArray) -> None:
     """Write a static law by pieces over one that :func:`pack_law` wrote.
 
     Parameters
@@ -346,11 +360,15 @@ def pack_pieces(law: FloatArray, at: int, pieces: FloatArray, *, inside: bool) -
     at : int
     pieces : ndarray, shape (n, 4)
         Cubic of each piece by powers of the distance from its beginning, at most :data:`MOST_PIECES`.
-    inside : bool
-        The branches follow the static force, their stiffness being a ratio to it.
+    followed : int
+        What the branches follow: 0 the depth, 1 the static force (their stiffness is then a ratio to it), 2 a
+        polynomial each.
+    own : ndarray, shape (branches, OWN_SIZE)
+        These polynomials by powers of x, constant term first (0); empty otherwise.
     """
     law[at + _PIECES] = len(pieces)
-    law[at + _INSIDE] = float(inside)
+    law[at + _FOLLOWED] = float(followed)
+    law[at + _OWN : at + _OWN + own.size] = own.ravel()
     law[at + _STATIC : at + _STATIC + pieces.size] = pieces.ravel()
 
 
@@ -391,9 +409,9 @@ def tissue_step(
     _pack_law(static, stiffness, tau, depth, law, 0)
     state = np.zeros(STATE_SIZE)
     state[_SURFACE] = surface
-    state[_DRIVER] = surface
     for j in range(states.size):
         state[_STATES + j] = states[j]
+        state[_DRIVERS + j] = surface
     force = tissue_step_in(law, 0, state, 0, x, h)
     for j in range(states.size):
         states[j] = state[_STATES + j]
@@ -431,7 +449,8 @@ def surface_path(
     state = np.zeros(STATE_SIZE)
     surface[0] = max(tool_mm[0], 0.0)
     state[_SURFACE] = surface[0]
-    state[_DRIVER] = surface[0]
+    for j in range(tau.size):
+        state[_DRIVERS + j] = surface[0]
     force[0] = _static(law, 0, surface[0])[0] if tool_mm[0] >= 0.0 else 0.0
     for i in range(1, n):
         force[i] = tissue_step_in(law, 0, state, 0, tool_mm[i], time_s[i] - time_s[i - 1])

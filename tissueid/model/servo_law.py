@@ -7,19 +7,23 @@ exponentials (Lawson & Hanson 1974, doi 10.1137/1.9781611971217), which are pass
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.polynomial.polynomial import polyder, polyval
 from numpy.typing import NDArray
 
 from tissueid.model.channels import ChannelModel, Part, TissueModel
 from tissueid.model.kelvin_voigt import KelvinVoigt
-from tissueid.model.kernels import LAW_SIZE, MOST_BRANCHES, MOST_PIECES, pack_law, pack_pieces
+from tissueid.model.kernels import LAW_SIZE, MOST_BRANCHES, MOST_PIECES, OWN_SIZE, pack_law, pack_pieces
+from tissueid.model.yardstick import Yardstick
 
 __all__ = ["ServoLaw", "servo_law"]
 
 FloatArray = NDArray[np.float64]
 
+#: What branches follow.
+DEPTH, STATIC, OWN = 0, 1, 2
 #: Nodes of a projection go from this share of the resolution to this many windows.
 BELOW, BEYOND = 0.1, 5.0
 #: Times at which a projection is compared, and a time that is none, in windows.
@@ -43,25 +47,28 @@ class ServoLaw:
     stiffness : ndarray, shape (branches, k)
         Coefficients of K_j by powers of x [N/mm^(k+1)]; inside, the ratio to the static force.
     tau_s : ndarray, shape (branches,)
-    inside : bool
-        The branches follow the static force.
+    followed : int
+        What the branches follow: 0 the depth, 1 the static force, 2 polynomials of their own.
     depth_mm : float
     error : float
         Largest error of the relaxing force by the projection, over the force of a sudden push.
+    own : ndarray, shape (branches, OWN_SIZE)
+        These polynomials by powers of x [N, mm].
     """
 
     static: FloatArray
     stiffness: FloatArray
     tau_s: FloatArray
-    inside: bool
+    followed: int
     depth_mm: float
     error: float
+    own: FloatArray = field(default_factory=lambda: np.zeros((0, OWN_SIZE)))
 
     def pack(self, law: FloatArray, at: int) -> None:
         """Write it from index ``at``, :data:`~tissueid.model.kernels.LAW_SIZE` numbers."""
         pack_law(self.static[0], self.stiffness, self.tau_s, self.depth_mm, law, at)
-        if len(self.static) > 1 or self.inside:
-            pack_pieces(law, at, self.static, inside=self.inside)
+        if len(self.static) > 1 or self.followed:
+            pack_pieces(law, at, self.static, followed=self.followed, own=self.own)
 
     def packed(self) -> FloatArray:
         """A block of its own, shape (LAW_SIZE,)."""
@@ -71,14 +78,18 @@ class ServoLaw:
 
     def stiffer(self, factor: float) -> ServoLaw:
         """The same tissue with all its forces times a factor."""
-        stiffness = self.stiffness if self.inside else factor * self.stiffness
+        stiffness = self.stiffness if self.followed == STATIC else factor * self.stiffness
         return replace(self, static=factor * self.static, stiffness=stiffness)
 
     def linearised(self, model: TissueModel, theta: FloatArray, depth_mm: FloatArray) -> FloatArray:
         """Stiffness of every exponential for small moves about rest at depths, (branches, n) [N/mm]."""
-        if self.inside:
+        if self.followed == OWN:
+            x = np.asarray(depth_mm, dtype=np.float64)
+            rows = zip(self.own, self.stiffness, strict=True)
+            return np.array([polyval(x, polyder(one)) * polyval(x, k) for one, k in rows])
+        if self.followed == STATIC:
             return np.asarray(self.stiffness[:, :1] * model.static_slope(theta, depth_mm))
-        found = np.polynomial.polynomial.polyval(np.asarray(depth_mm), self.stiffness.T)
+        found = polyval(np.asarray(depth_mm), self.stiffness.T)
         return np.asarray(found, dtype=np.float64).reshape(len(self.tau_s), np.size(depth_mm))
 
 
@@ -93,7 +104,9 @@ def servo_law(model: TissueModel, theta: FloatArray) -> ServoLaw:
     if isinstance(model, KelvinVoigt):
         static, stiffness, tau = model.split(theta)
         whole = np.concatenate([[0.0], static])[None]
-        return ServoLaw(whole, np.array(stiffness), np.array(tau), False, model.depth_mm, 0.0)
+        return ServoLaw(whole, np.array(stiffness), np.array(tau), DEPTH, model.depth_mm, 0.0)
+    if isinstance(model, Yardstick):
+        return _of_yardstick(model, theta)
     rows, times, worst = [], [], 0.0
     share = max(MOST_BRANCHES // model.branches, 1)
     for part in model.parts:
@@ -106,10 +119,18 @@ def servo_law(model: TissueModel, theta: FloatArray) -> ServoLaw:
         _pieces(model, theta),
         np.concatenate(rows),
         np.concatenate(times),
-        model.inside,
+        STATIC if model.inside else DEPTH,
         model.depth_mm,
         worst,
     )
+
+
+def _of_yardstick(model: Yardstick, theta: FloatArray) -> ServoLaw:
+    """Each node an exponential that follows its own curve, or the depth beside a stiffness."""
+    own, stiffness = np.zeros((model.branches, OWN_SIZE)), np.zeros((model.branches, 3))
+    for j in range(model.branches):
+        own[j], stiffness[j] = model.curves(theta, j)
+    return ServoLaw(_pieces(model, theta), stiffness, model.fixed_s, OWN, model.depth_mm, 0.0, own)
 
 
 def _pieces(model: ChannelModel, theta: FloatArray) -> FloatArray:

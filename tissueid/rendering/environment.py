@@ -61,8 +61,8 @@ TISSUE = 1
 GUIDANCE = 2
 
 # -- the block ------------------------------------------------------------------------------------
-BLOCK_VERSION = 2
-ENVIRONMENT_SIZE = 144
+BLOCK_VERSION = 3
+ENVIRONMENT_SIZE = 204
 VERSION = 0
 KIND = 1
 #: Which of the things to be compared this is: 0 for the first; copied to the info.
@@ -80,7 +80,7 @@ SURFACE = 10
 #: :data:`~tissueid.model.kernels.LAW_SIZE` numbers.
 LAW = 24
 #: w of the weighted force F_s + w F_d; behind the law.
-RUPTURE_WEIGHT = 140
+RUPTURE_WEIGHT = 200
 
 #: :data:`~tissueid.rendering.guidance.GUIDANCE_SIZE` numbers, in the place of everything from the surface on.
 GUIDED = 10
@@ -94,17 +94,17 @@ RUPTURE_STORED = 3.0
 RUPTURE_DEPTH = 4.0
 
 # -- the memory -----------------------------------------------------------------------------------
-MEMORY_SIZE = 56
+MEMORY_SIZE = 66
 #: :data:`~tissueid.model.kernels.STATE_SIZE` numbers, the surface [mm] first.
 TISSUE_STATE = 0
-LAST_DEPTH = 40
-LAST_FORCE = 41
-SPEED = 42
-WORK = 43
-BROKEN = 44
+LAST_DEPTH = 50
+LAST_FORCE = 51
+SPEED = 52
+WORK = 53
+BROKEN = 54
 #: :data:`~tissueid.rendering.surface.TOUCH_SIZE` numbers, the face first, then the normal.
-TOUCH = 45
-NORMAL = 46
+TOUCH = 55
+NORMAL = 56
 #: What guidance says of a step; its own memory stands before it.
 SAID = GUIDANCE_MEMORY
 

@@ -64,17 +64,27 @@ def specimen_lines(
 
 
 def _paper(fit: Mapping[str, Any]) -> list[str]:
-    """The paper's model beside another that was chosen because it predicts as well or better."""
-    rows = fit["selection"]
+    """The paper's model beside another that predicts as well and was chosen; words of the yardstick."""
+    rows, model = fit["selection"], fit["model"]
+    if model["key"] == "yardstick":
+        inside, outside = len(model.get("inside_s", ())), len(model.get("outside_s", ()))
+        nodes = f"{inside} times inside the convolution, {outside} outside it"
+        return [f"the mark that a passive law can reach ({nodes}); no law, nothing to quote"]
+    lines = []
     others = [row for row in rows if "model" not in row]
-    if not others or "model" not in next((row for row in rows if row["chosen"]), {}):
-        return []
-    best = max(others, key=lambda row: float(row["score"]))
-    branches = f"{best['branches']} branch{'es' * (best['branches'] > 1)}"
-    more = 100.0 * (math.exp(-0.5 * best["score"]) - 1.0)
-    how = f"{abs(more):.0f} % {'more' if more >= 0.0 else 'less'}"
-    words = f"{branches}, K of degree {best['stiffness_degree']}: tau {best['tau_s']:.3g} s"
-    return [f"paper's model  {words}, misses what was left out by {how}; --model kelvin-voigt fits it"]
+    if others and "model" in next((row for row in rows if row["chosen"]), {}):
+        best = max(others, key=lambda row: float(row["score"]))
+        branches = f"{best['branches']} branch{'es' * (best['branches'] > 1)}"
+        words = f"{branches}, K of degree {best['stiffness_degree']}: tau {best['tau_s']:.3g} s"
+        lines = [f"paper's model  {words}, misses what was left out by {_more(best)}"]
+    mark = next((row for row in rows if row.get("model") == "yardstick"), None)
+    return [*lines, f"mark        the yardstick misses what was left out by {_more(mark)}"] if mark else lines
+
+
+def _more(row: Mapping[str, Any]) -> str:
+    """Deviation on what was left out beside that of the chosen law."""
+    more = 100.0 * (math.exp(-0.5 * row["score"]) - 1.0)
+    return f"{abs(more):.0f} % {'more' if more >= 0.0 else 'less'}"
 
 
 def _title(fit: Mapping[str, Any]) -> str:
