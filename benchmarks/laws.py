@@ -4,10 +4,15 @@ Each law (every static law, stiffness and relaxation at least once) draws tissue
 of 6.5 s at 100 Hz with white noise, and is asked for by name; the machine is stated, as it is.  Records are
 kept, and a second call goes on where the first ended.
 
-    python benchmarks/laws.py [--specimens 100] [--cases NAME ...] [--minutes M] [--records FILE] [--json]
+    python benchmarks/laws.py [--kind recovery|choice] [--specimens 100] [--cases NAME ...] [--minutes M]
+                              [--records FILE] [--json]
 
-Printed: truths inside their total 95 % interval (of parameters that are given one), the band in which that
-count lies with 99 % where 95 % are true, bias and spread in units of the interval's own deviation.
+Recovery prints: truths inside their total 95 % interval (of parameters that are given one), the band in
+which that count lies with 99 % where 95 % are true, bias and spread in units of the interval's own deviation.
+Choice lets each law push at three speeds (0.4, 4 and 40 mm/s) and asks for the best of :data:`AMONG`; where
+the best Kelvin-Voigt law, fitted to two speeds without noise, misses the third by more than twice the noise,
+it counts how often the true law, or one that ties with it, is taken (the Kelvin-Voigt law is never right
+there), and elsewhere how often a law is taken that ties.
 """
 
 from __future__ import annotations
@@ -16,7 +21,8 @@ import argparse
 import json
 import tempfile
 import time
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -25,13 +31,14 @@ from field import STATED
 from scipy.stats import binom
 from threadpoolctl import threadpool_limits
 
+import tissueid as ti
 from tissueid.model import ContactPath
 from tissueid.model.channels import ChannelModel
 from tissueid.model.grammar import known_laws, parsed
 
 DEPTH_MM, RATE_HZ, NOISE_N, AIR_S, LENGTH_S, SPEED_MM_S = 6.0, 100.0, 0.15, 0.5, 8.5, 4.0
 #: Time that is fitted: from contact to the last sample.
-WINDOW_S = LENGTH_S - AIR_S - 1.0 / RATE_HZ
+WINDOW_S, SURFACE_MM = LENGTH_S - AIR_S - 1.0 / RATE_HZ, 2.0
 #: Middle of the truths by the beginning of a parameter's name, and their spread in the logarithm.
 TRUTH = {
     "static_1": 20.0, "static_2": -1.2, "static_3": 0.35, "static_N_per_mm": 12.0, "static_exponent": 1.4,
@@ -40,6 +47,16 @@ TRUTH = {
     "relaxation_ratio": 1.2,
 }  # fmt: skip
 SPREAD, SIZE_SPREAD, SECOND_TIME = 0.1, 0.2, 4.0
+#: Laws that are chosen among, beside the Kelvin-Voigt law, and the speeds [mm/s].
+AMONG = (
+    "power * power-law", "power * stretched", "power * fractional", "power * fung",
+    "power * tangent * prony:1",
+)  # fmt: skip
+SPEEDS_MM_S, HOLD_S = (0.4, 4.0, 40.0), 6.0
+#: One tissue whose contact is known: nothing of a log is free.
+CONTACT = ti.SegmentOptions(contact_displacement_mm=SURFACE_MM, contact_sd_mm=1e-3)
+SHARED, WHITE = ti.FitOptions(static="shared"), ti.FitOptions(static="shared", noise="white")
+TWICE = 2.0
 
 
 def names() -> tuple[str, ...]:
@@ -71,9 +88,9 @@ def _model(name: str) -> ChannelModel:
     return named.model(DEPTH_MM, 1.0 / RATE_HZ, WINDOW_S)
 
 
-def simulated(name: str, rng: np.random.Generator) -> tuple[dict[str, float], tuple[np.ndarray, ...]]:
-    """Truth and a recording."""
-    model, size = _model(name), float(np.exp(rng.normal(0.0, SIZE_SPREAD)))
+def _truth(model: ChannelModel, rng: np.random.Generator) -> dict[str, float]:
+    """A tissue of a law."""
+    size = float(np.exp(rng.normal(0.0, SIZE_SPREAD)))
     truth = {}
     for one in model.parameters:
         value = next(middle for start, middle in TRUTH.items() if one.name.startswith(start))
@@ -82,19 +99,24 @@ def simulated(name: str, rng: np.random.Generator) -> tuple[dict[str, float], tu
         scaled = "N" in one.unit
         # polynomials stay in proportion, or they would not stay passive
         truth[one.name] = value * (size if scaled else float(np.exp(rng.normal(0.0, SPREAD))))
+    return truth
+
+
+def simulated(name: str, rng: np.random.Generator) -> tuple[dict[str, float], tuple[np.ndarray, ...]]:
+    """Truth and a recording."""
+    model = _model(name)
+    truth = _truth(model, rng)
     time_s = np.arange(0.0, LENGTH_S, 1.0 / RATE_HZ)
     end = AIR_S + DEPTH_MM / SPEED_MM_S
     depth = np.interp(time_s, [AIR_S, end], [0.0, DEPTH_MM])
     force = model.force(np.array(list(truth.values())), ContactPath(time_s, depth))
     force = force + rng.normal(0.0, NOISE_N, time_s.size)
     travel = np.where(time_s < AIR_S, SPEED_MM_S * (time_s - AIR_S), depth)
-    return truth, (time_s, travel + 2.0, force)
+    return truth, (time_s, travel + SURFACE_MM, force)
 
 
 def judged(name: str, number: int) -> dict[str, Any]:
     """Record of one specimen."""
-    import tissueid as ti
-
     rng = np.random.default_rng([20261125, number, *name.encode()])
     truth, (time_s, travel, force) = simulated(name, rng)
     trial = ti.Trial("law", time_s, travel, force)
@@ -125,7 +147,65 @@ def judged(name: str, number: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def records(cases: list[str], count: int, path: Path, minutes: float) -> Iterator[dict[str, Any]]:
+def _pushes(model: ChannelModel, truth: dict[str, float], noise: np.random.Generator | None) -> list[Any]:
+    """A push and a hold at each speed."""
+    out = []
+    for k, speed in enumerate(SPEEDS_MM_S):
+        end = AIR_S + DEPTH_MM / speed
+        time_s = np.arange(0.0, end + HOLD_S, 1.0 / RATE_HZ)
+        depth = np.interp(time_s, [AIR_S, end], [0.0, DEPTH_MM])
+        force = model.force(np.array(list(truth.values())), ContactPath(time_s, depth))
+        if noise is not None:
+            force = force + noise.normal(0.0, NOISE_N, time_s.size)
+        travel = np.where(time_s < AIR_S, speed * (time_s - AIR_S), depth)
+        out.append(ti.Trial(f"speed {k}", time_s, travel + SURFACE_MM, force))
+    return out
+
+
+def _missed(trials: list[Any]) -> float:
+    """Root-mean-square miss of a speed that the best Kelvin-Voigt law of the others predicts, the median."""
+    missed = []
+    for k, one in enumerate(trials):
+        rest = [other for i, other in enumerate(trials) if i != k]
+        residual = ti.fit(rest, segment=CONTACT, options=WHITE).residual(one)
+        missed.append(float(np.sqrt(np.nanmean(residual**2))))
+    return float(np.median(missed))
+
+
+def chosen(name: str, number: int) -> dict[str, Any]:
+    """Record of a choice."""
+    rng = np.random.default_rng([20261125, number, *b"choice", *name.encode()])
+    model = _model(name)
+    truth, started = _truth(model, rng), time.process_time()
+    missed = _missed(_pushes(model, truth, None))
+    every = " | ".join(["kelvin-voigt", *AMONG])
+    fit = ti.fit(_pushes(model, truth, rng), every, segment=CONTACT, options=SHARED)
+    rows = [row for row in fit.selection if row.get("model") == name]
+    tied = bool(rows) and (rows[0]["chosen"] or rows[0]["score"] >= -max(rows[0]["stderr"], 0.02))
+    taken = str(fit.result.model.name)
+    return {
+        "case": name, "number": number, "taken": taken, "tied": tied, "missed_N": missed,
+        "right": taken != "kelvin-voigt" and (taken == name or tied), "cpu_s": time.process_time() - started,
+    }  # fmt: skip
+
+
+def choice_lines(found: list[dict[str, Any]]) -> Iterator[str]:
+    """Table of one true law after another."""
+    for name in dict.fromkeys(one["case"] for one in found):
+        mine = [one for one in found if one["case"] == name]
+        apart = [one for one in mine if one["missed_N"] > TWICE * NOISE_N]
+        near = [one for one in mine if one["missed_N"] <= TWICE * NOISE_N]
+        taken, right = Counter(one["taken"] for one in mine), sum(one["right"] for one in apart)
+        yield (
+            f"{name}: {len(mine)} specimens; Kelvin-Voigt misses a speed in {len(apart)}, true law or a tie "
+            f"taken in {right}; of the {len(near)} others a tie in {sum(one['tied'] for one in near)}; "
+            f"taken {dict(taken)}; {np.median([one['cpu_s'] for one in mine]):.1f} s"
+        )
+
+
+def records(
+    cases: list[str], count: int, path: Path, minutes: float, judge: Callable[[str, int], dict[str, Any]]
+) -> Iterator[dict[str, Any]]:
     """Records of a file, and new ones until the time is over."""
     known = {}
     if path.exists():
@@ -139,7 +219,7 @@ def records(cases: list[str], count: int, path: Path, minutes: float) -> Iterato
             if one is None:
                 if time.monotonic() > until:
                     continue
-                one = judged(name, number)
+                one = judge(name, number)
                 with path.open("a", encoding="utf-8") as file:
                     file.write(json.dumps(one) + "\n")
             yield one
@@ -170,15 +250,20 @@ def lines(found: list[dict[str, Any]]) -> Iterator[str]:
 def main() -> None:
     """Run what was asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--kind", choices=("recovery", "choice"), default="recovery")
     parser.add_argument("--specimens", type=int, default=100)
     parser.add_argument("--cases", nargs="*", help="names of models; all without")
     parser.add_argument("--minutes", type=float, default=480.0, help="no specimen is begun after so long")
     parser.add_argument("--records", type=Path, default=Path("laws-records.jsonl"))
     parser.add_argument("--json", action="store_true", help="print records instead of tables")
     asked = parser.parse_args()
+    recovery = asked.kind == "recovery"
+    cases = asked.cases or list(names() if recovery else AMONG)
     with threadpool_limits(1):
-        found = list(records(asked.cases or list(names()), asked.specimens, asked.records, asked.minutes))
-    print(json.dumps(found) if asked.json else "\n".join(lines(found)), flush=True)
+        judge = judged if recovery else chosen
+        found = list(records(cases, asked.specimens, asked.records, asked.minutes, judge))
+    table = lines if recovery else choice_lines
+    print(json.dumps(found) if asked.json else "\n".join(table(found)), flush=True)
 
 
 if __name__ == "__main__":

@@ -152,8 +152,9 @@ def fit(
     known = {names[one.specimen] for one in given}
     name = specimen or (known.pop() if len(known) == 1 else "specimen")
     pooled = [replace(one, specimen=name) for one in given]
+    cut = segment or SegmentOptions()
     found = collect(
-        pooled, segment or SegmentOptions(), TrialCache(None), lambda *_: None,
+        pooled, cut, TrialCache(None), lambda *_: None,
         depths_mm=options.depths_mm, unloading=options.unloading,
     )  # fmt: skip
     if not found.groups:
@@ -163,7 +164,7 @@ def fit(
         msg = "recordings of lengths and of strains can't be fitted together; fit each kind by itself"
         raise UsageError(msg)
     own = tuple(one for one in given if not _refused(one, found.left_out))
-    setting = _Setting(options, priors or Priors(), tuple(found.inputs), not found.axes[name].normalised)
+    setting = _Setting(options, cut, priors or Priors(), tuple(found.inputs), not found.axes[name].normalised)
     fitted = fit_with_state(
         name, found.groups[name], options=options, priors=setting.priors, machine=setting.machine
     )
@@ -180,13 +181,14 @@ class _Setting:
     """Surroundings of a fit: what it was asked for with."""
 
     options: FitOptions
+    segment: SegmentOptions
     priors: Priors
     inputs: tuple[Mapping[str, Any], ...]
     machine: bool
 
     def provenance(self, posterior: PosteriorOptions | None) -> dict[str, Any]:
         """The provenance of a bundle."""
-        asked = with_model(IdentifyOptions(fit=self.options, posterior=posterior), None)
+        asked = with_model(IdentifyOptions(fit=self.options, segment=self.segment, posterior=posterior), None)
         return run_provenance(asked, [dict(one) for one in self.inputs], None, {})
 
 
@@ -296,7 +298,7 @@ class Fit(_Reported):
                 stiffness_degree=chosen.stiffness_degree,
             )
         return fit(
-            self.trials, specimen=self.result.specimen, options=options,
+            self.trials, specimen=self.result.specimen, options=options, segment=self.setting.segment,
             priors=replace(priors, linear=linear, shapes=shapes),
         )  # fmt: skip
 
@@ -316,7 +318,7 @@ class Fit(_Reported):
         if place is not None:
             handle, own = self.fitted.handles[place], place
         else:
-            handle, own = _handle_of(trial, self.setting.options), 0
+            handle, own = _handle_of(trial, self.setting), 0
         point = self.fitted.identified.optimum.point
         if place is None:
             point = replace(point, own=np.zeros_like(point.own[:1]))
@@ -372,9 +374,11 @@ class Fit(_Reported):
         return Sampled(self, found, asked)
 
 
-def _handle_of(trial: Trial, options: FitOptions) -> LogHandle:
-    """A recording that the fit does not have, segmented."""
-    found = collect([trial], SegmentOptions(), TrialCache(None), lambda *_: None, unloading=options.unloading)
+def _handle_of(trial: Trial, setting: _Setting) -> LogHandle:
+    """A recording that the fit does not have, segmented as those that it has."""
+    found = collect(
+        [trial], setting.segment, TrialCache(None), lambda *_: None, unloading=setting.options.unloading
+    )
     if not found.groups:
         first = found.left_out[0]
         raise InputError(first.code, first.message, path=first.path, sheet=first.sheet)
