@@ -20,13 +20,49 @@ from tissueid.export.c_header import c_header
 from tissueid.export.matlab import mat_bytes
 from tissueid.export.prony import abaqus_card, febio_card, linearised
 from tissueid.model.base import ContactPath
-from tissueid.model.kernels import LAW_SIZE, STATE_SIZE, pack_law, tissue_step_in
+from tissueid.model.grammar import rebuilt
+from tissueid.model.kernels import STATE_SIZE, tissue_step_in
+from tissueid.model.servo_law import servo_law
+from tissueid.result import ModelChoice
 from tissueid.store.bundle_content import Bundle
 
 
 @pytest.fixture(params=[PAPER_A, TWO_BRANCHES], ids=lambda tissue: tissue.name)
 def bundle(request: pytest.FixtureRequest) -> Bundle:
     return bundle_of(request.param)
+
+
+def of_law(name: str, theta: list[float], **nodes: tuple[float, ...]) -> Bundle:
+    """A bundle of another law."""
+    plain = bundle_of(PAPER_A)
+    choice = ModelChoice(name, 1, 1, 0, "shared", name, (0.01, 10.0), **nodes)
+    model = rebuilt(choice, plain.depth_mm)
+    names = model.parameter_names
+    return replace(
+        plain,
+        model=choice,
+        theta=np.array(theta),
+        theta_names=names,
+        covariance=np.eye(len(names)),
+        draws=None,
+    )
+
+
+#: Pieces and a projection; the static force inside; own curves and times outside.
+OTHERS = (
+    of_law("power * linear * fractional", [2.0, 1.6, 20.0, 3.0, 0.4, 0.5]),
+    of_law("exponential * tangent * prony:2", [12.0, 0.15, 1.2, 0.1, 0.8, 2.0]),
+    of_law(
+        "yardstick",
+        [10.0, 60.0, 70.0, 150.0, 3.0, 0.0, 9.0, 20.0, 30.0, 10.0, 0.0],
+        inside_s=(0.3,),
+        outside_s=(0.05,),
+    ),
+)
+
+
+#: K is constant, and its relaxation ends: what is left of a long hold has no slope.
+STRETCHED = of_law("power * stretched", [2.0, 1.6, 20.0, 0.4, 0.7])
 
 
 def compiled(bundle: Bundle, folder: Path) -> ctypes.CDLL:
@@ -59,15 +95,36 @@ def rough_path(depth_mm: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.needs_jit
+@pytest.mark.parametrize("bundle", OTHERS, ids=lambda one: one.model.name)
+def test_the_compiled_step_of_another_law_is_ours_bit_for_bit(bundle: Bundle, tmp_path: Path) -> None:
+    test_the_compiled_step_is_ours_bit_for_bit(bundle, tmp_path)
+    words = c_header(bundle).decode()
+    assert f"law        {bundle.model.name}" in words
+    assert ("% of a sudden push" in words) == (bundle is OTHERS[0])
+
+
+@pytest.mark.parametrize(
+    ("bundle", "most"), [(STRETCHED, 6), (STRETCHED, 12), (OTHERS[1], 6), (OTHERS[2], 6)]
+)
+def test_a_prony_series_of_another_law_says_its_error(bundle: Bundle, most: int) -> None:
+    prony = linearised(bundle, 0.4 * bundle.depth_mm, most=most)
+    time = np.geomspace(0.02, 10.0, 40)
+    series = prony.long_term_N_per_mm + prony.branch_N_per_mm @ np.exp(-time / prony.tau_s[:, None])
+    relaxing = prony.instantaneous_N_per_mm - prony.long_term_N_per_mm
+    expected = small_step(bundle, prony.depth_mm, time)
+    assert series == pytest.approx(expected, abs=1.2 * prony.error * relaxing + 3e-3 * expected.max())
+    assert ("terms, at most" in abaqus_card(prony).decode()) == (prony.error > 0.0)
+    assert prony.tau_s.size <= most
+
+
+@pytest.mark.needs_jit
 def test_the_compiled_step_is_ours_bit_for_bit(bundle: Bundle, tmp_path: Path) -> None:
     x, h = rough_path(bundle.depth_mm)
     force, surface = np.empty_like(x), np.empty_like(x)
     pointers = [values.ctypes.data_as(ctypes.c_void_p) for values in (x, h, force, surface)]
     compiled(bundle, tmp_path).path(x.size, *pointers)
 
-    static, stiffness, tau = bundle.contact_model().split(bundle.theta)  # type: ignore[attr-defined]
-    law, state = np.zeros(LAW_SIZE), np.zeros(STATE_SIZE)
-    pack_law(np.array([0.0, *static]), stiffness, tau, bundle.depth_mm, law, 0)
+    law, state = servo_law(bundle.contact_model(), bundle.theta).packed(), np.zeros(STATE_SIZE)
     expected = np.array(
         [(tissue_step_in(law, 0, state, 0, *step), state[0]) for step in zip(x, h, strict=True)]
     )

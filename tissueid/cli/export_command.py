@@ -114,10 +114,11 @@ def _tissue_bytes(bundle: Bundle, flags: dict[str, Any]) -> bytes:
         from tissueid.export.c_header import c_header
 
         return c_header(bundle)
-    from tissueid.export.prony import abaqus_card, febio_card, linearised
+    from tissueid.export.prony import FEBIO_TERMS, abaqus_card, febio_card, linearised
 
-    prony = linearised(bundle, flags["depth"])
-    return febio_card(prony) if flags["form"] == "febio" else abaqus_card(prony)
+    if flags["form"] == "febio":
+        return febio_card(linearised(bundle, flags["depth"], most=FEBIO_TERMS))
+    return abaqus_card(linearised(bundle, flags["depth"]))
 
 
 def _bundles(flags: dict[str, Any]) -> list[Bundle]:

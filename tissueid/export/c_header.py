@@ -10,12 +10,15 @@ import re
 from collections.abc import Iterable
 
 import numpy as np
+from numpy.typing import NDArray
 
-from tissueid.errors import UsageError
-from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.model.kernels import OWN_SIZE
+from tissueid.model.servo_law import OWN, STATIC, ServoLaw, servo_law
 from tissueid.store.bundle_content import Bundle
 
 __all__ = ["c_header"]
+
+FloatArray = NDArray[np.float64]
 
 _HEAD = """\
 /* One identified soft tissue, for real-time use.  Not a medical device.
@@ -23,6 +26,7 @@ _HEAD = """\
  * specimen   {specimen}
  * claimed    depth 0 to {depth:g} mm, speed {slow:g} to {fast:g} mm/s{tip}
  * beyond     F_s goes on with its end slope, K with its own, neither falls below what it is there
+ * law        {law}
  * written    by tissueid {version}
  *
  *   {name}_tissue t = {{0}};                       at rest, surface at 0 mm
@@ -43,49 +47,56 @@ _HEAD = """\
 
 _BODY = """\
 
+/* state and followed: of every exponential, in mm where it follows the depth, else in N */
 typedef struct {
     double surface_mm;
-    double state_mm[@UPPER@_STATES];
+    double state[@UPPER@_STATES];
+    double followed[@UPPER@_STATES];
 } @NAME@_tissue;
 
 /* value and slope of a polynomial, continued with its end slope (not below 0) beyond the claimed depth */
-static inline double @NAME@_continued(const double *c, int size, double x, double *slope)
+static inline double @NAME@_continued(const double *c, int size, double x, double depth, double *slope)
 {
-    const double inside = fmin(fmax(x, 0.0), @UPPER@_DEPTH_MM);
+    const double inside = fmin(fmax(x, 0.0), depth);
     double value = 0.0, s = 0.0;
     for (int k = size - 1; k >= 0; k--) {
         s = s * inside + value;
         value = value * inside + c[k];
     }
-    if (x > @UPPER@_DEPTH_MM) {
+    if (x > depth) {
         s = fmax(s, 0.0);
-        value += s * (x - @UPPER@_DEPTH_MM);
+        value += s * (x - depth);
     }
     *slope = s;
     return value;
 }
 
+@STATIC@
+@FOLLOWED@
 /* force on a surface that moves linearly to y in this step, and its slope by y */
-static inline double @NAME@_following(const double *decayed, const double *gain, double from, double y,
+static inline double @NAME@_following(const double *decayed, const double *gain, const double *from, double y,
                                       double *slope)
 {
-    double force = @NAME@_continued(@NAME@_static, 4, y, slope);
-    const double moved = y - from;
+    double rise, rate;
+    const double at_rest = @NAME@_static_force(y, &rise);
+    double force = at_rest;
+    *slope = rise;
     for (int j = 0; j < @UPPER@_BRANCHES; j++) {
-        const double elongation = decayed[j] + gain[j] * moved;
+        const double now = @NAME@_follows(j, y, at_rest, rise, &rate);
+        const double elongation = decayed[j] + gain[j] * (now - from[j]);
         double dk;
-        const double k = @NAME@_continued(@NAME@_stiffness[j], 3, y, &dk);
+        const double k = @NAME@_continued(@NAME@_stiffness[j], 3, y, @UPPER@_DEPTH_MM, &dk);
         force += k * elongation;
-        *slope += dk * elongation + k * gain[j];
+        *slope += dk * elongation + k * gain[j] * rate;
     }
     return force;
 }
 
 /* where a free surface ends this step, deeper than the tool: bracketed Newton */
-static inline double @NAME@_free_surface(const double *decayed, const double *gain, double from,
-                                         double target)
+static inline double @NAME@_free_surface(const double *decayed, const double *gain, const double *from,
+                                         double surface, double target)
 {
-    double low = target, high = fmax(from, target), width = 1e-3 * @UPPER@_DEPTH_MM, slope;
+    double low = target, high = fmax(surface, target), width = 1e-3 * @UPPER@_DEPTH_MM, slope;
     double force = @NAME@_following(decayed, gain, from, high, &slope);
     for (int i = 0; i < @ITERATIONS@ && force < 0.0; i++) {
         low = high;
@@ -115,21 +126,23 @@ static inline double @NAME@_free_surface(const double *decayed, const double *ga
 static inline double @NAME@_step(@NAME@_tissue *t, double depth_mm, double dt_s)
 {
     const double target = fmax(depth_mm, 0.0);
-    double decayed[@UPPER@_STATES] = {0}, gain[@UPPER@_STATES] = {0}, slope;
+    double decayed[@UPPER@_STATES] = {0}, gain[@UPPER@_STATES] = {0}, slope, rise, rate;
     for (int j = 0; j < @UPPER@_BRANCHES; j++) {
         const double ratio = dt_s / @NAME@_tau_s[j];
         const double kept = ratio <= 0.0 ? 1.0 : exp(-ratio);
-        decayed[j] = kept * t->state_mm[j];
+        decayed[j] = kept * t->state[j];
         gain[j] = ratio <= 0.0 ? 1.0 : -expm1(-ratio) / ratio;
     }
-    const double force = @NAME@_following(decayed, gain, t->surface_mm, target, &slope);
+    const double force = @NAME@_following(decayed, gain, t->followed, target, &slope);
     double y = target;
     if (force < 0.0 && @UPPER@_BRANCHES > 0)
-        y = @NAME@_free_surface(decayed, gain, t->surface_mm, target);
-    const double moved = y - t->surface_mm;
+        y = @NAME@_free_surface(decayed, gain, t->followed, t->surface_mm, target);
+    const double at_rest = @NAME@_static_force(y, &rise);
     for (int j = 0; j < @UPPER@_BRANCHES; j++) {
-        const double elongation = decayed[j] + gain[j] * moved;
-        t->state_mm[j] = fabs(elongation) >= @FLUSH@ ? elongation : 0.0;
+        const double now = @NAME@_follows(j, y, at_rest, rise, &rate);
+        const double elongation = decayed[j] + gain[j] * (now - t->followed[j]);
+        t->state[j] = fabs(elongation) >= @FLUSH@ ? elongation : 0.0;
+        t->followed[j] = now;
     }
     t->surface_mm = y;
     return depth_mm >= 0.0 ? fmax(force, 0.0) : 0.0;
@@ -139,13 +152,59 @@ static inline double @NAME@_step(@NAME@_tissue *t, double depth_mm, double dt_s)
 """
 
 
+#: F_s of one polynomial, and of pieces that begin at depth (i / pieces)^2.
+_ONE = """\
+static inline double @NAME@_static_force(double x, double *slope)
+{
+    return @NAME@_continued(@NAME@_static[0], 4, x, @UPPER@_DEPTH_MM, slope);
+}
+"""
+_PIECES = """\
+/* F_s in cubic pieces; piece i begins at depth (i / pieces)^2 */
+static inline double @NAME@_static_force(double x, double *slope)
+{
+    const double depth = @UPPER@_DEPTH_MM, pieces = @UPPER@_PIECES;
+    const double inside = fmin(fmax(x, 0.0), depth);
+    const int last = @UPPER@_PIECES - 1, found = (int)(pieces * sqrt(inside / depth));
+    const int piece = found < last ? found : last;
+    const double start = depth * (piece / pieces) * (piece / pieces);
+    const double end = depth * ((piece + 1) / pieces) * ((piece + 1) / pieces);
+    double s, value = @NAME@_continued(@NAME@_static[piece], 4, inside - start, end - start, &s);
+    if (x > depth) {
+        s = fmax(s, 0.0);
+        value += s * (x - depth);
+    }
+    *slope = s;
+    return value;
+}
+"""
+#: What an exponential follows, and its rate by depth.
+_FOLLOWS = """\
+/* @WORDS@ */
+static inline double @NAME@_follows(int j, double y, double at_rest, double rise, double *rate)
+{
+@BODY@
+}
+"""
+_UNUSED = "    (void)j; (void)y; (void)at_rest; (void)rise;\n"
+_OWN_CURVE = """\
+    (void)at_rest; (void)rise;
+    return @NAME@_continued(@NAME@_own[j], 5, y, @UPPER@_DEPTH_MM, rate);"""
+_KINDS = (
+    ("an exponential follows the depth", _UNUSED + "    *rate = 1.0;\n    return y;"),
+    ("an exponential follows F_s", _UNUSED + "    *rate = rise;\n    return at_rest;"),
+    ("an exponential follows a curve of its own", _OWN_CURVE),
+)
+
+
 def c_header(bundle: Bundle) -> bytes:
     """Write the header of a tissue.
 
     Parameters
     ----------
     bundle : Bundle
-        Of a modified Kelvin-Voigt tissue in mm and N.
+        Of a tissue in mm and N; of a law whose relaxation is no exponential the header holds the projection
+        that a device feels, and says its error.
 
     Returns
     -------
@@ -154,8 +213,6 @@ def c_header(bundle: Bundle) -> bytes:
 
     Raises
     ------
-    UsageError
-        The tissue has another law.
     BundleError
         It was normalised.
     """
@@ -163,16 +220,9 @@ def c_header(bundle: Bundle) -> bytes:
     from tissueid.model.kernels import FLUSH_MM, MAX_DETACHED_ITERATIONS
 
     bundle.require_renderable()
-    model = bundle.contact_model()
-    if not isinstance(model, KelvinVoigt):
-        msg = f"{bundle.specimen}: a C header needs a Kelvin-Voigt tissue, this one is {bundle.model.key!r}"
-        raise UsageError(msg)
-    static, stiffness, tau = model.split(bundle.theta)
-    name = _identifier(bundle.specimen)
+    law = servo_law(bundle.contact_model(), bundle.theta)
+    name, count = _identifier(bundle.specimen), law.tau_s.size
     upper = name.upper()
-    padded = np.zeros((max(model.branches, 1), 3))
-    padded[: model.branches, : stiffness.shape[1]] = stiffness
-    rows = ", ".join(_listed(row) for row in padded)
     tip = "" if bundle.tip_radius_mm is None else f", tip radius {bundle.tip_radius_mm:g} mm"
     head = _HEAD.format(
         specimen=_plain(bundle.specimen),
@@ -184,18 +234,13 @@ def c_header(bundle: Bundle) -> bytes:
         name=name,
         upper=upper,
         guard=f"{upper}_H",
-        branches=model.branches,
+        branches=count,
+        law=_law_words(bundle, law),
         depth_hex=float(bundle.depth_mm).hex(),
     )
-    constants = [
-        f"#define {upper}_STATES {max(model.branches, 1)}",
-        "",
-        "/* F_s by powers of x from x^0 [N/mm^k]; K_j likewise [N/mm^(k+1)]; relaxation times [s] */",
-        f"static const double {name}_static[4] = {_listed([0.0, *static])};",
-        f"static const double {name}_stiffness[{upper}_STATES][3] = {{{rows}}};",
-        f"static const double {name}_tau_s[{upper}_STATES] = {_listed(tau if model.branches else [1.0])};",
-    ]
-    body = _BODY
+    body = _BODY.replace("@STATIC@", _ONE if len(law.static) == 1 else _PIECES)
+    words, follows = _KINDS[law.followed]
+    body = body.replace("@FOLLOWED@", _FOLLOWS.replace("@WORDS@", words).replace("@BODY@", follows))
     for mark, text in (
         ("@NAME@", name),
         ("@UPPER@", upper),
@@ -203,7 +248,41 @@ def c_header(bundle: Bundle) -> bytes:
         ("@FLUSH@", repr(FLUSH_MM)),
     ):
         body = body.replace(mark, text)
-    return (head + "\n".join(constants) + "\n" + body).encode("ascii")
+    return (head + "\n".join(_constants(law, name)) + "\n" + body).encode("ascii")
+
+
+def _constants(law: ServoLaw, name: str) -> list[str]:
+    """Declarations of the numbers."""
+    upper, count = name.upper(), law.tau_s.size
+    stiffness = np.zeros((max(count, 1), 3))
+    if count:
+        stiffness[:, : law.stiffness.shape[1]] = law.stiffness
+    unit = "ratio to F_s" if law.followed == STATIC else "[N/mm^(k+1)]"
+    lines = [
+        f"#define {upper}_STATES {max(count, 1)}",
+        f"#define {upper}_PIECES {len(law.static)}",
+        "",
+        f"/* F_s by powers of x from x^0 [N/mm^k]; K_j likewise, {unit}; relaxation times [s] */",
+        f"static const double {name}_static[{upper}_PIECES][4] = {_table(law.static)};",
+        f"static const double {name}_stiffness[{upper}_STATES][3] = {_table(stiffness)};",
+        f"static const double {name}_tau_s[{upper}_STATES] = {_listed(law.tau_s if count else [1.0])};",
+    ]
+    if law.followed == OWN:
+        lines.append(f"static const double {name}_own[{upper}_STATES][{OWN_SIZE}] = {_table(law.own)};")
+    return lines
+
+
+def _law_words(bundle: Bundle, law: ServoLaw) -> str:
+    """The law, and what the projection misses of it."""
+    model = bundle.model.name or bundle.model.key
+    if law.error == 0.0:
+        return model
+    terms = f"{law.tau_s.size} exponentials"
+    return f"{model}, by {terms}: at most {100.0 * law.error:.2g} % of a sudden push's relaxing force off"
+
+
+def _table(rows: FloatArray) -> str:
+    return "{" + ", ".join(_listed(row) for row in rows) + "}"
 
 
 def _listed(values: Iterable[float]) -> str:

@@ -19,14 +19,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.errors import UsageError
-from tissueid.model.kelvin_voigt import KelvinVoigt
+from tissueid.model.kernels import MOST_BRANCHES
+from tissueid.model.servo_law import servo_law
 from tissueid.store.bundle_content import Bundle
 
 __all__ = ["Prony", "abaqus_card", "febio_card", "linearised"]
 
 FloatArray = NDArray[np.float64]
 
-#: FEBio's material holds six terms, more than a tissue has branches.
+#: Terms that FEBio's material holds.
 FEBIO_TERMS = 6
 
 
@@ -40,7 +41,9 @@ class Prony:
     depth_mm : float
     long_term_N_per_mm : float
         Static tangent, F_s'.
-    branch_N_per_mm, tau_s : ndarray, shape (branches,)
+    branch_N_per_mm, tau_s : ndarray, shape (terms,)
+    error : float
+        Largest error by projecting the relaxation on so many terms, over that of a sudden push.
     """
 
     specimen: str
@@ -48,6 +51,7 @@ class Prony:
     long_term_N_per_mm: float
     branch_N_per_mm: FloatArray
     tau_s: FloatArray
+    error: float = 0.0
 
     @property
     def instantaneous_N_per_mm(self) -> float:
@@ -55,7 +59,7 @@ class Prony:
         return self.long_term_N_per_mm + float(self.branch_N_per_mm.sum())
 
 
-def linearised(bundle: Bundle, depth_mm: float | None = None) -> Prony:
+def linearised(bundle: Bundle, depth_mm: float | None = None, *, most: int = MOST_BRANCHES) -> Prony:
     """Linearise a tissue about a depth.
 
     Parameters
@@ -63,32 +67,33 @@ def linearised(bundle: Bundle, depth_mm: float | None = None) -> Prony:
     bundle : Bundle
     depth_mm : float, optional
         Half of the claimed depth where none is given.
+    most : int, optional
+        Terms on which a relaxation that is no exponential is projected.
 
     Raises
     ------
     UsageError
-        The law is another one, the depth is not claimed, or the static force does not rise there.
+        There are more or no terms, the depth is not claimed, or the static force does not rise there.
     """
     bundle.require_renderable()
     model = bundle.contact_model()
-    if not isinstance(model, KelvinVoigt) or model.branches == 0:
-        msg = f"{bundle.specimen}: a Prony series needs a Kelvin-Voigt tissue with a branch"
+    law = servo_law(model, bundle.theta, most)
+    if not 0 < law.tau_s.size <= most:
+        msg = f"{bundle.specimen}: this format takes 1 to {most} terms, the tissue has {law.tau_s.size}"
         raise UsageError(msg)
     depth = 0.5 * bundle.depth_mm if depth_mm is None else depth_mm
     if not 0.0 < depth <= bundle.depth_mm:
         msg = f"{bundle.specimen}: --depth {depth:g} is outside what is claimed, 0 to {bundle.depth_mm:g} mm"
         raise UsageError(msg)
-    static, stiffness, tau = model.split(bundle.theta)
-    powers = np.arange(static.size)
-    tangent = float(np.sum(static * (powers + 1) * depth**powers))
+    tangent = float(model.static_slope(bundle.theta, np.array([depth]))[0])
     if not tangent > 0.0:
         msg = (
             f"{bundle.specimen}: at {depth:g} mm the static force does not rise ({tangent:.3g} N/mm), which "
             "no Prony series can say; give another --depth"
         )
         raise UsageError(msg)
-    branches = stiffness @ depth ** np.arange(stiffness.shape[1])
-    return Prony(bundle.specimen, depth, tangent, branches, np.asarray(tau))
+    branches = law.linearised(model, bundle.theta, np.array([depth]))[:, 0]
+    return Prony(bundle.specimen, depth, tangent, branches, np.asarray(law.tau_s), law.error)
 
 
 def _said(prony: Prony) -> list[str]:
@@ -97,7 +102,9 @@ def _said(prony: Prony) -> list[str]:
         f"tangent stiffness under the tip: {prony.long_term_N_per_mm:.6g} N/mm after long, "
         f"{prony.instantaneous_N_per_mm:.6g} N/mm at once"
     )
+    projected = f"relaxation by {prony.tau_s.size} terms, at most {100.0 * prony.error:.2g} % off"
     return [
+        *([projected] if prony.error else []),
         f"tissueid: {prony.specimen}, linearised about {prony.depth_mm:g} mm, for small motion there",
         stiffness,
         "the elastic modulus depends on tip and geometry and is not given here; not a medical device",

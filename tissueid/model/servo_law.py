@@ -18,7 +18,7 @@ from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.model.kernels import LAW_SIZE, MOST_BRANCHES, MOST_PIECES, OWN_SIZE, pack_law, pack_pieces
 from tissueid.model.yardstick import Yardstick
 
-__all__ = ["ServoLaw", "servo_law"]
+__all__ = ["DEPTH", "OWN", "STATIC", "ServoLaw", "servo_law"]
 
 FloatArray = NDArray[np.float64]
 
@@ -93,13 +93,15 @@ class ServoLaw:
         return np.asarray(found, dtype=np.float64).reshape(len(self.tau_s), np.size(depth_mm))
 
 
-def servo_law(model: TissueModel, theta: FloatArray) -> ServoLaw:
+def servo_law(model: TissueModel, theta: FloatArray, most: int = MOST_BRANCHES) -> ServoLaw:
     """The law that the servo steps for a tissue.
 
     Parameters
     ----------
     model : TissueModel
     theta : ndarray, shape (p,)
+    most : int, optional
+        Exponentials that a relaxation is projected on.
     """
     if isinstance(model, KelvinVoigt):
         static, stiffness, tau = model.split(theta)
@@ -108,7 +110,7 @@ def servo_law(model: TissueModel, theta: FloatArray) -> ServoLaw:
     if isinstance(model, Yardstick):
         return _of_yardstick(model, theta)
     rows, times, worst = [], [], 0.0
-    share = max(MOST_BRANCHES // model.branches, 1)
+    share = max(most // model.branches, 1)
     for part in model.parts:
         weights, tau, error = _exponentials(model, theta, part, share)
         size = np.array([theta[part.ratio]]) if part.ratio is not None else theta[part.stiffness]
