@@ -145,13 +145,9 @@ def _tissues(path: Path, interval: str) -> list[tuple[Compared, list[SpreadRow]]
 
 def _compared(bundle: Bundle, stored: StoredPosterior | None, interval: str = "statistical") -> Compared:
     from tissueid.contrast.numbers import Compared
-    from tissueid.model.kelvin_voigt import KelvinVoigt
 
     bundle.require_renderable()
     model = bundle.contact_model()
-    if not isinstance(model, KelvinVoigt):
-        msg = f"{bundle.specimen}: Kelvin-Voigt tissues are compared, this one is {bundle.model.key!r}"
-        raise UsageError(msg)
     draws = bundle.draws
     if interval == "total":
         draws = None if stored is None else stored.draws_total

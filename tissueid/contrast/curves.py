@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.contrast.numbers import MOST_DRAWS, Common, Compared
+from tissueid.model.channels import loading_force
 
 __all__ = ["force_curves"]
 
@@ -48,7 +49,7 @@ def _longest(tissue: Compared) -> float:
     """Median of the longest relaxation time [s]; 0 without a branch."""
     if not tissue.model.branches:
         return 0.0
-    return float(np.median([tissue.model.split(theta)[2].max() for theta in tissue.draws[:MOST_DRAWS]]))
+    return float(np.median([tissue.model.times(theta).max() for theta in tissue.draws[:MOST_DRAWS]]))
 
 
 def _of_tissue(tissue: Compared, depth: FloatArray, speeds: list[float], time: FloatArray) -> dict[str, Any]:
@@ -56,15 +57,10 @@ def _of_tissue(tissue: Compared, depth: FloatArray, speeds: list[float], time: F
     ramps = np.empty((len(speeds), keep.size, depth.size))
     holds = np.empty((keep.size, time.size))
     for row, theta in enumerate(tissue.draws[keep]):
-        static = tissue.model.static_force(theta, depth)
-        stiffness = tissue.model.stiffness(theta, depth)
-        tau = tissue.model.split(theta)[2]
         for place, speed in enumerate(speeds):
-            length = (speed * tau)[:, None]
-            state = -length * np.expm1(-depth[None, :] / length)
-            ramps[place, row] = static + (stiffness * state).sum(axis=0)
-        end = stiffness[:, -1] * -speeds[-1] * tau * np.expm1(-depth[-1] / (speeds[-1] * tau))
-        holds[row] = static[-1] + (end[:, None] * np.exp(-time[None, :] / tau[:, None])).sum(axis=0)
+            ramps[place, row] = loading_force(tissue.model, theta, depth, speed_mm_s=speed)
+        still = float(tissue.model.static_force(theta, depth[-1:])[0])
+        holds[row] = still + tissue.model.relaxing(theta, float(depth[-1]), time, speeds[-1])
     return {
         "name": tissue.name,
         "loading": [

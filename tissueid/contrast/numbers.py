@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.errors import UsageError
+from tissueid.model.channels import TissueModel, viscous
 from tissueid.model.functionals import force_after_ramp
-from tissueid.model.kelvin_voigt import KelvinVoigt
 
 __all__ = ["Common", "Compared", "common_range", "draws_of_numbers"]
 
@@ -35,7 +35,7 @@ class Compared:
     Attributes
     ----------
     name : str
-    model : KelvinVoigt
+    model : TissueModel
     draws : ndarray, shape (n, p)
         Of its posterior.
     speeds_mm_s : tuple of float
@@ -45,7 +45,7 @@ class Compared:
     """
 
     name: str
-    model: KelvinVoigt
+    model: TissueModel
     draws: FloatArray
     speeds_mm_s: tuple[float, float]
     total: bool
@@ -125,9 +125,9 @@ def draws_of_numbers(tissue: Compared, common: Common) -> dict[str, FloatArray]:
         [float(tissue.model.static_force(theta, half)[0]) / half[0] for theta in draws]
     )
     if tissue.model.branches:
-        splits = [tissue.model.split(theta) for theta in draws]
-        stiffness = np.array([tissue.model.stiffness(theta, half)[:, 0] for theta in draws])
-        tau = np.array([split[2] for split in splits])
-        found[f"viscosity at {half[0]:.3g} mm [N s/mm]"] = (stiffness * tau).sum(axis=1)
+        tau = np.array([tissue.model.times(theta) for theta in draws])
+        if viscous(tissue.model):
+            stiffness = np.array([tissue.model.stiffness(theta, half)[:, 0] for theta in draws])
+            found[f"viscosity at {half[0]:.3g} mm [N s/mm]"] = (stiffness * tau).sum(axis=1)
         found["relaxation time, longest [s]"] = tau.max(axis=1)
     return found
