@@ -59,8 +59,23 @@ def test_a_density_that_no_proposal_meets_is_refused():
     def spike(z):
         return np.where(np.abs(z[:, 0] - 3.0) < 1e-6, 0.0, -np.inf)
 
-    with pytest.raises(ArithmeticError, match="importance sampling is worth"):
+    with pytest.raises(ArithmeticError, match="none of 12000 proposals"):
         sample(Density(2, spike), draws=300, seed=1)
+
+
+def test_draws_of_a_thin_ridge_stay_on_it_and_are_no_convergence():
+    """Proposals are worth next to nothing: walkers alone draw from the density, and say how far apart."""
+
+    def off(z):
+        return (z[:, 1::2] - z[:, ::2] ** 2) / 0.01
+
+    def ridge(z):
+        return -0.5 * (z[:, ::2] ** 2).sum(axis=1) - 0.5 * (off(z) ** 2).sum(axis=1)
+
+    found = sample(Density(6, ridge), draws=500, seed=1)
+    assert off(found.chain.reshape(-1, 6)).std() == pytest.approx(1.0, abs=0.05)
+    assert not found.converged
+    assert "walkers apart by R-hat" in found.detail["reason"]
 
 
 def test_too_few_draws_are_no_convergence_and_say_so(monkeypatch):

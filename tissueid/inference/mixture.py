@@ -15,7 +15,7 @@ from scipy.special import gammaln, logsumexp
 from tissueid.inference.proposal import CutNormal
 from tissueid.inference.target import Target
 
-__all__ = ["Mixture", "learn_mixture"]
+__all__ = ["Mixture", "learn_mixture", "tempered"]
 
 FloatArray = NDArray[np.float64]
 
@@ -91,7 +91,7 @@ def _normalised(log_weight: FloatArray) -> tuple[FloatArray, float]:
     return weight, float(1.0 / (weight**2).sum())
 
 
-def _tempered(log_weight: FloatArray, least: float) -> FloatArray:
+def tempered(log_weight: FloatArray, least: float) -> FloatArray:
     """Weights, raised to a power under one where they would be worth fewer than ``least`` draws."""
     weight, worth = _normalised(log_weight)
     if worth >= least:
@@ -200,7 +200,7 @@ def learn_mixture(target: Target, cut: CutNormal, rng: np.random.Generator) -> t
         if efficiency >= GOOD or (len(recent) > settled and max(recent[-settled:]) <= max(recent[:-settled])):
             break
         proposed = logsumexp([one.log_density(z) for one in used[-REMEMBERED:]], axis=0)
-        weight = _tempered(levels - proposed, least)
+        weight = tempered(levels - proposed, least)
         if not weight.any():
             break
         mixture = _best_tails(_fitted(z, weight, rng), z, weight, levels)

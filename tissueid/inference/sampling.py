@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tissueid.inference.checkpoint import Checkpoint
 from tissueid.inference.diagnostics import diagnose
-from tissueid.inference.mixture import learn_mixture
+from tissueid.inference.mixture import learn_mixture, tempered
 from tissueid.inference.proposal import cut_normal
 from tissueid.inference.psis import Weighed, smoothed
 from tissueid.inference.target import Target
@@ -47,6 +47,11 @@ HALF = 0.5
 #: Shares of the moves: independent proposals, differential evolution, stretches; and those where the
 #: Pareto shape says that proposals have the target's tails.
 MOVES, MOVES_IN_TAILS, GOOD_TAILS = (0.6, 0.25, 0.15), (0.92, 0.05, 0.03), 0.5
+#: Shares where proposals are worth next to nothing, what tempered weights are worth that walkers start from
+#: then, and their rounds.
+MOVES_ALONE, START_WORTH, ROUNDS_ALONE = (0.05, 0.75, 0.2), 64.0, 20
+#: R-hat of walkers that agree.
+ALIKE = 1.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -149,16 +154,18 @@ def sample(
     rng = np.random.default_rng([seed, 7])
     kept = Checkpoint(checkpoint, key)
     proposal = _proposal(target, rng)
-    points, weighed = _weighed(target, proposal, draws, rng, kept, progress)
-    if weighed.worth < WALKERS / 8.0:
-        msg = f"importance sampling is worth {weighed.worth:.0f} draws"
+    points, log_weight, weighed = _weighed(target, proposal, draws, rng, kept, progress)
+    poor = weighed.worth < WALKERS / 8.0
+    if poor and not np.isfinite(log_weight).any():
+        msg = f"none of {len(points)} proposals is passive and fits"
         raise ArithmeticError(msg)
-    start = points[rng.choice(len(points), WALKERS, p=weighed.weights)]
+    weights = tempered(log_weight, START_WORTH) if poor else weighed.weights
+    start = points[rng.choice(len(points), WALKERS, p=weights)]
     start = start + 1e-9 * rng.standard_normal(start.shape)
     outside = ~np.isfinite(target.densities(start))
     start[outside] = points[int(np.argmax(weighed.weights))]
     kinds = (_independence(proposal, rng), emcee.moves.DEMove(), emcee.moves.StretchMove())
-    shares = MOVES_IN_TAILS if weighed.pareto <= GOOD_TAILS else MOVES
+    shares = MOVES_IN_TAILS if weighed.pareto <= GOOD_TAILS else MOVES_ALONE if poor else MOVES
     moves = list(zip(kinds, shares, strict=True))
     sampler = emcee.EnsembleSampler(WALKERS, d, target.densities, moves=moves, vectorize=True)
     state = emcee.State(start, random_state=np.random.RandomState(seed & 0xFFFFFFFF).get_state())
@@ -167,9 +174,10 @@ def sample(
         if progress is not None:
             progress(len(points) + WALKERS * steps, share)
 
-    walked = _walked(sampler, state, weighed, draws, told)
+    walked, apart = _walked(sampler, state, weighed, draws, told, rounds=ROUNDS_ALONE if poor else ROUNDS)
     trusted = weighed.worth >= ENOUGH and weighed.pareto <= PARETO
-    converged = bool(trusted or walked >= ENOUGH)
+    # walkers that nothing but themselves has spread have to agree
+    converged = bool(trusted or (walked >= ENOUGH and (not poor or apart <= ALIKE)))
     detail: dict[str, Any] = {
         "steps": int(sampler.iteration),
         "walkers": WALKERS,
@@ -181,6 +189,8 @@ def sample(
     if not converged:
         most = max(weighed.worth, walked)
         detail["reason"] = f"{most:.0f} of {draws} effective draws, Pareto k {weighed.pareto:.2f}"
+        if poor:
+            detail["reason"] += f", walkers apart by R-hat {apart:.2f}"
     acceptance = float(np.mean(sampler.acceptance_fraction))
     first = sampler.iteration - _counted(sampler, trusted=weighed.pareto <= TRUSTED)
     kept_steps = np.linspace(first, sampler.iteration - 1, STEPS).astype(np.int64)
@@ -194,21 +204,28 @@ def _counted(sampler: Any, *, trusted: bool) -> int:
 
 
 def _walked(
-    sampler: Any, state: Any, weighed: Weighed, draws: int, progress: Callable[[int, float], None]
-) -> float:
-    """Walk, and tell the effective draws of the coordinate that has the fewest."""
+    sampler: Any,
+    state: Any,
+    weighed: Weighed,
+    draws: int,
+    progress: Callable[[int, float], None],
+    *,
+    rounds: int,
+) -> tuple[float, float]:
+    """Walk, and tell the effective draws of the coordinate that has the fewest, and the largest R-hat."""
     trusted = weighed.pareto <= TRUSTED
     steps, wanted = (STEPS, float(draws)) if trusted else (ROUND, WALKED)
-    found = 0.0
-    for _ in range(ROUNDS):
+    found, apart = 0.0, np.inf
+    for _ in range(rounds):
         state = sampler.run_mcmc(state, steps, skip_initial_state_check=True)
         chain = np.swapaxes(sampler.get_chain()[-_counted(sampler, trusted=trusted) :], 0, 1)
         coordinates = diagnose({str(k): chain[:, :, k] for k in range(chain.shape[2])})
         found = min(one.ess_bulk for one in coordinates.values())
+        apart = max(one.r_hat for one in coordinates.values())
         progress(int(sampler.iteration), min(found / wanted, 1.0))
         if found >= wanted or (trusted and weighed.worth >= draws and found >= HALF * draws):
             break
-    return found
+    return found, apart
 
 
 def _weighed(
@@ -218,7 +235,7 @@ def _weighed(
     rng: np.random.Generator,
     kept: Checkpoint,
     progress: Callable[[int, float], None] | None,
-) -> tuple[FloatArray, Weighed]:
+) -> tuple[FloatArray, FloatArray, Weighed]:
     """Importance sampling until it is worth what was asked for."""
     points, log_weight = kept.resume(rng, target.size)
     found = Weighed(np.zeros(0), 0.0, np.inf)
@@ -234,4 +251,4 @@ def _weighed(
         points = np.vstack([points, new])
         log_weight = np.append(log_weight, target.densities(new) - proposal.log_density(new))
         kept.write(rng, points, log_weight)
-    return points, smoothed(log_weight)
+    return points, log_weight, smoothed(log_weight)
