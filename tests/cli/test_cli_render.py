@@ -78,6 +78,19 @@ def test_the_numbers_of_scale_and_stability_are_printed_before_and_kept_in_the_l
     assert document["summary"]["shares"]["clipped"] == 0.0
 
 
+@pytest.mark.parametrize("seconds", [1, 20])
+def test_a_simulated_grip_that_nobody_moves_pushes_until_the_time_is_over(bundle: Path, seconds: int) -> None:
+    ended = run("render", bundle, "--device", "sim", "--virtual", "--seconds", seconds, "--json")
+    assert ended.code == 0, ended.stderr
+    summary = ended.json()["summary"]
+    assert summary["seconds"] == pytest.approx(seconds, abs=0.01)
+    if seconds > 1:
+        # 6 mm at the fastest speed, held and taken back, takes 4 s: several pushes
+        assert summary["deepest_mm"] == pytest.approx(6.0, abs=0.1)
+        assert summary["peak_device_force_N"] > 0.1
+        assert 0.4 < summary["contact_share"] < 0.95
+
+
 def in_real_time(path: Path, *args: object) -> Any:
     """A session in real time; one that a busy processor ended or limited is tried again, four times."""
     for _ in range(5):

@@ -174,7 +174,7 @@ def sample(
         if progress is not None:
             progress(len(points) + WALKERS * steps, share)
 
-    walked, apart = _walked(sampler, state, weighed, draws, told, rounds=ROUNDS_ALONE if poor else ROUNDS)
+    walked, apart = _walked(sampler, state, weighed, draws, told, alone=poor)
     trusted = weighed.worth >= ENOUGH and weighed.pareto <= PARETO
     # walkers that nothing but themselves has spread have to agree
     converged = bool(trusted or (walked >= ENOUGH and (not poor or apart <= ALIKE)))
@@ -210,20 +210,22 @@ def _walked(
     draws: int,
     progress: Callable[[int, float], None],
     *,
-    rounds: int,
+    alone: bool,
 ) -> tuple[float, float]:
     """Walk, and tell the effective draws of the coordinate that has the fewest, and the largest R-hat."""
     trusted = weighed.pareto <= TRUSTED
     steps, wanted = (STEPS, float(draws)) if trusted else (ROUND, WALKED)
     found, apart = 0.0, np.inf
-    for _ in range(rounds):
+    for _ in range(ROUNDS_ALONE if alone else ROUNDS):
         state = sampler.run_mcmc(state, steps, skip_initial_state_check=True)
         chain = np.swapaxes(sampler.get_chain()[-_counted(sampler, trusted=trusted) :], 0, 1)
         coordinates = diagnose({str(k): chain[:, :, k] for k in range(chain.shape[2])})
         found = min(one.ess_bulk for one in coordinates.values())
         apart = max(one.r_hat for one in coordinates.values())
         progress(int(sampler.iteration), min(found / wanted, 1.0))
-        if found >= wanted or (trusted and weighed.worth >= draws and found >= HALF * draws):
+        if (found >= wanted and not (alone and apart > ALIKE)) or (
+            trusted and weighed.worth >= draws and found >= HALF * draws
+        ):
             break
     return found, apart
 

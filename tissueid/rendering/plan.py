@@ -6,6 +6,7 @@ tip) while nothing moves yet; what it returns is all that :mod:`tissueid.renderi
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -124,7 +125,7 @@ def plan_session(options: RenderOptions) -> SessionPlan:
         order=order,
         head={},
         script=script,
-        seconds=options.seconds if script is None else script.duration_s,
+        seconds=_seconds(options, script),
         environment=None,
         virtual=options.virtual,
         lines=(
@@ -211,16 +212,27 @@ def _device(options: RenderOptions, name: str) -> tuple[tuple[str, str], HapticD
     return (found.name, found.why), device_class(found.name)(**given)
 
 
+def _seconds(options: RenderOptions, script: Script | None) -> float | None:
+    """Length of the session: of the script that was asked for, else what was said."""
+    if script is None or (options.script is None and options.seconds is not None):
+        return options.seconds
+    return script.duration_s
+
+
 def _script(options: RenderOptions, choice: tuple[str, str], first: Picked) -> Script | None:
-    """What the user wrote; a simulated grip that nobody moves shows three quarters of the depth."""
+    """What the user wrote; a simulated grip that nobody moves shows three quarters of the depth, repeated."""
     if options.script is not None:
         return read_script(options.script)
-    if choice[0] != SIMULATED or options.seconds is not None or options.bridge or options.led:
+    if choice[0] != SIMULATED or options.bridge or options.led:
         return None
     depth, speed = DEMONSTRATED_DEPTH * first.tissue.model.depth_mm, S_PER_MIN * first.tissue.speeds_mm_s[1]
-    return read_script(
-        f"indent {depth:.3g} mm at {speed:.4g} mm/min; hold 1 s; retract at {speed:.4g} mm/min"
-    )
+    push = f"indent {depth:.3g} mm at {speed:.4g} mm/min; hold 1 s; retract at {speed:.4g} mm/min"
+    once = read_script(push)
+    if options.seconds is None or options.seconds <= once.duration_s:
+        return once
+    strokes_s = sum(stroke.duration_s for stroke in once.strokes)
+    times = math.ceil((options.seconds - once.duration_s) / strokes_s)
+    return read_script("; ".join([push] * (1 + times)))
 
 
 def _replayed(options: RenderOptions) -> tuple[RenderOptions, tuple[Surface, float] | None]:

@@ -13,7 +13,7 @@ import numpy as np
 from tissueid.decided import decided_options, decided_trial, why_excluded
 from tissueid.errors import InputError, NotIdentifiedError
 from tissueid.manifest import Study
-from tissueid.model.grammar import rebuilt
+from tissueid.model.grammar import KELVIN_VOIGT, rebuilt
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.pipeline import IdentifyOptions, identify
 from tissueid.result import Identification, Refusal, SpecimenFit
@@ -114,7 +114,10 @@ def run_rupture(
     NotIdentifiedError
         Too few tests ruptured, or the recordings are normalised.
     """
-    fit_options = replace(options or IdentifyOptions(), posterior=None, required=())
+    asked_of_fit = options or IdentifyOptions()
+    # energies are those of a Kelvin-Voigt tissue, whatever the study fits
+    kelvin_voigt = replace(asked_of_fit.fit, model=KELVIN_VOIGT)
+    fit_options = replace(asked_of_fit, fit=kelvin_voigt, posterior=None, required=())
     ends = _Ends(study, fit_options.segment)
     identification = identify(
         ends.watch(trials),

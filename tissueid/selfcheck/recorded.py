@@ -13,9 +13,11 @@ from tissueid import IdentifyOptions, PosteriorOptions, identify
 from tissueid.collection import display_names
 from tissueid.decided import decided_options, decided_trial, why_excluded
 from tissueid.errors import InputError, UsageError
+from tissueid.inference.specimen import FitOptions
 from tissueid.manifest import Study
 from tissueid.measured.pushes import usable_until
 from tissueid.model.frame import deflection
+from tissueid.model.grammar import KELVIN_VOIGT
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.result import SpecimenFit
 from tissueid.segment import SegmentOptions, segment
@@ -142,7 +144,7 @@ def of_recordings(
     """
     name, sources = _chosen(trials, study, specimen, where, progress)
     own = [reload(source) for source in sources]
-    options = IdentifyOptions(posterior=PosteriorOptions(draws=DRAWS))
+    options = IdentifyOptions(fit=FitOptions(model=KELVIN_VOIGT), posterior=PosteriorOptions(draws=DRAWS))
     found = identify(own, study=study, options=options, progress=progress)
     if not found.specimens:
         message = f"holds nothing that can be fitted; the first: {found.exit.reasons[0]}"
