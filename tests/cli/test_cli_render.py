@@ -83,7 +83,8 @@ def test_a_simulated_grip_that_nobody_moves_pushes_until_the_time_is_over(bundle
     ended = run("render", bundle, "--device", "sim", "--virtual", "--seconds", seconds, "--json")
     assert ended.code == 0, ended.stderr
     summary = ended.json()["summary"]
-    assert summary["seconds"] == pytest.approx(seconds, abs=0.01)
+    # virtual time ends with a whole block of ticks
+    assert seconds <= summary["seconds"] <= seconds + 1.0
     if seconds > 1:
         # 6 mm at the fastest speed, held and taken back, takes 4 s: several pushes
         assert summary["deepest_mm"] == pytest.approx(6.0, abs=0.1)
