@@ -49,7 +49,7 @@ HALF = 0.5
 MOVES, MOVES_IN_TAILS, GOOD_TAILS = (0.6, 0.25, 0.15), (0.92, 0.05, 0.03), 0.5
 #: Shares where proposals are worth next to nothing, what tempered weights are worth that walkers start from
 #: then, and their rounds.
-MOVES_ALONE, START_WORTH, ROUNDS_ALONE = (0.05, 0.75, 0.2), 64.0, 20
+MOVES_ALONE, START_WORTH, ROUNDS_ALONE = (0.05, 0.75, 0.2), 64.0, 30
 #: R-hat of walkers that agree.
 ALIKE = 1.1
 
