@@ -35,6 +35,7 @@ Examples:
   tissueid render bundle.h5 --replay out.h5
   tissueid render --scene hip-resurfacing --plan patient.toml --device sim --viewer
   tissueid render out/population.h5 --draw-specimen 7
+  tissueid render bundle.h5 --twin --against hold-8-1.csv
   tissueid render bundle.h5 --device falcon --viewer --host 192.0.2.7
   tissueid render                                  a tissue that comes along, moved by the mouse
 """
@@ -56,7 +57,8 @@ _TISSUE = (
     click.option("--quantile", type=float, metavar="Q", help="Feel the draw nearest this quantile of --of."),
     click.option("--of", metavar="TEXT", default="force at 6 mm, 250 mm/min", show_default=True,
                  help="Which number the quantile, and the comparison of two tissues, is of."),
-    click.option("--against", type=_FILE, metavar="BUNDLE", help="A second tissue; Enter switches."),
+    click.option("--against", type=_FILE, metavar="BUNDLE",
+                 help="A second tissue; Enter switches. With --twin, the recording whose travel is driven."),
     click.option("--against-draw", type=int, metavar="N", help="... of this draw."),
     click.option("--against-quantile", type=float, metavar="Q", help="... of this quantile."),
     click.option("--environment", metavar="NAME", help="An installed force law instead of a tissue."),
@@ -91,6 +93,10 @@ _SESSION = (
     click.option("--viewer", is_flag=True, help="Show the session in a browser; a mouse leads --device sim."),
     click.option("--selftest", is_flag=True, help="Measure the servo on this machine, and leave."),
     click.option("--yes", is_flag=True, help="Do not ask for consent: it was given."),
+    click.option("--twin", is_flag=True,
+                 help="Drive the program of a test machine on an emulated device, and fit what is felt."),
+    click.option("--out", type=click.Path(file_okay=False, path_type=Path), default="twin", show_default=True,
+                 metavar="FOLDER", help="Where --twin writes."),
 )  # fmt: skip
 _BLIND = (
     click.option("--blind", is_flag=True, help="Compare without telling which is felt."),
@@ -125,6 +131,10 @@ def command(**flags: Any) -> int:
 
     if flags["selftest"]:
         return _selftest(flags)
+    if flags["twin"]:
+        from tissueid.cli.twin_lines import twin
+
+        return twin(flags)
     _choose_demonstration(flags)
     with _waiting_servo(flags) as spawned, _viewer(flags) as viewer:
         session = _prepared(flags, spawned, viewer)

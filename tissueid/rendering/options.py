@@ -5,12 +5,31 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.haptics.hand import Hand
 from tissueid.rendering.choice import DEFAULT_FUNCTIONAL
 from tissueid.rendering.scene import Scene
 
-__all__ = ["RenderOptions"]
+__all__ = ["Carried", "RenderOptions"]
+
+
+class Carried(Protocol):
+    """Motion of a carried grip, in tissue units."""
+
+    @property
+    def duration_s(self) -> float:
+        """Time of its end [s]."""
+        ...
+
+    def hand(
+        self, *, motion_scale: float, surface_m: NDArray[np.float64], inward: NDArray[np.float64]
+    ) -> Hand:
+        """The machine that carries the grip along it."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,6 +50,8 @@ class RenderOptions:
     device_options : mapping
         For the device's class.
     script : str or None
+    program : Carried or None
+        Motion of the simulated grip, in place of a script.
     seconds : float or None
         Length of a session without a script.
     force_scale, motion_scale, tip_radius_mm : float or None
@@ -72,6 +93,7 @@ class RenderOptions:
     device: str = "auto"
     device_options: Mapping[str, Any] = field(default_factory=dict)
     script: str | None = None
+    program: Carried | None = None
     seconds: float | None = None
     force_scale: float | None = None
     motion_scale: float | None = None

@@ -101,9 +101,10 @@ def plan_session(options: RenderOptions) -> SessionPlan:
     given = dict(options.device_options)
     if options.replay is not None:
         given["log"] = options.replay
-    if script is not None:
+    carried_along = script or options.program
+    if carried_along is not None:
         given["limits"] = replace(GuardLimits.simulated(), ramp_s=RAMP_S)
-        given["hand"] = script.hand(
+        given["hand"] = carried_along.hand(
             motion_scale=check.scaling.motion,
             surface_m=_touch_point(surface, radius_m),
             inward=_inward(surface),
@@ -214,6 +215,8 @@ def _device(options: RenderOptions, name: str) -> tuple[tuple[str, str], HapticD
 
 def _seconds(options: RenderOptions, script: Script | None) -> float | None:
     """Length of the session: of the script that was asked for, else what was said."""
+    if options.program is not None:
+        return options.program.duration_s
     if script is None or (options.script is None and options.seconds is not None):
         return options.seconds
     return script.duration_s
@@ -223,7 +226,7 @@ def _script(options: RenderOptions, choice: tuple[str, str], first: Picked) -> S
     """What the user wrote; a simulated grip that nobody moves shows three quarters of the depth, repeated."""
     if options.script is not None:
         return read_script(options.script)
-    if choice[0] != SIMULATED or options.bridge or options.led:
+    if choice[0] != SIMULATED or options.bridge or options.led or options.program is not None:
         return None
     depth, speed = DEMONSTRATED_DEPTH * first.tissue.model.depth_mm, S_PER_MIN * first.tissue.speeds_mm_s[1]
     push = f"indent {depth:.3g} mm at {speed:.4g} mm/min; hold 1 s; retract at {speed:.4g} mm/min"
@@ -260,7 +263,8 @@ def _must_fit(options: RenderOptions, choice: tuple[str, str], script: Script | 
     if script is not None and not simulated:
         msg = f"--script moves a simulated grip, and the device is {choice[0]}; add --device sim"
         raise UsageError(msg)
-    if options.virtual and not (simulated and script is not None):
+    led_by_nobody = script is None and options.program is None
+    if options.virtual and (not simulated or led_by_nobody):
         msg = "--virtual runs a script on the simulated device faster than time; add --device sim --script"
         raise UsageError(msg)
     if options.seconds is not None and not options.seconds > 0.0:

@@ -1,0 +1,112 @@
+"""The twin: what a machine finds at the grip of a device that renders a bundle."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import run
+from test_cli_laws import STUDY, recorded
+
+import tissueid as ti
+from tissueid.haptics.simulated_layout import MAX_KNOTS
+from tissueid.rendering.script import read_script
+from tissueid.twin.program import program_of_recording, program_of_script
+
+
+def fitted(name: str, folder: Path) -> Path:
+    """A recording of a law and its bundle."""
+    recorded(name, folder / "log.csv")
+    (folder / "study.toml").write_text(STUDY, encoding="ascii")
+    ended = run(
+        "fit", folder / "log.csv", "--study", folder / "study.toml", "--model", name, "--draws", "400",
+        "-q", "-o", folder / "out",
+    )  # fmt: skip
+    assert ended.code in (0, 4), ended.stderr
+    return folder / "out" / "bundle.h5"
+
+
+@pytest.mark.system
+@pytest.mark.needs_jit
+@pytest.mark.parametrize(
+    "name", ["polynomial * constant * prony:1", "power * tangent * prony:1", "flat * stretched", "yardstick"]
+)
+def test_what_went_in_comes_out(name: str, tmp_path: Path) -> None:
+    if name == "yardstick":
+        recorded("flat * fung", tmp_path / "log.csv")
+        ended = run("fit", tmp_path / "log.csv", "--model", name, "-q", "-o", tmp_path / "out")
+        assert ended.code == 0, ended.stderr
+        bundle = tmp_path / "out" / "bundle.h5"
+    else:
+        bundle = fitted(name, tmp_path)
+    out = tmp_path / "twin"
+    for _ in range(2):
+        # a second time into the same folder
+        ended = run("render", bundle, "--twin", "--against", tmp_path / "log.csv", "--out", out, "--json")
+        assert ended.code == 0, ended.stderr
+    document = ended.json()
+    assert document == json.loads((out / "twin.json").read_text(encoding="utf-8"))
+    falcon, simulated = document["devices"]
+    for one in (falcon, simulated):
+        assert one["nrmsd_model"] < 0.02
+        assert one["nrmsd_recording"] < 0.02
+        verdicts = [row["verdict"] for row in one["rows"]]
+        assert ("inside" in verdicts) == (name != "yardstick")
+        # half a count is no term of any interval: a number that is known to 0.2 % may be 0.3 % off
+        assert verdicts.count("outside") <= 0.2 * len(verdicts)
+        for row in one["rows"]:
+            if row["verdict"] == "outside":
+                assert abs(row["came_out"] / row["went_in"] - 1.0) < 0.01
+    # only the emulated one has counts, a wire and a delay
+    assert simulated["nrmsd_model"] < 0.1 * falcon["nrmsd_model"]
+    assert (out / "emulated-Falcon.csv").read_text(encoding="ascii").startswith("Time (s),Displacement (mm)")
+    assert (out / "twin.svg").read_text(encoding="utf-8").startswith("<svg xmlns=")
+    (again,) = ti.read(out / "felt.h5")
+    assert again.force_N.max() > 10.0
+
+
+def test_a_script_is_a_program_from_above_the_tissue() -> None:
+    program = program_of_script(read_script("indent 4 mm at 120 mm/min; hold 2 s; retract at 240 mm/min"))
+    assert program.depth_mm[0] < 0.0
+    assert program.speed_mm_s == pytest.approx(2.0)
+    assert np.interp(program.contact_s, program.time_s, program.depth_mm) == pytest.approx(0.0, abs=1e-9)
+    hand = program.hand(
+        motion_scale=5.0, surface_m=np.array([0.0, 0.0, 0.1]), inward=np.array([0.0, 0.0, -1.0])
+    )
+    assert hand.rigid
+    assert min(z for _, _, z in hand.positions_m) == pytest.approx(0.1 - 5.0 * 4e-3)
+
+
+def test_a_recording_is_a_program_of_few_straight_stretches(tmp_path: Path) -> None:
+    recorded("power * prony", tmp_path / "log.csv")
+    (trial,) = ti.read(tmp_path / "log.csv")
+    wavy = trial.displacement_mm + 0.02 * np.sin(40.0 * trial.time_s)
+    for travel in (trial.displacement_mm, wavy):
+        program = program_of_recording(ti.Trial("s", trial.time_s, travel, trial.force_N), 6.5)
+        assert program.time_s.size <= MAX_KNOTS
+        assert program.recorded is not None
+        assert program.recorded[-1, 0] == pytest.approx(program.duration_s)
+        meant = np.interp(program.recorded[:, 0], program.time_s, program.depth_mm)
+        assert np.abs(meant[-1] - program.depth_mm[-1]) < 1e-9
+
+
+@pytest.mark.system
+def test_what_makes_no_sense_is_refused(tmp_path: Path) -> None:
+    bundle = fitted("power * prony", tmp_path)
+    deep = tmp_path / "deep.csv"
+    rows = (tmp_path / "log.csv").read_text(encoding="ascii").splitlines()
+    cells = [row.split(",") for row in rows[1:]]
+    scaled = [f"{t},{2.0 * float(x):.5f},{f}" for t, x, f in cells]
+    deep.write_text("\n".join([rows[0], *scaled]) + "\n", encoding="ascii")
+    for asked, words in (
+        (("--against", deep), "the bundle is claimed to"),
+        (("--log", tmp_path / "x.h5"), "leave out --log"),
+        (("--preset", "paper-a"), "leave out --preset"),
+        (("--script", "indent 4 furlongs"), "furlongs"),
+    ):
+        ended = run("render", bundle, "--twin", "--out", tmp_path / "twin", *asked)
+        assert ended.code == 2, (asked, ended.stderr)
+        assert words in ended.stderr
+    assert run("render", "--twin").code == 2

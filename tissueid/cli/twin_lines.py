@@ -1,0 +1,125 @@
+"""``tissueid render --twin``: what a test machine finds at the grip of a device that renders a bundle."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tissueid.cli.output import echo, echo_json, note, progress_bar, write_output
+
+if TYPE_CHECKING:
+    from tissueid.store.bundle_content import Bundle
+    from tissueid.twin.program import Program
+    from tissueid.twin.twin import Row, Twin
+
+__all__ = ["twin", "twin_lines"]
+
+#: Options that a twin has no use for.
+_FOREIGN = (
+    "preset", "draw", "draw_specimen", "quantile", "against_draw", "against_quantile", "environment", "scene",
+    "plan", "replay", "bridge", "log", "pseudonym", "key", "seconds",
+)  # fmt: skip
+#: Program without a recording: pushes at the slowest and the fastest identified speed, held.
+HOLD_S, SLOWEST_MM_S, FALL_BACK_S = 5.0, 0.5, 60.0
+
+
+def twin(flags: dict[str, Any]) -> int:
+    """Run the twin of a bundle, write it, print it."""
+    from tissueid.errors import UsageError
+    from tissueid.store.bundle import load_bundle
+    from tissueid.store.files import json_bytes
+    from tissueid.twin.twin import run_twin, twin_drawing
+
+    said = [f"--{key.replace('_', '-')}" for key in _FOREIGN if flags[key] is not None]
+    if said or flags["bundle"] is None:
+        words = f"leave out {', '.join(said)}" if said else "name a BUNDLE"
+        msg = f"--twin takes a bundle, --against RECORDING or --script, and --out: {words}"
+        raise UsageError(msg)
+    bundle = load_bundle(flags["bundle"])
+    bundle.require_renderable()
+    program = _program(flags, bundle)
+    out: Path = flags["out"]
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        msg = f"{out}: can't be made ({error.strerror}); choose another place with --out"
+        raise UsageError(msg) from error
+    with progress_bar(show=not flags["quiet"]) as progress:
+        found = run_twin(bundle, flags["bundle"], program, out, progress)
+    write_output(str(out / "twin.json"), json_bytes(found.as_json()))
+    write_output(str(out / "twin.svg"), _svg(twin_drawing(found)))
+    if flags["as_json"]:
+        echo_json(found.as_json())
+    elif not flags["quiet"]:
+        for line in twin_lines(found):
+            echo(line)
+    note(f"wrote {out}/twin.json, twin.svg, and the recordings at the grips", quiet=flags["quiet"])
+    return 0
+
+
+def _program(flags: dict[str, Any], bundle: Bundle) -> Program:
+    """A recording's travel, a script, or pushes over the identified speeds."""
+    from tissueid.ingest import read_trials
+    from tissueid.rendering.script import read_script
+    from tissueid.twin.program import program_of_recording, program_of_script
+
+    if flags["against"] is not None:
+        return program_of_recording(read_trials(flags["against"])[0], bundle.depth_mm)
+    if flags["script"] is not None:
+        return program_of_script(read_script(flags["script"]))
+    depth, (slow, fast) = 0.9 * bundle.depth_mm, bundle.speeds_mm_s
+    slow = max(slow, SLOWEST_MM_S, depth / FALL_BACK_S)
+    strokes = [f"indent {depth:.3g} mm at {60.0 * fast:.4g} mm/min; hold {HOLD_S:g} s"]
+    if slow < 0.9 * fast:
+        back = f"retract at {60.0 * fast:.4g} mm/min; hold {HOLD_S:g} s"
+        strokes += [back, f"indent {depth:.3g} mm at {60.0 * slow:.4g} mm/min; hold {HOLD_S:g} s"]
+    return program_of_script(read_script("; ".join(strokes)))
+
+
+def _svg(text: str) -> bytes:
+    """A drawing as a file of its own."""
+    return text.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" color="#222" ', 1).encode("utf-8")
+
+
+def twin_lines(found: Twin) -> list[str]:
+    """Numbers that went in and came out, a device after another."""
+    lines = [
+        f"{found.specimen}  {found.model}, {found.program}",
+        f"scale  felt force = tissue/{1.0 / found.force_scale:.4g}, motion x{found.motion_scale:g}",
+    ]
+    for one in found.devices:
+        beside = "" if one.nrmsd_recording is None else f", the recording by {_percent(one.nrmsd_recording)}"
+        missed = f"force off the law by {_percent(one.nrmsd_model)} of its range{beside}"
+        could = "could" if one.noticeable > 1.0 else "could not"
+        told = f"a hand {could} tell: {one.noticeable:.2g} just-noticeable differences at most (Jones 1989)"
+        refit = "" if one.fit_nrmsd is None else f"; refit NRMSD {_percent(one.fit_nrmsd)}"
+        lines += ["", f"{one.device}: {missed}{refit}", f"  {told}"]
+        lines += [f"  {_row(row)}" for row in one.rows]
+    lines += [
+        "",
+        "No real device has confirmed this: the Falcon is emulated, its counts and delay stated.",
+    ]
+    return lines
+
+
+def _row(row: Row) -> str:
+    went, came = _said(row.went_in, row.went_in_ci95), _said(row.came_out, row.came_out_ci95)
+    unit = "" if row.unit == "1" else f" {row.unit}"
+    if row.verdict == "not identified":
+        return f"{row.symbol:<6} not identified in the bundle"
+    if row.verdict == "destroyed":
+        return f"{row.symbol:<6} in {went}{unit}, destroyed by counts and delay"
+    off = ""
+    if row.verdict == "outside" and row.went_in and row.came_out is not None:
+        off = f" by {_percent(abs(row.came_out / row.went_in - 1.0))}"
+    return f"{row.symbol:<6} in {went}{unit}, out {came}, {row.verdict}{off}"
+
+
+def _said(value: float | None, ci95: tuple[float, float] | None) -> str:
+    if value is None:
+        return "none"
+    return f"{value:.4g}" + ("" if ci95 is None else f" [{ci95[0]:.4g}, {ci95[1]:.4g}]")
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.2g} %"

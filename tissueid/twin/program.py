@@ -1,0 +1,140 @@
+"""Motion of a test machine as knots of a carried grip: a recording's own travel, or strokes of a script."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.errors import UsageError
+from tissueid.haptics.hand import Hand
+from tissueid.haptics.simulated_layout import MAX_KNOTS
+from tissueid.rendering.script import Script
+from tissueid.segment import segment
+from tissueid.trial import Trial, contact_frame
+
+__all__ = ["Program", "program_of_recording", "program_of_script"]
+
+FloatArray = NDArray[np.float64]
+
+#: Rest above the tissue before the motion [s]: longer than the ramp of a start; height and speed of the way
+#: to it [mm, mm/s].
+REST_S, CLEARANCE_MM, APPROACH_MM_S = 0.7, 0.5, 2.0
+#: Deviation of straight stretches from a recording's travel that is tried first, over its depth.
+FINEST = 2e-4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Program:
+    """Depth by time, straight between knots.
+
+    Attributes
+    ----------
+    time_s, depth_mm : ndarray, shape (k,)
+        From rest above the tissue on.
+    contact_s : float
+        When the surface is crossed.
+    words : str
+    recorded : ndarray, shape (n, 2), or None
+        Time [s] and force [N] of the recording that it is of.
+    """
+
+    time_s: FloatArray
+    depth_mm: FloatArray
+    contact_s: float
+    words: str
+    recorded: FloatArray | None = None
+
+    @property
+    def duration_s(self) -> float:
+        """Time of the last knot [s]."""
+        return float(self.time_s[-1])
+
+    @property
+    def speed_mm_s(self) -> float:
+        """Fastest way into the tissue."""
+        return float((np.diff(self.depth_mm) / np.diff(self.time_s)).max())
+
+    def hand(self, *, motion_scale: float, surface_m: FloatArray, inward: FloatArray) -> Hand:
+        """A machine that carries the grip along it."""
+        points = np.asarray(surface_m) + np.outer(self.depth_mm * motion_scale * 1e-3, np.asarray(inward))
+        return Hand(
+            times_s=tuple(self.time_s.tolist()),
+            positions_m=tuple((float(x), float(y), float(z)) for x, y, z in points),
+            grips=(1.0,) * self.time_s.size,
+            rigid=True,
+        )
+
+
+def program_of_script(script: Script) -> Program:
+    """Strokes of a script, from above the tissue on."""
+    time, depth = [0.0, REST_S], [-CLEARANCE_MM, -CLEARANCE_MM]
+    for stroke in script.strokes:
+        time.append(time[-1] + stroke.duration_s)
+        depth.append(stroke.depth_mm)
+    return _whole(np.array(time), np.array(depth), script.text)
+
+
+def program_of_recording(trial: Trial, depth_mm: float) -> Program:
+    """A recording's own travel from contact on.
+
+    Parameters
+    ----------
+    trial : Trial
+    depth_mm : float
+        To which the tissue is claimed.
+
+    Raises
+    ------
+    UsageError
+        It has no contact, goes deeper than that, or needs more straight stretches than a grip is led by.
+    """
+    segmentation = segment(trial)
+    if segmentation.contact is None:
+        msg = f"{trial.name}: there is no contact in it; name a recording that touches tissue"
+        raise UsageError(msg)
+    depth, force = contact_frame(trial, segmentation)
+    start = segmentation.contact.index
+    time, depth, force = trial.time_s[start:] - trial.time_s[start], depth[start:], force[start:]
+    if depth.max() > 1.01 * depth_mm:
+        msg = f"{trial.name} is {depth.max():.3g} mm deep, the bundle is claimed to {depth_mm:.3g} mm"
+        raise UsageError(msg)
+    path = np.column_stack([time, np.maximum(depth, -CLEARANCE_MM)])
+    tolerance = FINEST * float(depth.max())
+    knots = _simplified(path, tolerance)
+    while len(knots) > MAX_KNOTS - 3:
+        tolerance *= 1.5
+        knots = _simplified(path, tolerance)
+    came_s = CLEARANCE_MM / APPROACH_MM_S
+    time = np.concatenate([[0.0, REST_S], REST_S + came_s + knots[:, 0]])
+    depths = np.concatenate([[-CLEARANCE_MM, -CLEARANCE_MM], knots[:, 1]])
+    depths[2] = 0.0
+    recorded = np.column_stack([REST_S + came_s + path[:, 0], force])
+    return replace(_whole(time, depths, f"travel of {trial.name}"), recorded=recorded)
+
+
+def _whole(time_s: FloatArray, depth_mm: FloatArray, words: str) -> Program:
+    rising = np.concatenate([[True], np.diff(time_s) > 1e-6])
+    time, depth = time_s[rising], depth_mm[rising]
+    first = int(np.argmax(depth > 0.0))
+    share = -depth[first - 1] / (depth[first] - depth[first - 1])
+    contact = time[first - 1] + share * (time[first] - time[first - 1])
+    return Program(time, depth, float(contact), words)
+
+
+def _simplified(path: FloatArray, tolerance: float) -> FloatArray:
+    """Fewest points between which a path is straight to a tolerance (Ramer 1972, Douglas & Peucker 1973)."""
+    keep, stack = np.zeros(len(path), dtype=bool), [(0, len(path) - 1)]
+    keep[[0, -1]] = True
+    while stack:
+        first, last = stack.pop()
+        if last <= first + 1:
+            continue
+        time, depth = path[first : last + 1].T
+        off = np.abs(depth - np.interp(time, time[[0, -1]], depth[[0, -1]]))
+        at = int(np.argmax(off))
+        if off[at] > tolerance:
+            keep[first + at] = True
+            stack += [(first, first + at), (first + at, last)]
+    return path[keep]

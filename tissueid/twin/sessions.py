@@ -1,0 +1,155 @@
+"""Sessions of a twin: an emulated Falcon with its counts and delay, and the simulated device.
+
+Both run in virtual time, a millisecond a tick, through the servo, the guard and the drivers that a real
+device has.  What a machine at the grip would record is the arm's true position and force, with the scales
+undone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.errors import DeviceError
+from tissueid.haptics.falcon.calibration import Calibration
+from tissueid.haptics.falcon.device import FalconDevice
+from tissueid.haptics.falcon.emulator import EmulatedLink, EmulatorSettings
+from tissueid.haptics.limits import GuardLimits
+from tissueid.haptics.parameter_block import COMMAND_ENGAGE, ParameterBlock
+from tissueid.haptics.ring import Ring
+from tissueid.haptics.sim import carried
+from tissueid.haptics.states import Fault, State
+from tissueid.ingest import read_trials
+from tissueid.rendering.options import RenderOptions
+from tissueid.rendering.passivity_control import PassivityLimits
+from tissueid.rendering.plan import plan_session
+from tissueid.rendering.presets import ASSUMED_DEVICE
+from tissueid.rendering.recorder import Recorder
+from tissueid.rendering.servo_io import compiled_io
+from tissueid.rendering.servo_tick import BLOCK_SIZE, compiled_tick, new_servo
+from tissueid.rendering.session import Session
+from tissueid.rendering.session_plan import SessionPlan
+from tissueid.rendering.tissue_block import Plane, Tissue, tissue_block
+from tissueid.twin.program import Program
+
+__all__ = ["LATE_S", "Felt", "emulated_falcon", "planned", "simulated"]
+
+FloatArray = NDArray[np.float64]
+
+TICK_S = 1e-3
+#: From a position to the middle of the force it causes: what a session states of its device [s].
+LATE_S = (ASSUMED_DEVICE.delay_ticks + 0.5) * TICK_S
+LIMITS = GuardLimits(clamp_N=5.0, rms_limit_N=5.0, dead_man=False, ramp_s=0.5)
+#: Travel of one encoder count at the grip (docs/devices.md) [mm].
+COUNT_MM = 0.0635
+#: Emulated time of homing [s], and the surface in the Falcon's frame [m].
+HOMED_S, SURFACE_M = 3.0, (0.0, 0.0, 0.1445)
+INWARD = (0.0, 0.0, -1.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Felt:
+    """Recording at the grip, in tissue units.
+
+    Attributes
+    ----------
+    device : str
+    time_s, depth_mm, force_N : ndarray, shape (n,)
+        From the rest before contact on; the force is as late as the device makes it.
+    late_s : float
+        Delay that the device states.
+    step_mm : float
+        Depth of one count of its encoders; a position is known to half of it.
+    """
+
+    device: str
+    time_s: FloatArray
+    depth_mm: FloatArray
+    force_N: FloatArray
+    late_s: float
+    step_mm: float
+
+    def undone(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Time, depth and force with the stated delay undone."""
+        force = np.interp(self.time_s + self.late_s, self.time_s, self.force_N)
+        kept = self.time_s <= self.time_s[-1] - self.late_s
+        return self.time_s[kept], self.depth_mm[kept], force[kept]
+
+
+def _block(tissue: Tissue, surface: FloatArray, force_scale: float, motion: float) -> FloatArray:
+    plane = Plane(point_m=(float(surface[0]), float(surface[1]), float(surface[2])))
+    environment = tissue_block(tissue, plane, force_scale=force_scale, motion_scale=motion)
+    return np.concatenate([environment, PassivityLimits(on=False).block()])
+
+
+def emulated_falcon(tissue: Tissue, program: Program, *, force_scale: float, motion: float) -> Felt:
+    """The program on an emulated Falcon: encoder counts, wire, kinematics, motor units and delay.
+
+    Raises
+    ------
+    DeviceError
+        A fault ended the session.
+    """
+    surface = np.array(SURFACE_M)
+    hand = program.hand(motion_scale=motion, surface_m=surface, inward=np.array(INWARD))
+    link = EmulatedLink(EmulatorSettings(hand=hand, period_s=TICK_S))
+    rows: list[tuple[float, float, float]] = []
+    with link:
+        falcon = link.falcon
+        # a machine holds still: encoders that do not move are then in good health
+        device = FalconDevice(carried(LIMITS), port=link.descriptor(), calibration=Calibration())
+        device.open()
+        ring, block = Ring.create(1), ParameterBlock.create(BLOCK_SIZE)
+        try:
+            link.step()
+            falcon.advance(HOMED_S - falcon.time_s)
+            servo, given = new_servo(device, ring, block), device.compiled()
+            assert given is not None  # noqa: S101 -- a Falcon is compiled
+            io, now = compiled_io(given), 0.0
+            block.write(_block(tissue, surface, force_scale, motion))
+            block.order(COMMAND_ENGAGE)
+            start = falcon.time_s
+            while falcon.time_s < HOMED_S + program.duration_s + 0.1 and not falcon.gone:
+                now += TICK_S
+                compiled_tick(io, servo, now, TICK_S, 0.0, 0)
+                link.step()
+                depth = (surface[2] - falcon.position_m[2]) / motion * 1e3
+                rows.append((falcon.time_s - start, depth, falcon.force_N[2] / force_scale))
+            record = ring.records[0]
+            if State(int(record["state"])) is not State.ENGAGED:
+                msg = f"the emulated session ended in {Fault(int(record['fault'])).name.lower()}"
+                raise DeviceError(msg)
+        finally:
+            device.close()
+            ring.close()
+            block.close()
+    time, depth, force = np.array(rows).T
+    return Felt("emulated Falcon", time, depth, force, LATE_S, COUNT_MM / motion)
+
+
+def planned(bundle: Path, program: Program) -> SessionPlan:
+    """The session of the simulated device; its scale is that of both."""
+    asked = RenderOptions(bundle=bundle, device="sim", virtual=True, program=program)
+    return plan_session(asked)
+
+
+def simulated(plan: SessionPlan, folder: Path) -> Felt:
+    """The program on the simulated device, through the session that ``render`` runs.
+
+    Parameters
+    ----------
+    plan : SessionPlan
+        Of :func:`planned`.
+    folder : Path
+        For the session's log, ``felt.h5``.
+    """
+    with TemporaryDirectory(dir=folder) as made:
+        log = Path(made) / "felt.h5"
+        Session(plan, recorder=Recorder(log, plan.head)).run()
+        (trial,) = read_trials(log)
+        log.replace(folder / "felt.h5")
+    return Felt("simulated device", trial.time_s, trial.displacement_mm, trial.force_N, 0.0, 0.0)

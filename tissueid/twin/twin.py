@@ -1,0 +1,284 @@
+"""One bundle felt by a machine: recordings at the grip, fitted by the same engine, beside what went in."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.contrast.noticeable import LEAST_FORCE_N, LIMITS
+from tissueid.errors import DeviceError
+from tissueid.inference.posterior import PosteriorOptions
+from tissueid.inference.specimen import FitOptions
+from tissueid.manifest import Calibration, Study
+from tissueid.model.base import ContactPath
+from tissueid.model.frame import linear_frame
+from tissueid.model.grammar import KELVIN_VOIGT
+from tissueid.model.yardstick import YARDSTICK
+from tissueid.notebook import drawing
+from tissueid.pipeline import IdentifyOptions, identify
+from tissueid.rendering.choice import as_tissue
+from tissueid.result import SpecimenFit
+from tissueid.segment import SegmentOptions
+from tissueid.store.bundle_content import Bundle
+from tissueid.trial import Source, Trial
+from tissueid.twin.program import Program
+from tissueid.twin.sessions import Felt, emulated_falcon, planned, simulated
+
+__all__ = ["Row", "Twin", "TwinDevice", "run_twin", "twin_drawing"]
+
+FloatArray = NDArray[np.float64]
+
+#: Delay that is stated is known to half a tick [s].
+HALF_TICK_S = 5e-4
+#: Draws of the fits.
+DRAWS = 1_000
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One number that went in and came out.
+
+    Attributes
+    ----------
+    name, symbol, unit : str
+    went_in : float or None
+        Of the bundle; None where it is not identified there.
+    went_in_ci95 : tuple of float or None
+    came_out, came_out_ci95 : float, tuple of float
+        Of the recording at the grip; None where counts and delay have destroyed it.
+    verdict : str
+        ``inside``, ``outside``, ``destroyed`` or ``not identified``.
+    """
+
+    name: str
+    symbol: str
+    unit: str
+    went_in: float | None
+    went_in_ci95: tuple[float, float] | None
+    came_out: float | None
+    came_out_ci95: tuple[float, float] | None
+    verdict: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TwinDevice:
+    """What a machine found at the grip of one device.
+
+    Attributes
+    ----------
+    device : str
+    nrmsd_model : float
+        Deviation of the force at the grip from the bundle's law along the grip's own path, over its range.
+    nrmsd_recording : float or None
+        The same from the recording whose travel it is.
+    fit_nrmsd : float or None
+        Of the refit; None of the yardstick, which has no numbers to give back.
+    noticeable : float
+        Largest difference of force over the just-noticeable one, at the device.
+    rows : tuple of Row
+    felt : Felt
+    law_N : ndarray
+        Force of the bundle's law at the felt times with the delay undone.
+    """
+
+    device: str
+    nrmsd_model: float
+    nrmsd_recording: float | None
+    fit_nrmsd: float | None
+    noticeable: float
+    rows: tuple[Row, ...]
+    felt: Felt
+    law_N: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Twin:
+    """A bundle beside what its devices gave back.
+
+    Attributes
+    ----------
+    specimen, model, program : str
+    force_scale, motion_scale : float
+    devices : tuple of TwinDevice
+    """
+
+    specimen: str
+    model: str
+    program: str
+    force_scale: float
+    motion_scale: float
+    devices: tuple[TwinDevice, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """The document ``twin.json``."""
+        return {
+            "schema": "tissueid/twin/1",
+            "specimen": self.specimen,
+            "model": self.model,
+            "program": self.program,
+            "force_scale": self.force_scale,
+            "motion_scale": self.motion_scale,
+            "devices": [
+                {
+                    "device": one.device,
+                    "nrmsd_model": one.nrmsd_model,
+                    "nrmsd_recording": one.nrmsd_recording,
+                    "fit_nrmsd": one.fit_nrmsd,
+                    "noticeable": one.noticeable,
+                    "rows": [asdict(row) for row in one.rows],
+                }
+                for one in self.devices
+            ],
+        }
+
+
+def run_twin(
+    bundle: Bundle, path: Path, program: Program, folder: Path, progress: Callable[[str, int, int], None]
+) -> Twin:
+    """Let a machine feel a bundle on the emulated Falcon and on the simulated device, and fit both.
+
+    Parameters
+    ----------
+    bundle : Bundle
+    path : Path
+        Its file.
+    program : Program
+    folder : Path
+        For the recordings at the grip and the session's log.
+    progress : callable
+        ``progress(message, done, total)``.
+
+    Raises
+    ------
+    BundleError, UsageError, DeviceError
+        The bundle can't be rendered, or a session ended in a fault.
+    """
+    plan = planned(path, program)
+    assert plan.check is not None  # noqa: S101 -- a tissue is always checked
+    tissue, scale = as_tissue(bundle), plan.check.scaling
+    progress("emulated Falcon", 0, 4)
+    felt = [emulated_falcon(tissue, program, force_scale=scale.force, motion=scale.motion)]
+    progress("simulated device", 1, 4)
+    felt.append(simulated(plan, folder))
+    devices = []
+    for k, one in enumerate(felt):
+        progress(f"fit of the {one.device}", 2 + k, 4)
+        devices.append(_device(bundle, program, one, folder, scale.force))
+    progress("fit", 4, 4)
+    model = bundle.model.name or bundle.model.key
+    return Twin(bundle.specimen, model, program.words, scale.force, scale.motion, tuple(devices))
+
+
+def _device(bundle: Bundle, program: Program, felt: Felt, folder: Path, force_scale: float) -> TwinDevice:
+    time, depth, force = felt.undone()
+    # in the program's time: both cross the surface together
+    met = float(np.interp(0.0, *_rising(depth, time)))
+    at = time - met + program.contact_s
+    inside = np.maximum(depth, 0.0)
+    law = bundle.contact_model().force(bundle.theta, ContactPath(time, inside))
+    touching = time >= met
+    spread = float(np.ptp(law[touching]))
+    off = force[touching] - law[touching]
+    recorded = None
+    if program.recorded is not None:
+        there = touching & (at <= program.recorded[-1, 0])
+        meant = np.interp(at[there], program.recorded[:, 0], program.recorded[:, 1])
+        recorded = float(np.sqrt(np.mean((force[there] - meant) ** 2)) / np.ptp(meant))
+    fit = _refit(bundle, program, felt, folder / f"{felt.device.replace(' ', '-')}.csv")
+    least = LIMITS[0].share * np.maximum(np.abs(law[touching]) * force_scale, LEAST_FORCE_N)
+    return TwinDevice(
+        felt.device,
+        float(np.sqrt(np.mean(off**2)) / spread),
+        recorded,
+        None if fit is None else fit.nrmsd.range,
+        float(np.max(np.abs(off) * force_scale / least)),
+        () if fit is None else tuple(_rows(bundle, fit)),
+        felt,
+        law,
+    )
+
+
+def _rising(depth: FloatArray, time: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Depth and time up to a little behind contact."""
+    first = int(np.argmax(depth > 0.0))
+    return depth[max(first - 1, 0) : first + 1], time[max(first - 1, 0) : first + 1]
+
+
+def _machine(felt: Felt, program: Program) -> Calibration:
+    """The machine at the grip: rigid, unfiltered, and late to within half a tick and half a count."""
+    late = math.hypot(HALF_TICK_S, 0.5 * felt.step_mm / program.speed_mm_s)
+    values = {
+        "load_cell_class": 0.1,
+        "displacement_class": 0.1,
+        "skew_s": 0.0,
+        "skew_s_sd": late,
+        "force_filter_s": 0.0,
+        "force_filter_s_sd": 1e-6,
+    }
+    return Calibration(values=values, frame=linear_frame(1e6))
+
+
+def _refit(bundle: Bundle, program: Program, felt: Felt, path: Path) -> SpecimenFit | None:
+    """Fit what a machine at the grip recorded, written as a test machine's export."""
+    time, depth, force = felt.undone()
+    rows = [f"{t:.6f},{x:.7f},{f:.6f}" for t, x, f in zip(time, depth, force, strict=True)]
+    path.write_text("\n".join(["Time (s),Displacement (mm),Force (N)", *rows, ""]), encoding="ascii")
+    if bundle.model.key == YARDSTICK:
+        return None
+    trial = Trial(bundle.specimen, time, depth, force, source=Source(path=path.name))
+    kelvin_voigt = bundle.model.key == KELVIN_VOIGT
+    options = FitOptions(
+        model=bundle.model.name or bundle.model.key,
+        branches=bundle.model.branches if kelvin_voigt else None,
+        stiffness_degree=bundle.model.stiffness_degree if kelvin_voigt else None,
+    )
+    found = identify(
+        [trial],
+        study=Study("twin", calibration=_machine(felt, program)),
+        # a device does not break: steps of counts are no rupture
+        options=IdentifyOptions(
+            fit=options, segment=SegmentOptions(rupture=False), posterior=PosteriorOptions(draws=DRAWS)
+        ),
+    )
+    if not found.specimens:
+        msg = f"the recording at the grip can't be fitted: {found.exit.reasons[0]}"
+        raise DeviceError(msg)
+    return found.specimens[0]
+
+
+def _rows(bundle: Bundle, fit: SpecimenFit) -> list[Row]:
+    """What went in beside what came out."""
+    found, rows = {one.name: one for one in fit.parameters}, []
+    for one in bundle.parameters:
+        out = found.get(one.name)
+        inner = None if one.uncertainty is None else one.uncertainty.ci95_total or one.uncertainty.ci95
+        outer = None
+        if out is not None and out.uncertainty is not None:
+            outer = out.uncertainty.ci95_total or out.uncertainty.ci95
+        value = None if out is None else out.value
+        if one.value is None:
+            verdict = "not identified"
+        elif value is None or outer is None:
+            verdict = "destroyed"
+        else:
+            held = (inner is not None and inner[0] <= value <= inner[1]) or outer[0] <= one.value <= outer[1]
+            verdict = "inside" if held else "outside"
+        rows.append(Row(one.name, one.symbol, one.unit, one.value, inner, value, outer, verdict))
+    return rows
+
+
+def twin_drawing(twin: Twin) -> str:
+    """Force at the grips and of the law against time, as an SVG."""
+    curves: list[tuple[str, FloatArray, FloatArray, str]] = []
+    for one, colour in zip(twin.devices, ("#d55e00", "#009e73"), strict=False):
+        time, _, force = one.felt.undone()
+        if not curves:
+            curves.append(("law of the bundle", time, one.law_N, "#56b4e9"))
+        curves.append((one.device, time, force, colour))
+    return drawing(curves, across="time [s]", up="[N]", words=f"Force of {twin.specimen} and of its twins")
