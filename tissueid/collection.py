@@ -36,8 +36,8 @@ __all__ = [
 
 #: Samples kept in memory between the passes [bytes].
 CACHE_BYTES = 16 * 2**20
-#: Standard deviations of a contact as segmented that its prior is wide: behind a start without slope (x^1.5 of
-#: a sphere) a hinge is four of its own late, and what it is told from are the samples that the fit sees.
+#: Standard deviations of a contact as segmented that its prior is wide: behind a start without slope (x^1.5
+#: of a sphere) a hinge is four of its own late, and it is told from samples that the fit sees.
 CONTACT_WIDER = 3.0
 
 _Progress = Callable[[str, int, int], None]
