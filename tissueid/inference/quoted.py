@@ -153,7 +153,8 @@ def _relaxation(quote: _Quoter, supported: Supported) -> Iterator[Quantity]:
             yield quote("fraction_relaxed", "1", {**at, "time_s": time}, relaxed, why)
 
         def ratio(m: TissueModel, t: FloatArray, force=force) -> float:  # type: ignore[no-untyped-def]
-            return float(force(m, t, 0.0) / m.static_force(t, np.array([depth]))[0])
+            rest = float(m.static_force(t, np.array([depth]))[0])
+            return float(force(m, t, 0.0)) / rest if rest > 0.0 else float("inf")
 
         yield quote("peak_to_plateau", "1", at, ratio, reason or flat)
 

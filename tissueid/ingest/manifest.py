@@ -25,7 +25,6 @@ from tissueid.ingest.stated_priors import PriorError, plain_priors, population_o
 from tissueid.ingest.toml_lines import TomlPath, line_of, lines_of_toml
 from tissueid.manifest import Calibration, Entry, FrameCurve, Study
 from tissueid.model.frame import linear_frame
-from tissueid.model.grammar import ModelNameError, candidates
 from tissueid.priors import Priors
 from tissueid.result import Refusal
 from tissueid.store.schema import first_problem, load_schema
@@ -133,6 +132,9 @@ def study_of(content: bytes, file: Path) -> Study:
 
 def _model(table: Mapping[str, Any], refuser: _Refuser) -> str:
     """The contact model, or those to choose among, as ``fit --model`` takes them."""
+    # loaded here: the laws bring a compiler, and a look at a file needs none
+    from tissueid.model.grammar import ModelNameError, candidates
+
     if ("name" in table) == ("candidates" in table):
         refuser.refuse(("model",), '[model] takes name = "..." or candidates = ["...", "..."], one of them')
     said = table["name"] if "name" in table else " | ".join(table["candidates"])

@@ -115,6 +115,8 @@ def delta_method(
         The error is infinite where the value depends on an unknown parameter.
     """
     value = function(theta)
+    if not np.isfinite(value):
+        return value, float("inf")
     gradient = np.zeros(theta.size)
     for i in range(theta.size):
         step = STEP * max(abs(float(theta[i])), float(np.sqrt(max(covariance[i, i], 0.0))) * STEP)

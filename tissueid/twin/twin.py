@@ -17,9 +17,9 @@ from tissueid.inference.posterior import PosteriorOptions
 from tissueid.inference.specimen import FitOptions
 from tissueid.manifest import Calibration, Study
 from tissueid.model.base import ContactPath
+from tissueid.model.channels import ChannelModel
 from tissueid.model.frame import linear_frame
 from tissueid.model.grammar import KELVIN_VOIGT
-from tissueid.model.yardstick import YARDSTICK
 from tissueid.notebook import drawing
 from tissueid.pipeline import IdentifyOptions, identify
 from tissueid.rendering.choice import as_tissue
@@ -78,7 +78,7 @@ class TwinDevice:
     nrmsd_recording : float or None
         The same from the recording whose travel it is.
     fit_nrmsd : float or None
-        Of the refit; None of the yardstick, which has no numbers to give back.
+        Of the refit; None of a spectrum and of the yardstick, whose times follow the recording.
     noticeable : float
         Largest difference of force over the just-noticeable one, at the device.
     rows : tuple of Row
@@ -229,7 +229,9 @@ def _refit(bundle: Bundle, program: Program, felt: Felt, path: Path) -> Specimen
     time, depth, force = felt.undone()
     rows = [f"{t:.6f},{x:.7f},{f:.6f}" for t, x, f in zip(time, depth, force, strict=True)]
     path.write_text("\n".join(["Time (s),Displacement (mm),Force (N)", *rows, ""]), encoding="ascii")
-    if bundle.model.key == YARDSTICK:
+    model = bundle.contact_model()
+    if isinstance(model, ChannelModel) and model.fixed_s.size:
+        # times of a spectrum, and of the yardstick, follow the recording: their numbers are other numbers
         return None
     trial = Trial(bundle.specimen, time, depth, force, source=Source(path=path.name))
     kelvin_voigt = bundle.model.key == KELVIN_VOIGT
