@@ -209,7 +209,7 @@ def test_a_scale_beyond_the_passivity_bound_is_refused_with_the_numbers(bundle: 
         (("--environment", "nope"), "takes the place of a tissue"),
         (("--preset", "paper-a"), "not both"),
         (("--seconds", "-1"), "must be above 0"),
-        (("--virtual", "--seconds", "1"), "--script"),
+        (("--virtual", "--bridge", "47110"), "--script"),
         (("--port", "/dev/null"), "belongs to a Falcon"),
     ],
 )
