@@ -85,7 +85,9 @@ def verdict(specimen: Mapping[str, Any]) -> Verdict:
     total = len(specimen["parameters"])
     fit = f"The model follows the force to {100 * left:.2f} % of its range{_beside_noise(specimen)}"
     share = (
-        "every parameter is identified"
+        "a mark of what a law can reach, with nothing to quote"
+        if not total
+        else "every parameter is identified"
         if not unknown
         else f"{total - len(unknown)} of {total} parameters are"
     )

@@ -279,8 +279,12 @@ def twin_drawing(twin: Twin) -> str:
     """Force at the grips and of the law against time, as an SVG."""
     curves: list[tuple[str, FloatArray, FloatArray, str]] = []
     for one, colour in zip(twin.devices, ("#d55e00", "#009e73"), strict=False):
-        time, _, force = one.felt.undone()
+        time, depth, force = one.felt.undone()
+        # both from the moment at which the surface is crossed
+        time = time - float(np.interp(0.0, *_rising(depth, time)))
         if not curves:
             curves.append(("law of the bundle", time, one.law_N, "#56b4e9"))
         curves.append((one.device, time, force, colour))
-    return drawing(curves, across="time [s]", up="[N]", words=f"Force of {twin.specimen} and of its twins")
+    return drawing(
+        curves, across="time from contact [s]", up="[N]", words=f"Force of {twin.specimen} and of its twins"
+    )
