@@ -35,13 +35,14 @@ from tissueid.inference.specimen import FitOptions, FittedSpecimen, fit_with_sta
 from tissueid.ingest import ReadOptions, find_inputs, read_each
 from tissueid.model.composed import ContactModel
 from tissueid.model.grammar import KELVIN_VOIGT, candidates
-from tissueid.notebook import Shown, drawing, html_of
+from tissueid.notebook import Shown, drawing, html_of, svg_file
 from tissueid.pipeline import IdentifyOptions, run_provenance, with_draws, with_model
 from tissueid.priors import Priors, SpreadPrior
 from tissueid.report.specimen_lines import specimen_lines
 from tissueid.result import Estimate, Refusal, SpecimenFit
 from tissueid.segment import SegmentOptions
 from tissueid.store.bundle import bundle_from_fit, load_bundle, write_bundle
+from tissueid.store.files import TEMPORARY_PREFIX, replace_file
 from tissueid.trial import Trial, contact_frame
 from tissueid.uncertainty import ParameterUncertainty
 
@@ -485,10 +486,9 @@ class Plot:
     def save(self, path: str | Path) -> Path:
         """Write it as an SVG file."""
         path = Path(path)
-        text = self.svg.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" color="#222" ', 1)
-        replaced = path.with_name(f".{path.name}.part")
-        replaced.write_text(text, encoding="utf-8")
-        replaced.replace(path)
+        temporary = path.with_name(TEMPORARY_PREFIX + path.name)
+        temporary.write_bytes(svg_file(self.svg))
+        replace_file(temporary, path)
         return path
 
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from tissueid.trial import Trial
     from tissueid.uncertainty import ParameterUncertainty, Posterior
 
-__all__ = ["Shown", "drawing", "html_of", "table"]
+__all__ = ["Shown", "drawing", "html_of", "svg_file", "table"]
 
 FloatArray = NDArray[np.float64]
 
@@ -114,6 +114,11 @@ def drawing(
         f'height="{HEIGHT}" style="max-width:100%;font:11px sans-serif;fill:currentColor">'
         f"{frame}{lines}{legend}{marks}</svg>"
     )
+
+
+def svg_file(drawn: str) -> bytes:
+    """A drawing as a file of its own, dark on whatever it lies on."""
+    return drawn.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" color="#222" ', 1).encode("utf-8")
 
 
 def _ends(rows: list[FloatArray]) -> tuple[float, float]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from servo_walk import assert_no_energy, walked
 
 from tissueid.model import ContactPath
 from tissueid.model.grammar import ModelNameError, candidates, described, parsed, rebuilt
@@ -55,12 +56,6 @@ def test_force_is_that_of_the_integral():
     assert found[-1] == pytest.approx(force[-1], rel=1e-4)
 
 
-def walked(model, theta, time, depth):
-    law, state = servo_law(model, theta).packed(), np.zeros(STATE_SIZE)
-    steps = np.diff(time, prepend=time[0])
-    return np.array([tissue_step_in(law, 0, state, 0, x, h) for x, h in zip(depth, steps, strict=True)])
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_ticks_follow_the_force_of_the_model(seed):
     model, theta = drawn(seed)
@@ -79,15 +74,7 @@ def test_ticks_follow_the_force_of_the_model(seed):
 @pytest.mark.parametrize("seed", range(6))
 def test_loops_put_out_no_energy(seed):
     model, theta = drawn(seed)
-    rng = np.random.default_rng(seed)
-    knots = np.concatenate([[0.0], rng.uniform(-0.2, 1.0, 9) * DEPTH, [-0.2]])
-    time = np.cumsum(0.1 + rng.exponential(0.15, knots.size))
-    ticks = np.arange(0.0, time[-1], TICK)
-    depth = np.interp(ticks, time, knots)
-    force = walked(model, theta, ticks, depth)
-    work = float((0.5 * (force[1:] + force[:-1]) * np.diff(depth)).sum())
-    assert work >= -1e-6 * force.max() * DEPTH
-    assert force.min() >= 0.0
+    assert_no_energy(model, theta, np.random.default_rng(seed), turns=9)
 
 
 def test_stiffness_is_the_slope_of_a_small_sudden_move():

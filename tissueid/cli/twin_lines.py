@@ -26,6 +26,7 @@ HOLD_S, SLOWEST_MM_S, FALL_BACK_S = 5.0, 0.5, 60.0
 def twin(flags: dict[str, Any]) -> int:
     """Run the twin of a bundle, write it, print it."""
     from tissueid.errors import UsageError
+    from tissueid.notebook import svg_file
     from tissueid.store.bundle import load_bundle
     from tissueid.store.files import json_bytes
     from tissueid.twin.twin import run_twin, twin_drawing
@@ -47,7 +48,7 @@ def twin(flags: dict[str, Any]) -> int:
     with progress_bar(show=not flags["quiet"]) as progress:
         found = run_twin(bundle, flags["bundle"], program, out, progress)
     write_output(str(out / "twin.json"), json_bytes(found.as_json()))
-    write_output(str(out / "twin.svg"), _svg(twin_drawing(found)))
+    write_output(str(out / "twin.svg"), svg_file(twin_drawing(found)))
     if flags["as_json"]:
         echo_json(found.as_json())
     elif not flags["quiet"]:
@@ -74,11 +75,6 @@ def _program(flags: dict[str, Any], bundle: Bundle) -> Program:
         back = f"retract at {60.0 * fast:.4g} mm/min; hold {HOLD_S:g} s"
         strokes += [back, f"indent {depth:.3g} mm at {60.0 * slow:.4g} mm/min; hold {HOLD_S:g} s"]
     return program_of_script(read_script("; ".join(strokes)))
-
-
-def _svg(text: str) -> bytes:
-    """A drawing as a file of its own."""
-    return text.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" color="#222" ', 1).encode("utf-8")
 
 
 def twin_lines(found: Twin) -> list[str]:

@@ -160,10 +160,7 @@ def sample(
         msg = f"none of {len(points)} proposals is passive and fits"
         raise ArithmeticError(msg)
     weights = tempered(log_weight, START_WORTH) if poor else weighed.weights
-    start = points[rng.choice(len(points), WALKERS, p=weights)]
-    start = start + 1e-9 * rng.standard_normal(start.shape)
-    outside = ~np.isfinite(target.densities(start))
-    start[outside] = points[int(np.argmax(weighed.weights))]
+    start = _started(target, points, weights, rng)
     kinds = (_independence(proposal, rng), emcee.moves.DEMove(), emcee.moves.StretchMove())
     shares = MOVES_IN_TAILS if weighed.pareto <= GOOD_TAILS else MOVES_ALONE if poor else MOVES
     moves = list(zip(kinds, shares, strict=True))
@@ -196,6 +193,15 @@ def sample(
     kept_steps = np.linspace(first, sampler.iteration - 1, STEPS).astype(np.int64)
     chain = np.swapaxes(sampler.get_chain()[kept_steps], 0, 1)
     return Sampled(chain, sampler.get_log_prob()[kept_steps].T, converged, acceptance, detail)
+
+
+def _started(target: Target, points: FloatArray, weights: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Places of the walkers, by the weights of points; the heaviest instead of one that is not passive."""
+    start = points[rng.choice(len(points), WALKERS, p=weights)]
+    start = start + 1e-9 * rng.standard_normal(start.shape)
+    outside = ~np.isfinite(target.densities(start))
+    start[outside] = points[int(np.argmax(weights))]
+    return start
 
 
 def _counted(sampler: Any, *, trusted: bool) -> int:
