@@ -36,9 +36,11 @@ __all__ = [
 
 #: Samples kept in memory between the passes [bytes].
 CACHE_BYTES = 16 * 2**20
-#: Standard deviations of a contact as segmented that its prior is wide: behind a start without slope (x^1.5
+#: Standard deviations of a contact behind air that its prior is wide: behind a start without slope (x^1.5
 #: of a sphere) a hinge is four of its own late, and it is told from samples that the fit sees.
 CONTACT_WIDER = 3.0
+#: Share of the depth up to which it is widened: a contact that is known worse than that says so itself.
+WIDEST_CONTACT = 0.005
 
 _Progress = Callable[[str, int, int], None]
 
@@ -226,12 +228,16 @@ def _handle(
     refusal = _beyond_frame(trial, segmentation, study)
     if refusal is not None:
         return refusal
-    stated = options.contact_displacement_mm is not None
+    contact = segmentation.contact
+    told_by_air = contact is not None and contact.in_record and options.contact_displacement_mm is None
+    sd = log.contact_sd_mm
+    if told_by_air:
+        sd = max(sd, min(CONTACT_WIDER * sd, WIDEST_CONTACT * log.depth_mm))
     return LogHandle(
         load=load,
         segmentation=segmentation,
         facts=log.without_samples(),
-        contact_sd_mm=log.contact_sd_mm * (1.0 if stated else CONTACT_WIDER),
+        contact_sd_mm=sd,
     )
 
 

@@ -50,6 +50,8 @@ MOVES, MOVES_IN_TAILS, GOOD_TAILS = (0.6, 0.25, 0.15), (0.92, 0.05, 0.03), 0.5
 #: Shares where proposals are worth next to nothing, what tempered weights are worth that walkers start from
 #: then, and their rounds.
 MOVES_ALONE, START_WORTH, ROUNDS_ALONE = (0.05, 0.75, 0.2), 64.0, 30
+#: Standard deviations at the optimum from which walkers alone have left along what no data hold.
+FAR = 1e3
 #: R-hat of walkers that agree.
 ALIKE = 1.1
 
@@ -192,6 +194,9 @@ def sample(
     first = sampler.iteration - _counted(sampler, trusted=weighed.pareto <= TRUSTED)
     kept_steps = np.linspace(first, sampler.iteration - 1, STEPS).astype(np.int64)
     chain = np.swapaxes(sampler.get_chain()[kept_steps], 0, 1)
+    if poor and not np.abs(chain - target.centre).max() < FAR:
+        msg = f"importance sampling is worth {weighed.worth:.0f} draws, and walkers left the data"
+        raise ArithmeticError(msg)
     return Sampled(chain, sampler.get_log_prob()[kept_steps].T, converged, acceptance, detail)
 
 
