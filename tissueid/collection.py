@@ -6,6 +6,7 @@ are segmented as well so that the fit can be repeated with them.
 
 from __future__ import annotations
 
+import math
 from collections import Counter, OrderedDict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
@@ -24,6 +25,7 @@ from tissueid.measured.cycles import cycle_rows
 from tissueid.quantities import CycleRow
 from tissueid.result import Refusal
 from tissueid.segment import SegmentOptions, segment
+from tissueid.signal_noise import quantum
 from tissueid.trial import Axes, Segmentation, Source, Trial
 
 __all__ = [
@@ -39,8 +41,6 @@ CACHE_BYTES = 16 * 2**20
 #: Standard deviations of a contact behind air that its prior is wide: behind a start without slope (x^1.5
 #: of a sphere) a hinge is four of its own late, and it is told from samples that the fit sees.
 CONTACT_WIDER = 3.0
-#: Share of the depth up to which it is widened: a contact that is known worse than that says so itself.
-WIDEST_CONTACT = 0.005
 
 _Progress = Callable[[str, int, int], None]
 
@@ -230,9 +230,10 @@ def _handle(
         return refusal
     contact = segmentation.contact
     told_by_air = contact is not None and contact.in_record and options.contact_displacement_mm is None
-    sd = log.contact_sd_mm
+    # a travel in steps places contact, and a hold, to within its rounding
+    sd = math.hypot(log.contact_sd_mm, quantum(trial.displacement_mm) / math.sqrt(12.0))
     if told_by_air:
-        sd = max(sd, min(CONTACT_WIDER * sd, WIDEST_CONTACT * log.depth_mm))
+        sd *= CONTACT_WIDER
     return LogHandle(
         load=load,
         segmentation=segmentation,

@@ -19,6 +19,7 @@ from tissueid.inference.choice import (
     held_out,
     resolved,
     table_of,
+    without_bends,
 )
 from tissueid.inference.window import FOLDS
 from tissueid.model.grammar import parsed
@@ -178,3 +179,11 @@ def test_one_group_of_three_decides_nothing():
     found, _, as_good = chosen_among([simple, best])
     assert found is simple
     assert as_good == [simple, best]
+
+
+def test_a_third_branch_of_one_program_has_to_gain_a_fifth():
+    base = np.array([1.0, 1.2, 0.9])
+    plain, slight = tried(2, 1, base), tried(3, 1, 0.93 * base)
+    assert without_bends([plain, slight]) == [plain]
+    much = tried(3, 1, 0.7 * base)
+    assert without_bends([plain, much]) == [plain, much]

@@ -186,3 +186,12 @@ def test_statistical_draws_have_the_machine_at_its_mean():
     assert found[:, 0].std() == pytest.approx(0.01, rel=0.1)
     np.testing.assert_allclose(found.mean(axis=0), vectors.mean(axis=0), atol=1e-12)
     assert found[:, -1].std() == pytest.approx(vectors[:, -1].std(), rel=0.02)
+
+
+def test_a_draw_is_brought_to_a_centre_that_rounding_puts_outside_a_wall():
+    law = kelvin_voigt_law(1, 0, 4.0)
+    centre = np.array([1.0, 0.0, 0.0, -1e-18])
+    drawn = np.array([[1.1, 0.1, 0.0, -1e-13], [1.1, 0.1, 0.0, -0.5]])
+    inside = _passive(law, drawn, centre)
+    assert np.abs(inside).max() <= 1.2
+    np.testing.assert_allclose(inside[:, -1], 0.0, atol=1e-12)

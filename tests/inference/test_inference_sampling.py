@@ -59,7 +59,7 @@ def test_a_density_that_no_proposal_meets_is_refused():
     def spike(z):
         return np.where(np.abs(z[:, 0] - 3.0) < 1e-6, 0.0, -np.inf)
 
-    with pytest.raises(ArithmeticError, match="none of 12000 proposals"):
+    with pytest.raises(ArithmeticError, match="none of 12288 proposals"):
         sample(Density(2, spike), draws=300, seed=1)
 
 
@@ -201,3 +201,13 @@ def test_a_write_is_due_once_an_interval(tmp_path, monkeypatch):
     clock[0] = 101.5
     keeper.write(rng, np.zeros((3, 3)), np.zeros(3))
     assert len(Checkpoint(path, "key").resume(rng, 3)[0]) == 2
+
+
+def test_medians_of_a_generalised_posterior_hardly_depend_on_the_seed():
+    """A Sobol sequence: 2,048 independent draws would differ by 0.04 standard deviations of a median."""
+    target = Density(4, lambda z: -0.5 * (z**2).sum(axis=1))
+    target.is_normal = True
+    chains = [sample(target, draws=2_000, seed=seed) for seed in (0, 1)]
+    apart = np.subtract(*(np.median(one.chain.reshape(-1, 4), axis=0) for one in chains))
+    assert np.abs(apart).max() <= 0.015
+    assert all(one.detail["effective_draws"] > 2_000 for one in chains)

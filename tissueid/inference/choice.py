@@ -47,7 +47,8 @@ ALIKE, FEWEST_GROUPS = 1.1, 3
 #: Probability within which a prediction counts as good as the best (one standard error of many groups, by
 #: Student's t of few), and a relative gain that is none.
 ONE_ERROR, NO_GAIN = 0.8413, 0.02
-#: Gain in ln mean square error that K of a higher degree must have where there is one program.
+#: Gain in ln mean square error that K of a higher degree, or a third branch, must have where there is one
+#: program.
 BEND = 0.2
 #: Groups of logs at the most, steps of a fit without one, and of a log's own parameters under it.
 MOST_GROUPS, REFIT_STEPS, OWN_STEPS = 8, 6, 8
@@ -300,17 +301,20 @@ def resolved(one: Tried, step_s: float) -> bool:
 
 
 def without_bends(tried: Sequence[Tried]) -> list[Tried]:
-    """Candidates of one program: K varies with depth only where that takes much off the error.
+    """Candidates of one program: K varies with depth, and has a third branch, only where much is gained.
 
     Ramps of one speed to one depth tell F_s(x) from K(x) s(x) only by the form of their polynomials; a
     contact that is off by its error, or a corner between two samples, is then described by a K that bends.
+    Three times that the one hold hardly tells apart are each known to a factor of ten.
     """
-    kept = []
-    for one in tried:
-        flatter = [other for other in tried if other.branches == one.branches and other.degree < one.degree]
-        if all(_gain(one, other)[0] >= BEND for other in flatter):
-            kept.append(one)
-    return kept
+
+    def plainer(other: Tried, one: Tried) -> bool:
+        flatter = other.branches == one.branches and other.degree < one.degree
+        return flatter or (other.branches == 2 < one.branches and other.degree <= one.degree)
+
+    return [
+        one for one in tried if all(_gain(one, other)[0] >= BEND for other in tried if plainer(other, one))
+    ]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

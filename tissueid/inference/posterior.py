@@ -105,7 +105,8 @@ def _passive(law: ChannelLaw, linear: FloatArray, centre: FloatArray) -> FloatAr
     bad = (out @ cone.T < least).any(axis=1)
     if not bad.any():
         return out
-    slack, inside = cone @ centre, out[bad] @ cone.T
+    # a centre on a wall is outside it by rounding
+    slack, inside = np.maximum(cone @ centre, 0.0), out[bad] @ cone.T
     ratio = np.where(inside < 0.0, slack / np.maximum(slack - inside, 1e-300), 1.0).min(axis=1)
     out[bad] = centre + (ratio * (1.0 - 1e-9))[:, None] * (out[bad] - centre)
     return out

@@ -15,6 +15,8 @@ from typing import Any, Protocol
 import emcee
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
+from scipy.stats.qmc import Sobol
 
 from tissueid.inference.checkpoint import Checkpoint
 from tissueid.inference.diagnostics import diagnose
@@ -28,12 +30,12 @@ __all__ = ["Sampled", "sample"]
 FloatArray = NDArray[np.float64]
 
 #: Walkers, and steps of each from where importance sampling put it.
-WALKERS, STEPS = 128, 30
+WALKERS, STEPS = 128, 32
 #: Steps of a round where importance weights have too thick a tail, rounds at the most, and the effective
 #: draws of the walkers themselves that end them.
 ROUND, ROUNDS, WALKED = 60, 5, 400.0
 #: Points of importance sampling in one look, and looks at the most.
-LOOK, MOST_LOOKS = 1_000, 12
+LOOK, MOST_LOOKS = 1_024, 12
 #: Effective draws that intervals must be worth (ends are then good to a quarter of a standard deviation), and
 #: Pareto shapes: the largest that is trusted at all, and that up to which few steps are enough.
 ENOUGH, PARETO, TRUSTED = 100.0, 0.9, 0.7
@@ -52,6 +54,8 @@ MOVES, MOVES_IN_TAILS, GOOD_TAILS = (0.6, 0.25, 0.15), (0.92, 0.05, 0.03), 0.5
 MOVES_ALONE, START_WORTH, ROUNDS_ALONE = (0.05, 0.75, 0.2), 64.0, 30
 #: Standard deviations at the optimum from which walkers alone have left along what no data hold.
 FAR = 1e3
+#: Shares of the moves where proposals are draws of the density itself, and the least of a uniform number.
+MOVES_EXACT, SMALLEST = (1.0, 0.0, 0.0), 1e-12
 #: R-hat of walkers that agree.
 ALIKE = 1.1
 
@@ -91,13 +95,17 @@ class Proposal(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Normal:
-    """A unit normal about a centre."""
+    """A unit normal about a centre, drawn by a scrambled Sobol sequence, so that seeds agree on medians."""
 
     centre: FloatArray
+    sequence: Sobol
 
     def draw(self, count: int, rng: np.random.Generator) -> FloatArray:
-        """Draws, shape (count, d)."""
-        return np.asarray(self.centre + rng.standard_normal((count, self.centre.size)))
+        """Next points of the sequence in random order, shape (count, d)."""
+        # a scrambled point may be 0 itself, whose normal is infinite; in their own order each walker would
+        # have a stratum to itself
+        inside = np.clip(self.sequence.random(count), SMALLEST, 1.0 - SMALLEST)
+        return np.asarray(self.centre + rng.permutation(ndtri(inside)))
 
     def log_density(self, z: FloatArray) -> FloatArray:
         """Up to a constant, (n, d) -> (n,)."""
@@ -107,7 +115,7 @@ class Normal:
 def _proposal(target: Target, rng: np.random.Generator) -> Proposal:
     """The normal within its walls where the target is nearly that, else a mixture that learns it."""
     if target.is_normal:
-        return Normal(target.centre)
+        return Normal(target.centre, Sobol(target.size, seed=rng))
     cut = cut_normal(target.centre, target.rows, target.walls, target.likely, rng)
     if cut.left(rng) >= LEAST_LEFT:
         first = cut.draw(LOOK // 4, rng)
@@ -165,6 +173,7 @@ def sample(
     start = _started(target, points, weights, rng)
     kinds = (_independence(proposal, rng), emcee.moves.DEMove(), emcee.moves.StretchMove())
     shares = MOVES_IN_TAILS if weighed.pareto <= GOOD_TAILS else MOVES_ALONE if poor else MOVES
+    shares = MOVES_EXACT if target.is_normal else shares
     moves = list(zip(kinds, shares, strict=True))
     sampler = emcee.EnsembleSampler(WALKERS, d, target.densities, moves=moves, vectorize=True)
     state = emcee.State(start, random_state=np.random.RandomState(seed & 0xFFFFFFFF).get_state())
