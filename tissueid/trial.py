@@ -39,6 +39,8 @@ __all__ = [
 FloatArray = NDArray[np.float64]
 
 PhaseKind = str
+#: Kind of the protocol of a rendered session's log: its force followed its own travel.
+RENDERED = "rendered"
 #: Phase kinds, in the words of the field.
 PHASE_KINDS = ("approach", "ramp", "hold", "creep", "retract", "rest", "cycle")
 #: What may happen in a recording beside its phases.

@@ -254,7 +254,15 @@ def log_blocks(
     """
     time, depth, force, include = data.time_s, data.depth_mm, data.force_N, data.include
     breaks = np.zeros(time.size, dtype=bool) if data.breaks is None else data.breaks
-    if whole or time.size <= SAMPLED:
+    if data.exact:
+        first = np.arange(time.size) if whole else _edges(time, depth, _stops(include, breaks))[:-1]
+        used = first[include[first]]
+        grid_t, grid_x, at = _followed(time, depth, used)
+        y, count, mid = force[used], np.ones(used.size, dtype=np.int64), time[used]
+        fold, step = data.fold[used], np.full(used.size, step_s)
+        within, freedom = 0.0, 0
+        opens, place = breaks[used], np.arange(used.size)
+    elif whole or time.size <= SAMPLED:
         used = np.flatnonzero(include)
         at = np.repeat(used[:, None], 3, axis=1)
         grid_t, grid_x = time, depth
@@ -290,7 +298,8 @@ def log_blocks(
         fold = data.fold[first[kept]]
         opens = np.add.reduceat(breaks.astype(np.int64), first)[kept] > 0
         within, freedom = _within(time, force, edges, kept)
-    grid_t, grid_x, at = _with_corners((grid_t, grid_x), at, _corners(time, depth))
+    if not data.exact:
+        grid_t, grid_x, at = _with_corners((grid_t, grid_x), at, _corners(time, depth))
     if leads:
         t0, x0 = _with_lead(grid_t, grid_x, contact_sd_mm, step_s)
         grid_t, grid_x = np.concatenate([[t0], grid_t]), np.concatenate([[x0], grid_x])
@@ -313,6 +322,21 @@ def log_blocks(
         contact_sd_mm=contact_sd_mm,
         digits=_digits(force[include], y),
     )
+
+
+def _stops(include: NDArray[np.bool_], breaks: NDArray[np.bool_]) -> list[int]:
+    """Samples, but for the first, at which what is fitted begins or ends, or a chain of noise begins."""
+    changes = np.diff(include.astype(np.int8), prepend=include[0]) != 0
+    return [int(stop) for stop in np.flatnonzero(changes | breaks) if stop > 0]
+
+
+def _followed(time: FloatArray, depth: FloatArray, used: IntArray) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Broken line of a travel that is known exactly, and the places of single samples on it."""
+    step = np.diff(time)
+    slope = np.divide(np.diff(depth), step, out=np.zeros(step.size), where=step > 0.0)
+    bends = 1 + np.flatnonzero(np.abs(np.diff(slope)) > STRAIGHT_SHARE * np.abs(slope).max(initial=0.0))
+    knots = np.union1d(np.union1d(bends, used), [0, time.size - 1])
+    return time[knots], depth[knots], np.repeat(np.searchsorted(knots, used)[:, None], 3, axis=1)
 
 
 def _within(time: FloatArray, force: FloatArray, edges: IntArray, kept: IntArray) -> tuple[float, int]:

@@ -52,6 +52,8 @@ SCATTER_PRIOR = Scatter(gain=0.05, shape=0.01)
 WIDE = Scatter(gain=0.5, shape=0.5)
 #: Steps of a candidate that is only compared.
 LOOK_STEPS = 14
+#: Error of a prediction, over the range of force, below which laws are told apart by rounding alone.
+ROUNDED = 1e-5
 #: Share of the quantum of a force's digits that is a standard deviation.
 QUANTUM_SD = 1.0 / np.sqrt(12.0)
 
@@ -357,7 +359,10 @@ def _orders_tried(
 def _tried(fitting: _Fitting, law: ChannelLaw, memory: Memory, groups: Groups | None) -> Tried:
     """A law, fitted, and asked to predict what is left out."""
     system, law, optimum = fitting.candidate(law, memory)
-    errors = np.ones(1) if groups is None else held_out(system, optimum, groups)
+    if groups is None:
+        return Tried(law.branches, law.degree, optimum, system, np.ones(1))
+    least = (ROUNDED * float(np.ptp(system.force))) ** 2
+    errors = np.maximum(held_out(system, optimum, groups), least)
     return Tried(law.branches, law.degree, optimum, system, errors)
 
 

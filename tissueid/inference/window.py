@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.measured.pushes import usable_until
-from tissueid.trial import Phase, Segmentation, Trial, contact_frame
+from tissueid.trial import RENDERED, Phase, Segmentation, Trial, contact_frame
 
 __all__ = [
     "GUARD_SD",
@@ -74,6 +74,8 @@ class LogData:
     breaks : ndarray of bool, shape (n,), or None
         True where a sample starts a new chain of noise (:func:`chain_breaks`);
         ``None`` is told from the time stamps when it is needed.
+    exact : bool
+        The travel is straight between samples and known exactly: a rendered law followed just it.
     """
 
     time_s: FloatArray
@@ -82,6 +84,7 @@ class LogData:
     include: NDArray[np.bool_]
     fold: NDArray[np.int64]
     breaks: NDArray[np.bool_] | None = None
+    exact: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -256,6 +259,7 @@ def fitted_log(
         include=include,
         fold=np.zeros(time.size, dtype=np.int64),
         breaks=chain_breaks(time),
+        exact=trial.protocol.kind == RENDERED,
     )
     return FittedLog(
         data=data,

@@ -23,7 +23,7 @@ from tissueid.flags import Flag
 from tissueid.ingest.recipe import Detection, InputFile, Recipe, Table
 from tissueid.ingest.refusals import Place
 from tissueid.store.session_log import SessionLog, is_session_log, read_session_log
-from tissueid.trial import Protocol
+from tissueid.trial import RENDERED, Protocol
 
 __all__ = ["SESSION_LOG"]
 
@@ -115,7 +115,7 @@ def _table(log: SessionLog, records: Records, place: Place) -> Table:
         metadata=_metadata(log.head),
         specimen=tissue["name"],
         flags=(_rendered(records, tissue["name"]),),
-        protocol=Protocol(kind="rendered", tip_radius_mm=tissue["tip_radius_mm"]),
+        protocol=Protocol(kind=RENDERED, tip_radius_mm=tissue["tip_radius_mm"]),
     )
 
 
