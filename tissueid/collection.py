@@ -230,10 +230,11 @@ def _handle(
         return refusal
     contact = segmentation.contact
     told_by_air = contact is not None and contact.in_record and options.contact_displacement_mm is None
-    # a travel in steps places contact, and a hold, to within its rounding
-    sd = math.hypot(log.contact_sd_mm, quantum(trial.displacement_mm) / math.sqrt(12.0))
-    if told_by_air:
-        sd *= CONTACT_WIDER
+    sd = log.contact_sd_mm
+    if not log.data.exact:
+        # a travel in steps places contact, and a hold, to within its rounding
+        sd = math.hypot(sd, quantum(trial.displacement_mm) / math.sqrt(12.0))
+        sd *= CONTACT_WIDER if told_by_air else 1.0
     return LogHandle(
         load=load,
         segmentation=segmentation,

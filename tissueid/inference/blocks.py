@@ -30,6 +30,8 @@ GROWTH, TRAVEL_SHARE, TIME_SHARE = 1.25, 1.0 / 60.0, 1.0 / 25.0
 STRAIGHT = 1.3
 #: The same relative to the depth, where travel has no noise.
 STRAIGHT_SHARE = 2e-6
+#: Bend of a travel that is known exactly, over its fastest speed, that is one.
+BEND_SHARE = 1e-10
 #: Samples from which a block's own line says where its ends are.
 LINE_FROM = 4
 #: Median of the size of second differences over the standard deviation of white noise.
@@ -334,7 +336,7 @@ def _followed(time: FloatArray, depth: FloatArray, used: IntArray) -> tuple[Floa
     """Broken line of a travel that is known exactly, and the places of single samples on it."""
     step = np.diff(time)
     slope = np.divide(np.diff(depth), step, out=np.zeros(step.size), where=step > 0.0)
-    bends = 1 + np.flatnonzero(np.abs(np.diff(slope)) > STRAIGHT_SHARE * np.abs(slope).max(initial=0.0))
+    bends = 1 + np.flatnonzero(np.abs(np.diff(slope)) > BEND_SHARE * np.abs(slope).max(initial=0.0))
     knots = np.union1d(np.union1d(bends, used), [0, time.size - 1])
     return time[knots], depth[knots], np.repeat(np.searchsorted(knots, used)[:, None], 3, axis=1)
 

@@ -52,6 +52,8 @@ SCATTER_PRIOR = Scatter(gain=0.05, shape=0.01)
 WIDE = Scatter(gain=0.5, shape=0.5)
 #: Steps of a candidate that is only compared.
 LOOK_STEPS = 14
+#: Noise over the range of force below which the solution of the equations itself is no better.
+LEAST_NOISE = 1e-6
 #: Error of a prediction, over the range of force, below which laws are told apart by rounding alone.
 ROUNDED = 1e-5
 #: Share of the quantum of a force's digits that is a standard deviation.
@@ -285,7 +287,7 @@ def identify_logs(
     step = min(one.step_s for one in facts)
     effects = _effects(request.pooling, len(logs))
     base = System(logs, kelvin_voigt_law(1, 0, depth), depth, effects)
-    least = 1e-7 * float(np.ptp(base.force))
+    least = LEAST_NOISE * float(np.ptp(base.force))
     fitting = _Fitting(base, request, least, step)
     flexible = (
         max(b for b in request.branches if b <= 2 or b == min(request.branches)),

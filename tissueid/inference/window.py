@@ -234,8 +234,10 @@ def fitted_log(
     inserted = False
     if contact.in_record or guard:
         include &= x >= GUARD_SD * contact.sd_mm
+    exact = trial.protocol.kind == RENDERED
     if contact.in_record and 0 < first < depth.size and depth[first] > 0.0 >= depth[first - 1]:
-        share = depth[first] / (depth[first] - depth[first - 1])
+        # a rendered law starts from the surface, a tick before it is crossed
+        share = 1.0 if exact else depth[first] / (depth[first] - depth[first - 1])
         start = trial.time_s[first] - share * (trial.time_s[first] - trial.time_s[first - 1])
         time = np.concatenate([[start], time])
         x = np.concatenate([[0.0], x])
@@ -259,7 +261,7 @@ def fitted_log(
         include=include,
         fold=np.zeros(time.size, dtype=np.int64),
         breaks=chain_breaks(time),
-        exact=trial.protocol.kind == RENDERED,
+        exact=exact,
     )
     return FittedLog(
         data=data,

@@ -25,7 +25,7 @@ from tissueid.segment.signs import signs
 from tissueid.segment.spikes import without_spikes
 from tissueid.segment.stop import placed_stops, settlings, speed_flags, with_braking
 from tissueid.signal_noise import white_noise_sd
-from tissueid.trial import Contact, Event, Phase, Protocol, Segmentation, Trial
+from tissueid.trial import RENDERED, Contact, Event, Phase, Protocol, Segmentation, Trial
 
 __all__ = ["segment"]
 
@@ -87,7 +87,11 @@ def segment(trial: Trial, *, options: SegmentOptions | None = None) -> Segmentat
         are results, with a flag.
     """
     options = options or SegmentOptions()
-    found = _windowed(trial, options)
+    decided = options
+    if trial.protocol.kind == RENDERED and options.contact_displacement_mm is None:
+        # the surface that a session renders is where its depths begin
+        decided = replace(options, contact_displacement_mm=0.0, contact_sd_mm=0.0)
+    found = _windowed(trial, decided)
     return replace(found, flags=(*by_hand(trial, options), *found.flags))
 
 
