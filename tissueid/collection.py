@@ -233,7 +233,8 @@ def _handle(
     sd = log.contact_sd_mm
     if not log.data.exact:
         # a travel in steps places contact, and a hold, to within its rounding
-        sd = math.hypot(sd, quantum(trial.displacement_mm) / math.sqrt(12.0))
+        stated = 0.0 if study is None else study.calibration.values.get("displacement_resolution_mm", 0.0)
+        sd = math.hypot(sd, max(quantum(trial.displacement_mm), float(stated)) / math.sqrt(12.0))
         sd *= CONTACT_WIDER if told_by_air else 1.0
     return LogHandle(
         load=load,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +10,7 @@ import pytest
 from tissueid.errors import DeviceError
 from tissueid.haptics.falcon import calibration as module
 from tissueid.haptics.falcon.calibration import (
+    LONGEST_ARM_M,
     Calibration,
     calibration_path,
     load_calibration,
@@ -19,6 +19,7 @@ from tissueid.haptics.falcon.calibration import (
 from tissueid.haptics.falcon.constants import GEOMETRIES
 from tissueid.haptics.falcon.device import limits_of
 from tissueid.haptics.falcon.kinematics import jacobian
+from tissueid.haptics.limits import UNCALIBRATED_N, WORST_UNITS_PER_NM
 
 
 def test_without_a_file_the_assumptions_hold(tmp_path: Path) -> None:
@@ -110,7 +111,8 @@ def test_clamp_grows_with_what_was_checked() -> None:
 
 
 def test_motor_clamp_bounds_the_force_even_of_the_worst_constant() -> None:
-    clamp = Calibration().clamp_units
+    uncalibrated = Calibration(confirmed=True, units_per_Nm=30_000.0)
+    clamp = LONGEST_ARM_M * UNCALIBRATED_N * WORST_UNITS_PER_NM
     random = np.random.default_rng(3)
     worst = 0.0
     for geometry in GEOMETRIES.values():
@@ -122,4 +124,16 @@ def test_motor_clamp_bounds_the_force_even_of_the_worst_constant() -> None:
             worst = max(worst, float(np.linalg.norm(jacobian(place, geometry=geometry), axis=0).max()))
     # 5 N along the worst direction, at 3460 units for one N m, must fit under it, and not much more
     assert worst * 5.0 * 3460.0 == pytest.approx(clamp, rel=0.05)
-    assert limits_of(replace(Calibration(), force_calibrated=True)).motor_clamp == 4095
+    assert uncalibrated.clamp_units <= clamp
+    assert Calibration(confirmed=True, force_calibrated=True, units_per_Nm=30_000.0).clamp_units == 4095
+
+
+@pytest.mark.parametrize("geometry", sorted(GEOMETRIES))
+def test_motors_have_no_more_torque_than_the_clamp_needs_in_the_middle(geometry: str) -> None:
+    """A pose that is believed wrongly turns the clamp into less than twice of it in the middle."""
+    calibration = Calibration(geometry=geometry)
+    torques = calibration.clamp_units / calibration.units_per_Nm
+    arms = np.linalg.svd(jacobian((0.0, 0.0, 0.120), geometry=GEOMETRIES[geometry]), compute_uv=False)
+    assert torques == pytest.approx(arms[0] * calibration.clamp_N, rel=0.05)
+    assert torques / arms[-1] < 2.0 * calibration.clamp_N
+    assert limits_of(calibration).motor_clamp == calibration.clamp_units

@@ -6,17 +6,18 @@ Counted in ticks of the emulator's own clock, 1 ms each.  The limits are those o
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
-from emulated_session import LIMITS, TICK_S, EmulatedSession
+from emulated_session import HOMED_S, LIMITS, TICK_S, EmulatedSession
 
 from tissueid.errors import DeviceError
 from tissueid.haptics.device import ZERO_COMMANDS
 from tissueid.haptics.falcon import firmware as firmware_module
 from tissueid.haptics.falcon.calibration import Calibration
-from tissueid.haptics.falcon.device import FalconDevice
+from tissueid.haptics.falcon.device import FalconDevice, limits_of
 from tissueid.haptics.falcon.emulator import EmulatedLink, EmulatorSettings, ScriptedFault
 from tissueid.haptics.falcon.packet_kernels import INVALID, PACKETS
 from tissueid.haptics.guard_states import HEARTBEAT_LOST, PHASE, YIELDING, transition
@@ -237,3 +238,16 @@ def test_a_moving_hand_after_a_gap_in_the_answers_is_neither_too_fast_nor_a_jump
         assert {int(record["fault"]) for record in session.records} == {int(Fault.NONE)}
         counts = np.array([record["counts"][0] for record in session.records])
         assert 100 < np.abs(np.diff(counts[10:])).max() < 200
+
+
+@pytest.mark.parametrize("counts_a_second", [1000.0, 3000.0, -1000.0])
+def test_a_creeping_encoder_makes_no_more_than_the_torques_of_the_clamp_can(counts_a_second):
+    """The force of a pose that is believed wrongly: 9.7 N at the grip without a bound on the torques."""
+    limits = replace(limits_of(Calibration()), dead_man=False)
+    creep = ScriptedFault("creep", HOMED_S + 1.5, size=counts_a_second)
+    with EmulatedSession(creep, limits=limits) as session:
+        felt = []
+        while session.falcon.time_s < HOMED_S + 3.5 and not session.falcon.gone:
+            session.tick()
+            felt.append(float(np.linalg.norm(session.falcon.force_N)))
+    assert 1.5 < max(felt) <= 1.7 * limits.clamp_N

@@ -30,12 +30,12 @@ __all__ = ["Sampled", "sample"]
 FloatArray = NDArray[np.float64]
 
 #: Walkers, and steps of each from where importance sampling put it.
-WALKERS, STEPS = 128, 32
+WALKERS, STEPS = 128, 30
 #: Steps of a round where importance weights have too thick a tail, rounds at the most, and the effective
 #: draws of the walkers themselves that end them.
 ROUND, ROUNDS, WALKED = 60, 5, 400.0
 #: Points of importance sampling in one look, and looks at the most.
-LOOK, MOST_LOOKS = 1_024, 12
+LOOK, MOST_LOOKS = 1_000, 12
 #: Effective draws that intervals must be worth (ends are then good to a quarter of a standard deviation), and
 #: Pareto shapes: the largest that is trusted at all, and that up to which few steps are enough.
 ENOUGH, PARETO, TRUSTED = 100.0, 0.9, 0.7
@@ -115,7 +115,8 @@ class Normal:
 def _proposal(target: Target, rng: np.random.Generator) -> Proposal:
     """The normal within its walls where the target is nearly that, else a mixture that learns it."""
     if target.is_normal:
-        return Normal(target.centre, Sobol(target.size, seed=rng))
+        # from its second point on: the first one has the sequence expect a power of two
+        return Normal(target.centre, Sobol(target.size, seed=rng).fast_forward(1))
     cut = cut_normal(target.centre, target.rows, target.walls, target.likely, rng)
     if cut.left(rng) >= LEAST_LEFT:
         first = cut.draw(LOOK // 4, rng)

@@ -26,8 +26,9 @@ from tissueid.haptics.falcon.packet_kernels import (
     parse_byte,
 )
 from tissueid.haptics.foreign import by_address, libc_function
-from tissueid.haptics.guard_states import STATE
+from tissueid.haptics.guard_states import LAMPS, STATE
 from tissueid.haptics.limits import MOTOR_CLAMP
+from tissueid.haptics.states import Lamp
 from tissueid.haptics.watchdogs import REPLY_DAMAGED, REPLY_LOST, REPLY_NONE, REPLY_VALID
 
 __all__ = [
@@ -47,6 +48,7 @@ ByteArray = NDArray[np.uint8]
 
 READ_BYTES = 512
 ALL_HOMED = 0x7
+CLIPPED = int(Lamp.CLIPPED)
 #: Every USB packet of the serial chip begins with this many bytes of modem status.
 USB_PACKET_BYTES, STATUS_BYTES = 64, 2
 #: poll(2): an int32 descriptor, int16 events and int16 returned events, here as one little-endian word.
@@ -162,7 +164,8 @@ def _understand(
 @tick_kernel
 def _packet(parts: FalconParts, guard_memory: FloatArray, limits: FloatArray, force: FloatArray) -> None:
     """The command for a force at the grip's last position; homing mode stays, or homing is lost."""
-    motor_units(force, parts.grip, parts.geometry, parts.units_per_Nm, limits[MOTOR_CLAMP], parts.motor)
+    if motor_units(force, parts.grip, parts.geometry, parts.units_per_Nm, limits[MOTOR_CLAMP], parts.motor):
+        guard_memory[LAMPS] = float(int(guard_memory[LAMPS]) | CLIPPED)
     encode_into(parts.motor, leds_of_state(int(guard_memory[STATE])), True, parts.outgoing)
 
 

@@ -220,6 +220,7 @@ def _machine(felt: Felt, program: Program) -> Calibration:
         "skew_s_sd": late,
         "force_filter_s": 0.0,
         "force_filter_s_sd": 1e-6,
+        **({"displacement_resolution_mm": felt.step_mm} if felt.step_mm else {}),
     }
     return Calibration(values=values, frame=linear_frame(1e6))
 

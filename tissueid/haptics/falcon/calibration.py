@@ -44,6 +44,9 @@ UNCONFIRMED_CLAMP_N = 2.0
 #: Largest arm torque that one newton needs anywhere in the working sphere, a radius of 40 mm about
 #: (0, 0, 0.130), in both geometries [m].
 LONGEST_ARM_M = 0.0921
+#: Torques of the three arms, as the root of the sum of their squares, that one newton in the direction that
+#: takes most of them needs in the middle of the workspace, (0, 0, 0.120) [m].
+SPAN_M = 0.0735
 #: Ranges of the numbers: outside, the file is refused.
 RANGES = {
     "zero_angle_deg": (20.0, 65.0),
@@ -111,10 +114,13 @@ class Calibration:
 
     @property
     def clamp_units(self) -> int:
-        """Largest command of one motor [motor units]."""
-        if self.force_calibrated:
-            return MOTOR_LIMIT
-        return math.floor(LONGEST_ARM_M * UNCALIBRATED_N * WORST_UNITS_PER_NM)
+        """Largest root of the sum of squares of the three motors' commands [motor units].
+
+        What the clamp needs in the middle of the workspace: a pose that is believed wrongly can make no more
+        of it.  Of an uncalibrated constant, no more than the worst one known turns into 5 N.
+        """
+        most = MOTOR_LIMIT if self.force_calibrated else LONGEST_ARM_M * UNCALIBRATED_N * WORST_UNITS_PER_NM
+        return math.floor(min(most, MOTOR_LIMIT, SPAN_M * self.clamp_N * self.units_per_Nm))
 
     def legs(self) -> Geometry:
         """The geometry with the calibrated zero angle."""

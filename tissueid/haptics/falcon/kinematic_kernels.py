@@ -79,6 +79,8 @@ STARTS_M = (
     (-0.020, -0.085, 0.09),
     (0.070, -0.060, 0.09),
 )
+#: Commands whose squares overflow.
+LARGEST_UNITS = 1e150
 HALF = 0.5
 ZERO = (0.0, 0.0, 0.0)
 
@@ -341,7 +343,7 @@ def motor_units(
     clamp_units: float,
     out: IntArray,
 ) -> bool:
-    """Motor commands of a force on the hand, scaled down together where one exceeds the clamp.
+    """Motor commands of a force on the hand, scaled down together where they exceed the clamp.
 
     ``motor = -units_per_Nm D^T F``; the sign is that of recorded packets of the vendor's driver.
 
@@ -353,7 +355,7 @@ def motor_units(
     units_per_Nm : float
         Motor units of one N m of arm torque.
     clamp_units : float
-        Largest command of a motor, at most 4095.
+        Largest root of the sum of squares of the three commands, at most 4095.
     out : ndarray of int64, shape (3,)
         Filled; zeros where the position has no Jacobian or a number is not finite.
 
@@ -367,13 +369,15 @@ def motor_units(
     push = (force[0], force[1], force[2])
     torque = (_dot(first, push), _dot(second, push), _dot(third, push))
     finite = math.isfinite(torque[0]) and math.isfinite(torque[1]) and math.isfinite(torque[2])
+    # a torque that may be squared
     largest = units_per_Nm * _largest(torque)
-    if not (regular and finite and largest < math.inf):
+    if not (regular and finite and largest < LARGEST_UNITS):
         return True
     scale = -units_per_Nm
-    clipped = largest > clamp_units
+    together = units_per_Nm * math.sqrt(_dot(torque, torque))
+    clipped = together > clamp_units
     if clipped:
-        scale *= clamp_units / largest
+        scale *= clamp_units / together
     for i in range(3):
         # towards zero where it was clipped, so that rounding never exceeds the clamp
         value = scale * torque[i]

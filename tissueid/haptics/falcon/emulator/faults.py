@@ -18,6 +18,7 @@ FAULT_KINDS = {
     "doubled": "an answer comes twice",
     "frozen": "the encoders stand still",
     "jump": "encoder 1 is off by `size` counts",
+    "creep": "encoder 1 runs away by `size` counts a second",
     "unhomed": "leg 2 is no longer homed",
     "stall": "the answer comes `size` milliseconds late",
 }
@@ -38,7 +39,7 @@ class ScriptedFault:
     duration_s : float or None
         How long it lasts; None is for good, and one answer for "short", "garbled", "doubled" and "stall".
     size : float
-        Counts of a jump, milliseconds of a stall.
+        Counts of a jump, counts a second of a creep, milliseconds of a stall.
     """
 
     kind: str

@@ -248,6 +248,9 @@ class EmulatedFalcon:
             counts = self._stuck
         if fault is not None and kind == "jump":
             counts = (counts[0] + int(fault.size), counts[1], counts[2])
+        if fault is not None and kind == "creep":
+            run_away = int(fault.size * (self.time_s - fault.at_s))
+            counts = (counts[0] + run_away, counts[1], counts[2])
         if kind == "unhomed":
             homed &= 0b101
         packet = reply_bytes(counts, buttons=self._buttons(), homed=homed)
