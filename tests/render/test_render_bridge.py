@@ -13,12 +13,29 @@ from tissueid.errors import UsageError
 from tissueid.rendering.bridge import LARGEST_DATAGRAM, BridgeRequest, UdpBridge, parse_address, parse_request
 from tissueid.rendering.tissue_block import Plane
 
+TOKEN = "8f3a61c2"
+
+
+def with_token(data: bytes) -> bytes:
+    """The datagram with its token, where it is an object."""
+    return data.replace(b"{", b'{"token": "8f3a61c2", ', 1)
+
+
+@pytest.mark.parametrize("token", [b"", b'"token": "8f3a61c3", ', b'"token": null, ', b'"token": 8361, '])
+def test_a_request_without_the_token_is_dropped(token: bytes) -> None:
+    assert parse_request(b"{" + token + b'"v": 1, "stop": true}', TOKEN) is None
+    assert parse_request(with_token(b'{"v": 1, "stop": true}'), TOKEN) == BridgeRequest(stop=True)
+
 
 def test_requests_are_read() -> None:
-    assert parse_request(b'{"v": 1, "tissue": 1}') == BridgeRequest(tissue=1)
-    assert parse_request(b'{"v": 1, "engage": false, "stop": true}') == BridgeRequest(engage=False, stop=True)
+    assert parse_request(with_token(b'{"v": 1, "tissue": 1}'), TOKEN) == BridgeRequest(tissue=1)
+    assert parse_request(with_token(b'{"v": 1, "engage": false, "stop": true}'), TOKEN) == BridgeRequest(
+        engage=False, stop=True
+    )
     plane = b'{"v": 1, "plane": {"point_m": [0, 0, 0.12], "normal": [0, 1, 1]}}'
-    assert parse_request(plane) == BridgeRequest(plane=Plane((0.0, 0.0, 0.12), (0.0, 1.0, 1.0)))
+    assert parse_request(with_token(plane), TOKEN) == BridgeRequest(
+        plane=Plane((0.0, 0.0, 0.12), (0.0, 1.0, 1.0))
+    )
 
 
 @pytest.mark.parametrize(
@@ -45,7 +62,7 @@ def test_requests_are_read() -> None:
     ],
 )
 def test_whatever_is_no_request_is_dropped(data: bytes) -> None:
-    assert parse_request(data) is None
+    assert parse_request(with_token(data), TOKEN) is None
 
 
 def test_addresses_are_read_and_refused() -> None:
@@ -95,7 +112,9 @@ def test_requests_are_heard_on_loopback_and_a_flood_is_bounded(pair: tuple[socke
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         sender.sendto(b"nonsense", bridge.listens_on)
         for _ in range(100):
-            sender.sendto(b'{"v": 1, "tissue": 0}', bridge.listens_on)
+            sender.sendto(
+                json.dumps({"v": 1, "token": bridge.token, "tissue": 0}).encode(), bridge.listens_on
+            )
     first = bridge.requests()
     assert len(first) == 31
     assert bridge.dropped == 1

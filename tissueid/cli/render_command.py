@@ -90,6 +90,8 @@ _SESSION = (
     click.option("--replay", type=_FILE, metavar="LOG", help="Render the motion of a recorded session."),
     click.option("--bridge", metavar="PORT",
                  help="Send positions to PORT by UDP, hear parameters on the next."),
+    click.option("--bridge-token", metavar="TEXT",
+                 help="What requests to the bridge must carry. [default: drawn, and printed]"),
     click.option("--viewer", is_flag=True, help="Show the session in a browser; a mouse leads --device sim."),
     click.option("--selftest", is_flag=True, help="Measure the servo on this machine, and leave."),
     click.option("--yes", is_flag=True, help="Do not ask for consent: it was given."),
@@ -213,7 +215,11 @@ def _prepared(flags: dict[str, Any], spawned: SpawnedServo | None, viewer: Serve
     ask_for_consent(plan, given=flags["yes"], quiet=flags["quiet"])
     plan = replace(plan, head=with_consent(plan.head, how="given before" if flags["yes"] else "asked"))
     _write_key(flags, plan)
-    bridge = None if flags["bridge"] is None else UdpBridge(parse_address(flags["bridge"]))
+    bridge = None
+    if flags["bridge"] is not None:
+        bridge = UdpBridge(parse_address(flags["bridge"]), flags["bridge_token"])
+        if flags["bridge_token"] is None:
+            note(f'bridge: requests must carry "token": "{bridge.token}"')
     # last of all: what is refused after it would leave an empty log behind
     recorder = None if flags["log"] is None else Recorder(flags["log"], plan.head)
     return Session(

@@ -5,21 +5,23 @@ One JSON object a datagram, at most 1,200 bytes.  Out, at most 250 a second::
     {"v": 1, "tick": 5120, "time_s": 81.2, "position_m": [0, 0, 0.12], "force_N": [0, 0, 0.4],
      "depth_mm": 1.93, "tissue_force_N": 31.6, "state": "engaged", "lamps": ["clipped"], "tissue": 0}
 
-In, any of these members, each checked::
+In, any of these members, each checked, beside the token that the session printed::
 
-    {"v": 1, "tissue": 1}                                   take another tissue when nothing is touched
-    {"v": 1, "plane": {"point_m": [0, 0, 0.13], "normal": [0, 0, 1]}}    move the surface, likewise
-    {"v": 1, "engage": false}                               no force; true asks for it again
-    {"v": 1, "stop": true}                                  end the session
+    {"v": 1, "token": "8f3a61c2", "tissue": 1}              take another tissue when nothing is touched
+    {..., "plane": {"point_m": [0, 0, 0.13], "normal": [0, 0, 1]}}       move the surface, likewise
+    {..., "engage": false}                                  no force; true asks for it again
+    {..., "stop": true}                                     end the session
 
 Forces are never taken from outside.  What comes in is heard on the loopback interface alone, at most
-32 datagrams a turn; what is none of these is counted and dropped.
+32 datagrams a turn; what is none of these, or lacks the token, is counted and dropped.
 """
 
 from __future__ import annotations
 
+import hmac
 import json
 import math
+import secrets
 import socket
 from dataclasses import dataclass
 from typing import Any
@@ -40,6 +42,7 @@ MOST_A_TURN = 32
 #: Time between two datagrams out [s].
 INTERVAL_S = 0.004
 LOOPBACK = "127.0.0.1"
+TOKEN_BYTES = 4
 #: A surface lies within this of the device's axis [m].
 REACH_M = 0.3
 
@@ -77,12 +80,14 @@ def parse_address(text: str) -> tuple[str, int]:
     return host or LOOPBACK, int(port)
 
 
-def parse_request(data: bytes) -> BridgeRequest | None:
+def parse_request(data: bytes, token: str) -> BridgeRequest | None:
     """Read a datagram; None for whatever is no request.
 
     Parameters
     ----------
     data : bytes
+    token : str
+        What it has to carry.
     """
     if len(data) > LARGEST_DATAGRAM:
         return None
@@ -92,7 +97,9 @@ def parse_request(data: bytes) -> BridgeRequest | None:
         return None
     if not isinstance(found, dict) or found.get("v") != VERSION:
         return None
-    if not found.keys() <= {"v", "tissue", "plane", "engage", "stop"}:
+    if not found.keys() <= {"v", "token", "tissue", "plane", "engage", "stop"}:
+        return None
+    if not hmac.compare_digest(str(found.get("token")).encode(), token.encode()):
         return None
     tissue, engage, stop = found.get("tissue"), found.get("engage"), found.get("stop", False)
     if tissue is not None and not (type(tissue) is int and 0 <= tissue < 65536):
@@ -137,6 +144,8 @@ class UdpBridge:
     ----------
     send_to : tuple
         Host and port that positions go to; parameters are heard on the next port, on loopback.
+    token : str, optional
+        What requests have to carry; drawn where it is not given.
 
     Raises
     ------
@@ -144,7 +153,8 @@ class UdpBridge:
         The port to listen on is taken, or there is no such host.
     """
 
-    def __init__(self, send_to: tuple[str, int]) -> None:
+    def __init__(self, send_to: tuple[str, int], token: str | None = None) -> None:
+        self.token = token or secrets.token_hex(TOKEN_BYTES)
         #: Datagrams that were dropped because they were no requests.
         self.dropped = 0
         self._last_s = -math.inf
@@ -203,7 +213,7 @@ class UdpBridge:
                 data = self._in.recv(LARGEST_DATAGRAM + 1)
             except OSError:
                 break
-            request = parse_request(data)
+            request = parse_request(data, self.token)
             if request is None:
                 self.dropped += 1
             else:
