@@ -74,6 +74,8 @@ class LogData:
     breaks : ndarray of bool, shape (n,), or None
         True where a sample starts a new chain of noise (:func:`chain_breaks`);
         ``None`` is told from the time stamps when it is needed.
+    speed_ratio : ndarray, shape (n,), or None
+        Speed over that at which each contact began (:mod:`tissueid.inference.speed_ratio`).
     """
 
     time_s: FloatArray
@@ -82,6 +84,7 @@ class LogData:
     include: NDArray[np.bool_]
     fold: NDArray[np.int64]
     breaks: NDArray[np.bool_] | None = None
+    speed_ratio: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
