@@ -66,6 +66,7 @@ FLAG_CODES: Mapping[str, str] = MappingProxyType(
         "tension": "the force grows against the travel or the specimen is pulled",
         # the fit
         "not_identified": "the data do not determine this parameter",
+        "one_speed_ratio": "no sample is slower than contact began: static force and damping are one number",
         "interval_open": "the interval of a relaxation time runs into the bound of its range",
         "tau_below_resolution": "a relaxation time is shorter than two sampling intervals",
         "amplitude_small": "the relaxing force is below what its noise lets one time",

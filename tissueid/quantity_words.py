@@ -159,29 +159,13 @@ QUANTITIES: Mapping[str, QuantityWords] = {
         "on the number of draws: it falls to 1 as chains forget where they began",
         "It has none: above 1.01 intervals are rough; ask for more --draws.",
     ),
-    "stiffness_N_per_mm_n": QuantityWords(
-        "k",
-        "N/mm^n",
-        "Stiffness of a hard body",
-        "k of F = k x^n, of `fit --contact-law hertz-impact`",
-        "on the exponent n: both are known together better than k alone, and its unit changes with n",
-        "95 %, of the scatter of the force about the law; lopsided, for it is found on ln k.",
-    ),
-    "exponent": QuantityWords(
-        "n",
-        "1",
-        "Exponent of a hard body",
-        "n of F = k x^n: 1.5 for a sphere on a flat body, 2 for a cone, 1 for a flat punch",
-        "on the contact point, and on the depth that was reached",
-        "95 %, of the scatter of the force about the law.",
-    ),
-    "restitution": QuantityWords(
+    "damping_restitution": QuantityWords(
         "e",
         "1",
         "Coefficient of restitution",
-        "speed after a bounce over the speed before it",
-        "on the speed of the impact",
-        "95 %, of the scatter of the force about the law.",
+        "e of a law * impact: speed after a bounce over the speed before it",
+        "on holds or unloading: in a ramp alone only k (1 + chi) is determined",
+        _BOTH,
     ),
     "contact": QuantityWords(
         "contact",

@@ -13,8 +13,8 @@ import pytest
 from command_blocks import NOT_RUN, REPOSITORY, Command, commands_of, pages
 from command_line import run, write_log
 from identify_stand_ins import of_prior
-from test_cli_contact_law import WHOLE, recordings
 from test_cli_examples import any_path, unfit
+from test_cli_impact import WHOLE, recordings
 
 #: What a fit of the documentation is given here, so that it takes a second: the way is tested, no number.
 SETTINGS = """\

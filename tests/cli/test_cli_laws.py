@@ -18,7 +18,7 @@ TRUTH = {
     "static_1": 20.0, "static_2": -1.2, "static_3": 0.35, "static_N_per_mm": 12.0, "static_exponent": 1.4,
     "static_stiffness": 12.0, "static_rate": 0.15, "stiffness_0": 30.0, "stiffness_1": 4.0,
     "stiffness_2": -0.2, "relaxation_time": 0.4, "relaxation_exponent": 0.5, "relaxation_span": 100.0,
-    "relaxation_ratio": 1.2,
+    "relaxation_ratio": 1.2, "damping": 0.7,
 }  # fmt: skip
 #: What is known of the machine of these recordings: it has no fault.
 STUDY = """schema = "tissueid/study/1"
@@ -39,6 +39,7 @@ NAMES = (
     *(f"{key} * prony" for key in of_kind("static", "polynomial")),
     *(f"power * {key} * prony:1" for key in of_kind("stiffness")),
     *(f"flat*{key}" for key in of_kind("relaxation", "prony")),
+    *(f"{static} * {key}" for static in ("power", "polynomial:2") for key in of_kind("damping")),
     "polynomial * tangent * prony:2",
     "polynomial:2 * linear * prony",
     "kelvin-voigt",

@@ -99,7 +99,7 @@ def test_a_static_law_has_its_slope_and_no_force_at_the_surface(key):
 
 def test_every_law_is_described_and_has_its_source():
     rows = described()
-    assert {row["kind"] for row in rows} == {"static", "stiffness", "relaxation", "whole"}
+    assert {row["kind"] for row in rows} == {"static", "stiffness", "relaxation", "damping", "whole"}
     assert KELVIN_VOIGT in {row["key"] for row in rows}
     for row in rows:
         assert row["source"].startswith("10."), row["key"]
@@ -134,6 +134,8 @@ def test_names_of_the_papers_law_are_that_law(name, branches, degree):
         ("power * prony:x", "takes a number"),
         ("hertz:2 * prony", "takes no argument"),
         ("power * tangent * spectrum", "has a stiffness at each time"),
+        ("power * linear * impact", "leave linear out"),
+        ("impact * power", "no static law 'impact'"),
     ],
 )
 def test_a_name_that_is_none_says_what_there_is(name, says):

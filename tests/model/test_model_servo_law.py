@@ -20,7 +20,7 @@ VALUES = {
     "static_1": 20.0, "static_2": -1.2, "static_3": 0.35, "static_N_per_mm": 12.0, "static_exponent": 1.4,
     "static_stiffness": 12.0, "static_rate": 0.15, "stiffness_0": 30.0, "stiffness_1": 4.0,
     "stiffness_2": -0.2, "relaxation_time": 0.4, "relaxation_exponent": 0.5, "relaxation_span": 200.0,
-    "relaxation_ratio": 1.2,
+    "relaxation_ratio": 1.2, "damping": 0.7,
 }  # fmt: skip
 
 
@@ -35,6 +35,7 @@ NAMES = [
     "polynomial * tangent * prony:3",
     "flat * prony:2",
 ]
+DAMPED = [f"power * {one}" for one in of_kind("damping")]
 
 
 def tissue(name: str):
@@ -73,7 +74,7 @@ def test_a_projection_says_what_it_misses(name):
         assert law.error == 0.0
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [*NAMES, *DAMPED])
 def test_loops_put_out_no_energy(name):
     """Random closed loops: the work done on the tissue is never negative."""
     rng = np.random.default_rng([7, *name.encode()])

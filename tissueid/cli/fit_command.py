@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tissueid.cli.contact_law import LAWS, fit_law
 from tissueid.cli.fit_summary import print_summary
 from tissueid.cli.output import echo_json_text, note, output_options, progress_bar
 from tissueid.cli.quoting import quoting_options, quoting_values
@@ -38,7 +37,7 @@ Examples:
   tissueid fit meat.xlsx --json > meat.json
   tissueid fit lab_data/ --model "polynomial * tangent * prony:2"
   tissueid fit lab_data/ --model auto
-  tissueid fit rig/ --contact-law hertz-impact -o wall
+  tissueid fit rig/ --model "power * impact" -o wall
   tissueid fit odd.csv --columns "time=t,displacement=pos,force=F" --units "force=mN"
 """
 
@@ -52,6 +51,13 @@ def _count(auto: str) -> click.Choice[str]:
     return click.Choice([*auto, "auto"])
 
 
+def _moved(_context: click.Context, _option: click.Parameter, value: str | None) -> None:
+    """Refuse an option that became a model."""
+    if value is not None:
+        msg = f'--contact-law {value}: name 1 model instead, as --model "power * impact"'
+        raise UsageError(msg)
+
+
 @click.command("fit", epilog=EPILOG)
 @click.argument("paths", nargs=-1, required=True, type=click.Path())
 @click.option(
@@ -60,13 +66,10 @@ def _count(auto: str) -> click.Choice[str]:
 )  # fmt: skip
 @click.option(
     "--model", metavar="NAME", show_default=KELVIN_VOIGT,
-    help="Contact model: kelvin-voigt, or STATIC * [STIFFNESS *] RELAXATION of the laws in tissueid models; "
-    "auto, or several with | between them, takes the one that predicts best.",
+    help="Contact model: kelvin-voigt, STATIC * [STIFFNESS *] RELAXATION or STATIC * DAMPING of the laws in "
+    "tissueid models; auto, or several with | between them, takes the one that predicts best.",
 )  # fmt: skip
-@click.option(
-    "--contact-law", type=click.Choice(LAWS), default=LAWS[0], show_default=True,
-    help="Law that is identified; hertz-impact gives k, n and e of a hard body, and contact-law.json.",
-)  # fmt: skip
+@click.option("--contact-law", hidden=True, expose_value=False, callback=_moved)
 @click.option(
     "--branches", type=_count("123"), default="auto", show_default=True,
     help="Relaxation branches; auto chooses by held-out data.",
@@ -128,8 +131,6 @@ def command(**flags: Any) -> int:
     output folder, all at once or not at all.
     """
     refuse_same_folder(flags["paths"], flags["out"])
-    if flags["contact_law"] != LAWS[0]:
-        return fit_law(flags)
     from tissueid.store.outputs import OutputSet
     from tissueid.study.batch import fit_cohort, prune_specimens
     from tissueid.study.pages import write_report

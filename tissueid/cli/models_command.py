@@ -28,8 +28,8 @@ Examples:
 def command(**flags: Any) -> int:
     """List the laws that contact models are made of, for fit --model.
 
-    A model is kelvin-voigt, or STATIC * [STIFFNESS *] RELAXATION; NAME is the word of one law. Laws of other
-    packages are found behind the entry point tissueid.models.
+    A model is kelvin-voigt, STATIC * [STIFFNESS *] RELAXATION or STATIC * DAMPING; NAME is the word of one
+    law. Laws of other packages are found behind the entry point tissueid.models.
     """
     from tissueid.model.grammar import described
 

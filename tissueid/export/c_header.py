@@ -12,8 +12,9 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.export.prony import carried_law
 from tissueid.model.kernels import OWN_SIZE
-from tissueid.model.servo_law import OWN, STATIC, ServoLaw, servo_law
+from tissueid.model.servo_law import OWN, STATIC, ServoLaw
 from tissueid.store.bundle_content import Bundle
 
 __all__ = ["c_header"]
@@ -215,12 +216,13 @@ def c_header(bundle: Bundle) -> bytes:
     ------
     BundleError
         It was normalised.
+    UsageError
+        Its force follows the speed over that at contact.
     """
     from tissueid import __version__
     from tissueid.model.kernels import FLUSH_MM, MAX_DETACHED_ITERATIONS
 
-    bundle.require_renderable()
-    law = servo_law(bundle.contact_model(), bundle.theta)
+    law = carried_law(bundle)
     name, count = _identifier(bundle.specimen), law.tau_s.size
     upper = name.upper()
     tip = "" if bundle.tip_radius_mm is None else f", tip radius {bundle.tip_radius_mm:g} mm"

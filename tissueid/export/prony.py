@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 
 from tissueid.errors import UsageError
 from tissueid.model.kernels import MOST_BRANCHES
-from tissueid.model.servo_law import servo_law
+from tissueid.model.servo_law import SPEED, ServoLaw, servo_law
 from tissueid.store.bundle_content import Bundle
 
-__all__ = ["Prony", "abaqus_card", "febio_card", "linearised"]
+__all__ = ["Prony", "abaqus_card", "carried_law", "febio_card", "linearised"]
 
 FloatArray = NDArray[np.float64]
 
@@ -59,6 +59,27 @@ class Prony:
         return self.long_term_N_per_mm + float(self.branch_N_per_mm.sum())
 
 
+def carried_law(bundle: Bundle, most: int = MOST_BRANCHES) -> ServoLaw:
+    """The law that a format of exponentials takes.
+
+    Raises
+    ------
+    BundleError
+        It was normalised.
+    UsageError
+        Its force follows the speed over that at contact.
+    """
+    bundle.require_renderable()
+    law = servo_law(bundle.contact_model(), bundle.theta, most)
+    if law.followed == SPEED:
+        msg = (
+            f"{bundle.specimen}: 0 of the terms of this format follow the speed over that at contact, as "
+            f"{bundle.model.name!r} does; export its parameters by --format mat or json"
+        )
+        raise UsageError(msg)
+    return law
+
+
 def linearised(bundle: Bundle, depth_mm: float | None = None, *, most: int = MOST_BRANCHES) -> Prony:
     """Linearise a tissue about a depth.
 
@@ -75,9 +96,7 @@ def linearised(bundle: Bundle, depth_mm: float | None = None, *, most: int = MOS
     UsageError
         There are more or no terms, the depth is not claimed, or the static force does not rise there.
     """
-    bundle.require_renderable()
-    model = bundle.contact_model()
-    law = servo_law(model, bundle.theta, most)
+    model, law = bundle.contact_model(), carried_law(bundle, most)
     if not 0 < law.tau_s.size <= most:
         msg = f"{bundle.specimen}: this format takes 1 to {most} terms, the tissue has {law.tau_s.size}"
         raise UsageError(msg)
@@ -92,7 +111,7 @@ def linearised(bundle: Bundle, depth_mm: float | None = None, *, most: int = MOS
             "no Prony series can say; give another --depth"
         )
         raise UsageError(msg)
-    branches = law.linearised(model, bundle.theta, np.array([depth]))[:, 0]
+    branches = law.linearised(model, bundle.theta, np.array([depth]))[0][:, 0]
     return Prony(bundle.specimen, depth, tangent, branches, np.asarray(law.tau_s), law.error)
 
 

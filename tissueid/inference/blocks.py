@@ -72,6 +72,8 @@ class Blocks:
     contact_sd_mm : float
     digits : ndarray, shape (k,)
         Variance of the digits' error that no averaging takes off, over that of a sample.
+    speed_ratio : ndarray, shape (m,)
+        Speed over that at which each contact began; zero where no law follows it.
     """
 
     time_s: FloatArray
@@ -87,6 +89,7 @@ class Blocks:
     within_freedom: int
     contact_sd_mm: float
     digits: FloatArray
+    speed_ratio: FloatArray
 
 
 def _digits(force: FloatArray, means: FloatArray) -> FloatArray:
@@ -309,6 +312,7 @@ def log_blocks(
     chain = opens.copy()
     chain[0] = True
     gap = np.diff(place, prepend=place[0] - 1) > 1
+    ratio = np.zeros(time.size) if data.speed_ratio is None else data.speed_ratio
     return Blocks(
         time_s=np.ascontiguousarray(grid_t),
         depth_mm=np.ascontiguousarray(grid_x),
@@ -323,6 +327,7 @@ def log_blocks(
         within_freedom=freedom,
         contact_sd_mm=contact_sd_mm,
         digits=_digits(force[include], y),
+        speed_ratio=np.interp(grid_t, time, ratio),
     )
 
 

@@ -249,6 +249,10 @@ class ChannelLaw:
             share = weights.reshape((1,) * lead + weights.shape + (1,))
             yield (states * share).sum(axis=lead)
 
+    def along(self, log: int) -> ChannelLaw:  # noqa: ARG002
+        """The same law for a path of one log."""
+        return self
+
     def columns(self, log_times: FloatArray, path: Path) -> FloatArray:
         """Columns along a path, shape (linear, m) or (linear, n, m)."""
         out = np.empty((self.linear, *path.depth_mm.shape))

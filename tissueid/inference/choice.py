@@ -107,7 +107,7 @@ class Rival:
     wide : float
         Gain within which they predict alike.
     tau_s, tau_sd_ln : float
-        Its shortest relaxation time, with the standard deviation of the logarithm.
+        Its shortest relaxation time, NaN where nothing relaxes, with the standard deviation of the logarithm.
     apart : float
         Difference of ln tau from the chosen law's, in standard deviations of both.
     model : TissueModel
@@ -153,10 +153,10 @@ def rival_of(tried: Tried, chosen: Tried) -> Rival:
 
 
 def _first_time(one: Tried) -> tuple[float, float]:
-    """Ln of the shortest relaxation time and its standard deviation."""
+    """Ln of the shortest relaxation time and its standard deviation; NaN where nothing relaxes."""
     if one.law.counts[0] == 0:
         # a spectrum: its times are given
-        return float(np.log(one.law.fixed_s.min())), 0.0
+        return float(np.log(one.law.fixed_s.min(initial=np.inf if one.law.fixed_s.size else np.nan))), 0.0
     at = int(np.argmin(one.optimum.point.log_times[: one.law.counts[0]]))
     variance = float(one.optimum.covariance[at, at])
     return float(one.optimum.point.log_times[at]), float(np.sqrt(max(variance, 0.0)))
@@ -378,7 +378,8 @@ def table_of(
         rows.append(_named_row(chosen.name, chosen.law, 0.0, 0.0) | {"chosen": True})
     for one in (*choice.rivals, *(() if choice.mark is None else (choice.mark,))):
         if paper is None or one.name != paper.name:
-            rows.append(_named_row(one.name, one.model, one.gain, one.stderr) | {"tau_s": one.tau_s})
+            time = {"tau_s": one.tau_s} if np.isfinite(one.tau_s) else {}
+            rows.append(_named_row(one.name, one.model, one.gain, one.stderr) | time)
     return tuple(rows)
 
 

@@ -28,6 +28,7 @@ from tissueid.inference.choice import (
     table_of,
     without_bends,
 )
+from tissueid.inference.damped_law import law_of
 from tissueid.inference.evidence import LogEvidence, NoiseVerdict, verdict_on_noise
 from tissueid.inference.memory import scan_memory
 from tissueid.inference.noise import Memory
@@ -174,7 +175,7 @@ class _Fitting:
         if name.mark:
             return yardstick_law(self.base, self.at, whitener_of(self.base, Memory()))
         longest = max(float(one.time_s[-1] - one.time_s[0]) for one in self.base.logs)
-        return ChannelLaw.of(name.model(self.base.depth_mm, self.step_s, longest))
+        return law_of(name.model(self.base.depth_mm, self.step_s, longest), len(self.base.logs))
 
     def minimise(self, system: System, law: ChannelLaw, start: Point, memory: Memory, steps: int) -> Optimum:
         """From one starting point."""

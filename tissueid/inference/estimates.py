@@ -17,14 +17,31 @@ from tissueid.inference.engine import Identified
 from tissueid.inference.profile import LEVEL_95, ProfileInterval, profile
 from tissueid.model.base import ParameterSpec, branch_suffix
 from tissueid.model.channels import TissueModel, viscous
+from tissueid.model.damped import DampedModel
 from tissueid.result import Estimate
 
-__all__ = ["MAX_WIDTH", "REFERENCE_DEPTH", "TissueEstimate", "estimate_tissue", "width_of"]
+__all__ = [
+    "FEWEST_SLOW",
+    "MAX_WIDTH",
+    "REFERENCE_DEPTH",
+    "TissueEstimate",
+    "estimate_tissue",
+    "slow_share",
+    "width_of",
+]
 
 FloatArray = NDArray[np.float64]
 
 #: Widest 95 % interval in the logarithm that counts as identified.
 MAX_WIDTH = 1.0
+#: Widest 95 % intervals that count as identified: of a restitution, and of an exponent (half of what tells a
+#: flat punch, 1, from a cone, 2).
+MAX_DAMPING_WIDTH, MAX_EXPONENT_WIDTH = 0.25, 0.5
+#: Distance from the ends of its range at which an exponent lies on them.
+NEAR_END = 1e-3
+#: Share of the speed at contact below which a sample is slow; with fewer of them than this, static force and
+#: damping are one number.
+SLOW, FEWEST_SLOW = 0.5, 0.02
 #: A standard error below this is the rounding of none.
 BOUND_ROUNDING = 1e-12
 #: Singular value of a row of an active bound that is none.
@@ -204,6 +221,36 @@ def _viscosity(
     )
 
 
+def _damped(
+    identified: Identified, theta: FloatArray, covariance: FloatArray, static: list[Estimate]
+) -> list[Estimate]:
+    """Static parameters and that of the damping; numbers without a unit are judged by their own width."""
+    model, stderr = identified.law.model(), np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    out, confounded = [], slow_share(identified) < FEWEST_SLOW
+    for k, spec in enumerate(model.parameters):
+        last, width = k == theta.size - 1, 2.0 * float(np.sqrt(LEVEL_95) * stderr[k])
+        if spec.unit == "1":
+            narrow = width <= (MAX_DAMPING_WIDTH if last else MAX_EXPONENT_WIDTH)
+            # an exponent at the end of its range: the law does not describe this
+            ended = not last and min(theta[k] - spec.lower, spec.upper - theta[k]) < NEAR_END
+            verdict = (narrow and not ended and not (last and confounded), width)
+            out.append(
+                _estimate(spec.name, spec.symbol, spec.unit, float(theta[k]), float(stderr[k]), verdict)
+            )
+        elif confounded:
+            out.append(replace(static[k], value=None, stderr=None, identified=False))
+        else:
+            out.append(static[k])
+    return out
+
+
+def slow_share(identified: Identified) -> float:
+    """Share of the samples in contact that are slower than half of the speed at contact."""
+    system = identified.system
+    touching = system.count * (system.means(system.travel) > 0.0)
+    return float(touching[system.means(system.speed_ratio) < SLOW].sum() / max(touching.sum(), 1.0))
+
+
 def theta_covariance(identified: Identified) -> FloatArray:
     """Covariance of theta, machine held, (p, p); rows of what active bounds hold are zero."""
     optimum, law, t = identified.optimum, identified.law, identified.law.times
@@ -252,9 +299,11 @@ def estimate_tissue(identified: Identified) -> TissueEstimate:
     static = [k for k, name in enumerate(model.parameter_names) if name.startswith("static")]
     depths = np.array(CURVE_DEPTHS) * model.depth_mm
     parameters = _alike(model, theta, covariance, static, lambda theta: model.static_force(theta, depths))
+    if isinstance(model, DampedModel):
+        parameters = _damped(identified, theta, covariance, parameters)
     intervals, law = [], identified.law
     order = np.argsort(point.log_times[: law.counts[0]]).tolist()
-    for branch in range(law.branches):
+    for branch in range(model.branches):
         if not order:
             parameters += _branch_estimates(model, theta, covariance, branch, None)
             continue

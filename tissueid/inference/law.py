@@ -7,7 +7,7 @@ made of any parts, is :mod:`tissueid.inference.channel_law`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Protocol
 
@@ -48,12 +48,15 @@ class Path:
         Share of the step that was spent in contact.
     fresh : ndarray of int
         First point of each log.
+    speed_ratio : ndarray, shape (m,)
+        Speed over that at which each contact began, as recorded; zero where no law follows it.
     """
 
     step_s: FloatArray
     depth_mm: FloatArray
     share: FloatArray
     fresh: NDArray[np.int64]
+    speed_ratio: FloatArray = field(default_factory=lambda: np.zeros(1))
 
 
 def driven(decay: FloatArray, right: FloatArray) -> FloatArray:

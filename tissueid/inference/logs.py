@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.errors import NotIdentifiedError
 from tissueid.inference.blocks import Blocks, log_blocks
+from tissueid.inference.speed_ratio import with_speed_ratio
 from tissueid.inference.unloading import FreeSurface, with_unloading
 from tissueid.inference.window import FittedLog, LogData, assign_folds, fitted_log, with_holds_cut
+from tissueid.model.grammar import Candidates
 from tissueid.trial import Segmentation, Trial
 
-__all__ = ["LogHandle", "blocks_of"]
+__all__ = ["LogHandle", "blocks_of", "speed_handles"]
 
 FloatArray = NDArray[np.float64]
 
@@ -44,6 +47,8 @@ class LogHandle:
         The law whose surface is followed; ``None`` takes contact loss from the measured force.
     hold_share : float
         First share of every hold that takes part.
+    follows_speed : bool
+        The speed ratio along the log is measured, and samples at corners stay out.
     """
 
     load: Callable[[], Trial]
@@ -55,10 +60,13 @@ class LogHandle:
     unloading: bool = False
     surface: FreeSurface | None = None
     hold_share: float = 1.0
+    follows_speed: bool = False
 
     def window(self, trial: Trial, segmentation: Segmentation, *, guard: bool = False) -> FittedLog | None:
         """The part of a trial that is fitted under a segmentation; ``None`` where there is none."""
         log = fitted_log(trial, segmentation, guard=guard, whole=self.unloading)
+        if log is not None and self.follows_speed:
+            return with_speed_ratio(trial, segmentation, log)
         if log is None or not self.unloading:
             return log
         return with_unloading(segmentation, log, self.surface)
@@ -86,6 +94,34 @@ def blocks_of(handle: LogHandle, log: FittedLog, *, whole: bool = False) -> Bloc
         data,
         step_s=log.step_s,
         contact_sd_mm=max(handle.contact_sd_mm, OFFSET_SD_FLOOR * log.depth_mm),
-        leads=contact is not None and contact.in_record and not handle.unloading,
+        leads=contact is not None and contact.in_record and not (handle.unloading or handle.follows_speed),
         whole=whole,
     )
+
+
+def speed_handles(handles: Sequence[LogHandle], laws: Candidates) -> list[LogHandle]:
+    """The same logs with their speed ratio where a law follows it: to their ends where each of them does.
+
+    Raises
+    ------
+    NotIdentifiedError
+        A log has no contact that begins at a speed.
+    """
+    named = [*laws.laws, *([laws.paper] if laws.paper is not None else [])]
+    if not any(one.damped for one in named):
+        return list(handles)
+    whole, out = all(one.damped for one in named), []
+    for handle in handles:
+        trial = handle.load()
+        now = replace(handle, follows_speed=True, unloading=whole)
+        log = now.window(trial, now.segmentation, guard=now.guard) or now.window(trial, now.segmentation)
+        if log is None:
+            msg = (
+                f"{trial.name}: no contact begins at a speed, of which {named[0].name!r} is a law; "
+                "record the approach, or fit kelvin-voigt"
+            )
+            raise NotIdentifiedError(msg)
+        # a power and a contact are told by the same samples: a segmenter that took the power for another has
+        # placed the contact elsewhere
+        out.append(replace(now, facts=log.without_samples(), contact_sd_mm=log.depth_mm))
+    return out

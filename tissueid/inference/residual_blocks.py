@@ -119,7 +119,7 @@ def _corner_columns(
 
 def _own_columns(model: TissueModel, theta: FloatArray, log: FittedLog, fitted: FloatArray) -> FloatArray:
     """Derivatives of one log's force by its own parameters, shape (n, q)."""
-    x = log.data.depth_mm
+    x = np.maximum(log.data.depth_mm, 0.0)
     step = DEPTH_STEP * model.depth_mm
     # the branch's share of a contact error is that of K's slope, which is small beside F_s'
     slope = (model.static_force(theta, x + step) - model.static_force(theta, x)) / step
@@ -148,6 +148,7 @@ def residual_blocks(
         Force of all that along the log [N].
     """
     data = log.data
+    path = ContactPath(data.time_s, data.depth_mm, data.speed_ratio)
     keys = _keys(segmentation, log)
     used = np.flatnonzero(data.include & (keys[:, 0] >= 0))
     keys = keys[used]
@@ -169,7 +170,7 @@ def residual_blocks(
         mean_N=means(data.force_N - fitted),
         start_s=data.time_s[used[first]],
         end_s=data.time_s[used[last]],
-        shared=means(adjustment.gain * model.jacobian(theta, ContactPath(data.time_s, data.depth_mm))),
+        shared=means(adjustment.gain * model.jacobian(theta, path)),
         own=means(
             np.concatenate(
                 [

@@ -13,10 +13,10 @@ from threadpoolctl import threadpool_limits
 from tissueid.flags import Flag
 from tissueid.inference.depth_test import depth_test
 from tissueid.inference.engine import Identified, Request, identify_logs
-from tissueid.inference.estimates import TissueEstimate, estimate_tissue
+from tissueid.inference.estimates import FEWEST_SLOW, TissueEstimate, estimate_tissue, slow_share
 from tissueid.inference.evidence import LogEvidence, log_evidence
 from tissueid.inference.lm import both_optimisers
-from tissueid.inference.logs import LogHandle, blocks_of
+from tissueid.inference.logs import LogHandle, blocks_of, speed_handles
 from tissueid.inference.material import with_moduli
 from tissueid.inference.quoted import EQUALLY_LONG, quoted_numbers, with_form
 from tissueid.inference.relaxation_window import relaxation_window
@@ -31,6 +31,7 @@ from tissueid.inference.window import FittedLog
 from tissueid.inference.yardstick_law import YardstickLaw
 from tissueid.measured import spread
 from tissueid.measured.geometry import DEFAULT_POISSON, Geometry, TipOf
+from tissueid.model.damped import DampedModel
 from tissueid.model.grammar import KELVIN_VOIGT, candidates, parsed
 from tissueid.model.kelvin_voigt import KEY
 from tissueid.priors import Priors
@@ -206,7 +207,9 @@ def force_along(
 ) -> FloatArray:
     """Modelled force of the load channel at every sample of one log, (n,) [N]."""
     blocks = blocks_of(handle, log, whole=True)
-    system = System([blocks], identified.law, identified.system.depth_mm, identified.system.effects)
+    system = System(
+        [blocks], identified.law.along(index), identified.system.depth_mm, identified.system.effects
+    )
     own = replace(point, own=point.own[index : index + 1])
     system.follow(own)
     force = system.recorded(system.tip_force(own)[0], own.machine)
@@ -269,6 +272,7 @@ def _fit(
         )
         handles, identified, facts = followed.handles, followed.identified, followed.facts
     else:
+        handles = speed_handles(handles, request.candidates)
         identified, facts = identify_handles(handles, request, tick)
     tick("Levenberg-Marquardt")
     optimisers = both_optimisers(identified)
@@ -277,7 +281,8 @@ def _fit(
     if identified.discrepant and identified.quotable:
         worth = sandwich_covariance(SpecimenTarget(identified, machine=request.machine))[1]
     noise = noise_of(identified, worth)
-    window = relaxation_window(handles, identified, tick) if identified.quotable else None
+    relaxes = identified.quotable and tissue.model.branches > 0
+    window = relaxation_window(handles, identified, tick) if relaxes else None
 
     def described(point: Point) -> FittedSpecimen:
         return _described(specimen, tuple(handles), identified, noise, options, tick, point)
@@ -316,6 +321,7 @@ def _fit(
             *undecided_flags(found),
             *rival_flags(found),
             *window_flags(window),
+            *damping_flags(found, here),
         )
         step, length = min(log.step_s for log in facts), max(log.duration_s for log in facts)
         slope, drains = depth_test(options.geometry, *_equal_holds(told))
@@ -342,7 +348,7 @@ def _fit(
             model=ModelChoice(
                 key=KEY if found.law.model_of is None else found.law.model_of.key,
                 name=_name_of(found),
-                branches=found.law.branches,
+                branches=tissue.model.branches,
                 static_degree=min(found.law.static_size, MAX_STATIC),
                 stiffness_degree=found.law.degree,
                 static_pooling="shared" if len(logs) == 1 else options.static,
@@ -430,8 +436,22 @@ def rival_flags(identified: Identified) -> tuple[Flag, ...]:
     best = next(one for one in worth if one.gain >= most - one.stderr)
     closer = 100.0 * (1.0 - float(np.exp(-0.5 * best.gain)))
     how = f"{closer:.0f} % closer" if best.better else "as well"
-    words = f"{best.name} predicts a left-out {identified.left_out} {how}, with tau {best.tau_s:.3g} s"
-    return (Flag("form_dependent", words, {"gain": best.gain, "stderr": best.stderr, "tau_s": best.tau_s}),)
+    words = f"{best.name} predicts a left-out {identified.left_out} {how}"
+    values = {"gain": best.gain, "stderr": best.stderr}
+    if np.isfinite(best.tau_s):
+        words, values = f"{words}, with tau {best.tau_s:.3g} s", values | {"tau_s": best.tau_s}
+    return (Flag("form_dependent", words, values),)
+
+
+def damping_flags(identified: Identified, tissue: TissueEstimate) -> tuple[Flag, ...]:
+    """Static force and damping that are one number: no sample is slow."""
+    model = tissue.model
+    if not isinstance(model, DampedModel) or (share := slow_share(identified)) >= FEWEST_SLOW:
+        return ()
+    spec, value = model.parameters[0], model.loading_stiffness(tissue.theta)
+    known = f"only {spec.symbol} (1 + chi) = {value:.4g} {spec.unit} is known"
+    words = f"{known}: {100.0 * share:.2g} % of samples are slow"
+    return (Flag("one_speed_ratio", words, {"slow_share": share, "loading": value}),)
 
 
 def undecided_flags(identified: Identified) -> tuple[Flag, ...]:

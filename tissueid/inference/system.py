@@ -152,6 +152,7 @@ class System:
         first = np.concatenate([[0], np.cumsum(points)[:-1]])
         self.point_log = np.repeat(np.arange(len(logs)), points)
         self.travel = np.concatenate([one.depth_mm for one in logs]) / depth_mm
+        self.speed_ratio = np.concatenate([one.speed_ratio for one in logs])
         step = np.diff(np.concatenate([one.time_s for one in logs]), prepend=0.0)
         step[first] = np.inf
         self.step = np.maximum(step, 1e-12)
@@ -197,7 +198,7 @@ class System:
         share = np.ones(depth.shape)
         share[after] = depth[after] / (depth[after] - depth[crossing])
         share[..., self.fresh] = 1.0
-        return Path(self.step, np.maximum(depth, 0.0) * self.depth_mm, share, self.fresh)
+        return Path(self.step, np.maximum(depth, 0.0) * self.depth_mm, share, self.fresh, self.speed_ratio)
 
     def means(self, values: FloatArray) -> FloatArray:
         """Observations of values at points, (..., m) -> (..., k)."""

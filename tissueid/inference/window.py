@@ -76,6 +76,8 @@ class LogData:
         ``None`` is told from the time stamps when it is needed.
     exact : bool
         The travel is straight between samples and known exactly: a rendered law followed just it.
+    speed_ratio : ndarray, shape (n,), or None
+        Speed over that at which each contact began (:mod:`tissueid.inference.speed_ratio`).
     """
 
     time_s: FloatArray
@@ -85,6 +87,7 @@ class LogData:
     fold: NDArray[np.int64]
     breaks: NDArray[np.bool_] | None = None
     exact: bool = False
+    speed_ratio: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

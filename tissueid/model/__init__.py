@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 __all__ = [
     "ContactModel",
     "ContactPath",
-    "HertzImpact",
     "KelvinVoigt",
     "ParameterSpec",
     "Stepper",
@@ -23,14 +22,13 @@ if TYPE_CHECKING:
         ParameterSpec,
         Stepper,
     )
-    from tissueid.model.impact import HertzImpact
     from tissueid.model.kelvin_voigt import KelvinVoigt
 
 
 def __getattr__(name: str) -> Any:
     if name in __all__:
-        from tissueid.model import base, impact, kelvin_voigt
+        from tissueid.model import base, kelvin_voigt
 
-        return next(getattr(module, name) for module in (base, impact, kelvin_voigt) if hasattr(module, name))
+        return getattr(kelvin_voigt if name == "KelvinVoigt" else base, name)
     msg = f"module 'tissueid.model' has no attribute {name!r}"
     raise AttributeError(msg)

@@ -8,7 +8,7 @@ fitted, sampled, simulated and felt; a contract test replays a recording through
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -58,16 +58,13 @@ class ContactPath:
     ----------
     time_s, depth_mm : ndarray, shape (n,)
         Non-decreasing times [s] and depths below the contact point [mm]; linear in between.
-    velocity_mm_s : ndarray, shape (n,), optional
-        Velocity estimate [mm/s], for laws that need it.
-    contact_starts : tuple of int
-        Samples at which a contact starts, for laws that latch the speed of impact.
+    speed_ratio : ndarray, shape (n,), optional
+        Speed over that at which each contact began, for laws that follow it; else told from the path.
     """
 
     time_s: FloatArray
     depth_mm: FloatArray
-    velocity_mm_s: FloatArray | None = None
-    contact_starts: tuple[int, ...] = field(default=(0,))
+    speed_ratio: FloatArray | None = None
 
 
 class Stepper(Protocol):

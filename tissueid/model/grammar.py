@@ -1,4 +1,4 @@
-"""Names of contact models: ``STATIC * [STIFFNESS *] RELAXATION``, and the laws that they are made of.
+"""Names of contact models: ``STATIC * [STIFFNESS *] RELAXATION`` or ``STATIC * DAMPING``, and their laws.
 
 Laws are found in the folder :mod:`tissueid.model.laws`, a file each, and behind the entry point
 ``tissueid.models`` of other packages.
@@ -17,6 +17,7 @@ from typing import Any
 from tissueid.model import laws
 from tissueid.model.base import ParameterSpec
 from tissueid.model.channels import ChannelModel, TissueModel
+from tissueid.model.damped import DampedModel
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.model.law import About
 from tissueid.model.yardstick import YARDSTICK, yardstick_of
@@ -42,7 +43,7 @@ AUTO = "auto"
 HELD_AGAINST = ("polynomial * tangent * prony:1", "polynomial * tangent * prony:2")
 #: Degrees of K by name, as the Kelvin-Voigt law takes them.
 DEGREES = {"constant": 0, "linear": 1, "quadratic": 2}
-KINDS = ("static", "stiffness", "relaxation")
+KINDS = ("static", "stiffness", "relaxation", "damping")
 #: Argument of a law in the grammar, and its default.
 ARGUMENTS = {"polynomial": 3, "prony": 1, "spectrum": 8}
 
@@ -62,7 +63,7 @@ class Named:
     branches, degree : int or None
         Of a Kelvin-Voigt law; None where they are chosen, and of other laws.
     parts : tuple or None
-        Static, stiffness and relaxation law; None where it is a Kelvin-Voigt law.
+        Static, stiffness and relaxation or damping law; None where it is a Kelvin-Voigt law.
     mark : bool
         It is the yardstick.
     """
@@ -78,13 +79,19 @@ class Named:
         """True of a Kelvin-Voigt law."""
         return self.parts is None and not self.mark
 
+    @property
+    def damped(self) -> bool:
+        """True of a law that follows the speed over that at contact."""
+        return self.parts is not None and self.parts[2].about.kind == "damping"
+
     def model(self, depth_mm: float, resolution_s: float, window_s: float) -> ChannelModel:
         """The model of its parts for a depth and a range of times."""
         if self.parts is None:
             msg = f"{self.name} is not made of three parts"
             raise ValueError(msg)
         static, stiffness, relaxation = self.parts
-        return ChannelModel(static, stiffness, relaxation, depth_mm, resolution_s, window_s, self.name)
+        kind = DampedModel if self.damped else ChannelModel
+        return kind(static, stiffness, relaxation, depth_mm, resolution_s, window_s, self.name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,7 +203,8 @@ def described() -> list[dict[str, Any]]:
             if law.about.kind != kind:
                 continue
             made = law()
-            specs = [*getattr(made, "coefficients", ()), *(one.spec for one in getattr(made, "shapes", ()))]
+            shapes = (made.shape,) if kind == "damping" else getattr(made, "shapes", ())
+            specs = [*getattr(made, "coefficients", ()), *(one.spec for one in shapes)]
             rows.append(_row(law.about, specs))
     own: dict[str, Sequence[ParameterSpec]] = {KELVIN_VOIGT: KelvinVoigt(1, 2, 1.0).parameters}
     return [*rows, *(_row(about, own.get(about.key, ())) for about in whole_names())]
@@ -244,7 +252,7 @@ def parsed(name: str) -> Named:
     Parameters
     ----------
     name : str
-        ``kelvin-voigt``, or ``STATIC * [STIFFNESS *] RELAXATION``; spaces are free.
+        ``kelvin-voigt``, ``STATIC * [STIFFNESS *] RELAXATION`` or ``STATIC * DAMPING``; spaces are free.
 
     Raises
     ------
@@ -261,9 +269,15 @@ def parsed(name: str) -> Named:
         form = f"STATIC * [STIFFNESS *] RELAXATION, as in 'power * prony:2', {KELVIN_VOIGT} or {YARDSTICK}"
         msg = f"{name!r} is no model: {form}"
         raise ModelNameError(msg)
+    last = known_laws().get(words[-1])
+    damped = last is not None and last.about.kind == "damping"
+    if damped and len(words) == 3:
+        msg = f"{name!r}: {words[2]} damps the static law itself; leave {words[1]} out"
+        raise ModelNameError(msg)
     if len(words) == 2:
-        words.insert(1, "constant")
-    static, stiffness, relaxation = (_law(word, kind, name) for word, kind in zip(words, KINDS, strict=True))
+        words.insert(1, "tangent" if damped else "constant")
+    kinds = (*KINDS[:2], KINDS[2 + damped])
+    static, stiffness, relaxation = (_law(word, kind, name) for word, kind in zip(words, kinds, strict=True))
     keys = [one.about.key for one in (static, stiffness, relaxation)]
     if keys[1] == "tangent" and keys[2] == "spectrum":
         msg = f"{name!r}: a spectrum has a stiffness at each time; take constant, linear or quadratic with it"

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.compiled import kernel, tick_kernel, tick_part
+from tissueid.model.impact import speed_ratio
 
 __all__ = [
     "LAW_SIZE",
@@ -140,7 +141,8 @@ _DEPTH = 0
 _BRANCHES = 1
 #: Pieces of F_s, cubic each: piece i begins at depth (i / pieces)^2.
 _PIECES = 2
-#: What the branches follow: 0 the depth, 1 the static force, 2 a polynomial of depth each.
+#: What the branches follow: 0 the depth, 1 the static force, 2 a polynomial of depth each; 3 of a law without
+#: branches whose static force is damped by the speed over that at contact.
 _FOLLOWED = 3
 _STATIC = 4
 _STATIC_SIZE = 4
@@ -148,7 +150,8 @@ _STIFFNESS = 68
 #: Coefficients of K kept a branch, constant first; a lower degree has zeros.
 _STIFFNESS_SIZE = 3
 _TAU = 104
-#: Polynomials that the branches follow, constant term first (0).
+#: Polynomials that the branches follow, constant term first (0); of a damped law chi, floor of v0 [mm/s],
+#: filter of the speed [s] and hysteresis [mm].
 _OWN = 116
 OWN_SIZE = 5
 
@@ -268,6 +271,15 @@ def _force_free_surface(law: FloatArray, at: int, state: FloatArray, first: int,
 
 
 @tick_part
+def _damped_step(law: FloatArray, at: int, state: FloatArray, first: int, x: float, h: float) -> float:
+    """:func:`tissue_step_in` of a damped law, whose surface has the tool's depth."""
+    ratio = speed_ratio(law, at + _OWN + 1, state, first + _STATES, x, h)
+    state[first + _SURFACE] = max(x, 0.0)
+    static, _slope = _static(law, at, x)
+    return max(static * (1.0 + law[at + _OWN] * ratio), 0.0) if x >= 0.0 else 0.0
+
+
+@tick_part
 def tissue_step_in(law: FloatArray, at: int, state: FloatArray, first: int, x: float, h: float) -> float:
     """Advance the tissue by one step under a tool that can push but not pull.
 
@@ -295,6 +307,8 @@ def tissue_step_in(law: FloatArray, at: int, state: FloatArray, first: int, x: f
     float
         Force on the tool [N], never negative.
     """
+    if law[at + _FOLLOWED] > 2.0:
+        return _damped_step(law, at, state, first, x, h)
     n = int(law[at + _BRANCHES])
     target = max(x, 0.0)
     for j in range(n):
@@ -362,9 +376,10 @@ def pack_pieces(law: FloatArray, at: int, pieces: FloatArray, *, followed: int, 
         Cubic of each piece by powers of the distance from its beginning, at most :data:`MOST_PIECES`.
     followed : int
         What the branches follow: 0 the depth, 1 the static force (their stiffness is then a ratio to it), 2 a
-        polynomial each.
+        polynomial each; 3 of a damped law without branches.
     own : ndarray, shape (branches, OWN_SIZE)
-        These polynomials by powers of x, constant term first (0); empty otherwise.
+        These polynomials by powers of x, constant term first (0); of a damped law chi, floor of v0 [mm/s],
+        filter of the speed [s] and hysteresis [mm], shape (1, 4); empty otherwise.
     """
     law[at + _PIECES] = len(pieces)
     law[at + _FOLLOWED] = float(followed)

@@ -1,4 +1,4 @@
-"""Parts of a contact model: a static law, a stiffness law and a relaxation law, each one file in ``laws``.
+"""Parts of a contact model: static, stiffness, and relaxation or damping law, each one file in ``laws``.
 
 A part names its parameters, and nobody else does.  Coefficients are linear in the force; shapes are not, are
 positive, and are sought in their logarithm.
@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.model.base import ParameterSpec
+from tissueid.model.impact import Variant
 
-__all__ = ["About", "RelaxationLaw", "Shape", "StaticLaw", "StiffnessLaw"]
+__all__ = ["About", "DampingLaw", "RelaxationLaw", "Shape", "StaticLaw", "StiffnessLaw"]
 
 FloatArray = NDArray[np.float64]
 
@@ -28,7 +29,7 @@ class About:
     key : str
         Word of the grammar.
     kind : str
-        ``static``, ``stiffness`` or ``relaxation``.
+        ``static``, ``stiffness``, ``relaxation`` or ``damping``.
     equation, purpose, refuses : str
     source : str
         DOI, or "reconstructed" with its derivation.
@@ -129,4 +130,37 @@ class RelaxationLaw(Protocol):
 
     def value(self, time_s: FloatArray, *shape: Any) -> FloatArray:
         """Relaxation at times [s], (...) -> (...)."""
+        ...
+
+
+class DampingLaw(Protocol):
+    """Damping in proportion to the static force, by the speed over that at which contact began."""
+
+    @property
+    def about(self) -> About:
+        """Its description."""
+        ...
+
+    @property
+    def shape(self) -> Shape:
+        """Its one parameter."""
+        ...
+
+    @property
+    def variant(self) -> Variant:
+        """Equation between chi and its parameter."""
+        ...
+
+    @property
+    def branches(self) -> int:
+        """No exponentials."""
+        ...
+
+    @property
+    def shapes(self) -> tuple[Shape, ...]:
+        """None of a relaxation."""
+        ...
+
+    def factor(self, value: Any) -> FloatArray:
+        """Damping factor chi, (...) -> (...)."""
         ...

@@ -98,6 +98,6 @@ def required_damping(
     The tissue is linearised at rest at depths over [0, depth_mm]; the largest need counts.
     """
     law, x = servo_law(model, theta), np.linspace(0.0, model.depth_mm, DEPTHS)
-    slope, stiffness, tau = model.static_slope(theta, x), law.linearised(model, theta, x), law.tau_s
+    slope, (stiffness, tau) = model.static_slope(theta, x), law.linearised(model, theta, x)
     factor = scaling.force / scaling.motion * N_PER_MM_TO_N_PER_M
     return damping_bound(slope * factor, stiffness * factor, tau, period_s=period_s, delay_ticks=delay_ticks)

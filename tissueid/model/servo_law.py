@@ -14,16 +14,20 @@ from numpy.polynomial.polynomial import polyder, polyval
 from numpy.typing import NDArray
 
 from tissueid.model.channels import ChannelModel, Part, TissueModel
+from tissueid.model.damped import DampedModel
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.model.kernels import LAW_SIZE, MOST_BRANCHES, MOST_PIECES, OWN_SIZE, pack_law, pack_pieces
 from tissueid.model.yardstick import Yardstick
 
-__all__ = ["DEPTH", "OWN", "STATIC", "ServoLaw", "servo_law"]
+__all__ = ["DEPTH", "OWN", "SPEED", "STATIC", "ServoLaw", "servo_law"]
 
 FloatArray = NDArray[np.float64]
 
-#: What branches follow.
-DEPTH, STATIC, OWN = 0, 1, 2
+#: What branches follow; of a law without branches, the speed over that at contact.
+DEPTH, STATIC, OWN, SPEED = 0, 1, 2, 3
+#: Floor of the speed at contact [mm/s], a third of what one count of an encoder in 1 ms looks like, filter of
+#: the speed [s], and how far outside a contact ends [mm]; those of guidance.
+SLOWEST_MM_S, SPEED_FILTER_S, HYSTERESIS_MM = 50.0, 0.01, 0.2
 #: Nodes of a projection go from this share of the resolution to this many windows.
 BELOW, BEYOND = 0.1, 5.0
 #: Times at which a projection is compared, and a time that is none, in windows.
@@ -48,12 +52,13 @@ class ServoLaw:
         Coefficients of K_j by powers of x [N/mm^(k+1)]; inside, the ratio to the static force.
     tau_s : ndarray, shape (branches,)
     followed : int
-        What the branches follow: 0 the depth, 1 the static force, 2 polynomials of their own.
+        What the branches follow: 0 the depth, 1 the static force, 2 polynomials of their own; 3 of a static
+        force damped by the speed over that at contact.
     depth_mm : float
     error : float
         Largest error of the relaxing force by the projection, over the force of a sudden push.
     own : ndarray, shape (branches, OWN_SIZE)
-        These polynomials by powers of x [N, mm].
+        These polynomials by powers of x [N, mm]; of a damped force chi, floor, filter and hysteresis.
     """
 
     static: FloatArray
@@ -81,16 +86,26 @@ class ServoLaw:
         stiffness = self.stiffness if self.followed == STATIC else factor * self.stiffness
         return replace(self, static=factor * self.static, stiffness=stiffness)
 
-    def linearised(self, model: TissueModel, theta: FloatArray, depth_mm: FloatArray) -> FloatArray:
-        """Stiffness of every exponential for small moves about rest at depths, (branches, n) [N/mm]."""
+    def linearised(
+        self, model: TissueModel, theta: FloatArray, depth_mm: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Stiffness of every exponential for small moves about rest at depths, (branches, n), and times.
+
+        Damping behind a filter is one: ``c`` times the filtered speed is ``c / t`` that relaxes in t; in a
+        contact that began at the slowest speed it is the largest.
+        """
+        x = np.asarray(depth_mm, dtype=np.float64)
+        if self.followed == SPEED:
+            chi, slowest, filter_s, _ = self.own[0]
+            resistance = chi * model.static_force(theta, x) / slowest
+            return resistance[None] / filter_s, np.array([filter_s])
         if self.followed == OWN:
-            x = np.asarray(depth_mm, dtype=np.float64)
             rows = zip(self.own, self.stiffness, strict=True)
-            return np.array([polyval(x, polyder(one)) * polyval(x, k) for one, k in rows])
+            return np.array([polyval(x, polyder(one)) * polyval(x, k) for one, k in rows]), self.tau_s
         if self.followed == STATIC:
-            return np.asarray(self.stiffness[:, :1] * model.static_slope(theta, depth_mm))
-        found = polyval(np.asarray(depth_mm), self.stiffness.T)
-        return np.asarray(found, dtype=np.float64).reshape(len(self.tau_s), np.size(depth_mm))
+            return np.asarray(self.stiffness[:, :1] * model.static_slope(theta, x)), self.tau_s
+        found = np.asarray(polyval(x, self.stiffness.T), dtype=np.float64)
+        return found.reshape(len(self.tau_s), x.size), self.tau_s
 
 
 def servo_law(model: TissueModel, theta: FloatArray, most: int = MOST_BRANCHES) -> ServoLaw:
@@ -109,6 +124,10 @@ def servo_law(model: TissueModel, theta: FloatArray, most: int = MOST_BRANCHES) 
         return ServoLaw(whole, np.array(stiffness), np.array(tau), DEPTH, model.depth_mm, 0.0)
     if isinstance(model, Yardstick):
         return _of_yardstick(model, theta)
+    if isinstance(model, DampedModel):
+        damping = np.array([[model.factor(theta), SLOWEST_MM_S, SPEED_FILTER_S, HYSTERESIS_MM]])
+        none = np.zeros((0, 1)), np.zeros(0)
+        return ServoLaw(_pieces(model, theta), *none, SPEED, model.depth_mm, 0.0, damping)
     rows, times, worst = [], [], 0.0
     share = max(most // model.branches, 1)
     for part in model.parts:

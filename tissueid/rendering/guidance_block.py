@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.model.impact import DampingLaw, damping_factor, pack_impact
+from tissueid.model.impact import Variant, damping_factor, pack_impact
 from tissueid.rendering import environment as env
 from tissueid.rendering import guidance as gd
 from tissueid.rendering.funnel import CONE, HYPERBOLOID, hyperboloid_constants
@@ -57,7 +57,7 @@ class Funnel:
     stiffness_N_per_m_n: float = 400.0
     exponent: float = 1.5
     restitution: float = 0.9
-    law: DampingLaw = "flores"
+    law: Variant = "flores"
     slowest_m_s: float = 0.05
 
     def numbers(self) -> FloatArray:

@@ -6,7 +6,6 @@ their name; what no source states is listed in the scene under ``assumed``, and 
 
 from __future__ import annotations
 
-import json
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,13 +14,17 @@ from pathlib import Path
 from typing import Any
 
 from tissueid.errors import UsageError, printable
+from tissueid.model.damped import DampedModel
 from tissueid.rendering.guidance_block import Bone, Funnel, Guidance, Pull
 from tissueid.rendering.tissue_block import WORKSPACE_CENTRE_M
+from tissueid.store.bundle import load_bundle
 from tissueid.store.schema import first_problem
 
 __all__ = ["Scene", "load_scene", "read_plan", "scene_names"]
 
 MM = 1e-3
+#: The one shape of a static law that a wall takes.
+EXPONENT = "static_exponent"
 #: Keys of a scene that are lengths or speeds in millimetres -> fields in metres.
 _IN_MM = "_mm"
 _PER_S = "_mm_per_s"
@@ -151,30 +154,23 @@ def _funnel(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     return fields if named is None else fields | _law(folder / named)
 
 
-def _law(path: Path) -> dict[str, float]:
-    """Stiffness [N/m^n], exponent and restitution of the one specimen of a contact-law.json."""
-    try:
-        document = json.loads(_text_of(path))
-        problem = first_problem(document, "contact-law")
-    except json.JSONDecodeError as error:
-        msg = f"{printable(str(path))} is no JSON: {error}"
-        raise UsageError(msg) from error
-    if problem is not None:
-        msg = f"{printable(str(path))}, {problem}"
+def _law(path: Path) -> dict[str, Any]:
+    """Stiffness [N/m^n], exponent, restitution and law of the bundle of a damped power of depth."""
+    bundle = load_bundle(path)
+    model = bundle.contact_model()
+    if not isinstance(model, DampedModel) or [one.spec.name for one in model.static.shapes] != [EXPONENT]:
+        msg = f"{printable(str(path))} is of {bundle.model.name!r}; a wall takes a 'power * impact' fit"
         raise UsageError(msg)
-    specimens = document["specimens"]
-    if len(specimens) != 1:
-        msg = f"{printable(str(path))} holds {len(specimens)} specimens: fit the one that is to be felt alone"
-        raise UsageError(msg)
-    values = {one["symbol"]: one["value"] for one in specimens[0]["parameters"]}
-    unknown = [one["symbol"] for one in specimens[0]["parameters"] if one["value"] is None]
+    unknown = [one.symbol for one in bundle.parameters if one.value is None]
     if unknown:
         msg = f"{printable(str(path))}: {', '.join(unknown)} not identified; there is no law to be felt"
         raise UsageError(msg)
+    stiffness, exponent, restitution = bundle.theta.tolist()
     return {
-        "stiffness_N_per_m_n": values["k"] * MM ** -values["n"],
-        "exponent": values["n"],
-        "restitution": values["e"],
+        "stiffness_N_per_m_n": stiffness * MM**-exponent,
+        "exponent": exponent,
+        "restitution": restitution,
+        "law": model.damping.variant,
     }
 
 

@@ -67,6 +67,7 @@ REMARK_TITLES: Mapping[str, str] = MappingProxyType(
         "sign_assumed": "Sign",
         "tension": "Tension",
         "not_identified": "Not identified",
+        "one_speed_ratio": "One speed ratio",
         "interval_open": "Open interval",
         "tau_below_resolution": "Sampling",
         "amplitude_small": "Small relaxation",

@@ -23,6 +23,7 @@ _FAMILIES = (
     ("viscosity", "viscosity"),
     ("static F_s", "static"),
     ("dynamic K", "stiffness"),
+    ("damping", "damping"),
 )
 _MARGIN = 12
 

@@ -23,6 +23,7 @@ _KINDS = {
     "stiffness": "Dynamic",
     "viscosity": "Viscosity",
     "relaxation": "Relaxation",
+    "damping": "Damping",
 }
 _INTERVALS = {"ci95": "95 % statistical", "ci95_total": "95 % total"}
 _FOLD = ("b_0", "b_0 + b_1 x", "b_0 + b_1 x + b_2 x²")
@@ -81,7 +82,7 @@ class IntervalRow:
 
 
 def reported_order(parameters: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """Parameters in the order of the publication: relaxation time, static force, stiffness, viscosity."""
+    """Parameters in the order of the publication: relaxation time, static, stiffness, viscosity, damping."""
 
     def place(entry: Mapping[str, Any]) -> int:
         return next(i for i, start in enumerate(_KINDS) if entry["name"].startswith(start))

@@ -27,7 +27,6 @@ __all__ = ["SCHEMA_NAMES", "SchemaProblem", "check", "first_problem", "load_sche
 #: Every schema, by the name :func:`load_schema` takes.
 SCHEMA_NAMES = (
     "bundle",
-    "contact-law",
     "contrast",
     "control",
     "design",

@@ -1,0 +1,107 @@
+"""``tissueid fit --model "power * impact"``: from CSV to a bundle, and to a scene that is felt."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import run
+
+from tissueid.errors import BundleError, UsageError
+from tissueid.rendering.scene import load_scene
+from tissueid.synth.contact_law import simulate_contact_law
+from tissueid.synth.recipe import Hold, Log, Move, Recipe
+
+RAMP = (Move(4.0, 100.0),)
+WHOLE = (*RAMP, Hold(2.0), Move(0.0, 100.0))
+IMPACT = ("--model", "power * impact")
+SCENE = (
+    'schema = "tissueid/scene/1"\nname = "wall"\n[plan]\nentry_mm = [0, 0, 0]\naxis = [0, 0, 1]\n'
+    '[guidance.funnel]\ncontact_law = "wall/bundle.h5"\n'
+)
+
+
+def recordings(folder: Path, moves: tuple[Move | Hold, ...]) -> Path:
+    """Plain CSV of a body with k = 4, n = 1.5, e = 0.7."""
+    plan = Recipe("wall", (Log("a", moves, repeats=2),), rate_Hz=100.0, sigma_N=0.1, contact_offset_mm=1.0)
+    rng = np.random.default_rng(2)
+    for log in simulate_contact_law(plan, stiffness=4.0, exponent=1.5, restitution=0.7, rng=rng):
+        table = np.column_stack([log.time_s, log.displacement_mm, log.force_N])
+        head = "Time (s),Displacement (mm),Force (N)"
+        np.savetxt(folder / f"{log.name}.csv", table, "%.5f", ",", header=head, comments="")
+    return folder
+
+
+@pytest.mark.parametrize("variant", ["flores", "exact"])
+def test_the_law_of_recordings_is_written_and_felt_in_a_scene(tmp_path: Path, variant: str) -> None:
+    (tmp_path / "rig").mkdir()
+    model = "power * impact" if variant == "flores" else "power * impact-exact"
+    options = (
+        "--model",
+        model,
+        "--sampler",
+        "none",
+        "--specimen-by",
+        "(rig)",
+        "-o",
+        tmp_path / "wall",
+        "--json",
+    )
+    ended = run("fit", recordings(tmp_path / "rig", WHOLE), *options)
+    assert ended.code == 0, ended.stderr
+    (specimen,) = ended.json()["specimens"]
+    found = {one["symbol"]: one for one in specimen["parameters"]}
+    # the printed damping of e = 0.7 returns 0.683 of the speed
+    for symbol, truth in {"c": 4.0, "n": 1.5, "e": 0.7 if variant == "flores" else 0.683}.items():
+        assert abs(found[symbol]["value"] - truth) <= max(4.0 * found[symbol]["stderr"], 5e-4)
+
+    (tmp_path / "scene.toml").write_text(SCENE)
+    funnel = load_scene(str(tmp_path / "scene.toml")).guidance.funnel
+    assert (funnel.exponent, funnel.restitution) == (found["n"]["value"], found["e"]["value"])
+    assert funnel.law == variant
+    # k d^n is the same force whatever d is measured in
+    there = funnel.stiffness_N_per_m_n * 0.002**funnel.exponent
+    assert there == pytest.approx(found["c"]["value"] * 2.0 ** found["n"]["value"], rel=1e-12)
+
+
+def test_what_ramps_do_not_determine_is_null_and_is_not_felt(tmp_path: Path) -> None:
+    (tmp_path / "rig").mkdir()
+    options = (*IMPACT, "--sampler", "none", "--specimen-by", "(rig)", "-o", tmp_path / "wall", "--json")
+    ended = run("fit", recordings(tmp_path / "rig", RAMP), *options)
+    assert ended.code == 4
+    (specimen,) = ended.json()["specimens"]
+    values = {one["symbol"]: one["value"] for one in specimen["parameters"]}
+    assert (values["c"], values["e"]) == (None, None)
+    assert values["n"] == pytest.approx(1.5, abs=0.05)
+    (flag,) = [one for one in specimen["flags"] if one["code"] == "one_speed_ratio"]
+    # 4 (1 + 8 * 0.3 / 3.5) = 6.74
+    told = re.search(r"only c \(1 \+ chi\) = ([0-9.]+) N/mm", flag["message"])
+    assert float(told[1]) == pytest.approx(6.74, rel=0.05)
+    (tmp_path / "scene.toml").write_text(SCENE)
+    with pytest.raises(UsageError, match="c, e not identified"):
+        load_scene(str(tmp_path / "scene.toml"))
+
+
+def test_a_law_that_is_none_is_refused_with_its_file(tmp_path: Path) -> None:
+    (tmp_path / "scene.toml").write_text(SCENE)
+    with pytest.raises(BundleError, match=r"bundle\.h5"):
+        load_scene(str(tmp_path / "scene.toml"))
+
+
+def test_formats_of_exponentials_refuse_a_speed_ratio(tmp_path: Path) -> None:
+    quick = ("--sampler", "none", "--no-study", "-q", "-o", tmp_path / "out")
+    assert run("fit", recordings(tmp_path, WHOLE) / "a-1.csv", *IMPACT, *quick).code == 0
+    for form in ("c-header", "abaqus", "febio"):
+        ended = run("export", tmp_path / "out", "--format", form, "-o", tmp_path / form)
+        assert ended.code == 2
+        assert "speed over that at contact" in ended.stderr
+    assert run("export", tmp_path / "out", "--format", "mat", "-o", tmp_path / "mat").code == 0
+
+
+def test_the_option_that_it_was_names_the_model(tmp_path: Path) -> None:
+    ended = run("fit", tmp_path, "--contact-law", "hertz-impact")
+    assert ended.code == 2
+    assert '--model "power * impact"' in ended.stderr
+    assert len(ended.stderr.strip().splitlines()) == 1
