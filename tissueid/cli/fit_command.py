@@ -69,7 +69,7 @@ def _moved(_context: click.Context, _option: click.Parameter, value: str | None)
     help="Contact model: kelvin-voigt, STATIC * [STIFFNESS *] RELAXATION or STATIC * DAMPING of the laws in "
     "tissueid models; auto, or several with | between them, takes the one that predicts best.",
 )  # fmt: skip
-@click.option("--contact-law", hidden=True, expose_value=False, callback=_moved)
+@click.option("--contact-law", hidden=True, expose_value=False, callback=_moved, help="Moved to --model.")
 @click.option(
     "--branches", type=_count("123"), default="auto", show_default=True,
     help="Relaxation branches; auto chooses by held-out data.",
