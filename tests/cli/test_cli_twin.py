@@ -62,6 +62,10 @@ def test_what_went_in_comes_out(name: str, tmp_path: Path) -> None:
     # only the emulated one has counts, a wire and a delay
     assert simulated["nrmsd_model"] < 0.1 * falcon["nrmsd_model"]
     assert (out / "emulated-Falcon.csv").read_text(encoding="ascii").startswith("Time (s),Displacement (mm)")
+    assert document["unseen"]["nrmsd_model"] < 0.03
+    page = (out / "twin.html").read_text(encoding="utf-8")
+    assert "Mechanical twin" in page
+    assert "Came out" in page or name == "yardstick"
     assert (out / "twin.svg").read_text(encoding="utf-8").startswith("<svg xmlns=")
     (again,) = ti.read(out / "felt.h5")
     assert again.force_N.max() > 10.0

@@ -25,8 +25,10 @@ HOLD_S, SLOWEST_MM_S, FALL_BACK_S = 5.0, 0.5, 60.0
 
 def twin(flags: dict[str, Any]) -> int:
     """Run the twin of a bundle, write it, print it."""
+    from tissueid.contrast.noticeable import LIMITS
     from tissueid.errors import UsageError
     from tissueid.notebook import svg_file
+    from tissueid.report.twin_page import render_twin
     from tissueid.store.bundle import load_bundle
     from tissueid.store.files import json_bytes
     from tissueid.twin.twin import run_twin, twin_drawing
@@ -49,12 +51,15 @@ def twin(flags: dict[str, Any]) -> int:
         found = run_twin(bundle, flags["bundle"], program, out, progress)
     write_output(str(out / "twin.json"), json_bytes(found.as_json()))
     write_output(str(out / "twin.svg"), svg_file(twin_drawing(found)))
+    write_output(
+        str(out / "twin.html"), render_twin(found, f"{LIMITS[0].source}, doi {LIMITS[0].doi}").encode()
+    )
     if flags["as_json"]:
         echo_json(found.as_json())
     elif not flags["quiet"]:
         for line in twin_lines(found):
             echo(line)
-    note(f"wrote {out}/twin.json, twin.svg, and the recordings at the grips", quiet=flags["quiet"])
+    note(f"wrote {out}/twin.html, twin.json, twin.svg, and the recordings at the grips", quiet=flags["quiet"])
     return 0
 
 
@@ -87,12 +92,15 @@ def twin_lines(found: Twin) -> list[str]:
         beside = "" if one.nrmsd_recording is None else f", the recording by {_percent(one.nrmsd_recording)}"
         missed = f"force off the law by {_percent(one.nrmsd_model)} of its range{beside}"
         could = "could" if one.noticeable > 1.0 else "could not"
-        told = f"a hand {could} tell: {one.noticeable:.2g} just-noticeable differences at most (Jones 1989)"
+        told = f"a hand {could} tell: {max(one.noticeable, 0.01):.2g} just-noticeable differences at most (Jones 1989)"
         refit = "" if one.fit_nrmsd is None else f"; refit NRMSD {_percent(one.fit_nrmsd)}"
         lines += ["", f"{one.device}: {missed}{refit}", f"  {told}"]
         lines += [f"  {_row(row)}" for row in one.rows]
+    off = _percent(found.unseen.nrmsd_model)
+    unseen = f"at {found.unseen.speed_mm_s:.3g} mm/s, of no recording: emulated Falcon off the law by {off}"
     lines += [
         "",
+        unseen,
         "No real device has confirmed this: the Falcon is emulated, its counts and delay stated.",
     ]
     return lines
@@ -118,4 +126,4 @@ def _said(value: float | None, ci95: tuple[float, float] | None) -> str:
 
 
 def _percent(share: float) -> str:
-    return f"{100.0 * share:.2g} %"
+    return "less than 0.001 %" if share < 1e-5 else f"{100.0 * share:.2g} %"

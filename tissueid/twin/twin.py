@@ -23,19 +23,23 @@ from tissueid.model.grammar import KELVIN_VOIGT
 from tissueid.notebook import drawing
 from tissueid.pipeline import IdentifyOptions, identify
 from tissueid.rendering.choice import as_tissue
+from tissueid.rendering.script import read_script
 from tissueid.result import SpecimenFit
 from tissueid.segment import SegmentOptions
 from tissueid.store.bundle_content import Bundle
 from tissueid.trial import Source, Trial
-from tissueid.twin.program import Program
+from tissueid.twin.program import Program, program_of_script
 from tissueid.twin.sessions import Felt, emulated_falcon, planned, simulated
 
-__all__ = ["Row", "Twin", "TwinDevice", "run_twin", "twin_drawing"]
+__all__ = ["Row", "Twin", "TwinDevice", "Unseen", "run_twin", "twin_drawing"]
 
 FloatArray = NDArray[np.float64]
 
 #: Delay that is stated is known to half a tick [s].
 HALF_TICK_S = 5e-4
+#: Push at a speed that was not seen: share of the depth, hold [s], and ratio of the recordings' speeds from
+#: which one lies between them.
+PUSHED, HELD_S, BETWEEN = 0.9, 3.0, 1.5
 #: Draws of the fits.
 DRAWS = 1_000
 
@@ -96,6 +100,26 @@ class TwinDevice:
     felt: Felt
     law_N: FloatArray
 
+    def from_contact(self) -> tuple[FloatArray, FloatArray]:
+        """Time from the crossing of the surface [s], and force [N], the stated delay undone."""
+        time, depth, force = self.felt.undone()
+        return time - float(np.interp(0.0, *_rising(depth, time))), force
+
+
+@dataclass(frozen=True, slots=True)
+class Unseen:
+    """A push at a speed that no recording of the bundle had, on the emulated Falcon.
+
+    Attributes
+    ----------
+    speed_mm_s : float
+    nrmsd_model : float
+        Deviation of the force at the grip from the bundle's law, over its range.
+    """
+
+    speed_mm_s: float
+    nrmsd_model: float
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Twin:
@@ -106,6 +130,7 @@ class Twin:
     specimen, model, program : str
     force_scale, motion_scale : float
     devices : tuple of TwinDevice
+    unseen : Unseen
     """
 
     specimen: str
@@ -114,6 +139,7 @@ class Twin:
     force_scale: float
     motion_scale: float
     devices: tuple[TwinDevice, ...]
+    unseen: Unseen
 
     def as_json(self) -> dict[str, Any]:
         """The document ``twin.json``."""
@@ -124,6 +150,7 @@ class Twin:
             "program": self.program,
             "force_scale": self.force_scale,
             "motion_scale": self.motion_scale,
+            "unseen": asdict(self.unseen),
             "devices": [
                 {
                     "device": one.device,
@@ -162,31 +189,68 @@ def run_twin(
     plan = planned(path, program)
     assert plan.check is not None  # noqa: S101 -- a tissue is always checked
     tissue, scale = as_tissue(bundle), plan.check.scaling
-    progress("emulated Falcon", 0, 4)
+    progress("emulated Falcon", 0, 5)
     felt = [emulated_falcon(tissue, program, force_scale=scale.force, motion=scale.motion)]
-    progress("simulated device", 1, 4)
+    progress("simulated device", 1, 5)
     felt.append(simulated(plan, folder))
     devices = []
     for k, one in enumerate(felt):
-        progress(f"fit of the {one.device}", 2 + k, 4)
+        progress(f"fit of the {one.device}", 2 + k, 5)
         devices.append(_device(bundle, program, one, folder, scale.force))
-    progress("fit", 4, 4)
+    progress("a speed that was not seen", 4, 5)
+    other = _unseen_program(bundle)
+    again = emulated_falcon(tissue, other, force_scale=scale.force, motion=scale.motion)
+    unseen = Unseen(other.speed_mm_s, _against_law(bundle, again).nrmsd)
+    progress("fit", 5, 5)
     model = bundle.model.name or bundle.model.key
-    return Twin(bundle.specimen, model, program.words, scale.force, scale.motion, tuple(devices))
+    return Twin(bundle.specimen, model, program.words, scale.force, scale.motion, tuple(devices), unseen)
+
+
+def _unseen_program(bundle: Bundle) -> Program:
+    """A push and a hold between the speeds of the recordings, or at half of their one speed."""
+    slow, fast = bundle.speeds_mm_s
+    speed = math.sqrt(slow * fast) if fast > BETWEEN * slow else 0.5 * fast
+    text = f"indent {PUSHED * bundle.depth_mm:.4g} mm at {60.0 * speed:.4g} mm/min; hold {HELD_S:g} s"
+    return program_of_script(read_script(text))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Compared:
+    """A grip's recording in contact, with the stated delay undone, beside the bundle's law."""
+
+    time: FloatArray
+    force: FloatArray
+    law: FloatArray
+    met: float
+
+    @property
+    def touching(self) -> NDArray[np.bool_]:
+        return self.time >= self.met
+
+    @property
+    def off(self) -> FloatArray:
+        """Force less the law, in contact [N]."""
+        return self.force[self.touching] - self.law[self.touching]
+
+    @property
+    def nrmsd(self) -> float:
+        """Root mean square of that over the range of the law."""
+        return float(np.sqrt(np.mean(self.off**2)) / np.ptp(self.law[self.touching]))
+
+
+def _against_law(bundle: Bundle, felt: Felt) -> _Compared:
+    time, depth, force = felt.undone()
+    law = bundle.contact_model().force(bundle.theta, ContactPath(time, np.maximum(depth, 0.0)))
+    return _Compared(time, force, law, float(np.interp(0.0, *_rising(depth, time))))
 
 
 def _device(bundle: Bundle, program: Program, felt: Felt, folder: Path, force_scale: float) -> TwinDevice:
-    time, depth, force = felt.undone()
-    # in the program's time: both cross the surface together
-    met = float(np.interp(0.0, *_rising(depth, time)))
-    at = time - met + program.contact_s
-    inside = np.maximum(depth, 0.0)
-    law = bundle.contact_model().force(bundle.theta, ContactPath(time, inside))
-    touching = time >= met
-    spread = float(np.ptp(law[touching]))
-    off = force[touching] - law[touching]
+    compared = _against_law(bundle, felt)
+    touching, force, law = compared.touching, compared.force, compared.law
     recorded = None
     if program.recorded is not None:
+        # in the program's time: both cross the surface together
+        at = compared.time - compared.met + program.contact_s
         there = touching & (at <= program.recorded[-1, 0])
         meant = np.interp(at[there], program.recorded[:, 0], program.recorded[:, 1])
         recorded = float(np.sqrt(np.mean((force[there] - meant) ** 2)) / np.ptp(meant))
@@ -194,10 +258,10 @@ def _device(bundle: Bundle, program: Program, felt: Felt, folder: Path, force_sc
     least = LIMITS[0].share * np.maximum(np.abs(law[touching]) * force_scale, LEAST_FORCE_N)
     return TwinDevice(
         felt.device,
-        float(np.sqrt(np.mean(off**2)) / spread),
+        compared.nrmsd,
         recorded,
         None if fit is None else fit.nrmsd.range,
-        float(np.max(np.abs(off) * force_scale / least)),
+        float(np.max(np.abs(compared.off) * force_scale / least)),
         () if fit is None else tuple(_rows(bundle, fit)),
         felt,
         law,
@@ -280,9 +344,7 @@ def twin_drawing(twin: Twin) -> str:
     """Force at the grips and of the law against time, as an SVG."""
     curves: list[tuple[str, FloatArray, FloatArray, str]] = []
     for one, colour in zip(twin.devices, ("#d55e00", "#009e73"), strict=False):
-        time, depth, force = one.felt.undone()
-        # both from the moment at which the surface is crossed
-        time = time - float(np.interp(0.0, *_rising(depth, time)))
+        time, force = one.from_contact()
         if not curves:
             curves.append(("law of the bundle", time, one.law_N, "#56b4e9"))
         curves.append((one.device, time, force, colour))
