@@ -61,8 +61,9 @@ REQUIRABLE = ("viscosity", "static", "stiffness", "relaxation-time")
 DEFAULT_REQUIRED = ("viscosity", "static")
 #: What a bundle keeps of its study.
 STUDY_PROVENANCE = ("path", "sha256", "calibration", "priors")
-_PREFIX = {
-    "viscosity": "viscosity",
+#: Beginnings of parameters; what resists speed in a law without branches is its damping.
+_PREFIX: dict[str, str | tuple[str, ...]] = {
+    "viscosity": ("viscosity", "damping"),
     "static": "static",
     "stiffness": "stiffness",
     "relaxation-time": "relaxation_time",

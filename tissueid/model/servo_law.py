@@ -69,6 +69,11 @@ class ServoLaw:
     error: float
     own: FloatArray = field(default_factory=lambda: np.zeros((0, OWN_SIZE)))
 
+    @property
+    def slowest_mm_s(self) -> float:
+        """Speed below which a contact counts as one that began at it [mm/s]; 0 where that means nothing."""
+        return float(self.own[0, 1]) if self.followed == SPEED else 0.0
+
     def pack(self, law: FloatArray, at: int) -> None:
         """Write it from index ``at``, :data:`~tissueid.model.kernels.LAW_SIZE` numbers."""
         pack_law(self.static[0], self.stiffness, self.tau_s, self.depth_mm, law, at)
