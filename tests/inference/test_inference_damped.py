@@ -113,6 +113,22 @@ def test_a_relaxing_law_is_compared_on_the_same_samples():
     assert {row["model"] for row in fit.result.selection} == {LAW, "power * prony:1"}
 
 
+def test_several_logs_are_left_out_and_the_next_is_predicted():
+    fit = ti.fit(recorded(RETURNED, speeds=(1.0, 2.0, 3.0)), f"{LAW} | kelvin-voigt", priors=NO_FAULT)
+    assert fit.result.model.name == LAW
+    scores = {row.get("model", "kelvin-voigt"): row["score"] for row in fit.result.selection}
+    assert max(scores, key=scores.get) == LAW
+    found = rows(ti.fit(recorded(RETURNED, speeds=(1.0, 2.0, 3.0)), LAW, priors=NO_FAULT).sample(draws=200))
+    low, high = found["n"]["prediction95"]
+    assert low < 1.5 < high
+
+
+def test_a_second_contact_has_its_own_speed():
+    moves = (Move(4.0, 100.0), Hold(1.0), Move(0.0, 100.0), Hold(0.5), Move(5.0, 300.0), Hold(1.0))
+    for symbol, row in rows(fitted(moves, seed=3)).items():
+        assert abs(row["value"] - TRUTH[symbol]) <= 4.0 * row["stderr"], symbol
+
+
 def test_a_record_that_no_speed_begins_is_refused():
     (trial,) = recorded(RETURNED)
     still = replace(trial, displacement_mm=np.minimum.accumulate(-trial.displacement_mm))
