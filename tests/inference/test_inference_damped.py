@@ -123,6 +123,12 @@ def test_several_logs_are_left_out_and_the_next_is_predicted():
     assert low < 1.5 < high
 
 
+def test_it_is_put_together_in_python():
+    assert ti.ContactModel(static="power", damping="impact").name == LAW
+    with pytest.raises(ValueError, match="leave stiffness and relaxation out"):
+        ti.ContactModel(static="power", relaxation="fung", damping="impact")
+
+
 def test_a_second_contact_has_its_own_speed():
     moves = (Move(4.0, 100.0), Hold(1.0), Move(0.0, 100.0), Hold(0.5), Move(5.0, 300.0), Hold(1.0))
     for symbol, row in rows(fitted(moves, seed=3)).items():
