@@ -28,9 +28,10 @@ from tissueid.covariates import (
     without_excluded,
 )
 from tissueid.decided import arithmetic_refusal
-from tissueid.errors import exit_code
+from tissueid.errors import InputError, exit_code
 from tissueid.inference.calibration_priors import calibration_priors
 from tissueid.inference.coherence import unsampled
+from tissueid.inference.logs import NO_CONTACT
 from tissueid.inference.posterior import PosteriorOptions, with_posterior
 from tissueid.inference.remarks import without_posterior
 from tissueid.inference.specimen import FitOptions, FittedSpecimen, LogHandle, fit_with_state
@@ -61,8 +62,9 @@ REQUIRABLE = ("viscosity", "static", "stiffness", "relaxation-time")
 DEFAULT_REQUIRED = ("viscosity", "static")
 #: What a bundle keeps of its study.
 STUDY_PROVENANCE = ("path", "sha256", "calibration", "priors")
-_PREFIX = {
-    "viscosity": "viscosity",
+#: Beginnings of parameters; what resists speed in a law without branches is its damping.
+_PREFIX: dict[str, str | tuple[str, ...]] = {
+    "viscosity": ("viscosity", "damping"),
     "static": "static",
     "stiffness": "stiffness",
     "relaxation-time": "relaxation_time",
@@ -324,6 +326,13 @@ def _fit_all(
                 key=identity,
                 tick=tick,
             )
+        except InputError as error:
+            if error.code != NO_CONTACT:
+                raise
+            collected.left_out.append(
+                Refusal(path=error.path, sheet=error.sheet, code=error.code, message=error.message)
+            )
+            continue
         except (ArithmeticError, np.linalg.LinAlgError) as error:
             collected.left_out += [
                 arithmetic_refusal(entry["path"], entry["sheet"], "fitted", error)

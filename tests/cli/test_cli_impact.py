@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
@@ -11,6 +12,8 @@ from command_line import run
 
 from tissueid.errors import BundleError, UsageError
 from tissueid.rendering.scene import load_scene
+from tissueid.store.bundle import load_bundle
+from tissueid.store.session_log import read_session_log
 from tissueid.synth.contact_law import simulate_contact_law
 from tissueid.synth.recipe import Hold, Log, Move, Recipe
 
@@ -32,6 +35,30 @@ def recordings(folder: Path, moves: tuple[Move | Hold, ...]) -> Path:
         head = "Time (s),Displacement (mm),Force (N)"
         np.savetxt(folder / f"{log.name}.csv", table, "%.5f", ",", header=head, comments="")
     return folder
+
+
+def test_the_simulated_device_gives_the_force_of_the_law(tmp_path: Path) -> None:
+    quick = ("--sampler", "none", "--no-study", "-q", "-o", tmp_path / "out")
+    assert run("fit", recordings(tmp_path, WHOLE) / "a-1.csv", *IMPACT, *quick).code == 0
+    ended = run(
+        "render", tmp_path / "out/bundle.h5", "--device", "sim", "--virtual", "--log", tmp_path / "felt.h5",
+        "--script", "indent 3 mm at 12000 mm/min; hold 0.3 s; retract at 12000 mm/min; hold 0.2 s",
+    )  # fmt: skip
+    assert ended.code == 0, ended.stderr
+    assert "below 50 mm/s is damped as one that began at it" in ended.stdout + ended.stderr
+    felt, bundle = read_session_log(tmp_path / "felt.h5").records, load_bundle(tmp_path / "out" / "bundle.h5")
+    model, depth = bundle.contact_model(), felt["depth_mm"]
+    static = model.static_force(bundle.theta, np.maximum(depth, 0.0))
+    ratio = np.divide(felt["tissue_force_N"], static, out=np.zeros(depth.size), where=depth > 1.0)
+    moving = np.gradient(depth, 1e-3)
+    # 200 mm/s; the filter of 10 ms has seen the speed since air
+    fast_in = (depth > 1.5) & (moving > 150.0)
+    assert ratio[fast_in].size >= 5
+    np.testing.assert_allclose(ratio[fast_in], 1.0 + model.factor(bundle.theta), rtol=0.02)
+    # 0.1 s after the stop e^-10 of the damping is left; 1,000 ticks in all
+    stands = np.flatnonzero(depth > 2.9)[100:250]
+    np.testing.assert_allclose(ratio[stands], 1.0, rtol=2e-3)
+    assert felt.size >= 700
 
 
 @pytest.mark.parametrize("variant", ["flores", "exact"])
@@ -71,6 +98,7 @@ def test_what_ramps_do_not_determine_is_null_and_is_not_felt(tmp_path: Path) -> 
     options = (*IMPACT, "--sampler", "none", "--specimen-by", "(rig)", "-o", tmp_path / "wall", "--json")
     ended = run("fit", recordings(tmp_path / "rig", RAMP), *options)
     assert ended.code == 4
+    assert "not identified: damping_restitution" in json.dumps(ended.json())
     (specimen,) = ended.json()["specimens"]
     values = {one["symbol"]: one["value"] for one in specimen["parameters"]}
     assert (values["c"], values["e"]) == (None, None)

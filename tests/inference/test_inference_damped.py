@@ -9,11 +9,14 @@ import numpy as np
 import pytest
 
 import tissueid as ti
-from tissueid.errors import NotIdentifiedError
+from tissueid.errors import InputError
+from tissueid.inference import logs
 from tissueid.inference.logs import LogHandle, speed_handles
+from tissueid.inference.specimen import FitOptions
 from tissueid.inference.speed_ratio import with_speed_ratio
 from tissueid.inference.window import fitted_log
 from tissueid.model.grammar import candidates
+from tissueid.pipeline import IdentifyOptions, identify
 from tissueid.priors import CalibrationPrior, Priors
 from tissueid.segment import segment
 from tissueid.synth.contact_law import simulate_contact_law
@@ -38,14 +41,14 @@ CORRELATED = {"rate_Hz": 200.0, "sigma_N": 0.2, "ar1_sigma_N": 0.3, "ar1_phi": 0
 
 def recorded(moves, *, seed=1, speeds=(1.0,), **recipe):
     """Trials of a program at multiples of its speed."""
-    logs = tuple(
+    program = tuple(
         Log(
             f"at{number}",
             tuple(Move(m.to_mm, m.speed_mm_min * factor) if isinstance(m, Move) else m for m in moves),
         )
         for number, factor in enumerate(speeds)
     )
-    plan = Recipe("law", logs, **{"rate_Hz": 100.0, "sigma_N": 0.2, "contact_offset_mm": 1.0, **recipe})
+    plan = Recipe("law", program, **{"rate_Hz": 100.0, "sigma_N": 0.2, "contact_offset_mm": 1.0, **recipe})
     rng = np.random.default_rng(seed)
     return as_trials(simulate_contact_law(plan, stiffness=4.0, exponent=1.5, restitution=0.7, rng=rng))
 
@@ -113,6 +116,28 @@ def test_a_relaxing_law_is_compared_on_the_same_samples():
     assert {row["model"] for row in fit.result.selection} == {LAW, "power * prony:1"}
 
 
+def test_several_logs_are_left_out_and_the_next_is_predicted():
+    fit = ti.fit(recorded(RETURNED, speeds=(1.0, 2.0, 3.0)), f"{LAW} | kelvin-voigt", priors=NO_FAULT)
+    assert fit.result.model.name == LAW
+    scores = {row.get("model", "kelvin-voigt"): row["score"] for row in fit.result.selection}
+    assert max(scores, key=scores.get) == LAW
+    found = rows(ti.fit(recorded(RETURNED, speeds=(1.0, 2.0, 3.0)), LAW, priors=NO_FAULT).sample(draws=200))
+    low, high = found["n"]["prediction95"]
+    assert low < 1.5 < high
+
+
+def test_it_is_put_together_in_python():
+    assert ti.ContactModel(static="power", damping="impact").name == LAW
+    with pytest.raises(ValueError, match="leave stiffness and relaxation out"):
+        ti.ContactModel(static="power", relaxation="fung", damping="impact")
+
+
+def test_a_second_contact_has_its_own_speed():
+    moves = (Move(4.0, 100.0), Hold(1.0), Move(0.0, 100.0), Hold(0.5), Move(5.0, 300.0), Hold(1.0))
+    for symbol, row in rows(fitted(moves, seed=3)).items():
+        assert abs(row["value"] - TRUTH[symbol]) <= 4.0 * row["stderr"], symbol
+
+
 def test_a_record_that_no_speed_begins_is_refused():
     (trial,) = recorded(RETURNED)
     still = replace(trial, displacement_mm=np.minimum.accumulate(-trial.displacement_mm))
@@ -120,8 +145,15 @@ def test_a_record_that_no_speed_begins_is_refused():
     log = fitted_log(trial, segmentation)
     assert with_speed_ratio(still, segmentation, log) is None
     handle = LogHandle(lambda: still, segmentation, log.without_samples(), contact_sd_mm=0.1)
-    with pytest.raises(NotIdentifiedError, match="no contact begins at a speed"):
+    with pytest.raises(InputError, match="0 contacts begin at a speed"):
         speed_handles([handle], candidates(LAW))
+
+
+def test_a_specimen_without_a_speed_is_refused_and_the_rest_goes_on(monkeypatch):
+    monkeypatch.setattr(logs, "with_speed_ratio", lambda *_: None)
+    found = identify(recorded(RETURNED), options=IdentifyOptions(fit=FitOptions(model=LAW)))
+    assert [one.code for one in found.refused] == ["no_contact"]
+    assert found.exit.code == 3
 
 
 def test_an_exponent_at_the_end_of_its_range_is_none():

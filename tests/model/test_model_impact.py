@@ -20,7 +20,6 @@ from tissueid.model.impact import (
     damping_factors,
     impact_step,
     pack_impact,
-    reached_restitution,
 )
 from tissueid.model.kernels import STATE_SIZE, tissue_step_in
 from tissueid.model.servo_law import servo_law
@@ -54,11 +53,9 @@ def drop(stiffness: float, exponent: float, chi: float, *, speed_mm_s: float, dt
     raise AssertionError("the mass never left")
 
 
-@pytest.mark.parametrize("chi", [1e-3, 0.1, 0.6, 1.6, 14.4, 30.0])
-def test_the_restitution_that_is_reached_is_that_of_lambert_s_function(chi: float) -> None:
-    expected = (1.0 + lambertw(-(1.0 + chi) * math.exp(-(1.0 + chi))).real) / chi
-    # the branch point of W at small chi costs half of the digits
-    assert reached_restitution(chi) == pytest.approx(expected, rel=1e-4)
+def reached_restitution(chi: float) -> float:
+    """Speed of a free mass after the contact over that before it, by Lambert's function."""
+    return float((1.0 + lambertw(-(1.0 + chi) * math.exp(-(1.0 + chi))).real) / chi) if chi else 1.0
 
 
 @pytest.mark.needs_jit
@@ -81,7 +78,6 @@ def test_the_exact_law_returns_what_was_asked_for(asked: float, stiffness: float
 def test_an_elastic_contact_is_undamped() -> None:
     assert damping_factor(1.0) == 0.0
     assert damping_factor(1.0, "exact") == pytest.approx(0.0, abs=1e-7)
-    assert reached_restitution(0.0) == 1.0
 
 
 @pytest.mark.parametrize("restitution", [0.0, 0.049, 1.01, math.nan])
@@ -89,11 +85,6 @@ def test_a_restitution_without_a_bounded_force_is_refused(restitution: float) ->
     with pytest.raises(ValueError, match=r"within 0\.05 and 1"):
         damping_factor(restitution)
     assert not law().is_passive(np.array([1.0, 1.5, restitution]))
-
-
-def test_a_negative_factor_is_refused() -> None:
-    with pytest.raises(ValueError, match="negative"):
-        reached_restitution(-0.1)
 
 
 def rendered_drop(

@@ -92,9 +92,9 @@ def twin_lines(found: Twin) -> list[str]:
         beside = "" if one.nrmsd_recording is None else f", the recording by {_percent(one.nrmsd_recording)}"
         missed = f"force off the law by {_percent(one.nrmsd_model)} of its range{beside}"
         could = "could" if one.noticeable > 1.0 else "could not"
-        told = f"a hand {could} tell: {max(one.noticeable, 0.01):.2g} just-noticeable differences at most (Jones 1989)"
+        most = f"{max(one.noticeable, 0.01):.2g} just-noticeable differences at most (Jones 1989)"
         refit = "" if one.fit_nrmsd is None else f"; refit NRMSD {_percent(one.fit_nrmsd)}"
-        lines += ["", f"{one.device}: {missed}{refit}", f"  {told}"]
+        lines += ["", f"{one.device}: {missed}{refit}", f"  a hand {could} tell: {most}"]
         lines += [f"  {_row(row)}" for row in one.rows]
     off = _percent(found.unseen.nrmsd_model)
     unseen = f"at {found.unseen.speed_mm_s:.3g} mm/s, of no recording: emulated Falcon off the law by {off}"

@@ -249,8 +249,8 @@ class ChannelLaw:
             share = weights.reshape((1,) * lead + weights.shape + (1,))
             yield (states * share).sum(axis=lead)
 
-    def along(self, log: int) -> ChannelLaw:  # noqa: ARG002
-        """The same law for a path of one log."""
+    def along(self, logs: tuple[int, ...]) -> ChannelLaw:  # noqa: ARG002
+        """The same law for a path of some logs."""
         return self
 
     def columns(self, log_times: FloatArray, path: Path) -> FloatArray:

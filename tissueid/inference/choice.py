@@ -231,12 +231,14 @@ def _stretches(system: System, optimum: Optimum, groups: Groups) -> FloatArray:
 
 def _left_out(system: System, optimum: Optimum, out: NDArray[np.bool_]) -> float:
     """Mean square error of logs under a fit of the others, their own parameters from their ramps."""
-    prior, noise, law = optimum.prior, optimum.noise, system.law
+    prior, noise = optimum.prior, optimum.noise
 
-    def of(logs: Sequence[Blocks]) -> System:
+    def of(logs: Sequence[Blocks], numbers: IntArray) -> System:
+        law = system.law.along(tuple(numbers.tolist()))
         return System(logs, law, system.depth_mm, system.effects, give=system.give)
 
-    rest = of([one for one, gone in zip(system.logs, out, strict=True) if not gone])
+    kept = np.flatnonzero(~out)
+    rest = of([system.logs[i] for i in kept], kept)
     theirs = replace(prior, own=prior.own[~out])
     found = minimise(
         rest, replace(optimum.point, own=optimum.point.own[~out]), lambda _: theirs,
@@ -247,11 +249,11 @@ def _left_out(system: System, optimum: Optimum, out: NDArray[np.bool_]) -> float
         point, own = replace(found.point, own=optimum.point.own[i : i + 1]), prior.own[i : i + 1]
         if system.effects.size:
             point = minimise(
-                of([_ramp(system.logs[i])]), point, lambda _, own=own: replace(prior, own=own),  # type: ignore[misc]
+                of([_ramp(system.logs[i])], np.array([i])), point, lambda _, own=own: replace(prior, own=own),  # type: ignore[misc]
                 memory=noise.memory, sigma_N=noise.sigma_N, machine=False, steps=OWN_STEPS,
                 held=np.arange(point.shared.size),
             ).point  # fmt: skip
-        one = of([system.logs[i]])
+        one = of([system.logs[i]], np.array([i]))
         error = whitener_of(one, noise.memory)(one.force - one.predict(point))
         squares, count = squares + float(error @ error), count + error.size
     return squares / max(count, 1)

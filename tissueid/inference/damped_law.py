@@ -30,12 +30,12 @@ class DampedLaw(ChannelLaw):
     ----------
     logs : int
         Of the specimen.
-    only : int or None
-        The log that a path of one log is of.
+    only : tuple of int or None
+        The logs that a path of some of them is of.
     """
 
     logs: int = 1
-    only: int | None = None
+    only: tuple[int, ...] | None = None
 
     @cached_property
     def linear(self) -> int:
@@ -54,7 +54,7 @@ class DampedLaw(ChannelLaw):
         self._static_columns(path, self._values(log_times), out)
         out[: self.static_size] *= self._damped(log_times, path)
         ends = np.append(path.fresh[1:], path.step_s.size)
-        numbers = range(self.logs) if self.only is None else [self.only]
+        numbers = range(self.logs) if self.only is None else self.only
         for number, first, last in zip(numbers, path.fresh, ends, strict=True):
             out[self.static_size + number, ..., first:last] = 1.0
         return out
@@ -71,9 +71,9 @@ class DampedLaw(ChannelLaw):
         """Theta of the contact model, of one point or of rows of points; readings in air are none of it."""
         return super().theta(log_times, linear[..., : self.static_size], exact=exact)
 
-    def along(self, log: int) -> DampedLaw:
-        """The same law for a path of one log."""
-        return replace(self, only=log)
+    def along(self, logs: tuple[int, ...]) -> DampedLaw:
+        """The same law for a path of some logs."""
+        return replace(self, only=logs)
 
 
 def law_of(model: ChannelModel, logs: int) -> ChannelLaw:

@@ -173,6 +173,10 @@ class Law(Protocol):
         """Number of linear parameters."""
         ...
 
+    def along(self, logs: tuple[int, ...]) -> Law:
+        """The same law for a path of some of its logs."""
+        ...
+
     def columns(self, log_times: FloatArray, path: Path) -> FloatArray:
         """Columns of the linear parameters, shape (linear, m) [-].
 

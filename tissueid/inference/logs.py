@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.errors import NotIdentifiedError
+from tissueid.errors import InputError
 from tissueid.inference.blocks import Blocks, log_blocks
 from tissueid.inference.speed_ratio import with_speed_ratio
 from tissueid.inference.unloading import FreeSurface, with_unloading
@@ -16,10 +16,12 @@ from tissueid.inference.window import FittedLog, LogData, assign_folds, fitted_l
 from tissueid.model.grammar import Candidates
 from tissueid.trial import Segmentation, Trial
 
-__all__ = ["LogHandle", "blocks_of", "speed_handles"]
+__all__ = ["NO_CONTACT", "LogHandle", "blocks_of", "speed_handles"]
 
 FloatArray = NDArray[np.float64]
 
+#: Code of a log without a contact that its law could follow.
+NO_CONTACT = "no_contact"
 #: Smallest standard deviation of a contact point, as a fraction of the depth.
 OFFSET_SD_FLOOR = 1e-5
 
@@ -104,7 +106,7 @@ def speed_handles(handles: Sequence[LogHandle], laws: Candidates) -> list[LogHan
 
     Raises
     ------
-    NotIdentifiedError
+    InputError
         A log has no contact that begins at a speed.
     """
     named = [*laws.laws, *([laws.paper] if laws.paper is not None else [])]
@@ -117,10 +119,10 @@ def speed_handles(handles: Sequence[LogHandle], laws: Candidates) -> list[LogHan
         log = now.window(trial, now.segmentation, guard=now.guard) or now.window(trial, now.segmentation)
         if log is None:
             msg = (
-                f"{trial.name}: no contact begins at a speed, of which {named[0].name!r} is a law; "
-                "record the approach, or fit kelvin-voigt"
+                f"0 contacts begin at a speed, of which {named[0].name!r} is a law: record the approach, "
+                "exclude the recording, or fit kelvin-voigt"
             )
-            raise NotIdentifiedError(msg)
+            raise InputError(NO_CONTACT, msg, path=trial.source.path, sheet=trial.source.sheet)
         # a power and a contact are told by the same samples: a segmenter that took the power for another has
         # placed the contact elsewhere
         out.append(replace(now, facts=log.without_samples(), contact_sd_mm=log.depth_mm))

@@ -27,7 +27,7 @@ FEWEST, STEPS = 3, 12
 
 def _alone(identified: Identified, index: int) -> FloatArray:
     """Theta of one log under the specimen's law."""
-    found, law = identified.optimum, identified.law
+    found, law = identified.optimum, identified.law.along((index,))
     system = System([identified.system.logs[index]], law, identified.system.depth_mm, Effects())
     at, effects = found.point, identified.system.effects
     contact = at.own[index, int(effects.gain)] if effects.contact else 0.0

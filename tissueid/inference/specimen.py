@@ -208,7 +208,7 @@ def force_along(
     """Modelled force of the load channel at every sample of one log, (n,) [N]."""
     blocks = blocks_of(handle, log, whole=True)
     system = System(
-        [blocks], identified.law.along(index), identified.system.depth_mm, identified.system.effects
+        [blocks], identified.law.along((index,)), identified.system.depth_mm, identified.system.effects
     )
     own = replace(point, own=point.own[index : index + 1])
     system.follow(own)

@@ -50,7 +50,9 @@ def with_speed_ratio(trial: Trial, segmentation: Segmentation, log: FittedLog) -
         return None
     contacts = np.maximum(np.searchsorted(begins, np.arange(depth.size), side="right") - 1, 0)
     ratio = np.clip(speed / at_begin[contacts], -1.0, 1.0)
-    ratio = np.interp(np.arange(ratio.size), measured, ratio[measured])
+    # at a corner the ratio jumps: between the samples that are left out, which a skew does not reach over
+    nearest = np.rint(np.interp(np.arange(ratio.size), measured, np.arange(float(measured.size))))
+    ratio = ratio[measured[nearest.astype(np.int64)]]
     first, stop = min(log.first, measured[0]), log.first + log.data.time_s.size - int(log.inserted)
     rows, include = slice(first, stop), np.isfinite(speed[first:stop])
     data = LogData(

@@ -1,4 +1,4 @@
-"""Contact models put together in Python: ``ContactModel(static=, stiffness=, relaxation=)``."""
+"""Contact models put together in Python: ``ContactModel(static=, stiffness=, relaxation=, damping=)``."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ Part = str | Polynomial | Prony | Callable[..., Any]
 
 @dataclass(frozen=True, slots=True, init=False)
 class ContactModel:
-    """A contact model: a static law and a stiffness that relaxes.
+    """A contact model: a static law, and a stiffness that relaxes or a damping.
 
     Parameters
     ----------
@@ -53,13 +53,15 @@ class ContactModel:
     static, stiffness, relaxation : str, Polynomial, Prony or function
         A law's word, or, of static law and relaxation, a function: of depth [mm], 0 at the surface, or of
         time [s], 1 at its beginning, with positive parameters behind (:mod:`tissueid.model.function_law`).
+    damping : str, optional
+        A law's word, in the place of stiffness and relaxation.
 
     Raises
     ------
     ModelNameError
         A word is no law; the message lists those that are known.
     ValueError
-        A function is no law, with its number.
+        A function is no law, with its number; something relaxes beside a damping.
 
     Examples
     --------
@@ -76,8 +78,13 @@ class ContactModel:
         static: Part = Polynomial(3),
         stiffness: Part = Polynomial(0),
         relaxation: Part = Prony(1),
+        damping: str | None = None,
     ) -> None:
-        words = (_static(static), _stiffness(stiffness), _relaxation(relaxation))
+        if damping is not None and (stiffness, relaxation) != (Polynomial(0), Prony(1)):
+            msg = f"{damping} damps the static law itself: leave stiffness and relaxation out"
+            raise ValueError(msg)
+        moving = (_stiffness(stiffness), _relaxation(relaxation)) if damping is None else (damping,)
+        words = (_static(static), *moving)
         name = " * ".join(words) if name is None else name
         parsed(name)
         object.__setattr__(self, "name", name)

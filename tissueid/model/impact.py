@@ -34,13 +34,11 @@ __all__ = [
     "IMPACT_SIZE",
     "IMPACT_STATE",
     "LEAST_RESTITUTION",
-    "SLOWEST_MM_S",
     "Variant",
     "damping_factor",
     "damping_factors",
     "impact_step",
     "pack_impact",
-    "reached_restitution",
     "speed_ratio",
 ]
 
@@ -48,8 +46,6 @@ FloatArray = NDArray[np.float64]
 Variant = Literal["flores", "exact"]
 
 LEAST_RESTITUTION = 0.05
-#: Floor of the speed at contact [mm/s]: a third of what one count of a Falcon's encoder in 1 ms looks like.
-SLOWEST_MM_S = 20.0
 #: Restitution from which the exact factor is its tangent, and the largest share of 1/e that has a logarithm.
 NEAR_1, SHORT_OF_1 = 0.9999, 1.0 - 1e-16
 #: Halvings of a bracket: as many as a double has binary digits.
@@ -70,35 +66,6 @@ SPEED = 1
 #: Speed at contact [mm/s]; 0 while no contact is on.
 LATCHED = 2
 STARTED = 3
-
-
-def reached_restitution(chi: float) -> float:
-    """Speed of a free mass after the contact over that before it.
-
-    Parameters
-    ----------
-    chi : float
-        Damping factor, not negative.
-
-    Raises
-    ------
-    ValueError
-        A negative factor.
-    """
-    if not chi >= 0.0:
-        msg = f"a damping factor can't be negative, got {chi}"
-        raise ValueError(msg)
-    if chi == 0.0:
-        return 1.0
-    wanted = math.log1p(chi) - chi
-    low, high = 0.0, 1.0
-    for _ in range(HALVINGS):
-        middle = 0.5 * (low + high)
-        if math.log1p(-middle) + middle > wanted:
-            low = middle
-        else:
-            high = middle
-    return min(low / chi, 1.0)
 
 
 def damping_factor(restitution: float, law: Variant = "flores") -> float:
@@ -143,7 +110,7 @@ def pack_impact(
     block: FloatArray,
     at: int,
     *,
-    slowest_mm_s: float = SLOWEST_MM_S,
+    slowest_mm_s: float,
     filter_s: float = 0.0,
     hysteresis_mm: float = 0.0,
 ) -> None:

@@ -25,8 +25,8 @@ FloatArray = NDArray[np.float64]
 
 #: What branches follow; of a law without branches, the speed over that at contact.
 DEPTH, STATIC, OWN, SPEED = 0, 1, 2, 3
-#: Floor of the speed at contact [mm/s], a third of what one count of an encoder in 1 ms looks like, filter of
-#: the speed [s], and how far outside a contact ends [mm]; those of guidance.
+#: Floor of the speed at contact [mm/s] (an encoder count a tick looks like 60), filter of the speed [s],
+#: and how far outside a contact ends [mm].
 SLOWEST_MM_S, SPEED_FILTER_S, HYSTERESIS_MM = 50.0, 0.01, 0.2
 #: Nodes of a projection go from this share of the resolution to this many windows.
 BELOW, BEYOND = 0.1, 5.0
@@ -68,6 +68,11 @@ class ServoLaw:
     depth_mm: float
     error: float
     own: FloatArray = field(default_factory=lambda: np.zeros((0, OWN_SIZE)))
+
+    @property
+    def slowest_mm_s(self) -> float:
+        """Speed below which a contact counts as one that began at it [mm/s]; 0 where that means nothing."""
+        return float(self.own[0, 1]) if self.followed == SPEED else 0.0
 
     def pack(self, law: FloatArray, at: int) -> None:
         """Write it from index ``at``, :data:`~tissueid.model.kernels.LAW_SIZE` numbers."""

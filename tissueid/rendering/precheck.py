@@ -17,6 +17,7 @@ from tissueid.errors import DeviceError, UsageError
 from tissueid.model.channels import loading_force
 from tissueid.model.passivity import required_damping
 from tissueid.model.scaling import DEFAULT_MOTION_SCALE, Scaling, largest_tangent, scaling_for
+from tissueid.model.servo_law import servo_law
 from tissueid.rendering.tissue_block import Tissue
 
 __all__ = ["MOST_DAMPING", "Demands", "Precheck", "check_before_force", "scaling_at"]
@@ -305,6 +306,12 @@ def _remarks(tissue: Tissue, check: Precheck) -> tuple[str, ...]:
         found.append(
             f"the relaxing part of the force is at most {viscous:.2g} N at the fastest identified speed: "
             "it is hardly felt"
+        )
+    slowest = servo_law(tissue.model, tissue.theta).slowest_mm_s
+    if slowest > tissue.speeds_mm_s[0]:
+        found.append(
+            f"a contact that begins below {slowest:g} mm/s is damped as one that began at it; recordings "
+            f"began at {tissue.speeds_mm_s[0]:.3g} mm/s"
         )
     return tuple(found)
 

@@ -64,9 +64,10 @@ def _device(one: TwinDevice, source: str) -> Section:
     )
     refit = "" if one.fit_nrmsd is None else f" The refit has an NRMSD of {_percent(one.fit_nrmsd)}."
     could = "could" if one.noticeable > 1.0 else "could not"
+    most = number(max(one.noticeable, LEAST_TOLD), 2)
     text = (
         f"Off the law by {_percent(one.nrmsd_model)} of its range{recorded}.{refit} A hand {could} tell: "
-        f"{number(max(one.noticeable, LEAST_TOLD), 2)} just-noticeable differences of force at most ({source})."
+        f"{most} just-noticeable differences of force at most ({source})."
     )
     rows = [_row(row) for row in one.rows]
     return Section(one.device[:1].upper() + one.device[1:], text, tables=[Table(HEADS, rows)] if rows else [])
