@@ -558,7 +558,6 @@ def render(
         Before anything moved, with the way out.
     """
     from tissueid.rendering.options import RenderOptions
-    from tissueid.rendering.participation import with_consent
     from tissueid.rendering.plan import plan_session
     from tissueid.rendering.recorder import Recorder
     from tissueid.rendering.session import Session
@@ -574,6 +573,5 @@ def render(
     if plan.capabilities.hardware and not agreed:
         msg = f"{device} has motors: tell the person who holds it, then say agreed=True"
         raise UsageError(msg)
-    plan = replace(plan, head=with_consent(plan.head, how="given before"))
     recorder = None if log is None else Recorder(Path(log), plan.head)
     return Session(plan, recorder=recorder).run()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -104,9 +103,6 @@ _BLIND = (
     click.option("--blind", is_flag=True, help="Compare without telling which is felt."),
     click.option("--presentations", type=int, metavar="N", help="How many, evenly shared. [default: 10]"),
     click.option("--pseudonym", metavar="P17", help="Letters and a number; never a name."),
-    click.option("--ethics", metavar="NUMBER", help="Of the vote of the ethics committee; kept in the log."),
-    click.option("--keep-days", type=int, metavar="N",
-                 help="After which the person's log is to be deleted: tissueid training delete --expired."),
     click.option("--key", type=_FILE, metavar="FILE", help="Where the answers go. [default: beside the log]"),
 )  # fmt: skip
 
@@ -195,7 +191,6 @@ def _prepared(flags: dict[str, Any], spawned: SpawnedServo | None, viewer: Serve
     from tissueid.cli.render_screen import Keyboard, StatusLine, ask_for_consent
     from tissueid.errors import DeviceError, UsageError
     from tissueid.rendering.bridge import UdpBridge, parse_address
-    from tissueid.rendering.participation import with_consent
     from tissueid.rendering.plan import plan_session
     from tissueid.rendering.recorder import Recorder
     from tissueid.rendering.session import Session
@@ -213,7 +208,6 @@ def _prepared(flags: dict[str, Any], spawned: SpawnedServo | None, viewer: Serve
         msg = "--blind is worth nothing without a record: add --log FILE"
         raise UsageError(msg)
     ask_for_consent(plan, given=flags["yes"], quiet=flags["quiet"])
-    plan = replace(plan, head=with_consent(plan.head, how="given before" if flags["yes"] else "asked"))
     _write_key(flags, plan)
     bridge = None
     if flags["bridge"] is not None:
@@ -279,8 +273,6 @@ def _asked(flags: dict[str, Any]) -> RenderOptions:
         blind=flags["blind"],
         presentations=flags["presentations"],
         pseudonym=flags["pseudonym"],
-        ethics=flags["ethics"],
-        keep_days=flags["keep_days"],
         replay=flags["replay"],
         virtual=flags["virtual"],
         bridge=flags["bridge"] is not None,

@@ -36,11 +36,9 @@ def ask_for_consent(plan: SessionPlan, *, given: bool, quiet: int) -> None:
         It was refused.
     """
     from tissueid.rendering.blind import CONSENT_BLIND, CONSENT_HARDWARE
-    from tissueid.rendering.participation import CONSENT_TRAINING
 
     texts = [CONSENT_HARDWARE] if plan.capabilities.hardware else []
     texts += [CONSENT_BLIND] if plan.order is not None else []
-    texts += [CONSENT_TRAINING] if plan.pseudonym is not None else []
     if not texts:
         return
     for text in texts:

@@ -33,9 +33,7 @@ __all__ = [
 ]
 
 #: Options that stand for a consent, a secret or a check that is left out: they are typed each time.
-TYPED_ONLY = frozenset(
-    {"because", "ethics", "expired", "force", "help", "no-control", "pseudonym", "token", "version", "yes"}
-)
+TYPED_ONLY = frozenset({"because", "force", "help", "no-control", "pseudonym", "token", "version", "yes"})
 #: Keys that may stand above all tables: they are options of every command.
 GENERAL = ("quiet", "verbose")
 PREFIX = "TISSUEID_"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -21,49 +20,21 @@ __all__ = ["command"]
 EPILOG = """\b
 Examples:
   tissueid training hip-*.h5
-  tissueid training measure sessions/
-  tissueid training delete sessions/
-"""
-MEASURE_EPILOG = """\b
-Examples:
-  tissueid training measure sessions/ --json
-  tissueid training measure P17-*.h5 --cone-entry 30 --html P17.html
-"""
-DELETE_EPILOG = """\b
-Examples:
-  tissueid training delete sessions/ --pseudonym P17
-  tissueid training delete sessions/ --expired --yes
+  tissueid training sessions/ --json
+  tissueid training P17-*.h5 --cone-entry 30 --html P17.html
 """
 #: Measures that practice is looked for in, with their words.
 LEARNED = {"end_error_mm": "end error", "angle_deg": "angle", "seconds": "time"}
 
 
-class _MeasureOrDelete(click.Group):
-    """A group whose first word may be left out: then logs are measured."""
-
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """As click's, with ``measure`` put in the place of what was left out."""
-        if args and args[0] not in {*self.commands, "-h", "--help"}:
-            args = ["measure", *args]
-        return super().parse_args(ctx, args)
-
-
-@click.group("training", cls=_MeasureOrDelete, epilog=EPILOG)
-def command() -> None:
-    """Measure guided sessions, or delete those of a person.
-
-    `tissueid training LOG...` is short for `tissueid training measure LOG...`.
-    """
-
-
-@command.command("measure", epilog=MEASURE_EPILOG)
+@click.command("training", epilog=EPILOG)
 @click.argument("logs", nargs=-1, required=True, type=click.Path(exists=True))
 @click.option("--cone-entry", type=click.FloatRange(min=0.0, min_open=True), default=40.0, show_default=True,
               metavar="MM", help="Height above the bone at which an attempt begins.")  # fmt: skip
 @click.option("--html", type=click.Path(dir_okay=False), metavar="FILE",
               help="Write a page of attempts, their ways, and how practice changed them.")  # fmt: skip
 @output_options
-def measure(**flags: Any) -> int:
+def command(**flags: Any) -> int:
     """Measure guided sessions: error, angle of the track, time, path, force, smoothness, learning.
 
     LOGS are logs of `tissueid render --scene hip-resurfacing`, or folders of them. A Falcon knows no
@@ -109,7 +80,7 @@ def _measured(flags: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]
         if flags["html"] is not None:
             way = track(log.head, log.records, cone_entry_mm=flags["cone_entry"])
             tracks[str(path)] = [one.tolist() for one in way]
-        head = {key: log.head.get(key) for key in ("pseudonym", "started", "participation")}
+        head = {key: log.head.get(key) for key in ("pseudonym", "started")}
         rows.append({"file": str(path)} | head | _without_nan(attempt))
     rows.sort(key=lambda row: (row["pseudonym"] or "", row["started"], row["file"]))
     document = {
@@ -120,52 +91,6 @@ def _measured(flags: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]
         "refused": refused,
     }
     return document, tracks
-
-
-@command.command("delete", epilog=DELETE_EPILOG)
-@click.argument("logs", nargs=-1, required=True, type=click.Path(exists=True))
-@click.option("--pseudonym", metavar="P17", help="Delete all logs of this person.")
-@click.option("--expired", is_flag=True, help="Delete the logs whose stated time (--keep-days) is over.")
-@click.option("--dry-run", is_flag=True, help="Say what would be deleted, and leave it.")
-@click.option("--yes", is_flag=True, help="Do not ask.")
-@output_options
-def delete(**flags: Any) -> int:
-    """Delete the logs of a person, or those whose time is over, with the answer keys beside them.
-
-    LOGS are logs, or folders of them. Exit code 2 where there is none of that person, 7 where a log can't be
-    read: whose it is, nobody knows.
-    What a backup holds stays there.
-    """
-    from datetime import UTC, datetime
-
-    from tissueid.errors import UsageError, exit_code, printable
-    from tissueid.training.deletion import doomed_logs
-
-    if (flags["pseudonym"] is None) is not flags["expired"]:
-        msg = "say whose, or what: --pseudonym P17, or --expired"
-        raise UsageError(msg)
-    today = datetime.now(UTC).date() if flags["expired"] else None
-    doomed, unread = doomed_logs(_files(flags["logs"]), pseudonym=flags["pseudonym"], today=today)
-    if flags["pseudonym"] is not None and not doomed and not unread:
-        msg = f"no log of {printable(flags['pseudonym'])} is there; is the pseudonym spelt so?"
-        raise UsageError(msg)
-    for one in doomed:
-        note(f"{one.log}: {one.pseudonym}, {one.why}", quiet=flags["quiet"] if flags["yes"] else 0)
-    for path, why in unread:
-        note(f"{path}: can't be read, and stays ({why})")
-    if doomed and not (flags["dry_run"] or flags["yes"]):
-        if not sys.stdin.isatty():
-            msg = "nobody can be asked here whether to delete them; give --yes, or --dry-run"
-            raise UsageError(msg)
-        click.confirm(f"Delete {len(doomed)} logs for good?", abort=True, err=True)
-    deleted = [] if flags["dry_run"] else doomed
-    for one in deleted:
-        one.delete()
-    if flags["as_json"]:
-        echo_json({"found": [str(one.log) for one in doomed], "deleted": [str(one.log) for one in deleted]})
-    else:
-        note(f"deleted {len(deleted)} of {len(doomed)} logs; backups are not reached", quiet=flags["quiet"])
-    return exit_code({7} if unread else set())
 
 
 def _files(given: Sequence[str]) -> Iterator[Path]:

@@ -17,7 +17,6 @@ from tissueid.rendering.blind import check_pseudonym
 from tissueid.rendering.guidance_block import Guidance, guidance_block
 from tissueid.rendering.guidance_check import check_guidance
 from tissueid.rendering.options import RenderOptions
-from tissueid.rendering.participation import Participation
 from tissueid.rendering.passivity_control import PassivityLimits
 from tissueid.rendering.precheck import Demands
 from tissueid.rendering.session_plan import PERIOD_S, SessionPlan, session_head
@@ -133,6 +132,5 @@ def _plan(
         guided=guided,
         pseudonym=pseudonym,
         scene=None if options.scene is None else options.scene.name,
-        participation=None if pseudonym is None else Participation(options.ethics, options.keep_days),
     )
     return replace(plan, head=session_head(plan, np.zeros(SURFACE_SIZE), (None,)))

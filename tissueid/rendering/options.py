@@ -65,10 +65,6 @@ class RenderOptions:
     blind : bool
     presentations : int or None
     pseudonym : str or None
-    ethics : str or None
-        Number of the vote of an ethics committee.
-    keep_days : int or None
-        After which a person's recording is to be deleted.
     seed : int or None
         Of the order of a blind comparison.
     replay : Path or None
@@ -105,8 +101,6 @@ class RenderOptions:
     blind: bool = False
     presentations: int | None = None
     pseudonym: str | None = None
-    ethics: str | None = None
-    keep_days: int | None = None
     seed: int | None = None
     replay: Path | None = None
     virtual: bool = False

@@ -34,7 +34,6 @@ from tissueid.rendering.choice import (
 from tissueid.rendering.contact_geometry import parse_surface, place_surface, surface_remarks, travel_behind
 from tissueid.rendering.law_session import demands_of, guided_session, law_session
 from tissueid.rendering.options import RenderOptions
-from tissueid.rendering.participation import Participation
 from tissueid.rendering.passivity_control import PassivityLimits
 from tissueid.rendering.precheck import Precheck, check_before_force
 from tissueid.rendering.presets import preset_tissue
@@ -81,9 +80,7 @@ def plan_session(options: RenderOptions) -> SessionPlan:
         _must_be_alone(options)
         choice, device = _device(options, name)
         _must_fit(options, choice, None)
-        _must_be_a_person(options, known=options.pseudonym is not None)
         return (guided_session if guided else law_session)(options, choice, device)
-    _must_be_a_person(options, known=options.blind)
     functional = parse_functional(options.of)
     picked, hashes = _tissues(options, functional)
     options, replayed = _replayed(options)
@@ -136,16 +133,8 @@ def plan_session(options: RenderOptions) -> SessionPlan:
         ),
         led=led,
         scene=None if options.scene is None else options.scene.name,
-        participation=None if order is None else Participation(options.ethics, options.keep_days),
     )
     return replace(plan, head=session_head(plan, surface.numbers(radius_m), hashes))
-
-
-def _must_be_a_person(options: RenderOptions, *, known: bool) -> None:
-    """Refuse what is said of a person where there is none."""
-    if not known and (options.ethics is not None or options.keep_days is not None):
-        msg = "--ethics and --keep-days are said of a person: add --pseudonym P17, or --blind"
-        raise UsageError(msg)
 
 
 def _tissues(

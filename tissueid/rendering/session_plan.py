@@ -14,7 +14,6 @@ from tissueid import __version__
 from tissueid.haptics.device import Capabilities
 from tissueid.rendering.blind import BlindOrder
 from tissueid.rendering.choice import Picked
-from tissueid.rendering.participation import Participation
 from tissueid.rendering.precheck import MOST_DAMPING, Precheck
 from tissueid.rendering.script import Script
 
@@ -61,8 +60,6 @@ class SessionPlan:
         Of the person who is guided; a blind order has its own.
     scene : str or None
         Name of the scene it comes from.
-    participation : Participation or None
-        Of a person, where there is one.
     """
 
     device: str
@@ -82,7 +79,6 @@ class SessionPlan:
     led: bool = False
     guided: bool = False
     pseudonym: str | None = None
-    participation: Participation | None = None
     scene: str | None = None
 
 
@@ -97,7 +93,6 @@ def session_head(plan: SessionPlan, surface: FloatArray, hashes: tuple[str | Non
         SHA-256 of the bundle of each tissue, or None.
     """
     capabilities = plan.capabilities
-    person = {} if plan.participation is None else {"participation": plan.participation.as_json()}
     return {
         "tissueid": __version__,
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -118,7 +113,6 @@ def session_head(plan: SessionPlan, surface: FloatArray, hashes: tuple[str | Non
         "scale": None if plan.check is None else plan.check.as_json(),
         "script": None if plan.script is None else plan.script.text,
         "servo": {"period_s": PERIOD_S, "virtual_time": plan.virtual},
-        **person,
         **({} if plan.scene is None or plan.order is not None else {"scene": plan.scene}),
     }
 

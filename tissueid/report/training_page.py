@@ -20,8 +20,7 @@ LEARNED = {
 }
 HEADS = (
     "Attempt", "Recorded", "End error [mm]", "At the bone [mm]", "Angle [degrees]", "Time [s]",
-    "Way over chord", "Mean force [N]", "Peak force [N]", "Less ln jerk", "Through", "Consent",
-    "Ethics vote", "Delete after",
+    "Way over chord", "Mean force [N]", "Peak force [N]", "Less ln jerk", "Through",
 )  # fmt: skip
 
 
@@ -78,7 +77,6 @@ def _person(
 
 
 def _row(at: int, row: Mapping[str, Any]) -> tuple[str, ...]:
-    part = row["participation"] or {"consent": None, "ethics": None, "delete_after": None}
     return (
         str(at),
         row["started"][:19].replace("T", " "),
@@ -91,9 +89,6 @@ def _row(at: int, row: Mapping[str, Any]) -> tuple[str, ...]:
         number(row["peak_force_N"], 3),
         number(row["log_jerk"], 3),
         "yes" if row["complete"] else "no",
-        part["consent"] or "not recorded",
-        part["ethics"] or "\u2013",
-        part["delete_after"] or "\u2013",
     )
 
 
