@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tissueid.cli.output import draw, echo, note
+from tissueid.cli.output import echo, note
 
 if TYPE_CHECKING:
     from tissueid.rendering.recorder import Recorder
@@ -53,14 +53,12 @@ def served(flags: dict[str, Any]) -> Iterator[ServedViewer]:
     with ServedViewer(options) as viewer:
         # what was asked for is told however quiet: nobody guesses a token
         echo(f"viewer     {viewer.url}", err=True)
-        if viewer.access.token is not None:
-            _show_code(viewer.url)
-            if not viewer.access.tls:
-                note(
-                    "the picture goes over the network unencrypted: --certificate and --certificate-key "
-                    "encrypt it",
-                    quiet=flags["quiet"],
-                )
+        if viewer.access.token is not None and not viewer.access.tls:
+            note(
+                "the picture goes over the network unencrypted: --certificate and --certificate-key "
+                "encrypt it",
+                quiet=flags["quiet"],
+            )
         if not (BUNDLE / "index.html").is_file():
             note("the viewer's page was not built here: `python -m tissueid.viewer.bundling` builds it")
         elif not flags["no_browser"]:
@@ -84,14 +82,6 @@ def telling_stop(
             viewer.tell(recording_stopped=recorder.stopped)
 
     return shown
-
-
-def _show_code(url: str) -> None:
-    """A QR code of the address, on a terminal only."""
-    if sys.stderr.isatty():
-        from tissueid.viewer.code import terminal_code
-
-        draw(f"{terminal_code(url)}\n")
 
 
 def open_browser(url: str) -> None:
