@@ -1,4 +1,4 @@
-"""How functions are compiled: for the disk, without the interpreter, and in a servo's tick without a heap.
+"""Compilation of functions: for the disk, without the interpreter, and in a servo's tick without a heap.
 
 Compiled functions are kept in a folder that is named by a hash of all their sources
 (:mod:`tissueid.kernel_cache`): numba's own key knows the caller's source and not its callees'.

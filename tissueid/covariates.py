@@ -1,4 +1,4 @@
-"""What a study adds to the result: covariates, exclusions with their effect, and flags that need both.
+"""Additions of a study to the result: covariates, exclusions with their effect, and flags that need both.
 
 The record is flat, so that a table can be joined to it on path and sheet, and on specimen.
 """

@@ -1,4 +1,4 @@
-"""What a study decides of one recording: its name, protocol, signs, contact, and whether it counts."""
+"""Decisions of a study on one recording: its name, protocol, signs, contact, and whether it counts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What this machine can do with tissueid, and what stands in its way: a line a check, each with a way out."""
+"""Abilities of this machine with tissueid, and obstacles: a line a check, each with a way out."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def _loop() -> Check:
 
 
 def _real_time() -> Check:
-    """What a servo would be granted, asked by a process of its own."""
+    """Scheduling that a servo would be granted, asked by a process of its own."""
     if not sys.platform.startswith("linux"):
         return Check(
             "real time", "note", "no real-time scheduling on this system; the servo says its periods"

@@ -1,4 +1,4 @@
-"""What flags, parameters and exit codes mean: one table for ``tissueid explain`` and ``docs/flags.md``."""
+"""Meaning of flags, parameters and exit codes: one table for ``tissueid explain`` and ``docs/flags.md``."""
 
 from __future__ import annotations
 
@@ -149,7 +149,7 @@ def explain(name: str) -> Explanation:
 
 
 def gravity(code: str) -> str:
-    """How much a flag matters, in words."""
+    """Gravity of a flag, in words."""
     return _GRAVITY[flag_level(code)]
 
 

@@ -1,4 +1,4 @@
-"""What each flag means for a result, what can be done about it, and which of two does more harm.
+"""Meaning of each flag for a result, what can be done about it, and which of two does more harm.
 
 One entry for each code of :data:`tissueid.flags.FLAG_CODES`; a test holds the two together.
 """
@@ -18,7 +18,7 @@ NOTHING = "Nothing."
 
 
 class Advice(NamedTuple):
-    """What follows from a flag, and the way out.
+    """Consequence of a flag, and the way out.
 
     Attributes
     ----------
@@ -514,7 +514,7 @@ _LEVEL = {code: level for level, codes in HARM.items() for code in codes}
 
 
 def flag_level(code: str) -> str:
-    """How grave a flag is: ``serious``, ``caution`` or ``note``; one of a later version is a caution."""
+    """Gravity of a flag: ``serious``, ``caution`` or ``note``; one of a later version is a caution."""
     return _LEVEL.get(code, "caution")
 
 

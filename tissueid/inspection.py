@@ -1,4 +1,4 @@
-"""What is said of one recording before anything is fitted: the words of ``tissueid inspect``.
+"""Inspection of one recording before anything is fitted: the words of ``tissueid inspect``.
 
 Numbers are those of the file: signs and zeros are as recorded, decisions stand beside them.
 """
@@ -26,7 +26,7 @@ __all__ = ["as_decided", "describe_segmented", "describe_trial", "measured_of", 
 
 
 def describe_trial(trial: Trial, *, options: SegmentOptions | None = None) -> dict[str, Any] | Refusal:
-    """What ``tissueid inspect`` says of a trial, as recorded: before signs or zeros are changed.
+    """Description of a trial by ``tissueid inspect``, as recorded: before signs or zeros are changed.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def as_decided(
 
 
 def measured_of(trial: Trial, segmentation: Segmentation, study: Study | None = None) -> Measured:
-    """What a trial showed, no model; moduli by the tip of the study, or of the header.
+    """Measured quantities of a trial, no model; moduli by the tip of the study, or of the header.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What a study file says: specimens, protocols, calibration, and what the user decided and why.
+"""Contents of a study file: specimens, protocols, calibration, and what the user decided and why.
 
 Frozen data without files or units to convert: :mod:`tissueid.ingest.manifest` makes a :class:`Study` from
 ``study.toml``, and the pipeline asks it, trial by trial, what was said (:meth:`Study.decision`).  Where
@@ -28,7 +28,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameCurve:
-    """How far machine, load cell and fixture give under a compressive force.
+    """Deflection of machine, load cell and fixture under a compressive force.
 
     The compliance du/dF is linear between knots, so that the deflection u is smooth, monotone and
     linear in the knot values; see :mod:`tissueid.model.frame`.
@@ -75,7 +75,7 @@ class FrameCurve:
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """What was stated of the channels.
+    """Stated calibration of the channels.
 
     Attributes
     ----------
@@ -126,7 +126,7 @@ class Entry:
         return None if value is None else str(value)
 
     def names(self, path: str, sheet: str | None) -> bool:
-        """Whether it speaks of this recording (an absolute path)."""
+        """True where it speaks of this recording (an absolute path)."""
         return path in self.files and self.sheet in (None, sheet)
 
 
@@ -218,7 +218,7 @@ class Study(Shown):
 
     @property
     def only_listed(self) -> bool:
-        """Whether recordings that are not named take no part."""
+        """True where recordings that are not named take no part."""
         return bool(self.about.get("only_listed", False))
 
     @property
@@ -254,7 +254,7 @@ class Study(Shown):
         )
 
     def decision(self, path: str, sheet: str | None) -> Decision:
-        """What the study says of one recording.
+        """Decision of the study on one recording.
 
         Parameters
         ----------
@@ -275,7 +275,7 @@ class Study(Shown):
         )
 
     def protocol(self, decision: Decision, stated: Protocol) -> Protocol:
-        """What the file states of its protocol, filled from the study where the file is silent."""
+        """Protocol that the file states, filled from the study where the file is silent."""
         said = decision.protocol
         return Protocol(
             kind=stated.kind or said.get("kind"),

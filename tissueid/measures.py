@@ -1,4 +1,4 @@
-"""What one recording showed, no model: frozen types for pushes, holds and forces at stated times.
+"""Measures of one recording, no model: frozen types for pushes, holds and forces at stated times.
 
 Forces count from the base: the reading in air where the record shows it, else the force at rest before the
 first move.  They grow with compression (with pull, in tension).  ``recorded_N`` is the same force in the
@@ -37,7 +37,7 @@ ALMOST = 0.01
 
 
 def beyond_ramp(time_s: float, ramp_time_s: float) -> bool:
-    """Whether a time after the stop is ten ramp times or later."""
+    """True where a time after the stop is ten ramp times or later."""
     return time_s >= (1.0 - ALMOST) * RAMP_TIMES * ramp_time_s
 
 
@@ -327,7 +327,7 @@ class MeasuredLoop:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """What one recording showed, no model.
+    """Measures of one recording, no model.
 
     Attributes
     ----------

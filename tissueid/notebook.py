@@ -182,7 +182,7 @@ def _flags(flags: Sequence[Any]) -> str:
 
 
 def _alarmed(fit: SpecimenFit) -> bool:
-    """Whether the residuals contradict the model."""
+    """True where the residuals contradict the model."""
     return fit.posterior is not None and fit.posterior.misfit is not None and fit.posterior.misfit.raised
 
 

@@ -104,7 +104,7 @@ def _tip_radius(protocol_radii: Iterable[float | None]) -> float | None:
 
 
 def unmet(specimens: Sequence[SpecimenFit], required: Sequence[str]) -> list[str]:
-    """What was asked for and is not identified, or did not converge, in words."""
+    """Requested numbers that are not identified, or did not converge, in words."""
     reasons = []
     prefixes = tuple(_PREFIX[name] for name in required)
     for fit in specimens:
@@ -121,7 +121,7 @@ def unmet(specimens: Sequence[SpecimenFit], required: Sequence[str]) -> list[str
 
 
 def exit_of(fitted: int, refused: Sequence[str], missing: Sequence[str]) -> Exit:
-    """How a run ends.
+    """End of a run.
 
     Parameters
     ----------
@@ -213,7 +213,7 @@ def _fit(
 
 
 def _priors(study: Study | None) -> Priors:
-    """What is believed beforehand of tissue and machine."""
+    """Priors of tissue and machine."""
     priors = Priors() if study is None else study.priors
     return replace(priors, calibration=calibration_priors(None if study is None else study.calibration))
 

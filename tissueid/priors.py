@@ -1,4 +1,4 @@
-"""What is believed before the data: priors of tissue, noise, scatter and calibration, as frozen data.
+"""Priors of tissue, noise, scatter and calibration, as frozen data.
 
 Everything has a documented, proper default; a study file replaces what it names ([priors] and
 [calibration] of study.toml).  Units are those of the parameters' names.
@@ -164,7 +164,7 @@ class Priors:
         )
 
     def as_json(self) -> dict[str, Any]:
-        """What was stated of tissue and noise, with the defaults in use, as ``[priors]`` of study.toml."""
+        """Stated priors of tissue and noise, with the defaults in use, as ``[priors]`` of study.toml."""
         linear: dict[str, Any] = {name: {"mean": mean, "sd": sd} for name, (mean, sd) in self.linear.items()}
         times = [{"median": one.median, "sd_ln": one.sd_ln} for one in self.relaxation_time_s]
         sigma = self.sigma_N

@@ -1,4 +1,4 @@
-"""How many processors a computation may take: one of several processes that compute takes one."""
+"""Number of processors a computation may take: one of several processes that compute takes one."""
 
 from __future__ import annotations
 

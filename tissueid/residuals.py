@@ -1,4 +1,4 @@
-"""What is kept of one log's residual at its full rate, as frozen data: a decimated curve can't tell it."""
+"""Summary of one log's residual at its full rate, as frozen data: a decimated curve can't tell it."""
 
 from __future__ import annotations
 

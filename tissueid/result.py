@@ -1,4 +1,4 @@
-"""What was found: frozen result types, free of any optimiser's or sampler's objects."""
+"""Results: frozen types, free of any optimiser's or sampler's objects."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ class Estimate(Shown):
 
     @classmethod
     def from_json(cls, document: Mapping[str, Any]) -> Estimate:
-        """What :meth:`as_json` wrote."""
+        """Read what :meth:`as_json` wrote."""
         plain = {key: value for key, value in document.items() if key not in _NOT_SAMPLED}
         detail = dict(plain.pop("detail"))
         sampled = detail.pop("posterior", None) or (None if document["mean"] is None else document)
@@ -184,7 +184,7 @@ class Curve:
 
 @dataclass(frozen=True, slots=True)
 class TrialFit:
-    """How well the specimen's model fits one of its trials."""
+    """Fit of the specimen's model to one of its trials."""
 
     path: str
     sheet: str | None
@@ -372,7 +372,7 @@ class Refusal:
 
 @dataclass(frozen=True, slots=True)
 class Exit:
-    """How a command ended: its exit code and the reasons, in words."""
+    """End of a command: its exit code and the reasons, in words."""
 
     code: int
     reasons: tuple[str, ...] = ()

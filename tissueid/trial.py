@@ -1,4 +1,4 @@
-"""What was recorded: specimens, protocols, trials, and how a trial was divided into phases.
+"""Recordings: specimens, protocols, trials, and how a trial was divided into phases.
 
 Units are mm, N and s; conversion happens once, in :mod:`tissueid.ingest`.  A trial keeps the
 recording as it was made: signs and zeros are not touched.  Which way is compression, where the tool
@@ -61,7 +61,7 @@ def _none() -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class Axes:
-    """What the displacement and the force of a recording are.
+    """Quantities of a recording's displacement and force.
 
     A normalised recording holds a length over a length (strain, stretch) or a force over an area (stress).
     All mathematics is the same; only the units of what comes out differ, and such a result can't be
@@ -85,7 +85,7 @@ class Axes:
 
     @property
     def normalised(self) -> bool:
-        """Whether displacement is no length or force is no force."""
+        """True where displacement is no length or force is no force."""
         return (self.length, self.force) != ("mm", "N")
 
     def as_json(self) -> dict[str, str]:
@@ -113,7 +113,7 @@ MM_N = Axes()
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """Where a trial came from.
+    """Source of a trial.
 
     Attributes
     ----------
@@ -152,7 +152,7 @@ class Source:
 
 @dataclass(frozen=True, slots=True)
 class Protocol:
-    """What the machine was told to do, as far as the file says so; ``None`` where it does not.
+    """Program of the machine, as far as the file says so; ``None`` where it does not.
 
     Attributes
     ----------
@@ -262,7 +262,7 @@ class Phase:
 
 @dataclass(frozen=True, slots=True)
 class Corner:
-    """How a ramp came to its stop or turned.
+    """Stop or turn of a ramp.
 
     Attributes
     ----------
@@ -321,7 +321,7 @@ class Event:
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """Where the tool met the tissue.
+    """Contact of tool and tissue.
 
     Attributes
     ----------
@@ -346,7 +346,7 @@ class Contact:
 
 @dataclass(frozen=True, slots=True)
 class Segmentation:
-    """How a trial was divided; made by :mod:`tissueid.segment`, corrected by the user.
+    """Division of a trial; made by :mod:`tissueid.segment`, corrected by the user.
 
     Attributes
     ----------

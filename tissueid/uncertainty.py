@@ -1,4 +1,4 @@
-"""What a posterior says: frozen result types, free of any sampler's objects.
+"""Posterior results: frozen types, free of any sampler's objects.
 
 Two intervals stand for every parameter.  The *statistical* one knows the noise, the scatter between logs
 and the contact points; the *total* one knows the calibration nuisances (gains, skew, filter, frame) as
@@ -76,7 +76,7 @@ class NoiseFit:
 
     @property
     def discrepant(self) -> bool:
-        """Whether the model misses more than the noise of the recordings."""
+        """True where the model misses more than the noise of the recordings."""
         return self.samples_per_independent > 1.0
 
     def as_json(self) -> dict[str, Any]:
@@ -94,7 +94,7 @@ class NoiseFit:
 
 @dataclass(frozen=True, slots=True)
 class SamplerReport:
-    """How a posterior was sampled.
+    """Sampling of a posterior.
 
     Attributes
     ----------
@@ -170,7 +170,7 @@ class ParameterUncertainty:
 
     @classmethod
     def from_json(cls, document: Mapping[str, Any]) -> ParameterUncertainty:
-        """What :meth:`as_json` wrote; a diagnostic that is null is NaN again."""
+        """Read what :meth:`as_json` wrote; a diagnostic that is null is NaN again."""
         diagnostics = {
             key: math.nan if document[key] is None else float(document[key])
             for key in ("ess_bulk", "ess_tail", "r_hat")
@@ -225,7 +225,7 @@ class PriorRow:
 
 @dataclass(frozen=True, slots=True)
 class BudgetRow:
-    """What one source adds to the uncertainty of one parameter.
+    """Share of one source in the uncertainty of one parameter.
 
     Attributes
     ----------
@@ -329,7 +329,7 @@ class MisfitCheck:
 
 @dataclass(frozen=True, slots=True)
 class MisfitAlarm:
-    """Whether the residuals show what the model and its noise can't make."""
+    """Alarm of residuals that the model and its noise can't make."""
 
     raised: bool
     checks: tuple[MisfitCheck, ...] = ()

@@ -109,7 +109,7 @@ def _registry() -> Any:
 
 @cache
 def _parsed(unit: str) -> Any | None:
-    """What pint makes of a bare unit, or ``None`` where it knows nothing of the name."""
+    """Bare unit as pint takes it, or ``None`` where it knows nothing of the name."""
     if len(unit) > _LONGEST_UNIT or not _UNIT_SHAPED.fullmatch(unit):
         return None
     import pint
@@ -164,7 +164,7 @@ def factor_to(unit_text: str, quantity: Quantity) -> float:
 
 @cache
 def quantity_of(unit_text: str) -> Quantity | Literal["other"] | None:
-    """What a printed unit measures; ``"other"`` for a known unit of anything else, ``None`` if unknown."""
+    """Quantity of a printed unit; ``"other"`` for a known unit of anything else, ``None`` if unknown."""
     unit = bare_unit(unit_text)
     for quantity, internal in INTERNAL_UNITS.items():
         if unit == internal:

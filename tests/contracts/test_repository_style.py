@@ -29,6 +29,15 @@ def test_every_module_says_what_it_is_and_is_of_a_readable_length() -> None:
         assert path.stem not in BANNED_NAMES, path
 
 
+def test_docstrings_begin_with_a_verb_or_a_noun() -> None:
+    asking = ("What", "Where", "Whether", "Which", "How")
+    documented = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+    for path in _python_files():
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            text = (ast.get_docstring(node) or "") if isinstance(node, documented) else ""
+            assert text.split(" ", 1)[0] not in asking, f"{path}: {text.splitlines()[0]}"
+
+
 def test_every_public_list_names_what_the_module_has() -> None:
     import importlib
 

@@ -1,4 +1,4 @@
-"""What ``tissueid calibrate`` was pointed at: a recipe, a study or recordings, or a bundle."""
+"""Object of ``tissueid calibrate``: a recipe, a study or recordings, or a bundle."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ HIGHEST_RATE_HZ = 1e5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """What is checked.
+    """Object of a check.
 
     Attributes
     ----------

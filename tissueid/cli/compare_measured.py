@@ -20,7 +20,7 @@ _RESULT = "identification.json"
 
 
 def are_recordings(paths: Sequence[str]) -> bool:
-    """Whether the paths are recordings, all of them.
+    """True where the paths are recordings, all of them.
 
     Raises
     ------
@@ -71,7 +71,7 @@ def compare_recordings(flags: Mapping[str, Any]) -> int:
 
 
 def _measured(path: str, flags: Mapping[str, Any]) -> Sequence[SpreadRow]:
-    """What the recordings of one path showed."""
+    """Measured pushes of the recordings of one path."""
     from tissueid.errors import InputError
     from tissueid.inspection import measured_of, segmented
     from tissueid.measured import spread

@@ -1,4 +1,4 @@
-"""What a shell offers for values that are neither files nor choices: names that tissueid knows."""
+"""Completions a shell offers for values that are neither files nor choices: names that tissueid knows."""
 
 from __future__ import annotations
 

@@ -75,7 +75,7 @@ def _script(shell: str) -> str:
 
 
 def _target(shell: str) -> Path:
-    """Where a shell looks for completions of its user."""
+    """Folder in which a shell looks for completions of its user."""
     try:
         home = Path.home()
     except RuntimeError as error:

@@ -160,7 +160,7 @@ def _settings(flags: Mapping[str, Any], tissue: Tissue) -> ControlSettings:
 
 
 def _beside(settings: ControlSettings) -> dict[str, ControlSettings]:
-    """What was asked for, the same with and without adaptation, and the tissue at its own stiffness."""
+    """The requested run, the same with and without adaptation, and the tissue at its own stiffness."""
     asked_frozen = settings.gains.adaptation_sign == 0
     names = ("frozen", "adaptive") if asked_frozen else ("adaptive", "frozen")
     other = replace(settings, gains=replace(settings.gains, adaptation_sign=1 if asked_frozen else 0))
@@ -182,7 +182,7 @@ def _write_page(path: str, document: Mapping[str, Any], runs: Mapping[str, Contr
 
 
 def _lines(document: Mapping[str, Any]) -> list[str]:
-    """What is printed."""
+    """Printed lines."""
     mass, tissue = document["virtual_mass"], document["tissue"]
     loop = f"variant {document['variant']}, {document['environment']} type"
     enough = "" if mass["enough"] else ": less than 1.5 times it, no margin for wrong estimates"

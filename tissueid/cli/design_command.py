@@ -171,7 +171,7 @@ def _prepared(flags: dict[str, Any]) -> tuple[Machine, Tissues, Asked, Against |
 
 
 def _tissues(flags: dict[str, Any]) -> tuple[Tissues, Recipe | None]:
-    """What is known of the tissue, and the recipe it came from."""
+    """Knowledge of the tissue, and the recipe it came from."""
     from tissueid.cli.calibrate_source import bundle_file
     from tissueid.design.given import given_recipe, of_bundle, of_recipe_tissue, plain_guesses
     from tissueid.design.tissues import parsed_guess

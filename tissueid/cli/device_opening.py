@@ -47,7 +47,7 @@ CALIBRATION_HELP = "Calibration of a Falcon. [default: falcon.toml in the user's
 
 
 def device_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Which device, and how it is reached."""
+    """Options that name a device and the way to it."""
     for option in (
         click.option("--firmware", type=click.Path(), metavar="FILE", help=FIRMWARE_HELP),
         click.option("--port", metavar="PATH", help="Serial port or pseudo-terminal instead of USB."),

@@ -282,7 +282,7 @@ def emulate(**flags: Any) -> int:
 
 
 def _described(device: HapticDevice) -> dict[str, Any]:
-    """What is known of a device."""
+    """Facts of a device."""
     found = device.capabilities
     document = asdict(found)
     document["workspace_mm"] = [[1e3 * low, 1e3 * high] for low, high in document.pop("workspace_m")]

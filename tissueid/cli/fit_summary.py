@@ -1,4 +1,4 @@
-"""What ``fit`` says at its end, from the documents it wrote: results of an earlier run print the same."""
+"""Closing lines of ``fit``, from the documents it wrote: results of an earlier run print the same."""
 
 from __future__ import annotations
 

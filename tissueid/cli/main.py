@@ -166,7 +166,7 @@ def with_verb(args: list[str]) -> list[str]:
 
 
 def _is_recording(arg: str) -> bool:
-    """Whether an argument is there as a file or folder, or is written as one."""
+    """True where an argument is there as a file or folder, or is written as one."""
     name = arg.partition("::")[0]
     written = os.sep in name or "/" in name or "." in name
     return not name.startswith("-") and (os.path.lexists(name) or (written and "=" not in name))
@@ -177,7 +177,7 @@ def _verbose(args: list[str]) -> bool:
 
 
 def _was_interrupted(error: BaseException | None) -> bool:
-    """Whether an interrupt is behind an error: a compiled kernel wraps one that arrives within it."""
+    """True where an interrupt is behind an error: a compiled kernel wraps one that arrives within it."""
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
     return error is not None

@@ -138,7 +138,7 @@ def echo_table(columns: Sequence[Column], rows: Sequence[Sequence[str]], *, dim_
 
 
 def draw(text: str) -> None:
-    """What the program itself draws on stderr, as it is: a live line, a bell, a code of blocks."""
+    """Draw the program's own marks on stderr, as it is: a live line, a bell, a code of blocks."""
     click.echo(text, nl=False, err=True)
 
 

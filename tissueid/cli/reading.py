@@ -294,7 +294,7 @@ def _read(found: FileList, options: ReadOptions, study: Study | None) -> Iterato
 
 
 class PatternCheck:
-    """Whether ``--specimen-by`` named the specimens it was given for; what a study names is not its own."""
+    """Check that ``--specimen-by`` named specimens of its own; those that a study names are not."""
 
     def __init__(self, pattern: str | None, study: Study | None) -> None:
         self._pattern = pattern

@@ -298,7 +298,7 @@ def _scene(flags: dict[str, Any]) -> Scene | None:
 
 
 def _device_options(flags: dict[str, Any]) -> dict[str, Any]:
-    """What a Falcon's driver takes; the device itself is made where it is used, in the servo's process."""
+    """Options of a Falcon's driver; the device itself is made where it is used, in the servo's process."""
     from tissueid.errors import UsageError
 
     given = {key: flags[key] for key in ("port", "firmware") if flags[key] is not None}

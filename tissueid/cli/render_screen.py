@@ -1,4 +1,4 @@
-"""What a session shows and hears at the terminal: consent, a status line, the Enter key, the summary."""
+"""Terminal of a session: consent, a status line, the Enter key, the summary."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class Keyboard:
             note("Enter: next tissue; q, Enter: end" if switches else "q, Enter: end")
 
     def __call__(self) -> Wish:
-        """What was typed since the last call; never waits."""
+        """Keys typed since the last call; never waits."""
         from tissueid.rendering.session import Wish
 
         if not self._heard or not select.select([sys.stdin], [], [], 0.0)[0]:

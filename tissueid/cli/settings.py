@@ -87,7 +87,7 @@ class SettingsFile:
 
 
 def user_file() -> Path | None:
-    """Where the user's own file is looked for; ``None`` where the environment says there is none."""
+    """Place of the user's own file; ``None`` where the environment says there is none."""
     named = os.environ.get(USER_FILE)
     if named is not None:
         return Path(named) if named else None
@@ -197,7 +197,7 @@ def settings_of(
 def as_default_map(
     settings: Mapping[tuple[str, ...], Setting], root: click.Command, name: tuple[str, ...]
 ) -> dict[str, Any]:
-    """What click takes: values by the names of its parameters, nested as commands are.
+    """Defaults as click takes them: values by the names of its parameters, nested as commands are.
 
     Parameters
     ----------
@@ -363,7 +363,7 @@ def _from_environment(path: tuple[str, ...], command: click.Command) -> dict[tup
 
 
 def _of_longer(variable: str, path: tuple[str, ...]) -> bool:
-    """Whether a variable is of ``calibrate-frame`` and not of ``calibrate``."""
+    """True where a variable is of ``calibrate-frame`` and not of ``calibrate``."""
     return path == ("calibrate",) and variable.startswith(f"{PREFIX}CALIBRATE_FRAME_")
 
 

@@ -25,7 +25,7 @@ SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
 
 
 def viewer_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Where a viewer is served, and to whom."""
+    """Options of a viewer's address and audience."""
     for option in reversed(
         (
             click.option("--no-browser", is_flag=True, help="Print the viewer's address, open nothing."),
@@ -69,7 +69,7 @@ def served(flags: dict[str, Any]) -> Iterator[ServedViewer]:
 def telling_stop(
     viewer: ServedViewer | None, recorder: Recorder | None, show: Callable[[Any, Any], None]
 ) -> Callable[[Any, Any], None]:
-    """What shows a record, looks after the viewer, and says there too that a recording has stopped."""
+    """Callback that shows a record, tends the viewer, and says there too that a recording has stopped."""
     told = False
 
     def shown(record: Any, summary: Any) -> None:

@@ -61,7 +61,7 @@ LIMITS = (
 
 @dataclass(frozen=True, slots=True)
 class Noticed:
-    """Whether a difference could be felt.
+    """Difference beside the least that could be felt.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What can be compared of tissues whose models may differ: forces on the same paths, and what both have.
+"""Comparable numbers of tissues whose models may differ: forces on the same paths, and what both have.
 
 Parameters of different models mean different things.  Forces at the depths and speeds that all tissues were
 identified at do not; they carry the comparison, and parameters stand beside them where the models agree.
@@ -61,7 +61,7 @@ class Compared:
 
 @dataclass(frozen=True, slots=True)
 class Common:
-    """Where all tissues of a comparison were identified.
+    """Depths and speeds at which all tissues of a comparison were identified.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Which protocol identifies a tissue to a wanted precision in the least machine time.
+"""Protocols that identify a tissue to a wanted precision in the least machine time.
 
 A protocol is a number of indentations (speed, depth, hold, repeats) recorded with one setting of the load
 channel.  On the path that the machine will follow, contact model and noise give the Fisher information of

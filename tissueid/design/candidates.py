@@ -45,7 +45,7 @@ def _holds(ledger: Ledger) -> list[float]:
 
 
 def _allowed(ledger: Ledger, test: Indentation) -> bool:
-    """Whether machine, tissue and budget bear it."""
+    """True where machine, tissue and budget bear it."""
     machine = ledger.chain.machine
     if not machine.min_speed_mm_min <= test.speed_mm_min <= machine.max_speed_mm_min:
         return False

@@ -23,7 +23,7 @@ SECONDS_PER_MINUTE = 60.0
 
 @dataclass(frozen=True, slots=True, order=True)
 class Indentation:
-    """What is asked of the machine for one log.
+    """Request to the machine for one log.
 
     Attributes
     ----------

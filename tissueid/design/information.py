@@ -40,7 +40,7 @@ FILTER_STEP = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class Chain:
-    """What stands between the tissue and the numbers.
+    """Measuring chain between the tissue and the numbers.
 
     Attributes
     ----------

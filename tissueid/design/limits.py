@@ -1,4 +1,4 @@
-"""What limits the precision: how much better the best protocol would be if one thing were otherwise."""
+"""Limits of the precision: how much better the best protocol would be if one thing were otherwise."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def _instrument(machine: Machine, now: Setting, asked: Asked) -> Iterator[_Chang
 
 
 def limits_of(ledger: Ledger, progress: Callable[[str, int, int], None]) -> tuple[Limit, ...]:
-    """What the best protocol of a ledger would gain from each change, the greatest gain first."""
+    """Gains of the best protocol of a ledger from each change, the greatest gain first."""
     machine, now, asked = ledger.chain.machine, ledger.chain.setting, ledger.asked
     best = enumerated(ledger)[0][0].worst
     changes = [

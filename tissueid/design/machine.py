@@ -1,4 +1,4 @@
-"""What a test machine can do: speeds, acceleration, force, and the settings of its load channel.
+"""Abilities of a test machine: speeds, acceleration, force, and the settings of its load channel.
 
 ::
 

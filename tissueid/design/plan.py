@@ -59,7 +59,7 @@ class Judged:
 
     @property
     def reached(self) -> bool:
-        """Whether all wants are met."""
+        """True where all wants are met."""
         return self.worst <= 1.0
 
     @property
@@ -129,7 +129,7 @@ def judged(ledger: Ledger, protocol: Protocol) -> Judged:
 
 
 def against(name: str, protocol: Protocol, machine: Machine, tissues: Tissues, asked: Asked) -> Against:
-    """What a given protocol reaches with the best setting of the machine."""
+    """Precision that a given protocol reaches with the best setting of the machine."""
     for test in protocol:
         if test.speed_mm_min > machine.max_speed_mm_min * (1.0 + 1e-9):
             obstacle = (
@@ -242,7 +242,7 @@ def _finalists(
 
 
 def _family(setting: Setting, protocol: Protocol) -> tuple[Setting, frozenset[tuple[float, float]]]:
-    """What two protocols share that differ in repeats and holds only."""
+    """Common part of two protocols that differ in repeats and holds only."""
     return setting, frozenset((test.speed_mm_min, test.depth_mm) for test in protocol)
 
 

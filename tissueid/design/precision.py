@@ -28,7 +28,7 @@ Protocol = Mapping[Indentation, int]
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """What the user wants and allows.
+    """Wants and limits of the user.
 
     Attributes
     ----------

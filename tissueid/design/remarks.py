@@ -1,4 +1,4 @@
-"""What a reader of a plan must not miss, in sentences."""
+"""Remarks of a plan, in sentences."""
 
 from __future__ import annotations
 

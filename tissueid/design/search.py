@@ -66,7 +66,7 @@ class Found:
 
 
 def _tells_apart(ledger: Ledger, tests: Iterable[Indentation]) -> bool:
-    """Whether the branch is told from the static force by more than the first moments of contact.
+    """True where the branch is told from the static force by more than the first moments of contact.
 
     Ramps of one speed have only those: two speeds are needed, or a hold (model.md 8, 13).
     """
@@ -276,7 +276,7 @@ def refined(ledger: Ledger, starts: Sequence[Found]) -> list[Found]:
 
 
 def _shorter(one: Found, other: Found) -> bool:
-    """Whether an exchange is worth it: a further indentation must save more than another depth."""
+    """True where an exchange is worth it: a further indentation must save more than another depth."""
     share = SAVED * (1 + max(len(one.protocol) - len(other.protocol), 0))
     if one.worst <= 1.0 and other.worst <= 1.0:
         return one.seconds < (1.0 - share) * other.seconds

@@ -1,4 +1,4 @@
-"""What is known of the tissue before the experiment: draws of the contact model's parameters.
+"""Knowledge of the tissue before the experiment: draws of the contact model's parameters.
 
 From a bundle its posterior (or the population it holds), from a recipe its truth, from plain guesses
 log-normal draws with the spreads that were stated.  A protocol is judged over all of them.

@@ -116,7 +116,7 @@ def linearised(bundle: Bundle, depth_mm: float | None = None, *, most: int = MOS
 
 
 def _said(prony: Prony) -> list[str]:
-    """What a reader of a card must know."""
+    """Remarks for the reader of a card."""
     stiffness = (
         f"tangent stiffness under the tip: {prony.long_term_N_per_mm:.6g} N/mm after long, "
         f"{prony.instantaneous_N_per_mm:.6g} N/mm at once"

@@ -123,7 +123,7 @@ class HapticDevice(ABC):
     @property
     @abstractmethod
     def capabilities(self) -> Capabilities:
-        """What this device can do."""
+        """Abilities of this device."""
 
     @abstractmethod
     def _open(self) -> None:
@@ -145,14 +145,14 @@ class HapticDevice(ABC):
         """Lead the user through homing after ``open``; nothing to do where a device needs no hand for it."""
 
     def compiled(self) -> CompiledIO | None:
-        """What the compiled servo needs, or None: then the loop runs uncompiled and says its rate."""
+        """Handles for the compiled servo, or None: then the loop runs uncompiled and says its rate."""
         return None
 
     # --- what nobody overrides
 
     @property
     def state(self) -> State:
-        """Where the device stands."""
+        """State of the device."""
         return State(int(self.guard_memory[machine.STATE]))
 
     @property

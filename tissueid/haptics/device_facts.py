@@ -1,4 +1,4 @@
-"""What a device is, says and needs, as frozen data: nothing here moves."""
+"""Facts, samples and needs of a device, as frozen data: nothing here moves."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class DeviceSample:
 
 @dataclass(frozen=True, slots=True)
 class Capabilities:
-    """What a device can do, and whether anybody measured it.
+    """Abilities of a device, and if anybody measured them.
 
     Attributes
     ----------
@@ -109,7 +109,7 @@ class Capabilities:
 
 @dataclass(frozen=True, slots=True)
 class CompiledIO:
-    """What the compiled servo needs to reach a device without Python.
+    """Handles and constants by which the compiled servo reaches a device without Python.
 
     ====  =====================  ===================================================================
     kind  handles                constants, memory

@@ -247,7 +247,7 @@ def _fade(memory: FloatArray, limits: FloatArray, dt: float, out: FloatArray) ->
 
 @tick_part
 def _remember(memory: FloatArray, limits: FloatArray, step: float, out: FloatArray) -> None:
-    """What was sent, and the mean square of it."""
+    """Keep the force that was sent, and its mean square."""
     square = 0.0
     for i in range(3):
         memory[PREVIOUS + i] = out[i]

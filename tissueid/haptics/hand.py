@@ -103,7 +103,7 @@ class Hand:
 
     @property
     def start_m(self) -> FloatArray:
-        """Where the hand starts [m], shape (3,)."""
+        """Start of the hand [m], shape (3,)."""
         return np.array(self.positions_m[0], dtype=np.float64)
 
     @property

@@ -54,13 +54,13 @@ def beats(head: IntArray) -> int:
 
 @tick_part
 def command(head: IntArray) -> int:
-    """What the owner wants: COMMAND_DISENGAGE, COMMAND_ENGAGE or COMMAND_STOP."""
+    """Command of the owner: COMMAND_DISENGAGE, COMMAND_ENGAGE or COMMAND_STOP."""
     return load_acquire(head[_COMMAND_AT : _COMMAND_AT + 1])
 
 
 @tick_part
 def waiting(head: IntArray) -> bool:
-    """Whether parameters were published that the servo has not taken."""
+    """True where parameters were published that the servo has not taken."""
     return bool(load_acquire(head[_PUBLISHED_AT : _PUBLISHED_AT + 1]) != head[_TAKEN_AT])
 
 

@@ -49,7 +49,7 @@ AUTO = "auto"
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """What ``auto`` or the user took.
+    """Device that ``auto`` or the user took.
 
     Attributes
     ----------
@@ -138,7 +138,7 @@ def environment_law(name: str) -> Callable[..., Any]:
 
 
 def _detected(names: Iterable[str]) -> Iterator[DetectedDevice]:
-    """What these find; one that can't be loaded hides no other."""
+    """Devices these find; one that can't be loaded hides no other."""
     for name in names:
         try:
             found = device_class(name).detect()
@@ -153,7 +153,7 @@ def detect_all() -> Iterator[DetectedDevice]:
 
 
 def choose_device(name: str = AUTO) -> Choice:
-    """Which device a name stands for.
+    """Choose the device a name stands for.
 
     Returns
     -------

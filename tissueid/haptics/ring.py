@@ -149,7 +149,7 @@ class Ring:
 
 
 class RingReader:
-    """What is new since the last look.
+    """Reader of records that are new since the last look.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""How the servo's tick says that a record of the ring is whole."""
+"""Signal of the servo's tick that a record of the ring is whole."""
 
 from __future__ import annotations
 

@@ -62,7 +62,7 @@ def new_simulated(arm_memory: FloatArray) -> FloatArray:
 def simulated_sample(
     memory: FloatArray, parameters: FloatArray, position: FloatArray, counts: IntArray
 ) -> int:
-    """What the device says at this moment.
+    """Sample of the device at this moment.
 
     Parameters
     ----------

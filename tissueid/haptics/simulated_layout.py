@@ -1,4 +1,4 @@
-"""Where the numbers of a simulated device stand in its block of parameters, without a compiler.
+"""Places of the numbers of a simulated device in its block of parameters, without a compiler.
 
 The block begins with the arm's (:mod:`tissueid.haptics.arm`) and goes on with the encoders and the wire
 (:mod:`tissueid.haptics.sim_kernels`).  A process that only leads the hand needs these places and no kernel:

@@ -16,7 +16,7 @@ __all__ = ["FAULT_WORDS", "Fault", "Lamp", "State"]
 
 
 class State(IntEnum):
-    """Where a device stands."""
+    """State of a device."""
 
     CLOSED = 0
     OPEN = 1
@@ -45,7 +45,7 @@ class Fault(IntEnum):
 
 
 class Lamp(IntFlag):
-    """What a tick was marked with; the flags of a record."""
+    """Mark of a tick; the flags of a record."""
 
     NONE = 0
     CLIPPED = 1

@@ -1,4 +1,4 @@
-"""What a tick saw of the device, and what follows from it."""
+"""Watchdogs: a tick's view of the device, and what follows from it."""
 
 from __future__ import annotations
 

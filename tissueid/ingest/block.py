@@ -36,7 +36,7 @@ def block_text(text: Text, rows: bytes, first_line: int) -> Text:
 
 
 def _ends_empty(sample: list[Row], named: int) -> bool:
-    """Whether the cells behind the named columns are empty in every row."""
+    """True where the cells behind the named columns are empty in every row."""
     return all(not any(cell.strip() for cell in row[named:]) for row in sample)
 
 

@@ -69,7 +69,7 @@ class _Piece:
 
 @dataclass(frozen=True, slots=True)
 class _Plan:
-    """How every piece is parsed."""
+    """Plan by which every piece is parsed."""
 
     data: bytes
     layout: Layout

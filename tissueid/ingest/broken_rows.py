@@ -40,7 +40,7 @@ GAP_TIMES = 3.0
 
 @dataclass(frozen=True, slots=True)
 class BrokenRow:
-    """Where and how a table breaks.
+    """Break of a table: place and kind.
 
     Attributes
     ----------

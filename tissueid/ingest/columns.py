@@ -1,4 +1,4 @@
-"""Which columns are the time, the displacement and the force, and what turns them into s, mm and N.
+"""Columns of time, displacement and force, and factors that turn them into s, mm and N.
 
 The rule is the ranked table of :mod:`tissueid.ingest.vocabulary`; a column whose unit measures
 something else is no candidate; the user's map wins over everything.  Where there was a choice the flag
@@ -173,7 +173,7 @@ def _may_be(column: _Column, channel: Channel, options: ReadOptions) -> bool:
 
 
 def has_channels(names: Sequence[str], units: Sequence[str], options: ReadOptions) -> bool:
-    """Whether time, displacement and force can all be found (their units may still be wrong)."""
+    """True where time, displacement and force can all be found (their units may still be wrong)."""
     columns = _describe(names, units)
     options = _normalised(columns, options)
     return all(
@@ -290,7 +290,7 @@ def _none_found(
 
 
 def _declare(column: _Column, channel: Channel) -> str:
-    """How a strain or stress is declared, where the column's unit is one."""
+    """Declaration of a strain or stress, where the column's unit is one."""
     measured = quantity_of(column.unit or "")
     if measured in AXES.get(channel, ())[1:]:
         return f", or declare the axis with --axes {channel}={measured}"
@@ -321,7 +321,7 @@ def _factor(
     line: int | None,
     flags: list[Flag],
 ) -> float:
-    """What turns the column into s, mm or N (or a strain, or MPa, where that was declared)."""
+    """Factor that turns the column into s, mm or N (or a strain, or MPa, where that was declared)."""
     quantity = options.quantity(channel)
     if channel in options.units:
         factor = factor_to(options.units[channel], quantity)

@@ -1,4 +1,4 @@
-"""Which files are recordings: named ones as they are, directories by suffix."""
+"""Files that are recordings: named ones as they are, directories by suffix."""
 
 from __future__ import annotations
 
@@ -172,7 +172,7 @@ def _remote_recordings(files: Iterable[Path]) -> Iterator[Path]:
 
 
 def _in_order(entries: Iterable[Path]) -> list[tuple[Path, str]]:
-    """What is worth a look among the entries of a folder, each with its kind."""
+    """Entries worth a look among those of a folder, each with its kind."""
     found = []
     for entry in entries:
         if entry.name.startswith((".", "~$")):
@@ -186,7 +186,7 @@ def _in_order(entries: Iterable[Path]) -> list[tuple[Path, str]]:
 
 
 def _kind(entry: Path) -> Literal["folder", "file", "other"]:
-    """What an entry is; pipes, devices and broken links are neither, and opening some would wait for ever."""
+    """Kind of an entry; pipes, devices and broken links are neither, and opening some would wait for ever."""
     try:
         mode = entry.stat().st_mode
     except OSError:
@@ -202,7 +202,7 @@ def _is_recording(path: Path) -> bool:
 
 
 def _holds_unpacked_nowhere(path: Path) -> bool:
-    """Whether an archive holds recordings that do not lie beside it as well: nothing is read twice."""
+    """True where an archive holds recordings that do not lie beside it as well: nothing is read twice."""
     try:
         with zipfile.ZipFile(path) as archive:
             names = [PurePosixPath(member.filename).name for member in recordings_in(archive)]

@@ -1,4 +1,4 @@
-"""What a header says: entries, the specimen's name, the protocol."""
+"""Contents of a header: entries, the specimen's name, the protocol."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def specimen_in(metadata: Mapping[str, str]) -> str | None:
 
 
 def protocol_of(metadata: Mapping[str, str], path: str, *, decimal: str | None) -> Protocol:
-    """What the header and the folder's name state about the test.
+    """Protocol that the header and the folder's name state.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Where the table stands in a file: delimiter, header, names, units, first row, decimal mark.
+"""Layout of the table in a file: delimiter, header, names, units, first row, decimal mark.
 
 The table is the longest run of rows of numbers in the head of the file.  The names are sought above
 it, the units below the names; what stands higher is the header.  Nothing depends on blank lines: a
@@ -56,7 +56,7 @@ class Anchor:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """How a text file is laid out.
+    """Layout of a text file.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What the levels of a channel show: lost decimals, quantised force, coarse resolution, clipping.
+"""Evidence of a channel's levels: lost decimals, quantised force, coarse resolution, clipping.
 
 A level is a value that occurs.  Where a channel is printed finer than it was measured, its values repeat
 all over the recording; a smooth channel repeats its value where the machine stands still, and nowhere else.
@@ -68,7 +68,7 @@ def force_levels(displacement_mm: FloatArray, force_N: FloatArray) -> Flag | Non
 
 
 def is_noisy(values: FloatArray) -> bool:
-    """Whether a channel varies from sample to sample as a measured one does, and a computed one does not.
+    """True where a channel varies from sample to sample as a measured one does, and a computed one does not.
 
     Parameters
     ----------

@@ -67,7 +67,7 @@ def _flag(channel: Channel, what: str) -> Flag:
 
 
 def _worth_a_remark(channel: Channel, column: FloatArray, factor: float, *, all_whole: bool) -> bool:
-    """Whether whole numbers surprise: not where a clock counts seconds, or small units."""
+    """True where whole numbers surprise: not where a clock counts seconds, or small units."""
     if all_whole:
         return factor < 1.0  # whole in s, mm and N as well is said of the recording
     if channel != "time":

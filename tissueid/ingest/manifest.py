@@ -195,7 +195,7 @@ def _parsed(content: bytes, path: str) -> tuple[dict[str, Any], _Refuser]:
 
 
 def _properties(*where: str | int) -> Mapping[str, Any]:
-    """What a table of the manifest may hold, from the schema; empty where it says nothing."""
+    """Keys that a table of the manifest may hold, from the schema; empty where it says nothing."""
     schema = load_schema("study")
     node: Mapping[str, Any] = schema
     for part in where:
@@ -281,7 +281,7 @@ def _check_schema(document: Mapping[str, Any], refuser: _Refuser) -> None:
 
 
 def _in_words(message: str) -> str:
-    """What the validator says, in the words of a study file."""
+    """Message of the validator, in the words of a study file."""
     return next((form.sub(words, message) for form, words in _PLAIN if form.match(message)), message)
 
 

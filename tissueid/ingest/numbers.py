@@ -1,4 +1,4 @@
-"""How numbers are printed: the grammar of a cell, and which mark is the decimal one.
+"""Printed numbers: the grammar of a cell, and which mark is the decimal one.
 
 ::
 
@@ -46,7 +46,7 @@ class CellFault:
 
 
 def looks_numeric(text: str) -> bool:
-    """Whether a cell is meant as a number, be it sound or damaged."""
+    """True where a cell is meant as a number, be it sound or damaged."""
     # a head is looked over a dozen times; what is long is no number that comes again
     return _looks_numeric(text) if len(text) <= _LONGEST_KEPT else _looks_numeric.__wrapped__(text)
 
@@ -135,7 +135,7 @@ def _fault(text: str, stripped: str, decimal: str) -> CellFault:
 
 
 def decimal_evidence(cells: Iterable[str]) -> tuple[int, int, int]:
-    """How many cells speak for the point, for the comma, and for neither though they have a mark.
+    """Count of cells that speak for the point, for the comma, and for neither though they have a mark.
 
     A mark is decimal for certain where it stands once and what follows it is not a group of three, or
     what precedes it can't be a leading group (``0.500``); or where it is the last of two kinds.

@@ -1,4 +1,4 @@
-"""What the user may tell the readers, where a file does not speak for itself."""
+"""Options by which the user tells the readers, where a file does not speak for itself."""
 
 from __future__ import annotations
 
@@ -93,14 +93,14 @@ class ReadOptions:
             raise UsageError(msg)
 
     def picks(self, sheet: str | None) -> bool:
-        """Whether a sheet is the one asked for, or none was; ``"2"`` is ``"2: Stress Relaxation"``."""
+        """True where a sheet is the one asked for, or none was; ``"2"`` is ``"2: Stress Relaxation"``."""
         wanted = self.sheet
         return wanted is None or (
             sheet is not None and (sheet == wanted or sheet.startswith((f"{wanted}::", f"{wanted}: ")))
         )
 
     def quantity(self, channel: Channel) -> Quantity:
-        """What a channel measures: itself, or a strain or stress where the user declared it."""
+        """Quantity of a channel: itself, or a strain or stress where the user declared it."""
         return cast("Quantity", self.axes.get(channel, channel))
 
     @property

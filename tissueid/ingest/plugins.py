@@ -25,7 +25,7 @@ _faults: dict[str, None] = {}
 
 
 def reader_faults() -> tuple[str, ...]:
-    """What went wrong with installed readers so far, one sentence each, naming the reader."""
+    """Faults of installed readers so far, one sentence each, naming the reader."""
     return tuple(_faults)
 
 

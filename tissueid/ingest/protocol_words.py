@@ -81,6 +81,6 @@ def last_part(key: str) -> str:
 
 
 def is_protocol_key(key: str) -> bool:
-    """Whether a header key states rate, depth, hold, load limit or tip."""
+    """True where a header key states rate, depth, hold, load limit or tip."""
     words = last_part(key)
     return any(pattern.fullmatch(words) for pattern in _ALL)

@@ -1,4 +1,4 @@
-"""What the numbers of a recording show at first sight; nothing is removed.
+"""Quality of a recording's numbers at first sight; nothing is removed.
 
 Only what is cheap and certain is said, each with its numbers: time stamps (:mod:`.timestamps`), levels
 (:mod:`.levels`), single samples (:mod:`.spikes`), the origin of the displacement (:mod:`.commanded`), the

@@ -31,7 +31,7 @@ __all__ = ["match_of", "read_each", "read_one", "read_trials"]
 
 
 def match_of(path: str | Path, options: ReadOptions | None = None) -> Match:
-    """Which recipe reads a file, how sure it is, and why.
+    """Recipe that reads a file, with its certainty and reason.
 
     Raises
     ------

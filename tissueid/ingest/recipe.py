@@ -1,4 +1,4 @@
-"""What a reader is: a recipe that says how sure it is of a file, and reads it into tables.
+"""Readers: a recipe says how sure it is of a file, and reads it into tables.
 
 A recipe looks at an :class:`InputFile`, which was opened, hashed and laid out once for all of them,
 and gives a confidence from 0 (not mine) to 1 (certainly mine) with its reason.  The surest recipe
@@ -149,7 +149,7 @@ class Recipe:
 
 @dataclass(frozen=True, slots=True)
 class Match:
-    """Which recipe reads a file, how sure it is, and why."""
+    """Recipe that reads a file, with its certainty and reason."""
 
     recipe: Recipe
     confidence: float
@@ -157,12 +157,12 @@ class Match:
 
 
 def is_workbook(data: bytes) -> bool:
-    """Whether the bytes start as those of .xlsx, .xlsb, .ods or .xls do, and are no other archive."""
+    """True where the bytes start as those of .xlsx, .xlsb, .ods or .xls do, and are no other archive."""
     return data.startswith(_WORKBOOK_MAGIC) and not is_archive(data) and not is_force_archive(data)
 
 
 def is_archive(data: bytes) -> bool:
-    """Whether the bytes are a zip archive of files, not of parts of a workbook or of force curves."""
+    """True where the bytes are a zip archive of files, not of parts of a workbook or of force curves."""
     names = _members(data)
     return (
         names is not None
@@ -172,7 +172,7 @@ def is_archive(data: bytes) -> bool:
 
 
 def is_force_archive(data: bytes) -> bool:
-    """Whether the bytes are the zip archive that a force microscope saves."""
+    """True where the bytes are the zip archive that a force microscope saves."""
     names = _members(data)
     return names is not None and _is_force_archive(names)
 

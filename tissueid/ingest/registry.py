@@ -51,7 +51,7 @@ def match_recipe(file: InputFile) -> Match:
 
 
 def _detect(recipe: Recipe, file: InputFile) -> Detection:
-    """What a recipe says of a file; one that breaks, and is not ours, knows nothing of it."""
+    """Detection of a file by a recipe; one that breaks, and is not ours, knows nothing of it."""
     if recipe.key in RECIPES:
         return recipe.detect(file)
     try:

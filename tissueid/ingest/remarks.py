@@ -34,7 +34,7 @@ _TABLE_ROWS = 3
 
 
 def row_like(line: str) -> bool:
-    """Whether a line is made of numbers, by whatever delimiter: a row, be it sound or damaged.
+    """True where a line is made of numbers, by whatever delimiter: a row, be it sound or damaged.
 
     >>> row_like("0.10&-2e-05&1.50"), row_like("13.11.2018 17:14"), row_like("2304-A1,2304-A1,2304-A1")
     (True, False, False)
@@ -51,7 +51,7 @@ def row_like(line: str) -> bool:
 
 
 def begins_a_table(cells: Sequence[str], names: Sequence[str], units: Sequence[str]) -> bool:
-    """Whether a line among the rows gives names or units other than those of the table."""
+    """True where a line among the rows gives names or units other than those of the table."""
     filled = _stripped(cells)
     if filled in (_stripped(names), _stripped(units)):
         return False
@@ -75,7 +75,7 @@ def flag_rows_above(text: Text, layout: Layout, place: Place) -> tuple[Flag, ...
 
 
 def flag_head(head: Sequence[Row], place: Place) -> tuple[Flag, ...]:
-    """What to say of results and of rows of numbers above the names, which would pass for a header.
+    """Flag of results and of rows of numbers above the names, which would pass for a header.
 
     Parameters
     ----------

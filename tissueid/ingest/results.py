@@ -61,7 +61,7 @@ def _filled(row: Row) -> list[str]:
 
 
 def is_statistics(row: Row) -> bool:
-    """Whether a row is a mean, a standard deviation and the like: its first filled cell says so."""
+    """True where a row is a mean, a standard deviation and the like: its first filled cell says so."""
     opening = next((cell for cell in row if cell.strip()), "")
     # nearly all rows are samples, and done with here
     if not opening or looks_numeric(opening):
@@ -70,13 +70,13 @@ def is_statistics(row: Row) -> bool:
 
 
 def is_title(row: Row) -> bool:
-    """Whether a line announces results."""
+    """True where a line announces results."""
     filled = _filled(row)
     return len(filled) == 1 and _TITLE.fullmatch(plain_words(filled[0])) is not None
 
 
 def is_units_row(row: Row) -> bool:
-    """Whether a row states units: ``(sec),(mm),(N),,`` or ``"s","mm","N"``."""
+    """True where a row states units: ``(sec),(mm),(N),,`` or ``"s","mm","N"``."""
     filled = _filled(row)
     if not filled or any(map(looks_numeric, filled)):
         return False
@@ -103,7 +103,7 @@ def _carries_units(row: Row) -> bool:
 
 
 def results_below(rows: Sequence[Row], names: Row, units: Row, options: ReadOptions) -> int | None:
-    """Where a table of results begins among the rows under the names of a recording.
+    """First row of a table of results among the rows under the names of a recording.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ def results_spans(rows: Sequence[Row]) -> list[range]:
 
 
 def _end(rows: Sequence[Row], index: int) -> int:
-    """Where a table of results ends: at a blank line, or at the next head."""
+    """End of a table of results: at a blank line, or at the next head."""
     below_head = False
     while index < len(rows) and _filled(rows[index]):
         text = _is_text(rows[index])
@@ -187,7 +187,7 @@ def announced_results(rows: Sequence[Row]) -> list[range]:
 
 
 def results_flag(first: int, last: int) -> Flag:
-    """What is said of a table of results in the lines ``first`` to ``last``, counted from 1."""
+    """Flag of a table of results in the lines ``first`` to ``last``, counted from 1."""
     return Flag(
         "rows_skipped",
         f"lines {first} to {last} are a table of results, not samples: left out",

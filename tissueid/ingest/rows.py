@@ -62,7 +62,7 @@ def _decimals(cell: str) -> int:
 
 
 class _Prints:
-    """How the cells of the wanted columns are printed: one kind of thousands mark, and no mark lost.
+    """Print of the wanted columns' cells: one kind of thousands mark, and no mark lost.
 
     Where every other number of a column has the same two decimals or more, one without a mark that has
     more digits than these decimals lost its mark: ``1.23400`` became ``123400``.
@@ -132,7 +132,7 @@ class RowReader:
 
     @property
     def end(self) -> int:
-        """Where the last line that has its line end stops."""
+        """End of the last line that has its line end."""
         return max(self.text.data.rfind(b"\n") + 1, self.layout.offset)
 
     def lines(self) -> Iterator[tuple[int, str]]:

@@ -86,7 +86,7 @@ def _holds_force(names: Sequence[str], units: Sequence[str], options: ReadOption
 
 
 def _named(above: Sequence[str]) -> bool:
-    """Whether one name stands above a group: over its first column, or over each."""
+    """True where one name stands above a group: over its first column, or over each."""
     cells = {cell.strip() for cell in above if cell.strip()}
     return len(cells) == 1 and above[0].strip() in cells
 

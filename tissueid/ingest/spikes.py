@@ -85,7 +85,7 @@ def _alone(time_s: FloatArray, values: FloatArray, motion: FloatArray | None) ->
 
 
 def _distance(time_s: FloatArray, values: FloatArray, i: int, least: float) -> float | None:
-    """How far a sample is off, seen from both sides alike; ``None`` where the channel does not go on."""
+    """Distance of a sample from its neighbours on both sides; ``None`` where the channel does not go on."""
     low, high = max(0, i - REACH), min(values.size, i + REACH + 1)
     if i - low < 3 or high - i < 4:
         return None
@@ -112,7 +112,7 @@ def _distance(time_s: FloatArray, values: FloatArray, i: int, least: float) -> f
 
 
 def _even(time_s: FloatArray, displacement_mm: FloatArray, i: int) -> bool:
-    """Whether the machine keeps its speed around a sample."""
+    """True where the machine keeps its speed around a sample."""
     few, many = EVEN_SAMPLES
     low = min(max(int(np.searchsorted(time_s, time_s[i] - EVEN_S)), i - many), i - few)
     high = max(min(int(np.searchsorted(time_s, time_s[i] + EVEN_S)), i + many), i + few)

@@ -27,7 +27,7 @@ Place = tuple[str | int, ...]
 
 
 class PriorError(ValueError):
-    """What is wrong with the table, and where in it.
+    """Fault of the table, and its place.
 
     Attributes
     ----------

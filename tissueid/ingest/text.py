@@ -76,7 +76,7 @@ class Text:
 
 
 def foreign_kind(head: bytes) -> str | None:
-    """What a file is that is no text table: ``"a PNG image"``; ``None`` where it may be one."""
+    """Kind of a file that is no text table: ``"a PNG image"``; ``None`` where it may be one."""
     for magic, kind in _MAGIC:
         # two-letter magics are words too: believe them only among control bytes
         if head.startswith(magic) and (len(magic) > 2 or len(_CONTROL.findall(head)) > 1):

@@ -1,4 +1,4 @@
-"""What the time stamps of a recording show: repeated times, event rows, gaps.
+"""Time stamps of a recording: repeated times, event rows, gaps.
 
 Different sampling in ramp and hold is neither a gap nor an event row: an interval counts only against the
 intervals on both of its sides.

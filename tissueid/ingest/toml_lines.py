@@ -38,7 +38,7 @@ class _Value:
 
     @property
     def open(self) -> bool:
-        """Whether the value goes on in the next line."""
+        """True where the value goes on in the next line."""
         return self.depth > 0 or bool(self.quote)
 
     def feed(self, text: str) -> None:

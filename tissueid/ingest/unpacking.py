@@ -1,4 +1,4 @@
-"""What a workbook would become in memory: told before the parser that builds it is let in.
+"""Size of a workbook in memory: told before the parser that builds it is let in.
 
 A workbook is a zip archive, and a sheet is built as a dense rectangle up to its last cell.  A few
 kilobytes may unpack to gigabytes, and one stray cell at ``XFD1048576`` asks for seventeen thousand

@@ -208,7 +208,7 @@ _COMMENTS = re.compile(
 
 
 def is_comment_name(name: str) -> bool:
-    """Whether a column is named as one of comments, which holds no numbers."""
+    """True where a column is named as one of comments, which holds no numbers."""
     return _COMMENTS.fullmatch(plain_words(name)) is not None
 
 
@@ -222,7 +222,7 @@ def plain_words(text: str) -> str:
 
 @cache
 def rank_of(name: str, channel: Channel, *, loose: bool) -> int | None:
-    """How well a printed name, without its unit, fits a channel.
+    """Rank of a printed name, without its unit, for a channel.
 
     Parameters
     ----------
@@ -268,5 +268,5 @@ def specimen_key_rank(key: str) -> int | None:
 
 
 def is_specimen_key(key: str) -> bool:
-    """Whether a header key names the specimen."""
+    """True where a header key names the specimen."""
     return specimen_key_rank(key) is not None

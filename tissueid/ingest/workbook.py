@@ -71,7 +71,7 @@ def _open(data: bytes, place: Place) -> Any:
 
 
 def _guarded(parse: Callable[[], Any]) -> Any:
-    """What the parser makes; where it panics, which no ``except Exception`` sees, an error as any other."""
+    """Result of the parser; where it panics, which no ``except Exception`` sees, an error as any other."""
     try:
         return parse()
     except BaseException as error:
@@ -104,7 +104,7 @@ def _shown(cell: Any) -> str:
 
 
 def _trial_anchor(cells: Cells, file: InputFile) -> Anchor | None:
-    """Where the table of a trial stands in a sheet, ``None`` where the sheet is no trial."""
+    """Anchor of a trial's table in a sheet, ``None`` where the sheet is no trial."""
     head = _head(cells)
     found = anchor(head, file.options)
     if found is not None and found.names is not None:

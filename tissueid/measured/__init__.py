@@ -1,4 +1,4 @@
-"""What recordings show, no model: peaks, forces in the hold, loop areas, relaxation times, moduli.
+"""Measures of recordings, no model: peaks, forces in the hold, loop areas, relaxation times, moduli.
 
 Above segmentation, below every fit.  No compiled kernel is loaded here: a first look at a file must not
 wait for a compiler.

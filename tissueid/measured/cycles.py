@@ -313,7 +313,7 @@ def _with_changes(rows: list[CycleRow]) -> tuple[CycleRow, ...]:
 
 
 def _touches(force: FloatArray, loop: Loop, noise: float) -> bool:
-    """Whether the force at the end of loading stands out of its noise."""
+    """True where the force at the end of loading stands out of its noise."""
     near = force[max(loop.peak - LINE_SAMPLES, loop.start) : min(loop.peak + LINE_SAMPLES + 1, loop.stop)]
     return float(np.median(near)) > RESIDUAL_SD * noise
 

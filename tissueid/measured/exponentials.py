@@ -69,7 +69,7 @@ def _amplitudes(gram: FloatArray, product: FloatArray) -> tuple[FloatArray, Floa
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExponentialSums:
-    """What a window's samples say of all exponentials.
+    """Sums of a window's samples over all exponentials.
 
     Attributes
     ----------

@@ -17,7 +17,7 @@ DEFAULT_POISSON = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Geometry:
-    """What a modulus needs beside a force.
+    """Geometry that a modulus needs beside a force.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class Geometry:
         return f"{tip.shape} of {size}, tissue {body}, Poisson's ratio {self.poisson:g}"
 
     def as_json(self) -> dict[str, float | str | None]:
-        """What the moduli assume."""
+        """Assumptions of the moduli."""
         return {
             "shape": self.indenter.shape,
             "radius_mm": self.indenter.radius_mm,

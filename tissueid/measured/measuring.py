@@ -56,7 +56,7 @@ class _Record:
 
 
 def measure(trial: Trial, segmentation: Segmentation, *, geometry: Geometry | None = None) -> Measured:
-    """What a recording showed, no model.
+    """Measure a recording, no model.
 
     Parameters
     ----------

@@ -67,7 +67,7 @@ def _head(said: MeasuredModulus) -> tuple[str, str, str, float]:
 
 
 def _limits(contact: Contact, geometry: Geometry) -> list[str]:
-    """What is passed, each with its number."""
+    """Limits that are passed, each with its number."""
     tip = geometry.indenter
     limits = list(contact.outside)
     if tip.radius_mm is not None:

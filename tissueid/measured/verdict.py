@@ -47,7 +47,7 @@ UNKNOWN_SPREAD, KNOWN_FROM = 0.1, 3
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What to do after a push.
+    """Verdict after a push.
 
     Attributes
     ----------
@@ -99,7 +99,7 @@ def _doubts(
     earlier: Sequence[MeasuredPush],
     flags: dict[str, Flag],
 ) -> Iterator[str]:
-    """What asks for a look, the gravest first."""
+    """Doubts that ask for a look, the gravest first."""
     if "rupture" in flags:
         yield f"{flags['rupture'].message}. Take another site"
     softer = _softer(measured.push, earlier)
@@ -113,12 +113,12 @@ def _doubts(
 
 
 def _told(flag: Flag) -> str:
-    """What was seen with its number, and the way out."""
+    """Observation with its number, and the way out."""
     return warning_line(flag.code, flag.message).rstrip(".")
 
 
 def _softer(push: MeasuredPush | None, before: Sequence[MeasuredPush]) -> str:
-    """Whether a push is softer than the last equal one by more than they spread."""
+    """True where a push is softer than the last equal one by more than they spread."""
     if push is None:
         return ""
     equal = [one for one in before if _equal(push, one)]
@@ -154,7 +154,7 @@ def _too_slow(trial: Trial, push: MeasuredPush) -> Iterator[str]:
 
 
 def _too_short(trial: Trial, hold: MeasuredHold) -> Iterator[str]:
-    """Whether the hold, or its samples, are too few for the relaxation that it shows."""
+    """True where the hold, or its samples, are too few for the relaxation that it shows."""
     tau = None if hold.tau is None else hold.tau.single_s
     if tau is None:
         return

@@ -52,7 +52,7 @@ class ParameterSpec:
 
 @dataclass(frozen=True, slots=True)
 class ContactPath:
-    """What a tool did: the input of a contact model.
+    """Path of a tool: the input of a contact model.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What a fitted tissue does in tests that people quote: closed forms, and errors by the delta method.
+"""Response of a fitted tissue in tests that people quote: closed forms, and errors by the delta method.
 
 Relaxation times and stiffnesses of several branches move with the window and with their number; what
 they do together moves much less (statistics.md 5b).  All functions are pure; depth in mm below contact,

@@ -282,7 +282,7 @@ class TissueStepper:
 
     @property
     def surface_mm(self) -> float:
-        """Where the tissue surface stands [mm below its rest level]."""
+        """Level of the tissue surface [mm below its rest level]."""
         return float(self._state[0])
 
     def step(self, depth_mm: float, dt_s: float) -> float:

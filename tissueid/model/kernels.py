@@ -207,7 +207,7 @@ def _static(law: FloatArray, at: int, x: float) -> tuple[float, float]:
 
 @tick_part
 def _followed(law: FloatArray, at: int, j: int, y: float, force: float, slope: float) -> tuple[float, float]:
-    """What a branch follows at a surface position, and its rate by it; static force and slope are given."""
+    """Driver of a branch at a surface position, and its rate by it; static force and slope are given."""
     kind = law[at + _FOLLOWED]
     if kind < 1.0:
         return y, 1.0

@@ -112,7 +112,7 @@ class Contact:
 
 
 def formulas_for(indenter: Indenter, thickness_mm: float | None) -> tuple[str, ...]:
-    """What can be computed for a tip, the formula to be preferred first."""
+    """Formulas for a tip, the one to be preferred first."""
     deep = ("hertz", "sneddon") if indenter.shape == "sphere" else ("sneddon",)
     if thickness_mm is None:
         return deep

@@ -1,4 +1,4 @@
-"""How much damping a device needs to render a tissue without adding energy (model.md 6.4, derived).
+"""Damping that a device needs to render a tissue without adding energy (model.md 6.4, derived).
 
 Sampled-data passivity after Colgate & Schenkel (doi 10.1002/rob.4620140110): a law rendered at step
 T through a zero-order hold, its force arriving ``m`` whole ticks late, needs a device damping

@@ -1,4 +1,4 @@
-"""What loading does to a tissue until it ruptures: work, weighted force, stored energy, depth along a path.
+"""Measures of loading until a tissue ruptures: work, weighted force, stored energy, depth along a path.
 
 Paper A's force law alone has no rupture, and at a fixed depth its force grows with speed. A criterion says
 which measure of the loading reaches a threshold (model.md 1.5, derived; the criteria themselves are
@@ -43,7 +43,7 @@ GAUSS_AT = ((1.0 - 3.0**-0.5) / 2.0, (1.0 + 3.0**-0.5) / 2.0)
 
 @dataclass(frozen=True, slots=True)
 class RupturePoint:
-    """Where a ramp ends in a rupture.
+    """End of a ramp in a rupture.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ def rupture_at_speed(
     speed_mm_s: float,
     weight: float = DEFAULT_WEIGHT,
 ) -> RupturePoint | None:
-    """Where a ramp at constant speed from rest first reaches the threshold of a criterion.
+    """Point at which a ramp at constant speed from rest first reaches the threshold of a criterion.
 
     Parameters
     ----------

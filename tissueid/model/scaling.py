@@ -1,4 +1,4 @@
-"""How a tissue's forces are brought into the reach of a hand-held device (model.md 6.5, derived).
+"""Scaling of a tissue's forces into the reach of a hand-held device (model.md 6.5, derived).
 
 ``F_device = s_F F(x_device / s_x)``; time is not scaled.  One linear factor for force keeps every
 ratio of stiffness; a factor that depends on force would not.

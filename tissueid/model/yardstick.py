@@ -147,7 +147,7 @@ class Yardstick(ChannelModel):
         return tuple(specs)
 
     def curves(self, theta: FloatArray, branch: int) -> tuple[FloatArray, FloatArray]:
-        """What a node follows and the stiffness beside it, by powers of x, constant first: (5,) and (3,)."""
+        """Driver of a node and the stiffness beside it, by powers of x, constant first: (5,) and (3,)."""
         own, stiffness = np.zeros(INSIDE + 1), np.zeros(OUTSIDE)
         weights = theta[self.parts[branch].stiffness]
         if branch < len(self.inside_s):

@@ -151,7 +151,7 @@ def _repeats(member: Member) -> list[list[TrialRow]]:
 
 
 def _has_gains(members: Sequence[Member]) -> bool:
-    """Whether logs have gains of their own: without partial pooling all are 1."""
+    """True where logs have gains of their own: without partial pooling all are 1."""
     return any(trial.gain != 1.0 for one in members for trial in one.trials)
 
 

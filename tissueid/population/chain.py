@@ -35,7 +35,7 @@ FloatArray = NDArray[np.float64]
 
 
 class Record(NamedTuple):
-    """What a chain leaves: draws of the population, and running sums over its specimens.
+    """Record of a chain: draws of the population, and running sums over its specimens.
 
     Attributes
     ----------

@@ -45,7 +45,7 @@ STATIC_AT_DEPTH = 2
 
 @dataclass(frozen=True, slots=True)
 class CohortOptions:
-    """How a population is drawn.
+    """Options of a population's sampling.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class CohortOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Population:
-    """What was found where there are specimens enough.
+    """Population of specimens, where there are enough.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""How many specimens a wanted precision takes.
+"""Number of specimens that a wanted precision takes.
 
 Half the width of a 95 % interval of a mean of n specimens is 1.96 sqrt((D^2 + m^2) / n) in ln units, with D
 the spread between specimens and m that of one specimen's own posterior; of a standard deviation, relative to

@@ -1,4 +1,4 @@
-"""Whether speed can be told from specimen: who was tested how fast, as a graph.
+"""Confounding of speed and specimen: who was tested how fast, as a graph.
 
 Speeds and specimens are its nodes, logs its edges.  Two speeds can be compared inside specimens where a path
 joins them.  Where each speed was tested on specimens of its own no path does, and a difference of force
@@ -23,7 +23,7 @@ S_PER_MIN = 60.0
 
 @dataclass(frozen=True, slots=True)
 class Confounding:
-    """How speeds and specimens hang together.
+    """Connections of speeds and specimens.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class Confounding:
 
     @property
     def sentence(self) -> str:
-        """What may be said of an effect of speed, and what may not."""
+        """Sentence on an effect of speed, and its limits."""
         if self.kind == "single speed":
             return "All logs were loaded at one speed: nothing is said of an effect of speed."
         if self.kind == "none":

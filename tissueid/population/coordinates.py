@@ -146,7 +146,7 @@ class Coordinates:
         return np.asarray(value)
 
     def passive(self, theta: FloatArray) -> NDArray[np.bool_]:
-        """Which tissues are passive on [0, d], with their relaxation times ascending; shape (n,)."""
+        """True for tissues that are passive on [0, d], with their relaxation times ascending; shape (n,)."""
         model, ends = self.model, [last for _, last in self._blocks()]
         ascending = np.asarray((np.diff(theta[:, ends], axis=1) > 0.0).all(axis=1))
         return np.array([bool(ascending[i]) and model.is_passive(row) for i, row in enumerate(theta)])

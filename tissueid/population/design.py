@@ -1,4 +1,4 @@
-"""What is known of specimens, as columns and groups of the population model."""
+"""Design of specimens, as columns and groups of the population model."""
 
 from __future__ import annotations
 

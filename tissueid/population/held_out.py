@@ -1,4 +1,4 @@
-"""How well the typical tissue of other specimens predicts one: NRMSD on specimens that took no part.
+"""Prediction of a specimen by the typical tissue of others: NRMSD on specimens that took no part.
 
 Each specimen (each tenth of a large cohort) is left out, the population is drawn from the others, and its
 typical tissue at the left-out specimen's covariates is moved along that specimen's recorded depth.

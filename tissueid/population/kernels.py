@@ -1,4 +1,4 @@
-"""What a chain over a population holds, and the parts of its sweep that are normal; compiled.
+"""State of a chain over a population, and the parts of its sweep that are normal; compiled.
 
 The t distribution is a scale mixture of normals.  Given the weights of the mixture, the mean, the effects of
 covariates and of levels are normal; every part is linear in the number of specimens.
@@ -32,7 +32,7 @@ IntArray = NDArray[np.int64]
 
 
 class Cohort(NamedTuple):
-    """What the chain knows of the specimens.
+    """Specimens as the chain knows them.
 
     Attributes
     ----------
@@ -110,7 +110,7 @@ class Hyper(NamedTuple):
 
 
 class State(NamedTuple):
-    """Where a chain is; changed in place.
+    """State of a chain; changed in place.
 
     Attributes
     ----------

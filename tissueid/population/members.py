@@ -203,7 +203,7 @@ def stage_one(members: Sequence[Member], coordinates: Coordinates) -> tuple[Stag
 
 
 def _more_even_itself(phi: Sequence[NDArray[Any]]) -> NDArray[np.bool_]:
-    """Whether draws are nearer to even about their median in the quantity than in its logarithm.
+    """True where draws are nearer to even about their median in the quantity than in its logarithm.
 
     Noise leaves a force open by so many N: it may be next to nothing.  A gain leaves it open by a factor: a
     normal of the force itself, wide enough for its high draws, would then make no force at all likely too.

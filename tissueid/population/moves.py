@@ -1,4 +1,4 @@
-"""How specimens move in the chain over a population, compiled.
+"""Moves of specimens in the chain over a population, compiled.
 
 A specimen **among its draws** is one of its stage-1 draws.  These are draws from ``likelihood x reference``
 with a known reference density, the prior of stage 1, so that an independent proposal among them is accepted

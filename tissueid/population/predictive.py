@@ -22,7 +22,7 @@ BATCH = 4000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Predictive:
-    """What the population says of a specimen that was not measured.
+    """Prediction of a specimen that was not measured.
 
     Attributes
     ----------

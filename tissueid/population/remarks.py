@@ -1,4 +1,4 @@
-"""What must be said beside the numbers of a population."""
+"""Remarks beside the numbers of a population."""
 
 from __future__ import annotations
 

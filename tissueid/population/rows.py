@@ -199,7 +199,7 @@ def specimen_rows(
 
 @dataclass(frozen=True, slots=True)
 class EffectRow:
-    """What a covariate, or being in another group, does to one quantity.
+    """Effect of a covariate, or of another group, on one quantity.
 
     Attributes
     ----------

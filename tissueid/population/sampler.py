@@ -46,7 +46,7 @@ NORMAL_NU = 1e4
 
 @dataclass(frozen=True, slots=True)
 class SamplerOptions:
-    """How a population is sampled.
+    """Options of a population's sampler.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What one machine does to the mean of a population: it does not average out.
+"""Effect of one machine on the mean of a population: it does not average out.
 
 Every specimen's total posterior knows the calibration nuisances, its statistical one does not.  All were
 measured by one machine with one set of nuisances, so that the difference between the two is taken to be
@@ -27,7 +27,7 @@ FEWEST_SHARE = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SharedInstrument:
-    """What is common to all specimens.
+    """Instrument that is common to all specimens.
 
     Attributes
     ----------

@@ -88,7 +88,7 @@ class Design:
 
     @property
     def offsets(self) -> IntArray:
-        """Where the groups of each level begin, among all groups."""
+        """First group of each level, among all groups."""
         return np.concatenate([[0], np.cumsum([len(one) for one in self.groups], dtype=np.int64)]).astype(
             np.int64
         )

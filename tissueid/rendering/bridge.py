@@ -49,7 +49,7 @@ REACH_M = 0.3
 
 @dataclass(frozen=True, slots=True)
 class BridgeRequest:
-    """What a datagram asks for; None where it does not.
+    """Request of a datagram; None where it asks for nothing.
 
     Attributes
     ----------
@@ -172,7 +172,7 @@ class UdpBridge:
 
     @property
     def listens_on(self) -> tuple[str, int]:
-        """Where parameters are heard."""
+        """Address at which parameters are heard."""
         host, port = self._in.getsockname()
         return str(host), int(port)
 
@@ -206,7 +206,7 @@ class UdpBridge:
             self.dropped += 1
 
     def requests(self) -> list[BridgeRequest]:
-        """What was asked for since the last call."""
+        """Requests since the last call."""
         found = []
         for _ in range(MOST_A_TURN):
             try:

@@ -1,4 +1,4 @@
-"""Which tissue of a posterior is felt, and whether a hand could tell two of them apart.
+"""Choice of the felt tissue of a posterior, and the difference a hand could tell.
 
 All parameters at their 97.5 % is no tissue.  A quantile is that of one named number of the whole law, the
 force at a depth reached at a speed, and the posterior draw nearest to it is rendered: a tissue that the
@@ -111,7 +111,7 @@ def parse_functional(text: str) -> Functional:
 
 
 def as_tissue(bundle: Bundle, theta: FloatArray | None = None) -> Tissue:
-    """What a renderer needs of a bundle.
+    """Tissue of a bundle, as a renderer needs it.
 
     Parameters
     ----------
@@ -218,7 +218,7 @@ def pick_quantile(bundle: Bundle, quantile: float, functional: Functional) -> Pi
 def noticeable_ratio(
     one: Tissue, other: Tissue, functional: Functional, *, force_scale: float
 ) -> tuple[float, float, float]:
-    """How far two tissues differ at the device, in just-noticeable differences.
+    """Difference of two tissues at the device, in just-noticeable differences.
 
     Parameters
     ----------

@@ -70,7 +70,7 @@ _bulk_transfer = by_address(
 
 
 class FalconParts(NamedTuple):
-    """What both transports keep: constants, parser, room for bytes and results."""
+    """Parts that both transports keep: constants, parser, room for bytes and results."""
 
     units_per_Nm: float
     geometry: FloatArray
@@ -131,7 +131,7 @@ def usb_io(given: CompiledIO) -> UsbIO:
 
 @tick_kernel
 def _ready(descriptor: int, events: int, word: IntArray) -> int:
-    """Which of the events hold now; POLL_BROKEN bits if the other end is gone."""
+    """Events that hold now; POLL_BROKEN bits if the other end is gone."""
     word[0] = descriptor | (events << EVENTS_SHIFT)
     if _poll(word.ctypes.data, 1, 0) < 0:
         return 0

@@ -33,7 +33,7 @@ LAST_WORDS = "compiling for the next start; Ctrl-C puts it off"
 
 
 def is_compiled() -> bool:
-    """Whether the servo's loop lies compiled on the disk, or compiling is switched off."""
+    """True where the servo's loop lies compiled on the disk, or compiling is switched off."""
     from tissueid.rendering import servo_loop
 
     if os.environ.get(_SWITCH, "0") not in {"", "0"}:

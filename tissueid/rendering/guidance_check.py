@@ -1,4 +1,4 @@
-"""Whether a device can render a guided axis: the damping it needs, before any force.
+"""Check of a guided axis before any force: the damping that a device needs.
 
 Behind its filter the damping of pull and wall is a branch like a tissue's: ``K tau`` times the filtered
 velocity is a stiffness ``K tau / t_f`` that relaxes in t_f, and the drilled bone is a spring that relaxes in
@@ -39,7 +39,7 @@ SHORTEST_FILTER_S = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class GuidanceCheck:
-    """What was found.
+    """Result of the check.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class GuidanceCheck:
     demands: Demands
 
     def lines(self) -> list[str]:
-        """What is printed before force is enabled."""
+        """Lines printed before force is enabled."""
         device = self.demands
         stability = (
             f"needs {self.required_damping_N_s_per_m:.3g} N s/m of damping at {device.delay_ticks:g} ticks "

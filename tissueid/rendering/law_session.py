@@ -76,7 +76,7 @@ def _carried(guidance: Guidance, device: HapticDevice, *, assumed: bool) -> Guid
 
 
 def demands_of(capabilities: Capabilities) -> Demands:
-    """What the checks before force need of a device."""
+    """Demands of the checks before force on a device."""
     known = "measured on this unit" if capabilities.calibrated else "assumed, not measured on this unit"
     return Demands(
         clamp_N=capabilities.clamp_N,

@@ -1,4 +1,4 @@
-"""What the user asked of a session, as frozen data."""
+"""Options of a session, as frozen data."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Carried(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RenderOptions:
-    """What the user asked for; None where nothing was said.
+    """Options of the user; None where nothing was said.
 
     Attributes
     ----------

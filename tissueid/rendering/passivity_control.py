@@ -70,7 +70,7 @@ LARGEST_CHANGE_ALLOWED_N = 0.5
 
 @dataclass(frozen=True, slots=True)
 class PassivityLimits:
-    """What the controller may do.
+    """Limits of the controller.
 
     Attributes
     ----------

@@ -212,7 +212,7 @@ def _seconds(options: RenderOptions, script: Script | None) -> float | None:
 
 
 def _script(options: RenderOptions, choice: tuple[str, str], first: Picked) -> Script | None:
-    """What the user wrote; a simulated grip that nobody moves shows three quarters of the depth, repeated."""
+    """Script of the user; a simulated grip that nobody moves shows three quarters of the depth, repeated."""
     if options.script is not None:
         return read_script(options.script)
     if choice[0] != SIMULATED or options.bridge or options.led or options.program is not None:
@@ -341,7 +341,7 @@ def _blocks(
 
 
 def _touch_point(surface: Surface, radius_m: float) -> FloatArray:
-    """Where the centre of the tip is when it touches the highest point of a surface."""
+    """Centre of the tip when it touches the highest point of a surface."""
     if isinstance(surface, Plane):
         top_m, reach_m = surface.point_m, radius_m
     else:
@@ -361,7 +361,7 @@ def _inward(surface: Surface) -> FloatArray:
 def _lines(
     options: RenderOptions, picked: tuple[Picked, ...], check: Precheck, functional: Functional
 ) -> list[str]:
-    """What is printed: nothing that gives a blind comparison away."""
+    """Printed lines: nothing that gives a blind comparison away."""
     text = [] if options.blind else [line for each in picked for line in _tissue_lines(each)]
     if len(picked) > 1:
         one, other, ratio = noticeable_ratio(
@@ -376,7 +376,7 @@ def _lines(
 
 
 def _tissue_lines(each: Picked) -> list[str]:
-    """What a tissue is, and when it breaks."""
+    """Lines on a tissue, and on its rupture."""
     lines, law = [f"tissue     {each.tissue.name}: {each.why}"], each.tissue.rupture
     if law is not None:
         lines.append(

@@ -43,7 +43,7 @@ GRID = 501
 
 @dataclass(frozen=True, slots=True)
 class Demands:
-    """What a device offers, as far as the check needs it.
+    """Abilities of a device, as far as the check needs them.
 
     Attributes
     ----------
@@ -97,7 +97,7 @@ class Precheck:
 
     @property
     def lowered(self) -> bool:
-        """Whether the scale was lowered for the sake of stability."""
+        """True where the scale was lowered for the sake of stability."""
         return self.scaling.force < self.wanted_force_scale
 
     @property
@@ -111,7 +111,7 @@ class Precheck:
         return self.scaling.motion / self.scaling.force
 
     def lines(self) -> list[str]:
-        """What is printed before force is enabled."""
+        """Lines printed before force is enabled."""
         scale, device = self.scaling, self.demands
         felt = (
             f"felt force = measured/{self.force_over:.4g}, "

@@ -32,7 +32,7 @@ _PER_S = "_mm_per_s"
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """What a file says.
+    """Contents of a file.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class Scene:
     guidance: Guidance | None
 
     def lines(self) -> list[str]:
-        """What is printed before force is enabled."""
+        """Lines printed before force is enabled."""
         text = [f"scene      {self.name}"]
         if self.assumed:
             text.append(f"assumed    {', '.join(self.assumed)}")

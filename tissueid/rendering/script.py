@@ -33,7 +33,7 @@ TAIL_S = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Script:
-    """What a scripted session does.
+    """Strokes of a scripted session.
 
     Attributes
     ----------

@@ -69,7 +69,7 @@ class Figure:
 
     @property
     def holds(self) -> bool:
-        """Whether the bar is kept."""
+        """True where the bar is kept."""
         return self.value <= self.bar
 
 
@@ -92,7 +92,7 @@ class TickTimes:
 
 @dataclass(frozen=True, slots=True)
 class SelfTest:
-    """What ``tissueid render --selftest`` prints.
+    """Result of ``tissueid render --selftest``.
 
     Attributes
     ----------

@@ -119,7 +119,7 @@ class ServoProcess:
         self.block.order(COMMAND_DISENGAGE)
 
     def poll(self) -> ServoEnd | None:
-        """How the servo ended, or None while it runs.
+        """End of the servo, or None while it runs.
 
         Raises
         ------
@@ -212,7 +212,7 @@ class ServoProcess:
             raise self._failure({"event": "failed", **words}, "")
 
     def _failure(self, words: dict[str, Any] | None, otherwise: str) -> errors.TissueidError:
-        """What the process refused, or that it is gone."""
+        """Refusal of the process, or its end."""
         if words is not None and words["event"] == "failed":
             refused: errors.TissueidError = getattr(errors, words["kind"])(words["message"])
             return refused

@@ -46,7 +46,7 @@ def sleep_until(deadline_ns: int, room: IntArray) -> None:
 
 @tick_kernel
 def readable(descriptor: int, room: IntArray) -> bool:
-    """Whether a descriptor has bytes, or its other end is gone; False for a negative one."""
+    """True where a descriptor has bytes, or its other end is gone; False for a negative one."""
     if descriptor < 0:
         return False
     room[_POLLFD_AT] = descriptor | (POLL_IN << EVENTS_SHIFT)

@@ -1,4 +1,4 @@
-"""How the servo reaches a device: one reading and one command a tick, compiled for the devices it knows.
+"""Access of the servo to a device: one reading and one command a tick, compiled for the devices it knows.
 
 :func:`sense` and :func:`command` take one of the tuples below.  Compiled, the tuple's type decides what is
 built into the loop, so that a simulated device never loads a driver; a plug-in device with methods in

@@ -64,7 +64,7 @@ _LATE = int(Lamp.LATE)
 
 
 def new_watch(owner: int = -1, signals: int = -1, *, alive_wanted: bool = False) -> IntArray:
-    """What a loop looks at besides the device.
+    """Watch of a loop on all besides the device.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def _look(servo: Servo, watch: IntArray, now_ns: int, room: IntArray) -> bool:
 
 @tick_part
 def _over(servo: Servo, watch: IntArray) -> bool:
-    """Whether enough ticks of zero force followed a fault, or the owner's wish to end."""
+    """True where enough ticks of zero force followed a fault, or the owner's wish to end."""
     state = servo.guard_memory[STATE]
     ending = state == FAULTED or (state != ENGAGED and ordered(servo.block_head) == COMMAND_STOP)
     force = servo.out[0] != 0.0 or servo.out[1] != 0.0 or servo.out[2] != 0.0

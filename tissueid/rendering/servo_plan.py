@@ -1,4 +1,4 @@
-"""What the owner and the servo process tell each other, as frozen data.
+"""Messages between the owner and the servo process, as frozen data.
 
 Down goes one plan, pickled, with the descriptors of the shared memories, over a private socket whose other
 end stays open: its end of file is the owner's death.  Up come lines of JSON: ``ready``, then ``ended`` or
@@ -79,7 +79,7 @@ class ServoReady:
 
 @dataclass(frozen=True, slots=True)
 class ServoEnd:
-    """How a session ended.
+    """End of a session.
 
     Attributes
     ----------

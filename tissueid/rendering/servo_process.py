@@ -85,7 +85,7 @@ def _must_be_owned(owner: int) -> None:
 
 
 def _reach(device: HapticDevice, law: str | None) -> tuple[Any, bool]:
-    """How the loop reaches an open device, and whether it is compiled."""
+    """Access of the loop to an open device, and if it is compiled."""
     if law is not None:
         return PythonIO(device, environment_law(law)), False
     given = device.compiled()

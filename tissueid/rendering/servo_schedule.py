@@ -27,7 +27,7 @@ LOCKED_BYTES = 1 << 30
 
 @dataclass(frozen=True, slots=True)
 class Schedule:
-    """What the servo got.
+    """Schedule that the servo got.
 
     Attributes
     ----------

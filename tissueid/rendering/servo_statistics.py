@@ -1,4 +1,4 @@
-"""How punctual a servo was: the figures that every log carries, and when timing counts as degraded."""
+"""Punctuality of a servo: the figures that every log carries, and when timing counts as degraded."""
 
 from __future__ import annotations
 
@@ -48,12 +48,12 @@ class PeriodStatistics:
 
     @property
     def degraded(self) -> bool:
-        """Whether the session is labelled "timing degraded"."""
+        """True where the session is labelled "timing degraded"."""
         return self.late_share > DEGRADED_SHARE
 
     @property
     def label(self) -> str:
-        """What console, viewer and log call this: "timing degraded" or "timing good"."""
+        """Label in console, viewer and log: "timing degraded" or "timing good"."""
         return "timing degraded" if self.degraded else "timing good"
 
     def as_dict(self) -> dict[str, Any]:

@@ -50,7 +50,7 @@ VIRTUAL_TICKS = 500
 
 @dataclass(frozen=True, slots=True)
 class Wish:
-    """What the person at the keyboard asks for.
+    """Wish of the person at the keyboard.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class Wish:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """How a session ended.
+    """End of a session.
 
     Attributes
     ----------
@@ -239,7 +239,7 @@ class Session:
             self._wanted = 0
 
     def _obey(self, request: BridgeRequest) -> None:
-        """What another program asked for."""
+        """Obey another program's request."""
         self._stop = self._stop or request.stop
         if request.engage is not None:
             self._engage = request.engage

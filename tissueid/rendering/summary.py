@@ -1,4 +1,4 @@
-"""What a session amounts to: timing, lamps, peaks, energy; counted as the records come."""
+"""Summary of a session: timing, lamps, peaks, energy; counted as the records come."""
 
 from __future__ import annotations
 

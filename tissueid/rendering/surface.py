@@ -50,7 +50,7 @@ NO_FACE = 0.0
 
 @tick_part
 def touch(surface: FloatArray, at: int, position: FloatArray, memory: FloatArray, first: int) -> float:
-    """How deep the tool tip is in a surface.
+    """Depth of the tool tip in a surface.
 
     Parameters
     ----------

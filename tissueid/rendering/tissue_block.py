@@ -149,7 +149,7 @@ def surface_from(numbers: FloatArray) -> Surface:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tissue:
-    """What a renderer needs of one identified tissue.
+    """One identified tissue, as a renderer needs it.
 
     Attributes
     ----------

@@ -21,7 +21,7 @@ SMALL = 0.001
 
 
 def contrast_verdict(document: Mapping[str, Any]) -> Verdict:
-    """What all pairs together say.
+    """Verdict of all pairs together.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ def contrast_verdict(document: Mapping[str, Any]) -> Verdict:
 
 
 def pair_verdict(pair: Mapping[str, Any], level: float) -> Verdict:
-    """What is said of one pair.
+    """Verdict of one pair.
 
     Parameters
     ----------

@@ -54,5 +54,5 @@ def event_words(values: Mapping[str, float], units: Mapping[str, str]) -> str:
 
 
 def took(duration_s: float) -> str:
-    """How long a stop took: none is shorter than sampling shows."""
+    """Duration of a stop: none is shorter than sampling shows."""
     return "too short to see" if duration_s == 0.0 else f"took {number(duration_s, 2)} s"

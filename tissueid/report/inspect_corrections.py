@@ -1,4 +1,4 @@
-"""What can be corrected on a page that is served: a number or a switch, each with its reason."""
+"""Corrections on a page that is served: a number or a switch, each with its reason."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ _AROUND = 6
 
 @dataclass(frozen=True, slots=True)
 class DrawnRecording:
-    """What is drawn of a recording.
+    """Drawn part of a recording.
 
     Attributes
     ----------

@@ -189,7 +189,7 @@ def law_payload(
     curves: Sequence[TrialCurve],
     posteriors: Sequence[StoredPosterior] = (),
 ) -> list[dict[str, Any]]:
-    """What the figures of every specimen's law are drawn from, in their order.
+    """Points of the figures of every specimen's law, in their order.
 
     Parameters
     ----------

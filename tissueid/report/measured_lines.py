@@ -1,4 +1,4 @@
-"""What was measured, no model, in a few lines: of one specimen, with the spread between its logs."""
+"""Measured quantities, no model, in a few lines: of one specimen, with the spread between its logs."""
 
 from __future__ import annotations
 

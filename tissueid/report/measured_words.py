@@ -1,4 +1,4 @@
-"""What was measured, no model, for the first screen: mean and spread between the logs of one program."""
+"""Measured quantities, no model, for the first screen: mean and spread between the logs of one program."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ def measured_view(specimen: Mapping[str, Any]) -> dict[str, Any] | None:
 
 
 def _said(columns: Sequence[_Column]) -> str:
-    """What times count from, what the spread is, and what is left out."""
+    """Sentence on the origin of times, the spread, and what is left out."""
     count = max(column.count for column in columns)
     spread = any(row["sd"] is not None for column in columns for row in column.found.values())
     between = "Mean ± SD between logs." if spread else "The spread between logs is unknown."

@@ -43,7 +43,7 @@ def subscripted(text: str) -> Markup:
 
 
 def citation(version: str) -> dict[str, str]:
-    """How to cite the program, as a reference and for BibTeX."""
+    """Citation of the program, as a reference and for BibTeX."""
     return {
         "text": f"{AUTHORS}. {TITLE}. Version {version}.",
         "bibtex": (
@@ -93,7 +93,7 @@ def _model_words(specimen: Mapping[str, Any]) -> str:
 
 
 def _choice_words(specimen: Mapping[str, Any], options: Mapping[str, Any]) -> str:
-    """How the number of branches and the degree of K came about."""
+    """Words on the choice of branches and of the degree of K."""
     if specimen["model"]["key"] != "kelvin-voigt":
         return "The contact model was set in advance."
     wanted = {"branches": "the number of branches", "stiffness_degree": "the degree of K"}
@@ -114,7 +114,7 @@ def _noise_words(specimen: Mapping[str, Any], options: Mapping[str, Any]) -> str
 
 
 def _missed_words(specimen: Mapping[str, Any]) -> str:
-    """What the model misses beside the noise, and what that does to the intervals."""
+    """Words on the misfit beside the noise, and its effect on the intervals."""
     noise = specimen["noise"]
     if noise is None or noise["samples_per_independent"] <= 1.0:
         return ""
@@ -127,7 +127,7 @@ def _missed_words(specimen: Mapping[str, Any]) -> str:
 
 
 def _decided_words(options: Mapping[str, Any]) -> str:
-    """What the user set that changes the numbers."""
+    """Words on settings of the user that change the numbers."""
     told = []
     if options.get("contact_displacement_mm") is not None:
         told.append(f"Contact was set at {options['contact_displacement_mm']:g} mm.")
@@ -175,7 +175,7 @@ def _sampling_words(specimen: Mapping[str, Any], options: Mapping[str, Any]) -> 
 
 
 def _interval_words(specimen: Mapping[str, Any]) -> str:
-    """What the intervals hold, and where there is none."""
+    """Words on the intervals, and on numbers without one."""
     total = any(entry["ci95_total"] is not None for entry in specimen["parameters"])
     sources = " (gains of force and displacement, time skew, force filter, frame compliance)" if total else ""
     both = (
@@ -206,7 +206,7 @@ def _plain(before: str, terms: Sequence[str], after: Sequence[str]) -> str:
 
 
 def methods_view(specimen: Mapping[str, Any], run: Mapping[str, Any]) -> dict[str, Any]:
-    """What the methods paragraph says of one specimen.
+    """Methods paragraph of one specimen.
 
     Parameters
     ----------

@@ -139,7 +139,7 @@ def _view(
 
 
 def _alarms(sure: Mapping[str, Any] | None) -> list[tuple[str, str]]:
-    """What stands above every other reason: level and sentence."""
+    """Alarms above every other reason: level and sentence."""
     found = []
     if sure is not None and sure["raised"]:
         found.append(
@@ -166,7 +166,7 @@ def _overview(specimens: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _ends(specimen: Mapping[str, Any], entry: Mapping[str, Any]) -> dict[str, float]:
-    """How far an error bar reaches up and down: 95 %, or one standard error where nothing was sampled."""
+    """Reach of an error bar up and down: 95 %, or one standard error where nothing was sampled."""
     if misfit_raised(specimen):
         return {"up": 0.0, "down": 0.0}
     if entry["ci95"] is None:
@@ -182,7 +182,7 @@ def _groups(specimens: Sequence[Mapping[str, Any]], curves: Sequence[TrialCurve]
 
 
 def _counts(views: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, int]]:
-    """How many specimens have each verdict, the commonest first."""
+    """Count of specimens by verdict, the commonest first."""
     tally = Counter((view["verdict"].level, view["verdict"].title) for view in views)
     return [(level, title, count) for (level, title), count in tally.most_common()]
 

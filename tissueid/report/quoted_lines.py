@@ -59,7 +59,7 @@ def _drainage(slope: Mapping[str, Any]) -> str:
 
 
 def _loops(cycles: list[Mapping[str, Any]]) -> str:
-    """How many load-unload loops there are, and what the last one says."""
+    """Line on the number of load-unload loops and the last of them."""
     eta, area = cycles[-1]["viscosity_model_N_s_per_mm"], cycles[-1]["dissipated_mJ"]
     said = f"{len(cycles)} loop{'s' * (len(cycles) > 1)}, last: area "
     said += f"{with_error(area['value'], area['stderr'])} mJ" if area["value"] is not None else "none"

@@ -140,7 +140,7 @@ class Remark:
 
 
 def remark_title(code: str) -> str:
-    """What a flag is about; a code of a later version is spelt out."""
+    """Title of a flag; a code of a later version is spelt out."""
     return REMARK_TITLES.get(code) or code.replace("_", " ").capitalize()
 
 

@@ -1,4 +1,4 @@
-"""What a renderer will do with a tissue, and how complete a study's description is, as rows and words."""
+"""Rendering of a tissue, and how complete a study's description is, as rows and words."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ def _value(value: float | Sequence[float] | None) -> str:
 
 
 def _verdict(items: Sequence[Mapping[str, Any]]) -> Verdict:
-    """What agreeing numbers are worth."""
+    """Verdict on agreeing numbers."""
     compared = [item for item in items if item["published"] is not None and item["agrees"] is not None]
     agreeing = Counter(item["kind"] for item in compared if item["agrees"])
     differing = [item["words"] for item in compared if not item["agrees"]]
@@ -90,7 +90,7 @@ def _places(paper: Mapping[str, Any], document: Mapping[str, Any]) -> list[dict[
 
 
 def _remarks(item: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """What is said under a row."""
+    """Remarks under a row."""
     said = [
         ("Decided", item["rule"]),
         ("Reading", item["reading"]),

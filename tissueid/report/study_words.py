@@ -1,4 +1,4 @@
-"""What the report says of a study: its covariates, its calibration, what was decided and left out."""
+"""Words of the report on a study: its covariates, its calibration, what was decided and left out."""
 
 from __future__ import annotations
 

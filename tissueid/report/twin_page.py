@@ -58,7 +58,7 @@ def _percent(share: float) -> str:
 
 
 def _device(one: TwinDevice, source: str) -> Section:
-    """What came out of one device."""
+    """Section of one device."""
     recorded = (
         "" if one.nrmsd_recording is None else f", off the recording by {_percent(one.nrmsd_recording)}"
     )

@@ -122,7 +122,7 @@ def parameter_lines(document: Mapping[str, Any]) -> list[str]:
 
 
 def sampling_lines(document: Mapping[str, Any]) -> list[str]:
-    """How the posterior was sampled, and the noise in it; none without a posterior."""
+    """Lines on the sampling of the posterior, and the noise in it; none without a posterior."""
     sampler, noise = document["sampler"], document["noise"]
     if sampler is None:
         return []
@@ -140,7 +140,7 @@ def sampling_lines(document: Mapping[str, Any]) -> list[str]:
 
 
 def alarm_lines(document: Mapping[str, Any]) -> list[str]:
-    """What takes the intervals away or makes them rough, in a sentence each."""
+    """Reasons that take the intervals away or make them rough, in a sentence each."""
     sampler, misfit = document["sampler"], document["misfit"]
     if sampler is None:
         return []

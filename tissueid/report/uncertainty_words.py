@@ -1,4 +1,4 @@
-"""How sure a result is, in words: intervals, sampler, noise, priors, sources, other models, checks.
+"""Uncertainty of a result, in words: intervals, sampler, noise, priors, sources, other models, checks.
 
 Every interval is said to be calibrated for the stated model and noise; where the residuals contradict them
 (:func:`misfit_alarm`) no interval stands on the first screen.  What is not identified has no number.
@@ -91,7 +91,7 @@ def reported_order(parameters: Sequence[Mapping[str, Any]]) -> list[Mapping[str,
 
 
 def misfit_alarm(specimen: Mapping[str, Any]) -> list[str]:
-    """What the residuals show that model and noise can't make; empty without an alarm."""
+    """Misfit that model and noise can't make; empty without an alarm."""
     if not misfit_raised(specimen):
         return []
     return [check["message"].rstrip(".") for check in specimen["misfit"]["checks"] if check["raised"]]
@@ -168,7 +168,7 @@ def model_words(model: Mapping[str, Any]) -> str:
 
 
 def _fit_sentence(specimen: Mapping[str, Any]) -> str:
-    """What was fitted, how, and what it leaves."""
+    """Sentence on the fit, its method, and what it leaves."""
     model, sampler = specimen["model"], specimen["sampler"]
     count, degree = model["branches"], model["stiffness_degree"]
     rmse = f"{number(specimen['nrmsd']['rmse_N'], 3)} {specimen['units']['force']}"
@@ -371,7 +371,7 @@ def _comparison(specimen: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def uncertainty_view(specimen: Mapping[str, Any]) -> dict[str, Any] | None:
-    """What the template shows of a specimen's uncertainty; ``None`` where nothing was sampled.
+    """View of a specimen's uncertainty for the template; ``None`` where nothing was sampled.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What the report says in words: the verdict, numbers with their errors and units.
+"""Words of the report: the verdict, numbers with their errors and units.
 
 A number that the data do not determine is never printed as a value: it is "not identified".
 """
@@ -51,7 +51,7 @@ _LEFT = ((0.0, "ok"), (0.02, "caution"), (0.05, "serious"))
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What to think of a result at first sight.
+    """Verdict on a result at first sight.
 
     Attributes
     ----------
@@ -102,7 +102,7 @@ def verdict(specimen: Mapping[str, Any]) -> Verdict:
 
 
 def _beside_noise(specimen: Mapping[str, Any]) -> str:
-    """What the model misses against the measured noise, where it misses more."""
+    """Misfit against the measured noise, where it is more."""
     noise = specimen["noise"]
     if noise is None or noise["samples_per_independent"] <= 1.0:
         return ""
@@ -112,7 +112,7 @@ def _beside_noise(specimen: Mapping[str, Any]) -> str:
 
 
 def misfit_raised(specimen: Mapping[str, Any]) -> bool:
-    """Whether the residuals contradict the model or its noise: no error then stands beside a value."""
+    """True where the residuals contradict the model or its noise: no error then stands beside a value."""
     return specimen["misfit"] is not None and bool(specimen["misfit"]["raised"])
 
 

@@ -67,7 +67,7 @@ def hold_exponential(time_s: FloatArray, force_N: FloatArray) -> tuple[float, fl
 
 
 def elastic_imitation(ledger: Ledger, readings: Readings, depth: int) -> str:
-    """Which overshoot and settling time of a crosshead give a printed relaxation time without any branch.
+    """Overshoot and settling time of a crosshead that give a printed relaxation time without any branch.
 
     Parameters
     ----------

@@ -14,7 +14,7 @@ Interval = tuple[float, float] | None
 
 
 class Kind(StrEnum):
-    """What stands behind a recomputed number."""
+    """Ground of a recomputed number."""
 
     #: Printed, and computed from what the paper states without the number itself.
     REPRODUCED = "reproduced"
@@ -32,7 +32,7 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """How agreement is decided, in words and as a function of (published, recomputed, interval)."""
+    """Rule of agreement, in words and as a function of (published, recomputed, interval)."""
 
     words: str
     holds: Callable[[Value, Value, Interval], bool]

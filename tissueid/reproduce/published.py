@@ -1,4 +1,4 @@
-"""What the two papers print, number by number, and an account of which of it a computation used.
+"""Printed numbers of the two papers, and an account of which of it a computation used.
 
 A recomputed number whose inputs hold the published one agrees because it must: it is a round trip.  So that
 no row can be labelled otherwise by mistake, computations get published numbers from a :class:`Ledger` only,

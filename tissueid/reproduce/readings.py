@@ -50,7 +50,7 @@ class Readings:
     surface: str = "hyperboloid"
 
     def words(self, name: str) -> str:
-        """What the choice takes the paper to say."""
+        """Reading of the paper that the choice takes."""
         return READINGS[name][getattr(self, name)]
 
     def as_json(self) -> dict[str, dict[str, str]]:

@@ -29,7 +29,7 @@ TAILS_99 = (0.005, 0.995)
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """How much is spent.
+    """Effort of a recomputation.
 
     Attributes
     ----------

@@ -121,7 +121,7 @@ def _mean(numbers: Mapping[str, Published]) -> Item:
 
 
 def _share_left(readings: Readings, numbers: Mapping[str, Published]) -> Item:
-    """What of the deepest test can relax at all."""
+    """Share of the deepest test that can relax at all."""
     ledger = Ledger(SADEGHNEJAD, numbers)
     branch = read_branch(ledger, readings)
     force = branch_force(branch, DEPTHS_MM[-1], HOLD_SPEED_MM_MIN)

@@ -177,7 +177,7 @@ def peak_against_speed(
 
 
 def _by_seven(readings: Readings, numbers: Mapping[str, Published]) -> Item:
-    """What (7) alone says of a peak at a fixed depth."""
+    """Peak at a fixed depth by (7) alone."""
     ledger = Ledger(SADEGHNEJAD, numbers)
     branch = read_branch(ledger, readings)
     tissue = Tissue(cubic_through_peaks(ledger, branch), branch)

@@ -46,7 +46,7 @@ INTERVAL = (0.025, 0.975)
 
 @dataclass(frozen=True, slots=True)
 class Threshold:
-    """What the tests say of one criterion.
+    """Evidence of the tests on one criterion.
 
     Attributes
     ----------

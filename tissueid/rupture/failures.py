@@ -131,7 +131,7 @@ class Failure:
 
 @dataclass(frozen=True, slots=True)
 class _AtEnd:
-    """What the law says of one path: measures and their growth, shares, hardening."""
+    """Response of the law on one path: measures and their growth, shares, hardening."""
 
     values: Mapping[str, float]
     growth: Mapping[str, float]

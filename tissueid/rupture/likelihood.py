@@ -72,7 +72,7 @@ class Given:
 
 
 def given_ruptured(tests: Outcomes, mu: FloatArray, s: FloatArray, b: FloatArray) -> Given:
-    """What the ruptured tests of each specimen say.
+    """Log likelihood of the ruptured tests of each specimen.
 
     Parameters
     ----------

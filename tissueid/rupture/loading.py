@@ -29,7 +29,7 @@ FEWEST_IN_LINE = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadedTest:
-    """What a test did to the tissue until it broke or the test ended.
+    """Loading of the tissue until it broke or the test ended.
 
     Attributes
     ----------

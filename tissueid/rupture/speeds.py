@@ -54,7 +54,7 @@ class AtSpeed:
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """How a quantity changes from one speed to ten times it, inside specimens.
+    """Change of a quantity from one speed to ten times it, inside specimens.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What may be said of ruptures and speed, in sentences, and what may not."""
+"""Sentences on ruptures and speed, and their limits."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the user decided instead of the data: said with the result, and a hold that begins where he says."""
+"""Decisions of the user instead of the data: said with the result, and a hold that begins where he says."""
 
 from __future__ import annotations
 

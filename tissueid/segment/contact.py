@@ -129,7 +129,7 @@ def find_contact(
 
 
 def _meets(force_N: FloatArray, piece: Piece, noise_N: float) -> bool:
-    """Whether force rises significantly during a move."""
+    """True where force rises significantly during a move."""
     force = force_N[piece.start : piece.stop + 1]
     if force.size < FEWEST_SAMPLES:
         return force.size > 1 and bool(force[-1] - force[0] > CONTACT_SD * noise_N)
@@ -251,7 +251,7 @@ def _start_in_contact(
 
 
 def _doubt(air: HingeFit, contact: Contact, u: FloatArray, compression: int) -> float:
-    """What a start in air after all adds to the sd of a contact at the start, or before it [mm].
+    """Addition of a start in air after all to the sd of a contact at the start, or before it [mm].
 
     A start in contact and a contact anywhere on the ramp are taken as equally likely beforehand.
     """

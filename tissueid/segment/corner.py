@@ -1,4 +1,4 @@
-"""How a ramp came to its stop or turned: nominal corner, duration, overshoot, ringing.
+"""Stop or turn of a ramp: nominal corner, duration, overshoot, ringing.
 
 A straight line is laid through the middle of the ramp and another through the phase after it (level, where
 that stands).  They meet at the nominal corner; the corner lasts from where the displacement leaves the first

@@ -1,4 +1,4 @@
-"""Where a move ends: the sample at which the lines of its two sides meet, or a plateau is reached.
+"""End of a move: the sample at which the lines of its two sides meet, or a plateau is reached.
 
 A sharp corner is where two straight lines through its sides meet; they are laid through samples farther off
 first, which know nothing of the corner's own shape, then through its neighbours.  A rounded turn keeps the
@@ -120,7 +120,7 @@ def _sharp(
     at: int,
     tolerance: float,
 ) -> bool:
-    """Whether the samples near a corner lie on its two lines."""
+    """True where the samples near a corner lie on its two lines."""
     near = slice(max(at - NEAR_SAMPLES, 0), at + NEAR_SAMPLES + 1)
     t, x = time_s[near], depth_mm[near]
     (slope_1, level_1), (slope_2, level_2) = lines

@@ -1,4 +1,4 @@
-"""How a test ended before or beside its plan: aborts, stops at a load, load control.
+"""End of a test before or beside its plan: aborts, stops at a load, load control.
 
 One recording tells an abort only against something: the depth or hold that its file states, or the steps and
 loops before it.  It tells a load limit by a tool that creeps under constant force, by a force limit that its
@@ -241,7 +241,7 @@ def _turn_at_force(
     noise_N: float,
     baseline_N: float,
 ) -> bool:
-    """Whether loops turn at one force and at several depths."""
+    """True where loops turn at one force and at several depths."""
     forces = np.array([loop.peak_N for loop in loops]) - baseline_N
     first = next(phase for phase in phases if phase.peak is not None)
     assert first.peak is not None  # noqa: S101  (chosen for it)
@@ -256,7 +256,7 @@ def _turn_at_force(
 
 
 def ending_flags(events: list[Event]) -> list[Flag]:
-    """What aborts and load limits say about the test."""
+    """Flags of aborts and load limits."""
     flags: list[Flag] = []
     for event in events:
         values = dict(event.values)

@@ -1,4 +1,4 @@
-"""Where a force begins to grow: the posterior of the contact point on one loading ramp.
+"""Start of a growing force: the posterior of the contact point on one loading ramp.
 
 The slope right at contact depends on the rate, so no threshold and no straight line finds the contact at
 all speeds: the whole shape of :mod:`tissueid.segment.ramp_shape` is compared with the ramp.  The posterior of

@@ -134,7 +134,7 @@ def _lattice(
 def _elsewhere(
     density: Density, limits: tuple[Limits, Limits], mean: float, sd: float, peak: float
 ) -> FloatArray | None:
-    """Where the density is clearly higher than the peak found, ``None`` if nowhere on a wide lattice."""
+    """Place of a density clearly higher than the peak found, ``None`` if nowhere on a wide lattice."""
     first = mean + sd * PROBE
     first = first[(first >= limits[0][0]) & (first <= limits[0][1])]
     if first.size == 0:

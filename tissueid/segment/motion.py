@@ -1,4 +1,4 @@
-"""What the crosshead did, from measured displacement: moves in, moves out, standstills.
+"""Motion of the crosshead, from measured displacement: moves in, moves out, standstills.
 
 The displacement is reduced to a polyline within its noise (:mod:`tissueid.segment.polyline`); pieces become
 moves and standstills; what is too short or too small to be either (rounded stops, overshoot, event rows)
@@ -216,7 +216,7 @@ def _absorb(stretches: list[tuple[_Stretch, bool]]) -> list[Piece]:
 
 
 def _same(before: _Stretch, after: _Stretch) -> bool:
-    """Whether two neighbouring stretches are one phase."""
+    """True where two neighbouring stretches are one phase."""
     if before.piece.direction != after.piece.direction:
         return False
     if before.piece.direction == 0:

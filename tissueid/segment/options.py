@@ -1,4 +1,4 @@
-"""What the user may decide instead of the segmenter."""
+"""Options by which the user decides instead of the segmenter."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class SegmentOptions:
             raise ValueError(msg)
 
     def stated(self) -> dict[str, float | int | bool]:
-        """What was decided, by the key that study.toml has for it."""
+        """Decisions, by the key that study.toml has for them."""
         said = {
             "compression": self.compression_sign,
             "force": self.force_sign,

@@ -1,4 +1,4 @@
-"""What a recording's own air says of its force: reading, scatter, start kicks, and where it is left for good.
+"""Evidence of a recording's own air on its force: reading, scatter, start kicks, and the last of it.
 
 The noise of successive samples says nothing of the slow wander of a load cell in air; the samples in air do.
 A tool that starts pulls at its cell by its own mass: such a kick is over when the reading of the rest before
@@ -114,7 +114,7 @@ def _rise(force_N: FloatArray, noise_N: float) -> tuple[float, float]:
 
 
 def rises(before_N: FloatArray, after_N: FloatArray, noise_N: float) -> bool:
-    """Whether the force in what was taken for air rises as it does in tissue, so that it is none.
+    """True where the force in what was taken for air rises as it does in tissue, so that it is none.
 
     Parameters
     ----------

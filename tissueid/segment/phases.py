@@ -49,7 +49,7 @@ CLEAR_AT_LEAST = 0.01
 
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """Where the tissue begins.
+    """Surface of the tissue.
 
     Attributes
     ----------
@@ -118,7 +118,7 @@ def _turn(
 
 
 def _goes_on(time_s: FloatArray, depth_mm: FloatArray, before: Piece, after: Piece) -> bool:
-    """Whether a move was only interrupted, by a standstill too short to be one."""
+    """True where a move was only interrupted, by a standstill too short to be one."""
     if before.direction == 0 or before.direction != after.direction:
         return False
     slow, fast = sorted(
@@ -132,7 +132,7 @@ def _goes_on(time_s: FloatArray, depth_mm: FloatArray, before: Piece, after: Pie
 def _turns_round(
     time_s: FloatArray, depth_mm: FloatArray, around: tuple[Piece, Piece, Piece], tolerance_mm: float
 ) -> bool:
-    """Whether a standstill between two opposite moves is the crest of a rounded turn."""
+    """True where a standstill between two opposite moves is the crest of a rounded turn."""
     before, stand, after = around
     if before.direction * after.direction >= 0:
         return False
@@ -168,7 +168,7 @@ def _without_ringing(time_s: FloatArray, depth: FloatArray, found: list[Piece]) 
 
 
 def _rings(time_s: FloatArray, depth: FloatArray, swing: Piece, ramp: Piece) -> bool:
-    """Whether a move after a ramp is small beside it, or not large and over at once."""
+    """True where a move after a ramp is small beside it, or not large and over at once."""
     moved, travel = (abs(float(depth[piece.stop] - depth[piece.start])) for piece in (swing, ramp))
     took, ramp_s = (float(time_s[piece.stop] - time_s[piece.start]) for piece in (swing, ramp))
     at_once = took <= min(LONGEST_SWING_S, 0.5 * ramp_s)
@@ -259,7 +259,7 @@ def _loops(depth: FloatArray, found: list[Piece], surface: Surface) -> set[int]:
 
 
 def _touch(depth: FloatArray, piece: Piece, surface: Surface) -> int | None:
-    """Where a move into the tissue meets it: a sample of the piece, or ``None`` where all of it is air."""
+    """Contact of a move into the tissue: a sample of the piece, or ``None`` where all of it is air."""
     contact = surface.contact
     if contact is None:
         return None
@@ -299,7 +299,7 @@ def _creep_start(
     named: list[tuple[str, Piece, int | None]],
     creeps: Callable[[Piece, Piece], int | None],
 ) -> int | None:
-    """Where creep began, if a slow move after a ramp, or after creep, is some."""
+    """Start of creep, if a slow move after a ramp, or after creep, is some."""
     run: list[Piece] = []
     for kind, piece, _ in reversed(named):
         if kind not in ("ramp", "creep"):

@@ -36,7 +36,7 @@ class _Static(NamedTuple):
     moves: FloatArray
 
     def outside(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """What is left of rows (n, m, b) beside the static columns, and what that leaves in prior rows."""
+        """Remainder of rows (n, m, b) beside the static columns, and what that leaves in prior rows."""
         along = rows @ self.basis.transpose(0, 2, 1)
         return rows - along @ self.basis, -along @ self.beside
 
@@ -60,7 +60,7 @@ def _static(bins: Bins, prior: FloatArray, scale: float, contact: FloatArray, wi
 
 
 def _ahead(depth: FloatArray, from_mm: FloatArray, phase_share: float) -> FloatArray:
-    """How far the first bin in contact is moved towards half a bin behind contact [mm], shape (n,)."""
+    """Shift of the first bin in contact towards half a bin behind contact [mm], shape (n,)."""
     beyond = depth > from_mm[:, None]
     first = beyond.argmax(axis=1)
     gap = 0.5 * np.abs(depth[first] - depth[first - 1]) - (depth[first] - from_mm)

@@ -1,4 +1,4 @@
-"""Where force collapses while the tool moves on: rupture of a layer, tear, or slip.
+"""Collapse of force while the tool moves on: rupture of a layer, tear, or slip.
 
 Force rises and falls between alternate extremes (a zigzag with a reversal threshold above noise).  A fall
 within one move is a rupture where it is steep against the loading before it, or where most of the force is
@@ -124,7 +124,7 @@ def ruptures(
 
 
 def _turns_back(depth_mm: FloatArray, piece: Piece) -> bool:
-    """Whether the tool leaves again after a move, by more than it settles."""
+    """True where the tool leaves again after a move, by more than it settles."""
     after = depth_mm[piece.stop : piece.stop + max(piece.stop - piece.start, 2)]
     return bool(
         depth_mm[piece.stop] - after[-1] > SLIP_SHARE * (depth_mm[piece.stop] - depth_mm[piece.start])
@@ -169,7 +169,7 @@ def _event(
 
 
 def _slower_than_before(time_s: FloatArray, depth_mm: FloatArray, piece: Piece, loading: list[Piece]) -> bool:
-    """Whether a move goes on from a faster one without a stop."""
+    """True where a move goes on from a faster one without a stop."""
     before = next((one for one in loading if one.stop == piece.start), None)
     if before is None:
         return False
@@ -255,7 +255,7 @@ def _break(time_s: FloatArray, force: FloatArray, fall: _Fall) -> int:
 def _moves_on(
     time_s: FloatArray, depth_mm: FloatArray, fall: tuple[int, int], speed: float, tolerance: float
 ) -> bool:
-    """Whether the tool keeps its speed over a fall and after it, so far that noise can't hide a stop."""
+    """True where the tool keeps its speed over a fall and after it, so far that noise can't hide a stop."""
     first, last = fall
     span = VISIBLE * tolerance / max(speed, 1e-300)
     last = max(last, min(int(np.searchsorted(time_s, time_s[first] + span)), time_s.size - 1))

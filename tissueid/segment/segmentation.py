@@ -50,7 +50,7 @@ DEEPER = 1.1
 
 @dataclass(frozen=True, slots=True)
 class _Path:
-    """What was recorded, growing into the tissue, and what noise explains of it."""
+    """Recorded path, growing into the tissue, and what noise explains of it."""
 
     time_s: FloatArray
     depth_mm: FloatArray
@@ -203,7 +203,7 @@ def _shallow_from(depth: FloatArray, moves: list[Piece]) -> int:
 
 
 def _shows_depths(depth: FloatArray) -> bool:
-    """Whether a move goes in by more than one jump: a jump does not show where in it the tissue was met."""
+    """True where a move goes in by more than one jump, which does not show where the tissue was met."""
     return bool(depth[-1] > depth[0]) and np.unique(depth).size >= FEWEST_DEPTHS
 
 
@@ -272,7 +272,7 @@ def _test_phase(depth: FloatArray, phases: tuple[Phase, ...], surface: Surface) 
 
 
 def _lets_go(force: FloatArray, cycles: tuple[Phase, ...], baseline_N: float, noise_N: float) -> bool:
-    """Whether tool and tissue part between the first peak and the test."""
+    """True where tool and tissue part between the first peak and the test."""
     peaks = [phase.peak for phase in cycles if phase.peak is not None]
     if not peaks:
         return False
@@ -289,7 +289,7 @@ def _remarks(
     found: list[Piece],
     options: SegmentOptions,
 ) -> tuple[tuple[Event, ...], list[Flag]]:
-    """What happened beside the phases, and what phases and events say about the test."""
+    """Flags of events beside the phases, and of the test that they tell."""
     time_s, depth, force = path.time_s, path.depth_mm, path.force_N
     phases, contact = divided.phases, divided.contact
     events: list[Event] = []

@@ -1,4 +1,4 @@
-"""Which way is compression, and which way the recorded force grows with it."""
+"""Signs of compression and of the recorded force."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a move comes to its stop, and how fast it went: stop, braking and speed of a crosshead.
+"""Stop and speed of a move: stop, braking and speed of a crosshead.
 
 The straight line through 20 to 80 % of the travel gives the speed; where it meets the level of the standstill
 lies the nominal corner.  A crosshead brakes for 0.1 to 0.4 s after it and may settle by micrometres for much
@@ -148,7 +148,7 @@ def with_braking(time_s: FloatArray, depth_mm: FloatArray, phases: tuple[Phase, 
 
 
 def settlings(time_s: FloatArray, depth_mm: FloatArray, phases: tuple[Phase, ...]) -> list[Event]:
-    """What holds still travel after their stop, as events of kind ``settling``.
+    """Travel of holds after their stop, as events of kind ``settling``.
 
     Parameters
     ----------

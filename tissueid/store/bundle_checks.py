@@ -1,4 +1,4 @@
-"""What must hold of a bundle's numbers: finite, a covariance, and a passive tissue in every draw."""
+"""Requirements on a bundle's numbers: finite, a covariance, and a passive tissue in every draw."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _COVARIANCE_ROUNDING = 1e-9
 
 
 def array_problem(bundle: Bundle) -> str | None:
-    """What is wrong with the sizes and numbers of a bundle's arrays, ``None`` where nothing is."""
+    """Fault of the sizes and numbers of a bundle's arrays, ``None`` where nothing is."""
     size = len(bundle.theta_names)
     shapes: Sequence[tuple[str, FloatArray | None, tuple[int, ...]]] = (
         ("theta", bundle.theta, (size,)),

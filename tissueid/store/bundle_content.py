@@ -1,4 +1,4 @@
-"""What a bundle holds: one identified tissue, as frozen data, and its document."""
+"""Contents of a bundle: one identified tissue, as frozen data, and its document."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ class Bundle(Shown):
 
     @property
     def is_population(self) -> bool:
-        """Whether its draws are specimens of a population, and not what is known of one."""
+        """True where its draws are specimens of a population, and not what is known of one."""
         return self.population_mean is not None
 
     def contact_model(self) -> TissueModel:

@@ -199,11 +199,11 @@ class Index:
         )
 
     def knows_files(self) -> bool:
-        """Whether an earlier run has left anything to go by."""
+        """True where an earlier run has left anything to go by."""
         return self._do("SELECT 1 FROM recordings LIMIT 1").fetchone() is not None
 
     def known_file(self, path: str, reading: str) -> list[RecordingRow]:
-        """What a file, read in one way, held when it was last looked at; empty where it never was."""
+        """Contents of a file, read in one way, at the last look; empty where it never was."""
         rows = self._do(
             "SELECT * FROM recordings WHERE path = ? AND reading = ? ORDER BY number", (path, reading)
         )
@@ -297,7 +297,7 @@ class Index:
             yield JobRow(position, row["key"], row["specimen"], row["state"], row["reason"])
 
     def count(self, state: str) -> int:
-        """How many jobs of the run are in a state."""
+        """Count of the run's jobs in a state."""
         found: int = self._do("SELECT COUNT(*) FROM jobs WHERE state = ?", (state,)).fetchone()[0]
         return found
 

@@ -91,7 +91,7 @@ def current_run(out: Path | str) -> CommittedRun | None:
 
 
 def _is_refreshed(out: Path) -> bool:
-    """Whether there is nothing to finish: two small reads, so that every command can afford it."""
+    """True where there is nothing to finish: two small reads, so that every command can afford it."""
     try:
         run_id = (out / _CURRENT).read_text(encoding="ascii").strip()
     except (FileNotFoundError, NotADirectoryError):
@@ -221,7 +221,7 @@ class OutputSet:
             self._lock = None
 
     def path(self, name: str) -> Path:
-        """Where to write the file that will be public as ``name`` (a plain file name)."""
+        """Place to write the file that will be public as ``name`` (a plain file name)."""
         folder = self._open_folder()
         if not name or Path(name).name != name or name.startswith(".") or name == _MANIFEST:
             msg = f"{name!r} can't be a public name of an output set"
@@ -229,7 +229,7 @@ class OutputSet:
         return folder / name
 
     def sampling(self, specimen: str) -> Path:
-        """Where the chain of a specimen is kept while it is sampled; a killed run finds it again."""
+        """Place of a specimen's chain while it is sampled; a killed run finds it again."""
         folder = self.out / _SAMPLING
         folder.mkdir(exist_ok=True)
         return folder / f"{hashlib.sha256(specimen.encode()).hexdigest()[:16]}.npz"

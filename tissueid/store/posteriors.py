@@ -50,7 +50,7 @@ MOST_POINTS = 20_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StoredPosterior:
-    """What is kept of one specimen's posterior beside its numbers.
+    """Stored part of one specimen's posterior beside its numbers.
 
     Attributes
     ----------

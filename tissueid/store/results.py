@@ -1,4 +1,4 @@
-"""What a fit leaves in its output folder, by name, and how it is read back and checked.
+"""Files of a fit's output folder, by name, and how it is read back and checked.
 
 ``identification.json`` (the numbers), ``bundle-<specimen>.h5`` (the models), ``bundle.h5`` where there is
 one specimen, ``curves.h5`` (what a report draws), ``posteriors.h5`` (draws, where a posterior was sampled),
@@ -251,7 +251,7 @@ def _hash_problems(out: Path, run: CommittedRun) -> Iterable[str]:
 
 
 def _specimen_problems(out: Path, run: CommittedRun) -> Iterator[str]:
-    """What is wrong with the files of specimens that the run lists."""
+    """Faults of the files of specimens that the run lists."""
     if LISTED not in run.files:
         return
     for one in read_listed(run.folder / LISTED):

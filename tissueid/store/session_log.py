@@ -115,7 +115,7 @@ def raw_head(head: Mapping[str, Any], record: np.dtype[Any]) -> bytes:
 
 
 def is_session_log(data: bytes) -> bool:
-    """Whether bytes are those of a session's log, raw or HDF5; a damaged one counts."""
+    """True where bytes are those of a session's log, raw or HDF5; a damaged one counts."""
     if data.startswith(RAW_MAGIC):
         return True
     if not data.startswith(HDF5_MAGIC):
@@ -230,7 +230,7 @@ def _shape(record: np.dtype[Any], name: str) -> tuple[str, list[int]]:
 
 
 def _seal(text: bytes, record: np.dtype[Any], count: int) -> bytes:
-    """What the content hash begins with: everything but the records themselves."""
+    """Beginning of the content hash: everything but the records themselves."""
     about = f"{SESSION_FORMAT}/{SESSION_SCHEMA_VERSION}/{count}/{record.descr}".encode()
     return about + len(text).to_bytes(_LENGTH_BYTES, "little") + text
 

@@ -47,7 +47,7 @@ _FORMAT = "tissueid/specimen"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpecimenResult:
-    """What one job found.
+    """Result of one job.
 
     Attributes
     ----------

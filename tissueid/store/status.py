@@ -1,4 +1,4 @@
-"""How far a run is, read from its index while it goes on or after it ended.
+"""Progress of a run, read from its index while it goes on or after it ended.
 
 Every answer is of one moment: one transaction of the index, which holds finished results only.
 """
@@ -85,7 +85,7 @@ def read_status(out: Path) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class _Jobs:
-    """What an index says of its jobs: how many in which state, those that run, and the newest ends."""
+    """Jobs of an index: how many in which state, those that run, and the newest ends."""
 
     counts: dict[str, int]
     running: list[dict[str, Any]]
@@ -126,7 +126,7 @@ def _read_jobs(database: sqlite3.Connection) -> _Jobs:
 
 
 def _read_refusals(database: sqlite3.Connection, run: int) -> tuple[int, list[str]]:
-    """How many inputs were refused, and what is said of the first."""
+    """Count of refused inputs, and the message of the first."""
     these = "FROM recordings WHERE run = ? AND kind = 'refused'"
     (count,) = database.execute(f"SELECT COUNT(*) {these}", (run,)).fetchone()
     rows = database.execute(
@@ -137,7 +137,7 @@ def _read_refusals(database: sqlite3.Connection, run: int) -> tuple[int, list[st
 
 
 def _alive(process: dict[str, Any]) -> bool | None:
-    """Whether a process still runs; ``None`` where it is one of another machine."""
+    """True where a process still runs; ``None`` where it is one of another machine."""
     if process.get("host") != platform.node():
         return None
     try:

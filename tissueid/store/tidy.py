@@ -247,7 +247,7 @@ def _fit_of(specimen: Mapping[str, Any]) -> Row:
 
 
 def _sampled(specimen: Mapping[str, Any]) -> Row:
-    """How the posterior was had, empty where nothing was sampled."""
+    """Sampler of the posterior, empty where nothing was sampled."""
     sampler, noise, misfit = specimen["sampler"] or {}, specimen["noise"] or {}, specimen["misfit"] or {}
     return {
         "sampler": sampler.get("name"),

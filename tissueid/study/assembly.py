@@ -42,7 +42,7 @@ LARGE = 200
 
 @dataclass(slots=True)
 class Assembled:
-    """What a run found, in few words.
+    """Results of a run, in few words.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class Assembled:
 
     @property
     def large(self) -> bool:
-        """Whether the set has no merged files."""
+        """True where the set has no merged files."""
         return self.jobs > LARGE
 
 
@@ -206,7 +206,7 @@ def _listed(index: Index, job: JobRow, path: Path, *, fitted: bool) -> ListedSpe
 
 
 def _refusals_of_readers(index: Index, study: Study | None) -> tuple[list[Refusal], list[Mapping[str, Any]]]:
-    """What could not be read, and rows for those of them that the user had taken out anyway."""
+    """Refusals of what could not be read, and rows for those of them that the user had taken out anyway."""
     refused = [Refusal(**row.refusal) for row in index.refused() if row.refusal is not None]
     collected = Collected()
     kept = without_excluded(refused, collected, study)

@@ -96,7 +96,7 @@ def _remove_others(folder: Path, used: set[str]) -> None:
 
 
 def _lost_output(out: Path, index: Index, error: OSError) -> str:
-    """What became of the run where a file could not be written."""
+    """Error of a run that could not write a file."""
     done = index.count("done")
     kept = f"{done} finished specimen{'s' * (done != 1)} are kept" if done else "nothing was finished"
     way_out = "free space and run" if error.errno in _FULL else "run"
@@ -146,7 +146,7 @@ class _Cohort:
 
     @property
     def large(self) -> bool:
-        """Whether the report has a page a specimen."""
+        """True where the report has a page a specimen."""
         return len(self.specimens) > LARGE
 
     def _while_read(self, inventory: Inventory) -> Identification | None:

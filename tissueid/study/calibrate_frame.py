@@ -1,4 +1,4 @@
-"""How far machine, load cell and fixture give: a curve of deflection from recordings of a rigid block.
+"""Deflection of machine, load cell and fixture: a curve of deflection from recordings of a rigid block.
 
 In a loading of a rigid block all travel is the frame's: ``x = x_0 + u(F)``, with u as in
 :mod:`tissueid.model.frame`, linear in the compliances at knots of force.  They are found by non-negative

@@ -38,7 +38,7 @@ LOOK_S = 1.0
 
 
 def compute(content: bytes, folder: str, wanted: dict[str, str]) -> bytes:
-    """What a worker does: a packed task in, a packed outcome out.
+    """Work of a worker: a packed task in, a packed outcome out.
 
     Parameters
     ----------

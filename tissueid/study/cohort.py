@@ -33,7 +33,7 @@ POPULATION_FILES = (_DOCUMENT, _BUNDLE, _PAGE)
 
 @dataclass(frozen=True, slots=True)
 class PopulationRequest:
-    """What is asked of a cohort.
+    """Request for a cohort.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class WrittenPopulation:
 
     @property
     def converged(self) -> bool:
-        """Whether the chains met their rule."""
+        """True where the chains met their rule."""
         return bool(self.document["population"]["sampler"]["converged"])
 
 

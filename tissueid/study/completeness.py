@@ -1,4 +1,4 @@
-"""How complete the description of a study is: what a reviewer asks for, what is missing, and a grade.
+"""Completeness of a study's description: what a reviewer asks for, what is missing, and a grade.
 
 Every item has a weight: 3 where the numbers can't be compared with anybody's without it, 2 where a reviewer
 asks for it, 1 where it helps.  An item of the specimens counts by the share of specimens that state it.

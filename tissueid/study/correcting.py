@@ -26,7 +26,7 @@ _SWITCHES = {"rupture": False, "exclude": True}
 
 
 class CorrectedInspection:
-    """What the server of the page asks for; one request at a time.
+    """Inspection that the page's server corrects; one request at a time.
 
     Parameters
     ----------

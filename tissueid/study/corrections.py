@@ -72,7 +72,7 @@ class Correction:
         return {**self.where, **own, "because": self.because.strip()}
 
     def made(self, entry: Mapping[str, Any]) -> bool:
-        """Whether a table is an earlier one of this decision."""
+        """True where a table is an earlier one of this decision."""
         keys = {*self.where, "because", *({self.key} - {"exclude"})}
         return set(entry) == keys and all(entry[key] == value for key, value in self.where.items())
 
@@ -165,7 +165,7 @@ def _deciding(study: Study, key: str, path: str, sheet: str | None) -> list[Entr
 
 
 def standing(study: Study | None, path: str, sheet: str | None) -> dict[str, tuple[Any, str]]:
-    """What is decided of a recording: value and reason, by key of :data:`CORRECTED`.
+    """Standing decisions on a recording: value and reason, by key of :data:`CORRECTED`.
 
     Parameters
     ----------

@@ -48,7 +48,7 @@ class CrateFile:
 def crate_files(
     study: Study, trials: Sequence[Trial], anonymiser: Anonymiser | None = None
 ) -> list[CrateFile]:
-    """What a crate holds beside its metadata.
+    """Files of a crate beside its metadata.
 
     Parameters
     ----------

@@ -25,7 +25,7 @@ __all__ = ["Inspection", "reader_words", "relative_name", "study_folder"]
 
 
 def study_folder(paths: Sequence[str]) -> Path:
-    """Where study.toml stands, or would: beside or above what was named."""
+    """Folder of study.toml, there or not: beside or above what was named."""
     folders = [path if path.is_dir() else path.parent for path in (Path(name).resolve() for name in paths)]
     common = folders[0]
     while any(common not in (folder, *folder.parents) for folder in folders):
@@ -41,7 +41,7 @@ def relative_name(path: str, root: Path) -> str:
 
 
 def reader_words(document: dict[str, Any]) -> str:
-    """Which reader read a recording, and why."""
+    """Words on the reader of a recording, and the reason."""
     marks = (("encoding", "{}"), ("delimiter", "delimiter {!r}"), ("decimal", "decimal mark {!r}"))
     text = [
         f"Read as {document['recipe']} (sure to {document['recipe_confidence']:.0%})",
@@ -61,7 +61,7 @@ class _Made:
 
 
 class Inspection:
-    """What is said of recordings, in their order; each is let go as soon as it is described.
+    """Inspection of recordings, in their order; each is let go as soon as it is described.
 
     Parameters
     ----------

@@ -36,11 +36,11 @@ class StudyParts:
                     self._naming[table].setdefault(file, []).append((number, place))
 
     def of_file(self, path: str) -> Study:
-        """What is said of one file, all its sheets included."""
+        """Remarks on one file, all its sheets included."""
         return self._part({self.study.real_path(path)}, None, ())
 
     def of_specimen(self, specimen: str, recordings: Iterable[tuple[str, str | None]]) -> Study:
-        """What is said of one specimen (by its name as shown) and of its recordings (path and sheet)."""
+        """Remarks on one specimen (by its name as shown) and of its recordings (path and sheet)."""
         own = [(self.study.real_path(path), sheet) for path, sheet in recordings]
         return self._part({path for path, _ in own}, own, (specimen,))
 

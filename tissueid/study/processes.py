@@ -218,7 +218,7 @@ class LocalProcesses:
 
 
 def _how(code: int | None) -> str:
-    """How a process ended, in words."""
+    """End of a process, in words."""
     if code is None or code >= 0 or sys.platform == "win32":
         return f"exit code {code}"
     try:

@@ -1,4 +1,4 @@
-"""What the machine did, read from the recordings: groups of one program, with steps, holds and speeds."""
+"""Programs of the machine, read from the recordings: groups of one program, with steps, holds and speeds."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ class Step:
     control: str = "position"
 
     def held_like(self, other: Step) -> bool:
-        """Whether two steps are held alike."""
+        """True where two steps are held alike."""
         return self.control == other.control and _near(self.hold_s, other.hold_s)
 
     def like(self, other: Step) -> bool:
-        """Whether two steps are one of a program; how far they go is left open."""
+        """True where two steps are one of a program; how far they go is left open."""
         return self.held_like(other) and _near(self.speed_mm_s, other.speed_mm_s)
 
 
@@ -101,7 +101,7 @@ class Program:
     _runs: list[_Run] = field(default_factory=list)
 
     def takes(self, run: _Run) -> bool:
-        """Whether a recording is one more of it; the first one is the measure."""
+        """True where a recording is one more of it; the first one is the measure."""
         return not self._runs or self._runs[0].like(run)
 
     def add(self, position: int, specimen: str, run: _Run) -> None:
@@ -152,7 +152,7 @@ class Program:
         return " ".join(parts)
 
     def comments(self) -> list[str]:
-        """What was seen, with its counts."""
+        """Observations, with their counts."""
         length, force = self._runs[0].units
         count = len(self._runs)
         lines = [f"{_counted(count, 'recording')} of {_counted(len(self.specimens), 'specimen')}"]
@@ -259,7 +259,7 @@ def _near(one: float | None, other: float | None, share: float = SAME) -> bool:
 
 
 def _all_near(values: Sequence[float], share: float = SAME) -> bool:
-    """Whether there are values, and they are one."""
+    """True where there are values, and they are one."""
     return bool(values) and min(values) > 0.0 and _near(min(values), max(values), share)
 
 

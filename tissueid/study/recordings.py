@@ -1,4 +1,4 @@
-"""Which recordings belong to a study, and how each is read.
+"""Recordings of a study, and the options each is read with.
 
 A folder that holds ``study.toml`` is read with it, and so is a file of that folder.  The files that the
 manifest names come first, in its order; recordings beside them are read as well, unless the study says
@@ -131,7 +131,7 @@ def listed_files(study: Study) -> list[str]:
 
 
 def options_for(study: Study | None, base: ReadOptions, path: str, sheet: str | None) -> ReadOptions:
-    """How one file, or one sheet of it, is read: the run's options with the study's columns and units."""
+    """Options of one file, or of one sheet of it: the run's options with the study's columns and units."""
     if study is None:
         return base
     override = study.decision(path, sheet).override

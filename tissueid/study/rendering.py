@@ -1,4 +1,4 @@
-"""What a renderer will do with a specimen's tissue: scales, stability, and what lies outside its validity.
+"""Rendering of a specimen's tissue: scales, stability, and what lies outside its validity.
 
 The same check that ``tissueid render`` makes before any force, on the presets of the devices that are known;
 nothing is opened and nothing moves.
@@ -68,7 +68,7 @@ def _row(check: Precheck, speeds_mm_s: tuple[float, float]) -> dict[str, Any]:
 
 
 def rendering_of(specimen: Mapping[str, Any], stored: StoredPosterior | None) -> dict[str, Any] | None:
-    """What the report says of rendering one specimen; ``None`` where its model is not all there.
+    """Words of the report on rendering one specimen; ``None`` where its model is not all there.
 
     Parameters
     ----------

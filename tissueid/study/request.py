@@ -1,4 +1,4 @@
-"""What a user asks of a cohort, and who computes it: this process, others of this machine, or a cluster."""
+"""Request of a user for a cohort, and its workplace: this process, others of this machine, or a cluster."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def _nothing(*_: Any) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What is to be fitted, and how.
+    """Request for a fit.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ def expected_seconds(samples: int, specimens: int, options: IdentifyOptions) -> 
 
 
 class Workplace:
-    """Where a run computes; processes and connections are opened when they are first needed.
+    """Workplace of a run; processes and connections are opened when they are first needed.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ class Workplace:
 
     @property
     def shared_disk(self) -> bool:
-        """Whether workers see the folders of this process."""
+        """True where workers see the folders of this process."""
         return self._scheduler == LOCAL
 
     def workforce(

@@ -122,7 +122,7 @@ class RecentTrials:
 
 
 def chain_file(folder: str | Path, specimen: str) -> Path:
-    """Where the chain of a specimen is kept while it is sampled."""
+    """Place of a specimen's chain while it is sampled."""
     return Path(folder) / f"{hashlib.sha256(specimen.encode()).hexdigest()[:16]}.npz"
 
 
@@ -198,7 +198,7 @@ def result_of(
     shown: str,
     options: IdentifyOptions,
 ) -> SpecimenResult:
-    """What is kept of an identification of one specimen.
+    """Stored part of an identification of one specimen.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Which recording belongs to which specimen: every file is read once, and nothing is segmented.
+"""Survey of recordings and their specimens: every file is read once, and nothing is segmented.
 
 A file whose bytes are those that an earlier run saw, read in the same way, is hashed and not parsed.
 """
@@ -68,7 +68,7 @@ class NamedFile:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What a file holds: one recording, or the refusal in its place.
+    """Contents of a file: one recording, or the refusal in its place.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ def refusal_of(error: InputError) -> Refusal:
 
 
 def found_in(item: Trial | InputError) -> Found:
-    """What one item of a reader says of its file."""
+    """Contents of a file by one item of its reader."""
     if isinstance(item, InputError):
         return Found(item.sheet, "", "", 0, refusal_of(item))
     return Found(item.source.sheet, item.source.sha256, item.specimen, int(item.time_s.size))
@@ -144,7 +144,7 @@ def reading_key(options: ReadOptions, study: Study | None) -> str:
 
 
 def recording_rows(path: str, found: Sequence[Found], parts: StudyParts | None) -> Iterator[RecordingRow]:
-    """What a file holds, with what the study decides on it.
+    """Rows of a file's contents, with the study's decisions on them.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def recording_rows(path: str, found: Sequence[Found], parts: StudyParts | None) 
 
 
 def found_again(rows: Sequence[RecordingRow]) -> list[Found]:
-    """What an earlier run put down of a file."""
+    """Contents of a file as an earlier run put them down."""
     return [
         Found(
             row.sheet,

@@ -61,7 +61,7 @@ class Fault:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of a task.
+    """Outcome of a task.
 
     Attributes
     ----------
@@ -94,7 +94,7 @@ def packed(value: Any) -> bytes:
 
 
 def unpacked(content: bytes) -> Any:
-    """What :func:`packed` packed; only ever of our own processes."""
+    """Unpack what :func:`packed` packed; only ever of our own processes."""
     return pickle.loads(content)  # noqa: S301 -- tasks come from the process that started this one
 
 
@@ -118,7 +118,7 @@ def perform(what: str, payload: bytes) -> bytes:
 
 
 def _was_interrupted(error: BaseException | None) -> bool:
-    """Whether an interrupt is behind an error: a compiled kernel wraps one that arrives within it."""
+    """True where an interrupt is behind an error: a compiled kernel wraps one that arrives within it."""
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
     return error is not None

@@ -84,7 +84,7 @@ def _recorded(
     truth: dict[str, float],
     rng: np.random.Generator,
 ) -> SyntheticLog:
-    """What the machine writes down."""
+    """Recording of the machine."""
     displacement = travel.at(time_s)
     if recipe.sigma_mm > 0.0:
         displacement = displacement + recipe.sigma_mm * rng.standard_normal(time_s.size)

@@ -1,4 +1,4 @@
-"""How exports of Bluehill differ: locales, versions and options, each with a name."""
+"""Dialects of Bluehill's exports: locales, versions and options, each with a name."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ENGLISH = LANGUAGES["en"].names
 
 @dataclass(frozen=True, slots=True)
 class Dialect:
-    """How the export is printed.
+    """Print of an export.
 
     Attributes
     ----------

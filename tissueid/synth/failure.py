@@ -27,7 +27,7 @@ GRID = 20_001
 
 @dataclass(frozen=True, slots=True)
 class Broken:
-    """Where a test ended, broken or not.
+    """End of a test, broken or not.
 
     Attributes
     ----------

@@ -14,7 +14,7 @@ __all__ = ["LANGUAGES", "Words"]
 
 @dataclass(frozen=True, slots=True)
 class Words:
-    """What one language calls the parts of an export.
+    """Names that one language gives the parts of an export.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What the crosshead does, as a polyline of travel over time.
+"""Motion of the crosshead, as a polyline of travel over time.
 
 A program of moves and holds is a polyline already.  A crosshead that slows down to its stop within a time
 r is given a raised-cosine speed, v(t) = v/2 (1 + cos(pi u)), u = (t - t_c + r/2)/r, about the nominal

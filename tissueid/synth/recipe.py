@@ -203,7 +203,7 @@ class Recipe:
 
 
 def _problem(recipe: Recipe) -> str | None:
-    """What is wrong with a recipe, or ``None``."""
+    """Fault of a recipe, or ``None``."""
     for name in NONNEGATIVE:
         if not getattr(recipe, name) >= 0.0:
             return f"{name} is {getattr(recipe, name)}, must be >= 0"

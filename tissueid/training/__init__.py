@@ -1,1 +1,1 @@
-"""What a guided session says of the hand: how near, how straight, how fast, how smooth."""
+"""Measures of a hand in a guided session: nearness, straightness, speed, smoothness."""

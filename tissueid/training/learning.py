@@ -1,4 +1,4 @@
-"""How attempts of one person get better: a power law of practice.
+"""Practice of one person: a power law over attempts.
 
 ``y = a n^b`` over the number n of the attempt, fitted to ln y by least squares (Newell & Rosenbloom 1981,
 Mechanisms of skill acquisition and the law of practice).  A few attempts do not tell a power from an

@@ -181,7 +181,7 @@ def _ends(height: FloatArray, cone_entry_mm: float, drill_mm: float) -> tuple[in
 
 
 def _placed(time: FloatArray, place: FloatArray, at: int) -> tuple[FloatArray, float]:
-    """Where the tip was at a sample [mm], by a line through a short stretch; its error across the axis."""
+    """Place of the tip at a sample [mm], by a line through a short stretch; its error across the axis."""
     near = np.abs(time - time[at]) <= STRETCH_S
     t = time[near] - time[at]
     design = np.column_stack([np.ones_like(t), t])

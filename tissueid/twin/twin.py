@@ -72,7 +72,7 @@ class Row:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TwinDevice:
-    """What a machine found at the grip of one device.
+    """Findings of a machine at the grip of one device.
 
     Attributes
     ----------
@@ -320,7 +320,7 @@ def _refit(bundle: Bundle, program: Program, felt: Felt, path: Path) -> Specimen
 
 
 def _rows(bundle: Bundle, fit: SpecimenFit) -> list[Row]:
-    """What went in beside what came out."""
+    """Rows of what went in beside what came out."""
     found, rows = {one.name: one for one in fit.parameters}, []
     for one in bundle.parameters:
         out = found.get(one.name)

@@ -1,4 +1,4 @@
-"""Where the fitted tissue expects the force: its curve and the 95 % band of its draws, at two speeds."""
+"""Expected force of the fitted tissue: its curve and the 95 % band of its draws, at two speeds."""
 
 from __future__ import annotations
 

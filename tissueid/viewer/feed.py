@@ -31,7 +31,7 @@ KEPT = 4096
 
 
 class Source(Protocol):
-    """Where a client's samples come from."""
+    """Source of a client's samples."""
 
     @property
     def published(self) -> int:
@@ -39,7 +39,7 @@ class Source(Protocol):
 
     @property
     def ended(self) -> bool:
-        """Whether no more will come."""
+        """True where no more will come."""
 
     def now_s(self) -> float:
         """The clock of the samples' times [s]."""
@@ -70,7 +70,7 @@ class LiveFeed:
 
     @property
     def ended(self) -> bool:
-        """Whether the session has ended."""
+        """True where the session has ended."""
         return self._ended
 
     def end(self) -> None:

@@ -1,4 +1,4 @@
-"""What a page draws of a guided axis: the axis, the funnel, the bone; from the block in a session's log."""
+"""Drawn parts of a guided axis: the axis, the funnel, the bone; from the block in a session's log."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a page may say: four short messages of JSON, each checked before anything is done with it.
+"""Messages of a page: four short ones of JSON, each checked before anything is done with it.
 
 ::
 
@@ -37,14 +37,14 @@ class Answer:
 
 @dataclass(frozen=True, slots=True)
 class Pointer:
-    """Where the hand should go [m], or None to let go."""
+    """Goal of the hand [m], or None to let go."""
 
     position_m: tuple[float, float, float] | None
 
 
 @dataclass(frozen=True, slots=True)
 class Play:
-    """Where a log is read [s from its begin], or None to stay, and whether it stands still."""
+    """Place in a log [s from its begin], or None to stay, and if it stands still."""
 
     at_s: float | None
     paused: bool

@@ -39,7 +39,7 @@ REFUSED, TOO_LONG = 422, 413
 
 
 class DecidedPage(Protocol):
-    """What is served; every method may raise a :class:`tissueid.errors.TissueidError`."""
+    """Page that is served; every method may raise a :class:`tissueid.errors.TissueidError`."""
 
     def page(self) -> str:
         """The page as it stands."""

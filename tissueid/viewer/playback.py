@@ -42,7 +42,7 @@ class Playback:
 
     @property
     def ended(self) -> bool:
-        """Whether the last sample was played."""
+        """True where the last sample was played."""
         return self.now_s() >= self._end_s
 
     def now_s(self) -> float:

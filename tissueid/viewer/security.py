@@ -34,7 +34,7 @@ MOST_QUOTED = 120
 
 
 def is_loopback(host: str) -> bool:
-    """Whether an address is reached from this machine alone."""
+    """True where an address is reached from this machine alone."""
     if host == "localhost":
         return True
     try:
@@ -99,7 +99,7 @@ class Access:
         return None if hmac.compare_digest(token.encode(), self.token.encode()) else "wrong token"
 
     def names(self, host: str) -> bool:
-        """Whether a ``Host`` header names this server: an address it listens on, and its port."""
+        """True where a ``Host`` header names this server: an address it listens on, and its port."""
         name, port = _split(host.lower())
         if port != self.port:
             return False

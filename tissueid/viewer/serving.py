@@ -29,7 +29,7 @@ SILENCE_S = 4.0
 
 @dataclass(frozen=True, slots=True)
 class ViewerOptions:
-    """Where a viewer is served.
+    """Options of a served viewer.
 
     Attributes
     ----------
@@ -150,7 +150,7 @@ class ServedViewer:
 
     @property
     def runs(self) -> bool:
-        """Whether the server is there."""
+        """True where the server is there."""
         return self._process.poll() is None
 
     def tend(self) -> bool:

@@ -1,4 +1,4 @@
-"""What a server shows at the moment, and the clock that says when there is something new to send."""
+"""Shown state of a server, and the clock that says when there is something new to send."""
 
 from __future__ import annotations
 

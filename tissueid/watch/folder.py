@@ -1,4 +1,4 @@
-"""Which recordings of a folder are new, and whole: by asking again and again, on every system alike.
+"""New and whole recordings of a folder: by asking again and again, on every system alike.
 
 A file is whole when its size and time stay the same from one look to the next and it can be opened; a machine
 that still writes, or a spreadsheet that locks it, delays it and no more.
@@ -17,7 +17,7 @@ Fingerprint = tuple[int, int]
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """What one look at the folder found.
+    """Result of one look at the folder.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ def fingerprint(path: Path) -> Fingerprint | None:
 
 
 def opens(path: Path) -> bool:
-    """Whether the file can be read now: Windows refuses what another program still holds."""
+    """True where the file can be read now: Windows refuses what another program still holds."""
     try:
         with path.open("rb") as stream:
             return bool(stream.read(1))

@@ -158,7 +158,7 @@ class WatchSession:
 
 
 def _interrupted(error: BaseException | None) -> bool:
-    """Whether an interrupt is behind an error: a compiled kernel wraps one that arrives within it."""
+    """True where an interrupt is behind an error: a compiled kernel wraps one that arrives within it."""
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
     return error is not None

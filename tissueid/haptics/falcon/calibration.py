@@ -1,4 +1,4 @@
-"""What was measured on a user's own Falcon, in one small file of the user's configuration directory.
+"""Measurements of a user's own Falcon, in one small file of the user's configuration directory.
 
 ::
 

@@ -92,7 +92,7 @@ class Firmware:
 
     @property
     def warning(self) -> str | None:
-        """What to tell the user of a file nobody knows."""
+        """Warning of a file nobody knows."""
         if self.known_as is not None:
             return None
         digest = hashlib.sha256(self.content).hexdigest()
@@ -145,7 +145,7 @@ def find_firmware(path: str | os.PathLike[str] | None = None) -> Firmware:
 
 
 def is_running(transport: ByteTransport) -> bool:
-    """Whether the device answers commands, which only its firmware does.
+    """True where the device answers commands, which only its firmware does.
 
     Sends zero torque in homing mode: a device that was homed stays so.
 

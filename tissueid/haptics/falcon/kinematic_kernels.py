@@ -250,7 +250,7 @@ def _newton(p: Vector, angles: FloatArray, geometry: FloatArray) -> tuple[int, V
 
 @tick_kernel
 def _knees_outward(p: Vector, angles: FloatArray, geometry: FloatArray) -> bool:
-    """Whether a position that satisfies the constraints is the one of the Falcon."""
+    """True where a position that satisfies the constraints is the one of the Falcon."""
     for i in range(3):
         reached, angle = _leg_angle(i, p, geometry)
         if not reached or abs(angle - angles[i]) > SAME_ANGLE:

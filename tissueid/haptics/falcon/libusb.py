@@ -124,7 +124,7 @@ class _Descriptor(ctypes.Structure):
 
 @dataclass(frozen=True)
 class UsbNode:
-    """Where a Falcon is plugged in."""
+    """Place of a Falcon on the bus."""
 
     bus: int
     address: int

@@ -123,7 +123,7 @@ def encode_into(motor: IntArray, leds: int, homing: bool, out: ByteArray) -> Non
 
 @tick_kernel
 def _fits(position: int, byte: int) -> bool:
-    """Whether a byte may stand at a position 1 to 15 of a reply."""
+    """True where a byte may stand at a position 1 to 15 of a reply."""
     if position < STATUS_AT:
         return OFFSET <= byte <= LAST_NIBBLE
     if position == STATUS_AT:

@@ -95,7 +95,7 @@ class ByteTransport(Protocol):
         """
 
     def read(self, timeout_s: float) -> bytes:
-        """What has arrived, waiting for the first byte; nothing after the time-out.
+        """Bytes that have arrived, waiting for the first; nothing after the time-out.
 
         Raises
         ------
@@ -280,7 +280,7 @@ def _cannot_open(path: str, error: OSError) -> str:
 
 
 def is_socket(descriptor: int) -> bool:
-    """Whether a descriptor is a socket."""
+    """True where a descriptor is a socket."""
     return stat.S_ISSOCK(os.fstat(descriptor).st_mode)
 
 

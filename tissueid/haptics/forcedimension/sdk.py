@@ -109,7 +109,7 @@ class Sdk:
             self.library.dhdClose(identity)
 
     def is_homed(self) -> bool:
-        """Whether the device's position is known."""
+        """True where the device's position is known."""
         status = (c_int * STATUS_ENTRIES)()
         self._done("dhdGetStatus", self.library.dhdGetStatus(status, self.identity))
         return bool(status[STATUS_RESET])
@@ -147,7 +147,7 @@ class Sdk:
         return ctypes.cast(getattr(self.library, function), c_void_p).value or 0
 
     def last_error(self) -> str:
-        """What the SDK says of its last error."""
+        """Words of the SDK on its last error."""
         return (self.library.dhdErrorGetLastStr() or b"unknown error").decode("utf-8", "replace")
 
     def _done(self, function: str, code: int) -> None:

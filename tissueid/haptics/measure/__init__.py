@@ -1,1 +1,1 @@
-"""What can be measured on a user's device: its link, its force constant, its damping."""
+"""Measurements on a user's device: its link, its force constant, its damping."""

@@ -44,7 +44,7 @@ DIAGONAL = np.full(3, 3.0**-0.5)
 
 @dataclass(frozen=True)
 class GripWeight:
-    """What :func:`weigh_poses` found.
+    """Result of :func:`weigh_poses`.
 
     Attributes
     ----------

@@ -25,7 +25,7 @@ UNSEEN_TICKS = 0.5
 
 @dataclass(frozen=True)
 class LinkReport:
-    """What :func:`measure_link` found.
+    """Result of :func:`measure_link`.
 
     Attributes
     ----------

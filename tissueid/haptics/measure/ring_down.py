@@ -61,7 +61,7 @@ class ArmEstimate:
 
     @property
     def safe_damping(self) -> float:
-        """What may be relied on [N s/m]: less two standard errors and what delay may hide, never negative."""
+        """Damping to rely on [N s/m]: less two standard errors and what delay may hide, never negative."""
         return max(self.damping_N_s_per_m - 2.0 * self.damping_stderr - SYSTEMATIC, 0.0)
 
 

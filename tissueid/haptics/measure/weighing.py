@@ -1,4 +1,4 @@
-"""How many newtons a newton is: the device holds a known mass up, and says how strong it thinks it is.
+"""Force constant by a known mass: the device holds a known mass up, and says how strong it thinks it is.
 
 The grip is held by a spring with an integrating part, and led up and down a few millimetres: over whole
 periods friction takes as much as it gives, so that the mean of the force sent is the weight held.  Once
@@ -43,7 +43,7 @@ NEARLY = 0.99
 
 @dataclass(frozen=True)
 class Weighing:
-    """What :func:`weigh` found.
+    """Result of :func:`weigh`.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Where the numbers of a controlled loop stand in its flat block, for compiled code.
+"""Places of a controlled loop's numbers in its flat block, for compiled code.
 
 SI units: metres, newtons, seconds, kilograms.  The tissue's own law stays in mm and N and is a block of its
 own (:func:`tissueid.model.kernels.pack_law`).

@@ -1,4 +1,4 @@
-"""What ``tissueid control`` says, as plain data (schemas/control.schema.json)."""
+"""Document of ``tissueid control``, as plain data (schemas/control.schema.json)."""
 
 from __future__ import annotations
 

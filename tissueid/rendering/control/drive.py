@@ -1,4 +1,4 @@
-"""What acts on a controlled loop from outside, and the tissue at its other end (compiled)."""
+"""Forces on a controlled loop from outside, and the tissue at its other end (compiled)."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ LAST_S = 5.0
 
 @dataclass(frozen=True, slots=True)
 class Measures:
-    """What is said of a run.
+    """Measures of a run.
 
     Attributes
     ----------
@@ -94,7 +94,7 @@ def _share_at(control: np.ndarray, limit: float) -> float:
 
 
 def _excess(run: ControlRun) -> np.ndarray:
-    """How much faster than (I-6) V rose after each row [W], shape (rows - 1,)."""
+    """Excess over (I-6) by which V rose after each row [W], shape (rows - 1,)."""
     slope = np.diff(run.lyapunov) / np.diff(run.time_s)
     rho = np.sum(run.rho_m_s**2, axis=1)[:-1]
     allowed = -run.settings.gains.damping_N_s_per_m * rho + run.sigma[:-1]

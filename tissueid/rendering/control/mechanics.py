@@ -61,7 +61,7 @@ class Mechanics:
 
     @property
     def axes(self) -> int:
-        """How many axes, n."""
+        """Number of axes, n."""
         return len(self.mass_kg)
 
     def parameters(self) -> FloatArray:

@@ -1,4 +1,4 @@
-"""What a controlled loop is made of, as frozen data: the virtual mass and all gains are assumed."""
+"""Settings of a controlled loop, as frozen data: the virtual mass and all gains are assumed."""
 
 from __future__ import annotations
 
@@ -201,7 +201,7 @@ class ControlSettings:
         return found, self.operator.mass_kg
 
     def estimated_truth(self) -> FloatArray:
-        """What the estimates should be, shape (p,): device and hand in variant A, the device in B."""
+        """True values of the estimates, shape (p,): device and hand in variant A, the device in B."""
         device, operator = self.true_parameters()
         return device + operator if self.variant == "A" else device
 
@@ -274,7 +274,7 @@ class ControlSettings:
 
 
 def _problems(settings: ControlSettings) -> list[str]:
-    """What makes no sense."""
+    """Problems of the settings."""
     found = []
     if settings.variant not in ("A", "B"):
         found.append(f"there is no variant {settings.variant!r}; give A or B")

@@ -25,7 +25,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ControlRun:
-    """What a loop did, a row a tick; a continuous loop keeps rows at the controller's rate as well.
+    """Record of a loop, a row a tick; a continuous loop keeps rows at the controller's rate as well.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What the emulated Falcon does before its firmware runs: greets, then echoes every byte it is given.
+"""Boot loader of the emulated Falcon: it greets, then echoes every byte it is given.
 
 Which bytes of the echo end the upload the wire does not say: a host changes to the baud rate of the running
 firmware.  Where a transport has no baud rate (a socket), the upload ends after ``firmware_bytes``.

@@ -1,4 +1,4 @@
-"""Where an emulated Falcon is plugged in: a pseudo-terminal or a socket pair, in a thread or a process.
+"""Links of an emulated Falcon: a pseudo-terminal or a socket pair, in a thread or a process.
 
 A pseudo-terminal has a path and a baud rate, and no modem lines; a socket pair has neither, and is what
 timing is tested on.  An unplugged device closes its end, so that a host sees what it would see: an error on

@@ -54,7 +54,7 @@ DIVISOR_BAUD = {0x4138: 9600, 0x0015: 142_857, 0x0002: 1_500_000}
 
 @dataclass(frozen=True, slots=True)
 class EmulatorSettings:
-    """What an emulated Falcon is like.
+    """Settings of an emulated Falcon.
 
     Attributes
     ----------

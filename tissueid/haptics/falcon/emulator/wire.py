@@ -35,7 +35,7 @@ LAMPS = {
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """What a host asked for.
+    """Command of a host.
 
     Attributes
     ----------
