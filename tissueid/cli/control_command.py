@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tissueid.cli.completing import presets
-from tissueid.cli.output import echo_json, echo_lines, note, output_options, write_output
+from tissueid.cli.output import echo_json, echo_lines, output_options
 
 if TYPE_CHECKING:
     from tissueid.rendering.control.settings import ControlSettings
-    from tissueid.rendering.control.simulation import ControlRun
     from tissueid.rendering.tissue_block import Tissue
 
 __all__ = ["command"]
@@ -22,7 +21,7 @@ __all__ = ["command"]
 EPILOG = """\b
 Examples:
   tissueid control bundle.h5
-  tissueid control --preset paper-a --variant A --stiffness-scale 100 --html control.html
+  tissueid control --preset paper-a --variant A --stiffness-scale 100
   tissueid control bundle.h5 --task impacts --no-projection
   tissueid control bundle.h5 --bound 1 --kr 20 --gamma 5 500 5000 --start zero --task free-contact
   tissueid control bundle.h5 --device sim
@@ -69,7 +68,6 @@ _CONTROLLER = (
     click.option("--noise", type=_FROM_0, default=0.0, show_default=True, metavar="N", help="Of the sensor."),
     click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of that noise."),
     click.option("--device", metavar="NAME", help="Render on a device with a force sensor as well: sim."),
-    click.option("--html", type=click.Path(dir_okay=False), metavar="FILE", help="Write a page of curves."),
 )  # fmt: skip
 
 
@@ -88,7 +86,7 @@ def command(**flags: Any) -> int:
 
     Beside the controller that was asked for runs the one that does not adapt (or the one that does, with
     --frozen), and the tissue at its own stiffness. Which numbers are published, read, derived or assumed is
-    in the page and in --json. Exit code 4 where the loop does not stay bounded.
+    in --json. Exit code 4 where the loop does not stay bounded.
     """
     from tissueid.rendering.control.admittance import render_on_simulated, require_force_sensor
     from tissueid.rendering.control.document import as_document
@@ -103,9 +101,6 @@ def command(**flags: Any) -> int:
     if flags["device"] is not None:
         on_device = render_on_simulated(tissue, stiffness_scale=flags["stiffness_scale"]).as_json()
     document = as_document(runs, source=source, device=on_device)
-    if flags["html"]:
-        _write_page(flags["html"], document, runs)
-        note(f"wrote {flags['html']}", quiet=flags["quiet"])
     if flags["as_json"]:
         echo_json(document)
     elif not flags["quiet"]:
@@ -170,17 +165,6 @@ def _beside(settings: ControlSettings) -> dict[str, ControlSettings]:
     return found
 
 
-def _write_page(path: str, document: Mapping[str, Any], runs: Mapping[str, ControlRun]) -> None:
-    from datetime import UTC, datetime
-
-    from tissueid.rendering.control.document import series_of
-    from tissueid.report.control_page import render_control
-
-    series = {name: series_of(run) for name, run in runs.items()}
-    created = datetime.now(UTC).isoformat(timespec="seconds")
-    write_output(path, render_control(document, series, created=created).encode("utf-8"))
-
-
 def _lines(document: Mapping[str, Any]) -> list[str]:
     """Printed lines."""
     mass, tissue = document["virtual_mass"], document["tissue"]
@@ -194,6 +178,8 @@ def _lines(document: Mapping[str, Any]) -> list[str]:
     ]
     for run in document["runs"]:
         lines += _run_lines(run, tissue["depth_mm"])
+    if document["environment"] == "impedance":
+        lines.append("an impedance-type loop leads by velocity alone: its error of position means nothing")
     return lines + _device_lines(document["device"])
 
 

@@ -15,11 +15,9 @@ from tissueid.rendering.control.settings import ControlSettings
 from tissueid.rendering.control.simulation import ControlRun
 from tissueid.rendering.control.virtual_mass import MARGIN, virtual_mass_bound
 
-__all__ = ["SCHEMA", "as_document", "series_of", "settings_table"]
+__all__ = ["SCHEMA", "as_document", "settings_table"]
 
 SCHEMA = "tissueid/control/1"
-#: Points of a drawn curve; of each stretch the sample farthest from its mean is kept: no peak is lost.
-MOST_POINTS = 1500
 
 TABLE_3 = "Sadeghnejad et al., Table 3; which number is which, and the units, are a reading"
 STATED = "stated by the user"
@@ -154,31 +152,3 @@ def as_document(
         "runs": [_run(name, run) for name, run in runs.items()],
         "device": None if device is None else dict(device),
     }
-
-
-def series_of(run: ControlRun) -> dict[str, list[list[float]]]:
-    """Curves for the page: name -> [times, values], thinned so that peaks stay."""
-    error = 1e3 * (run.tool_position_m - run.position_m)[:, 0]
-    curves = {
-        "position_mm": 1e3 * run.position_m[:, 0],
-        "tool_position_mm": 1e3 * run.tool_position_m[:, 0],
-        "velocity_mm_s": 1e3 * run.velocity_m_s[:, 0],
-        "tool_velocity_mm_s": 1e3 * run.tool_velocity_m_s[:, 0],
-        "error_mm": error,
-        "velocity_error_mm_s": 1e3 * (run.tool_velocity_m_s - run.velocity_m_s)[:, 0],
-        "environment_force_N": run.environment_force_N,
-        "hand_force_N": run.hand_force_N[:, 0],
-        "control_force_N": run.control_force_N[:, 0],
-        "mass_kg": run.estimates[:, 0],
-        "damping_N_s_per_m": run.estimates[:, 1],
-        "stiffness_N_per_m": run.estimates[:, 2],
-        "lyapunov": run.lyapunov,
-    }
-    return {name: _thinned(run.time_s, values) for name, values in curves.items()}
-
-
-def _thinned(time_s: np.ndarray, values: np.ndarray) -> list[list[float]]:
-    stretches = np.array_split(np.arange(values.size), min(MOST_POINTS, values.size))
-    kept = [one[np.abs(values[one] - values[one].mean()).argmax()] for one in stretches]
-    # six digits are more than a screen shows
-    return [[float(f"{number:.6g}") for number in row[kept]] for row in (time_s, values)]
