@@ -13,7 +13,7 @@ import pytest
 from command_line import REPOSITORY, run
 
 from tissueid import __version__
-from tissueid.cli.main import COMMANDS
+from tissueid.cli.main import COMMANDS, GROUPS
 
 README = (REPOSITORY / "README.md").read_text(encoding="utf-8")
 HEAVY = ("numpy", "pandas", "lmfit", "rich", "scipy", "numba", "h5py", "plotly", "jinja2", "pint")
@@ -58,6 +58,15 @@ def test_help_lists_every_command_with_what_it_does() -> None:
     for name, meaning in COMMANDS.items():
         assert f"{name} {meaning}" in text
     assert "Examples:" in ended.stdout
+
+
+def test_every_command_is_in_one_group_and_keeps_one_promise() -> None:
+    grouped = [name for names in GROUPS.values() for name in names]
+    assert sorted(grouped) == sorted(COMMANDS)
+    vision = (REPOSITORY / "VISION.md").read_text(encoding="utf-8")
+    rows = [row for row in vision.splitlines() if re.match(r"\| [123] \|", row)]
+    named = [name for row in rows for name in re.findall(r"`([a-z-]+)`", row)]
+    assert sorted(named) == sorted(COMMANDS)
 
 
 def test_version_is_that_of_the_package() -> None:

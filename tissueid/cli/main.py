@@ -55,6 +55,15 @@ COMMANDS = {
     "view": "Look at a session in a browser: one that was recorded, or runs elsewhere.",
 }
 
+#: Group of the help -> its sub-commands; VISION.md says which promise each of them keeps.
+GROUPS = {
+    "Everyday": ("inspect", "fit", "report", "render", "export", "models", "status", "explain"),
+    "Study": ("study", "cohort", "compare", "rupture", "watch", "validate", "migrate"),
+    "Plan": ("design", "calibrate-frame"),
+    "Devices": ("devices", "view", "training"),
+    "Proof": ("calibrate", "reproduce", "control", "synth", "doctor", "config", "completion"),
+}
+
 #: The matrices of a fit are small: threads of the linear algebra library make it ten times slower by
 #: waiting for each other.  Read when numpy is loaded, which is after this.
 BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
@@ -77,9 +86,9 @@ class LazyGroup(click.Group):
     """A group that imports a sub-command only when it is run or asked for help."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Names in the order of :data:`COMMANDS`."""
+        """Names in the order of :data:`GROUPS`."""
         del ctx
-        return list(COMMANDS)
+        return [name for names in GROUPS.values() for name in names]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """The sub-command, imported now."""
@@ -119,8 +128,9 @@ class LazyGroup(click.Group):
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List the sub-commands without importing them."""
         del ctx
-        with formatter.section("Commands"):
-            formatter.write_dl(list(COMMANDS.items()))
+        for title, names in GROUPS.items():
+            with formatter.section(title):
+                formatter.write_dl([(name, COMMANDS[name]) for name in names], col_max=17, col_spacing=2)
 
 
 @click.command(cls=LazyGroup, epilog=EPILOG, context_settings={"help_option_names": ["-h", "--help"]})
