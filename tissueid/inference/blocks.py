@@ -257,77 +257,116 @@ def log_blocks(
     -------
     Blocks
     """
-    time, depth, force, include = data.time_s, data.depth_mm, data.force_N, data.include
-    breaks = np.zeros(time.size, dtype=bool) if data.breaks is None else data.breaks
-    if data.exact:
-        first = np.arange(time.size) if whole else _edges(time, depth, _stops(include, breaks))[:-1]
-        used = first[include[first]]
-        grid_t, grid_x, at = _followed(time, depth, used)
-        y, count, mid = force[used], np.ones(used.size, dtype=np.int64), time[used]
-        fold, step = data.fold[used], np.full(used.size, step_s)
-        within, freedom = 0.0, 0
-        opens, place = breaks[used], np.arange(used.size)
-    elif whole or time.size <= SAMPLED:
-        used = np.flatnonzero(include)
-        at = np.repeat(used[:, None], 3, axis=1)
-        grid_t, grid_x = time, depth
-        y, count, mid = force[used], np.ones(used.size, dtype=np.int64), time[used]
-        fold = data.fold[used]
-        step = np.full(used.size, step_s)
-        within, freedom = 0.0, 0
-        opens, place = breaks[used], used
+    time, force, include = data.time_s, data.force_N, data.include
+    if data.exact or whole or time.size <= SAMPLED:
+        got = _single_samples(data, step_s=step_s, whole=whole)
     else:
-        opened = np.flatnonzero((np.diff(include.astype(np.int8), prepend=include[0]) != 0) | breaks)
-        # a sample beside a gap is alone: half of the gap is not what its block was sampled over
-        stops = np.unique(np.concatenate([opened - 1, opened, opened + 1]))
-        if data.fold.any():
-            stops = np.union1d(stops, np.flatnonzero(np.diff(data.fold, prepend=data.fold[0]) != 0))
-        edges = _edges(time, depth, [int(one) for one in stops if 0 < one < time.size])
-        ends_t, ends_x = _ends(time, depth, edges)
-        grid_t = np.empty(2 * edges.size - 1)
-        grid_x = np.empty(grid_t.size)
-        grid_t[::2], grid_x[::2] = ends_t, ends_x
-        grid_t[1::2] = 0.5 * (ends_t[1:] + ends_t[:-1])
-        grid_x[1::2] = 0.5 * (ends_x[1:] + ends_x[:-1])
-        first = edges[:-1]
-        size = np.diff(edges)
-        single = np.flatnonzero(size == 1)
-        grid_t[2 * single + 1], grid_x[2 * single + 1] = time[first[single]], depth[first[single]]
-        place = kept = np.flatnonzero(include[first])
-        at = 2 * kept[:, None] + np.where(size[kept, None] == 1, 1, np.arange(3))
-        count = size[kept]
-        y = (np.add.reduceat(force, first) / size)[kept]
-        mid = (np.add.reduceat(time, first) / size)[kept]
-        span = (time[edges[1:] - 1] - time[first])[kept]
-        step = np.where(count > 1, span / np.maximum(count - 1, 1), step_s)
-        fold = data.fold[first[kept]]
-        opens = np.add.reduceat(breaks.astype(np.int64), first)[kept] > 0
-        within, freedom = _within(time, force, edges, kept)
+        got = _reduced(data, step_s=step_s)
+    grid_t, grid_x, at = got.grid_s, got.grid_mm, got.at
     if not data.exact:
-        grid_t, grid_x, at = _with_corners((grid_t, grid_x), at, _corners(time, depth))
+        grid_t, grid_x, at = _with_corners((grid_t, grid_x), at, _corners(time, data.depth_mm))
     if leads:
         t0, x0 = _with_lead(grid_t, grid_x, contact_sd_mm, step_s)
         grid_t, grid_x = np.concatenate([[t0], grid_t]), np.concatenate([[x0], grid_x])
         at = at + 1
-    chain = opens.copy()
+    chain = got.opens.copy()
     chain[0] = True
-    gap = np.diff(place, prepend=place[0] - 1) > 1
+    gap = np.diff(got.place, prepend=got.place[0] - 1) > 1
     ratio = np.zeros(time.size) if data.speed_ratio is None else data.speed_ratio
     return Blocks(
         time_s=np.ascontiguousarray(grid_t),
         depth_mm=np.ascontiguousarray(grid_x),
         at=at,
-        force_N=np.ascontiguousarray(y),
-        count=count,
-        mid_s=mid,
-        step_s=np.maximum(step, 1e-12),
+        force_N=np.ascontiguousarray(got.force_N),
+        count=got.count,
+        mid_s=got.mid_s,
+        step_s=np.maximum(got.step_s, 1e-12),
         chain=chain | gap,
-        fold=fold,
-        within_N2=within,
-        within_freedom=freedom,
+        fold=got.fold,
+        within_N2=got.within_N2,
+        within_freedom=got.freedom,
         contact_sd_mm=contact_sd_mm,
-        digits=_digits(force[include], y),
+        digits=_digits(force[include], got.force_N),
         speed_ratio=np.interp(grid_t, time, ratio),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Observations:
+    """Observations of a log on the broken line of its travel, before corners and lead."""
+
+    grid_s: FloatArray
+    grid_mm: FloatArray
+    at: IntArray
+    force_N: FloatArray
+    count: IntArray
+    mid_s: FloatArray
+    step_s: FloatArray
+    fold: IntArray
+    opens: NDArray[np.bool_]
+    #: Place of each among samples or blocks: neighbours without one between them are one chain of noise.
+    place: IntArray
+    within_N2: float = 0.0
+    freedom: int = 0
+
+
+def _breaks(data: LogData) -> NDArray[np.bool_]:
+    return np.zeros(data.time_s.size, dtype=bool) if data.breaks is None else data.breaks
+
+
+def _single_samples(data: LogData, *, step_s: float, whole: bool) -> _Observations:
+    """Samples as they are: each, or of a travel that is known exactly the first of each block."""
+    time, depth, breaks = data.time_s, data.depth_mm, _breaks(data)
+    if data.exact:
+        first = np.arange(time.size) if whole else _edges(time, depth, _stops(data.include, breaks))[:-1]
+        used = first[data.include[first]]
+        grid_t, grid_x, at = _followed(time, depth, used)
+        place = np.arange(used.size)
+    else:
+        used = place = np.flatnonzero(data.include)
+        grid_t, grid_x, at = time, depth, np.repeat(used[:, None], 3, axis=1)
+    count, step = np.ones(used.size, dtype=np.int64), np.full(used.size, step_s)
+    return _Observations(
+        grid_t, grid_x, at, data.force_N[used], count, time[used], step, data.fold[used], breaks[used], place
+    )
+
+
+def _reduced(data: LogData, *, step_s: float) -> _Observations:
+    """Blocks of a long log."""
+    time, depth, force, include = data.time_s, data.depth_mm, data.force_N, data.include
+    breaks = _breaks(data)
+    opened = np.flatnonzero((np.diff(include.astype(np.int8), prepend=include[0]) != 0) | breaks)
+    # a sample beside a gap is alone: half of the gap is not what its block was sampled over
+    stops = np.unique(np.concatenate([opened - 1, opened, opened + 1]))
+    if data.fold.any():
+        stops = np.union1d(stops, np.flatnonzero(np.diff(data.fold, prepend=data.fold[0]) != 0))
+    edges = _edges(time, depth, [int(one) for one in stops if 0 < one < time.size])
+    ends_t, ends_x = _ends(time, depth, edges)
+    grid_t = np.empty(2 * edges.size - 1)
+    grid_x = np.empty(grid_t.size)
+    grid_t[::2], grid_x[::2] = ends_t, ends_x
+    grid_t[1::2] = 0.5 * (ends_t[1:] + ends_t[:-1])
+    grid_x[1::2] = 0.5 * (ends_x[1:] + ends_x[:-1])
+    first, size = edges[:-1], np.diff(edges)
+    single = np.flatnonzero(size == 1)
+    grid_t[2 * single + 1], grid_x[2 * single + 1] = time[first[single]], depth[first[single]]
+    kept = np.flatnonzero(include[first])
+    count = size[kept]
+    span = (time[edges[1:] - 1] - time[first])[kept]
+    within, freedom = _within(time, force, edges, kept)
+    return _Observations(
+        grid_t,
+        grid_x,
+        2 * kept[:, None] + np.where(size[kept, None] == 1, 1, np.arange(3)),
+        (np.add.reduceat(force, first) / size)[kept],
+        count,
+        (np.add.reduceat(time, first) / size)[kept],
+        np.where(count > 1, span / np.maximum(count - 1, 1), step_s),
+        data.fold[first[kept]],
+        np.add.reduceat(breaks.astype(np.int64), first)[kept] > 0,
+        kept,
+        within,
+        freedom,
     )
 
 
