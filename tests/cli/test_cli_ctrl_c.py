@@ -46,7 +46,7 @@ AT_A_STEP: list[tuple[tuple[str, ...], int]] = [
 ]
 #: Command without a progress display, and the function in which the signal comes.
 IN_A_FUNCTION: list[tuple[tuple[str, ...], str]] = [
-    (("control", "a.h5", "--html", "old.html"), "tissueid.rendering.control.document.as_document"),
+    (("control", "a.h5"), "tissueid.rendering.control.document.as_document"),
     (("export", "out", "-o", "old.json"), "tissueid.store.results.read_results"),
     (("report", "out"), "tissueid.store.results.read_results"),
     (("synth", "paper-a-22", "-o", "syn"), "tissueid.synth.write_set"),
@@ -73,8 +73,7 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("a", "b"):
         draws = PAPER_A.theta * np.exp(0.01 * np.random.default_rng(5).standard_normal((200, 5)))
         write_bundle(bundle_of(replace(PAPER_A, name=name), draws=draws), folder / f"{name}.h5")
-    for name in ("old.json", "old.html"):
-        (folder / name).write_text("what was here before", encoding="ascii")
+    (folder / "old.json").write_text("what was here before", encoding="ascii")
     return folder
 
 
