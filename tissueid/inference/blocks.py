@@ -318,7 +318,8 @@ def _single_samples(data: LogData, *, step_s: float, whole: bool) -> _Observatio
     """Samples as they are: each, or of a travel that is known exactly the first of each block."""
     time, depth, breaks = data.time_s, data.depth_mm, _breaks(data)
     if data.exact:
-        first = np.arange(time.size) if whole else _edges(time, depth, _stops(data.include, breaks))[:-1]
+        stops = [int(one) for one in _opened(data.include, breaks) if one > 0]
+        first = np.arange(time.size) if whole else _edges(time, depth, stops)[:-1]
         used = first[data.include[first]]
         grid_t, grid_x, at = _followed(time, depth, used)
         place = np.arange(used.size)
@@ -335,7 +336,7 @@ def _reduced(data: LogData, *, step_s: float) -> _Observations:
     """Blocks of a long log."""
     time, depth, force, include = data.time_s, data.depth_mm, data.force_N, data.include
     breaks = _breaks(data)
-    opened = np.flatnonzero((np.diff(include.astype(np.int8), prepend=include[0]) != 0) | breaks)
+    opened = _opened(include, breaks)
     # a sample beside a gap is alone: half of the gap is not what its block was sampled over
     stops = np.unique(np.concatenate([opened - 1, opened, opened + 1]))
     if data.fold.any():
@@ -370,10 +371,9 @@ def _reduced(data: LogData, *, step_s: float) -> _Observations:
     )
 
 
-def _stops(include: NDArray[np.bool_], breaks: NDArray[np.bool_]) -> list[int]:
-    """Samples, but for the first, at which what is fitted begins or ends, or a chain of noise begins."""
-    changes = np.diff(include.astype(np.int8), prepend=include[0]) != 0
-    return [int(stop) for stop in np.flatnonzero(changes | breaks) if stop > 0]
+def _opened(include: NDArray[np.bool_], breaks: NDArray[np.bool_]) -> IntArray:
+    """Samples at which what is fitted begins or ends, or a chain of noise begins."""
+    return np.flatnonzero((np.diff(include.astype(np.int8), prepend=include[0]) != 0) | breaks)
 
 
 def _followed(time: FloatArray, depth: FloatArray, used: IntArray) -> tuple[FloatArray, FloatArray, IntArray]:

@@ -116,8 +116,8 @@ class Calibration:
     def clamp_units(self) -> int:
         """Largest root of the sum of squares of the three motors' commands [motor units].
 
-        What the clamp needs in the middle of the workspace: a pose that is believed wrongly can make no more
-        of it.  Of an uncalibrated constant, no more than the worst one known turns into 5 N.
+        What the clamp needs in the middle of the workspace: there a pose that is believed wrongly makes less
+        than twice the clamp of it.  Of an uncalibrated constant, no more than the worst known turns into 5 N.
         """
         most = MOTOR_LIMIT if self.force_calibrated else LONGEST_ARM_M * UNCALIBRATED_N * WORST_UNITS_PER_NM
         return math.floor(min(most, MOTOR_LIMIT, SPAN_M * self.clamp_N * self.units_per_Nm))
