@@ -111,3 +111,11 @@ def test_a_number_that_hangs_on_an_unknown_parameter_has_no_finite_error():
         return complex_stiffness(MODEL, theta, 2.0, 0.3)[1]
 
     assert np.isinf(delta_method(loss, THETA, covariance, unknown)[1])
+
+
+def test_a_value_without_a_slope_beside_it_has_no_error():
+    def beside_a_pole(theta):
+        return float(theta[0]) if theta[0] <= 1.0 else float("inf")
+
+    value, stderr = delta_method(beside_a_pole, np.ones(1), np.eye(1), np.zeros(1, bool))
+    assert (value, stderr) == (1.0, np.inf)

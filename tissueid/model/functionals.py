@@ -112,7 +112,7 @@ def delta_method(
     Returns
     -------
     value, stderr : float
-        The error is infinite where the value depends on an unknown parameter.
+        The error is infinite where the value depends on an unknown parameter, or has no slope there.
     """
     value = function(theta)
     if not np.isfinite(value):
@@ -127,7 +127,7 @@ def delta_method(
         down[i] -= step
         gradient[i] = (function(up) - function(down)) / (2.0 * step)
     moves = np.abs(gradient * theta) > NO_INFLUENCE * abs(value)
-    if (moves & unknown).any():
+    if (moves & unknown).any() or not np.isfinite(gradient).all():
         return value, float("inf")
     used = np.where(unknown, 0.0, gradient)
     variance = float(used @ np.where(np.isfinite(covariance), covariance, 0.0) @ used)
