@@ -87,6 +87,8 @@ KNOWN_UNITS: Mapping[str, tuple[Quantity, float]] = MappingProxyType(
 KNOWN_WORDS = frozenset(
     {"Time", "Extension", "Load", "Displacement", "Force", "Position", "Depth", "Strain", "Stress"}
 )
+#: Letters that number repeats ("Load-a"), though they may be years, bits or days.
+REPEATS = frozenset("abcde")
 _BRACKETS = re.compile(r"^\s*[(\[]\s*(.*?)\s*[)\]]\s*$", re.DOTALL)
 #: A unit is a short word, perhaps a product of powers: never hand anything else to a parser.
 _UNIT_SHAPED = re.compile(r"[^\W\d_][\w²³]*(?:(?:\s?[/*·]\s?|\^|\*\*|\s)-?[\w²³]+){0,4}|%|µ\w+")
@@ -171,7 +173,7 @@ def quantity_of(unit_text: str) -> Quantity | Literal["other"] | None:
             return quantity
     if unit in KNOWN_UNITS:
         return KNOWN_UNITS[unit][0]
-    parsed = None if unit in KNOWN_WORDS else _parsed(unit)
+    parsed = None if unit in KNOWN_WORDS or unit in REPEATS else _parsed(unit)
     if parsed is None:
         return None
     for quantity, internal in INTERNAL_UNITS.items():

@@ -5,10 +5,12 @@ from __future__ import annotations
 import pint
 import pytest
 
+from tissueid.ingest.columns import split_name
 from tissueid.units import (
     INTERNAL_UNITS,
     KNOWN_UNITS,
     KNOWN_WORDS,
+    REPEATS,
     factor_to,
     quantity_of,
 )
@@ -34,3 +36,9 @@ def test_words_over_columns_are_no_units_of_pint(word):
     with pytest.raises(pint.UndefinedUnitError):
         REGISTRY.parse_units(word)
     assert quantity_of(word) is None
+
+
+@pytest.mark.parametrize("letter", sorted(REPEATS))
+def test_letters_that_number_repeats_are_no_units(letter):
+    assert quantity_of(letter) is None
+    assert split_name(f"Load-{letter}") == (f"Load-{letter}", None)

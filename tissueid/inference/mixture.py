@@ -67,17 +67,30 @@ class Mixture:
         normal /= np.sqrt(rng.chisquare(nu) / nu)[:, None]
         return np.asarray(self.means[which] + np.einsum("nij,nj->ni", self.roots[which], normal))
 
+    def distances(self, z: FloatArray) -> FloatArray:
+        """Squared distances from the means, in units of the roots, (n, d) -> (c, n)."""
+        return np.stack(
+            [_squared(root, mean, z.T) for mean, root in zip(self.means, self.roots, strict=True)]
+        )
+
     def log_density(self, z: FloatArray) -> FloatArray:
         """Normalised, (n, d) -> (n,)."""
+        return self.log_density_at(self.distances(z))
+
+    def log_density_at(self, distances: FloatArray) -> FloatArray:
+        """Normalised, from squared distances, (c, n) -> (n,)."""
         d, nu = self.means.shape[1], self.tails
         norms = gammaln(0.5 * (nu + d)) - gammaln(0.5 * nu) - 0.5 * d * np.log(nu * np.pi)
-        parts = np.empty((len(self.weights), len(z)))
-        for k, (mean, root) in enumerate(zip(self.means, self.roots, strict=True)):
-            y = np.linalg.solve(root, (z - mean).T)
-            parts[k] = norms[k] - np.log(np.abs(np.diag(root))).sum()
-            parts[k] -= 0.5 * (nu[k] + d) * np.log1p((y**2).sum(axis=0) / nu[k])
+        norms -= np.log(np.abs(np.diagonal(self.roots, axis1=1, axis2=2))).sum(axis=1)
+        parts = norms[:, None] - (0.5 * (nu + d))[:, None] * np.log1p(distances / nu[:, None])
         with np.errstate(divide="ignore"):
             return np.asarray(logsumexp(parts + np.log(self.weights)[:, None], axis=0))
+
+
+def _squared(root: FloatArray, mean: FloatArray, columns: FloatArray) -> FloatArray:
+    """Squared lengths of columns from a mean in units of a root, (d, n) -> (n,)."""
+    y = np.linalg.inv(root) @ (columns - mean[:, None])
+    return np.asarray(np.einsum("ij,ij->j", y, y))
 
 
 def _normalised(log_weight: FloatArray) -> tuple[FloatArray, float]:
@@ -113,7 +126,7 @@ def _fitted(z: FloatArray, weight: FloatArray, rng: np.random.Generator) -> Mixt
     centred = z - mean
     whole = (centred * weight[:, None]).T @ centred + 1e-12 * np.eye(d)
     root = np.linalg.cholesky(whole)
-    y = np.linalg.solve(root, centred.T).T
+    y = centred @ np.linalg.inv(root).T
     components = int(np.clip((weight > 0.1 / count).sum() // (6 * d), 1, COMPONENTS))
     means = y[rng.choice(count, size=components, p=weight)]
     covs = np.repeat(np.eye(d)[None], components, axis=0)
@@ -122,10 +135,8 @@ def _fitted(z: FloatArray, weight: FloatArray, rng: np.random.Generator) -> Mixt
         parts = np.empty((components, count))
         for k in range(components):
             factor = np.linalg.cholesky(covs[k])
-            e = np.linalg.solve(factor, (y - means[k]).T)
-            parts[k] = (
-                np.log(max(shares[k], 1e-300)) - 0.5 * (e**2).sum(axis=0) - np.log(np.diag(factor)).sum()
-            )
+            parts[k] = np.log(max(shares[k], 1e-300)) - np.log(np.diag(factor)).sum()
+            parts[k] -= 0.5 * _squared(factor, means[k], y.T)
         belongs = np.exp(parts - logsumexp(parts, axis=0)) * weight
         shares = np.maximum(belongs.sum(axis=1), 1e-12)
         for k in range(components):
@@ -158,13 +169,18 @@ def _best_tails(mixture: Mixture, z: FloatArray, weight: FloatArray, levels: Flo
 
     The first power counts what importance draws are worth; a higher one bears on where walkers get stuck.
     """
-    tried = [mixture, *(_guarded(mixture, nu, wider) for nu, wider in TAILS[1:])]
     used = weight > 0.0
+    distances = mixture.distances(z[used])
+    tried = [(mixture, distances)]
+    for nu, wider in TAILS[1:]:
+        thinner = distances * (TAILS[0][1] / wider) ** 2
+        tried.append((_guarded(mixture, nu, wider), np.concatenate([thinner, distances])))
 
-    def spread(one: Mixture) -> float:
-        return float(logsumexp(STUCK * (levels[used] - one.log_density(z[used])), b=weight[used]))
+    def spread(one: tuple[Mixture, FloatArray]) -> float:
+        apart = levels[used] - one[0].log_density_at(one[1])
+        return float(logsumexp(STUCK * apart, b=weight[used]))
 
-    return min(tried, key=spread)
+    return min(tried, key=spread)[0]
 
 
 def learn_mixture(target: Target, cut: CutNormal, rng: np.random.Generator) -> tuple[Mixture, float]:
@@ -186,20 +202,22 @@ def learn_mixture(target: Target, cut: CutNormal, rng: np.random.Generator) -> t
     first = target.bent(cut.pool[: 2 * ROUND])
     mixture = _fitted(first, np.full(len(first), 1.0 / len(first)), rng)
     z, levels = np.empty((0, target.size)), np.empty(0)
-    used: list[Mixture] = []
+    used: list[tuple[Mixture, FloatArray]] = []
     recent, best = [0.0], (0.0, mixture)
     for _ in range(ROUNDS):
         new = mixture.draw(ROUND, rng)
         value = target.densities(new)
-        _, worth = _normalised(value - mixture.log_density(new))
+        used = [(one, np.append(known, one.log_density(new))) for one, known in used]
+        used = [*used, (mixture, mixture.log_density(np.vstack([z, new])))][-REMEMBERED:]
+        _, worth = _normalised(value - used[-1][1][-ROUND:])
         efficiency = worth / ROUND
-        z, levels, used = np.vstack([z, new]), np.append(levels, value), [*used, mixture]
+        z, levels = np.vstack([z, new]), np.append(levels, value)
         recent.append(efficiency)
         best = max(best, (efficiency, mixture), key=lambda one: one[0])
         settled = SETTLED_FAIR if best[0] >= FAIR else SETTLED
         if efficiency >= GOOD or (len(recent) > settled and max(recent[-settled:]) <= max(recent[:-settled])):
             break
-        proposed = logsumexp([one.log_density(z) for one in used[-REMEMBERED:]], axis=0)
+        proposed = logsumexp([known for _, known in used], axis=0)
         weight = tempered(levels - proposed, least)
         if not weight.any():
             break
