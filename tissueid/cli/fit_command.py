@@ -189,7 +189,7 @@ def _population(flags: dict[str, Any], study: Study | None, fitted: int) -> int:
         with progress_bar(show=not quiet) as progress:
             asked = PopulationRequest(seed=flags["seed"], mix_states=flags["mix_states"])
             written = write_population(Path(flags["out"]), asked, progress)
-    except NotIdentifiedError as error:
+    except (NotIdentifiedError, UsageError) as error:
         note(error.message, quiet=quiet)
         return error.exit_status if flags["population"] == "yes" else 0
     if not flags["as_json"]:

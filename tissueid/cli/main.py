@@ -17,7 +17,7 @@ import click
 
 from tissueid import __version__
 from tissueid.cli.output import echo, terminal_line
-from tissueid.errors import EXIT_INTERRUPTED
+from tissueid.errors import EXIT_INTERRUPTED, TissueidError
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
@@ -222,6 +222,27 @@ def _pipe_closed() -> int:
     return 0
 
 
+def _refused(error: TissueidError) -> int:
+    """A deliberate failure, in its own words."""
+    echo(f"tissueid: {error}", err=True)
+    return error.exit_status
+
+
+def _broken(error: Exception, args: list[str]) -> int:
+    """A bug: one line, and with -v where it is."""
+    if _verbose(args):
+        import traceback
+
+        for line in traceback.format_exc().splitlines():
+            echo(line, err=True)
+    echo(
+        f"tissueid: internal error ({type(error).__name__}: {error}). This is a bug in tissueid; "
+        "run again with -v for the details to report.",
+        err=True,
+    )
+    return 1
+
+
 def main(args: list[str] | None = None) -> int:
     """Run the command line; the entry point of the console script.
 
@@ -230,8 +251,6 @@ def main(args: list[str] | None = None) -> int:
     int
         Exit code, see :mod:`tissueid.errors`.
     """
-    from tissueid.errors import TissueidError
-
     args = with_verb(sys.argv[1:] if args is None else args)
     try:
         outcome = cli.main(args=args, prog_name="tissueid", standalone_mode=False, obj=args)
@@ -241,29 +260,21 @@ def main(args: list[str] | None = None) -> int:
     except click.ClickException as error:
         return _misused(error, args)
     except TissueidError as error:
-        echo(f"tissueid: {error}", err=True)
-        return error.exit_status
+        return _refused(error)
     except (SystemExit, BrokenPipeError):
         # click and rich raise SystemExit for a pipe whose reader has gone, and for nothing else here
         return _pipe_closed()
+    except ModuleNotFoundError as error:
+        from tissueid.extras import missing_extra
+
+        needed = missing_extra(error)
+        return _broken(error, args) if needed is None else _refused(needed)
     except OSError as error:
         # reading is guarded in ingest: what is left is a full disk or a folder taken away
         echo(f"tissueid: {error.filename or 'output'}: {error.strerror or error}", err=True)
         return EXIT_OUTPUT
     except Exception as error:  # noqa: BLE001 - the outer shell: a bug must still end in one clear line
-        if _was_interrupted(error):
-            return _interrupted()
-        if _verbose(args):
-            import traceback
-
-            for line in traceback.format_exc().splitlines():
-                echo(line, err=True)
-        echo(
-            f"tissueid: internal error ({type(error).__name__}: {error}). This is a bug in tissueid; "
-            "run again with -v for the details to report.",
-            err=True,
-        )
-        return 1
+        return _interrupted() if _was_interrupted(error) else _broken(error, args)
     return outcome if isinstance(outcome, int) else 0
 
 

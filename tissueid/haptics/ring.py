@@ -10,7 +10,6 @@ Layout: 64 bytes of head (magic, capacity, published), then ``capacity`` records
 
 from __future__ import annotations
 
-import fcntl
 import mmap
 import os
 from dataclasses import dataclass
@@ -113,11 +112,11 @@ class Ring:
     @classmethod
     def _mapped(cls, descriptor: int, capacity: int) -> Ring:
         # every page at once: a page that is met for the first time in a tick costs more than the tick
-        shared = mmap.MAP_SHARED | mmap.MAP_POPULATE
-        protection = mmap.PROT_READ
-        if fcntl.fcntl(descriptor, fcntl.F_GETFL) & os.O_ACCMODE == os.O_RDWR:
-            protection |= mmap.PROT_WRITE
-        memory = mmap.mmap(descriptor, HEAD_BYTES + capacity * RECORD.itemsize, flags=shared, prot=protection)
+        size, shared = HEAD_BYTES + capacity * RECORD.itemsize, mmap.MAP_SHARED | mmap.MAP_POPULATE
+        try:
+            memory = mmap.mmap(descriptor, size, flags=shared)
+        except PermissionError:  # a descriptor that can only be read
+            memory = mmap.mmap(descriptor, size, flags=shared, prot=mmap.PROT_READ)
         return cls(
             descriptor,
             np.frombuffer(memory, np.int64, HEAD_BYTES // 8),

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.extras import require
 from tissueid.inference.diagnostics import Diagnostics, diagnose
 from tissueid.population.chain import Record, sweeps
 from tissueid.population.kernels import Cohort, Hyper, State
@@ -263,7 +264,13 @@ def sample_population(
     options : SamplerOptions, optional
     tick : callable, optional
         Told what is being done.
+
+    Raises
+    ------
+    UsageError
+        numba isn't installed.
     """
+    require("numba")
     priors, options, tick = (
         priors or PopulationPriors(),
         options or SamplerOptions(),

@@ -9,7 +9,6 @@ import ctypes
 import gc
 import json
 import os
-import resource
 import sys
 from dataclasses import asdict, dataclass
 
@@ -100,6 +99,10 @@ def _bind() -> int:
 
 def _lock(libc: ctypes.CDLL) -> bool:
     """Lock the memory where the limit allows all of it; a limit that is hit later would kill the process."""
+    try:
+        import resource
+    except ModuleNotFoundError:  # a system without limits of POSIX
+        return False
     soft, hard = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     if soft != hard:
         resource.setrlimit(resource.RLIMIT_MEMLOCK, (hard, hard))

@@ -16,6 +16,7 @@ import subprocess
 import sys
 from dataclasses import dataclass
 
+from tissueid.extras import require
 from tissueid.own_process import own_process
 
 __all__ = ["REAP_S", "SpawnedServo", "spawn_servo"]
@@ -67,7 +68,14 @@ class SpawnedServo:
 
 
 def spawn_servo() -> SpawnedServo:
-    """Start a servo's process, without a plan."""
+    """Start a servo's process, without a plan.
+
+    Raises
+    ------
+    UsageError
+        numba isn't installed.
+    """
+    require("numba")
     theirs, ours = socket.socketpair()
     report, reporting = os.pipe()
     command = own_process(__name__, str(theirs.fileno()), str(reporting))

@@ -18,6 +18,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from tissueid.digits import NOT_IDENTIFIED, number, rounded_to, with_error
+from tissueid.errors import UsageError
 from tissueid.report.event_words import event_words, took
 from tissueid.report.figures import curve_payload, curves_by_trial
 from tissueid.report.groups import curve_groups
@@ -87,10 +88,19 @@ def asset(name: str) -> Markup:
 
 
 def plotly_script() -> Markup:
-    """The drawing library, whole: a page asks the network for nothing."""
-    from plotly.offline import get_plotlyjs
+    """The drawing library, whole: a page asks the network for nothing.
 
-    return Markup(get_plotlyjs())  # noqa: S704 -- the library's own file
+    Raises
+    ------
+    UsageError
+        tissueid runs from a folder that was never installed.
+    """
+    try:
+        text = (resources.files("tissueid.report") / "static" / "plotly.min.js").read_text(encoding="utf-8")
+    except FileNotFoundError as error:
+        msg = f"{error.filename}: reports need plotly.js, which an installation brings: pip install ."
+        raise UsageError(msg) from error
+    return Markup(text)  # noqa: S704 -- the library's own file
 
 
 @cache

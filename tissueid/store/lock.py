@@ -38,9 +38,12 @@ def _try_lock(stream: IO[bytes]) -> bool:
             stream.seek(_LOCKED_BYTE)
             msvcrt.locking(stream.fileno(), msvcrt.LK_NBLCK, 1)
         else:
-            import fcntl
-
-            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            try:
+                from fcntl import LOCK_EX, LOCK_NB, flock
+            except ModuleNotFoundError:  # a build of Python without it: locks of the process
+                os.lockf(stream.fileno(), os.F_TLOCK, 1)
+            else:
+                flock(stream, LOCK_EX | LOCK_NB)
     except OSError as error:
         if error.errno in _BUSY:
             return False

@@ -5,15 +5,18 @@ from __future__ import annotations
 import os
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from tissueid.errors import BundleError
-from tissueid.rendering.servo import ServoProcess
 from tissueid.rendering.session_plan import SessionPlan
 from tissueid.store.bundle import load_bundle
 from tissueid.store.session_log import SessionLog, read_session_log
 from tissueid.viewer.band import band_of
 from tissueid.viewer.hello import hello
 from tissueid.viewer.serving import ServedViewer
+
+if TYPE_CHECKING:
+    from tissueid.rendering.servo import ServoProcess
 
 __all__ = ["check_log", "show_log", "show_session"]
 

@@ -9,18 +9,24 @@ from __future__ import annotations
 import array
 import contextlib
 import errno
-import fcntl
 import os
 import select
 import socket
 import stat
 import struct
-import termios
 import time
 from pathlib import Path
 from typing import Protocol
 
 from tissueid.errors import DeviceError
+
+try:
+    import fcntl
+    import termios
+except ModuleNotFoundError:  # a system without terminals of POSIX
+    HAS_TERMINALS = False
+else:
+    HAS_TERMINALS = True
 
 __all__ = [
     "BAUD_HELLO",
@@ -138,8 +144,11 @@ class FileTransport:
         Raises
         ------
         DeviceError
-            If it is not there, is no terminal, is taken or forbidden.
+            If it is not there, is no terminal, is taken or forbidden, or the system has no terminals.
         """
+        if not HAS_TERMINALS:
+            msg = f"{path}: this system has no terminal devices of POSIX; plug the device in by USB"
+            raise DeviceError(msg)
         try:
             descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         except OSError as error:
@@ -163,6 +172,8 @@ class FileTransport:
     @property
     def modem(self) -> ModemLines | None:
         """Modem lines of a serial port; None for a pseudo-terminal or a socket."""
+        if not self._is_terminal:
+            return None
         lines = array.array("i", [0])
         try:
             fcntl.ioctl(self._descriptor, termios.TIOCMGET, lines)

@@ -7,7 +7,6 @@ a terminal, the end of the stream on a socket.
 
 from __future__ import annotations
 
-import fcntl
 import os
 import select
 import socket
@@ -15,7 +14,6 @@ import struct
 import subprocess
 import threading
 import time
-import tty
 from collections.abc import Sequence
 from types import TracebackType
 from typing import Self
@@ -40,6 +38,10 @@ START_S = 60.0
 
 def _asked_baud(descriptor: int) -> int | None:
     """Rate a host asked of a pseudo-terminal, by the master's descriptor; None for a socket."""
+    try:
+        import fcntl
+    except ModuleNotFoundError:  # no system of POSIX, and no pseudo-terminals
+        return None
     answer = bytearray(TERMIOS2.size)
     try:
         fcntl.ioctl(descriptor, GET_TERMIOS2, answer)
@@ -111,6 +113,8 @@ class EmulatedLink:
         self.path: str | None = None
         if pty:
             self._device, self._host = os.openpty()
+            import tty
+
             tty.setraw(self._host)
             self.path = os.ttyname(self._host)
         else:
