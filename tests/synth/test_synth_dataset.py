@@ -91,7 +91,7 @@ def test_unknown_dialect_is_refused(tmp_path):
         write_set(SMALL, tmp_path, seed=4, dialect="klingon")
 
 
-@pytest.mark.parametrize("name", ["paper-a-30-10Hz", "paper-a-hold-100Hz", "rupture-18"])
+@pytest.mark.parametrize("name", ["paper-a-22-250Hz", "paper-a-30-10Hz", "paper-a-hold-100Hz", "rupture-18"])
 def test_committed_set_is_what_the_generator_writes(tmp_path, name):
     truth = json.loads((COMMITTED / name / "truth.json").read_text())
     write_set(recipe(name), tmp_path, seed=truth["seed"], dialect=truth["dialect"])

@@ -91,6 +91,7 @@ def _named() -> dict[str, Recipe]:
         replace(thirty, name="paper-a-30-k1", branches=growing),
         replace(twenty_two, name="paper-a-22-k1", branches=growing),
         # small enough to live in the repository
+        replace(twenty_two, name="paper-a-22-250Hz", rate_Hz=250.0, decimals=(3, 5, 4)),
         replace(thirty, name="paper-a-30-10Hz", rate_Hz=10.0, decimals=(3, 5, 4)),
         replace(thirty, name="paper-a-hold-100Hz", rate_Hz=100.0, logs=_holds(1)[-1:], decimals=(3, 5, 4)),
         _to_rupture(),
