@@ -20,13 +20,13 @@
 
 /* memory and limits of the guard: tissueid/haptics/guard_states.py, tissueid/haptics/limits.py */
 enum { STATE, FAULT, LAMPS, PREVIOUS, FAULT_FORCE = 6, FAULT_AGE = 9, VELOCITY, GAIN = 13, PHASE, RISE_RATE,
-       PENDING, DAMPED, WANTED, READY, PENETRATION, STILL = 24, STILL_FORCE, STILL_CHANGE = 28, MEAN_SQUARE,
+       PENDING, DAMPED, WANTED, READY, PENETRATION, SILENT = 23, STILL, STILL_FORCE, STILL_CHANGE = 28, MEAN_SQUARE,
        LET_GO };
 enum { CLAMP, SLEW, RMS_LIMIT, RMS_WINDOW, RAMP, RECOVERY, FAULT_RAMP, DAMPING, DAMPING_TIME, ENGAGE_BELOW,
-       STALL = 19, DEAD_MAN_TIME = 22 };
+       STALL = 19, DEAD_MAN_TIME = 22, PAUSE = 24, PAUSE_RAMP };
 enum { CLOSED, ARMED = 4, ENGAGED, FAULTED };
 enum { RISING, RELEASING, RECOVERING, YIELDING };
-enum { CLIPPED = 1, SLEWED = 2, STALLED = 32, RMS_LIMITED = 64, DEAD_MAN = 128, RAMPING = 256 };
+enum { CLIPPED = 1, SLEWED = 2, STALLED = 32, RMS_LIMITED = 64, DEAD_MAN = 128, RAMPING = 256, QUIET = 4096 };
 enum { NOT_A_NUMBER = 7, OVERHEATED = 11 };
 
 static double most(double a, double b) { return a > b ? a : b; }
@@ -55,11 +55,12 @@ static void gain_moves(double *m, const double *l, double step, int stalled) {
         if (m[GAIN] >= 1.0) m[RISE_RATE] = 1.0 / l[RECOVERY];
     }
     if (m[PHASE] == RISING) { m[GAIN] = least(1.0, m[GAIN] + step * m[RISE_RATE]); return; }
-    m[GAIN] -= step / (m[PHASE] == RELEASING ? l[DEAD_MAN_TIME] : l[FAULT_RAMP]);
+    int silent = m[SILENT] >= l[PAUSE];
+    m[GAIN] -= step / (silent ? l[PAUSE_RAMP] : m[PHASE] == RELEASING ? l[DEAD_MAN_TIME] : l[FAULT_RAMP]);
     if (m[GAIN] > 0.0) return;
     m[GAIN] = 0.0;
     if (m[PHASE] == RELEASING) m[STATE] = ARMED;
-    else if (m[PHASE] == RECOVERING) m[PHASE] = RISING;
+    else if (m[PHASE] == RECOVERING) { if (!silent) m[PHASE] = RISING; }
     else { m[DAMPED] += step; if (m[DAMPED] >= l[DAMPING_TIME]) fail(m, m[PENDING]); }
 }
 
@@ -91,7 +92,7 @@ static int limited(const double *m, const double *l, const double *force, double
 void reference_guard(double *m, const double *l, const double *force, double dt, double *out) {
     int stalled = !(dt > 0.0 && dt <= l[STALL]);
     double step = stalled ? l[STALL] : dt;
-    int lamps = (stalled ? STALLED : 0) | (m[LET_GO] != 0.0 ? DEAD_MAN : 0);
+    int lamps = (stalled ? STALLED : 0) | (m[LET_GO] != 0.0 ? DEAD_MAN : 0) | (m[SILENT] >= l[PAUSE] ? QUIET : 0);
     int finite = isfinite(force[0]) && isfinite(force[1]) && isfinite(force[2]);
     out[0] = out[1] = out[2] = 0.0;
     int is_free = m[PENETRATION] <= 0.0 || (finite && length(force) < l[ENGAGE_BELOW]);
@@ -100,7 +101,7 @@ void reference_guard(double *m, const double *l, const double *force, double dt,
     if (m[STATE] == ENGAGED) lamps |= limited(m, l, force, out);
     if (m[STATE] == FAULTED) {
         m[FAULT_AGE] += dt > step ? least(dt, 1.0) : step;
-        double left = 1.0 - m[FAULT_AGE] / l[FAULT_RAMP];
+        double left = 1.0 - m[FAULT_AGE] / l[m[SILENT] >= l[PAUSE] ? PAUSE_RAMP : FAULT_RAMP];
         if (left >= 1e-9) { lamps |= RAMPING; for (int i = 0; i < 3; i++) out[i] = left * m[FAULT_FORCE + i]; }
     }
     double square = 0.0;

@@ -131,7 +131,7 @@ def test_silence_and_damage_reach_the_watchdogs():
     ):
         device = engaged()
         device.answer.update(answer)
-        for _ in range(21):
+        for _ in range(101):
             device.read()
         assert device.fault is fault
         device.close()

@@ -45,7 +45,7 @@ def after_fault(session: EmulatedSession, detected: int) -> np.ndarray:
     ("kind", "fault", "within_ticks"),
     [
         ("unplug", Fault.TRANSPORT, 1),
-        ("silence", Fault.NO_REPLY, 20),
+        ("silence", Fault.NO_REPLY, 100),
         ("bad packets", Fault.BAD_PACKETS, 20),
         ("jump", Fault.ENCODER_JUMP, 1),
         ("unhomed", Fault.NOT_HOMED, 1),
@@ -58,8 +58,11 @@ def test_a_lasting_fault_in_contact_ends_in_fault_and_zero_packets(kind, fault, 
         assert session.forces()[-1] > 0.5
         assert session.motors[-1] != (0, 0, 0)
         begins = len(session.records)
-        for _ in range(60):
+        for _ in range(160):
             session.tick()
+        if kind in {"silence", "bad packets"}:
+            # the answer of the first spoilt tick is read one tick later
+            assert (session.forces()[begins + 21 :] == 0.0).all()
         detected = session.first(fault)
         # the answer of the first spoilt tick is read one tick later
         assert 0 <= detected - begins <= within_ticks + 1
@@ -238,6 +241,21 @@ def test_a_moving_hand_after_a_gap_in_the_answers_is_neither_too_fast_nor_a_jump
         assert {int(record["fault"]) for record in session.records} == {int(Fault.NONE)}
         counts = np.array([record["counts"][0] for record in session.records])
         assert 100 < np.abs(np.diff(counts[10:])).max() < 200
+
+
+def test_a_hiccup_of_30_ms_in_contact_pauses_and_resumes():
+    with EmulatedSession(ScriptedFault("silence", FAULT_S, duration_s=0.030)) as session:
+        session.run(FAULT_S - 1.5 * TICK_S)
+        begins = len(session.records)
+        session.run(FAULT_S + 0.3)
+        forces = session.forces()[begins - 1 :]
+        assert set(session.states()[begins:]) == {State.ENGAGED}
+        assert {int(record["fault"]) for record in session.records} == {int(Fault.NONE)}
+        assert (forces[22:31] == 0.0).all()
+        assert np.abs(np.diff(forces)).max() <= RAMP_STEP_N
+        assert forces[-1] == pytest.approx(undisturbed().forces()[-1], abs=0.05)
+        silent = [bool(int(record["lamps"]) & Lamp.SILENT) for record in session.records[begins:]]
+        assert 20 <= sum(silent) <= 26
 
 
 @pytest.mark.parametrize("counts_a_second", [1000.0, 3000.0, -1000.0])

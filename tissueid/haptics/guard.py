@@ -10,7 +10,7 @@ Precedence, strongest first (haptics.md 4b):
 4. the sustained (root mean square) limit, which folds the clamp back.
 
 Outside ENGAGED and FAULT the force is zero.  In ENGAGED the wanted force is crossfaded with damping: at
-engaging, after a stall and after the dead-man button::
+engaging, after a stall or a silence of the device, and after the dead-man button::
 
     F = g F_wanted - (1 - g) b v,     g from 0 to 1 or back
 
@@ -50,12 +50,14 @@ from tissueid.haptics.guard_states import (
     RELEASING,
     RISE_RATE,
     RISING,
+    SILENT_S,
     STATE,
     VELOCITY,
     YIELDING,
     engage_now,
     fail,
     new_guard,
+    pause,
     transition,
 )
 from tissueid.haptics.limits import (
@@ -66,7 +68,8 @@ from tissueid.haptics.limits import (
     ENGAGE_BELOW_N,
     FAULT_RAMP_S,
     LIMITS_SIZE,
-    RECOVERY_S,
+    PAUSE_RAMP_S,
+    PAUSE_S,
     RMS_LIMIT_N,
     RMS_WINDOW_S,
     SLEW_N,
@@ -102,6 +105,7 @@ LARGEST_N = 1e150
 
 _CLIPPED, _SLEWED, _RMS = int(Lamp.CLIPPED), int(Lamp.SLEWED), int(Lamp.RMS_LIMITED)
 _STALLED, _RAMPING, _LET_GO = int(Lamp.STALLED), int(Lamp.RAMPING), int(Lamp.DEAD_MAN)
+_SILENT = int(Lamp.SILENT)
 _NOT_A_NUMBER, _OVERHEATED = float(Fault.NOT_A_NUMBER), float(Fault.OVERHEATED)
 
 
@@ -127,6 +131,8 @@ def guard(memory: FloatArray, limits: FloatArray, force: FloatArray, dt: float, 
     lamps = _STALLED if stalled else 0
     if memory[LET_GO] != 0.0:
         lamps |= _LET_GO
+    if memory[SILENT_S] >= limits[PAUSE_S]:
+        lamps |= _SILENT
     finite = math.isfinite(force[0]) and math.isfinite(force[1]) and math.isfinite(force[2])
     out[0] = 0.0
     out[1] = 0.0
@@ -163,21 +169,24 @@ def _length(vector: FloatArray) -> float:
 @tick_part
 def _advance_gain(memory: FloatArray, limits: FloatArray, step: float, stalled: bool) -> None:
     """Move the share of the wanted force that is let through, and what follows when it is gone."""
-    if stalled and memory[PHASE] == RISING:
-        memory[PHASE] = RECOVERING
-        if memory[GAIN] >= 1.0:
-            memory[RISE_RATE] = 1.0 / limits[RECOVERY_S]
+    if stalled:
+        pause(memory, limits)
     if memory[PHASE] == RISING:
         memory[GAIN] = min(1.0, memory[GAIN] + step * memory[RISE_RATE])
         return
-    time = limits[DEAD_MAN_S] if memory[PHASE] == RELEASING else limits[FAULT_RAMP_S]
+    silent = memory[SILENT_S] >= limits[PAUSE_S]
+    time = limits[FAULT_RAMP_S]
+    if silent:
+        time = limits[PAUSE_RAMP_S]
+    elif memory[PHASE] == RELEASING:
+        time = limits[DEAD_MAN_S]
     memory[GAIN] -= step / time
     if memory[GAIN] > 0.0:
         return
     memory[GAIN] = 0.0
     if memory[PHASE] == RELEASING:
         memory[STATE] = ARMED
-    elif memory[PHASE] == RECOVERING:
+    elif memory[PHASE] == RECOVERING and not silent:
         memory[PHASE] = RISING
     elif memory[PHASE] == YIELDING:
         memory[DAMPED_S] += step
@@ -236,7 +245,8 @@ def _sustained(memory: FloatArray, limits: FloatArray) -> float:
 def _fade(memory: FloatArray, limits: FloatArray, dt: float, out: FloatArray) -> int:
     """Ramp of a fault: from what was sent last to zero."""
     memory[FAULT_AGE_S] += dt
-    left = 1.0 - memory[FAULT_AGE_S] / limits[FAULT_RAMP_S]
+    silent = memory[SILENT_S] >= limits[PAUSE_S]
+    left = 1.0 - memory[FAULT_AGE_S] / limits[PAUSE_RAMP_S if silent else FAULT_RAMP_S]
     # rounding must not leave a femtonewton at the end of the ramp
     if left < 1e-9:
         return 0

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.compiled import tick_kernel, tick_part
-from tissueid.haptics.limits import DEAD_MAN, RAMP_S
+from tissueid.haptics.limits import DEAD_MAN, RAMP_S, RECOVERY_S
 from tissueid.haptics.states import Fault, State
 
-__all__ = ["GUARD_SIZE", "fail", "new_guard", "transition"]
+__all__ = ["GUARD_SIZE", "fail", "new_guard", "pause", "transition"]
 
 FloatArray = NDArray[np.float64]
 
@@ -79,6 +79,15 @@ def fail(memory: FloatArray, fault: float) -> None:
     memory[WANTED] = 0.0
     for i in range(3):
         memory[FAULT_FORCE + i] = memory[PREVIOUS + i]
+
+
+@tick_part
+def pause(memory: FloatArray, limits: FloatArray) -> None:
+    """Take the force away until ticks and answers are good again, and give it back from zero."""
+    if memory[PHASE] == RISING:
+        memory[PHASE] = RECOVERING
+        if memory[GAIN] >= 1.0:
+            memory[RISE_RATE] = 1.0 / limits[RECOVERY_S]
 
 
 @tick_kernel

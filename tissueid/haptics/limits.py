@@ -39,8 +39,10 @@ __all__ = ["LIMITS_SIZE", "GuardLimits", "uncalibrated_clamp_N"]
     DEAD_MAN_BUTTONS,
     DEAD_MAN_S,
     MOTOR_CLAMP,
-) = range(24)
-LIMITS_SIZE = 24
+    PAUSE_S,
+    PAUSE_RAMP_S,
+) = range(26)
+LIMITS_SIZE = 26
 
 #: A fault takes the force away within this time [s]; no limit may be slower.
 LONGEST_FAULT_RAMP_S = 0.020
@@ -128,6 +130,9 @@ class GuardLimits:
         Time to zero after that button is released [s].
     motor_clamp : float
         Largest motor command [motor units].
+    pause_s, pause_ramp_s : float
+        Silence after which the force is taken away until the device answers again, and the time that takes
+        [s]; together at most 0.020, so that a silent device is without force that soon.
     """
 
     clamp_N: float = 2.0
@@ -144,7 +149,7 @@ class GuardLimits:
     overspeed_m_per_s: float = 1.5
     jump_counts: float = 200.0
     jump_s: float = 0.001
-    no_reply_s: float = 0.020
+    no_reply_s: float = 0.1
     bad_packets: int = 10
     frozen_s: float = 0.2
     frozen_change_N: float = 0.3
@@ -154,6 +159,8 @@ class GuardLimits:
     dead_man_buttons: int = 0x04
     dead_man_s: float = 0.1
     motor_clamp: float = 4095.0
+    pause_s: float = 0.008
+    pause_ramp_s: float = 0.010
 
     def __post_init__(self) -> None:
         for entry in fields(self):
@@ -163,6 +170,7 @@ class GuardLimits:
                 msg = f"{entry.name} must be {'zero or more' if free else 'positive'} and finite, is {value}"
                 raise ValueError(msg)
         _at_most("fault_ramp_s", self.fault_ramp_s, LONGEST_FAULT_RAMP_S)
+        _at_most("pause_s + pause_ramp_s", self.pause_s + self.pause_ramp_s, LONGEST_FAULT_RAMP_S)
         _at_most("clamp_N", self.clamp_N, LARGEST_CLAMP_N)
         _at_most("motor_clamp", self.motor_clamp, 4095.0)
         _at_most("slew_N_per_tick", self.slew_N_per_tick, 0.5)

@@ -60,6 +60,7 @@ class Lamp(IntFlag):
     RUPTURED = 512
     RECORDING_STOPPED = 1024
     LATE = 2048
+    SILENT = 4096
 
 
 #: What a fault is, in words that end a message.

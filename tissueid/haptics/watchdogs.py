@@ -32,6 +32,7 @@ from tissueid.haptics.guard_states import (
     WANTED,
     fail,
     let_down,
+    pause,
     yield_to,
 )
 from tissueid.haptics.limits import (
@@ -45,6 +46,7 @@ from tissueid.haptics.limits import (
     JUMP_S,
     NO_REPLY_S,
     OVERSPEED,
+    PAUSE_S,
     RAMP_S,
     STALL_S,
 )
@@ -111,6 +113,7 @@ def observe(
         return
     # our own stall is not the device's silence: a tick counts for no more than the longest good one
     step = dt if 0.0 < dt <= limits[STALL_S] else limits[STALL_S]
+    gap = memory[SILENT_S] + dt
     _count_replies(memory, limits, reply, step)
     if memory[STATE] == FAULTED or reply != REPLY_VALID:
         return
@@ -122,7 +125,7 @@ def observe(
         if memory[HOMED_REPLIES] >= limits[HOMED_NEEDED]:
             memory[STATE] = ARMED
         return
-    _check_motion(memory, limits, homed, counts_moved, velocity, dt)
+    _check_motion(memory, limits, homed, counts_moved, velocity, gap)
     if memory[STATE] == ENGAGED:
         _check_frozen(memory, limits, counts_moved, step)
     _dead_man(memory, limits, buttons)
@@ -142,6 +145,11 @@ def _count_replies(memory: FloatArray, limits: FloatArray, reply: int, step: flo
     if reply == REPLY_DAMAGED:
         memory[DAMAGED] += 1.0
     patience = limits[NO_REPLY_S] if memory[STATE] != HOMING else max(limits[NO_REPLY_S], HOMING_SILENCE_S)
+    if memory[SILENT_S] >= limits[PAUSE_S]:
+        pause(memory, limits)
+        # nobody knows it any more, and damping by an old one would be a force of its own
+        for i in range(3):
+            memory[VELOCITY + i] = 0.0
     if memory[DAMAGED] >= limits[BAD_PACKETS]:
         fail(memory, _BAD_PACKETS)
     elif memory[SILENT_S] >= patience:
@@ -155,16 +163,16 @@ def _check_motion(
     homed: bool,
     counts_moved: IntArray,
     velocity: FloatArray,
-    dt: float,
+    gap: float,
 ) -> None:
-    """Homing lost, a jump, a speed no hand has."""
+    """Homing lost, a jump since the last reply ``gap`` seconds ago, a speed no hand has."""
     if not homed:
         fail(memory, _NOT_HOMED)
         return
-    # after a long tick a hand may have gone further: the limit is a speed, and never less than one tick's
+    # after a long gap a hand may have gone further: the limit is a speed, and never less than one tick's
     allowed = limits[JUMP_COUNTS]
-    if dt > limits[JUMP_S]:
-        allowed *= min(dt, LONGEST_STALL_S) / limits[JUMP_S]
+    if gap > limits[JUMP_S]:
+        allowed *= min(gap, LONGEST_STALL_S) / limits[JUMP_S]
     for i in range(3):
         if abs(counts_moved[i]) > allowed:
             fail(memory, _JUMP)

@@ -459,12 +459,11 @@ def undecided_flags(identified: Identified) -> tuple[Flag, ...]:
     others = [one for one in identified.as_good if one != (identified.law.branches, identified.law.degree)]
     if not others:
         return ()
-    words = ", ".join(f"{b} branch{'es' * (b > 1)} with K of degree {d}" for b, d in others[:3])
+    words = ", ".join(f"{b} and {d}" for b, d in others[:3])
     return (
         Flag(
             "model_undecided",
-            f"{len(others)} other order{'s' * (len(others) > 1)} predict a left-out {identified.left_out} as "
-            f"well: {words}",
+            f"a left-out {identified.left_out} is predicted as well by other branches and degrees of K: {words}",
             {"orders": [f"{b}x{d}" for b, d in others]},
         ),
     )
