@@ -21,12 +21,12 @@
 /* memory and limits of the guard: tissueid/haptics/guard_states.py, tissueid/haptics/limits.py */
 enum { STATE, FAULT, LAMPS, PREVIOUS, FAULT_FORCE = 6, FAULT_AGE = 9, VELOCITY, GAIN = 13, PHASE, RISE_RATE,
        PENDING, DAMPED, WANTED, READY, PENETRATION, SILENT = 23, STILL, STILL_FORCE, STILL_CHANGE = 28, MEAN_SQUARE,
-       LET_GO };
+       LET_GO, DELAYED = 32 };
 enum { CLAMP, SLEW, RMS_LIMIT, RMS_WINDOW, RAMP, RECOVERY, FAULT_RAMP, DAMPING, DAMPING_TIME, ENGAGE_BELOW,
        STALL = 19, DEAD_MAN_TIME = 22, PAUSE = 24, PAUSE_RAMP };
 enum { CLOSED, ARMED = 4, ENGAGED, FAULTED };
 enum { RISING, RELEASING, RECOVERING, YIELDING };
-enum { CLIPPED = 1, SLEWED = 2, STALLED = 32, RMS_LIMITED = 64, DEAD_MAN = 128, RAMPING = 256, QUIET = 4096 };
+enum { CLIPPED = 1, SLEWED = 2, STALLED = 32, RMS_LIMITED = 64, DEAD_MAN = 128, RAMPING = 256, QUIET = 4096, LATENCY = 8192 };
 enum { NOT_A_NUMBER = 7, OVERHEATED = 11 };
 
 static double most(double a, double b) { return a > b ? a : b; }
@@ -54,7 +54,11 @@ static void gain_moves(double *m, const double *l, double step, int stalled) {
         m[PHASE] = RECOVERING;
         if (m[GAIN] >= 1.0) m[RISE_RATE] = 1.0 / l[RECOVERY];
     }
-    if (m[PHASE] == RISING) { m[GAIN] = least(1.0, m[GAIN] + step * m[RISE_RATE]); return; }
+    if (m[PHASE] == RISING) {
+        double risen = least(1.5 / (1.5 + m[DELAYED]), m[GAIN] + step * m[RISE_RATE]);
+        m[GAIN] = most(risen, m[GAIN] - step / l[RECOVERY]);
+        return;
+    }
     int silent = m[SILENT] >= l[PAUSE];
     m[GAIN] -= step / (silent ? l[PAUSE_RAMP] : m[PHASE] == RELEASING ? l[DEAD_MAN_TIME] : l[FAULT_RAMP]);
     if (m[GAIN] > 0.0) return;
@@ -92,7 +96,8 @@ static int limited(const double *m, const double *l, const double *force, double
 void reference_guard(double *m, const double *l, const double *force, double dt, double *out) {
     int stalled = !(dt > 0.0 && dt <= l[STALL]);
     double step = stalled ? l[STALL] : dt;
-    int lamps = (stalled ? STALLED : 0) | (m[LET_GO] != 0.0 ? DEAD_MAN : 0) | (m[SILENT] >= l[PAUSE] ? QUIET : 0);
+    int lamps = (stalled ? STALLED : 0) | (m[LET_GO] != 0.0 ? DEAD_MAN : 0) | (m[SILENT] >= l[PAUSE] ? QUIET : 0)
+        | (m[DELAYED] > 0.0 ? LATENCY : 0);
     int finite = isfinite(force[0]) && isfinite(force[1]) && isfinite(force[2]);
     out[0] = out[1] = out[2] = 0.0;
     int is_free = m[PENETRATION] <= 0.0 || (finite && length(force) < l[ENGAGE_BELOW]);
@@ -128,7 +133,7 @@ static int64_t now(void) {
 
 static const double LIMITS[24] = {5.0, 0.5, 5.0, 30.0, 1.0, 0.1, 0.02, 2.0, 0.1, 0.2, 50, 1.5, 200, 0.001, 0.02,
                                   10, 0.2, 0.2, 0.5, 0.005, 0.0, 4.0, 0.1, 4095.0};
-static double memory[32];
+static double memory[33];
 
 static void step(double *state, double *depth, double x, double dt) {
     double force[3] = {0.0, 0.0, 0.01 * reference_law(state, depth, x, dt)}, out[3];

@@ -5,9 +5,13 @@ Counted in ticks of the emulator's own clock, 1 ms each.  The limits are those o
 
 from __future__ import annotations
 
+import contextlib
+import os
+import socket
 import time
 from dataclasses import replace
 from functools import cache
+from typing import Self
 
 import numpy as np
 import pytest
@@ -20,7 +24,7 @@ from tissueid.haptics.falcon.calibration import Calibration
 from tissueid.haptics.falcon.device import FalconDevice, limits_of
 from tissueid.haptics.falcon.emulator import EmulatedLink, EmulatorSettings, ScriptedFault
 from tissueid.haptics.falcon.packet_kernels import INVALID, PACKETS
-from tissueid.haptics.guard_states import HEARTBEAT_LOST, PHASE, YIELDING, transition
+from tissueid.haptics.guard_states import GAIN, HEARTBEAT_LOST, PHASE, YIELDING, transition
 from tissueid.haptics.hand import Hand, preset
 from tissueid.haptics.states import FAULT_WORDS, Fault, Lamp, State
 from tissueid.rendering.environment import LAW
@@ -269,3 +273,83 @@ def test_a_creeping_encoder_makes_no_more_than_the_torques_of_the_clamp_can(coun
             session.tick()
             felt.append(float(np.linalg.norm(session.falcon.force_N)))
     assert 1.5 < max(felt) <= 1.7 * limits.clamp_N
+
+
+class LateSession(EmulatedSession):
+    """A session whose answers come some ticks late: as they come, on their way through a second socket."""
+
+    def __init__(self, late_ticks: int, **settings: object) -> None:
+        super().__init__(**settings)
+        self.late_ticks = late_ticks
+
+    def __enter__(self) -> Self:
+        super().__enter__()
+        theirs, self.ours = socket.socketpair()
+        self.far = socket.socket(fileno=self.link.descriptor())
+        # from here on the driver's own descriptor is one end of the second socket
+        os.dup2(theirs.fileno(), self.io.descriptor)
+        os.set_blocking(self.io.descriptor, False)
+        theirs.close()
+        self.ours.setblocking(False)
+        self.far.setblocking(False)
+        self.answers: list[bytes] = []
+        self.link_step, self.link.step = self.link.step, self.pump
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        super().__exit__()
+        self.ours.close()
+        self.far.close()
+
+    def pump(self) -> None:
+        """Commands there at once, answers back when they are due."""
+        with contextlib.suppress(BlockingIOError):
+            self.far.send(self.ours.recv(4096))
+        self.link_step()
+        came = b""
+        with contextlib.suppress(BlockingIOError):
+            came = self.far.recv(4096)
+        self.answers.append(came)
+        while len(self.answers) > self.late_ticks:
+            self.ours.send(self.answers.pop(0))
+
+
+@pytest.mark.parametrize("late_ticks", [0, 1, 4, 12])
+def test_a_late_wire_lights_its_lamp_and_lowers_the_force(late_ticks):
+    with LateSession(late_ticks) as session:
+        session.run(FAULT_S)
+        lamps = [bool(int(record["lamps"]) & Lamp.LATENCY) for record in session.records]
+        assert session.states()[-1] is State.ENGAGED
+        share = session.servo.guard_memory[GAIN]
+        if late_ticks < 2:
+            assert not any(lamps)
+            assert share == 1.0
+        else:
+            # before any force
+            assert lamps[60]
+            assert all(lamps[60:])
+            assert share == pytest.approx(1.5 / (1.5 + late_ticks), rel=0.35)
+            assert session.forces()[-1] == pytest.approx(share * undisturbed().forces()[-1], rel=0.25)
+
+
+def test_a_wire_that_becomes_late_in_contact_lowers_the_force_and_gives_it_back():
+    with LateSession(0) as session:
+        session.run(FAULT_S)
+        before, begins = session.forces()[-1], len(session.records)
+        session.late_ticks = 4
+        session.run(FAULT_S + 0.4)
+        assert 1.5 / 6.5 <= session.servo.guard_memory[GAIN] <= 1.5 / 4.5
+        assert int(session.records[-1]["lamps"]) & Lamp.LATENCY
+        session.late_ticks = 0
+        session.run(FAULT_S + 2.2)
+        assert session.servo.guard_memory[GAIN] == 1.0
+        assert not int(session.records[-1]["lamps"]) & Lamp.LATENCY
+        assert np.abs(np.diff(session.forces()[begins:])).max() <= RAMP_STEP_N
+        assert session.forces()[-1] > 0.8 * before
+
+
+def test_lost_answers_now_and_then_are_no_late_wire():
+    faults = [ScriptedFault("garbled", HOMED_S + 0.3 * k, size=5.0) for k in range(1, 5)]
+    with EmulatedSession(*faults) as session:
+        session.run(FAULT_S + 0.2)
+        assert not any(int(record["lamps"]) & Lamp.LATENCY for record in session.records)

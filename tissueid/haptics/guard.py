@@ -31,6 +31,7 @@ from tissueid.compiled import tick_part
 from tissueid.haptics.guard_states import (
     ARMED,
     DAMPED_S,
+    DELAYED_TICKS,
     ENGAGED,
     FAULT,
     FAULT_AGE_S,
@@ -70,6 +71,7 @@ from tissueid.haptics.limits import (
     LIMITS_SIZE,
     PAUSE_RAMP_S,
     PAUSE_S,
+    RECOVERY_S,
     RMS_LIMIT_N,
     RMS_WINDOW_S,
     SLEW_N,
@@ -78,7 +80,7 @@ from tissueid.haptics.limits import (
     uncalibrated_clamp_N,
 )
 from tissueid.haptics.states import Fault, Lamp
-from tissueid.haptics.watchdogs import LONGEST_STALL_S, observe
+from tissueid.haptics.watchdogs import ASSUMED_TICKS, LONGEST_STALL_S, observe, observe_wire
 
 __all__ = [
     "FAULT",
@@ -90,6 +92,7 @@ __all__ = [
     "guard",
     "new_guard",
     "observe",
+    "observe_wire",
     "transition",
     "uncalibrated_clamp_N",
 ]
@@ -105,7 +108,7 @@ LARGEST_N = 1e150
 
 _CLIPPED, _SLEWED, _RMS = int(Lamp.CLIPPED), int(Lamp.SLEWED), int(Lamp.RMS_LIMITED)
 _STALLED, _RAMPING, _LET_GO = int(Lamp.STALLED), int(Lamp.RAMPING), int(Lamp.DEAD_MAN)
-_SILENT = int(Lamp.SILENT)
+_SILENT, _LATENCY = int(Lamp.SILENT), int(Lamp.LATENCY)
 _NOT_A_NUMBER, _OVERHEATED = float(Fault.NOT_A_NUMBER), float(Fault.OVERHEATED)
 
 
@@ -133,6 +136,8 @@ def guard(memory: FloatArray, limits: FloatArray, force: FloatArray, dt: float, 
         lamps |= _LET_GO
     if memory[SILENT_S] >= limits[PAUSE_S]:
         lamps |= _SILENT
+    if memory[DELAYED_TICKS] > 0.0:
+        lamps |= _LATENCY
     finite = math.isfinite(force[0]) and math.isfinite(force[1]) and math.isfinite(force[2])
     out[0] = 0.0
     out[1] = 0.0
@@ -172,7 +177,10 @@ def _advance_gain(memory: FloatArray, limits: FloatArray, step: float, stalled: 
     if stalled:
         pause(memory, limits)
     if memory[PHASE] == RISING:
-        memory[GAIN] = min(1.0, memory[GAIN] + step * memory[RISE_RATE])
+        # the stiffness that a delay bears is in inverse proportion to it
+        most = ASSUMED_TICKS / (ASSUMED_TICKS + memory[DELAYED_TICKS])
+        risen = min(most, memory[GAIN] + step * memory[RISE_RATE])
+        memory[GAIN] = max(risen, memory[GAIN] - step / limits[RECOVERY_S])
         return
     silent = memory[SILENT_S] >= limits[PAUSE_S]
     time = limits[FAULT_RAMP_S]

@@ -38,7 +38,9 @@ HOMED_REPLIES, DAMAGED, SILENT_S, STILL_S = 21, 22, 23, 24
 STILL_FORCE, STILL_CHANGE_N = 25, 28
 #: Mean square of the force [N^2]; 1 where the dead-man button is let go.
 MEAN_SQUARE, LET_GO = 29, 30
-GUARD_SIZE = 32
+#: How long answers have been late [s], and by how many ticks more than stability was worked out for.
+LATE_S, DELAYED_TICKS = 31, 32
+GUARD_SIZE = 33
 
 # numbers that compiled functions are called with are floats: numba would compile a function anew for every
 # integer constant it is called with

@@ -61,6 +61,7 @@ class Lamp(IntFlag):
     RECORDING_STOPPED = 1024
     LATE = 2048
     SILENT = 4096
+    LATENCY = 8192
 
 
 #: What a fault is, in words that end a message.

@@ -11,10 +11,12 @@ from tissueid.compiled import tick_part
 from tissueid.haptics.guard_states import (
     ARMED,
     DAMAGED,
+    DELAYED_TICKS,
     ENGAGED,
     FAULTED,
     HOMED_REPLIES,
     HOMING,
+    LATE_S,
     LET_GO,
     PENETRATION,
     PHASE,
@@ -52,7 +54,16 @@ from tissueid.haptics.limits import (
 )
 from tissueid.haptics.states import Fault
 
-__all__ = ["REPLY_DAMAGED", "REPLY_LOST", "REPLY_NONE", "REPLY_VALID", "observe"]
+__all__ = [
+    "ASSUMED_TICKS",
+    "LATE_COMMANDS",
+    "REPLY_DAMAGED",
+    "REPLY_LOST",
+    "REPLY_NONE",
+    "REPLY_VALID",
+    "observe",
+    "observe_wire",
+]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -65,6 +76,11 @@ HOMING_SILENCE_S = 0.5
 
 #: What is faster is no velocity but a broken number [m/s].
 FASTEST_M_PER_S = 1e3
+#: Delay that the stability of a session is worked out for [ticks].
+ASSUMED_TICKS = 1.5
+#: Commands without an answer from which a wire is late, for how long before that counts [s], and how fast it
+#: is forgotten [ticks/s].
+LATE_COMMANDS, LATE_FOR_S, FORGOTTEN_PER_S = 3, 0.02, 4.0
 #: A longer stall allows a hand no more counts [s].
 LONGEST_STALL_S = 1.0
 
@@ -129,6 +145,27 @@ def observe(
     if memory[STATE] == ENGAGED:
         _check_frozen(memory, limits, counts_moved, step)
     _dead_man(memory, limits, buttons)
+
+
+@tick_part
+def observe_wire(memory: FloatArray, unanswered: int, dt: float) -> None:
+    """Take in how late the answers of a device come; the guard lowers the force by it.
+
+    Parameters
+    ----------
+    memory : ndarray
+        Of the guard; updated in place.
+    unanswered : int
+        Commands that were sent before this tick and are not answered yet.
+    dt : float
+        Time since the last tick [s].
+    """
+    # in a silence nothing is late yet: it may be lost
+    late = unanswered >= LATE_COMMANDS and memory[SILENT_S] == 0.0
+    memory[LATE_S] = memory[LATE_S] + dt if late else 0.0
+    memory[DELAYED_TICKS] = max(0.0, memory[DELAYED_TICKS] - FORGOTTEN_PER_S * dt)
+    if memory[LATE_S] >= LATE_FOR_S:
+        memory[DELAYED_TICKS] = max(memory[DELAYED_TICKS], float(unanswered))
 
 
 @tick_part

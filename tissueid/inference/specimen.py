@@ -463,7 +463,8 @@ def undecided_flags(identified: Identified) -> tuple[Flag, ...]:
     return (
         Flag(
             "model_undecided",
-            f"a left-out {identified.left_out} is predicted as well by other branches and degrees of K: {words}",
+            f"a left-out {identified.left_out} is predicted as well by other branches and degrees of K: "
+            f"{words}",
             {"orders": [f"{b}x{d}" for b, d in others]},
         ),
     )

@@ -33,8 +33,8 @@ Records = NDArray[Any]
 #: Engaged: the only state in which a force is felt (haptics/states.py, which ingest does not import).
 _ENGAGED = 5
 #: Lamps of ticks in which the device's force is not the tissue's: clipped, slewed, passivity, stalled, rms
-#: limit, dead-man, ramping, ruptured.
-_INTERFERED = 1 | 2 | 4 | 32 | 64 | 128 | 256 | 512
+#: limit, dead-man, ramping, ruptured, a silent device, a late one.
+_INTERFERED = 1 | 2 | 4 | 32 | 64 | 128 | 256 | 512 | 4096 | 8192
 #: Lamps of ticks in which the whole force is taken up or away: dead-man, ramping.
 _RAMPED = 128 | 256
 _LAMP_WORDS = {
@@ -46,6 +46,8 @@ _LAMP_WORDS = {
     8: "deeper than identified",
     16: "faster than identified",
     512: "ruptured",
+    4096: "silent",
+    8192: "late",
 }
 #: Disagreement of the two sides that is rounding: of the largest force, and of the depth [mm].
 _FORCE_TOLERANCE = 1e-6

@@ -29,7 +29,7 @@ from tissueid.haptics.foreign import by_address, libc_function
 from tissueid.haptics.guard_states import LAMPS, STATE
 from tissueid.haptics.limits import MOTOR_CLAMP
 from tissueid.haptics.states import Lamp
-from tissueid.haptics.watchdogs import REPLY_DAMAGED, REPLY_LOST, REPLY_NONE, REPLY_VALID
+from tissueid.haptics.watchdogs import LATE_COMMANDS, REPLY_DAMAGED, REPLY_LOST, REPLY_NONE, REPLY_VALID
 
 __all__ = [
     "DescriptorIO",
@@ -56,8 +56,13 @@ POLL_IN, POLL_OUT, POLL_BROKEN = 0x1, 0x4, 0x8 | 0x10 | 0x20
 EVENTS_SHIFT, RETURNED_SHIFT = 32, 48
 #: libusb: nothing came in time; the control word of a transfer that failed otherwise.
 LIBUSB_TIMEOUT = -7
-#: Flags of a tuple: the transport is gone; damaged replies already reported.
-LOST, REPORTED = 0, 1
+#: Flags of a tuple: the transport is gone; damaged replies already reported; commands without an answer;
+#: ticks since one of them was given up, and since an answer came.
+LOST, REPORTED, UNANSWERED, WAITED, SILENT = 0, 1, 2, 3, 4
+#: A command whose answer was lost is given up after so many ticks; after a silence that long, all are.
+GIVEN_UP_TICKS, SILENT_TICKS = 1000, 8
+#: Before the first answer no silence is one: a wire may have been late all the time [ticks].
+NEVER = 1 << 40
 #: Middle of the workspace [m]: where the first Newton iteration starts.
 GUESS_M = (0.0, 0.0, 0.12)
 
@@ -108,7 +113,7 @@ def _parts(given: CompiledIO) -> FalconParts:
         units_per_Nm=float(given.constants[UNITS_PER_NM]),
         geometry=np.ascontiguousarray(given.constants[GEOMETRY:]),
         parser=np.zeros(PARSER_SIZE, np.int64),
-        flags=np.zeros(2, np.int64),
+        flags=np.array([0, 0, 0, 0, -NEVER], np.int64),
         word=np.zeros(1, np.int64),
         incoming=np.zeros(READ_BYTES, np.uint8),
         outgoing=np.zeros(PACKET_BYTES, np.uint8),
@@ -139,6 +144,22 @@ def _ready(descriptor: int, events: int, word: IntArray) -> int:
 
 
 @tick_kernel
+def _unanswered(flags: IntArray, answers: int) -> int:
+    """Commands that are on their way, or whose answers are, after these answers came."""
+    flags[UNANSWERED] = max(0, flags[UNANSWERED] - answers)
+    flags[WAITED] += 1
+    # answers that were lost now and then; more at once are late, and stay so until they come
+    if 0 < flags[UNANSWERED] < LATE_COMMANDS and flags[WAITED] >= GIVEN_UP_TICKS:
+        flags[UNANSWERED] -= 1
+        flags[WAITED] = 0
+    # what a silence swallowed is not on its way any more
+    if answers > 0 and flags[SILENT] >= SILENT_TICKS:
+        flags[UNANSWERED] = 0
+    flags[SILENT] = 0 if answers > 0 else flags[SILENT] + 1
+    return int(flags[UNANSWERED])
+
+
+@tick_kernel
 def _understand(
     parts: FalconParts, replies: int, position: FloatArray, counts: IntArray, words: IntArray
 ) -> None:
@@ -159,6 +180,7 @@ def _understand(
             position[i] = parts.grip[i]
     if parts.flags[LOST] != 0:
         words[0] = REPLY_LOST
+    words[3] = _unanswered(parts.flags, replies + damaged)
 
 
 @tick_kernel
@@ -195,6 +217,7 @@ def command_descriptor(
     """Send one packet; where the other end takes no bytes its silence is noticed by the watchdog."""
     parts = io.parts
     _packet(parts, guard_memory, limits, force)
+    parts.flags[UNANSWERED] += 1
     ready = _ready(io.descriptor, POLL_OUT, parts.word)
     if (ready & POLL_OUT) != 0 and _write(io.descriptor, parts.outgoing.ctypes.data, PACKET_BYTES) < 0:
         parts.flags[LOST] = 1
@@ -221,6 +244,7 @@ def command_usb(io: UsbIO, guard_memory: FloatArray, limits: FloatArray, force: 
     """Send one packet."""
     parts = io.parts
     _packet(parts, guard_memory, limits, force)
+    parts.flags[UNANSWERED] += 1
     where, length_at = parts.outgoing.ctypes.data, parts.word.ctypes.data
     result = _bulk_transfer(
         io.address, (io.handle, io.bulk_out, where, PACKET_BYTES, length_at, io.timeout_ms)

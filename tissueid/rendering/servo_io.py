@@ -54,7 +54,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 #: Words of a reading: what came (:mod:`tissueid.haptics.watchdogs`), whether homed, buttons.
-REPLY, HOMED, PRESSED = 0, 1, 2
+REPLY, HOMED, PRESSED, UNANSWERED = 0, 1, 2, 3
 WORDS_SIZE = 4
 
 
@@ -136,7 +136,7 @@ def sense(io: Any, dt: float, position: FloatArray, counts: IntArray, words: Int
     counts : ndarray of int64, shape (3,)
         **Written** likewise.
     words : ndarray of int64, shape (WORDS_SIZE,)
-        **Written**: REPLY, HOMED, PRESSED.
+        **Written**: REPLY, HOMED, PRESSED; UNANSWERED where the device answers each command.
     """
     _SENSE[type(io)](io, dt, position, counts, words)
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from tissueid.compiled import tick_kernel, tick_part
 from tissueid.errors import DeviceError
 from tissueid.haptics.device import HapticDevice
-from tissueid.haptics.guard import guard, observe, transition
+from tissueid.haptics.guard import guard, observe, observe_wire, transition
 from tissueid.haptics.guard_states import DISENGAGE, ENGAGE, FAULT, HOMING, LAMPS, STATE, SWAP, WANTED
 from tissueid.haptics.parameter_block import COMMAND_ENGAGE, ParameterBlock, take, waiting
 from tissueid.haptics.parameter_block import command as ordered
@@ -50,7 +50,16 @@ from tissueid.rendering.passivity_control import (
     note_sent,
     passivity_step,
 )
-from tissueid.rendering.servo_io import HOMED, PRESSED, REPLY, WORDS_SIZE, PythonIO, command, sense
+from tissueid.rendering.servo_io import (
+    HOMED,
+    PRESSED,
+    REPLY,
+    UNANSWERED,
+    WORDS_SIZE,
+    PythonIO,
+    command,
+    sense,
+)
 
 __all__ = ["BLOCK_SIZE", "Servo", "compiled_tick", "new_servo", "tick"]
 
@@ -344,6 +353,7 @@ def tick(io: Any, servo: Servo, now_s: float, dt: float, late_s: float, late_lam
         memory, limits, words[REPLY], words[HOMED] != 0, words[PRESSED], servo.moved, velocity,
         info[INFO_PENETRATION_M], dt,
     )  # fmt: skip
+    observe_wire(memory, words[UNANSWERED], dt)
     send(io, memory, limits, force, dt, servo.out)
     note_sent(servo.control_memory, servo.out)
     lamps = _lamps(memory, servo.control_memory, info, servo.counters)

@@ -52,6 +52,12 @@ LAMPS = (
     ),
     ("rupture", "Ruptured", "the tissue broke: what is left resists until it is put back", Lamp.RUPTURED),
     ("timing", "Late tick", "the servo's tick began late, or stalled", Lamp.LATE | Lamp.STALLED),
+    (
+        "wire",
+        "Late wire",
+        "the device is silent, or answers late: less force, or none, until it answers in time",
+        Lamp.SILENT | Lamp.LATENCY,
+    ),
 )
 #: Those that only a tissue can light.
 TISSUE_LAMPS = ("outside", "rupture")
