@@ -16,6 +16,8 @@ from tissueid.haptics.falcon.device import HOMING_STEPS, limits_of
 from tissueid.haptics.falcon.emulator import EmulatedLink, EmulatorSettings
 from tissueid.haptics.parameter_block import ParameterBlock
 from tissueid.haptics.ring import Ring
+from tissueid.haptics.sim import SimulatedDevice
+from tissueid.rendering import servo_process
 from tissueid.rendering.servo import ServoProcess
 from tissueid.rendering.servo_plan import ServoPlan
 from tissueid.rendering.servo_process import run_plan
@@ -61,3 +63,31 @@ def test_instructions_of_homing_come_out_of_the_servo_process() -> None:
             assert servo.ready is not None
             assert servo.ready.compiled
     assert told == list(HOMING_STEPS)
+
+
+def test_the_loop_is_compiled_before_homing_begins_and_a_cold_start_says_how_long(monkeypatch) -> None:
+    happened: list[str] = []
+    home, loop = SimulatedDevice.home, servo_process.compiled_loop
+
+    def noted_home(device):
+        happened.append("home")
+        home(device)
+
+    def noted_loop(*arguments):
+        happened.append(f"loop of {arguments[-1]}")
+        return loop(*arguments)
+
+    monkeypatch.setattr(SimulatedDevice, "home", noted_home)
+    monkeypatch.setattr(servo_process, "compiled_loop", noted_loop)
+    monkeypatch.setattr(servo_process, "is_compiled", lambda: False)
+    theirs, ours = socket.socketpair()
+    reading, writing = os.pipe()
+    ring, block = Ring.create(), ParameterBlock.create(BLOCK_SIZE)
+    run_plan(ServoPlan("sim", {}, ticks=3), ring, block, theirs.fileno(), writing)
+    told = os.read(reading, 65_536).decode()
+    for one in (theirs, ours, ring, block):
+        one.close()
+    for descriptor in (reading, writing):
+        os.close(descriptor)
+    assert happened == ["loop of 0", "home", "loop of 3"]
+    assert "10 to 20 s" in told

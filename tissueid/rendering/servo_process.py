@@ -28,6 +28,7 @@ from tissueid.haptics.ring import Ring
 from tissueid.haptics.shared_hand import SharedHand
 from tissueid.haptics.sim import SimulatedDevice
 from tissueid.haptics.states import FAULT_WORDS, Fault
+from tissueid.rendering.first_start import is_compiled
 from tissueid.rendering.servo_io import PythonIO, compiled_io
 from tissueid.rendering.servo_loop import BINS, compiled_loop, new_watch, realtime_loop
 from tissueid.rendering.servo_plan import REASONS, ServoEnd, ServoPlan, receive_plan, send_line
@@ -37,6 +38,7 @@ from tissueid.rendering.servo_tick import CLIPPED, MISSED, OUTSIDE, TOUCHED, Ser
 
 __all__ = ["main", "run_plan"]
 
+COMPILING = "compiling the servo's loop, 10 to 20 s, once on this machine"
 #: Signals that end a session with zero force.
 SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
@@ -157,14 +159,16 @@ def run_plan(
         device.while_waiting = lambda: _must_be_owned(owner)
         try:
             device.open()
-            device.home()
             io, compiled = _reach(device, plan.law)
             loop = compiled_loop if compiled else realtime_loop
             servo = new_servo(device, ring, block)
             histogram = np.zeros(BINS + 1, np.int64)
             watch = new_watch(owner, signals.descriptor, alive_wanted=plan.alive_wanted)
-            # compiled or taken from the disk before any force, and before priorities change
+            if compiled and not is_compiled():
+                device.tell(COMPILING)
+            # compiled or taken from the disk before homing: a homed device is not left without commands
             loop(io, servo, watch, histogram, plan.period_ns, 0)
+            device.home()
             schedule = make_punctual(collect=not compiled)
             send_line(
                 report,
