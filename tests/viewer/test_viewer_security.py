@@ -20,10 +20,11 @@ from websockets.sync.client import ClientConnection
 
 from tissueid.errors import UsageError
 from tissueid.haptics.shared_hand import SharedHand
+from tissueid.viewer import protocols
 from tissueid.viewer.messages import LARGEST_MESSAGE, Answer, Play, Pointer, parse_message
 from tissueid.viewer.pointer import HandPointer
 from tissueid.viewer.security import MOST_TOLD, Access, RefusalLog, new_token
-from tissueid.viewer.server import HEADERS, MOST_CLIENTS, MOST_MESSAGES
+from tissueid.viewer.server import HEADERS, MOST_CLIENTS, MOST_CONNECTIONS, MOST_MESSAGES
 from tissueid.viewer.serving import ServedViewer, ViewerOptions
 
 TOKEN = "T0ken" * 8
@@ -348,3 +349,54 @@ def test_a_ring_that_was_handed_out_for_reading_cannot_be_written() -> None:
         reading.records[0] = record(8)
     reading.close()
     ring.close()
+
+
+def test_half_open_requests_shut_the_page_for_nobody() -> None:
+    with served() as live:
+        half = []
+        for _ in range(3 * MOST_CONNECTIONS):
+            one = socket.create_connection(("127.0.0.1", live.access.port))
+            one.sendall(b"GET / HTTP/1.1\r\nHost: 127.0.0.1:%d\r\nX-Slow: " % live.access.port)
+            half.append(one)
+        with client(live.ws) as other:
+            assert json.loads(other.recv())["type"] == "hello"
+        with urllib.request.urlopen(f"http://127.0.0.1:{live.access.port}/", timeout=10.0) as page:
+            assert page.status == 200
+        for one in half:
+            one.close()
+
+
+def test_a_request_that_never_ends_is_cut_off_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(protocols, "REQUEST_S", 0.3)
+    with served() as live:
+        silent = socket.create_connection(("127.0.0.1", live.access.port))
+        dripping = socket.create_connection(("127.0.0.1", live.access.port))
+        begun = time.monotonic()
+        with suppress(ConnectionError):
+            while time.monotonic() - begun < 5.0:
+                dripping.sendall(b"G" if time.monotonic() - begun < 0.1 else b"E")
+                time.sleep(0.05)
+        assert 0.2 <= time.monotonic() - begun < 3.0
+        silent.settimeout(3.0)
+        with suppress(ConnectionError):
+            assert silent.recv(1) == b""
+        # a page that asked for what it wanted, and waits with its connection open, is none of these
+        with client(live.ws) as one:
+            one.recv()
+            time.sleep(0.6)
+            live.write(3)
+            assert frame_of(one).samples["tick"].size
+        silent.close()
+        dripping.close()
+
+
+def test_a_flood_of_pings_ends_its_own_client_alone() -> None:
+    with served() as live, client(live.ws) as watcher, client(live.ws) as one:
+        watcher.recv()
+        one.recv()
+        with suppress(ConnectionClosed):
+            for _ in range(50 * protocols.MOST_PINGS):
+                one.ping()
+        assert code_of(one) == 1008
+        live.write(5)
+        assert frame_of(watcher).samples["tick"].size

@@ -20,6 +20,7 @@ from starlette.routing import Route
 from starlette.types import ASGIApp
 
 from tissueid.errors import TissueidError
+from tissueid.viewer.protocols import PunctualHttp
 from tissueid.viewer.security import LOOPBACK, Access, RefusalLog, new_token
 from tissueid.viewer.server import Guarded
 from tissueid.viewer.serving import ViewerOptions, listening_socket
@@ -119,7 +120,7 @@ class PageServer:
                 log_level="warning",
                 access_log=False,
                 server_header=False,
-                http="h11",
+                http=PunctualHttp,
                 loop="asyncio",
                 ws="none",
                 lifespan="off",

@@ -25,6 +25,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from tissueid.viewer.bundling import BUNDLE, missing_bundle_words
 from tissueid.viewer.messages import LARGEST_MESSAGE, Answer, Play, Pointer, parse_message
+from tissueid.viewer.protocols import PunctualHttp, SparingWebSocket
 from tissueid.viewer.security import Access, RefusalLog
 from tissueid.viewer.stage import Stage
 
@@ -287,9 +288,9 @@ class ViewerServer(uvicorn.Server):
                 log_level="warning",
                 access_log=False,
                 server_header=False,
-                http="h11",
+                http=PunctualHttp,
                 loop="asyncio",
-                ws="websockets-sansio",
+                ws=SparingWebSocket,
                 ws_max_size=LARGEST_MESSAGE,
                 ws_per_message_deflate=False,
                 limit_concurrency=MOST_CONNECTIONS,

@@ -1,0 +1,96 @@
+"""HTTP and websockets that no client can hold open for nothing: requests arrive in time, pings are few.
+
+A connection whose request does not arrive keeps a place that another page needs.  It is cut off after
+:data:`REQUEST_S`, and where too many of them wait, the one that has waited longest is.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import h11
+from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+
+__all__ = ["MOST_PINGS", "MOST_WAITING", "REQUEST_S", "PunctualHttp", "SparingWebSocket"]
+
+#: Time for a whole request [s], and connections that may wait for one at a time.
+REQUEST_S = 5.0
+MOST_WAITING = 24
+#: Pings that are answered within a second; browsers send none.
+MOST_PINGS = 20
+_NOT_ALLOWED = 1008
+_WHOLE = frozenset({h11.DONE, h11.MUST_CLOSE, h11.CLOSED, h11.ERROR, h11.SWITCHED_PROTOCOL})
+
+
+class PunctualHttp(H11Protocol):
+    """HTTP/1.1 of uvicorn with a time for the whole of a request."""
+
+    waiting: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Give the first request its time, at the cost of whoever has waited longest."""
+        super().connection_made(transport)
+        self._wait()
+        others = [
+            one for one in self.connections if isinstance(one, PunctualHttp) and one.waiting is not None
+        ]
+        if len(others) > MOST_WAITING:
+            min(others, key=_due).cut_off()
+
+    def data_received(self, data: bytes) -> None:
+        """Give what is left of a request its time, until it is whole."""
+        super().data_received(data)
+        if self.conn.their_state in _WHOLE:
+            self._rest()
+        elif self.waiting is None and self in self.connections:
+            self._wait()
+
+    def handle_websocket_upgrade(self, event: h11.Request) -> None:
+        """Leave the connection to the websocket."""
+        self._rest()
+        super().handle_websocket_upgrade(event)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Wait no longer."""
+        self._rest()
+        super().connection_lost(exc)
+
+    def cut_off(self) -> None:
+        """Close without an answer: there is no request."""
+        self._rest()
+        self.transport.abort()
+
+    def _wait(self) -> None:
+        self.waiting = self.loop.call_later(REQUEST_S, self.cut_off)
+
+    def _rest(self) -> None:
+        if self.waiting is not None:
+            self.waiting.cancel()
+            self.waiting = None
+
+
+def _due(one: PunctualHttp) -> float:
+    return float("inf") if one.waiting is None else one.waiting.when()
+
+
+class SparingWebSocket(WebSocketsSansIOProtocol):
+    """Websockets of uvicorn that end a client of many pings."""
+
+    def __init__(self, *arguments: Any, **named: Any) -> None:
+        super().__init__(*arguments, **named)
+        self._second, self._pings = 0.0, 0
+
+    def handle_ping(self) -> None:
+        """Answer, up to a number a second."""
+        now = self.loop.time()
+        if now - self._second >= 1.0:
+            self._second, self._pings = now, 0
+        self._pings += 1
+        if self._pings <= MOST_PINGS:
+            super().handle_ping()
+        elif not self.transport.is_closing():
+            self.conn.send_close(_NOT_ALLOWED, "too many pings")
+            self.transport.write(b"".join(self.conn.data_to_send()))
+            self.transport.close()
