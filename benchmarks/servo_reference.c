@@ -64,7 +64,7 @@ static void gain_moves(double *m, const double *l, double step, int stalled) {
     if (m[GAIN] > 0.0) return;
     m[GAIN] = 0.0;
     if (m[PHASE] == RELEASING) m[STATE] = ARMED;
-    else if (m[PHASE] == RECOVERING) { if (!silent) m[PHASE] = RISING; }
+    else if (m[PHASE] == RECOVERING) m[PHASE] = RISING;
     else { m[DAMPED] += step; if (m[DAMPED] >= l[DAMPING_TIME]) fail(m, m[PENDING]); }
 }
 

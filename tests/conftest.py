@@ -31,6 +31,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 #: Files that take longest: begun first, so that no worker is left alone with one at the end.
 LONGEST = (
+    "test_mutations",
     "test_population_sampler",
     "test_cli_hostile_folders",
     "test_cli_documentation",

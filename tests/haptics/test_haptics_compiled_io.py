@@ -20,7 +20,7 @@ from tissueid.haptics.falcon.transport import of_socket
 from tissueid.haptics.forcedimension import ForceDimensionDevice
 from tissueid.haptics.guard_states import GUARD_SIZE, STATE
 from tissueid.haptics.states import State
-from tissueid.haptics.watchdogs import REPLY_LOST, REPLY_VALID
+from tissueid.haptics.watchdogs import REPLY_DAMAGED, REPLY_LOST, REPLY_VALID
 from tissueid.rendering.servo_io import HOMED, PRESSED, REPLY, WORDS_SIZE, command, compiled_io, sense
 
 FloatArray = NDArray[np.float64]
@@ -123,6 +123,11 @@ def test_compiled_servo_finds_the_position_of_the_driver() -> None:
     angles = np.radians(35.0) + counts * Calibration().legs().radians_per_count
     assert position == pytest.approx(forward(angles), abs=1e-12)
     assert theirs.recv(64) == b"<AAAAAAAAAAAAHA>"
+    # 12288 counts of one leg, homed: no position of the grip has them
+    theirs.send(b"<AAADAAAAAAAA\xb5A>")
+    exchange(io, engaged_memory(), device.limits.block(), np.zeros(3), position, counts, words)
+    assert words[REPLY] == REPLY_DAMAGED
+    assert position == pytest.approx(forward(angles), abs=1e-12)
     theirs.close()
     os.fstat(int(given.handles[0]))
     exchange(io, engaged_memory(), device.limits.block(), np.zeros(3), position, counts, words)

@@ -149,7 +149,7 @@ def test_ending_the_interpreter_sends_zero_force():
     )
     ended = subprocess.run(
         [sys.executable, "-c", program],
-        cwd=Path(__file__).parent,
+        cwd=Path(__file__).parents[1],
         capture_output=True,
         text=True,
         check=False,

@@ -317,3 +317,17 @@ class TestGuardLimits:
         guarded.tell(machine.ENGAGE)
         outs = [guarded.tick((0.0, 0.0, 40.0 if k % 700 < 500 else 0.0)) for k in range(2100)]
         assert max(b - a for a, b in pairwise(lengths(outs))) <= 0.5 + ROUNDING
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_a_force_of_which_one_component_is_no_number_is_a_fault(axis, bad):
+    guarded = Guarded().to(machine.ENGAGED)
+    before = [guarded.tick((0.1, 0.1, 0.1)) for _ in range(3)][-1]
+    force = np.full(3, 0.1)
+    force[axis] = bad
+    sent = guarded.tick(force)
+    assert guarded.state == State.FAULT
+    assert guarded.fault == Fault.NOT_A_NUMBER
+    assert np.isfinite(sent).all()
+    assert np.linalg.norm(sent) <= np.linalg.norm(before)

@@ -68,7 +68,7 @@ def test_encoders_that_stand_still_while_the_force_changed_are_frozen():
     guarded = Guarded().to(machine.ENGAGED)
     guarded.tick((0.0, 0.0, 0.5))
     count = 0
-    while guarded.memory[machine.PHASE] != machine.YIELDING:
+    while guarded.memory[machine.PHASE] != machine.YIELDING and count < 1000:
         guarded.tick((0.0, 0.0, 1.0), moved=STILL)
         count += 1
     # 200 ms from the first tick that saw the changed force

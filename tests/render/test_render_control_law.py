@@ -18,6 +18,8 @@ from tissueid.rendering.control import (
     Signal,
     simulate,
 )
+from tissueid.rendering.control.block import SATURATION
+from tissueid.rendering.control.law import saturate
 from tissueid.rendering.control.plant import damping_form, generalised_force, inertia, solve
 from tissueid.rendering.control.simulation import loop_block
 from tissueid.rendering.presets import preset_tissue
@@ -320,3 +322,12 @@ def test_the_sampled_loop_tends_to_the_solution_of_the_differential_equations(va
     assert shares[-1] <= 0.01
     assert fine[0] > fine[-1]
     assert fine[-1] <= 1e-4
+
+
+def test_a_command_longer_than_the_device_gives_is_shortened_in_its_direction() -> None:
+    block = loop_block(ControlSettings(PAPER_A), period_s=1e-3, substeps=1)
+    block[SATURATION] = most = 7.0
+    for length, kept in ((0.5, 0.5), (1.0, 1.0), (3.0, 1.0)):
+        u = length * most * np.array([0.6, -0.8])
+        saturate(block, u)
+        np.testing.assert_allclose(u, kept * most * np.array([0.6, -0.8]), rtol=1e-12)

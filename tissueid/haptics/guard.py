@@ -194,7 +194,8 @@ def _advance_gain(memory: FloatArray, limits: FloatArray, step: float, stalled: 
     memory[GAIN] = 0.0
     if memory[PHASE] == RELEASING:
         memory[STATE] = ARMED
-    elif memory[PHASE] == RECOVERING and not silent:
+    elif memory[PHASE] == RECOVERING:
+        # in a silence the watchdogs put it back
         memory[PHASE] = RISING
     elif memory[PHASE] == YIELDING:
         memory[DAMPED_S] += step
