@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from importlib import resources
+from importlib.util import find_spec
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -95,8 +96,11 @@ def plotly_script() -> Markup:
     UsageError
         tissueid runs from a folder that was never installed.
     """
+    ours = resources.files("tissueid.report") / "static" / "plotly.min.js"
+    if not ours.is_file() and find_spec("plotly") is not None:
+        ours = resources.files("plotly") / "package_data" / "plotly.min.js"
     try:
-        text = (resources.files("tissueid.report") / "static" / "plotly.min.js").read_text(encoding="utf-8")
+        text = ours.read_text(encoding="utf-8")
     except FileNotFoundError as error:
         msg = f"{error.filename}: reports need plotly.js, which an installation brings: pip install ."
         raise UsageError(msg) from error
