@@ -57,6 +57,8 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
         several += f'sex = "{"fm"[number % 2]}"\n'
         several += f'[[trial]]\nfile = "head-{number}.csv"\nspecimen = "head {number}"\n'
     (folder / "study.toml").write_text(several, encoding="utf-8")
+    for name, times in (("slow.csv", 1.0), ("fast.csv", 1.1), ("hold-8-1.csv", 1.0)):
+        write_log(folder / name, label=None, force_times=times)
     force = np.linspace(0.0, 200.0, 400)
     for name in ("rigid-1.csv", "rigid-2.csv", "lab-a/steel/steel-1.csv", "lab-a/steel/steel-2.csv"):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
@@ -131,7 +133,7 @@ def typed(command: Command) -> None:
     words = [
         match
         for word in command.words
-        for match in ([str(one) for one in sorted(Path().glob(word))] if "*" in word else [word])
+        for match in (sorted(map(str, Path().glob(word))) if "*" in word and " " not in word else [word])
     ]
     if words[0] != "tissueid":
         subprocess.run(words, check=True)
