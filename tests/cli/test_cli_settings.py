@@ -47,6 +47,17 @@ def test_typed_counts_before_environment_before_project_before_user(
     assert seed_of("--seed", "4") == 4
 
 
+def test_an_order_of_a_settings_file_gives_way_to_a_model_that_is_typed(folder: Path) -> None:
+    Path("tissueid.toml").write_text('[fit]\nbranches = "1"\nstiffness-degree = "0"\n', encoding="utf-8")
+    log = write_log(Path("log.csv"))
+    ended = run("fit", log, "--json", "--model", "power * prony:1", "--sampler", "none")
+    assert ended.code in {0, 4}, ended.stderr
+    assert ended.json()["specimens"][0]["model"]["name"] == "power * prony:1"
+    refused = run("fit", log, "--model", "power * prony:1", "--branches", "2")
+    assert refused.code == 2
+    assert "--branches" in refused.stderr
+
+
 def test_a_project_may_keep_its_settings_in_pyproject(folder: Path) -> None:
     Path("pyproject.toml").write_text("[tool.tissueid.fit]\nseed = 5\n", encoding="utf-8")
     assert seed_of() == 5

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
 from tissueid.cli.fit_summary import print_summary
 from tissueid.cli.output import echo_json_text, note, output_options, progress_bar
@@ -225,7 +226,7 @@ def _posterior_options(flags: dict[str, Any]) -> PosteriorOptions | None:
 
 
 def _checked_model(flags: dict[str, Any]) -> None:
-    """Refuse a name that is no model, and options that this model does not take."""
+    """Refuse a name that is no model and options that it does not take; settings of a file give way to it."""
     from tissueid.model.grammar import ModelNameError, candidates
 
     try:
@@ -238,7 +239,13 @@ def _checked_model(flags: dict[str, Any]) -> None:
         raise UsageError(msg)
     if laws.paper is not None and laws.paper.branches is None:
         return
-    asked = [f"--{key.replace('_', '-')}" for key in ("branches", "stiffness_degree") if flags[key] != "auto"]
+    context, asked = click.get_current_context(), []
+    for key in ("branches", "stiffness_degree"):
+        if context.get_parameter_source(key) in {ParameterSource.DEFAULT_MAP, ParameterSource.ENVIRONMENT}:
+            # what is said here, or in the study, comes first
+            flags[key] = "auto"
+        elif flags[key] != "auto":
+            asked.append(f"--{key.replace('_', '-')}")
     if asked:
         msg = f"{' and '.join(asked)}: {flags['model']!r} says it already; leave one of them out"
         raise UsageError(msg)
