@@ -34,17 +34,18 @@ import numpy as np
 from tissueid.haptics import device as devices
 from tissueid.haptics.device import CompiledIO
 from tissueid.haptics.falcon.constants import DEFAULT_GEOMETRY
+from tissueid.haptics.falcon.servo_io import DESCRIPTOR
 from tissueid.haptics.guard import GuardLimits, new_guard
+from tissueid.haptics.servo_access import compiled_io
 from tissueid.haptics.watchdogs import REPLY_VALID
-from tissueid.rendering.falcon_io import command_descriptor, sense_descriptor
 from tissueid.rendering.selftest import FORCE_STEP_NS, TICK_US, time_ticks
 from tissueid.rendering.servo import ServoProcess
-from tissueid.rendering.servo_io import compiled_io
 from tissueid.rendering.servo_plan import ServoPlan
 
 RATIO = 1.5
 RATES_HZ = (1000, 4000)
 PING_PONGS = 50_000
+_SENSE, _COMMAND = DESCRIPTOR.sense, DESCRIPTOR.command
 C_STEPS = "2000000"
 REFERENCE = Path(__file__).with_name("servo_reference.c")
 
@@ -143,10 +144,10 @@ def exchange(io, limits, memory, position, counts, words, times):
     force = np.zeros(3)
     looked = 0
     for _ in range(times):
-        command_descriptor(io, memory, limits, force)
+        _COMMAND(io, memory, limits, force)
         words[0] = 0
         while words[0] != REPLY_VALID:
-            sense_descriptor(io, 0.0, position, counts, words)
+            _SENSE(io, 0.0, position, counts, words)
             looked += 1
     return looked
 
@@ -160,9 +161,8 @@ def ping_pong_hz() -> float:
         time.sleep(0.5)
         handles = np.zeros(devices.HANDLES_SIZE, np.int64)
         handles[0] = ours
-        io = compiled_io(
-            CompiledIO(devices.FALCON_FD, handles, np.concatenate([[6600.0], DEFAULT_GEOMETRY.block()]))
-        )
+        constants = np.concatenate([[6600.0], DEFAULT_GEOMETRY.block()])
+        io = compiled_io(CompiledIO("tissueid.haptics.falcon.servo_io:DESCRIPTOR", handles, constants))
         room = (GuardLimits().block(), new_guard(), np.zeros(3), np.zeros(3, np.int64), np.zeros(4, np.int64))
         exchange(io, *room, 100)
         begun = time.perf_counter()

@@ -162,22 +162,22 @@ def test_ending_the_interpreter_sends_zero_force():
 TRANSPORT_CALLS = {
     # the base class: after the guard, and with zeros on the way out (the recorder's is its file)
     r"\._write\(": {"haptics/device.py": 2, "rendering/recorder.py": 2},
-    # the servo: after the guard
-    r"(?<!def )(?<![a-z_])command\(io": {"rendering/servo_tick.py": 1},
+    # the servo: after the guard, then by the type of the device
+    r"(?<!def )(?<![a-z_])command\(io": {"rendering/servo_tick.py": 1, "rendering/servo_io.py": 1},
     # what `_write` of a device and the servo's command make of a force
-    r"(?<!def )simulated_command\(": {"haptics/sim.py": 1, "rendering/servo_io.py": 1},
+    r"(?<!def )simulated_command\(": {"haptics/sim.py": 1, "haptics/sim_io.py": 1},
     r"[._](dhd)?[sS]et_?[fF]orce\(": {
         "haptics/forcedimension/device.py": 1,
         "haptics/forcedimension/sdk.py": 1,
-        "rendering/force_dimension_io.py": 1,
+        "haptics/forcedimension/servo_io.py": 1,
     },
-    r"(?<!def )motor_units\(": {"haptics/falcon/device.py": 1, "rendering/falcon_io.py": 1},
+    r"(?<!def )motor_units\(": {"haptics/falcon/device.py": 1, "haptics/falcon/servo_io.py": 1},
     # the firmware's is the test whether it runs, with zeros
     r"(?<!def )encode_(command|into)\(": {
         "haptics/falcon/device.py": 1,
         "haptics/falcon/firmware.py": 1,
         "haptics/falcon/packets.py": 1,
-        "rendering/falcon_io.py": 1,
+        "haptics/falcon/servo_io.py": 1,
     },
 }
 

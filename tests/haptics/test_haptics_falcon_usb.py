@@ -10,7 +10,6 @@ import pytest
 from c_library import compiled
 
 from tissueid.errors import DeviceError
-from tissueid.haptics.device import FALCON_USB
 from tissueid.haptics.falcon import firmware
 from tissueid.haptics.falcon.calibration import Calibration
 from tissueid.haptics.falcon.device import FalconDevice
@@ -122,7 +121,7 @@ def test_compiled_servo_is_given_libusbs_own_transfer(stub: ctypes.CDLL) -> None
     given = device.compiled()
     assert given is not None
     address, handle, bulk_out, bulk_in, timeout = given.handles[:5].tolist()
-    assert (given.kind, bulk_out, bulk_in) == (FALCON_USB, 0x02, 0x81)
+    assert (given.kind, bulk_out, bulk_in) == ("tissueid.haptics.falcon.servo_io:USB", 0x02, 0x81)
     assert 0 < timeout <= 5
     packet = np.frombuffer(b"<BAAAPPPPAAAAAA>", np.uint8).copy()
     moved = np.zeros(1, np.int32)

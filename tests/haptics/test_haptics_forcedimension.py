@@ -11,7 +11,6 @@ import pytest
 from c_library import compiled
 
 from tissueid.errors import DeviceError
-from tissueid.haptics.device import FORCE_DIMENSION
 from tissueid.haptics.falcon.packets import BUTTON_NAMES
 from tissueid.haptics.forcedimension import ForceDimensionDevice
 from tissueid.haptics.forcedimension.device import ORIGIN_M, ROTATION
@@ -171,7 +170,7 @@ def test_compiled_servo_is_given_three_addresses_and_the_mapping(stub: Stub) -> 
     with device:
         given = device.compiled()
         assert given is not None
-        assert given.kind == FORCE_DIMENSION
+        assert given.kind == "tissueid.haptics.forcedimension.servo_io:SDK"
         assert given.handles[3] == 5
         assert given.constants.tolist() == [*ROTATION.ravel().tolist(), *ORIGIN_M.tolist()]
         prototype = ctypes.CFUNCTYPE(

@@ -9,12 +9,13 @@ import pytest
 from c_library import compiled
 
 from tissueid.haptics import guard_states as machine
-from tissueid.haptics.device import FALCON_USB, FORCE_DIMENSION, HANDLES_SIZE, CompiledIO
+from tissueid.haptics.device import HANDLES_SIZE, CompiledIO
 from tissueid.haptics.falcon.constants import DEFAULT_GEOMETRY
 from tissueid.haptics.falcon.kinematics import forward
 from tissueid.haptics.guard import GuardLimits, new_guard
+from tissueid.haptics.servo_access import compiled_io
 from tissueid.haptics.watchdogs import REPLY_LOST, REPLY_VALID
-from tissueid.rendering.servo_io import compiled_io, sense
+from tissueid.rendering.servo_io import sense
 from tissueid.rendering.servo_tick import send
 
 LIMITS = GuardLimits(clamp_N=2.0, rms_limit_N=2.0, dead_man=False).block()
@@ -64,7 +65,13 @@ def force_dimension(library: ctypes.CDLL) -> Loop:
     handles = np.zeros(HANDLES_SIZE, np.int64)
     names = ("dhdGetPosition", "dhdSetForce", "dhdGetButtonMask")
     handles[:4] = [*(address(library, name) for name in names), 5]
-    return Loop(CompiledIO(FORCE_DIMENSION, handles, np.concatenate([ROTATION.ravel(), ORIGIN])))
+    return Loop(
+        CompiledIO(
+            "tissueid.haptics.forcedimension.servo_io:SDK",
+            handles,
+            np.concatenate([ROTATION.ravel(), ORIGIN]),
+        )
+    )
 
 
 class TestForceDimension:
@@ -109,7 +116,7 @@ def falcon(library: ctypes.CDLL) -> Loop:
     handles = np.zeros(HANDLES_SIZE, np.int64)
     handles[:5] = address(library, "libusb_bulk_transfer"), library.handle, 0x02, 0x81, 2
     constants = np.concatenate([[6600.0], DEFAULT_GEOMETRY.block()])
-    return Loop(CompiledIO(FALCON_USB, handles, constants))
+    return Loop(CompiledIO("tissueid.haptics.falcon.servo_io:USB", handles, constants))
 
 
 class TestUsb:

@@ -42,7 +42,7 @@ _ENVIRONMENT = "rendering/environment.py"
 _DEVICE = "haptics/device.py"
 _PACKETS = "haptics/falcon/packet_kernels.py"
 _KINEMATICS = "haptics/falcon/kinematic_kernels.py"
-_FALCON = "rendering/falcon_io.py"
+_FALCON = "haptics/falcon/servo_io.py"
 _CONTROL = "rendering/control/law.py"
 
 _OF_GUARD = (

@@ -21,6 +21,7 @@ from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.parameter_block import COMMAND_ENGAGE, ParameterBlock
 from tissueid.haptics.ring import Ring
 from tissueid.haptics.sim import CENTRE_M, SimulatedDevice
+from tissueid.haptics.sim_io import SimulatedIO
 from tissueid.haptics.simulated_layout import QUANTUM
 from tissueid.model.passivity import required_damping
 from tissueid.model.scaling import scaling_for
@@ -28,7 +29,6 @@ from tissueid.rendering.environment import INFO_DEPTH_MM
 from tissueid.rendering.passivity_control import CORRECTION, TOTAL_J, PassivityLimits
 from tissueid.rendering.precheck import scaling_at
 from tissueid.rendering.presets import PRESETS, preset_tissue
-from tissueid.rendering.servo_io import SimulatedIO
 from tissueid.rendering.servo_tick import BLOCK_SIZE, new_servo, tick
 from tissueid.rendering.tissue_block import Plane, Tissue, tissue_block
 

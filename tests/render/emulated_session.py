@@ -17,10 +17,10 @@ from tissueid.haptics.hand import Hand
 from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.parameter_block import COMMAND_ENGAGE, ParameterBlock
 from tissueid.haptics.ring import Ring
+from tissueid.haptics.servo_access import compiled_io
 from tissueid.haptics.states import Fault, State
 from tissueid.rendering.passivity_control import PassivityLimits
 from tissueid.rendering.presets import preset_check, preset_tissue
-from tissueid.rendering.servo_io import compiled_io
 from tissueid.rendering.servo_tick import BLOCK_SIZE, compiled_tick, new_servo
 from tissueid.rendering.tissue_block import Plane, tissue_block
 

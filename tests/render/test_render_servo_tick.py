@@ -13,11 +13,12 @@ from tissueid.haptics.hand import Hand
 from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.parameter_block import COMMAND_ENGAGE, COMMAND_STOP, ParameterBlock
 from tissueid.haptics.ring import Ring
+from tissueid.haptics.servo_access import compiled_io
 from tissueid.haptics.sim import CENTRE_M, SimulatedDevice
 from tissueid.haptics.states import Fault, Lamp, State
 from tissueid.rendering.passivity_control import PassivityLimits
 from tissueid.rendering.presets import preset_tissue
-from tissueid.rendering.servo_io import PythonIO, compiled_io
+from tissueid.rendering.servo_io import PythonIO
 from tissueid.rendering.servo_loop import ENDED_FAULT, ENDED_STOPPED, ENDED_TICKS, new_watch, virtual_loop
 from tissueid.rendering.servo_tick import BLOCK_SIZE, CLIPPED, VERSION, new_servo, tick
 from tissueid.rendering.tissue_block import Plane, free_air_block, tissue_block
@@ -222,8 +223,8 @@ class TestPythonDevices:
         assert rig.servo.out.tolist() == [0.0, 0.0, 0.0]
 
     def test_an_unknown_kind_of_device_is_told_the_way_out(self):
-        with pytest.raises(DeviceError, match=r"kind 9.*return None"):
-            compiled_io(CompiledIO(9))
+        with pytest.raises(DeviceError, match=r"kind 'nowhere:X'.*return None"):
+            compiled_io(CompiledIO("nowhere:X"))
 
 
 @pytest.mark.needs_jit

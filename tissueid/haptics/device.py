@@ -22,13 +22,7 @@ from numpy.typing import NDArray
 from tissueid.errors import DeviceError
 from tissueid.haptics import guard_states as machine
 from tissueid.haptics.device_facts import (
-    FALCON_FD,
-    FALCON_USB,
-    FORCE_DIMENSION,
-    GEOMETRY,
     HANDLES_SIZE,
-    SIMULATED,
-    UNITS_PER_NM,
     Capabilities,
     CompiledIO,
     DetectedDevice,
@@ -40,13 +34,7 @@ from tissueid.haptics.velocity import velocity_step
 from tissueid.haptics.watchdogs import REPLY_DAMAGED, REPLY_NONE, REPLY_VALID
 
 __all__ = [
-    "FALCON_FD",
-    "FALCON_USB",
-    "FORCE_DIMENSION",
-    "GEOMETRY",
     "HANDLES_SIZE",
-    "SIMULATED",
-    "UNITS_PER_NM",
     "ZERO_COMMANDS",
     "Capabilities",
     "CompiledIO",

@@ -8,13 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
-    "FALCON_FD",
-    "FALCON_USB",
-    "FORCE_DIMENSION",
-    "GEOMETRY",
     "HANDLES_SIZE",
-    "SIMULATED",
-    "UNITS_PER_NM",
     "Capabilities",
     "CompiledIO",
     "DetectedDevice",
@@ -24,8 +18,6 @@ __all__ = [
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-#: Kinds of :class:`CompiledIO`.
-SIMULATED, FALCON_FD, FALCON_USB, FORCE_DIMENSION = 0, 1, 2, 3
 #: Integers of :attr:`CompiledIO.handles`.
 HANDLES_SIZE = 8
 
@@ -111,36 +103,18 @@ class Capabilities:
 class CompiledIO:
     """Handles and constants by which the compiled servo reaches a device without Python.
 
-    ====  =====================  ===================================================================
-    kind  handles                constants, memory
-    ====  =====================  ===================================================================
-    0     none                   parameters and memory of :mod:`tissueid.haptics.sim_kernels`
-    1     file descriptor        :data:`~tissueid.haptics.device.UNITS_PER_NM` and the geometry block
-    2     address of             as 1
-          libusb_bulk_transfer,
-          device handle, OUT and
-          IN end points, time-out [ms]
-    3     addresses of           rows of the 3 x 3 rotation from the driver's frame to ours, then its
-          dhdGetPosition,        origin in ours [m]
-          dhdSetForce,
-          dhdGetButtonMask; ID
-    ====  =====================  ===================================================================
-
     Attributes
     ----------
-    kind : int
+    kind : str
+        ``module:name`` of the :class:`~tissueid.haptics.servo_access.Access` that takes them.
     handles : ndarray of int64, shape (HANDLES_SIZE,)
+        Descriptors, addresses and identities.
     constants : ndarray
     memory : ndarray
         Changed by the loop.
     """
 
-    kind: int
+    kind: str
     handles: IntArray = field(default_factory=lambda: np.zeros(HANDLES_SIZE, np.int64))
     constants: FloatArray = field(default_factory=lambda: np.zeros(1))
     memory: FloatArray = field(default_factory=lambda: np.zeros(1))
-
-
-#: Constants of kinds 1 and 2: motor units for one newton metre, then the geometry block of
-#: :mod:`tissueid.haptics.falcon.kinematic_kernels`.
-UNITS_PER_NM, GEOMETRY = 0, 1

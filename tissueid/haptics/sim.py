@@ -38,7 +38,6 @@ from tissueid.haptics.arm import (
     port_energy,
 )
 from tissueid.haptics.device import (
-    SIMULATED,
     Capabilities,
     CompiledIO,
     DetectedDevice,
@@ -238,7 +237,7 @@ class SimulatedDevice(HapticDevice):
 
     def compiled(self) -> CompiledIO:
         """The blocks of this device, for a compiled loop."""
-        return CompiledIO(SIMULATED, constants=self.parameters, memory=self.memory)
+        return CompiledIO("tissueid.haptics.sim_io:SIMULATED", constants=self.parameters, memory=self.memory)
 
     def _open(self) -> None:
         self._clock_s = None

@@ -16,13 +16,14 @@ from tissueid.compiled import tick_kernel
 from tissueid.haptics.guard import guard
 from tissueid.haptics.parameter_block import COMMAND_ENGAGE, ParameterBlock
 from tissueid.haptics.ring import Ring
+from tissueid.haptics.servo_access import compiled_io
 from tissueid.haptics.sim import CENTRE_M, SimulatedDevice
+from tissueid.haptics.sim_io import SimulatedIO
 from tissueid.rendering.environment import INFO_SIZE, KIND, MEMORY_SIZE, environment_step
 from tissueid.rendering.passivity_control import PassivityLimits
 from tissueid.rendering.presets import preset_tissue
 from tissueid.rendering.servo import ServoProcess
 from tissueid.rendering.servo_clock import CLOCK_SIZE, monotonic_ns
-from tissueid.rendering.servo_io import SimulatedIO, compiled_io
 from tissueid.rendering.servo_loop import new_watch, virtual_loop
 from tissueid.rendering.servo_plan import ServoPlan
 from tissueid.rendering.servo_statistics import PeriodStatistics

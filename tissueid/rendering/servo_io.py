@@ -17,52 +17,15 @@ import numpy as np
 from numba.extending import overload
 from numpy.typing import NDArray
 
-from tissueid.compiled import tick_kernel
 from tissueid.errors import DeviceError
-from tissueid.haptics import device as devices
-from tissueid.haptics.device import CompiledIO, HapticDevice
-from tissueid.haptics.sim_kernels import (
-    HOMED as SIM_HOMED,
-)
-from tissueid.haptics.sim_kernels import (
-    simulated_advance,
-    simulated_command,
-    simulated_sample,
-)
-from tissueid.haptics.simulated_layout import BUTTONS as SIM_BUTTONS
+from tissueid.haptics.device import HapticDevice
+from tissueid.haptics.servo_access import HOMED, PRESSED, REPLY, access_of
 from tissueid.haptics.watchdogs import REPLY_DAMAGED, REPLY_LOST, REPLY_NONE, REPLY_VALID
-from tissueid.rendering.falcon_io import (
-    DescriptorIO,
-    UsbIO,
-    command_descriptor,
-    command_usb,
-    descriptor_io,
-    sense_descriptor,
-    sense_usb,
-    usb_io,
-)
-from tissueid.rendering.force_dimension_io import (
-    ForceDimensionIO,
-    command_force_dimension,
-    force_dimension_io,
-    sense_force_dimension,
-)
 
-__all__ = ["HOMED", "PRESSED", "REPLY", "PythonIO", "SimulatedIO", "command", "compiled_io", "sense"]
+__all__ = ["PythonIO", "command", "sense"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-
-#: Words of a reading: what came (:mod:`tissueid.haptics.watchdogs`), whether homed, buttons.
-REPLY, HOMED, PRESSED, UNANSWERED = 0, 1, 2, 3
-WORDS_SIZE = 4
-
-
-class SimulatedIO(NamedTuple):
-    """Blocks of :mod:`tissueid.haptics.sim_kernels`."""
-
-    parameters: FloatArray
-    memory: FloatArray
 
 
 class PythonIO(NamedTuple):
@@ -70,26 +33,6 @@ class PythonIO(NamedTuple):
 
     device: HapticDevice
     law: Callable[..., Any] | None = None
-
-
-@tick_kernel
-def sense_simulated(
-    io: SimulatedIO, dt: float, position: FloatArray, counts: IntArray, words: IntArray
-) -> None:
-    """Let the arm move for ``dt`` and read its encoders."""
-    simulated_advance(io.memory, io.parameters, dt)
-    said = simulated_sample(io.memory, io.parameters, position, counts)
-    words[REPLY] = REPLY_LOST if said < 0 else (REPLY_VALID if said > 0 else REPLY_NONE)
-    words[HOMED] = 1 if said > 0 and (said & SIM_HOMED) != 0 else 0
-    words[PRESSED] = int(io.parameters[SIM_BUTTONS])
-
-
-@tick_kernel
-def command_simulated(
-    io: SimulatedIO, guard_memory: FloatArray, limits: FloatArray, force: FloatArray
-) -> None:
-    """Put the force on its way."""
-    simulated_command(io.memory, io.parameters, force)
 
 
 def _sense_python(io: PythonIO, dt: float, position: FloatArray, counts: IntArray, words: IntArray) -> None:
@@ -105,21 +48,6 @@ def _sense_python(io: PythonIO, dt: float, position: FloatArray, counts: IntArra
     if sample.valid:
         position[:] = sample.position_m
         counts[:] = sample.counts
-
-
-_SENSE: dict[type, Callable[..., None]] = {
-    SimulatedIO: sense_simulated,
-    DescriptorIO: sense_descriptor,
-    UsbIO: sense_usb,
-    ForceDimensionIO: sense_force_dimension,
-    PythonIO: _sense_python,
-}
-_COMMAND: dict[type, Callable[..., None]] = {
-    SimulatedIO: command_simulated,
-    DescriptorIO: command_descriptor,
-    UsbIO: command_usb,
-    ForceDimensionIO: command_force_dimension,
-}
 
 
 def sense(io: Any, dt: float, position: FloatArray, counts: IntArray, words: IntArray) -> None:
@@ -138,7 +66,8 @@ def sense(io: Any, dt: float, position: FloatArray, counts: IntArray, words: Int
     words : ndarray of int64, shape (WORDS_SIZE,)
         **Written**: REPLY, HOMED, PRESSED; UNANSWERED where the device answers each command.
     """
-    _SENSE[type(io)](io, dt, position, counts, words)
+    way = _sense_python if isinstance(io, PythonIO) else access_of(type(io)).sense
+    way(io, dt, position, counts, words)
 
 
 def command(io: Any, guard_memory: FloatArray, limits: FloatArray, force: FloatArray) -> None:
@@ -152,38 +81,18 @@ def command(io: Any, guard_memory: FloatArray, limits: FloatArray, force: FloatA
     force : ndarray, shape (3,)
         [N].
     """
-    _COMMAND[type(io)](io, guard_memory, limits, force)
+    access_of(type(io)).command(io, guard_memory, limits, force)
 
 
 @overload(sense)
 def _compiled_sense(io, dt, position, counts, words):  # type: ignore[no-untyped-def]
     """The reading of this kind of device, built into the loop."""
-    kernel = _SENSE[io.instance_class]
+    kernel = access_of(io.instance_class).sense
     return lambda io, dt, position, counts, words: kernel(io, dt, position, counts, words)
 
 
 @overload(command)
 def _compiled_command(io, guard_memory, limits, force):  # type: ignore[no-untyped-def]
     """The command of this kind of device, built into the loop."""
-    kernel = _COMMAND[io.instance_class]
+    kernel = access_of(io.instance_class).command
     return lambda io, guard_memory, limits, force: kernel(io, guard_memory, limits, force)
-
-
-def compiled_io(given: CompiledIO) -> Any:
-    """The tuple for what a device says of itself.
-
-    Raises
-    ------
-    DeviceError
-        Its kind is none the servo knows.
-    """
-    if given.kind == devices.SIMULATED:
-        return SimulatedIO(given.constants, given.memory)
-    if given.kind == devices.FALCON_FD:
-        return descriptor_io(given)
-    if given.kind == devices.FALCON_USB:
-        return usb_io(given)
-    if given.kind == devices.FORCE_DIMENSION:
-        return force_dimension_io(given)
-    msg = f"the compiled servo knows no device of kind {given.kind}; return None from compiled()"
-    raise DeviceError(msg)

@@ -25,11 +25,12 @@ from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.parameter_block import ParameterBlock
 from tissueid.haptics.registry import device_class, environment_law
 from tissueid.haptics.ring import Ring
+from tissueid.haptics.servo_access import compiled_io
 from tissueid.haptics.shared_hand import SharedHand
 from tissueid.haptics.sim import SimulatedDevice
 from tissueid.haptics.states import FAULT_WORDS, Fault
 from tissueid.rendering.first_start import is_compiled
-from tissueid.rendering.servo_io import PythonIO, compiled_io
+from tissueid.rendering.servo_io import PythonIO
 from tissueid.rendering.servo_loop import BINS, compiled_loop, new_watch, realtime_loop
 from tissueid.rendering.servo_plan import REASONS, ServoEnd, ServoPlan, receive_plan, send_line
 from tissueid.rendering.servo_schedule import make_punctual

@@ -25,6 +25,7 @@ from tissueid.haptics.parameter_block import COMMAND_ENGAGE, ParameterBlock, tak
 from tissueid.haptics.parameter_block import command as ordered
 from tissueid.haptics.ring import Ring
 from tissueid.haptics.ring_publishing import publish
+from tissueid.haptics.servo_access import HOMED, PRESSED, REPLY, UNANSWERED, WORDS_SIZE
 from tissueid.haptics.states import Lamp
 from tissueid.haptics.velocity import velocity_step
 from tissueid.haptics.watchdogs import REPLY_VALID
@@ -50,16 +51,7 @@ from tissueid.rendering.passivity_control import (
     note_sent,
     passivity_step,
 )
-from tissueid.rendering.servo_io import (
-    HOMED,
-    PRESSED,
-    REPLY,
-    UNANSWERED,
-    WORDS_SIZE,
-    PythonIO,
-    command,
-    sense,
-)
+from tissueid.rendering.servo_io import PythonIO, command, sense
 
 __all__ = ["BLOCK_SIZE", "Servo", "compiled_tick", "new_servo", "tick"]
 

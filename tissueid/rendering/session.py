@@ -265,7 +265,7 @@ class Session:
         from tissueid.haptics.parameter_block import COMMAND_ENGAGE, ParameterBlock
         from tissueid.haptics.registry import device_class
         from tissueid.haptics.ring import Ring
-        from tissueid.rendering.servo_io import compiled_io
+        from tissueid.haptics.servo_access import compiled_io
         from tissueid.rendering.servo_loop import ENDED_TICKS, new_watch, virtual_loop
         from tissueid.rendering.servo_tick import BLOCK_SIZE, new_servo
 

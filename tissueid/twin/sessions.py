@@ -21,6 +21,7 @@ from tissueid.haptics.falcon.emulator import EmulatedLink, EmulatorSettings
 from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.parameter_block import COMMAND_ENGAGE, ParameterBlock
 from tissueid.haptics.ring import Ring
+from tissueid.haptics.servo_access import compiled_io
 from tissueid.haptics.sim import carried
 from tissueid.haptics.states import Fault, State
 from tissueid.ingest import read_trials
@@ -29,7 +30,6 @@ from tissueid.rendering.passivity_control import PassivityLimits
 from tissueid.rendering.plan import plan_session
 from tissueid.rendering.presets import ASSUMED_DEVICE
 from tissueid.rendering.recorder import Recorder
-from tissueid.rendering.servo_io import compiled_io
 from tissueid.rendering.servo_tick import BLOCK_SIZE, compiled_tick, new_servo
 from tissueid.rendering.session import Session
 from tissueid.rendering.session_plan import SessionPlan

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from tissueid.errors import DeviceError
 from tissueid.haptics.device import (
-    FALCON_FD,
-    FALCON_USB,
     HANDLES_SIZE,
     Capabilities,
     CompiledIO,
@@ -154,10 +152,10 @@ class FalconDevice(HapticDevice):
         """Descriptor or libusb's addresses, for the compiled loop; None when closed."""
         handles = np.zeros(HANDLES_SIZE, np.int64)
         if isinstance(self._transport, FileTransport):
-            kind = FALCON_FD
+            name = "DESCRIPTOR"
             handles[0] = self._transport.descriptor
         elif isinstance(self._transport, UsbTransport):
-            kind = FALCON_USB
+            name = "USB"
             handles[:5] = (
                 self._transport.bulk_transfer, self._transport.handle, BULK_OUT, BULK_IN,
                 TRANSFER_TIMEOUT_MS,
@@ -165,7 +163,7 @@ class FalconDevice(HapticDevice):
         else:
             return None
         constants = np.concatenate([[self.calibration.units_per_Nm], self._geometry])
-        return CompiledIO(kind, handles, constants)
+        return CompiledIO(f"tissueid.haptics.falcon.servo_io:{name}", handles, constants)
 
     @property
     def packets(self) -> int:

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from tissueid.errors import DeviceError
 from tissueid.haptics.device import (
-    FORCE_DIMENSION,
     HANDLES_SIZE,
     Capabilities,
     CompiledIO,
@@ -117,7 +116,8 @@ class ForceDimensionDevice(HapticDevice):
             self._sdk.address("dhdGetButtonMask"),
             self._sdk.identity,
         )
-        return CompiledIO(FORCE_DIMENSION, handles, np.concatenate([ROTATION.ravel(), ORIGIN_M]))
+        constants = np.concatenate([ROTATION.ravel(), ORIGIN_M])
+        return CompiledIO("tissueid.haptics.forcedimension.servo_io:SDK", handles, constants)
 
     def _open(self) -> None:
         sdk = Sdk(self._library)

@@ -14,12 +14,13 @@ from numba import types
 from numpy.typing import NDArray
 
 from tissueid.compiled import tick_kernel
-from tissueid.haptics.device import CompiledIO
+from tissueid.haptics.device_facts import CompiledIO
 from tissueid.haptics.forcedimension.buttons import wire_buttons
 from tissueid.haptics.foreign import by_address
+from tissueid.haptics.servo_access import HOMED, PRESSED, REPLY, Access, register
 from tissueid.haptics.watchdogs import REPLY_LOST, REPLY_VALID
 
-__all__ = ["ForceDimensionIO", "command_force_dimension", "force_dimension_io", "sense_force_dimension"]
+__all__ = ["SDK", "ForceDimensionIO"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -47,7 +48,7 @@ class ForceDimensionIO(NamedTuple):
     flags: IntArray
 
 
-def force_dimension_io(given: CompiledIO) -> ForceDimensionIO:
+def _made(given: CompiledIO) -> ForceDimensionIO:
     """The tuple of a device."""
     get_position, set_force, get_buttons, identity = (int(value) for value in given.handles[:4])
     return ForceDimensionIO(
@@ -63,18 +64,16 @@ def force_dimension_io(given: CompiledIO) -> ForceDimensionIO:
 
 
 @tick_kernel
-def sense_force_dimension(
-    io: ForceDimensionIO, dt: float, position: FloatArray, counts: IntArray, words: IntArray
-) -> None:
+def _sense(io: ForceDimensionIO, dt: float, position: FloatArray, counts: IntArray, words: IntArray) -> None:
     """Ask the driver for the position and the buttons."""
     at = io.driver.ctypes.data
     result = _get_position(io.get_position, (at, at + 8, at + 16, io.identity))
-    words[1] = 1
+    words[HOMED] = 1
     if result < 0 or io.flags[0] != 0:
-        words[0] = REPLY_LOST
+        words[REPLY] = REPLY_LOST
         return
-    words[0] = REPLY_VALID
-    words[2] = wire_buttons(int(_get_buttons(io.get_buttons, (io.identity,))))
+    words[REPLY] = REPLY_VALID
+    words[PRESSED] = wire_buttons(int(_get_buttons(io.get_buttons, (io.identity,))))
     for i in range(3):
         position[i] = io.origin[i]
         for j in range(3):
@@ -83,9 +82,7 @@ def sense_force_dimension(
 
 
 @tick_kernel
-def command_force_dimension(
-    io: ForceDimensionIO, guard_memory: FloatArray, limits: FloatArray, force: FloatArray
-) -> None:
+def _command(io: ForceDimensionIO, guard_memory: FloatArray, limits: FloatArray, force: FloatArray) -> None:
     """Give the driver a force in its own frame."""
     for j in range(3):
         io.driver[j] = 0.0
@@ -94,3 +91,7 @@ def command_force_dimension(
     result = _set_force(io.set_force, (io.driver[0], io.driver[1], io.driver[2], io.identity))
     if result < 0 or result > LARGEST_SENT:
         io.flags[0] = 1
+
+
+#: A device of the Force Dimension driver.
+SDK = register(Access(ForceDimensionIO, _made, _sense, _command))

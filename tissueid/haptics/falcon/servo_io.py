@@ -12,7 +12,7 @@ from numba import types
 from numpy.typing import NDArray
 
 from tissueid.compiled import tick_kernel
-from tissueid.haptics.device import GEOMETRY, UNITS_PER_NM, CompiledIO
+from tissueid.haptics.device_facts import CompiledIO
 from tissueid.haptics.falcon.kinematic_kernels import angles_of_counts, forward_kernel, motor_units
 from tissueid.haptics.falcon.packet_kernels import (
     BUTTONS,
@@ -28,24 +28,20 @@ from tissueid.haptics.falcon.packet_kernels import (
 from tissueid.haptics.foreign import by_address, libc_function
 from tissueid.haptics.guard_states import LAMPS, STATE
 from tissueid.haptics.limits import MOTOR_CLAMP
+from tissueid.haptics.servo_access import HOMED as IS_HOMED
+from tissueid.haptics.servo_access import PRESSED, REPLY, Access, register
+from tissueid.haptics.servo_access import UNANSWERED as WITHOUT_ANSWER
 from tissueid.haptics.states import Lamp
 from tissueid.haptics.watchdogs import LATE_COMMANDS, REPLY_DAMAGED, REPLY_LOST, REPLY_NONE, REPLY_VALID
 
-__all__ = [
-    "DescriptorIO",
-    "UsbIO",
-    "command_descriptor",
-    "command_usb",
-    "descriptor_io",
-    "sense_descriptor",
-    "sense_usb",
-    "usb_io",
-]
+__all__ = ["DESCRIPTOR", "USB", "DescriptorIO", "UsbIO"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 ByteArray = NDArray[np.uint8]
 
+#: Constants: motor units for one newton metre, then the geometry block.
+UNITS_PER_NM, GEOMETRY = 0, 1
 READ_BYTES = 512
 ALL_HOMED = 0x7
 CLIPPED = int(Lamp.CLIPPED)
@@ -123,12 +119,12 @@ def _parts(given: CompiledIO) -> FalconParts:
     )
 
 
-def descriptor_io(given: CompiledIO) -> DescriptorIO:
+def _descriptor_io(given: CompiledIO) -> DescriptorIO:
     """The tuple of a descriptor."""
     return DescriptorIO(int(given.handles[0]), _parts(given))
 
 
-def usb_io(given: CompiledIO) -> UsbIO:
+def _usb_io(given: CompiledIO) -> UsbIO:
     """The tuple of a USB device."""
     address, handle, bulk_out, bulk_in, timeout_ms = (int(value) for value in given.handles[:5])
     return UsbIO(address, handle, bulk_out, bulk_in, timeout_ms, _parts(given))
@@ -166,21 +162,21 @@ def _understand(
     """The last whole reply as position, counts and buttons."""
     damaged = parts.parser[INVALID] - parts.flags[REPORTED]
     parts.flags[REPORTED] = parts.parser[INVALID]
-    words[0] = REPLY_DAMAGED if damaged > 0 else REPLY_NONE
+    words[REPLY] = REPLY_DAMAGED if damaged > 0 else REPLY_NONE
     if replies > 0:
-        words[1] = 1 if parts.parser[HOMED] == ALL_HOMED else 0
-        words[2] = parts.parser[BUTTONS]
+        words[IS_HOMED] = 1 if parts.parser[HOMED] == ALL_HOMED else 0
+        words[PRESSED] = parts.parser[BUTTONS]
         for i in range(3):
             counts[i] = parts.parser[ENCODERS + i]
         angles_of_counts(counts, parts.geometry, parts.angles)
         found = forward_kernel(parts.angles, parts.geometry, parts.grip) >= 0
         # counts that no grip position has are as good as a damaged reply; before homing they mean nothing
-        words[0] = REPLY_VALID if found or words[1] == 0 else REPLY_DAMAGED
+        words[REPLY] = REPLY_VALID if found or words[IS_HOMED] == 0 else REPLY_DAMAGED
         for i in range(3):
             position[i] = parts.grip[i]
     if parts.flags[LOST] != 0:
-        words[0] = REPLY_LOST
-    words[3] = _unanswered(parts.flags, replies + damaged)
+        words[REPLY] = REPLY_LOST
+    words[WITHOUT_ANSWER] = _unanswered(parts.flags, replies + damaged)
 
 
 @tick_kernel
@@ -192,7 +188,7 @@ def _packet(parts: FalconParts, guard_memory: FloatArray, limits: FloatArray, fo
 
 
 @tick_kernel
-def sense_descriptor(
+def _sense_descriptor(
     io: DescriptorIO, dt: float, position: FloatArray, counts: IntArray, words: IntArray
 ) -> None:
     """Parse what has arrived."""
@@ -211,7 +207,7 @@ def sense_descriptor(
 
 
 @tick_kernel
-def command_descriptor(
+def _command_descriptor(
     io: DescriptorIO, guard_memory: FloatArray, limits: FloatArray, force: FloatArray
 ) -> None:
     """Send one packet; where the other end takes no bytes its silence is noticed by the watchdog."""
@@ -224,7 +220,7 @@ def command_descriptor(
 
 
 @tick_kernel
-def sense_usb(io: UsbIO, dt: float, position: FloatArray, counts: IntArray, words: IntArray) -> None:
+def _sense_usb(io: UsbIO, dt: float, position: FloatArray, counts: IntArray, words: IntArray) -> None:
     """Parse what has arrived, without the status bytes of each USB packet."""
     parts = io.parts
     replies = 0
@@ -240,7 +236,7 @@ def sense_usb(io: UsbIO, dt: float, position: FloatArray, counts: IntArray, word
 
 
 @tick_kernel
-def command_usb(io: UsbIO, guard_memory: FloatArray, limits: FloatArray, force: FloatArray) -> None:
+def _command_usb(io: UsbIO, guard_memory: FloatArray, limits: FloatArray, force: FloatArray) -> None:
     """Send one packet."""
     parts = io.parts
     _packet(parts, guard_memory, limits, force)
@@ -251,3 +247,8 @@ def command_usb(io: UsbIO, guard_memory: FloatArray, limits: FloatArray, force: 
     )
     if result not in (0, LIBUSB_TIMEOUT):
         parts.flags[LOST] = 1
+
+
+#: A Falcon behind a file descriptor, and one behind libusb.
+DESCRIPTOR = register(Access(DescriptorIO, _descriptor_io, _sense_descriptor, _command_descriptor))
+USB = register(Access(UsbIO, _usb_io, _sense_usb, _command_usb))
