@@ -377,7 +377,7 @@ COMPILED = (
     Mutant(
         "a pose that is none is believed",
         _FALCON,
-        "REPLY_VALID if found or words[1] == 0 else REPLY_DAMAGED",
+        "REPLY_VALID if found or words[IS_HOMED] == 0 else REPLY_DAMAGED",
         "REPLY_VALID",
         ("tests/haptics/test_haptics_compiled_io.py",),
     ),

@@ -21,6 +21,7 @@ from tissueid.rendering import servo_process
 from tissueid.rendering.servo import ServoProcess
 from tissueid.rendering.servo_plan import ServoPlan
 from tissueid.rendering.servo_process import run_plan
+from tissueid.rendering.servo_schedule import Schedule
 from tissueid.rendering.servo_tick import BLOCK_SIZE
 
 #: A busy machine starves an emulator for longer than a device may be silent.
@@ -80,6 +81,8 @@ def test_the_loop_is_compiled_before_homing_begins_and_a_cold_start_says_how_lon
     monkeypatch.setattr(SimulatedDevice, "home", noted_home)
     monkeypatch.setattr(servo_process, "compiled_loop", noted_loop)
     monkeypatch.setattr(servo_process, "is_compiled", lambda: False)
+    # this process is the tests' own: it must not get a servo's priority, processor and locked memory
+    monkeypatch.setattr(servo_process, "make_punctual", lambda **_: Schedule("SCHED_OTHER", -1, False, ()))
     theirs, ours = socket.socketpair()
     reading, writing = os.pipe()
     ring, block = Ring.create(), ParameterBlock.create(BLOCK_SIZE)

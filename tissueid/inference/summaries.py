@@ -38,6 +38,16 @@ MAX_WORKERS = 4
 
 
 @dataclass(frozen=True, slots=True)
+class _Known:
+    """Facts of the specimen that the summary of each log needs."""
+
+    tissue: TissueEstimate
+    noise: NoiseFit
+    depths_mm: Sequence[float]
+    tip: TipOf
+
+
+@dataclass(frozen=True, slots=True)
 class Summaries:
     """Summaries of a specimen's logs beside its tissue.
 
@@ -102,6 +112,7 @@ def second_pass(
     tip : TipOf
         For the moduli of what is measured.
     """
+    known = _Known(tissue, noise, depths_mm, tip)
     workers = threads(min(len(handles), MAX_WORKERS))
     running: deque[Future[_OneLog]] = deque()
     found: list[_OneLog] = []
@@ -110,20 +121,7 @@ def second_pass(
             trial, log = handle.fitted()
             tick(f"residuals of {trial.name}")
             fitted = force_of(i, log)
-            running.append(
-                pool.submit(
-                    _one_log,
-                    trial,
-                    handle.segmentation,
-                    log,
-                    fitted,
-                    adjustment,
-                    tissue,
-                    noise,
-                    depths_mm,
-                    tip,
-                )
-            )
+            running.append(pool.submit(_one_log, trial, handle.segmentation, log, fitted, adjustment, known))
             while len(running) > workers:
                 found.append(running.popleft().result())
         found += [one.result() for one in running]
@@ -153,21 +151,20 @@ def _one_log(
     log: FittedLog,
     fitted: FloatArray,
     adjustment: Adjustment,
-    tissue: TissueEstimate,
-    noise: NoiseFit,
-    depths_mm: Sequence[float],
-    tip: TipOf,
+    known: _Known,
 ) -> _OneLog:
     """Summarise one log; it touches nothing else, so that logs may be looked at in threads."""
-    model, theta = tissue.model, tissue.theta
+    model, theta = known.tissue.model, known.tissue.theta
     totals = ResidualTotals()
-    cycles = cycle_rows(trial, segmentation, depths_mm=depths_mm)
+    cycles = cycle_rows(trial, segmentation, depths_mm=known.depths_mm)
     blocks = residual_blocks(segmentation, log, model, theta, adjustment, fitted)
-    summary = residual_summary(log, fitted, blocks, sigma_N=noise.sigma_N)
+    summary = residual_summary(log, fitted, blocks, sigma_N=known.noise.sigma_N)
     told = summarise_trial(trial, segmentation, log, fitted=fitted, adjustment=adjustment, totals=totals)
     return _OneLog(
         totals=totals,
-        trial=replace(told, residual=summary, measured=measure(trial, segmentation, geometry=tip.of(trial))),
+        trial=replace(
+            told, residual=summary, measured=measure(trial, segmentation, geometry=known.tip.of(trial))
+        ),
         relaxation=relaxation_rows(trial, segmentation),
         cycles=tuple(with_model_viscosity(trial, segmentation, cycles, model, theta, adjustment)),
         holds=hold_numbers(trial, segmentation),

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+from typing import NamedTuple
 
 from tissueid.ingest.layout import Layout, Row, find_decimal, split_line
 from tissueid.ingest.numbers import looks_numeric
@@ -15,10 +16,22 @@ from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.text import Text
 
-__all__ = ["block_layout", "block_text"]
+__all__ = ["Head", "block_layout", "block_text"]
 
 #: Rows looked at for the decimal mark, and for which columns hold numbers.
 _SAMPLED_BYTES = 1 << 14
+
+
+class Head(NamedTuple):
+    """Names and units over a table, empty units where there is no such row, and where it stands.
+
+    Lines are one-based: of the names and of the first row.
+    """
+
+    names: Row
+    units: Row
+    names_line: int
+    first_line: int
 
 
 def block_text(text: Text, rows: bytes, first_line: int) -> Text:
@@ -42,11 +55,8 @@ def _ends_empty(sample: list[Row], named: int) -> bool:
 
 def block_layout(
     text: Text,
+    head: Head,
     *,
-    names: Row,
-    units: Row,
-    names_line: int,
-    first_line: int,
     delimiter: str,
     options: ReadOptions,
     place: Place,
@@ -58,10 +68,7 @@ def block_layout(
     ----------
     text : Text
         Of :func:`block_text`.
-    names, units : Row
-        Empty units where there is no such row.
-    names_line, first_line : int
-        One-based lines of the names and of the first row.
+    head : Head
     delimiter : str
     options : ReadOptions
     place : Place
@@ -73,9 +80,10 @@ def block_layout(
     InputError
         ``ambiguous_decimal``.
     """
+    names, units, names_line, first_line = head
     first = first_line - 1
-    head = text.data[first : first + _SAMPLED_BYTES].splitlines()
-    rows = [split_line(text.decode(line), delimiter) for line in head]
+    opening = text.data[first : first + _SAMPLED_BYTES].splitlines()
+    rows = [split_line(text.decode(line), delimiter) for line in opening]
     sample = [row for row in rows if sum(map(looks_numeric, row)) >= 2]
     mark = options.decimal or decimal
     if mark is None:

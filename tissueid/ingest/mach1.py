@@ -29,7 +29,7 @@ from dataclasses import dataclass, replace
 
 from tissueid.errors import InputError
 from tissueid.flags import Flag
-from tissueid.ingest.block import block_layout, block_text
+from tissueid.ingest.block import Head, block_layout, block_text
 from tissueid.ingest.columns import has_channels
 from tissueid.ingest.delimited import read_table
 from tissueid.ingest.header import protocol_of
@@ -148,8 +148,7 @@ def _read_block(
         alone = block_text(text, _DIVIDER.sub(b"", part), line)
         try:
             layout = block_layout(
-                alone, names=names, units=(), names_line=names_line, first_line=line,
-                delimiter="\t", options=file.options, place=place,
+                alone, Head(names, (), names_line, line), delimiter="\t", options=file.options, place=place,
             )  # fmt: skip
             table = read_table(alone, layout, file.options, place, metadata=block.header)
             protocol = protocol_of(_as_keys(block), file.path, decimal=layout.decimal)

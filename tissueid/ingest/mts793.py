@@ -24,7 +24,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from tissueid.errors import InputError
-from tissueid.ingest.block import block_layout, block_text
+from tissueid.ingest.block import Head, block_layout, block_text
 from tissueid.ingest.columns import has_channels
 from tissueid.ingest.delimited import read_table
 from tissueid.ingest.layout import Row, split_line
@@ -148,9 +148,9 @@ def read_mts793(file: InputFile) -> Iterator[Table | InputError]:
         alone = block_text(text, block.rows, block.first_line)
         try:
             layout = block_layout(
-                alone, names=block.names, units=block.units, names_line=block.names_line,
-                first_line=block.first_line, delimiter=_delimiter(file, text.data), options=file.options,
-                place=place, decimal=_stated_decimal(text),
+                alone, Head(block.names, block.units, block.names_line, block.first_line),
+                delimiter=_delimiter(file, text.data), options=file.options, place=place,
+                decimal=_stated_decimal(text),
             )  # fmt: skip
             yield read_table(alone, layout, file.options, place, metadata=metadata)
         except InputError as error:

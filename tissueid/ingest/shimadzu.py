@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from tissueid.errors import InputError
-from tissueid.ingest.block import block_layout, block_text
+from tissueid.ingest.block import Head, block_layout, block_text
 from tissueid.ingest.columns import split_name
 from tissueid.ingest.delimited import read_table
 from tissueid.ingest.header import header_entries
@@ -74,10 +74,12 @@ def read_shimadzu(file: InputFile) -> Iterator[Table | InputError]:
             alone = _alone(text, layout, specimen, own)
             laid = block_layout(
                 alone,
-                names=layout.names[specimen.start : specimen.stop],
-                units=layout.units[specimen.start : specimen.stop],
-                names_line=layout.names_line or layout.first_line,
-                first_line=layout.first_line,
+                Head(
+                    layout.names[specimen.start : specimen.stop],
+                    layout.units[specimen.start : specimen.stop],
+                    layout.names_line or layout.first_line,
+                    layout.first_line,
+                ),
                 delimiter=layout.delimiter,
                 options=file.options,
                 place=own,

@@ -216,15 +216,15 @@ def _shifted(
 
 @kernel()
 def _try_together(
-    rng: np.random.Generator, cohort: Cohort, hyper: Hyper, state: State, unit: FloatArray, k: int, kind: int,
-    adapt: bool, likelihood: FloatArray,
+    rng: np.random.Generator, cohort: Cohort, hyper: Hyper, state: State, unit: FloatArray,
+    which: tuple[int, int], adapt: bool, likelihood: FloatArray,
 ) -> None:  # fmt: skip
     """Move the mean (kind 0) or the spread (kind 1) of a coordinate with the smooth specimens.
 
     A translation keeps their density in the population; so does a scaling, but for its Jacobian, which the
     density's own change cancels.
     """
-    p = unit.shape[0]
+    p, (k, kind) = unit.shape[0], which
     mean, other = np.zeros(p), np.zeros(p)
     change = math.exp(state.step[kind, k]) * rng.standard_normal()
     ratio = 0.0
@@ -335,4 +335,4 @@ def move_together(
         if only >= 0 and k != only:
             continue
         for kind in range(2):
-            _try_together(rng, cohort, hyper, state, unit, k, kind, adapt, likelihood)
+            _try_together(rng, cohort, hyper, state, unit, (k, kind), adapt, likelihood)

@@ -10,6 +10,7 @@ sufficient statistics, so that a draw costs the same for ten specimens as for te
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,28 +72,35 @@ def _log_likelihood(
     return value - 0.5 * square
 
 
-@kernel()
-def _at_log_sd(
-    value: float, k: int, log_sd: FloatArray, low: FloatArray, root: FloatArray, count: float, x: FloatArray,
-    prior: FloatArray,
-) -> float:  # fmt: skip
-    log_sd[k] = value
-    away = (value - prior[0]) / prior[1]
-    return float(_log_likelihood(log_sd, low, root, count, x) - 0.5 * away * away)
+class _Scales(NamedTuple):
+    """Standard deviations, factor of the correlations, what was seen of how many, work space, prior."""
+
+    log_sd: FloatArray
+    low: FloatArray
+    root: FloatArray
+    many: float
+    x: FloatArray
+    prior: FloatArray
 
 
 @kernel()
-def _at_correlation(
-    value: float, i: int, j: int, w: FloatArray, log_sd: FloatArray, low: FloatArray, root: FloatArray,
-    count: float, x: FloatArray, lkj: float,
-) -> float:  # fmt: skip
+def _at_log_sd(value: float, k: int, scales: _Scales) -> float:
+    scales.log_sd[k] = value
+    away = (value - scales.prior[0]) / scales.prior[1]
+    likelihood = _log_likelihood(scales.log_sd, scales.low, scales.root, scales.many, scales.x)
+    return float(likelihood - 0.5 * away * away)
+
+
+@kernel()
+def _at_correlation(value: float, i: int, j: int, w: FloatArray, scales: _Scales) -> float:
     if abs(value) > MOST_Z:
         return -np.inf
     w[i, j] = math.tanh(value)
-    _factor_row(w, i, low)
+    _factor_row(w, i, scales.low)
     # Beta(b, b) on (-1, 1), times d w / d arctanh w
-    b = lkj + 0.5 * (w.shape[0] - 2 - j)
-    return float(_log_likelihood(log_sd, low, root, count, x) - 2.0 * b * math.log(math.cosh(value)))
+    b = scales.prior[2] + 0.5 * (w.shape[0] - 2 - j)
+    likelihood = _log_likelihood(scales.log_sd, scales.low, scales.root, scales.many, scales.x)
+    return float(likelihood - 2.0 * b * math.log(math.cosh(value)))
 
 
 @kernel()
@@ -121,26 +129,25 @@ def draw_scales(
         Cholesky factor of R.
     """
     p = log_sd.size
-    root = _root(squares)
     low = correlation_factor(w)
-    x = np.zeros((p, p))
+    scales = _Scales(log_sd, low, _root(squares), count, np.zeros((p, p)), prior)
     for k in range(p):
         start = log_sd[k]
-        level = _at_log_sd(start, k, log_sd, low, root, count, x, prior) - rng.standard_exponential()
+        level = _at_log_sd(start, k, scales) - rng.standard_exponential()
         left = start - SD_WIDTH * rng.random()
         right = left + SD_WIDTH
         for _ in range(MOST_STEPS):
-            if _at_log_sd(left, k, log_sd, low, root, count, x, prior) <= level:
+            if _at_log_sd(left, k, scales) <= level:
                 break
             left -= SD_WIDTH
         for _ in range(MOST_STEPS):
-            if _at_log_sd(right, k, log_sd, low, root, count, x, prior) <= level:
+            if _at_log_sd(right, k, scales) <= level:
                 break
             right += SD_WIDTH
         log_sd[k] = start
         for _ in range(2 * MOST_STEPS):
             value = left + (right - left) * rng.random()
-            if _at_log_sd(value, k, log_sd, low, root, count, x, prior) > level:
+            if _at_log_sd(value, k, scales) > level:
                 break
             if value < start:
                 left = value
@@ -149,37 +156,34 @@ def draw_scales(
             log_sd[k] = start
     for i in range(1, p):
         for j in range(i):
-            _draw_correlation(rng, i, j, w, log_sd, low, root, count, x, prior[2])
+            _draw_correlation(rng, i, j, w, scales)
     return low
 
 
 @kernel()
-def _draw_correlation(
-    rng: np.random.Generator, i: int, j: int, w: FloatArray, log_sd: FloatArray, low: FloatArray,
-    root: FloatArray, count: float, x: FloatArray, lkj: float,
-) -> None:  # fmt: skip
+def _draw_correlation(rng: np.random.Generator, i: int, j: int, w: FloatArray, scales: _Scales) -> None:
     start = math.atanh(w[i, j])
-    level = _at_correlation(start, i, j, w, log_sd, low, root, count, x, lkj) - rng.standard_exponential()
+    level = _at_correlation(start, i, j, w, scales) - rng.standard_exponential()
     left = start - CORRELATION_WIDTH * rng.random()
     right = left + CORRELATION_WIDTH
     for _ in range(MOST_STEPS):
-        if _at_correlation(left, i, j, w, log_sd, low, root, count, x, lkj) <= level:
+        if _at_correlation(left, i, j, w, scales) <= level:
             break
         left -= CORRELATION_WIDTH
     for _ in range(MOST_STEPS):
-        if _at_correlation(right, i, j, w, log_sd, low, root, count, x, lkj) <= level:
+        if _at_correlation(right, i, j, w, scales) <= level:
             break
         right += CORRELATION_WIDTH
     for _ in range(2 * MOST_STEPS):
         value = left + (right - left) * rng.random()
-        if _at_correlation(value, i, j, w, log_sd, low, root, count, x, lkj) > level:
+        if _at_correlation(value, i, j, w, scales) > level:
             return
         if value < start:
             left = value
         else:
             right = value
     w[i, j] = math.tanh(start)
-    _factor_row(w, i, low)
+    _factor_row(w, i, scales.low)
 
 
 @kernel()

@@ -52,19 +52,19 @@ FORCE_ROWS = 13
 def _forces(
     block: FloatArray,
     parameters: tuple[FloatArray, FloatArray, FloatArray],
-    drive: FloatArray,
-    time: float,
+    moment: tuple[FloatArray, float],
     motion: FloatArray,
     estimates: FloatArray,
     touched: float,
     forces: FloatArray,
     room: Five,
 ) -> None:
-    """Solve the algebraic loop at one moment.
+    """Solve the algebraic loop at one moment, of the drive and the time.
 
     Rows of ``forces``, all written: push, disturbance, force of the hand, control force, rho, robust term,
     acceleration of device and tool, vr, ar.
     """
+    drive, time = moment
     total, operator = parameters[0], parameters[1]
     spare, Y, M, Mh, Mc = room
     x, v, ve = motion[0], motion[1], motion[3]
@@ -148,15 +148,14 @@ def _step(
     law: FloatArray,
     parameters: tuple[FloatArray, FloatArray, FloatArray],
     adaptation: tuple[FloatArray, FloatArray],
-    drive: FloatArray,
-    time: float,
+    moment: tuple[FloatArray, float],
     motions: FloatArray,
     forces: FloatArray,
-    solving: Five,
-    lists: Five,
+    rooms: tuple[Five, Five],
 ) -> float:
     """One step of Heun from a moment whose forces are known; the force of the environment at its end."""
     gains, bounds = adaptation
+    solving, lists = rooms
     h = block[PERIOD]
     motion, ahead, slope, slope_ahead = motions[0], motions[1], motions[2], motions[3]
     estimates, guess, moved, state, trial = lists
@@ -170,7 +169,7 @@ def _step(
             ahead[k, i] = motion[k, i] + h * slope[k, i]
     _copy(state, trial)
     pressed = _tissue(block, law, trial, ahead, h)
-    _forces(block, parameters, drive, time + h, ahead, guess, pressed, forces, solving)
+    _forces(block, parameters, (moment[0], moment[1] + h), ahead, guess, pressed, forces, solving)
     _slopes(ahead, forces, slope_ahead)
     _copy(guess, moved)
     adapt(block, Y, forces[4], gains, bounds, h, moved)
@@ -206,17 +205,19 @@ def run_continuous(
     for row in range(out.shape[0]):
         for step in range(every):
             time = (row * every + step) * block[PERIOD]
-            _forces(block, parameters, drive, time, motion, estimates, touched, forces, solving)
+            _forces(block, parameters, (drive, time), motion, estimates, touched, forces, solving)
             if step == 0:
                 rho, robust = forces[4], forces[5]
                 not_covered(block, forces[0], forces[1], unknown)
                 V, rate = lyapunov(
-                    block, motion[0], rho, robust, unknown, truth, estimates, gains, spare, Y, squares[0]
+                    block, motion[0], (rho, robust, unknown), truth, estimates, gains, (spare, Y, squares[0])
                 )
                 led = (motion[0], motion[1], motion[2], motion[3])
                 vectors = (*led, forces[2], forces[3], rho, forces[0], forces[1])
                 record_row(out[row], time, vectors, (touched, sigma_at(block, time), V, rate), estimates)
-            touched = _step(block, law, parameters, adaptation, drive, time, motions, forces, solving, lists)
+            touched = _step(
+                block, law, parameters, adaptation, (drive, time), motions, forces, (solving, lists)
+            )
         for i in range(motion.shape[1]):
             if not abs(motion[0, i]) < LARGEST_M:
                 return row + 1

@@ -171,34 +171,32 @@ def not_covered(block: FloatArray, push: FloatArray, disturbed: FloatArray, out:
 def lyapunov(
     block: FloatArray,
     x: FloatArray,
-    rho: FloatArray,
-    robust: FloatArray,
-    unknown: FloatArray,
+    terms: tuple[FloatArray, FloatArray, FloatArray],
     truth: FloatArray,
     estimates: FloatArray,
     gains: FloatArray,
-    spare: FloatArray,
-    Y: FloatArray,
-    M: FloatArray,
+    room: tuple[FloatArray, FloatArray, FloatArray],
 ) -> tuple[float, float]:
     """V of (I-1) and the right side of (I-4), which V' equals where nothing is sampled, late or saturated.
 
     Parameters
     ----------
-    block, x, rho, robust, estimates, gains
+    block, x, estimates, gains
         As above.
-    unknown : ndarray, shape (n,)
-        Of :func:`not_covered` [N].
+    terms : tuple of ndarray, shape (n,)
+        rho, robust, and what is unknown of :func:`not_covered` [N].
     truth : ndarray, shape (p,)
         True parameters of what is estimated.
-    spare, Y, M : ndarray, shapes (2, n), (n, p) and (n, n)
-        Room to work in, and written.
+    room : tuple of ndarray, shapes (2, n), (n, p) and (n, n)
+        To work in, and written.
 
     Returns
     -------
     V, rate : float
         [J] where the gains are in their units; [W].
     """
+    rho, robust, unknown = terms
+    spare, Y, M = room
     inertia(block, truth, x, spare, Y, M)
     V = 0.0
     rate = -damping_form(truth, rho)

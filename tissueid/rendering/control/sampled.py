@@ -141,7 +141,7 @@ def run_sampled(
             block, law, state, time, (x, v), sensed, touched, tool, wanted, robust, estimates, Y, u
         )
         not_covered(block, push, disturbed, unknown)
-        V, rate = lyapunov(block, x, wanted[2], robust, unknown, truth, estimates, gains, spare, Z, M)
+        V, rate = lyapunov(block, x, (wanted[2], robust, unknown), truth, estimates, gains, (spare, Z, M))
         record_row(
             out[tick],
             time,
