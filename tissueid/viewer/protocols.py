@@ -20,6 +20,8 @@ REQUEST_S = 5.0
 MOST_WAITING = 24
 #: Pings that are answered within a second; browsers send none.
 MOST_PINGS = 20
+#: Time in which a client that is ended may read its code [s].
+LINGER_S = 1.0
 _NOT_ALLOWED = 1008
 _WHOLE = frozenset({h11.DONE, h11.MUST_CLOSE, h11.CLOSED, h11.ERROR, h11.SWITCHED_PROTOCOL})
 
@@ -80,7 +82,12 @@ class SparingWebSocket(WebSocketsSansIOProtocol):
 
     def __init__(self, *arguments: Any, **named: Any) -> None:
         super().__init__(*arguments, **named)
-        self._second, self._pings = 0.0, 0
+        self._second, self._pings, self._ended = 0.0, 0, False
+
+    def data_received(self, data: bytes) -> None:
+        """Hear the client, until it was told the end."""
+        if not self._ended:
+            super().data_received(data)
 
     def handle_ping(self) -> None:
         """Answer, up to a number a second."""
@@ -90,7 +97,9 @@ class SparingWebSocket(WebSocketsSansIOProtocol):
         self._pings += 1
         if self._pings <= MOST_PINGS:
             super().handle_ping()
-        elif not self.transport.is_closing():
+        elif not self._ended:
+            self._ended = True
             self.conn.send_close(_NOT_ALLOWED, "too many pings")
             self.transport.write(b"".join(self.conn.data_to_send()))
-            self.transport.close()
+            # closed at once, with pings unread, it would be reset before it reads why
+            self.loop.call_later(LINGER_S, self.transport.close)
