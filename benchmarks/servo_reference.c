@@ -23,7 +23,7 @@ enum { STATE, FAULT, LAMPS, PREVIOUS, FAULT_FORCE = 6, FAULT_AGE = 9, VELOCITY, 
        PENDING, DAMPED, WANTED, READY, PENETRATION, SILENT = 23, STILL, STILL_FORCE, STILL_CHANGE = 28, MEAN_SQUARE,
        LET_GO, DELAYED = 32 };
 enum { CLAMP, SLEW, RMS_LIMIT, RMS_WINDOW, RAMP, RECOVERY, FAULT_RAMP, DAMPING, DAMPING_TIME, ENGAGE_BELOW,
-       STALL = 19, DEAD_MAN_TIME = 22, PAUSE = 24, PAUSE_RAMP };
+       STALL = 19, DEAD_MAN_TIME = 22, PAUSE = 24, PAUSE_RAMP, DELAY };
 enum { CLOSED, ARMED = 4, ENGAGED, FAULTED };
 enum { RISING, RELEASING, RECOVERING, YIELDING };
 enum { CLIPPED = 1, SLEWED = 2, STALLED = 32, RMS_LIMITED = 64, DEAD_MAN = 128, RAMPING = 256, QUIET = 4096, LATENCY = 8192 };
@@ -55,7 +55,7 @@ static void gain_moves(double *m, const double *l, double step, int stalled) {
         if (m[GAIN] >= 1.0) m[RISE_RATE] = 1.0 / l[RECOVERY];
     }
     if (m[PHASE] == RISING) {
-        double risen = least(1.5 / (1.5 + m[DELAYED]), m[GAIN] + step * m[RISE_RATE]);
+        double risen = least(l[DELAY] / (l[DELAY] + m[DELAYED]), m[GAIN] + step * m[RISE_RATE]);
         m[GAIN] = most(risen, m[GAIN] - step / l[RECOVERY]);
         return;
     }
@@ -131,8 +131,8 @@ static int64_t now(void) {
     return t.tv_sec * 1000000000LL + t.tv_nsec;
 }
 
-static const double LIMITS[24] = {5.0, 0.5, 5.0, 30.0, 1.0, 0.1, 0.02, 2.0, 0.1, 0.2, 50, 1.5, 200, 0.001, 0.02,
-                                  10, 0.2, 0.2, 0.5, 0.005, 0.0, 4.0, 0.1, 4095.0};
+static const double LIMITS[27] = {5.0, 0.5, 5.0, 30.0, 1.0, 0.1, 0.02, 2.0, 0.1, 0.2, 50, 1.5, 200, 0.001, 0.1,
+                                  10, 0.2, 0.2, 0.5, 0.005, 0.0, 4.0, 0.1, 4095.0, 0.008, 0.01, 1.5};
 static double memory[33];
 
 static void step(double *state, double *depth, double x, double dt) {

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from guarded import FREE, MOVING, STILL, TICK, Guarded
 
 from tissueid.haptics import guard_states as machine
 from tissueid.haptics.states import Fault, Lamp, State
-from tissueid.haptics.watchdogs import REPLY_DAMAGED, REPLY_LOST, REPLY_NONE
+from tissueid.haptics.watchdogs import REPLY_DAMAGED, REPLY_LOST, REPLY_NONE, observe_wire
 
 LEG_JUMP = np.array([0, -201, 0], np.int64)
 LEG_FAST = np.array([0, -200, 0], np.int64)
@@ -145,3 +147,13 @@ def test_an_encoder_that_jumps_after_a_hiccup_is_a_fault_nevertheless():
         guarded.tick(reply=REPLY_NONE)
     guarded.tick(moved=np.array([31 * 200 + 1, 0, 0], np.int64))
     assert guarded.fault == Fault.ENCODER_JUMP
+
+
+@pytest.mark.parametrize(("delay_ticks", "punctual", "late"), [(1.5, 2, 3), (4.5, 5, 6), (0.5, 2, 3)])
+def test_answers_are_late_beyond_the_delay_that_the_scale_was_worked_out_for(delay_ticks, punctual, late):
+    guarded = Guarded(replace(FREE, delay_ticks=delay_ticks)).to(machine.ENGAGED)
+    for unanswered in (punctual, late):
+        for _ in range(30):
+            observe_wire(guarded.memory, guarded.limits, unanswered, TICK)
+        guarded.tick((0.0, 0.0, 1.0))
+        assert bool(guarded.lamps & Lamp.LATENCY) is (unanswered == late)

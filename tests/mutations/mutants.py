@@ -125,8 +125,8 @@ INTERPRETED = (
     Mutant(
         "a late wire lowers nothing",
         _GUARD,
-        "(ASSUMED_TICKS + memory[DELAYED_TICKS])",
-        "ASSUMED_TICKS",
+        "(limits[DELAY_TICKS] + memory[DELAYED_TICKS])",
+        "limits[DELAY_TICKS]",
         _OF_TICK,
     ),
     Mutant(
@@ -248,7 +248,11 @@ INTERPRETED = (
         _OF_TICK,
     ),
     Mutant(
-        "unanswered commands unseen", _TICK, "    observe_wire(memory, words[UNANSWERED], dt)\n", "", _OF_TICK
+        "unanswered commands unseen",
+        _TICK,
+        "    observe_wire(memory, limits, words[UNANSWERED], dt)\n",
+        "",
+        _OF_TICK,
     ),
     Mutant(
         "the ledger in the wrong direction",

@@ -66,6 +66,7 @@ from tissueid.haptics.limits import (
     DAMPING,
     DAMPING_S,
     DEAD_MAN_S,
+    DELAY_TICKS,
     ENGAGE_BELOW_N,
     FAULT_RAMP_S,
     LIMITS_SIZE,
@@ -80,7 +81,7 @@ from tissueid.haptics.limits import (
     uncalibrated_clamp_N,
 )
 from tissueid.haptics.states import Fault, Lamp
-from tissueid.haptics.watchdogs import ASSUMED_TICKS, LONGEST_STALL_S, observe, observe_wire
+from tissueid.haptics.watchdogs import LONGEST_STALL_S, observe, observe_wire
 
 __all__ = [
     "FAULT",
@@ -178,7 +179,7 @@ def _advance_gain(memory: FloatArray, limits: FloatArray, step: float, stalled: 
         pause(memory, limits)
     if memory[PHASE] == RISING:
         # the stiffness that a delay bears is in inverse proportion to it
-        most = ASSUMED_TICKS / (ASSUMED_TICKS + memory[DELAYED_TICKS])
+        most = limits[DELAY_TICKS] / (limits[DELAY_TICKS] + memory[DELAYED_TICKS])
         risen = min(most, memory[GAIN] + step * memory[RISE_RATE])
         memory[GAIN] = max(risen, memory[GAIN] - step / limits[RECOVERY_S])
         return

@@ -11,7 +11,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["LIMITS_SIZE", "GuardLimits", "uncalibrated_clamp_N"]
+__all__ = ["DEFAULT_DELAY_TICKS", "LIMITS_SIZE", "GuardLimits", "uncalibrated_clamp_N"]
 
 #: Indices into :meth:`GuardLimits.block`, in the order of the fields.
 (
@@ -41,11 +41,14 @@ __all__ = ["LIMITS_SIZE", "GuardLimits", "uncalibrated_clamp_N"]
     MOTOR_CLAMP,
     PAUSE_S,
     PAUSE_RAMP_S,
-) = range(26)
-LIMITS_SIZE = 26
+    DELAY_TICKS,
+) = range(27)
+LIMITS_SIZE = 27
 
 #: A fault takes the force away within this time [s]; no limit may be slower.
 LONGEST_FAULT_RAMP_S = 0.020
+#: Ticks from a sample to the force it causes, where nothing was measured.
+DEFAULT_DELAY_TICKS = 1.5
 #: The start-up ramp is never shorter [s].
 SHORTEST_RAMP_S = 0.5
 #: With 0.5 N a tick at 1 kHz a larger force is not back at zero within 20 ms [N].
@@ -133,6 +136,8 @@ class GuardLimits:
     pause_s, pause_ramp_s : float
         Silence after which the force is taken away until the device answers again, and the time that takes
         [s]; together at most 0.020, so that a silent device is without force that soon.
+    delay_ticks : float
+        Delay that the scale of a session is worked out for [ticks]; answers later than that lower the force.
     """
 
     clamp_N: float = 2.0
@@ -161,6 +166,7 @@ class GuardLimits:
     motor_clamp: float = 4095.0
     pause_s: float = 0.008
     pause_ramp_s: float = 0.010
+    delay_ticks: float = DEFAULT_DELAY_TICKS
 
     def __post_init__(self) -> None:
         for entry in fields(self):

@@ -45,7 +45,7 @@ from tissueid.haptics.device import (
     HapticDevice,
 )
 from tissueid.haptics.hand import Hand
-from tissueid.haptics.limits import GuardLimits
+from tissueid.haptics.limits import DEFAULT_DELAY_TICKS, GuardLimits
 from tissueid.haptics.shared_hand import SharedHand
 from tissueid.haptics.sim_kernels import (
     FELT,
@@ -74,8 +74,6 @@ FloatArray = NDArray[np.float64]
 
 #: One count of a Falcon's encoders is 38 to 48 um at the grip (falcon.md 4).
 DEFAULT_QUANTUM_M = 45e-6
-#: Ticks from a sample to the force it causes, where nothing was measured.
-DEFAULT_DELAY_TICKS = 1.5
 DEFAULT_PERIOD_S = 1e-3
 #: Centre of the largest sphere a Falcon reaches, and the radius that is used of it [m] (falcon.md 4).
 CENTRE_M = (0.0, 0.0, 0.130)

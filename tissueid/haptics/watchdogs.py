@@ -41,6 +41,8 @@ from tissueid.haptics.limits import (
     BAD_PACKETS,
     DEAD_MAN,
     DEAD_MAN_BUTTONS,
+    DEFAULT_DELAY_TICKS,
+    DELAY_TICKS,
     FROZEN_CHANGE_N,
     FROZEN_S,
     HOMED_NEEDED,
@@ -55,7 +57,6 @@ from tissueid.haptics.limits import (
 from tissueid.haptics.states import Fault
 
 __all__ = [
-    "ASSUMED_TICKS",
     "LATE_COMMANDS",
     "REPLY_DAMAGED",
     "REPLY_LOST",
@@ -76,8 +77,6 @@ HOMING_SILENCE_S = 0.5
 
 #: What is faster is no velocity but a broken number [m/s].
 FASTEST_M_PER_S = 1e3
-#: Delay that the stability of a session is worked out for [ticks].
-ASSUMED_TICKS = 1.5
 #: Commands without an answer from which a wire is late, for how long before that counts [s], and how fast it
 #: is forgotten [ticks/s].
 LATE_COMMANDS, LATE_FOR_S, FORGOTTEN_PER_S = 3, 0.02, 4.0
@@ -148,24 +147,25 @@ def observe(
 
 
 @tick_part
-def observe_wire(memory: FloatArray, unanswered: int, dt: float) -> None:
+def observe_wire(memory: FloatArray, limits: FloatArray, unanswered: int, dt: float) -> None:
     """Take in how late the answers of a device come; the guard lowers the force by it.
 
     Parameters
     ----------
-    memory : ndarray
-        Of the guard; updated in place.
+    memory, limits : ndarray
+        Of the guard; ``memory`` is updated in place.
     unanswered : int
         Commands that were sent before this tick and are not answered yet.
     dt : float
         Time since the last tick [s].
     """
+    more = unanswered - max(limits[DELAY_TICKS] - DEFAULT_DELAY_TICKS, 0.0)
     # in a silence nothing is late yet: it may be lost
-    late = unanswered >= LATE_COMMANDS and memory[SILENT_S] == 0.0
+    late = more >= LATE_COMMANDS and memory[SILENT_S] == 0.0
     memory[LATE_S] = memory[LATE_S] + dt if late else 0.0
     memory[DELAYED_TICKS] = max(0.0, memory[DELAYED_TICKS] - FORGOTTEN_PER_S * dt)
     if memory[LATE_S] >= LATE_FOR_S:
-        memory[DELAYED_TICKS] = max(memory[DELAYED_TICKS], float(unanswered))
+        memory[DELAYED_TICKS] = max(memory[DELAYED_TICKS], more)
 
 
 @tick_part

@@ -345,7 +345,7 @@ def tick(io: Any, servo: Servo, now_s: float, dt: float, late_s: float, late_lam
         memory, limits, words[REPLY], words[HOMED] != 0, words[PRESSED], servo.moved, velocity,
         info[INFO_PENETRATION_M], dt,
     )  # fmt: skip
-    observe_wire(memory, words[UNANSWERED], dt)
+    observe_wire(memory, limits, words[UNANSWERED], dt)
     send(io, memory, limits, force, dt, servo.out)
     note_sent(servo.control_memory, servo.out)
     lamps = _lamps(memory, servo.control_memory, info, servo.counters)

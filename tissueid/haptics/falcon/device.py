@@ -32,6 +32,7 @@ from tissueid.haptics.falcon.packets import ALL_HOMED, PacketParser, Reply, enco
 from tissueid.haptics.falcon.transport import ByteTransport, FileTransport
 from tissueid.haptics.homing import HOMING_TIMEOUT_S, await_homed, wait_with_zero_force
 from tissueid.haptics.limits import GuardLimits
+from tissueid.haptics.measure.link import UNSEEN_TICKS
 
 __all__ = ["HOMING_STEPS", "PULLED_OUT_M", "FalconDevice", "limits_of"]
 
@@ -310,6 +311,7 @@ def limits_of(calibration: Calibration, *, hands_off: bool = False) -> GuardLimi
         rms_limit_N=SUSTAINED_SHARE * clamp,
         motor_clamp=calibration.clamp_units,
         dead_man=True,
+        delay_ticks=max(calibration.delay_ticks, UNSEEN_TICKS),
     )
     return replace(limits, dead_man=False, frozen_s=AT_STOP_S) if hands_off else limits
 
