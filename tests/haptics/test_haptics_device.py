@@ -13,6 +13,7 @@ from fake_device import FakeDevice
 
 from tissueid.errors import DeviceError
 from tissueid.haptics import device as devices
+from tissueid.haptics import homing
 from tissueid.haptics.device import ZERO_COMMANDS, HapticDevice
 from tissueid.haptics.states import Fault, State
 
@@ -196,3 +197,23 @@ def test_every_device_of_the_registry_leaves_the_final_methods_alone():
     for kind in HapticDevice.__subclasses__():
         for method in ("open", "close", "sample", "read", "write_force"):
             assert method not in kind.__dict__
+
+
+def test_a_host_that_stood_still_has_not_waited_for_the_device(monkeypatch):
+    clock = {"now": 0.0, "stall": 30.0}
+    device = FakeDevice()
+    device.open()
+    read = device.read
+
+    def stalled():
+        clock["now"] += clock.pop("stall", 0.001)
+        return read()
+
+    monkeypatch.setattr(homing.time, "monotonic", lambda: clock["now"])
+    monkeypatch.setattr(device, "read", stalled)
+    homing.await_homed(device, 2.0)
+    assert device.state is State.ARMED
+    with pytest.raises(DeviceError, match="not in time"):
+        homing.wait_with_zero_force(device, lambda: False, 2.0, lambda: "not in time")
+    assert 31.5 < clock["now"] < 33.0
+    device.close()

@@ -17,6 +17,8 @@ __all__ = ["HOMING_TIMEOUT_S", "await_homed", "wait_with_zero_force"]
 HOMING_TIMEOUT_S = 60.0
 #: Pause between two readings [s].
 TICK_S = 0.001
+#: The most of a time-out that one reading takes [s]: a host that stood still has not waited.
+MOST_A_READING_S = 0.1
 
 
 def wait_with_zero_force(
@@ -31,6 +33,7 @@ def wait_with_zero_force(
     reached : callable
         Asked before each reading.
     timeout_s : float
+        Of waiting: a reading that took longer than ``MOST_A_READING_S`` counts as that long.
     why_not : callable
         The message of the error after the time-out.
 
@@ -39,10 +42,12 @@ def wait_with_zero_force(
     DeviceError
         After the time-out, on a fault, or when the device is lost; and what ``device.while_waiting`` raises.
     """
-    deadline = time.monotonic() + timeout_s
+    waited_s, before = 0.0, time.monotonic()
     zero = np.zeros(3)
     while not reached():
-        if time.monotonic() > deadline:
+        now = time.monotonic()
+        waited_s, before = waited_s + min(now - before, MOST_A_READING_S), now
+        if waited_s > timeout_s:
             raise DeviceError(why_not())
         device.while_waiting()
         device.read()
