@@ -42,7 +42,7 @@ from tissueid.model.grammar import KELVIN_VOIGT
 from tissueid.priors import Priors
 from tissueid.result import Exit, Identification, Refusal, SpecimenFit
 from tissueid.segment import SegmentOptions
-from tissueid.trial import Axes, Source, Trial
+from tissueid.trial import Axes, Source, TipShape, Trial
 
 __all__ = [
     "DEFAULT_REQUIRED",
@@ -340,8 +340,11 @@ def _fit_all(
                 if entry["specimen"] == specimen
             ]
             continue
-        radius_mm = _tip_radius(collected.radii[specimen])
-        fit = replace(fit, tip_radius_mm=radius_mm, axes=collected.axes[specimen])
+        radius_mm, tip = _tip_radius(collected.radii[specimen]), None
+        if own.geometry is not None:
+            said = own.geometry.indenter
+            radius_mm, tip = radius_mm or said.radius_mm, TipShape(said.shape, said.half_angle_deg)
+        fit = replace(fit, tip_radius_mm=radius_mm, tip=tip, axes=collected.axes[specimen])
         fits.append(study_flags(fit, collected, study))
     progress("fitted", total, total)
     return fits

@@ -16,7 +16,7 @@ from tissueid.measures import Measured, SpreadRow, spread_json
 from tissueid.notebook import Shown
 from tissueid.quantities import CycleRow, QuotedNumbers, RelaxationRow, RelaxationWindow
 from tissueid.residuals import ResidualSummary
-from tissueid.trial import MM_N, Axes
+from tissueid.trial import MM_N, Axes, TipShape
 from tissueid.uncertainty import ParameterUncertainty, Posterior
 
 __all__ = [
@@ -241,6 +241,8 @@ class SpecimenFit(Shown):
     speeds_mm_s : tuple of float
         Slowest and fastest fitted loading speed.
     tip_radius_mm : float or None
+    tip : TipShape or None
+        Shape of the tip, where it was stated.
     sigma_N : float
         Residual standard deviation [N].
     n_samples : int
@@ -284,6 +286,7 @@ class SpecimenFit(Shown):
     relaxation: tuple[RelaxationRow, ...]
     optimisers: Mapping[str, Any]
     selection: tuple[Mapping[str, Any], ...]
+    tip: TipShape | None = None
     relaxation_window: RelaxationWindow | None = None
     flags: tuple[Flag, ...] = ()
     axes: Axes = MM_N
@@ -314,6 +317,7 @@ class SpecimenFit(Shown):
                 "depth_mm": self.depth_mm,
                 "speeds_mm_s": list(self.speeds_mm_s),
                 "tip_radius_mm": self.tip_radius_mm,
+                **({} if self.tip is None else {"tip": self.tip.as_json()}),
             },
             "trials": [trial.as_json() for trial in self.trials],
             "relaxation": [row.as_json() for row in self.relaxation],

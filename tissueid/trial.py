@@ -12,7 +12,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,7 @@ __all__ = [
     "Protocol",
     "Segmentation",
     "Source",
+    "TipShape",
     "Trial",
     "contact_frame",
     "frozen_array",
@@ -105,6 +106,30 @@ class Axes:
             text = re.sub(r"/mm(\^\d+)?\b", "", text)
             text = re.sub(r"\s?\bmm\b(\^\d+)?", "", text).strip()
         return f"1{text}" if text == "" or text.startswith("/") else text
+
+
+@dataclass(frozen=True, slots=True)
+class TipShape:
+    """Shape of a tool's tip; its radius stands beside it.
+
+    Attributes
+    ----------
+    shape : {"sphere", "flat", "cone"}
+    half_angle_deg : float or None
+        Of a cone, between its axis and its side.
+    """
+
+    shape: str
+    half_angle_deg: float | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """``tip`` of a validity and of a session's tissues."""
+        return {"shape": self.shape, "half_angle_deg": self.half_angle_deg}
+
+    @classmethod
+    def from_json(cls, document: Mapping[str, Any]) -> Self:
+        """Inverse of :meth:`as_json`."""
+        return cls(document["shape"], document["half_angle_deg"])
 
 
 #: A displacement and a force.

@@ -46,8 +46,9 @@ def test_no_page_of_a_new_ring_is_met_for_the_first_time_in_a_tick():
 def test_a_record_has_128_bytes_and_a_ring_a_minute():
     assert RECORD.itemsize == 128
     assert CAPACITY == 65_536
-    assert RECORD.names[:8] == (
+    assert RECORD.names[:9] == (
         "tick", "time_s", "dt_s", "position_m", "force_N", "depth_mm", "tissue_force_N", "speed_mm_per_s",
+        "surface_mm",
     )  # fmt: skip
 
 

@@ -14,13 +14,14 @@ from tissueid import collection
 from tissueid.errors import InputError
 from tissueid.inference.specimen import FitOptions
 from tissueid.inspection import describe_trial
+from tissueid.measured.geometry import stated_geometry
 from tissueid.pipeline import DEFAULT_REQUIRED, REQUIRABLE, IdentifyOptions, identify
 from tissueid.result import Refusal
 from tissueid.segment import SegmentOptions
 from tissueid.store.files import json_bytes, plain_json
 from tissueid.store.schema import first_problem
 from tissueid.synth import as_trials, recipe, simulate
-from tissueid.trial import Source, Trial
+from tissueid.trial import Source, TipShape, Trial
 
 QUICK = IdentifyOptions(fit=FitOptions(branches=1, stiffness_degree=0))
 
@@ -184,6 +185,16 @@ def test_the_radius_of_the_tip_is_kept_where_all_trials_agree(holds: list[Trial]
     assert identify(with_radii(2.0, 2.0), options=QUICK).specimens[0].tip_radius_mm == 2.0
     assert identify(with_radii(2.0, 3.0), options=QUICK).specimens[0].tip_radius_mm is None
     assert identify(with_radii(2.0, None), options=QUICK).specimens[0].tip_radius_mm is None
+
+
+def test_the_tip_that_a_study_states_is_kept_with_its_shape(holds: list[Trial]) -> None:
+    stated = stated_geometry({"shape": "flat", "radius_mm": 3.0}, None, 0.5)
+    options = replace(QUICK, fit=replace(QUICK.fit, geometry=stated))
+    (fit,) = identify(holds, options=options).specimens
+    assert (fit.tip_radius_mm, fit.tip) == (3.0, TipShape("flat"))
+    document = plain_json(fit.as_json())
+    assert document["validity"]["tip"] == {"shape": "flat", "half_angle_deg": None}
+    assert identify(holds, options=QUICK).specimens[0].tip is None
 
 
 def test_what_is_required_decides_between_0_and_4(holds: list[Trial]) -> None:

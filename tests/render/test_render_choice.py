@@ -25,6 +25,7 @@ from tissueid.rendering.choice import (
 from tissueid.rendering.contact_geometry import parse_surface, place_surface, surface_remarks, travel_behind
 from tissueid.rendering.script import REST_S, read_script
 from tissueid.rendering.tissue_block import Box, Plane, Sphere, surface_from
+from tissueid.trial import TipShape
 
 SIX_MM = Functional(6.0, 250.0 / 60.0)
 
@@ -118,6 +119,13 @@ def test_an_answer_key_is_for_its_owner_and_never_overwritten(tmp_path: Path) ->
         write_key(tmp_path / "key.json", order, [])
     with pytest.raises(UsageError, match="can't be written"):
         write_key(tmp_path / "missing" / "key.json", order, [])
+
+
+def test_a_cone_that_the_bundle_states_is_a_tip_without_a_radius() -> None:
+    plane = parse_surface("plane")
+    assert "with which tip" in surface_remarks(replace(PAPER_A, tip_radius_mm=None), plane, None)[0]
+    cone = replace(PAPER_A, tip_radius_mm=None, tip=TipShape("cone", 30.0))
+    assert surface_remarks(cone, plane, None) == []
 
 
 def test_surfaces_are_read_and_refused() -> None:

@@ -20,6 +20,7 @@ from posterior_factory import sampled
 from tissueid.errors import BundleError
 from tissueid.model import ContactPath
 from tissueid.store.bundle import MOST_DRAWS, Bundle, bundle_from_fit, load_bundle, write_bundle
+from tissueid.trial import TipShape
 
 PROVENANCE = identification([specimen_fit()]).provenance
 
@@ -53,6 +54,13 @@ def test_everything_comes_back_exactly(written: Path) -> None:
 def test_a_bundle_without_draws_comes_back_without(tmp_path: Path) -> None:
     write_bundle(a_bundle(), tmp_path / "b.h5")
     assert load_bundle(tmp_path / "b.h5").draws is None
+
+
+def test_a_stated_tip_comes_back_and_none_is_left_out(tmp_path: Path) -> None:
+    assert "tip" not in a_bundle().as_json()["validity"]
+    fit = replace(specimen_fit(), tip=TipShape("cone", 30.0))
+    write_bundle(bundle_from_fit(fit, provenance=PROVENANCE), tmp_path / "b.h5")
+    assert load_bundle(tmp_path / "b.h5").tip == TipShape("cone", 30.0)
 
 
 def test_a_posterior_gives_its_covariance_its_intervals_and_thinned_draws(tmp_path: Path) -> None:

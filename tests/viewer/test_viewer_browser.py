@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from live_server import served
+from live_server import record, served
+from session_heads import head_of
 
 from tissueid.haptics.states import Fault, State
 from tissueid.store.session_log import SessionLog, read_session_log
@@ -254,4 +255,34 @@ def test_a_picture_that_gets_old_is_greyed_and_says_so(chromium: Any) -> None:
         assert old["newest"]["ageS"] > 0.5
         page.locator("#veil", has_text="stale").wait_for()
         assert "Stale" in page.locator("#lamps .lit").all_text_contents()
+        page.close()
+
+
+def test_a_dent_that_its_tool_has_left_goes_back_as_the_records_say(chromium: Any) -> None:
+    with served() as live:
+        page = chromium.new_page(viewport={"width": 1000, "height": 800})
+        page.goto(f"http://127.0.0.1:{live.access.port}/")
+
+        def tell(depth_mm: float, surface_mm: float, force_N: float) -> None:
+            one = record(0)
+            one["position_m"] = (0.0, 0.0, 0.130 - 0.005 * depth_mm)
+            one["depth_mm"], one["surface_mm"], one["force_N"] = depth_mm, surface_mm, (0.0, 0.0, force_N)
+            # ten times what the clamp lets through
+            one["tissue_force_N"] = 10.0 * force_N / head_of()["scale"]["force_scale"]
+            live.ring.append(one)
+
+        wait(page, lambda now: abs(now["surface"] - 15.0) < 1e-3, lambda: tell(3.0, 3.0, 0.5))
+        page.locator("#tag-force", has_text="0.50 N on the hand").wait_for()
+        shown = wait(
+            page, lambda now: now["traces"].get("force", {}).get("right"), lambda: tell(3.0, 3.0, 0.5)
+        )
+        # the tissue's force stays within its axis where the device's was cut
+        assert shown["traces"]["force"]["right"][1] >= 400.0
+        for left_mm in (2.0, 0.5):
+            wait(
+                page,
+                lambda now, at=left_mm: abs(now["surface"] - 5.0 * at) < 1e-3,
+                lambda at=left_mm: tell(-1.0, at, 0.0),
+            )
+        assert page.locator("#tag-force").is_hidden()
         page.close()

@@ -23,7 +23,7 @@ def some_records(count: int, seed: int = 1) -> np.ndarray:
     records["time_s"] = 1e5 + 1e-3 * np.arange(count)
     for name in ("position_m", "force_N"):
         records[name] = chance.normal(size=(count, 3))
-    for name in ("depth_mm", "tissue_force_N", "energy_J", "dt_s", "speed_mm_per_s"):
+    for name in ("depth_mm", "tissue_force_N", "energy_J", "dt_s", "speed_mm_per_s", "surface_mm"):
         records[name] = chance.normal(size=count)
     records["lamps"] = chance.integers(0, 2**12, count)
     records["state"], records["fault"], records["missed"] = 5, 3, 65_535
@@ -92,6 +92,16 @@ def test_the_hello_says_what_is_drawn_and_which_lamp_is_which() -> None:
     named = {name for name, *_ in words["sample"]["fields"]}
     traces = [trace for strip in words["strips"] for trace in strip["traces"]]
     assert all(trace["field"] in named and trace.get("over", "time_s") in named for trace in traces)
+
+
+def test_the_tool_is_drawn_as_the_tip_that_was_stated() -> None:
+    head = head_of()
+    head["tissues"][0]["tip"] = {"shape": "cone", "half_angle_deg": 30.0}
+    drawn = [
+        next(one for one in hello(each)["scene"]["objects"] if one["kind"] == "tool")
+        for each in (head_of(), head)
+    ]
+    assert [(one["shape"], one["half_angle_deg"]) for one in drawn] == [("sphere", None), ("cone", 30.0)]
 
 
 def test_a_blind_session_tells_no_tissue_and_no_band() -> None:

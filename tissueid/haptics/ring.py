@@ -28,7 +28,8 @@ IntArray = NDArray[np.int64]
 
 #: One tick.  ``time_s`` is CLOCK_MONOTONIC or virtual; ``dt_s`` what was measured; ``force_N`` what the guard
 #: let through; ``depth_mm``, ``tissue_force_N`` and ``speed_mm_per_s`` are the tissue's; ``energy_J`` the
-#: passivity observer's; ``late_s`` how late the tick began; ``version`` counts exchanged parameters;
+#: passivity observer's; ``surface_mm`` where the tissue's surface is, at the tool or, behind one that left,
+#: on its way back; ``late_s`` how late the tick began; ``version`` counts exchanged parameters;
 #: ``missed`` the ticks skipped so far; ``counts`` the encoders.
 RECORD = np.dtype(
     [
@@ -39,7 +40,8 @@ RECORD = np.dtype(
         ("force_N", "<f8", (3,)),
         ("depth_mm", "<f8"),
         ("tissue_force_N", "<f8"),
-        ("speed_mm_per_s", "<f8"),
+        ("speed_mm_per_s", "<f4"),
+        ("surface_mm", "<f4"),
         ("energy_J", "<f8"),
         ("lamps", "<u4"),
         ("state", "u1"),

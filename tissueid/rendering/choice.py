@@ -131,6 +131,7 @@ def as_tissue(bundle: Bundle, theta: FloatArray | None = None) -> Tissue:
         theta=bundle.theta if theta is None else theta,
         speeds_mm_s=bundle.speeds_mm_s,
         tip_radius_mm=bundle.tip_radius_mm,
+        tip=bundle.tip,
         name=bundle.specimen,
         rupture=bundle.rupture,
     )

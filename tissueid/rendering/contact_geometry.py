@@ -145,6 +145,9 @@ def surface_remarks(tissue: Tissue, shape: Shape, tip_radius_mm: float | None) -
 
 def _tip_remarks(tissue: Tissue, tip_radius_mm: float | None) -> list[str]:
     known = tissue.tip_radius_mm
+    if known is None and tissue.tip is not None:
+        # of a cone: it has no radius
+        return []
     if known is None:
         return ["the bundle does not say with which tip it was identified: what is felt is that tip's force"]
     if tip_radius_mm is not None and abs(tip_radius_mm - known) > SAME_TIP * known:

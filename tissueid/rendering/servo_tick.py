@@ -37,6 +37,7 @@ from tissueid.rendering.environment import (
     INFO_PENETRATION_M,
     INFO_SIZE,
     INFO_SPEED_MM_S,
+    INFO_SURFACE_MM,
     INFO_TISSUE_FORCE_N,
     KIND,
     MEMORY_SIZE,
@@ -282,6 +283,7 @@ def _record(servo: Servo, now_s: float, dt: float, late_s: float, lamps: int) ->
     record["depth_mm"] = servo.info[INFO_DEPTH_MM]
     record["tissue_force_N"] = servo.info[INFO_TISSUE_FORCE_N]
     record["speed_mm_per_s"] = servo.info[INFO_SPEED_MM_S]
+    record["surface_mm"] = servo.info[INFO_SURFACE_MM]
     record["energy_J"] = servo.control_memory[TOTAL_J]
     record["lamps"] = lamps
     record["state"] = int(servo.guard_memory[STATE])

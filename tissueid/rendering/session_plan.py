@@ -138,6 +138,7 @@ def _tissue_entries(plan: SessionPlan, hashes: tuple[str | None, ...]) -> list[d
             "depth_mm": each.tissue.model.depth_mm,
             "fastest_mm_s": each.tissue.speeds_mm_s[1],
             "tip_radius_mm": each.tissue.tip_radius_mm,
+            **({} if each.tissue.tip is None else {"tip": each.tissue.tip.as_json()}),
             "block": plan.blocks[label].tolist(),
         }
         for label, (each, digest) in enumerate(zip(plan.picked, hashes, strict=True))

@@ -12,6 +12,7 @@ from tissueid.model.servo_law import servo_law
 from tissueid.rendering import environment as env
 from tissueid.rendering import surface as srf
 from tissueid.rupture_law import RuptureLaw
+from tissueid.trial import TipShape
 
 __all__ = ["Box", "Plane", "Sphere", "Surface", "Tissue", "free_air_block", "surface_from", "tissue_block"]
 
@@ -159,6 +160,8 @@ class Tissue:
         Slowest and fastest identified speed [mm/s].
     tip_radius_mm : float or None
         Of the tip it was identified with.
+    tip : TipShape or None
+        Shape of that tip, where it was stated.
     name : str
         For print; empty where it must not be told.
     rupture : RuptureLaw or None
@@ -169,6 +172,7 @@ class Tissue:
     theta: FloatArray
     speeds_mm_s: tuple[float, float]
     tip_radius_mm: float | None = None
+    tip: TipShape | None = None
     name: str = ""
     rupture: RuptureLaw | None = None
 

@@ -42,6 +42,7 @@ from tissueid.store.bundle_content import (
 )
 from tissueid.store.files import TEMPORARY_PREFIX, json_bytes, plain_json, replace_file
 from tissueid.store.schema import check
+from tissueid.trial import TipShape
 
 __all__ = [
     "BUNDLE_SCHEMA_VERSION",
@@ -93,6 +94,7 @@ def bundle_from_fit(fit: SpecimenFit, *, provenance: Mapping[str, Any]) -> Bundl
         depth_mm=float(fit.depth_mm),
         speeds_mm_s=fit.speeds_mm_s,
         tip_radius_mm=fit.tip_radius_mm,
+        tip=fit.tip,
         sigma_N=float(fit.sigma_N),
         flags=tuple(flag.as_json() for flag in fit.flags),
         provenance={**provenance, "inputs": inputs},
@@ -260,6 +262,7 @@ def bundle_of_document(document: Mapping[str, Any], arrays: Mapping[str, FloatAr
         depth_mm=validity["depth_mm"],
         speeds_mm_s=(slowest, fastest),
         tip_radius_mm=validity["tip_radius_mm"],
+        tip=TipShape.from_json(validity["tip"]) if "tip" in validity else None,
         sigma_N=document["sigma_N"],
         flags=tuple(document["flags"]),
         provenance=document["provenance"],

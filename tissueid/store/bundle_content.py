@@ -13,7 +13,7 @@ from tissueid.errors import BundleError
 from tissueid.notebook import Shown
 from tissueid.result import Estimate, ModelChoice
 from tissueid.rupture_law import RuptureLaw
-from tissueid.trial import Axes
+from tissueid.trial import Axes, TipShape
 
 if TYPE_CHECKING:
     from tissueid.model.channels import TissueModel
@@ -48,6 +48,8 @@ class Bundle(Shown):
     speeds_mm_s : tuple of float
         Slowest and fastest loading speed it was fitted to [mm/s].
     tip_radius_mm : float or None
+    tip : TipShape or None
+        Shape of the tip, where it was stated.
     sigma_N : float
         Residual standard deviation [N].
     flags : tuple of mapping
@@ -75,6 +77,7 @@ class Bundle(Shown):
     sigma_N: float
     flags: tuple[Mapping[str, Any], ...]
     provenance: Mapping[str, Any]
+    tip: TipShape | None = None
     draws: FloatArray | None = None
     population_mean: FloatArray | None = None
     population_sd: FloatArray | None = None
@@ -136,6 +139,7 @@ class Bundle(Shown):
                 "depth_mm": self.depth_mm,
                 "speeds_mm_s": list(self.speeds_mm_s),
                 "tip_radius_mm": self.tip_radius_mm,
+                **({} if self.tip is None else {"tip": self.tip.as_json()}),
             },
             "sigma_N": self.sigma_N,
             "units": dict(self.units),

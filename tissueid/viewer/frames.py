@@ -55,6 +55,7 @@ SAMPLE = np.dtype(
         ("tissue_force_N", "<f4"),
         ("speed_mm_per_s", "<f4"),
         ("energy_J", "<f4"),
+        ("surface_mm", "<f4"),
         ("lamps", "<u4"),
         ("missed", "<u2"),
         ("label", "<u2"),

@@ -30,6 +30,7 @@ from typing import Any
 
 from tissueid.haptics.sim import CENTRE_M, WORKING_RADIUS_M
 from tissueid.haptics.states import FAULT_WORDS, Lamp, State
+from tissueid.trial import TipShape
 from tissueid.viewer.frames import SAMPLE, layout
 from tissueid.viewer.guided_objects import guided_objects
 
@@ -192,7 +193,13 @@ def _objects(head: Mapping[str, Any], workspace_m: Workspace) -> list[dict[str, 
     radius_m = numbers[10]
     objects: list[dict[str, Any]] = [
         {"kind": "workspace", "ranges_m": [[float(low), float(high)] for low, high in workspace_m]},
-        {"kind": "tool", "radius_m": radius_m, "force_field": "force_N", "position_field": "position_m"},
+        {
+            "kind": "tool",
+            "radius_m": radius_m,
+            "force_field": "force_N",
+            "position_field": "position_m",
+            **head["tissues"][0].get("tip", TipShape("sphere").as_json()),
+        },
     ]
     if head["environment"] == "guidance":
         guided = guided_objects(head["tissues"][0]["block"])

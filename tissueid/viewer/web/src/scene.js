@@ -2,13 +2,13 @@
 // The device's frame is x right, y up, z toward the user: what lies in front of the user lies below here.
 
 import {
-  AmbientLight, ArrowHelper, Box3, Box3Helper, BoxGeometry, BufferAttribute, Color, CylinderGeometry,
+  AmbientLight, ArrowHelper, Box3, Box3Helper, BoxGeometry, BufferAttribute, Color, ConeGeometry, CylinderGeometry,
   DirectionalLight, FrontSide, Group, HemisphereLight, LineSegments, BufferGeometry, Mesh, PerspectiveCamera,
-  PlaneGeometry, RingGeometry, Scene, SphereGeometry, Vector3, WebGLRenderer,
+  PlaneGeometry, Quaternion, RingGeometry, Scene, SphereGeometry, Vector3, WebGLRenderer,
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { guidedBuilders } from "./guided.js";
-import { flat, lined, shaded } from "./materials.js";
+import { behind, flat, lined, shaded, wet } from "./materials.js";
 import { colour } from "./theme.js";
 
 const MM = 1000;
@@ -27,6 +27,16 @@ const SEGMENTS = 60;
 const BOX_ROWS = 12;
 const SPHERE_ROWS = 64;
 const SPHERE_COLUMNS = 96;
+// what a cone is drawn as deep as, in its drawn radii
+const CONE_HEIGHT = 2.6;
+// tissue is mottled by so much of its colour
+const MOTTLE = 0.13;
+// a dent of this depth is drawn in the colour of what is pressed [mm]
+const PRESSED_MM = 14;
+// share of the frame that is left free around the block
+const MARGIN = 0.1;
+// a surface that lags behind its tool by more has been left by it [mm]
+const LEFT_MM = 0.02;
 // every so many lines of the mesh one is drawn: bent lines show what shading alone does not
 const LINE_EVERY = 4;
 // pictures that come slower are drawn with fewer pixels, and those without a graphics card with the fewest
@@ -38,11 +48,12 @@ const CAMERAS = { oblique: [105, 95, 165], front: [0, 26, 230], side: [230, 26, 
 // of every kind something: drawn small before anything is known, so that its shaders are ready by then
 const REHEARSAL = [
   { kind: "workspace", ranges_m: [[-0.05, 0.05], [-0.05, 0.05], [0.07, 0.17]] },
-  { kind: "tool", radius_m: 0.004, shape: "sphere" },
+  { kind: "tool", radius_m: 0.004, shape: "sphere", half_angle_deg: null },
   { kind: "surface", shape: "plane", point_m: [0, 0, 0.12], normal: [0, 0, 1], size_m: [0, 0, 0], motion_scale: 1 },
 ];
-// what is looked at lies a little above the surface: the tool is there
+// what is looked at lies a little above the surface, where the tool is; of a block, a little below
 const RAISED_MM = 6;
+const LOWERED_MM = 5;
 
 /** From the device's frame [m] to the world [mm]. */
 export const toWorld = ([x, y, z]) => new Vector3(x * MM, z * MM, -y * MM);
@@ -53,6 +64,7 @@ export class TissueScene {
   constructor(canvas) {
     this.canvas = canvas;
     const software = isSoftware();
+    this.tissueMaterial = software ? shaded : wet;
     this.renderer = new WebGLRenderer({ canvas, antialias: !software });
     // asking for a shader's errors waits for it, and for those before it
     this.renderer.debug.checkShaderErrors = false;
@@ -82,7 +94,7 @@ export class TissueScene {
   rehearse() {
     this.renderer.setSize(8, 8, false);
     this.show({ scene: { objects: REHEARSAL } });
-    this.place({ position_m: [0, 0, 0.118], force_N: [0, 0, 2], depth_mm: 2, ruptured: true, target_m: [0, 0, 0.1] });
+    this.place({ position_m: [0, 0, 0.118], force_N: [0, 0, 2], depth_mm: 2, surface_mm: 2, ruptured: true, target_m: [0, 0, 0.1] });
     // all are asked for before one is waited for
     this.renderer.compile(this.scene, this.camera);
     this.renderer.render(this.scene, this.camera);
@@ -95,6 +107,7 @@ export class TissueScene {
   clear() {
     this.content.clear();
     this.surface = this.tool = null;
+    this.dentAt = null;
     this.up = new Vector3(0, 1, 0);
     this.centre = new Vector3();
     this.coloured = [];
@@ -125,21 +138,25 @@ export class TissueScene {
     box.getCenter(this.centre);
   }
 
-  buildTool({ radius_m: radius, shape, axis }) {
+  buildTool({ radius_m: radius, shape, half_angle_deg: halfAngle, axis }) {
     const wire = shape === "wire";
     if (wire) this.up = toWorld(axis).normalize();
     this.tipRadius = wire ? 0 : radius * MM;
     this.drawnRadius = wire ? WIRE_MM : Math.max(this.tipRadius, SMALLEST_TIP_MM);
     this.tool = new Group();
     this.toolMaterial = shaded();
-    const tip = new Mesh(new SphereGeometry(this.drawnRadius, 32, 20), this.toolMaterial);
+    this.tip = { shape, slope: shape === "cone" ? Math.tan((halfAngle * Math.PI) / 180) : 0 };
+    const form = tipGeometry(shape, this.drawnRadius, this.tip.slope);
+    const tip = new Mesh(form, this.toolMaterial);
+    // the part that is in the tissue is seen through it
+    this.hidden = new Mesh(form, behind());
     const thickness = wire ? this.drawnRadius : this.drawnRadius * 0.45;
     const length = wire ? WIRE_LENGTH_MM : SHAFT_MM;
     const shaft = new Mesh(new CylinderGeometry(thickness, thickness, length, 24), this.toolMaterial);
     shaft.position.y = length / 2;
-    // the tissue is seen over the part of the tool that is in it
-    for (const part of [tip, shaft]) part.renderOrder = -1;
-    this.tool.add(tip, shaft);
+    for (const part of [tip, shaft]) part.renderOrder = 2;
+    this.hidden.renderOrder = 3;
+    this.tool.add(tip, shaft, this.hidden);
     this.arrow = new ArrowHelper(new Vector3(0, 1, 0), new Vector3(), 1);
     // the arrow is seen through the tool: it starts inside it
     this.arrow.line.material = lined({ linewidth: 3, depthTest: false });
@@ -171,14 +188,14 @@ export class TissueScene {
       geometry = new PlaneGeometry(PATCH_MM, PATCH_MM, SEGMENTS, SEGMENTS).rotateX(-Math.PI / 2);
       geometry.applyQuaternion(new Group().quaternion.clone().setFromUnitVectors(new Vector3(0, 1, 0), this.up)).translate(...point);
     }
-    const tissue = shaded({ vertexColors: true, opacity: 0.8, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 });
+    const tissue = this.tissueMaterial({ vertexColors: true, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 });
     // the far wall of a closed tissue would be drawn over the near one
     if (object.shape !== "plane") tissue.side = FrontSide;
     const mesh = new Mesh(geometry, tissue);
     geometry.setAttribute("color", new BufferAttribute(new Float32Array(geometry.attributes.position.array.length), 3));
     mesh.frustumCulled = false;
     this.content.add(mesh);
-    this.surface = { object, point, mesh, rest: geometry.attributes.position.array.slice(), deformed: -1, reach: object.shape === "plane" ? PATCH_MM / 2 : 2 * Math.min(...size.filter((one) => one > 0)) };
+    this.surface = { object, point, mesh, rest: geometry.attributes.position.array.slice(), mottle: mottle(geometry.attributes.position.array), deformed: -1, reach: object.shape === "plane" ? PATCH_MM / 2 : 2 * Math.min(...size.filter((one) => one > 0)) };
     if (object.shape === "sphere") this.addLines(geometry, SPHERE_ROWS, SPHERE_COLUMNS);
     // the lid of a box comes behind two of its walls
     else if (object.shape === "box") this.addLines(geometry, SEGMENTS, SEGMENTS, 2 * (SEGMENTS + 1) * (BOX_ROWS + 1));
@@ -201,8 +218,9 @@ export class TissueScene {
     const lines = new BufferGeometry();
     lines.setAttribute("position", geometry.attributes.position);
     lines.setIndex(index);
-    this.lineMaterial = lined({ opacity: 0.35 });
+    this.lineMaterial = lined({ opacity: 0.2 });
     const grid = new LineSegments(lines, this.lineMaterial);
+    grid.renderOrder = 1;
     grid.frustumCulled = false;
     this.content.add(grid);
   }
@@ -227,6 +245,7 @@ export class TissueScene {
     this.tissueColour = new Color(colour("tissue"));
     this.pressedColour = new Color(colour("pressed"));
     this.toolMaterial?.color.set(colour("tool"));
+    this.hidden?.material.color.set(colour("tool"));
     this.lineMaterial?.color.set(colour("mesh"));
     this.slabMaterial?.color.set(colour("slab"));
     this.workspace?.material.color.set(colour("faint"));
@@ -247,11 +266,30 @@ export class TissueScene {
     const target = this.surface ? this.surface.point.clone() : this.centre.clone();
     if (this.surface && this.surface.object.shape !== "plane") target.copy(this.centre);
     const narrow = Math.max(1, 1.15 / Math.max(this.camera.aspect, 0.2));
-    target.addScaledVector(this.up, RAISED_MM);
+    target.addScaledVector(this.up, this.surface?.object.shape === "plane" ? -LOWERED_MM : RAISED_MM);
     this.controls.target.copy(target);
     this.camera.position.copy(target).add(new Vector3(...CAMERAS[name]).multiplyScalar(narrow));
+    this.stepBack(target);
     this.controls.update();
     this.changed = true;
+  }
+
+  /** Move the camera away from what it looks at until the whole block is in the frame. */
+  stepBack(target) {
+    if (this.surface?.object.shape !== "plane") return;
+    this.camera.lookAt(target);
+    this.camera.updateMatrixWorld();
+    const [right, up, back] = [new Vector3(), new Vector3(), new Vector3()];
+    this.camera.matrixWorld.extractBasis(right, up, back);
+    const high = Math.tan((this.camera.fov * Math.PI) / 360) * (1 - MARGIN);
+    const turn = new Quaternion().setFromUnitVectors(new Vector3(0, 1, 0), this.up);
+    let distance = this.camera.position.distanceTo(target);
+    for (const x of [-0.5, 0.5]) for (const z of [-0.5, 0.5]) for (const y of [0, -SLAB_MM]) {
+      const corner = new Vector3(x * PATCH_MM, y, z * PATCH_MM).applyQuaternion(turn).add(this.surface.point).sub(target);
+      const aside = Math.max(Math.abs(corner.dot(right)) / (high * this.camera.aspect), Math.abs(corner.dot(up)) / high);
+      distance = Math.max(distance, corner.dot(back) + aside);
+    }
+    this.camera.position.copy(target).addScaledVector(back, distance);
   }
 
   resize() {
@@ -272,7 +310,20 @@ export class TissueScene {
     return (2 * distance * Math.tan((this.camera.fov * Math.PI) / 360)) / this.canvas.clientHeight;
   }
 
-  /** Place everything as a sample says. state: { position_m, force_N, depth_mm, ruptured, target_m } */
+  /** A point of the world in pixels of the canvas; null where it is behind the camera. */
+  pixel(point) {
+    const seen = point.clone().project(this.camera);
+    if (seen.z > 1) return null;
+    return { x: (0.5 + seen.x / 2) * this.canvas.clientWidth, y: (0.5 - seen.y / 2) * this.canvas.clientHeight };
+  }
+
+  /** Pixels of the head of the force's arrow and of the point the hand asks for; null where none is drawn. */
+  labelled() {
+    const head = this.tool && this.arrow.visible ? this.pixel(this.arrowHead) : null;
+    return { force: head, hand: this.tool && this.target.visible ? this.pixel(this.target.position) : null };
+  }
+
+  /** Place everything as a sample says. state: { position_m, force_N, depth_mm, surface_mm, ruptured, target_m } */
   place(state) {
     if (!this.tool || Number.isNaN(state.position_m[0])) return;
     const grip = toWorld(state.position_m);
@@ -287,6 +338,7 @@ export class TissueScene {
       this.arrow.position.copy(this.tool.position);
       this.arrow.setDirection(force.normalize());
       this.arrow.setLength(length + this.drawnRadius, 6, 5);
+      this.arrowHead = this.arrow.position.clone().addScaledVector(force, length + this.drawnRadius);
     }
     const tip = grip.clone().addScaledVector(out, -this.tipRadius);
     const scale = this.surface ? this.surface.object.motion_scale : 1;
@@ -296,7 +348,13 @@ export class TissueScene {
     this.contact.quaternion.setFromUnitVectors(new Vector3(0, 0, 1), out);
     this.rupture.visible = state.ruptured;
     this.rupture.position.copy(this.contact.position);
-    if (this.surface) this.deform(this.contact.position, out, depth);
+    if (this.surface) {
+      // a surface that its tool has left goes back by itself, as the law says, where it was left
+      const dent = Math.max(state.surface_mm, 0) * scale;
+      const left = dent > depth + LEFT_MM;
+      if (!left || this.dentAt === null) this.dentAt = this.contact.position.clone();
+      this.deform(this.dentAt, out, Math.max(dent, depth));
+    }
     this.placeTarget(state.target_m, grip);
     this.changed = true;
   }
@@ -324,18 +382,18 @@ export class TissueScene {
     const { mesh, rest, reach } = this.surface;
     if (depth === this.surface.deformed && depth === 0) return;
     this.surface.deformed = depth;
-    const radius = Math.sqrt(this.drawnRadius * depth);
+    const press = dentUnder(this.tip, this.drawnRadius, depth);
     const positions = mesh.geometry.attributes.position;
     const colours = mesh.geometry.attributes.color;
     const { array } = positions;
     const tint = new Color();
     for (let i = 0; i < array.length; i += 3) {
       const r = Math.hypot(rest[i] - at.x, rest[i + 1] - at.y, rest[i + 2] - at.z);
-      const down = depth === 0 ? 0 : pressed(r, radius, depth, this.drawnRadius) * Math.max(0, 1 - (r / reach) ** 2);
+      const down = depth === 0 ? 0 : press(r) * Math.max(0, 1 - (r / reach) ** 2);
       array[i] = rest[i] - down * out.x;
       array[i + 1] = rest[i + 1] - down * out.y;
       array[i + 2] = rest[i + 2] - down * out.z;
-      tint.copy(this.tissueColour).lerp(this.pressedColour, Math.min(1, down / 30));
+      tint.copy(this.tissueColour).multiplyScalar(this.surface.mottle[i / 3]).lerp(this.pressedColour, Math.min(0.85, down / PRESSED_MM));
       colours.array[i] = tint.r;
       colours.array[i + 1] = tint.g;
       colours.array[i + 2] = tint.b;
@@ -377,9 +435,49 @@ function isSoftware() {
   return SOFTWARE.test(name);
 }
 
-/** How far a half space is pressed in at a distance r from a sphere's axis: Hertz, as Johnson 1985, 3.42. */
-function pressed(r, radius, depth, sphere) {
-  if (r <= radius) return depth - (r * r) / (2 * sphere);
-  const ratio = radius / r;
-  return (depth / Math.PI) * ((2 - 1 / (ratio * ratio)) * Math.asin(ratio) + Math.sqrt(1 - ratio * ratio) / ratio);
+/** A tip that ends a drawn radius below the origin. */
+function tipGeometry(shape, radius, slope) {
+  if (shape === "flat") return new CylinderGeometry(radius, radius, 2 * radius, 40);
+  if (shape !== "cone") return new SphereGeometry(radius, 32, 20);
+  const height = Math.min(CONE_HEIGHT * radius, (2 * radius) / slope);
+  return new ConeGeometry(height * slope, height, 40).rotateX(Math.PI).translate(0, height / 2 - radius, 0);
+}
+
+/**
+ * Function of the distance from a tip's axis: how far a half space is pressed in.  Sphere: Hertz, as Johnson 1985,
+ * 3.42; flat and cone: Sneddon 1965, doi 10.1016/0020-7225(65)90019-4.
+ */
+function dentUnder({ shape, slope }, radius, depth) {
+  if (shape === "flat") return (r) => (r <= radius ? depth : (2 / Math.PI) * depth * Math.asin(radius / r));
+  if (shape === "cone") {
+    const edge = (2 / Math.PI) * depth * slope;
+    return (r) => (r <= edge ? depth - r / slope : (edge / slope) * (Math.asin(edge / r) + Math.sqrt((r / edge) ** 2 - 1) - r / edge));
+  }
+  const edge = Math.sqrt(radius * depth);
+  return (r) => {
+    if (r <= edge) return depth - (r * r) / (2 * radius);
+    const ratio = edge / r;
+    return (depth / Math.PI) * ((2 - 1 / (ratio * ratio)) * Math.asin(ratio) + Math.sqrt(1 - ratio * ratio) / ratio);
+  };
+}
+
+/** Brightness of each vertex: smooth noise of two lengths, the same each time. */
+function mottle(positions) {
+  const cell = (i, j, k) => {
+    const value = Math.sin(i * 127.1 + j * 311.7 + k * 74.7) * 43758.5453;
+    return value - Math.floor(value);
+  };
+  const smooth = (x, y, z) => {
+    const [i, j, k] = [Math.floor(x), Math.floor(y), Math.floor(z)];
+    const [u, v, w] = [x - i, y - j, z - k].map((one) => one * one * (3 - 2 * one));
+    let sum = 0;
+    for (const a of [0, 1]) for (const b of [0, 1]) for (const c of [0, 1]) sum += cell(i + a, j + b, k + c) * (a ? u : 1 - u) * (b ? v : 1 - v) * (c ? w : 1 - w);
+    return sum - 0.5;
+  };
+  const bright = new Float32Array(positions.length / 3);
+  for (let n = 0; n < bright.length; n += 1) {
+    const [x, y, z] = positions.slice(3 * n, 3 * n + 3);
+    bright[n] = 1 + MOTTLE * (1.4 * smooth(x / 17, y / 17, z / 17) + smooth(x / 5, y / 5, z / 5));
+  }
+  return bright;
 }

@@ -31,6 +31,12 @@ function axis(extra) {
   return { stroke: colour("text"), grid: { stroke: colour("grid"), width: 1 }, ticks: { show: false }, font, size: 44, gap: 3, ...extra };
 }
 
+/** Least and most of a force strip's left axis, with what is drawn on the right axis brought to its scale. */
+function shared(plot, traces, ratio) {
+  const all = traces.flatMap((trace, i) => plot.data[i + 1].filter(Number.isFinite).map((one) => (trace.axis === "right" ? one / ratio : one)));
+  return stepped(Math.min(0, ...all), Math.max(LEAST.force, ...all));
+}
+
 class TimeStrip {
   constructor(strip, parent, ratio) {
     this.strip = strip;
@@ -52,9 +58,9 @@ class TimeStrip {
         padding: [6, right ? 0 : 10, 0, 0],
         scales: {
           x: { time: false, range: () => [-WINDOW_S, 0] },
-          y: { range: range(LEAST[strip.id] ?? 1) },
-          // both forces coincide unless the device's was cut or ramped
-          right: { range: (plot, low, high) => (this.ratio ? [plot.scales.y.min * this.ratio, plot.scales.y.max * this.ratio] : stepped(Math.min(low ?? 0, 0), Math.max(high ?? 0, 1))) },
+          // both forces coincide unless the device's was cut or ramped, and both stay in the plot
+          y: { range: right && this.ratio ? (plot) => shared(plot, strip.traces, this.ratio) : range(LEAST[strip.id] ?? 1) },
+          right: { range: (plot, low, high) => (this.ratio ? shared(plot, strip.traces, this.ratio).map((one) => one * this.ratio) : stepped(Math.min(low ?? 0, 0), Math.max(high ?? 0, 1))) },
         },
         series: [{}, ...strip.traces.map((trace, i) => ({
           label: trace.label, scale: trace.axis === "right" ? "right" : "y", stroke: colour(hueOf(strip, i)),
@@ -81,7 +87,7 @@ class TimeStrip {
   /** What is drawn: times and values, read back from the plot itself. */
   read() {
     const [x, ...values] = this.plot.data;
-    return { time_s: x.map((one) => one + this.newestS), numbers: this.numbers, values: Object.fromEntries(this.strip.traces.map((trace, i) => [trace.id, values[i]])) };
+    return { time_s: x.map((one) => one + this.newestS), numbers: this.numbers, right: [this.plot.scales.right.min, this.plot.scales.right.max], values: Object.fromEntries(this.strip.traces.map((trace, i) => [trace.id, values[i]])) };
   }
 }
 

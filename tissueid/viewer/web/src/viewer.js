@@ -79,6 +79,7 @@ function stateAt(n) {
     device_N: history.reader("force_N")(n),
     tissue_N: history.value("tissue_force_N", n),
     depth_mm: history.value("depth_mm", n),
+    surface_mm: history.value("surface_mm", n),
     tick: history.value("tick", n),
     state: history.value("state", n),
     fault: history.value("fault", n),
@@ -118,7 +119,21 @@ function picture(nowMs) {
     ages.push(connection.nowS() - history.value("time_s", n));
     if (ages.length > AGES) ages.shift();
   }
+  label(state);
   if (state.replay) followReplay(n);
+}
+
+/** Words at the arrow and at the point that the hand asks for; numbers stand in the corner, too. */
+function label(state) {
+  const places = scene.labelled();
+  const words = { force: `${state.device_N.toFixed(2)} N on the hand`, hand: "your hand" };
+  for (const [name, at] of Object.entries(places)) {
+    const tag = byId(`tag-${name}`);
+    tag.hidden = at === null;
+    if (at === null) continue;
+    if (tag.textContent !== words[name]) tag.textContent = words[name];
+    tag.style.transform = `translate(${(at.x + 12).toFixed(1)}px, ${(at.y - 9).toFixed(1)}px)`;
+  }
 }
 
 /** A picture that is not of the present is greyed, and says why. */
