@@ -7,11 +7,9 @@ from dataclasses import asdict, dataclass
 from difflib import get_close_matches
 
 from tissueid.errors import UsageError
-from tissueid.flag_advice import FLAG_ADVICE, flag_level
-from tissueid.flags import FLAG_CODES
+from tissueid.flags import FLAGS, flag_level
 from tissueid.model.grammar import described
 from tissueid.quantity_words import QUANTITIES, quantity_name
-from tissueid.report.remarks import REMARK_TITLES
 
 __all__ = ["EXIT_MEANINGS", "Explanation", "explain", "explanations", "flags_page", "gravity"]
 
@@ -112,10 +110,8 @@ def explanations() -> dict[str, Explanation]:
         for code, (meaning, way) in EXIT_MEANINGS.items()
     ]
     found += [
-        Explanation(
-            "flag", code, REMARK_TITLES[code], meaning, FLAG_ADVICE[code].follows, FLAG_ADVICE[code].remedy
-        )
-        for code, meaning in FLAG_CODES.items()
+        Explanation("flag", code, kind.title, kind.means, kind.follows, kind.remedy)
+        for code, kind in FLAGS.items()
     ]
     return {one.name: one for one in found}
 
@@ -184,15 +180,14 @@ def flags_page() -> str:
         "*note* says what was assumed or done.",
         "",
     ]
-    for code, meaning in FLAG_CODES.items():
-        advice = FLAG_ADVICE[code]
+    for code, kind in FLAGS.items():
         lines += [
             f"### `{code}`",
             "",
-            f"{REMARK_TITLES[code]} ({flag_level(code)}): {meaning}.",
+            f"{kind.title} ({flag_level(code)}): {kind.means}.",
             "",
-            f"* What follows: {advice.follows}",
-            f"* What to do: {advice.remedy}",
+            f"* What follows: {kind.follows}",
+            f"* What to do: {kind.remedy}",
             "",
         ]
     return "\n".join(lines)

@@ -1,7 +1,8 @@
 """Everything tissueid may say about a recording or a fit, in one table.
 
-A flag is a warning with a stable code, a plain sentence and the numbers behind it.  Codes are listed
-here once; ``schemas/flag.schema.json`` repeats the enumeration and a test holds the two together.
+A flag is a warning with a stable code, a plain sentence and the numbers behind it.  Codes are listed here
+once, with title, meaning, consequence and way out; ``schemas/flag.schema.json`` and ``docs/flags.md`` are
+written from this table by ``scripts/write-docs``.
 """
 
 from __future__ import annotations
@@ -9,105 +10,371 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
-__all__ = ["FLAG_CODES", "Flag"]
+__all__ = [
+    "FLAGS",
+    "HARM",
+    "MOST_WORDS",
+    "NOTHING",
+    "Flag",
+    "FlagKind",
+    "flag_level",
+    "harm_rank",
+    "warning_line",
+]
 
-#: code -> what it means, for the report and the documentation.
-FLAG_CODES: Mapping[str, str] = MappingProxyType(
-    {
-        # the file
-        "column_choice": "several columns could be the displacement or the force; one was taken by rule",
-        "units_assumed": "the file states no unit for a column; mm, N or s was assumed",
-        "undecoded_text": "some header text could not be decoded; numbers are unaffected",
-        "rows_skipped": "rows without numbers (comments, results) stand among the data and were left out",
-        "cut_row": "the last row is incomplete and was left out",
-        # the samples
-        "zero_dt": "two samples carry the same time",
-        "event_rows": "extra samples stand close beside their neighbours, as written at segment changes",
-        "gap": "the log has a gap in time",
-        "quantised_force": "the force has few distinct levels for its range",
-        "no_decimals": "no number of the recording has decimals: were decimal marks lost?",
-        "jump": "the travel leaps between two samples and stays there",
-        "not_a_specimen": "a mean curve, a summary or a search for contact: no specimen",
-        "cantilever_bending": "the travel holds the bending of the cantilever",
-        "unit_overridden": "the file states another unit than the user did; the user's was taken",
-        "normalised_axes": "the recording is normalised (strain, stress): nothing here is in mm or N",
-        "spike": "single samples stand far off their neighbours",
-        "rendered": "the recording is the log of a rendered session: a force law, no measurement",
-        "commanded_displacement": "the displacement is free of noise and lag: commanded, not measured?",
-        "below_resolution": "displacement or force changes by few of its resolution steps",
-        "below_cell_range": "the force is small against the load cell's verified range",
-        "clipped_force": "the force stands at its extreme for several samples: clipped load cell",
-        "too_few_samples": "too few samples to segment or fit",
-        # the segments
-        "no_contact": "no contact between tool and tissue was found",
-        "no_ramp": "no loading ramp was found",
-        "no_hold": "no hold was found: there is nothing to relax",
-        "cyclic": "the recording is cyclic",
-        "several_steps": "the recording has several ramp-and-hold steps",
-        "rupture": "the force collapses while the tool moves on: the tissue broke or the tool slipped",
-        "doubtful_rupture": "most of the force is lost within 0.1 s of a stop: relaxation, or a rupture?",
-        "slip": "the force falls a little on a ramp and recovers: the tool or the grip slipped",
-        "adhesion": "tissue pulls at the tool as it leaves",
-        "speed_differs": "the ramp runs at another speed than the file states",
-        "load_limit_stop": "the ramp ended at a load limit, not at a depth",
-        "preconditioned": "the last cycles change by less than 2 %",
-        "not_preconditioned": "the last cycles still change by 2 % or more",
-        "corner_slow": "the crosshead took long to stop",
-        "decision_overridden": "the user decided this instead of the data",
-        "aborted_ramp": "the recording ends, or unloads, before the ramp is over",
-        "starts_in_contact": "the recording starts in contact or within its noise: no samples in air",
-        "baseline_drift": "the force drifts while the tool is in air",
-        "preload": "the force at the start is above its noise: the tissue was preloaded",
-        "contact_uncertain": "the contact point is known only to a large part of the depth",
-        "corner_overshoot": "displacement overshoots or rings where the ramp stops",
-        "sign_assumed": "compression could not be told from tension; the dominant excursion was taken",
-        "tension": "the force grows against the travel or the specimen is pulled",
-        # the fit
-        "not_identified": "the data do not determine this parameter",
-        "one_speed_ratio": "no sample is slower than contact began: static force and damping are one number",
-        "interval_open": "the interval of a relaxation time runs into the bound of its range",
-        "tau_below_resolution": "a relaxation time is shorter than two sampling intervals",
-        "amplitude_small": "the relaxing force is below what its noise lets one time",
-        "tau_exceeds_window": "a relaxation time is longer than a third of its window",
-        "window_dependent": "halving the window moves the relaxation time by more than a fifth",
-        "one_tau_inadequate": "one relaxation time does not describe the hold",
-        "residual_correlated": "neighbouring residuals are correlated: noise with memory, or a lacking model",
-        "residual_large": "the largest residual is more than a twentieth of the force range",
-        "bound_active": "a passivity bound is active at the optimum",
-        "contact_loss_ambiguous": "after the tool lets go the surface has several force-free positions",
-        "optimisers_disagree": "Levenberg-Marquardt and variable projection ended at different optima",
-        "not_converged": "Levenberg-Marquardt did not converge",
-        "single_speed": "one speed and no hold: only the ramp's shape tells viscosity from static stiffness",
-        "unloading_not_settled": "the fit of unloading did not converge",
-        "contact_loss_misfit": "the load cell shows a force while the model has the tool in air",
-        "form_dependent": "the share of F_s and K, or the relaxation time, rests on the form of the law",
-        "unloading_left_out": "samples after the tool first turned back took no part in the fit",
-        "frame_corrected": "the deflection of machine and fixture was taken off the displacement",
-        "gain_spread": "logs of one specimen differ much in stiffness",
-        "repeated_site": "one site was tested more than once",
-        "order_effect": "force changes with the order of the tests",
-        "modulus_out_of_range": "the modulus formula was used outside the range it was derived for",
-        "poroelastic": "relaxation may be fluid flow, not viscosity",
-        "sampler_not_converged": "the sampler stopped before its rule was met: intervals are rough",
-        "misfit": "the residuals show what model and noise can't make: no interval can be believed",
-        "discrepancy": "the model misses more than the measured noise; intervals were widened for it",
-        "interval_withheld": "value and intervals do not agree: no interval is given",
-        "model_undecided": "the data do not decide between two models",
-        "calibration_dominates": "what is not known of the machine outweighs the noise of the recordings",
-        "prior_dominated": "a prior decides this more than the data do",
-        # the cohort
-        "speed_confounded": "speeds were tested on specimens of their own: speed can't be told from specimen",
-        "population_not_converged": "chains over the population did not converge: its intervals are rough",
-        "specimen_outlier": "a specimen is far from the others",
-        "likelihood_smoothed": "population lies among few draws of a specimen: its likelihood was smoothed",
-        "draws_floored": "a force or stiffness is zero in draws; it was set to a small share of its median",
-        "population_not_passive": "specimens drawn from the population were not passive and were drawn again",
-        "covariate_missing": "a covariate is not stated of all specimens; its mean was taken",
-        "compliance_unknown": "frame compliance, force filter and time skew were not stated; taken as none",
-    }
+#: Words of a warning, its way out included.
+MOST_WORDS = 25
+#: Remedy of a flag that asks for nothing.
+NOTHING = "Nothing."
+
+
+class FlagKind(NamedTuple):
+    """Meaning of a flag for a result, and the way out.
+
+    Attributes
+    ----------
+    title : str
+        Subject of it, without a verb.
+    means : str
+        For the report and the documentation.
+    follows : str
+        For the result.
+    remedy : str
+        For the user, in ten words; :data:`NOTHING` where it only informs.
+    many : str
+        Words about several recordings or specimens that carry it, behind their number.
+    """
+
+    title: str
+    means: str
+    follows: str
+    remedy: str
+    many: str
+
+
+# fmt: off
+_SERIOUS = {
+    "no_decimals": FlagKind("Decimals", "no number of the recording has decimals: were decimal marks lost?",
+        "If a decimal mark was lost, numbers are too large by a power of ten.",
+        "Export again with more digits, or state --decimal.", "may have lost decimal marks"),
+    "clipped_force": FlagKind("Clipped force",
+        "the force stands at its extreme for several samples: clipped load cell",
+        "The true peak was higher; stiffness is too low.", "Take a larger load cell, or less depth.",
+        "have a clipped force"),
+    "too_few_samples": FlagKind("Samples", "too few samples to segment or fit",
+        "There is nothing to segment or fit.", "Sample faster, or let the test run on.",
+        "have too few samples"),
+    "no_contact": FlagKind("No contact", "no contact between tool and tissue was found",
+        "The recording is not fitted.", "Start nearer, push deeper, or state --contact.",
+        "show no contact"),
+    "no_ramp": FlagKind("No ramp", "no loading ramp was found", "There is no loading to fit.",
+        "Look at it with `tissueid inspect --html`.", "show no ramp"),
+    "misfit": FlagKind("Misfit",
+        "the residuals show what model and noise can't make: no interval can be believed",
+        "The model is wrong in a way the residuals show; intervals would be of a wrong model.",
+        "Look at that check; add a branch, state the machine.", "contradict the model"),
+    "not_converged": FlagKind("Convergence", "Levenberg-Marquardt did not converge",
+        "Levenberg-Marquardt gave up; the result of the search stands unconfirmed.",
+        "Simplify: fewer branches, --stiffness-degree 0.", "did not converge"),
+    "optimisers_disagree": FlagKind("Two optima",
+        "Levenberg-Marquardt and variable projection ended at different optima",
+        "At least one did not find the best fit; the lower sum of squares was kept. Quote nothing yet.",
+        "Simplify: fewer branches, --stiffness-degree 0.", "have two optima"),
+    "interval_withheld": FlagKind("Interval withheld",
+        "value and intervals do not agree: no interval is given",
+        "The number stands without an interval: it may be far from what other data would give.",
+        "Add logs, state the machine, or take --branches 1.", "have a value without interval"),
+    "quantised_force": FlagKind("Force resolution", "the force has few distinct levels for its range",
+        "Small changes of the force are lost; relaxation may look like steps.",
+        "Take a smaller load cell, or export more digits.", "have a force of few levels"),
+    "single_speed": FlagKind("One speed",
+        "one speed and no hold: only the ramp's shape tells viscosity from static stiffness",
+        "Viscosity and static stiffness share one curve; either may hold the other's share.",
+        "Test at a second speed, or hold.", "have one speed and no hold"),
+    "population_not_converged": FlagKind("Convergence",
+        "chains over the population did not converge: its intervals are rough",
+        "Intervals of the population are rough.", "Run again, or add specimens.",
+        "have rough intervals of the population"),
+    "speed_confounded": FlagKind("Speed and specimen",
+        "speeds were tested on specimens of their own: speed can't be told from specimen",
+        "A difference between speeds may be one between specimens; no effect of speed can be claimed.",
+        "Test every specimen at every speed.", "have speeds of their own"),
+}
+_CAUTION = {
+    "unit_overridden": FlagKind("Unit by hand",
+        "the file states another unit than the user did; the user's was taken",
+        "The result is as right as the unit that was stated by hand.",
+        "Check the unit against the machine.", "state another unit than was taken"),
+    "sign_assumed": FlagKind("Sign",
+        "compression could not be told from tension; the dominant excursion was taken",
+        "If the guess is wrong the recording is read upside down.",
+        "State --compression positive or negative.", "leave the sign of compression open"),
+    "tension": FlagKind("Tension", "the force grows against the travel or the specimen is pulled",
+        "A contact model does not describe pulling.", "Check the mounting, or state --compression.",
+        "look like tension"),
+    "rendered": FlagKind("No measurement",
+        "the recording is the log of a rendered session: a force law, no measurement",
+        "A fit returns the law that was rendered. It says nothing new of the tissue.",
+        "Use it to check a session, not to identify.", "are rendered, not measured"),
+    "rupture": FlagKind("Rupture",
+        "the force collapses while the tool moves on: the tissue broke or the tool slipped",
+        "The fit ends there: what follows is another specimen; `tissueid rupture` studies it.",
+        "Correct it by [[override]] of study.toml, if untrue.", "show a rupture"),
+    "doubtful_rupture": FlagKind("Rupture?",
+        "most of the force is lost within 0.1 s of a stop: relaxation, or a rupture?",
+        "The hold is kept, as if the tissue were whole.", "Look at the curve: --exclude leaves it out.",
+        "lose most of their force at a stop"),
+    "speed_differs": FlagKind("Speed", "the ramp runs at another speed than the file states",
+        "The measured speed counts; the machine did not do what its header says.",
+        "Check the header and the time column.", "run at another speed than stated"),
+    "adhesion": FlagKind("Adhesion", "tissue pulls at the tool as it leaves",
+        "Loading and holds are fitted; the model has no pull, so unloading does not follow.",
+        "Wet or powder the tip, or leave the retract out.", "pull at the tool as it leaves"),
+    "slip": FlagKind("Slip",
+        "the force falls a little on a ramp and recovers: the tool or the grip slipped",
+        "The fit follows the force through it.", "Look at the grip: --exclude leaves it out.",
+        "slip on a ramp"),
+    "not_identified": FlagKind("Not identified", "the data do not determine this parameter",
+        "No value is given: other values fit these data as well.",
+        "Test a second speed, hold longer, or sample faster.", "leave parameters undetermined"),
+    "discrepancy": FlagKind("Misfit beside the noise",
+        "the model misses more than the measured noise; intervals were widened for it",
+        "The model is simpler than the tissue; its parameters describe this program, not any other. "
+        "Intervals count several samples as one.", "Look at the largest residual; add a branch.",
+        "are missed by more than the noise"),
+    "sampler_not_converged": FlagKind("Sampler",
+        "the sampler stopped before its rule was met: intervals are rough",
+        "Intervals are rough, or there are none; stating the machine in [calibration] narrows what a "
+        "total interval has to search.", "Take fewer --branches, or state the machine.",
+        "have rough intervals"),
+    "unloading_not_settled": FlagKind("Unloading", "the fit of unloading did not converge",
+        "Numbers of a fit with unloading are rough.", "Fit without --unloading.",
+        "have an unloading that did not settle"),
+    "aborted_ramp": FlagKind("Aborted test", "the recording ends, or unloads, before the ramp is over",
+        "The recording shows less depth than was asked for.", "Repeat the test.",
+        "end before their ramp does"),
+    "jump": FlagKind("Leap", "the travel leaps between two samples and stays there",
+        "What happened in between is missing; after it another recording may go on.",
+        "Cut it by start_s or end_s of study.toml.", "leap between two samples"),
+    "gap": FlagKind("Gap", "the log has a gap in time",
+        "What the force did in the gap is not known; the model runs through it on an interpolated path.",
+        "Log at a constant rate, or leave the recording out.", "have gaps in time"),
+    "spike": FlagKind("Outliers", "single samples stand far off their neighbours",
+        "Single samples may pull the fit and look like misfit.", "Look for a bad cable.",
+        "have single samples far off"),
+    "zero_dt": FlagKind("Time stamps", "two samples carry the same time",
+        "The samples share one instant; speeds there mean nothing.", "Export time with more digits.",
+        "repeat times"),
+    "commanded_displacement": FlagKind("Commanded displacement",
+        "the displacement is free of noise and lag: commanded, not measured?",
+        "No crosshead turns so sharply: where the tool really was is not recorded; lag and give of the "
+        "machine become tissue.", "Export the measured displacement.",
+        "may hold the commanded displacement"),
+    "below_resolution": FlagKind("Resolution",
+        "displacement or force changes by few of its resolution steps",
+        "The channel says little more than its steps.", "Take a finer sensor, or go deeper.",
+        "go through few resolution steps"),
+    "below_cell_range": FlagKind("Load-cell range",
+        "the force is small against the load cell's verified range",
+        "The load cell's class holds only in its verified range; below it the force may be off by more.",
+        "Take a smaller cell, or state verified_from_N.", "stay below the load cell's verified range"),
+    "cantilever_bending": FlagKind("Cantilever", "the travel holds the bending of the cantilever",
+        "The tip went less deep than the travel says, so that the tissue looks softer.",
+        "State frame_stiffness_N_per_mm in [calibration] of study.toml.",
+        "hold the bending of a cantilever"),
+    "contact_uncertain": FlagKind("Uncertain contact",
+        "the contact point is known only to a large part of the depth",
+        "Depth, and what grows with it, is uncertain by that much; intervals know of it.",
+        "Start in air; approach at the ramp's speed.", "have an uncertain contact"),
+    "baseline_drift": FlagKind("Load-cell zero", "the force drifts while the tool is in air",
+        "The zero of the force is uncertain by the drift.", "Let the load cell warm up, then zero it.",
+        "drift in air"),
+    "bound_active": FlagKind("Passivity", "a passivity bound is active at the optimum",
+        "The tissue that fits best stands at the edge of what is passive; its error is not symmetric.",
+        "Check the contact point; trust sampled intervals.", "stand at the passivity bound"),
+    "tau_exceeds_window": FlagKind("Short hold", "a relaxation time is longer than a third of its window",
+        "The hold ended before this relaxation did; its time is an extrapolation.",
+        "Hold three times as long.", "relax longer than was held"),
+    "tau_below_resolution": FlagKind("Sampling", "a relaxation time is shorter than two sampling intervals",
+        "The branch is a jump of the force at this rate; its time is not measured.",
+        "Sample ten times faster, or quote the viscosity alone.", "relax faster than was sampled"),
+    "one_speed_ratio": FlagKind("One speed ratio",
+        "no sample is slower than contact began: static force and damping are one number",
+        "Static coefficient and restitution are withheld; their product k (1 + chi) is known.",
+        "Record a hold or the unloading too.", "leave static force and damping one number"),
+    "interval_open": FlagKind("Open interval",
+        "the interval of a relaxation time runs into the bound of its range",
+        "The data bound the relaxation time on one side only.",
+        "Too short: sample faster. Too long: hold longer.", "have a relaxation time with an open interval"),
+    "amplitude_small": FlagKind("Small relaxation",
+        "the relaxing force is below what its noise lets one time", "The relaxing force drowns in noise.",
+        "Go faster or deeper, or repeat to average.", "relax by less than noise lets one time"),
+    "form_dependent": FlagKind("Form of the law",
+        "the share of F_s and K, or the relaxation time, rests on the form of the law",
+        "Of one speed and one depth, the split between F_s and K at smaller depths is the polynomials', "
+        "not the data's; a relaxation time that follows the hold is one of that window.",
+        "Test a second speed or depth.", "have numbers that rest on the form of the law"),
+    "window_dependent": FlagKind("Window",
+        "halving the window moves the relaxation time by more than a fifth",
+        "The relaxation is not one exponential; its time depends on where one looks.",
+        "Quote the window beside the time, or add a branch.",
+        "have a relaxation time that depends on its window"),
+    "one_tau_inadequate": FlagKind("One exponential", "one relaxation time does not describe the hold",
+        "One exponential leaves structure in the hold.",
+        "Quote two or three, or let --branches auto choose.", "relax in more than one time"),
+    "residual_large": FlagKind("Large residual",
+        "the largest residual is more than a twentieth of the force range",
+        "Somewhere the model is off by more than 5 %.", "Look where, in the residuals of the report.",
+        "leave a residual above 5 % of the force range"),
+    "residual_correlated": FlagKind("Correlated residual",
+        "neighbouring residuals are correlated: noise with memory, or a lacking model",
+        "White-noise standard errors are too small; sampled intervals know the memory of the noise.",
+        "Trust sampled intervals, not standard errors.", "leave correlated residuals"),
+    "contact_loss_misfit": FlagKind("Contact loss",
+        "the load cell shows a force while the model has the tool in air",
+        "Tissue sticks, or recovers otherwise than the model says.", "Trust loading only.",
+        "show a force in air"),
+    "contact_loss_ambiguous": FlagKind("Contact loss",
+        "after the tool lets go the surface has several force-free positions",
+        "Unloading is passive, but not unique, once the tool has left.", "Do not render fast retracts.",
+        "have several free surfaces after contact loss"),
+    "gain_spread": FlagKind("Spread of the trials", "logs of one specimen differ much in stiffness",
+        "Sites or moments differ; the shared tissue is an average.", "Fit them as specimens of their own.",
+        "have logs of different stiffness"),
+    "order_effect": FlagKind("Order of the tests", "force changes with the order of the tests",
+        "Something changes while you test: drying, damage, recovery.",
+        "Precondition, and randomise the order.", "change with the order of the tests"),
+    "repeated_site": FlagKind("Repeated site", "one site was tested more than once",
+        "Later tests met tissue that had been tested.", "Leave rest, or change the site.",
+        "were tested at one site again"),
+    "not_preconditioned": FlagKind("Preconditioning", "the last cycles still change by 2 % or more",
+        "The tissue was still changing; repeated tests will not agree.", "Precondition for more cycles.",
+        "still change from cycle to cycle"),
+    "corner_slow": FlagKind("Slow stop", "the crosshead took long to stop",
+        "Relaxation that is faster than the stop can't be seen.",
+        "Use a stiffer controller, or a slower ramp.", "stop slowly"),
+    "corner_overshoot": FlagKind("Overshoot", "displacement overshoots or rings where the ramp stops",
+        "The fit follows the measured path, overshoot included.", "Tune the controller, if it is large.",
+        "overshoot where the ramp stops"),
+    "prior_dominated": FlagKind("Prior", "a prior decides this more than the data do",
+        "The number is mostly what was believed before.", "State the prior when quoting, or test more.",
+        "are decided by a prior"),
+    "modulus_out_of_range": FlagKind("Range of the modulus",
+        "the modulus formula was used outside the range it was derived for",
+        "The modulus is an extrapolation of its formula; the stiffness stands.",
+        "Quote the stiffness, or state --thickness.", "have a modulus outside its formula's range"),
+    "poroelastic": FlagKind("Fluid flow", "relaxation may be fluid flow, not viscosity",
+        "A relaxation time lies where fluid drains from under a contact of this size (a^2/D, D of 10⁻¹¹ "
+        "to 10⁻⁸ m²/s); with another tip fluid flow slows with the square of its radius, viscosity does "
+        "not.", "Repeat with a tip of another radius.", "may relax by fluid flow"),
+    "unloading_left_out": FlagKind("Unloading",
+        "samples after the tool first turned back took no part in the fit",
+        "Only loading and holds are fitted.", "Add --unloading.", "have samples that were not fitted"),
+    "specimen_outlier": FlagKind("Outliers", "a specimen is far from the others",
+        "It counts less with heavy tails, and in full with normal ones.",
+        "Look at its recordings, and keep it.", "are far from the others"),
+    "covariate_missing": FlagKind("Missing covariate",
+        "a covariate is not stated of all specimens; its mean was taken",
+        "Those specimens say nothing about the effect of the covariate.", "State it for all.",
+        "state no covariate"),
+    "population_not_passive": FlagKind("Passivity",
+        "specimens drawn from the population were not passive and were drawn again",
+        "New specimens are drawn from the passive part of the population.",
+        "Add specimens, where many are.", "were drawn again"),
+}
+_NOTE = {
+    "not_a_specimen": FlagKind("No specimen",
+        "a mean curve, a summary or a search for contact: no specimen",
+        "It is shown, and takes no part in a fit.", "List it under [[trial]] of study.toml, if it is one.",
+        "are no specimens"),
+    "units_assumed": FlagKind("Units", "the file states no unit for a column; mm, N or s was assumed",
+        "If the unit is another, forces or depths are wrong by its factor, and so is every parameter.",
+        "State it: --units force=kN, or in study.toml.", "state no unit for a column"),
+    "normalised_axes": FlagKind("Normalised axes",
+        "the recording is normalised (strain, stress): nothing here is in mm or N",
+        "Parameters are in units of strain and stress and can't be rendered.",
+        "Export displacement and force, to feel a tissue.", "are normalised"),
+    "compliance_unknown": FlagKind("Machine",
+        "frame compliance, force filter and time skew were not stated; taken as none",
+        "A short relaxation time may be the machine's.", "State them in [calibration].",
+        "leave the machine unstated"),
+    "calibration_dominates": FlagKind("Calibration",
+        "what is not known of the machine outweighs the noise of the recordings",
+        "More tests will not narrow the total interval; knowing the machine will.",
+        "State it in [calibration]; `tissueid calibrate-frame` measures a frame.",
+        "are limited by the machine"),
+    "model_undecided": FlagKind("Choice of the model", "the data do not decide between two models",
+        "Another model would predict as well; parameters that differ between them are not settled.",
+        "Add a second speed; --branches and --stiffness-degree fit one order.",
+        "do not decide between models"),
+    "preload": FlagKind("Preload", "the force at the start is above its noise: the tissue was preloaded",
+        "Depth counts from the preloaded surface, not from the free one; tissue that had relaxed under "
+        "it, slower than the ramp, was met further back.", "Start in air, or state --contact.",
+        "start preloaded"),
+    "starts_in_contact": FlagKind("Start in contact",
+        "the recording starts in contact or within its noise: no samples in air",
+        "Zero force and zero depth were not seen; the linear static term may be off.",
+        "Start in air, or state --contact.", "start in contact"),
+    "no_hold": FlagKind("No hold", "no hold was found: there is nothing to relax",
+        "Relaxation times come from the shape of ramps alone, and may not be identified.",
+        "Hold at the largest depth, longer than tissue relaxes.", "show no hold"),
+    "cut_row": FlagKind("End of the file", "the last row is incomplete and was left out",
+        "One sample is missing; the export was probably cut short, and more may be.",
+        "Export again, if the recording should be longer.", "end in an incomplete row"),
+    "rows_skipped": FlagKind("Rows left out",
+        "rows without numbers (comments, results) stand among the data and were left out",
+        "Rows of text took no part; samples did.", "Look at those lines, if they were samples.",
+        "hold rows that were left out"),
+    "decision_overridden": FlagKind("Decided by hand", "the user decided this instead of the data",
+        "The result follows your decision.", "Change it in study.toml, where it is wrong.",
+        "follow a decision of the study"),
+    "load_limit_stop": FlagKind("Load limit", "the ramp ended at a load limit, not at a depth",
+        "The depth is not the one asked for; it is the measured one that counts.",
+        "Raise the limit, if the depth is wanted.", "stop at a load limit"),
+    "column_choice": FlagKind("Choice of columns",
+        "several columns could be the displacement or the force; one was taken by rule",
+        "If the rule took the wrong column, every number is of the wrong quantity.",
+        "State others with --columns, if that is wrong.", "have several columns that fit"),
+    "undecoded_text": FlagKind("Encoding", "some header text could not be decoded; numbers are unaffected",
+        "Only names and remarks of the header may look odd; numbers are unaffected.",
+        "Export as UTF-8, if names look odd.", "have a header of uncertain encoding"),
+    "several_steps": FlagKind("Several steps", "the recording has several ramp-and-hold steps",
+        "Every step is fitted with one tissue.", NOTHING, "have several steps"),
+    "cyclic": FlagKind("Cyclic test", "the recording is cyclic",
+        "Loading is fitted; turns and loops are measured.", "Add --unloading to fit retracts.",
+        "are cyclic"),
+    "event_rows": FlagKind("Event rows",
+        "extra samples stand close beside their neighbours, as written at segment changes",
+        "They are counted as samples of next to no duration.", NOTHING,
+        "have extra samples at changes of a segment"),
+    "frame_corrected": FlagKind("Frame",
+        "the deflection of machine and fixture was taken off the displacement",
+        "Depths are the tissue's alone, as far as the frame is known.",
+        "Measure it again with `tissueid calibrate-frame`, if in doubt.", "were corrected for the frame"),
+    "preconditioned": FlagKind("Preconditioning", "the last cycles change by less than 2 %",
+        "Cycles before the test settled; it is what one hopes for.", NOTHING,
+        "settled in their last cycles"),
+    "likelihood_smoothed": FlagKind("Smoothed likelihood",
+        "population lies among few draws of a specimen: its likelihood was smoothed",
+        "The specimen's posterior hardly reaches the population; its share is approximate.",
+        "Fit them with more --draws.", "have a smoothed likelihood"),
+    "draws_floored": FlagKind("Zero force",
+        "a force or stiffness is zero in draws; it was set to a small share of its median",
+        "Such a draw lies far from the others, in the logarithm.", "Look at bounds and contact point.",
+        "have draws without force"),
+}
+# fmt: on
+
+#: Gravity -> its flags; in each, and over all, those that do more harm come first.
+HARM: Mapping[str, Mapping[str, FlagKind]] = MappingProxyType(
+    {"serious": _SERIOUS, "caution": _CAUTION, "note": _NOTE}
 )
+#: Code -> its kind, that of most harm first.
+FLAGS: Mapping[str, FlagKind] = MappingProxyType({**_SERIOUS, **_CAUTION, **_NOTE})
+_RANK = {code: rank for rank, code in enumerate(FLAGS)}
+_LEVEL = {code: level for level, kinds in HARM.items() for code in kinds}
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +384,7 @@ class Flag:
     Attributes
     ----------
     code : str
-        Key of :data:`FLAG_CODES`.
+        Key of :data:`FLAGS`.
     message : str
         One plain sentence with its numbers.
     values : mapping
@@ -129,7 +396,7 @@ class Flag:
     values: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if self.code not in FLAG_CODES:
+        if self.code not in FLAGS:
             msg = f"unknown flag code {self.code!r}"
             raise ValueError(msg)
         object.__setattr__(self, "values", MappingProxyType(dict(self.values)))
@@ -137,3 +404,30 @@ class Flag:
     def as_json(self) -> dict[str, Any]:
         """``{"code", "message", ...values}``."""
         return {"code": self.code, "message": self.message, **self.values}
+
+
+def flag_level(code: str) -> str:
+    """Gravity of a flag: ``serious``, ``caution`` or ``note``; one of a later version is a caution."""
+    return _LEVEL.get(code, "caution")
+
+
+def harm_rank(code: str) -> int:
+    """Place of a flag among all, 0 for the worst; one of a later version stands behind those known."""
+    return _RANK.get(code, len(_RANK))
+
+
+def warning_line(code: str, message: str) -> str:
+    """A flag in at most :data:`MOST_WORDS` words: what was seen, with its number, and the way out.
+
+    Parameters
+    ----------
+    code : str
+    message : str
+        The flag's own; words that a user put into it are cut where they are too many.
+    """
+    kind = FLAGS.get(code)
+    remedy = "" if kind is None or kind.remedy == NOTHING else kind.remedy
+    room = MOST_WORDS - len(remedy.split())
+    words = message.rstrip(".?").split()
+    seen = " ".join(words) if len(words) <= room else f"{' '.join(words[:room])} ..."
+    return f"{seen}. {remedy}".rstrip() if remedy else seen

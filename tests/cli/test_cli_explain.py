@@ -9,8 +9,7 @@ from command_line import REPOSITORY, run
 
 from tissueid import errors
 from tissueid.explanations import EXIT_MEANINGS, explain, explanations, flags_page
-from tissueid.flag_advice import FLAG_ADVICE
-from tissueid.flags import FLAG_CODES
+from tissueid.flags import FLAGS
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.quantity_words import QUANTITIES
 
@@ -18,8 +17,8 @@ MOST_LINES = 25
 
 
 def test_every_flag_has_advice_and_nothing_else_has() -> None:
-    assert set(FLAG_ADVICE) == set(FLAG_CODES)
-    for code, advice in FLAG_ADVICE.items():
+    assert set(FLAGS) == set(FLAGS)
+    for code, advice in FLAGS.items():
         assert advice.follows.endswith("."), code
         assert advice.remedy.endswith("."), code
 
@@ -38,14 +37,14 @@ def test_options_and_files_that_advice_names_exist() -> None:
         assert f"## `tissueid {command}" in options, command
 
 
-@pytest.mark.parametrize("code", FLAG_CODES)
+@pytest.mark.parametrize("code", FLAGS)
 def test_a_flag_is_explained_with_what_follows_and_what_to_do(code: str) -> None:
     ended = run("explain", code)
     assert ended.code == 0
     said = " ".join(ended.stdout.split())
-    assert FLAG_CODES[code] in said
-    assert FLAG_ADVICE[code].follows in said
-    assert FLAG_ADVICE[code].remedy in said
+    assert FLAGS[code].means in said
+    assert FLAGS[code].follows in said
+    assert FLAGS[code].remedy in said
 
 
 @pytest.mark.parametrize("name", ["clipped-force", "viscosity_N_s_per_mm_b2", "130", " 7 ", "tau2", "b1,3"])

@@ -10,8 +10,7 @@ from fit_factory import specimen_fit
 from posterior_factory import sampled
 
 from tissueid.cli.fit_summary import _print_specimens
-from tissueid.flag_advice import FLAG_ADVICE, MOST_WORDS, harm_rank
-from tissueid.flags import Flag
+from tissueid.flags import FLAGS, MOST_WORDS, Flag, harm_rank
 from tissueid.report.uncertainty_lines import WIDTH, block_lines
 from tissueid.report.warning_lines import MOST_WARNINGS, shared_codes, shared_lines, warning_lines
 
@@ -38,7 +37,7 @@ def test_the_five_of_most_harm_stand_first_and_the_rest_is_counted() -> None:
     assert lines[0][0] == "serious"
     assert lines[-1][1].endswith("(2 more: -v)")
     for (_, line), code in zip(lines, said, strict=True):
-        assert FLAG_ADVICE[code].remedy in line
+        assert FLAGS[code].remedy in line
         assert len(line.replace("(2 more: -v)", "").split()) <= MOST_WORDS
     every = warning_lines(document(), verbose=1)
     told = " ".join(line for _, line in every)

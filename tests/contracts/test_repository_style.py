@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tissueid.flags import FLAG_CODES, Flag
+from tissueid.flags import FLAGS, Flag
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 BANNED_NAMES = {"utils", "helpers", "manager", "process", "data2"}
@@ -55,7 +55,7 @@ def test_schemas_are_json_and_name_every_flag() -> None:
     for path in sorted((REPOSITORY / "schemas").glob("*.json")):
         assert json.loads(path.read_text(encoding="utf-8"))["$schema"].endswith("2020-12/schema"), path
     listed = json.loads((REPOSITORY / "schemas" / "flag.schema.json").read_text(encoding="utf-8"))
-    assert set(FLAG_CODES) <= set(re.findall(r'"([a-z_]+)"', json.dumps(listed)))
+    assert set(FLAGS) <= set(re.findall(r'"([a-z_]+)"', json.dumps(listed)))
 
 
 def test_unknown_flag_is_refused() -> None:

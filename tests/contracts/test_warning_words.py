@@ -17,8 +17,7 @@ import numpy as np
 import pytest
 
 import tissueid
-from tissueid.flag_advice import FLAG_ADVICE, HARM, MOST_WORDS, NOTHING, flag_level, harm_rank, warning_line
-from tissueid.flags import FLAG_CODES, Flag
+from tissueid.flags import FLAGS, HARM, MOST_WORDS, NOTHING, Flag, flag_level, harm_rank, warning_line
 from tissueid.inference import frame_effect
 from tissueid.ingest.levels import below_resolution
 from tissueid.ingest.spikes import spike
@@ -98,9 +97,7 @@ def _text(node: ast.expr | None, function: ast.AST, depth: int = 0) -> str:
 
 
 def _codes(node: ast.expr) -> tuple[str, ...]:
-    return tuple(
-        one.value for one in ast.walk(node) if isinstance(one, ast.Constant) and one.value in FLAG_CODES
-    )
+    return tuple(one.value for one in ast.walk(node) if isinstance(one, ast.Constant) and one.value in FLAGS)
 
 
 def _functions(tree: ast.Module) -> Iterator[ast.AST]:
@@ -127,7 +124,7 @@ def test_a_warning_is_short_and_has_a_number_and_a_way_out(one: Raised) -> None:
     assert one.codes, "the code of a flag is written where it is raised"
     for code in one.codes:
         line = warning_line(code, one.message)
-        words = len(one.message.split()), len(FLAG_ADVICE[code].remedy.split())
+        words = len(one.message.split()), len(FLAGS[code].remedy.split())
         assert " ..." not in line.removeprefix(one.message), f"{words} words: {one.message}"
         assert len(line.split()) <= MOST_WORDS
         assert code in WITHOUT_NUMBER or any(letter.isdigit() for letter in one.message), one.message
@@ -163,22 +160,22 @@ def test_every_code_is_raised_somewhere_or_is_left_to_a_folder_that_is_named() -
     text = "".join(
         file.read_text(encoding="utf-8") for folder in NOT_YET for file in (PACKAGE / folder).glob("*.py")
     )
-    left = {code for code in FLAG_CODES if f'"{code}"' in text}
+    left = {code for code in FLAGS if f'"{code}"' in text}
     # kept for results of earlier versions
-    assert set(FLAG_CODES) - raised - left <= {"prior_dominated"}
+    assert set(FLAGS) - raised - left <= {"prior_dominated"}
 
 
 def test_the_order_of_harm_holds_every_code_once() -> None:
     ordered = [code for codes in HARM.values() for code in codes]
-    assert sorted(ordered) == sorted(FLAG_CODES)
+    assert sorted(ordered) == sorted(FLAGS)
     assert [harm_rank(code) for code in ordered] == list(range(len(ordered)))
     assert {flag_level(code) for code in HARM["serious"]} == {"serious"}
     assert harm_rank("of a later version") > max(map(harm_rank, ordered))
 
 
-@pytest.mark.parametrize("code", FLAG_CODES)
+@pytest.mark.parametrize("code", FLAGS)
 def test_the_way_out_leaves_room_for_what_was_seen(code: str) -> None:
-    advice = FLAG_ADVICE[code]
+    advice = FLAGS[code]
     assert advice.remedy == NOTHING or len(advice.remedy.split()) <= 10
     assert advice.many
     counted = f"12 of 124 recordings {advice.many}"
@@ -188,4 +185,4 @@ def test_the_way_out_leaves_room_for_what_was_seen(code: str) -> None:
 def test_words_of_a_user_are_cut_where_they_are_too_many() -> None:
     line = warning_line("decision_overridden", f"contact_mm = 3, because: {'it slipped ' * 40}")
     assert len(line.split()) <= MOST_WORDS + 1
-    assert line.endswith(FLAG_ADVICE["decision_overridden"].remedy)
+    assert line.endswith(FLAGS["decision_overridden"].remedy)

@@ -9,7 +9,7 @@ from pathlib import Path
 from textwrap import wrap
 from typing import Any
 
-from tissueid.flag_advice import FLAG_ADVICE, harm_rank
+from tissueid.flags import FLAGS, harm_rank
 
 __all__ = ["COLOURS", "names_of", "recording_lines", "recording_name", "summary_lines"]
 
@@ -142,7 +142,7 @@ def summary_lines(described: Sequence[Mapping[str, Any]], refused: int) -> list[
     if refused:
         parts.append(f"{refused} refused")
     shared = Counter(code for one in described for code in {flag["code"] for flag in one["flags"]})
-    said = [code for code in sorted(shared, key=harm_rank) if shared[code] > 1 and code in FLAG_ADVICE]
-    several = [f"{shared[code]} {FLAG_ADVICE[code].many}" for code in said[:MOST_SHARED]]
+    said = [code for code in sorted(shared, key=harm_rank) if shared[code] > 1 and code in FLAGS]
+    several = [f"{shared[code]} {FLAGS[code].many}" for code in said[:MOST_SHARED]]
     counted = "; ".join([*several, "-v lists flags"]) if several else ""
     return [", ".join(parts), *wrap(counted, WIDTH, subsequent_indent=INDENT)]

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from tissueid.cli.output import echo, note
 from tissueid.digits import together
-from tissueid.flag_advice import warning_line
+from tissueid.flags import warning_line
 
 if TYPE_CHECKING:
     from tissueid.study.cohort import WrittenPopulation

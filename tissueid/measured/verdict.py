@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tissueid.flag_advice import warning_line
-from tissueid.flags import Flag
+from tissueid.flags import Flag, warning_line
 from tissueid.measured.spread import ramp_reason
 from tissueid.measures import Measured, MeasuredHold, MeasuredPush
 from tissueid.trial import Contact, Segmentation, Trial

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from tissueid.digits import number
-from tissueid.flag_advice import flag_level
+from tissueid.flags import flag_level
 from tissueid.report.inspect_corrections import corrections
 from tissueid.report.inspect_decisions import Decision, decisions
 from tissueid.report.inspect_payload import DrawnRecording, drawn_recording, packed_recording

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from tissueid.digits import number
-from tissueid.flag_advice import flag_level
+from tissueid.flags import flag_level
 from tissueid.report.page import asset, page_environment, plotly_script
 from tissueid.report.population_payload import MOST_DRAWN, population_payload
 from tissueid.report.remarks import Remark, remark_title

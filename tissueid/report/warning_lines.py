@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from tissueid.flag_advice import FLAG_ADVICE, harm_rank, warning_line
+from tissueid.flags import FLAGS, harm_rank, warning_line
 
 __all__ = ["MOST_WARNINGS", "shared_codes", "shared_lines", "warning_lines"]
 
@@ -66,7 +66,7 @@ def _shared_line(specimens: Sequence[Mapping[str, Any]], code: str) -> str:
     else:
         noun, total = "specimens", len(specimens)
         count = sum(code in _codes(specimen) for specimen in specimens)
-    advice = FLAG_ADVICE.get(code)
+    advice = FLAGS.get(code)
     said = "carry " + code if advice is None else advice.many
     return warning_line(code, f"{count} of {total} {noun} {said}")
 
