@@ -172,11 +172,11 @@ def test_no_permission_is_exit_5_and_names_node_and_rule(monkeypatch: pytest.Mon
     ("words", "reason"),
     [
         (("home", "nonsense"), "no device named 'nonsense'"),
-        (("home", "sim", "--port", "/dev/null"), "--port belongs to a Falcon"),
-        (("test", "sim", "--firmware", "x"), "--firmware belongs to a Falcon"),
-        (("home", "emulator", "--port", "/dev/null"), "the emulator opens its own"),
-        (("test", "sim", "--save"), "--save keeps the calibration of a Falcon"),
-        (("calibrate-force", "sim", "--mass", "100"), "'sim' is not one of"),
+        (("home", "sim", "--port", "/dev/null"), "--port belongs to falcon"),
+        (("test", "sim", "--firmware", "x"), "--firmware belongs to falcon"),
+        (("home", "emulator", "--port", "/dev/null"), "emulator makes its own port"),
+        (("test", "sim", "--save"), "--save keeps the calibration of a real device"),
+        (("calibrate-force", "sim", "--mass", "100"), "the device sim has no calibration"),
         (("calibrate-force", "--mass", "5000"), "5000.0 is not in the range"),
         (("calibrate-force", "--mass", "100"), "Give --yes where nobody can be asked"),
         (

@@ -210,7 +210,7 @@ def test_a_scale_beyond_the_passivity_bound_is_refused_with_the_numbers(bundle: 
         (("--preset", "paper-a"), "not both"),
         (("--seconds", "-1"), "must be above 0"),
         (("--virtual", "--bridge", "47110"), "--script"),
-        (("--port", "/dev/null"), "belongs to a Falcon"),
+        (("--port", "/dev/null"), "belongs to falcon"),
     ],
 )
 def test_wrong_usage_is_answered_with_the_way_out(bundle: Path, args: tuple[str, ...], said: str) -> None:

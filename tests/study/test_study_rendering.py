@@ -37,8 +37,8 @@ def test_scales_and_damping_are_those_of_the_check_before_force() -> None:
     _, simulated = found["devices"]
     assert simulated["force_scale"] == pytest.approx(check.scaling.force)
     assert simulated["required_damping_N_s_per_m"] == pytest.approx(check.required_damping_N_s_per_m)
-    # 6 mm at five-fold motion are 30 of 64 mm
-    assert simulated["outside_share"] == pytest.approx(1 - 30 / 64)
+    # 6 mm at five-fold motion are 30 of the 40 mm that a session on it has
+    assert simulated["outside_share"] == pytest.approx(1 - 30 / 40)
     assert simulated["fastest_hand_mm_s"] == pytest.approx(20.0)
     assert (found["passive"], found["unique"]) == (True, True)
     assert found["draws"] == found["draws_passive"] == 500

@@ -8,7 +8,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,22 +17,20 @@ from tissueid.cli.output import note
 from tissueid.errors import DeviceError, UsageError
 
 if TYPE_CHECKING:
-    from tissueid.haptics.device import HapticDevice
-    from tissueid.haptics.falcon.calibration import Calibration
+    from tissueid.haptics.device import AskedDevice, HapticDevice
 
 __all__ = [
-    "FALCONS",
     "ask_consent",
+    "asked_device",
     "check_savable",
     "device_options",
     "hang_mass",
     "made_device",
+    "made_for_calibration",
     "opened",
     "save",
 ]
 
-#: Devices whose driver is the Falcon's own, and takes a port, firmware and calibration.
-FALCONS = ("falcon", "emulator")
 HANDS_OFF = (
     "The motors will move the grip by themselves, with at most {clamp:.1f} N. Keep hands, hair and cables "
     "away from it. If anything goes wrong, pull the power plug."
@@ -76,50 +73,35 @@ def made_device(flags: dict[str, Any], *, hands_off: bool = False, stand_in: boo
     DeviceError
         None was named and none is there.
     """
-    from tissueid.haptics.falcon.device import limits_of
-    from tissueid.haptics.registry import choose_device, device_class
+    from tissueid.haptics.registry import choose_device, configured, device_class, owners_of
 
-    given = [key for key in ("port", "firmware", "calibration") if flags[key] is not None]
+    asked = asked_device(flags, hands_off=hands_off)
     name = flags["name"]
-    if name == "auto" and flags["port"] is not None:
-        name = "falcon"
+    if name == "auto" and asked.port is not None:
+        name = owners_of("port")[0]
     choice = choose_device(name)
     if name == "auto" and choice.name == "sim" and not stand_in:
         msg = f"{choice.why.partition(': ')[2]}. Name one that needs no hardware: emulator or sim"
         raise DeviceError(msg)
     if name == "auto":
         note(choice.why, quiet=flags["quiet"])
-    options: dict[str, Any] = {}
-    if choice.name in FALCONS:
-        calibration = _calibration(choice.name, flags["calibration"])
-        options = {"calibration": calibration, "firmware": flags["firmware"], "tell": _teller(flags)}
-        options["limits"] = limits_of(calibration, hands_off=hands_off)
-        if choice.name == "falcon":
-            options["port"] = flags["port"]
-        elif flags["port"] is not None:
-            msg = "--port belongs to the device falcon: the emulator opens its own"
-            raise UsageError(msg)
-    elif given:
-        msg = f"--{given[0]} belongs to a Falcon, and the device is {choice.name}"
-        raise UsageError(msg)
-    elif choice.name == "forcedimension":
-        options = {"tell": _teller(flags)}
-    if choice.name != "emulator" and "tell" in options and flags.get("timeout") is not None:
-        options["homing_timeout_s"] = flags["timeout"]
-    return device_class(choice.name)(**options)
+    device = device_class(choice.name)(**configured(choice.name, asked))
+    device.tell = lambda sentence: note(sentence, quiet=flags["quiet"])
+    return device
 
 
-def _calibration(name: str, file: str | None) -> Calibration:
-    """The named calibration, or the user's; that is of a real device and says nothing of an emulated one."""
-    from tissueid.haptics.falcon.calibration import Calibration, load_calibration
+def asked_device(flags: dict[str, Any], *, hands_off: bool = False) -> AskedDevice:
+    """Options of the way to a device, of those on the command line."""
+    from tissueid.haptics.device import AskedDevice
 
-    if name == "emulator" and file is None:
-        return Calibration()
-    return load_calibration(None if file is None else Path(file))
-
-
-def _teller(flags: dict[str, Any]) -> Callable[[str], None]:
-    return lambda sentence: note(sentence, quiet=flags["quiet"])
+    file = flags["calibration"]
+    return AskedDevice(
+        port=flags["port"],
+        firmware=flags["firmware"],
+        calibration=None if file is None else Path(file),
+        hands_off=hands_off,
+        homing_timeout_s=flags.get("timeout"),
+    )
 
 
 @contextlib.contextmanager
@@ -166,28 +148,29 @@ def hang_mass(flags: dict[str, Any]) -> Callable[[], None]:
     return ask
 
 
-def check_savable(device: HapticDevice, flags: dict[str, Any], *, wanted: bool) -> None:
-    """A measurement of something else must not become a Falcon's calibration."""
-    if wanted and not _is_savable(device, flags):
-        msg = f"--save keeps the calibration of a Falcon, and the device is {device.name}"
+def made_for_calibration(flags: dict[str, Any]) -> HapticDevice:
+    """The device that was named, for a measurement of the free grip that its calibration keeps."""
+    device = made_device(flags, hands_off=True)
+    if "calibration" not in device.takes:
+        msg = f"the device {device.name} has no calibration that could keep a measurement; name a falcon"
         raise UsageError(msg)
+    return device
 
 
-def _is_savable(device: HapticDevice, flags: dict[str, Any]) -> bool:
-    return device.name == "falcon" or (device.name in FALCONS and flags["calibration"] is not None)
+def check_savable(device: HapticDevice, flags: dict[str, Any], *, wanted: bool) -> None:
+    """Refuse to keep the measurement of a device that has no calibration of its own, before it is made."""
+    if wanted and not device.keeps(asked_device(flags).calibration):
+        msg = f"--save keeps the calibration of a real device, and the device is {device.name}"
+        raise UsageError(msg)
 
 
 def save(device: HapticDevice, flags: dict[str, Any], **changes: Any) -> None:
     """Put what was measured into the calibration file."""
-    from tissueid.haptics.falcon.calibration import save_calibration
-
-    if not _is_savable(device, flags):
+    file = asked_device(flags).calibration
+    if device.keeps(file):
+        note(f"kept in {device.keep(file, changes)}", quiet=flags["quiet"])
+    else:
         note(
-            "not kept: an emulator has no calibration of its own; name a file with --calibration",
+            f"not kept: the device {device.name} has no calibration; name a file with --calibration",
             quiet=flags["quiet"],
         )
-        return
-    calibration: Calibration = device.calibration  # type: ignore[attr-defined]
-    file = None if flags["calibration"] is None else Path(flags["calibration"])
-    path = save_calibration(replace(calibration, **changes), file)
-    note(f"kept in {path}", quiet=flags["quiet"])

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tissueid.cli.device_opening import (
-    FALCONS,
     ask_consent,
     check_savable,
     device_options,
     hang_mass,
     made_device,
+    made_for_calibration,
     opened,
     save,
 )
@@ -23,7 +23,6 @@ from tissueid.digits import with_error
 
 if TYPE_CHECKING:
     from tissueid.haptics.device import HapticDevice
-    from tissueid.haptics.falcon.calibration import Calibration
 
 __all__ = ["command"]
 
@@ -61,7 +60,8 @@ def _sub(name: str, examples: str) -> Callable[[Callable[..., int]], click.Comma
 
 
 _name = click.argument("name", default="auto")
-_falcon_name = click.argument("name", type=click.Choice(FALCONS), default="falcon")
+#: Not one that is merely there: the grip will move by itself.
+_moved_name = click.argument("name", default="falcon")
 _consent = click.option("--yes", is_flag=True, help="Do not ask: nobody holds the grip.")
 
 
@@ -157,7 +157,7 @@ def test(**flags: Any) -> int:
 
 
 @_sub("calibrate-force", "calibrate-force --mass 100\ncalibrate-force falcon --mass 100 --yes --json")
-@_falcon_name
+@_moved_name
 @device_options
 @_consent
 @click.option(
@@ -175,14 +175,14 @@ def calibrate_force(**flags: Any) -> int:
     """
     from tissueid.haptics.measure.weighing import weigh
 
-    made = made_device(flags, hands_off=True)
+    made = made_for_calibration(flags)
     ask_consent(made, flags)
     with opened(made) as device:
         device.home()
         found = weigh(device, flags["mass"] * GRAM, hang_mass(flags))
-    before: Calibration = made.calibration  # type: ignore[attr-defined]
-    units = before.units_per_Nm * found.ratio
-    document = {**asdict(found), "units_per_Nm": units, "units_per_Nm_before": before.units_per_Nm}
+    before = float(made.facts()["calibration"]["units_per_Nm"])
+    units = before * found.ratio
+    document = {**asdict(found), "units_per_Nm": units, "units_per_Nm_before": before}
     if flags["as_json"]:
         echo_json(document)
     elif not flags["quiet"]:
@@ -195,7 +195,7 @@ def calibrate_force(**flags: Any) -> int:
 
 
 @_sub("calibrate-damping", "calibrate-damping\ncalibrate-damping falcon --yes --json")
-@_falcon_name
+@_moved_name
 @device_options
 @_consent
 def calibrate_damping(**flags: Any) -> int:
@@ -206,7 +206,7 @@ def calibrate_damping(**flags: Any) -> int:
     from tissueid.haptics.measure.motion import TICK_S
     from tissueid.haptics.measure.ring_down import ring_down
 
-    made = made_device(flags, hands_off=True)
+    made = made_for_calibration(flags)
     ask_consent(made, flags)
     with opened(made) as device:
         device.home()
@@ -222,7 +222,7 @@ def calibrate_damping(**flags: Any) -> int:
 
 
 @_sub("calibrate-weight", "calibrate-weight\ncalibrate-weight falcon --yes --json")
-@_falcon_name
+@_moved_name
 @device_options
 @_consent
 def calibrate_weight(**flags: Any) -> int:
@@ -233,7 +233,7 @@ def calibrate_weight(**flags: Any) -> int:
     """
     from tissueid.haptics.measure.gravity import weigh_poses
 
-    made = made_device(flags, hands_off=True)
+    made = made_for_calibration(flags)
     ask_consent(made, flags)
     with opened(made) as device:
         device.home()
@@ -286,6 +286,4 @@ def _described(device: HapticDevice) -> dict[str, Any]:
     found = device.capabilities
     document = asdict(found)
     document["workspace_mm"] = [[1e3 * low, 1e3 * high] for low, high in document.pop("workspace_m")]
-    if device.name in FALCONS:
-        document["calibration"] = asdict(device.calibration)  # type: ignore[attr-defined]
-    return document
+    return document | device.facts()

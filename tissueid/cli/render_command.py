@@ -298,18 +298,11 @@ def _scene(flags: dict[str, Any]) -> Scene | None:
 
 
 def _device_options(flags: dict[str, Any]) -> dict[str, Any]:
-    """Options of a Falcon's driver; the device itself is made where it is used, in the servo's process."""
-    from tissueid.errors import UsageError
+    """Options of a driver; the device itself is made where it is used, in the servo's process."""
+    from tissueid.cli.device_opening import asked_device
+    from tissueid.haptics.registry import configured
 
-    given = {key: flags[key] for key in ("port", "firmware") if flags[key] is not None}
-    if flags["calibration"] is not None:
-        from tissueid.haptics.falcon.calibration import load_calibration
-
-        given["calibration"] = load_calibration(Path(flags["calibration"]))
-    if given and flags["name"] not in {"falcon", "emulator"}:
-        msg = f"--{next(iter(given))} belongs to a Falcon: add --device falcon"
-        raise UsageError(msg)
-    return given
+    return configured(flags["name"], asked_device(flags))
 
 
 def _with_way_out(error: Any, plan: SessionPlan | None) -> Any:

@@ -1,8 +1,8 @@
 """A device that can be felt: what a backend writes, and what it can't get round.
 
 A backend overrides ``detect``, ``capabilities``, ``_open``, ``_close``, ``_read`` and ``_write``, and no
-more (``home`` and ``compiled`` where it has them).  ``open``, ``close``, ``read`` and ``write_force`` are
-final: every force goes through
+more (``home``, ``compiled``, and what is asked of options and calibration where it has them).  ``open``,
+``close``, ``read`` and ``write_force`` are final: every force goes through
 :func:`tissueid.haptics.guard.guard`, every way out sends zero force.
 
 SI units (m, N, s).  Frame: x right, y up, z out toward the user, origin on the device's axis at its base.
@@ -13,7 +13,8 @@ from __future__ import annotations
 import atexit
 import contextlib
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any, ClassVar, Self, final
 
 import numpy as np
@@ -23,6 +24,7 @@ from tissueid.errors import DeviceError
 from tissueid.haptics import guard_states as machine
 from tissueid.haptics.device_facts import (
     HANDLES_SIZE,
+    AskedDevice,
     Capabilities,
     CompiledIO,
     DetectedDevice,
@@ -36,6 +38,7 @@ from tissueid.haptics.watchdogs import REPLY_DAMAGED, REPLY_NONE, REPLY_VALID
 __all__ = [
     "HANDLES_SIZE",
     "ZERO_COMMANDS",
+    "AskedDevice",
     "Capabilities",
     "CompiledIO",
     "DetectedDevice",
@@ -78,6 +81,10 @@ class HapticDevice(ABC):
 
     #: Name in the registry.
     name: ClassVar[str] = ""
+    #: Options of the command line that its driver takes: port, firmware, calibration.
+    takes: ClassVar[tuple[str, ...]] = ()
+    #: Words of a report that speaks of this kind of device; empty for one that it does not speak of.
+    reported_as: ClassVar[str] = ""
 
     def __init__(self, limits: GuardLimits) -> None:
         self.limits = limits
@@ -128,6 +135,32 @@ class HapticDevice(ABC):
     @abstractmethod
     def _write(self, force_N: FloatArray) -> None:
         """Send a force [N] that passed the guard; called by :meth:`write_force` and :meth:`close` alone."""
+
+    @classmethod
+    def configured(cls, asked: AskedDevice) -> dict[str, Any]:
+        """Arguments of the constructor for what was asked, of which it takes all."""
+        del asked
+        return {}
+
+    @classmethod
+    def typical(cls) -> Capabilities:
+        """Abilities of one that nobody calibrated."""
+        return cls(**cls.configured(AskedDevice())).capabilities
+
+    def facts(self) -> dict[str, Any]:
+        """More than its abilities, for print: a calibration."""
+        return {}
+
+    def keeps(self, file: Path | None) -> bool:
+        """True where a measurement would be kept: in this calibration file, or the user's own."""
+        del file
+        return False
+
+    def keep(self, file: Path | None, changes: Mapping[str, Any]) -> Path:
+        """Put what was measured into the calibration file; its path."""
+        del file, changes
+        msg = f"the device {self.name} keeps no calibration"
+        raise DeviceError(msg)
 
     def home(self) -> None:  # noqa: B027 - most devices need no hand for it
         """Lead the user through homing after ``open``; nothing to do where a device needs no hand for it."""

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
     "HANDLES_SIZE",
+    "AskedDevice",
     "Capabilities",
     "CompiledIO",
     "DetectedDevice",
@@ -20,6 +22,35 @@ IntArray = NDArray[np.int64]
 
 #: Integers of :attr:`CompiledIO.handles`.
 HANDLES_SIZE = 8
+
+
+@dataclass(frozen=True, slots=True)
+class AskedDevice:
+    """Options that a user gave on the way to a device.
+
+    Attributes
+    ----------
+    port : str or None
+        Serial port or pseudo-terminal instead of USB.
+    firmware : str or None
+        A file.
+    calibration : Path or None
+        A file instead of the user's own.
+    hands_off : bool
+        The grip moves by itself, in a measurement of the free device.
+    homing_timeout_s : float or None
+    """
+
+    port: str | None = None
+    firmware: str | None = None
+    calibration: Path | None = None
+    hands_off: bool = False
+    homing_timeout_s: float | None = None
+
+    def given(self) -> tuple[str, ...]:
+        """Names of those that not every device has."""
+        named = {"port": self.port, "firmware": self.firmware, "calibration": self.calibration}
+        return tuple(name for name, value in named.items() if value is not None)
 
 
 @dataclass(frozen=True, slots=True)

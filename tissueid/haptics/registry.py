@@ -10,10 +10,10 @@ import importlib
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any
+from typing import Any, NamedTuple
 
 from tissueid.errors import DeviceError, UsageError
-from tissueid.haptics.device import DetectedDevice, HapticDevice
+from tissueid.haptics.device import AskedDevice, DetectedDevice, HapticDevice
 
 __all__ = [
     "DEVICES",
@@ -22,28 +22,38 @@ __all__ = [
     "Choice",
     "check_present",
     "choose_device",
+    "configured",
     "detect_all",
     "device_class",
     "device_names",
     "environment_law",
     "environment_names",
     "open_device",
+    "owners_of",
+    "reported_devices",
 ]
 
 #: Entry-point groups of other distributions.
 DEVICE_GROUP = "tissueid.devices"
 ENVIRONMENT_GROUP = "tissueid.environments"
 
-#: name -> "module:class"; imported when asked for.
+
+class Registered(NamedTuple):
+    """Place of a driver, ``module:class``, imported when asked for; of hardware or not."""
+
+    place: str
+    hardware: bool = False
+
+
+#: name -> driver, hardware in the order in which ``auto`` looks for it.
 DEVICES = {
-    "falcon": "tissueid.haptics.falcon.device:FalconDevice",
-    "forcedimension": "tissueid.haptics.forcedimension:ForceDimensionDevice",
-    "emulator": "tissueid.haptics.falcon.emulator.device:EmulatorDevice",
-    "replay": "tissueid.haptics.replay:ReplayDevice",
-    "sim": "tissueid.haptics.sim:SimulatedDevice",
+    "falcon": Registered("tissueid.haptics.falcon.device:FalconDevice", hardware=True),
+    "forcedimension": Registered("tissueid.haptics.forcedimension:ForceDimensionDevice", hardware=True),
+    "emulator": Registered("tissueid.haptics.falcon.emulator.device:EmulatorDevice"),
+    "replay": Registered("tissueid.haptics.replay:ReplayDevice"),
+    "sim": Registered("tissueid.haptics.sim:SimulatedDevice"),
 }
-#: Order in which ``auto`` looks for hardware.
-HARDWARE = ("falcon", "forcedimension")
+HARDWARE = tuple(name for name, one in DEVICES.items() if one.hardware)
 AUTO = "auto"
 
 
@@ -101,7 +111,7 @@ def device_class(name: str) -> type[HapticDevice]:
         A plug-in can't be imported, or is no device.
     """
     if name in DEVICES:
-        module, _, attribute = DEVICES[name].partition(":")
+        module, _, attribute = DEVICES[name].place.partition(":")
         found = getattr(importlib.import_module(module), attribute)
     else:
         entry = _plugins(DEVICE_GROUP).get(name)
@@ -113,6 +123,33 @@ def device_class(name: str) -> type[HapticDevice]:
         msg = f"device {name!r}: its entry point is no subclass of tissueid.haptics.device.HapticDevice"
         raise DeviceError(msg)
     return found
+
+
+def owners_of(option: str) -> list[str]:
+    """Built-in devices whose driver takes an option of the command line."""
+    return [name for name in DEVICES if option in device_class(name).takes]
+
+
+def configured(name: str, asked: AskedDevice) -> dict[str, Any]:
+    """Arguments of a device's class for what was asked on the command line.
+
+    Raises
+    ------
+    UsageError
+        An option of another device.
+    """
+    taken = () if name == AUTO else device_class(name).takes
+    for strange in (one for one in asked.given() if one not in taken):
+        owners = owners_of(strange)
+        way = f"add --device {owners[0]}" if name == AUTO else f"the device is {name}"
+        msg = f"--{strange} belongs to {' and '.join(owners)}: {way}"
+        raise UsageError(msg)
+    return {} if name == AUTO else device_class(name).configured(asked)
+
+
+def reported_devices() -> list[type[HapticDevice]]:
+    """Kinds of devices that a report speaks of."""
+    return [found for found in map(device_class, DEVICES) if found.reported_as]
 
 
 def environment_law(name: str) -> Callable[..., Any]:

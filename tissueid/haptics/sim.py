@@ -113,6 +113,7 @@ class SimulatedDevice(HapticDevice):
     """
 
     name = "sim"
+    reported_as = "Simulated device"
 
     def __init__(
         self,

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tissueid.haptics.device import Capabilities, HapticDevice
+from tissueid.haptics.device import HapticDevice
 from tissueid.haptics.hand import Hand
 from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.measure.gravity import MIDDLE_M
@@ -18,12 +18,12 @@ from tissueid.rendering.guidance_block import Guidance, guidance_block
 from tissueid.rendering.guidance_check import check_guidance
 from tissueid.rendering.options import RenderOptions
 from tissueid.rendering.passivity_control import PassivityLimits
-from tissueid.rendering.precheck import Demands
-from tissueid.rendering.session_plan import PERIOD_S, SessionPlan, session_head
+from tissueid.rendering.precheck import demands_of
+from tissueid.rendering.session_plan import SessionPlan, session_head
 from tissueid.rendering.surface import SURFACE_SIZE
 from tissueid.rendering.tissue_block import free_air_block
 
-__all__ = ["demands_of", "guided_session", "law_session"]
+__all__ = ["guided_session", "law_session"]
 
 #: Height above the entry point at which a simulated hand begins [m].
 BEGIN_M = 0.03
@@ -73,18 +73,6 @@ def _carried(guidance: Guidance, device: HapticDevice, *, assumed: bool) -> Guid
     x, y, z = (float(value) for value in there)
     rows = tuple((float(a), float(b), float(c)) for a, b, c in slope)
     return replace(guidance, weight_N=(x, y, z), weight_slope_N_per_m=(rows[0], rows[1], rows[2]))
-
-
-def demands_of(capabilities: Capabilities) -> Demands:
-    """Demands of the checks before force on a device."""
-    known = "measured on this unit" if capabilities.calibrated else "assumed, not measured on this unit"
-    return Demands(
-        clamp_N=capabilities.clamp_N,
-        damping_N_s_per_m=capabilities.damping_N_s_per_m,
-        delay_ticks=capabilities.delay_ticks,
-        period_s=PERIOD_S,
-        known=known if capabilities.hardware else "as simulated",
-    )
 
 
 def _told_of(guidance: Guidance) -> tuple[str, ...]:

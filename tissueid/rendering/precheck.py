@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.errors import DeviceError, UsageError
+from tissueid.haptics.device_facts import Capabilities
 from tissueid.model.channels import loading_force
 from tissueid.model.passivity import required_damping
 from tissueid.model.scaling import DEFAULT_MOTION_SCALE, Scaling, largest_tangent, scaling_for
@@ -65,6 +66,17 @@ class Demands:
     period_s: float = 0.001
     travel_m: float = np.inf
     known: str = "assumed, not measured on this unit"
+
+
+def demands_of(capabilities: Capabilities) -> Demands:
+    """Demands of the checks before force on a device; the room behind a surface is not known yet."""
+    known = "measured on this unit" if capabilities.calibrated else "assumed, not measured on this unit"
+    return Demands(
+        clamp_N=capabilities.clamp_N,
+        damping_N_s_per_m=capabilities.damping_N_s_per_m,
+        delay_ticks=capabilities.delay_ticks,
+        known=known if capabilities.hardware else "as simulated",
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,16 +7,14 @@ nothing is opened and nothing moves.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from tissueid.errors import TissueidError
-from tissueid.haptics.arm import Arm
-from tissueid.haptics.falcon.calibration import Calibration
-from tissueid.haptics.limits import GuardLimits
-from tissueid.model.passivity import DEFAULT_DELAY_TICKS
-from tissueid.rendering.precheck import Demands, Precheck, check_before_force
+from tissueid.haptics.registry import reported_devices
+from tissueid.rendering.precheck import Demands, Precheck, check_before_force, demands_of
 from tissueid.rendering.tissue_block import WORKSPACE_CENTRE_M
 from tissueid.rendering.tissue_block import Tissue as RenderedTissue
 from tissueid.report.tissue import tissue_of
@@ -24,32 +22,19 @@ from tissueid.store.posteriors import StoredPosterior
 
 __all__ = ["rendering_of"]
 
-#: Lowest z of a Falcon's workspace [m]: the room behind a surface in the middle of it.
-LOWEST_M = 0.066
 #: A hand that explores moves a grip at some 0.1 m/s.
 EXPLORING_MM_S = 100.0
 MM_PER_M = 1000.0
 
 
 def _devices() -> dict[str, Demands]:
-    """Presets of the devices that a report speaks of."""
-    room_m = WORKSPACE_CENTRE_M[2] - LOWEST_M
-    falcon, arm = Calibration(), Arm()
-    return {
-        "Novint Falcon, uncalibrated": Demands(
-            clamp_N=falcon.clamp_N,
-            damping_N_s_per_m=falcon.damping_N_s_per_m,
-            delay_ticks=falcon.delay_ticks,
-            travel_m=room_m,
-        ),
-        "Simulated device": Demands(
-            clamp_N=GuardLimits.simulated().clamp_N,
-            damping_N_s_per_m=arm.damping_N_s_per_m,
-            delay_ticks=DEFAULT_DELAY_TICKS,
-            travel_m=room_m,
-            known="as simulated",
-        ),
-    }
+    """Demands of the devices that a report speaks of, behind a surface in the middle of each."""
+    found = {}
+    for device in reported_devices():
+        able = device.typical()
+        room_m = WORKSPACE_CENTRE_M[2] - able.workspace_m[2][0]
+        found[device.reported_as] = replace(demands_of(able), travel_m=room_m)
+    return found
 
 
 def _row(check: Precheck, speeds_mm_s: tuple[float, float]) -> dict[str, Any]:

@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,13 +18,14 @@ from numpy.typing import NDArray
 from tissueid.errors import DeviceError
 from tissueid.haptics.device import (
     HANDLES_SIZE,
+    AskedDevice,
     Capabilities,
     CompiledIO,
     DetectedDevice,
     DeviceSample,
     HapticDevice,
 )
-from tissueid.haptics.falcon.calibration import Calibration, load_calibration
+from tissueid.haptics.falcon.calibration import Calibration, load_calibration, save_calibration
 from tissueid.haptics.falcon.firmware import Firmware, ensure_running, find_firmware
 from tissueid.haptics.falcon.kinematic_kernels import angles_of_counts, forward_kernel, motor_units
 from tissueid.haptics.falcon.kinematics import GUESS_M
@@ -78,6 +81,8 @@ class FalconDevice(HapticDevice):
     """
 
     name = "falcon"
+    takes = ("port", "firmware", "calibration")
+    reported_as = "Novint Falcon, uncalibrated"
 
     def __init__(
         self,
@@ -106,6 +111,41 @@ class FalconDevice(HapticDevice):
         self._grip = np.array(GUESS_M)
         self._angles = np.empty(3)
         self._motor = np.zeros(3, np.int64)
+
+    @classmethod
+    def configured(cls, asked: AskedDevice) -> dict[str, Any]:
+        """Arguments of the constructor for what was asked."""
+        named = {"port": asked.port, "firmware": asked.firmware, "homing_timeout_s": asked.homing_timeout_s}
+        found: dict[str, Any] = {key: value for key, value in named.items() if value is not None}
+        if asked.calibration is not None:
+            found["calibration"] = load_calibration(asked.calibration)
+        if asked.hands_off:
+            found.setdefault("calibration", cls._own_calibration())
+            found["limits"] = limits_of(found["calibration"], hands_off=True)
+        return found
+
+    @classmethod
+    def _own_calibration(cls) -> Calibration:
+        """The user's file."""
+        return load_calibration()
+
+    @classmethod
+    def typical(cls) -> Capabilities:
+        """Abilities before any calibration."""
+        return cls(calibration=Calibration()).capabilities
+
+    def facts(self) -> dict[str, Any]:
+        """Its calibration."""
+        return {"calibration": asdict(self.calibration)}
+
+    def keeps(self, file: Path | None) -> bool:
+        """Always: in the user's own file where none is named."""
+        del file
+        return True
+
+    def keep(self, file: Path | None, changes: Mapping[str, Any]) -> Path:
+        """Put what was measured into the calibration file; its path."""
+        return save_calibration(replace(self.calibration, **changes), file)
 
     @classmethod
     def detect(cls) -> list[DetectedDevice]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from tissueid.errors import DeviceError
 from tissueid.haptics.device import (
     HANDLES_SIZE,
+    AskedDevice,
     Capabilities,
     CompiledIO,
     DetectedDevice,
@@ -66,6 +68,11 @@ class ForceDimensionDevice(HapticDevice):
             self.tell = tell
         self._homing_timeout_s = homing_timeout_s
         self._sdk: Sdk | None = None
+
+    @classmethod
+    def configured(cls, asked: AskedDevice) -> dict[str, Any]:
+        """Only a time-out of homing."""
+        return {} if asked.homing_timeout_s is None else {"homing_timeout_s": asked.homing_timeout_s}
 
     @classmethod
     def detect(cls) -> list[DetectedDevice]:

@@ -9,9 +9,11 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 from tissueid.errors import UsageError
-from tissueid.haptics.device import Capabilities, DetectedDevice
+from tissueid.haptics.device import AskedDevice, Capabilities, DetectedDevice
 from tissueid.haptics.falcon.calibration import Calibration
 from tissueid.haptics.falcon.device import FalconDevice
 from tissueid.haptics.falcon.emulator.links import EmulatorProcess
@@ -39,6 +41,7 @@ class EmulatorDevice(FalconDevice):
     """
 
     name = "emulator"
+    reported_as = ""
 
     def __init__(
         self,
@@ -58,6 +61,20 @@ class EmulatorDevice(FalconDevice):
         )
         self._arguments = tuple(arguments)
         self._process: EmulatorProcess | None = None
+
+    @classmethod
+    def configured(cls, asked: AskedDevice) -> dict[str, Any]:
+        """As of a real one, without a time-out of homing."""
+        return super().configured(replace(asked, homing_timeout_s=None))
+
+    @classmethod
+    def _own_calibration(cls) -> Calibration:
+        """None but what the driver assumes: the user's is of a real device."""
+        return Calibration()
+
+    def keeps(self, file: Path | None) -> bool:
+        """Only in a file that was named."""
+        return file is not None
 
     @classmethod
     def detect(cls) -> list[DetectedDevice]:
