@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from command_line import QUICK, run, write_log
 
-from tissueid.cli.reading import READERS
 from tissueid.ingest import RECIPES, forget_readers
 from tissueid.synth import EXPORTS, Hold, Log, Move, Recipe, SyntheticLog, simulate
 from tissueid.synth.machines import mach1_text, shimadzu_text
@@ -106,11 +105,11 @@ def test_a_pattern_that_fits_some_names_the_others(files: dict[str, Path]) -> No
     assert "synthetic hold-1" not in ended.stderr
 
 
-def test_the_help_names_every_reader() -> None:
-    assert set(READERS) == set(RECIPES)
-    text = "".join(run("inspect", "--help").stdout.split())
-    for name in READERS:
-        assert name in text
+def test_a_reader_that_is_none_names_every_one(files: dict[str, Path]) -> None:
+    ended = run("inspect", files["txt"], "--recipe", "nope")
+    assert ended.code == 2
+    for name in RECIPES:
+        assert name in ended.stderr
 
 
 def test_inspect_says_why_a_reader_matched(files: dict[str, Path]) -> None:

@@ -31,9 +31,9 @@ def named(names: Callable[[], Iterable[str]], *, or_file: bool = False) -> _Comp
 
 
 def _readers() -> Iterable[str]:
-    from tissueid.cli.reading import READERS
+    from tissueid.ingest import RECIPES
 
-    return READERS
+    return RECIPES
 
 
 def _recipes() -> Iterable[str]:

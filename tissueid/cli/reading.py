@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from tissueid.trial import Trial
 
 __all__ = [
-    "READERS",
     "READING",
     "PatternCheck",
     "inputs_in_order",
@@ -47,12 +46,6 @@ READING = ("columns", "units", "axes", "specimen_by", "recipe", "sheet", "delimi
 QUANTITIES = ("time", "displacement", "force")
 DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "bar": "|"}
 DECIMALS = {"point": ".", "comma": ","}
-#: Keys of the readers, written out so that help need not load them; a test holds them against the registry.
-READERS = (
-    "bluehill-csv", "testxpert-tra", "testxpert-workbook", "mach-1", "mts-793", "shimadzu", "chiaro",
-    "workbook", "columns", "zip", "session-log", "jpk-force",
-)  # fmt: skip
-_READERS = ", ".join(READERS)
 
 
 def reading_options(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -82,7 +75,7 @@ def reading_options(function: Callable[..., Any]) -> Callable[..., Any]:
             "--recipe",
             metavar="KEY",
             shell_complete=readers,
-            help=f"Reader to use, not the detected one: {_READERS}.",
+            help="Reader to use, not the detected one; a KEY that is none lists them.",
         ),
         click.option(
             "--sheet",
