@@ -83,8 +83,6 @@ class HapticDevice(ABC):
     name: ClassVar[str] = ""
     #: Options of the command line that its driver takes: port, firmware, calibration.
     takes: ClassVar[tuple[str, ...]] = ()
-    #: Words of a report that speaks of this kind of device; empty for one that it does not speak of.
-    reported_as: ClassVar[str] = ""
 
     def __init__(self, limits: GuardLimits) -> None:
         self.limits = limits

@@ -13,7 +13,7 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import Any, NamedTuple
 
 from tissueid.errors import DeviceError, UsageError
-from tissueid.haptics.device import AskedDevice, DetectedDevice, HapticDevice
+from tissueid.haptics.device import AskedDevice, Capabilities, DetectedDevice, HapticDevice
 
 __all__ = [
     "DEVICES",
@@ -39,19 +39,32 @@ ENVIRONMENT_GROUP = "tissueid.environments"
 
 
 class Registered(NamedTuple):
-    """Place of a driver, ``module:class``, imported when asked for; of hardware or not."""
+    """Place of a driver, ``module:class``, imported when asked for.
+
+    Attributes
+    ----------
+    place : str
+    hardware : bool
+    reported_as : str
+        Words of a report that speaks of this kind of device; empty for one that it does not speak of.
+    """
 
     place: str
     hardware: bool = False
+    reported_as: str = ""
 
 
 #: name -> driver, hardware in the order in which ``auto`` looks for it.
 DEVICES = {
-    "falcon": Registered("tissueid.haptics.falcon.device:FalconDevice", hardware=True),
+    "falcon": Registered(
+        "tissueid.haptics.falcon.device:FalconDevice",
+        hardware=True,
+        reported_as="Novint Falcon, uncalibrated",
+    ),
     "forcedimension": Registered("tissueid.haptics.forcedimension:ForceDimensionDevice", hardware=True),
     "emulator": Registered("tissueid.haptics.falcon.emulator.device:EmulatorDevice"),
     "replay": Registered("tissueid.haptics.replay:ReplayDevice"),
-    "sim": Registered("tissueid.haptics.sim:SimulatedDevice"),
+    "sim": Registered("tissueid.haptics.sim:SimulatedDevice", reported_as="Simulated device"),
 }
 HARDWARE = tuple(name for name, one in DEVICES.items() if one.hardware)
 AUTO = "auto"
@@ -147,9 +160,9 @@ def configured(name: str, asked: AskedDevice) -> dict[str, Any]:
     return {} if name == AUTO else device_class(name).configured(asked)
 
 
-def reported_devices() -> list[type[HapticDevice]]:
-    """Kinds of devices that a report speaks of."""
-    return [found for found in map(device_class, DEVICES) if found.reported_as]
+def reported_devices() -> dict[str, Capabilities]:
+    """Kinds of devices that a report speaks of, in its words, and their abilities uncalibrated."""
+    return {one.reported_as: device_class(name).typical() for name, one in DEVICES.items() if one.reported_as}
 
 
 def environment_law(name: str) -> Callable[..., Any]:

@@ -113,7 +113,6 @@ class SimulatedDevice(HapticDevice):
     """
 
     name = "sim"
-    reported_as = "Simulated device"
 
     def __init__(
         self,

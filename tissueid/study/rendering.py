@@ -29,12 +29,10 @@ MM_PER_M = 1000.0
 
 def _devices() -> dict[str, Demands]:
     """Demands of the devices that a report speaks of, behind a surface in the middle of each."""
-    found = {}
-    for device in reported_devices():
-        able = device.typical()
-        room_m = WORKSPACE_CENTRE_M[2] - able.workspace_m[2][0]
-        found[device.reported_as] = replace(demands_of(able), travel_m=room_m)
-    return found
+    return {
+        words: replace(demands_of(able), travel_m=WORKSPACE_CENTRE_M[2] - able.workspace_m[2][0])
+        for words, able in reported_devices().items()
+    }
 
 
 def _row(check: Precheck, speeds_mm_s: tuple[float, float]) -> dict[str, Any]:

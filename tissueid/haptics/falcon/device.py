@@ -82,7 +82,6 @@ class FalconDevice(HapticDevice):
 
     name = "falcon"
     takes = ("port", "firmware", "calibration")
-    reported_as = "Novint Falcon, uncalibrated"
 
     def __init__(
         self,

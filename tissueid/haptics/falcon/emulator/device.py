@@ -41,7 +41,6 @@ class EmulatorDevice(FalconDevice):
     """
 
     name = "emulator"
-    reported_as = ""
 
     def __init__(
         self,
