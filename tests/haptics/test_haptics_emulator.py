@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import select
+import subprocess
+import sys
 import time
 
 import numpy as np
@@ -310,3 +312,16 @@ def test_faults_are_read(text, fault):
 def test_faults_that_are_none_are_refused(text):
     with pytest.raises(UsageError, match="no fault"):
         parse_fault(text)
+
+
+@pytest.mark.needs_jit
+def test_an_emulator_is_compiled_before_it_answers():
+    # at the first force of a first start it was silent for half a second, which ends a session
+    program = (
+        "from tissueid.haptics.falcon.emulator import EmulatedFalcon, EmulatorSettings\n"
+        "from tissueid.haptics.falcon.emulator import machine\n"
+        "EmulatedFalcon(EmulatorSettings())\n"
+        "print([len(one.signatures) for one in (machine.grip_force, machine.arm_step, machine.leg_angles)])"
+    )
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert ended.stdout.strip() == "[1, 1, 1]"

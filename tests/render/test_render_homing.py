@@ -66,7 +66,7 @@ def test_instructions_of_homing_come_out_of_the_servo_process() -> None:
     assert told == list(HOMING_STEPS)
 
 
-def test_the_loop_is_compiled_before_homing_begins_and_a_cold_start_says_how_long(monkeypatch) -> None:
+def test_what_takes_time_is_done_before_homing_and_a_cold_start_says_how_long(monkeypatch) -> None:
     happened: list[str] = []
     home, loop = SimulatedDevice.home, servo_process.compiled_loop
 
@@ -83,6 +83,7 @@ def test_the_loop_is_compiled_before_homing_begins_and_a_cold_start_says_how_lon
     monkeypatch.setattr(servo_process, "is_compiled", lambda: False)
     # this process is the tests' own: it must not get a servo's priority, processor and locked memory
     monkeypatch.setattr(servo_process, "make_punctual", lambda **_: Schedule("SCHED_OTHER", -1, False, ()))
+    monkeypatch.setattr(servo_process, "settled", lambda **_: happened.append("memory"))
     theirs, ours = socket.socketpair()
     reading, writing = os.pipe()
     ring, block = Ring.create(), ParameterBlock.create(BLOCK_SIZE)
@@ -92,5 +93,5 @@ def test_the_loop_is_compiled_before_homing_begins_and_a_cold_start_says_how_lon
         one.close()
     for descriptor in (reading, writing):
         os.close(descriptor)
-    assert happened == ["loop of 0", "home", "loop of 3"]
+    assert happened == ["loop of 0", "memory", "home", "loop of 3"]
     assert "10 to 20 s" in told

@@ -192,7 +192,8 @@ class TestInOneProcess:
         got = servo_process.make_punctual.__globals__["Schedule"](
             "SCHED_OTHER", -1, locked=False, remedies=()
         )
-        monkeypatch.setattr(servo_process, "make_punctual", lambda *, collect: got)
+        monkeypatch.setattr(servo_process, "make_punctual", lambda *, locked: got)
+        monkeypatch.setattr(servo_process, "settled", lambda *, collect: False)
 
     def test_a_plan_is_run_to_its_last_tick_and_reported(self, pipes):
         (theirs, ours), (reading, writing), ring, block = pipes

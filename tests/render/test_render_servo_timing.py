@@ -134,7 +134,7 @@ class TestSchedule:
         monkeypatch.setattr(servo_schedule.gc, "disable", lambda: None)
 
     def test_what_is_refused_is_said_with_what_to_type(self, refused):
-        got = servo_schedule.make_punctual()
+        got = servo_schedule.make_punctual(locked=servo_schedule.settled())
         assert got.name == "SCHED_OTHER"
         assert not got.locked
         assert "'ada - memlock unlimited' to /etc/security/limits.d/tissueid.conf" in got.remedies[0]
@@ -146,7 +146,7 @@ class TestSchedule:
         asked = []
         monkeypatch.setattr(os, "sched_setscheduler", lambda *words: asked.append(words[1]))
         monkeypatch.setattr(servo_schedule, "_lock", lambda _libc: True)
-        got = servo_schedule.make_punctual(collect=True)
+        got = servo_schedule.make_punctual(locked=servo_schedule.settled(collect=True))
         assert asked == [os.SCHED_FIFO]
         assert (got.name, got.remedies) == ("SCHED_FIFO 80", ())
 

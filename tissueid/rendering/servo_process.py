@@ -33,7 +33,7 @@ from tissueid.rendering.first_start import is_compiled
 from tissueid.rendering.servo_io import PythonIO
 from tissueid.rendering.servo_loop import BINS, compiled_loop, new_watch, realtime_loop
 from tissueid.rendering.servo_plan import REASONS, ServoEnd, ServoPlan, receive_plan, send_line
-from tissueid.rendering.servo_schedule import make_punctual
+from tissueid.rendering.servo_schedule import make_punctual, settled
 from tissueid.rendering.servo_statistics import period_statistics
 from tissueid.rendering.servo_tick import CLIPPED, MISSED, OUTSIDE, TOUCHED, Servo, new_servo
 
@@ -167,10 +167,11 @@ def run_plan(
             watch = new_watch(owner, signals.descriptor, alive_wanted=plan.alive_wanted)
             if compiled and not is_compiled():
                 device.tell(COMPILING)
-            # compiled or taken from the disk before homing: a homed device is not left without commands
+            # whatever takes time comes before homing: a homed device is not left without commands
             loop(io, servo, watch, histogram, plan.period_ns, 0)
+            locked = settled(collect=not compiled)
             device.home()
-            schedule = make_punctual(collect=not compiled)
+            schedule = make_punctual(locked=locked)
             send_line(
                 report,
                 event="ready",

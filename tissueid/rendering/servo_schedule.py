@@ -12,7 +12,7 @@ import os
 import sys
 from dataclasses import asdict, dataclass
 
-__all__ = ["Schedule", "make_punctual"]
+__all__ = ["Schedule", "make_punctual", "settled"]
 
 #: Priority under SCHED_FIFO: above every ordinary program, below the kernel's own threads.
 PRIORITY = 80
@@ -46,8 +46,8 @@ class Schedule:
     remedies: tuple[str, ...]
 
 
-def make_punctual(*, collect: bool = False) -> Schedule:
-    """Ask for SCHED_FIFO, locked memory, one processor and exact timers for this process.
+def settled(*, collect: bool = False) -> bool:
+    """Clear up and lock the memory of this process, a tenth of a second: before a device is homed, not after.
 
     Parameters
     ----------
@@ -56,17 +56,31 @@ def make_punctual(*, collect: bool = False) -> Schedule:
 
     Returns
     -------
-    Schedule
-        Refusals are no errors.
+    bool
+        The memory is locked.
     """
-    libc = ctypes.CDLL(None, use_errno=True)
-    remedies = []
-    libc.prctl(PR_SET_TIMERSLACK, TIMERSLACK_NS, 0, 0, 0)
     gc.collect()
     if not collect:
         gc.disable()
+    return _lock(ctypes.CDLL(None, use_errno=True))
+
+
+def make_punctual(*, locked: bool) -> Schedule:
+    """Ask for SCHED_FIFO, one processor and exact timers for this process.
+
+    Parameters
+    ----------
+    locked : bool
+        What :func:`settled` found.
+
+    Returns
+    -------
+    Schedule
+        Refusals are no errors.
+    """
+    remedies = []
+    ctypes.CDLL(None, use_errno=True).prctl(PR_SET_TIMERSLACK, TIMERSLACK_NS, 0, 0, 0)
     cpu = _bind()
-    locked = _lock(libc)
     if not locked:
         remedies.append(
             "memory is not locked, a page fault may delay a tick: add the line "
@@ -117,4 +131,4 @@ def _user() -> str:
 
 if __name__ == "__main__":
     # what a servo would get, for whoever asks before there is one
-    sys.stdout.write(json.dumps(asdict(make_punctual())))
+    sys.stdout.write(json.dumps(asdict(make_punctual(locked=settled()))))

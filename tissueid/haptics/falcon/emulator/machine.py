@@ -163,6 +163,9 @@ class EmulatedFalcon:
         self._spent: set[int] = set()
         self.answer_delay_s = 0.0
         self.force_N = np.zeros(3)
+        # compiled, or taken from the disk, now: at the first force it would be silent for half a second
+        grip_force(np.array(START_M), np.zeros(3), LENGTHS, AZIMUTHS, np.zeros(3))
+        arm_step(self.memory.copy(), self.parameters, self.force_N, HELD_FORCE_S)
 
     # --- what a test may look at
     @property
