@@ -15,6 +15,7 @@ import pytest
 from command_line import run, start
 
 from tissueid.cli.devices_command import HANDS
+from tissueid.haptics.arm import Arm
 from tissueid.haptics.falcon.calibration import Calibration, load_calibration
 from tissueid.haptics.falcon.device import FalconDevice, limits_of
 from tissueid.haptics.falcon.emulator import EmulatedLink, EmulatorSettings
@@ -330,3 +331,12 @@ def test_every_sub_command_has_examples(name: str) -> None:
     lines = [line.strip() for line in examples.strip().splitlines()]
     assert lines
     assert all(line.startswith(f"tissueid devices {name}") for line in lines)
+
+
+@pytest.mark.slow
+def test_the_free_grip_of_an_emulator_gives_back_the_damping_it_has() -> None:
+    ended = run("devices", "calibrate-damping", "emulator", "--yes", "--json")
+    assert ended.code == 0, ended.stderr
+    found = json.loads(ended.stdout)
+    assert found["damping_N_s_per_m"] == pytest.approx(Arm().damping_N_s_per_m, rel=0.2)
+    assert "not kept" in ended.stderr

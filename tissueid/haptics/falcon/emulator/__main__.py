@@ -14,7 +14,7 @@ import numpy as np
 from tissueid.errors import TissueidError
 from tissueid.haptics.falcon.emulator.faults import FAULT_KINDS, parse_fault
 from tissueid.haptics.falcon.emulator.links import READY_LINE, EmulatedLink
-from tissueid.haptics.falcon.emulator.machine import EmulatorSettings
+from tissueid.haptics.falcon.emulator.machine import PULLED_M, EmulatorSettings
 from tissueid.haptics.hand import PRESETS, Hand, preset, scripted_hand
 
 #: Surface that the hand of an emulator aims at [m]: the middle of the workspace, seen from the user.
@@ -40,6 +40,7 @@ def _arguments(given: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--never-homes", action="store_true", help="the emulated user does not home it")
     parser.add_argument("--hand", choices=PRESETS, help="what the hand does after homing")
     parser.add_argument("--sweep", action="store_true", help="the hand goes in and out of the workspace")
+    parser.add_argument("--free", action="store_true", help="the hand lets go of the grip after homing")
     parser.add_argument(
         "--depth-mm", type=float, default=10.0, help="depth the hand aims at [mm of the device]"
     )
@@ -66,6 +67,9 @@ def _hand(options: argparse.Namespace) -> Hand | None:
         )
     if options.hand is not None:
         return preset(options.hand, surface_m=surface, inward=INWARD, depth_m=options.depth_mm * 1e-3)
+    if options.free:
+        middle = (float(SURFACE_M[0]), float(SURFACE_M[1]), float(SURFACE_M[2]))
+        return Hand((0.0, 1.0, 1.5), (PULLED_M, middle, middle), (1.0, 1.0, 0.0))
     return _sweep() if options.sweep else None
 
 

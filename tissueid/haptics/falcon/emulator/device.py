@@ -63,8 +63,10 @@ class EmulatorDevice(FalconDevice):
 
     @classmethod
     def configured(cls, asked: AskedDevice) -> dict[str, Any]:
-        """As of a real one, without a time-out of homing."""
-        return super().configured(replace(asked, homing_timeout_s=None))
+        """As of a real one, without a time-out of homing; a grip that must be free is let go of."""
+        found = super().configured(replace(asked, homing_timeout_s=None))
+        # a hand on the grip would be measured with it
+        return found | {"arguments": ("--free",)} if asked.hands_off else found
 
     @classmethod
     def _own_calibration(cls) -> Calibration:
