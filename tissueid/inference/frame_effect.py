@@ -13,20 +13,28 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tissueid.flags import Flag
+from tissueid.inference.system import MACHINE
 from tissueid.manifest import FrameCurve
 from tissueid.model.frame import tangent_stiffness, tangent_stiffness_sd
 from tissueid.model.grammar import rebuilt
+from tissueid.priors import CalibrationPrior
 from tissueid.result import SpecimenFit
 
-__all__ = ["ASSUMED_FRAME_N_PER_MM", "FrameEffect", "frame_effect", "frame_flags"]
+__all__ = ["ASSUMED_FRAME_N_PER_MM", "FrameEffect", "frame_effect", "frame_flags", "machine_flag"]
+
+FloatArray = NDArray[np.float64]
 
 #: Stiffness of a small table-top machine with fixture and load cell, where nobody says: 1,000 N/mm is
 #: towards the soft end of what makers print.
 ASSUMED_FRAME_N_PER_MM = 1_000.0
 #: Effects of the assumed frame below this are not worth a remark.
 WORTH_SAYING = 0.02
+#: A machine so many standard deviations of its prior off is none; nor is a frame that nobody stated and that
+#: bends by more than this share of the travel.
+UNLIKELY_SD, MOST_BENDING = 3.0, 0.2
 #: Relaxation times below this are moved by force filters and time skew of ordinary size [s].
 INSTRUMENT_TAU_S = 0.2
 
@@ -82,6 +90,43 @@ def frame_flags(fit: SpecimenFit, frame: FrameCurve | None, stated: Mapping[str,
         flags.append(_frame_sd(fit, frame))
     unknown = _unknown(fit, frame, stated, short)
     return flags if unknown is None else [*flags, unknown]
+
+
+def machine_flag(
+    machine: FloatArray, priors: Mapping[str, CalibrationPrior], *, force_N: float, depth_mm: float
+) -> Flag | None:
+    """``machine_implausible``: the optimum is behind a machine that what is known of it speaks against.
+
+    Parameters
+    ----------
+    machine : ndarray, shape (3,)
+        Compliance of the frame [mm/N], skew and force filter [s], at the optimum.
+    priors : mapping
+        By their names in :data:`tissueid.priors.CALIBRATION_DEFAULTS`.
+    force_N, depth_mm : float
+        The largest recorded.
+    """
+    values = dict(zip(MACHINE, (float(one) for one in machine), strict=True))
+    words = {
+        "frame_compliance_mm_per_N": lambda value: f"a frame of {1.0 / max(value, 1e-9):.3g} N/mm",
+        "skew_s": lambda value: f"channels {1e3 * abs(value):.3g} ms apart",
+        "force_filter_s": lambda value: f"a force filter of {1e3 * value:.3g} ms",
+    }
+    far = {name: abs(values[name] - priors[name].mean) / priors[name].sd for name in MACHINE}
+    name = max(far, key=lambda one: far[one])
+    frame = "frame_compliance_mm_per_N"
+    share = values[frame] * force_N / depth_mm if not priors[frame].stated else 0.0
+    if far[name] > UNLIKELY_SD:
+        why = f"{far[name]:.1f} standard deviations off"
+    elif share > MOST_BENDING:
+        name, why = frame, f"which would take {100.0 * share:.0f} % of the travel"
+    else:
+        return None
+    return Flag(
+        "machine_implausible",
+        f"the fit needs {words[name](values[name])}, {why}",
+        {"name": name, "value": values[name], "deviations": far[name], "frame_share": share},
+    )
 
 
 def _shortest(fit: SpecimenFit) -> float:

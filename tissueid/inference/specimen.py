@@ -15,6 +15,7 @@ from tissueid.inference.depth_test import depth_test
 from tissueid.inference.engine import Identified, Request, identify_logs
 from tissueid.inference.estimates import FEWEST_SLOW, TissueEstimate, estimate_tissue, slow_share
 from tissueid.inference.evidence import LogEvidence, log_evidence
+from tissueid.inference.frame_effect import machine_flag
 from tissueid.inference.lm import both_optimisers
 from tissueid.inference.logs import LogHandle, blocks_of, speed_handles
 from tissueid.inference.material import with_moduli
@@ -322,6 +323,7 @@ def _fit(
             *rival_flags(found),
             *window_flags(window),
             *damping_flags(found, here),
+            *_machine_flags(found, point),
         )
         step, length = min(log.step_s for log in facts), max(log.duration_s for log in facts)
         slope, drains = depth_test(options.geometry, *_equal_holds(told))
@@ -381,6 +383,19 @@ def _fit(
         return FittedSpecimen(fit, logs, found, noise, here, told, quoted_of, described)
 
     return described(identified.optimum.point)
+
+
+def _machine_flags(found: Identified, point: Point) -> tuple[Flag, ...]:
+    """Machine of an optimum, held against what is known of it."""
+    if not found.request.machine:
+        return ()
+    said = machine_flag(
+        point.machine,
+        found.request.priors.calibration,
+        force_N=float(np.abs(found.system.force).max()),
+        depth_mm=found.system.depth_mm,
+    )
+    return () if said is None else (said,)
 
 
 def _equal_holds(told: Summaries) -> tuple[list[float], list[float]]:
