@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from tissueid.inference.logs import LogHandle, blocks_of, speed_handles
 from tissueid.inference.material import with_moduli
 from tissueid.inference.quoted import EQUALLY_LONG, quoted_numbers, with_form
 from tissueid.inference.relaxation_window import relaxation_window
-from tissueid.inference.rounds import follow_surfaces, unloading_handles, unloading_verdict
+from tissueid.inference.rounds import Followed, follow_surfaces, unloading_handles, unloading_verdict
 from tissueid.inference.sandwich import sandwich_covariance
 from tissueid.inference.summaries import Summaries, second_pass
 from tissueid.inference.system import Point, System
@@ -259,6 +260,122 @@ def _moving_average(phi: float, white: float) -> float:
     return float(half - np.sqrt(max(half * half - 1.0, 0.0)))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Found:
+    """Whatever a specimen's fit has found, to be described at any point near its optimum."""
+
+    specimen: str
+    handles: tuple[LogHandle, ...]
+    facts: list[FittedLog]
+    identified: Identified
+    followed: Followed | None
+    optimisers: dict[str, Any]
+    tissue: TissueEstimate
+    noise: NoiseFit
+    window: RelaxationWindow | None
+    options: FitOptions
+    tick: Callable[[str], None]
+
+    def at(self, point: Point) -> FittedSpecimen:
+        """The fit as it is told with the tissue of a point."""
+        found, theta = self.identified, self.identified.law.theta(point.log_times, point.linear)[0]
+        here = replace(self.tissue, theta=theta)
+        adjustments = adjustments_of(found, self.handles, point)
+        told = second_pass(
+            self.handles,
+            adjustments,
+            here,
+            self.tick,
+            noise=self.noise,
+            force_of=lambda i, log: force_along(found, self.handles[i], log, i, point),
+            depths_mm=self.options.depths_mm,
+            tip=TipOf(self.options.geometry, self.options.header_tip),
+        )
+        quoted_of = partial(self._quoted, told)
+        quoted, said = quoted_of(here) if found.quotable else (None, [])
+        flags, unloading = (*self._flags(here, told, point), *said), None
+        if self.followed is not None:
+            unloading, more = unloading_verdict(self.followed, here, adjustments, sigma_N=self.noise.sigma_N)
+            flags = (*flags, *more)
+        fit = replace(self._told(here, told), flags=_one_form(flags), unloading=unloading, quoted=quoted)
+        return FittedSpecimen(fit, self.handles, found, self.noise, here, told, quoted_of, self.at)
+
+    def _flags(self, here: TissueEstimate, told: Summaries, point: Point) -> tuple[Flag, ...]:
+        """Everything that is to be said of the fit itself."""
+        found, noise = self.identified, self.noise
+        own: Sequence[Flag] = ()
+        if found.quotable:
+            own = specimen_flags(
+                here, self.facts, told.trials, sigma_N=noise.sigma_N, optimisers=self.optimisers,
+                noise=None if noise.discrepant else noise.model,
+            )  # fmt: skip
+        return (
+            *discrepancy_flags(noise, told.nrmsd),
+            *own,
+            *undecided_flags(found),
+            *rival_flags(found),
+            *window_flags(self.window),
+            *damping_flags(found, here),
+            *_machine_flags(found, point),
+        )
+
+    def _quoted(self, told: Summaries, tissue: TissueEstimate) -> tuple[QuotedNumbers, list[Flag]]:
+        """Numbers that are derived from a tissue, with errors of its covariance, and flags of them."""
+        geometry = self.options.geometry
+        slope, drains = depth_test(geometry, *_equal_holds(told))
+        step, length = min(log.step_s for log in self.facts), max(log.duration_s for log in self.facts)
+        frequencies = self.options.frequencies_Hz
+        numbers = quoted_numbers(
+            tissue, told.holds, step_s=step, duration_s=length, frequencies_Hz=frequencies
+        )
+        numbers, said = with_moduli(with_form(numbers, self.identified.rivals), tissue, geometry)
+        if slope is None:
+            return numbers, said
+        decided = slope.at.get("verdict") in {"viscous", "drainage"}
+        kept = [flag for flag in said if not (decided and flag.code == "poroelastic")]
+        return replace(numbers, model=(*numbers.model, slope)), [*kept, *drains]
+
+    def _told(self, here: TissueEstimate, told: Summaries) -> SpecimenFit:
+        """The numbers of the fit; what is quoted and to be said of them is added."""
+        found, speeds = self.identified, [one for log in self.facts for one in log.speeds_mm_s if one > 0.0]
+        return SpecimenFit(
+            specimen=self.specimen,
+            model=_choice_of(found, here, "shared" if len(self.handles) == 1 else self.options.static),
+            parameters=here.parameters,
+            theta_names=here.model.parameter_names,
+            theta=here.theta,
+            covariance=here.covariance,
+            depth_mm=found.system.depth_mm,
+            speeds_mm_s=(min(speeds, default=0.0), max(speeds, default=0.0)),
+            tip_radius_mm=None,
+            sigma_N=self.noise.sigma_N,
+            n_samples=found.system.samples,
+            nrmsd=told.nrmsd,
+            trials=told.trials,
+            relaxation=told.relaxation,
+            relaxation_window=self.window,
+            optimisers=self.optimisers,
+            selection=found.table,
+            cycles=told.cycles,
+            measured=spread([trial.measured for trial in told.trials if trial.measured is not None]),
+        )
+
+
+def _choice_of(found: Identified, tissue: TissueEstimate, pooling: str) -> ModelChoice:
+    """The model that was chosen, as files name it."""
+    law = found.law.model_of
+    return ModelChoice(
+        key=KEY if law is None else law.key,
+        name=_name_of(found),
+        branches=tissue.model.branches,
+        static_degree=min(found.law.static_size, MAX_STATIC),
+        stiffness_degree=found.law.degree,
+        static_pooling=pooling,
+        range_s=None if law is None else (law.resolution_s, law.window_s),
+        **_nodes(found),
+    )
+
+
 def _fit(
     specimen: str,
     handles: list[LogHandle],
@@ -266,6 +383,7 @@ def _fit(
     request: Request,
     tick: Callable[[str], None],
 ) -> FittedSpecimen:
+    """Identify a specimen, and describe it at its optimum."""
     followed = None
     if options.unloading:
         followed = follow_surfaces(
@@ -281,108 +399,21 @@ def _fit(
     worth = 1.0
     if identified.discrepant and identified.quotable:
         worth = sandwich_covariance(SpecimenTarget(identified, machine=request.machine))[1]
-    noise = noise_of(identified, worth)
     relaxes = identified.quotable and tissue.model.branches > 0
-    window = relaxation_window(handles, identified, tick) if relaxes else None
-
-    def described(point: Point) -> FittedSpecimen:
-        return _described(specimen, tuple(handles), identified, noise, options, tick, point)
-
-    def _described(
-        name: str,
-        logs: tuple[LogHandle, ...],
-        found: Identified,
-        noise: NoiseFit,
-        options: FitOptions,
-        tick: Callable[[str], None],
-        point: Point,
-    ) -> FittedSpecimen:
-        theta = found.law.theta(point.log_times, point.linear)[0]
-        here = replace(tissue, theta=theta)
-        adjustments = adjustments_of(found, logs, point)
-        told = second_pass(
-            logs,
-            adjustments,
-            here,
-            tick,
-            noise=noise,
-            force_of=lambda i, log: force_along(found, logs[i], log, i, point),
-            depths_mm=options.depths_mm,
-            tip=TipOf(options.geometry, options.header_tip),
-        )
-        told_flags: tuple[Flag, ...] = ()
-        if found.quotable:
-            told_flags = specimen_flags(
-                here, facts, told.trials, sigma_N=noise.sigma_N, optimisers=optimisers,
-                noise=None if noise.discrepant else noise.model,
-            )  # fmt: skip
-        flags = (
-            *discrepancy_flags(noise, told.nrmsd),
-            *told_flags,
-            *undecided_flags(found),
-            *rival_flags(found),
-            *window_flags(window),
-            *damping_flags(found, here),
-            *_machine_flags(found, point),
-        )
-        step, length = min(log.step_s for log in facts), max(log.duration_s for log in facts)
-        slope, drains = depth_test(options.geometry, *_equal_holds(told))
-
-        def quoted_of(tissue: TissueEstimate) -> tuple[QuotedNumbers, list[Flag]]:
-            numbers = quoted_numbers(
-                tissue, told.holds, step_s=step, duration_s=length, frequencies_Hz=options.frequencies_Hz
-            )
-            numbers, said = with_moduli(with_form(numbers, found.rivals), tissue, options.geometry)
-            if slope is None:
-                return numbers, said
-            decided = slope.at.get("verdict") in {"viscous", "drainage"}
-            kept = [flag for flag in said if not (decided and flag.code == "poroelastic")]
-            return replace(numbers, model=(*numbers.model, slope)), [*kept, *drains]
-
-        quoted, said = quoted_of(here) if found.quotable else (None, [])
-        flags, unloading = (*flags, *said), None
-        if followed is not None:
-            unloading, more = unloading_verdict(followed, here, adjustments, sigma_N=noise.sigma_N)
-            flags = (*flags, *more)
-        speeds = [speed for log in facts for speed in log.speeds_mm_s if speed > 0.0] or [0.0]
-        fit = SpecimenFit(
-            specimen=name,
-            model=ModelChoice(
-                key=KEY if found.law.model_of is None else found.law.model_of.key,
-                name=_name_of(found),
-                branches=tissue.model.branches,
-                static_degree=min(found.law.static_size, MAX_STATIC),
-                stiffness_degree=found.law.degree,
-                static_pooling="shared" if len(logs) == 1 else options.static,
-                range_s=None
-                if found.law.model_of is None
-                else (found.law.model_of.resolution_s, found.law.model_of.window_s),
-                **_nodes(found),
-            ),
-            parameters=tissue.parameters,
-            theta_names=tissue.model.parameter_names,
-            theta=theta,
-            covariance=tissue.covariance,
-            depth_mm=found.system.depth_mm,
-            speeds_mm_s=(min(speeds), max(speeds)),
-            tip_radius_mm=None,
-            sigma_N=noise.sigma_N,
-            n_samples=found.system.samples,
-            nrmsd=told.nrmsd,
-            trials=told.trials,
-            relaxation=told.relaxation,
-            relaxation_window=window,
-            optimisers=optimisers,
-            selection=found.table,
-            flags=_one_form(flags),
-            unloading=unloading,
-            cycles=told.cycles,
-            measured=spread([trial.measured for trial in told.trials if trial.measured is not None]),
-            quoted=quoted,
-        )
-        return FittedSpecimen(fit, logs, found, noise, here, told, quoted_of, described)
-
-    return described(identified.optimum.point)
+    found = _Found(
+        specimen=specimen,
+        handles=tuple(handles),
+        facts=facts,
+        identified=identified,
+        followed=followed,
+        optimisers=optimisers,
+        tissue=tissue,
+        noise=noise_of(identified, worth),
+        window=relaxation_window(handles, identified, tick) if relaxes else None,
+        options=options,
+        tick=tick,
+    )
+    return found.at(identified.optimum.point)
 
 
 def _machine_flags(found: Identified, point: Point) -> tuple[Flag, ...]:
