@@ -8,6 +8,8 @@ import pytest
 import tissueid
 from tissueid.inference.frame_effect import machine_flag
 from tissueid.inference.specimen import FitOptions
+from tissueid.model.channels import loading_force
+from tissueid.model.grammar import rebuilt
 from tissueid.pipeline import IdentifyOptions
 from tissueid.priors import CALIBRATION_DEFAULTS, CalibrationPrior
 
@@ -43,3 +45,8 @@ def test_a_law_that_leans_on_the_machine_says_so(datasets, model, raised):
     (log,) = tissueid.read(datasets / "paper-a-hold-100Hz")
     (fit,) = tissueid.identify([log], options=IdentifyOptions(fit=FitOptions(model=model))).specimens
     assert ("machine_implausible" in {flag.code for flag in fit.flags}) is raised
+    # the depth that is claimed is the tip's: behind such a frame no travel of 8 mm was 8 mm of tissue
+    assert (fit.depth_mm < 7.0) is raised
+    model = rebuilt(fit.model, fit.depth_mm)
+    force = loading_force(model, fit.theta, np.array([fit.depth_mm]), speed_mm_s=fit.speeds_mm_s[1])
+    assert force[0] == pytest.approx(266.0, rel=0.2)

@@ -45,6 +45,8 @@ __all__ = ["POOLINGS", "FitOptions", "FittedSpecimen", "LogHandle", "fit_specime
 
 FloatArray = NDArray[np.float64]
 
+#: Share of the travel that frame and contact may take before less than the travel is claimed.
+TAKEN = 0.1
 MAX_BRANCHES, MAX_DEGREE, MAX_STATIC = 3, 2, 3
 POOLINGS = ("scaled", "partial", "shared")
 
@@ -297,8 +299,24 @@ class _Found:
         if self.followed is not None:
             unloading, more = unloading_verdict(self.followed, here, adjustments, sigma_N=self.noise.sigma_N)
             flags = (*flags, *more)
-        fit = replace(self._told(here, told), flags=_one_form(flags), unloading=unloading, quoted=quoted)
+        depth_mm = self._reached_mm(adjustments, point)
+        fit = replace(
+            self._told(here, told),
+            depth_mm=depth_mm,
+            flags=_one_form(flags),
+            unloading=unloading,
+            quoted=quoted,
+        )
         return FittedSpecimen(fit, self.handles, found, self.noise, here, told, quoted_of, self.at)
+
+    def _reached_mm(self, adjustments: Sequence[Adjustment], point: Point) -> float:
+        """Depth that is claimed: the travel, or the tip's own where frame and contact took a tenth of it."""
+        system = self.identified.system
+        bent = float(point.machine[0]) * float(np.abs(system.force).max())
+        own = zip(self.facts, adjustments, strict=True)
+        tip = max(log.depth_mm - one.contact_offset_mm for log, one in own) - bent
+        material = self.identified.quotable and 0.0 < tip < (1.0 - TAKEN) * system.depth_mm
+        return tip if material else system.depth_mm
 
     def _flags(self, here: TissueEstimate, told: Summaries, point: Point) -> tuple[Flag, ...]:
         """Everything that is to be said of the fit itself."""
