@@ -36,6 +36,9 @@ def test_a_machine_that_is_unlikely_is_named_with_its_size(machine, name, words)
 def test_an_ordinary_machine_and_a_stated_soft_frame_are_not():
     ordinary = np.array([0.003, 0.004, 0.008])
     assert machine_flag(ordinary, CALIBRATION_DEFAULTS, force_N=20.0, depth_mm=8.0) is None
+    # of an ordinary machine: a stiff specimen takes little of the travel, which is no miss of the law
+    stiff = np.array([0.00067, 0.0, 0.0])
+    assert machine_flag(stiff, CALIBRATION_DEFAULTS, force_N=390.0, depth_mm=1.0) is None
     stated = {**CALIBRATION_DEFAULTS, FRAME: CalibrationPrior(0.009, 0.0005, stated=True)}
     assert machine_flag(np.array([0.009, 0.0, 0.0]), stated, force_N=260.0, depth_mm=8.0) is None
 

@@ -32,9 +32,9 @@ FloatArray = NDArray[np.float64]
 ASSUMED_FRAME_N_PER_MM = 1_000.0
 #: Effects of the assumed frame below this are not worth a remark.
 WORTH_SAYING = 0.02
-#: A machine so many standard deviations of its prior off is none; nor is a frame that nobody stated and that
-#: bends by more than this share of the travel.
-UNLIKELY_SD, MOST_BENDING = 3.0, 0.2
+#: A machine so many standard deviations of its prior off is none; nor is a frame that nobody stated, softer
+#: than one standard deviation, that bends by more than this share of the travel.
+UNLIKELY_SD, SOFT_SD, MOST_BENDING = 3.0, 1.0, 0.2
 #: Relaxation times below this are moved by force filters and time skew of ordinary size [s].
 INSTRUMENT_TAU_S = 0.2
 
@@ -118,7 +118,7 @@ def machine_flag(
     share = values[frame] * force_N / depth_mm if not priors[frame].stated else 0.0
     if far[name] > UNLIKELY_SD:
         why = f"{far[name]:.1f} standard deviations off"
-    elif share > MOST_BENDING:
+    elif share > MOST_BENDING and far[frame] > SOFT_SD:
         name, why = frame, f"which would take {100.0 * share:.0f} % of the travel"
     else:
         return None
