@@ -136,24 +136,15 @@ def display_names(sources: Sequence[tuple[str, Source]]) -> dict[str, str]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Excluded:
-    """A trial that the user took out.
+    """A trial that the user took out."""
 
-    Attributes
-    ----------
-    path, sheet, specimen : str
-        What it is.
-    because : str
-    handle : LogHandle or Refusal
-        What a fit with it needs, or why there is none.
-    no_specimen : bool
-        True where nobody took it out: a rigid block behind the frame's stiffness, a mean curve.
-    """
-
+    #: What it is.
     path: str
     sheet: str | None
     specimen: str
     because: str
-    handle: LogHandle | Refusal
+    handle: LogHandle | Refusal  # what a fit with it needs, or why there is none
+    #: True where nobody took it out: a rigid block behind the frame's stiffness, a mean curve.
     no_specimen: bool
 
 
@@ -256,18 +247,9 @@ def collect(
 ) -> Collected:
     """Read and segment every trial; its samples stay only in the cache.
 
-    Parameters
-    ----------
-    trials : iterable of Trial
-    options : SegmentOptions
-    cache : TrialCache
-    progress : callable
-        ``progress(message, done, total)``.
-    study : Study, optional
-    depths_mm : tuple of float
-        Depths at which the cycles of a trial that can't be fitted are described [mm].
-    unloading : bool
-        Whether samples after the tool first turned back count as something to fit.
+    ``progress``: ``progress(message, done, total)``; ``depths_mm``: depths at which the cycles of a trial
+    that can't be fitted are described [mm]; ``unloading``: whether samples after the tool first turned back
+    count as something to fit.
     """
     collected = Collected()
 

@@ -55,12 +55,8 @@ def kernel(
 ) -> Callable[[Function], Function]:
     """Compile a function of arrays and numbers, without the interpreter's lock.
 
-    Parameters
-    ----------
-    error_model : str
-        ``numpy`` divides by zero as arrays do, ``python`` raises.
-    fastmath : set of str or bool
-        Liberties with floating point, as LLVM names them.
+    ``error_model``: ``numpy`` divides by zero as arrays do, ``python`` raises; ``fastmath``: liberties with
+    floating point, as LLVM names them.
     """
     options = {"error_model": error_model, "fastmath": fastmath}
     return lambda function: _for_the_disk(function, options)

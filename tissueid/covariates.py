@@ -41,12 +41,7 @@ class Refit:
 def study_flags(fit: SpecimenFit, collected: Collected, study: Study | None) -> SpecimenFit:
     """The fit with the flags that need its trials together, the study, or both.
 
-    Parameters
-    ----------
-    fit : SpecimenFit
-    collected : Collected
-        With the study's decision on every trial.
-    study : Study or None
+    ``collected``: with the study's decision on every trial.
     """
     said = [collected.decisions.get((trial.path, trial.sheet)) for trial in fit.trials]
     rows: list[Mapping[str, Any]] = [{} if one is None else one.trial for one in said]
@@ -72,14 +67,7 @@ def study_record(
 ) -> dict[str, Any]:
     """The ``study`` object of ``schemas/identification.schema.json``.
 
-    Parameters
-    ----------
-    study : Study
-    collected : Collected
-    names : mapping
-        Names of specimens as shown.
-    exclusions : sequence of mapping
-        From :func:`exclusion_rows`.
+    ``names``: names of specimens as shown; ``exclusions``: from :func:`exclusion_rows`.
     """
     shown = [names[name] for name in collected.groups]
     trials = [_trial_row(collected, entry, names) for entry in collected.inputs]
@@ -89,13 +77,8 @@ def study_record(
 def study_document(study: Study, fitted: Iterable[str], trials: Any, exclusions: Any) -> dict[str, Any]:
     """The ``study`` object from rows that are there.
 
-    Parameters
-    ----------
-    study : Study
-    fitted : iterable of str
-        Specimens as shown; those that the study names come after them.
-    trials, exclusions : list
-        Rows, gathered from wherever they were made.
+    ``fitted``: specimens as shown; those that the study names come after them; ``trials``, ``exclusions``:
+    rows, gathered from wherever they were made.
     """
     shown = dict.fromkeys([*fitted, *study.specimens])
     stated = load_schema("identification")["$defs"]["calibration"]["properties"]

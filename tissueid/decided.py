@@ -41,10 +41,7 @@ def arithmetic_refusal(path: str, sheet: str | None, done: str, error: Exception
 def decided_options(options: SegmentOptions, decision: Decision) -> SegmentOptions:
     """The run's options with what the study decides for this trial.
 
-    Raises
-    ------
-    UsageError
-        Both together leave no window of time.
+    Raises UsageError: both together leave no window of time.
     """
     said: dict[str, Any] = {
         name: decision.override[key] for key, name in _SEGMENT_KEYS.items() if key in decision.override

@@ -72,15 +72,8 @@ def number(value: float | None, digits: int = VALUE_DIGITS) -> str:
 def together(values: Sequence[float], sd: float | None) -> list[str]:
     """Numbers to the place that a standard deviation supports, all to the same.
 
-    Parameters
-    ----------
-    values : sequence of float
-        A value and the ends of its intervals.
-    sd : float or None
-        Without one each stands to :data:`VALUE_DIGITS`.
-
-    >>> together([1.33612, 1.3101, 1.3622], 0.0133)
-    ['1.336', '1.310', '1.362']
+    ``values``: a value and the ends of its intervals; ``sd``: without one each stands to
+    :data:`VALUE_DIGITS`.
     """
     if sd is None or not (sd > 0.0 and math.isfinite(sd)):
         return [number(value) for value in values]

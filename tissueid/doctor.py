@@ -26,22 +26,14 @@ LITTLE_MEMORY_GB = 2.0
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One thing that was looked at.
-
-    Attributes
-    ----------
-    name : str
-    state : {"ok", "note", "missing"}
-        ``note`` costs time or comfort, ``missing`` something that does not work without it.
-    words : str
-    way_out : str or None
-        What to type or do.
-    """
+    """One thing that was looked at."""
 
     name: str
+    #: {"ok", "note", "missing"}: ``note`` costs time or comfort, ``missing`` something that does not work
+    #: without it.
     state: str
     words: str
-    way_out: str | None = None
+    way_out: str | None = None  # what to type or do
 
     def as_json(self) -> dict[str, Any]:
         """The check as an object."""
@@ -178,10 +170,7 @@ def _browser() -> Check:
 def warm(tell: Callable[[str], None]) -> None:
     """Compile everything now: a small synthetic specimen is fitted, and the servo's loop is built.
 
-    Parameters
-    ----------
-    tell : callable
-        Told what is being compiled.
+    ``tell``: told what is being compiled.
     """
     import numpy as np
 

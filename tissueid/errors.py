@@ -152,15 +152,8 @@ class IncompleteError(TissueidError):
 def exit_code(codes: set[int]) -> int:
     """The one exit code of a run in which several conditions hold.
 
-    Parameters
-    ----------
-    codes : set of int
-        Exit codes of the conditions met; 0 may be among them.
-
-    Returns
-    -------
-    int
-        The code that comes first in :data:`EXIT_PRECEDENCE`, or 0.
+    ``codes``: exit codes of the conditions met; 0 may be among them.  Returns the code that comes first in
+    :data:`EXIT_PRECEDENCE`, or 0.
     """
     for code in EXIT_PRECEDENCE:
         if code in codes:

@@ -45,27 +45,10 @@ def arviz_data(
 ) -> Any:
     """Put draws into the data structure of the arviz that is installed.
 
-    Parameters
-    ----------
-    theta_names : sequence of str
-        With their units, as ``static_1_N_per_mm``.
-    draws : ndarray, shape (n, p)
-    draws_total : ndarray, shape (n, p), or None
-    chain_names : sequence of str
-    chain : ndarray, shape (chains, draws, d)
-    log_density : ndarray, shape (chains, draws), optional
-    attributes : mapping, optional
-        Text or numbers that are kept with each group, as the specimen.
-
-    Returns
-    -------
-    arviz.InferenceData or xarray.DataTree
-        Both have ``to_netcdf``.
-
-    Raises
-    ------
-    UsageError
-        arviz is not installed.
+    ``theta_names``: with their units, as ``static_1_N_per_mm``; ``draws`` (n, p); ``draws_total`` (n, p);
+    ``chain`` (chains, draws, d); ``log_density`` (chains, draws); ``attributes``: text or numbers that are
+    kept with each group, as the specimen.  Returns both have ``to_netcdf``.  Raises UsageError: arviz is not
+    installed.
     """
     arviz, xarray = _libraries()
     theta = dict(zip(theta_names, _quarters(draws), strict=True))
@@ -94,10 +77,7 @@ def _quarters(draws: FloatArray) -> FloatArray:
 def netcdf_bytes(data: Any) -> bytes:
     """The bytes of a NetCDF file of what :func:`arviz_data` made.
 
-    Raises
-    ------
-    UsageError
-        No library that writes NetCDF is installed.
+    Raises UsageError: no library that writes NetCDF is installed.
     """
     with TemporaryDirectory() as folder:
         path = Path(folder) / "draws.nc"

@@ -50,25 +50,16 @@ _GRAVITY = {
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """One entry.
+    """One entry."""
 
-    Attributes
-    ----------
-    kind : str
-        ``flag``, ``parameter`` or ``exit code``.
-    name, title, meaning : str
-    follows, remedy : str
-        Empty where there is none.
-    symbol, unit, depends, interval : str
-        Of a parameter: as printed, what moves it, and how its interval is read.
-    """
-
-    kind: str
+    kind: str  # ``flag``, ``parameter`` or ``exit code``
     name: str
     title: str
     meaning: str
+    #: Empty where there is none.
     follows: str = ""
     remedy: str = ""
+    #: Of a parameter: as printed, what moves it, and how its interval is read.
     symbol: str = ""
     unit: str = ""
     depends: str = ""
@@ -119,15 +110,8 @@ def explanations() -> dict[str, Explanation]:
 def explain(name: str) -> Explanation:
     """The entry of a name.
 
-    Parameters
-    ----------
-    name : str
-        A flag's code, a parameter by name or symbol (with or without its branch) or an exit code.
-
-    Raises
-    ------
-    UsageError
-        There is none; the nearest names are said.
+    ``name``: a flag's code, a parameter by name or symbol (with or without its branch) or an exit code.
+    Raises UsageError: there is none; the nearest names are said.
     """
     known = explanations()
     quantity = quantity_name(name)

@@ -31,10 +31,7 @@ def installed(library: str) -> bool:
 def require(library: str) -> None:
     """Refuse to go on without a library of an extra.
 
-    Raises
-    ------
-    UsageError
-        It isn't installed; the message has the line that installs it.
+    Raises UsageError: it isn't installed; the message has the line that installs it.
     """
     if not installed(library):
         raise _without(library)
@@ -43,10 +40,7 @@ def require(library: str) -> None:
 def missing_extra(error: ImportError) -> UsageError | None:
     """Error to report for a library that isn't installed; ``None`` where no extra brings it.
 
-    Parameters
-    ----------
-    error : ImportError
-        Raised by the import of the library, or of a part of it.
+    ``error``: raised by the import of the library, or of a part of it.
     """
     library = (error.name or "").partition(".")[0]
     return _without(library) if library in EXTRA_OF else None

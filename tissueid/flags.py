@@ -31,27 +31,13 @@ NOTHING = "Nothing."
 
 
 class FlagKind(NamedTuple):
-    """Meaning of a flag for a result, and the way out.
+    """Meaning of a flag for a result, and the way out."""
 
-    Attributes
-    ----------
-    title : str
-        Subject of it, without a verb.
-    means : str
-        For the report and the documentation.
-    follows : str
-        For the result.
-    remedy : str
-        For the user, in ten words; :data:`NOTHING` where it only informs.
-    many : str
-        Words about several recordings or specimens that carry it, behind their number.
-    """
-
-    title: str
-    means: str
-    follows: str
-    remedy: str
-    many: str
+    title: str  # subject of it, without a verb
+    means: str  # for the report and the documentation
+    follows: str  # for the result
+    remedy: str  # for the user, in ten words; :data:`NOTHING` where it only informs
+    many: str  # words about several recordings or specimens that carry it, behind their number
 
 
 # fmt: off
@@ -382,20 +368,11 @@ _LEVEL = {code: level for level, kinds in HARM.items() for code in kinds}
 
 @dataclass(frozen=True, slots=True)
 class Flag:
-    """One remark.
+    """One remark."""
 
-    Attributes
-    ----------
-    code : str
-        Key of :data:`FLAGS`.
-    message : str
-        One plain sentence with its numbers.
-    values : mapping
-        The numbers behind the sentence; they appear beside ``code`` and ``message`` in JSON.
-    """
-
-    code: str
-    message: str
+    code: str  # key of :data:`FLAGS`
+    message: str  # one plain sentence with its numbers
+    #: The numbers behind the sentence; they appear beside ``code`` and ``message`` in JSON.
     values: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -422,11 +399,7 @@ def harm_rank(code: str) -> int:
 def warning_line(code: str, message: str) -> str:
     """A flag in at most :data:`MOST_WORDS` words: what was seen, with its number, and the way out.
 
-    Parameters
-    ----------
-    code : str
-    message : str
-        The flag's own; words that a user put into it are cut where they are too many.
+    ``message``: the flag's own; words that a user put into it are cut where they are too many.
     """
     kind = FLAGS.get(code)
     remedy = "" if kind is None or kind.remedy == NOTHING else kind.remedy

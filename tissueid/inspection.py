@@ -28,15 +28,7 @@ __all__ = ["as_decided", "describe_segmented", "describe_trial", "measured_of", 
 def describe_trial(trial: Trial, *, options: SegmentOptions | None = None) -> dict[str, Any] | Refusal:
     """Description of a trial by ``tissueid inspect``, as recorded: before signs or zeros are changed.
 
-    Parameters
-    ----------
-    trial : Trial
-    options : SegmentOptions, optional
-
-    Returns
-    -------
-    dict or Refusal
-        The object of ``schemas/inspect.schema.json``.
+    Returns the object of ``schemas/inspect.schema.json``.
     """
     segmentation = segmented(trial, options=options)
     return segmentation if isinstance(segmentation, Refusal) else describe_segmented(trial, segmentation)
@@ -55,13 +47,7 @@ def as_decided(
 ) -> tuple[Trial, SegmentOptions, str | None]:
     """The trial, its options, and why it is excluded, after what a study says of it.
 
-    Parameters
-    ----------
-    trial : Trial
-        As read.
-    options : SegmentOptions or None
-        Of the run.
-    study : Study or None
+    ``trial``: as read; ``options``: of the run.
     """
     options = options or SegmentOptions()
     pattern = options.excludes(trial)
@@ -74,14 +60,7 @@ def as_decided(
 
 
 def measured_of(trial: Trial, segmentation: Segmentation, study: Study | None = None) -> Measured:
-    """Measured quantities of a trial, no model; moduli by the tip of the study, or of the header.
-
-    Parameters
-    ----------
-    trial : Trial
-    segmentation : Segmentation
-    study : Study or None
-    """
+    """Measured quantities of a trial, no model; moduli by the tip of the study, or of the header."""
     tip = TipOf()
     if study is not None and study.tip:
         thickness = study.specimens.get(trial.specimen, {}).get("thickness_mm")
@@ -99,16 +78,8 @@ def describe_segmented(
 ) -> dict[str, Any]:
     """The object of ``schemas/inspect.schema.json`` for a trial that is segmented already.
 
-    Parameters
-    ----------
-    trial : Trial
-    segmentation : Segmentation
-    excluded : str or None
-        Why the user took it out of the fit.
-    measured : Measured or None
-        As :func:`measured_of` gives it; measured now where there is none.
-    earlier : sequence of MeasuredPush
-        Of the same specimen, in the order of testing.
+    ``excluded``: why the user took it out of the fit; ``measured``: as :func:`measured_of` gives it; measured
+    now where there is none; ``earlier``: of the same specimen, in the order of testing.
     """
     measured = measured or measured_of(trial, segmentation)
     source = trial.source

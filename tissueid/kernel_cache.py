@@ -45,10 +45,7 @@ def _imported(text: str, root: Path) -> set[Path]:
 def kernel_sources(root: Path = _PACKAGE) -> dict[str, bytes]:
     """Sources of all kernels and of what they import, by their path in the package.
 
-    Parameters
-    ----------
-    root : Path
-        Folder of the package.
+    ``root``: folder of the package.
     """
     texts = {path: path.read_bytes() for path in sorted(root.rglob("*.py"))}
     waiting = [path for path, text in texts.items() if _KERNELS.search(text.decode())]
@@ -64,10 +61,7 @@ def kernel_sources(root: Path = _PACKAGE) -> dict[str, bytes]:
 def sources_key(root: Path = _PACKAGE) -> str:
     """Hash of sources, versions and flags of all kernels.
 
-    Parameters
-    ----------
-    root : Path
-        Folder of the package.
+    ``root``: folder of the package.
     """
     import llvmlite
     import numba

@@ -32,30 +32,17 @@ class FrameCurve:
 
     The compliance du/dF is linear between knots, so that the deflection u is smooth, monotone and
     linear in the knot values; see :mod:`tissueid.model.frame`.
-
-    Attributes
-    ----------
-    force_N : ndarray, shape (k,)
-        Knots, growing from 0.
-    compliance_mm_per_N : ndarray, shape (k,)
-        du/dF at the knots, >= 0.
-    covariance : ndarray, shape (k, k)
-        Of the compliances [mm2/N2].
-    range_N : tuple of float or None
-        Forces that were calibrated; ``None`` for a stated stiffness, which is taken for all.
-    path, sha256 : str or None
-        The file it was read from.
-    sources : tuple of str
-        Hashes of the recordings behind it.
     """
 
-    force_N: FloatArray
-    compliance_mm_per_N: FloatArray
-    covariance: FloatArray
+    force_N: FloatArray  # (k,), knots, growing from 0
+    compliance_mm_per_N: FloatArray  # (k,), du/dF at the knots, >= 0
+    covariance: FloatArray  # (k, k), of the compliances [mm2/N2]
+    #: Forces that were calibrated; ``None`` for a stated stiffness, which is taken for all.
     range_N: tuple[float, float] | None = None
+    #: The file it was read from.
     path: str | None = None
     sha256: str | None = None
-    sources: tuple[str, ...] = ()
+    sources: tuple[str, ...] = ()  # hashes of the recordings behind it
 
     def __post_init__(self) -> None:
         for name in ("force_N", "compliance_mm_per_N", "covariance"):
@@ -75,18 +62,11 @@ class FrameCurve:
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """Stated calibration of the channels.
+    """Stated calibration of the channels."""
 
-    Attributes
-    ----------
-    values : mapping
-        Keys of ``[calibration]`` in study.toml, units in their names.
-    frame : FrameCurve or None
-        Deflection of the frame; ``None`` where nothing is known of it.
-    """
-
+    #: Keys of ``[calibration]`` in study.toml, units in their names.
     values: Mapping[str, Any] = field(default_factory=dict)
-    frame: FrameCurve | None = None
+    frame: FrameCurve | None = None  # deflection of the frame; ``None`` where nothing is known of it
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", MappingProxyType(dict(self.values)))
@@ -100,21 +80,11 @@ class Calibration:
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One ``[[trial]]``, ``[[override]]`` or ``[[exclude]]`` table.
+    """One ``[[trial]]``, ``[[override]]`` or ``[[exclude]]`` table."""
 
-    Attributes
-    ----------
-    values : mapping
-        Its keys, units in their names.
-    files : tuple of str
-        Absolute paths of the recordings that its ``file`` names.
-    line : int
-        Line of study.toml at which the table begins.
-    """
-
-    values: Mapping[str, Any]
-    files: tuple[str, ...]
-    line: int
+    values: Mapping[str, Any]  # its keys, units in their names
+    files: tuple[str, ...]  # absolute paths of the recordings that its ``file`` names
+    line: int  # line of study.toml at which the table begins
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", MappingProxyType(dict(self.values)))
@@ -132,27 +102,13 @@ class Entry:
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """Everything the study says of one recording.
+    """Everything the study says of one recording."""
 
-    Attributes
-    ----------
-    listed : bool
-        Named under ``[[trial]]``.
-    trial : mapping
-        Keys of its ``[[trial]]`` tables.
-    protocol : mapping
-        Keys of its ``[[protocol]]``.
-    override : mapping
-        What the user decided; ``because`` gathers the reasons.
-    excluded : str or None
-        Why it is not fitted.
-    """
-
-    listed: bool
-    trial: Mapping[str, Any]
-    protocol: Mapping[str, Any]
-    override: Mapping[str, Any]
-    excluded: str | None
+    listed: bool  # named under ``[[trial]]``
+    trial: Mapping[str, Any]  # keys of its ``[[trial]]`` tables
+    protocol: Mapping[str, Any]  # keys of its ``[[protocol]]``
+    override: Mapping[str, Any]  # what the user decided; ``because`` gathers the reasons
+    excluded: str | None  # why it is not fitted
 
 
 def _merged(entries: Iterable[Entry]) -> dict[str, Any]:

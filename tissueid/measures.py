@@ -43,18 +43,11 @@ def beyond_ramp(time_s: float, ramp_time_s: float) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Base:
-    """The recorded force from which forces count.
+    """The recorded force from which forces count."""
 
-    Attributes
-    ----------
-    recorded_N : float
-        As recorded.
-    source : str
-        ``air`` (the tool before contact), ``rest`` (standing before the first move, in contact) or
-        ``recorded`` (the record shows neither: its own zero).
-    """
-
-    recorded_N: float
+    recorded_N: float  # as recorded
+    #: ``air`` (the tool before contact), ``rest`` (standing before the first move, in contact) or
+    #: ``recorded`` (the record shows neither: its own zero).
     source: str
 
     def as_json(self) -> dict[str, Any]:
@@ -64,17 +57,10 @@ class Base:
 
 @dataclass(frozen=True, slots=True)
 class MeasuredPeak:
-    """Largest force from max(0.5 s, braking) before the stop to 0.1 s after it; without a stop, of the move.
+    """Force at its largest from max(0.5 s, braking) before the stop to 0.1 s after it; else of the move."""
 
-    Attributes
-    ----------
-    time_s : float
-        As recorded.
-    force_N, recorded_N : float
-        Above the base, and as recorded.
-    """
-
-    time_s: float
+    time_s: float  # as recorded
+    #: Above the base, and as recorded.
     force_N: float
     recorded_N: float
 
@@ -85,30 +71,17 @@ class MeasuredPeak:
 
 @dataclass(frozen=True, slots=True)
 class MeasuredModulus:
-    """Young's modulus by the formula of the tip, from loading and from the end of the hold.
-
-    Attributes
-    ----------
-    formula, doi : str
-    tip : str
-        Shape, size, tissue and Poisson's ratio in words.
-    depth_mm : float
-    contact_mm : float or None
-        Contact radius at that depth.
-    loading_kPa, held_kPa : float or None
-        Least squares over the loading, and from the last force of the hold; ``None`` where refused.
-    refused : str
-        Limit that is passed, with its number; empty within the range.
-    """
+    """Young's modulus by the formula of the tip, from loading and from the end of the hold."""
 
     formula: str
     doi: str
-    tip: str
+    tip: str  # shape, size, tissue and Poisson's ratio in words
     depth_mm: float
-    contact_mm: float | None = None
+    contact_mm: float | None = None  # contact radius at that depth
+    #: Least squares over the loading, and from the last force of the hold; ``None`` where refused.
     loading_kPa: float | None = None
     held_kPa: float | None = None
-    refused: str = ""
+    refused: str = ""  # limit that is passed, with its number; empty within the range
 
     def as_json(self) -> dict[str, Any]:
         """The ``modulus`` object of ``schemas/measured.schema.json``."""
@@ -126,35 +99,18 @@ class MeasuredModulus:
 
 @dataclass(frozen=True, slots=True)
 class MeasuredPush:
-    """One loading move: depth, speed, ramp time and peak.
+    """One loading move: depth, speed, ramp time and peak."""
 
-    Attributes
-    ----------
-    start_s, stop_s : float
-        Where the loading begins in contact, and its stop, as recorded.
-    ramp_time_s : float
-        Between the two.
-    speed_mm_s : float
-    travel_mm : float
-        Of the whole move, through air too.
-    depth_mm : float or None
-        Below contact at the stop; ``None`` where no contact was found.
-    braking_s : float or None
-        From the corner to the stop; ``None`` where the move has no corner.
-    peak : MeasuredPeak
-    modulus : MeasuredModulus or None
-        ``None`` where the tip is not known.
-    """
-
+    #: Where the loading begins in contact, and its stop, as recorded.
     start_s: float
     stop_s: float
-    ramp_time_s: float
+    ramp_time_s: float  # between the two
     speed_mm_s: float
-    travel_mm: float
-    depth_mm: float | None
-    braking_s: float | None
+    travel_mm: float  # of the whole move, through air too
+    depth_mm: float | None  # below contact at the stop; ``None`` where no contact was found
+    braking_s: float | None  # from the corner to the stop; ``None`` where the move has no corner
     peak: MeasuredPeak
-    modulus: MeasuredModulus | None = None
+    modulus: MeasuredModulus | None = None  # ``None`` where the tip is not known
 
     @classmethod
     def of_json(cls, document: Mapping[str, Any]) -> MeasuredPush:
@@ -171,35 +127,20 @@ class MeasuredPush:
 
 @dataclass(frozen=True, slots=True)
 class MeasuredForce:
-    """The force at one time of a hold.
+    """The force at one time of a hold."""
 
-    Attributes
-    ----------
-    time_s : float
-        After the stop, which is what counts; ``after_peak_N``: after the peak.
-    after_stop_N, sd_N, recorded_N : float or None
-        Force so long after the stop above the base, its standard deviation by white noise, and as recorded.
-    after_peak_N : float or None
-        Force so long after the peak above the base.
-    over_10s : float or None
-        ``after_stop_N`` over that at 10 s.
-    over_peak : float or None
-        ``after_peak_N`` over the peak, as relaxation is often quoted.  It depends on the ramp.
-    beyond_ramp : bool
-        Whether the time is ten ramp times or later: earlier ones are compared within a program only.
-    reason : str
-        Why there is no force.
-    """
-
-    time_s: float
+    time_s: float  # after the stop, which is what counts; ``after_peak_N``: after the peak
+    #: Force so long after the stop above the base, its standard deviation by white noise, and as recorded.
     after_stop_N: float | None = None
     sd_N: float | None = None
     recorded_N: float | None = None
-    after_peak_N: float | None = None
-    over_10s: float | None = None
+    after_peak_N: float | None = None  # force so long after the peak above the base
+    over_10s: float | None = None  # ``after_stop_N`` over that at 10 s
+    #: ``after_peak_N`` over the peak, as relaxation is often quoted.  It depends on the ramp.
     over_peak: float | None = None
+    #: Whether the time is ten ramp times or later: earlier ones are compared within a program only.
     beyond_ramp: bool = False
-    reason: str = ""
+    reason: str = ""  # why there is no force
 
     def as_json(self) -> dict[str, Any]:
         """The ``force`` object of ``schemas/measured.schema.json``."""
@@ -218,25 +159,14 @@ class MeasuredForce:
 
 @dataclass(frozen=True, slots=True)
 class MeasuredTau:
-    """Relaxation times of a hold with a free plateau, which hold for their window alone.
+    """Relaxation times of a hold with a free plateau, which hold for their window alone."""
 
-    Attributes
-    ----------
-    window_s : tuple of float
-        Recorded times of the stop and of the end of the hold.
-    single_s : float or None
-    double_s : tuple of float
-    nrmsd_single : float
-        Of the single exponential, over the range of the force.
-    log_slope : float or None
-        d ln tau / d ln T by halving the window; above 0.2 the single time is the window's as much as the
-        tissue's.
-    """
-
-    window_s: tuple[float, float]
+    window_s: tuple[float, float]  # recorded times of the stop and of the end of the hold
     single_s: float | None
     double_s: tuple[float, ...]
-    nrmsd_single: float
+    nrmsd_single: float  # of the single exponential, over the range of the force
+    #: d ln tau / d ln T by halving the window; above 0.2 the single time is the window's as much as the
+    #: tissue's.
     log_slope: float | None = None
 
     def as_json(self) -> dict[str, Any]:
@@ -252,36 +182,19 @@ class MeasuredTau:
 
 @dataclass(frozen=True, slots=True)
 class MeasuredHold:
-    """A hold, and the push before it.
+    """A hold, and the push before it."""
 
-    Attributes
-    ----------
-    start_s, end_s : float
-        The stop, and the last sample, as recorded.
-    control : str
-        ``position``, or ``force`` where the load is held and the tool creeps: such a hold has no forces.
-    push : MeasuredPush or None
-        ``None`` where another move than loading came before.
-    forces : tuple of MeasuredForce
-        At :data:`tissueid.measured.TIMES_S` after the stop.
-    end_N : float
-        Last force, above the base.
-    creep_mm : float
-        How far the tool went on during the hold.
-    tau : MeasuredTau or None
-    after_rupture : bool
-        Whether the tissue broke before its end.
-    """
-
+    #: The stop, and the last sample, as recorded.
     start_s: float
     end_s: float
+    #: ``position``, or ``force`` where the load is held and the tool creeps: such a hold has no forces.
     control: str
-    push: MeasuredPush | None
-    forces: tuple[MeasuredForce, ...]
-    end_N: float
-    creep_mm: float
+    push: MeasuredPush | None  # ``None`` where another move than loading came before
+    forces: tuple[MeasuredForce, ...]  # at :data:`tissueid.measured.TIMES_S` after the stop
+    end_N: float  # last force, above the base
+    creep_mm: float  # how far the tool went on during the hold
     tau: MeasuredTau | None = None
-    after_rupture: bool = False
+    after_rupture: bool = False  # whether the tissue broke before its end
 
     @property
     def length_s(self) -> float:
@@ -327,21 +240,11 @@ class MeasuredLoop:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """Measures of one recording, no model.
-
-    Attributes
-    ----------
-    base : Base
-    push : MeasuredPush or None
-        The one with the largest peak; ``None`` where nothing was loaded.
-    holds : tuple of MeasuredHold
-        In time order.
-    loops : tuple of MeasuredLoop
-    """
+    """Measures of one recording, no model."""
 
     base: Base
-    push: MeasuredPush | None = None
-    holds: tuple[MeasuredHold, ...] = ()
+    push: MeasuredPush | None = None  # the one with the largest peak; ``None`` where nothing was loaded
+    holds: tuple[MeasuredHold, ...] = ()  # in time order
     loops: tuple[MeasuredLoop, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
@@ -375,37 +278,18 @@ def predicted(mean_ln: float, sd_ln: float, count: int) -> tuple[float, float] |
 
 @dataclass(frozen=True, slots=True)
 class SpreadRow:
-    """One measured number over the logs of a specimen.
-
-    Attributes
-    ----------
-    name, unit : str
-    program : int
-        1 for the first: logs of one speed and depth, those with holds first and the deepest of them first.
-    hold : int
-        1 for the first hold of each log; 0 for what is not of a hold.
-    time_s : float or None
-        After the stop.
-    ramp_time_s : tuple of float or None
-        Shortest and longest ramp time of the logs.
-    count : int
-        Logs that have the number.
-    mean : float or None
-        ``None`` where logs of several ramps may not be pooled.
-    sd : float or None
-        Between logs; ``None`` for fewer than two.
-    reason : str
-    """
+    """One measured number over the logs of a specimen."""
 
     name: str
     unit: str
+    #: 1 for the first: logs of one speed and depth, those with holds first and the deepest of them first.
     program: int
-    hold: int
-    time_s: float | None
-    ramp_time_s: tuple[float, float] | None
-    count: int
-    mean: float | None
-    sd: float | None
+    hold: int  # 1 for the first hold of each log; 0 for what is not of a hold
+    time_s: float | None  # after the stop
+    ramp_time_s: tuple[float, float] | None  # shortest and longest ramp time of the logs
+    count: int  # logs that have the number
+    mean: float | None  # ``None`` where logs of several ramps may not be pooled
+    sd: float | None  # between logs; ``None`` for fewer than two
     reason: str = ""
 
     @classmethod

@@ -50,12 +50,7 @@ def html_of(one: Any) -> str:
 def table(caption: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """A table of text; everything is escaped, and a long one is cut with the number of what is left out.
 
-    Parameters
-    ----------
-    caption : str
-    headings : sequence of str
-    rows : sequence of sequence of str
-        As many cells as headings.
+    ``rows``: as many cells as headings.
     """
     head = "".join(f'<th scope="col" style="text-align:left">{escape(one)}</th>' for one in headings)
     body = "".join(
@@ -73,13 +68,7 @@ def drawing(
 ) -> str:
     """Curves as an inline SVG that takes the colour of the text around it.
 
-    Parameters
-    ----------
-    curves : sequence of (name, x, y, colour)
-    across, up : str
-        Titles of the axes.
-    words : str
-        What is drawn, for who does not see it.
+    ``across``, ``up``: titles of the axes; ``words``: what is drawn, for who does not see it.
     """
     drawn = [(name, *_thinned(x, y), colour) for name, x, y, colour in curves]
     x_from, x_to = _ends([x for _, x, _, _ in drawn])

@@ -18,17 +18,8 @@ __all__ = ["end_with_parent", "own_process"]
 def own_process(module: str, *arguments: str) -> list[str]:
     """Command line of a new process of this interpreter that runs a module.
 
-    Parameters
-    ----------
-    module : str
-        A module or package, run as ``python -m`` would.
-    *arguments : str
-        For the module.
-
-    Returns
-    -------
-    list of str
-        The modules come from where they come from here, whatever the folder one stands in.
+    ``module``: a module or package, run as ``python -m`` would; ``*arguments``: for the module.  Returns the
+    modules come from where they come from here, whatever the folder one stands in.
     """
     places = [place or str(Path.cwd()) for place in sys.path]
     code = (

@@ -123,14 +123,7 @@ def unmet(specimens: Sequence[SpecimenFit], required: Sequence[str]) -> list[str
 def exit_of(fitted: int, refused: Sequence[str], missing: Sequence[str]) -> Exit:
     """End of a run.
 
-    Parameters
-    ----------
-    fitted : int
-        Specimens.
-    refused : sequence of str
-        What was left out, and why.
-    missing : sequence of str
-        From :func:`unmet`.
+    ``fitted``: specimens; ``refused``: what was left out, and why; ``missing``: from :func:`unmet`.
     """
     codes: set[int] = {0}
     reasons = list(refused)
@@ -155,15 +148,8 @@ def run_provenance(
 ) -> dict[str, Any]:
     """The ``provenance`` of a run: versions, options, inputs, and what its study says of all specimens.
 
-    Parameters
-    ----------
-    options : IdentifyOptions
-    inputs : list
-        One row a recording that was fitted.
-    record : mapping or None
-        The ``study`` of the run.
-    extra : mapping
-        What the caller adds.
+    ``inputs``: one row a recording that was fitted; ``record``: the ``study`` of the run; ``extra``: what the
+    caller adds.
     """
     return {
         "tissueid": __version__,
@@ -230,18 +216,8 @@ def with_draws(
 ) -> SpecimenFit:
     """A fit with its posterior, where one is asked for; where none can be drawn, the fit and why.
 
-    Parameters
-    ----------
-    fitted : FittedSpecimen
-    options : PosteriorOptions or None
-    priors : Priors
-    instrument : bool
-        Give the total interval too.
-    checkpoint : Path, optional
-        File that the sampler goes on from.
-    key : str
-        Of everything that the posterior depends on.
-    tick : callable, optional
+    ``instrument``: give the total interval too; ``checkpoint``: file that the sampler goes on from; ``key``:
+    of everything that the posterior depends on.
     """
     if options is None:
         return fitted.fit

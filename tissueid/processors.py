@@ -14,10 +14,7 @@ _shared = False
 def threads(most: int) -> int:
     """Threads that a computation may start.
 
-    Parameters
-    ----------
-    most : int
-        More would not help it.
+    ``most``: more would not help it.
     """
     return 1 if _shared else max(min(os.cpu_count() or 1, most), 1)
 

@@ -57,60 +57,38 @@ class DepthStiffness:
 
 @dataclass(frozen=True, slots=True)
 class CycleRow:
-    """One load-unload loop, measured directly from its samples.
+    """One load-unload loop, measured directly from its samples."""
 
-    Attributes
-    ----------
-    path, sheet
-        Trial.
-    number : int
-        1 for the first loop of the trial.
-    kind : str
-        ``cycle``, ``ramp-retract``, or ``ramp-hold-retract`` (its area includes what relaxed in the hold).
-    start_s, peak_s, end_s : float
-        Recorded times of its start, of the end of its loading and of its end.
-    floor_mm : float
-        Depth from which the loop is closed: the shallowest that loading and unloading both reach.
-    peak_depth_mm : float
-        Below the contact point.
-    peak_force_N : Measure
-        Force at the end of loading, from a quadratic in depth over the end of loading: the largest single
-        sample is biased by noise.
-    loading_work_mJ, dissipated_mJ : Measure
-        Work of loading, and area of the closed loop [mJ = N mm].
-    hysteresis : Measure
-        Area over work of loading.
-    secant_N_per_mm, tangent_N_per_mm : Measure
-        At the end of loading: force over depth, and slope of loading.
-    residual_depth_mm : Measure
-        Depth at which unloading falls to 1 % of the peak force (or three sd of the noise, if larger).
-    viscosity_N_s_per_mm : Measure
-        Loop area above the residual depth over the integral of v^2 dt: eta in the limit v tau << depth.
-    viscosity_model_N_s_per_mm : Measure
-        eta for which the fitted model, its relaxation times kept, has the measured loop area.
-    peak_force_change, dissipated_change : Measure
-        Change against the loop before (fraction); ``None`` for the first and for another amplitude.
-    at_depths : tuple of DepthStiffness
-    """
-
+    #: Trial.
     path: str
     sheet: str | None
-    number: int
+    number: int  # 1 for the first loop of the trial
+    #: ``cycle``, ``ramp-retract``, or ``ramp-hold-retract`` (its area includes what relaxed in the hold).
     kind: str
+    #: Recorded times of its start, of the end of its loading and of its end.
     start_s: float
     peak_s: float
     end_s: float
+    #: Depth from which the loop is closed: the shallowest that loading and unloading both reach.
     floor_mm: float
-    peak_depth_mm: float
+    peak_depth_mm: float  # below the contact point
+    #: Force at the end of loading, from a quadratic in depth over the end of loading: the largest single
+    #: sample is biased by noise.
     peak_force_N: Measure
+    #: Work of loading, and area of the closed loop [mJ = N mm].
     loading_work_mJ: Measure
     dissipated_mJ: Measure
-    hysteresis: Measure
+    hysteresis: Measure  # area over work of loading
+    #: At the end of loading: force over depth, and slope of loading.
     secant_N_per_mm: Measure
     tangent_N_per_mm: Measure
+    #: Depth at which unloading falls to 1 % of the peak force (or three sd of the noise, if larger).
     residual_depth_mm: Measure
+    #: Loop area above the residual depth over the integral of v^2 dt: eta in the limit v tau << depth.
     viscosity_N_s_per_mm: Measure
+    #: eta for which the fitted model, its relaxation times kept, has the measured loop area.
     viscosity_model_N_s_per_mm: Measure = Measure()
+    #: Change against the loop before (fraction); ``None`` for the first and for another amplitude.
     peak_force_change: Measure = Measure()
     dissipated_change: Measure = Measure()
     at_depths: tuple[DepthStiffness, ...] = ()
@@ -148,21 +126,13 @@ EFFECTIVE_SLOPE, EFFECTIVE_SD = 0.2, 2.6
 
 @dataclass(frozen=True, slots=True)
 class RelaxationWindow:
-    """The relaxation time of the one-branch model, of holds cut to T, T/2 and T/4.
+    """The relaxation time of the one-branch model, of holds cut to T, T/2 and T/4."""
 
-    Attributes
-    ----------
-    cut_s : tuple of float
-        Length of hold that was fitted [s], the whole first.
-    tau_s, stderr_s : tuple of float
-        Relaxation time with its standard error under white noise [s].
-    slope, slope_stderr : float
-        d ln tau / d ln T: 0 for a property of the tissue, 1 for a property of the window.
-    """
-
-    cut_s: tuple[float, ...]
+    cut_s: tuple[float, ...]  # length of hold that was fitted [s], the whole first
+    #: Relaxation time with its standard error under white noise [s].
     tau_s: tuple[float, ...]
     stderr_s: tuple[float, ...]
+    #: d ln tau / d ln T: 0 for a property of the tissue, 1 for a property of the window.
     slope: float
     slope_stderr: float
 
@@ -185,27 +155,16 @@ class RelaxationWindow:
 
 @dataclass(frozen=True, slots=True)
 class RelaxationRow:
-    """One hold, described by one, two and three exponentials with a free plateau.
-
-    Attributes
-    ----------
-    window_s : tuple of float
-        Recorded times of the stop and of the end of the hold [s].
-    peak_force_N : float
-        Largest compressive force about the stop [N]: a crosshead brakes, and the force may fall meanwhile.
-    tau_single_s : float or None
-    nrmsd_single : float
-        Range-NRMSD of the single exponential over its window.
-    tau_double_s, tau_triple_s : tuple of float
-        Ascending [s]; shorter where the data support fewer.
-    """
+    """One hold, described by one, two and three exponentials with a free plateau."""
 
     path: str
     sheet: str | None
-    window_s: tuple[float, float]
+    window_s: tuple[float, float]  # recorded times of the stop and of the end of the hold [s]
+    #: Largest compressive force about the stop [N]: a crosshead brakes, and the force may fall meanwhile.
     peak_force_N: float
     tau_single_s: float | None
-    nrmsd_single: float
+    nrmsd_single: float  # range-NRMSD of the single exponential over its window
+    #: Ascending [s]; shorter where the data support fewer.
     tau_double_s: tuple[float, ...]
     tau_triple_s: tuple[float, ...]
     flags: tuple[Flag, ...] = ()
@@ -231,21 +190,13 @@ DEPTH_TEST = "relaxation_by_contact_radius"
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """One number derived from a fit, or measured in a hold, at stated conditions.
-
-    Attributes
-    ----------
-    name, unit : str
-    at : mapping
-        Conditions (``time_s``, ``frequency_Hz``, ``depth_mm``, ``path`` ...): numbers or words.
-    value, stderr : float or None
-        ``None`` where the data do not support it; ``reason`` then says why.
-    reason : str
-    """
+    """One number derived from a fit, or measured in a hold, at stated conditions."""
 
     name: str
     unit: str
+    #: Conditions (``time_s``, ``frequency_Hz``, ``depth_mm``, ``path`` ...): numbers or words.
     at: Mapping[str, float | str]
+    #: ``None`` where the data do not support it; ``reason`` then says why.
     value: float | None
     stderr: float | None = None
     reason: str = ""
@@ -267,30 +218,19 @@ class Quantity:
 
 @dataclass(frozen=True, slots=True)
 class Spectrum:
-    """Regularised relaxation spectrum of one hold: F = plateau + sum A_k exp(-t / tau_k), A_k >= 0.
+    """Regularised relaxation spectrum of one hold: F = plateau + sum A_k exp(-t / tau_k), A_k >= 0."""
 
-    Attributes
-    ----------
-    path, sheet
-        Trial.
-    start_s, end_s : float
-        Recorded times of the window.
-    plateau_N : float
-    tau_s, amplitude_N : tuple of float
-        Grid of relaxation times and the force that relaxes at each.
-    smoothing : float
-        Weight of the second differences.
-    rmse_N : float
-    """
-
+    #: Trial.
     path: str
     sheet: str | None
+    #: Recorded times of the window.
     start_s: float
     end_s: float
     plateau_N: float
+    #: Grid of relaxation times and the force that relaxes at each.
     tau_s: tuple[float, ...]
     amplitude_N: tuple[float, ...]
-    smoothing: float
+    smoothing: float  # weight of the second differences
     rmse_N: float
 
     def as_json(self) -> dict[str, Any]:
@@ -310,28 +250,14 @@ class Spectrum:
 
 @dataclass(frozen=True, slots=True)
 class QuotedNumbers:
-    """Everything derived from one specimen's fit and its holds.
+    """Everything derived from one specimen's fit and its holds."""
 
-    Attributes
-    ----------
-    window_s : float
-        Longest hold (longest log where there is none): nothing later is said.
-    resolution_s : float
-        Two sampling intervals: nothing earlier is said.
-    model : tuple of Quantity
-        Functionals of the fitted model, errors by the delta method.
-    moduli : tuple of Quantity
-        With tip (and thickness); empty where the tip is not known.
-    spectra : tuple of Spectrum
-    assumptions : mapping
-        Tip, thickness and Poisson's ratio of the moduli; empty where there are none.
-    """
-
-    window_s: float
-    resolution_s: float
-    model: tuple[Quantity, ...] = ()
-    moduli: tuple[Quantity, ...] = ()
+    window_s: float  # longest hold (longest log where there is none): nothing later is said
+    resolution_s: float  # two sampling intervals: nothing earlier is said
+    model: tuple[Quantity, ...] = ()  # functionals of the fitted model, errors by the delta method
+    moduli: tuple[Quantity, ...] = ()  # with tip (and thickness); empty where the tip is not known
     spectra: tuple[Spectrum, ...] = ()
+    #: Tip, thickness and Poisson's ratio of the moduli; empty where there are none.
     assumptions: Mapping[str, float | str | None] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -15,26 +15,16 @@ __all__ = ["QUANTITIES", "QuantityWords", "quantity_name"]
 
 @dataclass(frozen=True, slots=True)
 class QuantityWords:
-    """One printed quantity.
+    """One printed quantity."""
 
-    Attributes
-    ----------
-    symbol, unit : str
-        As printed; the unit of normalised recordings is that of strain and stress.
-    title, meaning : str
-        Its name in words, and what it is of the model.
-    depends : str
-        What moves it besides the tissue.
-    interval : str
-        What its interval knows and does not.
-    """
-
+    #: As printed; the unit of normalised recordings is that of strain and stress.
     symbol: str
     unit: str
+    #: Its name in words, and what it is of the model.
     title: str
     meaning: str
-    depends: str
-    interval: str
+    depends: str  # what moves it besides the tissue
+    interval: str  # what its interval knows and does not
 
 
 _BOTH = (

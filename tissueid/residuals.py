@@ -14,34 +14,16 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ResidualSummary:
-    """Measured less modelled force of one log, over the samples that take part in the likelihood.
+    """Measured less modelled force of one log, over the samples that take part in the likelihood."""
 
-    Attributes
-    ----------
-    start_s : float
-        Clock of the recording where the time of its kept curve is zero [s].
-    step_s : float
-        Median sampling interval [s].
-    edges_N : ndarray, shape (b + 1,)
-        Edges of the bins of its histogram [N].
-    counts : ndarray of int, shape (b + 2,)
-        Samples below the first edge, in every bin, and from the last edge on.
-    lags : ndarray of int, shape (k,)
-        In samples, ascending.
-    correlation : ndarray, shape (k,)
-        Autocorrelation at these lags.
-    hold_since_s, hold_mean_N : ndarray, shape (m,)
-        Middle (geometric) of a block of a hold, in time since the corner, and mean residual over it.
-    hold_count : ndarray of int, shape (m,)
-        Samples of each.
-    """
-
-    start_s: float
-    step_s: float
-    edges_N: FloatArray
+    start_s: float  # clock of the recording where the time of its kept curve is zero [s]
+    step_s: float  # median sampling interval [s]
+    edges_N: FloatArray  # (b + 1,), edges of the bins of its histogram [N]
+    #: (b + 2,): samples below the first edge, in every bin, and from the last edge on.
     counts: NDArray[np.int64]
-    lags: NDArray[np.int64]
-    correlation: FloatArray
+    lags: NDArray[np.int64]  # (k,), in samples, ascending
+    correlation: FloatArray  # (k,), autocorrelation at these lags
+    #: (m,): middle (geometric) of a block of a hold, in time since the corner, and mean residual over it.
     hold_since_s: FloatArray
-    hold_mean_N: FloatArray
-    hold_count: NDArray[np.int64]
+    hold_mean_N: FloatArray  # (m,)
+    hold_count: NDArray[np.int64]  # (m,), samples of each

@@ -142,21 +142,11 @@ class ModelChoice:
 
 @dataclass(frozen=True, slots=True)
 class Nrmsd:
-    """Root-mean-square deviation, three ways (fractions, not percent).
+    """Root-mean-square deviation, three ways (fractions, not percent)."""
 
-    Attributes
-    ----------
-    range : float
-        RMSD over (max - min) of the measured force.
-    mean : float
-        RMSD over the mean measured force.
-    rmse_N : float
-        RMSD [N].
-    """
-
-    range: float
-    mean: float
-    rmse_N: float
+    range: float  # RMSD over (max - min) of the measured force
+    mean: float  # RMSD over the mean measured force
+    rmse_N: float  # RMSD [N]
 
     def as_json(self) -> dict[str, float]:
         """The ``nrmsd`` object of the schema."""
@@ -165,21 +155,14 @@ class Nrmsd:
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """A recording with its model, every sample of it or, of a long one, the extremes of its bins.
+    """A recording with its model, every sample of it or, of a long one, the extremes of its bins."""
 
-    Attributes
-    ----------
-    time_s, depth_mm, force_N, model_N : ndarray, shape (m,)
-        Time from contact [s], depth [mm] and measured and modelled compressive force [N].
-    fitted : ndarray of bool, shape (m,)
-        False where a sample took no part in the likelihood.
-    """
-
+    #: (m,): time from contact [s], depth [mm] and measured and modelled compressive force [N].
     time_s: FloatArray
-    depth_mm: FloatArray
-    force_N: FloatArray
-    model_N: FloatArray
-    fitted: NDArray[np.bool_]
+    depth_mm: FloatArray  # (m,)
+    force_N: FloatArray  # (m,)
+    model_N: FloatArray  # (m,)
+    fitted: NDArray[np.bool_]  # (m,), false where a sample took no part in the likelihood
 
 
 @dataclass(frozen=True, slots=True)

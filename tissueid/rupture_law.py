@@ -25,36 +25,16 @@ DEFAULT_WEIGHT = 1.5
 
 @dataclass(frozen=True, slots=True)
 class RuptureLaw:
-    """A tissue breaks when a measure of its loading first reaches a threshold.
+    """A tissue breaks when a measure of its loading first reaches a threshold."""
 
-    Attributes
-    ----------
-    criterion : str
-        One of :data:`CRITERIA`.
-    threshold : float
-        Median over tests of this specimen [:data:`THRESHOLD_UNITS`].
-    weight : float
-        w of the weighted force; of no effect elsewhere.
-    sd_ln : float
-        Standard deviation of ln threshold from test to test.
-    specimen_sd_ln : float
-        The same between specimens.
-    population : float
-        Median over specimens.
-    population_ci95 : tuple of float
-        Its 95 % interval.
-    residual : float
-        Share of the force that is left after the rupture, 0 to 1.
-    """
-
-    criterion: str
-    threshold: float
-    weight: float
-    sd_ln: float
-    specimen_sd_ln: float
-    population: float
-    population_ci95: tuple[float, float]
-    residual: float
+    criterion: str  # one of :data:`CRITERIA`
+    threshold: float  # median over tests of this specimen [:data:`THRESHOLD_UNITS`]
+    weight: float  # w of the weighted force; of no effect elsewhere
+    sd_ln: float  # standard deviation of ln threshold from test to test
+    specimen_sd_ln: float  # the same between specimens
+    population: float  # median over specimens
+    population_ci95: tuple[float, float]  # its 95 % interval
+    residual: float  # share of the force that is left after the rupture, 0 to 1
 
     def __post_init__(self) -> None:
         if self.criterion not in CRITERIA:

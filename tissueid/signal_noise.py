@@ -29,14 +29,7 @@ EQUAL_STEP = 0.01
 def quantum(values: FloatArray) -> float:
     """Step of a quantised signal, 0 where values hardly repeat, or where the smallest changes are not alike.
 
-    Parameters
-    ----------
-    values : ndarray, shape (n,)
-
-    Returns
-    -------
-    float
-        Median of the smallest tenth of the non-zero changes, in the unit of the values.
+    ``values`` (n,).  Returns median of the smallest tenth of the non-zero changes, in the unit of the values.
     """
     steps = np.abs(np.diff(values))
     moved = steps[steps > 0.0]
@@ -53,15 +46,8 @@ def quantum(values: FloatArray) -> float:
 def white_noise_sd(time_s: FloatArray, values: FloatArray) -> float:
     """Standard deviation of the white part of a signal's noise.
 
-    Parameters
-    ----------
-    time_s, values : ndarray, shape (n,)
-        Non-decreasing times; n >= 3 for an answer above 0.
-
-    Returns
-    -------
-    float
-        In the unit of the values.
+    ``time_s``, ``values`` (n,): non-decreasing times; n >= 3 for an answer above 0.  Returns in the unit of
+    the values.
     """
     if values.size < 3:
         return 0.0

@@ -67,17 +67,10 @@ class Axes:
     A normalised recording holds a length over a length (strain, stretch) or a force over an area (stress).
     All mathematics is the same; only the units of what comes out differ, and such a result can't be
     rendered: a device moves millimetres and pushes newtons.
-
-    Attributes
-    ----------
-    length : {"mm", "1"}
-        Unit of ``Trial.displacement_mm``.
-    force : {"N", "MPa"}
-        Unit of ``Trial.force_N``.
     """
 
-    length: str = "mm"
-    force: str = "N"
+    length: str = "mm"  # {"mm", "1"}, unit of ``Trial.displacement_mm``
+    force: str = "N"  # {"N", "MPa"}, unit of ``Trial.force_N``
 
     def __post_init__(self) -> None:
         if self.length not in {"mm", "1"} or self.force not in {"N", "MPa"}:
@@ -110,17 +103,10 @@ class Axes:
 
 @dataclass(frozen=True, slots=True)
 class TipShape:
-    """Shape of a tool's tip; its radius stands beside it.
+    """Shape of a tool's tip; its radius stands beside it."""
 
-    Attributes
-    ----------
-    shape : {"sphere", "flat", "cone"}
-    half_angle_deg : float or None
-        Of a cone, between its axis and its side.
-    """
-
-    shape: str
-    half_angle_deg: float | None = None
+    shape: str  # {"sphere", "flat", "cone"}
+    half_angle_deg: float | None = None  # of a cone, between its axis and its side
 
     def as_json(self) -> dict[str, Any]:
         """``tip`` of a validity and of a session's tissues."""
@@ -138,35 +124,20 @@ MM_N = Axes()
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """Source of a trial.
+    """Source of a trial."""
 
-    Attributes
-    ----------
-    path : str
-        File as the user named it.
-    sheet : str or None
-        Workbook sheet (or block of a several-block file).
-    sha256 : str
-        Hash of the file's bytes.
-    recipe, recipe_reason, recipe_confidence : str, str, float
-        Key of the reader that matched, why, and how sure it was from 0 to 1.
-    encoding, delimiter, decimal : str or None
-        What the text was read with; ``None`` for binary workbooks.
-    columns : mapping
-        ``{"time": name, "displacement": name, "force": name}`` with the names as printed in the file.
-    metadata : mapping
-        Header entries, ``key -> text``, as printed.
-    """
-
-    path: str
-    sheet: str | None = None
-    sha256: str = ""
+    path: str  # file as the user named it
+    sheet: str | None = None  # workbook sheet (or block of a several-block file)
+    sha256: str = ""  # hash of the file's bytes
+    #: Key of the reader that matched, why, and how sure it was from 0 to 1.
     recipe: str = "array"
+    #: What the text was read with; ``None`` for binary workbooks.
     encoding: str | None = None
     delimiter: str | None = None
     decimal: str | None = None
+    #: ``{"time": name, "displacement": name, "force": name}`` with the names as printed in the file.
     columns: Mapping[str, str] = field(default_factory=dict)
-    metadata: Mapping[str, str] = field(default_factory=dict)
+    metadata: Mapping[str, str] = field(default_factory=dict)  # header entries, ``key -> text``, as printed
     recipe_reason: str = ""
     recipe_confidence: float = 1.0
 
@@ -177,22 +148,14 @@ class Source:
 
 @dataclass(frozen=True, slots=True)
 class Protocol:
-    """Program of the machine, as far as the file says so; ``None`` where it does not.
+    """Program of the machine, as far as the file says so; ``None`` where it does not."""
 
-    Attributes
-    ----------
-    kind : str or None
-        Test type in the words of the export (``"comp"``, ``"trelax"``...).
-    speed_mm_s, depth_mm, hold_s : float or None
-        Stated rate [mm/s], depth [mm] and dwell [s].
-    tip_radius_mm, load_limit_N : float or None
-        Radius of the tool tip [mm]; force at which the machine was to stop or turn [N].
-    """
-
-    kind: str | None = None
+    kind: str | None = None  # test type in the words of the export (``"comp"``, ``"trelax"``...)
+    #: Stated rate [mm/s], depth [mm] and dwell [s].
     speed_mm_s: float | None = None
     depth_mm: float | None = None
     hold_s: float | None = None
+    #: Radius of the tool tip [mm]; force at which the machine was to stop or turn [N].
     tip_radius_mm: float | None = None
     load_limit_N: float | None = None
 
@@ -253,91 +216,57 @@ class Trial(Shown):
 
 @dataclass(frozen=True, slots=True)
 class Phase:
-    """A stretch of a recording in which the machine did one thing.
+    """A stretch of a recording in which the machine did one thing."""
 
-    Attributes
-    ----------
-    kind : str
-        ``approach`` (moving in, not yet in contact), ``ramp`` (loading), ``hold``, ``creep`` (the load
-        is held and the tool sinks in: no relaxation hold), ``retract``, ``rest`` (standing out of contact
-        after a retract), or ``cycle`` (one load-unload loop of a cyclic test).
-    start, stop : int
-        Sample range ``[start, stop)``; neighbouring phases share their corner sample
-        (``stop - 1`` of one is ``start`` of the next).
-    start_s, end_s : float
-        Times of the first and last sample [s], as recorded.
-    speed_mm_s : float
-        Speed in the compression direction [mm/s], of the line through 20 to 80 % of the travel; negative
-        while retracting, 0 in a hold, of a cycle or creep the mean speed.
-    peak : int or None
-        Deepest sample of a cycle, where loading turns to unloading; ``None`` in other phases.
-    braking_s : float
-        Time from leaving that line to the stop [s], 0 where the phase ends otherwise.
-    """
-
+    #: ``approach`` (moving in, not yet in contact), ``ramp`` (loading), ``hold``, ``creep`` (the load is held
+    #: and the tool sinks in: no relaxation hold), ``retract``, ``rest`` (standing out of contact after a
+    #: retract), or ``cycle`` (one load-unload loop of a cyclic test).
     kind: PhaseKind
+    #: Sample range ``[start, stop)``; neighbouring phases share their corner sample (``stop - 1`` of one is
+    #: ``start`` of the next).
     start: int
     stop: int
+    #: Times of the first and last sample [s], as recorded.
     start_s: float
     end_s: float
+    #: Speed in the compression direction [mm/s], of the line through 20 to 80 % of the travel; negative while
+    #: retracting, 0 in a hold, of a cycle or creep the mean speed.
     speed_mm_s: float
+    #: Deepest sample of a cycle, where loading turns to unloading; ``None`` in other phases.
     peak: int | None = None
-    braking_s: float = 0.0
+    braking_s: float = 0.0  # time from leaving that line to the stop [s], 0 where the phase ends otherwise
 
 
 @dataclass(frozen=True, slots=True)
 class Corner:
-    """Stop or turn of a ramp.
+    """Stop or turn of a ramp."""
 
-    Attributes
-    ----------
-    phase : int
-        The ramp, as an index into :attr:`Segmentation.phases`; the phase after it is what it ends in.
-    index : int
-        Sample nearest to ``time_s``.
-    time_s : float
-        Nominal end of the ramp: where its line meets that of the next phase [s].
-    duration_s : float
-        From leaving the ramp's line to staying on the next phase's, ringing included [s].
-    overshoot_mm : float
-        Farthest excursion beyond the plateau [mm], 0 where it is within noise and resolution.
-    ringing_swings, ringing_period_s : int, float or None
-        Excursions to alternate sides of the plateau that exceed noise and resolution, and their mean
-        period [s]; fewer than two are no ringing, with ``None``.
-    """
-
+    #: The ramp, as an index into :attr:`Segmentation.phases`; the phase after it is what it ends in.
     phase: int
-    index: int
-    time_s: float
-    duration_s: float
+    index: int  # sample nearest to ``time_s``
+    time_s: float  # nominal end of the ramp: where its line meets that of the next phase [s]
+    duration_s: float  # from leaving the ramp's line to staying on the next phase's, ringing included [s]
+    #: Farthest excursion beyond the plateau [mm], 0 where it is within noise and resolution.
     overshoot_mm: float
+    #: Excursions to alternate sides of the plateau that exceed noise and resolution, and their mean period
+    #: [s]; fewer than two are no ringing, with ``None``.
     ringing_swings: int
     ringing_period_s: float | None
 
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something that happened at one moment of a recording.
+    """Something that happened at one moment of a recording."""
 
-    Attributes
-    ----------
-    kind : str
-        ``rupture`` (force collapses while the tool moves on), ``abort`` (the test ended before it was
-        over) or ``load_limit`` (the move ended at a force, not at a depth).
-    index : int
-        Last sample before it.
-    time_s : float
-        Its time [s], as recorded.
-    values : mapping
-        ``name_unit -> number``.  Rupture: ``force_before_N``, ``drop_N``, ``drop_fraction``, ``depth_mm``
-        (below contact), ``work_N_mm`` (from contact).  Abort: ``reached_mm`` and what was asked for, as far
-        as it is known (``stated_mm``, ``stated_hold_s``, ``earlier_mm``).  Load limit: ``force_N``,
-        ``depth_mm`` and ``creep_mm``, ``turns`` or ``limit_N``.
-    """
-
+    #: ``rupture`` (force collapses while the tool moves on), ``abort`` (the test ended before it was over) or
+    #: ``load_limit`` (the move ended at a force, not at a depth).
     kind: str
-    index: int
-    time_s: float
+    index: int  # last sample before it
+    time_s: float  # its time [s], as recorded
+    #: ``name_unit -> number``.  Rupture: ``force_before_N``, ``drop_N``, ``drop_fraction``, ``depth_mm``
+    #: (below contact), ``work_N_mm`` (from contact).  Abort: ``reached_mm`` and what was asked for, as far as
+    #: it is known (``stated_mm``, ``stated_hold_s``, ``earlier_mm``).  Load limit: ``force_N``, ``depth_mm``
+    #: and ``creep_mm``, ``turns`` or ``limit_N``.
     values: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -346,63 +275,29 @@ class Event:
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """Contact of tool and tissue.
+    """Contact of tool and tissue."""
 
-    Attributes
-    ----------
-    index : int
-        First sample in contact; 0 where the recording starts in contact.
-    displacement_mm : float
-        Displacement of contact as recorded [mm]; may lie before the first sample (preloaded start).
-    sd_mm : float
-        Standard deviation of that displacement [mm].
-    baseline_N : float
-        Load-cell reading in air [N] as recorded; 0 where there are no samples in air.
-    in_record : bool
-        True where the recording shows the tool in air before contact.
-    """
-
-    index: int
+    index: int  # first sample in contact; 0 where the recording starts in contact
+    #: Displacement of contact as recorded [mm]; may lie before the first sample (preloaded start).
     displacement_mm: float
-    sd_mm: float
-    baseline_N: float = 0.0
-    in_record: bool = False
+    sd_mm: float  # standard deviation of that displacement [mm]
+    baseline_N: float = 0.0  # load-cell reading in air [N] as recorded; 0 where there are no samples in air
+    in_record: bool = False  # true where the recording shows the tool in air before contact
 
 
 @dataclass(frozen=True, slots=True)
 class Segmentation:
-    """Division of a trial; made by :mod:`tissueid.segment`, corrected by the user.
+    """Division of a trial; made by :mod:`tissueid.segment`, corrected by the user."""
 
-    Attributes
-    ----------
-    compression_sign : int
-        +1 where recorded displacement grows into the tissue, -1 where it falls.
-    force_sign : int
-        +1 where recorded force grows with compression, -1 where it falls.
-    contact : Contact or None
-        ``None`` where no contact was found.
-    phases : tuple of Phase
-        In time order.
-    force_noise_N : float
-        Standard deviation of the force noise [N], from successive differences.
-    flags : tuple of Flag
-    corners : tuple of Corner
-        One for each ramp that stops or turns, in time order.
-    events : tuple of Event
-        In time order.
-    test : int
-        Phase with which the test proper begins, after preconditioning cycles; 0 without them.
-    """
-
-    compression_sign: int
-    force_sign: int
-    contact: Contact | None
-    phases: tuple[Phase, ...]
-    force_noise_N: float
+    compression_sign: int  # +1 where recorded displacement grows into the tissue, -1 where it falls
+    force_sign: int  # +1 where recorded force grows with compression, -1 where it falls
+    contact: Contact | None  # ``None`` where no contact was found
+    phases: tuple[Phase, ...]  # in time order
+    force_noise_N: float  # standard deviation of the force noise [N], from successive differences
     flags: tuple[Flag, ...] = ()
-    corners: tuple[Corner, ...] = ()
-    events: tuple[Event, ...] = ()
-    test: int = 0
+    corners: tuple[Corner, ...] = ()  # one for each ramp that stops or turns, in time order
+    events: tuple[Event, ...] = ()  # in time order
+    test: int = 0  # phase with which the test proper begins, after preconditioning cycles; 0 without them
 
     def of_kind(self, kind: PhaseKind) -> tuple[Phase, ...]:
         """The phases of one kind, in time order."""
@@ -412,17 +307,8 @@ class Segmentation:
 def contact_frame(trial: Trial, segmentation: Segmentation) -> tuple[FloatArray, FloatArray]:
     """Indentation depth and compressive force, zero at contact.
 
-    Parameters
-    ----------
-    trial : Trial
-    segmentation : Segmentation
-        Must have a contact.
-
-    Returns
-    -------
-    depth_mm, force_N : ndarray, shape (n,)
-        Depth below the contact point [mm] (negative in air) and compressive force above the reading
-        in air [N].
+    ``segmentation``: must have a contact.  Returns ``depth_mm, force_N`` (n,): depth below the contact point
+    [mm] (negative in air) and compressive force above the reading in air [N].
     """
     contact = segmentation.contact
     if contact is None:

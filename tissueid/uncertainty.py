@@ -46,32 +46,18 @@ def _finite(value: Any) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class NoiseFit:
-    """The noise of a specimen's force.
+    """The noise of a specimen's force."""
 
-    Attributes
-    ----------
-    model : str
-        ``white``, ``ar1`` or ``white+ar1``.
-    sigma_N : float
-        Standard deviation of the whole noise [N].
-    phi : float
-        Correlation of the correlated part over one reference step.
-    reference_step_s : float
-    moving_average : float
-        theta of e_n = r_n - phi r_(n-1) + theta e_(n-1); 0 unless the model is ``white+ar1``.
-    measured_N : float or None
-        Standard deviation that quiet stretches of the recordings show [N]; ``None`` where nobody looked.
-    samples_per_independent : float
-        Samples that one independent sample stands for; above 1 where the model misses more than the noise
-        of the recordings, and ``sigma_N`` is then the size of that miss.
-    """
-
-    model: str
-    sigma_N: float
-    phi: float
+    model: str  # ``white``, ``ar1`` or ``white+ar1``
+    sigma_N: float  # standard deviation of the whole noise [N]
+    phi: float  # correlation of the correlated part over one reference step
     reference_step_s: float
+    #: theta of e_n = r_n - phi r_(n-1) + theta e_(n-1); 0 unless the model is ``white+ar1``.
     moving_average: float = 0.0
+    #: Standard deviation that quiet stretches of the recordings show [N]; ``None`` where nobody looked.
     measured_N: float | None = None
+    #: Samples that one independent sample stands for; above 1 where the model misses more than the noise of
+    #: the recordings, and ``sigma_N`` is then the size of that miss.
     samples_per_independent: float = 1.0
 
     @property
@@ -94,25 +80,13 @@ class NoiseFit:
 
 @dataclass(frozen=True, slots=True)
 class SamplerReport:
-    """Sampling of a posterior.
+    """Sampling of a posterior."""
 
-    Attributes
-    ----------
-    name : str
-        ``emcee``; ``exact`` in sets of earlier versions.
-    converged : bool
-    draws : int
-        Draws kept (of all walkers).
-    acceptance : float
-        Accepted proposals, as a fraction.
-    detail : mapping
-        steps, walkers, autocorrelation time, seed, wall time, the reason where not converged.
-    """
-
-    name: str
+    name: str  # ``emcee``; ``exact`` in sets of earlier versions
     converged: bool
-    draws: int
-    acceptance: float
+    draws: int  # draws kept (of all walkers)
+    acceptance: float  # accepted proposals, as a fraction
+    #: steps, walkers, autocorrelation time, seed, wall time, the reason where not converged.
     detail: Mapping[str, Any] = field(default_factory=dict)
 
     def as_json(self) -> dict[str, Any]:
@@ -189,27 +163,14 @@ class ParameterUncertainty:
 
 @dataclass(frozen=True, slots=True)
 class PriorRow:
-    """One prior beside its posterior.
+    """One prior beside its posterior."""
 
-    Attributes
-    ----------
-    name : str
-        A parameter or a calibration nuisance.
-    prior : str
-        In words, with its numbers.
-    stated : bool
-        True where the study states it, False for a default.
-    posterior_mean, posterior_sd : float
-    shrinkage : float
-        1 - (posterior sd / prior sd); below 0.1 the data said little.
-    """
-
-    name: str
-    prior: str
-    stated: bool
+    name: str  # a parameter or a calibration nuisance
+    prior: str  # in words, with its numbers
+    stated: bool  # true where the study states it, False for a default
     posterior_mean: float
     posterior_sd: float
-    shrinkage: float
+    shrinkage: float  # 1 - (posterior sd / prior sd); below 0.1 the data said little
 
     def as_json(self) -> dict[str, Any]:
         """The ``priors`` row of the schema."""
@@ -225,25 +186,15 @@ class PriorRow:
 
 @dataclass(frozen=True, slots=True)
 class BudgetRow:
-    """Share of one source in the uncertainty of one parameter.
+    """Share of one source in the uncertainty of one parameter."""
 
-    Attributes
-    ----------
-    parameter : str
-        Its name.
-    source : str
-        ``noise``, ``scatter between logs``, ``contact points``, ``force gain``, ``displacement gain``, ``time
-        skew``, ``force filter`` or ``frame``; ``total`` stands beside them, and ``cluster bootstrap`` in sets
-        of earlier versions.
-    sd : float
-        Standard deviation [unit of the parameter].
-    share : float
-        Of the total variance; NaN-free, ``None`` in JSON for rows that are no part of a sum.
-    """
-
-    parameter: str
+    parameter: str  # its name
+    #: ``noise``, ``scatter between logs``, ``contact points``, ``force gain``, ``displacement gain``, ``time
+    #: skew``, ``force filter`` or ``frame``; ``total`` stands beside them, and ``cluster bootstrap`` in sets
+    #: of earlier versions.
     source: str
-    sd: float
+    sd: float  # standard deviation [unit of the parameter]
+    #: Of the total variance; NaN-free, ``None`` in JSON for rows that are no part of a sum.
     share: float | None
 
     def as_json(self) -> dict[str, Any]:
@@ -258,28 +209,19 @@ class BudgetRow:
 
 @dataclass(frozen=True, slots=True)
 class ComparisonRow:
-    """One model beside the others.
+    """One model beside the others."""
 
-    Attributes
-    ----------
-    model : str
-        In words: ``1 branch, K of degree 1, partial static``.
-    log_evidence, log_evidence_se : float or None
-        Natural logarithm of the marginal likelihood, difference to the best, and its Monte-Carlo error.
-    elpd_log, elpd_log_se, elpd_speed, elpd_speed_se : float or None
-        Log predictive density of held-out logs, and of held-out speeds, difference to the best.
-    verdict : str
-        ``chosen``, ``undecided`` (as good as the chosen one) or ``worse``; ``beside`` for models that
-        can't be rendered and are compared only.
-    """
-
-    model: str
+    model: str  # in words: ``1 branch, K of degree 1, partial static``
+    #: Natural logarithm of the marginal likelihood, difference to the best, and its Monte-Carlo error.
     log_evidence: float | None
     log_evidence_se: float | None
+    #: Log predictive density of held-out logs, and of held-out speeds, difference to the best.
     elpd_log: float | None
     elpd_log_se: float | None
     elpd_speed: float | None
     elpd_speed_se: float | None
+    #: ``chosen``, ``undecided`` (as good as the chosen one) or ``worse``; ``beside`` for models that can't be
+    #: rendered and are compared only.
     verdict: str
 
     def as_json(self) -> dict[str, Any]:
@@ -298,22 +240,12 @@ class ComparisonRow:
 
 @dataclass(frozen=True, slots=True)
 class MisfitCheck:
-    """One posterior predictive check.
+    """One posterior predictive check."""
 
-    Attributes
-    ----------
-    name : str
-        What is looked at, as ``early hold``.
-    statistic, p_value : float
-    message : str
-        One plain sentence.
-    raised : bool
-    """
-
-    name: str
+    name: str  # what is looked at, as ``early hold``
     statistic: float
     p_value: float
-    message: str
+    message: str  # one plain sentence
     raised: bool
 
     def as_json(self) -> dict[str, Any]:

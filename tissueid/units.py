@@ -127,21 +127,9 @@ def _parsed(unit: str) -> Any | None:
 def factor_to(unit_text: str, quantity: Quantity) -> float:
     """The factor that turns a value in a printed unit into s, mm, N or mm/s (strain: 1, stress: MPa).
 
-    Parameters
-    ----------
-    unit_text : str
-        As printed, brackets allowed: ``"(sec)"``, ``"kN"``, ``"[µm]"``, ``"mm/min"``.
-    quantity : {"time", "displacement", "force", "speed", "strain", "stress"}
-
-    Returns
-    -------
-    float
-        Multiply by this.
-
-    Raises
-    ------
-    ValueError
-        Unknown unit, or a unit of something else; the message names it and what would do.
+    ``unit_text``: as printed, brackets allowed: ``"(sec)"``, ``"kN"``, ``"[µm]"``, ``"mm/min"``; ``quantity``
+    {"time", "displacement", "force", "speed", "strain", "stress"}.  Returns multiply by this.  Raises
+    ValueError: unknown unit, or a unit of something else; the message names it and what would do.
     """
     if quantity not in get_args(Quantity):
         msg = f"unknown quantity {quantity!r}, one of {', '.join(get_args(Quantity))}"

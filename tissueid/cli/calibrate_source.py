@@ -27,35 +27,20 @@ HIGHEST_RATE_HZ = 1e5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """Object of a check.
+    """Object of a check."""
 
-    Attributes
-    ----------
-    kind : str
-        ``recipe``, ``study`` or ``bundle``.
-    specimen : str
-    protocol : Protocol
-    centre : Centre
-    stated : Priors or None
-        Of a study.
-    """
-
-    kind: str
+    kind: str  # ``recipe``, ``study`` or ``bundle``
     specimen: str
     protocol: Protocol
     centre: Centre
-    stated: Priors | None = None
+    stated: Priors | None = None  # of a study
 
 
 def found_source(flags: Mapping[str, Any], progress: _Progress) -> Found:
     """Look at the source the user named.
 
-    Raises
-    ------
-    UsageError
-        It is none, or an option does not go with it.
-    InputError, BundleError
-        It can't be used.
+    Raises UsageError: it is none, or an option does not go with it; InputError, BundleError: it can't be
+    used.
     """
     from tissueid.synth import RECIPES
 

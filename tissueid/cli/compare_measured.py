@@ -22,10 +22,7 @@ _RESULT = "identification.json"
 def are_recordings(paths: Sequence[str]) -> bool:
     """True where the paths are recordings, all of them.
 
-    Raises
-    ------
-    UsageError
-        Recordings stand beside bundles or output folders.
+    Raises UsageError: recordings stand beside bundles or output folders.
     """
     raw = [path for path in paths if not _is_fit(Path(path.partition("::")[0]))]
     if raw and len(raw) < len(paths):

@@ -15,12 +15,8 @@ _Completer = Callable[[click.Context, click.Parameter, str], list[CompletionItem
 def named(names: Callable[[], Iterable[str]], *, or_file: bool = False) -> _Completer:
     """Offer names, and files where one may stand instead.
 
-    Parameters
-    ----------
-    names : callable
-        Called when a shell asks; it may import.
-    or_file : bool
-        The shell completes files where no name fits.
+    ``names``: called when a shell asks; it may import; ``or_file``: the shell completes files where no name
+    fits.
     """
 
     def complete(_context: click.Context, _parameter: click.Parameter, typed: str) -> list[CompletionItem]:

@@ -57,21 +57,9 @@ def device_options(function: Callable[..., Any]) -> Callable[..., Any]:
 def made_device(flags: dict[str, Any], *, hands_off: bool = False, stand_in: bool = False) -> HapticDevice:
     """The device that was named, with its options; not opened.
 
-    Parameters
-    ----------
-    flags : dict
-        Of the command line.
-    hands_off : bool
-        For measurements of the free grip.
-    stand_in : bool
-        Whether the simulated device may be taken where none was named and none is there.
-
-    Raises
-    ------
-    UsageError
-        No such device, or an option of another.
-    DeviceError
-        None was named and none is there.
+    ``flags``: of the command line; ``hands_off``: for measurements of the free grip; ``stand_in``: whether
+    the simulated device may be taken where none was named and none is there.  Raises UsageError: no such
+    device, or an option of another; DeviceError: none was named and none is there.
     """
     from tissueid.haptics.registry import choose_device, configured, device_class, owners_of
 

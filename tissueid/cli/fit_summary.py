@@ -24,12 +24,7 @@ _COLOURS = {"alarm": "red", "serious": "red", "remark": "yellow"}
 def print_summary(found: Assembled, out: str, *, quiet: int, verbose: int) -> None:
     """Numbers to stdout, what was left out and what is missing to stderr.
 
-    Parameters
-    ----------
-    found : Assembled
-    out : str
-        Output folder as the user named it.
-    quiet, verbose : int
+    ``out``: output folder as the user named it.
     """
     if 0 < found.beside < found.trials:
         note(

@@ -30,10 +30,7 @@ def names_of(described: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
 
     The folder of all need not stand in every line, nor the file of its sheets.
 
-    Parameters
-    ----------
-    described : sequence of mapping
-        Recordings of ``inspect --json``.
+    ``described``: recordings of ``inspect --json``.
     """
     folder = _shared_folder(described)
     sheets = Counter(one["path"] for one in described)
@@ -66,13 +63,8 @@ def _shared_folder(described: Sequence[Mapping[str, Any]]) -> str:
 def recording_lines(one: Mapping[str, Any], name: str, *, alone: bool = True) -> list[str]:
     """Name, peak, depth, speed, ramp time, forces in the hold, verdict with its reason, in 100 columns.
 
-    Parameters
-    ----------
-    one : mapping
-        A recording of ``inspect --json``.
-    name : str
-    alone : bool
-        Whether no summary follows that counts flags, and says what was kept all the same.
+    ``one``: a recording of ``inspect --json``; ``alone``: whether no summary follows that counts flags, and
+    says what was kept all the same.
     """
     verdict, flags = one["verdict"], len(one["flags"])
     word = WORDS[verdict["level"]]

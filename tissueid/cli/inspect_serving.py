@@ -17,10 +17,7 @@ _OTHERS = {"as_json": "--json", "html": "--html", "csv": "--csv", "xlsx": "--xls
 def serve(flags: dict[str, Any]) -> int:
     """Serve until Ctrl-C.
 
-    Raises
-    ------
-    UsageError
-        Another output is asked for too, the study file named is none, or the port is taken.
+    Raises UsageError: another output is asked for too, the study file named is none, or the port is taken.
     """
     from tissueid.cli.inspect_command import inspected
     from tissueid.cli.viewer_serving import open_browser

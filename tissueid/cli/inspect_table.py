@@ -31,10 +31,7 @@ Cell = str | float | bool | None
 def measured_rows(described: Sequence[Mapping[str, Any]]) -> list[list[Cell]]:
     """Rows in the order of :data:`HEAD`.
 
-    Parameters
-    ----------
-    described : sequence of mapping
-        Recordings of ``inspect --json``.
+    ``described``: recordings of ``inspect --json``.
     """
     return [[row.get(name) for name in HEAD] for one in described for row in _rows(one)]
 

@@ -246,10 +246,7 @@ def _broken(error: Exception, args: list[str]) -> int:
 def main(args: list[str] | None = None) -> int:
     """Run the command line; the entry point of the console script.
 
-    Returns
-    -------
-    int
-        Exit code, see :mod:`tissueid.errors`.
+    Returns exit code, see :mod:`tissueid.errors`.
     """
     args = with_verb(sys.argv[1:] if args is None else args)
     try:

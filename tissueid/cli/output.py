@@ -92,14 +92,7 @@ def _typed(text: str) -> str:
 def echo(message: str = "", *, err: bool = False, fg: str | None = None, bold: bool = False) -> None:
     """One line to stdout or stderr: the only way by which words reach a terminal.
 
-    Parameters
-    ----------
-    message : str
-        Its own line breaks are shown as escapes: several lines are several calls.
-    err : bool
-    fg : str, optional
-        Colour.
-    bold : bool
+    ``message``: its own line breaks are shown as escapes: several lines are several calls; ``fg``: colour.
     """
     line = _written(terminal_line(message), sys.stderr if err else sys.stdout)
     click.echo(click.style(line, fg=fg, bold=bold or None) if fg or bold else line, err=err)
@@ -114,12 +107,7 @@ def echo_lines(lines: Iterable[str]) -> None:
 def echo_table(columns: Sequence[Column], rows: Sequence[Sequence[str]], *, dim_last: bool = False) -> None:
     """A table to stdout; a cell may have several lines.
 
-    Parameters
-    ----------
-    columns : sequence of Column
-    rows : sequence of sequence of str
-    dim_last : bool
-        The last row stands apart.
+    ``dim_last``: the last row stands apart.
     """
     from rich.console import Console
     from rich.table import Table
@@ -178,10 +166,7 @@ def note(message: str, *, quiet: int = 0) -> None:
 def write_output(path: str, content: bytes) -> None:
     """Write a file the user named, whole or not at all.
 
-    Raises
-    ------
-    UsageError
-        If it can't be written there.
+    Raises UsageError: if it can't be written there.
     """
     from pathlib import Path
 
@@ -199,10 +184,7 @@ def write_output(path: str, content: bytes) -> None:
 def progress_bar(*, show: bool) -> Iterator[Callable[[str, int, int], None]]:
     """A progress line on stderr while it is a terminal; silent in pipes.
 
-    Yields
-    ------
-    callable
-        ``report(message, done, total)``; total 0 is "not known yet".
+    Yields ``report(message, done, total)``; total 0 is "not known yet".
     """
     if not (show and sys.stderr.isatty()):
         yield lambda _message, _done, _total: None

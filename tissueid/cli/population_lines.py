@@ -17,13 +17,7 @@ __all__ = ["print_population"]
 def print_population(written: WrittenPopulation, out: str, *, quiet: int) -> None:
     """Quantities with their spread, held-out specimens, remarks; specimens that take no part go to stderr.
 
-    Parameters
-    ----------
-    written : WrittenPopulation
-    out : str
-        The output folder, as it was named.
-    quiet : int
-        1 leaves the table out, 2 the specimens too.
+    ``out``: the output folder, as it was named; ``quiet``: 1 leaves the table out, 2 the specimens too.
     """
     if not quiet:
         _print_table(written, out)

@@ -80,10 +80,7 @@ def _geometry(flags: dict[str, Any]) -> Geometry | None:
 def quoting_values(flags: dict[str, Any]) -> dict[str, Any]:
     """The fields of ``FitOptions`` that these options fill.
 
-    Raises
-    ------
-    UsageError
-        A list or a tip that can't be understood.
+    Raises UsageError: a list or a tip that can't be understood.
     """
     return {
         "unloading": flags["unloading"],

@@ -199,10 +199,7 @@ def _refusal(error: InputError) -> Refusal:
 def refuse_same_folder(paths: tuple[str, ...], out: str) -> None:
     """Refuse an output folder that is an input as well, also through a link.
 
-    Raises
-    ------
-    UsageError
-        Results would stand among recordings.
+    Raises UsageError: results would stand among recordings.
     """
     for path in paths:
         folder = Path(path).parent if path.casefold().endswith(".toml") else Path(path)
@@ -218,10 +215,7 @@ def read_in_order(
 
     With a study, columns and units are those it decides, and what it names in vain is refused first.
 
-    Raises
-    ------
-    UsageError
-        At once, where a path does not exist.
+    Raises UsageError: at once, where a path does not exist.
     """
     return _read(inputs_in_order(paths, study), options, study)
 
@@ -229,10 +223,7 @@ def read_in_order(
 def inputs_in_order(paths: tuple[str, ...], study: Study | None = None) -> FileList:
     """Files of all paths, each with the sheet that was named; a refusal stands where something was refused.
 
-    Raises
-    ------
-    UsageError
-        Where a path does not exist.
+    Raises UsageError: where a path does not exist.
     """
     from tissueid.ingest.manifest import unmatched_files
     from tissueid.study.file_list import FileList

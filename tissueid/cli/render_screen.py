@@ -28,12 +28,7 @@ SMALLEST_SHARE = 5e-4
 def ask_for_consent(plan: SessionPlan, *, given: bool, quiet: int) -> None:
     """Print what is to be agreed to, and ask; only motors and people need it.
 
-    Raises
-    ------
-    UsageError
-        Nobody can be asked.
-    click.Abort
-        It was refused.
+    Raises UsageError: nobody can be asked; click.Abort: it was refused.
     """
     from tissueid.rendering.blind import CONSENT_BLIND, CONSENT_HARDWARE
 
@@ -54,10 +49,7 @@ def ask_for_consent(plan: SessionPlan, *, given: bool, quiet: int) -> None:
 class Keyboard:
     """Enter asks for the next tissue, q and Enter for the end; where there is no terminal, nothing.
 
-    Parameters
-    ----------
-    switches : bool
-        Whether there is a tissue to switch to.
+    ``switches``: whether there is a tissue to switch to.
     """
 
     def __init__(self, *, switches: bool) -> None:
@@ -80,13 +72,7 @@ class Keyboard:
 
 
 class StatusLine:
-    """One line that is written over and over, on a terminal only.
-
-    Parameters
-    ----------
-    plan : SessionPlan
-    quiet : bool
-    """
+    """One line that is written over and over, on a terminal only."""
 
     def __init__(self, plan: SessionPlan, *, quiet: bool) -> None:
         self._plan = plan

@@ -45,37 +45,19 @@ PYPROJECT = "pyproject.toml"
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """A value that was not typed.
+    """A value that was not typed."""
 
-    Attributes
-    ----------
-    value : object
-        As click takes it.
-    source : str
-        File with line, or name of the environment variable.
-    """
-
-    value: Any
-    source: str
+    value: Any  # as click takes it
+    source: str  # file with line, or name of the environment variable
 
 
 @dataclass(frozen=True, slots=True)
 class SettingsFile:
-    """A configuration file.
-
-    Attributes
-    ----------
-    path : Path
-    table : mapping
-        Its settings.
-    inside : tuple of str
-        Where they stand in the file: empty, or ``("tool", "tissueid")``.
-    text : str
-    """
+    """A configuration file."""
 
     path: Path
-    table: Mapping[str, Any]
-    inside: tuple[str, ...]
+    table: Mapping[str, Any]  # its settings
+    inside: tuple[str, ...]  # where they stand in the file: empty, or ``("tool", "tissueid")``
     text: str
 
     def at(self, key: tuple[str, ...]) -> str:
@@ -104,10 +86,7 @@ def user_file() -> Path | None:
 def settings_files() -> list[SettingsFile]:
     """The files that are there, the one that counts less first.
 
-    Raises
-    ------
-    UsageError
-        A file can't be read, is no TOML, or the folder has two.
+    Raises UsageError: a file can't be read, is no TOML, or the folder has two.
     """
     found = []
     user = user_file()
@@ -161,25 +140,9 @@ def settings_of(
 ) -> dict[tuple[str, ...], Setting]:
     """Everything that is set for a command, and for those below it where it is a group.
 
-    Parameters
-    ----------
-    command : click.Command
-    name : tuple of str
-        Names from below ``tissueid`` to it.
-    files : list of SettingsFile
-        The later counts more.
-    root : click.Group
-        For the names that a table may have.
-
-    Returns
-    -------
-    dict
-        Path of the command with the key of the option -> its setting.
-
-    Raises
-    ------
-    UsageError
-        A key is unknown, or a value does not fit its option.
+    ``name``: names from below ``tissueid`` to it; ``files``: the later counts more; ``root``: for the names
+    that a table may have.  Returns path of the command with the key of the option -> its setting.  Raises
+    UsageError: a key is unknown, or a value does not fit its option.
     """
     found: dict[tuple[str, ...], Setting] = {}
     leaves = list(_leaves(command, name))
@@ -199,14 +162,8 @@ def as_default_map(
 ) -> dict[str, Any]:
     """Defaults as click takes them: values by the names of its parameters, nested as commands are.
 
-    Parameters
-    ----------
-    settings : mapping
-        From :func:`settings_of`.
-    root : click.Command
-        The command whose settings they are.
-    name : tuple of str
-        Its names.
+    ``settings``: from :func:`settings_of`; ``root``: the command whose settings they are; ``name``: its
+    names.
     """
     tree: dict[str, Any] = {}
     for path, leaf in _leaves(root, name):

@@ -26,17 +26,9 @@ _NAMES = ("low", "median", "high")
 def force_curves(tissues: list[Compared], common: Common) -> list[dict[str, Any]]:
     """Curves of every tissue on the same depths, speeds and times.
 
-    Parameters
-    ----------
-    tissues : list of Compared
-    common : Common
-
-    Returns
-    -------
-    list of dict
-        ``loading``, one a speed: ``speed_mm_s``, ``depth_mm`` and the 2.5, 50 and 97.5 % quantiles of the
-        force [N] as ``low``, ``median``, ``high``; ``hold``: the same over ``time_s`` after the end of the
-        fastest common ramp to the common depth.
+    Returns ``loading``, one a speed: ``speed_mm_s``, ``depth_mm`` and the 2.5, 50 and 97.5 % quantiles of the
+    force [N] as ``low``, ``median``, ``high``; ``hold``: the same over ``time_s`` after the end of the
+    fastest common ramp to the common depth.
     """
     depth = np.linspace(0.0, common.depth_mm, POINTS)
     speeds = list(dict.fromkeys(common.speeds_mm_s))

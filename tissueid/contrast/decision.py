@@ -27,56 +27,31 @@ CENTRAL = (0.025, 0.5, 0.975)
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """Verdict over all forces.
+    """Verdict over all forces."""
 
-    Attributes
-    ----------
-    distance : float
-        Squared Mahalanobis distance.
-    directions : int
-        Degrees of freedom.
-    probability : float
-        Of a distance as large where the tissues are one.
-    different : bool
-        Whether it is below :data:`LEVEL`.
-    """
-
-    distance: float
-    directions: int
-    probability: float
-    different: bool
+    distance: float  # squared Mahalanobis distance
+    directions: int  # degrees of freedom
+    probability: float  # of a distance as large where the tissues are one
+    different: bool  # whether it is below :data:`LEVEL`
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One number of both.
+    """One number of both."""
 
-    Attributes
-    ----------
-    name : str
-        With unit.
-    one, other : tuple of float
-        2.5, 50 and 97.5 % quantiles.
-    ratio : tuple of float or None
-        The same of other over one; ``None`` where a draw is not positive.
-    larger : float
-        Probability that the other one's is larger.
-    """
-
-    name: str
+    name: str  # with unit
+    #: 2.5, 50 and 97.5 % quantiles.
     one: tuple[float, float, float]
     other: tuple[float, float, float]
+    #: The same of other over one; ``None`` where a draw is not positive.
     ratio: tuple[float, float, float] | None
-    larger: float
+    larger: float  # probability that the other one's is larger
 
 
 def rows(one: Mapping[str, FloatArray], other: Mapping[str, FloatArray]) -> list[Row]:
     """Numbers that both have, beside each other.
 
-    Parameters
-    ----------
-    one, other : mapping
-        Draws by name; the posteriors are independent, so draws are paired as they come.
+    ``one``, ``other``: draws by name; the posteriors are independent, so draws are paired as they come.
     """
     found = []
     for name in one:
@@ -98,14 +73,7 @@ def rows(one: Mapping[str, FloatArray], other: Mapping[str, FloatArray]) -> list
 def difference(one: Mapping[str, FloatArray], other: Mapping[str, FloatArray]) -> Difference:
     """Test all forces together.
 
-    Parameters
-    ----------
-    one, other : mapping
-        Draws by name; names that begin with "force" are used.
-
-    Returns
-    -------
-    Difference
+    ``one``, ``other``: draws by name; names that begin with "force" are used.
     """
     names = [name for name in one if name.startswith("force") and name in other]
     a, b = (np.log(np.maximum([of[name] for name in names], 1e-12)) for of in (one, other))

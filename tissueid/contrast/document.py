@@ -27,19 +27,9 @@ def contrast_document(
 ) -> dict[str, Any]:
     """Compare tissues pair by pair over what all of them have in common.
 
-    Parameters
-    ----------
-    tissues : sequence of Compared
-        Two or more.
-    clamp_N : float
-        Force clamp of the device [N]; the stiffest tissue sets the scale of all.
-    progress : callable, optional
-        ``progress(message, done, total)``, a tissue at a time.
-
-    Returns
-    -------
-    dict
-        The document of ``schemas/contrast.schema.json``.
+    ``tissues``: two or more; ``clamp_N``: force clamp of the device [N]; the stiffest tissue sets the scale
+    of all; ``progress``: ``progress(message, done, total)``, a tissue at a time.  Returns the document of
+    ``schemas/contrast.schema.json``.
     """
     common = common_range(tissues)
     draws = []

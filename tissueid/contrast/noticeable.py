@@ -22,19 +22,10 @@ LEAST_FORCE_N = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Limit:
-    """A just-noticeable difference.
+    """A just-noticeable difference."""
 
-    Attributes
-    ----------
-    of : str
-        Beginning of the numbers it belongs to.
-    share : float
-        Weber fraction.
-    source, doi, conditions : str
-    """
-
-    of: str
-    share: float
+    of: str  # beginning of the numbers it belongs to
+    share: float  # weber fraction
     source: str
     doi: str
     conditions: str
@@ -61,23 +52,12 @@ LIMITS = (
 
 @dataclass(frozen=True, slots=True)
 class Noticed:
-    """Difference beside the least that could be felt.
+    """Difference beside the least that could be felt."""
 
-    Attributes
-    ----------
-    name : str
-        Of the number.
-    limit : Limit
-    times : float
-        Median difference over the just-noticeable one.
-    probability : float
-        That it exceeds it.
-    """
-
-    name: str
+    name: str  # of the number
     limit: Limit
-    times: float
-    probability: float
+    times: float  # median difference over the just-noticeable one
+    probability: float  # that it exceeds it
 
 
 def noticed(
@@ -85,13 +65,8 @@ def noticed(
 ) -> list[Noticed]:
     """Compare differences with what is noticed, at the scale of a device.
 
-    Parameters
-    ----------
-    one, other : mapping
-        Draws by name.
-    force_scale : float
-        Force at the device over that of the tissue.  A common scale keeps ratios of stiffness and viscosity;
-        forces that become faint are harder to tell apart.
+    ``one``, ``other``: draws by name; ``force_scale``: force at the device over that of the tissue.  A common
+    scale keeps ratios of stiffness and viscosity; forces that become faint are harder to tell apart.
     """
     found = []
     for name in one:

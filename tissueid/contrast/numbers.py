@@ -30,25 +30,13 @@ LEAST_DRAWS = 100
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Compared:
-    """One tissue of a comparison.
-
-    Attributes
-    ----------
-    name : str
-    model : TissueModel
-    draws : ndarray, shape (n, p)
-        Of its posterior.
-    speeds_mm_s : tuple of float
-        Slowest and fastest identified speed.
-    total : bool
-        Whether the draws know the machine's calibration.
-    """
+    """One tissue of a comparison."""
 
     name: str
     model: TissueModel
-    draws: FloatArray
-    speeds_mm_s: tuple[float, float]
-    total: bool
+    draws: FloatArray  # (n, p), of its posterior
+    speeds_mm_s: tuple[float, float]  # slowest and fastest identified speed
+    total: bool  # whether the draws know the machine's calibration
 
     def __post_init__(self) -> None:
         if len(self.draws) < LEAST_DRAWS:
@@ -61,30 +49,16 @@ class Compared:
 
 @dataclass(frozen=True, slots=True)
 class Common:
-    """Depths and speeds at which all tissues of a comparison were identified.
-
-    Attributes
-    ----------
-    depth_mm : float
-    speeds_mm_s : tuple of float
-        Slowest and fastest; equal where only one speed is common.
-    """
+    """Depths and speeds at which all tissues of a comparison were identified."""
 
     depth_mm: float
-    speeds_mm_s: tuple[float, float]
+    speeds_mm_s: tuple[float, float]  # slowest and fastest; equal where only one speed is common
 
 
 def common_range(tissues: Sequence[Compared]) -> Common:
     """Depths and speeds at which every tissue was identified.
 
-    Parameters
-    ----------
-    tissues : sequence of Compared
-
-    Raises
-    ------
-    UsageError
-        There is no common speed: what speed does and what the tissue does can't be told apart.
+    Raises UsageError: there is no common speed: what speed does and what the tissue does can't be told apart.
     """
     slow = max(tissue.speeds_mm_s[0] for tissue in tissues)
     fast = min(tissue.speeds_mm_s[1] for tissue in tissues)
@@ -101,15 +75,8 @@ def common_range(tissues: Sequence[Compared]) -> Common:
 def draws_of_numbers(tissue: Compared, common: Common) -> dict[str, FloatArray]:
     """Draws of every number that is compared, by its name with unit.
 
-    Parameters
-    ----------
-    tissue : Compared
-    common : Common
-
-    Returns
-    -------
-    dict of ndarray, shape (n,)
-        Forces first, all positive [N]; then stiffnesses at half depth, viscosity and relaxation times.
+    Returns (n,), forces first, all positive [N]; then stiffnesses at half depth, viscosity and relaxation
+    times.
     """
     keep = np.linspace(0, len(tissue.draws) - 1, min(len(tissue.draws), MOST_DRAWS)).astype(int)
     draws = tissue.draws[keep]

@@ -107,16 +107,7 @@ def design_document(
 ) -> dict[str, Any]:
     """The document of ``schemas/design.schema.json``.
 
-    Parameters
-    ----------
-    plan : Plan
-    machine : Machine
-    tissues : Tissues
-    asked : Asked
-    given : Against, optional
-        A protocol to compare with.
-    specimens : int
-        How many will be tested.
+    ``given``: a protocol to compare with; ``specimens``: how many will be tested.
     """
     return {
         "schema": DESIGN_SCHEMA,

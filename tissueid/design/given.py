@@ -24,9 +24,7 @@ COARSE_HZ = 10.0
 def given_recipe(named: str) -> Recipe:
     """A built-in recipe, or one of a file.
 
-    Raises
-    ------
-    UsageError, InputError
+    Raises UsageError, InputError.
     """
     if named not in RECIPES and not Path(named).is_file():
         msg = f"{named}: no such recipe or file; recipes are {', '.join(sorted(RECIPES))}"
@@ -37,10 +35,7 @@ def given_recipe(named: str) -> Recipe:
 def given_protocol(recipe: Recipe) -> Protocol:
     """Ramps and holds of a recipe.
 
-    Raises
-    ------
-    UsageError
-        A log is something else.
+    Raises UsageError: a log is something else.
     """
     out: dict[Indentation, int] = {}
     for log in recipe.logs:
@@ -67,11 +62,7 @@ def of_recipe_tissue(recipe: Recipe) -> Tissues:
 def of_bundle(path: Path, *, count: int) -> Tissues:
     """Posterior draws of a bundle, or specimens of the population it holds.
 
-    Raises
-    ------
-    UsageError
-        It holds another contact model.
-    BundleError
+    Raises UsageError: it holds another contact model; BundleError.
     """
     bundle = load_bundle(path)
     bundle.require_renderable()
@@ -88,9 +79,7 @@ def of_bundle(path: Path, *, count: int) -> Tissues:
 def plain_guesses(guesses: Sequence[Guess], *, depth_mm: float | None, count: int) -> Tissues:
     """Tissues around plain guesses.
 
-    Raises
-    ------
-    UsageError
+    Raises UsageError.
     """
     if depth_mm is None:
         msg = "guesses say nothing of the depth: add --max-depth, in mm"

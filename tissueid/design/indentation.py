@@ -23,14 +23,9 @@ SECONDS_PER_MINUTE = 60.0
 
 @dataclass(frozen=True, slots=True, order=True)
 class Indentation:
-    """Request to the machine for one log.
+    """Request to the machine for one log."""
 
-    Attributes
-    ----------
-    speed_mm_min, depth_mm, hold_s : float
-        ``hold_s`` 0 is a ramp alone.
-    """
-
+    #: ``hold_s`` 0 is a ramp alone.
     speed_mm_min: float
     depth_mm: float
     hold_s: float = 0.0
@@ -49,18 +44,12 @@ class Indentation:
 
 @dataclass(frozen=True, slots=True)
 class Ramp:
-    """Speed against time from contact to rest: linear up, constant, linear down.
+    """Speed against time from contact to rest: linear up, constant, linear down."""
 
-    Attributes
-    ----------
-    start_mm_s, top_mm_s : float
-        Speed at contact, and the greatest.
-    up_s, flat_s, down_s : float
-        Lengths of the three parts.
-    """
-
+    #: Speed at contact, and the greatest.
     start_mm_s: float
     top_mm_s: float
+    #: Lengths of the three parts.
     up_s: float
     flat_s: float
     down_s: float

@@ -40,22 +40,12 @@ FILTER_STEP = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class Chain:
-    """Measuring chain between the tissue and the numbers.
-
-    Attributes
-    ----------
-    machine : Machine
-    setting : Setting
-    gain_sd : float
-        Standard deviation of the ln gain from log to log; 0 is none.
-    total : bool
-        Calibration nuisances are parameters as well.
-    """
+    """Measuring chain between the tissue and the numbers."""
 
     machine: Machine
     setting: Setting
-    gain_sd: float
-    total: bool
+    gain_sd: float  # standard deviation of the ln gain from log to log; 0 is none
+    total: bool  # calibration nuisances are parameters as well
 
     @property
     def nuisances(self) -> int:
@@ -172,20 +162,8 @@ def information(
 ) -> FloatArray:
     """Information of an indentation about (coefficients, ln tau, calibration), for several holds at once.
 
-    Parameters
-    ----------
-    model : KelvinVoigt
-    theta : ndarray, shape (p,)
-    test : Indentation
-        Its own hold is not looked at.
-    chain : Chain
-    holds_s : sequence of float
-        Ascending.
-
-    Returns
-    -------
-    ndarray, shape (holds, q, q)
-        In the order of theta, relaxation times by their logarithm, calibration behind them.
+    ``theta`` (p,); ``test``: its own hold is not looked at; ``holds_s``: ascending.  Returns (holds, q, q),
+    in the order of theta, relaxation times by their logarithm, calibration behind them.
     """
     setting = chain.setting
     _, _, tau = model.split(theta)

@@ -22,24 +22,12 @@ _Change = tuple[str, str, Machine, Setting, Asked]
 
 @dataclass(frozen=True, slots=True)
 class Limit:
-    """One thing, changed.
+    """One thing, changed."""
 
-    Attributes
-    ----------
-    name : str
-        ``noise``, ``filter``, ``rate``, ``speed``, ...
-    words : str
-        What was changed.
-    factor : float
-        By how much the precision betters.
-    enough : bool
-        The wants would be reached.
-    """
-
-    name: str
-    words: str
-    factor: float
-    enough: bool
+    name: str  # ``noise``, ``filter``, ``rate``, ``speed``, ...
+    words: str  # what was changed
+    factor: float  # by how much the precision betters
+    enough: bool  # the wants would be reached
 
 
 def _channel(machine: Machine, now: Setting, asked: Asked) -> Iterator[_Change]:

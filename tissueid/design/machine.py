@@ -39,25 +39,13 @@ UNSTATED_SHARE = 0.10
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """One setting of the load channel.
-
-    Attributes
-    ----------
-    rate_Hz : float
-    noise_N : float
-        Standard deviation of the noise of one sample, as logged with this setting.
-    noise_correlation_s : float
-        Time over which its correlation falls to 1/e (AR(1)); 0 is white.
-    filter_s : float
-        Time constant of a first-order low-pass.
-    filter_sd_s : float or None
-        How well that is known; ``None`` is a tenth of it, or the documented default where it is 0.
-    """
+    """One setting of the load channel."""
 
     rate_Hz: float
-    noise_N: float
-    noise_correlation_s: float = 0.0
-    filter_s: float = 0.0
+    noise_N: float  # standard deviation of the noise of one sample, as logged with this setting
+    noise_correlation_s: float = 0.0  # time over which its correlation falls to 1/e (AR(1)); 0 is white
+    filter_s: float = 0.0  # time constant of a first-order low-pass
+    #: How well that is known; ``None`` is a tenth of it, or the documented default where it is 0.
     filter_sd_s: float | None = None
 
     @property
@@ -83,41 +71,21 @@ class Setting:
 
 @dataclass(frozen=True, slots=True)
 class Machine:
-    """A test machine.
-
-    Attributes
-    ----------
-    name : str
-    max_speed_mm_min, min_speed_mm_min : float
-    acceleration_mm_s2 : float
-    max_force_N : float
-        Capacity of the load cell.
-    settings : tuple of Setting
-        What the load channel can be set to.
-    standoff_mm : float
-        Way from which the tool comes through the air: on it, it gathers speed.
-    return_speed_mm_min : float or None
-        ``None`` is the greatest.
-    contact_sd_mm : float
-        How well the contact point of a log is found.
-    frame_stiffness_N_per_mm, frame_stiffness_N_per_mm_sd : float or None
-        Machine, load cell and fixture in series; ``None`` is taken as rigid.
-    force_gain_sd, displacement_gain_sd, skew_sd_s : float
-        For the total precision.
-    notes : str
-    """
+    """A test machine."""
 
     name: str
     max_speed_mm_min: float
     acceleration_mm_s2: float
-    max_force_N: float
-    settings: tuple[Setting, ...]
+    max_force_N: float  # capacity of the load cell
+    settings: tuple[Setting, ...]  # what the load channel can be set to
     min_speed_mm_min: float = 1.0
-    standoff_mm: float = 1.0
-    return_speed_mm_min: float | None = None
-    contact_sd_mm: float = 0.01
+    standoff_mm: float = 1.0  # way from which the tool comes through the air: on it, it gathers speed
+    return_speed_mm_min: float | None = None  # ``None`` is the greatest
+    contact_sd_mm: float = 0.01  # how well the contact point of a log is found
+    #: Machine, load cell and fixture in series; ``None`` is taken as rigid.
     frame_stiffness_N_per_mm: float | None = None
     frame_stiffness_N_per_mm_sd: float | None = None
+    #: For the total precision.
     force_gain_sd: float = CALIBRATION_DEFAULTS["force_gain"].sd
     displacement_gain_sd: float = CALIBRATION_DEFAULTS["displacement_gain"].sd
     skew_sd_s: float = CALIBRATION_DEFAULTS["skew_s"].sd
@@ -262,12 +230,8 @@ PRESETS: Mapping[str, Machine] = {
 def found_machine(named: str | None) -> Machine:
     """The machine of a preset or a file.
 
-    Raises
-    ------
-    UsageError
-        None was named, or there is no such preset or file.
-    InputError
-        The file does not describe one.
+    Raises UsageError: none was named, or there is no such preset or file; InputError: the file does not
+    describe one.
     """
     names = ", ".join(PRESETS)
     if named is None:

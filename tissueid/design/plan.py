@@ -32,28 +32,16 @@ FRONT = (4.0, 2.0, 1.4, 1.0, 0.7, 0.5, 0.25)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Judged:
-    """A protocol on all tissues.
-
-    Attributes
-    ----------
-    setting : Setting
-    protocol : mapping
-    seconds : float
-        Machine time of a specimen.
-    assured, median : tuple of float
-        Relative standard deviation of every wanted number.
-    worst : float
-        Largest ratio of assured to wanted.
-    log_seconds, peak_N : tuple of float
-        Of each indentation in the protocol's order.
-    """
+    """A protocol on all tissues."""
 
     setting: Setting
     protocol: Protocol
-    seconds: float
+    seconds: float  # machine time of a specimen
+    #: Relative standard deviation of every wanted number.
     assured: tuple[float, ...]
     median: tuple[float, ...]
-    worst: float
+    worst: float  # largest ratio of assured to wanted
+    #: Of each indentation in the protocol's order.
     log_seconds: tuple[float, ...]
     peak_N: tuple[float, ...]
 
@@ -87,23 +75,12 @@ class Against:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
-    """Everything that was found.
+    """Everything that was found."""
 
-    Attributes
-    ----------
-    ranked : tuple of Judged
-        The best first; the first is recommended where it reaches the wants.
-    front : tuple of (float, Judged)
-        Multiples of the wants, and the protocol of least time for them.
-    limits : tuple of Limit
-        What limits the precision, where no protocol reaches the wants.
-    paths, protocols : int
-        How many were simulated and looked at.
-    """
-
-    ranked: tuple[Judged, ...]
-    front: tuple[tuple[float, Judged], ...]
-    limits: tuple[Limit, ...]
+    ranked: tuple[Judged, ...]  # the best first; the first is recommended where it reaches the wants
+    front: tuple[tuple[float, Judged], ...]  # multiples of the wants, and the protocol of least time for them
+    limits: tuple[Limit, ...]  # what limits the precision, where no protocol reaches the wants
+    #: How many were simulated and looked at.
     paths: int
     protocols: int
 
@@ -157,9 +134,7 @@ def _ledger(machine: Machine, setting: Setting, tissues: Tissues, asked: Asked) 
 def _check_room(machine: Machine, ledgers: Sequence[Ledger], asked: Asked) -> None:
     """Something can be done at all.
 
-    Raises
-    ------
-    UsageError
+    Raises UsageError.
     """
     if not any(count_paths(ledger) for ledger in ledgers):
         deepest = ledgers[0].deepest(machine.max_speed_mm_min)
@@ -177,18 +152,8 @@ def _check_room(machine: Machine, ledgers: Sequence[Ledger], asked: Asked) -> No
 def planned(machine: Machine, tissues: Tissues, asked: Asked, progress: Progress) -> Plan:
     """Search all settings.
 
-    Parameters
-    ----------
-    machine : Machine
-    tissues : Tissues
-    asked : Asked
-    progress : callable
-        ``progress(message, done, total)``.
-
-    Raises
-    ------
-    UsageError
-        No indentation is possible, or none fits the budget.
+    ``progress``: ``progress(message, done, total)``.  Raises UsageError: no indentation is possible, or none
+    fits the budget.
     """
     pilot = tissues.pilot(PILOT)
     ledgers = [_ledger(machine, setting, pilot, asked) for setting in machine.settings]

@@ -28,57 +28,26 @@ Protocol = Mapping[Indentation, int]
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """Wants and limits of the user.
-
-    Attributes
-    ----------
-    wants : tuple of Want
-    max_depth_mm : float
-    max_force_N : float
-        The lesser of the user's and the load cell's.
-    budget_s : float
-        Machine time a specimen.
-    recovery_s : float
-        Rest between logs.
-    setup_s : float
-        Mounting and zeroing of a specimen.
-    repeats : int
-        Least repeats of every indentation.
-    max_logs : int
-        Most logs of a specimen.
-    assurance : float
-        Share of the tissues for which a precision must be reached.
-    gain_sd : float
-        Scatter of the gain from log to log.
-    total : bool
-        Calibration nuisances count.
-    """
+    """Wants and limits of the user."""
 
     wants: tuple[Want, ...]
     max_depth_mm: float
-    max_force_N: float
-    budget_s: float = 8.0 * 3600.0
-    recovery_s: float = 60.0
-    setup_s: float = 600.0
-    repeats: int = 3
-    max_logs: int = 60
-    assurance: float = 0.9
-    gain_sd: float = 0.02
-    total: bool = False
+    max_force_N: float  # the lesser of the user's and the load cell's
+    budget_s: float = 8.0 * 3600.0  # machine time a specimen
+    recovery_s: float = 60.0  # rest between logs
+    setup_s: float = 600.0  # mounting and zeroing of a specimen
+    repeats: int = 3  # least repeats of every indentation
+    max_logs: int = 60  # most logs of a specimen
+    assurance: float = 0.9  # share of the tissues for which a precision must be reached
+    gain_sd: float = 0.02  # scatter of the gain from log to log
+    total: bool = False  # calibration nuisances count
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Precision:
-    """Relative standard deviations of a protocol.
+    """Relative standard deviations of a protocol."""
 
-    Attributes
-    ----------
-    sd : ndarray, shape (wants, draws)
-    wants : tuple of Want
-    assurance : float
-    """
-
-    sd: FloatArray
+    sd: FloatArray  # (wants, draws)
     wants: tuple[Want, ...]
     assurance: float
 
@@ -100,21 +69,12 @@ class Precision:
 
 @dataclass(slots=True, eq=False)
 class Ledger:
-    """Indentations of one machine and setting on some tissues, each computed once.
-
-    Attributes
-    ----------
-    tissues : Tissues
-    chain : Chain
-    asked : Asked
-    tick : callable
-        Called with every path that is simulated.
-    """
+    """Indentations of one machine and setting on some tissues, each computed once."""
 
     tissues: Tissues
     chain: Chain
     asked: Asked
-    tick: Callable[[], None] = lambda: None
+    tick: Callable[[], None] = lambda: None  # called with every path that is simulated
     computed: int = 0
     _slopes: FloatArray | None = None
     _known: dict[Indentation, FloatArray] = field(default_factory=dict)

@@ -38,21 +38,11 @@ CHUNK = 512
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """A protocol that was looked at.
+    """A protocol that was looked at."""
 
-    Attributes
-    ----------
-    protocol : mapping
-        Repeats of each indentation.
-    seconds : float
-        Machine time of a specimen.
-    worst : float
-        Largest ratio of assured to wanted precision.
-    """
-
-    protocol: Protocol
-    seconds: float
-    worst: float
+    protocol: Protocol  # repeats of each indentation
+    seconds: float  # machine time of a specimen
+    worst: float  # largest ratio of assured to wanted precision
 
     @property
     def rank(self) -> tuple[float, float]:
@@ -83,22 +73,13 @@ def _looked_at(ledger: Ledger, protocol: Protocol) -> Found:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Table:
-    """Units of one or two indentations that fit the budget.
+    """Units of one or two indentations that fit the budget."""
 
-    Attributes
-    ----------
-    pairs : ndarray of int, shape (n, 4)
-        Both indentations, and the repeats of each in a unit.
-    least, most : ndarray, shape (n,)
-        Units that the repeats demand, and that budget and number of logs allow.
-    seconds : ndarray, shape (n,)
-        Machine time of a unit.
-    """
-
-    pairs: NDArray[np.int64]
+    pairs: NDArray[np.int64]  # (n, 4), both indentations, and the repeats of each in a unit
+    #: (n,): units that the repeats demand, and that budget and number of logs allow.
     least: FloatArray
-    most: FloatArray
-    seconds: FloatArray
+    most: FloatArray  # (n,)
+    seconds: FloatArray  # (n,), machine time of a unit
 
 
 def _table(ledger: Ledger, tests: Sequence[Indentation]) -> _Table:
@@ -125,12 +106,7 @@ def _table(ledger: Ledger, tests: Sequence[Indentation]) -> _Table:
 def enumerated(ledger: Ledger) -> tuple[list[Found], int]:
     """Single indentations and pairs of the grid, each with the fewest repeats.
 
-    Returns
-    -------
-    found : list of Found
-        The best, by :attr:`Found.rank`.
-    count : int
-        How many were looked at.
+    Returns ``found``: the best, by :attr:`Found.rank`; ``count``: how many were looked at.
     """
     tests = learned_candidates(ledger)
     if not tests:
@@ -251,10 +227,7 @@ def _variants(ledger: Ledger, now: Found, grid: Sequence[Indentation]) -> list[t
 def refined(ledger: Ledger, starts: Sequence[Found]) -> list[Found]:
     """Exchange from each start until nothing shortens the protocol, or betters one that reaches too little.
 
-    Returns
-    -------
-    list of Found
-        One a start, and what was passed on the way.
+    Returns one a start, and what was passed on the way.
     """
     passed = []
     for start in starts:

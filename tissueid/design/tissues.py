@@ -61,24 +61,13 @@ class Guess:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tissues:
-    """Tissues that a protocol must serve.
+    """Tissues that a protocol must serve."""
 
-    Attributes
-    ----------
-    words : str
-        Where they come from.
-    name : str
-    model : KelvinVoigt
-    theta : ndarray, shape (draws, p)
-    known_depth_mm : float or None
-        Beyond it the law is continued, not identified.
-    """
-
-    words: str
+    words: str  # where they come from
     name: str
     model: KelvinVoigt
-    theta: FloatArray
-    known_depth_mm: float | None = None
+    theta: FloatArray  # (draws, p)
+    known_depth_mm: float | None = None  # beyond it the law is continued, not identified
 
     @property
     def middle(self) -> FloatArray:
@@ -132,10 +121,7 @@ class Tissues:
 def full_name(named: str, model: KelvinVoigt) -> str:
     """The reported parameter that is meant.
 
-    Raises
-    ------
-    UsageError
-        There is none of that name.
+    Raises UsageError: there is none of that name.
     """
     suffix = _SUFFIX.search(named)
     base, ending = (named[: suffix.start()], suffix.group(1)) if suffix else (named, "")
@@ -163,10 +149,7 @@ def _number(text: str, what: str) -> float:
 def parsed_want(text: str, model: KelvinVoigt) -> Want:
     """``relaxation_time_s=5%``.
 
-    Raises
-    ------
-    UsageError
-        It is none, or cannot be had.
+    Raises UsageError: it is none, or cannot be had.
     """
     match = _WANT.match(text)
     if match is None:
@@ -185,9 +168,7 @@ def parsed_want(text: str, model: KelvinVoigt) -> Want:
 def parsed_guess(text: str) -> Guess:
     """``relaxation_time_s=0.02~30%``, the spread being one standard deviation.
 
-    Raises
-    ------
-    UsageError
+    Raises UsageError.
     """
     match = _GUESS.match(text)
     if match is None:
@@ -205,10 +186,7 @@ def of_draws(
 ) -> Tissues:
     """At most ``count`` of the draws, evenly spaced.
 
-    Raises
-    ------
-    UsageError
-        The tissue has no branch.
+    Raises UsageError: the tissue has no branch.
     """
     if model.branches == 0:
         msg = f"{name}: this tissue has no relaxing branch, so there is no relaxation time to plan for"
@@ -232,10 +210,7 @@ def of_guesses(guesses: Sequence[Guess], *, depth_mm: float, count: int) -> Tiss
     Each branch needs a relaxation time and a viscosity or a stiffness; coefficients of the static force that
     are not guessed are 0, and one at least must be guessed.
 
-    Raises
-    ------
-    UsageError
-        Something is missing, twice there or impossible.
+    Raises UsageError: something is missing, twice there or impossible.
     """
     model = _guessed_model(guesses, depth_mm)
     known: dict[str, Guess] = {}

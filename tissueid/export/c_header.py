@@ -201,23 +201,9 @@ _KINDS = (
 def c_header(bundle: Bundle) -> bytes:
     """Write the header of a tissue.
 
-    Parameters
-    ----------
-    bundle : Bundle
-        Of a tissue in mm and N; of a law whose relaxation is no exponential the header holds the projection
-        that a device feels, and says its error.
-
-    Returns
-    -------
-    bytes
-        ASCII.
-
-    Raises
-    ------
-    BundleError
-        It was normalised.
-    UsageError
-        Its force follows the speed over that at contact.
+    ``bundle``: of a tissue in mm and N; of a law whose relaxation is no exponential the header holds the
+    projection that a device feels, and says its error.  Returns ASCII.  Raises BundleError: it was
+    normalised; UsageError: its force follows the speed over that at contact.
     """
     from tissueid import __version__
     from tissueid.model.kernels import FLUSH_MM, MAX_DETACHED_ITERATIONS

@@ -16,18 +16,10 @@ __all__ = ["mat_bytes"]
 def mat_bytes(bundles: Sequence[Bundle]) -> bytes:
     """Write specimens as ``tissueid``, a struct array of MATLAB's format 5.
 
-    Parameters
-    ----------
-    bundles : sequence of Bundle
-
-    Returns
-    -------
-    bytes
-        Fields: ``specimen``, ``branches``, ``stiffness_degree``, ``depth_mm``, ``speeds_mm_s``,
-        ``tip_radius_mm`` (NaN where unknown), ``sigma_N``, ``theta_names``, ``theta``, ``covariance``,
-        ``draws`` (a row a draw; empty without a posterior), and ``parameters``, a struct a reported number
-        with ``name``, ``value``, ``stderr``, ``ci95``, ``ci95_total`` and ``identified``; NaN where nothing
-        is known.
+    Returns fields: ``specimen``, ``branches``, ``stiffness_degree``, ``depth_mm``, ``speeds_mm_s``,
+    ``tip_radius_mm`` (NaN where unknown), ``sigma_N``, ``theta_names``, ``theta``, ``covariance``, ``draws``
+    (a row a draw; empty without a posterior), and ``parameters``, a struct a reported number with ``name``,
+    ``value``, ``stderr``, ``ci95``, ``ci95_total`` and ``identified``; NaN where nothing is known.
     """
     from scipy.io import savemat
 

@@ -33,24 +33,14 @@ FEBIO_TERMS = 6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prony:
-    """Small motion about a depth.
-
-    Attributes
-    ----------
-    specimen : str
-    depth_mm : float
-    long_term_N_per_mm : float
-        Static tangent, F_s'.
-    branch_N_per_mm, tau_s : ndarray, shape (terms,)
-    error : float
-        Largest error by projecting the relaxation on so many terms, over that of a sudden push.
-    """
+    """Small motion about a depth."""
 
     specimen: str
     depth_mm: float
-    long_term_N_per_mm: float
-    branch_N_per_mm: FloatArray
-    tau_s: FloatArray
+    long_term_N_per_mm: float  # static tangent, F_s'
+    branch_N_per_mm: FloatArray  # (terms,)
+    tau_s: FloatArray  # (terms,)
+    #: Largest error by projecting the relaxation on so many terms, over that of a sudden push.
     error: float = 0.0
 
     @property
@@ -62,12 +52,7 @@ class Prony:
 def carried_law(bundle: Bundle, most: int = MOST_BRANCHES) -> ServoLaw:
     """The law that a format of exponentials takes.
 
-    Raises
-    ------
-    BundleError
-        It was normalised.
-    UsageError
-        Its force follows the speed over that at contact.
+    Raises BundleError: it was normalised; UsageError: its force follows the speed over that at contact.
     """
     bundle.require_renderable()
     law = servo_law(bundle.contact_model(), bundle.theta, most)
@@ -83,18 +68,9 @@ def carried_law(bundle: Bundle, most: int = MOST_BRANCHES) -> ServoLaw:
 def linearised(bundle: Bundle, depth_mm: float | None = None, *, most: int = MOST_BRANCHES) -> Prony:
     """Linearise a tissue about a depth.
 
-    Parameters
-    ----------
-    bundle : Bundle
-    depth_mm : float, optional
-        Half of the claimed depth where none is given.
-    most : int, optional
-        Terms on which a relaxation that is no exponential is projected.
-
-    Raises
-    ------
-    UsageError
-        There are more or no terms, the depth is not claimed, or the static force does not rise there.
+    ``depth_mm``: half of the claimed depth where none is given; ``most``: terms on which a relaxation that is
+    no exponential is projected.  Raises UsageError: there are more or no terms, the depth is not claimed, or
+    the static force does not rise there.
     """
     model, law = bundle.contact_model(), carried_law(bundle, most)
     if not 0 < law.tau_s.size <= most:

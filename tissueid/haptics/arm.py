@@ -70,24 +70,14 @@ TREMOR_RISE_S = 0.2
 
 @dataclass(frozen=True, slots=True)
 class Arm:
-    """Mechanics of a device's arm, without the hand.
+    """Mechanics of a device's arm, without the hand."""
 
-    Attributes
-    ----------
-    mass_kg : float
-        Inertia felt at the grip.  0.25 kg is an assumption (haptics.md 4): no device was weighed.
-    damping_N_s_per_m : float
-        Viscous damping; 0.5 N s/m is the preset every passivity figure is computed with.
-    friction_N : float
-        Coulomb friction, the same in all directions.
-    substep_s : float
-        Longest step of the integration [s].
-    """
-
+    #: Inertia felt at the grip.  0.25 kg is an assumption (haptics.md 4): no device was weighed.
     mass_kg: float = 0.25
+    #: Viscous damping; 0.5 N s/m is the preset every passivity figure is computed with.
     damping_N_s_per_m: float = 0.5
-    friction_N: float = 0.1
-    substep_s: float = DEFAULT_SUBSTEP_S
+    friction_N: float = 0.1  # coulomb friction, the same in all directions
+    substep_s: float = DEFAULT_SUBSTEP_S  # longest step of the integration [s]
 
     def __post_init__(self) -> None:
         if not (self.mass_kg > 0.0 and self.substep_s > 0.0):
@@ -246,16 +236,9 @@ def _carried_step(memory: FloatArray, parameters: FloatArray, force: FloatArray,
 def arm_step(memory: FloatArray, parameters: FloatArray, force: FloatArray, dt: float) -> None:
     """Move the arm on by ``dt`` under a constant force of its motors.
 
-    Parameters
-    ----------
-    memory : ndarray, shape (ARM_MEMORY,) or longer
-        State; **updated in place**.
-    parameters : ndarray, shape (ARM_PARAMETERS,) or longer
-        Arm, hand and script.
-    force : ndarray, shape (3,)
-        Force of the motors on the grip [N].
-    dt : float
-        Time [s]; nothing happens where it is not positive.
+    ``memory`` (ARM_MEMORY,): state; **updated in place**; ``parameters`` (ARM_PARAMETERS,): arm, hand and
+    script; ``force`` (3,): force of the motors on the grip [N]; ``dt``: time [s]; nothing happens where it is
+    not positive.
     """
     if not dt > 0.0:
         return

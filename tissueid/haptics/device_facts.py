@@ -26,25 +26,12 @@ HANDLES_SIZE = 8
 
 @dataclass(frozen=True, slots=True)
 class AskedDevice:
-    """Options that a user gave on the way to a device.
+    """Options that a user gave on the way to a device."""
 
-    Attributes
-    ----------
-    port : str or None
-        Serial port or pseudo-terminal instead of USB.
-    firmware : str or None
-        A file.
-    calibration : Path or None
-        A file instead of the user's own.
-    hands_off : bool
-        The grip moves by itself, in a measurement of the free device.
-    homing_timeout_s : float or None
-    """
-
-    port: str | None = None
-    firmware: str | None = None
-    calibration: Path | None = None
-    hands_off: bool = False
+    port: str | None = None  # serial port or pseudo-terminal instead of USB
+    firmware: str | None = None  # a file
+    calibration: Path | None = None  # a file instead of the user's own
+    hands_off: bool = False  # the grip moves by itself, in a measurement of the free device
     homing_timeout_s: float | None = None
 
     def given(self) -> tuple[str, ...]:
@@ -55,97 +42,46 @@ class AskedDevice:
 
 @dataclass(frozen=True, slots=True)
 class DetectedDevice:
-    """A device that could be opened, or the reason why not.
+    """A device that could be opened, or the reason why not."""
 
-    Attributes
-    ----------
-    name : str
-        Name in the registry.
-    where : str
-        USB node, file or "this program".
-    note : str
-        What stands in the way and how to remove it; empty if nothing does.
-    """
-
-    name: str
-    where: str
-    note: str = ""
+    name: str  # name in the registry
+    where: str  # USB node, file or "this program"
+    note: str = ""  # what stands in the way and how to remove it; empty if nothing does
 
 
 @dataclass(frozen=True, slots=True)
 class DeviceSample:
-    """One reading.
+    """One reading."""
 
-    Attributes
-    ----------
-    time_s : float
-        CLOCK_MONOTONIC [s], or the device's virtual time.
-    position_m : ndarray, shape (3,)
-    counts : ndarray of int64, shape (3,)
-        Encoder counts; zeros where a device has none.
-    buttons : int
-    homed : bool
-    valid : bool
-        Whether a whole reply came; without one the other fields repeat the last.
-    damaged : int
-        Damaged replies dropped since the last reading.
-    """
-
-    time_s: float
-    position_m: FloatArray
-    counts: IntArray
+    time_s: float  # CLOCK_MONOTONIC [s], or the device's virtual time
+    position_m: FloatArray  # (3,)
+    counts: IntArray  # (3,), encoder counts; zeros where a device has none
     buttons: int
     homed: bool
-    valid: bool
-    damaged: int = 0
+    valid: bool  # whether a whole reply came; without one the other fields repeat the last
+    damaged: int = 0  # damaged replies dropped since the last reading
 
 
 @dataclass(frozen=True, slots=True)
 class Capabilities:
-    """Abilities of a device, and if anybody measured them.
-
-    Attributes
-    ----------
-    name : str
-    clamp_N : float
-        Largest force the guard lets through [nominal N].
-    calibrated : bool
-        Whether that newton was weighed on this unit.
-    damping_N_s_per_m : float
-        Viscous damping of the arm.
-    delay_ticks : float
-        From a position to the force it causes.
-    workspace_m : tuple of three pairs of float
-        Least and largest x, y and z [m].
-    hardware : bool
-        Whether motors move something: then consent and the dead-man button are asked for.
-    """
+    """Abilities of a device, and if anybody measured them."""
 
     name: str
-    clamp_N: float
-    calibrated: bool
-    damping_N_s_per_m: float
-    delay_ticks: float
+    clamp_N: float  # largest force the guard lets through [nominal N]
+    calibrated: bool  # whether that newton was weighed on this unit
+    damping_N_s_per_m: float  # viscous damping of the arm
+    delay_ticks: float  # from a position to the force it causes
+    #: Least and largest x, y and z [m].
     workspace_m: tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
-    hardware: bool = True
+    hardware: bool = True  # whether motors move something: then consent and the dead-man button are asked for
 
 
 @dataclass(frozen=True, slots=True)
 class CompiledIO:
-    """Handles and constants by which the compiled servo reaches a device without Python.
+    """Handles and constants by which the compiled servo reaches a device without Python."""
 
-    Attributes
-    ----------
-    kind : str
-        ``module:name`` of the :class:`~tissueid.haptics.servo_access.Access` that takes them.
-    handles : ndarray of int64, shape (HANDLES_SIZE,)
-        Descriptors, addresses and identities.
-    constants : ndarray
-    memory : ndarray
-        Changed by the loop.
-    """
-
-    kind: str
+    kind: str  # ``module:name`` of the :class:`~tissueid.haptics.servo_access.Access` that takes them
+    #: (HANDLES_SIZE,): descriptors, addresses and identities.
     handles: IntArray = field(default_factory=lambda: np.zeros(HANDLES_SIZE, np.int64))
     constants: FloatArray = field(default_factory=lambda: np.zeros(1))
-    memory: FloatArray = field(default_factory=lambda: np.zeros(1))
+    memory: FloatArray = field(default_factory=lambda: np.zeros(1))  # changed by the loop

@@ -30,11 +30,7 @@ _CTYPES: dict[Any, Any] = {
 def libc_function(name: str, result: Any, *arguments: Any) -> Callable[..., Any]:
     """A function of libc for compiled code.
 
-    Parameters
-    ----------
-    name : str
-    result, *arguments : numba type
-        Pointers are int64, ``array.ctypes.data``.
+    ``result``, ``*arguments``: pointers are int64, ``array.ctypes.data``.
     """
     if not getattr(config, "DISABLE_JIT", False):
         return types.ExternalFunction(name, result(*arguments))
@@ -47,10 +43,7 @@ def libc_function(name: str, result: Any, *arguments: Any) -> Callable[..., Any]
 def by_address(result: Any, *arguments: Any) -> Callable[..., Any]:
     """A caller ``call(address, (arguments, ...))`` of C functions of one signature.
 
-    Parameters
-    ----------
-    result, *arguments : numba type
-        As in :func:`libc_function`; arguments are converted to these.
+    ``result``, ``*arguments``: as in :func:`libc_function`; arguments are converted to these.
     """
     if getattr(config, "DISABLE_JIT", False):
         prototype = ctypes.CFUNCTYPE(_CTYPES[result], *(_CTYPES[argument] for argument in arguments))

@@ -117,18 +117,10 @@ _NOT_A_NUMBER, _OVERHEATED = float(Fault.NOT_A_NUMBER), float(Fault.OVERHEATED)
 def guard(memory: FloatArray, limits: FloatArray, force: FloatArray, dt: float, out: FloatArray) -> None:
     """The force that may be sent.
 
-    Parameters
-    ----------
-    memory : ndarray, shape (GUARD_SIZE,)
-        Of this device, :func:`new_guard`; updated in place.
-    limits : ndarray, shape (LIMITS_SIZE,)
-        :meth:`GuardLimits.block`.
-    force : ndarray, shape (3,)
-        Wanted force [N]; may hold anything.
-    dt : float
-        Measured time since the last tick [s]; anything that is not a good tick counts as a stall.
-    out : ndarray, shape (3,)
-        **Written**: force [N], finite, within every limit.
+    ``memory`` (GUARD_SIZE,): of this device, :func:`new_guard`; updated in place; ``limits`` (LIMITS_SIZE,):
+    :meth:`GuardLimits.block`; ``force`` (3,): wanted force [N]; may hold anything; ``dt``: measured time
+    since the last tick [s]; anything that is not a good tick counts as a stall; ``out`` (3,): **Written**:
+    force [N], finite, within every limit.
     """
     stalled = not 0.0 < dt <= limits[STALL_S]
     step = limits[STALL_S] if stalled else dt

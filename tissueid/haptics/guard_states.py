@@ -152,22 +152,12 @@ def let_down(memory: FloatArray) -> bool:
 def transition(memory: FloatArray, limits: FloatArray, event: float) -> bool:
     """Tell the guard what happened outside a tick.
 
-    Parameters
-    ----------
-    memory : ndarray, shape (GUARD_SIZE,)
-        Updated in place.
-    limits : ndarray, shape (LIMITS_SIZE,)
-        :meth:`tissueid.haptics.limits.GuardLimits.block`.
-    event : float
-        OPENED, FIRMWARE_OK, HOME (homing begins), HOMED; ENGAGE (force is wanted: it comes once the tool is
-        free or the force small, and the dead-man button is held), DISENGAGE, RELEASE (the button);
-        SWAP (asks whether parameters may be exchanged now, and changes nothing);
-        HEARTBEAT_LOST, PARENT_DIED, TRANSPORT_LOST; SHUT (from any state).
-
-    Returns
-    -------
-    bool
-        Whether the event was accepted in this state.
+    ``memory`` (GUARD_SIZE,): updated in place; ``limits`` (LIMITS_SIZE,):
+    :meth:`tissueid.haptics.limits.GuardLimits.block`; ``event``: OPENED, FIRMWARE_OK, HOME (homing begins),
+    HOMED; ENGAGE (force is wanted: it comes once the tool is free or the force small, and the dead-man button
+    is held), DISENGAGE, RELEASE (the button); SWAP (asks whether parameters may be exchanged now, and changes
+    nothing); HEARTBEAT_LOST, PARENT_DIED, TRANSPORT_LOST; SHUT (from any state).  Returns whether the event
+    was accepted in this state.
     """
     state = memory[STATE]
     if event == OPENED:

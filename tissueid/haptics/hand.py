@@ -61,30 +61,15 @@ SCRIPT_CLEARANCE_MM = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Hand:
-    """A spring and a damper around a moving target, or a machine that carries the grip.
+    """A spring and a damper around a moving target, or a machine that carries the grip."""
 
-    Attributes
-    ----------
-    times_s : tuple of float
-        Times of the knots, rising.
-    positions_m : tuple of (x, y, z)
-        Target at the knots [m].
-    grips : tuple of float
-        Share of stiffness and damping from each knot on: 1 holds, 0 lets go.
-    stiffness_N_per_m, damping_N_s_per_m : float
-    rigid : bool
-        Carry the grip exactly, whatever the force.
-    tremor_m, tremor_hz, tremor_phase : float
-        Amplitude [m], frequency [Hz] and phase [rad] of a tremor.
-    tremor_axis : (x, y, z)
-    """
-
-    times_s: tuple[float, ...]
-    positions_m: tuple[tuple[float, float, float], ...]
-    grips: tuple[float, ...]
+    times_s: tuple[float, ...]  # times of the knots, rising
+    positions_m: tuple[tuple[float, float, float], ...]  # target at the knots [m]
+    grips: tuple[float, ...]  # share of stiffness and damping from each knot on: 1 holds, 0 lets go
     stiffness_N_per_m: float = DEFAULT_STIFFNESS
     damping_N_s_per_m: float = 2.0 * DAMPING_RATIO * math.sqrt(DEFAULT_STIFFNESS * DEFAULT_MASS_KG)
-    rigid: bool = False
+    rigid: bool = False  # carry the grip exactly, whatever the force
+    #: Amplitude [m], frequency [Hz] and phase [rad] of a tremor.
     tremor_m: float = 0.0
     tremor_hz: float = 10.0
     tremor_phase: float = 0.0
@@ -162,29 +147,14 @@ def preset(
 ) -> Hand:
     """One of :data:`PRESETS`.
 
-    Parameters
-    ----------
-    name : str
-        ``step``: to the depth in 30 ms; ``slow press``: at ``speed_m_per_s`` (0.3 to 2 mm/s is slow);
-        ``tap``: four taps a second; ``release``: presses, then lets go; ``tremor``: holds and trembles;
-        ``hold``.
-    surface_m, inward : ndarray, shape (3,)
-        A point of the tissue's surface [m] and the unit vector into the tissue.
-    depth_m : float
-        Depth of the target below the surface [m]; the grip stays above it by force over stiffness.
-    speed_m_per_s : float
-        Of presses and approaches [m/s].
-    stiffness_N_per_m, damping_N_s_per_m : float
-        Of the hand; half the critical damping of 0.25 kg where none is given.
-    tremor_m, tremor_hz, tremor_phase : float
-        Of ``tremor``.
-    rest_s, stay_s : float
-        Rest before the motion and stay after it [s].
-
-    Raises
-    ------
-    UsageError
-        There is no preset of that name.
+    ``name``: ``step``: to the depth in 30 ms; ``slow press``: at ``speed_m_per_s`` (0.3 to 2 mm/s is slow);
+    ``tap``: four taps a second; ``release``: presses, then lets go; ``tremor``: holds and trembles; ``hold``;
+    ``surface_m``, ``inward`` (3,): a point of the tissue's surface [m] and the unit vector into the tissue;
+    ``depth_m``: depth of the target below the surface [m]; the grip stays above it by force over stiffness;
+    ``speed_m_per_s``: of presses and approaches [m/s]; ``stiffness_N_per_m``, ``damping_N_s_per_m``: of the
+    hand; half the critical damping of 0.25 kg where none is given; ``tremor_m``, ``tremor_hz``,
+    ``tremor_phase``: of ``tremor``; ``rest_s``, ``stay_s``: rest before the motion and stay after it [s].
+    Raises UsageError: there is no preset of that name.
     """
     if name not in PRESETS:
         msg = f"there is no hand {printable(name)!r}; hands are {', '.join(PRESETS)}"
@@ -229,18 +199,10 @@ def _targets(
 
 @dataclass(frozen=True, slots=True)
 class Stroke:
-    """One line of a script, in tissue units.
+    """One line of a script, in tissue units."""
 
-    Attributes
-    ----------
-    kind : {"indent", "hold", "retract"}
-    depth_mm : float
-        Depth at its end [mm]; of a hold, the depth before it.
-    duration_s : float
-    """
-
-    kind: str
-    depth_mm: float
+    kind: str  # {"indent", "hold", "retract"}
+    depth_mm: float  # depth at its end [mm]; of a hold, the depth before it
     duration_s: float
 
 
@@ -262,16 +224,9 @@ def _speed(value: str, per: str, line: str) -> float:
 def parse_script(text: str) -> tuple[Stroke, ...]:
     """Read a script of strokes, separated by semicolons.
 
-    Parameters
-    ----------
-    text : str
-        ``indent D mm at V mm/min``, ``hold T s``, ``retract [to D mm] at V mm/min`` (``mm/s`` as well), in
-        tissue units; depths are below the surface, and a retract without a depth leaves the tissue.
-
-    Raises
-    ------
-    UsageError
-        Naming the part that is no stroke, or leads nowhere.
+    ``text``: ``indent D mm at V mm/min``, ``hold T s``, ``retract [to D mm] at V mm/min`` (``mm/s`` as well),
+    in tissue units; depths are below the surface, and a retract without a depth leaves the tissue.  Raises
+    UsageError: naming the part that is no stroke, or leads nowhere.
     """
     strokes: list[Stroke] = []
     depth = -SCRIPT_CLEARANCE_MM
@@ -317,21 +272,10 @@ def scripted_hand(
 ) -> Hand:
     """Machine that carries the grip through a script.
 
-    Parameters
-    ----------
-    text : str
-        As :func:`parse_script`.
-    motion_scale : float
-        s_x, travel of the device over depth in the tissue.
-    surface_m, inward : ndarray, shape (3,)
-        A point of the surface [m] and the unit vector into the tissue.
-    rest_s : float
-        Rest above the tissue before the first stroke [s], for the start-up ramp.
-
-    Returns
-    -------
-    Hand
-        Rigid; its last knot is the end of the script.
+    ``text``: as :func:`parse_script`; ``motion_scale``: s_x, travel of the device over depth in the tissue;
+    ``surface_m``, ``inward`` (3,): a point of the surface [m] and the unit vector into the tissue;
+    ``rest_s``: rest above the tissue before the first stroke [s], for the start-up ramp.  Returns rigid; its
+    last knot is the end of the script.
     """
     time, depth = rest_s, -SCRIPT_CLEARANCE_MM
     times, depths = [0.0, time], [depth, depth]

@@ -26,21 +26,10 @@ def wait_with_zero_force(
 ) -> None:
     """Read and send zero force until something is reached.
 
-    Parameters
-    ----------
-    device : HapticDevice
-        Open.
-    reached : callable
-        Asked before each reading.
-    timeout_s : float
-        Of waiting: a reading that took longer than ``MOST_A_READING_S`` counts as that long.
-    why_not : callable
-        The message of the error after the time-out.
-
-    Raises
-    ------
-    DeviceError
-        After the time-out, on a fault, or when the device is lost; and what ``device.while_waiting`` raises.
+    ``device``: open; ``reached``: asked before each reading; ``timeout_s``: of waiting: a reading that took
+    longer than ``MOST_A_READING_S`` counts as that long; ``why_not``: the message of the error after the
+    time-out.  Raises DeviceError: after the time-out, on a fault, or when the device is lost; and what
+    ``device.while_waiting`` raises.
     """
     waited_s, before = 0.0, time.monotonic()
     zero = np.zeros(3)

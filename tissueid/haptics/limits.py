@@ -65,20 +65,8 @@ def uncalibrated_clamp_N(units_per_Nm: float) -> float:
     Nominal newtons times ``units_per_Nm`` are motor units, whatever the true constant.  This clamp is the
     largest force whose motor units would be :data:`UNCALIBRATED_N` if the true constant were the worst one.
 
-    Parameters
-    ----------
-    units_per_Nm : float
-        Nominal motor units for one newton metre of arm torque.
-
-    Returns
-    -------
-    float
-        2.6 N for the usual 6600, never more than :data:`UNCALIBRATED_N`.
-
-    Raises
-    ------
-    ValueError
-        The constant is not positive.
+    ``units_per_Nm``: nominal motor units for one newton metre of arm torque.  Returns 2.6 N for the usual
+    6600, never more than :data:`UNCALIBRATED_N`.  Raises ValueError: the constant is not positive.
     """
     if not units_per_Nm > 0.0:
         msg = f"units_per_Nm must be positive, is {units_per_Nm}"
@@ -88,84 +76,46 @@ def uncalibrated_clamp_N(units_per_Nm: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class GuardLimits:
-    """Limits of one device in one session.
+    """Limits of one device in one session."""
 
-    Attributes
-    ----------
-    clamp_N : float
-        Largest |F| [N]; direction is kept.
-    slew_N_per_tick : float
-        Most that |F| may rise in a tick [N].
-    rms_limit_N, rms_window_s : float
-        Root mean square force the motors bear, over an exponential window.
-    ramp_s : float
-        Time from engaging to the full force [s], at least 0.5.
-    recovery_s : float
-        Time to the full force after a stall [s].
-    fault_ramp_s : float
-        Time to zero after a fault [s], at most 0.020.
-    damping_N_s_per_m : float
-        Damping felt instead of the share of the force that is ramped away: a tenth of what a Falcon's
-        driver allows, far below what a 5 ms velocity filter and 1.5 ticks of delay make unstable.
-    damping_s : float
-        How long damping alone is kept before a fault that leaves the device answering [s].
-    engage_below_N : float
-        Wanted force under which a device may engage inside tissue [N].
-    homed_needed : int
-        Consecutive homed replies before ARMED.
-    overspeed_m_per_s : float
-        Fastest grip that a hand holds [m/s].
-    jump_counts, jump_s : float
-        More counts than this in ``jump_s`` are no hand.
-    no_reply_s, bad_packets : float, int
-        Silence, and damaged replies in a row, that are a fault.
-    frozen_s, frozen_change_N : float
-        No count on any leg for this long although the force changed by more than this: twice Coulomb
-        friction (0.1 N), and what moves a 1000 N/m hand by one count of 90 um, so that a resting arm would
-        have shown it.
-    heartbeat_s : float
-        Silence of the owning program that is a fault.
-    stall_s : float
-        A longer tick is a stall; so a loop under 200 Hz is never felt.
-    dead_man : bool
-        Whether force needs a held button; ``dead_man_buttons`` is its bit mask.
-    dead_man_s : float
-        Time to zero after that button is released [s].
-    motor_clamp : float
-        Largest motor command [motor units].
-    pause_s, pause_ramp_s : float
-        Silence after which the force is taken away until the device answers again, and the time that takes
-        [s]; together at most 0.020, so that a silent device is without force that soon.
-    delay_ticks : float
-        Delay that the scale of a session is worked out for [ticks]; answers later than that lower the force.
-    """
-
-    clamp_N: float = 2.0
-    slew_N_per_tick: float = 0.5
+    clamp_N: float = 2.0  # largest |F| [N]; direction is kept
+    slew_N_per_tick: float = 0.5  # most that |F| may rise in a tick [N]
+    #: Root mean square force the motors bear, over an exponential window.
     rms_limit_N: float = 1.5
     rms_window_s: float = 30.0
-    ramp_s: float = 1.0
-    recovery_s: float = 0.1
-    fault_ramp_s: float = 0.020
+    ramp_s: float = 1.0  # time from engaging to the full force [s], at least 0.5
+    recovery_s: float = 0.1  # time to the full force after a stall [s]
+    fault_ramp_s: float = 0.020  # time to zero after a fault [s], at most 0.020
+    #: Damping felt instead of the share of the force that is ramped away: a tenth of what a Falcon's driver
+    #: allows, far below what a 5 ms velocity filter and 1.5 ticks of delay make unstable.
     damping_N_s_per_m: float = 2.0
+    #: How long damping alone is kept before a fault that leaves the device answering [s].
     damping_s: float = 0.1
-    engage_below_N: float = 0.2
-    homed_needed: int = 50
-    overspeed_m_per_s: float = 1.5
+    engage_below_N: float = 0.2  # wanted force under which a device may engage inside tissue [N]
+    homed_needed: int = 50  # consecutive homed replies before ARMED
+    overspeed_m_per_s: float = 1.5  # fastest grip that a hand holds [m/s]
+    #: More counts than this in ``jump_s`` are no hand.
     jump_counts: float = 200.0
     jump_s: float = 0.001
+    #: Silence, and damaged replies in a row, that are a fault.
     no_reply_s: float = 0.1
     bad_packets: int = 10
+    #: No count on any leg for this long although the force changed by more than this: twice Coulomb friction
+    #: (0.1 N), and what moves a 1000 N/m hand by one count of 90 um, so that a resting arm would have shown
+    #: it.
     frozen_s: float = 0.2
     frozen_change_N: float = 0.3
-    heartbeat_s: float = 0.5
-    stall_s: float = 0.005
-    dead_man: bool = True
+    heartbeat_s: float = 0.5  # silence of the owning program that is a fault
+    stall_s: float = 0.005  # a longer tick is a stall; so a loop under 200 Hz is never felt
+    dead_man: bool = True  # whether force needs a held button; ``dead_man_buttons`` is its bit mask
     dead_man_buttons: int = 0x04
-    dead_man_s: float = 0.1
-    motor_clamp: float = 4095.0
+    dead_man_s: float = 0.1  # time to zero after that button is released [s]
+    motor_clamp: float = 4095.0  # largest motor command [motor units]
+    #: Silence after which the force is taken away until the device answers again, and the time that takes
+    #: [s]; together at most 0.020, so that a silent device is without force that soon.
     pause_s: float = 0.008
     pause_ramp_s: float = 0.010
+    #: Delay that the scale of a session is worked out for [ticks]; answers later than that lower the force.
     delay_ticks: float = DEFAULT_DELAY_TICKS
 
     def __post_init__(self) -> None:

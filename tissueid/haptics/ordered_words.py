@@ -23,11 +23,7 @@ _KEEPS_ORDER = platform.machine().lower() in {"x86_64", "amd64"}
 def read_ordered(words: IntArray, at: int) -> int:
     """``words[at]``, before everything read after.
 
-    Parameters
-    ----------
-    words : ndarray of int64
-        Shared.
-    at : int
+    ``words``: shared.
     """
     if _KEEPS_ORDER:
         return int(words[at])
@@ -39,11 +35,7 @@ def read_ordered(words: IntArray, at: int) -> int:
 def write_ordered(words: IntArray, at: int, value: int) -> None:
     """Set ``words[at]``, after everything written before.
 
-    Parameters
-    ----------
-    words : ndarray of int64
-        Shared.
-    at, value : int
+    ``words``: shared.
     """
     if _KEEPS_ORDER:
         words[at] = value

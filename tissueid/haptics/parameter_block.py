@@ -68,17 +68,8 @@ def waiting(head: IntArray) -> bool:
 def take(head: IntArray, values: FloatArray, out: FloatArray) -> int:
     """Copy the newest parameters.
 
-    Parameters
-    ----------
-    head : ndarray of int64, shape (8,)
-    values : ndarray, shape (2, size)
-    out : ndarray, shape (size,)
-        **Written**.
-
-    Returns
-    -------
-    int
-        Version taken, counted from 1; 0 while none was published.
+    ``head`` (8,); ``values`` (2, size); ``out`` (size,): **Written**.  Returns version taken, counted from 1;
+    0 while none was published.
     """
     version = load_acquire(head[_PUBLISHED_AT : _PUBLISHED_AT + 1])
     source = values[version % 2]
@@ -90,28 +81,17 @@ def take(head: IntArray, values: FloatArray, out: FloatArray) -> int:
 
 @dataclass(frozen=True, slots=True)
 class ParameterBlock:
-    """Shared parameters of one session, mapped into this process.
+    """Shared parameters of one session, mapped into this process."""
 
-    Attributes
-    ----------
-    descriptor : int
-        Of the memory; the servo's process is sent one of its own.
-    head : ndarray of int64, shape (8,)
-    values : ndarray, shape (2, size)
-    """
-
-    descriptor: int
-    head: IntArray
-    values: FloatArray
+    descriptor: int  # of the memory; the servo's process is sent one of its own
+    head: IntArray  # (8,)
+    values: FloatArray  # (2, size)
 
     @classmethod
     def create(cls, size: int) -> ParameterBlock:
         """A new block for ``size`` parameters.
 
-        Raises
-        ------
-        DeviceError
-            The system has no such memory.
+        Raises DeviceError: the system has no such memory.
         """
         descriptor = shared_memory("parameters", 8 * (HEAD_WORDS + 2 * size))
         block = cls._mapped(descriptor, size)
@@ -123,10 +103,7 @@ class ParameterBlock:
     def attach(cls, descriptor: int) -> ParameterBlock:
         """The block behind an inherited descriptor.
 
-        Raises
-        ------
-        DeviceError
-            It is none.
+        Raises DeviceError: it is none.
         """
         total = os.fstat(descriptor).st_size
         if total >= 8 * HEAD_WORDS:
@@ -159,21 +136,8 @@ class ParameterBlock:
     def write(self, parameters: FloatArray) -> int:
         """Publish parameters; the servo takes them when nothing is touched.
 
-        Parameters
-        ----------
-        parameters : ndarray, shape (size,)
-
-        Returns
-        -------
-        int
-            Their version.
-
-        Raises
-        ------
-        ValueError
-            Another size, or a number that is not finite.
-        DeviceError
-            The last ones are not taken yet.
+        ``parameters`` (size,).  Returns their version.  Raises ValueError: another size, or a number that is
+        not finite; DeviceError: the last ones are not taken yet.
         """
         if parameters.shape != self.values.shape[1:] or not np.isfinite(parameters).all():
             msg = f"parameters must be {self.values.shape[1]} finite numbers"

@@ -39,18 +39,11 @@ ENVIRONMENT_GROUP = "tissueid.environments"
 
 
 class Registered(NamedTuple):
-    """Place of a driver, ``module:class``, imported when asked for.
-
-    Attributes
-    ----------
-    place : str
-    hardware : bool
-    reported_as : str
-        Words of a report that speaks of this kind of device; empty for one that it does not speak of.
-    """
+    """Place of a driver, ``module:class``, imported when asked for."""
 
     place: str
     hardware: bool = False
+    #: Words of a report that speaks of this kind of device; empty for one that it does not speak of.
     reported_as: str = ""
 
 
@@ -72,17 +65,10 @@ AUTO = "auto"
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """Device that ``auto`` or the user took.
-
-    Attributes
-    ----------
-    name : str
-    why : str
-        One sentence for the console and the log.
-    """
+    """Device that ``auto`` or the user took."""
 
     name: str
-    why: str
+    why: str  # one sentence for the console and the log
 
 
 def _plugins(group: str) -> dict[str, EntryPoint]:
@@ -116,12 +102,8 @@ def _loaded(kind: str, name: str, load: Callable[[], Any]) -> Any:
 def device_class(name: str) -> type[HapticDevice]:
     """The class behind a name.
 
-    Raises
-    ------
-    UsageError
-        No such device; the message lists those there are.
-    DeviceError
-        A plug-in can't be imported, or is no device.
+    Raises UsageError: no such device; the message lists those there are; DeviceError: a plug-in can't be
+    imported, or is no device.
     """
     if name in DEVICES:
         module, _, attribute = DEVICES[name].place.partition(":")
@@ -146,10 +128,7 @@ def owners_of(option: str) -> list[str]:
 def configured(name: str, asked: AskedDevice) -> dict[str, Any]:
     """Arguments of a device's class for what was asked on the command line.
 
-    Raises
-    ------
-    UsageError
-        An option of another device.
+    Raises UsageError: an option of another device.
     """
     taken = () if name == AUTO else device_class(name).takes
     for strange in (one for one in asked.given() if one not in taken):
@@ -168,12 +147,7 @@ def reported_devices() -> dict[str, Capabilities]:
 def environment_law(name: str) -> Callable[..., Any]:
     """The force law that another distribution registered under a name.
 
-    Raises
-    ------
-    UsageError
-        No such law.
-    DeviceError
-        It can't be imported, or can't be called.
+    Raises UsageError: no such law; DeviceError: it can't be imported, or can't be called.
     """
     for entry in entry_points(group=ENVIRONMENT_GROUP):
         if entry.name == name:
@@ -205,15 +179,8 @@ def detect_all() -> Iterator[DetectedDevice]:
 def choose_device(name: str = AUTO) -> Choice:
     """Choose the device a name stands for.
 
-    Returns
-    -------
-    Choice
-        The name itself; for ``auto`` the first hardware with nothing in its way, else ``sim``.
-
-    Raises
-    ------
-    UsageError, DeviceError
-        As :func:`device_class`.
+    Returns the name itself; for ``auto`` the first hardware with nothing in its way, else ``sim``.  Raises
+    UsageError, DeviceError: as :func:`device_class`.
     """
     if name != AUTO:
         device_class(name)
@@ -230,10 +197,7 @@ def choose_device(name: str = AUTO) -> Choice:
 def check_present(name: str) -> None:
     """Refuse hardware that is not there, or has something in its way, before anybody is asked anything.
 
-    Raises
-    ------
-    DeviceError
-        With the way out.
+    Raises DeviceError: with the way out.
     """
     if name not in HARDWARE:
         return
@@ -248,11 +212,6 @@ def check_present(name: str) -> None:
 def open_device(name: str = AUTO, **options: Any) -> HapticDevice:
     """Make the device that a name stands for; it is opened with ``with`` or ``open()``.
 
-    Parameters
-    ----------
-    name : str
-        As :func:`choose_device`.
-    **options
-        Handed to the device's class.
+    ``name``: as :func:`choose_device`; ``**options``: handed to the device's class.
     """
     return device_class(choose_device(name).name)(**options)

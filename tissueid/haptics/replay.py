@@ -35,25 +35,10 @@ FloatArray = NDArray[np.float64]
 class ReplayDevice(HapticDevice):
     """The motion of a log.
 
-    Parameters
-    ----------
-    limits : GuardLimits, optional
-        5 N and no dead-man button where none are given.
-    log : path, optional
-        Log of a session, raw or HDF5; needed before ``open``.
-    real_time : bool
-        Move with ``clock``; else one period a force written.
-    period_s : float
-        Period of the loop that drives it in virtual time [s].
-    clock : callable
-        Seconds, never falling.
-
-    Raises
-    ------
-    BundleError
-        The log can't be read, with the reason.
-    DeviceError
-        The log holds no motion.
+    ``limits``: 5 N and no dead-man button where none are given; ``log``: log of a session, raw or HDF5;
+    needed before ``open``; ``real_time``: move with ``clock``; else one period a force written; ``period_s``:
+    period of the loop that drives it in virtual time [s]; ``clock``: seconds, never falling.  Raises
+    BundleError: the log can't be read, with the reason; DeviceError: the log holds no motion.
     """
 
     name = "replay"

@@ -64,28 +64,17 @@ _MAGIC_AT, _CAPACITY_AT, PUBLISHED_AT = 0, 1, 2
 
 @dataclass(frozen=True, slots=True)
 class Ring:
-    """Shared memory of one session, mapped into this process.
+    """Shared memory of one session, mapped into this process."""
 
-    Attributes
-    ----------
-    descriptor : int
-        Of the memory; the servo's process is sent one of its own.
-    head : ndarray of int64, shape (8,)
-    records : ndarray of RECORD, shape (capacity,)
-    """
-
-    descriptor: int
-    head: IntArray
-    records: NDArray[Any]
+    descriptor: int  # of the memory; the servo's process is sent one of its own
+    head: IntArray  # (8,)
+    records: NDArray[Any]  # (capacity,)
 
     @classmethod
     def create(cls, capacity: int = CAPACITY) -> Ring:
         """A new ring of ``capacity`` records in anonymous memory.
 
-        Raises
-        ------
-        DeviceError
-            The system has no such memory.
+        Raises DeviceError: the system has no such memory.
         """
         descriptor = shared_memory("records", HEAD_BYTES + capacity * RECORD.itemsize)
         ring = cls._mapped(descriptor, capacity)
@@ -97,10 +86,7 @@ class Ring:
     def attach(cls, descriptor: int) -> Ring:
         """The ring behind an inherited descriptor; one that can only be read is mapped for reading.
 
-        Raises
-        ------
-        DeviceError
-            It is none.
+        Raises DeviceError: it is none.
         """
         size = os.fstat(descriptor).st_size
         if size >= HEAD_BYTES:
@@ -152,11 +138,7 @@ class Ring:
 class RingReader:
     """Reader of records that are new since the last look.
 
-    Parameters
-    ----------
-    ring : Ring
-    position : int
-        Number of the first record to read.
+    ``position``: number of the first record to read.
     """
 
     def __init__(self, ring: Ring, position: int) -> None:
@@ -167,12 +149,8 @@ class RingReader:
     def read_new(self) -> tuple[NDArray[Any], int]:
         """Copy what was published since the last call.
 
-        Returns
-        -------
-        records : ndarray of RECORD, shape (n,)
-            Whole records in order; none of them was overwritten while it was copied.
-        overrun : int
-            Records that were lost because this reader came too late.
+        Returns ``records`` (n,): whole records in order; none of them was overwritten while it was copied;
+        ``overrun``: records that were lost because this reader came too late.
         """
         records = self._ring.records
         capacity = records.size

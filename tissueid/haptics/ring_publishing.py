@@ -16,11 +16,7 @@ __all__ = ["publish"]
 def publish(head: NDArray[np.int64], count: int) -> None:
     """Say that ``count`` records are whole.
 
-    Parameters
-    ----------
-    head : ndarray of int64, shape (8,)
-        :attr:`tissueid.haptics.ring.Ring.head`.
-    count : int
-        Records written since the ring was made.
+    ``head`` (8,): :attr:`tissueid.haptics.ring.Ring.head`; ``count``: records written since the ring was
+    made.
     """
     store_release(head[PUBLISHED_AT : PUBLISHED_AT + 1], count)

@@ -34,24 +34,12 @@ OURS = "tissueid.haptics."
 
 
 class Access(NamedTuple):
-    """Ways to one kind of device.
+    """Ways to one kind of device."""
 
-    Attributes
-    ----------
-    io : type
-        Named tuple that stands for a device in a loop.
-    made : callable
-        :class:`~tissueid.haptics.device_facts.CompiledIO` -> such a tuple.
-    sense : callable
-        Compiled: of io, dt, position, counts and words; never waits.
-    command : callable
-        Compiled: of io, guard memory, limits and a force that passed the guard.
-    """
-
-    io: type
-    made: Callable[[CompiledIO], Any]
-    sense: Callable[..., None]
-    command: Callable[..., None]
+    io: type  # named tuple that stands for a device in a loop
+    made: Callable[[CompiledIO], Any]  # :class:`~tissueid.haptics.device_facts.CompiledIO` -> such a tuple
+    sense: Callable[..., None]  # compiled: of io, dt, position, counts and words; never waits
+    command: Callable[..., None]  # compiled: of io, guard memory, limits and a force that passed the guard
 
 
 _REGISTERED: dict[type, Access] = {}
@@ -71,11 +59,8 @@ def access_of(io: type) -> Access:
 def compiled_io(given: CompiledIO) -> Any:
     """The tuple for what a device says of itself.
 
-    Raises
-    ------
-    DeviceError
-        Its kind is none of this package: compiled loops are kept by a hash of its sources alone, and would
-        not notice a change of another's.
+    Raises DeviceError: its kind is none of this package: compiled loops are kept by a hash of its sources
+    alone, and would not notice a change of another's.
     """
     module, _, name = given.kind.partition(":")
     # a name of this package that is none is a bug of ours, and an error of its import

@@ -28,26 +28,16 @@ BYTES = 8 * SIM_PARAMETERS
 
 @dataclass(frozen=True, slots=True)
 class SharedHand:
-    """Parameters of a simulated device, mapped into this process.
+    """Parameters of a simulated device, mapped into this process."""
 
-    Attributes
-    ----------
-    descriptor : int
-        Of the memory; another process is sent one of its own.
-    parameters : ndarray, shape (SIM_PARAMETERS,)
-    """
-
-    descriptor: int
-    parameters: NDArray[np.float64]
+    descriptor: int  # of the memory; another process is sent one of its own
+    parameters: NDArray[np.float64]  # (SIM_PARAMETERS,)
 
     @classmethod
     def create(cls) -> SharedHand:
         """New memory; a simulated device fills it when it takes it.
 
-        Raises
-        ------
-        DeviceError
-            The system has no such memory.
+        Raises DeviceError: the system has no such memory.
         """
         return cls._mapped(shared_memory("hand", BYTES))
 
@@ -55,10 +45,7 @@ class SharedHand:
     def attach(cls, descriptor: int) -> SharedHand:
         """The memory behind a descriptor.
 
-        Raises
-        ------
-        DeviceError
-            It has another size.
+        Raises DeviceError: it has another size.
         """
         if os.fstat(descriptor).st_size != BYTES:
             msg = f"descriptor {descriptor} is no hand of a simulated device"
@@ -72,15 +59,7 @@ class SharedHand:
     def point_at(self, position_m: Sequence[float]) -> None:
         """Lead the hand to a point.
 
-        Parameters
-        ----------
-        position_m : sequence of 3 float
-            Device frame [m].
-
-        Raises
-        ------
-        ValueError
-            Not three finite numbers.
+        ``position_m``: device frame [m].  Raises ValueError: not three finite numbers.
         """
         point = np.asarray(position_m, dtype=np.float64)
         if point.shape != (3,) or not np.isfinite(point).all():

@@ -12,17 +12,7 @@ __all__ = ["shared_memory"]
 def shared_memory(name: str, size: int) -> int:
     """Descriptor of new memory, all zero; another process gets it only where it is handed over.
 
-    Parameters
-    ----------
-    name : str
-        What it holds, in a word.
-    size : int
-        Bytes.
-
-    Raises
-    ------
-    DeviceError
-        The system has no such memory.
+    ``name``: what it holds, in a word; ``size``: bytes.  Raises DeviceError: the system has no such memory.
     """
     try:
         descriptor = os.memfd_create(f"tissueid-{name}", 0)

@@ -90,26 +90,12 @@ def carried(limits: GuardLimits) -> GuardLimits:
 class SimulatedDevice(HapticDevice):
     """Simulated device; the module says what it guarantees and what it does not.
 
-    Parameters
-    ----------
-    limits : GuardLimits, optional
-        5 N and no dead-man button where none are given.
-    arm : Arm, optional
-        Mass, damping and friction.
-    hand : Hand, optional
-        What holds the grip; a resting hand at the centre of the workspace where none is given.
-    real_time : bool
-        Move with ``clock`` instead of with the forces written.
-    quantum_m : float
-        Resolution of the position [m].
-    delay_ticks : float
-        Delay from sample to felt force, in periods.
-    period_s : float
-        Period of the loop that will drive it [s].
-    seed : int
-        Of where the counts lie relative to the workspace.
-    clock : callable
-        Seconds, never falling; for ``real_time``.
+    ``limits``: 5 N and no dead-man button where none are given; ``arm``: mass, damping and friction;
+    ``hand``: what holds the grip; a resting hand at the centre of the workspace where none is given;
+    ``real_time``: move with ``clock`` instead of with the forces written; ``quantum_m``: resolution of the
+    position [m]; ``delay_ticks``: delay from sample to felt force, in periods; ``period_s``: period of the
+    loop that will drive it [s]; ``seed``: of where the counts lie relative to the workspace; ``clock``:
+    seconds, never falling; for ``real_time``.
     """
 
     name = "sim"
@@ -200,15 +186,7 @@ class SimulatedDevice(HapticDevice):
     def set_pointer(self, position_m: ArrayLike | None) -> None:
         """Let the hand follow a point, as a pointer on a screen says it; None gives it back to its script.
 
-        Parameters
-        ----------
-        position_m : array_like, shape (3,), or None
-            Where the hand should go [m].
-
-        Raises
-        ------
-        ValueError
-            Not three finite numbers.
+        ``position_m`` (3,): where the hand should go [m].  Raises ValueError: not three finite numbers.
         """
         if position_m is None:
             self.parameters[POINTER_ON] = 0.0

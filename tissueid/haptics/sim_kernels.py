@@ -64,19 +64,9 @@ def simulated_sample(
 ) -> int:
     """Sample of the device at this moment.
 
-    Parameters
-    ----------
-    memory, parameters : ndarray
-        Of the device; ``memory`` keeps the last counts.
-    position : ndarray, shape (3,)
-        **Written**: counts times the quantum [m].
-    counts : ndarray of int64, shape (3,)
-        **Written**: encoder counts.
-
-    Returns
-    -------
-    int
-        Bits VALID and HOMED; 0 without an answer, -1 where the device is gone.
+    ``memory``, ``parameters``: of the device; ``memory`` keeps the last counts; ``position`` (3,):
+    **Written**: counts times the quantum [m]; ``counts`` (3,): **Written**: encoder counts.  Returns bits
+    VALID and HOMED; 0 without an answer, -1 where the device is gone.
     """
     kind = int(parameters[FAULT_KIND])
     if kind != FAULT_NONE and memory[TIME] < parameters[FAULT_AT]:

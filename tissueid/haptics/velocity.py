@@ -23,14 +23,9 @@ REST_M_PER_S = 1e-12
 def velocity_step(velocity: FloatArray, position: FloatArray, last: FloatArray, dt: float) -> None:
     """Low-passed difference quotient, exact for any step.
 
-    Parameters
-    ----------
-    velocity : ndarray, shape (3,)
-        [m/s], updated in place.
-    position, last : ndarray, shape (3,)
-        Position now and at the last tick [m]; ``last`` is set to ``position``.
-    dt : float
-        Measured step [s]; without a positive one nothing changes but ``last``.
+    ``velocity`` (3,): [m/s], updated in place; ``position``, ``last`` (3,): position now and at the last tick
+    [m]; ``last`` is set to ``position``; ``dt``: measured step [s]; without a positive one nothing changes
+    but ``last``.
     """
     share = -math.expm1(-dt / VELOCITY_FILTER_S) if dt > 0.0 else 0.0
     for i in range(3):

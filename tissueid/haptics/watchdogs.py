@@ -102,25 +102,11 @@ def observe(
 ) -> None:
     """Take in what a tick saw, before :func:`tissueid.haptics.guard.guard`.
 
-    Parameters
-    ----------
-    memory, limits : ndarray
-        Of the guard; ``memory`` is updated in place.
-    reply : int
-        REPLY_VALID, REPLY_NONE, REPLY_DAMAGED or REPLY_LOST; only with the first do the next four say
-        anything.
-    homed : bool
-        Whether all legs say that they are homed.
-    buttons : int
-        Bits of the buttons held.
-    counts_moved : ndarray of int64, shape (3,)
-        Encoder counts since the last valid reply.
-    velocity : ndarray, shape (3,)
-        Of the grip [m/s].
-    penetration : float
-        Depth of the tool in what is rendered [m]; NaN where nobody knows.
-    dt : float
-        Time since the last tick [s].
+    ``memory``, ``limits``: of the guard; ``memory`` is updated in place; ``reply``: REPLY_VALID, REPLY_NONE,
+    REPLY_DAMAGED or REPLY_LOST; only with the first do the next four say anything; ``homed``: whether all
+    legs say that they are homed; ``buttons``: bits of the buttons held; ``counts_moved`` (3,): encoder counts
+    since the last valid reply; ``velocity`` (3,): of the grip [m/s]; ``penetration``: depth of the tool in
+    what is rendered [m]; NaN where nobody knows; ``dt``: time since the last tick [s].
     """
     memory[READY] = 0.0
     state = memory[STATE]
@@ -150,14 +136,8 @@ def observe(
 def observe_wire(memory: FloatArray, limits: FloatArray, unanswered: int, dt: float) -> None:
     """Take in how late the answers of a device come; the guard lowers the force by it.
 
-    Parameters
-    ----------
-    memory, limits : ndarray
-        Of the guard; ``memory`` is updated in place.
-    unanswered : int
-        Commands that were sent before this tick and are not answered yet.
-    dt : float
-        Time since the last tick [s].
+    ``memory``, ``limits``: of the guard; ``memory`` is updated in place; ``unanswered``: commands that were
+    sent before this tick and are not answered yet; ``dt``: time since the last tick [s].
     """
     more = unanswered - max(limits[DELAY_TICKS] - DEFAULT_DELAY_TICKS, 0.0)
     # in a silence nothing is late yet: it may be lost

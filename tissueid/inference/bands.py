@@ -22,19 +22,9 @@ def predictive_bands(
 ) -> dict[tuple[str, str | None], FloatArray]:
     """The 95 % predictive band of every trial.
 
-    Parameters
-    ----------
-    fit : SpecimenFit
-    target : SpecimenTarget
-    vectors : ndarray, shape (n, size)
-        Draws, machine and contact with them: what they share moves no force.
-    sigma_N : float
-        Standard deviation of the noise [N].
-
-    Returns
-    -------
-    dict
-        (path, sheet) -> ndarray, shape (3, m): low, middle, high [N] at the samples of the trial's curve.
+    ``vectors`` (n, size): draws, machine and contact with them: what they share moves no force; ``sigma_N``:
+    standard deviation of the noise [N].  Returns (path, sheet) -> ndarray, shape (3, m): low, middle, high
+    [N] at the samples of the trial's curve.
     """
     system = target.system
     rows = np.linspace(0, len(vectors) - 1, min(len(vectors), BAND_DRAWS)).astype(np.int64)

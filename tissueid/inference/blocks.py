@@ -48,48 +48,27 @@ LEAD_SD = 5.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Blocks:
-    """One log as it is compared with a law.
+    """One log as it is compared with a law."""
 
-    Attributes
-    ----------
-    time_s, depth_mm : ndarray, shape (m,)
-        Broken line of the tool's travel.
-    at : ndarray of int, shape (k, 3)
-        Points of that line of each observation: its start, middle and end; thrice the sample where it is one.
-    force_N : ndarray, shape (k,)
-        Measured mean force.
-    count : ndarray of int, shape (k,)
-        Samples of each observation.
-    mid_s, step_s : ndarray, shape (k,)
-        Mean time of an observation, and the sampling interval within it.
-    chain : ndarray of bool, shape (k,)
-        True where an observation starts a chain of noise.
-    fold : ndarray of int, shape (k,)
-        Held-out group.
-    within_N2 : float
-        Sum of squares of the samples about lines in their blocks [N^2].
-    within_freedom : int
-    contact_sd_mm : float
-    digits : ndarray, shape (k,)
-        Variance of the digits' error that no averaging takes off, over that of a sample.
-    speed_ratio : ndarray, shape (m,)
-        Speed over that at which each contact began; zero where no law follows it.
-    """
-
+    #: (m,): broken line of the tool's travel.
     time_s: FloatArray
-    depth_mm: FloatArray
+    depth_mm: FloatArray  # (m,)
+    #: (k, 3): points of that line of each observation: its start, middle and end; thrice the sample where it
+    #: is one.
     at: IntArray
-    force_N: FloatArray
-    count: IntArray
+    force_N: FloatArray  # (k,), measured mean force
+    count: IntArray  # (k,), samples of each observation
+    #: (k,): mean time of an observation, and the sampling interval within it.
     mid_s: FloatArray
-    step_s: FloatArray
-    chain: NDArray[np.bool_]
-    fold: IntArray
-    within_N2: float
+    step_s: FloatArray  # (k,)
+    chain: NDArray[np.bool_]  # (k,), true where an observation starts a chain of noise
+    fold: IntArray  # (k,), held-out group
+    within_N2: float  # sum of squares of the samples about lines in their blocks [N^2]
     within_freedom: int
     contact_sd_mm: float
+    #: (k,): variance of the digits' error that no averaging takes off, over that of a sample.
     digits: FloatArray
-    speed_ratio: FloatArray
+    speed_ratio: FloatArray  # (m,), speed over that at which each contact began; zero where no law follows it
 
 
 def _digits(force: FloatArray, means: FloatArray) -> FloatArray:
@@ -240,22 +219,9 @@ def log_blocks(
 ) -> Blocks:
     """Reduce a log.
 
-    Parameters
-    ----------
-    data : LogData
-        From contact to the end of its fitted part.
-    step_s : float
-        Median sampling interval [s].
-    contact_sd_mm : float
-        Standard deviation of its contact point [mm].
-    leads : bool
-        The log begins at contact, and the tool came down to it: contact may lie before.
-    whole : bool
-        Keep every sample, however long the log is.
-
-    Returns
-    -------
-    Blocks
+    ``data``: from contact to the end of its fitted part; ``step_s``: median sampling interval [s];
+    ``contact_sd_mm``: standard deviation of its contact point [mm]; ``leads``: the log begins at contact, and
+    the tool came down to it: contact may lie before; ``whole``: keep every sample, however long the log is.
     """
     time, force, include = data.time_s, data.force_N, data.include
     if data.exact or whole or time.size <= SAMPLED:

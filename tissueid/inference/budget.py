@@ -34,13 +34,7 @@ def uncertainty_budget(
 ) -> tuple[BudgetRow, ...]:
     """Standard deviation by source of every reported parameter.
 
-    Parameters
-    ----------
-    target : SpecimenTarget
-    vectors : ndarray, shape (n, size)
-    gains : ndarray, shape (n, 2)
-    draws : mapping
-        Reported parameter -> draws with the machine open.
+    ``vectors`` (n, size); ``gains`` (n, 2); ``draws``: reported parameter -> draws with the machine open.
     """
     columns, names = [gains[:, 0], gains[:, 1]], ["force gain", "displacement gain"]
     for k, name in enumerate(target.names):

@@ -57,15 +57,8 @@ def _frame_prior(frame: FrameCurve) -> CalibrationPrior:
 def calibration_priors(calibration: Calibration | None) -> Mapping[str, CalibrationPrior]:
     """Priors of force gain, displacement gain, skew, force filter and frame compliance.
 
-    Parameters
-    ----------
-    calibration : Calibration or None
-        ``None`` without a study.
-
-    Returns
-    -------
-    mapping
-        The names of :data:`tissueid.priors.CALIBRATION_DEFAULTS`, for ``Priors.calibration``.
+    ``calibration``: ``None`` without a study.  Returns the names of
+    :data:`tissueid.priors.CALIBRATION_DEFAULTS`, for ``Priors.calibration``.
     """
     if calibration is None:
         return CALIBRATION_DEFAULTS

@@ -38,20 +38,11 @@ GROWING_POINTS = 41
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Linear parameters that belong together.
-
-    Attributes
-    ----------
-    at : slice
-    branch : int
-        -1 of the static law.
-    polynomial : bool
-        Only their sum has to be positive; each otherwise.
-    """
+    """Linear parameters that belong together."""
 
     at: slice
-    branch: int
-    polynomial: bool
+    branch: int  # -1 of the static law
+    polynomial: bool  # only their sum has to be positive; each otherwise
 
     @property
     def size(self) -> int:
@@ -61,27 +52,14 @@ class Block:
 
 @dataclass(frozen=True)
 class ChannelLaw:
-    """Law of a static law and relaxing parts.
-
-    Attributes
-    ----------
-    static : StaticLaw
-    powers : int
-        Of depth in each K_j; 0 where the static law itself is convolved.
-    relaxation : RelaxationLaw
-    branches : int
-        Relaxing parts.
-    depth_mm : float
-    model_of : ChannelModel or None
-        The model that it was made from; None of a Kelvin-Voigt law.
-    """
+    """Law of a static law and relaxing parts."""
 
     static: StaticLaw
-    powers: int
+    powers: int  # of depth in each K_j; 0 where the static law itself is convolved
     relaxation: RelaxationLaw
-    branches: int
+    branches: int  # relaxing parts
     depth_mm: float
-    model_of: ChannelModel | None = None
+    model_of: ChannelModel | None = None  # the model that it was made from; None of a Kelvin-Voigt law
 
     @classmethod
     def of(cls, model: ChannelModel) -> ChannelLaw:
@@ -355,11 +333,7 @@ class ChannelLaw:
     def theta(self, log_times: FloatArray, linear: FloatArray, *, exact: bool = False) -> FloatArray:
         """Theta of the contact model [N, mm, s], of one point or of rows of points.
 
-        Parameters
-        ----------
-        log_times, linear : ndarray
-        exact : bool
-            Take linear parameters as they are, not lifted to the exact passive set.
+        ``exact``: take linear parameters as they are, not lifted to the exact passive set.
         """
         log_times, linear = np.atleast_2d(log_times), np.atleast_2d(linear)
         linear = (linear if exact else self.lifted(linear)) * self.field(log_times)

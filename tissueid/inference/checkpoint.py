@@ -25,12 +25,8 @@ EVERY_S = 1.0
 class Checkpoint:
     """Points and weights so far in one file, written apart and renamed.
 
-    Parameters
-    ----------
-    path : Path or None
-        ``None`` keeps nothing.
-    key : str
-        Of everything the draws depend on; a file with another key is not used.
+    ``path``: ``None`` keeps nothing; ``key``: of everything the draws depend on; a file with another key is
+    not used.
     """
 
     def __init__(self, path: Path | None, key: str) -> None:

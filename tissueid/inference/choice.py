@@ -97,30 +97,17 @@ class Tried:
 
 @dataclass(frozen=True, slots=True)
 class Rival:
-    """Another law beside the chosen one.
-
-    Attributes
-    ----------
-    name : str
-    gain, stderr : float
-        Ln of the chosen law's mean square error over its own, on what was left out.
-    wide : float
-        Gain within which they predict alike.
-    tau_s, tau_sd_ln : float
-        Its shortest relaxation time, NaN where nothing relaxes, with the standard deviation of the logarithm.
-    apart : float
-        Difference of ln tau from the chosen law's, in standard deviations of both.
-    model : TissueModel
-    theta : ndarray
-    """
+    """Another law beside the chosen one."""
 
     name: str
+    #: Ln of the chosen law's mean square error over its own, on what was left out.
     gain: float
     stderr: float
-    wide: float
+    wide: float  # gain within which they predict alike
+    #: Its shortest relaxation time, NaN where nothing relaxes, with the standard deviation of the logarithm.
     tau_s: float
     tau_sd_ln: float
-    apart: float
+    apart: float  # difference of ln tau from the chosen law's, in standard deviations of both
     model: TissueModel = field(repr=False)
     theta: FloatArray = field(repr=False)
 
@@ -321,20 +308,11 @@ def without_bends(tried: Sequence[Tried]) -> list[Tried]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Choice:
-    """The law that is fitted, beside those that are not.
-
-    Attributes
-    ----------
-    chosen : Tried
-    rivals : tuple of Rival
-        Other laws beside it.
-    mark : Rival or None
-        The yardstick beside it.
-    """
+    """The law that is fitted, beside those that are not."""
 
     chosen: Tried
-    rivals: tuple[Rival, ...]
-    mark: Rival | None
+    rivals: tuple[Rival, ...]  # other laws beside it
+    mark: Rival | None  # the yardstick beside it
 
 
 def choice_of(paper: Tried | None, others: Sequence[Tried], *, choose: bool) -> Choice:
@@ -342,13 +320,7 @@ def choice_of(paper: Tried | None, others: Sequence[Tried], *, choose: bool) -> 
 
     Of two with as many the Kelvin-Voigt law is taken.
 
-    Parameters
-    ----------
-    paper : Tried or None
-        The Kelvin-Voigt law in its chosen order.
-    others : sequence of Tried
-    choose : bool
-        Other laws may be chosen.
+    ``paper``: the Kelvin-Voigt law in its chosen order; ``choose``: other laws may be chosen.
     """
     everyone = [one for one in (paper, *others) if one is not None]
     laws = [one for one in everyone if one.name != YARDSTICK] or everyone
@@ -399,14 +371,9 @@ def chosen_among(
 ) -> tuple[Tried, tuple[dict[str, Any], ...], list[Tried]]:
     """The simplest candidate within one standard error of the best, a table, and those that are as good.
 
-    Returns
-    -------
-    chosen : Tried
-    table : tuple of dict
-        branches, stiffness_degree, score (ln of the error of the best over its own; 0 is best), stderr,
-        chosen, tau_s (shortest relaxation time).
-    as_good : list of Tried
-        Candidates within one standard error of the best.
+    Returns ``chosen``; ``table``: branches, stiffness_degree, score (ln of the error of the best over its
+    own; 0 is best), stderr, chosen, tau_s (shortest relaxation time); ``as_good``: candidates within one
+    standard error of the best.
     """
     best = min(tried, key=lambda one: float(np.log(np.maximum(one.errors, 1e-300)).mean()))
     as_good, wide = [], float(t.ppf(ONE_ERROR, max(best.errors.size - 1, 1)))

@@ -27,13 +27,8 @@ def outside(
 ) -> tuple[str, ...]:
     """Identified parameters whose value lies outside an interval of theirs, or whose intervals part.
 
-    Parameters
-    ----------
-    parameters : tuple of Estimate
-    found : mapping
-        Name -> intervals; a total interval that is missing where others have one counts as outside.
-    margin : float
-        Share of an interval's width that the value must keep from its ends.
+    ``found``: name -> intervals; a total interval that is missing where others have one counts as outside;
+    ``margin``: share of an interval's width that the value must keep from its ends.
     """
     totals = any(one.ci95_total is not None for one in found.values())
     out = []
@@ -54,13 +49,7 @@ def withheld(
 ) -> tuple[tuple[Estimate, ...], tuple[Flag, ...]]:
     """Parameters without the intervals that can't be believed, which are then not identified.
 
-    Parameters
-    ----------
-    parameters : tuple of Estimate
-    names : tuple of str
-        Of those without.
-    why : str
-        Ends the sentence.
+    ``names``: of those without; ``why``: ends the sentence.
     """
     if not names:
         return parameters, ()
@@ -81,13 +70,7 @@ def withheld(
 def unsampled(fit: SpecimenFit, why: str, flags: tuple[Flag, ...]) -> SpecimenFit:
     """A fit without a posterior: its values stand without intervals, and none is called identified.
 
-    Parameters
-    ----------
-    fit : SpecimenFit
-    why : str
-        Ends the sentence "no interval is given".
-    flags : tuple of Flag
-        What is said of it.
+    ``why``: ends the sentence "no interval is given"; ``flags``: what is said of it.
     """
     names = tuple(one.name for one in fit.parameters if one.value is not None)
     parameters, _ = withheld(fit.parameters, names, why)

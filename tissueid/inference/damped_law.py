@@ -24,18 +24,10 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class DampedLaw(ChannelLaw):
-    """Static law with a damping parameter in the place of an inside channel's ratio.
+    """Static law with a damping parameter in the place of an inside channel's ratio."""
 
-    Attributes
-    ----------
-    logs : int
-        Of the specimen.
-    only : tuple of int or None
-        The logs that a path of some of them is of.
-    """
-
-    logs: int = 1
-    only: tuple[int, ...] | None = None
+    logs: int = 1  # of the specimen
+    only: tuple[int, ...] | None = None  # the logs that a path of some of them is of
 
     @cached_property
     def linear(self) -> int:

@@ -36,19 +36,9 @@ def depth_test(
 ) -> tuple[Quantity | None, tuple[Flag, ...]]:
     """Slope of ln tau on ln contact radius, and its flag.
 
-    Parameters
-    ----------
-    geometry : Geometry or None
-        Tip; without one, or with a flat punch, nothing is tested.
-    depths_mm, tau_s : sequence of float
-        Depth and relaxation time of a hold each, of one length.
-
-    Returns
-    -------
-    Quantity or None
-        Value and standard error of the slope, with ``verdict`` and 95 % interval among its conditions.
-    tuple of Flag
-        ``poroelastic`` where the slope is that of drainage.
+    ``geometry``: tip; without one, or with a flat punch, nothing is tested; ``depths_mm``, ``tau_s``: depth
+    and relaxation time of a hold each, of one length.  Returns value and standard error of the slope, with
+    ``verdict`` and 95 % interval among its conditions; ``poroelastic`` where the slope is that of drainage.
     """
     if geometry is None or geometry.indenter.shape == "flat" or len(depths_mm) < FEWEST_HOLDS:
         return None, ()

@@ -36,42 +36,22 @@ _RANK_OFFSET = 3.0 / 8.0
 
 @dataclass(frozen=True, slots=True)
 class Diagnostics:
-    """Convergence diagnostics of one parameter's draws.
+    """Convergence diagnostics of one parameter's draws."""
 
-    Attributes
-    ----------
-    ess_bulk : float
-        Effective number of draws for the centre (rank-normalised).
-    ess_tail : float
-        The smaller effective number for the 5 % and 95 % quantiles.
-    r_hat : float
-        Rank-normalised split R-hat, the larger of bulk and tail, at most :data:`WORST_R_HAT`; 1 where
-        all draws are equal.
-    """
-
-    ess_bulk: float
-    ess_tail: float
+    ess_bulk: float  # effective number of draws for the centre (rank-normalised)
+    ess_tail: float  # the smaller effective number for the 5 % and 95 % quantiles
+    #: Rank-normalised split R-hat, the larger of bulk and tail, at most :data:`WORST_R_HAT`; 1 where all
+    #: draws are equal.
     r_hat: float
 
 
 def diagnose(draws: Mapping[str, FloatArray]) -> dict[str, Diagnostics]:
     """Effective sizes and R-hat of each parameter.
 
-    Parameters
-    ----------
-    draws : mapping
-        Name -> array of shape (chains, draws), or (draws,) for a single chain of draws in their order.
-        The walkers of an ensemble are its chains.  At least eight draws a chain, all finite.
-
-    Returns
-    -------
-    dict
-        Name -> :class:`Diagnostics`.
-
-    Raises
-    ------
-    ValueError
-        Too few draws, or draws that are not finite, naming the parameter.
+    ``draws``: name -> array of shape (chains, draws), or (draws,) for a single chain of draws in their order.
+    The walkers of an ensemble are its chains.  At least eight draws a chain, all finite.  Returns name ->
+    :class:`Diagnostics`.  Raises ValueError: too few draws, or draws that are not finite, naming the
+    parameter.
     """
     scores: dict[int, FloatArray] = {}
     found = {}
@@ -159,10 +139,7 @@ def _effective_size(chains: FloatArray) -> float:
 def _normal_scores(size: int) -> FloatArray:
     """Normal score of each rank among ``size``, and of the half ranks between that ties share.
 
-    Returns
-    -------
-    ndarray, shape (2 size - 1,)
-        At ranks 1, 1.5, 2, ..., size.
+    Returns (2 size - 1,), at ranks 1, 1.5, 2, ..., size.
     """
     from scipy.special import ndtri
 

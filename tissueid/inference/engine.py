@@ -63,30 +63,16 @@ QUANTUM_SD = 1.0 / np.sqrt(12.0)
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """Request to the engine.
+    """Request to the engine."""
 
-    Attributes
-    ----------
-    branches, degrees : tuple of int
-        Orders of the Kelvin-Voigt law that are tried.
-    pooling : str
-        ``scaled``, ``partial`` or ``shared``.
-    noise : str
-        ``auto``, ``white``, ``ar1`` or ``white+ar1``.
-    priors : Priors
-    machine : bool
-        Leave frame, skew and filter open.
-    candidates : Candidates
-        Laws.
-    """
-
+    #: Orders of the Kelvin-Voigt law that are tried.
     branches: tuple[int, ...] = (1, 2, 3)
     degrees: tuple[int, ...] = (0, 1, 2)
-    pooling: str = "scaled"
-    noise: str = "auto"
+    pooling: str = "scaled"  # ``scaled``, ``partial`` or ``shared``
+    noise: str = "auto"  # ``auto``, ``white``, ``ar1`` or ``white+ar1``
     priors: Priors = field(default_factory=Priors)
-    machine: bool = True
-    candidates: Candidates = field(default_factory=lambda: candidates(KELVIN_VOIGT))
+    machine: bool = True  # leave frame, skew and filter open
+    candidates: Candidates = field(default_factory=lambda: candidates(KELVIN_VOIGT))  # laws
 
     @property
     def single(self) -> bool:
@@ -98,40 +84,19 @@ class Request:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Identified:
-    """The optimum of the law that was chosen.
+    """The optimum of the law that was chosen."""
 
-    Attributes
-    ----------
-    system : System
-        Under that law.
-    law : ChannelLaw
-    optimum : Optimum
-    scatter : Scatter
-    verdict : NoiseVerdict
-    discrepant : bool
-        The law misses more than the noise of the recordings; levels are then weighted white.
-    table : tuple
-        Candidates with their scores.
-    as_good : tuple of (int, int)
-        Orders within one standard error of the best.
-    left_out : str
-        What was predicted.
-    request : Request
-    rivals : tuple of Rival
-        Other laws beside the chosen one.
-    """
-
-    system: System
+    system: System  # under that law
     law: ChannelLaw
     optimum: Optimum
     scatter: Scatter
     verdict: NoiseVerdict
-    discrepant: bool
-    table: tuple[dict[str, Any], ...]
-    as_good: tuple[tuple[int, int], ...]
-    left_out: str
+    discrepant: bool  # the law misses more than the noise of the recordings; levels are then weighted white
+    table: tuple[dict[str, Any], ...]  # candidates with their scores
+    as_good: tuple[tuple[int, int], ...]  # orders within one standard error of the best
+    left_out: str  # what was predicted
     request: Request
-    rivals: tuple[Rival, ...] = ()
+    rivals: tuple[Rival, ...] = ()  # other laws beside the chosen one
 
     @property
     def quotable(self) -> bool:
@@ -273,16 +238,8 @@ def identify_logs(
 ) -> Identified:
     """Choose and fit the law of a specimen.
 
-    Parameters
-    ----------
-    logs : sequence of Blocks
-    facts : sequence of FittedLog
-        Their samples are not looked at.
-    evidence : callable
-        Gives what the recordings show of their noise, under an optimum.
-    request : Request
-    tick : callable
-        Told what is being done.
+    ``facts``: their samples are not looked at; ``evidence``: gives what the recordings show of their noise,
+    under an optimum; ``tick``: told what is being done.
     """
     depth = max(one.depth_mm for one in facts)
     step = min(one.step_s for one in facts)

@@ -61,26 +61,15 @@ def width_of(estimate: float, stderr: float) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TissueEstimate:
-    """A tissue in the parameters of its contact model.
-
-    Attributes
-    ----------
-    model : TissueModel
-    theta, covariance : ndarray
-        In the order of ``model.parameter_names``, units of the field.
-    parameters : tuple of Estimate
-    intervals : tuple of ProfileInterval
-        Of ln tau, a branch each.
-    bounded : bool
-        True where a passivity bound is active.
-    """
+    """A tissue in the parameters of its contact model."""
 
     model: TissueModel
+    #: In the order of ``model.parameter_names``, units of the field.
     theta: FloatArray
     covariance: FloatArray
     parameters: tuple[Estimate, ...]
-    intervals: tuple[ProfileInterval, ...]
-    bounded: bool
+    intervals: tuple[ProfileInterval, ...]  # of ln tau, a branch each
+    bounded: bool  # true where a passivity bound is active
 
 
 def _estimate(
@@ -113,14 +102,8 @@ def _curve_verdict(
 
     A curve may start soft: an interval relative to its own height at each depth would condemn it there.
 
-    Parameters
-    ----------
-    curve : callable
-        Values of the curve at some depths, by theta.
-    theta : ndarray, shape (p,)
-    at : sequence of int
-        Places in theta that it depends on.
-    covariance : ndarray, shape (p, p)
+    ``curve``: values of the curve at some depths, by theta; ``theta`` (p,); ``at``: places in theta that it
+    depends on; ``covariance`` (p, p).
     """
     height, slopes = curve(theta), []
     for k in at:
@@ -280,16 +263,7 @@ def theta_covariance(identified: Identified) -> FloatArray:
 
 
 def estimate_tissue(identified: Identified) -> TissueEstimate:
-    """Reported parameters of the chosen law at its optimum.
-
-    Parameters
-    ----------
-    identified : Identified
-
-    Returns
-    -------
-    TissueEstimate
-    """
+    """Reported parameters of the chosen law at its optimum."""
     model, point = identified.law.model(), identified.optimum.point
     theta = identified.law.theta(point.log_times, point.linear)[0]
     covariance = theta_covariance(identified)

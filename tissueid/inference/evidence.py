@@ -70,48 +70,23 @@ class _Quiet:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LogEvidence:
-    """Evidence of one recording on its noise.
+    """Evidence of one recording on its noise."""
 
-    Attributes
-    ----------
-    quiet : tuple
-        Quiet stretches.
-    difference_N : float
-        White noise that differences show [N].
-    quantum_N : float
-        Step of the digits [N].
-    samples : int
-    """
-
-    quiet: tuple[_Quiet, ...]
-    difference_N: float
-    quantum_N: float
+    quiet: tuple[_Quiet, ...]  # quiet stretches
+    difference_N: float  # white noise that differences show [N]
+    quantum_N: float  # step of the digits [N]
     samples: int
 
 
 @dataclass(frozen=True, slots=True)
 class NoiseVerdict:
-    """Noise that a fit needs, against noise that its recordings show.
+    """Noise that a fit needs, against noise that its recordings show."""
 
-    Attributes
-    ----------
-    refuted : bool
-        The recordings show that it is no noise.
-    measured_N : float
-        Standard deviation in quiet stretches, slow forces taken off, or of differences [N].
-    from_quiet : bool
-        Quiet stretches were there to be looked at.
-    excess : float
-        Needed over shown, in the measure that tells most.
-    p_value : float
-        Of the quiet stretches; 1 without any.
-    """
-
-    refuted: bool
-    measured_N: float
-    from_quiet: bool
-    excess: float
-    p_value: float
+    refuted: bool  # the recordings show that it is no noise
+    measured_N: float  # standard deviation in quiet stretches, slow forces taken off, or of differences [N]
+    from_quiet: bool  # quiet stretches were there to be looked at
+    excess: float  # needed over shown, in the measure that tells most
+    p_value: float  # of the quiet stretches; 1 without any
 
 
 def _quiet(time_s: FloatArray, force_N: FloatArray, degree: int) -> _Quiet:
@@ -127,12 +102,8 @@ def log_evidence(
 ) -> LogEvidence:
     """Look at one recording.
 
-    Parameters
-    ----------
-    trial, segmentation, log
-        The recording, its phases and its fitted part.
-    residual_N : ndarray, shape (n,), optional
-        Measured less modelled force at the samples of ``log``; the force itself otherwise [N].
+    ``trial``, ``segmentation``, ``log``: the recording, its phases and its fitted part; ``residual_N`` (n,):
+    measured less modelled force at the samples of ``log``; the force itself otherwise [N].
     """
     time, include = log.data.time_s, log.data.include
     values = log.data.force_N if residual_N is None else residual_N
@@ -182,16 +153,8 @@ def verdict_on_noise(
 ) -> NoiseVerdict:
     """Judge if the noise that residuals suggest is noise of the recordings.
 
-    Parameters
-    ----------
-    noise : Noise
-        Of the residuals.
-    logs : sequence of LogEvidence
-    step_s : float
-        Sampling interval [s].
-    alone : bool
-        One log is all there is: of correlation that nothing quiet shows, it can't tell noise from what the
-        model lacks.
+    ``noise``: of the residuals; ``step_s``: sampling interval [s]; ``alone``: one log is all there is: of
+    correlation that nothing quiet shows, it can't tell noise from what the model lacks.
     """
     stretches = [one for log in logs for one in log.quiet]
     digits = float(np.median([one.quantum_N for one in logs]))

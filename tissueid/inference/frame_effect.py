@@ -41,18 +41,10 @@ INSTRUMENT_TAU_S = 0.2
 
 @dataclass(frozen=True, slots=True)
 class FrameEffect:
-    """Relative effect of a frame that is taken as rigid.
+    """Relative effect of a frame that is taken as rigid."""
 
-    Attributes
-    ----------
-    tau : float
-        Largest relative error of a relaxation time, > 0: too long.
-    viscosity : float
-        Relative error of the viscosity, < 0: too small.
-    """
-
-    tau: float
-    viscosity: float
+    tau: float  # largest relative error of a relaxation time, > 0: too long
+    viscosity: float  # relative error of the viscosity, < 0: too small
 
 
 def _stiffnesses(fit: SpecimenFit) -> tuple[float, float]:
@@ -74,13 +66,7 @@ def frame_effect(fit: SpecimenFit, frame_N_per_mm: float) -> FrameEffect:
 def frame_flags(fit: SpecimenFit, frame: FrameCurve | None, stated: Mapping[str, Any]) -> list[Flag]:
     """The flags of a fit, with ``compliance_unknown`` as the study leaves it.
 
-    Parameters
-    ----------
-    fit : SpecimenFit
-    frame : FrameCurve or None
-        What was taken off the displacement.
-    stated : mapping
-        ``[calibration]`` of the study.
+    ``frame``: what was taken off the displacement; ``stated``: ``[calibration]`` of the study.
     """
     flags = [flag for flag in fit.flags if flag.code != "compliance_unknown"]
     if not fit.parameters or fit.model.branches == 0 or fit.axes.normalised:
@@ -97,14 +83,9 @@ def machine_flag(
 ) -> Flag | None:
     """``machine_implausible``: the optimum is behind a machine that what is known of it speaks against.
 
-    Parameters
-    ----------
-    machine : ndarray, shape (3,)
-        Compliance of the frame [mm/N], skew and force filter [s], at the optimum.
-    priors : mapping
-        By their names in :data:`tissueid.priors.CALIBRATION_DEFAULTS`.
-    force_N, depth_mm : float
-        The largest recorded.
+    ``machine`` (3,): compliance of the frame [mm/N], skew and force filter [s], at the optimum; ``priors``:
+    by their names in :data:`tissueid.priors.CALIBRATION_DEFAULTS`; ``force_N``, ``depth_mm``: the largest
+    recorded.
     """
     values = dict(zip(MACHINE, (float(one) for one in machine), strict=True))
     words = {

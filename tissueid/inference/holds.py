@@ -35,23 +35,14 @@ SMOOTHINGS = np.geomspace(1e3, 1e-6, 28)
 
 @dataclass(frozen=True, slots=True)
 class HoldNumbers:
-    """Numbers of the holds of one trial.
-
-    Attributes
-    ----------
-    spectra : tuple of Spectrum
-    longest_s : float
-        Longest hold; 0 without one.
-    speed_mm_s, depth_mm : float
-        Of the ramp before the longest hold.
-    drainage_s : float
-        Time a^2 / D of the drainage function nearest to the longest hold; 0 without one.
-    """
+    """Numbers of the holds of one trial."""
 
     spectra: tuple[Spectrum, ...] = ()
-    longest_s: float = 0.0
+    longest_s: float = 0.0  # longest hold; 0 without one
+    #: Of the ramp before the longest hold.
     speed_mm_s: float = 0.0
     depth_mm: float = 0.0
+    #: Time a^2 / D of the drainage function nearest to the longest hold; 0 without one.
     drainage_s: float = 0.0
 
 
@@ -68,11 +59,7 @@ def drainage_time(time_s: FloatArray, force_N: FloatArray, ramp_s: float) -> flo
 
     Of a ramp at constant speed under a sphere, force F_e ~ x^1.5: each part of it drains from its own moment.
 
-    Parameters
-    ----------
-    time_s, force_N : ndarray, shape (n,)
-        Since the stop.
-    ramp_s : float
+    ``time_s``, ``force_N`` (n,): since the stop.
     """
     if time_s.size < MIN_SAMPLES or not time_s[-1] > 2.0 * ramp_s:
         return 0.0
@@ -103,17 +90,9 @@ def relaxation_spectrum(
 ) -> tuple[FloatArray, FloatArray, float, float, float]:
     """Regularised spectrum of a relaxing force.
 
-    Parameters
-    ----------
-    time_s : ndarray, shape (n,)
-        From the stop on, growing [s].
-    force_N : ndarray, shape (n,)
-
-    Returns
-    -------
-    tau_s, amplitude_N : ndarray, shape (k,)
-        Grid from two sampling intervals to the window, and force that relaxes at each.
-    plateau_N, smoothing, rmse_N : float
+    ``time_s`` (n,): from the stop on, growing [s]; ``force_N`` (n,).  Returns ``tau_s, amplitude_N`` (k,):
+    grid from two sampling intervals to the window, and force that relaxes at each; ``plateau_N, smoothing,
+    rmse_N``.
     """
     steps = np.diff(time_s)
     step = float(np.median(steps[steps > 0.0]))
@@ -159,13 +138,7 @@ def _binned(
 
 
 def hold_numbers(trial: Trial, segmentation: Segmentation) -> HoldNumbers:
-    """Spectrum of every hold in contact, with the length of the longest and the ramp before it.
-
-    Parameters
-    ----------
-    trial : Trial
-    segmentation : Segmentation
-    """
+    """Spectrum of every hold in contact, with the length of the longest and the ramp before it."""
     contact = segmentation.contact
     if contact is None:
         return HoldNumbers()

@@ -36,41 +36,20 @@ TINY = 1e-180
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Path:
-    """Depth below contact along all logs, one behind the other.
+    """Depth below contact along all logs, one behind the other."""
 
-    Attributes
-    ----------
-    step_s : ndarray, shape (m,)
-        Time since the point before; infinite at the first point of a log.
-    depth_mm : ndarray, shape (m,) or (n, m)
-        At least 0; of one point of the parameters or of n.
-    share : ndarray, shape of ``depth_mm``
-        Share of the step that was spent in contact.
-    fresh : ndarray of int
-        First point of each log.
-    speed_ratio : ndarray, shape (m,)
-        Speed over that at which each contact began, as recorded; zero where no law follows it.
-    """
-
-    step_s: FloatArray
-    depth_mm: FloatArray
-    share: FloatArray
-    fresh: NDArray[np.int64]
+    step_s: FloatArray  # (m,), time since the point before; infinite at the first point of a log
+    depth_mm: FloatArray  # (m,) and (n, m), at least 0; of one point of the parameters or of n
+    share: FloatArray  # share of the step that was spent in contact
+    fresh: NDArray[np.int64]  # first point of each log
+    #: (m,): speed over that at which each contact began, as recorded; zero where no law follows it.
     speed_ratio: FloatArray = field(default_factory=lambda: np.zeros(1))
 
 
 def driven(decay: FloatArray, right: FloatArray) -> FloatArray:
     """States y with y_i = decay_i y_(i-1) + right_i along the last axis, in one banded solve.
 
-    Parameters
-    ----------
-    decay : ndarray, shape (..., m)
-        0 at the first point of each log.
-    right : ndarray, shape (c, ..., m) or (..., m)
-
-    Returns
-    -------
-    ndarray, shape of ``right``
+    ``decay`` (..., m): 0 at the first point of each log; ``right`` (c, ..., m) and (..., m).
     """
     band = np.empty((2, decay.size), order="F")
     band[0] = 1.0
@@ -82,16 +61,8 @@ def driven(decay: FloatArray, right: FloatArray) -> FloatArray:
 def relaxation_states(path: Path, value: FloatArray, tau_s: FloatArray) -> FloatArray:
     """Convolution of the rate of ``value`` with exp(-t / tau), exact where it is linear in between.
 
-    Parameters
-    ----------
-    path : Path
-    value : ndarray, shape (m,), (n, m) or (c, m)
-        Basis function of depth along the path, or several.
-    tau_s : ndarray, shape (j,) or (j, n)
-
-    Returns
-    -------
-    ndarray, shape (j, m), (j, n, m) or (c, j, m)
+    ``value`` (m,) and (n, m) and (c, m): basis function of depth along the path, or several; ``tau_s`` (j,)
+    and (j, n).  Returns (j, m) (j, n, m) (c, j, m).
     """
     change = np.empty(value.shape)
     change[..., 0] = 0.0
@@ -130,19 +101,13 @@ class Slopes:
 
     The force changes by ``direct`` times the change at the same moment, by ``outer`` times the convolution of
     the change with each relaxation time, and by the convolution of ``inner`` times the change.
-
-    Attributes
-    ----------
-    direct : ndarray, shape (m,)
-    outer, inner : ndarray, shape (j, m)
-        ``inner`` is None where nothing stands inside the convolution.
-    tau_s : ndarray, shape (j,)
     """
 
-    direct: FloatArray
+    direct: FloatArray  # (m,)
+    #: (j, m): ``inner`` is None where nothing stands inside the convolution.
     outer: FloatArray
-    tau_s: FloatArray
-    inner: FloatArray | None = None
+    tau_s: FloatArray  # (j,)
+    inner: FloatArray | None = None  # (j, m)
 
     def sudden(self, path: Path) -> FloatArray:
         """Change of the force by a change of depth within one step, shape (m,)."""

@@ -90,14 +90,7 @@ class _Problem:
 def both_optimisers(identified: Identified) -> dict[str, object]:
     """Run Levenberg-Marquardt and compare.
 
-    Parameters
-    ----------
-    identified : Identified
-
-    Returns
-    -------
-    dict
-        The ``optimisers`` object of ``schemas/identification.schema.json``.
+    Returns the ``optimisers`` object of ``schemas/identification.schema.json``.
     """
     problem, t = _Problem(identified), identified.law.times
     low, high = time_bounds(identified.system)

@@ -28,41 +28,20 @@ OFFSET_SD_FLOOR = 1e-5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LogHandle:
-    """A trial that can be loaded again, with what is known of it.
+    """A trial that can be loaded again, with what is known of it."""
 
-    Attributes
-    ----------
-    load : callable
-        Returns the trial.
-    segmentation : Segmentation
-    facts : FittedLog
-        Without its samples.
-    contact_sd_mm : float
-        Standard deviation of the contact point as segmented: the prior of the fit's contact offset.
-    contact_shift_mm : float
-        How far the fit has moved the contact point since.
-    guard : bool
-        See :func:`tissueid.inference.window.fitted_log`.
-    unloading : bool
-        True where samples after the tool first turned back take part.
-    surface : FreeSurface or None
-        The law whose surface is followed; ``None`` takes contact loss from the measured force.
-    hold_share : float
-        First share of every hold that takes part.
-    follows_speed : bool
-        The speed ratio along the log is measured, and samples at corners stay out.
-    """
-
-    load: Callable[[], Trial]
+    load: Callable[[], Trial]  # returns the trial
     segmentation: Segmentation
-    facts: FittedLog
+    facts: FittedLog  # without its samples
+    #: Standard deviation of the contact point as segmented: the prior of the fit's contact offset.
     contact_sd_mm: float
-    contact_shift_mm: float = 0.0
-    guard: bool = False
-    unloading: bool = False
+    contact_shift_mm: float = 0.0  # how far the fit has moved the contact point since
+    guard: bool = False  # see :func:`tissueid.inference.window.fitted_log`
+    unloading: bool = False  # true where samples after the tool first turned back take part
+    #: The law whose surface is followed; ``None`` takes contact loss from the measured force.
     surface: FreeSurface | None = None
-    hold_share: float = 1.0
-    follows_speed: bool = False
+    hold_share: float = 1.0  # first share of every hold that takes part
+    follows_speed: bool = False  # the speed ratio along the log is measured, and samples at corners stay out
 
     def window(self, trial: Trial, segmentation: Segmentation, *, guard: bool = False) -> FittedLog | None:
         """The part of a trial that is fitted under a segmentation; ``None`` where there is none."""
@@ -104,10 +83,7 @@ def blocks_of(handle: LogHandle, log: FittedLog, *, whole: bool = False) -> Bloc
 def speed_handles(handles: Sequence[LogHandle], laws: Candidates) -> list[LogHandle]:
     """The same logs with their speed ratio where a law follows it: to their ends where each of them does.
 
-    Raises
-    ------
-    InputError
-        A log has no contact that begins at a speed.
+    Raises InputError: a log has no contact that begins at a speed.
     """
     named = [*laws.laws, *([laws.paper] if laws.paper is not None else [])]
     if not any(one.damped for one in named):

@@ -50,16 +50,8 @@ def with_model_viscosity(
 ) -> tuple[CycleRow, ...]:
     """Loops of one trial with ``viscosity_model_N_s_per_mm`` filled where the model reaches their area.
 
-    Parameters
-    ----------
-    trial, segmentation
-        The recording; has a contact.
-    rows : sequence of CycleRow
-        Its loops.
-    model, theta
-        The specimen's tissue; passive.
-    adjustment : Adjustment
-        Gain and contact offset of this log.
+    ``trial``, ``segmentation``: the recording; has a contact; ``rows``: its loops; ``model``, ``theta``: the
+    specimen's tissue; passive; ``adjustment``: gain and contact offset of this log.
     """
     if not rows or not isinstance(model, KelvinVoigt) or model.branches == 0:
         return tuple(rows)

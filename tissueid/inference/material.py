@@ -77,12 +77,7 @@ def with_moduli(
 ) -> tuple[QuotedNumbers, list[Flag]]:
     """The same numbers with the moduli for a tip, and what is to be said of them.
 
-    Parameters
-    ----------
-    quoted : QuotedNumbers
-    tissue : TissueEstimate
-    geometry : Geometry or None
-        Without one nothing changes.
+    ``geometry``: without one nothing changes.
     """
     if geometry is None:
         return quoted, []

@@ -72,16 +72,9 @@ def scan_memory(
 ) -> MemoryScan:
     """Correlation of the noise under a law.
 
-    Parameters
-    ----------
-    system, point, parts, prior
-        A fit, its derivatives (machine closed) and priors.
-    step_s : float
-        Sampling interval [s].
-    rough_N : float
-        Size of the residuals [N].
-    model : str
-        ``auto``, ``white``, ``ar1`` or ``white+ar1``.
+    ``system``, ``point``, ``parts``, ``prior``: a fit, its derivatives (machine closed) and priors;
+    ``step_s``: sampling interval [s]; ``rough_N``: size of the residuals [N]; ``model``: ``auto``, ``white``,
+    ``ar1`` or ``white+ar1``.
     """
     look: Callable[[Memory], tuple[float, float]] = lambda memory: _restricted(  # noqa: E731
         system, point, parts, prior, memory, rough_N

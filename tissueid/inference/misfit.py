@@ -73,11 +73,6 @@ def block_covariance(blocks: ResidualBlocks, noise: NoiseFit) -> FloatArray:
 
     Sums of a geometric series: ``n + 2 sum_j (n - j) r^j`` for a block of n equally spaced samples whose
     neighbours are correlated by r, and the product of two such series across a gap.
-
-    Parameters
-    ----------
-    blocks : ResidualBlocks
-    noise : NoiseFit
     """
     white, correlated = _parts(noise)
     n = blocks.count.astype(np.float64)
@@ -150,17 +145,8 @@ def shared_structure(
     fit could still take out is projected away first: logs share it, and it is no error of the model.  The
     smallest of these p-values is judged against its own distribution under the same exchanges.
 
-    Parameters
-    ----------
-    logs : sequence of ResidualBlocks
-    noise : NoiseFit
-        Weighs blocks of different length; the level does not depend on it.
-    rng : Generator
-
-    Returns
-    -------
-    tuple or None
-        Statistic (of the strongest group), p-value and the group in words; ``None`` with too few logs.
+    ``noise``: weighs blocks of different length; the level does not depend on it.  Returns statistic (of the
+    strongest group), p-value and the group in words; ``None`` with too few logs.
     """
     if len(logs) < FEWEST_LOGS:
         return None
@@ -307,17 +293,8 @@ def _early(one: ResidualBlocks) -> NDArray[np.bool_]:
 def misfit_alarm(logs: Sequence[ResidualBlocks], noise: NoiseFit) -> MisfitAlarm:
     """Look for structure in the residuals of a specimen.
 
-    Parameters
-    ----------
-    logs : sequence of ResidualBlocks
-        Of all logs, at the optimum.
-    noise : NoiseFit
-        The noise that the fit found.
-
-    Returns
-    -------
-    MisfitAlarm
-        Raised where any check is; under the fitted model at most at two per cent.
+    ``logs``: of all logs, at the optimum; ``noise``: the noise that the fit found.  Returns raised where any
+    check is; under the fitted model at most at two per cent.
     """
     logs = [one for one in logs if one.count.size]
     if not logs or not noise.sigma_N > 0.0:

@@ -42,22 +42,12 @@ RIDGE = 1e-4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mixture:
-    """Student's t components.
+    """Student's t components."""
 
-    Attributes
-    ----------
-    weights : ndarray, shape (c,)
-    means : ndarray, shape (c, d)
-    roots : ndarray, shape (c, d, d)
-        Of the scale matrices.
-    tails : ndarray, shape (c,)
-        Degrees of freedom.
-    """
-
-    weights: FloatArray
-    means: FloatArray
-    roots: FloatArray
-    tails: FloatArray
+    weights: FloatArray  # (c,)
+    means: FloatArray  # (c, d)
+    roots: FloatArray  # (c, d, d), of the scale matrices
+    tails: FloatArray  # (c,), degrees of freedom
 
     def draw(self, count: int, rng: np.random.Generator) -> FloatArray:
         """Draws, shape (count, d)."""
@@ -186,17 +176,7 @@ def _best_tails(mixture: Mixture, z: FloatArray, weight: FloatArray, levels: Flo
 def learn_mixture(target: Target, cut: CutNormal, rng: np.random.Generator) -> tuple[Mixture, float]:
     """Learn a density from the cut normal beside its optimum.
 
-    Parameters
-    ----------
-    target : Target
-    cut : CutNormal
-    rng : Generator
-
-    Returns
-    -------
-    mixture : Mixture
-    efficiency : float
-        Share of its last draws that they are worth as independent ones.
+    Returns ``mixture``; ``efficiency``: share of its last draws that they are worth as independent ones.
     """
     least = EACH * target.size
     first = target.bent(cut.pool[: 2 * ROUND])

@@ -23,18 +23,10 @@ SETTLED = 1e-13
 
 @dataclass(frozen=True, slots=True)
 class Memory:
-    """Correlation of the noise.
+    """Correlation of the noise."""
 
-    Attributes
-    ----------
-    time_s : float
-        Correlation time of the AR(1) part; 0 for white noise.
-    white : float
-        Share of the white part in the variance.
-    """
-
-    time_s: float = 0.0
-    white: float = 0.0
+    time_s: float = 0.0  # correlation time of the AR(1) part; 0 for white noise
+    white: float = 0.0  # share of the white part in the variance
 
     def phi(self, step_s: float) -> float:
         """Correlation over a step."""
@@ -89,17 +81,9 @@ def whitener(
 ) -> Whitener:
     """Prepare whitening under noise of unit variance.
 
-    Parameters
-    ----------
-    count : ndarray, shape (k,)
-        Samples of each observation.
-    step_s : ndarray, shape (k,)
-        Sampling interval within it.
-    gap_s : ndarray, shape (k,)
-        Time from the last sample of the observation before to its first; ignored where a chain starts.
-    chain : ndarray of bool, shape (k,)
-        Starts of chains.
-    memory : Memory
+    ``count`` (k,): samples of each observation; ``step_s`` (k,): sampling interval within it; ``gap_s`` (k,):
+    time from the last sample of the observation before to its first; ignored where a chain starts; ``chain``
+    (k,): starts of chains.
     """
     if memory.time_s <= 0.0 or memory.white >= 1.0:
         return Whitener(np.sqrt(count), -float(np.log(count).sum()))

@@ -36,13 +36,7 @@ ACTIVE = 1e-7
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Scale and correlation of the force's noise.
-
-    Attributes
-    ----------
-    sigma_N : float
-    memory : Memory
-    """
+    """Scale and correlation of the force's noise."""
 
     sigma_N: float
     memory: Memory = WHITE
@@ -63,11 +57,7 @@ def nearest_in_cone(
 ) -> FloatArray:
     """Point of ``cone @ x >= least`` nearest to a centre in the metric of a covariance.
 
-    Parameters
-    ----------
-    centre : ndarray, shape (n,)
-    covariance : ndarray, shape (n, n)
-    cone, least : ndarray, shape (c, n) and (c,)
+    ``centre`` (n,); ``covariance`` (n, n); ``cone`` (c, n), ``least`` (c,).
     """
     missing = least - cone @ centre
     if not (missing > 0.0).any():
@@ -94,34 +84,18 @@ def nearest_in_cone(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Normal:
-    """Normal equations at a point, in units of the noise.
+    """Normal equations at a point, in units of the noise."""
 
-    Attributes
-    ----------
-    residual : ndarray, shape (k,)
-        Whitened, over sigma.
-    shared, own : ndarray, shape (k, s) and (k, q)
-        Whitened derivatives over sigma.
-    hessian : ndarray, shape (s, s)
-        Of half the objective, own parameters eliminated.
-    gradient : ndarray, shape (s,)
-        Downhill.
-    own_inverse : ndarray, shape (logs, q, q)
-    cross : ndarray, shape (logs, q, s)
-    own_gradient : ndarray, shape (logs, q)
-    objective : float
-        |residual|^2 and priors.
-    """
-
-    residual: FloatArray
+    residual: FloatArray  # (k,), whitened, over sigma
+    #: (k, s): whitened derivatives over sigma.
     shared: FloatArray
-    own: FloatArray
-    hessian: FloatArray
-    gradient: FloatArray
-    own_inverse: FloatArray
-    cross: FloatArray
-    own_gradient: FloatArray
-    objective: float
+    own: FloatArray  # (k, q)
+    hessian: FloatArray  # (s, s), of half the objective, own parameters eliminated
+    gradient: FloatArray  # (s,), downhill
+    own_inverse: FloatArray  # (logs, q, q)
+    cross: FloatArray  # (logs, q, s)
+    own_gradient: FloatArray  # (logs, q)
+    objective: float  # |residual|^2 and priors
 
 
 def _by_log(system: System, products: FloatArray) -> FloatArray:
@@ -173,28 +147,15 @@ def covariance_of(hessian: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Optimum:
-    """A minimum of the objective.
-
-    Attributes
-    ----------
-    point : Point
-    normal : Normal
-    prior : PriorRows
-    noise : Noise
-    covariance : ndarray, shape (s, s)
-        Inverse Hessian of the shared parameters, bounds not known to it.
-    converged : bool
-    active : ndarray of bool, shape (c,)
-        Constraints that hold with equality.
-    """
+    """A minimum of the objective."""
 
     point: Point
     normal: Normal
     prior: PriorRows
     noise: Noise
-    covariance: FloatArray
+    covariance: FloatArray  # (s, s), inverse Hessian of the shared parameters, bounds not known to it
     converged: bool
-    active: NDArray[np.bool_]
+    active: NDArray[np.bool_]  # (c,), constraints that hold with equality
 
 
 def _step(normal: Normal, prior: PriorRows, point: Point, damping: float, frozen: FloatArray) -> Point:
@@ -261,23 +222,9 @@ def minimise(
 ) -> Optimum:
     """Minimise the objective from a point.
 
-    Parameters
-    ----------
-    system : System
-    point : Point
-    prior_at : callable
-        Priors around a point.
-    memory : Memory
-        Correlation of the noise.
-    sigma_N : float, optional
-        Noise held at this; otherwise it follows the residuals.
-    machine : bool
-        The machine is open.
-    least_sigma_N : float
-        Noise is not below this.
-    steps : int
-    held : ndarray of int, optional
-        Shared parameters that stay where they are.
+    ``prior_at``: priors around a point; ``memory``: correlation of the noise; ``sigma_N``: noise held at
+    this; otherwise it follows the residuals; ``machine``: the machine is open; ``least_sigma_N``: noise is
+    not below this; ``held``: shared parameters that stay where they are.
     """
     white = whitener_of(system, memory)
     prior = prior_at(point)

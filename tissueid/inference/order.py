@@ -48,12 +48,8 @@ def gain_spread(trials: Sequence[TrialFit]) -> list[Flag]:
 def order_effect(trials: Sequence[TrialFit], runs: Sequence[int | None]) -> list[Flag]:
     """``order_effect`` where stiffness follows the order of testing, or the first test differs from the rest.
 
-    Parameters
-    ----------
-    trials : sequence of TrialFit
-    runs : sequence of int or None
-        Place of each in the order of testing; ``None`` where it was not stated.  Where none was, the order is
-        that of the files.
+    ``runs``: place of each in the order of testing; ``None`` where it was not stated.  Where none was, the
+    order is that of the files.
     """
     stated = any(run is not None for run in runs)
     places = runs if stated else range(1, len(trials) + 1)
@@ -114,11 +110,7 @@ def _first_apart(log_gain: NDArray[np.float64], what: str) -> list[Flag]:
 def repeated_sites(trials: Sequence[TrialFit], rows: Sequence[Mapping[str, Any]]) -> list[Flag]:
     """``repeated_site`` where one site of the specimen was tested more than once.
 
-    Parameters
-    ----------
-    trials : sequence of TrialFit
-    rows : sequence of mapping
-        ``[[trial]]`` of each, empty where it has none.
+    ``rows``: ``[[trial]]`` of each, empty where it has none.
     """
     tested: dict[str, list[float | None]] = {}
     for _, row in zip(trials, rows, strict=True):

@@ -77,25 +77,14 @@ class PosteriorOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Draws:
-    """Draws of a specimen.
+    """Draws of a specimen."""
 
-    Attributes
-    ----------
-    vectors : ndarray, shape (n, size)
-        Coordinates of the target.
-    total, statistical : ndarray, shape (n, p)
-        Theta with the machine open, and at its mean.
-    gains : ndarray, shape (n, 2)
-        Force and displacement gain.
-    centre : ndarray, shape (size,)
-        Means of the coordinates.
-    """
-
-    vectors: FloatArray
+    vectors: FloatArray  # (n, size), coordinates of the target
+    #: (n, p): theta with the machine open, and at its mean.
     total: FloatArray
-    statistical: FloatArray
-    gains: FloatArray
-    centre: FloatArray
+    statistical: FloatArray  # (n, p)
+    gains: FloatArray  # (n, 2), force and displacement gain
+    centre: FloatArray  # (size,), means of the coordinates
 
 
 def _passive(law: ChannelLaw, linear: FloatArray, centre: FloatArray) -> FloatArray:
@@ -214,19 +203,9 @@ def with_posterior(
 ) -> SpecimenFit:
     """The fit of a specimen with its posterior.
 
-    Parameters
-    ----------
-    fitted : FittedSpecimen
-    priors : Priors
-    options : PosteriorOptions
-    checkpoint : Path, optional
-        File that the sampler can go on from after a kill.
-    key : str
-        Of everything the posterior depends on; a checkpoint with another key is not used.
-    instrument : bool
-        Give the total interval too; normalised recordings have no instrument to ask about.
-    tick : callable, optional
-        Told what is being done.
+    ``checkpoint``: file that the sampler can go on from after a kill; ``key``: of everything the posterior
+    depends on; a checkpoint with another key is not used; ``instrument``: give the total interval too;
+    normalised recordings have no instrument to ask about; ``tick``: told what is being done.
     """
     tick = tick or (lambda _: None)
     if options.sampler == "none" or fitted.identified.law.branches == 0 or not fitted.identified.quotable:

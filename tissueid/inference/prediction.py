@@ -48,14 +48,7 @@ def _alone(identified: Identified, index: int) -> FloatArray:
 def next_indentation(identified: Identified) -> dict[str, tuple[float, float]]:
     """Prediction intervals of the reported parameters.
 
-    Parameters
-    ----------
-    identified : Identified
-
-    Returns
-    -------
-    dict
-        Name -> interval; empty with fewer than three logs, and without parameters that no log determines.
+    Returns name -> interval; empty with fewer than three logs, and without parameters that no log determines.
     """
     logs = len(identified.system.logs)
     if logs < FEWEST:

@@ -30,18 +30,10 @@ SHAPE_STEP = 1e-5
 
 @dataclass(frozen=True, slots=True)
 class Scatter:
-    """Standard deviations of what logs of one specimen have for themselves.
+    """Standard deviations of what logs of one specimen have for themselves."""
 
-    Attributes
-    ----------
-    gain : float
-        Of ln gain.
-    shape : float
-        Of ln gain at lesser depths beside that at the largest.
-    """
-
-    gain: float = 0.1
-    shape: float = 0.02
+    gain: float = 0.1  # of ln gain
+    shape: float = 0.02  # of ln gain at lesser depths beside that at the largest
 
 
 @lru_cache
@@ -64,25 +56,16 @@ def time_bounds(system: System) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PriorRows:
-    """Gaussian priors and bounds.
+    """Gaussian priors and bounds."""
 
-    Attributes
-    ----------
-    rows, target : ndarray, shape (c, shared) and (c,)
-        Standardised: ``|rows @ shared - target|^2`` is twice the negative log prior.
-    own : ndarray, shape (logs, q)
-        Precision of each log's own parameters, around 0.
-    cone, least : ndarray, shape (b, shared) and (b,)
-        ``cone @ shared >= least``.
-    log_det : float
-        Half the ln determinant of the precision of the linear parameters, as it follows the relaxation times.
-    """
-
+    #: (c, shared): standardised: ``|rows @ shared - target|^2`` is twice the negative log prior.
     rows: FloatArray
-    target: FloatArray
-    own: FloatArray
+    target: FloatArray  # (c,)
+    own: FloatArray  # (logs, q), precision of each log's own parameters, around 0
+    #: (b, shared): ``cone @ shared >= least``.
     cone: FloatArray
-    least: FloatArray
+    least: FloatArray  # (b,)
+    #: Half the ln determinant of the precision of the linear parameters, as it follows the relaxation times.
     log_det: float = 0.0
 
 
@@ -126,16 +109,7 @@ def prior_rows(
 ) -> PriorRows:
     """Priors around a point.
 
-    Parameters
-    ----------
-    system : System
-    law : ChannelLaw
-    point : Point
-        Largest states of the branches are taken here.
-    scatter : Scatter
-    priors : Priors
-    machine : bool
-        The machine is open.
+    ``point``: largest states of the branches are taken here; ``machine``: the machine is open.
     """
     t, m, p = law.times, len(MACHINE), law.linear
     force = float(np.abs(system.force).max())

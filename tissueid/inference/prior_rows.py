@@ -79,13 +79,8 @@ def prior_table(
 ) -> tuple[PriorRow, ...]:
     """Every prior of a specimen, its posterior and the shrinkage between them.
 
-    Parameters
-    ----------
-    target : SpecimenTarget
-    vectors : ndarray, shape (n, size)
-    theta : ndarray, shape (n, p)
-    gains : ndarray, shape (n, 2), or None
-        Of force and displacement, where there is a machine.
+    ``vectors`` (n, size); ``theta`` (n, p); ``gains`` (n, 2): of force and displacement, where there is a
+    machine.
     """
     priors, places = target.priors, target.places
     rows = _linear(target, theta)
@@ -136,14 +131,7 @@ def log_theta_prior(target: SpecimenTarget, theta: FloatArray) -> FloatArray:
 
     The density is that of theta itself, in the units of the contact model and in tau rather than ln tau.
 
-    Parameters
-    ----------
-    target : SpecimenTarget
-    theta : ndarray, shape (n, p)
-
-    Returns
-    -------
-    ndarray, shape (n,)
+    ``theta`` (n, p).  Returns (n,).
     """
     law, priors, size = target.law, target.priors, target.law.degree + 1
     if law.model_of is not None:

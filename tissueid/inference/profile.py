@@ -26,18 +26,12 @@ DIGITS = 6
 
 @dataclass(frozen=True, slots=True)
 class ProfileInterval:
-    """95 % profile-likelihood interval of one ln tau.
+    """95 % profile-likelihood interval of one ln tau."""
 
-    Attributes
-    ----------
-    low, high : float
-        Ends in ln(tau / s); the bound of the search where open.
-    open_low, open_high : bool
-        True where the likelihood never falls far enough before the bound.
-    """
-
+    #: Ends in ln(tau / s); the bound of the search where open.
     low: float
     high: float
+    #: True where the likelihood never falls far enough before the bound.
     open_low: bool
     open_high: bool
 
@@ -74,18 +68,8 @@ def _held(identified: Identified, branch: int, value: float, start: Optimum) -> 
 def profile(identified: Identified, branch: int) -> tuple[ProfileInterval, dict[str, list[float]]]:
     """Profile of one relaxation time.
 
-    Parameters
-    ----------
-    identified : Identified
-    branch : int
-        Place in the point's times.
-
-    Returns
-    -------
-    interval : ProfileInterval
-    curve : dict
-        ``tau_s``, ``rise`` (of the deviance, in units of chi-square) and ``stiffness_N_per_mm``, ascending in
-        tau.
+    ``branch``: place in the point's times.  Returns ``interval``; ``curve``: ``tau_s``, ``rise`` (of the
+    deviance, in units of chi-square) and ``stiffness_N_per_mm``, ascending in tau.
     """
     optimum, law = identified.optimum, identified.law
     centre = float(optimum.point.log_times[branch])

@@ -29,23 +29,14 @@ REACH = 2.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CutNormal:
-    """A normal in whitened coordinates, cut by half spaces.
+    """A normal in whitened coordinates, cut by half spaces."""
 
-    Attributes
-    ----------
-    centre : ndarray, shape (d,)
-    width : float
-    rows, least : ndarray, shape (c, d) and (c,)
-        Half spaces ``rows @ z >= least``.
-    pool : ndarray, shape (n, d)
-        Draws.
-    """
-
-    centre: FloatArray
+    centre: FloatArray  # (d,)
     width: float
+    #: (c, d): half spaces ``rows @ z >= least``.
     rows: FloatArray
-    least: FloatArray
-    pool: FloatArray
+    least: FloatArray  # (c,)
+    pool: FloatArray  # (n, d), draws
 
     def _whole(self, count: int, rng: np.random.Generator) -> FloatArray:
         """Draws of the normal that is not cut, shape (count, d)."""
@@ -104,12 +95,7 @@ def _inside(rows: FloatArray, least: FloatArray) -> FloatArray:
 def _directions(key: FloatArray, d: int, steps: int, rng: np.random.Generator) -> FloatArray:
     """Unit directions of the walk: one slack at a time, none of them, or at random.
 
-    Parameters
-    ----------
-    key : ndarray, shape (k, d)
-        Rows of the constraints that are likely to be active.
-    d, steps : int
-    rng : Generator
+    ``key`` (k, d): rows of the constraints that are likely to be active.
     """
     out = rng.standard_normal((steps, d))
     if len(key):
@@ -128,13 +114,7 @@ def cut_normal(
 ) -> CutNormal:
     """Draw from a normal of width :data:`WIDER` around a centre with ``rows @ z >= least``.
 
-    Parameters
-    ----------
-    centre : ndarray, shape (d,)
-    rows, least : ndarray, shape (c, d) and (c,)
-    likely : ndarray of int
-        Rows that may be active.
-    rng : Generator
+    ``centre`` (d,); ``rows`` (c, d), ``least`` (c,); ``likely``: rows that may be active.
     """
     d = centre.size
     size = np.linalg.norm(rows, axis=1)

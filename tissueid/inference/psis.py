@@ -51,10 +51,7 @@ def _pareto(tail: FloatArray) -> tuple[float, float]:
 def smoothed(log_weight: FloatArray) -> Weighed:
     """Smooth the largest weights by the Pareto distribution that they follow.
 
-    Parameters
-    ----------
-    log_weight : ndarray, shape (n,)
-        Log density over log proposal; minus infinity where the density is none.
+    ``log_weight`` (n,): log density over log proposal; minus infinity where the density is none.
     """
     inside = np.flatnonzero(np.isfinite(log_weight))
     weights = np.zeros(log_weight.size)

@@ -50,19 +50,12 @@ EQUALLY_LONG = 0.99
 
 @dataclass(frozen=True, slots=True)
 class Supported:
-    """Coverage of a specimen's recordings.
+    """Coverage of a specimen's recordings."""
 
-    Attributes
-    ----------
-    window_s, resolution_s : float
-        Longest hold (longest log without one), and two sampling intervals.
-    hold : HoldNumbers
-        With the speed and depth of the ramp before the longest hold.
-    """
-
+    #: Longest hold (longest log without one), and two sampling intervals.
     window_s: float
     resolution_s: float
-    hold: HoldNumbers
+    hold: HoldNumbers  # with the speed and depth of the ramp before the longest hold
 
     def no_time(self, time_s: float) -> str:
         """Reason that nothing can be said of a time; empty where something can."""
@@ -209,13 +202,8 @@ def model_numbers(
 ) -> tuple[Quantity, ...]:
     """Functionals of a fitted tissue.
 
-    Parameters
-    ----------
-    tissue : TissueEstimate
-    supported : Supported
-    frequencies_Hz : sequence of float, optional
-        Asked for: those that are not supported come with the reason.  Without any, the supported of
-        :data:`FREQUENCIES_HZ`.
+    ``frequencies_Hz``: asked for: those that are not supported come with the reason.  Without any, the
+    supported of :data:`FREQUENCIES_HZ`.
     """
     quote = _Quoter(tissue, unknown_parameters(tissue))
     return (
@@ -264,14 +252,7 @@ def quoted_numbers(
 ) -> QuotedNumbers:
     """Functionals and spectra of one specimen; moduli are added by whoever knows a tip.
 
-    Parameters
-    ----------
-    tissue : TissueEstimate
-    holds : sequence of HoldNumbers
-        A trial each.
-    step_s, duration_s : float
-        Sampling interval and longest fitted log [s].
-    frequencies_Hz : sequence of float, optional
+    ``holds``: a trial each; ``step_s``, ``duration_s``: sampling interval and longest fitted log [s].
     """
     most = max((one.longest_s for one in holds), default=0.0)
     # of holds equally long the deepest: the same protocol ends a sample earlier or later

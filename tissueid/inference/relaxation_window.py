@@ -73,20 +73,9 @@ def relaxation_window(
 ) -> RelaxationWindow | None:
     """Relaxation time of the one-branch model with the hold cut to T, T/2 and T/4.
 
-    Parameters
-    ----------
-    handles : sequence of LogHandle
-        Logs of one specimen.
-    identified : Identified
-        Their fit: its degree of K, machine and logs' own parameters are kept.
-    tick : callable
-        Told what is being done.
-
-    Returns
-    -------
-    RelaxationWindow or None
-        ``None`` without a hold, where a quarter of it is too short to be fitted, or where the whole of it
-        does not determine a relaxation time.
+    ``handles``: logs of one specimen; ``identified``: their fit: its degree of K, machine and logs' own
+    parameters are kept; ``tick``: told what is being done.  Returns ``None`` without a hold, where a quarter
+    of it is too short to be fitted, or where the whole of it does not determine a relaxation time.
     """
     holds = [length for handle in handles if (length := _hold_s(handle)) > 0.0]
     step = max(handle.facts.step_s for handle in handles)

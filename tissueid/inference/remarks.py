@@ -22,12 +22,7 @@ VISCOSITY = "viscosity_N_s_per_mm"
 
 
 def posterior_flags(posterior: Posterior) -> tuple[Flag, ...]:
-    """Flags of a posterior.
-
-    Parameters
-    ----------
-    posterior : Posterior
-    """
+    """Flags of a posterior."""
     sampler = posterior.sampler
     flags = _misfit(posterior.misfit)
     if not sampler.converged:

@@ -25,15 +25,8 @@ CROWDED = 0.1
 def reported_draws(model: TissueModel, theta: FloatArray) -> dict[str, FloatArray]:
     """Every reported parameter of each draw: theta by name, and the viscosities.
 
-    Parameters
-    ----------
-    model : TissueModel
-    theta : ndarray, shape (n, p)
-
-    Returns
-    -------
-    dict
-        Name -> ndarray, shape (n,), in the parameter's unit; viscosity at half depth where K varies.
+    ``theta`` (n, p).  Returns name -> ndarray, shape (n,), in the parameter's unit; viscosity at half depth
+    where K varies.
     """
     out: dict[str, FloatArray] = {name: theta[:, k] for k, name in enumerate(model.parameter_names)}
     if not viscous(model):

@@ -33,45 +33,26 @@ DEPTH_STEP = 1e-4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ResidualBlocks:
-    """Block means of one log; ``k`` blocks in the order of time.
+    """Block means of one log; ``k`` blocks in the order of time."""
 
-    Attributes
-    ----------
-    phase : ndarray of int, shape (k,)
-        Which move or hold of the log, counted from 0 by its kind.
-    hold : ndarray of bool, shape (k,)
-    place : ndarray of int, shape (k,)
-        Of a move: the index of its :data:`MOVE_EDGES`; of a hold: the whole part of
-        ``HOLD_BLOCKS_PER_DECADE log10(time since the corner / s)``.
-    count : ndarray of int, shape (k,)
-        Samples that take part in the likelihood.
-    mean_N : ndarray, shape (k,)
-        Mean of measured less modelled force.
-    start_s, end_s : ndarray, shape (k,)
-        Time of the first and of the last of these samples.
-    shared : ndarray, shape (k, p)
-        Mean derivative of the model by its theta.
-    own : ndarray, shape (k, q)
-        Mean derivative by what each log has for itself: ln gain, contact offset and shape; and
-        by the branch states at its corners, which may lie between two samples.
-    speed_mm_s, depth_mm : float
-        Fastest loading and largest depth of the log.
-    step_s : float
-        Median sampling interval.
-    """
-
-    phase: NDArray[np.int64]
-    hold: NDArray[np.bool_]
+    phase: NDArray[np.int64]  # (k,), which move or hold of the log, counted from 0 by its kind
+    hold: NDArray[np.bool_]  # (k,)
+    #: (k,): of a move: the index of its :data:`MOVE_EDGES`; of a hold: the whole part of
+    #: ``HOLD_BLOCKS_PER_DECADE log10(time since the corner / s)``.
     place: NDArray[np.int64]
-    count: NDArray[np.int64]
-    mean_N: FloatArray
+    count: NDArray[np.int64]  # (k,), samples that take part in the likelihood
+    mean_N: FloatArray  # (k,), mean of measured less modelled force
+    #: (k,): time of the first and of the last of these samples.
     start_s: FloatArray
-    end_s: FloatArray
-    shared: FloatArray
+    end_s: FloatArray  # (k,)
+    shared: FloatArray  # (k, p), mean derivative of the model by its theta
+    #: (k, q): mean derivative by what each log has for itself: ln gain, contact offset and shape; and by the
+    #: branch states at its corners, which may lie between two samples.
     own: FloatArray
+    #: Fastest loading and largest depth of the log.
     speed_mm_s: float
     depth_mm: float
-    step_s: float
+    step_s: float  # median sampling interval
 
 
 def _keys(segmentation: Segmentation, log: FittedLog) -> NDArray[np.int64]:
@@ -136,16 +117,8 @@ def residual_blocks(
 ) -> ResidualBlocks:
     """Block means of one log under its specimen's model.
 
-    Parameters
-    ----------
-    segmentation : Segmentation
-    log : FittedLog
-    model, theta
-        The specimen's tissue.
-    adjustment : Adjustment
-        The log's own gain, contact offset and shape.
-    fitted : ndarray, shape (n,)
-        Force of all that along the log [N].
+    ``model``, ``theta``: the specimen's tissue; ``adjustment``: the log's own gain, contact offset and shape;
+    ``fitted`` (n,): force of all that along the log [N].
     """
     data = log.data
     path = ContactPath(data.time_s, data.depth_mm, data.speed_ratio)

@@ -39,15 +39,8 @@ def residual_summary(
 ) -> ResidualSummary:
     """Summarise what the model leaves of one log.
 
-    Parameters
-    ----------
-    log : FittedLog
-    fitted : ndarray, shape (n,)
-        Force of the specimen's model along it [N].
-    blocks : ResidualBlocks
-        Of the same log.
-    sigma_N : float
-        Standard deviation of the specimen's noise: the scale of the histogram [N].
+    ``fitted`` (n,): force of the specimen's model along it [N]; ``blocks``: of the same log; ``sigma_N``:
+    standard deviation of the specimen's noise: the scale of the histogram [N].
     """
     data = log.data
     residual = (data.force_N - fitted)[data.include]

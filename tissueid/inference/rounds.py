@@ -43,23 +43,13 @@ Identify = Callable[[Sequence[LogHandle]], tuple[Identified, list[FittedLog]]]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Followed:
-    """A fit on the paths of its own surfaces.
-
-    Attributes
-    ----------
-    handles : list of LogHandle
-    identified : Identified
-    facts : list of FittedLog
-    rounds : int
-    change_sd : float
-        Largest change of a shared parameter in the last round, in its standard errors.
-    """
+    """A fit on the paths of its own surfaces."""
 
     handles: list[LogHandle]
     identified: Identified
     facts: list[FittedLog]
     rounds: int
-    change_sd: float
+    change_sd: float  # largest change of a shared parameter in the last round, in its standard errors
 
     @property
     def settled(self) -> bool:
@@ -111,13 +101,7 @@ def follow_surfaces(
 ) -> Followed:
     """Fit logs with their unloading.
 
-    Parameters
-    ----------
-    handles : sequence of LogHandle
-        From :func:`unloading_handles`.
-    identify : callable
-        Chooses and fits a law for logs.
-    tick : callable
+    ``handles``: from :func:`unloading_handles`; ``identify``: chooses and fits a law for logs.
     """
     current = list(handles)
     found, facts = identify(current)
@@ -167,20 +151,8 @@ def unloading_verdict(
 ) -> tuple[dict[str, Any], list[Flag]]:
     """Report of the rounds and of a direct simulation, with their flags.
 
-    Parameters
-    ----------
-    followed : Followed
-    tissue : TissueEstimate
-    adjustments : sequence of Adjustment
-        One a log.
-    sigma_N : float
-        Noise standard deviation of the fit.
-
-    Returns
-    -------
-    report : dict
-        The ``unloading`` object of ``schemas/identification.schema.json``.
-    flags : list of Flag
+    ``adjustments``: one a log; ``sigma_N``: noise standard deviation of the fit.  Returns ``report``: the
+    ``unloading`` object of ``schemas/identification.schema.json``; ``flags``.
     """
     parts = [
         _residuals(handle, tissue, one) for handle, one in zip(followed.handles, adjustments, strict=True)

@@ -62,20 +62,10 @@ ALIKE = 1.1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sampled:
-    """A chain.
+    """A chain."""
 
-    Attributes
-    ----------
-    chain : ndarray, shape (walkers, steps, d)
-        Whitened coordinates of the target.
-    log_density : ndarray, shape (walkers, steps)
-    converged : bool
-    acceptance : float
-    detail : dict
-    """
-
-    chain: FloatArray
-    log_density: FloatArray
+    chain: FloatArray  # (walkers, steps, d), whitened coordinates of the target
+    log_density: FloatArray  # (walkers, steps)
     converged: bool
     acceptance: float
     detail: dict[str, Any] = field(default_factory=dict)
@@ -147,18 +137,9 @@ def sample(
 ) -> Sampled:
     """Sample a specimen's posterior.
 
-    Parameters
-    ----------
-    target : Target
-    draws : int
-        Effective draws that are asked for.
-    seed : int
-    checkpoint : Path, optional
-        File that a killed run goes on from.
-    key : str
-        Of everything the chain depends on.
-    progress : callable, optional
-        Told steps so far and the share of what was asked.
+    ``draws``: effective draws that are asked for; ``checkpoint``: file that a killed run goes on from;
+    ``key``: of everything the chain depends on; ``progress``: told steps so far and the share of what was
+    asked.
     """
     began = time.perf_counter()
     d = target.size

@@ -35,15 +35,8 @@ def _clusters(target: SpecimenTarget) -> NDArray[np.int64]:
 def sandwich_covariance(target: SpecimenTarget) -> tuple[FloatArray, float]:
     """Covariance of the free coordinates, and the samples that one independent sample stands for.
 
-    Parameters
-    ----------
-    target : SpecimenTarget
-
-    Returns
-    -------
-    covariance : ndarray, shape (d, d)
-    worth : float
-        Mean ratio of the variance to that of independent samples, at least 1.
+    Returns ``covariance`` (d, d); ``worth``: mean ratio of the variance to that of independent samples, at
+    least 1.
     """
     normal, s = target.optimum.normal, target.n_shared
     columns = np.zeros((normal.residual.size, len(target.mode)))

@@ -88,14 +88,7 @@ def _generators(law: ChannelLaw) -> FloatArray:
 def starting_points(system: System, law: ChannelLaw, at: Point, white: Whitener) -> list[Point]:
     """Points to start from, the best first.
 
-    Parameters
-    ----------
-    system : System
-    law : ChannelLaw
-    at : Point
-        Machine and own parameters of the logs are those of this point.
-    white : Whitener
-        Weights.
+    ``at``: machine and own parameters of the logs are those of this point; ``white``: weights.
     """
     if law.inside or law.times == 0 or law.fixed_s.size or not law.relaxation.branches:
         return _of_grid(system, law, at, white)

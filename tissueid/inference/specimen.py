@@ -98,30 +98,17 @@ class FitOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedSpecimen:
-    """A fit with what a posterior is built from.
-
-    Attributes
-    ----------
-    fit : SpecimenFit
-    handles : tuple of LogHandle
-    identified : Identified
-    noise : NoiseFit
-    tissue : TissueEstimate
-    told : Summaries
-        Of the second pass over the logs.
-    quoted : callable
-        What is derived from a tissue, with errors of that tissue's covariance, and flags of it.
-    moved : callable
-        The same at another point, with other parameters and noise.
-    """
+    """A fit with what a posterior is built from."""
 
     fit: SpecimenFit
     handles: tuple[LogHandle, ...]
     identified: Identified
     noise: NoiseFit
     tissue: TissueEstimate
-    told: Summaries
+    told: Summaries  # of the second pass over the logs
+    #: What is derived from a tissue, with errors of that tissue's covariance, and flags of it.
     quoted: Callable[[TissueEstimate], tuple[QuotedNumbers, list[Flag]]] = field(repr=False)
+    #: The same at another point, with other parameters and noise.
     moved: Callable[[Point], FittedSpecimen] = field(repr=False)
 
 
@@ -145,14 +132,7 @@ def fit_specimen(
 ) -> SpecimenFit:
     """Identify the contact model of one specimen from its logs.
 
-    Parameters
-    ----------
-    specimen : str
-    handles : sequence of LogHandle
-        At least one.
-    options : FitOptions, optional
-    tick : callable, optional
-        Told what is being done.
+    ``handles``: at least one; ``tick``: told what is being done.
     """
     return fit_with_state(specimen, handles, options=options, tick=tick).fit
 
@@ -168,16 +148,8 @@ def fit_with_state(
 ) -> FittedSpecimen:
     """Fit a specimen, and keep what a posterior is built from.
 
-    Parameters
-    ----------
-    specimen : str
-    handles : sequence of LogHandle
-    options : FitOptions, optional
-    priors : Priors, optional
-        Of tissue and machine.
-    machine : bool
-        Leave frame, skew and filter open; normalised recordings have no machine to ask about.
-    tick : callable, optional
+    ``priors``: of tissue and machine; ``machine``: leave frame, skew and filter open; normalised recordings
+    have no machine to ask about.
     """
     options = options or FitOptions()
     tick = tick or (lambda _: None)

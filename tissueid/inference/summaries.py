@@ -49,27 +49,14 @@ class _Known:
 
 @dataclass(frozen=True, slots=True)
 class Summaries:
-    """Summaries of a specimen's logs beside its tissue.
-
-    Attributes
-    ----------
-    trials : tuple of TrialFit
-    relaxation : tuple of RelaxationRow
-    cycles : tuple of CycleRow
-    holds : tuple of HoldNumbers
-        One a trial.
-    nrmsd : Nrmsd
-        Over all fitted samples.
-    blocks : tuple of ResidualBlocks
-        One a log: what a check for misfit looks at.
-    """
+    """Summaries of a specimen's logs beside its tissue."""
 
     trials: tuple[TrialFit, ...]
     relaxation: tuple[RelaxationRow, ...]
     cycles: tuple[CycleRow, ...]
-    holds: tuple[HoldNumbers, ...]
-    nrmsd: Nrmsd
-    blocks: tuple[ResidualBlocks, ...]
+    holds: tuple[HoldNumbers, ...]  # one a trial
+    nrmsd: Nrmsd  # over all fitted samples
+    blocks: tuple[ResidualBlocks, ...]  # one a log: what a check for misfit looks at
 
 
 class _OneLog(NamedTuple):
@@ -96,21 +83,9 @@ def second_pass(
 ) -> Summaries:
     """Load every log once more and keep what a report needs of it; the logs are looked at in threads.
 
-    Parameters
-    ----------
-    handles : sequence of LogHandle
-    adjustments : sequence of Adjustment
-        One a log.
-    tissue : TissueEstimate
-    tick : callable
-        Told what is being read.
-    noise : NoiseFit
-    force_of : callable
-        Modelled force at the samples of a log, by its place among the handles.
-    depths_mm : sequence of float
-        Depths at which the stiffness of each loop is wanted.
-    tip : TipOf
-        For the moduli of what is measured.
+    ``adjustments``: one a log; ``tick``: told what is being read; ``force_of``: modelled force at the samples
+    of a log, by its place among the handles; ``depths_mm``: depths at which the stiffness of each loop is
+    wanted; ``tip``: for the moduli of what is measured.
     """
     known = _Known(tissue, noise, depths_mm, tip)
     workers = threads(min(len(handles), MAX_WORKERS))

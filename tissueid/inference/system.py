@@ -43,14 +43,9 @@ NO_FILTER_S, NO_POLE_S = 1e-7, 1e-12
 
 @dataclass(frozen=True, slots=True)
 class Effects:
-    """Own parameters of a log.
+    """Own parameters of a log."""
 
-    Attributes
-    ----------
-    gain, contact, shape : bool
-        ln gain at the largest depth; contact offset; ln gain at lesser depths beside it.
-    """
-
+    #: ln gain at the largest depth; contact offset; ln gain at lesser depths beside it.
     gain: bool = False
     contact: bool = True
     shape: bool = False
@@ -63,21 +58,13 @@ class Effects:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Point:
-    """One point of the parameters, or n of them along a first axis.
+    """One point of the parameters, or n of them along a first axis."""
 
-    Attributes
-    ----------
-    log_times : ndarray, shape (t,) or (n, t)
-    machine : ndarray, shape (3,) or (n, 3)
-        In the order of :data:`MACHINE`.
-    linear : ndarray, shape (p,) or (n, p)
-    own : ndarray, shape (logs, q), or (n, logs, q) of points whose own parameters differ
-        ln gain, contact offset over the largest depth, shape, as far as there are any.
-    """
-
-    log_times: FloatArray
-    machine: FloatArray
-    linear: FloatArray
+    log_times: FloatArray  # (t,) and (n, t)
+    machine: FloatArray  # (3,) and (n, 3), in the order of :data:`MACHINE`
+    linear: FloatArray  # (p,) and (n, p)
+    #: (logs, q) and (n, logs, q): ln gain, contact offset over the largest depth, shape, as far as there are
+    #: any.
     own: FloatArray
 
     @property
@@ -126,15 +113,7 @@ def _bend(u: FloatArray) -> FloatArray:
 class System:
     """Blocks of all logs, laid one behind the other.
 
-    Parameters
-    ----------
-    logs : sequence of Blocks
-    law : Law
-    depth_mm : float
-        Largest fitted depth.
-    effects : Effects
-    give : callable, optional
-        Deflection [mm] of a known frame under forces [N].
+    ``depth_mm``: largest fitted depth; ``give``: deflection [mm] of a known frame under forces [N].
     """
 
     def __init__(
@@ -289,11 +268,7 @@ class System:
     def tip_force(self, point: Point, rounds: int = FRAME_ROUNDS) -> tuple[FloatArray, FloatArray]:
         """Force at the tip at all points, and the columns that it is made of, gains in them.
 
-        Parameters
-        ----------
-        point : Point
-        rounds : int
-            Iterations of the frame's deflection beyond the first.
+        ``rounds``: iterations of the frame's deflection beyond the first.
         """
         yields, force = self._yields(point), self.guess
         for _ in range(1 + rounds * yields):
@@ -370,13 +345,8 @@ class System:
     def derivatives(self, point: Point, *, machine: bool, follow: bool = False) -> Derivatives:
         """Forces with their derivatives.
 
-        Parameters
-        ----------
-        point : Point
-        machine : bool
-            Differentiate by the machine too; otherwise these columns are zero.
-        follow : bool
-            Iterate the frame's deflection from this point's force from now on.
+        ``machine``: differentiate by the machine too; otherwise these columns are zero; ``follow``: iterate
+        the frame's deflection from this point's force from now on.
         """
         if follow:
             self.follow(point)

@@ -76,11 +76,7 @@ class Target(Protocol):
 class SpecimenTarget:
     """Log posterior density of a specimen about the optimum of its law.
 
-    Parameters
-    ----------
-    identified : Identified
-    machine : bool
-        The machine is open.
+    ``machine``: the machine is open.
     """
 
     def __init__(self, identified: Identified, *, machine: bool = True) -> None:
@@ -455,12 +451,8 @@ class NormalTarget:
     metric. So is the estimate itself, and their distribution is that of estimates at active bounds (Andrews
     1999, doi 10.1111/1468-0262.00082): an interval may include the bound, and its middle is the optimum.
 
-    Parameters
-    ----------
-    base : SpecimenTarget
-        Whose coordinates and walls are used; its root is replaced.
-    covariance : ndarray, shape (d, d)
-        Of its free coordinates.
+    ``base``: whose coordinates and walls are used; its root is replaced; ``covariance`` (d, d): of its free
+    coordinates.
     """
 
     def __init__(self, base: SpecimenTarget, covariance: FloatArray) -> None:

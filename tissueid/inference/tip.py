@@ -104,18 +104,8 @@ def tip_handles(
 ) -> list[LogHandle]:
     """The logs of one specimen with the deflection of the frame taken off their displacement.
 
-    Parameters
-    ----------
-    handles : sequence of LogHandle
-        Crosshead displacement.
-    frame : FrameCurve
-    tick : callable, optional
-        Told what is being done.
-
-    Returns
-    -------
-    list of LogHandle
-        Their trials carry ``frame_corrected``; the measured force is untouched.
+    ``handles``: crosshead displacement; ``tick``: told what is being done.  Returns their trials carry
+    ``frame_corrected``; the measured force is untouched.
     """
     tick = tick or (lambda _: None)
     pairs = [handle.fitted() for handle in handles]

@@ -30,20 +30,11 @@ CORRELATED = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Adjustment:
-    """Difference of a log from its specimen's tissue.
-
-    Attributes
-    ----------
-    gain : float
-    contact_offset_mm : float
-        Against the contact point its depths are counted from.
-    contact_shift_mm : float
-        How far that contact point was moved since it was segmented.
-    """
+    """Difference of a log from its specimen's tissue."""
 
     gain: float = 1.0
-    contact_offset_mm: float = 0.0
-    contact_shift_mm: float = 0.0
+    contact_offset_mm: float = 0.0  # against the contact point its depths are counted from
+    contact_shift_mm: float = 0.0  # how far that contact point was moved since it was segmented
 
 
 @dataclass(slots=True)
@@ -76,12 +67,7 @@ class ResidualTotals:
 def _after_corners(corners: Sequence[tuple[int, int]], most: int) -> set[int]:
     """Samples at geometric distances behind each corner: relaxation is fastest there.
 
-    Parameters
-    ----------
-    corners : sequence of (int, int)
-        First sample of a hold, and the one after its last.
-    most : int
-        Points of the whole curve.
+    ``corners``: first sample of a hold, and the one after its last; ``most``: points of the whole curve.
     """
     keep: set[int] = set()
     for start, stop in corners[: most // (3 * CORNER_POINTS)]:
@@ -99,18 +85,8 @@ def kept_samples(
 ) -> NDArray[np.int64]:
     """Samples to keep: ends, the extremes of force and depth in every bin, and what follows the corners.
 
-    Parameters
-    ----------
-    force, depth : ndarray, shape (n,)
-    corners : sequence of (int, int), optional
-        First sample of each hold, and the one after its last.
-    most : int, optional
-        All are kept up to so many.
-
-    Returns
-    -------
-    ndarray of int
-        Ascending.
+    ``force``, ``depth`` (n,); ``corners``: first sample of each hold, and the one after its last; ``most``:
+    all are kept up to so many.  Returns ascending.
     """
     n = force.size
     if n <= most:
@@ -184,19 +160,8 @@ def summarise_trial(
 ) -> TrialFit:
     """Residuals of one trial under its specimen's model.
 
-    Parameters
-    ----------
-    trial, segmentation, log
-        The recording, its phases and its fitted part.
-    fitted : ndarray, shape (n,)
-        Force of the model along it [N].
-    adjustment : Adjustment
-    totals : ResidualTotals
-        Updated.
-
-    Returns
-    -------
-    TrialFit
+    ``trial``, ``segmentation``, ``log``: the recording, its phases and its fitted part; ``fitted`` (n,):
+    force of the model along it [N]; ``totals``: updated.
     """
     data = log.data
     include = data.include

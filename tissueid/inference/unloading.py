@@ -33,20 +33,11 @@ SMOOTHED = 5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FreeSurface:
-    """The law that says where the surface of one log stands.
-
-    Attributes
-    ----------
-    model : KelvinVoigt
-    theta : ndarray, shape (p,)
-        Passive.
-    offset_mm : float
-        Contact offset of the log against its contact frame.
-    """
+    """The law that says where the surface of one log stands."""
 
     model: KelvinVoigt
-    theta: FloatArray
-    offset_mm: float = 0.0
+    theta: FloatArray  # (p,), passive
+    offset_mm: float = 0.0  # contact offset of the log against its contact frame
 
     def follow(self, time_s: FloatArray, tool_mm: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Depth of the surface [mm] in the frame of the log, and whether the tool touches it."""
@@ -99,13 +90,8 @@ def _measured_surface(
 def with_unloading(segmentation: Segmentation, log: FittedLog, surface: FreeSurface | None) -> FittedLog:
     """A whole log on the path of the tissue's surface, the samples in air left out.
 
-    Parameters
-    ----------
-    segmentation : Segmentation
-    log : FittedLog
-        As :func:`tissueid.inference.window.fitted_log` gives it with ``whole``.
-    surface : FreeSurface or None
-        ``None`` takes contact and its loss from the measured force.
+    ``log``: as :func:`tissueid.inference.window.fitted_log` gives it with ``whole``; ``surface``: ``None``
+    takes contact and its loss from the measured force.
     """
     data = log.data
     tool = data.depth_mm

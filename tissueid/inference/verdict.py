@@ -135,13 +135,7 @@ def _optimum_flags(tissue: TissueEstimate, optimisers: dict[str, object]) -> lis
 
 
 def discrepancy_flags(noise: NoiseFit, nrmsd: Nrmsd) -> list[Flag]:
-    """Flags of a misfit that exceeds the noise of the recordings.
-
-    Parameters
-    ----------
-    noise : NoiseFit
-    nrmsd : Nrmsd
-    """
+    """Flags of a misfit that exceeds the noise of the recordings."""
     if not noise.discrepant:
         return []
     measured = noise.measured_N or 0.0
@@ -183,18 +177,9 @@ def specimen_flags(
 ) -> tuple[Flag, ...]:
     """Flags of a specimen.
 
-    Parameters
-    ----------
-    tissue : TissueEstimate
-    facts : sequence of FittedLog
-        Their samples are not looked at.
-    trials : sequence of TrialFit
-    sigma_N : float
-        Noise standard deviation [N].
-    optimisers : dict
-        Outcome of Levenberg-Marquardt beside variable projection.
-    noise : str
-        Model of the noise that the intervals know; ``None`` where they know more than noise.
+    ``facts``: their samples are not looked at; ``sigma_N``: noise standard deviation [N]; ``optimisers``:
+    outcome of Levenberg-Marquardt beside variable projection; ``noise``: model of the noise that the
+    intervals know; ``None`` where they know more than noise.
     """
     flags = unidentified(tissue.parameters)
     flags += _relaxation_flags(tissue, facts, sigma_N)

@@ -61,71 +61,41 @@ GAP = 10.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LogData:
-    """One log in the contact frame, from contact to the end of its fitted part.
+    """One log in the contact frame, from contact to the end of its fitted part."""
 
-    Attributes
-    ----------
-    time_s, depth_mm, force_N : ndarray, shape (n,)
-        From contact on [s], depth [mm], compressive force [N].
-    include : ndarray of bool, shape (n,)
-        Samples that take part in the likelihood (the branch state runs through all of them).
-    fold : ndarray of int, shape (n,)
-        Held-out group of every sample; all zero where whole logs are held out.
-    breaks : ndarray of bool, shape (n,), or None
-        True where a sample starts a new chain of noise (:func:`chain_breaks`);
-        ``None`` is told from the time stamps when it is needed.
-    exact : bool
-        The travel is straight between samples and known exactly: a rendered law followed just it.
-    speed_ratio : ndarray, shape (n,), or None
-        Speed over that at which each contact began (:mod:`tissueid.inference.speed_ratio`).
-    """
-
+    #: (n,): from contact on [s], depth [mm], compressive force [N].
     time_s: FloatArray
-    depth_mm: FloatArray
-    force_N: FloatArray
+    depth_mm: FloatArray  # (n,)
+    force_N: FloatArray  # (n,)
+    #: (n,): samples that take part in the likelihood (the branch state runs through all of them).
     include: NDArray[np.bool_]
-    fold: NDArray[np.int64]
+    fold: NDArray[np.int64]  # (n,), held-out group of every sample; all zero where whole logs are held out
+    #: (n,): true where a sample starts a new chain of noise (:func:`chain_breaks`); ``None`` is told from the
+    #: time stamps when it is needed.
     breaks: NDArray[np.bool_] | None = None
+    #: The travel is straight between samples and known exactly: a rendered law followed just it.
     exact: bool = False
+    #: (n,): speed over that at which each contact began (:mod:`tissueid.inference.speed_ratio`).
     speed_ratio: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedLog:
-    """The fitted part of a trial and what the fit needs to know about it.
-
-    Attributes
-    ----------
-    data : LogData
-    first : int
-        Trial sample of the first row of ``data`` that was recorded (a contact inserted between two
-        samples comes before it).
-    inserted : bool
-        True where ``data`` begins with a contact point between two samples.
-    contact_sd_mm : float
-    depth_mm : float
-        Largest fitted depth.
-    step_s : float
-        Median sampling interval [s].
-    speeds_mm_s : tuple of float
-        Loading speeds of its ramps.
-    has_hold : bool
-    n_samples : int
-        Samples that take part in the likelihood.
-    tool_mm : ndarray, shape (n,) or None
-        Depth of the tool where unloading is fitted: ``data.depth_mm`` is then that of the tissue's surface,
-        which a tool that lets go leaves behind.
-    """
+    """The fitted part of a trial and what the fit needs to know about it."""
 
     data: LogData
+    #: Trial sample of the first row of ``data`` that was recorded (a contact inserted between two samples
+    #: comes before it).
     first: int
-    inserted: bool
+    inserted: bool  # true where ``data`` begins with a contact point between two samples
     contact_sd_mm: float
-    depth_mm: float
-    step_s: float
-    speeds_mm_s: tuple[float, ...]
+    depth_mm: float  # largest fitted depth
+    step_s: float  # median sampling interval [s]
+    speeds_mm_s: tuple[float, ...]  # loading speeds of its ramps
     has_hold: bool
-    n_samples: int
+    n_samples: int  # samples that take part in the likelihood
+    #: (n,): depth of the tool where unloading is fitted: ``data.depth_mm`` is then that of the tissue's
+    #: surface, which a tool that lets go leaves behind.
     tool_mm: FloatArray | None = None
 
     def without_samples(self) -> FittedLog:
@@ -147,15 +117,8 @@ class FittedLog:
 def chain_breaks(time_s: FloatArray) -> NDArray[np.bool_]:
     """Samples that start a new chain of noise.
 
-    Parameters
-    ----------
-    time_s : ndarray, shape (n,)
-        Non-decreasing [s].
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
-        True for the first sample, after a gap, at and after an event row, and where a time is repeated.
+    ``time_s`` (n,): non-decreasing [s].  Returns (n,), true for the first sample, after a gap, at and after
+    an event row, and where a time is repeated.
     """
     breaks = np.zeros(time_s.size, dtype=np.bool_)
     breaks[:1] = True
@@ -212,15 +175,9 @@ def fitted_log(
 ) -> FittedLog | None:
     """The fitted part of a trial, or ``None`` where there is nothing to fit.
 
-    Parameters
-    ----------
-    trial : Trial
-    segmentation : Segmentation
-    guard : bool
-        Leave the neighbourhood of contact out even where the record seems to start in contact: tool and
-        tissue may have met after its first sample, within the contact point's standard deviation.
-    whole : bool
-        To the end of the recording, unloading and all, and not to where the tool first turns back.
+    ``guard``: leave the neighbourhood of contact out even where the record seems to start in contact: tool
+    and tissue may have met after its first sample, within the contact point's standard deviation; ``whole``:
+    to the end of the recording, unloading and all, and not to where the tool first turns back.
     """
     contact = segmentation.contact
     if contact is None:
@@ -328,15 +285,7 @@ def assign_folds(log: FittedLog, holds: tuple[Phase, ...]) -> LogData:
 
     A ramp is cut into stretches of equal depth, a hold into stretches of equal ln(time).
 
-    Parameters
-    ----------
-    log : FittedLog
-    holds : tuple of Phase
-
-    Returns
-    -------
-    LogData
-        The same samples with the number of their stretch in ``fold``.
+    Returns the same samples with the number of their stretch in ``fold``.
     """
     data = log.data
     travelled = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(data.depth_mm)))])
@@ -357,10 +306,7 @@ def assign_folds(log: FittedLog, holds: tuple[Phase, ...]) -> LogData:
 def one_program(facts: Sequence[FittedLog]) -> bool:
     """Test for one speed of all ramps and one depth of all holds: only their form tells F_s from K(x) then.
 
-    Parameters
-    ----------
-    facts : sequence of FittedLog
-        Their samples are not looked at.
+    ``facts``: their samples are not looked at.
     """
     held = [log.depth_mm for log in facts if log.has_hold]
     steps = any(len(log.speeds_mm_s) > 1 for log in facts)

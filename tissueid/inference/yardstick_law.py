@@ -117,12 +117,7 @@ def _law(depth_mm: float, inside_s: FloatArray, outside_s: FloatArray) -> Yardst
 def yardstick_law(system: System, at: Point, white: Whitener) -> YardstickLaw:
     """The yardstick on the nodes that non-negative least squares uses, of a dense grid.
 
-    Parameters
-    ----------
-    system : System
-    at : Point
-        Machine and own parameters of the logs.
-    white : Whitener
+    ``at``: machine and own parameters of the logs.
     """
     low, high = time_bounds(system)
     nodes = np.exp(np.linspace(low, high, int(PER_DECADE * (high - low) / np.log(10.0)) + 1))

@@ -37,13 +37,7 @@ class Head(NamedTuple):
 def block_text(text: Text, rows: bytes, first_line: int) -> Text:
     """Rows of a text, at their lines.
 
-    Parameters
-    ----------
-    text : Text
-    rows : bytes
-        Whole lines.
-    first_line : int
-        One-based line of the file at which they stand.
+    ``rows``: whole lines; ``first_line``: one-based line of the file at which they stand.
     """
     return replace(text, data=b"\n" * (first_line - 1) + rows)
 
@@ -64,21 +58,8 @@ def block_layout(
 ) -> Layout:
     """The layout of a block text.
 
-    Parameters
-    ----------
-    text : Text
-        Of :func:`block_text`.
-    head : Head
-    delimiter : str
-    options : ReadOptions
-    place : Place
-    decimal : str, optional
-        As the file states it; found in the numbers otherwise.
-
-    Raises
-    ------
-    InputError
-        ``ambiguous_decimal``.
+    ``text``: of :func:`block_text`; ``decimal``: as the file states it; found in the numbers otherwise.
+    Raises InputError: ``ambiguous_decimal``.
     """
     names, units, names_line, first_line = head
     first = first_line - 1

@@ -179,17 +179,8 @@ def _read_fast(reader: RowReader) -> list[FloatArray] | None:
 def read_body(text: Text, layout: Layout, choice: ColumnChoice, place: Place) -> Body:
     """Read all rows of a laid-out text.
 
-    Parameters
-    ----------
-    text : Text
-    layout : Layout
-    choice : ColumnChoice
-    place : Place
-
-    Raises
-    ------
-    InputError
-        The codes of :class:`~tissueid.ingest.rows.RowReader`, ``no_rows`` or ``time_backwards``.
+    Raises InputError: the codes of :class:`~tissueid.ingest.rows.RowReader`, ``no_rows`` or
+    ``time_backwards``.
     """
     reader = RowReader(text, layout, tuple(choice.index[channel] for channel in CHANNELS), place)
     flags: list[Flag] = []

@@ -40,20 +40,11 @@ GAP_TIMES = 3.0
 
 @dataclass(frozen=True, slots=True)
 class BrokenRow:
-    """Break of a table: place and kind.
+    """Break of a table: place and kind."""
 
-    Attributes
-    ----------
-    row : int
-        Counted from 0.
-    channel : int
-        Of time, displacement, force.
-    code, message : str
-        Of the refusal.
-    """
-
-    row: int
-    channel: int
+    row: int  # counted from 0
+    channel: int  # of time, displacement, force
+    #: Of the refusal.
     code: str
     message: str
 
@@ -65,12 +56,7 @@ class BrokenRow:
 def broken_row(columns: Sequence[FloatArray], fractional: Sequence[NDArray[np.bool_]]) -> BrokenRow | None:
     """The first sign that a table of time, displacement and force does not hold together.
 
-    Parameters
-    ----------
-    columns : sequence of ndarray, shape (n,)
-        As printed, before units.
-    fractional : sequence of ndarray of bool, shape (n,)
-        Numbers with decimals.
+    ``columns`` (n,): as printed, before units; ``fractional`` (n,): numbers with decimals.
     """
     if columns[0].size < FEWEST_ROWS:
         return None

@@ -34,12 +34,7 @@ _CAPACITY = re.compile(
 def capacity_in(metadata: Mapping[str, str], *, decimal: str | None) -> float | None:
     """Capacity of the load cell [N], where the header states it with a unit.
 
-    Parameters
-    ----------
-    metadata : mapping
-        Entries of the header.
-    decimal : str or None
-        Decimal mark of the file.
+    ``metadata``: entries of the header; ``decimal``: decimal mark of the file.
     """
     return stated(metadata, _CAPACITY, "force", decimal or ".")
 
@@ -49,14 +44,8 @@ def below_cell_range(
 ) -> Flag | None:
     """``below_cell_range``, where the largest force is below the verified range.
 
-    Parameters
-    ----------
-    force_N : ndarray, shape (n,)
-        As recorded.
-    capacity_N : float or None
-        Capacity of the load cell [N].
-    verified_from_N : float or None
-        Lower end of the verified range [N]; else :data:`UNSTATED_RANGE` of the capacity.
+    ``force_N`` (n,): as recorded; ``capacity_N``: capacity of the load cell [N]; ``verified_from_N``: lower
+    end of the verified range [N]; else :data:`UNSTATED_RANGE` of the capacity.
     """
     if verified_from_N is None and capacity_N is None:
         return None

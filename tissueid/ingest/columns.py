@@ -50,26 +50,13 @@ _WAY_OUT = "name it with --columns time=NAME,displacement=NAME,force=NAME (or #2
 
 @dataclass(frozen=True, slots=True)
 class ColumnChoice:
-    """The three columns taken.
+    """The three columns taken."""
 
-    Attributes
-    ----------
-    index : mapping of str to int
-        Channel -> column, counted from 0.
-    names : mapping of str to str
-        Channel -> name as printed.
-    factors : mapping of str to float
-        Channel -> what turns the printed value into s, mm or N.
-    flags : tuple of Flag
-    axes : mapping of str to str
-        Channels that hold a strain or stress, as declared or as their columns say.
-    """
-
-    index: Mapping[Channel, int]
-    names: Mapping[Channel, str]
-    factors: Mapping[Channel, float]
+    index: Mapping[Channel, int]  # channel -> column, counted from 0
+    names: Mapping[Channel, str]  # channel -> name as printed
+    factors: Mapping[Channel, float]  # channel -> what turns the printed value into s, mm or N
     flags: tuple[Flag, ...]
-    axes: Mapping[str, str]
+    axes: Mapping[str, str]  # channels that hold a strain or stress, as declared or as their columns say
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,20 +190,9 @@ def choose_columns(
 ) -> ColumnChoice:
     """Find the three channels among the printed names.
 
-    Parameters
-    ----------
-    names, units : sequence of str
-        The names row and the units row (or empty texts); the longer names row counts.
-    options : ReadOptions
-    place : Place
-        Where to point a refusal.
-    line : int or None
-        One-based line of the names row.
-
-    Raises
-    ------
-    InputError
-        ``no_columns``, ``column_not_found``, ``unknown_unit``, ``wrong_unit`` or ``unit_conflict``.
+    ``names``, ``units``: the names row and the units row (or empty texts); the longer names row counts;
+    ``place``: where to point a refusal; ``line``: one-based line of the names row.  Raises InputError:
+    ``no_columns``, ``column_not_found``, ``unknown_unit``, ``wrong_unit`` or ``unit_conflict``.
     """
     columns = _describe(names, units)
     options = _normalised(columns, options)

@@ -146,20 +146,8 @@ def read_table(
 ) -> Table:
     """One laid-out table: its columns chosen, its rows read.
 
-    Parameters
-    ----------
-    text : Text
-    layout : Layout
-    options : ReadOptions
-    place : Place
-        File, and sheet where the table has a name of its own.
-    metadata : mapping
-        Entries of its header.
-
-    Raises
-    ------
-    InputError
-        The columns or the rows can't be trusted.
+    ``place``: file, and sheet where the table has a name of its own; ``metadata``: entries of its header.
+    Raises InputError: the columns or the rows can't be trusted.
     """
     if len(layout.names) > layout.n_columns:
         place.refuse(

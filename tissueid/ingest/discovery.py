@@ -61,24 +61,11 @@ def find_inputs(paths: Iterable[str | Path]) -> list[Path]:
 def each_input(paths: Iterable[str | Path]) -> Iterator[Path | InputError]:
     """The recordings among and under some paths, one by one: one folder is in memory at a time.
 
-    Parameters
-    ----------
-    paths : iterable of str or Path
-        Files are taken as named, whatever their suffix.  Directories are searched through: known
-        suffixes, natural order, without hidden files, lock files and tissueid's own output.
-
-    Yields
-    ------
-    Path or InputError
-        Each file once, whatever links lead to it; a link that leads out of its folder, or in a circle, is
-        refused in its place (``unreadable_file``).
-
-    Raises
-    ------
-    UsageError
-        A path does not exist.
-    InputError
-        A directory holds no recording (``no_recording``).
+    ``paths``: files are taken as named, whatever their suffix.  Directories are searched through: known
+    suffixes, natural order, without hidden files, lock files and tissueid's own output.  Yields each file
+    once, whatever links lead to it; a link that leads out of its folder, or in a circle, is refused in its
+    place (``unreadable_file``).  Raises UsageError: a path does not exist; InputError: a directory holds no
+    recording (``no_recording``).
     """
     seen: set[bytes] = set()
     for path in map(Path, paths):

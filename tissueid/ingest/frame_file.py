@@ -18,18 +18,7 @@ __all__ = ["read_frame"]
 def read_frame(path: str | Path) -> FrameCurve:
     """Read a frame file.
 
-    Parameters
-    ----------
-    path : str or Path
-
-    Returns
-    -------
-    FrameCurve
-
-    Raises
-    ------
-    InputError
-        ``invalid_frame``: no JSON, not a frame, or knots that do not belong together.
+    Raises InputError: ``invalid_frame``: no JSON, not a frame, or knots that do not belong together.
     """
     file = Path(path)
     way_out = "write it again with `tissueid calibrate-frame`"

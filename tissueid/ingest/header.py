@@ -100,14 +100,8 @@ def specimen_in(metadata: Mapping[str, str]) -> str | None:
 def protocol_of(metadata: Mapping[str, str], path: str, *, decimal: str | None) -> Protocol:
     """Protocol that the header and the folder's name state.
 
-    Parameters
-    ----------
-    metadata : mapping
-        Entries of the header.
-    path : str
-        As the user named it; Bluehill names folders ``X.is_comp_RawData``.
-    decimal : str or None
-        Decimal mark of the file.
+    ``metadata``: entries of the header; ``path``: as the user named it; Bluehill names folders
+    ``X.is_comp_RawData``; ``decimal``: decimal mark of the file.
     """
     mark = decimal or "."
     diameter = stated(metadata, TIP_DIAMETER, "displacement", mark)
@@ -128,15 +122,8 @@ def stated(
 ) -> float | None:
     """The first value above zero under such a key that has a unit of this quantity.
 
-    Parameters
-    ----------
-    metadata : mapping
-        Entries of the header.
-    keys : pattern
-        Matches the whole last part of a key, in plain words.
-    quantity : str
-    decimal : str
-        Decimal mark of the file.
+    ``metadata``: entries of the header; ``keys``: matches the whole last part of a key, in plain words;
+    ``decimal``: decimal mark of the file.
     """
     for key, text in metadata.items():
         if not keys.fullmatch(last_part(key)):

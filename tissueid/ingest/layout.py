@@ -56,42 +56,21 @@ class Anchor:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Layout of a text file.
-
-    Attributes
-    ----------
-    delimiter, decimal : str
-    header : tuple of Row
-        Lines above the names, cut into cells.
-    names, units : Row
-        Padded to ``n_columns``; empty texts where the file has none.
-    units_in_row : bool
-        Whether there is a units row.
-    names_line : int or None
-        One-based.
-    first_line : int
-        One-based line at which the rows begin.
-    offset : int
-        Byte at which the rows begin.
-    n_columns : int
-    numeric : tuple of bool
-        Which columns hold numbers in the sample.
-    stop : int or None
-        Byte at which a table of results begins below the rows, ``None`` without one.
-    """
+    """Layout of a text file."""
 
     delimiter: str
     decimal: str
-    header: tuple[Row, ...]
+    header: tuple[Row, ...]  # lines above the names, cut into cells
+    #: Padded to ``n_columns``; empty texts where the file has none.
     names: Row
     units: Row
-    units_in_row: bool
-    names_line: int | None
-    first_line: int
-    offset: int
+    units_in_row: bool  # whether there is a units row
+    names_line: int | None  # one-based
+    first_line: int  # one-based line at which the rows begin
+    offset: int  # byte at which the rows begin
     n_columns: int
-    numeric: tuple[bool, ...]
-    stop: int | None = None
+    numeric: tuple[bool, ...]  # which columns hold numbers in the sample
+    stop: int | None = None  # byte at which a table of results begins below the rows, ``None`` without one
 
 
 def split_line(line: str, delimiter: str) -> Row:
@@ -140,17 +119,8 @@ def anchor(rows: Sequence[Row], options: ReadOptions) -> Anchor | None:
     It is the first run of two and more rows of numbers under names that say what time, displacement and
     force are; where there are no such names, the longest run.
 
-    Parameters
-    ----------
-    rows : sequence of Row
-        The head of the table, blank rows included.
-    options : ReadOptions
-        The user's names count as names.
-
-    Returns
-    -------
-    Anchor or None
-        ``None`` where no row holds two numbers.
+    ``rows``: the head of the table, blank rows included; ``options``: the user's names count as names.
+    Returns ``None`` where no row holds two numbers.
     """
     inside = {index for span in announced_results(rows) for index in span}
     runs = _runs(rows)
@@ -200,11 +170,8 @@ def _anchor_without_words(rows: Sequence[Row], best: int, above: Sequence[int]) 
 def find_layout(text: Text, options: ReadOptions, place: Place) -> Layout:
     """Lay out a text file.
 
-    Raises
-    ------
-    InputError
-        ``not_an_export`` where there is no table, ``no_rows`` where it has no rows of numbers,
-        ``ambiguous_decimal`` where point and comma can't be told apart.
+    Raises InputError: ``not_an_export`` where there is no table, ``no_rows`` where it has no rows of numbers,
+    ``ambiguous_decimal`` where point and comma can't be told apart.
     """
     head = text.data[:HEAD_BYTES]
     raw = head.splitlines(keepends=True)

@@ -70,9 +70,7 @@ def force_levels(displacement_mm: FloatArray, force_N: FloatArray) -> Flag | Non
 def is_noisy(values: FloatArray) -> bool:
     """True where a channel varies from sample to sample as a measured one does, and a computed one does not.
 
-    Parameters
-    ----------
-    values : ndarray, shape (n,)
+    ``values`` (n,).
     """
     if values.size < _CLIPPED_RUN or float(np.mean(np.diff(values) == 0.0)) >= _NOISY_REPEATS:
         return False
@@ -140,9 +138,7 @@ def below_resolution(displacement_mm: FloatArray, force_N: FloatArray) -> Flag |
 def resolution_step(values: FloatArray) -> float | None:
     """Step of a channel that has fewer than :data:`FEWEST_STEPS` of them; ``None`` for a finer channel.
 
-    Parameters
-    ----------
-    values : ndarray, shape (n,)
+    ``values`` (n,).
     """
     if (
         values.size < _RESOLUTION_FROM

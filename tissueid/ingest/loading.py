@@ -30,16 +30,8 @@ _SESSIONS = (RAW_MAGIC, HDF5_MAGIC)
 def load_bytes(path: str | Path, place: Place) -> bytes:
     """Read a regular file.
 
-    Parameters
-    ----------
-    path : str or Path
-    place : Place
-
-    Raises
-    ------
-    InputError
-        ``unreadable_file`` where it is no file, can't be opened, is too large or changes while it is read;
-        ``not_an_export`` where its first bytes are those of something else, or of one endless line.
+    Raises InputError: ``unreadable_file`` where it is no file, can't be opened, is too large or changes while
+    it is read; ``not_an_export`` where its first bytes are those of something else, or of one endless line.
     """
     try:
         str(path).encode("utf-8")

@@ -33,16 +33,9 @@ def lost_marks(
 ) -> Flag | None:
     """Flag ``no_decimals`` for the first of the three channels that looks as if marks were lost.
 
-    Parameters
-    ----------
-    columns : sequence of ndarray, shape (n,)
-        Time, displacement and force as printed.
-    fractional : sequence of ndarray of bool, shape (n,)
-        Numbers with decimals.
-    factors : mapping
-        What turns them into s, mm and N.
-    first_row : sequence of str
-        The cells of the first row, in the same order.
+    ``columns`` (n,): time, displacement and force as printed; ``fractional`` (n,): numbers with decimals;
+    ``factors``: what turns them into s, mm and N; ``first_row``: the cells of the first row, in the same
+    order.
     """
     for channel, cell in zip(CHANNELS, first_row, strict=False):
         if _PADDED.fullmatch(cell):

@@ -47,12 +47,7 @@ _WHAT = {
 def no_specimen(path: str, sheet: str | None) -> Flag | None:
     """``not_a_specimen``, where the name of a file, sheet, block or specimen says so.
 
-    Parameters
-    ----------
-    path : str
-        File.
-    sheet : str or None
-        Sheet, block, specimen or member of an archive; parts behind ``::``.
+    ``path``: file; ``sheet``: sheet, block, specimen or member of an archive; parts behind ``::``.
     """
     names = [PurePosixPath(path.replace("\\", "/")).stem]
     parts = [] if sheet is None else sheet.split("::")

@@ -71,16 +71,7 @@ def _grammar(decimal: str) -> tuple[re.Pattern[str], re.Pattern[str]]:
 def parse_number(text: str, decimal: str) -> float | CellFault:
     """The value of a cell, or why it has none.
 
-    Parameters
-    ----------
-    text : str
-        The cell without its quotes; padding is allowed.
-    decimal : str
-        ``"."`` or ``","``.
-
-    Returns
-    -------
-    float or CellFault
+    ``text``: the cell without its quotes; padding is allowed; ``decimal``: ``"."`` or ``","``.
     """
     stripped = text.strip(_PADDING)
     plain, grouped = _grammar(decimal)
@@ -140,14 +131,7 @@ def decimal_evidence(cells: Iterable[str]) -> tuple[int, int, int]:
     A mark is decimal for certain where it stands once and what follows it is not a group of three, or
     what precedes it can't be a leading group (``0.500``); or where it is the last of two kinds.
 
-    Parameters
-    ----------
-    cells : iterable of str
-        Cells that look numeric.
-
-    Returns
-    -------
-    point, comma, ambiguous : int
+    ``cells``: cells that look numeric.  Returns ``point, comma, ambiguous``.
     """
     votes = {".": 0, ",": 0, "": 0}
     for cell in cells:

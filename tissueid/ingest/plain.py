@@ -99,17 +99,8 @@ def _set(b: Bytes, words: Words, value: int) -> None:
 def make_plain(piece: bytes, *, delimiter: str, decimal: str) -> bytes | None:
     """Take quotes and thousands separators out of whole lines, and make the decimal mark a point.
 
-    Parameters
-    ----------
-    piece : bytes
-        Whole lines.
-    delimiter, decimal : str
-        Where both are a comma, the delimiters become tabs.
-
-    Returns
-    -------
-    bytes or None
-        ``None`` where quotes or groups are not sound.
+    ``piece``: whole lines; ``delimiter``, ``decimal``: where both are a comma, the delimiters become tabs.
+    Returns ``None`` where quotes or groups are not sound.
     """
     if not piece.isascii():
         for wide in _WIDE_MARKS:

@@ -44,15 +44,8 @@ def forget_readers() -> None:
 def installed_recipes(taken: frozenset[str]) -> dict[str, Recipe]:
     """The recipes of other distributions.
 
-    Parameters
-    ----------
-    taken : frozenset of str
-        Keys that are not to be had.
-
-    Returns
-    -------
-    dict
-        Key -> recipe, guarded: a failure of its code is a refusal of the file.
+    ``taken``: keys that are not to be had.  Returns key -> recipe, guarded: a failure of its code is a
+    refusal of the file.
     """
     found: dict[str, Recipe] = {}
     for point in entry_points(group=GROUP):

@@ -29,12 +29,8 @@ def quality_flags(
     ``zero_dt``, ``event_rows``, ``gap``, ``quantised_force``, ``clipped_force``, ``below_resolution``,
     ``jump``, ``spike``, ``no_decimals``, ``commanded_displacement``, ``below_cell_range``.
 
-    Parameters
-    ----------
-    time_s, displacement_mm, force_N : ndarray, shape (n,)
-        As recorded.
-    capacity_N : float or None
-        Capacity of the load cell, where it is known [N].
+    ``time_s``, ``displacement_mm``, ``force_N`` (n,): as recorded; ``capacity_N``: capacity of the load cell,
+    where it is known [N].
     """
     dt = np.diff(time_s)
     found = (

@@ -33,10 +33,7 @@ __all__ = ["match_of", "read_each", "read_one", "read_trials"]
 def match_of(path: str | Path, options: ReadOptions | None = None) -> Match:
     """Recipe that reads a file, with its certainty and reason.
 
-    Raises
-    ------
-    InputError
-        The file can't be read, or no recipe knows it.
+    Raises InputError: the file can't be read, or no recipe knows it.
     """
     return match_recipe(open_input(path, options or ReadOptions()))
 
@@ -44,20 +41,7 @@ def match_of(path: str | Path, options: ReadOptions | None = None) -> Match:
 def read_each(path: str | Path, options: ReadOptions | None = None) -> Iterator[Trial | InputError]:
     """Every trial of one file, or the refusal in its place; a bad sheet never stops the others.
 
-    Parameters
-    ----------
-    path : str or Path
-        A file.
-    options : ReadOptions, optional
-
-    Yields
-    ------
-    Trial or InputError
-
-    Raises
-    ------
-    UsageError
-        The options ask for a recipe that does not exist.
+    ``path``: a file.  Raises UsageError: the options ask for a recipe that does not exist.
     """
     try:
         for item in _read_each(path, options or ReadOptions()):
@@ -132,10 +116,7 @@ def read_trials(path: str | Path, options: ReadOptions | None = None) -> list[Tr
 def read_one(path: str | Path, sheet: str | None, options: ReadOptions | None = None) -> Trial:
     """One trial: of a text file (``sheet=None``), or one sheet of a workbook.
 
-    Raises
-    ------
-    InputError
-        The trial was refused, or there is no such sheet (``unknown_sheet``).
+    Raises InputError: the trial was refused, or there is no such sheet (``unknown_sheet``).
     """
     seen = []
     for trial in read_each(path, options):

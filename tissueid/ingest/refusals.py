@@ -63,13 +63,7 @@ REFUSAL_CODES: tuple[str, ...] = tuple(REFUSAL_MEANINGS)
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A file, and sheet, as the user named it; makes refusals that point there.
-
-    Attributes
-    ----------
-    path : str
-    sheet : str or None
-    """
+    """A file, and sheet, as the user named it; makes refusals that point there."""
 
     path: str
     sheet: str | None = None

@@ -25,12 +25,7 @@ __all__ = ["RECIPES", "all_recipes", "match_recipe"]
 def match_recipe(file: InputFile) -> Match:
     """The surest recipe for a file, or the one the user asked for.
 
-    Raises
-    ------
-    UsageError
-        The user asked for a recipe that does not exist.
-    InputError
-        No recipe knows the file.
+    Raises UsageError: the user asked for a recipe that does not exist; InputError: no recipe knows the file.
     """
     recipes = all_recipes()
     wanted = file.options.recipe

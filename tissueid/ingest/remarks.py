@@ -77,16 +77,8 @@ def flag_rows_above(text: Text, layout: Layout, place: Place) -> tuple[Flag, ...
 def flag_head(head: Sequence[Row], place: Place) -> tuple[Flag, ...]:
     """Flag of results and of rows of numbers above the names, which would pass for a header.
 
-    Parameters
-    ----------
-    head : sequence of Row
-        All lines above the names, from the first.
-    place : Place
-
-    Raises
-    ------
-    InputError
-        ``mixed_tables`` where they are another table: three lines and more, or under names of their own.
+    ``head``: all lines above the names, from the first.  Raises InputError: ``mixed_tables`` where they are
+    another table: three lines and more, or under names of their own.
     """
     results = announced_results(head)
     said = tuple(results_flag(span.start + 1, span.stop) for span in results)

@@ -24,10 +24,6 @@ _UNREACHED = (OSError, ValueError, RuntimeError)
 def url_of(path: str | Path) -> str | None:
     """The URL that a path names; ``None`` for one of this machine's files.
 
-    Parameters
-    ----------
-    path : str or Path
-
     Examples
     --------
     >>> from pathlib import Path
@@ -60,27 +56,9 @@ def _opened(url: str) -> tuple[Any, str]:
 def remote_bytes(url: str, limit: int, head: int | None = None) -> tuple[bytes, int]:
     """A file, or its beginning.
 
-    Parameters
-    ----------
-    url : str
-    limit : int
-        Bytes above which it is not fetched.
-    head : int, optional
-        Bytes that are wanted, where not all.
-
-    Returns
-    -------
-    data : bytes
-        Empty where the file is larger than ``limit``.
-    size : int
-        Of the whole file.
-
-    Raises
-    ------
-    OSError
-        The file can't be read.
-    UsageError
-        No library reads such URLs.
+    ``limit``: bytes above which it is not fetched; ``head``: bytes that are wanted, where not all.  Returns
+    ``data``: empty where the file is larger than ``limit``; ``size``: of the whole file.  Raises OSError: the
+    file can't be read; UsageError: no library reads such URLs.
     """
     system, path = _opened(url)
     try:
@@ -97,10 +75,7 @@ def remote_files(url: str) -> Iterator[Path] | None:
     Hidden files and folders are passed over, and folders with a file of the name ``identification.json`` or
     ``.current``: what tissueid has written is no recording.
 
-    Raises
-    ------
-    UsageError
-        There is nothing at the URL, or it can't be reached.
+    Raises UsageError: there is nothing at the URL, or it can't be reached.
     """
     system, path = _opened(url)
     try:

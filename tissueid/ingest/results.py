@@ -105,18 +105,9 @@ def _carries_units(row: Row) -> bool:
 def results_below(rows: Sequence[Row], names: Row, units: Row, options: ReadOptions) -> int | None:
     """First row of a table of results among the rows under the names of a recording.
 
-    Parameters
-    ----------
-    rows : sequence of Row
-        Rows of the recording and what follows, or the last of them; blank ones included.
-    names, units : Row
-        Head of the recording: where it is repeated, the recording goes on.
-    options : ReadOptions
-
-    Returns
-    -------
-    int or None
-        ``None`` where all rows belong to the recording, or to another recording.
+    ``rows``: rows of the recording and what follows, or the last of them; blank ones included; ``names``,
+    ``units``: head of the recording: where it is repeated, the recording goes on.  Returns ``None`` where all
+    rows belong to the recording, or to another recording.
     """
     own = {tuple(_filled(names)), tuple(_filled(units))}
     statistics = next((index for index, row in enumerate(rows) if is_statistics(row)), None)

@@ -114,20 +114,11 @@ class _Prints:
 
 @dataclass(frozen=True, slots=True)
 class RowReader:
-    """Reads the rows of one laid-out text.
-
-    Attributes
-    ----------
-    text : Text
-    layout : Layout
-    wanted : tuple of int
-        The columns of time, displacement and force, counted from 0.
-    place : Place
-    """
+    """Reads the rows of one laid-out text."""
 
     text: Text
     layout: Layout
-    wanted: tuple[int, ...]
+    wanted: tuple[int, ...]  # the columns of time, displacement and force, counted from 0
     place: Place
 
     @property
@@ -158,17 +149,9 @@ class RowReader:
     def read(self) -> tuple[list[FloatArray], list[Flag]]:
         """Every terminated row, or a refusal of the first that can't be trusted.
 
-        Returns
-        -------
-        columns : list of ndarray
-            Time, displacement, force as printed, before units.
-        flags : list of Flag
-
-        Raises
-        ------
-        InputError
-            With line and column; ``ragged_rows``, ``damaged_number``, ``inconsistent_decimal``,
-            ``ambiguous_decimal``, ``text_in_numbers``, ``empty_cell``, ``not_finite``.
+        Returns ``columns``: time, displacement, force as printed, before units; ``flags``.  Raises
+        InputError: with line and column; ``ragged_rows``, ``damaged_number``, ``inconsistent_decimal``,
+        ``ambiguous_decimal``, ``text_in_numbers``, ``empty_cell``, ``not_finite``.
         """
         values = [array("d") for _ in self.wanted]
         skipped: list[int] = []

@@ -36,17 +36,9 @@ def specimen_columns(
 ) -> list[SpecimenColumns]:
     """The specimens of a table, each beginning under its name, or else at a column of time.
 
-    Parameters
-    ----------
-    above, names, units : sequence of str
-        The row with the specimens' names, and the two below it.
-    options : ReadOptions
-
-    Returns
-    -------
-    list of SpecimenColumns
-        Empty where the columns are not those of specimens.  A specimen may lack its time where others of the
-        same names stand beside it: it is refused by itself.
+    ``above``, ``names``, ``units``: the row with the specimens' names, and the two below it.  Returns empty
+    where the columns are not those of specimens.  A specimen may lack its time where others of the same names
+    stand beside it: it is refused by itself.
     """
     by_name = [index for index, name in enumerate(above[: len(names)]) if name.strip()]
     spans = _spans(by_name, names)

@@ -97,18 +97,8 @@ def without_unit(key: str) -> str:
 def canonical_key(key: str, value: Any, known: Mapping[str, Any]) -> str:
     """The key under which a value is kept.
 
-    Parameters
-    ----------
-    key : str
-        As written.
-    value : object
-    known : mapping
-        Keys that there are.
-
-    Raises
-    ------
-    ValueError
-        There is no such key (the nearest are named), or a number has no unit.
+    ``key``: as written; ``known``: keys that there are.  Raises ValueError: there is no such key (the nearest
+    are named), or a number has no unit.
     """
     if key in known:
         return key
@@ -128,18 +118,8 @@ def canonical_key(key: str, value: Any, known: Mapping[str, Any]) -> str:
 def in_unit(key: str, text: str, *, shown: str | None = None) -> float:
     """A number in the unit of its key, from text with a unit: ``("speed_mm_s", "250 mm/min")`` gives 4.1667.
 
-    Parameters
-    ----------
-    key : str
-        Ends in its unit.
-    text : str
-    shown : str, optional
-        What a message calls the key.
-
-    Raises
-    ------
-    ValueError
-        No number, no unit, or a unit of something else.
+    ``key``: ends in its unit; ``shown``: what a message calls the key.  Raises ValueError: no number, no
+    unit, or a unit of something else.
     """
     unit = unit_of(key)
     key = shown or key

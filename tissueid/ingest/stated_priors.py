@@ -29,10 +29,7 @@ Place = tuple[str | int, ...]
 class PriorError(ValueError):
     """Fault of the table, and its place.
 
-    Attributes
-    ----------
-    where : tuple
-        Keys and positions below ``priors``.
+    ``where``: keys and positions below ``priors``.
     """
 
     def __init__(self, where: Place, message: str) -> None:
@@ -49,10 +46,7 @@ def _bare(name: str) -> str:
 def _known_name(written: str, known: Mapping[str, Any]) -> str:
     """The name of a prior; a unit is never guessed.
 
-    Raises
-    ------
-    PriorError
-        There is no such name: the nearest is given.
+    Raises PriorError: there is no such name: the nearest is given.
     """
     if written in known:
         return written
@@ -83,16 +77,7 @@ def _numbers(table: Any, name: str, where: Place) -> Any:
 def plain_priors(table: Mapping[str, Any], known: Mapping[str, Any]) -> dict[str, Any]:
     """The table with known names and plain numbers, ready for the schema.
 
-    Parameters
-    ----------
-    table : mapping
-        As parsed.
-    known : mapping
-        Names of the schema.
-
-    Raises
-    ------
-    PriorError
+    ``table``: as parsed; ``known``: names of the schema.  Raises PriorError.
     """
     plain: dict[str, Any] = {}
     for written, value in table.items():
@@ -107,15 +92,8 @@ def plain_priors(table: Mapping[str, Any], known: Mapping[str, Any]) -> dict[str
 def priors_of(plain: Mapping[str, Any]) -> Priors:
     """Priors from a table that the schema has passed.
 
-    Parameters
-    ----------
-    plain : mapping
-        From :func:`plain_priors`; what is missing keeps its default.
-
-    Raises
-    ------
-    PriorError
-        Limits in the wrong order, or relaxation times that do not ascend.
+    ``plain``: from :func:`plain_priors`; what is missing keeps its default.  Raises PriorError: limits in the
+    wrong order, or relaxation times that do not ascend.
     """
     default = Priors()
     times = plain.get("relaxation_time_s", ())
@@ -143,10 +121,7 @@ def priors_of(plain: Mapping[str, Any]) -> Priors:
 def population_of(plain: Mapping[str, Any]) -> PopulationPriors:
     """Priors of the population from a ``[population]`` table that the schema has passed.
 
-    Parameters
-    ----------
-    plain : mapping
-        What is missing keeps its default.
+    ``plain``: what is missing keeps its default.
     """
     default = PopulationPriors()
     tails = plain.get("tails")

@@ -52,22 +52,11 @@ _POWER_UNIT = re.compile(r"[kcm]?m[²³]")
 
 @dataclass(frozen=True, slots=True)
 class Text:
-    """A text file, ready to be cut into lines.
+    """A text file, ready to be cut into lines."""
 
-    Attributes
-    ----------
-    data : bytes
-        Lines ended by LF or CRLF, ASCII-compatible, without byte order mark.
-    codec : str
-        What decodes ``data``.
-    encoding : str
-        What the file was written in, for the record.
-    flags : tuple of Flag
-    """
-
-    data: bytes
-    codec: str
-    encoding: str
+    data: bytes  # lines ended by LF or CRLF, ASCII-compatible, without byte order mark
+    codec: str  # what decodes ``data``
+    encoding: str  # what the file was written in, for the record
     flags: tuple[Flag, ...] = ()
 
     def decode(self, line: bytes) -> str:
@@ -108,10 +97,7 @@ def _looks_utf16(head: bytes) -> bool:
 def decode_text(data: bytes, place: Place) -> Text:
     """Find the encoding and unify byte order marks and line ends.
 
-    Raises
-    ------
-    InputError
-        ``not_an_export`` where the bytes are no text, ``empty_file`` where there are none.
+    Raises InputError: ``not_an_export`` where the bytes are no text, ``empty_file`` where there are none.
     """
     blank = b" \t\r\n\0"
     if not data[:HEAD_BYTES].strip(blank) and not data.strip(blank):

@@ -52,15 +52,8 @@ _ROW_RECORD, _CELL_RECORDS = 0, range(1, 12)
 def too_much(data: bytes) -> str | None:
     """Why a zipped workbook can't be built in bounded memory, ``None`` where it can.
 
-    Parameters
-    ----------
-    data : bytes
-        The workbook; the last one asked for is remembered.
-
-    Raises
-    ------
-    BROKEN_ARCHIVE
-        The archive is damaged.
+    ``data``: the workbook; the last one asked for is remembered.  Raises BROKEN_ARCHIVE: the archive is
+    damaged.
     """
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         entries = archive.infolist()

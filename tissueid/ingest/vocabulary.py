@@ -224,17 +224,9 @@ def plain_words(text: str) -> str:
 def rank_of(name: str, channel: Channel, *, loose: bool) -> int | None:
     """Rank of a printed name, without its unit, for a channel.
 
-    Parameters
-    ----------
-    name : str
-    channel : {"time", "displacement", "force"}
-    loose : bool
-        Whether a word inside the name is enough (the unit is known to agree).
-
-    Returns
-    -------
-    int or None
-        Rank of the table above, lower is better; ``None`` where the name is not of this channel.
+    ``channel`` {"time", "displacement", "force"}; ``loose``: whether a word inside the name is enough (the
+    unit is known to agree).  Returns rank of the table above, lower is better; ``None`` where the name is not
+    of this channel.
     """
     words = plain_words(name)
     numbered = _CHANNEL_NUMBER.fullmatch(words)

@@ -21,15 +21,8 @@ SAME_DEPTH = 0.1
 def measured_pairs(sides: Sequence[tuple[str, Sequence[SpreadRow]]]) -> list[dict[str, Any]]:
     """All pairs of sides, each with every number that both have.
 
-    Parameters
-    ----------
-    sides : sequence of (name, rows)
-        What was measured of each, with the spread between its logs.
-
-    Returns
-    -------
-    list of dict
-        ``pairs`` of ``schemas/measured-contrast.schema.json``.
+    ``sides``: what was measured of each, with the spread between its logs.  Returns ``pairs`` of
+    ``schemas/measured-contrast.schema.json``.
     """
     return [
         {"one": one[0], "other": other[0], "numbers": _numbers(one[1], other[1])}

@@ -68,11 +68,7 @@ def loops(segmentation: Segmentation, depth_mm: FloatArray) -> list[Loop]:
 
     Loading ends with its last move: in a hold the force relaxes while noise alone chooses the deepest sample.
 
-    Parameters
-    ----------
-    segmentation : Segmentation
-    depth_mm : ndarray, shape (n,)
-        In the contact frame.
+    ``depth_mm`` (n,): in the contact frame.
     """
     found: list[Loop] = []
     start, end, held = -1, -1, False
@@ -102,18 +98,8 @@ def polynomial_at(
 ) -> tuple[Measure, Measure]:
     """Force and slope at a depth from a local quadratic (a line where samples are few).
 
-    Parameters
-    ----------
-    depth_mm, force_N : ndarray, shape (n,)
-        Samples of one direction near ``at_mm``.
-    at_mm : float
-    noise_N : float
-        Standard deviation of the force.
-
-    Returns
-    -------
-    force, slope : Measure
-        [N] and [N/mm]; empty where there are too few samples.
+    ``depth_mm``, ``force_N`` (n,): samples of one direction near ``at_mm``; ``noise_N``: standard deviation
+    of the force.  Returns ``force, slope``: [N] and [N/mm]; empty where there are too few samples.
     """
     n = depth_mm.size
     spread = float(np.ptp(depth_mm)) if n else 0.0
@@ -323,12 +309,7 @@ def cycle_rows(
 ) -> tuple[CycleRow, ...]:
     """One row for every load-unload loop; none where there is no contact or no unloading.
 
-    Parameters
-    ----------
-    trial : Trial
-    segmentation : Segmentation
-    depths_mm : sequence of float, optional
-        Depths below contact at which stiffness is wanted as well.
+    ``depths_mm``: depths below contact at which stiffness is wanted as well.
     """
     contact = segmentation.contact
     if contact is None:

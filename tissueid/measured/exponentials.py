@@ -39,14 +39,8 @@ BLOCK = 1 << 15
 def _amplitudes(gram: FloatArray, product: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Non-negative least squares of a few columns, at many points: every set of columns is tried.
 
-    Parameters
-    ----------
-    gram, product : ndarray, shape (p, m, m) and (p, m)
-
-    Returns
-    -------
-    amplitudes, gained : ndarray, shape (p, m) and (p,)
-        And by how much the sum of squares falls.
+    ``gram`` (p, m, m), ``product`` (p, m).  Returns ``amplitudes, gained`` (p, m) (p,): and by how much the
+    sum of squares falls.
     """
     points, m = product.shape
     best, gained = np.zeros((points, m)), np.zeros(points)
@@ -69,35 +63,19 @@ def _amplitudes(gram: FloatArray, product: FloatArray) -> tuple[FloatArray, Floa
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExponentialSums:
-    """Sums of a window's samples over all exponentials.
-
-    Attributes
-    ----------
-    basis : KernelBasis
-    bounds : tuple of float
-        Range of ln tau.
-    count : int
-    total : ndarray, shape (k,)
-        Sums of the basis' columns and the force.
-    gram : ndarray, shape (k, k)
-        Sums of their products.
-    """
+    """Sums of a window's samples over all exponentials."""
 
     basis: KernelBasis
-    bounds: tuple[float, float]
+    bounds: tuple[float, float]  # range of ln tau
     count: int
-    total: FloatArray
-    gram: FloatArray
+    total: FloatArray  # (k,), sums of the basis' columns and the force
+    gram: FloatArray  # (k, k), sums of their products
 
     @classmethod
     def of(cls, time_s: FloatArray, force_N: FloatArray, basis: KernelBasis | None = None) -> ExponentialSums:
         """Sums of a window; times grow from 0.
 
-        Parameters
-        ----------
-        time_s, force_N : ndarray, shape (n,)
-        basis : KernelBasis, optional
-            Of a window that this one is a part of.
+        ``time_s``, ``force_N`` (n,); ``basis``: of a window that this one is a part of.
         """
         steps = np.diff(time_s)
         step, length = float(np.median(steps[steps > 0.0])), float(time_s[-1])
@@ -233,18 +211,8 @@ def exponential_ladder(
 ) -> list[tuple[FloatArray, FloatArray]]:
     """Fits with 1, 2, ... ``count`` exponentials.
 
-    Parameters
-    ----------
-    time_s : ndarray, shape (n,)
-        From the start of the window [s], 0 first.
-    force_N : ndarray, shape (n,)
-    count : int
-        1 to 3.
-
-    Returns
-    -------
-    list of (tau_s, model_N)
-        tau ascending, shorter where an amplitude is zero; model of shape (n,).
+    ``time_s`` (n,): from the start of the window [s], 0 first; ``force_N`` (n,); ``count``: 1 to 3.  Returns
+    tau ascending, shorter where an amplitude is zero; model of shape (n,).
     """
     return [
         (tau, curve_of(time_s, force_N, tau)) for tau in ExponentialSums.of(time_s, force_N).ladder(count)

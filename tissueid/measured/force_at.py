@@ -36,13 +36,8 @@ class ForceAt(NamedTuple):
 def force_at(time_s: FloatArray, force_N: FloatArray, at_s: float, noise_N: float) -> ForceAt:
     """The force so long after the start of a window.
 
-    Parameters
-    ----------
-    time_s, force_N : ndarray, shape (n,)
-        Times from the start of the window, 0 first.
-    at_s : float
-    noise_N : float
-        Standard deviation of a sample.
+    ``time_s``, ``force_N`` (n,): times from the start of the window, 0 first; ``noise_N``: standard deviation
+    of a sample.
     """
     last = float(time_s[-1])
     if last < (1.0 - REACHED) * at_s:

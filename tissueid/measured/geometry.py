@@ -17,22 +17,12 @@ DEFAULT_POISSON = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Geometry:
-    """Geometry that a modulus needs beside a force.
-
-    Attributes
-    ----------
-    indenter : Indenter
-    thickness_mm : float or None
-        ``None`` where the tissue is taken as deep.
-    poisson : float
-    bonded : bool
-        Whether a layer sticks to its base.
-    """
+    """Geometry that a modulus needs beside a force."""
 
     indenter: Indenter
-    thickness_mm: float | None = None
+    thickness_mm: float | None = None  # ``None`` where the tissue is taken as deep
     poisson: float = DEFAULT_POISSON
-    bonded: bool = True
+    bonded: bool = True  # whether a layer sticks to its base
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.poisson <= 0.5:
@@ -76,13 +66,7 @@ class Geometry:
 def stated_geometry(tip: Mapping[str, Any], thickness_mm: float | None, poisson: float) -> Geometry | None:
     """Tip and thickness as a study states them; ``None`` where they do not make a known shape.
 
-    Parameters
-    ----------
-    tip : mapping
-        ``[tip]`` of study.toml: shape, radius_mm, half_angle_deg.
-    thickness_mm : float or None
-        Of the specimen.
-    poisson : float
+    ``tip``: ``[tip]`` of study.toml: shape, radius_mm, half_angle_deg; ``thickness_mm``: of the specimen.
     """
     try:
         indenter = Indenter(str(tip.get("shape")), tip.get("radius_mm"), tip.get("half_angle_deg"))
@@ -93,18 +77,10 @@ def stated_geometry(tip: Mapping[str, Any], thickness_mm: float | None, poisson:
 
 @dataclass(frozen=True, slots=True)
 class TipOf:
-    """The tip of a recording: as stated, or that of its header.
+    """The tip of a recording: as stated, or that of its header."""
 
-    Attributes
-    ----------
-    stated : Geometry or None
-        By flags or a study.
-    header : bool
-        Take a sphere of the radius in the header where nothing is stated.
-    """
-
-    stated: Geometry | None = None
-    header: bool = True
+    stated: Geometry | None = None  # by flags or a study
+    header: bool = True  # take a sphere of the radius in the header where nothing is stated
 
     def of(self, trial: Trial) -> Geometry | None:
         """Tip and tissue of a trial; ``None`` where they are not known."""

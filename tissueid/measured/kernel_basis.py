@@ -46,18 +46,10 @@ QUANTUM = 0.25
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KernelBasis:
-    """Nodes and weights for recordings of one step and length.
+    """Nodes and weights for recordings of one step and length."""
 
-    Attributes
-    ----------
-    tau_s : ndarray, shape (n,)
-        Nodes, ascending [s].
-    log_bounds : tuple of float
-        Range of ln(tau / s) in which weights are given.
-    """
-
-    tau_s: FloatArray
-    log_bounds: tuple[float, float]
+    tau_s: FloatArray  # (n,), nodes, ascending [s]
+    log_bounds: tuple[float, float]  # range of ln(tau / s) in which weights are given
     _time_s: FloatArray
     _weight: FloatArray
     _step_s: float
@@ -72,14 +64,7 @@ class KernelBasis:
     def weights(self, log_tau: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Weights c and their derivative by ln(tau).
 
-        Parameters
-        ----------
-        log_tau : ndarray, shape (m,)
-            ln(tau / s), within ``log_bounds``.
-
-        Returns
-        -------
-        c, dc : ndarray, shape (n, m)
+        ``log_tau`` (m,): ln(tau / s), within ``log_bounds``.  Returns ``c, dc`` (n, m).
         """
         columns = [_weights(self, float(value)) for value in log_tau]
         return np.column_stack([c for c, _ in columns]), np.column_stack([dc for _, dc in columns])
@@ -87,16 +72,8 @@ class KernelBasis:
     def weights_of(self, kernel: Callable[[FloatArray], FloatArray]) -> tuple[FloatArray, float]:
         """Weights of any kernel of relaxation: a completely monotone one is a mixture of the nodes'.
 
-        Parameters
-        ----------
-        kernel : callable
-            Its values at times of any shape [s].
-
-        Returns
-        -------
-        c : ndarray, shape (n,)
-        error : float
-            Root mean square of what is left, relative to the kernel's.
+        ``kernel``: its values at times of any shape [s].  Returns ``c`` (n,); ``error``: root mean square of
+        what is left, relative to the kernel's.
         """
         point, share = np.polynomial.legendre.leggauss(AVERAGED)
         inner = self._time_s[:, None] + self._step_s * 0.5 * (point + 1.0)
@@ -164,17 +141,9 @@ def kernel_basis(
 ) -> KernelBasis:
     """The basis for recordings whose finest step is ``step_s`` and longest duration ``length_s``.
 
-    Parameters
-    ----------
-    step_s, length_s : float
-        Both positive, ``length_s > step_s`` [s].
-    log_range : tuple of float, optional
-        Part of the range of ln(tau / s) that is needed; a factor of five takes some fifteen nodes.
-
-    Raises
-    ------
-    ValueError
-        Step or length are not positive and in order.
+    ``step_s``, ``length_s``: both positive, ``length_s > step_s`` [s]; ``log_range``: part of the range of
+    ln(tau / s) that is needed; a factor of five takes some fifteen nodes.  Raises ValueError: step or length
+    are not positive and in order.
     """
     if not 0.0 < step_s < length_s < math.inf:
         msg = f"a basis needs 0 < step < length, got step {step_s} s and length {length_s} s"

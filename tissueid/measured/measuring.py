@@ -58,13 +58,8 @@ class _Record:
 def measure(trial: Trial, segmentation: Segmentation, *, geometry: Geometry | None = None) -> Measured:
     """Measure a recording, no model.
 
-    Parameters
-    ----------
-    trial : Trial
-    segmentation : Segmentation
-        A recording without phases has nothing but a base.
-    geometry : Geometry, optional
-        Tip and tissue, for a modulus.
+    ``segmentation``: a recording without phases has nothing but a base; ``geometry``: tip and tissue, for a
+    modulus.
     """
     record = _record(trial, segmentation)
     phases = segmentation.phases

@@ -30,15 +30,7 @@ def modulus_of(
 ) -> MeasuredModulus | None:
     """The modulus of one push; ``None`` where the tip or the contact is not known.
 
-    Parameters
-    ----------
-    trial : Trial
-    segmentation : Segmentation
-    loading : slice
-        Samples from contact to the stop.
-    last : int or None
-        Last sample of the hold after it.
-    geometry : Geometry or None
+    ``loading``: samples from contact to the stop; ``last``: last sample of the hold after it.
     """
     if geometry is None or segmentation.contact is None or trial.axes.normalised:
         return None

@@ -27,10 +27,7 @@ def clusters(values: Sequence[float], factor: float) -> list[list[int]]:
 def programs(pushes: Sequence[tuple[float, float]]) -> list[list[int]]:
     """Places of the logs of each program.
 
-    Parameters
-    ----------
-    pushes : sequence of (float, float)
-        Speed [mm/s] and depth [mm] of every log.
+    ``pushes``: speed [mm/s] and depth [mm] of every log.
     """
     found = []
     for of_speed in clusters([speed for speed, _ in pushes], SAME_SPEED):

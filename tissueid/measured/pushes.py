@@ -32,20 +32,13 @@ STANDS = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Move:
-    """One loading move as phases: an approach that moves, and the ramps after it.
+    """One loading move as phases: an approach that moves, and the ramps after it."""
 
-    Attributes
-    ----------
-    moving, first, last : int
-        Phases: where the motion begins, the first ramp, and the last one.
-    stop : int
-        Sample of the stop.
-    """
-
+    #: Phases: where the motion begins, the first ramp, and the last one.
     moving: int
     first: int
     last: int
-    stop: int
+    stop: int  # sample of the stop
 
 
 def usable_until(segmentation: Segmentation, size: int) -> int:
@@ -104,13 +97,8 @@ class Peak(NamedTuple):
 def peak_of(time_s: FloatArray, force_N: FloatArray, segmentation: Segmentation, number: int) -> Peak:
     """The peak before a phase: its first sample where no loading comes before it.
 
-    Parameters
-    ----------
-    time_s, force_N : ndarray, shape (n,)
-        Force that grows with loading.
-    segmentation : Segmentation
-    number : int
-        The phase that begins with the stop; one past the last where the record ends there.
+    ``time_s``, ``force_N`` (n,): force that grows with loading; ``number``: the phase that begins with the
+    stop; one past the last where the record ends there.
     """
     phases = segmentation.phases
     move = move_before(phases, number)

@@ -37,24 +37,12 @@ NOISE_FACTOR = 5.0
 
 @dataclass(frozen=True, slots=True)
 class Ladder:
-    """Fits of one window with one, two, ... exponentials.
+    """Fits of one window with one, two, ... exponentials."""
 
-    Attributes
-    ----------
-    taus_s : tuple of tuple of float
-        Relaxation times of each fit.
-    nrmsd : tuple of float
-        Of each fit, over the range of the force.
-    worst_N : float
-        Largest residual of the single exponential.
-    half_s : float or None
-        Single relaxation time of the first half of the window.
-    """
-
-    taus_s: tuple[tuple[float, ...], ...]
-    nrmsd: tuple[float, ...]
-    worst_N: float
-    half_s: float | None
+    taus_s: tuple[tuple[float, ...], ...]  # relaxation times of each fit
+    nrmsd: tuple[float, ...]  # of each fit, over the range of the force
+    worst_N: float  # largest residual of the single exponential
+    half_s: float | None  # single relaxation time of the first half of the window
 
     @property
     def single_s(self) -> float | None:
@@ -65,11 +53,7 @@ class Ladder:
 def hold_ladder(time_s: FloatArray, force_N: FloatArray, count: int) -> Ladder | None:
     """Fit a window with one to ``count`` exponentials; ``None`` where it is too short or constant.
 
-    Parameters
-    ----------
-    time_s, force_N : ndarray, shape (n,)
-        From the stop on.
-    count : int
+    ``time_s``, ``force_N`` (n,): from the stop on.
     """
     time = time_s - time_s[0]
     if time.size < MIN_SAMPLES or time[-1] <= 0.0 or np.ptp(force_N) == 0.0:
@@ -164,13 +148,7 @@ def _row(
 
 
 def relaxation_rows(trial: Trial, segmentation: Segmentation) -> tuple[RelaxationRow, ...]:
-    """One row for every hold in contact; none where there is no hold.
-
-    Parameters
-    ----------
-    trial : Trial
-    segmentation : Segmentation
-    """
+    """One row for every hold in contact; none where there is no hold."""
     if segmentation.contact is None:
         return ()
     _, force = contact_frame(trial, segmentation)

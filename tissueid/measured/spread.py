@@ -31,13 +31,8 @@ SAME_PROGRAM = 2.0
 def ramp_reason(time_s: float | None, ramp_times_s: Sequence[float], *, peak: bool = False) -> str:
     """Why numbers of several ramps may not be pooled or compared; empty where they may.
 
-    Parameters
-    ----------
-    time_s : float or None
-        After the stop; ``None`` for a number of the ramp itself, such as the peak.
-    ramp_times_s : sequence of float
-    peak : bool
-        Whether the number is put over the peak, which any ramp changes.
+    ``time_s``: after the stop; ``None`` for a number of the ramp itself, such as the peak; ``peak``: whether
+    the number is put over the peak, which any ramp changes.
     """
     if not ramp_times_s:
         return ""
@@ -75,16 +70,8 @@ def _hold_numbers() -> Iterator[tuple[str, str, float, Callable[[MeasuredForce],
 def spread(logs: Sequence[Measured]) -> tuple[SpreadRow, ...]:
     """Mean and standard deviation between the logs of each program of every measured number.
 
-    Parameters
-    ----------
-    logs : sequence of Measured
-        Of one specimen.
-
-    Returns
-    -------
-    tuple of SpreadRow
-        Program after program; in each the first hold of each log, then the second, and so on; logs without a
-        hold give their push.
+    ``logs``: of one specimen.  Returns program after program; in each the first hold of each log, then the
+    second, and so on; logs without a hold give their push.
     """
     rows: list[SpreadRow] = []
     for program, members in enumerate(_programs(logs), 1):

@@ -46,18 +46,10 @@ UNKNOWN_SPREAD, KNOWN_FROM = 0.1, 3
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Verdict after a push.
+    """Verdict after a push."""
 
-    Attributes
-    ----------
-    level : str
-        Of :data:`LEVELS`: keep it, stop and look, push again.
-    reason : str
-        With its number; empty where there is nothing to say.
-    """
-
-    level: str
-    reason: str = ""
+    level: str  # of :data:`LEVELS`: keep it, stop and look, push again
+    reason: str = ""  # with its number; empty where there is nothing to say
 
     def as_json(self) -> dict[str, Any]:
         """``{"level", "reason"}``."""
@@ -72,13 +64,7 @@ def verdict_of(
 ) -> Verdict:
     """The verdict on one recording.
 
-    Parameters
-    ----------
-    trial : Trial
-    segmentation : Segmentation
-    measured : Measured
-    earlier : sequence of MeasuredPush
-        Of the same specimen, in the order of testing.
+    ``earlier``: of the same specimen, in the order of testing.
     """
     flags = {flag.code: flag for flag in reversed((*trial.flags, *segmentation.flags))}
     # what broke can't be pushed again, however its ramp ended

@@ -30,40 +30,26 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class ParameterSpec:
-    """One parameter of a model.
+    """One parameter of a model."""
 
-    Attributes
-    ----------
-    name, symbol, unit : str
-        Name as in identification.json, symbol as in an equation, unit as printed.
-    lower, upper : float
-        Bounds; the passivity constraint may bind several parameters more tightly.
-    meaning : str
-        One sentence.
-    """
-
+    #: Name as in identification.json, symbol as in an equation, unit as printed.
     name: str
     symbol: str
     unit: str
+    #: Bounds; the passivity constraint may bind several parameters more tightly.
     lower: float
     upper: float
-    meaning: str
+    meaning: str  # one sentence
 
 
 @dataclass(frozen=True, slots=True)
 class ContactPath:
-    """Path of a tool: the input of a contact model.
+    """Path of a tool: the input of a contact model."""
 
-    Attributes
-    ----------
-    time_s, depth_mm : ndarray, shape (n,)
-        Non-decreasing times [s] and depths below the contact point [mm]; linear in between.
-    speed_ratio : ndarray, shape (n,), optional
-        Speed over that at which each contact began, for laws that follow it; else told from the path.
-    """
-
+    #: (n,): non-decreasing times [s] and depths below the contact point [mm]; linear in between.
     time_s: FloatArray
-    depth_mm: FloatArray
+    depth_mm: FloatArray  # (n,)
+    #: (n,): speed over that at which each contact began, for laws that follow it; else told from the path.
     speed_ratio: FloatArray | None = None
 
 
@@ -124,13 +110,8 @@ def scaled_theta(
 ) -> FloatArray:
     """Theta of a tissue whose force and travel were read too large by gains.
 
-    Parameters
-    ----------
-    parameters : sequence of ParameterSpec
-        Their units say how they scale: N with the force, 1/mm with the travel.
-    theta : ndarray, shape (n, p)
-    force, travel : ndarray, shape (n,)
-        Gains.
+    ``parameters``: their units say how they scale: N with the force, 1/mm with the travel; ``theta`` (n, p);
+    ``force``, ``travel`` (n,): gains.
     """
     out, names = theta.copy(), [spec.name for spec in parameters]
     for k, spec in enumerate(parameters):

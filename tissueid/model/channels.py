@@ -44,20 +44,11 @@ RATIO = ((1e-3, 1e3), (0.3, 2.0))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Nodes:
-    """Exponentials at fixed times for relaxations that are looked at from a resolution to a window.
+    """Exponentials at fixed times for relaxations that are looked at from a resolution to a window."""
 
-    Attributes
-    ----------
-    tau_s : ndarray, shape (n,)
-    time_s : ndarray, shape (t,)
-        At which a relaxation is given.
-    project : ndarray, shape (n, t)
-        From values at ``time_s`` to weights.
-    """
-
-    tau_s: FloatArray
-    time_s: FloatArray
-    project: FloatArray
+    tau_s: FloatArray  # (n,)
+    time_s: FloatArray  # (t,), at which a relaxation is given
+    project: FloatArray  # (n, t), from values at ``time_s`` to weights
 
 
 @lru_cache(maxsize=16)
@@ -77,49 +68,29 @@ def nodes_for(resolution_s: float, window_s: float) -> Nodes:
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """One relaxing part of a model.
+    """One relaxing part of a model."""
 
-    Attributes
-    ----------
-    stiffness : slice
-        Its stiffness coefficients in theta; empty inside.
-    ratio : int or None
-        Place of g in theta, inside.
-    shapes : slice
-        Shapes of its relaxation in theta.
-    tau_s : float or None
-        Of a fixed exponential.
-    """
-
-    stiffness: slice
-    ratio: int | None
-    shapes: slice
-    tau_s: float | None = None
+    stiffness: slice  # its stiffness coefficients in theta; empty inside
+    ratio: int | None  # place of g in theta, inside
+    shapes: slice  # shapes of its relaxation in theta
+    tau_s: float | None = None  # of a fixed exponential
 
 
 @dataclass(frozen=True)
 class ChannelModel:
     """Contact model by its parts.
 
-    Attributes
-    ----------
-    static, stiffness, relaxation
-        Laws.
-    depth_mm : float
-        Largest depth that it is claimed for.
-    resolution_s, window_s : float
-        Times between which relaxations are looked at.
-    name : str
-        As it was asked for.
+    ``static``, ``stiffness``, ``relaxation``: laws.
     """
 
     static: StaticLaw
     stiffness_law: StiffnessLaw
     relaxation: RelaxationLaw
-    depth_mm: float
+    depth_mm: float  # largest depth that it is claimed for
+    #: Times between which relaxations are looked at.
     resolution_s: float
     window_s: float
-    name: str = field(default="", compare=False)
+    name: str = field(default="", compare=False)  # as it was asked for
 
     @property
     def key(self) -> str:

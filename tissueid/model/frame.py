@@ -31,17 +31,8 @@ FloatArray = NDArray[np.float64]
 def deflection_basis(knots_N: FloatArray, force_N: FloatArray) -> FloatArray:
     """A_k(F): the deflection by each knot's compliance.
 
-    Parameters
-    ----------
-    knots_N : ndarray, shape (k,)
-        Strictly growing from 0, k >= 2.
-    force_N : ndarray, shape (n,)
-        Compressive force.
-
-    Returns
-    -------
-    ndarray, shape (n, k)
-        [N]; its product with compliances [mm/N] is the deflection [mm].
+    ``knots_N`` (k,): strictly growing from 0, k >= 2; ``force_N`` (n,): compressive force.  Returns (n, k),
+    [N]; its product with compliances [mm/N] is the deflection [mm].
     """
     width = np.diff(knots_N)
     piece = np.clip(np.searchsorted(knots_N, force_N, side="right") - 1, 0, width.size - 1)
@@ -92,12 +83,7 @@ def tangent_stiffness_sd(frame: FrameCurve, force_N: float) -> float:
 def linear_frame(stiffness_N_per_mm: float, sd_N_per_mm: float = 0.0) -> FrameCurve:
     """A frame of one stiffness, for all forces: u = F / k, sd(1/k) = sd(k) / k^2.
 
-    Parameters
-    ----------
-    stiffness_N_per_mm : float
-        > 0.
-    sd_N_per_mm : float
-        Its standard deviation.
+    ``stiffness_N_per_mm``: > 0; ``sd_N_per_mm``: its standard deviation.
     """
     compliance = 1.0 / stiffness_N_per_mm
     variance = (sd_N_per_mm * compliance**2) ** 2

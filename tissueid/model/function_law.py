@@ -80,10 +80,7 @@ class FunctionStatic:
 def relaxation_of(function: Callable[..., Any]) -> FunctionRelaxation:
     """A relaxation law from ``f(t, tau, ...)``.
 
-    Raises
-    ------
-    ValueError
-        It has no relaxation time, does not begin at 1, or rises.
+    Raises ValueError: it has no relaxation time, does not begin at 1, or rises.
     """
     names = _parameters(function)
     if not names:
@@ -111,10 +108,7 @@ def relaxation_of(function: Callable[..., Any]) -> FunctionRelaxation:
 def static_of(function: Callable[..., Any]) -> FunctionStatic:
     """A static law from ``f(x, ...)``.
 
-    Raises
-    ------
-    ValueError
-        It is not 0 at the surface, falls, or gives no number.
+    Raises ValueError: it is not 0 at the surface, falls, or gives no number.
     """
     law = FunctionStatic(
         function,

@@ -101,18 +101,9 @@ def delta_method(
 ) -> tuple[float, float]:
     """Value of a smooth function of theta and its standard error, to first order.
 
-    Parameters
-    ----------
-    function : callable
-    theta : ndarray, shape (p,)
-    covariance : ndarray, shape (p, p)
-    unknown : ndarray of bool, shape (p,)
-        Parameters of infinite variance (their rows of the covariance are not looked at).
-
-    Returns
-    -------
-    value, stderr : float
-        The error is infinite where the value depends on an unknown parameter, or has no slope there.
+    ``theta`` (p,); ``covariance`` (p, p); ``unknown`` (p,): parameters of infinite variance (their rows of
+    the covariance are not looked at).  Returns ``value, stderr``: the error is infinite where the value
+    depends on an unknown parameter, or has no slope there.
     """
     value = function(theta)
     if not np.isfinite(value):

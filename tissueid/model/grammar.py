@@ -54,25 +54,15 @@ class ModelNameError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Named:
-    """A contact model by its name.
+    """A contact model by its name."""
 
-    Attributes
-    ----------
-    name : str
-        As it was asked for.
-    branches, degree : int or None
-        Of a Kelvin-Voigt law; None where they are chosen, and of other laws.
-    parts : tuple or None
-        Static, stiffness and relaxation or damping law; None where it is a Kelvin-Voigt law.
-    mark : bool
-        It is the yardstick.
-    """
-
-    name: str
+    name: str  # as it was asked for
+    #: Of a Kelvin-Voigt law; None where they are chosen, and of other laws.
     branches: int | None = None
     degree: int | None = None
+    #: Static, stiffness and relaxation or damping law; None where it is a Kelvin-Voigt law.
     parts: tuple[Any, Any, Any] | None = None
-    mark: bool = False
+    mark: bool = False  # it is the yardstick
 
     @property
     def paper(self) -> bool:
@@ -96,21 +86,12 @@ class Named:
 
 @dataclass(frozen=True, slots=True)
 class Candidates:
-    """Laws of one fit.
+    """Laws of one fit."""
 
-    Attributes
-    ----------
-    paper : Named or None
-        A Kelvin-Voigt law, whose order may be open.
-    laws : tuple of Named
-        Others.
-    choose : bool
-        The one that predicts best is fitted; otherwise the Kelvin-Voigt law, held against the others, or the
-        only one.
-    """
-
-    paper: Named | None
-    laws: tuple[Named, ...]
+    paper: Named | None  # a Kelvin-Voigt law, whose order may be open
+    laws: tuple[Named, ...]  # others
+    #: The one that predicts best is fitted; otherwise the Kelvin-Voigt law, held against the others, or the
+    #: only one.
     choose: bool = False
 
 
@@ -121,10 +102,7 @@ _OWN: dict[str, Any] = {}
 def register(law: Any) -> None:
     """Make a law known to this process; one of the same key that was registered before gives way.
 
-    Raises
-    ------
-    ModelNameError
-        A law that is installed has this key.
+    Raises ModelNameError: a law that is installed has this key.
     """
     if law.about.key in _installed():
         msg = f"contact law {law.about.key!r} is registered already; choose another name"
@@ -180,10 +158,7 @@ def whole_names() -> tuple[About, ...]:
 def rebuilt(choice: ModelChoice, depth_mm: float) -> TissueModel:
     """The contact model of a fit, for its largest depth.
 
-    Raises
-    ------
-    ValueError
-        The name is of no law, or what it needs is missing.
+    Raises ValueError: the name is of no law, or what it needs is missing.
     """
     if choice.key == KELVIN_VOIGT:
         return KelvinVoigt(choice.branches, choice.stiffness_degree, depth_mm)
@@ -249,15 +224,9 @@ def _law(word: str, kind: str, name: str) -> Any:
 def parsed(name: str) -> Named:
     """A contact model by its name.
 
-    Parameters
-    ----------
-    name : str
-        ``kelvin-voigt``, ``STATIC * [STIFFNESS *] RELAXATION`` or ``STATIC * DAMPING``; spaces are free.
-
-    Raises
-    ------
-    ModelNameError
-        A word is not known, or stands in the wrong place; the message lists those that are known.
+    ``name``: ``kelvin-voigt``, ``STATIC * [STIFFNESS *] RELAXATION`` or ``STATIC * DAMPING``; spaces are
+    free.  Raises ModelNameError: a word is not known, or stands in the wrong place; the message lists those
+    that are known.
     """
     known_laws()  # what is wrong with a plug-in is said whatever was asked for
     words = [word.strip() for word in name.split("*")]
@@ -290,10 +259,7 @@ def parsed(name: str) -> Named:
 def candidates(name: str) -> Candidates:
     """Laws that a fit is asked for: one, ``auto``, or several with ``|`` between them.
 
-    Raises
-    ------
-    ModelNameError
-        A name is not known, or there are two Kelvin-Voigt laws.
+    Raises ModelNameError: a name is not known, or there are two Kelvin-Voigt laws.
     """
     names = [one.strip() for one in name.split("|")]
     if names == [AUTO]:

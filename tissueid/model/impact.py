@@ -71,17 +71,8 @@ STARTED = 3
 def damping_factor(restitution: float, law: Variant = "flores") -> float:
     """The damping factor chi for a coefficient of restitution.
 
-    Parameters
-    ----------
-    restitution : float
-        e, 0.05 to 1.
-    law : {"flores", "exact"}
-        As printed, or such that a free mass returns with e times its speed.
-
-    Raises
-    ------
-    ValueError
-        e is out of its range.
+    ``restitution``: e, 0.05 to 1; ``law`` {"flores", "exact"}: as printed, or such that a free mass returns
+    with e times its speed.  Raises ValueError: e is out of its range.
     """
     if not LEAST_RESTITUTION <= restitution <= 1.0:
         msg = f"a coefficient of restitution lies within {LEAST_RESTITUTION} and 1, got {restitution}"
@@ -116,20 +107,9 @@ def pack_impact(
 ) -> None:
     """Write the law's numbers.
 
-    Parameters
-    ----------
-    stiffness : float
-        k [N/mm^n].
-    exponent, chi : float
-    block : ndarray
-        Written from index ``at``, :data:`IMPACT_SIZE` numbers.
-    at : int
-    slowest_mm_s : float
-        Floor of v0 [mm/s].
-    filter_s : float
-        Time constant of the low-pass of the speed [s]; 0 for none.
-    hysteresis_mm : float
-        A contact ends, and its v0 is forgotten, this far outside.
+    ``stiffness``: k [N/mm^n]; ``block``: written from index ``at``, :data:`IMPACT_SIZE` numbers;
+    ``slowest_mm_s``: floor of v0 [mm/s]; ``filter_s``: time constant of the low-pass of the speed [s]; 0 for
+    none; ``hysteresis_mm``: a contact ends, and its v0 is forgotten, this far outside.
     """
     block[at : at + IMPACT_SIZE] = stiffness, exponent, chi, slowest_mm_s, filter_s, hysteresis_mm
 
@@ -140,18 +120,9 @@ def speed_ratio(
 ) -> float:
     """Speed over that at which this contact began, within +-1, after a step of linear motion; 0 outside.
 
-    Parameters
-    ----------
-    parameters : ndarray
-        From index ``at``: floor of v0 [mm/s], filter [s] and hysteresis [mm].
-    at : int
-    memory : ndarray
-        :data:`IMPACT_STATE` numbers from index ``first``, all zero before the first step; updated in place.
-    first : int
-    depth : float
-        Penetration at the end of the step [mm], negative outside.
-    dt : float
-        [s]
+    ``parameters``: from index ``at``: floor of v0 [mm/s], filter [s] and hysteresis [mm]; ``memory``:
+    :data:`IMPACT_STATE` numbers from index ``first``, all zero before the first step; updated in place;
+    ``depth``: penetration at the end of the step [mm], negative outside; ``dt``: [s].
     """
     if memory[first + STARTED] > 0.0 and dt > 0.0:
         rate = (depth - memory[first + LAST_DEPTH]) / dt
@@ -176,23 +147,9 @@ def impact_step(
 ) -> float:
     """Force after a step of linear motion.
 
-    Parameters
-    ----------
-    parameters : ndarray
-        :func:`pack_impact` from index ``at``.
-    at : int
-    memory : ndarray
-        :data:`IMPACT_STATE` numbers from index ``first``, all zero before the first step; updated in place.
-    first : int
-    depth : float
-        Penetration at the end of the step [mm], negative outside.
-    dt : float
-        [s]
-
-    Returns
-    -------
-    float
-        Force [N], never negative.
+    ``parameters``: :func:`pack_impact` from index ``at``; ``memory``: :data:`IMPACT_STATE` numbers from index
+    ``first``, all zero before the first step; updated in place; ``depth``: penetration at the end of the step
+    [mm], negative outside; ``dt``: [s].  Returns force [N], never negative.
     """
     ratio = speed_ratio(parameters, at + SLOWEST, memory, first, depth, dt)
     if depth <= 0.0:

@@ -64,21 +64,12 @@ def _time_spec(branch: int) -> ParameterSpec:
 
 @dataclass(frozen=True, slots=True)
 class KelvinVoigt:
-    """The model for a given number of branches, degree of K and largest depth.
+    """The model for a given number of branches, degree of K and largest depth."""
 
-    Attributes
-    ----------
-    branches : int
-        0 (elastic) to 3.
-    stiffness_degree : int
-        Degree of each K_j(x), 0 to 2.
-    depth_mm : float
-        Largest identified depth [mm]: passivity is demanded on [0, depth_mm] and the law is continued
-        beyond it (F_s with its end slope, not below 0; K linearly where it grows, else constant).
-    """
-
-    branches: int
-    stiffness_degree: int
+    branches: int  # 0 (elastic) to 3
+    stiffness_degree: int  # degree of each K_j(x), 0 to 2
+    #: Largest identified depth [mm]: passivity is demanded on [0, depth_mm] and the law is continued beyond
+    #: it (F_s with its end slope, not below 0; K linearly where it grows, else constant).
     depth_mm: float
 
     def __post_init__(self) -> None:
@@ -208,15 +199,7 @@ class KelvinVoigt:
     def linear_basis(self, nonlinear: FloatArray, path: ContactPath) -> FloatArray:
         """Columns of the linear parameters for given log relaxation times.
 
-        Parameters
-        ----------
-        nonlinear : ndarray, shape (branches,)
-            ln(tau_j / s).
-        path : ContactPath
-
-        Returns
-        -------
-        ndarray, shape (n, 3 + branches * (degree + 1))
+        ``nonlinear`` (branches,): ln(tau_j / s).  Returns (n, 3 + branches * (degree + 1)).
         """
         x = path.depth_mm
         columns = [x, x**2, x**3]
@@ -257,11 +240,7 @@ class KelvinVoigt:
 class TissueStepper:
     """The tissue under a moving tool: pushes, lets go, recovers, is pushed again.
 
-    Parameters
-    ----------
-    model : KelvinVoigt
-    theta : ndarray, shape (p,)
-        Must be passive.
+    ``theta`` (p,): must be passive.
     """
 
     def __init__(self, model: KelvinVoigt, theta: FloatArray) -> None:

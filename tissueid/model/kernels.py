@@ -60,19 +60,9 @@ def step_weights(h: float, tau: float) -> tuple[float, float]:
 def branch_state(time_s: FloatArray, depth_mm: FloatArray, tau: float, initial: float) -> FloatArray:
     """State of one branch at every sample.
 
-    Parameters
-    ----------
-    time_s, depth_mm : ndarray, shape (n,)
-        Non-decreasing times [s] and depths [mm].
-    tau : float
-        Relaxation time [s].
-    initial : float
-        State at the first sample [mm]; 0 for a tissue at rest.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Spring elongation of the branch [mm].
+    ``time_s``, ``depth_mm`` (n,): non-decreasing times [s] and depths [mm]; ``tau``: relaxation time [s];
+    ``initial``: state at the first sample [mm]; 0 for a tissue at rest.  Returns (n,), spring elongation of
+    the branch [mm].
     """
     n = time_s.size
     out = np.empty(n)
@@ -97,10 +87,7 @@ def branch_state(time_s: FloatArray, depth_mm: FloatArray, tau: float, initial: 
 def branch_sensitivity(time_s: FloatArray, depth_mm: FloatArray, tau: float) -> tuple[FloatArray, FloatArray]:
     """State of one branch from rest and its derivative by the relaxation time.
 
-    Returns
-    -------
-    state, derivative : ndarray, shape (n,)
-        [mm] and [mm/s].
+    Returns ``state, derivative`` (n,): [mm] and [mm/s].
     """
     n = time_s.size
     state = np.zeros(n)
@@ -288,24 +275,10 @@ def tissue_step_in(law: FloatArray, at: int, state: FloatArray, first: int, x: f
     force-free path, found as the root of the force in the surface position of this very step, so that
     the step stays exact for a surface that moves linearly.
 
-    Parameters
-    ----------
-    law : ndarray
-        Holds what :func:`pack_law` wrote, from index ``at``.
-    at : int
-    state : ndarray
-        Holds :data:`STATE_SIZE` numbers from index ``first``: the surface [mm], the branch states, room to
-        work in, and what the branches follow there; all zero at rest.  **Updated in place.**
-    first : int
-    x : float
-        Tool position at the end of the step [mm]; negative is in air.
-    h : float
-        Measured step [s].
-
-    Returns
-    -------
-    float
-        Force on the tool [N], never negative.
+    ``law``: holds what :func:`pack_law` wrote, from index ``at``; ``state``: holds :data:`STATE_SIZE` numbers
+    from index ``first``: the surface [mm], the branch states, room to work in, and what the branches follow
+    there; all zero at rest.  **Updated in place.**; ``x``: tool position at the end of the step [mm];
+    negative is in air; ``h``: measured step [s].  Returns force on the tool [N], never negative.
     """
     if law[at + _FOLLOWED] > 2.0:
         return _damped_step(law, at, state, first, x, h)
@@ -338,19 +311,10 @@ def pack_law(
 ) -> None:
     """Write a law in its flat form.
 
-    Parameters
-    ----------
-    static : ndarray, shape (4,)
-        Coefficients of F_s by powers of x, constant term first (0) [N/mm^k].
-    stiffness : ndarray, shape (branches, degree + 1)
-        Coefficients of K_j by powers of x [N/mm^(k+1)]; at most :data:`MOST_BRANCHES`, degree at most 2.
-    tau : ndarray, shape (branches,)
-        Relaxation times [s].
-    depth : float
-        Largest identified depth [mm]; the law is continued beyond it.
-    law : ndarray
-        Written from index ``at``, :data:`LAW_SIZE` numbers.
-    at : int
+    ``static`` (4,): coefficients of F_s by powers of x, constant term first (0) [N/mm^k]; ``stiffness``
+    (branches, degree + 1): coefficients of K_j by powers of x [N/mm^(k+1)]; at most :data:`MOST_BRANCHES`,
+    degree at most 2; ``tau`` (branches,): relaxation times [s]; ``depth``: largest identified depth [mm]; the
+    law is continued beyond it; ``law``: written from index ``at``, :data:`LAW_SIZE` numbers.
     """
     for k in range(LAW_SIZE):
         law[at + k] = 0.0
@@ -368,18 +332,11 @@ def pack_law(
 def pack_pieces(law: FloatArray, at: int, pieces: FloatArray, *, followed: int, own: FloatArray) -> None:
     """Write a static law by pieces over one that :func:`pack_law` wrote.
 
-    Parameters
-    ----------
-    law : ndarray
-    at : int
-    pieces : ndarray, shape (n, 4)
-        Cubic of each piece by powers of the distance from its beginning, at most :data:`MOST_PIECES`.
-    followed : int
-        What the branches follow: 0 the depth, 1 the static force (their stiffness is then a ratio to it), 2 a
-        polynomial each; 3 of a damped law without branches.
-    own : ndarray, shape (branches, OWN_SIZE)
-        These polynomials by powers of x, constant term first (0); of a damped law chi, floor of v0 [mm/s],
-        filter of the speed [s] and hysteresis [mm], shape (1, 4); empty otherwise.
+    ``pieces`` (n, 4): cubic of each piece by powers of the distance from its beginning, at most
+    :data:`MOST_PIECES`; ``followed``: what the branches follow: 0 the depth, 1 the static force (their
+    stiffness is then a ratio to it), 2 a polynomial each; 3 of a damped law without branches; ``own``
+    (branches, OWN_SIZE): these polynomials by powers of x, constant term first (0); of a damped law chi,
+    floor of v0 [mm/s], filter of the speed [s] and hysteresis [mm], shape (1, 4); empty otherwise.
     """
     law[at + _PIECES] = len(pieces)
     law[at + _FOLLOWED] = float(followed)
@@ -404,21 +361,10 @@ def tissue_step(
 ) -> tuple[float, float]:
     """:func:`tissue_step_in` for a law in its parts.
 
-    Parameters
-    ----------
-    static, stiffness, tau, depth
-        As in :func:`pack_law`.
-    surface : float
-        Surface position at the start of the step [mm].
-    states : ndarray, shape (branches,)
-        Branch states [mm]; **updated in place**.
-    x, h : float
-        As in :func:`tissue_step_in`.
-
-    Returns
-    -------
-    force, surface : float
-        Force on the tool [N], never negative, and the new surface position [mm], never negative.
+    ``static``, ``stiffness``, ``tau``, ``depth``: as in :func:`pack_law`; ``surface``: surface position at
+    the start of the step [mm]; ``states`` (branches,): branch states [mm]; **updated in place**; ``x``,
+    ``h``: as in :func:`tissue_step_in`.  Returns ``force, surface``: force on the tool [N], never negative,
+    and the new surface position [mm], never negative.
     """
     law = np.empty(LAW_SIZE)
     _pack_law(static, stiffness, tau, depth, law, 0)
@@ -444,17 +390,9 @@ def surface_path(
 ) -> tuple[FloatArray, FloatArray]:
     """Surface of a tissue and force on a tool along a whole path, at rest at the first sample.
 
-    Parameters
-    ----------
-    static, stiffness, tau, depth
-        As in :func:`pack_law`.
-    time_s, tool_mm : ndarray, shape (n,)
-        Non-decreasing times [s] and tool position [mm], negative in air.
-
-    Returns
-    -------
-    surface, force : ndarray, shape (n,)
-        [mm], never negative and never above the tool; [N], never negative.
+    ``static``, ``stiffness``, ``tau``, ``depth``: as in :func:`pack_law`; ``time_s``, ``tool_mm`` (n,):
+    non-decreasing times [s] and tool position [mm], negative in air.  Returns ``surface, force`` (n,): [mm],
+    never negative and never above the tool; [N], never negative.
     """
     n = time_s.size
     surface = np.empty(n)

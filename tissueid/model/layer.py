@@ -77,18 +77,9 @@ def _solve(
 def flat_factor(a_over_h: float, poisson: float, *, bonded: bool = True) -> float:
     """Hayes' kappa: force on a flat punch over that on a half-space, 2 E* a d.
 
-    Parameters
-    ----------
-    a_over_h : float
-        Punch radius over layer thickness, 0 to :data:`MOST_A_OVER_H`.
-    poisson : float
-    bonded : bool
-        The layer sticks to its base; else it slips without friction.
-
-    Raises
-    ------
-    ValueError
-        ``a_over_h`` is outside the range that is solved.
+    ``a_over_h``: punch radius over layer thickness, 0 to :data:`MOST_A_OVER_H`; ``bonded``: the layer sticks
+    to its base; else it slips without friction.  Raises ValueError: ``a_over_h`` is outside the range that is
+    solved.
     """
     _check(a_over_h)
     return _solve(a_over_h, poisson, bonded=bonded, power=2)[0][0]
@@ -111,26 +102,9 @@ def layer_contact(
 ) -> tuple[float, float]:
     """Contact radius and force over E* of a sphere or a cone on a layer.
 
-    Parameters
-    ----------
-    depth_mm, thickness_mm : float
-    poisson : float
-    radius_mm : float, optional
-        Of a sphere, taken as a paraboloid.
-    half_angle_rad : float, optional
-        Of a cone, from its axis.
-    bonded : bool
-
-    Returns
-    -------
-    contact_mm : float
-    factor_mm2 : float
-        F = E* times this.
-
-    Raises
-    ------
-    ValueError
-        The contact would be wider than :data:`MOST_A_OVER_H` times the thickness.
+    ``radius_mm``: of a sphere, taken as a paraboloid; ``half_angle_rad``: of a cone, from its axis.  Returns
+    ``contact_mm``; ``factor_mm2``: F = E* times this.  Raises ValueError: the contact would be wider than
+    :data:`MOST_A_OVER_H` times the thickness.
     """
     power = 2 if radius_mm is not None else 1
 

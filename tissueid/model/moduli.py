@@ -50,24 +50,12 @@ DIFFUSIVITY_MM2_S = (1e-5, 1e-2)
 class Indenter:
     """The tip of the tool.
 
-    Attributes
-    ----------
-    shape : str
-        ``sphere``, ``flat`` or ``cone``.
-    radius_mm : float or None
-        Of a sphere or a flat punch.
-    half_angle_deg : float or None
-        Of a cone, between its axis and its side.
-
-    Raises
-    ------
-    ValueError
-        The shape is not offered, or its size is missing or impossible.
+    Raises ValueError: the shape is not offered, or its size is missing or impossible.
     """
 
-    shape: str
-    radius_mm: float | None = None
-    half_angle_deg: float | None = None
+    shape: str  # ``sphere``, ``flat`` or ``cone``
+    radius_mm: float | None = None  # of a sphere or a flat punch
+    half_angle_deg: float | None = None  # of a cone, between its axis and its side
 
     def __post_init__(self) -> None:
         if self.shape not in SHAPES:
@@ -83,28 +71,14 @@ class Indenter:
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """Contact of a tip with an elastic body at one depth.
+    """Contact of a tip with an elastic body at one depth."""
 
-    Attributes
-    ----------
-    formula : str
-        Key of :data:`FORMULAS`.
-    depth_mm : float
-    contact_mm : float
-        Contact radius a.
-    factor_mm2 : float
-        G: F = E* G.
-    poisson : float
-    outside : tuple of str
-        How the numbers leave the formula's range; empty within it.
-    """
-
-    formula: str
+    formula: str  # key of :data:`FORMULAS`
     depth_mm: float
-    contact_mm: float
-    factor_mm2: float
+    contact_mm: float  # contact radius a
+    factor_mm2: float  # G: F = E* G
     poisson: float
-    outside: tuple[str, ...] = ()
+    outside: tuple[str, ...] = ()  # how the numbers leave the formula's range; empty within it
 
     def modulus_MPa(self, force_N: float) -> float:
         """Young's modulus E that gives this force [N/mm^2 = MPa]."""
@@ -130,19 +104,9 @@ def contact_of(
 ) -> Contact | None:
     """The contact a formula describes; ``None`` where it has no solution for these numbers.
 
-    Parameters
-    ----------
-    formula : str
-        One of :func:`formulas_for`.
-    indenter : Indenter
-    depth_mm : float
-        Positive.
-    poisson : float
-        0 to 0.5.
-    thickness_mm : float, optional
-        Of the layer; needed by ``hayes`` and ``dimitriadis``.
-    bonded : bool
-        The layer sticks to its rigid base (else it slips).
+    ``formula``: one of :func:`formulas_for`; ``depth_mm``: positive; ``poisson``: 0 to 0.5; ``thickness_mm``:
+    of the layer; needed by ``hayes`` and ``dimitriadis``; ``bonded``: the layer sticks to its rigid base
+    (else it slips).
     """
     if not 0.0 <= poisson <= 0.5:
         msg = f"Poisson's ratio must be 0 to 0.5, is {poisson}"

@@ -45,23 +45,10 @@ def damping_bound(
 ) -> float:
     """Damping that makes one linearised law passive, or several.
 
-    Parameters
-    ----------
-    static_slope : float or ndarray, shape (n,)
-        k0, slope of the force by depth at fixed branch states.
-    stiffness : ndarray, shape (branches,) or (branches, n)
-        K_j, in the unit of ``static_slope``.
-    tau : ndarray, shape (branches,)
-        Relaxation times [s].
-    period_s : float
-        Servo period [s].
-    delay_ticks : float
-        Delay in servo periods, fractions allowed.
-
-    Returns
-    -------
-    float
-        Smallest damping, in the unit of ``static_slope`` times seconds; never negative.
+    ``static_slope`` (n,): k0, slope of the force by depth at fixed branch states; ``stiffness`` (branches,)
+    and (branches, n): K_j, in the unit of ``static_slope``; ``tau`` (branches,): relaxation times [s];
+    ``period_s``: servo period [s]; ``delay_ticks``: delay in servo periods, fractions allowed.  Returns
+    smallest damping, in the unit of ``static_slope`` times seconds; never negative.
     """
     angle = np.concatenate([np.geomspace(1e-6, np.pi, FREQUENCIES), np.linspace(1e-3, np.pi, FREQUENCIES)])
     # z - 1 by expm1, and below (1 - 1/z) / (1 - cos) as i exp(-i angle/2) / sin(angle/2): the plain

@@ -38,15 +38,8 @@ MAX_DEGREE = 2
 def generators(degree: int) -> FloatArray:
     """Generators that every solve starts with.
 
-    Parameters
-    ----------
-    degree : int
-        0, 1 or 2.
-
-    Returns
-    -------
-    ndarray, shape (degree + 1, degree + 1)
-        One generator a row, coefficients by powers of u, constant first.
+    ``degree``: 0, 1 or 2.  Returns (degree + 1, degree + 1), one generator a row, coefficients by powers of
+    u, constant first.
     """
     if degree == 0:
         return np.array([[1.0]])
@@ -61,10 +54,7 @@ def generators(degree: int) -> FloatArray:
 def minimum_on_unit(q: FloatArray) -> float:
     """Smallest value of a polynomial of degree <= 2 on [0, 1].
 
-    Parameters
-    ----------
-    q : ndarray, shape (degree + 1,)
-        Coefficients by powers of u, constant first.
+    ``q`` (degree + 1,): coefficients by powers of u, constant first.
     """
     values = [float(q[0]), float(q.sum())]
     if q.size > MAX_DEGREE and q[2] > 0.0:
@@ -77,15 +67,8 @@ def minimum_on_unit(q: FloatArray) -> float:
 def coordinates(q: FloatArray) -> FloatArray:
     """Cone coordinates of a non-negative polynomial.
 
-    Parameters
-    ----------
-    q : ndarray, shape (degree + 1,)
-        Coefficients by powers of u; values that are negative by rounding are taken as zero.
-
-    Returns
-    -------
-    ndarray, shape (degree + 1,)
-        ``(p0,)``, ``(p0, p2)`` or ``(p0, w, p2)``.
+    ``q`` (degree + 1,): coefficients by powers of u; values that are negative by rounding are taken as zero.
+    Returns (degree + 1,), ``(p0,)``, ``(p0, p2)`` or ``(p0, w, p2)``.
     """
     first = math.sqrt(max(float(q[0]), 0.0))
     last = math.sqrt(max(float(q.sum()), 0.0))
@@ -126,10 +109,7 @@ def n_bounded(degree: int) -> tuple[int, ...]:
 def shift_matrix(degree: int, shift: float) -> FloatArray:
     """Matrix T with ``coefficients of q(x - shift) = T @ coefficients of q(x)``.
 
-    Returns
-    -------
-    ndarray, shape (degree + 1, degree + 1)
-        Upper triangular.
+    Returns (degree + 1, degree + 1), upper triangular.
     """
     matrix = np.zeros((degree + 1, degree + 1))
     for k in range(degree + 1):

@@ -43,22 +43,13 @@ GAUSS_AT = ((1.0 - 3.0**-0.5) / 2.0, (1.0 + 3.0**-0.5) / 2.0)
 
 @dataclass(frozen=True, slots=True)
 class RupturePoint:
-    """End of a ramp in a rupture.
-
-    Attributes
-    ----------
-    speed_mm_s, depth_mm, force_N : float
-    dynamic_N : float
-        Part of the force that relaxes.
-    work_N_mm : float
-        From contact.
-    """
+    """End of a ramp in a rupture."""
 
     speed_mm_s: float
     depth_mm: float
     force_N: float
-    dynamic_N: float
-    work_N_mm: float
+    dynamic_N: float  # part of the force that relaxes
+    work_N_mm: float  # from contact
 
 
 def rupture_measures(
@@ -66,20 +57,9 @@ def rupture_measures(
 ) -> dict[str, FloatArray]:
     """Measures of loading along a path in contact that starts at rest at depth 0.
 
-    Parameters
-    ----------
-    model : KelvinVoigt
-    theta : ndarray, shape (p,)
-    path : ContactPath
-        Of n samples.
-    weight : float
-        w of the weighted force.
-
-    Returns
-    -------
-    dict of ndarray, shape (n,)
-        :data:`~tissueid.rupture_law.CRITERIA`, and ``force`` and ``dynamic``, the force and its relaxing
-        part [N].
+    ``theta`` (p,); ``path``: of n samples; ``weight``: w of the weighted force.  Returns (n,),
+    :data:`~tissueid.rupture_law.CRITERIA`, and ``force`` and ``dynamic``, the force and its relaxing part
+    [N].
     """
     x = path.depth_mm
     static, _, tau = model.split(theta)
@@ -115,27 +95,9 @@ def rupture_at_speed(
 ) -> RupturePoint | None:
     """Point at which a ramp at constant speed from rest first reaches the threshold of a criterion.
 
-    Parameters
-    ----------
-    model : KelvinVoigt
-    theta : ndarray, shape (p,)
-    criterion : str
-        One of :data:`~tissueid.rupture_law.CRITERIA`.
-    threshold : float
-        [N mm], [N] or [mm].
-    speed_mm_s : float
-        Above 0.
-    weight : float
-
-    Returns
-    -------
-    RupturePoint or None
-        ``None`` where the threshold is not reached within the model's depth.
-
-    Raises
-    ------
-    ValueError
-        No such criterion.
+    ``theta`` (p,); ``criterion``: one of :data:`~tissueid.rupture_law.CRITERIA`; ``threshold``: [N mm], [N]
+    or [mm]; ``speed_mm_s``: above 0.  Returns ``None`` where the threshold is not reached within the model's
+    depth.  Raises ValueError: no such criterion.
     """
     if criterion not in CRITERIA:
         msg = f"no criterion of rupture {criterion!r}; there are {', '.join(CRITERIA)}"
@@ -167,16 +129,8 @@ def peak_force_against_speed(
 ) -> FloatArray:
     """Force at rupture over speed: Fig. 4 of paper A for a tissue and a criterion.
 
-    Parameters
-    ----------
-    model, theta, criterion, threshold, weight
-        As of :func:`rupture_at_speed`.
-    speeds_mm_s : sequence of float, length n
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        [N]; NaN where the tissue does not rupture within the model's depth.
+    ``model``, ``theta``, ``criterion``, ``threshold``, ``weight``: as of :func:`rupture_at_speed`.  Returns
+    (n,), [N]; NaN where the tissue does not rupture within the model's depth.
     """
     points = [
         rupture_at_speed(model, theta, criterion, threshold, speed_mm_s=speed, weight=weight)

@@ -27,24 +27,12 @@ N_PER_MM_TO_N_PER_M = 1000.0
 
 @dataclass(frozen=True, slots=True)
 class Scaling:
-    """Force and motion scale of a rendering.
+    """Force and motion scale of a rendering."""
 
-    Attributes
-    ----------
-    force : float
-        s_F, device force over tissue force.
-    motion : float
-        s_x, device travel over tissue depth.
-    device_stiffness_N_per_m : float
-        Largest tangent stiffness felt at the device.
-    peak_force_N : float
-        Force at the device at full depth, at the fastest identified speed.
-    """
-
-    force: float
-    motion: float
-    device_stiffness_N_per_m: float
-    peak_force_N: float
+    force: float  # s_F, device force over tissue force
+    motion: float  # s_x, device travel over tissue depth
+    device_stiffness_N_per_m: float  # largest tangent stiffness felt at the device
+    peak_force_N: float  # force at the device at full depth, at the fastest identified speed
 
 
 def largest_tangent(model: TissueModel, theta: FloatArray) -> float:
@@ -63,21 +51,9 @@ def scaling_for(
 ) -> Scaling:
     """The default scale: the force at full depth takes nine tenths of the device's clamp.
 
-    Parameters
-    ----------
-    model, theta
-        The tissue.
-    clamp_N : float
-        The guard's force clamp in force at that moment [N].
-    fastest_mm_s : float
-        Fastest identified speed [mm/s of tissue depth].
-    motion : float
-        Motion scale s_x.
-
-    Raises
-    ------
-    ValueError
-        The tissue gives no force at full depth, so that no scale can be computed.
+    ``model``, ``theta``: the tissue; ``clamp_N``: the guard's force clamp in force at that moment [N];
+    ``fastest_mm_s``: fastest identified speed [mm/s of tissue depth]; ``motion``: motion scale s_x.  Raises
+    ValueError: the tissue gives no force at full depth, so that no scale can be computed.
     """
     peak = float(loading_force(model, theta, np.array([model.depth_mm]), speed_mm_s=fastest_mm_s)[0])
     if not peak > 0.0:

@@ -42,31 +42,19 @@ MOST_STEPS = 200
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ServoLaw:
-    """Law of a servo.
+    """Law of a servo."""
 
-    Attributes
-    ----------
-    static : ndarray, shape (pieces, 4)
-        Cubics; piece i begins at depth (i / pieces)^2 [N, mm].
-    stiffness : ndarray, shape (branches, k)
-        Coefficients of K_j by powers of x [N/mm^(k+1)]; inside, the ratio to the static force.
-    tau_s : ndarray, shape (branches,)
-    followed : int
-        What the branches follow: 0 the depth, 1 the static force, 2 polynomials of their own; 3 of a static
-        force damped by the speed over that at contact.
-    depth_mm : float
-    error : float
-        Largest error of the relaxing force by the projection, over the force of a sudden push.
-    own : ndarray, shape (branches, OWN_SIZE)
-        These polynomials by powers of x [N, mm]; of a damped force chi, floor, filter and hysteresis.
-    """
-
-    static: FloatArray
+    static: FloatArray  # (pieces, 4), cubics; piece i begins at depth (i / pieces)^2 [N, mm]
+    #: (branches, k): coefficients of K_j by powers of x [N/mm^(k+1)]; inside, the ratio to the static force.
     stiffness: FloatArray
-    tau_s: FloatArray
+    tau_s: FloatArray  # (branches,)
+    #: What the branches follow: 0 the depth, 1 the static force, 2 polynomials of their own; 3 of a static
+    #: force damped by the speed over that at contact.
     followed: int
     depth_mm: float
-    error: float
+    error: float  # largest error of the relaxing force by the projection, over the force of a sudden push
+    #: (branches, OWN_SIZE): these polynomials by powers of x [N, mm]; of a damped force chi, floor, filter
+    #: and hysteresis.
     own: FloatArray = field(default_factory=lambda: np.zeros((0, OWN_SIZE)))
 
     @property
@@ -116,12 +104,7 @@ class ServoLaw:
 def servo_law(model: TissueModel, theta: FloatArray, most: int = MOST_BRANCHES) -> ServoLaw:
     """The law that the servo steps for a tissue.
 
-    Parameters
-    ----------
-    model : TissueModel
-    theta : ndarray, shape (p,)
-    most : int, optional
-        Exponentials that a relaxation is projected on.
+    ``theta`` (p,); ``most``: exponentials that a relaxation is projected on.
     """
     if isinstance(model, KelvinVoigt):
         static, stiffness, tau = model.split(theta)

@@ -92,14 +92,9 @@ class Increasing:
 
 @dataclass(frozen=True)
 class Yardstick(ChannelModel):
-    """Curves of depth at nodes of time, inside the convolution and outside it.
+    """Curves of depth at nodes of time, inside the convolution and outside it."""
 
-    Attributes
-    ----------
-    inside_s, outside_s : tuple of float
-        Nodes.
-    """
-
+    #: Nodes.
     inside_s: tuple[float, ...] = ()
     outside_s: tuple[float, ...] = ()
 

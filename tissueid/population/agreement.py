@@ -40,16 +40,9 @@ FEWEST_FREE = 3
 
 @dataclass(frozen=True, slots=True)
 class Repeatability:
-    """Within against between.
+    """Within against between."""
 
-    Attributes
-    ----------
-    logs, groups, freedom : int
-        Repeats, sets of them, and degrees of freedom.
-    within_cv, between_cv, icc : float
-    within_cv_ci95, between_cv_ci95, icc_ci95 : tuple of float
-    """
-
+    #: Repeats, sets of them, and degrees of freedom.
     logs: int
     groups: int
     freedom: int
@@ -69,18 +62,11 @@ class Repeatability:
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """Bland-Altman of successive repeats, in ln force (a difference of 0.01 is 1 %).
+    """Bland-Altman of successive repeats, in ln force (a difference of 0.01 is 1 %)."""
 
-    Attributes
-    ----------
-    pairs : tuple of (str, float, float)
-        Specimen, mean force at the common depth [N], difference of ln force, later less earlier.
-    bias, lower, upper : float
-        Mean difference, and limits that hold 95 % of differences.
-    bias_ci95, lower_ci95, upper_ci95 : tuple of float
-    """
-
+    #: Specimen, mean force at the common depth [N], difference of ln force, later less earlier.
     pairs: tuple[tuple[str, float, float], ...]
+    #: Mean difference, and limits that hold 95 % of differences.
     bias: float
     bias_ci95: tuple[float, float]
     lower: float
@@ -101,18 +87,9 @@ class Agreement:
 
 @dataclass(frozen=True, slots=True)
 class OrderEffect:
-    """Change of force with the order of testing, pooled over specimens.
+    """Change of force with the order of testing, pooled over specimens."""
 
-    Attributes
-    ----------
-    per_run : float
-        Change of ln force from one run to the next.
-    ci95 : tuple of float
-    p_value : float
-    logs, specimens : int
-    """
-
-    per_run: float
+    per_run: float  # change of ln force from one run to the next
     ci95: tuple[float, float]
     p_value: float
     logs: int
@@ -167,17 +144,8 @@ def repeatability(
 
     The within variance has its posterior under a prior flat in its logarithm, sum of squares over chi-square.
 
-    Parameters
-    ----------
-    members : sequence of Member
-    between_sd : ndarray, shape (n,)
-        Draws of D of ln static force.
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    Repeatability or None
-        ``None`` where no specimen has repeats with gains of their own.
+    ``between_sd`` (n,): draws of D of ln static force.  Returns ``None`` where no specimen has repeats with
+    gains of their own.
     """
     sets = [known for one in members for known in _repeats(one)]
     logs = sum(len(known) for known in sets)
@@ -208,16 +176,8 @@ def _cv(sd_ln: float) -> float:
 def agreement(members: Sequence[Member], force_N: Mapping[str, float]) -> Agreement | None:
     """Bland-Altman of successive repeats.
 
-    Parameters
-    ----------
-    members : sequence of Member
-    force_N : mapping
-        Specimen -> static force at the common depth [N].
-
-    Returns
-    -------
-    Agreement or None
-        ``None`` with fewer than three pairs.
+    ``force_N``: specimen -> static force at the common depth [N].  Returns ``None`` with fewer than three
+    pairs.
     """
     pairs = []
     for one in members:
@@ -248,10 +208,7 @@ def agreement(members: Sequence[Member], force_N: Mapping[str, float]) -> Agreem
 def order_effect(members: Sequence[Member]) -> OrderEffect | None:
     """Slope of ln gain on the run, each specimen with a level of its own.
 
-    Returns
-    -------
-    OrderEffect or None
-        ``None`` where runs are not stated or leave nothing to judge a slope by.
+    Returns ``None`` where runs are not stated or leave nothing to judge a slope by.
     """
     runs, gains, specimens = [], [], 0
     for one in members:

@@ -35,35 +35,19 @@ FloatArray = NDArray[np.float64]
 
 
 class Record(NamedTuple):
-    """Record of a chain: draws of the population, and running sums over its specimens.
+    """Record of a chain: draws of the population, and running sums over its specimens."""
 
-    Attributes
-    ----------
-    coefficient : ndarray, shape (steps, q, p)
-    level_log_sd : ndarray, shape (steps, L, p)
-    log_sd : ndarray, shape (steps, p)
-    correlation : ndarray, shape (steps, p, p)
-    nu : ndarray, shape (steps,)
-    phi : ndarray of float32, shape (kept, n, p)
-        Places of the specimens, evenly over the steps.
-    far, weight : ndarray, shape (n,)
-        Sums over all steps of how often a specimen was far, and of its weight.
-    deviation : ndarray, shape (n, p)
-        Sums of its deviations over D.
-    effect : ndarray, shape (G, p)
-        Sums of the groups' effects.
-    """
-
-    coefficient: FloatArray
-    level_log_sd: FloatArray
-    log_sd: FloatArray
-    correlation: FloatArray
-    nu: FloatArray
-    phi: NDArray[np.float32]
+    coefficient: FloatArray  # (steps, q, p)
+    level_log_sd: FloatArray  # (steps, L, p)
+    log_sd: FloatArray  # (steps, p)
+    correlation: FloatArray  # (steps, p, p)
+    nu: FloatArray  # (steps,)
+    phi: NDArray[np.float32]  # (kept, n, p), places of the specimens, evenly over the steps
+    #: (n,): sums over all steps of how often a specimen was far, and of its weight.
     far: FloatArray
-    weight: FloatArray
-    deviation: FloatArray
-    effect: FloatArray
+    weight: FloatArray  # (n,)
+    deviation: FloatArray  # (n, p), sums of its deviations over D
+    effect: FloatArray  # (G, p), sums of the groups' effects
 
 
 @kernel()
@@ -131,18 +115,8 @@ def sweeps(
 ) -> None:  # fmt: skip
     """Go on for so many sweeps.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-    cohort : Cohort
-    hyper : Hyper
-    state : State
-        Changed in place.
-    record : Record
-        Written to where ``keep``; it has room for ``steps``.
-    steps : int
-    keep : bool
-        Without it the chain settles: steps of joint moves are adapted.
+    ``state``: changed in place; ``record``: written to where ``keep``; it has room for ``steps``; ``keep``:
+    without it the chain settles: steps of joint moves are adapted.
     """
     p = state.log_sd.size
     inverse = np.zeros((p, p))

@@ -45,43 +45,18 @@ STATIC_AT_DEPTH = 2
 
 @dataclass(frozen=True, slots=True)
 class CohortOptions:
-    """Options of a population's sampling.
+    """Options of a population's sampling."""
 
-    Attributes
-    ----------
-    group_by : str or None
-        Covariate whose groups are compared.
-    covariates : tuple of str
-    priors : PopulationPriors
-    sampler : SamplerOptions
-    hold_out : bool
-        Predict every specimen from the others.
-    """
-
-    group_by: str | None = None
+    group_by: str | None = None  # covariate whose groups are compared
     covariates: tuple[str, ...] = ()
     priors: PopulationPriors = field(default_factory=PopulationPriors)
     sampler: SamplerOptions = field(default_factory=SamplerOptions)
-    hold_out: bool = True
+    hold_out: bool = True  # predict every specimen from the others
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Population:
-    """Population of specimens, where there are enough.
-
-    Attributes
-    ----------
-    coordinates : Coordinates
-    described : Described
-    draws : PopulationDraws
-    predictive : Predictive
-    quantities : tuple of QuantityRow
-    specimens : tuple of SpecimenRow
-    effects : tuple of EffectRow
-    held_out : HeldOut or None
-    repeatability : Repeatability or None
-    sizes : tuple of SizeRow
-    """
+    """Population of specimens, where there are enough."""
 
     coordinates: Coordinates
     described: Described
@@ -97,26 +72,12 @@ class Population:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CohortFit:
-    """Everything that is said of a cohort.
+    """Everything that is said of a cohort."""
 
-    Attributes
-    ----------
-    members : tuple of Member
-        Specimens that took part.
-    left_out : tuple of LeftOut
-    population : Population or None
-    reason : str or None
-        Why there is no population.
-    agreement : Agreement or None
-    order : OrderEffect or None
-    confounding : Confounding or None
-    flags : tuple of Flag
-    """
-
-    members: tuple[Member, ...]
+    members: tuple[Member, ...]  # specimens that took part
     left_out: tuple[LeftOut, ...]
     population: Population | None
-    reason: str | None
+    reason: str | None  # why there is no population
     agreement: Agreement | None
     order: OrderEffect | None
     confounding: Confounding | None
@@ -130,22 +91,8 @@ def cohort(
 ) -> CohortFit:
     """The population behind specimens.
 
-    Parameters
-    ----------
-    members : sequence of Member
-        Those that can't stand in one population are named in ``left_out``.
-    options : CohortOptions, optional
-    tick : callable, optional
-        Told what is being done.
-
-    Returns
-    -------
-    CohortFit
-
-    Raises
-    ------
-    UsageError
-        A covariate that no specimen states, or that is the same for all.
+    ``members``: those that can't stand in one population are named in ``left_out``; ``tick``: told what is
+    being done.  Raises UsageError: a covariate that no specimen states, or that is the same for all.
     """
     options, tick = options or CohortOptions(), tick or (lambda _: None)
     kept, left = fit_for_cohort(members)

@@ -62,13 +62,7 @@ def specimens_for_sd(between_sd: float, own_sd: float, precision: float) -> int:
 def size_rows(names: tuple[str, ...], sd: FloatArray, own_sd: FloatArray) -> tuple[SizeRow, ...]:
     """A row a quantity and precision.
 
-    Parameters
-    ----------
-    names : tuple of str
-    sd : ndarray, shape (n, p)
-        Draws of D.
-    own_sd : ndarray, shape (p,)
-        Typical standard deviation of one specimen's ln quantity.
+    ``sd`` (n, p): draws of D; ``own_sd`` (p,): typical standard deviation of one specimen's ln quantity.
     """
     low, middle, high = np.quantile(sd, [0.025, 0.5, 0.975], axis=0)
     rows = []

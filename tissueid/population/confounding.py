@@ -23,21 +23,13 @@ S_PER_MIN = 60.0
 
 @dataclass(frozen=True, slots=True)
 class Confounding:
-    """Connections of speeds and specimens.
+    """Connections of speeds and specimens."""
 
-    Attributes
-    ----------
-    kind : str
-        ``none`` (all speeds meet in specimens), ``partly`` (they fall into parts that share no specimen),
-        ``confounded`` (no two speeds share a specimen) or ``single speed``.
-    speeds_mm_s : tuple of float
-    parts : tuple of tuple of float
-        Speeds that hang together.
-    """
-
+    #: ``none`` (all speeds meet in specimens), ``partly`` (they fall into parts that share no specimen),
+    #: ``confounded`` (no two speeds share a specimen) or ``single speed``.
     kind: str
     speeds_mm_s: tuple[float, ...]
-    parts: tuple[tuple[float, ...], ...]
+    parts: tuple[tuple[float, ...], ...]  # speeds that hang together
 
     @property
     def sentence(self) -> str:

@@ -33,19 +33,11 @@ FLOOR_SHARE = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Coordinates:
-    """Maps between theta of a contact model and phi.
-
-    Attributes
-    ----------
-    branches : int
-    stiffness_degree : int
-    depth_mm : float
-        The common depth d.
-    """
+    """Maps between theta of a contact model and phi."""
 
     branches: int
     stiffness_degree: int
-    depth_mm: float
+    depth_mm: float  # the common depth d
 
     @property
     def model(self) -> KelvinVoigt:
@@ -108,16 +100,8 @@ class Coordinates:
     def to_phi(self, theta: FloatArray) -> tuple[FloatArray, int]:
         """Coordinates of tissues.
 
-        Parameters
-        ----------
-        theta : ndarray, shape (n, p)
-            In the order of the contact model.
-
-        Returns
-        -------
-        phi : ndarray, shape (n, p)
-        floored : int
-            Rows of which a number was raised to :data:`FLOOR_SHARE` of its median.
+        ``theta`` (n, p): in the order of the contact model.  Returns ``phi`` (n, p); ``floored``: rows of
+        which a number was raised to :data:`FLOOR_SHARE` of its median.
         """
         values = self.quantities(theta)
         floor = FLOOR_SHARE * np.maximum(np.median(values, axis=0), np.finfo(np.float64).tiny / FLOOR_SHARE)

@@ -24,24 +24,13 @@ NOT_STATED = "not stated"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Described:
-    """The design of a cohort, and how its columns are to be read.
-
-    Attributes
-    ----------
-    design : Design
-    group_by : str or None
-    groups : tuple of str
-        The first is the one that others are compared with.
-    scales : mapping
-        Numeric covariate -> (mean, sd) it was standardised with.
-    missing : mapping
-        Covariate -> specimens that do not state it and were given its mean.
-    """
+    """The design of a cohort, and how its columns are to be read."""
 
     design: Design
     group_by: str | None
-    groups: tuple[str, ...]
-    scales: Mapping[str, tuple[float, float]]
+    groups: tuple[str, ...]  # the first is the one that others are compared with
+    scales: Mapping[str, tuple[float, float]]  # numeric covariate -> (mean, sd) it was standardised with
+    #: Covariate -> specimens that do not state it and were given its mean.
     missing: Mapping[str, tuple[str, ...]]
 
 
@@ -75,18 +64,8 @@ def _indicators(values: Sequence[Any], key: str) -> tuple[list[FloatArray], list
 def design_of(members: Sequence[Member], group_by: str | None, covariates: Sequence[str]) -> Described:
     """Columns and random effects of a cohort.
 
-    Parameters
-    ----------
-    members : sequence of Member
-    group_by : str or None
-        Covariate whose groups are compared.
-    covariates : sequence of str
-        Others: numbers are standardised, words make groups.
-
-    Raises
-    ------
-    UsageError
-        A covariate that no specimen states, or that is the same for all.
+    ``group_by``: covariate whose groups are compared; ``covariates``: others: numbers are standardised, words
+    make groups.  Raises UsageError: a covariate that no specimen states, or that is the same for all.
     """
     columns, names = [np.ones(len(members))], ["mean"]
     groups: tuple[str, ...] = ()

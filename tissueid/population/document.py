@@ -33,12 +33,8 @@ def members_of(
 ) -> tuple[Member, ...]:
     """The specimens of a finished fit, with as many draws as a cohort of that size can use.
 
-    Parameters
-    ----------
-    document : mapping
-        identification.json.
-    results : iterable
-        Each specimen of it, its curves and its draws: :func:`tissueid.store.results.each_result`.
+    ``document``: identification.json; ``results``: each specimen of it, its curves and its draws:
+    :func:`tissueid.store.results.each_result`.
     """
     study = document["study"] or {"specimens": [], "trials": [], "study": {}}
     covariates = {row["specimen"]: dict(row) for row in study["specimens"]}
@@ -126,12 +122,7 @@ def population_priors(document: Mapping[str, Any]) -> PopulationPriors:
 def as_document(fit: CohortFit, options: CohortOptions, *, source: str) -> dict[str, Any]:
     """The document of ``schemas/population.schema.json``.
 
-    Parameters
-    ----------
-    fit : CohortFit
-    options : CohortOptions
-    source : str
-        SHA-256 of the identification.json it was made from.
+    ``source``: SHA-256 of the identification.json it was made from.
     """
     found = fit.population
     return {
@@ -195,16 +186,8 @@ def _population(found: Population) -> dict[str, Any]:
 def population_bundle(fit: CohortFit, document: Mapping[str, Any]) -> Bundle | None:
     """The population as a bundle: typical tissue, covariance between specimens, specimens drawn from it.
 
-    Parameters
-    ----------
-    fit : CohortFit
-    document : mapping
-        From :func:`as_document`.
-
-    Returns
-    -------
-    Bundle or None
-        ``None`` without a population, or where hardly any drawn specimen is passive.
+    ``document``: from :func:`as_document`.  Returns ``None`` without a population, or where hardly any drawn
+    specimen is passive.
     """
     found = fit.population
     if found is None or len(found.predictive.theta) < 2:

@@ -58,13 +58,7 @@ class HeldOutRow:
 
 @dataclass(frozen=True, slots=True)
 class HeldOut:
-    """All predictions.
-
-    Attributes
-    ----------
-    folds : int
-    rows : tuple of HeldOutRow
-    """
+    """All predictions."""
 
     folds: int
     rows: tuple[HeldOutRow, ...]
@@ -84,16 +78,7 @@ def prediction_error(
 ) -> tuple[float, float] | None:
     """NRMSD by range and by mean of one tissue on one log, where it was fitted and within the common depth.
 
-    Parameters
-    ----------
-    coordinates : Coordinates
-    theta : ndarray, shape (p,)
-    trial : TrialRow
-
-    Returns
-    -------
-    tuple of float or None
-        Fractions; ``None`` where the log has no curve or no force there.
+    ``theta`` (p,).  Returns fractions; ``None`` where the log has no curve or no force there.
     """
     curve = trial.curve
     if curve is None:
@@ -137,11 +122,8 @@ def held_out(
 ) -> HeldOut | None:
     """Predict every specimen from the others.
 
-    Returns
-    -------
-    HeldOut or None
-        ``None`` where no log has a curve within the common depth, or fewer than three specimens would
-        be left.
+    Returns ``None`` where no log has a curve within the common depth, or fewer than three specimens would be
+    left.
     """
     if len(members) < 4 or not any(trial.curve is not None for one in members for trial in one.trials):
         return None

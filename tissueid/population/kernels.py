@@ -32,123 +32,60 @@ IntArray = NDArray[np.int64]
 
 
 class Cohort(NamedTuple):
-    """Specimens as the chain knows them.
+    """Specimens as the chain knows them."""
 
-    Attributes
-    ----------
-    phi : ndarray of float32, shape (N, p)
-        Stage-1 draws of all specimens, one after the other.
-    log_reference, log_pilot : ndarray of float32, shape (N,)
-        Ln densities of phi, up to a constant for each specimen.
-    cumulative : ndarray, shape (N,)
-        Running sums, within a specimen, of its frozen weights; they end at 1.
-    start : ndarray of int, shape (n + 1,)
-        Where each specimen's draws begin.
-    smooth : ndarray of int, shape (n,)
-        Row in the arrays of smooth likelihoods, -1 for a specimen that is among its draws.
-    linear : ndarray of bool, shape (p,)
-        See :func:`tissueid.population.mixture_kernels.log_mixture`, as the next four.
-    middle : ndarray, shape (s, p)
-    log_weight : ndarray, shape (s, c)
-    component : ndarray, shape (s, c, p)
-    unit : ndarray, shape (s, c, p, p)
-    likely, precision : ndarray, shapes (s, p) and (s, p, p)
-        Of one normal that proposals are made with.
-    ascending : ndarray of int
-        Coordinates that ascend.
-    design : ndarray, shape (n, q)
-        A column of ones, then covariates.
-    group : ndarray of int, shape (L, n)
-        Row in ``State.effect`` of each specimen's group, for each level.
-    level_of : ndarray of int, shape (G,)
-        Level of each group.
-    """
-
-    phi: NDArray[np.float32]
+    phi: NDArray[np.float32]  # (N, p), stage-1 draws of all specimens, one after the other
+    #: (N,): ln densities of phi, up to a constant for each specimen.
     log_reference: NDArray[np.float32]
-    log_pilot: NDArray[np.float32]
-    cumulative: FloatArray
-    start: IntArray
+    log_pilot: NDArray[np.float32]  # (N,)
+    cumulative: FloatArray  # (N,), running sums, within a specimen, of its frozen weights; they end at 1
+    start: IntArray  # (n + 1,), where each specimen's draws begin
+    #: (n,): row in the arrays of smooth likelihoods, -1 for a specimen that is among its draws.
     smooth: IntArray
+    #: (p,): see :func:`tissueid.population.mixture_kernels.log_mixture`, as the next four.
     linear: NDArray[np.bool_]
-    middle: FloatArray
-    log_weight: FloatArray
-    component: FloatArray
-    unit: FloatArray
+    middle: FloatArray  # (s, p)
+    log_weight: FloatArray  # (s, c)
+    component: FloatArray  # (s, c, p)
+    unit: FloatArray  # (s, c, p, p)
+    #: (s, p): of one normal that proposals are made with.
     likely: FloatArray
-    precision: FloatArray
-    ascending: IntArray
-    design: FloatArray
-    group: IntArray
-    level_of: IntArray
+    precision: FloatArray  # (s, p, p)
+    ascending: IntArray  # coordinates that ascend
+    design: FloatArray  # (n, q), a column of ones, then covariates
+    group: IntArray  # (L, n), row in ``State.effect`` of each specimen's group, for each level
+    level_of: IntArray  # (G,), level of each group
 
 
 class Hyper(NamedTuple):
-    """Priors of the population: see :class:`tissueid.priors.PopulationPriors`.
+    """Priors of the population: see :class:`tissueid.priors.PopulationPriors`."""
 
-    Attributes
-    ----------
-    coefficient_sd : ndarray, shape (q,)
-    scale : ndarray, shape (3,)
-        Mean and sd of ln D, shape of LKJ.
-    level : ndarray, shape (2,)
-        Mean and sd of the ln SD of a level.
-    nu : ndarray, shape (2,)
-        Shape and rate of a gamma distribution.
-    heavy : bool
-        False takes a normal instead of a t.
-    far : float
-        Squared distance beyond which a specimen is far from the population.
-    """
-
-    coefficient_sd: FloatArray
-    scale: FloatArray
-    level: FloatArray
-    nu: FloatArray
-    heavy: bool
-    far: float
+    coefficient_sd: FloatArray  # (q,)
+    scale: FloatArray  # (3,), mean and sd of ln D, shape of LKJ
+    level: FloatArray  # (2,), mean and sd of the ln SD of a level
+    nu: FloatArray  # (2,), shape and rate of a gamma distribution
+    heavy: bool  # false takes a normal instead of a t
+    far: float  # squared distance beyond which a specimen is far from the population
 
 
 class State(NamedTuple):
-    """State of a chain; changed in place.
+    """State of a chain; changed in place."""
 
-    Attributes
-    ----------
-    phi : ndarray, shape (n, p)
-        Where each specimen is.
-    pick : ndarray of int, shape (n,)
-        Row of ``Cohort.phi`` of a specimen that is among its draws.
-    likelihood : ndarray, shape (n,)
-        Ln of the smooth likelihood of the others.
-    coefficient : ndarray, shape (q, p)
-    effect : ndarray, shape (G, p)
-        Of the groups of all levels.
-    level_log_sd : ndarray, shape (L, p)
-    log_sd : ndarray, shape (p,)
-    partial : ndarray, shape (p, p)
-        Partial correlations, strictly lower.
-    nu : ndarray, shape (1,)
-    weight, distance2 : ndarray, shape (n,)
-        Of the scale mixture, and squared distance from the population.
-    step : ndarray, shape (3, p)
-        Ln of the steps of joint moves of mean and of scale, and, first of its row, of the whole mean.
-    accepted : ndarray of int, shape (n,)
-        Moves of each specimen so far.
-    """
-
-    phi: FloatArray
-    pick: IntArray
-    likelihood: FloatArray
-    coefficient: FloatArray
-    effect: FloatArray
-    level_log_sd: FloatArray
-    log_sd: FloatArray
-    partial: FloatArray
-    nu: FloatArray
+    phi: FloatArray  # (n, p), where each specimen is
+    pick: IntArray  # (n,), row of ``Cohort.phi`` of a specimen that is among its draws
+    likelihood: FloatArray  # (n,), ln of the smooth likelihood of the others
+    coefficient: FloatArray  # (q, p)
+    effect: FloatArray  # (G, p), of the groups of all levels
+    level_log_sd: FloatArray  # (L, p)
+    log_sd: FloatArray  # (p,)
+    partial: FloatArray  # (p, p), partial correlations, strictly lower
+    nu: FloatArray  # (1,)
+    #: (n,): of the scale mixture, and squared distance from the population.
     weight: FloatArray
-    distance2: FloatArray
+    distance2: FloatArray  # (n,)
+    #: (3, p): ln of the steps of joint moves of mean and of scale, and, first of its row, of the whole mean.
     step: FloatArray
-    accepted: IntArray
+    accepted: IntArray  # (n,), moves of each specimen so far
 
 
 @kernel()

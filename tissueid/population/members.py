@@ -42,70 +42,35 @@ FROZEN = ("frozen", "freez", "thaw", "-20", "-80", "\N{MINUS SIGN}20", "\N{MINUS
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrialRow:
-    """One fitted log of a specimen.
-
-    Attributes
-    ----------
-    path : str
-    sheet : str or None
-    gain : float
-        Its force over that of the specimen's common tissue; 1 where pooling leaves no gain.
-    speed_mm_s, depth_mm : float
-    run : int or None
-        Place in the order of testing.
-    site : str or None
-    curve : Curve or None
-        Decimated recording.
-    """
+    """One fitted log of a specimen."""
 
     path: str
     sheet: str | None
-    gain: float
+    gain: float  # its force over that of the specimen's common tissue; 1 where pooling leaves no gain
     speed_mm_s: float
     depth_mm: float
-    run: int | None = None
+    run: int | None = None  # place in the order of testing
     site: str | None = None
-    curve: Curve | None = None
+    curve: Curve | None = None  # decimated recording
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Member:
-    """One specimen of a cohort.
-
-    Attributes
-    ----------
-    specimen : str
-    model : ModelChoice
-    depth_mm : float
-        Its model is claimed on [0, depth_mm].
-    draws : ndarray, shape (n, p)
-        Statistical posterior draws of theta.
-    log_prior : ndarray, shape (n,), or None
-        Ln of their stage-1 prior density, up to a constant.
-    draws_total : ndarray, shape (m, p), or None
-        With the calibration nuisances.
-    covariates : mapping
-        What the study says of it; ``None`` for what is not stated.
-    trials : tuple of TrialRow
-    speeds_mm_s : tuple of float
-    tip_radius_mm : float or None
-    sigma_N : float
-    units : mapping
-        Of length and force; a cohort has one kind.
-    """
+    """One specimen of a cohort."""
 
     specimen: str
     model: ModelChoice
-    depth_mm: float
-    draws: FloatArray
-    log_prior: FloatArray | None
-    draws_total: FloatArray | None = None
+    depth_mm: float  # its model is claimed on [0, depth_mm]
+    draws: FloatArray  # (n, p), statistical posterior draws of theta
+    log_prior: FloatArray | None  # (n,), ln of their stage-1 prior density, up to a constant
+    draws_total: FloatArray | None = None  # (m, p), with the calibration nuisances
+    #: What the study says of it; ``None`` for what is not stated.
     covariates: Mapping[str, Any] = field(default_factory=dict)
     trials: tuple[TrialRow, ...] = ()
     speeds_mm_s: tuple[float, float] = (0.0, 0.0)
     tip_radius_mm: float | None = None
     sigma_N: float = 0.0
-    units: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)  # of length and force; a cohort has one kind
 
     @property
     def order(self) -> tuple[int, int]:
@@ -179,11 +144,7 @@ def _order_words(order: tuple[int, int]) -> str:
 def stage_one(members: Sequence[Member], coordinates: Coordinates) -> tuple[StageOne, dict[str, int]]:
     """Draws of all members in the population's coordinates.
 
-    Returns
-    -------
-    stage : StageOne
-    floored : dict
-        Specimen -> draws of which a number was zero and was set to its floor.
+    Returns ``stage``; ``floored``: specimen -> draws of which a number was zero and was set to its floor.
     """
     most = max(MOST_DRAWS_IN_ALL // max(len(members), 1), FEWEST_DRAWS)
     phi: list[NDArray[Any]] = []

@@ -24,17 +24,9 @@ def log_mixture(
 ) -> float:  # fmt: skip
     """Ln of a mixture of normals at a point, up to a constant.
 
-    Parameters
-    ----------
-    phi : ndarray, shape (p,)
-    linear : ndarray of bool, shape (p,)
-        Coordinates that the mixture has in the quantity itself, over exp(centre), not in its logarithm.
-    centre : ndarray, shape (p,)
-    log_weight : ndarray, shape (c,)
-        Of each component, its determinant included.
-    mean : ndarray, shape (c, p)
-    unit : ndarray, shape (c, p, p)
-        Inverse Cholesky factors.
+    ``phi`` (p,); ``linear`` (p,): coordinates that the mixture has in the quantity itself, over exp(centre),
+    not in its logarithm; ``centre`` (p,); ``log_weight`` (c,): of each component, its determinant included;
+    ``mean`` (c, p); ``unit`` (c, p, p): inverse Cholesky factors.
     """
     p = phi.size
     x = np.empty(p)

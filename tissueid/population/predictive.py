@@ -22,24 +22,13 @@ BATCH = 4000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Predictive:
-    """Prediction of a specimen that was not measured.
+    """Prediction of a specimen that was not measured."""
 
-    Attributes
-    ----------
-    typical : ndarray, shape (p,)
-        Theta of the median tissue.
-    typical_is_drawn : bool
-        The median of every quantity is no passive tissue: the nearest drawn specimen stands for it.
-    theta : ndarray, shape (n, p)
-        Drawn specimens, all passive.
-    refused : int
-        Draws that were not passive, and were drawn again.
-    """
-
-    typical: FloatArray
+    typical: FloatArray  # (p,), theta of the median tissue
+    #: The median of every quantity is no passive tissue: the nearest drawn specimen stands for it.
     typical_is_drawn: bool
-    theta: FloatArray
-    refused: int
+    theta: FloatArray  # (n, p), drawn specimens, all passive
+    refused: int  # draws that were not passive, and were drawn again
 
     @property
     def refused_share(self) -> float:
@@ -68,13 +57,7 @@ def predictive_specimens(
 ) -> Predictive:
     """Specimens of the population, and its typical one.
 
-    Parameters
-    ----------
-    draws : PopulationDraws
-    coordinates : Coordinates
-    rng : numpy.random.Generator
-    count : int
-        Fewer are given where most draws are not passive.
+    ``count``: fewer are given where most draws are not passive.
     """
     kept: list[FloatArray] = []
     found = refused = tried = 0

@@ -32,14 +32,7 @@ def population_flags(
 ) -> list[Flag]:
     """Flags of a population.
 
-    Parameters
-    ----------
-    draws : PopulationDraws
-    predictive : Predictive
-    specimens : sequence of SpecimenRow
-    described : Described
-    floored : mapping
-        Specimen -> draws of which a number was zero.
+    ``floored``: specimen -> draws of which a number was zero.
     """
     flags = [*_of_chains(draws), *_of_outliers(specimens)]
     smoothed = [row.specimen for row in specimens if row.smoothed]

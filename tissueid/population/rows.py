@@ -47,35 +47,21 @@ def _interval(values: FloatArray) -> Interval:
 
 @dataclass(frozen=True, slots=True)
 class QuantityRow:
-    """One quantity of the population.
-
-    Attributes
-    ----------
-    name, words, unit : str
-    median : float
-        Of the typical tissue.
-    ci95, ci95_total : tuple of float
-        Statistical, and with the machine that measured all; the latter ``None`` where it is not known.
-    sd_ln : float
-        D: standard deviation of the natural logarithm between specimens, in the core of the distribution.
-    sd_ln_ci95 : tuple of float
-    cv : float
-        Coefficient of variation of that core.
-    cv_ci95 : tuple of float
-    levels : dict
-        Level -> standard deviation of ln between its groups, with its interval.
-    """
+    """One quantity of the population."""
 
     name: str
     words: str
     unit: str
-    median: float
+    median: float  # of the typical tissue
+    #: Statistical, and with the machine that measured all; the latter ``None`` where it is not known.
     ci95: Interval
     ci95_total: Interval | None
+    #: D: standard deviation of the natural logarithm between specimens, in the core of the distribution.
     sd_ln: float
     sd_ln_ci95: Interval
-    cv: float
+    cv: float  # coefficient of variation of that core
     cv_ci95: Interval
+    #: Level -> standard deviation of ln between its groups, with its interval.
     levels: dict[str, dict[str, Any]]
 
     def as_json(self) -> dict[str, Any]:
@@ -121,39 +107,21 @@ def quantity_rows(
 
 @dataclass(frozen=True, slots=True)
 class SpecimenRow:
-    """One specimen, alone and as one of the population.
-
-    Attributes
-    ----------
-    specimen : str
-    separate, pooled : tuple of float
-        Median of each quantity from its own logs, and with the population.
-    separate_ci95, pooled_ci95 : tuple of tuple of float
-    shrinkage : tuple of float
-        Share of its variance (of the logarithm) that the population takes away.
-    far : float
-        Probability that it is beyond the 99 % of a normal core.
-    outlier : str or None
-        The quantity in which it is farthest, where it is an outlier.
-    deviation : float
-        Of that quantity, in standard deviations between specimens; of the farthest one where it is none.
-    smoothed : bool
-        Its likelihood was written as a mixture of normals.
-    worth : float
-        Effective stage-1 draws under the population.
-    """
+    """One specimen, alone and as one of the population."""
 
     specimen: str
+    #: Median of each quantity from its own logs, and with the population.
     separate: tuple[float, ...]
     separate_ci95: tuple[Interval, ...]
     pooled: tuple[float, ...]
     pooled_ci95: tuple[Interval, ...]
-    shrinkage: tuple[float, ...]
-    far: float
-    outlier: str | None
+    shrinkage: tuple[float, ...]  # share of its variance (of the logarithm) that the population takes away
+    far: float  # probability that it is beyond the 99 % of a normal core
+    outlier: str | None  # the quantity in which it is farthest, where it is an outlier
+    #: Of that quantity, in standard deviations between specimens; of the farthest one where it is none.
     deviation: float
-    smoothed: bool
-    worth: float
+    smoothed: bool  # its likelihood was written as a mixture of normals
+    worth: float  # effective stage-1 draws under the population
 
     def as_json(self) -> dict[str, Any]:
         """A row of ``specimens``."""
@@ -199,31 +167,17 @@ def specimen_rows(
 
 @dataclass(frozen=True, slots=True)
 class EffectRow:
-    """Effect of a covariate, or of another group, on one quantity.
+    """Effect of a covariate, or of another group, on one quantity."""
 
-    Attributes
-    ----------
-    name : str
-        Of the quantity.
-    covariate : str
-    of, against : str or None
-        Groups; ``None`` for a number.
-    per : float or None
-        Change of the covariate that the ratio is of: one standard deviation.
-    ratio : float
-    ci95 : tuple of float
-    probability : float
-        That the ratio is above 1.
-    """
-
-    name: str
+    name: str  # of the quantity
     covariate: str
+    #: Groups; ``None`` for a number.
     of: str | None
     against: str | None
-    per: float | None
+    per: float | None  # change of the covariate that the ratio is of: one standard deviation
     ratio: float
     ci95: Interval
-    probability: float
+    probability: float  # that the ratio is above 1
 
     def as_json(self) -> dict[str, Any]:
         """A row of ``effects``."""

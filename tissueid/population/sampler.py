@@ -47,80 +47,36 @@ NORMAL_NU = 1e4
 
 @dataclass(frozen=True, slots=True)
 class SamplerOptions:
-    """Options of a population's sampler.
+    """Options of a population's sampler."""
 
-    Attributes
-    ----------
-    tails : str
-        ``t`` or ``normal``.
-    chains : int
-    settle, sweeps : int
-        Sweeps of each chain before the first that is kept, and kept in a block.
-    blocks : int
-        Blocks at the most; sampling ends with the first after which all diagnostics are met.
-    seed : int
-    workers : int
-        Threads; no number depends on it.
-    """
-
-    tails: str = "t"
+    tails: str = "t"  # ``t`` or ``normal``
     chains: int = 4
+    #: Sweeps of each chain before the first that is kept, and kept in a block.
     settle: int = 500
     sweeps: int = 1500
-    blocks: int = 6
+    blocks: int = 6  # blocks at the most; sampling ends with the first after which all diagnostics are met
     seed: int = 0
-    workers: int = 2
+    workers: int = 2  # threads; no number depends on it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PopulationDraws:
-    """Draws of a population, chains first.
+    """Draws of a population, chains first."""
 
-    Attributes
-    ----------
-    coefficient : ndarray, shape (chains, sweeps, q, p)
-        Mean (first row) and effects of covariates.
-    level_sd : ndarray, shape (chains, sweeps, L, p)
-    sd : ndarray, shape (chains, sweeps, p)
-        D: between specimens, in the core of the distribution.
-    correlation : ndarray, shape (chains, sweeps, p, p)
-    nu : ndarray, shape (chains, sweeps)
-        Degrees of freedom; infinite where the population is normal.
-    specimens : ndarray, shape (kept, n, p)
-        Draws of each specimen's phi.
-    far : ndarray, shape (n,)
-        Probability that a specimen is beyond the :data:`FAR_QUANTILE` of a normal core.
-    weight : ndarray, shape (n,)
-        Posterior mean of its weight in the scale mixture; 1 is ordinary.
-    deviation : ndarray, shape (n, p)
-        Posterior mean of its deviation over D.
-    effect : ndarray, shape (G, p)
-        Posterior mean of the groups' effects.
-    worth : ndarray, shape (n,)
-        Effective stage-1 draws under the last pilot.
-    smoothed : ndarray of int
-        Specimens whose likelihood was smoothed.
-    moved : ndarray, shape (n,)
-        Moves a sweep.
-    diagnostics : mapping
-        Name -> :class:`tissueid.inference.diagnostics.Diagnostics`.
-    converged : bool
-    """
-
-    coefficient: FloatArray
-    level_sd: FloatArray
-    sd: FloatArray
-    correlation: FloatArray
-    nu: FloatArray
-    specimens: FloatArray
-    far: FloatArray
-    weight: FloatArray
-    deviation: FloatArray
-    effect: FloatArray
-    worth: FloatArray
-    smoothed: NDArray[np.int64]
-    moved: FloatArray
-    diagnostics: dict[str, Diagnostics]
+    coefficient: FloatArray  # (chains, sweeps, q, p), mean (first row) and effects of covariates
+    level_sd: FloatArray  # (chains, sweeps, L, p)
+    sd: FloatArray  # (chains, sweeps, p), D: between specimens, in the core of the distribution
+    correlation: FloatArray  # (chains, sweeps, p, p)
+    nu: FloatArray  # (chains, sweeps), degrees of freedom; infinite where the population is normal
+    specimens: FloatArray  # (kept, n, p), draws of each specimen's phi
+    far: FloatArray  # (n,), probability that a specimen is beyond the :data:`FAR_QUANTILE` of a normal core
+    weight: FloatArray  # (n,), posterior mean of its weight in the scale mixture; 1 is ordinary
+    deviation: FloatArray  # (n, p), posterior mean of its deviation over D
+    effect: FloatArray  # (G, p), posterior mean of the groups' effects
+    worth: FloatArray  # (n,), effective stage-1 draws under the last pilot
+    smoothed: NDArray[np.int64]  # specimens whose likelihood was smoothed
+    moved: FloatArray  # (n,), moves a sweep
+    diagnostics: dict[str, Diagnostics]  # name -> :class:`tissueid.inference.diagnostics.Diagnostics`
     converged: bool
 
     @property
@@ -256,19 +212,7 @@ def sample_population(
 ) -> PopulationDraws:
     """Draw the population behind specimens.
 
-    Parameters
-    ----------
-    stage : StageOne
-    design : Design
-    priors : PopulationPriors, optional
-    options : SamplerOptions, optional
-    tick : callable, optional
-        Told what is being done.
-
-    Raises
-    ------
-    UsageError
-        numba isn't installed.
+    ``tick``: told what is being done.  Raises UsageError: numba isn't installed.
     """
     require("numba")
     priors, options, tick = (

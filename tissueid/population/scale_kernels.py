@@ -110,23 +110,9 @@ def draw_scales(
 ) -> FloatArray:  # fmt: skip
     """One sweep over standard deviations and correlations, in place.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-    log_sd : ndarray, shape (p,)
-    w : ndarray, shape (p, p)
-        Partial correlations in the strictly lower part.
-    squares : ndarray, shape (p, p)
-        Sum of the squares and products of the deviations.
-    count : float
-        How many.
-    prior : ndarray, shape (3,)
-        Mean and sd of ln D, shape of the LKJ distribution.
-
-    Returns
-    -------
-    ndarray, shape (p, p)
-        Cholesky factor of R.
+    ``log_sd`` (p,); ``w`` (p, p): partial correlations in the strictly lower part; ``squares`` (p, p): sum of
+    the squares and products of the deviations; ``count``: how many; ``prior`` (3,): mean and sd of ln D,
+    shape of the LKJ distribution.  Returns (p, p), Cholesky factor of R.
     """
     p = log_sd.size
     low = correlation_factor(w)

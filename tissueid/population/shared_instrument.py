@@ -27,20 +27,11 @@ FEWEST_SHARE = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SharedInstrument:
-    """Instrument that is common to all specimens.
+    """Instrument that is common to all specimens."""
 
-    Attributes
-    ----------
-    shift : ndarray, shape (p,)
-        Of ln quantities.
-    covariance : ndarray, shape (p, p)
-    specimens : int
-        Of how many it was taken.
-    """
-
-    shift: FloatArray
-    covariance: FloatArray
-    specimens: int
+    shift: FloatArray  # (p,), of ln quantities
+    covariance: FloatArray  # (p, p)
+    specimens: int  # of how many it was taken
 
     def added_to(self, mean: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Draws of the mean with the machine's uncertainty, shape (n, p)."""
@@ -55,10 +46,7 @@ def shared_instrument(members: Sequence[Member], coordinates: Coordinates) -> Sh
     Medians and robust spreads of each specimen are averaged, because ln of a number near zero has no variance
     to speak of.
 
-    Returns
-    -------
-    SharedInstrument or None
-        ``None`` where fewer than half of the specimens have a total posterior.
+    Returns ``None`` where fewer than half of the specimens have a total posterior.
     """
     shifts, more = [], []
     for one in members:

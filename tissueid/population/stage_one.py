@@ -33,24 +33,14 @@ MAD_SD = 1.4826
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StageOne:
-    """Draws of every specimen.
+    """Draws of every specimen."""
 
-    Attributes
-    ----------
-    phi : tuple of ndarray, shapes (m_i, p)
-        Single precision will do.
-    log_reference : tuple of ndarray, shapes (m_i,)
-        Ln of the density of phi that the likelihood was multiplied with, up to a constant a specimen.
-    linear : ndarray of bool, shape (p,)
-        Coordinates whose likelihood is close to normal in the quantity itself, not in its logarithm.
-    ascending : ndarray of int
-        Coordinates that ascend within a specimen.
-    """
-
-    phi: tuple[NDArray[Any], ...]
+    phi: tuple[NDArray[Any], ...]  # (m_i, p), single precision will do
+    #: (m_i,): ln of the density of phi that the likelihood was multiplied with, up to a constant a specimen.
     log_reference: tuple[FloatArray, ...]
+    #: (p,): coordinates whose likelihood is close to normal in the quantity itself, not in its logarithm.
     linear: NDArray[np.bool_]
-    ascending: IntArray
+    ascending: IntArray  # coordinates that ascend within a specimen
 
     @property
     def size(self) -> int:
@@ -60,26 +50,13 @@ class StageOne:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Design:
-    """Who belongs to what.
+    """Who belongs to what."""
 
-    Attributes
-    ----------
-    columns : ndarray, shape (n, q)
-        A column of ones, then covariates, centred.
-    column_names : tuple of str
-        ``mean``, then the covariates.
-    group : ndarray of int, shape (L, n)
-        Each specimen's group within each level.
-    levels : tuple of str
-    groups : tuple of tuple of str
-        Names of the groups of each level.
-    """
-
-    columns: FloatArray
-    column_names: tuple[str, ...]
-    group: IntArray
+    columns: FloatArray  # (n, q), a column of ones, then covariates, centred
+    column_names: tuple[str, ...]  # ``mean``, then the covariates
+    group: IntArray  # (L, n), each specimen's group within each level
     levels: tuple[str, ...] = ()
-    groups: tuple[tuple[str, ...], ...] = ()
+    groups: tuple[tuple[str, ...], ...] = ()  # names of the groups of each level
 
     @staticmethod
     def plain(count: int) -> Design:
@@ -97,11 +74,7 @@ class Design:
 def first_pilot(stage: StageOne, spread: float) -> Pilot:
     """A population from medians of the specimens.
 
-    Parameters
-    ----------
-    stage : StageOne
-    spread : float
-        Least standard deviation of a coordinate.
+    ``spread``: least standard deviation of a coordinate.
     """
     middle = np.array([np.median(one, axis=0) for one in stage.phi])
     own = np.array([_spread(one) for one in stage.phi])

@@ -43,17 +43,10 @@ FARTHEST_WEIGHT = 100.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pilot:
-    """A frozen population: multivariate t around each specimen's centre.
+    """A frozen population: multivariate t around each specimen's centre."""
 
-    Attributes
-    ----------
-    mean : ndarray, shape (n, p)
-    covariance : ndarray, shape (p, p)
-    nu : float
-    """
-
-    mean: FloatArray
-    covariance: FloatArray
+    mean: FloatArray  # (n, p)
+    covariance: FloatArray  # (p, p)
     nu: float
 
     def unit(self) -> FloatArray:
@@ -68,25 +61,14 @@ class Pilot:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mixture:
-    """A likelihood as a mixture of normals, see :func:`tissueid.population.mixture_kernels.log_mixture`.
+    """A likelihood as a mixture of normals, see :func:`tissueid.population.mixture_kernels.log_mixture`."""
 
-    Attributes
-    ----------
-    centre : ndarray, shape (p,)
-    log_weight : ndarray, shape (c,)
-    mean : ndarray, shape (c, p)
-    unit : ndarray, shape (c, p, p)
-    middle : ndarray, shape (p,)
-        Of one normal in phi that proposals are made with.
-    precision : ndarray, shape (p, p)
-    """
-
-    centre: FloatArray
-    log_weight: FloatArray
-    mean: FloatArray
-    unit: FloatArray
-    middle: FloatArray
-    precision: FloatArray
+    centre: FloatArray  # (p,)
+    log_weight: FloatArray  # (c,)
+    mean: FloatArray  # (c, p)
+    unit: FloatArray  # (c, p, p)
+    middle: FloatArray  # (p,), of one normal in phi that proposals are made with
+    precision: FloatArray  # (p, p)
 
 
 def mixture_of(
@@ -94,14 +76,8 @@ def mixture_of(
 ) -> Mixture:
     """The likelihood behind stage-1 draws.
 
-    Parameters
-    ----------
-    phi : ndarray, shape (m, p)
-    log_reference : ndarray, shape (m,)
-        Ln of the density of phi that the likelihood was multiplied with.
-    linear : ndarray of bool, shape (p,)
-        Coordinates whose likelihood is normal in the quantity, not in its logarithm.
-    rng : numpy.random.Generator
+    ``phi`` (m, p); ``log_reference`` (m,): ln of the density of phi that the likelihood was multiplied with;
+    ``linear`` (p,): coordinates whose likelihood is normal in the quantity, not in its logarithm.
     """
     centre = np.median(phi, axis=0)
     x = phi - centre

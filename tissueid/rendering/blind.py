@@ -44,29 +44,17 @@ MOST_PRESENTATIONS = 200
 
 @dataclass(frozen=True, slots=True)
 class BlindOrder:
-    """The order of one session.
-
-    Attributes
-    ----------
-    pseudonym : str
-    tissues : tuple of int
-        Index of the tissue of each presentation.
-    seed : int
-        It was drawn with.
-    """
+    """The order of one session."""
 
     pseudonym: str
-    tissues: tuple[int, ...]
-    seed: int
+    tissues: tuple[int, ...]  # index of the tissue of each presentation
+    seed: int  # it was drawn with
 
 
 def check_pseudonym(text: str | None) -> str:
     """A pseudonym that is no name: up to three letters and a number; drawn where none is given.
 
-    Raises
-    ------
-    UsageError
-        It could be a name.
+    Raises UsageError: it could be a name.
     """
     if text is None:
         return f"P{secrets.randbelow(90000) + 10000}"
@@ -79,20 +67,9 @@ def check_pseudonym(text: str | None) -> str:
 def draw_order(count: int, presentations: int, *, pseudonym: str, seed: int | None = None) -> BlindOrder:
     """A random order in which every tissue comes equally often.
 
-    Parameters
-    ----------
-    count : int
-        Tissues to compare.
-    presentations : int
-        A multiple of ``count``.
-    pseudonym : str
-    seed : int, optional
-        From the operating system where none is given.
-
-    Raises
-    ------
-    UsageError
-        Fewer than two tissues, or a number of presentations that can't be balanced.
+    ``count``: tissues to compare; ``presentations``: a multiple of ``count``; ``seed``: from the operating
+    system where none is given.  Raises UsageError: fewer than two tissues, or a number of presentations that
+    can't be balanced.
     """
     if count < 2:
         msg = (
@@ -113,17 +90,8 @@ def draw_order(count: int, presentations: int, *, pseudonym: str, seed: int | No
 def write_key(path: Path, order: BlindOrder, tissues: Sequence[dict[str, Any]]) -> None:
     """Write what each presentation is, for the owner's eyes.
 
-    Parameters
-    ----------
-    path : Path
-    order : BlindOrder
-    tissues : sequence of mapping
-        What each tissue is: name, bundle, draw.
-
-    Raises
-    ------
-    UsageError
-        The file exists, or can't be written.
+    ``tissues``: what each tissue is: name, bundle, draw.  Raises UsageError: the file exists, or can't be
+    written.
     """
     document = {
         "pseudonym": order.pseudonym,

@@ -49,15 +49,7 @@ REACH_M = 0.3
 
 @dataclass(frozen=True, slots=True)
 class BridgeRequest:
-    """Request of a datagram; None where it asks for nothing.
-
-    Attributes
-    ----------
-    tissue : int or None
-    plane : Plane or None
-    engage : bool or None
-    stop : bool
-    """
+    """Request of a datagram; None where it asks for nothing."""
 
     tissue: int | None = None
     plane: Plane | None = None
@@ -68,10 +60,7 @@ class BridgeRequest:
 def parse_address(text: str) -> tuple[str, int]:
     """Read ``HOST:PORT`` or ``PORT`` (then loopback).
 
-    Raises
-    ------
-    UsageError
-        No port between 1 and 65535.
+    Raises UsageError: no port between 1 and 65535.
     """
     host, _, port = text.rpartition(":")
     if not (port.isascii() and port.isdigit() and 0 < int(port) < 65536):
@@ -83,11 +72,7 @@ def parse_address(text: str) -> tuple[str, int]:
 def parse_request(data: bytes, token: str) -> BridgeRequest | None:
     """Read a datagram; None for whatever is no request.
 
-    Parameters
-    ----------
-    data : bytes
-    token : str
-        What it has to carry.
+    ``token``: what it has to carry.
     """
     if len(data) > LARGEST_DATAGRAM:
         return None
@@ -140,17 +125,9 @@ def _vector(value: Any) -> tuple[float, float, float] | None:
 class UdpBridge:
     """The two sockets of a bridge.
 
-    Parameters
-    ----------
-    send_to : tuple
-        Host and port that positions go to; parameters are heard on the next port, on loopback.
-    token : str, optional
-        What requests have to carry; drawn where it is not given.
-
-    Raises
-    ------
-    UsageError
-        The port to listen on is taken, or there is no such host.
+    ``send_to``: host and port that positions go to; parameters are heard on the next port, on loopback;
+    ``token``: what requests have to carry; drawn where it is not given.  Raises UsageError: the port to
+    listen on is taken, or there is no such host.
     """
 
     def __init__(self, send_to: tuple[str, int], token: str | None = None) -> None:
@@ -179,9 +156,7 @@ class UdpBridge:
     def send(self, records: NDArray[Any]) -> None:
         """Send the newest record, unless the last was sent a moment ago; never waits.
 
-        Parameters
-        ----------
-        records : ndarray of RECORD, shape (n,)
+        ``records`` (n,).
         """
         if not records.size or records["time_s"][-1] - self._last_s < INTERVAL_S:
             return

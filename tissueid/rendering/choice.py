@@ -49,12 +49,7 @@ _FUNCTIONAL = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Functional:
-    """The force at a depth that was reached at one speed from rest.
-
-    Attributes
-    ----------
-    depth_mm, speed_mm_s : float
-    """
+    """The force at a depth that was reached at one speed from rest."""
 
     depth_mm: float
     speed_mm_s: float
@@ -75,29 +70,17 @@ NEW_SPECIMEN = "new"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Picked:
-    """A tissue, and how it was chosen.
-
-    Attributes
-    ----------
-    tissue : Tissue
-    draw : int or None
-        Row of the posterior; None for the fitted values.
-    why : str
-        One sentence.
-    """
+    """A tissue, and how it was chosen."""
 
     tissue: Tissue
-    draw: int | None
-    why: str
+    draw: int | None  # row of the posterior; None for the fitted values
+    why: str  # one sentence
 
 
 def parse_functional(text: str) -> Functional:
     """Read what ``--of`` says.
 
-    Raises
-    ------
-    UsageError
-        It is nothing of the kind, or has no depth or speed.
+    Raises UsageError: it is nothing of the kind, or has no depth or speed.
     """
     found = _FUNCTIONAL.fullmatch(" ".join(text.split()))
     if found is None:
@@ -113,16 +96,8 @@ def parse_functional(text: str) -> Functional:
 def as_tissue(bundle: Bundle, theta: FloatArray | None = None) -> Tissue:
     """Tissue of a bundle, as a renderer needs it.
 
-    Parameters
-    ----------
-    bundle : Bundle
-    theta : ndarray, optional
-        A draw; the fitted values where none is given.
-
-    Raises
-    ------
-    BundleError
-        Its recordings were normalised, or its model is none that can be rendered.
+    ``theta``: a draw; the fitted values where none is given.  Raises BundleError: its recordings were
+    normalised, or its model is none that can be rendered.
     """
     bundle.require_renderable()
     model = bundle.contact_model()
@@ -140,10 +115,7 @@ def as_tissue(bundle: Bundle, theta: FloatArray | None = None) -> Tissue:
 def pick_draw(bundle: Bundle, number: int) -> Picked:
     """Posterior draw by its number, counted from 0.
 
-    Raises
-    ------
-    UsageError
-        There is no such draw.
+    Raises UsageError: there is no such draw.
     """
     draws = _draws(bundle, "--draw")
     if not 0 <= number < len(draws):
@@ -155,17 +127,8 @@ def pick_draw(bundle: Bundle, number: int) -> Picked:
 def pick_specimen(bundle: Bundle, seed: str) -> Picked:
     """One specimen drawn from a population.
 
-    Parameters
-    ----------
-    bundle : Bundle
-        Of a population.
-    seed : str
-        A whole number; :data:`NEW_SPECIMEN` takes another one each time, which ``why`` tells.
-
-    Raises
-    ------
-    UsageError
-        The bundle is of one specimen, or the seed no number.
+    ``bundle``: of a population; ``seed``: a whole number; :data:`NEW_SPECIMEN` takes another one each time,
+    which ``why`` tells.  Raises UsageError: the bundle is of one specimen, or the seed no number.
     """
     if not bundle.is_population:
         msg = (
@@ -186,17 +149,8 @@ def pick_specimen(bundle: Bundle, seed: str) -> Picked:
 def pick_quantile(bundle: Bundle, quantile: float, functional: Functional) -> Picked:
     """The posterior draw whose functional is nearest to its quantile over all draws.
 
-    Parameters
-    ----------
-    bundle : Bundle
-    quantile : float
-        0 to 1.
-    functional : Functional
-
-    Raises
-    ------
-    UsageError
-        No quantile, or a depth beyond what was identified: there the draws say nothing.
+    ``quantile``: 0 to 1.  Raises UsageError: no quantile, or a depth beyond what was identified: there the
+    draws say nothing.
     """
     if not 0.0 <= quantile <= 1.0:
         msg = f"--quantile is {quantile:g}, must lie within 0 and 1"
@@ -221,17 +175,8 @@ def noticeable_ratio(
 ) -> tuple[float, float, float]:
     """Difference of two tissues at the device, in just-noticeable differences.
 
-    Parameters
-    ----------
-    one, other : Tissue
-    functional : Functional
-    force_scale : float
-        s_F.
-
-    Returns
-    -------
-    one_N, other_N, ratio : float
-        Forces at the device [N], and their difference over the just-noticeable one.
+    ``force_scale``: s_F.  Returns ``one_N, other_N, ratio``: forces at the device [N], and their difference
+    over the just-noticeable one.
     """
     a = functional.of(one.model, one.theta) * force_scale
     b = functional.of(other.model, other.theta) * force_scale

@@ -39,10 +39,7 @@ Shape = tuple[str, tuple[float, ...]]
 def parse_surface(text: str) -> Shape:
     """Read ``plane``, ``sphere R mm`` or ``box X x Y x Z mm``, in tissue millimetres.
 
-    Raises
-    ------
-    UsageError
-        It is none of them, or has no size.
+    Raises UsageError: it is none of them, or has no size.
     """
     line = " ".join(text.split())
     if line == "plane":
@@ -60,17 +57,8 @@ def place_surface(
 ) -> Surface:
     """Put a surface into a device's workspace, so that the identified depth lies around its middle.
 
-    Parameters
-    ----------
-    shape : tuple
-        :func:`parse_surface`.
-    device : Capabilities
-    depth_mm : float
-        Identified depth.
-    motion_scale : float
-        s_x.
-    tool_radius_m : float
-        The tip touches where its centre is this far above the surface.
+    ``shape``: :func:`parse_surface`; ``depth_mm``: identified depth; ``motion_scale``: s_x;
+    ``tool_radius_m``: the tip touches where its centre is this far above the surface.
     """
     middle = [0.5 * (low + high) for low, high in device.workspace_m]
     half_m = 0.5 * (device.workspace_m[2][1] - device.workspace_m[2][0])
@@ -100,18 +88,8 @@ def travel_behind(surface: Surface, device: Capabilities, *, tool_radius_m: floa
 def surface_remarks(tissue: Tissue, shape: Shape, tip_radius_mm: float | None) -> list[str]:
     """Remarks on tip and curvature; what the law can't be meant for is refused.
 
-    Parameters
-    ----------
-    tissue : Tissue
-    shape : tuple
-        :func:`parse_surface`.
-    tip_radius_mm : float or None
-        The tip asked for; None for the identified one.
-
-    Raises
-    ------
-    BundleError
-        Another tip, or a surface too curved or too small for the identified depth.
+    ``shape``: :func:`parse_surface`; ``tip_radius_mm``: the tip asked for; None for the identified one.
+    Raises BundleError: another tip, or a surface too curved or too small for the identified depth.
     """
     remarks = _tip_remarks(tissue, tip_radius_mm)
     depth = tissue.model.depth_mm

@@ -157,22 +157,12 @@ def environment_step(
 ) -> None:
     """Force of the environment on the tool at the end of a step.
 
-    Parameters
-    ----------
-    kind : int
-        :data:`FREE_AIR`, :data:`TISSUE` or :data:`GUIDANCE`; any other number is free air.
-    parameters : ndarray, shape (ENVIRONMENT_SIZE,)
-    memory : ndarray, shape (MEMORY_SIZE,)
-        Updated in place.
-    position, velocity : ndarray, shape (3,)
-        Of the tool tip's centre [m], [m/s]; the velocity only judges whether the law was identified there.
-    dt : float
-        Measured step [s].
-    force : ndarray, shape (3,)
-        Written: force on the tool [N, at the device].
-    info : ndarray, shape (INFO_SIZE,)
-        Written: penetration [m], depth [mm] (negative in air), tissue speed [mm/s], tissue force [N],
-        device force [N], lamps, tissue surface [mm], label.
+    ``kind``: :data:`FREE_AIR`, :data:`TISSUE` or :data:`GUIDANCE`; any other number is free air;
+    ``parameters`` (ENVIRONMENT_SIZE,); ``memory`` (MEMORY_SIZE,): updated in place; ``position``,
+    ``velocity`` (3,): of the tool tip's centre [m], [m/s]; the velocity only judges whether the law was
+    identified there; ``dt``: measured step [s]; ``force`` (3,): written: force on the tool [N, at the
+    device]; ``info`` (INFO_SIZE,): written: penetration [m], depth [mm] (negative in air), tissue speed
+    [mm/s], tissue force [N], device force [N], lamps, tissue surface [mm], label.
     """
     for i in range(3):
         force[i] = 0.0

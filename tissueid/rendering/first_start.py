@@ -47,17 +47,8 @@ def is_compiled() -> bool:
 def first_start(device: str, tell: Callable[[str], None]) -> Iterator[bool]:
     """Let a servo that is started inside run uncompiled, where it is the first on this machine.
 
-    Parameters
-    ----------
-    device : str
-        Only the simulated one begins uncompiled.
-    tell : callable
-        Told what happens.
-
-    Yields
-    ------
-    bool
-        Whether the loop is uncompiled.
+    ``device``: only the simulated one begins uncompiled; ``tell``: told what happens.  Yields whether the
+    loop is uncompiled.
     """
     if device != _SIMULATED or is_compiled():
         yield False

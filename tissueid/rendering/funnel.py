@@ -50,24 +50,9 @@ SMALL_STEP = 1e-12
 def hyperboloid_constants(radius_m: float, offset_m: float, slope: float) -> tuple[float, float, float]:
     """The constants a, b, c of a hyperboloid by what can be measured on it.
 
-    Parameters
-    ----------
-    radius_m : float
-        At the entry point, z = 0 [m].
-    offset_m : float
-        Depth of the throat below the entry point [m].
-    slope : float
-        Growth of the radius with the height, far out.
-
-    Returns
-    -------
-    tuple of float
-        ``a = sqrt(radius^2 - (slope offset)^2)``, b and ``c = a / slope`` [m].
-
-    Raises
-    ------
-    ValueError
-        No hyperboloid has these numbers.
+    ``radius_m``: at the entry point, z = 0 [m]; ``offset_m``: depth of the throat below the entry point [m];
+    ``slope``: growth of the radius with the height, far out.  Returns ``a = sqrt(radius^2 - (slope
+    offset)^2)``, b and ``c = a / slope`` [m].  Raises ValueError: no hyperboloid has these numbers.
     """
     if not (radius_m > 0.0 and offset_m >= 0.0 and slope > 0.0):
         msg = (
@@ -90,21 +75,10 @@ def hyperboloid_constants(radius_m: float, offset_m: float, slope: float) -> tup
 def funnel_touch(funnel: FloatArray, at: int, r: float, z: float, normal: FloatArray, first: int) -> float:
     """Penetration of a point, and the direction back to the free side.
 
-    Parameters
-    ----------
-    funnel : ndarray
-        Kind, a, b, c [m] from index ``at``.
-    at : int
-    r, z : float
-        Distance from the axis and height along it [m].
-    normal : ndarray
-        Components along r and z of the unit normal toward the free side, written from index ``first``.
-    first : int
-
-    Returns
-    -------
-    float
-        [m]: positive in the wall.  Inside the funnel it is negative, there to first order in the gap.
+    ``funnel``: kind, a, b, c [m] from index ``at``; ``r``, ``z``: distance from the axis and height along it
+    [m]; ``normal``: components along r and z of the unit normal toward the free side, written from index
+    ``first``.  Returns [m]: positive in the wall.  Inside the funnel it is negative, there to first order in
+    the gap.
     """
     if int(funnel[at + KIND]) == CONE:
         return _from_cone(funnel, at, r, z, normal, first)

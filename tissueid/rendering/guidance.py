@@ -128,23 +128,10 @@ def guidance_step(
 ) -> None:
     """Force on the tool at the end of a step.
 
-    Parameters
-    ----------
-    block : ndarray
-        :data:`GUIDANCE_SIZE` numbers from index ``at``.
-    at : int
-    memory : ndarray, shape (GUIDANCE_MEMORY,)
-        All zero before the first step; updated in place.
-    position : ndarray, shape (3,)
-        Of the tip [m].
-    dt : float
-        Measured step [s].
-    force : ndarray, shape (3,)
-        Written [N].
-    said : ndarray
-        :data:`SAID_SIZE` numbers, written from index ``first``: height [m], distance from the axis [m], the
-        magnitudes of wall, pull and bone [N], penetration [m].
-    first : int
+    ``block``: :data:`GUIDANCE_SIZE` numbers from index ``at``; ``memory`` (GUIDANCE_MEMORY,): all zero before
+    the first step; updated in place; ``position`` (3,): of the tip [m]; ``dt``: measured step [s]; ``force``
+    (3,): written [N]; ``said``: :data:`SAID_SIZE` numbers, written from index ``first``: height [m], distance
+    from the axis [m], the magnitudes of wall, pull and bone [N], penetration [m].
     """
     z = 0.0
     for i in range(3):

@@ -32,41 +32,26 @@ ASSUMED = (
 
 @dataclass(frozen=True, slots=True)
 class Funnel:
-    """The guiding surface and its contact law.
+    """The guiding surface and its contact law."""
 
-    Attributes
-    ----------
-    kind : {"hyperboloid", "cone"}
-        How the printed equation is read (:mod:`tissueid.rendering.funnel`).
-    radius_m, offset_m, slope : float
-        Radius at the entry point [m], depth of throat or apex below it [m], growth of the radius with the
-        height.  The radius of a cone follows from the other two.
-    stiffness_N_per_m_n, exponent : float
-        k [N/m^n] and n.
-    restitution : float
-        e.
-    law : {"flores", "exact"}
-    slowest_m_s : float
-        Floor of the speed at contact [m/s].
-    """
-
+    #: {"hyperboloid", "cone"}: how the printed equation is read (:mod:`tissueid.rendering.funnel`).
     kind: Literal["hyperboloid", "cone"] = "hyperboloid"
+    #: Radius at the entry point [m], depth of throat or apex below it [m], growth of the radius with the
+    #: height.  The radius of a cone follows from the other two.
     radius_m: float = 0.004
     offset_m: float = 0.006
     slope: float = 0.35
+    #: k [N/m^n] and n.
     stiffness_N_per_m_n: float = 400.0
     exponent: float = 1.5
-    restitution: float = 0.9
-    law: Variant = "flores"
-    slowest_m_s: float = 0.05
+    restitution: float = 0.9  # e
+    law: Variant = "flores"  # {"flores", "exact"}
+    slowest_m_s: float = 0.05  # floor of the speed at contact [m/s]
 
     def numbers(self) -> FloatArray:
         """Shape of :mod:`tissueid.rendering.funnel`, shape (FUNNEL_SIZE,).
 
-        Raises
-        ------
-        ValueError
-            No surface has these numbers.
+        Raises ValueError: no surface has these numbers.
         """
         if self.kind == "cone":
             if not (self.slope > 0.0 and self.offset_m >= 0.0):
@@ -78,84 +63,42 @@ class Funnel:
 
 @dataclass(frozen=True, slots=True)
 class Pull:
-    """The impedance that pulls to the axis.
+    """The impedance that pulls to the axis."""
 
-    Attributes
-    ----------
-    far_N_per_m, near_N_per_m : float
-        K far above the entry point, and at it [N/m].
-    reach_m : float
-        Height L over which it rises [m].
-    tau_s : float
-        b / K [s]; printed.
-    filter_s : float
-        Of the velocity [s].
-    conservative : bool
-        With the axial force; without it the paper's variant.
-    """
-
+    #: K far above the entry point, and at it [N/m].
     far_N_per_m: float = 10.0
     near_N_per_m: float = 75.0
-    reach_m: float = 0.02
-    tau_s: float = 0.05
-    filter_s: float = 0.05
-    conservative: bool = True
+    reach_m: float = 0.02  # height L over which it rises [m]
+    tau_s: float = 0.05  # b / K [s]; printed
+    filter_s: float = 0.05  # of the velocity [s]
+    conservative: bool = True  # with the axial force; without it the paper's variant
 
 
 @dataclass(frozen=True, slots=True)
 class Bone:
-    """The femoral head.
+    """The femoral head."""
 
-    Attributes
-    ----------
-    radius_m : float
-        0 for none.
-    stiffness_N_per_m : float
-    hole_radius_m : float
-        Within it the tip drills.
-    resistance_N_s_per_m : float
-        Pressing force over feed.
-    drill_depth_m : float
-        At which the wire is through.
-    """
-
-    radius_m: float = 0.024
+    radius_m: float = 0.024  # 0 for none
     stiffness_N_per_m: float = 200.0
-    hole_radius_m: float = 0.003
-    resistance_N_s_per_m: float = 300.0
-    drill_depth_m: float = 0.02
+    hole_radius_m: float = 0.003  # within it the tip drills
+    resistance_N_s_per_m: float = 300.0  # pressing force over feed
+    drill_depth_m: float = 0.02  # at which the wire is through
 
 
 @dataclass(frozen=True, slots=True)
 class Guidance:
     """A planned axis and everything that guides to it.
 
-    Attributes
-    ----------
-    entry_m : tuple of float
-        Entry point [m, device frame].
-    axis : tuple of float
-        Out of the bone; made a unit vector.
-    funnel : Funnel
-    pull : Pull
-    bone : Bone
-    weight_N : tuple of float
-        Force that carries the tool at the entry point [N].
-    weight_slope_N_per_m : tuple of tuple of float
-        Its change with the position: a row a component of the force.
-
-    Raises
-    ------
-    ValueError
-        The axis has no direction, or a number is out of its range.
+    Raises ValueError: the axis has no direction, or a number is out of its range.
     """
 
-    entry_m: Vector
-    axis: Vector = (0.0, 0.0, 1.0)
+    entry_m: Vector  # entry point [m, device frame]
+    axis: Vector = (0.0, 0.0, 1.0)  # out of the bone; made a unit vector
     funnel: Funnel = field(default_factory=Funnel)
     pull: Pull = field(default_factory=Pull)
     bone: Bone = field(default_factory=Bone)
-    weight_N: Vector = (0.0, 0.0, 0.0)
+    weight_N: Vector = (0.0, 0.0, 0.0)  # force that carries the tool at the entry point [N]
+    #: Its change with the position: a row a component of the force.
     weight_slope_N_per_m: tuple[Vector, Vector, Vector] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
     def __post_init__(self) -> None:
@@ -181,10 +124,7 @@ class Guidance:
     def unit_axis(self) -> FloatArray:
         """Unit vector out of the bone, shape (3,).
 
-        Raises
-        ------
-        ValueError
-            The axis has no direction.
+        Raises ValueError: the axis has no direction.
         """
         axis = np.asarray(self.axis, dtype=np.float64)
         length = float(np.linalg.norm(axis))
@@ -196,10 +136,7 @@ class Guidance:
     def numbers(self) -> FloatArray:
         """The block of :mod:`tissueid.rendering.guidance`, shape (GUIDANCE_SIZE,).
 
-        Raises
-        ------
-        ValueError
-            The axis has no direction, or no surface has the funnel's numbers.
+        Raises ValueError: the axis has no direction, or no surface has the funnel's numbers.
         """
         out = np.empty(gd.GUIDANCE_SIZE)
         out[gd.ORIGIN : gd.ORIGIN + 3] = self.entry_m
@@ -240,11 +177,7 @@ class Guidance:
 def guidance_block(plan: Guidance, *, label: int = 0) -> FloatArray:
     """The block of an environment that is this guidance, shape (ENVIRONMENT_SIZE,).
 
-    Parameters
-    ----------
-    plan : Guidance
-    label : int
-        Which of the things to be compared it is.
+    ``label``: which of the things to be compared it is.
     """
     block = np.zeros(env.ENVIRONMENT_SIZE)
     block[env.VERSION] = env.BLOCK_VERSION

@@ -39,18 +39,11 @@ SHORTEST_FILTER_S = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class GuidanceCheck:
-    """Result of the check.
+    """Result of the check."""
 
-    Attributes
-    ----------
-    strength : float
-        Factor on every force of the plan but the weight; 1 where the device bears it as planned.
-    planned_damping_N_s_per_m, required_damping_N_s_per_m : float
-        That the plan would need, and that it needs at this strength.
-    demands : Demands
-    """
-
+    #: Factor on every force of the plan but the weight; 1 where the device bears it as planned.
     strength: float
+    #: That the plan would need, and that it needs at this strength.
     planned_damping_N_s_per_m: float
     required_damping_N_s_per_m: float
     demands: Demands
@@ -93,11 +86,7 @@ def weaker(plan: Guidance, strength: float) -> Guidance:
 def needed_damping(plan: Guidance, demands: Demands) -> float:
     """Device damping [N s/m] that renders a plan passively.
 
-    Parameters
-    ----------
-    plan : Guidance
-    demands : Demands
-        Clamp, period and delay of the device.
+    ``demands``: clamp, period and delay of the device.
     """
 
     def bound(slope: float, stiffness: float, tau: float) -> float:
@@ -131,20 +120,8 @@ def needed_damping(plan: Guidance, demands: Demands) -> float:
 def check_guidance(plan: Guidance, demands: Demands) -> tuple[Guidance, GuidanceCheck]:
     """The plan as this device can render it.
 
-    Parameters
-    ----------
-    plan : Guidance
-    demands : Demands
-
-    Returns
-    -------
-    tuple
-        The plan, weaker where it has to be, and the numbers.
-
-    Raises
-    ------
-    DeviceError
-        Nothing that could be felt is stable on this device.
+    Returns the plan, weaker where it has to be, and the numbers.  Raises DeviceError: nothing that could be
+    felt is stable on this device.
     """
     offered = DAMPING_SHARE * demands.damping_N_s_per_m
     planned = needed_damping(plan, demands)

@@ -42,10 +42,7 @@ def guided_session(options: RenderOptions, choice: tuple[str, str], device: Hapt
     The passivity controller only watches: what the pull stored before the hand engaged would count as
     energy that was made.
 
-    Raises
-    ------
-    DeviceError
-        Nothing that could be felt is stable on this device.
+    Raises DeviceError: nothing that could be felt is stable on this device.
     """
     scene = options.scene
     assert scene is not None  # noqa: S101 -- asked by the caller

@@ -34,75 +34,36 @@ class Carried(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RenderOptions:
-    """Options of the user; None where nothing was said.
-
-    Attributes
-    ----------
-    bundle : Path or None
-    preset : str or None
-    draw_specimen : str or None
-        Seed of a specimen drawn from a population, or ``new``.
-    draw, quantile, of
-        Which tissue of the bundle's posterior.
-    against, against_draw, against_quantile
-        The tissue to compare with: another bundle, another draw, or both.
-    device : str
-    device_options : mapping
-        For the device's class.
-    script : str or None
-    program : Carried or None
-        Motion of the simulated grip, in place of a script.
-    seconds : float or None
-        Length of a session without a script.
-    force_scale, motion_scale, tip_radius_mm : float or None
-    surface : str
-    environment : str or None
-        Installed force law, instead of a tissue.
-    scene : Scene or None
-        Where the tissue or the guidance comes from.
-    control : bool
-        Whether the passivity controller may brake.
-    blind : bool
-    presentations : int or None
-    pseudonym : str or None
-    seed : int or None
-        Of the order of a blind comparison.
-    replay : Path or None
-        Log whose motion is rendered again.
-    virtual : bool
-        As fast as it can be computed.
-    bridge : bool
-        Whether another program moves the session.
-    led : bool
-        Whether a pointer may lead the hand of the simulated device, where no script does.
-    """
+    """Options of the user; None where nothing was said."""
 
     bundle: Path | None = None
     preset: str | None = None
+    #: Which tissue of the bundle's posterior.
     draw: int | None = None
-    draw_specimen: str | None = None
+    draw_specimen: str | None = None  # seed of a specimen drawn from a population, or ``new``
     quantile: float | None = None
     of: str = DEFAULT_FUNCTIONAL
+    #: The tissue to compare with: another bundle, another draw, or both.
     against: Path | None = None
     against_draw: int | None = None
     against_quantile: float | None = None
     device: str = "auto"
-    device_options: Mapping[str, Any] = field(default_factory=dict)
+    device_options: Mapping[str, Any] = field(default_factory=dict)  # for the device's class
     script: str | None = None
-    program: Carried | None = None
-    seconds: float | None = None
+    program: Carried | None = None  # motion of the simulated grip, in place of a script
+    seconds: float | None = None  # length of a session without a script
     force_scale: float | None = None
     motion_scale: float | None = None
     tip_radius_mm: float | None = None
     surface: str = "plane"
-    environment: str | None = None
-    scene: Scene | None = None
-    control: bool = True
+    environment: str | None = None  # installed force law, instead of a tissue
+    scene: Scene | None = None  # where the tissue or the guidance comes from
+    control: bool = True  # whether the passivity controller may brake
     blind: bool = False
     presentations: int | None = None
     pseudonym: str | None = None
-    seed: int | None = None
-    replay: Path | None = None
-    virtual: bool = False
-    bridge: bool = False
-    led: bool = False
+    seed: int | None = None  # of the order of a blind comparison
+    replay: Path | None = None  # log whose motion is rendered again
+    virtual: bool = False  # as fast as it can be computed
+    bridge: bool = False  # whether another program moves the session
+    led: bool = False  # whether a pointer may lead the hand of the simulated device, where no script does

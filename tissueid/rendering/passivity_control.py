@@ -70,26 +70,14 @@ LARGEST_CHANGE_ALLOWED_N = 0.5
 
 @dataclass(frozen=True, slots=True)
 class PassivityLimits:
-    """Limits of the controller.
+    """Limits of the controller."""
 
-    Attributes
-    ----------
-    on : bool
-        Without it the observer counts and nothing is corrected.
-    count_m : float
-        Encoder count of the device [m].
-    stiffness_N_per_m : float
-        Largest stiffness felt at the device.
-    largest_damping_N_s_per_m : float
-        Braking coefficient; a hand feels twice a Falcon's own, and 1.5 ticks late it is still stable.
-    largest_correction_N, largest_change_N : float
-        Of the braking force, and of its change in a tick.
-    """
-
-    on: bool = True
-    count_m: float = 45e-6
-    stiffness_N_per_m: float = 500.0
+    on: bool = True  # without it the observer counts and nothing is corrected
+    count_m: float = 45e-6  # encoder count of the device [m]
+    stiffness_N_per_m: float = 500.0  # largest stiffness felt at the device
+    #: Braking coefficient; a hand feels twice a Falcon's own, and 1.5 ticks late it is still stable.
     largest_damping_N_s_per_m: float = 2.0
+    #: Of the braking force, and of its change in a tick.
     largest_correction_N: float = 1.0
     largest_change_N: float = 0.5
 
@@ -116,18 +104,9 @@ def passivity_step(
 ) -> None:
     """Count the energy of the last tick and brake where the hand got back more than it gave.
 
-    Parameters
-    ----------
-    memory : ndarray, shape (CONTROL_MEMORY_SIZE,)
-        All zero at first; updated in place.
-    parameters : ndarray, shape (CONTROL_SIZE,)
-        :meth:`PassivityLimits.block`.
-    position : ndarray, shape (3,)
-        [m], as the environment saw it.
-    force : ndarray, shape (3,)
-        Force of the environment [N]; **corrected in place**.
-    dt : float
-        Measured step [s].
+    ``memory`` (CONTROL_MEMORY_SIZE,): all zero at first; updated in place; ``parameters`` (CONTROL_SIZE,):
+    :meth:`PassivityLimits.block`; ``position`` (3,): [m], as the environment saw it; ``force`` (3,): force of
+    the environment [N]; **corrected in place**; ``dt``: measured step [s].
     """
     travelled = 0.0
     taken = 0.0

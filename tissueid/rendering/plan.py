@@ -69,10 +69,7 @@ SIMULATED = "sim"
 def plan_session(options: RenderOptions) -> SessionPlan:
     """Decide everything, or refuse.
 
-    Raises
-    ------
-    UsageError, BundleError, DeviceError
-        Before anything moved, with the way out.
+    Raises UsageError, BundleError, DeviceError: before anything moved, with the way out.
     """
     name = "replay" if options.replay is not None else options.device
     guided = options.scene is not None and options.scene.guidance is not None

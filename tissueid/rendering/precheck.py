@@ -44,28 +44,14 @@ GRID = 501
 
 @dataclass(frozen=True, slots=True)
 class Demands:
-    """Abilities of a device, as far as the check needs them.
+    """Abilities of a device, as far as the check needs them."""
 
-    Attributes
-    ----------
-    clamp_N : float
-        Force clamp of the guard at this moment [N].
-    damping_N_s_per_m : float
-    delay_ticks : float
-    period_s : float
-        Of the servo.
-    travel_m : float
-        Room along the normal behind the surface [m].
-    known : str
-        Where damping and newton come from, in words.
-    """
-
-    clamp_N: float
+    clamp_N: float  # force clamp of the guard at this moment [N]
     damping_N_s_per_m: float
     delay_ticks: float
-    period_s: float = 0.001
-    travel_m: float = np.inf
-    known: str = "assumed, not measured on this unit"
+    period_s: float = 0.001  # of the servo
+    travel_m: float = np.inf  # room along the normal behind the surface [m]
+    known: str = "assumed, not measured on this unit"  # where damping and newton come from, in words
 
 
 def demands_of(capabilities: Capabilities) -> Demands:
@@ -81,31 +67,16 @@ def demands_of(capabilities: Capabilities) -> Demands:
 
 @dataclass(frozen=True, slots=True)
 class Precheck:
-    """The scale that will be felt, and the numbers behind it.
-
-    Attributes
-    ----------
-    scaling : Scaling
-    required_damping_N_s_per_m : float
-        At that scale.
-    demands : Demands
-    wanted_force_scale : float
-        Before it was lowered.
-    clipped_share : float
-        Share of the identified depth, at the fastest identified speed, where the clamp bites.
-    depth_mm : float
-        Identified depth.
-    remarks : tuple of str
-        What the user should know; sentences.
-    """
+    """The scale that will be felt, and the numbers behind it."""
 
     scaling: Scaling
-    required_damping_N_s_per_m: float
+    required_damping_N_s_per_m: float  # at that scale
     demands: Demands
-    wanted_force_scale: float
+    wanted_force_scale: float  # before it was lowered
+    #: Share of the identified depth, at the fastest identified speed, where the clamp bites.
     clipped_share: float
-    depth_mm: float
-    remarks: tuple[str, ...] = ()
+    depth_mm: float  # identified depth
+    remarks: tuple[str, ...] = ()  # what the user should know; sentences
 
     @property
     def lowered(self) -> bool:
@@ -171,11 +142,7 @@ class Precheck:
 def scaling_at(tissue: Tissue, *, force: float, motion: float) -> Scaling:
     """The numbers of a scale that is given.
 
-    Parameters
-    ----------
-    tissue : Tissue
-    force, motion : float
-        s_F and s_x.
+    ``force``, ``motion``: s_F and s_x.
     """
     depth = np.array([tissue.model.depth_mm])
     peak = loading_force(tissue.model, tissue.theta, depth, speed_mm_s=tissue.speeds_mm_s[1])
@@ -197,24 +164,9 @@ def check_before_force(
 ) -> Precheck:
     """Choose or check the scale of a rendering.
 
-    Parameters
-    ----------
-    tissue : Tissue
-    demands : Demands
-        Of the device.
-    force_scale, motion_scale : float, optional
-        What the user asked for; a force scale that was asked for is never changed.
-
-    Returns
-    -------
-    Precheck
-
-    Raises
-    ------
-    UsageError
-        A scale is outside what can be meant.
-    DeviceError
-        The device can't render this tissue stably: at the scale asked for, or at any that could be felt.
+    ``demands``: of the device; ``force_scale``, ``motion_scale``: what the user asked for; a force scale that
+    was asked for is never changed.  Raises UsageError: a scale is outside what can be meant; DeviceError: the
+    device can't render this tissue stably: at the scale asked for, or at any that could be felt.
     """
     motion = DEFAULT_MOTION_SCALE if motion_scale is None else motion_scale
     _must_lie("--motion-scale", motion, MOTION_RANGE)

@@ -52,10 +52,7 @@ PRESETS: Mapping[str, Callable[[], Tissue]] = MappingProxyType({"paper-a": _pape
 def preset_tissue(name: str) -> Tissue:
     """The tissue of that name.
 
-    Raises
-    ------
-    UsageError
-        There is none.
+    Raises UsageError: there is none.
     """
     if name not in PRESETS:
         msg = f"there is no preset {printable(name)!r}; presets are {', '.join(PRESETS)}"
@@ -66,9 +63,6 @@ def preset_tissue(name: str) -> Tissue:
 def preset_check(name: str) -> Precheck:
     """Scale and numbers of a preset on the device that is assumed where nothing was measured.
 
-    Raises
-    ------
-    UsageError
-        There is none of that name.
+    Raises UsageError: there is none of that name.
     """
     return check_before_force(preset_tissue(name), ASSUMED_DEVICE)

@@ -27,17 +27,8 @@ PART_SUFFIX = ".part"
 class Recorder:
     """Writes one log.
 
-    Parameters
-    ----------
-    path : Path
-        Of the finished log.
-    head : mapping
-        See ``schemas/session.schema.json``; ``record`` and ``schema`` are added.
-
-    Raises
-    ------
-    UsageError
-        The file exists, or can't be written there.
+    ``path``: of the finished log; ``head``: see ``schemas/session.schema.json``; ``record`` and ``schema``
+    are added.  Raises UsageError: the file exists, or can't be written there.
     """
 
     def __init__(self, path: Path, head: Mapping[str, Any]) -> None:
@@ -71,9 +62,7 @@ class Recorder:
     def append(self, records: NDArray[Any]) -> None:
         """Append records; after a failure to write nothing more is tried.
 
-        Parameters
-        ----------
-        records : ndarray of RECORD, shape (n,)
+        ``records`` (n,).
         """
         if self.stopped is None and records.size and self._write(np.ascontiguousarray(records).tobytes()):
             self.written += records.size
@@ -81,16 +70,8 @@ class Recorder:
     def finish(self, summary: Mapping[str, Any]) -> Path:
         """Close the log and turn it into HDF5.
 
-        Parameters
-        ----------
-        summary : mapping
-            Of the session.
-
-        Returns
-        -------
-        Path
-            Where the log is: the HDF5 file, or the part where there was no room for it; then
-            :attr:`stopped` says why.
+        ``summary``: of the session.  Returns where the log is: the HDF5 file, or the part where there was no
+        room for it; then :attr:`stopped` says why.
         """
         self._close()
         try:

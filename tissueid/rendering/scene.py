@@ -32,24 +32,13 @@ _PER_S = "_mm_per_s"
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """Contents of a file.
-
-    Attributes
-    ----------
-    name : str
-    about : str
-    assumed : tuple of str
-        Keys whose numbers no source states.
-    device : str or None
-    tissue : mapping
-        Of :class:`tissueid.rendering.options.RenderOptions`: bundle, preset, surface, scales, tip.
-    guidance : Guidance or None
-    """
+    """Contents of a file."""
 
     name: str
     about: str
-    assumed: tuple[str, ...]
+    assumed: tuple[str, ...]  # keys whose numbers no source states
     device: str | None
+    #: Of :class:`tissueid.rendering.options.RenderOptions`: bundle, preset, surface, scales, tip.
     tissue: Mapping[str, Any]
     guidance: Guidance | None
 
@@ -70,16 +59,8 @@ def scene_names() -> tuple[str, ...]:
 def load_scene(given: str, *, plan: Path | None = None) -> Scene:
     """A scene by its name, or by the path of its file.
 
-    Parameters
-    ----------
-    given : str
-    plan : Path, optional
-        A file with the axis and the entry point of a patient, in the place of the scene's own.
-
-    Raises
-    ------
-    UsageError
-        There is none, or it says what can't be.
+    ``plan``: a file with the axis and the entry point of a patient, in the place of the scene's own.  Raises
+    UsageError: there is none, or it says what can't be.
     """
     if given in scene_names():
         text = (resources.files("tissueid.rendering") / "scenes" / f"{given}.toml").read_text(
@@ -116,10 +97,7 @@ def load_scene(given: str, *, plan: Path | None = None) -> Scene:
 def read_plan(path: Path) -> dict[str, Any]:
     """``entry_mm`` and ``axis`` of a file of their own.
 
-    Raises
-    ------
-    UsageError
-        It can't be read, or is no TOML.
+    Raises UsageError: it can't be read, or is no TOML.
     """
     return _parsed(_text_of(path), str(path))
 

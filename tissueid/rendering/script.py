@@ -33,25 +33,13 @@ TAIL_S = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Script:
-    """Strokes of a scripted session.
+    """Strokes of a scripted session."""
 
-    Attributes
-    ----------
-    text : str
-        As the user wrote it.
-    strokes_text : str
-        The strokes alone, for the hand.
-    strokes : tuple of Stroke
-    switches_s : tuple of float
-        When to go to the next tissue, from the start of the device's time [s].
-    duration_s : float
-        From the start of the device's time to the end of the last stroke, and a moment more [s].
-    """
-
-    text: str
-    strokes_text: str
+    text: str  # as the user wrote it
+    strokes_text: str  # the strokes alone, for the hand
     strokes: tuple[Stroke, ...]
-    switches_s: tuple[float, ...]
+    switches_s: tuple[float, ...]  # when to go to the next tissue, from the start of the device's time [s]
+    #: From the start of the device's time to the end of the last stroke, and a moment more [s].
     duration_s: float
 
     def hand(self, *, motion_scale: float, surface_m: FloatArray, inward: FloatArray) -> Hand:
@@ -68,10 +56,7 @@ class Script:
 def read_script(text: str) -> Script:
     """Read a script.
 
-    Raises
-    ------
-    UsageError
-        A part is no stroke, leads nowhere, or switches inside the tissue.
+    Raises UsageError: a part is no stroke, leads nowhere, or switches inside the tissue.
     """
     parts = [" ".join(part.split()) for part in text.split(";") if part.strip()]
     stroke_texts = [part for part in parts if part != SWITCH]

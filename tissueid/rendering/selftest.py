@@ -54,14 +54,7 @@ BEAT_S = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """One figure against its bar.
-
-    Attributes
-    ----------
-    name : str
-    value, bar : float
-    unit : str
-    """
+    """One figure against its bar."""
 
     name: str
     value: float
@@ -76,39 +69,22 @@ class Figure:
 
 @dataclass(frozen=True, slots=True)
 class TickTimes:
-    """Computing time without the device's wire.
+    """Computing time without the device's wire."""
 
-    Attributes
-    ----------
-    force_step_ns : float
-        Tissue law and guard, in contact, mean of many.
-    tick_median_us, tick_p99_us : float
-        A whole tick: simulated device, law, passivity, watchdogs, guard, record.
-    """
-
-    force_step_ns: float
+    force_step_ns: float  # tissue law and guard, in contact, mean of many
+    #: A whole tick: simulated device, law, passivity, watchdogs, guard, record.
     tick_median_us: float
     tick_p99_us: float
 
 
 @dataclass(frozen=True, slots=True)
 class SelfTest:
-    """Result of ``tissueid render --selftest``.
-
-    Attributes
-    ----------
-    statistics : PeriodStatistics
-    remedies : tuple of str
-        What the machine refused, and how to get it.
-    times : TickTimes
-    start_s : float
-        From the start of the process to its first tick [s].
-    """
+    """Result of ``tissueid render --selftest``."""
 
     statistics: PeriodStatistics
-    remedies: tuple[str, ...]
+    remedies: tuple[str, ...]  # what the machine refused, and how to get it
     times: TickTimes
-    start_s: float
+    start_s: float  # from the start of the process to its first tick [s]
 
     @property
     def figures(self) -> tuple[Figure, ...]:
@@ -126,21 +102,8 @@ def run_selftest(
 ) -> SelfTest:
     """Measure this machine.
 
-    Parameters
-    ----------
-    seconds : float
-        How long the servo runs [s].
-    progress : callable
-        Told the share that is done.
-
-    Returns
-    -------
-    SelfTest
-
-    Raises
-    ------
-    DeviceError
-        The servo process can't be started, or took the force away.
+    ``seconds``: how long the servo runs [s]; ``progress``: told the share that is done.  Raises DeviceError:
+    the servo process can't be started, or took the force away.
     """
     begun = time.monotonic()
     with ServoProcess(ServoPlan("sim", {"real_time": True})) as servo:

@@ -43,15 +43,9 @@ START_TIMEOUT_S = 60.0
 class ServoProcess:
     """A servo in its own process.
 
-    Parameters
-    ----------
-    plan : ServoPlan
-    start_timeout_s : float
-        Until the loop runs; a device that a user must home needs more.
-    tell : callable, optional
-        Told what the device says to its user while it is opened and homed.
-    spawned : SpawnedServo, optional
-        A process that waits for a plan; without it one is spawned by ``start``.
+    ``start_timeout_s``: until the loop runs; a device that a user must home needs more; ``tell``: told what
+    the device says to its user while it is opened and homed; ``spawned``: a process that waits for a plan;
+    without it one is spawned by ``start``.
     """
 
     def __init__(
@@ -81,10 +75,8 @@ class ServoProcess:
     def start(self) -> ServoReady:
         """Send the plan and wait until the loop runs, with zero force.
 
-        Raises
-        ------
-        DeviceError, UsageError, BundleError
-            What the process refused, or DeviceError where it died or took too long.
+        Raises DeviceError, UsageError, BundleError: what the process refused, or DeviceError where it died or
+        took too long.
         """
         try:
             self.ready = self._started()
@@ -121,10 +113,7 @@ class ServoProcess:
     def poll(self) -> ServoEnd | None:
         """End of the servo, or None while it runs.
 
-        Raises
-        ------
-        DeviceError
-            The process died without a word.
+        Raises DeviceError: the process died without a word.
         """
         if self.end is None:
             words = self._next_line(0.0)
@@ -138,10 +127,7 @@ class ServoProcess:
     def stop(self) -> ServoEnd:
         """Ramp down, end the loop, close the device.
 
-        Raises
-        ------
-        DeviceError
-            It did not end in time (and was killed), or died without a word.
+        Raises DeviceError: it did not end in time (and was killed), or died without a word.
         """
         self.block.order(COMMAND_STOP)
         deadline = time.monotonic() + REAP_S

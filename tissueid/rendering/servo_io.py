@@ -53,18 +53,9 @@ def _sense_python(io: PythonIO, dt: float, position: FloatArray, counts: IntArra
 def sense(io: Any, dt: float, position: FloatArray, counts: IntArray, words: IntArray) -> None:
     """Read a device once, without waiting.
 
-    Parameters
-    ----------
-    io : tuple
-        One of this module's and its neighbours'.
-    dt : float
-        Time since the last reading [s].
-    position : ndarray, shape (3,)
-        **Written** where a valid reply came [m].
-    counts : ndarray of int64, shape (3,)
-        **Written** likewise.
-    words : ndarray of int64, shape (WORDS_SIZE,)
-        **Written**: REPLY, HOMED, PRESSED; UNANSWERED where the device answers each command.
+    ``io``: one of this module's and its neighbours'; ``dt``: time since the last reading [s]; ``position``
+    (3,): **Written** where a valid reply came [m]; ``counts`` (3,): **Written** likewise; ``words``
+    (WORDS_SIZE,): **Written**: REPLY, HOMED, PRESSED; UNANSWERED where the device answers each command.
     """
     way = _sense_python if isinstance(io, PythonIO) else access_of(type(io)).sense
     way(io, dt, position, counts, words)
@@ -73,13 +64,7 @@ def sense(io: Any, dt: float, position: FloatArray, counts: IntArray, words: Int
 def command(io: Any, guard_memory: FloatArray, limits: FloatArray, force: FloatArray) -> None:
     """Send a force that passed the guard.
 
-    Parameters
-    ----------
-    io : tuple
-    guard_memory, limits : ndarray
-        Of the guard; a device shows its state.
-    force : ndarray, shape (3,)
-        [N].
+    ``guard_memory``, ``limits``: of the guard; a device shows its state; ``force`` (3,): [N].
     """
     access_of(type(io)).command(io, guard_memory, limits, force)
 

@@ -66,14 +66,9 @@ _LATE = int(Lamp.LATE)
 def new_watch(owner: int = -1, signals: int = -1, *, alive_wanted: bool = False) -> IntArray:
     """Watch of a loop on all besides the device.
 
-    Parameters
-    ----------
-    owner : int
-        Descriptor of a pipe whose other end the owner holds; its end of file is the owner's death.
-    signals : int
-        Descriptor that becomes readable when a signal came.
-    alive_wanted : bool
-        Whether signs of life are asked for.
+    ``owner``: descriptor of a pipe whose other end the owner holds; its end of file is the owner's death;
+    ``signals``: descriptor that becomes readable when a signal came; ``alive_wanted``: whether signs of life
+    are asked for.
     """
     watch = np.zeros(WATCH_SIZE, np.int64)
     watch[OWNER], watch[SIGNALS], watch[ALIVE_WANTED] = owner, signals, alive_wanted
@@ -117,23 +112,9 @@ def realtime_loop(
 ) -> int:
     """Run in real time until something ends it.
 
-    Parameters
-    ----------
-    io : tuple
-        The device, of :mod:`tissueid.rendering.servo_io`.
-    servo : Servo
-    watch : ndarray of int64
-        :func:`new_watch`.
-    histogram : ndarray of int64, shape (BINS + 1,)
-        Absolute period errors by microsecond, then the largest [ns]; added to.
-    period_ns : int
-    ticks : int
-        Most ticks to run.
-
-    Returns
-    -------
-    int
-        ENDED_FAULT, ENDED_STOPPED, ENDED_SIGNAL or ENDED_TICKS.
+    ``io``: the device, of :mod:`tissueid.rendering.servo_io`; ``watch``: :func:`new_watch`; ``histogram``
+    (BINS + 1,): absolute period errors by microsecond, then the largest [ns]; added to; ``ticks``: most ticks
+    to run.  Returns ENDED_FAULT, ENDED_STOPPED, ENDED_SIGNAL or ENDED_TICKS.
     """
     room = watch[ROOM:]
     last = monotonic_ns(room)
@@ -171,22 +152,9 @@ compiled_loop = tick_kernel(realtime_loop)
 def virtual_loop(io: Any, servo: Servo, watch: IntArray, start_s: float, steps: FloatArray) -> int:
     """Run in virtual time, as fast as it goes.
 
-    Parameters
-    ----------
-    io : tuple
-        A simulated device; its arm moves by each step.
-    servo : Servo
-    watch : ndarray of int64
-        :func:`new_watch`; nothing outside is looked at.
-    start_s : float
-        Time before the first tick [s].
-    steps : ndarray, shape (n,)
-        Time from tick to tick [s]: all equal, or as jittery as wanted.
-
-    Returns
-    -------
-    int
-        ENDED_FAULT, ENDED_STOPPED or ENDED_TICKS.
+    ``io``: a simulated device; its arm moves by each step; ``watch``: :func:`new_watch`; nothing outside is
+    looked at; ``start_s``: time before the first tick [s]; ``steps`` (n,): time from tick to tick [s]: all
+    equal, or as jittery as wanted.  Returns ENDED_FAULT, ENDED_STOPPED or ENDED_TICKS.
     """
     now = start_s
     for k in range(steps.size):

@@ -30,73 +30,38 @@ NO_END = 2**31
 
 @dataclass(frozen=True, slots=True)
 class ServoPlan:
-    """One session of the servo.
+    """One session of the servo."""
 
-    Attributes
-    ----------
-    device : str
-        Name in the registry; never ``auto``, which the owner resolves and says.
-    options : dict
-        Arguments of the device's class; must pickle.
-    law : str, optional
-        Name of a force law of another distribution, in the place of the compiled environment.
-    period_ns : int
-    ticks : int
-        Most ticks to run.
-    alive_wanted : bool
-        Whether 500 ms without a sign of life take the force away.
-    shared_hand : bool
-        Whether the hand of the simulated device lies in shared memory, for a pointer; no other device's does.
-    """
-
-    device: str
-    options: dict[str, Any] = field(default_factory=dict)
+    device: str  # name in the registry; never ``auto``, which the owner resolves and says
+    options: dict[str, Any] = field(default_factory=dict)  # arguments of the device's class; must pickle
+    #: Name of a force law of another distribution, in the place of the compiled environment.
     law: str | None = None
     period_ns: int = 1_000_000
-    ticks: int = NO_END
-    alive_wanted: bool = True
+    ticks: int = NO_END  # most ticks to run
+    alive_wanted: bool = True  # whether 500 ms without a sign of life take the force away
+    #: Whether the hand of the simulated device lies in shared memory, for a pointer; no other device's does.
     shared_hand: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class ServoReady:
-    """The servo runs.
+    """The servo runs."""
 
-    Attributes
-    ----------
-    compiled : bool
-        False for a device or a law in Python, and where compiling is switched off: the loop runs uncompiled.
-    scheduling : str
-        Scheduling class.
-    remedies : tuple of str
-        What was refused, and how to get it.
-    """
-
+    #: False for a device or a law in Python, and where compiling is switched off: the loop runs uncompiled.
     compiled: bool
-    scheduling: str
-    remedies: tuple[str, ...]
+    scheduling: str  # scheduling class
+    remedies: tuple[str, ...]  # what was refused, and how to get it
 
 
 @dataclass(frozen=True, slots=True)
 class ServoEnd:
-    """End of a session.
+    """End of a session."""
 
-    Attributes
-    ----------
-    reason : str
-        One of REASONS.
-    fault : Fault
-    state : State
-        Before the device was closed.
-    statistics : PeriodStatistics
-    outside_share, clipped_share : float
-        Of the ticks with tissue touched: outside the identified range, and at the clamp.
-    """
-
-    reason: str
+    reason: str  # one of REASONS
     fault: Fault
-    state: State
+    state: State  # before the device was closed
     statistics: PeriodStatistics
+    #: Of the ticks with tissue touched: outside the identified range, and at the clamp.
     outside_share: float
     clipped_share: float
 
@@ -136,10 +101,7 @@ def send_plan(descriptor: int, plan: ServoPlan, ring: int, block: int, *hand: in
 def receive_plan(descriptor: int) -> tuple[ServoPlan, list[int]]:
     """The plan that :func:`send_plan` sent, and this process's own descriptors: ring, block, perhaps a hand.
 
-    Raises
-    ------
-    EOFError
-        The owner died meanwhile.
+    Raises EOFError: the owner died meanwhile.
     """
     data = b""
     with _socket(descriptor) as there:

@@ -78,10 +78,7 @@ class SignalWatch:
 def _must_be_owned(owner: int) -> None:
     """Refuse to wait for anything once the owner is dead.
 
-    Raises
-    ------
-    DeviceError
-        Nothing but the end of file ever comes after the plan.
+    Raises DeviceError: nothing but the end of file ever comes after the plan.
     """
     if select.select([owner], [], [], 0.0)[0]:
         raise DeviceError(FAULT_WORDS[Fault.PARENT_DIED])
@@ -99,10 +96,7 @@ def _reach(device: HapticDevice, law: str | None) -> tuple[Any, bool]:
 def _share_hand(device: HapticDevice, hand: SharedHand) -> None:
     """Let a pointer lead a simulated hand.
 
-    Raises
-    ------
-    DeviceError
-        The device is another: only a hand of a real person moves it.
+    Raises DeviceError: the device is another: only a hand of a real person moves it.
     """
     if not isinstance(device, SimulatedDevice):
         msg = f"{device.name}: a pointer leads the simulated device alone"
@@ -135,22 +129,9 @@ def run_plan(
 ) -> ServoEnd:
     """Open the device, run the loop, close the device.
 
-    Parameters
-    ----------
-    plan : ServoPlan
-    ring, block
-        Shared with the owner.
-    owner : int
-        Descriptor whose end of file is the owner's death.
-    report : int
-        Descriptor for lines of JSON.
-    hand : SharedHand, optional
-        Through which a pointer leads the simulated device.
-
-    Raises
-    ------
-    DeviceError, UsageError
-        The device can't be used, or is none that a pointer may lead.
+    ``ring``, ``block``: shared with the owner; ``owner``: descriptor whose end of file is the owner's death;
+    ``report``: descriptor for lines of JSON; ``hand``: through which a pointer leads the simulated device.
+    Raises DeviceError, UsageError: the device can't be used, or is none that a pointer may lead.
     """
     with SignalWatch() as signals:
         device = device_class(plan.device)(**plan.options)
@@ -190,10 +171,7 @@ def run_plan(
 def main(arguments: list[str]) -> int:
     """The spawned process: two descriptors, the owner's socket and the report's pipe.
 
-    Returns
-    -------
-    int
-        Exit code of :mod:`tissueid.errors`.
+    Returns exit code of :mod:`tissueid.errors`.
     """
     owner, report = (int(word) for word in arguments)
     # numba sets itself up at the first call: while the owner decides, not when it waits

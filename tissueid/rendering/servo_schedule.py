@@ -26,38 +26,19 @@ LOCKED_BYTES = 1 << 30
 
 @dataclass(frozen=True, slots=True)
 class Schedule:
-    """Schedule that the servo got.
+    """Schedule that the servo got."""
 
-    Attributes
-    ----------
-    name : str
-        Scheduling class: "SCHED_FIFO 80" or "SCHED_OTHER".
-    cpu : int
-        Processor it is bound to; -1 where it may move.
-    locked : bool
-        Whether its memory is locked.
-    remedies : tuple of str
-        For each refusal one sentence with what to type.
-    """
-
-    name: str
-    cpu: int
-    locked: bool
-    remedies: tuple[str, ...]
+    name: str  # scheduling class: "SCHED_FIFO 80" or "SCHED_OTHER"
+    cpu: int  # processor it is bound to; -1 where it may move
+    locked: bool  # whether its memory is locked
+    remedies: tuple[str, ...]  # for each refusal one sentence with what to type
 
 
 def settled(*, collect: bool = False) -> bool:
     """Clear up and lock the memory of this process, a tenth of a second: before a device is homed, not after.
 
-    Parameters
-    ----------
-    collect : bool
-        Keep Python's garbage collection: a loop in Python makes garbage, a compiled one none.
-
-    Returns
-    -------
-    bool
-        The memory is locked.
+    ``collect``: keep Python's garbage collection: a loop in Python makes garbage, a compiled one none.
+    Returns the memory is locked.
     """
     gc.collect()
     if not collect:
@@ -68,15 +49,7 @@ def settled(*, collect: bool = False) -> bool:
 def make_punctual(*, locked: bool) -> Schedule:
     """Ask for SCHED_FIFO, one processor and exact timers for this process.
 
-    Parameters
-    ----------
-    locked : bool
-        What :func:`settled` found.
-
-    Returns
-    -------
-    Schedule
-        Refusals are no errors.
+    ``locked``: what :func:`settled` found.  Returns refusals are no errors.
     """
     remedies = []
     ctypes.CDLL(None, use_errno=True).prctl(PR_SET_TIMERSLACK, TIMERSLACK_NS, 0, 0, 0)

@@ -27,23 +27,13 @@ REAP_S = 5.0
 
 @dataclass(slots=True)
 class SpawnedServo:
-    """A servo's process, as its owner holds it.
-
-    Attributes
-    ----------
-    process : Popen
-    owner : int
-        Descriptor of the socket the plan goes through; its end of file is the owner's death.  -1 once
-        closed.
-    report : int
-        Descriptor of the pipe that lines of JSON come from.
-    planned : bool
-        Whether a plan was sent: from then on it may have a device, and ends with zero force in its own time.
-    """
+    """A servo's process, as its owner holds it."""
 
     process: subprocess.Popen[bytes]
+    #: Descriptor of the socket the plan goes through; its end of file is the owner's death.  -1 once closed.
     owner: int
-    report: int
+    report: int  # descriptor of the pipe that lines of JSON come from
+    #: Whether a plan was sent: from then on it may have a device, and ends with zero force in its own time.
     planned: bool = False
 
     def reap(self) -> int:
@@ -70,10 +60,7 @@ class SpawnedServo:
 def spawn_servo() -> SpawnedServo:
     """Start a servo's process, without a plan.
 
-    Raises
-    ------
-    UsageError
-        numba isn't installed.
+    Raises UsageError: numba isn't installed.
     """
     require("numba")
     theirs, ours = socket.socketpair()

@@ -21,30 +21,19 @@ _US = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class PeriodStatistics:
-    """Absolute period errors of a session.
+    """Absolute period errors of a session."""
 
-    Attributes
-    ----------
-    ticks, missed : int
-        Ticks run, and deadlines skipped.
-    period_us : float
-    median_us, p99_us, p999_us, max_us : float
-        Of |measured period - period|; quantiles to 1 us.
-    late_share : float
-        Share of ticks off by more than a tenth of the period; a skipped tick counts as one.
-    scheduling : str
-        Scheduling class the servo really had.
-    """
-
+    #: Ticks run, and deadlines skipped.
     ticks: int
     missed: int
     period_us: float
+    #: Of |measured period - period|; quantiles to 1 us.
     median_us: float
     p99_us: float
     p999_us: float
     max_us: float
-    late_share: float
-    scheduling: str
+    late_share: float  # share of ticks off by more than a tenth of the period; a skipped tick counts as one
+    scheduling: str  # scheduling class the servo really had
 
     @property
     def degraded(self) -> bool:
@@ -64,14 +53,8 @@ class PeriodStatistics:
 def period_statistics(histogram: IntArray, missed: int, period_ns: int, scheduling: str) -> PeriodStatistics:
     """Figures from a loop's histogram.
 
-    Parameters
-    ----------
-    histogram : ndarray of int64, shape (BINS + 1,)
-        As :func:`tissueid.rendering.servo_loop.realtime_loop` filled it.
-    missed : int
-        Deadlines skipped.
-    period_ns : int
-    scheduling : str
+    ``histogram`` (BINS + 1,): as :func:`tissueid.rendering.servo_loop.realtime_loop` filled it; ``missed``:
+    deadlines skipped.
     """
     counts = histogram[:-1]
     total = int(counts.sum())

@@ -82,67 +82,45 @@ _OUTSIDE = int(Lamp.OUTSIDE_DEPTH) | int(Lamp.OUTSIDE_SPEED)
 
 
 class Servo(NamedTuple):
-    """Everything a tick remembers, as arrays that compiled code shares with Python.
+    """Everything a tick remembers, as arrays that compiled code shares with Python."""
 
-    Attributes
-    ----------
-    guard_memory, limits
-        Of :mod:`tissueid.haptics.guard`; the device's own.
-    environment, environment_memory
-        Of :mod:`tissueid.rendering.environment`.
-    control, control_memory
-        Of :mod:`tissueid.rendering.passivity_control`.
-    position, last_position, velocity, force, out
-        [m], [m/s], [N]; shape (3,).
-    info
-        What the environment said.
-    since_valid
-        Time since the last valid reading [s], shape (1,).
-    counts, last_counts, moved, words
-        Encoder counts; words of a reading.
-    counters : ndarray of int64
-    ring_head, records
-        Of :class:`tissueid.haptics.ring.Ring`.
-    block_head, block_values
-        Of :class:`tissueid.haptics.parameter_block.ParameterBlock`.
-    staged : ndarray, shape (BLOCK_SIZE,)
-        A version while it is taken over.
-    """
-
+    #: Of :mod:`tissueid.haptics.guard`; the device's own.
     guard_memory: FloatArray
     limits: FloatArray
+    #: Of :mod:`tissueid.rendering.environment`.
     environment: FloatArray
     environment_memory: FloatArray
+    #: Of :mod:`tissueid.rendering.passivity_control`.
     control: FloatArray
     control_memory: FloatArray
+    #: [m], [m/s], [N]; shape (3,).
     position: FloatArray
     last_position: FloatArray
     velocity: FloatArray
     force: FloatArray
     out: FloatArray
-    info: FloatArray
-    since_valid: FloatArray
+    info: FloatArray  # what the environment said
+    since_valid: FloatArray  # time since the last valid reading [s], shape (1,)
+    #: Encoder counts; words of a reading.
     counts: IntArray
     last_counts: IntArray
     moved: IntArray
     words: IntArray
     counters: IntArray
+    #: Of :class:`tissueid.haptics.ring.Ring`.
     ring_head: IntArray
     records: NDArray[Any]
+    #: Of :class:`tissueid.haptics.parameter_block.ParameterBlock`.
     block_head: IntArray
     block_values: FloatArray
-    staged: FloatArray
+    staged: FloatArray  # (BLOCK_SIZE,), a version while it is taken over
 
 
 def new_servo(device: HapticDevice, ring: Ring, block: ParameterBlock) -> Servo:
     """A servo at rest in free air, until parameters are published.
 
-    Parameters
-    ----------
-    device : HapticDevice
-        Its guard's memory and limits are used.
-    ring, block
-        Shared with the owner; ``block`` for BLOCK_SIZE parameters.
+    ``device``: its guard's memory and limits are used; ``ring``, ``block``: shared with the owner; ``block``
+    for BLOCK_SIZE parameters.
     """
     return Servo(
         guard_memory=device.guard_memory,
@@ -300,15 +278,9 @@ def _record(servo: Servo, now_s: float, dt: float, late_s: float, lamps: int) ->
 def tick(io: Any, servo: Servo, now_s: float, dt: float, late_s: float, late_lamp: int) -> None:
     """One tick.
 
-    Parameters
-    ----------
-    io : tuple
-        The device, of :mod:`tissueid.rendering.servo_io`.
-    servo : Servo
-    now_s, dt, late_s : float
-        Time of the tick, since the last one, and after its deadline [s].
-    late_lamp : int
-        ``Lamp.LATE`` where the tick's period was off by more than a tenth, else 0.
+    ``io``: the device, of :mod:`tissueid.rendering.servo_io`; ``now_s``, ``dt``, ``late_s``: time of the
+    tick, since the last one, and after its deadline [s]; ``late_lamp``: ``Lamp.LATE`` where the tick's period
+    was off by more than a tenth, else 0.
     """
     memory, limits, environment = servo.guard_memory, servo.limits, servo.environment
     position, velocity, force, info, words = (

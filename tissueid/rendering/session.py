@@ -50,63 +50,31 @@ VIRTUAL_TICKS = 500
 
 @dataclass(frozen=True, slots=True)
 class Wish:
-    """Wish of the person at the keyboard.
+    """Wish of the person at the keyboard."""
 
-    Attributes
-    ----------
-    switch : bool
-        The next tissue.
-    stop : bool
-    """
-
-    switch: bool = False
+    switch: bool = False  # the next tissue
     stop: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """End of a session.
+    """End of a session."""
 
-    Attributes
-    ----------
-    summary : mapping
-        Of ``schemas/session.schema.json``.
-    log : Path or None
-    fault : Fault
-    message : str
-        One sentence on the end.
-    remedies : tuple of str
-        What would make the servo more punctual.
-    interrupted : bool
-        By Ctrl-C or a signal.
-    """
-
-    summary: dict[str, Any]
+    summary: dict[str, Any]  # of ``schemas/session.schema.json``
     log: Path | None
     fault: Fault
-    message: str
-    remedies: tuple[str, ...]
-    interrupted: bool
+    message: str  # one sentence on the end
+    remedies: tuple[str, ...]  # what would make the servo more punctual
+    interrupted: bool  # by Ctrl-C or a signal
 
 
 class Session:
     """Runs a plan.
 
-    Parameters
-    ----------
-    plan : SessionPlan
-    recorder : Recorder or None
-    bridge : UdpBridge or None
-    ask : callable
-        What the person wants now; asked every turn, must not wait.
-    show : callable
-        ``show(newest record, summary)``, every turn in which something is new.
-    tell : callable, optional
-        Told what a device asks of its user while it is homed.
-    spawned : SpawnedServo, optional
-        A process that waits for the plan; its owner closes it, whether it was taken or not.
-    watch : callable, optional
-        Given the servo before its first tick, for its records and, in a simulation, its hand.
+    ``ask``: what the person wants now; asked every turn, must not wait; ``show``: ``show(newest record,
+    summary)``, every turn in which something is new; ``tell``: told what a device asks of its user while it
+    is homed; ``spawned``: a process that waits for the plan; its owner closes it, whether it was taken or
+    not; ``watch``: given the servo before its first tick, for its records and, in a simulation, its hand.
     """
 
     def __init__(
@@ -141,10 +109,7 @@ class Session:
     def run(self) -> Outcome:
         """Run to the end.
 
-        Raises
-        ------
-        DeviceError, UsageError, BundleError
-            The device could not be used.
+        Raises DeviceError, UsageError, BundleError: the device could not be used.
         """
         try:
             if self.plan.virtual:

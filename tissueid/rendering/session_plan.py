@@ -27,70 +27,33 @@ PERIOD_S = 0.001
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SessionPlan:
-    """A session, ready to begin.
-
-    Attributes
-    ----------
-    device : str
-    device_options : mapping
-    why : str
-        Why this device.
-    capabilities : Capabilities
-    blocks : tuple of ndarray
-        Parameter blocks (environment, then passivity controller), in the order of presentation.
-    picked : tuple of Picked
-        The tissues, first and second.
-    check : Precheck or None
-        None for an installed force law.
-    order : BlindOrder or None
-    head : mapping
-        Of the log.
-    script : Script or None
-    seconds : float or None
-        When the session ends by itself.
-    environment : str or None
-    virtual : bool
-    lines : tuple of str
-        What is printed before force.
-    led : bool
-        Whether a pointer on a screen leads the hand of the simulated device.
-    guided : bool
-        Whether the block is a guided axis.
-    pseudonym : str or None
-        Of the person who is guided; a blind order has its own.
-    scene : str or None
-        Name of the scene it comes from.
-    """
+    """A session, ready to begin."""
 
     device: str
     device_options: Mapping[str, Any]
-    why: str
+    why: str  # why this device
     capabilities: Capabilities
+    #: Parameter blocks (environment, then passivity controller), in the order of presentation.
     blocks: tuple[FloatArray, ...]
-    picked: tuple[Picked, ...]
-    check: Precheck | None
+    picked: tuple[Picked, ...]  # the tissues, first and second
+    check: Precheck | None  # none for an installed force law
     order: BlindOrder | None
-    head: Mapping[str, Any]
+    head: Mapping[str, Any]  # of the log
     script: Script | None
-    seconds: float | None
+    seconds: float | None  # when the session ends by itself
     environment: str | None
     virtual: bool
-    lines: tuple[str, ...]
-    led: bool = False
-    guided: bool = False
-    pseudonym: str | None = None
-    scene: str | None = None
+    lines: tuple[str, ...]  # what is printed before force
+    led: bool = False  # whether a pointer on a screen leads the hand of the simulated device
+    guided: bool = False  # whether the block is a guided axis
+    pseudonym: str | None = None  # of the person who is guided; a blind order has its own
+    scene: str | None = None  # name of the scene it comes from
 
 
 def session_head(plan: SessionPlan, surface: FloatArray, hashes: tuple[str | None, ...]) -> dict[str, Any]:
     """Head of the log; in a blind session it knows numbers of presentations alone.
 
-    Parameters
-    ----------
-    plan : SessionPlan
-    surface : ndarray, shape (SURFACE_SIZE,)
-    hashes : tuple
-        SHA-256 of the bundle of each tissue, or None.
+    ``surface`` (SURFACE_SIZE,); ``hashes``: SHA-256 of the bundle of each tissue, or None.
     """
     capabilities = plan.capabilities
     return {

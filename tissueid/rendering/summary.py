@@ -37,10 +37,7 @@ def period_statistics(error_s: FloatArray) -> dict[str, float]:
 class SessionSummary:
     """Counts over all records of a session.
 
-    Parameters
-    ----------
-    period_s : float
-        Of the servo [s].
+    ``period_s``: of the servo [s].
     """
 
     def __init__(self, period_s: float) -> None:
@@ -69,11 +66,7 @@ class SessionSummary:
     def add(self, records: Records, lost: int = 0) -> None:
         """Count new records.
 
-        Parameters
-        ----------
-        records : ndarray of RECORD, shape (n,)
-        lost : int
-            Records that were overwritten before they could be read.
+        ``records`` (n,); ``lost``: records that were overwritten before they could be read.
         """
         self._lost += lost
         if not records.size:
@@ -101,12 +94,8 @@ class SessionSummary:
     def as_json(self, *, scheduling: str, virtual_time: bool) -> dict[str, Any]:
         """The summary of ``schemas/session.schema.json``, ``recording_stopped`` left open.
 
-        Parameters
-        ----------
-        scheduling : str
-            In words, as the servo got it.
-        virtual_time : bool
-            Then periods are exact and nothing is late.
+        ``scheduling``: in words, as the servo got it; ``virtual_time``: then periods are exact and nothing is
+        late.
         """
         errors = np.concatenate(self._errors).astype(np.float64) if self._errors else np.zeros(0)
         off = float(np.mean(errors > OFF_SHARE * self._period_s)) if errors.size else 0.0

@@ -52,23 +52,11 @@ NO_FACE = 0.0
 def touch(surface: FloatArray, at: int, position: FloatArray, memory: FloatArray, first: int) -> float:
     """Depth of the tool tip in a surface.
 
-    Parameters
-    ----------
-    surface : ndarray
-        Holds the :data:`SURFACE_SIZE` numbers of the surface from index ``at``.
-    at : int
-    position : ndarray, shape (3,)
-        Centre of the tip [m].
-    memory : ndarray
-        Holds :data:`TOUCH_SIZE` numbers from index ``first``, **updated in place**: the face of a box by
-        which the tip came in, then the unit vector out of the tissue.  The tip stays with its face as long
-        as its centre is inside, or a push through the middle would turn the force around.
-    first : int
-
-    Returns
-    -------
-    float
-        Penetration [m]: positive in contact, negative in air.
+    ``surface``: holds the :data:`SURFACE_SIZE` numbers of the surface from index ``at``; ``position`` (3,):
+    centre of the tip [m]; ``memory``: holds :data:`TOUCH_SIZE` numbers from index ``first``, **updated in
+    place**: the face of a box by which the tip came in, then the unit vector out of the tissue.  The tip
+    stays with its face as long as its centre is inside, or a push through the middle would turn the force
+    around.  Returns penetration [m]: positive in contact, negative in air.
     """
     kind = int(surface[at + KIND])
     if kind == SPHERE:

@@ -39,21 +39,11 @@ RUPTURE_KINDS = {
 class Plane:
     """Half space below a plane.
 
-    Attributes
-    ----------
-    point_m : tuple of float
-        A point on the plane.
-    normal : tuple of float
-        Out of the tissue; made a unit vector.
-
-    Raises
-    ------
-    ValueError
-        The normal has no direction, or a number is not finite.
+    Raises ValueError: the normal has no direction, or a number is not finite.
     """
 
-    point_m: Vector = WORKSPACE_CENTRE_M
-    normal: Vector = TOWARD_USER
+    point_m: Vector = WORKSPACE_CENTRE_M  # a point on the plane
+    normal: Vector = TOWARD_USER  # out of the tissue; made a unit vector
 
     def __post_init__(self) -> None:
         length = float(np.linalg.norm(self.normal))
@@ -72,15 +62,7 @@ class Plane:
 class Sphere:
     """A ball.
 
-    Attributes
-    ----------
-    centre_m : tuple of float
-    radius_m : float
-
-    Raises
-    ------
-    ValueError
-        The radius is not positive, or a number is not finite.
+    Raises ValueError: the radius is not positive, or a number is not finite.
     """
 
     centre_m: Vector
@@ -101,15 +83,7 @@ class Sphere:
 class Box:
     """A block with faces along the axes.
 
-    Attributes
-    ----------
-    centre_m : tuple of float
-    half_widths_m : tuple of float
-
-    Raises
-    ------
-    ValueError
-        A half width is not positive, or a number is not finite.
+    Raises ValueError: a half width is not positive, or a number is not finite.
     """
 
     centre_m: Vector
@@ -134,10 +108,7 @@ Surface = Plane | Sphere | Box
 def surface_from(numbers: FloatArray) -> Surface:
     """The surface behind the numbers that it wrote, :data:`~tissueid.rendering.surface.SURFACE_SIZE` of them.
 
-    Raises
-    ------
-    ValueError
-        They describe none.
+    Raises ValueError: they describe none.
     """
     point = (float(numbers[1]), float(numbers[2]), float(numbers[3]))
     size = (float(numbers[7]), float(numbers[8]), float(numbers[9]))
@@ -150,31 +121,15 @@ def surface_from(numbers: FloatArray) -> Surface:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tissue:
-    """One identified tissue, as a renderer needs it.
-
-    Attributes
-    ----------
-    model : TissueModel
-    theta : ndarray, shape (p,)
-    speeds_mm_s : tuple of float
-        Slowest and fastest identified speed [mm/s].
-    tip_radius_mm : float or None
-        Of the tip it was identified with.
-    tip : TipShape or None
-        Shape of that tip, where it was stated.
-    name : str
-        For print; empty where it must not be told.
-    rupture : RuptureLaw or None
-        When it breaks.
-    """
+    """One identified tissue, as a renderer needs it."""
 
     model: TissueModel
-    theta: FloatArray
-    speeds_mm_s: tuple[float, float]
-    tip_radius_mm: float | None = None
-    tip: TipShape | None = None
-    name: str = ""
-    rupture: RuptureLaw | None = None
+    theta: FloatArray  # (p,)
+    speeds_mm_s: tuple[float, float]  # slowest and fastest identified speed [mm/s]
+    tip_radius_mm: float | None = None  # of the tip it was identified with
+    tip: TipShape | None = None  # shape of that tip, where it was stated
+    name: str = ""  # for print; empty where it must not be told
+    rupture: RuptureLaw | None = None  # when it breaks
 
 
 def tissue_block(
@@ -188,25 +143,10 @@ def tissue_block(
 ) -> FloatArray:
     """Write the block of a tissue behind a surface.
 
-    Parameters
-    ----------
-    tissue : Tissue
-    surface : Plane, Sphere or Box
-    force_scale, motion_scale : float
-        Device force over tissue force, device travel over tissue depth.
-    tool_radius_m : float
-        Of the tip that is drawn at the device [m]; 0 is a point.
-    label : int
-        Which of several tissues this is.
-
-    Returns
-    -------
-    ndarray, shape (ENVIRONMENT_SIZE,)
-
-    Raises
-    ------
-    ValueError
-        A number is not finite, a scale is not positive, or the tissue is not passive.
+    ``force_scale``, ``motion_scale``: device force over tissue force, device travel over tissue depth;
+    ``tool_radius_m``: of the tip that is drawn at the device [m]; 0 is a point; ``label``: which of several
+    tissues this is.  Returns (ENVIRONMENT_SIZE,).  Raises ValueError: a number is not finite, a scale is not
+    positive, or the tissue is not passive.
     """
     numbers = (force_scale, motion_scale)
     if not (np.isfinite(numbers).all() and min(numbers) > 0.0 and 0.0 <= tool_radius_m < np.inf):

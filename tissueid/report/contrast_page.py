@@ -23,10 +23,7 @@ SMALL = 0.001
 def contrast_verdict(document: Mapping[str, Any]) -> Verdict:
     """Verdict of all pairs together.
 
-    Parameters
-    ----------
-    document : mapping
-        Of ``schemas/contrast.schema.json``.
+    ``document``: of ``schemas/contrast.schema.json``.
     """
     pairs = document["pairs"]
     differing = [pair for pair in pairs if pair["difference"]["different"]]
@@ -44,11 +41,7 @@ def contrast_verdict(document: Mapping[str, Any]) -> Verdict:
 def pair_verdict(pair: Mapping[str, Any], level: float) -> Verdict:
     """Verdict of one pair.
 
-    Parameters
-    ----------
-    pair : mapping
-    level : float
-        Below it tissues are called different.
+    ``level``: below it tissues are called different.
     """
     found = pair["difference"]
     chance = f"p {_probability(found['probability'])}, level {100 * level:g} %"
@@ -85,17 +78,8 @@ def _interval(values: Sequence[float] | None) -> str:
 def render_contrast(document: Mapping[str, Any], *, created: str | None = None) -> str:
     """Write the page.
 
-    Parameters
-    ----------
-    document : mapping
-        The document of ``schemas/contrast.schema.json``.
-    created : str, optional
-        Time stamp to print; without it equal input gives an equal page.
-
-    Returns
-    -------
-    str
-        HTML, UTF-8.
+    ``document``: the document of ``schemas/contrast.schema.json``; ``created``: time stamp to print; without
+    it equal input gives an equal page.  Returns HTML, UTF-8.
     """
     views = [
         {

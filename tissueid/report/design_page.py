@@ -112,17 +112,8 @@ def _payload(document: Mapping[str, Any]) -> dict[str, Any]:
 def render_design(document: Mapping[str, Any], *, created: str | None = None) -> str:
     """Write the page.
 
-    Parameters
-    ----------
-    document : mapping
-        The document of ``schemas/design.schema.json``.
-    created : str, optional
-        Time stamp to print; without it equal input gives an equal page.
-
-    Returns
-    -------
-    str
-        HTML, UTF-8.
+    ``document``: the document of ``schemas/design.schema.json``; ``created``: time stamp to print; without it
+    equal input gives an equal page.  Returns HTML, UTF-8.
     """
     template = page_environment().get_template("design.html.j2")
     return template.render(

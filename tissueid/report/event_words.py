@@ -31,12 +31,7 @@ _WORDS: Mapping[str, tuple[str, str]] = {
 def event_words(values: Mapping[str, float], units: Mapping[str, str]) -> str:
     """The numbers of an event as a list in words.
 
-    Parameters
-    ----------
-    values : mapping
-        Of an event of ``schemas/inspect.schema.json``.
-    units : mapping
-        ``units`` of its recording.
+    ``values``: of an event of ``schemas/inspect.schema.json``; ``units``: ``units`` of its recording.
 
     Examples
     --------

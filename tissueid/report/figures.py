@@ -40,16 +40,7 @@ def curve_bytes(specimens: int) -> int:
 def thinned(curve: Curve, most: int) -> NDArray[np.intp]:
     """Indices that keep the shape: in every stretch the extremes of force and of residual, and the ends.
 
-    Parameters
-    ----------
-    curve : Curve
-    most : int
-        Samples to keep at the most (at least 6).
-
-    Returns
-    -------
-    ndarray of int
-        Ascending.
+    ``most``: samples to keep at the most (at least 6).  Returns ascending.
     """
     size = curve.time_s.size
     if size <= most:
@@ -71,14 +62,8 @@ def packed(values: NDArray[Any], kind: str) -> str:
 def quantised(columns: NDArray[np.float64]) -> dict[str, Any]:
     """Columns of draws as 16-bit steps of their range: finer than a pixel, and half the bytes.
 
-    Parameters
-    ----------
-    columns : ndarray, shape (n, p)
-
-    Returns
-    -------
-    dict
-        ``low`` and ``high`` of every column, and ``steps``: base64 of one column after the other.
+    ``columns`` (n, p).  Returns ``low`` and ``high`` of every column, and ``steps``: base64 of one column
+    after the other.
     """
     low, high = columns.min(axis=0), columns.max(axis=0)
     span = np.where(high > low, high - low, 1.0)
@@ -91,11 +76,7 @@ def curves_by_trial(
 ) -> list[list[tuple[Mapping[str, Any], TrialCurve]]]:
     """Trials of every specimen that have a curve, in their order, each with it.
 
-    Parameters
-    ----------
-    specimens : sequence of mapping
-        ``specimens`` of identification.json.
-    curves : sequence of TrialCurve
+    ``specimens``: ``specimens`` of identification.json.
     """
     waiting: dict[tuple[str, str, str | None], list[TrialCurve]] = {}
     for entry in curves:
@@ -118,20 +99,10 @@ def curve_payload(
 ) -> list[list[dict[str, Any]]]:
     """Curves of every specimen, in the order of its trials, packed.
 
-    Parameters
-    ----------
-    specimens : sequence of mapping
-        ``specimens`` of identification.json.
-    curves : sequence of TrialCurve
-        Trials without a curve are left out.
-    posteriors : sequence of StoredPosterior, optional
-        Whose predictive bands are drawn behind the data.
-
-    Returns
-    -------
-    list of list of dict
-        Per specimen and trial: ``label`` and base64 ``t, x, f, m`` (float32: s, mm, N, N), ``on`` (uint8),
-        and ``low, high`` (float32: N) where there is a band.
+    ``specimens``: ``specimens`` of identification.json; ``curves``: trials without a curve are left out;
+    ``posteriors``: whose predictive bands are drawn behind the data.  Returns per specimen and trial:
+    ``label`` and base64 ``t, x, f, m`` (float32: s, mm, N, N), ``on`` (uint8), and ``low, high`` (float32: N)
+    where there is a band.
     """
     bands = {(one.specimen, *trial): band for one in posteriors for trial, band in one.bands.items()}
     most = curve_bytes(len(specimens)) // (_BANDED_BYTES if bands else _SAMPLE_BYTES)

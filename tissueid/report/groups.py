@@ -54,16 +54,7 @@ def _bin_means(x: FloatArray, y: FloatArray, edges: FloatArray) -> FloatArray:
 def loading_force(curve: Curve, edges_mm: FloatArray) -> FloatArray:
     """Mean force of a curve's loading in bins of depth.
 
-    Parameters
-    ----------
-    curve : Curve
-    edges_mm : ndarray, shape (n + 1,)
-        Ascending.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        [N]; NaN where the loading does not cover the bin.
+    ``edges_mm`` (n + 1,): ascending.  Returns (n,), [N]; NaN where the loading does not cover the bin.
     """
     stop = _stop(curve) + 1
     depth = np.maximum.accumulate(curve.depth_mm[:stop])
@@ -73,16 +64,7 @@ def loading_force(curve: Curve, edges_mm: FloatArray) -> FloatArray:
 def hold_force(curve: Curve, edges_s: FloatArray) -> FloatArray:
     """Mean force of a curve in bins of time since the tool stopped.
 
-    Parameters
-    ----------
-    curve : Curve
-    edges_s : ndarray, shape (n + 1,)
-        Ascending, from zero.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        [N]; NaN where the tool did not stay.
+    ``edges_s`` (n + 1,): ascending, from zero.  Returns (n,), [N]; NaN where the tool did not stay.
     """
     stop = _stop(curve)
     deep = curve.depth_mm[stop]
@@ -126,18 +108,9 @@ def _group(members: Sequence[tuple[int, int]], curves: Sequence[Curve], label: s
 def curve_groups(trials: Trials, units: Mapping[str, str]) -> list[dict[str, Any]]:
     """Curves by program (loading speed and depth), each with mean and standard deviation.
 
-    Parameters
-    ----------
-    trials : sequence of sequences of (mapping, TrialCurve)
-        Of every specimen that is to be seen together.
-    units : mapping
-        ``length`` and ``force``.
-
-    Returns
-    -------
-    list of dict
-        ``label``, ``members`` (specimen, trial), ``loading`` and ``hold`` (``x``, ``mean``, ``sd`` and ``n``
-        of each bin in which two curves meet, else ``None``); empty where there is one curve.
+    ``trials``: of every specimen that is to be seen together; ``units``: ``length`` and ``force``.  Returns
+    ``label``, ``members`` (specimen, trial), ``loading`` and ``hold`` (``x``, ``mean``, ``sd`` and ``n`` of
+    each bin in which two curves meet, else ``None``); empty where there is one curve.
     """
     every = [
         ((place, i), trial, own.curve)

@@ -20,11 +20,7 @@ _LISTED = 500
 def index_row(specimen: Mapping[str, Any], page: str) -> dict[str, Any]:
     """A specimen of identification.json as a row of the table.
 
-    Parameters
-    ----------
-    specimen : mapping
-    page : str
-        Address of its own page, from the table's.
+    ``page``: address of its own page, from the table's.
     """
     values = {one["name"]: one for one in specimen["parameters"]}
     found = verdict(specimen)
@@ -50,19 +46,8 @@ def render_index(
 ) -> str:
     """Write the report of a large cohort as one self-contained HTML page with links to those of specimens.
 
-    Parameters
-    ----------
-    rows : sequence of mapping
-        From :func:`index_row`.
-    refused : sequence of str
-        What was left out, and why.
-    created : str, optional
-        Time stamp to print.
-
-    Returns
-    -------
-    str
-        HTML, UTF-8.
+    ``rows``: from :func:`index_row`; ``refused``: what was left out, and why; ``created``: time stamp to
+    print.  Returns HTML, UTF-8.
     """
     tally = Counter((row["level"], row["verdict"]) for row in rows)
     return (

@@ -11,30 +11,16 @@ __all__ = ["CorrectionRow", "corrections"]
 
 @dataclass(frozen=True, slots=True)
 class CorrectionRow:
-    """One row of the form.
+    """One row of the form."""
 
-    Attributes
-    ----------
-    key : str
-        Key of study.toml, or ``exclude``.
-    title : str
-    unit : str
-        Of the number; empty for a switch.
-    value, because : str
-        What was decided, and why; empty where the data decide.
-    found : str
-        What counts now.
-    stands : bool
-        Whether it was decided.
-    """
-
-    key: str
+    key: str  # key of study.toml, or ``exclude``
     title: str
-    unit: str = ""
+    unit: str = ""  # of the number; empty for a switch
+    #: What was decided, and why; empty where the data decide.
     value: str = ""
     because: str = ""
-    found: str = ""
-    stands: bool = False
+    found: str = ""  # what counts now
+    stands: bool = False  # whether it was decided
 
 
 def corrections(
@@ -42,12 +28,8 @@ def corrections(
 ) -> tuple[CorrectionRow, ...]:
     """The rows of one recording.
 
-    Parameters
-    ----------
-    recording : mapping
-        One trial of ``schemas/inspect.schema.json``.
-    standing : mapping
-        What the user decided: value and reason by key.
+    ``recording``: one trial of ``schemas/inspect.schema.json``; ``standing``: what the user decided: value
+    and reason by key.
     """
     contact = recording["contact"]
     holds = [phase for phase in recording["phases"] if phase["kind"] in ("hold", "creep")]

@@ -46,26 +46,13 @@ _ANY_HOLD_S = 0.2
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """One decision.
+    """One decision."""
 
-    Attributes
-    ----------
-    key : str
-        Stable name for the page.
-    title : str
-    taken : str
-        What was decided, and from what.
-    toml : str
-        The entry that would decide otherwise.
-    adjust : str or None
-        Key in the entry whose number a click into the picture sets.
-    """
-
-    key: str
+    key: str  # stable name for the page
     title: str
-    taken: str
-    toml: str
-    adjust: str | None = None
+    taken: str  # what was decided, and from what
+    toml: str  # the entry that would decide otherwise
+    adjust: str | None = None  # key in the entry whose number a click into the picture sets
 
 
 def toml_string(text: str) -> str:
@@ -105,12 +92,8 @@ def _entry(
 def decisions(recording: Mapping[str, Any], *, file: str) -> tuple[Decision, ...]:
     """The decisions on a recording, in the order in which they were taken.
 
-    Parameters
-    ----------
-    recording : mapping
-        One trial of ``schemas/inspect.schema.json``.
-    file : str
-        Its path relative to the folder of study.toml.
+    ``recording``: one trial of ``schemas/inspect.schema.json``; ``file``: its path relative to the folder of
+    study.toml.
     """
     sheet = recording["sheet"]
 

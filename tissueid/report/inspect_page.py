@@ -35,24 +35,13 @@ _FLAG_FIELDS = {"code", "message"}
 
 @dataclass(frozen=True, slots=True)
 class InspectedRecording:
-    """One recording as the page needs it; its samples are thinned already.
+    """One recording as the page needs it; its samples are thinned already."""
 
-    Attributes
-    ----------
-    document : mapping
-        One trial of ``schemas/inspect.schema.json``.
-    drawn : DrawnRecording
-    decisions : tuple of Decision
-    reader : str
-        Which reader read it, and why.
-    standing : mapping
-        What the user decided: value and reason by key of study.toml.
-    """
-
-    document: Mapping[str, Any]
+    document: Mapping[str, Any]  # one trial of ``schemas/inspect.schema.json``
     drawn: DrawnRecording
     decisions: tuple[Decision, ...]
-    reader: str
+    reader: str  # which reader read it, and why
+    #: What the user decided: value and reason by key of study.toml.
     standing: Mapping[str, tuple[Any, str]] = field(default_factory=dict)
 
     @property
@@ -73,18 +62,9 @@ def inspected_recording(
 ) -> InspectedRecording:
     """Keep of a recording what the page needs.
 
-    Parameters
-    ----------
-    trial : Trial
-    segmentation : Segmentation
-    document : mapping
-        What ``tissueid inspect --json`` says of it.
-    file : str
-        Its path relative to the folder of study.toml.
-    reader : str
-        Which reader read it, and why.
-    standing : mapping, optional
-        What the user decided of it: value and reason by key of study.toml.
+    ``document``: what ``tissueid inspect --json`` says of it; ``file``: its path relative to the folder of
+    study.toml; ``reader``: which reader read it, and why; ``standing``: what the user decided of it: value
+    and reason by key of study.toml.
     """
     drawn = drawn_recording(trial, segmentation)
     return InspectedRecording(document, drawn, decisions(document, file=file), reader, standing or {})
@@ -100,22 +80,9 @@ def render_inspection(
 ) -> str:
     """Write the page.
 
-    Parameters
-    ----------
-    recordings : sequence of InspectedRecording
-        In the order of the command line; the page shows the gravest first.
-    refused : sequence of Refusal
-    study : str
-        Where the entries belong.
-    created : str, optional
-        Time stamp to print; without it equal input gives an equal page.
-    served : bool
-        A server hears what is decided on the page.
-
-    Returns
-    -------
-    str
-        HTML, UTF-8.
+    ``recordings``: in the order of the command line; the page shows the gravest first; ``study``: where the
+    entries belong; ``created``: time stamp to print; without it equal input gives an equal page; ``served``:
+    a server hears what is decided on the page.  Returns HTML, UTF-8.
     """
     order = sorted(range(len(recordings)), key=lambda i: (-_gravity(recordings[i]), i))
     drawn = set(order[:MOST_DRAWN])

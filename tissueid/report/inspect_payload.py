@@ -27,26 +27,15 @@ _AROUND = 6
 
 @dataclass(frozen=True, slots=True)
 class DrawnRecording:
-    """Drawn part of a recording.
+    """Drawn part of a recording."""
 
-    Attributes
-    ----------
-    time_s, displacement_mm, force_N : ndarray, shape (m,)
-        As recorded, thinned.
-    fixed : ndarray of bool, shape (m,)
-        Samples that further thinning must keep.
-    phases : tuple of (str, int, int)
-        Kind, first and last drawn sample of each phase.
-    marks : dict
-        Contact, corners and events, in the words of the page's script.
-    """
-
+    #: (m,): as recorded, thinned.
     time_s: FloatArray
-    displacement_mm: FloatArray
-    force_N: FloatArray
-    fixed: NDArray[np.bool_]
-    phases: tuple[tuple[str, int, int], ...]
-    marks: dict[str, Any]
+    displacement_mm: FloatArray  # (m,)
+    force_N: FloatArray  # (m,)
+    fixed: NDArray[np.bool_]  # (m,), samples that further thinning must keep
+    phases: tuple[tuple[str, int, int], ...]  # kind, first and last drawn sample of each phase
+    marks: dict[str, Any]  # contact, corners and events, in the words of the page's script
 
 
 def kept_samples(
@@ -54,18 +43,8 @@ def kept_samples(
 ) -> NDArray[np.intp]:
     """Indices that keep the shape: in every stretch the extremes of both channels, the ends, and ``fixed``.
 
-    Parameters
-    ----------
-    displacement_mm, force_N : ndarray, shape (n,)
-    most : int
-        Samples to keep, beside the fixed ones.
-    fixed : ndarray of int
-        Samples that are kept whatever happens.
-
-    Returns
-    -------
-    ndarray of int
-        Ascending.
+    ``displacement_mm``, ``force_N`` (n,); ``most``: samples to keep, beside the fixed ones; ``fixed``:
+    samples that are kept whatever happens.  Returns ascending.
     """
     size = force_N.size
     if size <= most:
@@ -84,13 +63,7 @@ def _around(indices: Iterable[int], size: int) -> NDArray[np.intp]:
 
 
 def drawn_recording(trial: Trial, segmentation: Segmentation) -> DrawnRecording:
-    """Thin a recording for drawing.
-
-    Parameters
-    ----------
-    trial : Trial
-    segmentation : Segmentation
-    """
+    """Thin a recording for drawing."""
     force, x, size = trial.force_N, trial.displacement_mm, trial.time_s.size
     contact = segmentation.contact
     sharp = [corner.index for corner in segmentation.corners]
@@ -173,16 +146,8 @@ def _base64(values: NDArray[Any], kind: str = "<f4") -> str:
 def packed_recording(drawn: DrawnRecording, most: int) -> dict[str, Any]:
     """A recording as the page carries it, thinned once more where it has to share.
 
-    Parameters
-    ----------
-    drawn : DrawnRecording
-    most : int
-        Samples beside the fixed ones.
-
-    Returns
-    -------
-    dict
-        base64 ``t, x, f`` (float32; ``t`` from ``t0`` seconds), ``phases`` and the marks.
+    ``most``: samples beside the fixed ones.  Returns base64 ``t, x, f`` (float32; ``t`` from ``t0`` seconds),
+    ``phases`` and the marks.
     """
     index = kept_samples(drawn.displacement_mm, drawn.force_N, most, fixed=np.flatnonzero(drawn.fixed))
     start = float(drawn.time_s[0])

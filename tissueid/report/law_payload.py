@@ -191,18 +191,9 @@ def law_payload(
 ) -> list[dict[str, Any]]:
     """Points of the figures of every specimen's law, in their order.
 
-    Parameters
-    ----------
-    specimens : sequence of mapping
-        ``specimens`` of identification.json.
-    curves : sequence of TrialCurve
-    posteriors : sequence of StoredPosterior, optional
-
-    Returns
-    -------
-    list of dict
-        ``speeds`` (label, trials), ``groups``, ``parts``, ``peaks``, ``holds``, ``residuals``, ``profiles``;
-        ``parts`` and ``residuals`` are ``None`` where they are not known.
+    ``specimens``: ``specimens`` of identification.json.  Returns ``speeds`` (label, trials), ``groups``,
+    ``parts``, ``peaks``, ``holds``, ``residuals``, ``profiles``; ``parts`` and ``residuals`` are ``None``
+    where they are not known.
     """
     sampled = {one.specimen: one for one in posteriors}
     payload = []

@@ -29,10 +29,7 @@ _PUSH = {"peak": "peak", "depth": "depth", "speed": "speed", "modulus_loading": 
 def measured_lines(rows: Sequence[Row]) -> list[str]:
     """Lines of a specimen's ``measured``; the number after the sign is the sd between logs.
 
-    Parameters
-    ----------
-    rows : sequence of mapping
-        ``specimens[].measured`` of identification.json.
+    ``rows``: ``specimens[].measured`` of identification.json.
     """
     lines: list[str] = []
     found = {(row["program"], row["hold"]) for row in rows if row["name"] != "loop_area"}
@@ -56,10 +53,7 @@ def measured_lines(rows: Sequence[Row]) -> list[str]:
 def brief_measured_lines(rows: Sequence[Row]) -> list[str]:
     """One line of a specimen among many: its first program's push, and forces in newtons.
 
-    Parameters
-    ----------
-    rows : sequence of mapping
-        ``specimens[].measured`` of identification.json.
+    ``rows``: ``specimens[].measured`` of identification.json.
     """
     first = [row for row in rows if row["program"] == 1 and row["hold"] <= 1 and row["mean"] is not None]
     said = [f"{_PUSH[row['name']]} {_said(row)}" for row in first if row["name"] in _BRIEF]

@@ -101,10 +101,7 @@ def _program_words(found: Mapping[Key, Mapping[str, Any]], units: Mapping[str, s
 def measured_view(specimen: Mapping[str, Any]) -> dict[str, Any] | None:
     """The measured block: ``head``, ``rows`` (name, unit, cells) and ``said``; ``None`` without any.
 
-    Parameters
-    ----------
-    specimen : mapping
-        One of ``specimens`` of identification.json.
+    ``specimen``: one of ``specimens`` of identification.json.
     """
     told = [row for row in specimen.get("measured", ()) if row["name"] in _WORDS.keys() - _ASIDE]
     columns = _columns(told, specimen["units"])

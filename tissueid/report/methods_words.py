@@ -208,17 +208,8 @@ def _plain(before: str, terms: Sequence[str], after: Sequence[str]) -> str:
 def methods_view(specimen: Mapping[str, Any], run: Mapping[str, Any]) -> dict[str, Any]:
     """Methods paragraph of one specimen.
 
-    Parameters
-    ----------
-    specimen : mapping
-        One of ``specimens`` of identification.json.
-    run : mapping
-        The document.
-
-    Returns
-    -------
-    dict
-        ``before`` and ``after`` the equations, ``degree`` for them, and the whole as ``plain`` text.
+    ``specimen``: one of ``specimens`` of identification.json; ``run``: the document.  Returns ``before`` and
+    ``after`` the equations, ``degree`` for them, and the whole as ``plain`` text.
     """
     if specimen["model"]["key"] != "kelvin-voigt":
         return _other_law(specimen, run)

@@ -91,10 +91,7 @@ def asset(name: str) -> Markup:
 def plotly_script() -> Markup:
     """The drawing library, whole: a page asks the network for nothing.
 
-    Raises
-    ------
-    UsageError
-        tissueid runs from a folder that was never installed.
+    Raises UsageError: tissueid runs from a folder that was never installed.
     """
     ours = resources.files("tissueid.report") / "static" / "plotly.min.js"
     if not ours.is_file() and find_spec("plotly") is not None:
@@ -213,27 +210,12 @@ def render_report(
 ) -> str:
     """Write the report of one run as one self-contained HTML page.
 
-    Parameters
-    ----------
-    identification : mapping
-        The document of identification.json.
-    curves : sequence of TrialCurve
-        From ``curves.h5``; trials without a curve are listed but not drawn.
-    posteriors : sequence of StoredPosterior, optional
-        From ``posteriors.h5``: draws, chains and predictive bands.
-    renderings : sequence of mapping or None, optional
-        One a specimen, from :func:`tissueid.study.rendering.rendering_of`.
-    metadata : mapping, optional
-        How complete the study's description is: the document of ``schemas/study-check.schema.json``.
-    created : str, optional
-        Time stamp to print; without it equal input gives an equal page.
-    script_file : str, optional
-        Where the drawing library stands, from the page; without it the page holds it.
-
-    Returns
-    -------
-    str
-        HTML, UTF-8.
+    ``identification``: the document of identification.json; ``curves``: from ``curves.h5``; trials without a
+    curve are listed but not drawn; ``posteriors``: from ``posteriors.h5``: draws, chains and predictive
+    bands; ``renderings``: one a specimen, from :func:`tissueid.study.rendering.rendering_of`; ``metadata``:
+    how complete the study's description is: the document of ``schemas/study-check.schema.json``; ``created``:
+    time stamp to print; without it equal input gives an equal page; ``script_file``: where the drawing
+    library stands, from the page; without it the page holds it.  Returns HTML, UTF-8.
     """
     specimens = identification["specimens"]
     shown = [*renderings, *[None] * (len(specimens) - len(renderings))]

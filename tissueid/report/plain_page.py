@@ -24,22 +24,13 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A plotly figure.
+    """A plotly figure."""
 
-    Attributes
-    ----------
-    caption : str
-        Says what is seen, for whoever does not see it too.
-    x, y : str
-        Titles of the axes, with units.
-    traces : sequence of mapping
-        As plotly takes them; a ``line`` or ``marker`` may name a colour of the page by ``"ink": "data"``.
-    layout : mapping
-    """
-
-    caption: str
+    caption: str  # says what is seen, for whoever does not see it too
+    #: Titles of the axes, with units.
     x: str
     y: str
+    #: As plotly takes them; a ``line`` or ``marker`` may name a colour of the page by ``"ink": "data"``.
     traces: Sequence[Mapping[str, Any]]
     layout: Mapping[str, Any] = field(default_factory=dict)
 
@@ -57,17 +48,7 @@ class Section:
 def render_plain(title: str, sections: Sequence[Section], *, created: str | None = None) -> str:
     """Write a page.
 
-    Parameters
-    ----------
-    title : str
-    sections : sequence of Section
-    created : str, optional
-        Time stamp to print; without it equal input gives an equal page.
-
-    Returns
-    -------
-    str
-        HTML, UTF-8.
+    ``created``: time stamp to print; without it equal input gives an equal page.  Returns HTML, UTF-8.
     """
     figures = [figure for section in sections for figure in section.figures]
     payload = [

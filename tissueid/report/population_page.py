@@ -130,19 +130,9 @@ def render_population(
 ) -> str:
     """Write the page.
 
-    Parameters
-    ----------
-    document : mapping
-        The document of ``schemas/population.schema.json``, with a population.
-    bundle : Bundle or None
-        population.h5, for the bands of force.
-    created : str, optional
-        Time stamp to print; without it equal input gives an equal page.
-
-    Returns
-    -------
-    str
-        HTML, UTF-8.
+    ``document``: the document of ``schemas/population.schema.json``, with a population; ``bundle``:
+    population.h5, for the bands of force; ``created``: time stamp to print; without it equal input gives an
+    equal page.  Returns HTML, UTF-8.
     """
     found = document["population"]
     return (

@@ -32,11 +32,8 @@ def _rounded(values: Any) -> Any:
 def force_bands(bundle: Bundle) -> dict[str, Any] | None:
     """Force against depth at one speed: quantiles over specimens drawn from the population.
 
-    Returns
-    -------
-    dict or None
-        ``depth_mm``, ``speed_mm_s``, ``typical`` and ``quantiles``, shape (5, n) [N]; ``None`` where no speed
-        is known.
+    Returns ``depth_mm``, ``speed_mm_s``, ``typical`` and ``quantiles``, shape (5, n) [N]; ``None`` where no
+    speed is known.
     """
     model = bundle.contact_model()
     slowest, fastest = bundle.speeds_mm_s
@@ -68,12 +65,7 @@ def _shown(specimens: list[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
 def population_payload(document: Mapping[str, Any], bundle: Bundle | None) -> dict[str, Any]:
     """Everything the page's script draws from.
 
-    Parameters
-    ----------
-    document : mapping
-        population.json.
-    bundle : Bundle or None
-        population.h5.
+    ``document``: population.json; ``bundle``: population.h5.
     """
     found = document["population"]
     shown = _shown(found["specimens"])

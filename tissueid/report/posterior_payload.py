@@ -85,18 +85,9 @@ def posterior_payload(
 ) -> list[dict[str, Any] | None]:
     """Draws of every specimen, in their order, packed; ``None`` where nothing was sampled.
 
-    Parameters
-    ----------
-    specimens : sequence of mapping
-        ``specimens`` of identification.json.
-    posteriors : sequence of StoredPosterior
-
-    Returns
-    -------
-    list of dict
-        ``names``, ``labels`` (with units), ``draws`` and ``total`` (with the count of each) and ``chain``
-        (names, shape; a column a coordinate, by chain and draw), all three as
-        :func:`~tissueid.report.figures.quantised` packs them.
+    ``specimens``: ``specimens`` of identification.json.  Returns ``names``, ``labels`` (with units),
+    ``draws`` and ``total`` (with the count of each) and ``chain`` (names, shape; a column a coordinate, by
+    chain and draw), all three as :func:`~tissueid.report.figures.quantised` packs them.
     """
     by_name = {one.specimen: one for one in posteriors}
     fewest, largest = _DRAWS_OF_ONE

@@ -23,12 +23,8 @@ def _known(rows: list[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
 def quoted_lines(document: Mapping[str, Any]) -> list[str]:
     """Modulus and loops in one line each, where there are any.
 
-    Parameters
-    ----------
-    document : mapping
-        A specimen of identification.json.
-    verbose : int
-        0 leaves the model's shares out where measured ones stand.
+    ``document``: a specimen of identification.json; ``verbose``: 0 leaves the model's shares out where
+    measured ones stand.
     """
     lines: list[str] = []
     quoted = document["quoted"]

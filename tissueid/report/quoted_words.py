@@ -28,26 +28,14 @@ _KINDS = {
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table with a sentence before it.
-
-    Attributes
-    ----------
-    title, sentence : str
-    head : tuple of str
-    rows : tuple of tuple of str
-        First cell of each is its name.
-    left_out : int
-        Rows that are not printed.
-    reasons : tuple of str
-        Why numbers are missing, each once.
-    """
+    """A table with a sentence before it."""
 
     title: str
     sentence: str
     head: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    left_out: int = 0
-    reasons: tuple[str, ...] = ()
+    rows: tuple[tuple[str, ...], ...]  # first cell of each is its name
+    left_out: int = 0  # rows that are not printed
+    reasons: tuple[str, ...] = ()  # why numbers are missing, each once
 
 
 def _shown(

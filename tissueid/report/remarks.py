@@ -21,26 +21,13 @@ LEVELS = ("ok", "note", "caution", "serious")
 
 @dataclass(frozen=True, slots=True)
 class Remark:
-    """One flag for a reader, gathered over a specimen's trials.
-
-    Attributes
-    ----------
-    code : str
-    level : str
-        ``note``, ``caution`` or ``serious``.
-    title : str
-        What it is about.
-    messages : tuple of str
-        Its sentences, with numbers; none twice.
-    where : tuple of str
-        Trials that carry it; empty for the specimen as a whole.
-    """
+    """One flag for a reader, gathered over a specimen's trials."""
 
     code: str
-    level: str
-    title: str
-    messages: tuple[str, ...]
-    where: tuple[str, ...]
+    level: str  # ``note``, ``caution`` or ``serious``
+    title: str  # what it is about
+    messages: tuple[str, ...]  # its sentences, with numbers; none twice
+    where: tuple[str, ...]  # trials that carry it; empty for the specimen as a whole
 
     @property
     def message(self) -> str:
@@ -62,12 +49,8 @@ def trial_label(trial: Mapping[str, Any]) -> str:
 def remarks(specimen: Mapping[str, Any], *, holds: bool = True) -> tuple[Remark, ...]:
     """Every flag of a specimen, its trials and its holds, once a code, the one of most harm first.
 
-    Parameters
-    ----------
-    specimen : mapping
-        One of ``specimens`` of identification.json.
-    holds : bool
-        With what is said of single exponentials in the holds.
+    ``specimen``: one of ``specimens`` of identification.json; ``holds``: with what is said of single
+    exponentials in the holds.
     """
     messages: dict[str, list[str]] = {}
     where: dict[str, list[str]] = {}

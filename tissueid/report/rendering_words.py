@@ -54,11 +54,7 @@ def _device(row: Mapping[str, Any], depth_mm: float) -> dict[str, Any]:
 def rendering_view(rendering: Mapping[str, Any] | None, specimen: Mapping[str, Any]) -> dict[str, Any] | None:
     """Rows of devices and sentences on passivity; ``None`` where nothing was worked out.
 
-    Parameters
-    ----------
-    rendering : mapping or None
-        From :func:`tissueid.study.rendering.rendering_of`.
-    specimen : mapping
+    ``rendering``: from :func:`tissueid.study.rendering.rendering_of`.
     """
     if rendering is None:
         return None
@@ -96,10 +92,7 @@ def rendering_view(rendering: Mapping[str, Any] | None, specimen: Mapping[str, A
 def metadata_view(graded: Mapping[str, Any] | None) -> dict[str, Any] | None:
     """Grade and missing items of a study's description; ``None`` where it was not graded.
 
-    Parameters
-    ----------
-    graded : mapping or None
-        The document of ``schemas/study-check.schema.json``.
+    ``graded``: the document of ``schemas/study-check.schema.json``.
     """
     if graded is None:
         return None

@@ -104,17 +104,8 @@ def _remarks(item: Mapping[str, Any]) -> list[tuple[str, str]]:
 def render_reproduction(document: Mapping[str, Any], *, created: str | None = None) -> str:
     """Write the page.
 
-    Parameters
-    ----------
-    document : mapping
-        The document of ``schemas/reproduction.schema.json``.
-    created : str, optional
-        Time stamp to print; without it equal input gives an equal page.
-
-    Returns
-    -------
-    str
-        HTML, UTF-8.
+    ``document``: the document of ``schemas/reproduction.schema.json``; ``created``: time stamp to print;
+    without it equal input gives an equal page.  Returns HTML, UTF-8.
     """
     papers = [{**paper, "places": _places(paper, document)} for paper in document["papers"]]
     return (

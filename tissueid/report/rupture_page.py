@@ -84,17 +84,8 @@ def _payload(document: Mapping[str, Any]) -> dict[str, Any]:
 def render_rupture(document: Mapping[str, Any], *, created: str | None = None) -> str:
     """Write the page.
 
-    Parameters
-    ----------
-    document : mapping
-        The document of ``schemas/rupture.schema.json``.
-    created : str, optional
-        Time stamp to print; without it equal input gives an equal page.
-
-    Returns
-    -------
-    str
-        HTML, UTF-8.
+    ``document``: the document of ``schemas/rupture.schema.json``; ``created``: time stamp to print; without
+    it equal input gives an equal page.  Returns HTML, UTF-8.
     """
     ruptured = sum(one["ruptured"] for one in document["tests"])
     remarks = [

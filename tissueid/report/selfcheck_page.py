@@ -87,17 +87,8 @@ def _facts(document: Mapping[str, Any]) -> list[tuple[str, str]]:
 def render_selfcheck(document: Mapping[str, Any], *, created: str | None = None) -> str:
     """Write the page.
 
-    Parameters
-    ----------
-    document : mapping
-        The document of ``schemas/selfcheck.schema.json``.
-    created : str, optional
-        Time stamp to print; without it equal input gives an equal page.
-
-    Returns
-    -------
-    str
-        HTML, UTF-8.
+    ``document``: the document of ``schemas/selfcheck.schema.json``; ``created``: time stamp to print; without
+    it equal input gives an equal page.  Returns HTML, UTF-8.
     """
     views = [
         {"id": f"parameter-{k + 1}", "words": _words(one["name"]), "data": one}

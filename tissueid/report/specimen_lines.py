@@ -17,17 +17,10 @@ __all__ = ["Line", "specimen_lines"]
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One line.
-
-    Attributes
-    ----------
-    text : str
-    kind : str
-        ``title``, ``plain``, ``alarm``, ``serious`` or ``remark``.
-    """
+    """One line."""
 
     text: str
-    kind: str = "plain"
+    kind: str = "plain"  # ``title``, ``plain``, ``alarm``, ``serious`` or ``remark``
 
 
 def specimen_lines(
@@ -35,16 +28,8 @@ def specimen_lines(
 ) -> list[Line]:
     """Title, model, measured block and warnings of a specimen.
 
-    Parameters
-    ----------
-    fit : mapping
-        A specimen of identification.json.
-    shared : sequence of str
-        Codes of warnings that are said once for a batch.
-    verbose : int
-        Above 0 nothing is left out.
-    brief : bool
-        One line of what was measured.
+    ``fit``: a specimen of identification.json; ``shared``: codes of warnings that are said once for a batch;
+    ``verbose``: above 0 nothing is left out; ``brief``: one line of what was measured.
     """
     lines = [Line(_title(fit), "title")]
     lines += [Line(f"  {line}") for line in _paper(fit)]

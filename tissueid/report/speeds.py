@@ -32,20 +32,11 @@ S_PER_MIN = 60.0
 
 @dataclass(frozen=True, slots=True)
 class SpeedGroup:
-    """Trials of one loading speed.
+    """Trials of one loading speed."""
 
-    Attributes
-    ----------
-    speed_mm_s : float
-        Their median.
-    label : str
-    members : tuple of int
-        Places among the trials that have a curve.
-    """
-
-    speed_mm_s: float
+    speed_mm_s: float  # their median
     label: str
-    members: tuple[int, ...]
+    members: tuple[int, ...]  # places among the trials that have a curve
 
 
 def _label(speed: float, units: Mapping[str, str]) -> str:
@@ -56,12 +47,8 @@ def _label(speed: float, units: Mapping[str, str]) -> str:
 def speed_groups(specimen: Mapping[str, Any], trials: Sequence[Mapping[str, Any]]) -> list[SpeedGroup]:
     """Groups of trials by loading speed, the slowest first.
 
-    Parameters
-    ----------
-    specimen : mapping
-        One of ``specimens`` of identification.json.
-    trials : sequence of mapping
-        Those of its trials that have a curve.
+    ``specimen``: one of ``specimens`` of identification.json; ``trials``: those of its trials that have a
+    curve.
     """
     speeds = [float(trial["speed_mm_s"]) for trial in trials]
     alike = clusters(speeds, SAME_SPEED)
@@ -126,18 +113,8 @@ def peaks_payload(
 ) -> list[dict[str, Any]]:
     """Peak force against loading speed, a group for each depth.
 
-    Parameters
-    ----------
-    specimen : mapping
-        One of ``specimens`` of identification.json.
-    trials : sequence of (mapping, TrialCurve)
-        Its trials with their curves.
-    tissue : Tissue or None
-
-    Returns
-    -------
-    list of dict
-        ``label``, ``points`` (label, speed, depth, force), ``means`` (speed, mean, sd, n), ``line``.
+    ``specimen``: one of ``specimens`` of identification.json; ``trials``: its trials with their curves.
+    Returns ``label``, ``points`` (label, speed, depth, force), ``means`` (speed, mean, sd, n), ``line``.
     """
     found: list[dict[str, Any]] = [
         {"label": trial_label(trial), **_peak(trial, own.curve)} for trial, own in trials

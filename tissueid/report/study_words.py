@@ -104,10 +104,7 @@ def _change(without: float | None, with_it: float | None) -> str:
 def study_view(study: Mapping[str, Any] | None) -> dict[str, Any] | None:
     """Everything the study section of the report prints, in words; ``None`` without a study.
 
-    Parameters
-    ----------
-    study : mapping or None
-        The ``study`` of identification.json.
+    ``study``: the ``study`` of identification.json.
     """
     if study is None:
         return None

@@ -41,18 +41,12 @@ def speed_unit(units: Mapping[str, str]) -> str:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tissue:
-    """One identified contact model.
-
-    Attributes
-    ----------
-    model : TissueModel
-    theta : ndarray, shape (p,)
-    draws : ndarray, shape (n, p), or None
-        Of the total posterior where there is one, else of the statistical one; ``None``: nothing was sampled.
-    """
+    """One identified contact model."""
 
     model: TissueModel
-    theta: FloatArray
+    theta: FloatArray  # (p,)
+    #: (n, p): of the total posterior where there is one, else of the statistical one; ``None``: nothing was
+    #: sampled.
     draws: FloatArray | None
 
     def static(self, thetas: FloatArray, depth_mm: FloatArray) -> FloatArray:
@@ -73,13 +67,7 @@ class Tissue:
 
 
 def tissue_of(specimen: Mapping[str, Any], stored: StoredPosterior | None) -> Tissue | None:
-    """The tissue of one of ``specimens`` of identification.json; ``None`` where a number is missing.
-
-    Parameters
-    ----------
-    specimen : mapping
-    stored : StoredPosterior or None
-    """
+    """The tissue of one of ``specimens`` of identification.json; ``None`` where a number is missing."""
     choice = specimen["model"]
     model = rebuilt(ModelChoice.from_json(choice), specimen["validity"]["depth_mm"])
     known = {entry["name"]: entry for entry in specimen["parameters"]}

@@ -32,19 +32,9 @@ def render_training(
 ) -> str:
     """Write the page.
 
-    Parameters
-    ----------
-    document : mapping
-        Of ``schemas/training.schema.json``.
-    tracks : mapping
-        File of an attempt -> height above the entry point and distance from the axis [mm].
-    created : str, optional
-        Time stamp to print; without it equal input gives an equal page.
-
-    Returns
-    -------
-    str
-        HTML, UTF-8.
+    ``document``: of ``schemas/training.schema.json``; ``tracks``: file of an attempt -> height above the
+    entry point and distance from the axis [mm]; ``created``: time stamp to print; without it equal input
+    gives an equal page.  Returns HTML, UTF-8.
     """
     who = dict.fromkeys(row["pseudonym"] for row in document["attempts"])
     sections = [_person(document, tracks, one) for one in who]

@@ -31,16 +31,7 @@ WORDS = {
 def render_twin(found: Twin, source: str) -> str:
     """Write the page.
 
-    Parameters
-    ----------
-    found : Twin
-    source : str
-        Of the just-noticeable difference.
-
-    Returns
-    -------
-    str
-        HTML, UTF-8.
+    ``source``: of the just-noticeable difference.  Returns HTML, UTF-8.
     """
     unseen, felt = found.unseen, number(1.0 / found.force_scale, 3)
     text = (

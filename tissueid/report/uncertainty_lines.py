@@ -51,10 +51,7 @@ def _cells(entry: Mapping[str, Any], *, intervals: bool) -> tuple[str, str, str]
 def block_lines(document: Mapping[str, Any]) -> list[str]:
     """The model in five lines, wrapped where they are long; what is not identified is only named.
 
-    Parameters
-    ----------
-    document : mapping
-        A specimen of identification.json.
+    ``document``: a specimen of identification.json.
     """
     from tissueid.report.uncertainty_words import window_words
     from tissueid.report.wording import misfit_raised
@@ -94,10 +91,7 @@ def _wrapped(label: str, parts: Sequence[str]) -> list[str]:
 def parameter_lines(document: Mapping[str, Any]) -> list[str]:
     """One line a parameter; columns are aligned.
 
-    Parameters
-    ----------
-    document : mapping
-        A specimen of identification.json.
+    ``document``: a specimen of identification.json.
     """
     from tissueid.report.uncertainty_words import reported_order
     from tissueid.report.wording import misfit_raised

@@ -62,23 +62,13 @@ _VERDICTS: Mapping[str, tuple[str, str]] = {
 
 @dataclass(frozen=True, slots=True)
 class IntervalRow:
-    """One parameter, or those of one kind that are not identified, with its intervals.
-
-    Attributes
-    ----------
-    words, unit : str
-    symbols : tuple of str
-    value : str
-        As printed.
-    intervals : tuple of str
-        One a column; empty where there is none.
-    """
+    """One parameter, or those of one kind that are not identified, with its intervals."""
 
     words: str
     symbols: tuple[str, ...]
     unit: str
-    value: str
-    intervals: tuple[str, ...]
+    value: str  # as printed
+    intervals: tuple[str, ...]  # one a column; empty where there is none
 
 
 def reported_order(parameters: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
@@ -100,12 +90,7 @@ def misfit_alarm(specimen: Mapping[str, Any]) -> list[str]:
 def _rows(specimen: Mapping[str, Any], columns: Sequence[str], *, bare: bool = False) -> list[IntervalRow]:
     """Parameters with the intervals of these keys; those of one kind that are not identified share a row.
 
-    Parameters
-    ----------
-    specimen : mapping
-    columns : sequence of str
-    bare : bool
-        Whether even standard errors are left out.
+    ``bare``: whether even standard errors are left out.
     """
     rows: list[IntervalRow] = []
     unknown: dict[str, list[str]] = {}
@@ -145,10 +130,7 @@ def _columns(specimen: Mapping[str, Any]) -> list[str]:
 def paper_view(specimen: Mapping[str, Any]) -> dict[str, Any]:
     """The contact model's numbers: words of the ``model``, ``rows``, names of ``intervals``, ``said``.
 
-    Parameters
-    ----------
-    specimen : mapping
-        One of ``specimens`` of identification.json.
+    ``specimen``: one of ``specimens`` of identification.json.
     """
     raised = misfit_raised(specimen)
     columns = [] if raised else _columns(specimen)
@@ -373,10 +355,7 @@ def _comparison(specimen: Mapping[str, Any]) -> list[dict[str, Any]]:
 def uncertainty_view(specimen: Mapping[str, Any]) -> dict[str, Any] | None:
     """View of a specimen's uncertainty for the template; ``None`` where nothing was sampled.
 
-    Parameters
-    ----------
-    specimen : mapping
-        One of ``specimens`` of identification.json.
+    ``specimen``: one of ``specimens`` of identification.json.
     """
     if specimen["sampler"] is None:
         return None

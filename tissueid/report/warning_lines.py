@@ -32,10 +32,7 @@ def _codes(specimen: Mapping[str, Any]) -> set[str]:
 def shared_codes(specimens: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
     """Codes that most specimens of a batch carry, the worst first.
 
-    Parameters
-    ----------
-    specimens : sequence of mapping
-        ``specimens`` of identification.json.
+    ``specimens``: ``specimens`` of identification.json.
     """
     counted = Counter(code for specimen in specimens for code in _codes(specimen))
     least = max(SHARED_FROM, SHARED_SHARE * len(specimens))
@@ -45,11 +42,7 @@ def shared_codes(specimens: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
 def shared_lines(specimens: Sequence[Mapping[str, Any]], codes: Sequence[str]) -> list[str]:
     """``24 of 29 sheets start preloaded. Start in air, or state --contact.``, a line a code.
 
-    Parameters
-    ----------
-    specimens : sequence of mapping
-    codes : sequence of str
-        Of :func:`shared_codes`.
+    ``codes``: of :func:`shared_codes`.
     """
     lines = [_shared_line(specimens, code) for code in codes[:MOST_WARNINGS]]
     if len(codes) > MOST_WARNINGS:
@@ -76,16 +69,8 @@ def warning_lines(
 ) -> list[tuple[str, str]]:
     """Warnings of a specimen with their level, the worst first.
 
-    Parameters
-    ----------
-    specimen : mapping
-        A specimen of identification.json.
-    shared : sequence of str
-        Codes that are counted once for the batch.
-    verbose : int
-        Above 0 nothing is left out.
-    alarms : int
-        Lines that are said already, of the few.
+    ``specimen``: a specimen of identification.json; ``shared``: codes that are counted once for the batch;
+    ``verbose``: above 0 nothing is left out; ``alarms``: lines that are said already, of the few.
     """
     from tissueid.report.remarks import remarks
 

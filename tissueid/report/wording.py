@@ -51,17 +51,9 @@ _LEFT = ((0.0, "ok"), (0.02, "caution"), (0.05, "serious"))
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Verdict on a result at first sight.
+    """Verdict on a result at first sight."""
 
-    Attributes
-    ----------
-    level : str
-        ``ok``, ``note``, ``caution`` or ``serious``; chooses colour and icon.
-    title : str
-    text : str
-    """
-
-    level: str
+    level: str  # ``ok``, ``note``, ``caution`` or ``serious``; chooses colour and icon
     title: str
     text: str
 

@@ -28,14 +28,7 @@ _Row = tuple[int | None, Mapping[str, Any] | None, Mapping[str, Any] | None]
 def report_workbook(document: Mapping[str, Any]) -> bytes:
     """A workbook of the document of identification.json.
 
-    Parameters
-    ----------
-    document : mapping
-
-    Returns
-    -------
-    bytes
-        XLSX.
+    Returns XLSX.
     """
     sheets = [_parameters(document), _measured(document), _pushes(document)]
     sheets += [_tidy(document, name, title) for name, title in _TIDY.items()]

@@ -48,13 +48,7 @@ ROLES = (
 
 
 def table_3(readings: Readings, numbers: Mapping[str, Published] = PUBLISHED) -> list[Item]:
-    """The six parameters, which are inputs, and the virtual masses that they allow.
-
-    Parameters
-    ----------
-    readings : Readings
-    numbers : mapping
-    """
+    """The six parameters, which are inputs, and the virtual masses that they allow."""
     swapped = readings.device == "mass-stiffness-damping"
     items = []
     for place, (owner, what, unit) in enumerate(ROLES, start=1):
@@ -89,14 +83,7 @@ def table_3(readings: Readings, numbers: Mapping[str, Published] = PUBLISHED) ->
 def controlled_contact(
     readings: Readings, effort: Effort, numbers: Mapping[str, Published] = PUBLISHED
 ) -> tuple[list[Item], list[Figure]]:
-    """Fig. 7 and the test of stability: both variants, two tasks, the tissue as it is and stiffer.
-
-    Parameters
-    ----------
-    readings : Readings
-    effort : Effort
-    numbers : mapping
-    """
+    """Fig. 7 and the test of stability: both variants, two tasks, the tissue as it is and stiffer."""
     items: list[Item] = []
     drawn: dict[str, ControlRun] = {}
     for variant in VARIANTS:

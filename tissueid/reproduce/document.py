@@ -52,19 +52,8 @@ def reproduction(
 ) -> dict[str, Any]:
     """Recompute papers.
 
-    Parameters
-    ----------
-    papers : tuple of str
-        Of :data:`PAPERS`.
-    readings : Readings
-    effort : Effort
-    numbers : mapping
-        Published numbers.
-
-    Returns
-    -------
-    dict
-        The document of ``schemas/reproduction.schema.json``.
+    ``papers``: of :data:`PAPERS`; ``numbers``: published numbers.  Returns the document of
+    ``schemas/reproduction.schema.json``.
     """
     began = time.perf_counter()
     items: list[Item] = []

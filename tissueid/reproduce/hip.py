@@ -32,12 +32,7 @@ SLOW_STEP_S = 10.0
 
 
 def restitutions(numbers: Mapping[str, Published] = PUBLISHED) -> list[Item]:
-    """Speed after a drop over that before it, under the law as printed.
-
-    Parameters
-    ----------
-    numbers : mapping
-    """
+    """Speed after a drop over that before it, under the law as printed."""
     items = []
     for asked in RESTITUTIONS:
         ledger = Ledger(PIRES, numbers)
@@ -78,13 +73,7 @@ def _after_drop(chi: float, mass_kg: float) -> float:
 def guidance_forces(
     readings: Readings, numbers: Mapping[str, Published] = PUBLISHED
 ) -> tuple[list[Item], Figure]:
-    """Fig. 4: force of the impedance and of the surface against radial error, at four heights.
-
-    Parameters
-    ----------
-    readings : Readings
-    numbers : mapping
-    """
+    """Fig. 4: force of the impedance and of the surface against radial error, at four heights."""
     ledger = Ledger(PIRES, numbers)
     ledger.read(readings.words("surface"))
     kind = cast("Literal['hyperboloid', 'cone']", readings.surface)

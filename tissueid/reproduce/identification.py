@@ -24,14 +24,7 @@ SIGMA_N = 1.0
 def identified_table(
     readings: Readings, effort: Effort, numbers: Mapping[str, Published] = PUBLISHED
 ) -> list[Item]:
-    """Rows of Table 2: 18 ramps at six speeds and 4 holds, through reader, segmentation and fit.
-
-    Parameters
-    ----------
-    readings : Readings
-    effort : Effort
-    numbers : mapping
-    """
+    """Rows of Table 2: 18 ramps at six speeds and 4 holds, through reader, segmentation and fit."""
     effort.progress("Table 2: 18 ramps and 4 holds")
     ledger = Ledger(SADEGHNEJAD, numbers)
     branch = read_branch(ledger, readings)

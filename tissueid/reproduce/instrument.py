@@ -33,16 +33,9 @@ def settling_force(
 ) -> tuple[FloatArray, FloatArray]:
     """Filtered force of an elastic tissue in a hold whose crosshead comes back from an overshoot.
 
-    Parameters
-    ----------
-    static : tuple of float
-        Powers of depth, from the first [N/mm, ...].
-    depth_mm, overshoot_mm, settling_s : float
-        Depth ``d + o exp(-t / settling)`` from the corner on; the channel's filter has settled before.
-
-    Returns
-    -------
-    time_s, force_N : ndarray
+    ``static``: powers of depth, from the first [N/mm, ...]; ``depth_mm``, ``overshoot_mm``, ``settling_s``:
+    depth ``d + o exp(-t / settling)`` from the corner on; the channel's filter has settled before.  Returns
+    ``time_s, force_N``.
     """
     time = np.arange(0.0, WINDOW_S, STEP_S)
     depth = depth_mm + overshoot_mm * np.exp(-time / settling_s)
@@ -69,13 +62,7 @@ def hold_exponential(time_s: FloatArray, force_N: FloatArray) -> tuple[float, fl
 def elastic_imitation(ledger: Ledger, readings: Readings, depth: int) -> str:
     """Overshoot and settling time of a crosshead that give a printed relaxation time without any branch.
 
-    Parameters
-    ----------
-    ledger : Ledger
-        Of a row of its own: the printed time is what is aimed at.
-    readings : Readings
-    depth : int
-        [mm]
+    ``ledger``: of a row of its own: the printed time is what is aimed at; ``depth``: [mm].
     """
     key = f"table-1/tau-{depth}mm"
     branch = read_branch(ledger, readings, key)

@@ -88,52 +88,23 @@ def _pair(value: Value) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """One row: published beside recomputed.
+    """One row: published beside recomputed."""
 
-    Attributes
-    ----------
-    item : str
-        Stable key, as ``table-1/tau-2mm``.
-    paper : str
-    where : str
-        Table, figure or section of the paper.
-    words, unit : str
-    published : float, tuple of float or None
-        ``None`` where the paper prints no number.
-    recomputed : float, tuple of float or None
-    interval : tuple of float or None
-        99 % interval.
-    agrees : bool or None
-        ``None`` where there is nothing to compare.
-    kind : Kind
-    rule : str or None
-        How agreement was decided.
-    reading : str or None
-        Interpretations of lost equations it rests on.
-    inputs : tuple of str
-        Published numbers that it was computed from.
-    assumed : tuple of str
-        Inputs that no paper prints.
-    instrument : str or None
-        Could an instrument alone give this?
-    note : str or None
-    """
-
-    item: str
+    item: str  # stable key, as ``table-1/tau-2mm``
     paper: str
-    where: str
+    where: str  # table, figure or section of the paper
     words: str
     unit: str
-    published: Value | None
+    published: Value | None  # ``None`` where the paper prints no number
     recomputed: Value | None
-    interval: Interval
-    agrees: bool | None
+    interval: Interval  # 99 % interval
+    agrees: bool | None  # ``None`` where there is nothing to compare
     kind: Kind
-    rule: str | None
-    reading: str | None
-    inputs: tuple[str, ...]
-    assumed: tuple[str, ...]
-    instrument: str | None
+    rule: str | None  # how agreement was decided
+    reading: str | None  # interpretations of lost equations it rests on
+    inputs: tuple[str, ...]  # published numbers that it was computed from
+    assumed: tuple[str, ...]  # inputs that no paper prints
+    instrument: str | None  # could an instrument alone give this?
     note: str | None
 
     def __post_init__(self) -> None:
@@ -169,22 +140,13 @@ def _listed(value: Value | None) -> float | list[float] | None:
 
 @dataclass(frozen=True, slots=True)
 class Trace:
-    """One line of a figure.
-
-    Attributes
-    ----------
-    name : str
-    x, y : tuple of float
-    style : {"line", "dash", "points"}
-    band : tuple of two tuples, or None
-        Lower and upper edge beside y.
-    """
+    """One line of a figure."""
 
     name: str
     x: tuple[float, ...]
     y: tuple[float, ...]
-    style: str = "line"
-    band: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+    style: str = "line"  # {"line", "dash", "points"}
+    band: tuple[tuple[float, ...], tuple[float, ...]] | None = None  # lower and upper edge beside y
 
     def as_json(self) -> dict[str, Any]:
         """The ``traces`` object of the schema."""
@@ -194,34 +156,18 @@ class Trace:
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A figure of a paper, drawn again.
+    """A figure of a paper, drawn again."""
 
-    Attributes
-    ----------
-    key : str
-        As ``figure-2``.
-    paper, where, title : str
-    kind : Kind
-    caption : str
-        What was computed from what, and what can't be read off it.
-    x_title, y_title : str
-    traces : tuple of Trace
-        Empty for a drawing.
-    drawing : str or None
-        Name of a drawing of the page: a schematic or a block diagram.
-    x_log : bool
-    """
-
-    key: str
+    key: str  # as ``figure-2``
     paper: str
     where: str
     title: str
     kind: Kind
-    caption: str
+    caption: str  # what was computed from what, and what can't be read off it
     x_title: str = ""
     y_title: str = ""
-    traces: tuple[Trace, ...] = ()
-    drawing: str | None = None
+    traces: tuple[Trace, ...] = ()  # empty for a drawing
+    drawing: str | None = None  # name of a drawing of the page: a schematic or a block diagram
     x_log: bool = False
 
     def as_json(self) -> dict[str, Any]:

@@ -26,23 +26,12 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True, slots=True)
 class Published:
-    """A printed number.
+    """A printed number."""
 
-    Attributes
-    ----------
-    where : str
-        Table or section of the paper.
-    value : float or tuple of float
-        As printed; two numbers are a range.
-    unit : str
-    words : str
-        What it is.
-    """
-
-    where: str
-    value: float | tuple[float, float]
+    where: str  # table or section of the paper
+    value: float | tuple[float, float]  # as printed; two numbers are a range
     unit: str
-    words: str
+    words: str  # what it is
 
 
 #: Depth of a relaxation test [mm] -> printed peak force [N] and relaxation time [s].
@@ -76,11 +65,7 @@ PUBLISHED: Mapping[str, Published] = MappingProxyType(_catalogue())
 class Ledger:
     """Hands out the inputs of one computation and remembers them.
 
-    Parameters
-    ----------
-    paper : str
-    numbers : mapping
-        Of :data:`PUBLISHED`; a test gives altered ones.
+    ``numbers``: of :data:`PUBLISHED`; a test gives altered ones.
     """
 
     def __init__(self, paper: str, numbers: Mapping[str, Published] = PUBLISHED) -> None:
@@ -133,23 +118,11 @@ class Ledger:
     ) -> Item:
         """A row of the comparison; its kind follows from what this ledger handed out.
 
-        Parameters
-        ----------
-        key : str
-            Of :data:`PUBLISHED`, or a name of its own for what no paper prints.
-        recomputed : float, tuple of float or None
-            ``None`` where it can't be computed.
-        against : str, optional
-            Key of the printed number it stands beside, where that is not ``key``.
-        words, unit, where : str
-            What it is; a printed number brings its own.
-        interval : tuple of float, optional
-            99 % interval of the recomputed number.
-        judge : Judgement, optional
-            How agreement is decided.
-        instrument : str, optional
-            Could an instrument alone give this?
-        note : str, optional
+        ``key``: of :data:`PUBLISHED`, or a name of its own for what no paper prints; ``recomputed``: ``None``
+        where it can't be computed; ``against``: key of the printed number it stands beside, where that is not
+        ``key``; ``words``, ``unit``, ``where``: what it is; a printed number brings its own; ``interval``: 99
+        % interval of the recomputed number; ``judge``: how agreement is decided; ``instrument``: could an
+        instrument alone give this?.
         """
         beside = against or key
         printed = self._numbers.get(beside)

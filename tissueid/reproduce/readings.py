@@ -64,10 +64,7 @@ class Readings:
 def readings_from(settings: Sequence[str]) -> Readings:
     """Readings of ``--set NAME=CHOICE``.
 
-    Raises
-    ------
-    UsageError
-        An unknown name or choice.
+    Raises UsageError: an unknown name or choice.
     """
     readings = Readings()
     for setting in settings:

@@ -29,26 +29,13 @@ TAILS_99 = (0.005, 0.995)
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """Effort of a recomputation.
+    """Effort of a recomputation."""
 
-    Attributes
-    ----------
-    rate_Hz : float
-        Sampling rate of simulated recordings.
-    draws : int
-        Effective draws of a posterior; 0 leaves posteriors out.
-    specimens : int
-        Simulated specimens of the cohort.
-    seed : int
-    progress : callable
-        ``progress(message)``.
-    """
-
-    rate_Hz: float = 1000.0
-    draws: int = 10_000
-    specimens: int = 17
+    rate_Hz: float = 1000.0  # sampling rate of simulated recordings
+    draws: int = 10_000  # effective draws of a posterior; 0 leaves posteriors out
+    specimens: int = 17  # simulated specimens of the cohort
     seed: int = 20_261_122
-    progress: Callable[[str], None] = lambda _message: None
+    progress: Callable[[str], None] = lambda _message: None  # ``progress(message)``
 
 
 def read_back(recipe: Recipe, *, seed: int) -> list[Trial]:
@@ -74,10 +61,7 @@ def fitted(
 ) -> tuple[SpecimenFit, ...]:
     """Fit every specimen among trials of white noise, the model's order known.
 
-    Raises
-    ------
-    NotIdentifiedError
-        The fit refused one of them.
+    Raises NotIdentifiedError: the fit refused one of them.
     """
     options = IdentifyOptions(
         fit=FitOptions(branches=1, stiffness_degree=stiffness_degree, static=static, noise="white"),

@@ -33,12 +33,7 @@ def relaxation_tests(
 ) -> tuple[list[Item], Figure]:
     """Rows of Table 1, and Fig. 2.
 
-    Parameters
-    ----------
-    readings : Readings
-    effort : Effort
-    numbers : mapping
-        Published numbers.
+    ``numbers``: published numbers.
     """
     items: list[Item] = []
     traces: list[Trace] = []

@@ -41,14 +41,7 @@ DRAWN = 120
 def specimen_scatter(
     readings: Readings, effort: Effort, numbers: Mapping[str, Published] = PUBLISHED
 ) -> tuple[list[Item], Figure]:
-    """NRMSD of held-out specimens by range and by mean, and three of them drawn.
-
-    Parameters
-    ----------
-    readings : Readings
-    effort : Effort
-    numbers : mapping
-    """
+    """NRMSD of held-out specimens by range and by mean, and three of them drawn."""
     effort.progress(f"Fig. 5: {effort.specimens} specimens")
     ledger = Ledger(SADEGHNEJAD, numbers)
     branch = read_branch(ledger, readings)
@@ -91,14 +84,7 @@ def specimen_scatter(
 def held_out_errors(fits: Sequence[SpecimenFit]) -> FloatArray:
     """Error of predicting each specimen by the mean force of the others on its own path.
 
-    Parameters
-    ----------
-    fits : sequence of SpecimenFit
-
-    Returns
-    -------
-    ndarray, shape (specimens, 2)
-        Mean NRMSD of its recordings by range and by mean force, fractions.
+    Returns (specimens, 2), mean NRMSD of its recordings by range and by mean force, fractions.
     """
     errors = []
     for k, fit in enumerate(fits):

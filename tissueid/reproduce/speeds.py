@@ -28,13 +28,7 @@ DRAWN = 161
 def force_displacement(
     readings: Readings, numbers: Mapping[str, Published] = PUBLISHED
 ) -> tuple[list[Item], Figure]:
-    """Fig. 3: six speeds to 8 mm, and whether force grows with speed.
-
-    Parameters
-    ----------
-    readings : Readings
-    numbers : mapping
-    """
+    """Fig. 3: six speeds to 8 mm, and whether force grows with speed."""
     ledger = Ledger(SADEGHNEJAD, numbers)
     branch = read_branch(ledger, readings)
     tissue = Tissue(cubic_through_peaks(ledger, branch), branch)
@@ -87,13 +81,7 @@ def force_displacement(
 def rupture_force(tissue: Tissue, speed_mm_min: float, criterion: str, slow_depth_mm: float) -> float:
     """Force at which a tissue ruptures that would, infinitely slowly, rupture at a given depth [N].
 
-    Parameters
-    ----------
-    tissue : Tissue
-    speed_mm_min : float
-    criterion : str
-        Of :data:`tissueid.rupture_law.CRITERIA`.
-    slow_depth_mm : float
+    ``criterion``: of :data:`tissueid.rupture_law.CRITERIA`.
 
     Notes
     -----
@@ -110,13 +98,7 @@ def rupture_force(tissue: Tissue, speed_mm_min: float, criterion: str, slow_dept
 def peak_against_speed(
     readings: Readings, numbers: Mapping[str, Published] = PUBLISHED
 ) -> tuple[list[Item], Figure]:
-    """Fig. 4 under the chosen criterion, for two static curves, and the sentence that (7) predicts a fall.
-
-    Parameters
-    ----------
-    readings : Readings
-    numbers : mapping
-    """
+    """Fig. 4 under the chosen criterion, for two static curves, and the sentence that (7) predicts a fall."""
     items: list[Item] = []
     traces: list[Trace] = []
     for name, words in (("hardening", "0.43 x^3"), ("table-1", "cubic through Table 1")):

@@ -29,16 +29,9 @@ DEPTH_MM = 8.0
 
 @dataclass(frozen=True, slots=True)
 class Tissue:
-    """A modified Kelvin-Voigt tissue with one branch.
+    """A modified Kelvin-Voigt tissue with one branch."""
 
-    Attributes
-    ----------
-    static : tuple of float
-        a1, a2, a3 [N/mm, N/mm2, N/mm3].
-    branch : Branch
-    """
-
-    static: tuple[float, ...]
+    static: tuple[float, ...]  # a1, a2, a3 [N/mm, N/mm2, N/mm3]
     branch: Branch
 
     @property
@@ -59,12 +52,7 @@ class Tissue:
 def read_branch(ledger: Ledger, readings: Readings, tau_key: str = "table-2/tau") -> Branch:
     """The branch of Table 2, with the relaxation time of a row of choice.
 
-    Parameters
-    ----------
-    ledger : Ledger
-    readings : Readings
-    tau_key : str
-        The printed relaxation time that is taken.
+    ``tau_key``: the printed relaxation time that is taken.
     """
     ledger.read(readings.words("stiffness"))
     ledger.read(readings.words("relaxation"))

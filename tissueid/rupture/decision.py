@@ -29,38 +29,20 @@ TREND_P = 0.01
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """The answer.
+    """The answer."""
 
-    Attributes
-    ----------
-    answer : str
-        ``decided``, ``undecided`` or ``none`` (every criterion leaves a trend with speed, or the likeliest).
-    kind : str or None
-        Of :data:`KINDS`, where it is decided.
-    criterion : str or None
-        The likelier one of that kind.
-    probability : mapping of str to float
-        Of each kind, given that it is one of them.
-    reason : str
-        One sentence.
-    """
-
+    #: ``decided``, ``undecided`` or ``none`` (every criterion leaves a trend with speed, or the likeliest).
     answer: str
-    kind: str | None
-    criterion: str | None
-    probability: Mapping[str, float]
-    reason: str
+    kind: str | None  # of :data:`KINDS`, where it is decided
+    criterion: str | None  # the likelier one of that kind
+    probability: Mapping[str, float]  # of each kind, given that it is one of them
+    reason: str  # one sentence
 
 
 def decide(thresholds: Sequence[Threshold], *, hindrance: str | None = None) -> Decision:
     """Weigh the criteria.
 
-    Parameters
-    ----------
-    thresholds : sequence of Threshold
-        Of all criteria.
-    hindrance : str, optional
-        Why these tests can't tell, whatever the evidence is.
+    ``thresholds``: of all criteria; ``hindrance``: why these tests can't tell, whatever the evidence is.
     """
     found = {one.criterion: one for one in thresholds}
     ln = {

@@ -21,11 +21,7 @@ __all__ = ["as_document"]
 def as_document(run: RuptureRun, bundles: Mapping[str, str]) -> dict[str, Any]:
     """Write the document.
 
-    Parameters
-    ----------
-    run : RuptureRun
-    bundles : mapping of str to str
-        File name of each specimen's bundle.
+    ``bundles``: file name of each specimen's bundle.
     """
     study, hardening = run.study, run.study.hardening
     return {

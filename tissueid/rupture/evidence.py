@@ -46,52 +46,28 @@ INTERVAL = (0.025, 0.975)
 
 @dataclass(frozen=True, slots=True)
 class Threshold:
-    """Evidence of the tests on one criterion.
-
-    Attributes
-    ----------
-    criterion : str
-    median : float
-        Over specimens and tests, by maximum likelihood.
-    ci95 : tuple of float
-        Of the median, with the uncertainty of both spreads.
-    sd_ln, specimen_sd_ln : float
-        Of ln threshold, from test to test and between specimens, by maximum likelihood.
-    ln_evidence : float
-        Of the depths of rupture.
-    growth : float
-        Typical d ln(measure)/d ln(depth).
-    trend : float
-        Change of ln threshold per unit of ln speed that the criterion leaves, 0 where one speed was used.
-    trend_p : float or None
-        Its p value; ``None`` where it can't be told.
-    specimens : mapping of str to float
-        Median over tests of each specimen.
-    """
+    """Evidence of the tests on one criterion."""
 
     criterion: str
-    median: float
-    ci95: tuple[float, float]
+    median: float  # over specimens and tests, by maximum likelihood
+    ci95: tuple[float, float]  # of the median, with the uncertainty of both spreads
+    #: Of ln threshold, from test to test and between specimens, by maximum likelihood.
     sd_ln: float
     specimen_sd_ln: float
-    ln_evidence: float
-    growth: float
+    ln_evidence: float  # of the depths of rupture
+    growth: float  # typical d ln(measure)/d ln(depth)
+    #: Change of ln threshold per unit of ln speed that the criterion leaves, 0 where one speed was used.
     trend: float
-    trend_p: float | None
-    specimens: Mapping[str, float]
+    trend_p: float | None  # its p value; ``None`` where it can't be told
+    specimens: Mapping[str, float]  # median over tests of each specimen
 
 
 def standardised(failures: Sequence[Failure], criterion: str) -> tuple[Outcomes, float, float]:
     """Outcomes in ln depth: values, typical growth, and ln of the density's factor.
 
-    Returns
-    -------
-    Outcomes
-        ln measure over its typical growth.
-    growth : float
-        Geometric mean over the ruptured tests of d ln(measure)/d ln(depth).
-    ln_factor : float
-        Sum over ruptured tests of ln(growth of the test / typical growth).
+    Returns ln measure over its typical growth; ``growth``: geometric mean over the ruptured tests of d
+    ln(measure)/d ln(depth); ``ln_factor``: sum over ruptured tests of ln(growth of the test / typical
+    growth).
     """
     measures = [one.measures[criterion] for one in failures]
     ruptured = np.array([one.ruptured for one in failures])
@@ -211,15 +187,7 @@ def _trend(
 def threshold_of(failures: Sequence[Failure], criterion: str) -> Threshold:
     """Fit the threshold of one criterion.
 
-    Parameters
-    ----------
-    failures : sequence of Failure
-        One of them at least ruptured.
-    criterion : str
-
-    Returns
-    -------
-    Threshold
+    ``failures``: one of them at least ruptured.
     """
     tests, growth, ln_factor = standardised(failures, criterion)
     grid = _grid(tests)

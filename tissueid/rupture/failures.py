@@ -40,23 +40,13 @@ SQRT_12 = 12.0**0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpecimenLaw:
-    """The fitted law of one specimen.
-
-    Attributes
-    ----------
-    specimen : str
-    model : KelvinVoigt
-    theta : ndarray, shape (p,)
-    covariance : ndarray, shape (p, p)
-    draws : ndarray, shape (n, p), or None
-        Posterior draws, where there are any.
-    """
+    """The fitted law of one specimen."""
 
     specimen: str
     model: KelvinVoigt
-    theta: FloatArray
-    covariance: FloatArray
-    draws: FloatArray | None = None
+    theta: FloatArray  # (p,)
+    covariance: FloatArray  # (p, p)
+    draws: FloatArray | None = None  # (n, p), posterior draws, where there are any
 
     def some_draws(self) -> FloatArray:
         """Passive draws of the law, shape (at most LAW_DRAWS, p); of its normal where nothing was sampled."""
@@ -73,55 +63,30 @@ class SpecimenLaw:
 
 @dataclass(frozen=True, slots=True)
 class Measure:
-    """One measure at the end of a test.
+    """One measure at the end of a test."""
 
-    Attributes
-    ----------
-    value : float
-        [:data:`~tissueid.rupture_law.THRESHOLD_UNITS`]; a lower bound of the threshold where censored.
-    sd_ln : float
-        Of the measurement.
-    growth : float
-        d ln(value) / d ln(depth) at the end of the test.
-    """
-
+    #: [:data:`~tissueid.rupture_law.THRESHOLD_UNITS`]; a lower bound of the threshold where censored.
     value: float
-    sd_ln: float
-    growth: float
+    sd_ln: float  # of the measurement
+    growth: float  # d ln(value) / d ln(depth) at the end of the test
 
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """One test with its measures.
-
-    Attributes
-    ----------
-    test : LoadedTest
-    specimen : str
-    measures : mapping of str to Measure
-        By criterion.
-    depth_mm : float
-        Below the refined contact point.
-    depth_sd_mm, force_sd_N, work_sd_N_mm : float
-    dynamic_share : float
-        Part of the force that relaxes, by the law.
-    hardening, hardening_sd : float
-        x F_s'/F.
-    settled : bool
-        The depth is many times v tau, as the sign test supposes.
-    """
+    """One test with its measures."""
 
     test: LoadedTest
     specimen: str
-    measures: Mapping[str, Measure]
-    depth_mm: float
+    measures: Mapping[str, Measure]  # by criterion
+    depth_mm: float  # below the refined contact point
     depth_sd_mm: float
     force_sd_N: float
     work_sd_N_mm: float
-    dynamic_share: float
+    dynamic_share: float  # part of the force that relaxes, by the law
+    #: x F_s'/F.
     hardening: float
     hardening_sd: float
-    settled: bool
+    settled: bool  # the depth is many times v tau, as the sign test supposes
 
     @property
     def ruptured(self) -> bool:
@@ -182,17 +147,7 @@ def failures_of(
 ) -> list[Failure]:
     """Tests of one specimen with their measures under its law.
 
-    Parameters
-    ----------
-    law : SpecimenLaw
-    tests : sequence of (LoadedTest, float)
-        Each with the offset of its refined contact point [mm].
-    weight : float
-        w of the weighted force.
-
-    Returns
-    -------
-    list of Failure
+    ``tests``: each with the offset of its refined contact point [mm]; ``weight``: w of the weighted force.
     """
     draws = law.some_draws()
     return [_failure(law, draws, test, offset_mm, weight) for test, offset_mm in tests]

@@ -26,23 +26,12 @@ LN_2PI = float(np.log(2.0 * np.pi))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outcomes:
-    """Tests of a cohort under one criterion.
+    """Tests of a cohort under one criterion."""
 
-    Attributes
-    ----------
-    z : ndarray, shape (n,)
-        ln threshold that was reached, or a lower bound of it.
-    variance : ndarray, shape (n,)
-        Of its measurement.
-    ruptured : ndarray of bool, shape (n,)
-    specimen : ndarray of int, shape (n,)
-        0 to the number of specimens - 1.
-    """
-
-    z: FloatArray
-    variance: FloatArray
-    ruptured: NDArray[np.bool_]
-    specimen: NDArray[np.intp]
+    z: FloatArray  # (n,), ln threshold that was reached, or a lower bound of it
+    variance: FloatArray  # (n,), of its measurement
+    ruptured: NDArray[np.bool_]  # (n,)
+    specimen: NDArray[np.intp]  # (n,), 0 to the number of specimens - 1
 
     def shifted(self, by: FloatArray) -> Outcomes:
         """The same less something of each test, shape (n,)."""
@@ -56,17 +45,10 @@ class Outcomes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Given:
-    """Specimens given their ruptured tests; a last axis of specimens.
+    """Specimens given their ruptured tests; a last axis of specimens."""
 
-    Attributes
-    ----------
-    ln_probability : ndarray
-        Of those tests.
-    mean, variance : ndarray
-        Of m_k.
-    """
-
-    ln_probability: FloatArray
+    ln_probability: FloatArray  # of those tests
+    #: Of m_k.
     mean: FloatArray
     variance: FloatArray
 
@@ -74,11 +56,7 @@ class Given:
 def given_ruptured(tests: Outcomes, mu: FloatArray, s: FloatArray, b: FloatArray) -> Given:
     """Log likelihood of the ruptured tests of each specimen.
 
-    Parameters
-    ----------
-    tests : Outcomes
-    mu, s, b : ndarray
-        Broadcast against each other.
+    ``mu``, ``s``, ``b``: broadcast against each other.
     """
     member = tests.membership()
     z, v = tests.z[tests.ruptured], tests.variance[tests.ruptured]
@@ -98,16 +76,8 @@ def given_ruptured(tests: Outcomes, mu: FloatArray, s: FloatArray, b: FloatArray
 def log_likelihood(tests: Outcomes, mu: FloatArray, s: FloatArray, b: FloatArray) -> FloatArray:
     """Likelihood (ln) of a cohort.
 
-    Parameters
-    ----------
-    tests : Outcomes
-    mu, s, b : ndarray
-        Mean of ln threshold, sd from test to test, sd between specimens; broadcast against each other.
-
-    Returns
-    -------
-    ndarray
-        Of the broadcast shape.
+    ``mu``, ``s``, ``b``: mean of ln threshold, sd from test to test, sd between specimens; broadcast against
+    each other.  Returns of the broadcast shape.
     """
     given = given_ruptured(tests, mu, s, b)
     found = given.ln_probability.sum(axis=-1)

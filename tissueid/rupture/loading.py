@@ -29,41 +29,23 @@ FEWEST_IN_LINE = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadedTest:
-    """Loading of the tissue until it broke or the test ended.
+    """Loading of the tissue until it broke or the test ended."""
 
-    Attributes
-    ----------
-    path, sheet : str
-        Of the recording.
-    ruptured : bool
-        False: censored.
-    time_s, depth_mm : ndarray, shape (n,)
-        From contact (depth 0) to the end, thinned.
-    force_N, work_N_mm : float
-        At the end; work from contact.
-    force_sd_N : float
-        Noise of the force.
-    step_mm : float
-        Depth between two samples at the end, 0 where the test is censored.
-    contact_sd_mm : float
-    speed_mm_s : float
-        Over the second half of the depth.
-    residual : float or None
-        Share of the force that was left, where it ruptured.
-    """
-
+    #: Of the recording.
     path: str
     sheet: str | None
-    ruptured: bool
+    ruptured: bool  # false: censored
+    #: (n,): from contact (depth 0) to the end, thinned.
     time_s: FloatArray
-    depth_mm: FloatArray
+    depth_mm: FloatArray  # (n,)
+    #: At the end; work from contact.
     force_N: float
     work_N_mm: float
-    force_sd_N: float
-    step_mm: float
+    force_sd_N: float  # noise of the force
+    step_mm: float  # depth between two samples at the end, 0 where the test is censored
     contact_sd_mm: float
-    speed_mm_s: float
-    residual: float | None
+    speed_mm_s: float  # over the second half of the depth
+    residual: float | None  # share of the force that was left, where it ruptured
 
     @property
     def end_mm(self) -> float:
@@ -74,15 +56,7 @@ class LoadedTest:
 def loaded_test(trial: Trial, segmentation: Segmentation) -> LoadedTest | None:
     """A test up to its first rupture, or to its deepest point.
 
-    Parameters
-    ----------
-    trial : Trial
-    segmentation : Segmentation
-
-    Returns
-    -------
-    LoadedTest or None
-        ``None`` where there is no contact, or nothing of a loading.
+    Returns ``None`` where there is no contact, or nothing of a loading.
     """
     if segmentation.contact is None:
         return None

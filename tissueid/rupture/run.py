@@ -34,18 +34,11 @@ _Key = tuple[str, str | None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RuptureRun:
-    """A study of ruptures and the fit behind it.
-
-    Attributes
-    ----------
-    study : RuptureStudy
-    identification : Identification
-    left_out : tuple of (str, str, str)
-        Path, sheet (or empty) and reason of fitted recordings that no measure could be taken of.
-    """
+    """A study of ruptures and the fit behind it."""
 
     study: RuptureStudy
     identification: Identification
+    #: Path, sheet (or empty) and reason of fitted recordings that no measure could be taken of.
     left_out: tuple[tuple[str, str, str], ...]
 
 
@@ -93,26 +86,11 @@ def run_rupture(
 ) -> RuptureRun:
     """Study the ruptures of a cohort.
 
-    Parameters
-    ----------
-    trials : iterable of Trial
-        All tests, also those that did not rupture.
-    study : Study, optional
-    options : IdentifyOptions, optional
-        Of the fit; a posterior is not sampled.
-    reload, refused, progress
-        As of :func:`tissueid.pipeline.identify`.
-    asked : str
-        One of :data:`~tissueid.rupture.study.ASKED`.
-    weight : float
-        w of the weighted force.
-
-    Raises
-    ------
-    InputError
-        Nothing could be fitted; the first refusal says why.
-    NotIdentifiedError
-        Too few tests ruptured, or the recordings are normalised.
+    ``trials``: all tests, also those that did not rupture; ``options``: of the fit; a posterior is not
+    sampled; ``reload``, ``refused``, ``progress``: as of :func:`tissueid.pipeline.identify`; ``asked``: one
+    of :data:`~tissueid.rupture.study.ASKED`; ``weight``: w of the weighted force.  Raises InputError: nothing
+    could be fitted; the first refusal says why; NotIdentifiedError: too few tests ruptured, or the recordings
+    are normalised.
     """
     asked_of_fit = options or IdentifyOptions()
     # energies are those of a Kelvin-Voigt tissue, whatever the study fits

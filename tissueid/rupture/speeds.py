@@ -35,37 +35,22 @@ SPEEDS_DIFFER = 0.05
 
 @dataclass(frozen=True, slots=True)
 class AtSpeed:
-    """Ruptures at one speed.
-
-    Attributes
-    ----------
-    speed_mm_s : float
-    ruptured, censored : int
-    mean, sd : mapping of str to float or None
-        Of force [N], depth [mm] and work [N mm] at rupture; no sd of a single rupture.
-    """
+    """Ruptures at one speed."""
 
     speed_mm_s: float
     ruptured: int
     censored: int
+    #: Of force [N], depth [mm] and work [N mm] at rupture; no sd of a single rupture.
     mean: Mapping[str, float | None]
     sd: Mapping[str, float | None]
 
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """Change of a quantity from one speed to ten times it, inside specimens.
-
-    Attributes
-    ----------
-    quantity : str
-    ratio : float
-        At ten times the speed over at the speed.
-    ci95 : tuple of float
-    """
+    """Change of a quantity from one speed to ten times it, inside specimens."""
 
     quantity: str
-    ratio: float
+    ratio: float  # at ten times the speed over at the speed
     ci95: tuple[float, float]
 
     @property
@@ -78,20 +63,11 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class Hardening:
-    """The sign test x F_s'/F over the ruptures.
+    """The sign test x F_s'/F over the ruptures."""
 
-    Attributes
-    ----------
-    mean : float
-        Of the specimens' means.
-    ci95 : tuple of float
-    ruptures : int
-        How many it is of.
-    """
-
-    mean: float
+    mean: float  # of the specimens' means
     ci95: tuple[float, float]
-    ruptures: int
+    ruptures: int  # how many it is of
 
     @property
     def direction(self) -> str:
@@ -104,11 +80,7 @@ class Hardening:
 def per_speed(failures: Sequence[Failure], confounding: Confounding) -> list[AtSpeed]:
     """Means and standard deviations at each speed, slowest first.
 
-    Parameters
-    ----------
-    failures : sequence of Failure
-    confounding : Confounding
-        Whose speeds are told apart.
+    ``confounding``: whose speeds are told apart.
     """
     speeds = np.log(confounding.speeds_mm_s)
     groups: list[list[Failure]] = [[] for _ in speeds]
@@ -133,10 +105,7 @@ def per_speed(failures: Sequence[Failure], confounding: Confounding) -> list[AtS
 def change_with_speed(failures: Sequence[Failure]) -> list[Change]:
     """Change of force, depth and work at rupture with speed, inside specimens; of ruptured tests alone.
 
-    Returns
-    -------
-    list of Change
-        Empty where no specimen ruptured at two speeds.
+    Returns empty where no specimen ruptured at two speeds.
     """
     broken = [one for one in failures if one.ruptured]
     names = list(dict.fromkeys(one.specimen for one in broken))
@@ -171,10 +140,7 @@ def hardening_of(failures: Sequence[Failure]) -> Hardening | None:
     Of ruptures at depths of many v tau: only there it tells the sign.  From three specimens on their scatter
     gives the interval, which holds what the laws do not know; of fewer the draws of their laws do.
 
-    Returns
-    -------
-    Hardening or None
-        ``None`` where every rupture came too fast for it.
+    Returns ``None`` where every rupture came too fast for it.
     """
     broken = [one for one in failures if one.ruptured and one.settled]
     names = list(dict.fromkeys(one.specimen for one in broken))

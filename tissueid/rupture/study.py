@@ -33,39 +33,18 @@ FEWEST_RUPTURES = 4
 
 @dataclass(frozen=True, slots=True)
 class RuptureStudy:
-    """Ruptures of a cohort.
+    """Ruptures of a cohort."""
 
-    Attributes
-    ----------
-    failures : tuple of Failure
-        Every test, censored ones among them.
-    weight : float
-        w of the weighted force.
-    confounding : Confounding
-    speeds : tuple of AtSpeed
-    changes : tuple of Change
-        Inside specimens; empty where nothing can be said.
-    hardening : Hardening or None
-    thresholds : tuple of Threshold
-        One for each criterion.
-    decision : Decision
-    asked : str
-        One of :data:`ASKED`.
-    laws : mapping of str to RuptureLaw
-        By specimen; empty where there is none.
-    flags : tuple of Flag
-    """
-
-    failures: tuple[Failure, ...]
-    weight: float
+    failures: tuple[Failure, ...]  # every test, censored ones among them
+    weight: float  # w of the weighted force
     confounding: Confounding
     speeds: tuple[AtSpeed, ...]
-    changes: tuple[Change, ...]
+    changes: tuple[Change, ...]  # inside specimens; empty where nothing can be said
     hardening: Hardening | None
-    thresholds: tuple[Threshold, ...]
+    thresholds: tuple[Threshold, ...]  # one for each criterion
     decision: Decision
-    asked: str
-    laws: Mapping[str, RuptureLaw]
+    asked: str  # one of :data:`ASKED`
+    laws: Mapping[str, RuptureLaw]  # by specimen; empty where there is none
     flags: tuple[Flag, ...]
 
     @property
@@ -77,18 +56,8 @@ class RuptureStudy:
 def rupture_study(failures: Sequence[Failure], *, weight: float, asked: str = "none") -> RuptureStudy:
     """Describe and compare.
 
-    Parameters
-    ----------
-    failures : sequence of Failure
-        Of all specimens, measured with ``weight``.
-    weight : float
-    asked : str
-        One of :data:`ASKED`.
-
-    Raises
-    ------
-    NotIdentifiedError
-        Too few tests ruptured.
+    ``failures``: of all specimens, measured with ``weight``; ``asked``: one of :data:`ASKED`.  Raises
+    NotIdentifiedError: too few tests ruptured.
     """
     broken = [one for one in failures if one.ruptured]
     if len(broken) < FEWEST_RUPTURES:

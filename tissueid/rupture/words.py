@@ -11,12 +11,7 @@ _NAMES = {"force_N": "Force", "depth_mm": "Depth", "work_N_mm": "Work"}
 
 
 def sentences(study: RuptureStudy) -> list[str]:
-    """Sentences of a study, each true by itself.
-
-    Parameters
-    ----------
-    study : RuptureStudy
-    """
+    """Sentences of a study, each true by itself."""
     found = [study.confounding.sentence, *_changes(study), _absorbed(study), _sign(study)]
     censored = sum(not one.ruptured for one in study.failures)
     if censored:

@@ -27,21 +27,8 @@ PAGE = "rupture.html"
 def write_rupture(out: Path, run: Callable[[], RuptureRun]) -> dict[str, Any]:
     """Write the set, all at once or not at all.
 
-    Parameters
-    ----------
-    out : Path
-    run : callable
-        Gives the study; called once the folder is ours.
-
-    Returns
-    -------
-    dict
-        rupture.json.
-
-    Raises
-    ------
-    UsageError
-        The folder holds the outputs of a fit, or files that are not ours.
+    ``run``: gives the study; called once the folder is ours.  Returns rupture.json.  Raises UsageError: the
+    folder holds the outputs of a fit, or files that are not ours.
     """
     refuse_foreign(out)
     with OutputSet(out) as files:

@@ -37,11 +37,7 @@ def drift_in_air(
 ) -> tuple[Flag, ...]:
     """``baseline_drift``, where the force drifts in air by what would matter later.
 
-    Parameters
-    ----------
-    time_s, force_N : ndarray, shape (n,)
-    phases : tuple of Phase
-    contact : Contact or None
+    ``time_s``, ``force_N`` (n,).
     """
     if contact is None or not contact.in_record or not phases or phases[0].kind != "approach":
         return ()

@@ -18,46 +18,23 @@ BIN_GROWTH = 1.25
 
 @dataclass(frozen=True, slots=True)
 class Bins:
-    """Means over bins of successive samples.
+    """Means over bins of successive samples."""
 
-    Attributes
-    ----------
-    depth_mm, force_N : ndarray, shape (m,)
-        Means [mm], [N].
-    variance_mm2 : ndarray, shape (m,)
-        Variance of depth within each bin [mm2].
-    count : ndarray, shape (m,)
-        Samples in each bin.
-    fine_mm : float
-        How far from the centre the bins are narrow [mm].
-    spacing_mm : float
-        Mean distance of two samples [mm].
-    """
-
+    #: (m,): means [mm], [N].
     depth_mm: FloatArray
-    variance_mm2: FloatArray
-    force_N: FloatArray
-    count: FloatArray
-    fine_mm: float
-    spacing_mm: float
+    variance_mm2: FloatArray  # (m,), variance of depth within each bin [mm2]
+    force_N: FloatArray  # (m,)
+    count: FloatArray  # (m,), samples in each bin
+    fine_mm: float  # how far from the centre the bins are narrow [mm]
+    spacing_mm: float  # mean distance of two samples [mm]
 
 
 def bin_samples(depth_mm: FloatArray, force_N: FloatArray, *, centre_mm: float, balance: float) -> Bins:
     """Average samples in bins along the record.
 
-    Parameters
-    ----------
-    depth_mm, force_N : ndarray, shape (n,)
-        One loading ramp.
-    centre_mm : float
-        Where the bins are narrow.
-    balance : float
-        (noise / slope)^(2/3): the sd of a bin mean falls as 1/sqrt(m), what m samples blur grows as m, and
-        the two balance at m^(3/2) = noise / (slope x spacing).
-
-    Returns
-    -------
-    Bins
+    ``depth_mm``, ``force_N`` (n,): one loading ramp; ``centre_mm``: where the bins are narrow; ``balance``:
+    (noise / slope)^(2/3): the sd of a bin mean falls as 1/sqrt(m), what m samples blur grows as m, and the
+    two balance at m^(3/2) = noise / (slope x spacing).
     """
     n = depth_mm.size
     at = int(np.searchsorted(np.maximum.accumulate(depth_mm), centre_mm))

@@ -21,13 +21,7 @@ HOLDABLE = ("ramp", "hold", "creep", "rest")
 
 
 def by_hand(trial: Trial, options: SegmentOptions) -> tuple[Flag, ...]:
-    """``decision_overridden`` for what was decided of a run and not, with its reason, in a study file.
-
-    Parameters
-    ----------
-    trial : Trial
-    options : SegmentOptions
-    """
+    """``decision_overridden`` for what was decided of a run and not, with its reason, in a study file."""
     known = {key for flag in trial.flags for key in flag.values.get("keys", ())}
     stated = {key: value for key, value in options.stated().items() if key not in known}
     if not stated:
@@ -43,12 +37,7 @@ def held_from_here(
 ) -> tuple[Phase, ...]:
     """Phases of which the hold nearest to a time begins there; a ramp is parted where there is no hold.
 
-    Parameters
-    ----------
-    time_s, depth_mm : ndarray, shape (n,)
-    phases : tuple of Phase
-    start_s : float
-        As recorded [s].
+    ``time_s``, ``depth_mm`` (n,); ``start_s``: as recorded [s].
     """
     at = int(np.argmin(np.abs(time_s - start_s)))
     holds = [k for k, phase in enumerate(phases) if phase.kind in ("hold", "creep") and k > 0]

@@ -69,21 +69,9 @@ def find_contact(
 ) -> tuple[Contact | None, list[Flag]]:
     """Find the contact on the first loading move that shows it.
 
-    Parameters
-    ----------
-    depth_mm, force_N : ndarray, shape (n,)
-        Growing into the tissue, zeros as recorded.
-    loading : list of Piece
-        Moves into the tissue, in time order.
-    noise_N : float
-    signs : tuple of int
-        Compression and force sign, to say results as recorded.
-    options : SegmentOptions
-
-    Returns
-    -------
-    contact : Contact or None
-    flags : list of Flag
+    ``depth_mm``, ``force_N`` (n,): growing into the tissue, zeros as recorded; ``loading``: moves into the
+    tissue, in time order; ``signs``: compression and force sign, to say results as recorded.  Returns
+    ``contact``; ``flags``.
     """
     compression, force_sign = signs
     if options.contact_displacement_mm is not None:

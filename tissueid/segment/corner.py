@@ -42,17 +42,8 @@ def corners_of(
 ) -> tuple[Corner, ...]:
     """The corner at the end of each ramp that stops or turns.
 
-    Parameters
-    ----------
-    time_s, depth_mm : ndarray, shape (n,)
-        Displacement growing into the tissue.
-    phases : tuple of Phase
-    tolerance_mm : float
-        What noise and resolution explain, > 0.
-
-    Returns
-    -------
-    tuple of Corner
+    ``time_s``, ``depth_mm`` (n,): displacement growing into the tissue; ``tolerance_mm``: what noise and
+    resolution explain, > 0.
     """
     return tuple(
         _corner(time_s, depth_mm, (k, before, after), tolerance_mm)

@@ -30,33 +30,18 @@ PEAK_SHARE = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Loop:
-    """One loop.
+    """One loop."""
 
-    Attributes
-    ----------
-    peak_mm, peak_N : float
-        Depth and force at its turn, as recorded but for sign.
-    work_N_mm : float
-        Work lost in the loop, over the depths that all loops cover.
-    """
-
+    #: Depth and force at its turn, as recorded but for sign.
     peak_mm: float
     peak_N: float
-    work_N_mm: float
+    work_N_mm: float  # work lost in the loop, over the depths that all loops cover
 
 
 def loops_of(depth_mm: FloatArray, force_N: FloatArray, phases: tuple[Phase, ...]) -> tuple[Loop, ...]:
     """Peaks and work of the loops among the phases.
 
-    Parameters
-    ----------
-    depth_mm, force_N : ndarray, shape (n,)
-        Growing into the tissue.
-    phases : tuple of Phase
-
-    Returns
-    -------
-    tuple of Loop
+    ``depth_mm``, ``force_N`` (n,): growing into the tissue.
     """
     cycles = [phase for phase in phases if phase.kind == "cycle" and phase.peak is not None]
     if not cycles:
@@ -99,13 +84,8 @@ def _work(depth_mm: FloatArray, force_N: FloatArray, phase: Phase, bottom_mm: fl
 def cycle_flags(loops: tuple[Loop, ...], *, before_test: bool, baseline_N: float) -> list[Flag]:
     """Their number, and the verdict on preconditioning.
 
-    Parameters
-    ----------
-    loops : tuple of Loop
-    before_test : bool
-        Whether a ramp and hold follow the loops.
-    baseline_N : float
-        Force in air, in the direction of the loops' forces.
+    ``before_test``: whether a ramp and hold follow the loops; ``baseline_N``: force in air, in the direction
+    of the loops' forces.
     """
     if not loops:
         return []

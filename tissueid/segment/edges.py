@@ -36,22 +36,10 @@ def corner_near(
 ) -> int:
     """The corner between two moves or standstills.
 
-    Parameters
-    ----------
-    time_s, depth_mm : ndarray, shape (n,)
-    at : int
-        Sample near the corner.
-    within : tuple of int
-        First and last sample that may be looked at.
-    stands : tuple of bool
-        Whether the tool stands before and after it.
-    tolerance : float
-        What noise and resolution explain [mm].
-
-    Returns
-    -------
-    int
-        The first sample after the corner; of a rounded stop, the first on the plateau.
+    ``time_s``, ``depth_mm`` (n,); ``at``: sample near the corner; ``within``: first and last sample that may
+    be looked at; ``stands``: whether the tool stands before and after it; ``tolerance``: what noise and
+    resolution explain [mm].  Returns the first sample after the corner; of a rounded stop, the first on the
+    plateau.
     """
     low, high = within
     # lines through what lies farther off: they know nothing of the corner's own shape
@@ -149,14 +137,8 @@ def leaves_line(
 ) -> int:
     """The sample up to which the path follows the straight line through the middle of a move.
 
-    Parameters
-    ----------
-    time_s, depth_mm : ndarray, shape (n,)
-    move : tuple of int
-        First and last sample of the move.
-    end : int
-        Sample towards which, from the middle, the path is followed.
-    tolerance_mm : float
+    ``time_s``, ``depth_mm`` (n,); ``move``: first and last sample of the move; ``end``: sample towards which,
+    from the middle, the path is followed.
     """
     first, last = move
     count = last - first

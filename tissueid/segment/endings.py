@@ -54,13 +54,7 @@ TURN_SD = 3.0
 def pull_off(depth_mm: FloatArray, force_N: FloatArray, *, surface_mm: float, noise_N: float) -> list[Flag]:
     """Tissue that holds the tool as it leaves: the force falls below its reading in air, and comes back.
 
-    Parameters
-    ----------
-    depth_mm, force_N : ndarray, shape (n,)
-        Growing into the tissue.
-    surface_mm : float
-        Depth of the contact.
-    noise_N : float
+    ``depth_mm``, ``force_N`` (n,): growing into the tissue; ``surface_mm``: depth of the contact.
     """
     away = np.flatnonzero(depth_mm >= surface_mm)
     leaves = int(np.argmax(depth_mm))
@@ -87,10 +81,7 @@ def held_from(
 ) -> int | None:
     """From where the load is held while the tool creeps, if a slow move after a ramp is creep.
 
-    Returns
-    -------
-    int or None
-        A sample within the ramp or the slow move.
+    Returns a sample within the ramp or the slow move.
     """
     ramp_s, slow_s = (float(time_s[piece.stop] - time_s[piece.start]) for piece in (ramp, slow))
     if not (ramp_s > 0.0 and slow_s > 0.0):
@@ -123,16 +114,7 @@ def aborts(
 ) -> list[Event]:
     """At most one abort: of the ramp that should have gone deeper, or been held.
 
-    Parameters
-    ----------
-    time_s, depth_mm : ndarray, shape (n,)
-        Displacement growing into the tissue.
-    phases : tuple of Phase
-    protocol : Protocol
-
-    Returns
-    -------
-    list of Event
+    ``time_s``, ``depth_mm`` (n,): displacement growing into the tissue.
     """
     ramps = [phase for phase in phases if phase.kind == "ramp"]
     if not ramps:
@@ -183,18 +165,9 @@ def load_limits(
 ) -> list[Event]:
     """Moves that ended at a force.
 
-    Parameters
-    ----------
-    time_s, depth_mm, force_N : ndarray, shape (n,)
-        Growing into the tissue.
-    phases : tuple of Phase
-    loops : tuple of Loop
-        Those of the cycle phases, in their order.
-    noise_N : float
-    zero : tuple of float
-        Depth of contact [mm] and force in air [N].
-    stated_N : float or None
-        The limit that the file states.
+    ``time_s``, ``depth_mm``, ``force_N`` (n,): growing into the tissue; ``loops``: those of the cycle phases,
+    in their order; ``zero``: depth of contact [mm] and force in air [N]; ``stated_N``: the limit that the
+    file states.
     """
     contact_mm, baseline_N = zero
     events: list[Event] = []

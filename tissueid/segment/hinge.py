@@ -47,31 +47,16 @@ NORMAL_95 = 1.959963984540054
 
 @dataclass(frozen=True, slots=True)
 class HingeFit:
-    """Posterior of a contact point.
+    """Posterior of a contact point."""
 
-    Attributes
-    ----------
-    contact_mm, sd_mm : float
-        Mean [mm], and standard deviation of the normal distribution with the same 95 % interval [mm].
-    baseline_N : float
-        Force in air [N]; 0 where it was held at 0.
-    slope_N_per_mm : float
-        Stiffness over the first part of the window [N/mm].
-    adequate : bool
-        Whether the shape describes the window within its noise.
-    excess : float
-        Chi-square of the best shape over its degrees of freedom.
-    at_start : float
-        Density of a contact at the first sample, as a share of the highest.
-    """
-
+    #: Mean [mm], and standard deviation of the normal distribution with the same 95 % interval [mm].
     contact_mm: float
     sd_mm: float
-    baseline_N: float
-    slope_N_per_mm: float
-    adequate: bool
-    excess: float
-    at_start: float
+    baseline_N: float  # force in air [N]; 0 where it was held at 0
+    slope_N_per_mm: float  # stiffness over the first part of the window [N/mm]
+    adequate: bool  # whether the shape describes the window within its noise
+    excess: float  # chi-square of the best shape over its degrees of freedom
+    at_start: float  # density of a contact at the first sample, as a share of the highest
 
 
 def fit_contact(
@@ -85,23 +70,11 @@ def fit_contact(
 ) -> HingeFit:
     """Posterior mean and standard deviation of the contact point.
 
-    Parameters
-    ----------
-    depth_mm, force_N : ndarray, shape (n,)
-        One loading ramp from its start, with what stands before it; both grow into the tissue.
-    noise_N : float
-        Standard deviation of the force noise, > 0.
-    baseline : bool
-        Whether the load cell may read something in air.  ``False`` (a record that starts in contact)
-        takes it as tared.
-    reach_back_mm : float
-        How far before the first sample the contact may lie [mm]; 0 with a baseline.
-    latest_mm : float
-        Depth at which the force has left its reading in air for good [mm].
-
-    Returns
-    -------
-    HingeFit
+    ``depth_mm``, ``force_N`` (n,): one loading ramp from its start, with what stands before it; both grow
+    into the tissue; ``noise_N``: standard deviation of the force noise, > 0; ``baseline``: whether the load
+    cell may read something in air.  ``False`` (a record that starts in contact) takes it as tared;
+    ``reach_back_mm``: how far before the first sample the contact may lie [mm]; 0 with a baseline;
+    ``latest_mm``: depth at which the force has left its reading in air for good [mm].
     """
     start, end = float(depth_mm[0]), float(depth_mm.max())
     low, high = start - reach_back_mm, end

@@ -39,22 +39,12 @@ PROBE_GAIN = 2.0
 
 @dataclass(frozen=True, slots=True)
 class Lattice:
-    """Nodes within the limits of both parameters.
+    """Nodes within the limits of both parameters."""
 
-    Attributes
-    ----------
-    first : ndarray, shape (n,)
-    second : ndarray, shape (n, m)
-        Clipped to its limits.
-    inside : ndarray of bool, shape (n, m)
-    steps : ndarray, shape (n, m, 2)
-        Position in units of the lattice.
-    """
-
-    first: FloatArray
-    second: FloatArray
-    inside: NDArray[np.bool_]
-    steps: FloatArray
+    first: FloatArray  # (n,)
+    second: FloatArray  # (n, m), clipped to its limits
+    inside: NDArray[np.bool_]  # (n, m)
+    steps: FloatArray  # (n, m, 2), position in units of the lattice
 
     def mass(self, log_density: FloatArray) -> FloatArray:
         """Share of each node, shape (n, m), sum 1; nodes outside have none."""
@@ -66,18 +56,9 @@ class Lattice:
 def locate(density: Density, limits: tuple[Limits, Limits], guess: float, doubt: float) -> Lattice:
     """Fit a lattice to a posterior.
 
-    Parameters
-    ----------
-    density : callable
-        Log density, shape (n, m), at first parameters (n,) and second ones (n, m).
-    limits : pair of pairs
-        Least and largest value of each parameter.
-    guess, doubt : float
-        First guess of the first parameter and how far it may be off.
-
-    Returns
-    -------
-    Lattice
+    ``density``: log density, shape (n, m), at first parameters (n,) and second ones (n, m); ``limits``: least
+    and largest value of each parameter; ``guess``, ``doubt``: first guess of the first parameter and how far
+    it may be off.
     """
     centre = np.array([guess, 0.5 * sum(limits[1])])
     shape = np.diag([max(doubt, 1e-300), 0.5 * (limits[1][1] - limits[1][0])]) / REACH

@@ -82,17 +82,8 @@ def displacement_tolerance(time_s: FloatArray, depth_mm: FloatArray) -> float:
 def pieces(time_s: FloatArray, depth_mm: FloatArray) -> list[Piece]:
     """Divide a recording into moves and standstills.
 
-    Parameters
-    ----------
-    time_s : ndarray, shape (n,)
-        Non-decreasing.
-    depth_mm : ndarray, shape (n,)
-        Displacement, growing into the tissue.
-
-    Returns
-    -------
-    list of Piece
-        Neighbours share their corner sample; together they cover the recording.
+    ``time_s`` (n,): non-decreasing; ``depth_mm`` (n,): displacement, growing into the tissue.  Returns
+    neighbours share their corner sample; together they cover the recording.
     """
     tolerance = displacement_tolerance(time_s, depth_mm)
     if tolerance == 0.0:

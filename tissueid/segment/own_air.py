@@ -44,18 +44,8 @@ def _reading(force_N: FloatArray, noise_N: float) -> tuple[float, float]:
 def without_kick(force_N: FloatArray, start: int, noise_N: float) -> FloatArray:
     """The force with the kick at the start of a move replaced by the reading at rest before it.
 
-    Parameters
-    ----------
-    force_N : ndarray, shape (n,)
-        A standstill and the move after it.
-    start : int
-        First sample of the move.
-    noise_N : float
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        The force itself where no kick is told.
+    ``force_N`` (n,): a standstill and the move after it; ``start``: first sample of the move.  Returns (n,),
+    the force itself where no kick is told.
     """
     if start < FEWEST_SAMPLES:
         return force_N
@@ -80,18 +70,9 @@ def without_kick(force_N: FloatArray, start: int, noise_N: float) -> FloatArray:
 def left_air(depth_mm: FloatArray, force_N: FloatArray, contact_mm: float, noise_N: float) -> float | None:
     """Depth of the first sample from which on the force stays above its reading in air.
 
-    Parameters
-    ----------
-    depth_mm, force_N : ndarray, shape (n,)
-        One loading move with what stands before it.
-    contact_mm : float
-        As estimated; the first half of what lies before it tells the reading in air.
-    noise_N : float
-
-    Returns
-    -------
-    float or None
-        ``None`` where too few samples tell a reading in air.
+    ``depth_mm``, ``force_N`` (n,): one loading move with what stands before it; ``contact_mm``: as estimated;
+    the first half of what lies before it tells the reading in air.  Returns ``None`` where too few samples
+    tell a reading in air.
     """
     before = int(np.argmax(depth_mm >= contact_mm))
     if before < 2 * FEWEST_SAMPLES:
@@ -116,11 +97,7 @@ def _rise(force_N: FloatArray, noise_N: float) -> tuple[float, float]:
 def rises(before_N: FloatArray, after_N: FloatArray, noise_N: float) -> bool:
     """True where the force in what was taken for air rises as it does in tissue, so that it is none.
 
-    Parameters
-    ----------
-    before_N, after_N : ndarray, shape (n,), shape (m,)
-        Forces of a move before and after its contact, in time order.
-    noise_N : float
+    ``before_N`` (n,), ``after_N`` (m,): forces of a move before and after its contact, in time order.
     """
     if before_N.size < 2 or after_N.size < 2:
         return False

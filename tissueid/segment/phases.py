@@ -49,20 +49,11 @@ CLEAR_AT_LEAST = 0.01
 
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """Surface of the tissue.
-
-    Attributes
-    ----------
-    contact : Contact or None
-    depth_mm : float
-        Contact in the direction of compression [mm].
-    clear_mm : float
-        A tool standing shallower than this is out of contact [mm].
-    """
+    """Surface of the tissue."""
 
     contact: Contact | None
-    depth_mm: float
-    clear_mm: float
+    depth_mm: float  # contact in the direction of compression [mm]
+    clear_mm: float  # a tool standing shallower than this is out of contact [mm]
 
     @classmethod
     def of(cls, contact: Contact | None, depth_mm: FloatArray, compression_sign: int) -> Surface:
@@ -197,22 +188,10 @@ def name_phases(
 ) -> tuple[Phase, ...]:
     """Name each piece.
 
-    Parameters
-    ----------
-    time_s, depth_mm : ndarray, shape (n,)
-        Displacement growing into the tissue.
-    found : list of Piece
-        Settled pieces that cover the recording.
-    surface : Surface
-    creeps : callable
-        ``creeps(ramp, slow move)``: sample from which the load was held while the tool crept, or ``None``.
-    again : Contact or None
-        Where the tool met the tissue again, on a later ramp.
-
-    Returns
-    -------
-    tuple of Phase
-        Neighbours share their corner sample; together they cover the recording.
+    ``time_s``, ``depth_mm`` (n,): displacement growing into the tissue; ``found``: settled pieces that cover
+    the recording; ``creeps``: ``creeps(ramp, slow move)``: sample from which the load was held while the tool
+    crept, or ``None``; ``again``: where the tool met the tissue again, on a later ramp.  Returns neighbours
+    share their corner sample; together they cover the recording.
     """
     loops = _loops(depth_mm, found, surface)
     named: list[tuple[str, Piece, int | None]] = []

@@ -18,17 +18,8 @@ IndexArray = NDArray[np.intp]
 def corners(time_s: FloatArray, values: FloatArray, *, tolerance: float) -> IndexArray:
     """Indices of the corners, first and last sample included.
 
-    Parameters
-    ----------
-    time_s, values : ndarray, shape (n,)
-        Non-decreasing times.
-    tolerance : float
-        Largest distance of a sample from the polyline, in the unit of the values, > 0.
-
-    Returns
-    -------
-    ndarray of int, shape (k,)
-        Growing, k >= 2.
+    ``time_s``, ``values`` (n,): non-decreasing times; ``tolerance``: largest distance of a sample from the
+    polyline, in the unit of the values, > 0.  Returns (k,), growing, k >= 2.
     """
     found = {0, values.size - 1}
     open_stretches = [(0, values.size - 1)]

@@ -57,53 +57,27 @@ SLOPE_SHARE = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Posterior:
-    """Log density at nodes, and the least-squares shape at each.
+    """Log density at nodes, and the least-squares shape at each."""
 
-    Attributes
-    ----------
-    log_density : ndarray, shape (n, m)
-    misfit : ndarray, shape (n, m)
-        Chi-square at each node.
-    static_N : ndarray, shape (n, m, k)
-        p1 W, p2 W^2, p3 W^3 [N], and, where the force in air is free, its drift over W and its value at
-        contact [N]; W the window.
-    branch_N : ndarray, shape (n, m)
-        A W/l [N].
-    """
-
-    log_density: FloatArray
-    misfit: FloatArray
+    log_density: FloatArray  # (n, m)
+    misfit: FloatArray  # (n, m), chi-square at each node
+    #: (n, m, k): p1 W, p2 W^2, p3 W^3 [N], and, where the force in air is free, its drift over W and its
+    #: value at contact [N]; W the window.
     static_N: FloatArray
-    branch_N: FloatArray
+    branch_N: FloatArray  # (n, m), a W/l [N]
 
 
 @dataclass(frozen=True, slots=True)
 class RampShape:
-    """A binned ramp and what is known of it before the contact is looked for.
-
-    Attributes
-    ----------
-    bins : Bins
-    noise_N : float
-    noise_freedom : float
-        Degrees of freedom with which the noise is known.
-    window_mm : float
-        From the first guess of contact to the end.
-    start_mm : float
-        First displacement of the record.
-    slope_N_per_mm : float
-        Slope of the ramp near contact, as guessed [N/mm].
-    baseline : bool
-        Whether the force in air is free.
-    """
+    """A binned ramp and what is known of it before the contact is looked for."""
 
     bins: Bins
     noise_N: float
-    noise_freedom: float
-    window_mm: float
-    start_mm: float
-    slope_N_per_mm: float
-    baseline: bool
+    noise_freedom: float  # degrees of freedom with which the noise is known
+    window_mm: float  # from the first guess of contact to the end
+    start_mm: float  # first displacement of the record
+    slope_N_per_mm: float  # slope of the ramp near contact, as guessed [N/mm]
+    baseline: bool  # whether the force in air is free
 
     @property
     def freedom(self) -> int:
@@ -119,15 +93,7 @@ class RampShape:
     def posterior(self, contact_mm: FloatArray, length_mm: FloatArray) -> Posterior:
         """Density over (contact, ln length).
 
-        Parameters
-        ----------
-        contact_mm : ndarray, shape (n,)
-        length_mm : ndarray, shape (n, m)
-            Lengths at each contact.
-
-        Returns
-        -------
-        Posterior
+        ``contact_mm`` (n,); ``length_mm`` (n, m): lengths at each contact.
         """
         bins, window = self.bins, self.window_mm
         weight = np.sqrt(bins.count) / self.noise_N

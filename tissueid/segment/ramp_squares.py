@@ -105,27 +105,13 @@ def ramp_squares(
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Least squares of the shape at every (contact, length).
 
-    Parameters
-    ----------
-    bins : tuple of ndarray, shape (b,)
-        Depth [mm], its variance [mm^2], one over the noise of the mean force [1/N], and the force over it.
-    prior : ndarray, shape (k,)
-        Prior standard deviations of the static columns [N]: three powers; drift and force in air.
-    scale : float
-        Of the branch [N].
-    place : tuple of float
-        Window [mm], first displacement of the record [mm], and the share of the way by which the first bin in
-        contact is moved to the middle of its gap.
-    contact, length : ndarray, shape (n,) and (n, m)
-
-    Returns
-    -------
-    coefficients : ndarray, shape (n, m, k)
-        Of the static columns, in their priors' standard deviations.
-    branch, misfit : ndarray, shape (n, m)
-        Of the branch in ``scale``; chi-square.
-    judged : ndarray, shape (3, n, m)
-        Information about contact and about ln length, and the variance of the initial slope over ``scale``.
+    ``bins`` (b,): depth [mm], its variance [mm^2], one over the noise of the mean force [1/N], and the force
+    over it; ``prior`` (k,): prior standard deviations of the static columns [N]: three powers; drift and
+    force in air; ``scale``: of the branch [N]; ``place``: window [mm], first displacement of the record [mm],
+    and the share of the way by which the first bin in contact is moved to the middle of its gap; ``contact``
+    (n,), ``length`` (n, m).  Returns ``coefficients`` (n, m, k): of the static columns, in their priors'
+    standard deviations; ``branch, misfit`` (n, m): of the branch in ``scale``; chi-square; ``judged`` (3, n,
+    m): information about contact and about ln length, and the variance of the initial slope over ``scale``.
     """
     static = _static(bins, prior, scale, contact, place[0])
     rise, moved, turned = _branch(bins, contact, length, place, scale)

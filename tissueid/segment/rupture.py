@@ -79,22 +79,10 @@ def ruptures(
 ) -> list[Event]:
     """Ruptures on the loading moves, in time order.
 
-    Parameters
-    ----------
-    time_s, depth_mm, force_N : ndarray, shape (n,)
-        Growing into the tissue.
-    loading : list of Piece
-        Moves into the tissue.
-    noise_N : float
-    tolerance_mm : float
-        What noise and resolution of the displacement explain.
-    zero : tuple of float
-        Depth of contact [mm] and force in air [N].
-
-    Returns
-    -------
-    list of Event
-        Kind ``rupture``, ``slip`` or ``doubtful_rupture``; ``index`` is the last sample before the fall.
+    ``time_s``, ``depth_mm``, ``force_N`` (n,): growing into the tissue; ``loading``: moves into the tissue;
+    ``tolerance_mm``: what noise and resolution of the displacement explain; ``zero``: depth of contact [mm]
+    and force in air [N].  Returns kind ``rupture``, ``slip`` or ``doubtful_rupture``; ``index`` is the last
+    sample before the fall.
     """
     contact_mm, baseline_N = zero
     depth, force = depth_mm - contact_mm, force_N - baseline_N

@@ -74,17 +74,8 @@ class _Path:
 def segment(trial: Trial, *, options: SegmentOptions | None = None) -> Segmentation:
     """Divide a recording into phases and find its contact point.
 
-    Parameters
-    ----------
-    trial : Trial
-    options : SegmentOptions, optional
-        What the user decides instead of the data.
-
-    Returns
-    -------
-    Segmentation
-        ``contact`` is ``None`` where none was found, and no hold is in ``phases`` where there is none: both
-        are results, with a flag.
+    ``options``: what the user decides instead of the data.  Returns ``contact`` is ``None`` where none was
+    found, and no hold is in ``phases`` where there is none: both are results, with a flag.
     """
     options = options or SegmentOptions()
     decided = options

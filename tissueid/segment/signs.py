@@ -26,10 +26,7 @@ FIRST_SAMPLES = 5
 def signs(trial: Trial, options: SegmentOptions) -> tuple[int, int, list[Flag]]:
     """Signs of compression and of force, with what is doubtful about them.
 
-    Returns
-    -------
-    compression_sign, force_sign : int
-    flags : list of Flag
+    Returns ``compression_sign, force_sign``; ``flags``.
     """
     flags: list[Flag] = []
     x, force = trial.displacement_mm, trial.force_N

@@ -20,16 +20,8 @@ MEDIAN_SAMPLES = 5
 def without_spikes(values: FloatArray, *, noise: float) -> FloatArray:
     """The values with each single spike replaced by the mean of its neighbours.
 
-    Parameters
-    ----------
-    values : ndarray, shape (n,)
-    noise : float
-        Standard deviation of the white noise, in the unit of the values.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        The values themselves where there is no spike.
+    ``values`` (n,); ``noise``: standard deviation of the white noise, in the unit of the values.  Returns
+    (n,), the values themselves where there is no spike.
     """
     if values.size < 5:
         return values
@@ -49,13 +41,7 @@ def without_spikes(values: FloatArray, *, noise: float) -> FloatArray:
 def running_median(values: FloatArray) -> FloatArray:
     """Median of :data:`MEDIAN_SAMPLES` samples about each; ends are repeated.
 
-    Parameters
-    ----------
-    values : ndarray, shape (n,)
-
-    Returns
-    -------
-    ndarray, shape (n,)
+    ``values`` (n,).  Returns (n,).
     """
     half = MEDIAN_SAMPLES // 2
     padded = np.pad(values, half, mode="edge")

@@ -45,16 +45,8 @@ FEWEST_ON_LINE = 3
 def travel_line(time_s: FloatArray, depth_mm: FloatArray, start: int, stop: int) -> tuple[float, float]:
     """Straight line through 20 to 80 % of the travel of a move.
 
-    Parameters
-    ----------
-    time_s, depth_mm : ndarray, shape (n,)
-    start, stop : int
-        First and last sample of the move.
-
-    Returns
-    -------
-    slope_mm_s, level_mm : float
-        Speed, and displacement of the line at t = 0.
+    ``time_s``, ``depth_mm`` (n,); ``start``, ``stop``: first and last sample of the move.  Returns
+    ``slope_mm_s, level_mm``: speed, and displacement of the line at t = 0.
     """
     t, x = time_s[start : stop + 1], depth_mm[start : stop + 1]
     share = (x - x[0]) / (x[-1] - x[0]) if x[-1] != x[0] else np.zeros(x.size)
@@ -74,11 +66,7 @@ def travel_line(time_s: FloatArray, depth_mm: FloatArray, start: int, stop: int)
 def placed_stops(time_s: FloatArray, depth_mm: FloatArray, found: list[Piece]) -> list[Piece]:
     """Pieces whose moves end, and standstills begin, at the stop.
 
-    Parameters
-    ----------
-    time_s, depth_mm : ndarray, shape (n,)
-    found : list of Piece
-        Settled moves and standstills that cover the recording.
+    ``time_s``, ``depth_mm`` (n,); ``found``: settled moves and standstills that cover the recording.
     """
     noise = path_noise(time_s, depth_mm)
     result = list(found)
@@ -128,10 +116,7 @@ def _stop(
 def with_braking(time_s: FloatArray, depth_mm: FloatArray, phases: tuple[Phase, ...]) -> tuple[Phase, ...]:
     """Phases whose ramps know for how long they brake before they stop.
 
-    Parameters
-    ----------
-    time_s, depth_mm : ndarray, shape (n,)
-    phases : tuple of Phase
+    ``time_s``, ``depth_mm`` (n,).
     """
     noise = path_noise(time_s, depth_mm)
     result = list(phases)
@@ -150,10 +135,7 @@ def with_braking(time_s: FloatArray, depth_mm: FloatArray, phases: tuple[Phase, 
 def settlings(time_s: FloatArray, depth_mm: FloatArray, phases: tuple[Phase, ...]) -> list[Event]:
     """Travel of holds after their stop, as events of kind ``settling``.
 
-    Parameters
-    ----------
-    time_s, depth_mm : ndarray, shape (n,)
-    phases : tuple of Phase
+    ``time_s``, ``depth_mm`` (n,).
     """
     noise = path_noise(time_s, depth_mm)
     events = []
@@ -171,11 +153,7 @@ def settlings(time_s: FloatArray, depth_mm: FloatArray, phases: tuple[Phase, ...
 def speed_flags(phases: tuple[Phase, ...], stated_mm_s: float | None) -> list[Flag]:
     """``speed_differs`` where no ramp runs at the speed that the file states.
 
-    Parameters
-    ----------
-    phases : tuple of Phase
-    stated_mm_s : float or None
-        Of the file's header.
+    ``stated_mm_s``: of the file's header.
     """
     speeds = [phase.speed_mm_s for phase in phases if phase.kind == "ramp"]
     if not stated_mm_s or not speeds:

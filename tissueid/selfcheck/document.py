@@ -21,18 +21,9 @@ __all__ = ["Asked", "check_document"]
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """Request of the user.
+    """Request of the user."""
 
-    Attributes
-    ----------
-    kind : str
-        ``recipe``, ``study`` or ``bundle``.
-    path : str
-    specimen : str
-    simulations, seed : int
-    """
-
-    kind: str
+    kind: str  # ``recipe``, ``study`` or ``bundle``
     path: str
     specimen: str
     simulations: int
@@ -65,10 +56,7 @@ def check_document(
 ) -> tuple[dict[str, Any], Verdict]:
     """The document of ``schemas/selfcheck.schema.json``, and the verdict behind it.
 
-    Parameters
-    ----------
-    records : sequence of Record
-        At least one with a posterior.
+    ``records``: at least one with a posterior.
     """
     verdict = verdict_of(records)
     good = [record for record in records if record.failed is None]

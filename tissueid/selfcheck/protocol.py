@@ -38,45 +38,23 @@ SECONDS_PER_MINUTE = 60.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Centre:
-    """The tissue that priors are centred on.
-
-    Attributes
-    ----------
-    model : KelvinVoigt
-    theta : ndarray, shape (p,)
-    sigma_N : float
-    phi : float
-        Correlation of the noise over one reference step; 0 is white.
-    white_share : float
-        Share of the noise's variance that is white beside a correlated part.
-    pooling : str
-        ``scaled``, ``partial`` or ``shared``.
-    """
+    """The tissue that priors are centred on."""
 
     model: KelvinVoigt
-    theta: FloatArray
+    theta: FloatArray  # (p,)
     sigma_N: float
-    phi: float
-    white_share: float
-    pooling: str
+    phi: float  # correlation of the noise over one reference step; 0 is white
+    white_share: float  # share of the noise's variance that is white beside a correlated part
+    pooling: str  # ``scaled``, ``partial`` or ``shared``
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Protocol:
-    """Logs that are recorded of one specimen.
+    """Logs that are recorded of one specimen."""
 
-    Attributes
-    ----------
-    words : str
-        Its origin, in one sentence.
-    logs : tuple of ProtocolLog
-    speeds_mm_s : tuple of float
-        Slowest and fastest loading.
-    """
-
-    words: str
+    words: str  # its origin, in one sentence
     logs: tuple[ProtocolLog, ...]
-    speeds_mm_s: tuple[float, float]
+    speeds_mm_s: tuple[float, float]  # slowest and fastest loading
 
     @property
     def depth_mm(self) -> float:
@@ -105,10 +83,7 @@ def in_air_first(
 ) -> ProtocolLog:
     """A log of a path that starts at contact, behind an approach in air at one speed.
 
-    Parameters
-    ----------
-    time_s, depth_mm : ndarray, shape (n,)
-        From contact on, both from 0; the first step is that of the approach.
+    ``time_s``, ``depth_mm`` (n,): from contact on, both from 0; the first step is that of the approach.
     """
     step = float(time_s[1] - time_s[0])
     air = step * np.arange(-max(int(np.ceil(AIR_S / step)), AIR_SAMPLES), 0)
@@ -148,10 +123,7 @@ def of_program(
 def of_recipe(recipe: Recipe, *, rate_Hz: float | None = None) -> tuple[Protocol, Centre]:
     """Protocol and tissue of a synthetic recipe.
 
-    Raises
-    ------
-    InputError
-        Its tissue is none that the contact model has, or its noise has a negative correlation.
+    Raises InputError: its tissue is none that the contact model has, or its noise has a negative correlation.
     """
     rate = rate_Hz or recipe.rate_Hz
     protocol = of_program(
@@ -202,10 +174,7 @@ def pooled(pooling: str, *, logs: int) -> str:
 def of_bundle(bundle: Bundle, *, where: str) -> tuple[Protocol, Centre]:
     """Tissue of a bundle, and a ramp-and-hold program within its depth and speeds.
 
-    Raises
-    ------
-    BundleError
-        It holds another contact model.
+    Raises BundleError: it holds another contact model.
     """
     model = bundle.contact_model()
     if bundle.model.key != KEY or not isinstance(model, KelvinVoigt):

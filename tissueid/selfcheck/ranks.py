@@ -34,22 +34,13 @@ _BISECTIONS = 40
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EcdfBand:
-    """Counts that an ECDF of uniform ranks keeps, at all points at once.
+    """Counts that an ECDF of uniform ranks keeps, at all points at once."""
 
-    Attributes
-    ----------
-    points : ndarray, shape (k,)
-        z in (0, 1).
-    low, high : ndarray of int, shape (k,)
-        Fewest and most ranks below each z.
-    level : float
-        Simultaneous probability that was asked for; the band's own is at least that.
-    """
-
-    points: FloatArray
+    points: FloatArray  # (k,), z in (0, 1)
+    #: (k,): fewest and most ranks below each z.
     low: IntArray
-    high: IntArray
-    level: float
+    high: IntArray  # (k,)
+    level: float  # simultaneous probability that was asked for; the band's own is at least that
 
     def holds(self, counts: IntArray) -> bool:
         """True where all counts lie within."""
@@ -59,17 +50,7 @@ class EcdfBand:
 def rank_of(truth: float, draws: FloatArray, rng: np.random.Generator) -> int:
     """Rank of a truth among draws: how many lie below it, ties broken at random.
 
-    Parameters
-    ----------
-    truth : float
-    draws : ndarray, shape (L,)
-    rng : Generator
-        Only asked where draws equal the truth.
-
-    Returns
-    -------
-    int
-        0 to L.
+    ``draws`` (L,); ``rng``: only asked where draws equal the truth.  Returns 0 to L.
     """
     below = int((draws < truth).sum())
     equal = int((draws == truth).sum())
@@ -79,14 +60,7 @@ def rank_of(truth: float, draws: FloatArray, rng: np.random.Generator) -> int:
 def ecdf_counts(ranks: IntArray, *, draws: int = DRAWS, points: int = POINTS) -> IntArray:
     """Count the ranks below each of ``points - 1`` equally spaced shares of their range.
 
-    Parameters
-    ----------
-    ranks : ndarray of int, shape (n,)
-        0 to ``draws``.
-
-    Returns
-    -------
-    ndarray of int, shape (points - 1,)
+    ``ranks`` (n,): 0 to ``draws``.  Returns (points - 1,).
     """
     edges = np.arange(1, points) * ((draws + 1) // points)
     return np.searchsorted(np.sort(ranks), edges, side="left").astype(np.int64)
@@ -121,18 +95,8 @@ def _stays(low: IntArray, high: IntArray, points: FloatArray, simulations: int) 
 def ecdf_band(simulations: int, level: float, points: int = POINTS) -> EcdfBand:
     """The narrowest band of equal pointwise level that holds with at least ``level``.
 
-    Parameters
-    ----------
-    simulations : int
-        Ranks, >= 1.
-    level : float
-        Simultaneous probability, in (0, 1).
-    points : int
-        z = 1/points ... (points - 1)/points.
-
-    Returns
-    -------
-    EcdfBand
+    ``simulations``: ranks, >= 1; ``level``: simultaneous probability, in (0, 1); ``points``: z = 1/points ...
+    (points - 1)/points.
     """
     z = np.arange(1, points) / points
 
@@ -157,11 +121,6 @@ def ecdf_band(simulations: int, level: float, points: int = POINTS) -> EcdfBand:
 def binomial_interval(trials: int, chance: float, error: float) -> tuple[int, int]:
     """Counts that a binomial variable leaves with a probability of at most ``error``, half on each side.
 
-    Parameters
-    ----------
-    trials : int
-    chance : float
-    error : float
-        In (0, 1).
+    ``error``: in (0, 1).
     """
     return int(binom.ppf(error / 2.0, trials, chance)), int(binom.ppf(1.0 - error / 2.0, trials, chance))

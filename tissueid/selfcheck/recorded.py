@@ -135,12 +135,8 @@ def of_recordings(
 ) -> tuple[str, Protocol, Centre]:
     """Name, protocol and identified tissue of one specimen of some recordings.
 
-    Raises
-    ------
-    InputError
-        Nothing can be fitted.
-    UsageError
-        There are several specimens and none, or another, was named.
+    Raises InputError: nothing can be fitted; UsageError: there are several specimens and none, or another,
+    was named.
     """
     name, sources = _chosen(trials, study, specimen, where, progress)
     own = [reload(source) for source in sources]

@@ -36,21 +36,13 @@ SAME_STEP = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProtocolLog:
-    """Motion of the tool in one log of a protocol.
-
-    Attributes
-    ----------
-    name : str
-    time_s, depth_mm : ndarray, shape (n,)
-        As recorded, both 0 at the expected contact and negative in air before it.
-    contact_sd_mm : float
-        Standard deviation of the depth at which the tool meets the tissue.
-    """
+    """Motion of the tool in one log of a protocol."""
 
     name: str
+    #: (n,): as recorded, both 0 at the expected contact and negative in air before it.
     time_s: FloatArray
-    depth_mm: FloatArray
-    contact_sd_mm: float
+    depth_mm: FloatArray  # (n,)
+    contact_sd_mm: float  # standard deviation of the depth at which the tool meets the tissue
 
 
 def noise(
@@ -64,14 +56,8 @@ def noise(
 ) -> FloatArray:
     """White noise plus a stationary AR(1), exact on unequal steps [N].
 
-    Parameters
-    ----------
-    sigma_N : float
-        Standard deviation of the whole.
-    phi : float
-        Correlation of the AR(1) part over one reference step; 0 is white.
-    white_share : float
-        Share of the variance that is white beside the AR(1) part.
+    ``sigma_N``: standard deviation of the whole; ``phi``: correlation of the AR(1) part over one reference
+    step; 0 is white; ``white_share``: share of the variance that is white beside the AR(1) part.
     """
     draws = rng.standard_normal(time_s.size)
     if phi == 0.0:
@@ -125,14 +111,10 @@ def recorded_force(
 ) -> FloatArray:
     """Force without noise as the machine records it [N], 0 in air.
 
-    Parameters
-    ----------
-    gain, offset_mm : float
-        Factor of all forces of the log, and how much deeper than expected the tool meets the tissue.
-    calibration : mapping
-        ``force_gain`` and ``displacement_gain`` (recorded over true), ``skew_s`` (force later than
-        displacement), ``force_filter_s`` (first-order low-pass), ``frame_compliance_mm_per_N``; what is
-        missing is perfect.
+    ``gain``, ``offset_mm``: factor of all forces of the log, and how much deeper than expected the tool meets
+    the tissue; ``calibration``: ``force_gain`` and ``displacement_gain`` (recorded over true), ``skew_s``
+    (force later than displacement), ``force_filter_s`` (first-order low-pass), ``frame_compliance_mm_per_N``;
+    what is missing is perfect.
     """
     give = calibration.get("frame_compliance_mm_per_N", 0.0)
     skew, filter_s = calibration.get("skew_s", 0.0), calibration.get("force_filter_s", 0.0)

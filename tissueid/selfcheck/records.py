@@ -33,54 +33,33 @@ FORMAT = "tissueid/selfcheck-records/1"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Replicate:
-    """One simulation: a truth, and draws of its posterior.
+    """One simulation: a truth, and draws of its posterior."""
 
-    Attributes
-    ----------
-    truth : mapping
-        Name -> true value.
-    draws : mapping
-        The same names -> draws, shape (L,), L >= :data:`~tissueid.selfcheck.ranks.DRAWS`, independent or
-        nearly so.
-    detail : mapping
-        Further numbers that are kept, as the acceptance of the sampler.
-    quoted : mapping
-        Some of the names -> the 95 % interval that a fit quotes.
-    """
-
-    truth: Mapping[str, float]
+    truth: Mapping[str, float]  # name -> true value
+    #: The same names -> draws, shape (L,), L >= :data:`~tissueid.selfcheck.ranks.DRAWS`, independent or
+    #: nearly so.
     draws: Mapping[str, FloatArray]
+    #: Further numbers that are kept, as the acceptance of the sampler.
     detail: Mapping[str, float] = field(default_factory=dict)
+    #: Some of the names -> the 95 % interval that a fit quotes.
     quoted: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """Numbers that are kept of one simulation.
-
-    Attributes
-    ----------
-    index : int
-    truth, mean, sd : mapping
-        True value, posterior mean and standard deviation by name.
-    rank : mapping
-        Rank of the truth among the thinned draws, 0 to DRAWS.
-    seconds : float
-    failed : str or None
-        Why there is no posterior; the mappings are then empty.
-    detail : mapping
-    held : mapping
-        True where the quoted interval held the truth, for names that have one.
-    """
+    """Numbers that are kept of one simulation."""
 
     index: int
+    #: True value, posterior mean and standard deviation by name.
     truth: Mapping[str, float] = field(default_factory=dict)
     mean: Mapping[str, float] = field(default_factory=dict)
     sd: Mapping[str, float] = field(default_factory=dict)
+    #: Rank of the truth among the thinned draws, 0 to DRAWS.
     rank: Mapping[str, int] = field(default_factory=dict)
     seconds: float = 0.0
-    failed: str | None = None
+    failed: str | None = None  # why there is no posterior; the mappings are then empty
     detail: Mapping[str, float] = field(default_factory=dict)
+    #: True where the quoted interval held the truth, for names that have one.
     held: Mapping[str, bool] = field(default_factory=dict)
 
     def line(self) -> bytes:
@@ -127,17 +106,8 @@ def fingerprint(what: Any) -> str:
 class Checkpoint:
     """The records of a check, in a file that survives a kill.
 
-    Parameters
-    ----------
-    path : Path
-        Read where it exists, else made.
-    digest : str
-        Of what is checked; a file with another is refused.
-
-    Raises
-    ------
-    UsageError
-        The file holds another check, or none.
+    ``path``: read where it exists, else made; ``digest``: of what is checked; a file with another is refused.
+    Raises UsageError: the file holds another check, or none.
     """
 
     def __init__(self, path: Path, digest: str) -> None:

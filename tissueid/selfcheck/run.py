@@ -80,23 +80,9 @@ def run_simulations(
 ) -> tuple[Record, ...]:
     """Simulate what the checkpoint does not hold yet.
 
-    Parameters
-    ----------
-    check : Check
-    checkpoint : Checkpoint
-        Each finished simulation is appended.
-    simulations : int
-        In all, those of the checkpoint included.
-    seed : int
-    workers : int
-        Processes; 1 stays in this one.
-    progress : callable, optional
-        ``progress(message, done, total)``.
-
-    Returns
-    -------
-    tuple of Record
-        The first ``simulations``, in their order.
+    ``checkpoint``: each finished simulation is appended; ``simulations``: in all, those of the checkpoint
+    included; ``workers``: processes; 1 stays in this one; ``progress``: ``progress(message, done, total)``.
+    Returns the first ``simulations``, in their order.
     """
     progress = progress or (lambda _message, _done, _total: None)
     missing = checkpoint.missing(simulations)

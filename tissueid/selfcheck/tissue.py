@@ -53,46 +53,22 @@ KNOWN_MACHINE = Calibration(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TissueCheck:
-    """Draws a tissue, records it, identifies it.
-
-    Attributes
-    ----------
-    model : KelvinVoigt
-    logs : tuple of ProtocolLog
-    priors : Priors
-        Proper ones: truths come from them, and the inference knows them.
-    pooling : str
-        ``scaled``, ``partial`` or ``shared``.
-    correlated : bool
-        Noise with phi.
-    white_share : float
-        Share of its variance that is white beside the correlated part.
-    defects : bool
-        Calibration nuisances are drawn, and the total posterior is checked.
-    reference_step_s : float
-        Step over which phi is the correlation: the finest of the logs' median steps.
-    points : tuple of tuple
-        (depth, speed) at which the force is checked.
-    stated : tuple of str
-        Names whose prior the study states.
-    instrument : mapping or None
-        The one instrument of every truth, instead of drawn defects: is it covered though it is unknown?
-    contact_stated : bool
-        The contact point is stated with its standard deviation, and not found in the recordings: the
-        posterior is checked without the segmentation before it.
-    """
+    """Draws a tissue, records it, identifies it."""
 
     model: KelvinVoigt
     logs: tuple[ProtocolLog, ...]
-    priors: Priors
-    pooling: str
-    correlated: bool
-    white_share: float
-    defects: bool
-    reference_step_s: float
-    points: tuple[tuple[float, float], ...]
-    stated: tuple[str, ...] = field(default=())
+    priors: Priors  # proper ones: truths come from them, and the inference knows them
+    pooling: str  # ``scaled``, ``partial`` or ``shared``
+    correlated: bool  # noise with phi
+    white_share: float  # share of its variance that is white beside the correlated part
+    defects: bool  # calibration nuisances are drawn, and the total posterior is checked
+    reference_step_s: float  # step over which phi is the correlation: the finest of the logs' median steps
+    points: tuple[tuple[float, float], ...]  # (depth, speed) at which the force is checked
+    stated: tuple[str, ...] = field(default=())  # names whose prior the study states
+    #: The one instrument of every truth, instead of drawn defects: is it covered though it is unknown?.
     instrument: Mapping[str, float] | None = None
+    #: The contact point is stated with its standard deviation, and not found in the recordings: the posterior
+    #: is checked without the segmentation before it.
     contact_stated: bool = False
 
     @property
@@ -138,10 +114,7 @@ class TissueCheck:
     def identified(self, trials: Sequence[Trial], *, seed: int) -> SpecimenFit:
         """Identify one specimen from its recordings, with its posterior.
 
-        Raises
-        ------
-        ArithmeticError
-            There is no posterior, or its sampler did not converge.
+        Raises ArithmeticError: there is no posterior, or its sampler did not converge.
         """
         options = IdentifyOptions(
             segment=self.segmentation,
@@ -222,15 +195,8 @@ def tissue_check(
 ) -> TissueCheck:
     """The check of a tissue under a protocol, with proper priors around it.
 
-    Parameters
-    ----------
-    protocol : Protocol
-    centre : Centre
-    stated : Priors, optional
-        Of a study: what it states stays.
-    widths : Widths, optional
-    defects : bool
-        Draw calibration nuisances and check the total posterior.
+    ``stated``: of a study: what it states stays; ``defects``: draw calibration nuisances and check the total
+    posterior.
     """
     stated = stated or Priors()
     return TissueCheck(

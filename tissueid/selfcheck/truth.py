@@ -41,49 +41,28 @@ MOST_REJECTED = 100_000
 
 @dataclass(frozen=True, slots=True)
 class Widths:
-    """Standard deviations of priors that are centred on a tissue.
+    """Standard deviations of priors that are centred on a tissue."""
 
-    Attributes
-    ----------
-    curve : float
-        Of each coefficient of F_s and K, as a fraction of its curve at full depth over the power of it.
-    ln_tau, ln_sigma : float
-    arctanh_phi : float
-        Half width of the uniform prior of the correlation, in arctanh(phi).
-    gain_sd : float
-        Scale of the half-normal prior of the standard deviation of a log's ln gain.
-    """
-
+    #: Of each coefficient of F_s and K, as a fraction of its curve at full depth over the power of it.
     curve: float = 0.15
     ln_tau: float = 0.4
     ln_sigma: float = 0.3
-    arctanh_phi: float = 0.4
-    gain_sd: float = 0.05
+    arctanh_phi: float = 0.4  # half width of the uniform prior of the correlation, in arctanh(phi)
+    gain_sd: float = 0.05  # scale of the half-normal prior of the standard deviation of a log's ln gain
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Truth:
-    """Everything that decides one simulation, but for the noise itself.
+    """Everything that decides one simulation, but for the noise itself."""
 
-    Attributes
-    ----------
-    theta : ndarray, shape (p,)
-        Of the contact model; passive.
-    gain : ndarray, shape (logs,)
-    offset_mm : ndarray, shape (logs,)
-        How much deeper each contact point is than the protocol has it.
-    sigma_N, phi, gain_sd : float
-        ``phi`` is 0 for white noise, ``gain_sd`` where logs have no gains.
-    calibration : mapping
-        Values of the nuisances; empty where the chain is perfect.
-    """
-
-    theta: FloatArray
-    gain: FloatArray
-    offset_mm: FloatArray
+    theta: FloatArray  # (p,), of the contact model; passive
+    gain: FloatArray  # (logs,)
+    offset_mm: FloatArray  # (logs,), how much deeper each contact point is than the protocol has it
+    #: ``phi`` is 0 for white noise, ``gain_sd`` where logs have no gains.
     sigma_N: float
     phi: float
     gain_sd: float
+    #: Values of the nuisances; empty where the chain is perfect.
     calibration: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -128,21 +107,9 @@ def centred_priors(
 ) -> Priors:
     """Proper priors around a tissue; what is stated stays.
 
-    Parameters
-    ----------
-    model : KelvinVoigt
-    theta : ndarray, shape (p,)
-        The tissue in the middle.
-    sigma_N, phi : float
-        Of its noise; ``phi`` 0 for white noise.
-    stated : Priors, optional
-        Of a study.  A curve of which one coefficient is stated needs all of them.
-    widths : Widths, optional
-
-    Raises
-    ------
-    InputError
-        A curve is stated in part.
+    ``theta`` (p,): the tissue in the middle; ``sigma_N``, ``phi``: of its noise; ``phi`` 0 for white noise;
+    ``stated``: of a study.  A curve of which one coefficient is stated needs all of them.  Raises InputError:
+    a curve is stated in part.
     """
     stated, widths = stated or Priors(), widths or Widths()
     linear: dict[str, tuple[float, float]] = {}
@@ -214,16 +181,9 @@ def draw_truth(
 ) -> Truth:
     """Draw one truth from priors that are proper (:func:`centred_priors`).
 
-    Parameters
-    ----------
-    offset_sd_mm : ndarray, shape (logs,)
-        Prior of each contact point; 0 where it is known.
-    pooling : str
-        All but ``shared`` give each log a gain.
-    correlated : bool
-        Noise with phi, or white.
-    defects : bool
-        Draw calibration nuisances as well.
+    ``offset_sd_mm`` (logs,): prior of each contact point; 0 where it is known; ``pooling``: all but
+    ``shared`` give each log a gain; ``correlated``: noise with phi, or white; ``defects``: draw calibration
+    nuisances as well.
     """
     assert priors.sigma_N is not None  # noqa: S101 -- centred_priors filled it
     theta = np.zeros(len(model.parameter_names))
@@ -266,18 +226,9 @@ def numbers_of(
 ) -> dict[str, FloatArray]:
     """Everything that is checked of a tissue, for many at once.
 
-    Parameters
-    ----------
-    model : KelvinVoigt
-    theta : ndarray, shape (n, p)
-    points : tuple of tuple
-        (depth, speed) [mm, mm/s], reached at constant speed from rest.
-
-    Returns
-    -------
-    dict
-        Name -> ndarray of shape (n,): parameters, viscosity of each branch at half depth, and
-        ``force_N at x mm, v mm/s``.
+    ``theta`` (n, p); ``points``: (depth, speed) [mm, mm/s], reached at constant speed from rest.  Returns
+    name -> ndarray of shape (n,): parameters, viscosity of each branch at half depth, and ``force_N at x mm,
+    v mm/s``.
     """
     out: dict[str, FloatArray] = {name: theta[:, k] for k, name in enumerate(model.parameter_names)}
     static, *branches = _blocks(model)

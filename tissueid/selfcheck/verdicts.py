@@ -36,20 +36,12 @@ QUOTED = 0.95
 
 @dataclass(frozen=True, slots=True)
 class Coverage:
-    """Count of truths in an interval: the central one, and at 95 % the one that a fit quotes.
-
-    Attributes
-    ----------
-    level : float
-    covered : int
-    simulations : int
-    low, high : int
-        Family-wise band of ``covered``.
-    """
+    """Count of truths in an interval: the central one, and at 95 % the one that a fit quotes."""
 
     level: float
     covered: int
     simulations: int
+    #: Family-wise band of ``covered``.
     low: int
     high: int
 
@@ -77,33 +69,17 @@ class Coverage:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ParameterCheck:
-    """Verdict of the simulations on one parameter.
-
-    Attributes
-    ----------
-    name : str
-    ranks : ndarray of int, shape (n,)
-    counts : ndarray of int
-        Ranks below each point of the band.
-    coverage : tuple of Coverage
-        One for each of :data:`LEVELS`.
-    mean_z : float
-        Mean of (truth - posterior mean) / posterior sd; 0 where right, its standard error 1 / sqrt(n).
-    spread_ratio : float
-        Root mean square of the same: 1 where right, above 1 where intervals are too narrow.
-    contraction : float
-        1 - mean posterior variance / variance of the truths: 0 where the data said nothing.
-    inside_95, inside_99, inside_family : bool
-        Whether the ECDF keeps the parameter's own bands, and the family-wise one.
-    """
+    """Verdict of the simulations on one parameter."""
 
     name: str
-    ranks: IntArray
-    counts: IntArray
-    coverage: tuple[Coverage, ...]
+    ranks: IntArray  # (n,)
+    counts: IntArray  # ranks below each point of the band
+    coverage: tuple[Coverage, ...]  # one for each of :data:`LEVELS`
+    #: Mean of (truth - posterior mean) / posterior sd; 0 where right, its standard error 1 / sqrt(n).
     mean_z: float
-    spread_ratio: float
-    contraction: float
+    spread_ratio: float  # root mean square of the same: 1 where right, above 1 where intervals are too narrow
+    contraction: float  # 1 - mean posterior variance / variance of the truths: 0 where the data said nothing
+    #: Whether the ECDF keeps the parameter's own bands, and the family-wise one.
     inside_95: bool
     inside_99: bool
     inside_family: bool
@@ -130,23 +106,13 @@ class ParameterCheck:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Verdict:
-    """The verdict on a whole check.
-
-    Attributes
-    ----------
-    parameters : tuple of ParameterCheck
-    bands : mapping
-        ``95``, ``99`` and ``family`` -> :class:`~tissueid.selfcheck.ranks.EcdfBand`.
-    simulations : int
-        With a posterior.
-    failed : tuple of str
-        Why the others have none.
-    """
+    """The verdict on a whole check."""
 
     parameters: tuple[ParameterCheck, ...]
+    #: ``95``, ``99`` and ``family`` -> :class:`~tissueid.selfcheck.ranks.EcdfBand`.
     bands: Mapping[str, EcdfBand]
-    simulations: int
-    failed: tuple[str, ...]
+    simulations: int  # with a posterior
+    failed: tuple[str, ...]  # why the others have none
 
     @property
     def reasons(self) -> tuple[str, ...]:
@@ -228,15 +194,8 @@ def _parameter(
 def verdict_of(records: Sequence[Record]) -> Verdict:
     """Judge the records of a check.
 
-    Parameters
-    ----------
-    records : sequence of Record
-        At least one with a posterior; all of them with the same names.
-
-    Raises
-    ------
-    NotIdentifiedError
-        No simulation has a posterior.
+    ``records``: at least one with a posterior; all of them with the same names.  Raises NotIdentifiedError:
+    no simulation has a posterior.
     """
     good = [record for record in records if record.failed is None]
     if not good:

@@ -71,11 +71,8 @@ HDF5_ERRORS = (
 def bundle_from_fit(fit: SpecimenFit, *, provenance: Mapping[str, Any]) -> Bundle:
     """Make the bundle of one specimen's fit; its covariance and draws are the posterior's where there is one.
 
-    Parameters
-    ----------
-    fit : SpecimenFit
-    provenance : mapping
-        Of the run: versions, options, seed, inputs.  Inputs that this specimen did not use are left out.
+    ``provenance``: of the run: versions, options, seed, inputs.  Inputs that this specimen did not use are
+    left out.
     """
     own = {(trial.path, trial.sheet) for trial in fit.trials}
     inputs = [
@@ -114,16 +111,7 @@ def _thinned(draws: FloatArray) -> FloatArray:
 def write_bundle(bundle: Bundle, path: Path | str) -> None:
     """Write a bundle, whole or not at all, after the checks that :func:`load_bundle` makes.
 
-    Parameters
-    ----------
-    bundle : Bundle
-    path : Path or str
-        Its folder must exist.
-
-    Raises
-    ------
-    BundleError
-        If the bundle could not be loaded again.
+    ``path``: its folder must exist.  Raises BundleError: if the bundle could not be loaded again.
     """
     path = Path(path)
     document = _checked(bundle, where=str(path))

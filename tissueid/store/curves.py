@@ -30,23 +30,13 @@ _QUANTITIES = ("time_s", "depth_mm", "force_N", "model_N")
 
 @dataclass(frozen=True, slots=True)
 class TrialCurve:
-    """The curve of one trial.
-
-    Attributes
-    ----------
-    specimen : str
-    path : str
-    sheet : str or None
-    curve : Curve
-    residual : ResidualSummary or None
-        Curves of older runs have none.
-    """
+    """The curve of one trial."""
 
     specimen: str
     path: str
     sheet: str | None
     curve: Curve
-    residual: ResidualSummary | None = None
+    residual: ResidualSummary | None = None  # curves of older runs have none
 
 
 def curves_of_fits(fits: Iterable[SpecimenFit]) -> tuple[TrialCurve, ...]:
@@ -61,12 +51,7 @@ def curves_of_fits(fits: Iterable[SpecimenFit]) -> tuple[TrialCurve, ...]:
 def write_curves(curves: Sequence[TrialCurve], path: Path | str) -> None:
     """Write curves, whole or not at all; equal curves give equal bytes.
 
-    Parameters
-    ----------
-    curves : sequence of TrialCurve
-        At least one.
-    path : Path or str
-        Its folder must exist.
+    ``curves``: at least one; ``path``: its folder must exist.
     """
     path = Path(path)
     temporary = path.with_name(TEMPORARY_PREFIX + path.name)
@@ -104,10 +89,7 @@ def _write_column(file: Any, name: str, values: Any) -> None:
 def load_curves(path: Path | str) -> tuple[TrialCurve, ...]:
     """Read what :func:`write_curves` wrote.
 
-    Raises
-    ------
-    BundleError
-        If the file is damaged or another kind of file.
+    Raises BundleError: if the file is damaged or another kind of file.
     """
     path = Path(path)
     if not path.is_file():

@@ -53,11 +53,7 @@ def replace_file(temporary: Path, target: Path) -> None:
 def write_file(path: Path, content: bytes) -> None:
     """Write a whole file or nothing.
 
-    Parameters
-    ----------
-    path : Path
-        Its folder must exist.
-    content : bytes
+    ``path``: its folder must exist.
     """
     temporary = path.with_name(TEMPORARY_PREFIX + path.name)
     try:
@@ -73,10 +69,7 @@ def plain_json(value: Any) -> Any:
     Mapping proxies, tuples and numpy scalars and arrays come out of frozen result types; JSON and its
     schemas know none of them.
 
-    Raises
-    ------
-    TypeError
-        For anything JSON has no word for.
+    Raises TypeError: for anything JSON has no word for.
     """
     if value is None or isinstance(value, (bool, str)):
         return value
@@ -97,10 +90,7 @@ def plain_json(value: Any) -> Any:
 def json_bytes(document: Any) -> bytes:
     """JSON with one spelling for one document: UTF-8, two spaces, shortest round-trip numbers.
 
-    Raises
-    ------
-    ValueError
-        For NaN or infinity, which JSON does not have.
+    Raises ValueError: for NaN or infinity, which JSON does not have.
     """
     text = json.dumps(plain_json(document), ensure_ascii=False, indent=2, allow_nan=False)
     return (text + "\n").encode("utf-8")

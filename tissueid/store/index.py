@@ -58,30 +58,18 @@ CREATE TABLE results (
 
 @dataclass(frozen=True, slots=True)
 class RecordingRow:
-    """One recording of a file, or the refusal in its place.
-
-    Attributes
-    ----------
-    path, sheet, sha256 : str, str or None, str
-    raw : str
-        Specimen as the file was read; ``specimen`` is what the study calls it.
-    samples : int
-    kind : str
-        ``trial``, ``excluded``, ``unlisted`` (the study wants none but listed ones), ``refused`` or
-        ``refused_excluded`` (the study does not want it either).
-    specimen : str
-    refusal : mapping or None
-        Fields of :class:`tissueid.result.Refusal`.
-    """
+    """One recording of a file, or the refusal in its place."""
 
     path: str
     sheet: str | None
     sha256: str
-    raw: str
+    raw: str  # specimen as the file was read; ``specimen`` is what the study calls it
     samples: int
+    #: ``trial``, ``excluded``, ``unlisted`` (the study wants none but listed ones), ``refused`` or
+    #: ``refused_excluded`` (the study does not want it either).
     kind: str
     specimen: str
-    refusal: Mapping[str, Any] | None = None
+    refusal: Mapping[str, Any] | None = None  # fields of :class:`tissueid.result.Refusal`
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,20 +86,8 @@ class JobRow:
 class Index:
     """The index of an output folder, open for writing.
 
-    Parameters
-    ----------
-    out : Path
-        Output folder, whose lock the caller holds.
-
-    Attributes
-    ----------
-    remark : str or None
-        What others must do without on this file system.
-
-    Raises
-    ------
-    BundleError
-        The file is of another schema version, or this file system can't hold it.
+    ``out``: output folder, whose lock the caller holds.  ``remark``: what others must do without on this file
+    system.  Raises BundleError: the file is of another schema version, or this file system can't hold it.
     """
 
     def __init__(self, out: Path) -> None:
@@ -358,10 +334,7 @@ def _unusable(path: Path, error: Exception) -> str:
 def open_for_reading(out: Path) -> sqlite3.Connection:
     """Open the index of a folder for queries, also while a run writes it.
 
-    Raises
-    ------
-    BundleError
-        There is none, or it can't be read.
+    Raises BundleError: there is none, or it can't be read.
     """
     path = out / INDEX
     if not path.is_file():

@@ -54,17 +54,8 @@ def _try_lock(stream: IO[bytes]) -> bool:
 class FolderLock:
     """A context in which this process alone writes into a folder.
 
-    Parameters
-    ----------
-    folder : Path
-        Must exist.
-    wait_s : float
-        How long to wait for another writer [s]; 0 refuses at once.
-
-    Raises
-    ------
-    BundleError
-        On entering, where another process holds the lock or the file system knows no locks.
+    ``folder``: must exist; ``wait_s``: how long to wait for another writer [s]; 0 refuses at once.  Raises
+    BundleError: on entering, where another process holds the lock or the file system knows no locks.
     """
 
     def __init__(self, folder: Path, *, wait_s: float = 0.0) -> None:

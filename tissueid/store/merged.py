@@ -34,21 +34,11 @@ _COLUMNS = ("specimen", "file", "fitted", "sha256", "bytes")
 
 @dataclass(frozen=True, slots=True)
 class ListedSpecimen:
-    """One file of ``specimens/`` that belongs to a run.
-
-    Attributes
-    ----------
-    specimen : str
-    file : str
-        Its name in the folder.
-    fitted : bool
-        Whether a model was identified in it.
-    sha256, bytes : str, int
-    """
+    """One file of ``specimens/`` that belongs to a run."""
 
     specimen: str
-    file: str
-    fitted: bool
+    file: str  # its name in the folder
+    fitted: bool  # whether a model was identified in it
     sha256: str
     bytes: int
 
@@ -65,10 +55,7 @@ def list_specimens(rows: Iterable[ListedSpecimen], stream: IO[str]) -> None:
 def read_listed(path: Path) -> Iterator[ListedSpecimen]:
     """Read what :func:`list_specimens` wrote.
 
-    Raises
-    ------
-    BundleError
-        It is damaged or another kind of file.
+    Raises BundleError: it is damaged or another kind of file.
     """
     try:
         with path.open(encoding="utf-8", newline="") as stream:
@@ -86,20 +73,8 @@ def merge_files(
 ) -> None:
     """Write bundles, curves and posteriors of a set from the files of its specimens.
 
-    Parameters
-    ----------
-    run : OutputSet
-    fitted : mapping
-        Specimen -> its file, in the order of the set.
-    inputs : mapping
-        Specimen -> rows of its inputs.
-    provenance : mapping
-        Of the run, without inputs.
-
-    Raises
-    ------
-    BundleError
-        A file is damaged.
+    ``fitted``: specimen -> its file, in the order of the set; ``inputs``: specimen -> rows of its inputs;
+    ``provenance``: of the run, without inputs.  Raises BundleError: a file is damaged.
     """
     names = bundle_names(fitted)
     for specimen, path in fitted.items():

@@ -86,16 +86,8 @@ def _step_from(path: Path, version: int, steps: Mapping[int, Any], newest: int) 
 def migrate_bundle(path: Path, *, steps: Mapping[int, Step] = BUNDLE_STEPS) -> Migrated | None:
     """Bring a bundle to this version, in place; ``None`` where it is there already.
 
-    Parameters
-    ----------
-    path : Path
-    steps : mapping
-        Version -> the step to the next.
-
-    Raises
-    ------
-    BundleError
-        It is damaged, newer, or no step is known; the file is as it was.
+    ``steps``: version -> the step to the next.  Raises BundleError: it is damaged, newer, or no step is
+    known; the file is as it was.
     """
     was, document, arrays = _contents(path)
     if was == BUNDLE_SCHEMA_VERSION:
@@ -156,10 +148,7 @@ def migrate_folder(
     Bundles change all at once, as a new set.  Files in ``specimens/`` are named by their version too: the
     next ``tissueid fit`` computes those of an older one again.
 
-    Raises
-    ------
-    BundleError
-        A file can't be migrated, or another process writes; the folder is as it was.
+    Raises BundleError: a file can't be migrated, or another process writes; the folder is as it was.
     """
     found: list[Migrated] = []
     if (out / INDEX).is_file():

@@ -43,14 +43,7 @@ def safe_name(name: str) -> str:
 
     Different names may come out alike; :func:`file_names` keeps them apart.
 
-    Parameters
-    ----------
-    name : str
-
-    Returns
-    -------
-    str
-        At most 80 bytes of UTF-8, never empty, not reserved, not beginning or ending with a dot.
+    Returns at most 80 bytes of UTF-8, never empty, not reserved, not beginning or ending with a dot.
     """
     composed = unicodedata.normalize("NFC", name)
     kept = "".join(char if char.isalnum() or char in "._-" else "_" for char in composed)
@@ -71,12 +64,7 @@ def file_names(specimens: Iterable[str], stem: str, suffix: str) -> dict[str, st
     Where two names would meet on a file system that ignores case or composes letters differently,
     each gets eight digits of its own hash, whatever their order.
 
-    Parameters
-    ----------
-    specimens : iterable of str
-        Distinct names.
-    stem, suffix : str
-        What the files begin and end with.
+    ``specimens``: distinct names; ``stem``, ``suffix``: what the files begin and end with.
     """
     specimens = list(specimens)
     plain = {specimen: safe_name(specimen) for specimen in specimens}

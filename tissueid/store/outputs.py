@@ -45,30 +45,17 @@ _REFRESH_WAIT_S = 20.0
 
 @dataclass(frozen=True, slots=True)
 class CommittedRun:
-    """The run that an output folder shows.
+    """The run that an output folder shows."""
 
-    Attributes
-    ----------
-    folder : Path
-        Where its files were written.
-    files : dict
-        ``name -> {"sha256", "bytes"}``.
-    replaces : tuple of str
-        Public names of the set before it.
-    """
-
-    folder: Path
-    files: dict[str, dict[str, Any]]
-    replaces: tuple[str, ...]
+    folder: Path  # where its files were written
+    files: dict[str, dict[str, Any]]  # ``name -> {"sha256", "bytes"}``
+    replaces: tuple[str, ...]  # public names of the set before it
 
 
 def current_run(out: Path | str) -> CommittedRun | None:
     """Find the committed run of an output folder, or ``None`` where there is none.
 
-    Raises
-    ------
-    BundleError
-        If the folder names a run that is not there or whose manifest is damaged.
+    Raises BundleError: if the folder names a run that is not there or whose manifest is damaged.
     """
     out = Path(out)
     try:
@@ -104,15 +91,8 @@ def _is_refreshed(out: Path) -> bool:
 def complete_refresh(out: Path | str) -> None:
     """Finish a refresh that a kill interrupted; cheap where there is nothing to do.
 
-    Parameters
-    ----------
-    out : Path or str
-        An output folder; need not exist.
-
-    Raises
-    ------
-    BundleError
-        If another process is writing, a public file is held open elsewhere, or the run is damaged.
+    ``out``: an output folder; need not exist.  Raises BundleError: if another process is writing, a public
+    file is held open elsewhere, or the run is damaged.
     """
     out = Path(out)
     if _is_refreshed(out):
@@ -174,15 +154,8 @@ class OutputSet:
 
     Leaving the context without :meth:`commit` leaves the folder as it was.
 
-    Parameters
-    ----------
-    out : Path or str
-        Output folder; made where it does not exist.
-
-    Raises
-    ------
-    BundleError
-        On entering, where another process writes into the folder or an earlier run is damaged.
+    ``out``: output folder; made where it does not exist.  Raises BundleError: on entering, where another
+    process writes into the folder or an earlier run is damaged.
     """
 
     def __init__(self, out: Path | str) -> None:

@@ -50,32 +50,18 @@ MOST_POINTS = 20_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StoredPosterior:
-    """Stored part of one specimen's posterior beside its numbers.
-
-    Attributes
-    ----------
-    specimen : str
-    theta_names : tuple of str
-    draws : ndarray, shape (n, p)
-    draws_total : ndarray, shape (n, p), or None
-    chain_names : tuple of str
-    chain : ndarray, shape (chains, draws, d)
-        At most :data:`MOST_POINTS` points.
-    bands : mapping
-        (path, sheet) of a trial -> shape (3, m): low, median, high [N] at the samples of its curve.
-    log_density : ndarray, shape (chains, draws), or None
-    log_prior : ndarray, shape (n,), or None
-        Log prior density of the rows of ``draws``, up to a constant; files of older runs have none.
-    """
+    """Stored part of one specimen's posterior beside its numbers."""
 
     specimen: str
     theta_names: tuple[str, ...]
-    draws: FloatArray
-    draws_total: FloatArray | None
+    draws: FloatArray  # (n, p)
+    draws_total: FloatArray | None  # (n, p)
     chain_names: tuple[str, ...]
-    chain: FloatArray
+    chain: FloatArray  # (chains, draws, d), at most :data:`MOST_POINTS` points
+    #: (path, sheet) of a trial -> shape (3, m): low, median, high [N] at the samples of its curve.
     bands: Mapping[tuple[str, str | None], FloatArray] = field(default_factory=dict)
-    log_density: FloatArray | None = None
+    log_density: FloatArray | None = None  # (chains, draws)
+    #: (n,): log prior density of the rows of ``draws``, up to a constant; files of older runs have none.
     log_prior: FloatArray | None = None
 
     def to_arviz(self) -> Any:
@@ -123,12 +109,8 @@ def _thinned(chain: FloatArray) -> FloatArray:
 def write_posteriors(posteriors: Iterable[StoredPosterior], path: Path | str) -> None:
     """Write posteriors, whole or not at all; equal posteriors give equal bytes.
 
-    Parameters
-    ----------
-    posteriors : iterable of StoredPosterior
-        Taken one after the other, so that a generator needs the memory of one specimen.
-    path : Path or str
-        Its folder must exist.
+    ``posteriors``: taken one after the other, so that a generator needs the memory of one specimen; ``path``:
+    its folder must exist.
     """
     path = Path(path)
     temporary = path.with_name(TEMPORARY_PREFIX + path.name)
@@ -180,10 +162,7 @@ def _columns(one: StoredPosterior) -> dict[str, NDArray[Any]]:
 def load_posteriors(path: Path | str) -> tuple[StoredPosterior, ...]:
     """Read what :func:`write_posteriors` wrote.
 
-    Raises
-    ------
-    BundleError
-        If the file is missing, damaged or another kind of file.
+    Raises BundleError: if the file is missing, damaged or another kind of file.
     """
     path = Path(path)
     if not path.is_file():

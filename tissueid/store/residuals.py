@@ -57,10 +57,7 @@ def _offsets(sizes: Sequence[int]) -> NDArray[np.int64]:
 def get_residuals(group: Any, trials: int) -> list[ResidualSummary | None]:
     """Read what :func:`put_residuals` wrote; ``None`` for trials without, and for all of an older file.
 
-    Raises
-    ------
-    ValueError
-        Its parts do not match.
+    Raises ValueError: its parts do not match.
     """
     residuals: list[ResidualSummary | None] = [None] * trials
     if _GROUP not in group:

@@ -53,21 +53,8 @@ _WAY_OUT = "run `tissueid fit` again"
 def write_results(run: OutputSet, identification: Identification) -> dict[str, Any]:
     """Write the numbers, bundles, curves and draws of a fit into an output set.
 
-    Parameters
-    ----------
-    run : OutputSet
-        Open, not yet committed.
-    identification : Identification
-
-    Returns
-    -------
-    dict
-        The document of identification.json, for the report.
-
-    Raises
-    ------
-    BundleError
-        If the result breaks its schema or a bundle would not load again.
+    ``run``: open, not yet committed.  Returns the document of identification.json, for the report.  Raises
+    BundleError: if the result breaks its schema or a bundle would not load again.
     """
     document: dict[str, Any] = plain_json(identification.as_json())
     check(document, "identification", where=IDENTIFICATION)
@@ -88,10 +75,7 @@ def write_results(run: OutputSet, identification: Identification) -> dict[str, A
 def read_identification(out: Path | str) -> dict[str, Any]:
     """Read the identification document of an output folder alone.
 
-    Raises
-    ------
-    BundleError
-        If there is no committed set or it is damaged.
+    Raises BundleError: if there is no committed set or it is damaged.
     """
     return _identification(_committed(Path(out)).folder / IDENTIFICATION)
 
@@ -103,10 +87,7 @@ def read_results(
 
     All of them at once: :func:`each_result` is for cohorts.
 
-    Raises
-    ------
-    BundleError
-        If there is no committed set or it is damaged.
+    Raises BundleError: if there is no committed set or it is damaged.
     """
     run = _committed(Path(out))
     document = _identification(run.folder / IDENTIFICATION)
@@ -125,21 +106,8 @@ def each_result(
 ) -> Iterator[tuple[dict[str, Any], tuple[TrialCurve, ...], StoredPosterior | None]]:
     """Read the fitted specimens of an output folder one at a time, however large the cohort is.
 
-    Parameters
-    ----------
-    out : Path or str
-
-    Yields
-    ------
-    document : dict
-        A specimen of identification.json.
-    curves : tuple of TrialCurve
-    posterior : StoredPosterior or None
-
-    Raises
-    ------
-    BundleError
-        If there is no committed set or it is damaged.
+    Yields ``document``: a specimen of identification.json; ``curves``; ``posterior``.  Raises BundleError: if
+    there is no committed set or it is damaged.
     """
     run = _committed(Path(out))
     if LISTED not in run.files:
@@ -167,14 +135,7 @@ def validate_outputs(out: Path | str) -> None:
 
     Finishes an interrupted refresh, then checks hashes, schemas, bundles and that they belong together.
 
-    Parameters
-    ----------
-    out : Path or str
-
-    Raises
-    ------
-    BundleError
-        Naming every problem found.
+    Raises BundleError: naming every problem found.
     """
     # a folder without a run says so itself, with the way out
     _committed(Path(out))

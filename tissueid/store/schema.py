@@ -57,18 +57,10 @@ _LONGEST_MESSAGE = 300
 
 @dataclass(frozen=True, slots=True)
 class SchemaProblem:
-    """The first thing a document gets wrong.
+    """The first thing a document gets wrong."""
 
-    Attributes
-    ----------
-    pointer : str
-        JSON pointer (RFC 6901) of the offending value; empty for the document itself.
-    message : str
-        What is wrong with it.
-    """
-
-    pointer: str
-    message: str
+    pointer: str  # JSON pointer (RFC 6901) of the offending value; empty for the document itself
+    message: str  # what is wrong with it
 
     def __str__(self) -> str:
         return f"{self.pointer or '(document)'}: {self.message}"
@@ -77,10 +69,7 @@ class SchemaProblem:
 def schema_folder() -> Traversable:
     """Find the folder that holds the schemas: the installed package's, else the checkout's.
 
-    Raises
-    ------
-    BundleError
-        Where neither exists: the installation is damaged.
+    Raises BundleError: where neither exists: the installation is damaged.
     """
     packaged = resources.files("tissueid") / "schemas"
     checkout = Path(__file__).resolve().parents[2] / "schemas"
@@ -95,10 +84,7 @@ def schema_folder() -> Traversable:
 def load_schema(name: str) -> Mapping[str, Any]:
     """Load one schema as parsed JSON.
 
-    Parameters
-    ----------
-    name : str
-        One of :data:`SCHEMA_NAMES`.
+    ``name``: one of :data:`SCHEMA_NAMES`.
     """
     if name not in SCHEMA_NAMES:
         msg = f"there is no schema {name!r}; there are {', '.join(SCHEMA_NAMES)}"
@@ -144,12 +130,8 @@ def _non_finite(value: Any, path: tuple[str | int, ...] = ()) -> SchemaProblem |
 def first_problem(document: Any, name: str) -> SchemaProblem | None:
     """Find the most telling way in which a document breaks a schema, or ``None``.
 
-    Parameters
-    ----------
-    document : JSON value
-        Plain dicts, lists, strings, numbers, booleans and ``None``.
-    name : str
-        One of :data:`SCHEMA_NAMES`.
+    ``document``: plain dicts, lists, strings, numbers, booleans and ``None``; ``name``: one of
+    :data:`SCHEMA_NAMES`.
     """
     from jsonschema.exceptions import best_match
 
@@ -165,18 +147,8 @@ def first_problem(document: Any, name: str) -> SchemaProblem | None:
 def check(document: Any, name: str, *, where: str = "") -> None:
     """Refuse a document that breaks its schema.
 
-    Parameters
-    ----------
-    document : JSON value
-    name : str
-        One of :data:`SCHEMA_NAMES`.
-    where : str
-        File or stage the document came from, for the message.
-
-    Raises
-    ------
-    BundleError
-        Naming the JSON pointer of the first problem.
+    ``name``: one of :data:`SCHEMA_NAMES`; ``where``: file or stage the document came from, for the message.
+    Raises BundleError: naming the JSON pointer of the first problem.
     """
     problem = first_problem(document, name)
     if problem is not None:

@@ -69,36 +69,18 @@ _NEEDED = ("time_s", "position_m", "force_N", "depth_mm", "tissue_force_N", "lam
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SessionLog:
-    """One session.
+    """One session."""
 
-    Attributes
-    ----------
-    head : mapping
-        Device, scale, surface, tissues: see ``schemas/session.schema.json``.
-    records : structured ndarray, shape (n,)
-        One a tick, fields as the head's ``record`` says.
-    summary : mapping or None
-        Of the session; None where it was killed before it could be written.
-    """
-
-    head: Mapping[str, Any]
-    records: Records
-    summary: Mapping[str, Any] | None
+    head: Mapping[str, Any]  # device, scale, surface, tissues: see ``schemas/session.schema.json``
+    records: Records  # (n,), one a tick, fields as the head's ``record`` says
+    summary: Mapping[str, Any] | None  # of the session; None where it was killed before it could be written
 
 
 def raw_head(head: Mapping[str, Any], record: np.dtype[Any]) -> bytes:
     """Write the beginning of a raw log; records follow as they are.
 
-    Parameters
-    ----------
-    head : mapping
-        Without ``schema`` and ``record``, which are added.
-    record : dtype
-
-    Raises
-    ------
-    BundleError
-        The head does not follow its schema.
+    ``head``: without ``schema`` and ``record``, which are added.  Raises BundleError: the head does not
+    follow its schema.
     """
     document = plain_json(
         {
@@ -130,22 +112,9 @@ def is_session_log(data: bytes) -> bool:
 def read_session_log(source: Path | str | bytes, *, where: str | None = None) -> SessionLog:
     """Read a log, raw or HDF5, and refuse what no session wrote.
 
-    Parameters
-    ----------
-    source : Path, str or bytes
-        File, or its bytes.
-    where : str, optional
-        Name for messages, where bytes are given.
-
-    Returns
-    -------
-    SessionLog
-        With the whole records; a raw log's last record is left out where it was cut.
-
-    Raises
-    ------
-    BundleError
-        Naming the file, what is wrong, and the way out.
+    ``source``: file, or its bytes; ``where``: name for messages, where bytes are given.  Returns with the
+    whole records; a raw log's last record is left out where it was cut.  Raises BundleError: naming the file,
+    what is wrong, and the way out.
     """
     name = where or (str(source) if not isinstance(source, bytes) else "session log")
     data = source if isinstance(source, bytes) else _bytes(Path(source))
@@ -172,18 +141,8 @@ def read_session_log(source: Path | str | bytes, *, where: str | None = None) ->
 def convert_session_log(raw: Path, target: Path, summary: Mapping[str, Any]) -> None:
     """Turn a raw log into the HDF5 file, whole or not at all; the raw one is left as it is.
 
-    Parameters
-    ----------
-    raw, target : Path
-    summary : mapping
-        Of the session.
-
-    Raises
-    ------
-    BundleError
-        The raw log is none, or the summary does not follow the schema.
-    OSError
-        There is no room for it.
+    ``summary``: of the session.  Raises BundleError: the raw log is none, or the summary does not follow the
+    schema; OSError: there is no room for it.
     """
     head, start, record = _raw_layout(raw)
     count = (raw.stat().st_size - start) // record.itemsize

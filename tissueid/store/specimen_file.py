@@ -47,19 +47,11 @@ _FORMAT = "tissueid/specimen"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpecimenResult:
-    """Result of one job.
+    """Result of one job."""
 
-    Attributes
-    ----------
-    record : dict
-        ``specimen`` (name as shown), ``fitted`` (entry of identification.json, or ``None``), ``refused``,
-        ``unfitted_cycles``, ``inputs``, ``provenance``, ``reasons`` (why its exit code is not 0), ``trials``
-        and ``exclusions`` (rows of the study).
-    bundle : Bundle or None
-    curves : tuple of TrialCurve
-    posterior : StoredPosterior or None
-    """
-
+    #: ``specimen`` (name as shown), ``fitted`` (entry of identification.json, or ``None``), ``refused``,
+    #: ``unfitted_cycles``, ``inputs``, ``provenance``, ``reasons`` (why its exit code is not 0), ``trials``
+    #: and ``exclusions`` (rows of the study).
     record: dict[str, Any]
     bundle: Bundle | None = None
     curves: tuple[TrialCurve, ...] = ()
@@ -69,10 +61,7 @@ class SpecimenResult:
 def specimen_bytes(result: SpecimenResult) -> bytes:
     """The bytes of a specimen's file; equal results give equal bytes.
 
-    Raises
-    ------
-    BundleError
-        If its bundle could not be loaded again.
+    Raises BundleError: if its bundle could not be loaded again.
     """
     buffer = io.BytesIO()
     with h5py.File(buffer, "w", libver=("v110", "v110")) as file:
@@ -118,10 +107,7 @@ def _record(group: Any) -> dict[str, Any]:
 def load_record(path: Path) -> dict[str, Any]:
     """The JSON of a specimen's file alone.
 
-    Raises
-    ------
-    BundleError
-        If the file is missing, damaged or another kind of file.
+    Raises BundleError: if the file is missing, damaged or another kind of file.
     """
     with _opened(path) as group:
         return _record(group)
@@ -132,15 +118,8 @@ def load_specimen(
 ) -> tuple[dict[str, Any], tuple[TrialCurve, ...], StoredPosterior | None]:
     """Record, curves and draws of a specimen's file: all that a report draws.
 
-    Parameters
-    ----------
-    path : Path or binary file
-        Where it stands, or its bytes.
-
-    Raises
-    ------
-    BundleError
-        If the file is missing, damaged or another kind of file.
+    ``path``: where it stands, or its bytes.  Raises BundleError: if the file is missing, damaged or another
+    kind of file.
     """
     with _opened(path) as group:
         curves = get_curves(group["curves"]) if "curves" in group else ()

@@ -29,15 +29,7 @@ _LISTED = 100
 def read_status(out: Path) -> dict[str, Any]:
     """The document of ``schemas/status.schema.json``.
 
-    Parameters
-    ----------
-    out : Path
-        Output folder.
-
-    Raises
-    ------
-    BundleError
-        There is no index, or it can't be read.
+    ``out``: output folder.  Raises BundleError: there is no index, or it can't be read.
     """
     database = open_for_reading(out)
     try:

@@ -31,10 +31,7 @@ def _spelled(value: Any, level: int) -> bytes:
 class JsonList:
     """A list of a document, written down as it grows.
 
-    Parameters
-    ----------
-    level : int
-        How deep its elements stand in the document: 2 for a list that is a value of its root.
+    ``level``: how deep its elements stand in the document: 2 for a list that is a value of its root.
     """
 
     def __init__(self, level: int) -> None:
@@ -53,10 +50,7 @@ class JsonList:
     def add(self, value: Any) -> None:
         """Append one element.
 
-        Raises
-        ------
-        ValueError
-            For NaN or infinity, which JSON does not have.
+        Raises ValueError: for NaN or infinity, which JSON does not have.
         """
         pad = b" " * (_INDENT * self.level)
         self._file.write((b",\n" if self.count else b"\n") + pad + _spelled(value, self.level))
@@ -76,12 +70,7 @@ class JsonList:
 def write_json(stream: IO[bytes], value: Any, *, level: int = 0) -> None:
     """Write a document whose mappings may hold :class:`JsonList` in place of lists.
 
-    Parameters
-    ----------
-    stream : binary file
-    value : JSON value or JsonList
-    level : int
-        How deep it stands.
+    ``level``: how deep it stands.
     """
     if isinstance(value, JsonList):
         value.copy_into(stream)

@@ -98,27 +98,16 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class TidyTable:
-    """A table in memory.
-
-    Attributes
-    ----------
-    columns : tuple of str
-    rows : tuple of mapping
-        Column -> value; a column that is missing is empty.
-    """
+    """A table in memory."""
 
     columns: tuple[str, ...]
-    rows: tuple[Mapping[str, Any], ...]
+    rows: tuple[Mapping[str, Any], ...]  # column -> value; a column that is missing is empty
 
 
 def tidy_table(document: Mapping[str, Any], name: str) -> TidyTable:
     """One of :data:`TABLES`, from the document of identification.json.
 
-    Parameters
-    ----------
-    document : mapping
-        Valid by ``schemas/identification.schema.json``.
-    name : str
+    ``document``: valid by ``schemas/identification.schema.json``.
     """
     columns, rows = TABLES[name]
     provenance = _provenance(document)

@@ -50,34 +50,17 @@ _STYLES = (
 
 @dataclass(frozen=True, slots=True)
 class Sheet:
-    """One table of a workbook.
+    """One table of a workbook."""
 
-    Attributes
-    ----------
-    name : str
-        Cut to what a spreadsheet allows.
-    head : tuple of str
-    rows : sequence of sequence of str, float, bool or None
-        ``None`` and what is not finite are empty cells.
-    """
-
-    name: str
+    name: str  # cut to what a spreadsheet allows
     head: tuple[str, ...]
-    rows: Sequence[Sequence[Cell]]
+    rows: Sequence[Sequence[Cell]]  # ``None`` and what is not finite are empty cells
 
 
 def xlsx_bytes(sheets: Sequence[Sheet]) -> bytes:
     """A workbook of these sheets, each with its head in bold and kept in sight.
 
-    Parameters
-    ----------
-    sheets : sequence of Sheet
-        At least one.
-
-    Raises
-    ------
-    ValueError
-        Without a sheet, or of more rows than a sheet can hold.
+    ``sheets``: at least one.  Raises ValueError: without a sheet, or of more rows than a sheet can hold.
     """
     if not sheets:
         msg = "a workbook needs a sheet"

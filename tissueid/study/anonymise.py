@@ -54,12 +54,7 @@ def recording_text(trial: Trial) -> str:
 class Anonymiser:
     """Takes names out of one study.
 
-    Parameters
-    ----------
-    study : Study
-    specimens : iterable of str
-        Names of specimens in use, listed or not.
-    salt : bytes
+    ``specimens``: names of specimens in use, listed or not.
     """
 
     def __init__(self, study: Study, specimens: Iterable[str], salt: bytes) -> None:

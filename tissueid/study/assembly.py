@@ -42,29 +42,16 @@ LARGE = 200
 
 @dataclass(slots=True)
 class Assembled:
-    """Results of a run, in few words.
+    """Results of a run, in few words."""
 
-    Attributes
-    ----------
-    document : Path
-        identification.json, in the folder of the run.
-    jobs, fitted : int
-        Specimens looked at, and specimens with a model.
-    refused : list of Refusal
-    reasons : list of str
-        What was asked for and is not identified.
-    exclusions : list of mapping
-    beside, trials : int
-        Trials that the study does not name, of all.
-    exit : Exit
-    """
-
-    document: Path
+    document: Path  # identification.json, in the folder of the run
+    #: Specimens looked at, and specimens with a model.
     jobs: int = 0
     fitted: int = 0
     refused: list[Refusal] = field(default_factory=list)
-    reasons: list[str] = field(default_factory=list)
+    reasons: list[str] = field(default_factory=list)  # what was asked for and is not identified
     exclusions: list[Mapping[str, Any]] = field(default_factory=list)
+    #: Trials that the study does not name, of all.
     beside: int = 0
     trials: int = 0
     exit: Exit = field(default_factory=lambda: Exit(0))
@@ -101,21 +88,9 @@ def assemble(
 ) -> Assembled:
     """Write the document, and the merged files of a set that is not large, into an output set.
 
-    Parameters
-    ----------
-    run : OutputSet
-        Open, not yet committed.
-    index : Index
-        All of whose jobs are done or failed.
-    study : Study or None
-    options : IdentifyOptions
-    provenance : mapping
-        Added to what is recorded anyway.
-
-    Raises
-    ------
-    BundleError
-        A specimen's file is damaged, or the document breaks its schema.
+    ``run``: open, not yet committed; ``index``: all of whose jobs are done or failed; ``provenance``: added
+    to what is recorded anyway.  Raises BundleError: a specimen's file is damaged, or the document breaks its
+    schema.
     """
     found = Assembled(run.path(IDENTIFICATION), jobs=index.count("done") + index.count("failed"))
     files: dict[str, Path] = {}

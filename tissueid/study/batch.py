@@ -47,18 +47,9 @@ _FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 def fit_cohort(request: Request, run: OutputSet, progress: Progress) -> Assembled:
     """Fit every specimen among some files and put the public set together, without committing it.
 
-    Parameters
-    ----------
-    request : Request
-    run : OutputSet
-        Open; its folder keeps the index and the files of specimens whether or not it is committed.
-    progress : callable
-        ``progress(message, done, total)``.
-
-    Raises
-    ------
-    BundleError
-        The output can't be written, a full disk included; what is finished is kept.
+    ``run``: open; its folder keeps the index and the files of specimens whether or not it is committed;
+    ``progress``: ``progress(message, done, total)``.  Raises BundleError: the output can't be written, a full
+    disk included; what is finished is kept.
     """
     with Index(run.out) as index:
         process = {"pid": os.getpid(), "host": platform.node()}

@@ -102,10 +102,7 @@ def _refuse_relaxing(trial: Trial, segmentation: Segmentation) -> None:
 def loadings_of(trial: Trial) -> list[Loading]:
     """Every loading of one recording of a rigid block: ramps, and the way in of cycles.
 
-    Raises
-    ------
-    InputError
-        ``not_rigid``: no contact, no loading, or a force that relaxes.
+    Raises InputError: ``not_rigid``: no contact, no loading, or a force that relaxes.
     """
     segmentation = segment(trial)
     if segmentation.contact is None:
@@ -175,21 +172,9 @@ def _repeatability(
 def calibrate_frame(trials: Sequence[Trial]) -> dict[str, Any]:
     """The frame file of some recordings of a rigid block.
 
-    Parameters
-    ----------
-    trials : sequence of Trial
-        At least one; every ramp and cycle counts as a loading.
-
-    Returns
-    -------
-    dict
-        The document of ``schemas/frame.schema.json``.  The covariance holds the noise of the mean curve and
-        the scatter of single loadings about it: a test is one more loading.
-
-    Raises
-    ------
-    InputError
-        ``not_rigid``.
+    ``trials``: at least one; every ramp and cycle counts as a loading.  Returns the document of
+    ``schemas/frame.schema.json``.  The covariance holds the noise of the mean curve and the scatter of single
+    loadings about it: a test is one more loading.  Raises InputError: ``not_rigid``.
     """
     every = [one for trial in trials for one in loadings_of(trial)]
     top = max(float(one.force_N.max()) for one in every)

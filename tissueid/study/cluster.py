@@ -40,13 +40,8 @@ LOOK_S = 1.0
 def compute(content: bytes, folder: str, wanted: dict[str, str]) -> bytes:
     """Work of a worker: a packed task in, a packed outcome out.
 
-    Parameters
-    ----------
-    content : bytes
-    folder : str
-        Working folder of who asked, from which relative paths are meant.
-    wanted : dict
-        Versions of who asked.
+    ``folder``: working folder of who asked, from which relative paths are meant; ``wanted``: versions of who
+    asked.
     """
     from distributed import get_worker
 
@@ -72,15 +67,8 @@ class _SchedulerLostError(Exception):
 class DaskWorkers:
     """The workers of a Dask scheduler.
 
-    Parameters
-    ----------
-    address : str
-        As ``tcp://HOST:8786`` or ``tls://HOST:8786``.
-
-    Raises
-    ------
-    UsageError
-        Dask is not installed, there is no scheduler or no worker there, or a worker has other versions.
+    ``address``: as ``tcp://HOST:8786`` or ``tls://HOST:8786``.  Raises UsageError: Dask is not installed,
+    there is no scheduler or no worker there, or a worker has other versions.
     """
 
     def __init__(self, address: str) -> None:
@@ -154,10 +142,7 @@ class DaskWorkers:
     def run(self, tasks: Iterable[Task], started: Started) -> Iterator[Outcome]:
         """Outcomes as they come; tasks of a scheduler that was lost are submitted again.
 
-        Raises
-        ------
-        BundleError
-            The scheduler stayed away.
+        Raises BundleError: the scheduler stayed away.
         """
         source = iter(tasks)
         again: deque[Task] = deque()

@@ -33,28 +33,14 @@ POPULATION_FILES = (_DOCUMENT, _BUNDLE, _PAGE)
 
 @dataclass(frozen=True, slots=True)
 class PopulationRequest:
-    """Request for a cohort.
+    """Request for a cohort."""
 
-    Attributes
-    ----------
-    group_by : str or None
-        Covariate whose groups are compared.
-    covariates : tuple of str
-    tails : str
-        ``t`` or ``normal``.
-    seed : int
-    hold_out : bool
-        Predict every specimen from the others.
-    mix_states : bool
-        Pool thawed specimens with fresh ones.
-    """
-
-    group_by: str | None = None
+    group_by: str | None = None  # covariate whose groups are compared
     covariates: tuple[str, ...] = ()
-    tails: str = "t"
+    tails: str = "t"  # ``t`` or ``normal``
     seed: int = 0
-    hold_out: bool = True
-    mix_states: bool = False
+    hold_out: bool = True  # predict every specimen from the others
+    mix_states: bool = False  # pool thawed specimens with fresh ones
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,20 +61,9 @@ def write_population(
 ) -> WrittenPopulation:
     """Draw the population of the specimens in an output folder and write it beside them.
 
-    Parameters
-    ----------
-    out : Path
-        Of a finished fit; its other files stay as they are.
-    request : PopulationRequest
-    progress : callable
-        ``progress(message, done, total)``.
-
-    Raises
-    ------
-    NotIdentifiedError
-        There are too few specimens with a posterior; each that takes no part is named.
-    BundleError
-        The folder is not whole, or another process writes into it.
+    ``out``: of a finished fit; its other files stay as they are; ``progress``: ``progress(message, done,
+    total)``.  Raises NotIdentifiedError: there are too few specimens with a posterior; each that takes no
+    part is named; BundleError: the folder is not whole, or another process writes into it.
     """
     with OutputSet(out) as run:
         identification = read_identification(out)

@@ -35,23 +35,12 @@ _NEEDS_ESSENTIALS = {"A", "B"}
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """One thing to state.
+    """One thing to state."""
 
-    Attributes
-    ----------
-    table : str
-        Where it stands: ``study``, ``calibration``, ``tip``, ``specimen`` or ``trial``.
-    keys : tuple of str
-        Any one of them will do.
-    weight : int
-    why : str
-        Why it is asked for.
-    """
-
-    table: str
-    keys: tuple[str, ...]
+    table: str  # where it stands: ``study``, ``calibration``, ``tip``, ``specimen`` or ``trial``
+    keys: tuple[str, ...]  # any one of them will do
     weight: int
-    why: str
+    why: str  # why it is asked for
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,24 +63,12 @@ class Missing:
 
 @dataclass(frozen=True, slots=True)
 class Completeness:
-    """The verdict on a study file.
+    """The verdict on a study file."""
 
-    Attributes
-    ----------
-    grade : str
-        A to F.
-    share : float
-        Share of the weights that is stated.
-    missing : tuple of Missing
-        The weightiest first.
-    unmatched : tuple of Refusal
-        Files and sheets that are named and not there.
-    """
-
-    grade: str
-    share: float
-    missing: tuple[Missing, ...]
-    unmatched: tuple[Refusal, ...]
+    grade: str  # a to F
+    share: float  # share of the weights that is stated
+    missing: tuple[Missing, ...]  # the weightiest first
+    unmatched: tuple[Refusal, ...]  # files and sheets that are named and not there
 
     @property
     def usable(self) -> bool:
@@ -161,11 +138,7 @@ def _without(item: Item, tables: Mapping[str, Mapping[str, Any]]) -> tuple[str, 
 def completeness(study: Study, unmatched: Sequence[Refusal] = ()) -> Completeness:
     """Grade a study file.
 
-    Parameters
-    ----------
-    study : Study
-    unmatched : sequence of Refusal
-        Files that it names in vain.
+    ``unmatched``: files that it names in vain.
     """
     calibration = dict(study.calibration.values)
     if study.calibration.frame is not None:
@@ -186,10 +159,7 @@ def completeness(study: Study, unmatched: Sequence[Refusal] = ()) -> Completenes
 def completeness_of_result(study: Mapping[str, Any] | None) -> Completeness:
     """Grade what a result knows of its study.
 
-    Parameters
-    ----------
-    study : mapping or None
-        The ``study`` of identification.json; without one nothing is stated.
+    ``study``: the ``study`` of identification.json; without one nothing is stated.
     """
     told: Mapping[str, Any] = study or {}
     about: Mapping[str, Any] = told.get("study", {})

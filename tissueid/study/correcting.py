@@ -28,14 +28,8 @@ _SWITCHES = {"rupture": False, "exclude": True}
 class CorrectedInspection:
     """Inspection that the page's server corrects; one request at a time.
 
-    Parameters
-    ----------
-    manifest : Path
-        The study file, which need not be there yet.
-    inspect : callable
-        Inspects everything, by the study file as it stands.
-    reading : ReadOptions
-        Of the run.
+    ``manifest``: the study file, which need not be there yet; ``inspect``: inspects everything, by the study
+    file as it stands; ``reading``: of the run.
     """
 
     def __init__(self, manifest: Path, inspect: Callable[[], Inspection], reading: ReadOptions) -> None:
@@ -48,10 +42,7 @@ class CorrectedInspection:
     def page(self) -> str:
         """The page by what study.toml says now.
 
-        Raises
-        ------
-        InputError
-            study.toml is not valid.
+        Raises InputError: study.toml is not valid.
         """
         with self._lock:
             return self._current().page(served=True)
@@ -59,22 +50,9 @@ class CorrectedInspection:
     def decide(self, words: Mapping[str, Any]) -> str:
         """Take a decision, or take it back.
 
-        Parameters
-        ----------
-        words : mapping
-            ``path``, ``sheet``, ``key``, ``value`` and ``because``, as the page sends them.
-
-        Returns
-        -------
-        str
-            What was written.
-
-        Raises
-        ------
-        UsageError
-            It makes no sense for this recording; study.toml is as it was.
-        InputError
-            study.toml is not valid, or would not be.
+        ``words``: ``path``, ``sheet``, ``key``, ``value`` and ``because``, as the page sends them.  Returns
+        what was written.  Raises UsageError: it makes no sense for this recording; study.toml is as it was;
+        InputError: study.toml is not valid, or would not be.
         """
         with self._lock:
             return self._decide(words)

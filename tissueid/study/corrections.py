@@ -34,26 +34,13 @@ CORRECTED: Mapping[str, str] = {
 
 @dataclass(frozen=True, slots=True)
 class Correction:
-    """One decision on one recording.
+    """One decision on one recording."""
 
-    Attributes
-    ----------
-    key : str
-        Of :data:`CORRECTED`.
-    file : str
-        Path relative to the folder of study.toml, with forward slashes.
-    sheet : str or None
-    value : float or bool or None
-        ``None`` takes the decision back.
-    because : str
-        The reason; needed but where it is taken back.
-    """
-
-    key: str
-    file: str
+    key: str  # of :data:`CORRECTED`
+    file: str  # path relative to the folder of study.toml, with forward slashes
     sheet: str | None
-    value: float | bool | None
-    because: str = ""
+    value: float | bool | None  # ``None`` takes the decision back
+    because: str = ""  # the reason; needed but where it is taken back
 
     def __post_init__(self) -> None:
         if self.value is not None and not self.because.strip():
@@ -80,16 +67,8 @@ class Correction:
 def corrected_text(text: str, correction: Correction) -> str:
     """The text of a study file with a decision in it, or without it again.
 
-    Parameters
-    ----------
-    text : str
-        A valid study file; empty where there is none yet.
-    correction : Correction
-
-    Raises
-    ------
-    UsageError
-        The file is laid out so that a table can't be added to it or taken out of it.
+    ``text``: a valid study file; empty where there is none yet.  Raises UsageError: the file is laid out so
+    that a table can't be added to it or taken out of it.
     """
     table = CORRECTED[correction.key]
     text = text or f'schema = "{SCHEMA}"\n'
@@ -165,14 +144,7 @@ def _deciding(study: Study, key: str, path: str, sheet: str | None) -> list[Entr
 
 
 def standing(study: Study | None, path: str, sheet: str | None) -> dict[str, tuple[Any, str]]:
-    """Standing decisions on a recording: value and reason, by key of :data:`CORRECTED`.
-
-    Parameters
-    ----------
-    study : Study or None
-    path : str
-    sheet : str or None
-    """
+    """Standing decisions on a recording: value and reason, by key of :data:`CORRECTED`."""
     if study is None:
         return {}
     found = {key: _deciding(study, key, path, sheet) for key in CORRECTED}

@@ -50,17 +50,8 @@ def crate_files(
 ) -> list[CrateFile]:
     """Files of a crate beside its metadata.
 
-    Parameters
-    ----------
-    study : Study
-    trials : sequence of Trial
-        Every recording of the study.
-    anonymiser : Anonymiser, optional
-        Recordings are then written anew under numbers, and the study file without names.
-
-    Returns
-    -------
-    list of CrateFile
+    ``trials``: every recording of the study; ``anonymiser``: recordings are then written anew under numbers,
+    and the study file without names.
     """
     if anonymiser is None:
         return _as_they_are(study, trials)
@@ -167,18 +158,8 @@ def crate_metadata(
 ) -> dict[str, Any]:
     """The document of ``ro-crate-metadata.json``.
 
-    Parameters
-    ----------
-    study : Study
-    files : sequence of CrateFile
-    published : str
-        Day of publication, ISO 8601.
-    anonymiser : Anonymiser, optional
-
-    Raises
-    ------
-    UsageError
-        The study has no licence: nobody could use the crate.
+    ``published``: day of publication, ISO 8601.  Raises UsageError: the study has no licence: nobody could
+    use the crate.
     """
     about = dict(study.about) if anonymiser is None else anonymiser.table(study.about)
     if "licence" not in about:
@@ -229,10 +210,7 @@ def crate_metadata(
 def write_crate(out: Path, files: Sequence[CrateFile], metadata: Mapping[str, Any]) -> None:
     """Write a crate into a folder that is empty or not there; the metadata last.
 
-    Raises
-    ------
-    UsageError
-        The folder holds something already.
+    Raises UsageError: the folder holds something already.
     """
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         msg = f"{out} is not an empty folder: choose another"

@@ -114,18 +114,8 @@ def _rate(trial: Trial) -> float | None:
 def draft_study(folder: Path, trials: Sequence[Trial], refused: Sequence[Refusal] = ()) -> str:
     """The text of a study file for the recordings of a folder.
 
-    Parameters
-    ----------
-    folder : Path
-        Where the file will stand; names are relative to it.
-    trials : sequence of Trial
-    refused : sequence of Refusal
-        Recordings that could not be read; named in comments.
-
-    Returns
-    -------
-    str
-        TOML that :func:`tissueid.ingest.manifest.read_study` reads.
+    ``folder``: where the file will stand; names are relative to it; ``refused``: recordings that could not be
+    read; named in comments.  Returns TOML that :func:`tissueid.ingest.manifest.read_study` reads.
     """
     protocols, of_trial = _protocols(trials)
     names = display_names([(trial.specimen, trial.source) for trial in trials])

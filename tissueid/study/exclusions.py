@@ -21,10 +21,7 @@ __all__ = ["exclude", "find_manifest", "include"]
 def find_manifest(trial: str, named: str | None = None) -> Path:
     """The study file of a recording: the named one, else the nearest above it, else that of this folder.
 
-    Raises
-    ------
-    UsageError
-        There is none.
+    Raises UsageError: there is none.
     """
     if named is not None:
         path = Path(named)
@@ -48,10 +45,7 @@ def _split(trial: str) -> tuple[str, str | None]:
 def _located(trial: str, manifest: Path) -> tuple[str, str | None]:
     """File relative to the manifest's folder, and sheet.
 
-    Raises
-    ------
-    UsageError
-        There is no such recording.
+    Raises UsageError: there is no such recording.
     """
     name, sheet = _split(trial)
     for file in (Path(name), manifest.parent / name):
@@ -95,27 +89,10 @@ def _same(document: tomlkit.TOMLDocument, file: str, sheet: str | None) -> Itera
 def exclude(trial: str, because: str, *, manifest: Path) -> tuple[str, str | None]:
     """Add ``[[exclude]]`` for a recording, or change its reason.
 
-    Parameters
-    ----------
-    trial : str
-        File, or ``file::sheet``; relative to here or to the manifest.
-    because : str
-        The reason, shown wherever the recording is missed.
-    manifest : Path
-
-    Returns
-    -------
-    named : str
-        The recording as the manifest names it.
-    replaced : str or None
-        The reason that stood there before.
-
-    Raises
-    ------
-    UsageError
-        No such recording, or no reason.
-    InputError
-        The manifest is not valid; it is left as it was.
+    ``trial``: file, or ``file::sheet``; relative to here or to the manifest; ``because``: the reason, shown
+    wherever the recording is missed.  Returns ``named``: the recording as the manifest names it;
+    ``replaced``: the reason that stood there before.  Raises UsageError: no such recording, or no reason;
+    InputError: the manifest is not valid; it is left as it was.
     """
     if not because.strip():
         msg = "an exclusion needs a reason: --because TEXT"
@@ -145,15 +122,8 @@ def exclude(trial: str, because: str, *, manifest: Path) -> tuple[str, str | Non
 def include(trial: str, *, manifest: Path) -> str:
     """Take a recording's ``[[exclude]]`` out again; its parameters are those of :func:`exclude`.
 
-    Returns
-    -------
-    str
-        The recording as the manifest names it.
-
-    Raises
-    ------
-    UsageError
-        It is not excluded, or by a glob or for a whole workbook, which is for people to change.
+    Returns the recording as the manifest names it.  Raises UsageError: it is not excluded, or by a glob or
+    for a whole workbook, which is for people to change.
     """
     file, sheet = _located(trial, manifest)
     study, document, crlf = _document(manifest)

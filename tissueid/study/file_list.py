@@ -17,12 +17,7 @@ Named = tuple[Path, str | None]
 
 
 class FileList(Sequence["Named | Refusal"]):
-    """Paths in one block of bytes, 8 beside each; sheets and refusals, which are few, in tables.
-
-    Parameters
-    ----------
-    items : iterable of (Path, sheet or None) or Refusal
-    """
+    """Paths in one block of bytes, 8 beside each; sheets and refusals, which are few, in tables."""
 
     def __init__(self, items: Iterable[Named | Refusal] = ()) -> None:
         self._text = bytearray()

@@ -63,15 +63,7 @@ class _Made:
 class Inspection:
     """Inspection of recordings, in their order; each is let go as soon as it is described.
 
-    Parameters
-    ----------
-    options : SegmentOptions
-        Of the run.
-    study : Study or None
-    root : Path
-        Folder of study.toml.
-    drawn : bool
-        Keep the curves, thinned, for a page.
+    ``options``: of the run; ``root``: folder of study.toml; ``drawn``: keep the curves, thinned, for a page.
     """
 
     def __init__(self, options: SegmentOptions, study: Study | None, root: Path, *, drawn: bool) -> None:
@@ -107,10 +99,7 @@ class Inspection:
     def remade(self, trial: Trial, study: Study) -> InspectedRecording:
         """A recording described anew, as another study has it; nothing changes before :meth:`put`.
 
-        Raises
-        ------
-        UsageError
-            It can't be segmented so.
+        Raises UsageError: it can't be segmented so.
         """
         made = self._made(trial, study)
         if isinstance(made, Refusal) or made.drawn is None:

@@ -36,14 +36,7 @@ SECONDS_A_BYTE = 1e-7
 
 
 class Inventory:
-    """The files of a request on their way into the index.
-
-    Parameters
-    ----------
-    request : Request
-    index : Index
-    parts : StudyParts or None
-    """
+    """The files of a request on their way into the index."""
 
     def __init__(self, request: Request, index: Index, parts: StudyParts | None) -> None:
         self.request, self.index, self.parts = request, index, parts

@@ -32,20 +32,9 @@ def fit_while_read(
 ) -> Identification:
     """Read every file of a request and fit its one specimen.
 
-    Parameters
-    ----------
-    inventory : Inventory
-        Told of every file.
-    chains : Path
-        Folder for chains that are being sampled.
-    recent : RecentTrials
-        Told of every trial, for the jobs where there are several specimens.
-    progress : callable
-
-    Raises
-    ------
-    SeveralSpecimensError
-        There is more than one.
+    ``inventory``: told of every file; ``chains``: folder for chains that are being sampled; ``recent``: told
+    of every trial, for the jobs where there are several specimens.  Raises SeveralSpecimensError: there is
+    more than one.
     """
     request = inventory.request
     names: dict[str, str] = {}

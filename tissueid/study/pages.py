@@ -93,14 +93,9 @@ def report_page(
 ) -> str:
     """The report of a run, with what a renderer will do and how complete the study's description is.
 
-    Parameters
-    ----------
-    document, curves, posteriors
-        As :func:`tissueid.store.results.read_results` gives them.
-    graded : bool
-        Whether the document knows of the study, so that its description can be graded.
-    **more
-        Of :func:`tissueid.report.render_report`.
+    ``document``, ``curves``, ``posteriors``: as :func:`tissueid.store.results.read_results` gives them;
+    ``graded``: whether the document knows of the study, so that its description can be graded; ``**more``: of
+    :func:`tissueid.report.render_report`.
     """
     known = {one.specimen: one for one in posteriors}
     return render_report(
@@ -123,12 +118,7 @@ def begin_pages(out: Path) -> None:
 def write_pages(out: Path, files: Iterable[Path], crew: Workforce) -> Iterator[int]:
     """Make the pages that are not there, after :func:`begin_pages`; yields how many are made, one by one.
 
-    Parameters
-    ----------
-    out : Path
-    files : iterable of Path
-        Files of specimens.
-    crew : Workforce
+    ``files``: files of specimens.
     """
     names: dict[int, Path] = {}
 
@@ -149,12 +139,8 @@ def write_pages(out: Path, files: Iterable[Path], crew: Workforce) -> Iterator[i
 def write_report(run: OutputSet, refused: Sequence[str] | None = None) -> None:
     """Write the report of an assembled set into it.
 
-    Parameters
-    ----------
-    run : OutputSet
-        That holds the other files of the set already.
-    refused : sequence of str, optional
-        What was left out, where the caller knows it; read from the document else.
+    ``run``: that holds the other files of the set already; ``refused``: what was left out, where the caller
+    knows it; read from the document else.
     """
     created = datetime.now(UTC).isoformat(timespec="seconds")
     if run.path(CURVES).is_file():

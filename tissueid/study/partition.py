@@ -19,12 +19,7 @@ _TABLES = ("trials", "overrides", "exclusions")
 
 
 class StudyParts:
-    """Gives parts of a study without looking through all of it each time.
-
-    Parameters
-    ----------
-    study : Study
-    """
+    """Gives parts of a study without looking through all of it each time."""
 
     def __init__(self, study: Study) -> None:
         self.study = study

@@ -49,12 +49,8 @@ class Workforce(Protocol):
 class InThisProcess:
     """No process but this one.
 
-    Parameters
-    ----------
-    function : callable
-        Word and payload of a task -> its result.
-    one : bool
-        Take one processor, and no threads on others.
+    ``function``: word and payload of a task -> its result; ``one``: take one processor, and no threads on
+    others.
     """
 
     size = 1
@@ -103,10 +99,7 @@ class _Worker:
 class LocalProcesses:
     """Spawned processes of this machine.
 
-    Parameters
-    ----------
-    workers : int
-        How many.
+    ``workers``: how many.
     """
 
     def __init__(self, workers: int) -> None:

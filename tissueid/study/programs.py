@@ -26,21 +26,12 @@ MOST_STEPS_TOLD = 4
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One move and what came after it.
-
-    Attributes
-    ----------
-    speed_mm_s, travel_mm : float
-    hold_s : float or None
-        ``None`` where nothing was held.
-    control : str
-        What was held: ``position`` or ``force``.
-    """
+    """One move and what came after it."""
 
     speed_mm_s: float
     travel_mm: float
-    hold_s: float | None = None
-    control: str = "position"
+    hold_s: float | None = None  # ``None`` where nothing was held
+    control: str = "position"  # what was held: ``position`` or ``force``
 
     def held_like(self, other: Step) -> bool:
         """True where two steps are held alike."""
@@ -87,16 +78,9 @@ class _Run:
 
 @dataclass(slots=True)
 class Program:
-    """Recordings of one program.
+    """Recordings of one program."""
 
-    Attributes
-    ----------
-    trials : list of int
-        Their positions among those that were given.
-    specimens : set of str
-    """
-
-    trials: list[int] = field(default_factory=list)
+    trials: list[int] = field(default_factory=list)  # their positions among those that were given
     specimens: set[str] = field(default_factory=set)
     _runs: list[_Run] = field(default_factory=list)
 
@@ -191,14 +175,7 @@ class Program:
 def programs_of(trials: Sequence[Trial]) -> list[Program]:
     """Group recordings by what was run.
 
-    Parameters
-    ----------
-    trials : sequence of Trial
-
-    Returns
-    -------
-    list of Program
-        In the order of their first recordings; one that can't be segmented is in none.
+    Returns in the order of their first recordings; one that can't be segmented is in none.
     """
     found: list[Program] = []
     for position, trial in enumerate(trials):

@@ -29,27 +29,10 @@ def locate_study(
 ) -> tuple[Study | None, tuple[str, ...]]:
     """The study behind some paths, and what is to be read.
 
-    Parameters
-    ----------
-    paths : sequence of str
-        Recordings, folders, or a manifest itself.
-    named : str, optional
-        A manifest named apart from the paths.
-    ignore : bool
-        Look for none.
-
-    Returns
-    -------
-    study : Study or None
-    paths : tuple of str
-        With the manifest's own files in place of the manifest.
-
-    Raises
-    ------
-    UsageError
-        Two studies at once, or one that is both named and ignored.
-    InputError
-        The manifest is not valid.
+    ``paths``: recordings, folders, or a manifest itself; ``named``: a manifest named apart from the paths;
+    ``ignore``: look for none.  Returns ``study``; ``paths``: with the manifest's own files in place of the
+    manifest.  Raises UsageError: two studies at once, or one that is both named and ignored; InputError: the
+    manifest is not valid.
     """
     manifests = [path for path in paths if path.casefold().endswith(".toml")]
     if ignore and (named or manifests):
@@ -142,12 +125,7 @@ def options_for(study: Study | None, base: ReadOptions, path: str, sheet: str | 
 
 
 def read_decided(path: Path, base: ReadOptions, study: Study | None) -> Iterator[Trial | InputError]:
-    """Every trial of a file, read as the study says; a sheet with columns of its own is read again.
-
-    Yields
-    ------
-    Trial or InputError
-    """
+    """Every trial of a file, read as the study says; a sheet with columns of its own is read again."""
     general = options_for(study, base, str(path), None)
     for item in read_each(path, general):
         sheet = item.sheet if isinstance(item, InputError) else item.source.sheet

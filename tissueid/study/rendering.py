@@ -53,17 +53,9 @@ def _row(check: Precheck, speeds_mm_s: tuple[float, float]) -> dict[str, Any]:
 def rendering_of(specimen: Mapping[str, Any], stored: StoredPosterior | None) -> dict[str, Any] | None:
     """Words of the report on rendering one specimen; ``None`` where its model is not all there.
 
-    Parameters
-    ----------
-    specimen : mapping
-        One of ``specimens`` of identification.json.
-    stored : StoredPosterior or None
-
-    Returns
-    -------
-    dict
-        ``normalised`` (then nothing else), ``passive``, ``draws`` and ``draws_passive``, ``unique``, and
-        ``devices`` with the numbers of each check, or why it is ``refused``.
+    ``specimen``: one of ``specimens`` of identification.json.  Returns ``normalised`` (then nothing else),
+    ``passive``, ``draws`` and ``draws_passive``, ``unique``, and ``devices`` with the numbers of each check,
+    or why it is ``refused``.
     """
     if (specimen["units"]["length"], specimen["units"]["force"]) != ("mm", "N"):
         return {"normalised": True}

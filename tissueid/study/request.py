@@ -35,36 +35,20 @@ def _nothing(*_: Any) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """Request for a fit.
+    """Request for a fit."""
 
-    Attributes
-    ----------
-    found : sequence of (path, sheet or None) or Refusal
-        Files in their order; a refusal stands in the place of what was refused.  A
-        :class:`tissueid.study.file_list.FileList` is small however many they are.
-    reading : ReadOptions
-    study : Study or None
-    options : IdentifyOptions
-    provenance : mapping
-        Added to the provenance of the run.
-    workers : int or None
-        Processes; ``None`` takes as many as there are processors, where the work is worth their start.
-    scheduler : str
-        ``local``, or the address of a Dask scheduler.
-    read : callable
-        Told path and sheet of every recording.
-    all_read : callable
-        Told once, when every file was looked into and nothing is fitted yet.
-    """
-
+    #: Files in their order; a refusal stands in the place of what was refused.  A
+    #: :class:`tissueid.study.file_list.FileList` is small however many they are.
     found: Sequence[tuple[Path, str | None] | Refusal]
     reading: ReadOptions
     study: Study | None
     options: IdentifyOptions
-    provenance: Mapping[str, Any] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)  # added to the provenance of the run
+    #: Processes; ``None`` takes as many as there are processors, where the work is worth their start.
     workers: int | None = None
-    scheduler: str = LOCAL
-    read: Callable[[str, str | None], None] = _nothing
+    scheduler: str = LOCAL  # ``local``, or the address of a Dask scheduler
+    read: Callable[[str, str | None], None] = _nothing  # told path and sheet of every recording
+    #: Told once, when every file was looked into and nothing is fitted yet.
     all_read: Callable[[], None] = _nothing
 
 
@@ -75,13 +59,7 @@ def expected_seconds(samples: int, specimens: int, options: IdentifyOptions) -> 
 
 
 class Workplace:
-    """Workplace of a run; processes and connections are opened when they are first needed.
-
-    Parameters
-    ----------
-    workers : int or None
-    scheduler : str
-    """
+    """Workplace of a run; processes and connections are opened when they are first needed."""
 
     def __init__(self, workers: int | None, scheduler: str) -> None:
         self._workers, self._scheduler = workers, scheduler
@@ -106,16 +84,9 @@ class Workplace:
     ) -> Workforce:
         """Who computes some tasks.
 
-        Parameters
-        ----------
-        tasks : int
-            How many there are.
-        seconds : float
-            What they are expected to cost together.
-        function : callable
-            How this process computes one: word and payload -> result.
-        asked : bool
-            Whether the number of processes that the user asked for is meant for these tasks, however small.
+        ``tasks``: how many there are; ``seconds``: what they are expected to cost together; ``function``: how
+        this process computes one: word and payload -> result; ``asked``: whether the number of processes that
+        the user asked for is meant for these tasks, however small.
         """
         if self._opened is None and self._scheduler != LOCAL:
             from tissueid.study.cluster import DaskWorkers

@@ -47,32 +47,17 @@ _OF_THE_RUN = ("inputs", "study")
 
 @dataclass(frozen=True, slots=True)
 class SpecimenJob:
-    """One specimen.
+    """One specimen."""
 
-    Attributes
-    ----------
-    specimen, shown : str
-        As its recordings name it, and its name among all others of the run.
-    recordings : tuple of (path, sheet, sha256)
-        In the order of files, excluded ones among them.
-    study : Study or None
-        What the study says of this specimen.
-    reading : ReadOptions
-    options : IdentifyOptions
-    provenance : mapping
-        Added to the provenance of its bundle.
-    chains : str or None
-        Folder for chains that are being sampled; ``None`` where none is shared.
-    """
-
+    #: As its recordings name it, and its name among all others of the run.
     specimen: str
     shown: str
-    recordings: tuple[tuple[str, str | None, str], ...]
-    study: Study | None
+    recordings: tuple[tuple[str, str | None, str], ...]  # in the order of files, excluded ones among them
+    study: Study | None  # what the study says of this specimen
     reading: ReadOptions
     options: IdentifyOptions
-    provenance: Mapping[str, Any] = field(default_factory=dict)
-    chains: str | None = None
+    provenance: Mapping[str, Any] = field(default_factory=dict)  # added to the provenance of its bundle
+    chains: str | None = None  # folder for chains that are being sampled; ``None`` where none is shared
 
     def key(self) -> str:
         """SHA-256 of everything that may change the result."""
@@ -155,18 +140,8 @@ def fit_here(
 ) -> SpecimenResult:
     """Fit the specimen of a job in this process.
 
-    Parameters
-    ----------
-    job : SpecimenJob
-    recent : RecentTrials, optional
-        Trials that need not be read again.
-    progress : callable, optional
-        ``progress(message, done, total)`` of this job.
-
-    Raises
-    ------
-    InputError
-        A file is not the one that was looked at.
+    ``recent``: trials that need not be read again; ``progress``: ``progress(message, done, total)`` of this
+    job.  Raises InputError: a file is not the one that was looked at.
     """
     refused: list[Refusal] = []
 
@@ -200,10 +175,7 @@ def result_of(
 ) -> SpecimenResult:
     """Stored part of an identification of one specimen.
 
-    Raises
-    ------
-    BundleError
-        The result breaks its schema.
+    Raises BundleError: the result breaks its schema.
     """
     document = plain_json(identification.as_json())
     check(document, "identification", where=shown)

@@ -43,46 +43,22 @@ _READING = ("columns", "units", "axes")
 
 @dataclass(frozen=True, slots=True)
 class NamedFile:
-    """One file to look into.
+    """One file to look into."""
 
-    Attributes
-    ----------
-    position : int
-        Its place in the order of files.
-    path : str
-        As the user named it.
-    options : ReadOptions
-        With the sheet that was named, if one was.
-    study : Study or None
-        What the study says of this file.
-    known : str or None
-        SHA-256 it had when it was last read in this way.
-    """
-
-    position: int
-    path: str
-    options: ReadOptions
-    study: Study | None
-    known: str | None = None
+    position: int  # its place in the order of files
+    path: str  # as the user named it
+    options: ReadOptions  # with the sheet that was named, if one was
+    study: Study | None  # what the study says of this file
+    known: str | None = None  # SHA-256 it had when it was last read in this way
 
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """Contents of a file: one recording, or the refusal in its place.
-
-    Attributes
-    ----------
-    sheet : str or None
-    sha256 : str
-    specimen : str
-        As the file was read.
-    samples : int
-    refusal : Refusal or None
-    """
+    """Contents of a file: one recording, or the refusal in its place."""
 
     sheet: str | None
     sha256: str
-    specimen: str
+    specimen: str  # as the file was read
     samples: int
     refusal: Refusal | None = None
 
@@ -102,11 +78,7 @@ def found_in(item: Trial | InputError) -> Found:
 def look_into(file: NamedFile, keep: Callable[[Trial], None] | None = None) -> list[Found] | None:
     """Everything a file holds; ``None`` where it is the file that was known.
 
-    Parameters
-    ----------
-    file : NamedFile
-    keep : callable, optional
-        Told every trial that was read.
+    ``keep``: told every trial that was read.
     """
     if file.known:
         try:
@@ -144,14 +116,7 @@ def reading_key(options: ReadOptions, study: Study | None) -> str:
 
 
 def recording_rows(path: str, found: Sequence[Found], parts: StudyParts | None) -> Iterator[RecordingRow]:
-    """Rows of a file's contents, with the study's decisions on them.
-
-    Parameters
-    ----------
-    path : str
-    found : sequence of Found
-    parts : StudyParts or None
-    """
+    """Rows of a file's contents, with the study's decisions on them."""
     study = None if parts is None else parts.of_file(path)
     for one in found:
         specimen, kind = one.specimen, "trial"

@@ -31,24 +31,12 @@ _LIBRARIES = ("emcee", "h5py", "lmfit", "numba", "numpy", "pandas", "scipy")
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """One piece of work.
+    """One piece of work."""
 
-    Attributes
-    ----------
-    number : int
-        By which its outcome is known.
-    what : str
-        Function from bytes to bytes, as ``module:name``.
-    payload : bytes
-        From :func:`packed`.
-    label : str
-        What a person calls it.
-    """
-
-    number: int
-    what: str
-    payload: bytes
-    label: str = ""
+    number: int  # by which its outcome is known
+    what: str  # function from bytes to bytes, as ``module:name``
+    payload: bytes  # from :func:`packed`
+    label: str = ""  # what a person calls it
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,22 +49,12 @@ class Fault:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """Outcome of a task.
-
-    Attributes
-    ----------
-    number : int
-    result : bytes or None
-    fault : Fault or None
-    seconds : float
-        Wall time of the computation.
-    worker : str
-    """
+    """Outcome of a task."""
 
     number: int
     result: bytes | None
     fault: Fault | None
-    seconds: float
+    seconds: float  # wall time of the computation
     worker: str
 
 
@@ -129,13 +107,7 @@ def attempt(
 ) -> Outcome:
     """Run a task; whatever it raises, but an interrupt, becomes its fault.
 
-    Parameters
-    ----------
-    task : Task
-    worker : str, optional
-        Who runs it; this process's number by default.
-    function : callable, optional
-        In place of :func:`perform`.
+    ``worker``: who runs it; this process's number by default; ``function``: in place of :func:`perform`.
     """
     worker = worker or f"process {os.getpid()}"
     began = time.perf_counter()

@@ -33,12 +33,7 @@ _FILLER = (
 def bluehill_csv(log: SyntheticLog, *, dialect: Dialect, decimals: tuple[int, int, int] = (5, 5, 5)) -> bytes:
     """The bytes of one export.
 
-    Parameters
-    ----------
-    log : SyntheticLog
-    dialect : Dialect
-    decimals : tuple of int
-        Printed decimals of time, displacement and force.
+    ``decimals``: printed decimals of time, displacement and force.
     """
     lines = _header(log, dialect) if dialect.header else []
     if dialect.results == "before":

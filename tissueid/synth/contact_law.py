@@ -30,19 +30,8 @@ def simulate_contact_law(
 ) -> list[SyntheticLog]:
     """Simulate every log of a recipe, one specimen.
 
-    Parameters
-    ----------
-    recipe : Recipe
-    stiffness : float
-        k [N/mm^n].
-    exponent, restitution : float
-        n and e.
-    rng : Generator
-
-    Returns
-    -------
-    list of SyntheticLog
-        Their ``truth`` has k, n and e beside the program.
+    ``stiffness``: k [N/mm^n]; ``exponent``, ``restitution``: n and e.  Returns their ``truth`` has k, n and e
+    beside the program.
     """
     damping = 8.0 * (1.0 - restitution) / (5.0 * restitution)
     logs = []

@@ -32,26 +32,10 @@ TRUTH_DIGITS = 12
 def write_set(recipe: Recipe, directory: str | Path, *, seed: int, dialect: str = "bare") -> list[Path]:
     """Simulate a recipe and write the set.
 
-    Parameters
-    ----------
-    recipe : Recipe
-    directory : path-like
-        Created where it does not exist.
-    seed : int
-        Seed of ``numpy.random.default_rng``.
-    dialect : str
-        Key of :data:`~tissueid.synth.exports.EXPORTS`.
-
-    Returns
-    -------
-    list of Path
-        The files written, CSVs first.
-
-    Raises
-    ------
-    UsageError
-        If the dialect is unknown, or the directory holds files of something else, which a reader of the
-        whole directory would take for part of the set.
+    ``directory``: created where it does not exist; ``seed``: seed of ``numpy.random.default_rng``;
+    ``dialect``: key of :data:`~tissueid.synth.exports.EXPORTS`.  Returns the files written, CSVs first.
+    Raises UsageError: if the dialect is unknown, or the directory holds files of something else, which a
+    reader of the whole directory would take for part of the set.
     """
     if dialect not in EXPORTS:
         msg = f"no dialect {dialect!r}; there are {', '.join(sorted(EXPORTS))}"

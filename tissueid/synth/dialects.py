@@ -15,66 +15,34 @@ ENGLISH = LANGUAGES["en"].names
 
 @dataclass(frozen=True, slots=True)
 class Dialect:
-    """Print of an export.
+    """Print of an export."""
 
-    Attributes
-    ----------
-    delimiter, decimal, thousands : str
-        ``thousands`` is empty for none; it is printed inside quotes only.
-    quoted : bool
-        Every data cell in quotes.
-    encoding : str
-        Codec of the bytes; ``utf-8-sig`` writes a byte-order mark.
-    names : tuple of str
-        Column names of time, displacement and force.
-    header, units_row : bool
-        Whether there is a header, and a row of units.
-    newline : str
-    description : str
-        One line for the help.
-    language : str
-        Of the header's keys and the results, where that is not English.
-    groups : bool
-        Whether header keys carry their group: ``"Test : Rate 1"``.
-    header_lines : int
-        Filled up to this number of lines.
-    vertical : bool
-        Header keys, values and units each on a line of their own, and results one a line.
-    units : tuple of str
-        As printed in the units row, or in the names where there is no such row.
-    unit_in_names : bool
-    order : tuple of int
-        Position of time, displacement and force among the three.
-    columns : tuple of (str, str, str)
-        Further columns, as name, unit and the cell of every row; text makes a comment column.
-    results : str
-        ``""``, ``"before"`` or ``"after"``: where a table of results stands.
-    wrapped : bool
-        Whole lines quoted, as a spreadsheet does.
-    lead, end : str
-        Before the first line and after the last.
-    """
-
+    #: ``thousands`` is empty for none; it is printed inside quotes only.
     delimiter: str = ","
     decimal: str = "."
     thousands: str = ""
-    quoted: bool = False
-    encoding: str = "ascii"
-    names: tuple[str, str, str] = ENGLISH
+    quoted: bool = False  # every data cell in quotes
+    encoding: str = "ascii"  # codec of the bytes; ``utf-8-sig`` writes a byte-order mark
+    names: tuple[str, str, str] = ENGLISH  # column names of time, displacement and force
+    #: Whether there is a header, and a row of units.
     header: bool = True
     units_row: bool = True
     newline: str = "\r\n"
-    description: str = ""
-    language: str = "en"
-    groups: bool = True
-    header_lines: int = 0
+    description: str = ""  # one line for the help
+    language: str = "en"  # of the header's keys and the results, where that is not English
+    groups: bool = True  # whether header keys carry their group: ``"Test : Rate 1"``
+    header_lines: int = 0  # filled up to this number of lines
+    #: Header keys, values and units each on a line of their own, and results one a line.
     vertical: bool = False
+    #: As printed in the units row, or in the names where there is no such row.
     units: tuple[str, str, str] = ("(sec)", "(mm)", "(N)")
     unit_in_names: bool = False
-    order: tuple[int, int, int] = (0, 1, 2)
+    order: tuple[int, int, int] = (0, 1, 2)  # position of time, displacement and force among the three
+    #: Further columns, as name, unit and the cell of every row; text makes a comment column.
     columns: tuple[tuple[str, str, str], ...] = ()
-    results: str = ""
-    wrapped: bool = False
+    results: str = ""  # ``""``, ``"before"`` or ``"after"``: where a table of results stands
+    wrapped: bool = False  # whole lines quoted, as a spreadsheet does
+    #: Before the first line and after the last.
     lead: str = ""
     end: str = ""
 

@@ -30,21 +30,11 @@ Decimals = tuple[int, int, int]
 
 @dataclass(frozen=True, slots=True)
 class Export:
-    """A way to write a log.
+    """A way to write a log."""
 
-    Attributes
-    ----------
-    description : str
-        One line for the help.
-    suffix : str
-        Of the file, with its point.
-    write : callable
-        ``write(log, decimals=...) -> bytes``.
-    """
-
-    description: str
-    suffix: str
-    write: Callable[..., bytes]
+    description: str  # one line for the help
+    suffix: str  # of the file, with its point
+    write: Callable[..., bytes]  # ``write(log, decimals=...) -> bytes``
 
 
 def _one(write: Callable[..., bytes], **how: object) -> Callable[..., bytes]:

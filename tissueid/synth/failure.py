@@ -27,23 +27,15 @@ GRID = 20_001
 
 @dataclass(frozen=True, slots=True)
 class Broken:
-    """End of a test, broken or not.
-
-    Attributes
-    ----------
-    ruptured : bool
-    time_s, depth_mm, force_N, work_N_mm : float
-        Of the rupture; of the end of the program where there is none.
-    threshold : float
-        Of this test.
-    """
+    """End of a test, broken or not."""
 
     ruptured: bool
+    #: Of the rupture; of the end of the program where there is none.
     time_s: float
     depth_mm: float
     force_N: float
     work_N_mm: float
-    threshold: float
+    threshold: float  # of this test
 
     def as_truth(self) -> Mapping[str, float]:
         """Entries of ``truth`` of a log."""
@@ -68,18 +60,9 @@ def rupture_of(
 ) -> Broken:
     """Find where a test breaks the tissue.
 
-    Parameters
-    ----------
-    rupture : Rupture
-        Criterion and weight.
-    threshold : float
-        Of this test.
-    travel : Path
-        Crosshead travel, a loading program.
-    offset_mm : float
-        Travel of first contact.
-    static, branches
-        The law; gains are already in it.
+    ``rupture``: criterion and weight; ``threshold``: of this test; ``travel``: crosshead travel, a loading
+    program; ``offset_mm``: travel of first contact; ``static``, ``branches``: the law; gains are already in
+    it.
     """
     depth = contact_path(travel, offset_mm)
     time_s = np.union1d(np.linspace(0.0, travel.time_s[-1], GRID), depth.time_s)

@@ -14,31 +14,18 @@ __all__ = ["LANGUAGES", "Words"]
 
 @dataclass(frozen=True, slots=True)
 class Words:
-    """Names that one language gives the parts of an export.
+    """Names that one language gives the parts of an export."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Columns of time, displacement and force.
-    label, note, rate, depth, hold : str
-        Header keys, with their group before ``" : "``.
-    results : str
-        Title of a table of results.
-    peak : str
-        A result: the largest load.
-    statistics : tuple of str
-        Row labels: mean and standard deviation.
-    """
-
-    names: tuple[str, str, str]
+    names: tuple[str, str, str]  # columns of time, displacement and force
+    #: Header keys, with their group before ``" : "``.
     label: str
     note: str
     rate: str
     depth: str
     hold: str
-    results: str
-    peak: str
-    statistics: tuple[str, str]
+    results: str  # title of a table of results
+    peak: str  # a result: the largest load
+    statistics: tuple[str, str]  # row labels: mean and standard deviation
 
 
 #: Language code -> words.

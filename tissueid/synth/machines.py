@@ -72,13 +72,7 @@ def tra_text(
 ) -> bytes:
     """A testXpert ``.TRA``: ``"key",value,"unit"`` lines, quoted names and units, shortest numbers, latin-1.
 
-    Parameters
-    ----------
-    log : SyntheticLog
-    language : {"en", "fr", "de"}
-    delimiter, decimal : str
-    decimals : tuple of int
-        Of time, displacement and force.
+    ``language`` {"en", "fr", "de"}; ``decimals``: of time, displacement and force.
     """
     (thickness, operator), names = _TRA_WORDS[language]
 
@@ -105,12 +99,7 @@ def mach1_text(
 ) -> bytes:
     """A Mach-1 text: a block without force, then one block a log, tabs, force in gf.
 
-    Parameters
-    ----------
-    logs : sequence of SyntheticLog
-    decimals : tuple of int
-    divided : bool
-        Whether a divider stands in the middle of each table.
+    ``divided``: whether a divider stands in the middle of each table.
     """
     lines = ["<Mach-1 File>"]
     lines += _mach1_block(
@@ -152,13 +141,8 @@ def mts793_text(
 ) -> bytes:
     """An MTS 793 text: the first line states the marks, one block a log, a commanded channel first.
 
-    Parameters
-    ----------
-    logs : sequence of SyntheticLog
-    language : {"en", "de"}
-        German files have decimal commas and kN.
-    decimals : tuple of int
-        Force in kN has three more.
+    ``language`` {"en", "de"}: german files have decimal commas and kN; ``decimals``: force in kN has three
+    more.
     """
     marks, operator, label, acquired, clock, second = _MTS_WORDS[language]
     decimal = marks.split("|")[3]
@@ -189,11 +173,7 @@ def mts793_text(
 def shimadzu_text(logs: Sequence[SyntheticLog], *, decimals: Decimals = (5, 5, 5)) -> bytes:
     """A Shimadzu text: specimen names, columns and units above, specimens side by side, ragged ends.
 
-    Parameters
-    ----------
-    logs : sequence of SyntheticLog
-        Of any lengths.
-    decimals : tuple of int
+    ``logs``: of any lengths.
     """
     head = (
         [cell for log in logs for cell in (f"synthetic {log.name}", "", "")],
@@ -215,11 +195,7 @@ def shimadzu_text(logs: Sequence[SyntheticLog], *, decimals: Decimals = (5, 5, 5
 def chiaro_text(log: SyntheticLog, *, decimals: Decimals = (5, 5, 5)) -> bytes:
     """An Optics11 Chiaro text: tabs, line ends of three kinds, micro sign of cp1252, uN and nm.
 
-    Parameters
-    ----------
-    log : SyntheticLog
-    decimals : tuple of int
-        Force in uN and depth in nm have one more than these.
+    ``decimals``: force in uN and depth in nm have one more than these.
     """
     head = (
         "Date\t01/01/2024\tTime\t10:00:00\tStatus\tsynthetic\r\n"

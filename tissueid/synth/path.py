@@ -37,16 +37,8 @@ class Path:
 def crosshead_path(log: Log, *, rounding_s: float = 0.0) -> Path:
     """Travel of the crosshead through a log's program.
 
-    Parameters
-    ----------
-    log : Log
-    rounding_s : float
-        Time it takes to slow down to each stop [s]; at most as long as the moves and holds allow.
-
-    Returns
-    -------
-    Path
-        Travel from 0 at t = 0.
+    ``rounding_s``: time it takes to slow down to each stop [s]; at most as long as the moves and holds allow.
+    Returns travel from 0 at t = 0.
     """
     times, values = [0.0], [0.0]
     for move in log.moves:

@@ -106,10 +106,7 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(_named())
 def recipe(name: str) -> Recipe:
     """The built-in recipe of that name.
 
-    Raises
-    ------
-    UsageError
-        If there is none; the message lists the names.
+    Raises UsageError: if there is none; the message lists the names.
     """
     if name not in RECIPES:
         msg = f"no built-in recipe {name!r}; there are {', '.join(sorted(RECIPES))}, or give a recipe.toml"

@@ -83,28 +83,16 @@ RUPTURES = ("work", "weighted-force", "stored-energy", "depth")
 
 @dataclass(frozen=True, slots=True)
 class Rupture:
-    """The tissue breaks when a measure of its loading first reaches a threshold.
+    """The tissue breaks when a measure of its loading first reaches a threshold."""
 
-    Attributes
-    ----------
-    criterion : str
-        ``work`` [N mm], ``weighted-force`` F_s + w F_d [N], ``stored-energy`` [N mm] or ``depth`` [mm].
-    threshold : float
-        Median.
-    cv, cv_specimen : float
-        Coefficient of variation of log-normal factors (median 1) of each test and of each specimen.
-    weight : float
-        w of the weighted force.
-    residual : float
-        Share of the force that is left.
-    """
-
+    #: ``work`` [N mm], ``weighted-force`` F_s + w F_d [N], ``stored-energy`` [N mm] or ``depth`` [mm].
     criterion: str
-    threshold: float
+    threshold: float  # median
+    #: Coefficient of variation of log-normal factors (median 1) of each test and of each specimen.
     cv: float = 0.0
     cv_specimen: float = 0.0
-    weight: float = 1.5
-    residual: float = 0.2
+    weight: float = 1.5  # w of the weighted force
+    residual: float = 0.2  # share of the force that is left
 
     def __post_init__(self) -> None:
         if self.criterion not in RUPTURES:
@@ -129,72 +117,37 @@ class Log:
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """A synthetic data set.
-
-    Attributes
-    ----------
-    name : str
-    logs : tuple of Log
-        The protocol; every log of one specimen, all first repeats before all second ones.
-    rate_Hz : float
-        Sampling rate.
-    static : tuple of float
-        a1, a2, a3 of the static force [N/mm, N/mm2, N/mm3].
-    branches : tuple of Branch
-    sigma_N : float
-        Standard deviation of the white force noise [N].
-    ar1_sigma_N, ar1_phi : float
-        Standard deviation [N] and lag-one correlation of a further, correlated force noise.
-    sigma_mm : float
-        Standard deviation of white noise on the logged displacement [mm].
-    specimen : str
-        Specimen label; ``-01``, ``-02``... is appended where there are several.
-    specimens : int
-        Number of specimens, each with the whole protocol.
-    cv_specimen : float
-        Coefficient of variation of a log-normal gain (median 1) of a whole specimen.
-    cv_static, cv_both : float
-        Coefficient of variation of a log-normal gain (median 1) of each log, on the static force only
-        and on static force and branches together.
-    contact_offset_sd_mm : float
-        Standard deviation of the travel at which the tool meets the tissue [mm].  Positive draws start
-        in air, negative ones preloaded: indented by as much, and relaxed, at t = 0.
-    contact_offset_mm : float
-        Mean of that travel [mm].
-    crosshead_rounding_s : float
-        Time the crosshead takes to slow down to a stop [s]; centred on the nominal corner, so that the
-        stop lies exactly at the nominal travel.  The measured displacement is what is logged.
-    force_filter_s : float
-        Time constant of a first-order low-pass in the load channel [s].
-    compression_sign : int
-        Sign of the recorded displacement and force under compression.
-    decimals : tuple of int
-        Printed decimals of time, displacement and force.
-    rupture : Rupture, optional
-        Where the tissue breaks in the first loading.
-    """
+    """A synthetic data set."""
 
     name: str
-    logs: tuple[Log, ...]
-    rate_Hz: float = 1000.0
-    static: tuple[float, ...] = (20.0, -1.2, 0.35)
+    logs: tuple[Log, ...]  # the protocol; every log of one specimen, all first repeats before all second ones
+    rate_Hz: float = 1000.0  # sampling rate
+    static: tuple[float, ...] = (20.0, -1.2, 0.35)  # a1, a2, a3 of the static force [N/mm, N/mm2, N/mm3]
     branches: tuple[Branch, ...] = (Branch((63.62,), 0.021),)
-    sigma_N: float = 1.0
+    sigma_N: float = 1.0  # standard deviation of the white force noise [N]
+    #: Standard deviation [N] and lag-one correlation of a further, correlated force noise.
     ar1_sigma_N: float = 0.0
     ar1_phi: float = 0.0
-    sigma_mm: float = 0.0
+    sigma_mm: float = 0.0  # standard deviation of white noise on the logged displacement [mm]
+    #: Specimen label; ``-01``, ``-02``... is appended where there are several.
     specimen: str = "synthetic"
-    specimens: int = 1
-    cv_specimen: float = 0.0
+    specimens: int = 1  # number of specimens, each with the whole protocol
+    cv_specimen: float = 0.0  # coefficient of variation of a log-normal gain (median 1) of a whole specimen
+    #: Coefficient of variation of a log-normal gain (median 1) of each log, on the static force only and on
+    #: static force and branches together.
     cv_static: float = 0.0
     cv_both: float = 0.0
+    #: Standard deviation of the travel at which the tool meets the tissue [mm].  Positive draws start in air,
+    #: negative ones preloaded: indented by as much, and relaxed, at t = 0.
     contact_offset_sd_mm: float = 0.0
-    contact_offset_mm: float = 0.0
+    contact_offset_mm: float = 0.0  # mean of that travel [mm]
+    #: Time the crosshead takes to slow down to a stop [s]; centred on the nominal corner, so that the stop
+    #: lies exactly at the nominal travel.  The measured displacement is what is logged.
     crosshead_rounding_s: float = 0.0
-    force_filter_s: float = 0.0
-    compression_sign: int = 1
-    decimals: tuple[int, int, int] = (5, 5, 5)
-    rupture: Rupture | None = None
+    force_filter_s: float = 0.0  # time constant of a first-order low-pass in the load channel [s]
+    compression_sign: int = 1  # sign of the recorded displacement and force under compression
+    decimals: tuple[int, int, int] = (5, 5, 5)  # printed decimals of time, displacement and force
+    rupture: Rupture | None = None  # where the tissue breaks in the first loading
 
     def __post_init__(self) -> None:
         problem = _problem(self)
@@ -235,18 +188,7 @@ def _problem(recipe: Recipe) -> str | None:
 def load_recipe(path: str | Path) -> Recipe:
     """Read a recipe from a TOML file.
 
-    Parameters
-    ----------
-    path : path-like
-
-    Returns
-    -------
-    Recipe
-
-    Raises
-    ------
-    InputError
-        If the file can't be read, is not TOML, or does not describe a recipe.
+    Raises InputError: if the file can't be read, is not TOML, or does not describe a recipe.
     """
     try:
         table = tomllib.loads(Path(path).read_text(encoding="utf-8"))

@@ -45,18 +45,8 @@ def _stiffness(coefficients: tuple[float, ...], depth_mm: FloatArray) -> FloatAr
 def branch_extension(depth: Path, tau_s: float, time_s: FloatArray) -> FloatArray:
     """Extension of the spring of a branch, relaxed at t = 0.
 
-    Parameters
-    ----------
-    depth : Path
-        Polyline of depth.
-    tau_s : float
-    time_s : ndarray, shape (n,)
-        Times at which it is wanted, from 0 on [s].
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        s [mm].
+    ``depth``: polyline of depth; ``time_s`` (n,): times at which it is wanted, from 0 on [s].  Returns (n,),
+    s [mm].
     """
     duration = np.diff(depth.time_s)
     speed = np.diff(depth.value_mm) / duration
@@ -81,20 +71,9 @@ def tissue_force(
 ) -> FloatArray:
     """Force on a tool that meets relaxed tissue at ``offset_mm`` of travel.
 
-    Parameters
-    ----------
-    travel : Path
-        Crosshead travel.
-    time_s : ndarray, shape (n,)
-    offset_mm : float
-        Travel of first contact; negative where the tissue is indented, and relaxed, at t = 0.
-    static, branches
-        The law; gains are already in it.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Force >= 0 [N].
+    ``travel``: crosshead travel; ``time_s`` (n,); ``offset_mm``: travel of first contact; negative where the
+    tissue is indented, and relaxed, at t = 0; ``static``, ``branches``: the law; gains are already in it.
+    Returns (n,), force >= 0 [N].
     """
     depth = contact_path(travel, offset_mm)
     x = depth.at(time_s)
@@ -171,12 +150,7 @@ def oversampled(time_s: FloatArray) -> FloatArray:
 def low_pass(time_s: FloatArray, force_N: FloatArray, filter_s: float) -> FloatArray:
     """First-order low-pass, exact for a force that is linear between samples, at rest at the start.
 
-    Parameters
-    ----------
-    time_s, force_N : ndarray, shape (n,)
-        Equally spaced times.
-    filter_s : float
-        Time constant [s].
+    ``time_s``, ``force_N`` (n,): equally spaced times; ``filter_s``: time constant [s].
     """
     step = (time_s[-1] - time_s[0]) / (time_s.size - 1)
     keep = exp(-step / filter_s)

@@ -28,29 +28,18 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class SyntheticLog:
-    """One simulated recording, with what is true of it.
+    """One simulated recording, with what is true of it."""
 
-    Attributes
-    ----------
-    name : str
-        ``<log>-<repeat>``, with the specimen before it where there are several.
-    specimen : str
-    time_s, displacement_mm, force_N : ndarray, shape (n,)
-        As recorded (signed, with noise, not rounded), read-only.
-    force_clean_N : ndarray, shape (n,)
-        Force without noise, after the load channel's filter.
-    truth : mapping
-        ``gain`` (of the static force), ``gain_stiffness`` (of the branches), ``contact_offset_mm``,
-        ``speed_mm_s`` and ``depth_mm`` of the first move, ``hold_s`` of the first hold (0 without); of tissue
-        that can break :meth:`tissueid.synth.failure.Broken.as_truth` as well.
-    """
-
-    name: str
+    name: str  # ``<log>-<repeat>``, with the specimen before it where there are several
     specimen: str
+    #: (n,): as recorded (signed, with noise, not rounded), read-only.
     time_s: FloatArray
-    displacement_mm: FloatArray
-    force_N: FloatArray
-    force_clean_N: FloatArray
+    displacement_mm: FloatArray  # (n,)
+    force_N: FloatArray  # (n,)
+    force_clean_N: FloatArray  # (n,), force without noise, after the load channel's filter
+    #: ``gain`` (of the static force), ``gain_stiffness`` (of the branches), ``contact_offset_mm``,
+    #: ``speed_mm_s`` and ``depth_mm`` of the first move, ``hold_s`` of the first hold (0 without); of tissue
+    #: that can break :meth:`tissueid.synth.failure.Broken.as_truth` as well.
     truth: Mapping[str, float]
 
     def __post_init__(self) -> None:
@@ -62,16 +51,8 @@ class SyntheticLog:
 def simulate(recipe: Recipe, *, rng: np.random.Generator) -> list[SyntheticLog]:
     """Simulate every log of a recipe.
 
-    Parameters
-    ----------
-    recipe : Recipe
-    rng : Generator
-        Source of all scatter and noise.
-
-    Returns
-    -------
-    list of SyntheticLog
-        Specimen by specimen; all first repeats before all second ones.
+    ``rng``: source of all scatter and noise.  Returns specimen by specimen; all first repeats before all
+    second ones.
     """
     logs = []
     for specimen in range(1, recipe.specimens + 1):
@@ -178,11 +159,7 @@ def _noise(recipe: Recipe, size: int, rng: np.random.Generator) -> FloatArray:
 def as_trials(logs: list[SyntheticLog], *, specimen: str | None = None) -> list[Trial]:
     """The logs as trials in memory, nothing rounded.
 
-    Parameters
-    ----------
-    logs : list of SyntheticLog
-    specimen : str, optional
-        One name for all; by default each log's own.
+    ``specimen``: one name for all; by default each log's own.
     """
     trials = []
     for log in logs:

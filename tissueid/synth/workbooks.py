@@ -36,10 +36,7 @@ def _cell(value: Cell) -> str:
 def xlsx(sheets: Sequence[tuple[str, Iterable[Sequence[Cell]]]]) -> bytes:
     """A workbook; the same sheets give the same bytes.
 
-    Parameters
-    ----------
-    sheets : sequence of (name, rows)
-        A cell is a number or a text; the empty text is an empty cell.
+    ``sheets``: a cell is a number or a text; the empty text is an empty cell.
     """
     numbers = range(1, len(sheets) + 1)
     parts = {
@@ -93,11 +90,7 @@ def zwick_workbook(
 ) -> bytes:
     """A testXpert workbook: a sheet of results, then one sheet a log under three head rows.
 
-    Parameters
-    ----------
-    logs : sequence of SyntheticLog
-    language : {"en", "fr", "de"}
-    decimals : tuple of int
+    ``language`` {"en", "fr", "de"}.
     """
     time, force, travel, gap, results = _WORDS[language]
     sheets: list[tuple[str, Iterable[Sequence[Cell]]]] = [
@@ -118,13 +111,7 @@ def zwick_workbook(
 
 
 def bluehill_workbook(logs: Sequence[SyntheticLog], *, decimals: Decimals = (5, 5, 5)) -> bytes:
-    """Bluehill's table as a workbook: header, names, units, a half-cycle counter, results below.
-
-    Parameters
-    ----------
-    logs : sequence of SyntheticLog
-    decimals : tuple of int
-    """
+    """Bluehill's table as a workbook: header, names, units, a half-cycle counter, results below."""
     sheets: list[tuple[str, Iterable[Sequence[Cell]]]] = []
     for log in logs:
         rows = _rounded(log, decimals)

@@ -21,18 +21,10 @@ FEWEST = 4
 
 @dataclass(frozen=True, slots=True)
 class Learning:
-    """A fitted curve.
+    """A fitted curve."""
 
-    Attributes
-    ----------
-    first : float
-        a: the fitted value at the first attempt.
-    exponent, exponent_se : float
-        b; negative where the measure falls.
-    attempts : int
-    """
-
-    first: float
+    first: float  # a: the fitted value at the first attempt
+    #: b; negative where the measure falls.
     exponent: float
     exponent_se: float
     attempts: int
@@ -41,10 +33,7 @@ class Learning:
 def learning_curve(values: Sequence[float]) -> Learning | None:
     """The curve through a measure of attempts in their order; None for fewer than four positive ones.
 
-    Parameters
-    ----------
-    values : sequence of float
-        NaN where an attempt has none.
+    ``values``: NaN where an attempt has none.
     """
     y = np.asarray(values, dtype=np.float64)
     number = np.arange(1, y.size + 1)

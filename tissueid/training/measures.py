@@ -39,37 +39,24 @@ TRACK_POINTS = 300
 
 @dataclass(frozen=True, slots=True)
 class Attempt:
-    """One way to the end of the drilling.
+    """One way to the end of the drilling."""
 
-    Attributes
-    ----------
-    complete : bool
-        Whether the wire went through; else the way ends at the deepest place.
-    seconds : float
-        From the cone's entry to the end.
-    entry_error_mm, end_error_mm : float
-        Distance from the axis at the entry point of the bone (NaN where it was not reached), and at the end.
-    angle_deg, angle_se_deg : float
-        Of the chord from the cone's entry to the end, against the axis.
-    path_mm, path_over_chord : float
-        Length of the way, smoothed over 50 ms.
-    mean_force_N, peak_force_N : float
-        At the device.
-    log_jerk : float
-        Less the logarithm of the dimensionless jerk ``D^5 / A^2`` times the integral of its square (Hogan &
-        Sternad 2009, doi 10.3200/35-09-004-RC): nearer zero is smoother.
-    """
-
-    complete: bool
-    seconds: float
+    complete: bool  # whether the wire went through; else the way ends at the deepest place
+    seconds: float  # from the cone's entry to the end
+    #: Distance from the axis at the entry point of the bone (NaN where it was not reached), and at the end.
     entry_error_mm: float
     end_error_mm: float
+    #: Of the chord from the cone's entry to the end, against the axis.
     angle_deg: float
     angle_se_deg: float
+    #: Length of the way, smoothed over 50 ms.
     path_mm: float
     path_over_chord: float
+    #: At the device.
     mean_force_N: float
     peak_force_N: float
+    #: Less the logarithm of the dimensionless jerk ``D^5 / A^2`` times the integral of its square (Hogan &
+    #: Sternad 2009, doi 10.3200/35-09-004-RC): nearer zero is smoother.
     log_jerk: float
 
 
@@ -78,19 +65,9 @@ def measured(
 ) -> Attempt:
     """Measures of a session's log.
 
-    Parameters
-    ----------
-    head : mapping
-        Of the log.
-    records : ndarray
-        Of the log.
-    cone_entry_mm : float
-        Where an attempt begins, above the entry point of the bone.
-
-    Raises
-    ------
-    ValueError
-        The session was not guided, or the tip never came from the cone's entry toward the bone.
+    ``head``: of the log; ``records``: of the log; ``cone_entry_mm``: where an attempt begins, above the entry
+    point of the bone.  Raises ValueError: the session was not guided, or the tip never came from the cone's
+    entry toward the bone.
     """
     if head["environment"] != "guidance":
         msg = (
@@ -131,15 +108,8 @@ def track(
 ) -> tuple[FloatArray, FloatArray]:
     """The smoothed way of an attempt, in at most :data:`TRACK_POINTS` points.
 
-    Parameters
-    ----------
-    head, records, cone_entry_mm
-        As for :func:`measured`, which has to accept them.
-
-    Returns
-    -------
-    height_mm, distance_mm : ndarray, shape (n,)
-        Above the entry point, and from the axis.
+    ``head``, ``records``, ``cone_entry_mm``: as for :func:`measured`, which has to accept them.  Returns
+    ``height_mm, distance_mm`` (n,): above the entry point, and from the axis.
     """
     felt, place, drill_mm = _felt(head, records)
     first, last, _ = _ends(place[:, 2], cone_entry_mm, drill_mm)

@@ -27,24 +27,14 @@ FINEST = 2e-4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Program:
-    """Depth by time, straight between knots.
+    """Depth by time, straight between knots."""
 
-    Attributes
-    ----------
-    time_s, depth_mm : ndarray, shape (k,)
-        From rest above the tissue on.
-    contact_s : float
-        When the surface is crossed.
-    words : str
-    recorded : ndarray, shape (n, 2), or None
-        Time [s] and force [N] of the recording that it is of.
-    """
-
+    #: (k,): from rest above the tissue on.
     time_s: FloatArray
-    depth_mm: FloatArray
-    contact_s: float
+    depth_mm: FloatArray  # (k,)
+    contact_s: float  # when the surface is crossed
     words: str
-    recorded: FloatArray | None = None
+    recorded: FloatArray | None = None  # (n, 2), time [s] and force [N] of the recording that it is of
 
     @property
     def duration_s(self) -> float:
@@ -79,16 +69,8 @@ def program_of_script(script: Script) -> Program:
 def program_of_recording(trial: Trial, depth_mm: float) -> Program:
     """A recording's own travel from contact on.
 
-    Parameters
-    ----------
-    trial : Trial
-    depth_mm : float
-        To which the tissue is claimed.
-
-    Raises
-    ------
-    UsageError
-        It has no contact, goes deeper than that, or needs more straight stretches than a grip is led by.
+    ``depth_mm``: to which the tissue is claimed.  Raises UsageError: it has no contact, goes deeper than
+    that, or needs more straight stretches than a grip is led by.
     """
     segmentation = segment(trial)
     if segmentation.contact is None:

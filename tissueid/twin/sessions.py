@@ -53,25 +53,15 @@ INWARD = (0.0, 0.0, -1.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Felt:
-    """Recording at the grip, in tissue units.
-
-    Attributes
-    ----------
-    device : str
-    time_s, depth_mm, force_N : ndarray, shape (n,)
-        From the rest before contact on; the force is as late as the device makes it.
-    late_s : float
-        Delay that the device states.
-    step_mm : float
-        Depth of one count of its encoders; a position is known to half of it.
-    """
+    """Recording at the grip, in tissue units."""
 
     device: str
+    #: (n,): from the rest before contact on; the force is as late as the device makes it.
     time_s: FloatArray
-    depth_mm: FloatArray
-    force_N: FloatArray
-    late_s: float
-    step_mm: float
+    depth_mm: FloatArray  # (n,)
+    force_N: FloatArray  # (n,)
+    late_s: float  # delay that the device states
+    step_mm: float  # depth of one count of its encoders; a position is known to half of it
 
     def undone(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Time, depth and force with the stated delay undone."""
@@ -89,10 +79,7 @@ def _block(tissue: Tissue, surface: FloatArray, force_scale: float, motion: floa
 def emulated_falcon(tissue: Tissue, program: Program, *, force_scale: float, motion: float) -> Felt:
     """The program on an emulated Falcon: encoder counts, wire, kinematics, motor units and delay.
 
-    Raises
-    ------
-    DeviceError
-        A fault ended the session.
+    Raises DeviceError: a fault ended the session.
     """
     surface = np.array(SURFACE_M)
     hand = program.hand(motion_scale=motion, surface_m=surface, inward=np.array(INWARD))
@@ -140,12 +127,7 @@ def planned(bundle: Path, program: Program) -> SessionPlan:
 def simulated(plan: SessionPlan, folder: Path) -> Felt:
     """The program on the simulated device, through the session that ``render`` runs.
 
-    Parameters
-    ----------
-    plan : SessionPlan
-        Of :func:`planned`.
-    folder : Path
-        For the session's log, ``felt.h5``.
+    ``plan``: of :func:`planned`; ``folder``: for the session's log, ``felt.h5``.
     """
     with TemporaryDirectory(dir=folder) as made:
         log = Path(made) / "felt.h5"

@@ -46,59 +46,33 @@ DRAWS = 1_000
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One number that went in and came out.
-
-    Attributes
-    ----------
-    name, symbol, unit : str
-    went_in : float or None
-        Of the bundle; None where it is not identified there.
-    went_in_ci95 : tuple of float or None
-    came_out, came_out_ci95 : float, tuple of float
-        Of the recording at the grip; None where counts and delay have destroyed it.
-    verdict : str
-        ``inside``, ``outside``, ``destroyed`` or ``not identified``.
-    """
+    """One number that went in and came out."""
 
     name: str
     symbol: str
     unit: str
-    went_in: float | None
+    went_in: float | None  # of the bundle; None where it is not identified there
     went_in_ci95: tuple[float, float] | None
+    #: Of the recording at the grip; None where counts and delay have destroyed it.
     came_out: float | None
     came_out_ci95: tuple[float, float] | None
-    verdict: str
+    verdict: str  # ``inside``, ``outside``, ``destroyed`` or ``not identified``
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TwinDevice:
-    """Findings of a machine at the grip of one device.
-
-    Attributes
-    ----------
-    device : str
-    nrmsd_model : float
-        Deviation of the force at the grip from the bundle's law along the grip's own path, over its range.
-    nrmsd_recording : float or None
-        The same from the recording whose travel it is.
-    fit_nrmsd : float or None
-        Of the refit; None of a spectrum and of the yardstick, whose times follow the recording.
-    noticeable : float
-        Largest difference of force over the just-noticeable one, at the device.
-    rows : tuple of Row
-    felt : Felt
-    law_N : ndarray
-        Force of the bundle's law at the felt times with the delay undone.
-    """
+    """Findings of a machine at the grip of one device."""
 
     device: str
+    #: Deviation of the force at the grip from the bundle's law along the grip's own path, over its range.
     nrmsd_model: float
-    nrmsd_recording: float | None
+    nrmsd_recording: float | None  # the same from the recording whose travel it is
+    #: Of the refit; None of a spectrum and of the yardstick, whose times follow the recording.
     fit_nrmsd: float | None
-    noticeable: float
+    noticeable: float  # largest difference of force over the just-noticeable one, at the device
     rows: tuple[Row, ...]
     felt: Felt
-    law_N: FloatArray
+    law_N: FloatArray  # force of the bundle's law at the felt times with the delay undone
 
     def from_contact(self) -> tuple[FloatArray, FloatArray]:
         """Time from the crossing of the surface [s], and force [N], the stated delay undone."""
@@ -108,30 +82,15 @@ class TwinDevice:
 
 @dataclass(frozen=True, slots=True)
 class Unseen:
-    """A push at a speed that no recording of the bundle had, on the emulated Falcon.
-
-    Attributes
-    ----------
-    speed_mm_s : float
-    nrmsd_model : float
-        Deviation of the force at the grip from the bundle's law, over its range.
-    """
+    """A push at a speed that no recording of the bundle had, on the emulated Falcon."""
 
     speed_mm_s: float
-    nrmsd_model: float
+    nrmsd_model: float  # deviation of the force at the grip from the bundle's law, over its range
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Twin:
-    """A bundle beside what its devices gave back.
-
-    Attributes
-    ----------
-    specimen, model, program : str
-    force_scale, motion_scale : float
-    devices : tuple of TwinDevice
-    unseen : Unseen
-    """
+    """A bundle beside what its devices gave back."""
 
     specimen: str
     model: str
@@ -170,21 +129,9 @@ def run_twin(
 ) -> Twin:
     """Let a machine feel a bundle on the emulated Falcon and on the simulated device, and fit both.
 
-    Parameters
-    ----------
-    bundle : Bundle
-    path : Path
-        Its file.
-    program : Program
-    folder : Path
-        For the recordings at the grip and the session's log.
-    progress : callable
-        ``progress(message, done, total)``.
-
-    Raises
-    ------
-    BundleError, UsageError, DeviceError
-        The bundle can't be rendered, or a session ended in a fault.
+    ``path``: its file; ``folder``: for the recordings at the grip and the session's log; ``progress``:
+    ``progress(message, done, total)``.  Raises BundleError, UsageError, DeviceError: the bundle can't be
+    rendered, or a session ended in a fault.
     """
     plan = planned(path, program)
     assert plan.check is not None  # noqa: S101 -- a tissue is always checked

@@ -24,19 +24,10 @@ MOST_DRAWS = 400
 def band_of(tissue: Tissue, draws: FloatArray | None) -> dict[str, Any]:
     """Force over depth at the slowest and the fastest identified speed.
 
-    Parameters
-    ----------
-    tissue : Tissue
-        As it is felt.
-    draws : ndarray, shape (m, p), or None
-        Posterior draws; without them there are curves alone.
-
-    Returns
-    -------
-    dict
-        ``draws`` (their number), ``curves``: ``speed_mm_s``, ``depth_mm``, ``force_N`` and, with draws,
-        ``low_N`` and ``high_N``: pointwise 2.5 and 97.5 % quantiles of the force reached from rest at that
-        speed (:func:`~tissueid.model.channels.loading_force`).
+    ``tissue``: as it is felt; ``draws`` (m, p): posterior draws; without them there are curves alone.
+    Returns ``draws`` (their number), ``curves``: ``speed_mm_s``, ``depth_mm``, ``force_N`` and, with draws,
+    ``low_N`` and ``high_N``: pointwise 2.5 and 97.5 % quantiles of the force reached from rest at that speed
+    (:func:`~tissueid.model.channels.loading_force`).
     """
     depth = np.linspace(0.0, tissue.model.depth_mm, POINTS)
     used = np.zeros((0, tissue.theta.size)) if draws is None else draws[:: max(1, len(draws) // MOST_DRAWS)]

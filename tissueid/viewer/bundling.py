@@ -96,17 +96,8 @@ def npm_command() -> list[str] | None:
 def build_bundle(bundle: Path = BUNDLE, sources: Path = SOURCES) -> None:
     """Make the bundle anew, whole or not at all.
 
-    Parameters
-    ----------
-    bundle : Path
-        Folder, replaced.
-    sources : Path
-        Folder of ``package.json``.
-
-    Raises
-    ------
-    BundlingError
-        There is no npm, no registry, or the sources are wrong.
+    ``bundle``: folder, replaced; ``sources``: folder of ``package.json``.  Raises BundlingError: there is no
+    npm, no registry, or the sources are wrong.
     """
     npm = npm_command()
     if npm is None:

@@ -16,17 +16,8 @@ TIMEOUT_S = 5.0
 def reach(what: str, token: str | None) -> str:
     """Address of a page that answers.
 
-    Parameters
-    ----------
-    what : str
-        ``HOST:PORT``, or the address as the other terminal shows it.
-    token : str or None
-        Added where the address has none.
-
-    Raises
-    ------
-    UsageError
-        It is no address, nothing answers there, or the token is missing or wrong.
+    ``what``: ``HOST:PORT``, or the address as the other terminal shows it; ``token``: added where the address
+    has none.  Raises UsageError: it is no address, nothing answers there, or the token is missing or wrong.
     """
     url = what if "//" in what else f"http://{what}/"
     parts = urllib.parse.urlsplit(url)

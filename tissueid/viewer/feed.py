@@ -51,10 +51,7 @@ class Source(Protocol):
 class LiveFeed:
     """Samples of a running servo.
 
-    Parameters
-    ----------
-    ring : Ring
-        Read, never written.
+    ``ring``: read, never written.
     """
 
     def __init__(self, ring: Ring) -> None:
@@ -99,11 +96,7 @@ class LiveFeed:
 class Client:
     """Cursor and credit of one client.
 
-    Parameters
-    ----------
-    source : Source
-    name : str
-        Where it is, for messages.
+    ``name``: where it is, for messages.
     """
 
     def __init__(self, source: Source, name: str) -> None:
@@ -147,10 +140,7 @@ class Client:
     def answer(self, count: int) -> bool:
         """The client has drawn that many frames; False where it can't have.
 
-        Parameters
-        ----------
-        count : int
-            Frames received since the connection began.
+        ``count``: frames received since the connection began.
         """
         if not self.answered <= count <= self.sent:
             return False

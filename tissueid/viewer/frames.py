@@ -69,26 +69,13 @@ _TICKS = 2**32
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """A frame that was read.
+    """A frame that was read."""
 
-    Attributes
-    ----------
-    first : int
-        Number of the first sample since the session began.
-    samples : ndarray of SAMPLE, shape (n,)
-    dropped : int
-        Samples this client was too slow for, so far.
-    round_trip_us : int
-    now_s : float
-        The source's clock when the frame was made [s].
-    ended : bool
-    """
-
-    first: int
-    samples: Samples
-    dropped: int
+    first: int  # number of the first sample since the session began
+    samples: Samples  # (n,)
+    dropped: int  # samples this client was too slow for, so far
     round_trip_us: int
-    now_s: float
+    now_s: float  # the source's clock when the frame was made [s]
     ended: bool
 
 
@@ -103,10 +90,7 @@ def layout() -> list[list[Any]]:
 def samples_of(records: NDArray[Any]) -> Samples:
     """Records of a ring or a log as samples.
 
-    Parameters
-    ----------
-    records : structured ndarray, shape (n,)
-        Fields by name; what it lacks is 0.
+    ``records`` (n,): fields by name; what it lacks is 0.
     """
     samples = np.zeros(records.size, SAMPLE)
     for name in set(SAMPLE.names or ()) & set(records.dtype.names or ()):
@@ -125,11 +109,7 @@ def write_frame(
 ) -> bytes:
     """One message.
 
-    Parameters
-    ----------
-    samples : ndarray of SAMPLE, shape (n,)
-    first, dropped, round_trip_us, now_s, ended
-        As in :class:`Frame`.
+    ``samples`` (n,); ``first``, ``dropped``, ``round_trip_us``, ``now_s``, ``ended``: as in :class:`Frame`.
     """
     head = np.zeros((), HEAD)
     head["magic"], head["version"] = MAGIC, VERSION
@@ -142,10 +122,7 @@ def write_frame(
 def read_frame(data: bytes) -> Frame:
     """The inverse of :func:`write_frame`.
 
-    Raises
-    ------
-    ValueError
-        It is no frame of this version, or not whole.
+    Raises ValueError: it is no frame of this version, or not whole.
     """
     if len(data) < HEAD.itemsize:
         msg = f"a frame has a head of {HEAD.itemsize} bytes, this one is {len(data)} bytes long"

@@ -22,16 +22,9 @@ POINTS = 40
 def guided_objects(block: Sequence[float]) -> list[dict[str, Any]]:
     """Objects of a scene, in metres of the device's frame.
 
-    Parameters
-    ----------
-    block : sequence of float
-        Of the log's head: an environment that is a guided axis.
-
-    Returns
-    -------
-    list of dict
-        ``axis`` (from the end of the drilling outward), ``funnel`` (points (r, z) of its profile about the
-        axis) and, where there is one, ``bone``.
+    ``block``: of the log's head: an environment that is a guided axis.  Returns ``axis`` (from the end of the
+    drilling outward), ``funnel`` (points (r, z) of its profile about the axis) and, where there is one,
+    ``bone``.
     """
     numbers = np.asarray(block, dtype=np.float64)[GUIDED : GUIDED + gd.GUIDANCE_SIZE]
     entry, axis = numbers[gd.ORIGIN : gd.ORIGIN + 3], numbers[gd.AXIS : gd.AXIS + 3]

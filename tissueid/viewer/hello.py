@@ -119,17 +119,9 @@ def hello(
 ) -> dict[str, Any]:
     """The hello of a session.
 
-    Parameters
-    ----------
-    head : mapping
-        Of its log, ``schemas/session.schema.json``.
-    workspace_m : sequence of pairs, optional
-        Range along x, y and z; a Falcon's where a log does not say.
-    pointer : bool
-        Whether a page may lead the hand.
-    band : mapping, optional
-    replay_s : float, optional
-        Length of a log that is replayed [s].
+    ``head``: of its log, ``schemas/session.schema.json``; ``workspace_m``: range along x, y and z; a Falcon's
+    where a log does not say; ``pointer``: whether a page may lead the hand; ``replay_s``: length of a log
+    that is replayed [s].
     """
     if workspace_m is None:
         workspace_m = [(middle - WORKING_RADIUS_M, middle + WORKING_RADIUS_M) for middle in CENTRE_M]

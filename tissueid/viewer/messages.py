@@ -56,10 +56,7 @@ Message = Answer | Pointer | Play
 def parse_message(text: str) -> Message | None:
     """Read a message; None for whatever is none.
 
-    Parameters
-    ----------
-    text : str
-        At most :data:`LARGEST_MESSAGE` characters, or it is none.
+    ``text``: at most :data:`LARGEST_MESSAGE` characters, or it is none.
     """
     if len(text) > LARGEST_MESSAGE:
         return None

@@ -50,13 +50,7 @@ class DecidedPage(Protocol):
 
 
 def page_app(shown: DecidedPage, access: Access) -> ASGIApp:
-    """The application.
-
-    Parameters
-    ----------
-    shown : DecidedPage
-    access : Access
-    """
+    """The application."""
 
     async def page(_request: Request) -> Response:
         try:
@@ -98,16 +92,7 @@ async def _words(request: Request) -> dict[str, Any] | Response:
 class PageServer:
     """The server, in this process: it listens from its making on.
 
-    Parameters
-    ----------
-    shown : DecidedPage
-    port : int, optional
-        8765, or one that is free, where it is left out.
-
-    Raises
-    ------
-    UsageError
-        The port is taken.
+    ``port``: 8765, or one that is free, where it is left out.  Raises UsageError: the port is taken.
     """
 
     def __init__(self, shown: DecidedPage, port: int | None = None) -> None:

@@ -19,12 +19,7 @@ Samples = NDArray[Any]
 class Playback:
     """A log that is played to one client.
 
-    Parameters
-    ----------
-    samples : ndarray of SAMPLE, shape (n,), n >= 1
-        Times rising.
-    clock : callable
-        Seconds, never falling.
+    ``samples`` (n,): times rising; ``clock``: seconds, never falling.
     """
 
     def __init__(self, samples: Samples, clock: Callable[[], float] = time.monotonic) -> None:

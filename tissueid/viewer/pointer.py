@@ -23,29 +23,18 @@ BEYOND_M = 0.02
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HandPointer:
-    """Leads a hand within its workspace.
-
-    Attributes
-    ----------
-    hand : SharedHand
-    rest_m : ndarray, shape (3,)
-        Where it goes when it is let go [m].
-    low_m, high_m : ndarray, shape (3,)
-        Corners of the workspace [m].
-    """
+    """Leads a hand within its workspace."""
 
     hand: SharedHand
-    rest_m: NDArray[np.float64]
+    rest_m: NDArray[np.float64]  # (3,), where it goes when it is let go [m]
+    #: (3,): corners of the workspace [m].
     low_m: NDArray[np.float64]
-    high_m: NDArray[np.float64]
+    high_m: NDArray[np.float64]  # (3,)
 
     def lead(self, position_m: Sequence[float] | None) -> None:
         """Lead the hand to a point, or back to its rest.
 
-        Parameters
-        ----------
-        position_m : sequence of 3 float, or None
-            Device frame [m]; cut to the workspace and 20 mm around it.
+        ``position_m``: device frame [m]; cut to the workspace and 20 mm around it.
         """
         wanted = self.rest_m if position_m is None else np.asarray(position_m, dtype=np.float64)
         self.hand.point_at(np.clip(wanted, self.low_m - BEYOND_M, self.high_m + BEYOND_M).tolist())

@@ -50,21 +50,11 @@ def new_token() -> str:
 
 @dataclass(frozen=True, slots=True)
 class Access:
-    """The rules of one server.
+    """The rules of one server."""
 
-    Attributes
-    ----------
-    host : str
-        Address that is listened on; ``0.0.0.0`` and ``::`` are all of this machine.
-    port : int
-    token : str or None
-        None on loopback alone.
-    tls : bool
-    """
-
-    host: str
+    host: str  # address that is listened on; ``0.0.0.0`` and ``::`` are all of this machine
     port: int
-    token: str | None = None
+    token: str | None = None  # none on loopback alone
     tls: bool = False
 
     def __post_init__(self) -> None:
@@ -75,14 +65,8 @@ class Access:
     def refusal(self, headers: Mapping[str, str], token: str | None, *, websocket: bool) -> str | None:
         """Why a request is refused, in words for the log; None where it is welcome.
 
-        Parameters
-        ----------
-        headers : mapping
-            Names in small letters.
-        token : str or None
-            From the address of the request.
-        websocket : bool
-            It carries data, and an ``Origin``; so does a request that changes something.
+        ``headers``: names in small letters; ``token``: from the address of the request; ``websocket``: it
+        carries data, and an ``Origin``; so does a request that changes something.
         """
         host = headers.get("host", "")
         if not self.names(host):
@@ -144,12 +128,7 @@ class RefusalLog:
     def note(self, client: str, why: str) -> None:
         """Note a refusal.
 
-        Parameters
-        ----------
-        client : str
-            Address of the client.
-        why : str
-            What was wrong with it; its first two words are its kind.
+        ``client``: address of the client; ``why``: what was wrong with it; its first two words are its kind.
         """
         kind = " ".join(why.split()[:2])
         self.counts[kind] += 1

@@ -65,15 +65,7 @@ class TlsFiles:
 class Guarded:
     """Refuses what :class:`Access` refuses, before anything else sees it.
 
-    Parameters
-    ----------
-    app : ASGIApp
-    access : Access
-    log : RefusalLog
-    full : callable, optional
-        Whether one more websocket is too many.
-    policy : bytes
-        What the pages may load.
+    ``full``: whether one more websocket is too many; ``policy``: what the pages may load.
     """
 
     def __init__(
@@ -146,14 +138,7 @@ def _name(scope: Scope) -> str:
 def viewer_app(stage: Stage, access: Access, *, bundle: Path = BUNDLE) -> ASGIApp:
     """The application.
 
-    Parameters
-    ----------
-    stage : Stage
-        What is shown.
-    access : Access
-        To whom.
-    bundle : Path
-        Folder of the page.
+    ``stage``: what is shown; ``access``: to whom; ``bundle``: folder of the page.
     """
 
     async def page(_request: object) -> Response:
@@ -271,14 +256,7 @@ def _obey(websocket: WebSocket, stage: Stage, message: Any) -> tuple[int, str]:
 
 
 class ViewerServer(uvicorn.Server):
-    """The server of one session; signals belong to whoever runs it.
-
-    Parameters
-    ----------
-    stage : Stage
-    access : Access
-    tls : TlsFiles, optional
-    """
+    """The server of one session; signals belong to whoever runs it."""
 
     def __init__(self, stage: Stage, access: Access, tls: TlsFiles | None = None) -> None:
         super().__init__(

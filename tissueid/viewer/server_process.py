@@ -36,12 +36,7 @@ MOST_DESCRIPTORS = 4
 
 
 class Owner:
-    """The lines of the owner, and the descriptors that came with them.
-
-    Parameters
-    ----------
-    link : socket
-    """
+    """The lines of the owner, and the descriptors that came with them."""
 
     def __init__(self, link: socket.socket) -> None:
         self.link = link
@@ -71,13 +66,7 @@ class Owner:
 def obey(stage: Stage, words: dict[str, Any], descriptors: list[int]) -> None:
     """Do what a line of the owner says.
 
-    Parameters
-    ----------
-    stage : Stage
-    words : dict
-        A line.
-    descriptors : list of int
-        That came with it.
+    ``words``: a line; ``descriptors``: that came with it.
     """
     if "live" in words:
         _show_live(stage, words["live"], descriptors)

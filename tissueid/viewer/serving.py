@@ -29,20 +29,11 @@ SILENCE_S = 4.0
 
 @dataclass(frozen=True, slots=True)
 class ViewerOptions:
-    """Options of a served viewer.
+    """Options of a served viewer."""
 
-    Attributes
-    ----------
-    host : str
-        Address to listen on.
-    port : int or None
-        None for :data:`DEFAULT_PORT`, or any that is free.
-    certificate, key : Path or None
-        Files for TLS, both or none.
-    """
-
-    host: str = LOOPBACK
-    port: int | None = None
+    host: str = LOOPBACK  # address to listen on
+    port: int | None = None  # none for :data:`DEFAULT_PORT`, or any that is free
+    #: Files for TLS, both or none.
     certificate: Path | None = None
     key: Path | None = None
 
@@ -75,14 +66,7 @@ class ViewerOptions:
 class ServedViewer:
     """A running server, before and while there is a session.
 
-    Parameters
-    ----------
-    options : ViewerOptions
-
-    Raises
-    ------
-    UsageError
-        The address is none of this machine, or its port is taken.
+    Raises UsageError: the address is none of this machine, or its port is taken.
     """
 
     def __init__(self, options: ViewerOptions) -> None:

@@ -24,14 +24,8 @@ __all__ = ["check_log", "show_log", "show_session"]
 def show_session(viewer: ServedViewer, plan: SessionPlan, servo: ServoProcess, bundle: Path | None) -> None:
     """Show what a servo renders.
 
-    Parameters
-    ----------
-    viewer : ServedViewer
-    plan : SessionPlan
-    servo : ServoProcess
-        Its ring is handed over for reading, and the hand where the plan lets a pointer lead it.
-    bundle : Path or None
-        Where the plan's first tissue comes from, for the band of its draws.
+    ``servo``: its ring is handed over for reading, and the hand where the plan lets a pointer lead it;
+    ``bundle``: where the plan's first tissue comes from, for the band of its draws.
     """
     band = None
     if plan.picked and plan.order is None:
@@ -54,10 +48,7 @@ def show_session(viewer: ServedViewer, plan: SessionPlan, servo: ServoProcess, b
 def check_log(path: Path) -> SessionLog:
     """A log with something in it.
 
-    Raises
-    ------
-    BundleError
-        It can't be read, or holds no two ticks.
+    Raises BundleError: it can't be read, or holds no two ticks.
     """
     log = read_session_log(path)
     if log.records.size < 2:
@@ -69,13 +60,7 @@ def check_log(path: Path) -> SessionLog:
 def show_log(viewer: ServedViewer, log: SessionLog, path: Path) -> None:
     """Play a log.
 
-    Parameters
-    ----------
-    viewer : ServedViewer
-    log : SessionLog
-        :func:`check_log`.
-    path : Path
-        Where it lies; the server reads it again.
+    ``log``: :func:`check_log`; ``path``: where it lies; the server reads it again.
     """
     times = log.records["time_s"]
     viewer.show_log(hello(log.head, replay_s=float(times[-1] - times[0])), path)

@@ -26,15 +26,8 @@ SILENCE_S = 4.0
 class Stage:
     """One session, for all clients.
 
-    Attributes
-    ----------
-    hello : str or None
-        The first message; None until the session is known.
-    pointer : HandPointer or None
-        None where no page may lead a hand.
-    log : RefusalLog
-    clients : set
-        Those connected.
+    ``hello``: the first message; None until the session is known; ``pointer``: none where no page may lead a
+    hand; ``clients``: those connected.
     """
 
     def __init__(self) -> None:

@@ -17,39 +17,21 @@ Fingerprint = tuple[int, int]
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """Result of one look at the folder.
+    """Result of one look at the folder."""
 
-    Attributes
-    ----------
-    ready : tuple of Path
-        New or changed, and whole; the oldest first.
-    gone : tuple of Path
-        Seen before and no longer there.
-    waiting : tuple of Path
-        New, and still being written.
-    reachable : bool
-        False where the folder could not be listed: a network drive away is no deletion.
-    """
-
-    ready: tuple[Path, ...] = ()
-    gone: tuple[Path, ...] = ()
-    waiting: tuple[Path, ...] = ()
-    reachable: bool = True
+    ready: tuple[Path, ...] = ()  # new or changed, and whole; the oldest first
+    gone: tuple[Path, ...] = ()  # seen before and no longer there
+    waiting: tuple[Path, ...] = ()  # new, and still being written
+    reachable: bool = True  # false where the folder could not be listed: a network drive away is no deletion
 
 
 @dataclass(slots=True)
 class FolderWatch:
-    """A folder that is looked at repeatedly.
+    """A folder that is looked at repeatedly."""
 
-    Attributes
-    ----------
-    find : callable
-        Lists the recordings of the folder; an ``OSError`` means that it is not reachable.
-    known : dict
-        Path -> fingerprint (size, time in ns) of what was handed out already.
-    """
-
+    #: Lists the recordings of the folder; an ``OSError`` means that it is not reachable.
     find: Callable[[], Iterable[Path]]
+    #: Path -> fingerprint (size, time in ns) of what was handed out already.
     known: dict[Path, Fingerprint] = field(default_factory=dict)
     _growing: dict[Path, Fingerprint] = field(default_factory=dict)
 

@@ -19,18 +19,7 @@ def quick_fit(
 ) -> dict[str, Any] | None:
     """Parameters of the test alone; ``None`` where nothing can be fitted.
 
-    Parameters
-    ----------
-    trial : Trial
-        As read.
-    options : SegmentOptions or None
-    study : Study or None
-        Followed.
-
-    Returns
-    -------
-    dict or None
-        ``fit`` of ``schemas/watch.schema.json``.
+    ``trial``: as read; ``study``: followed.  Returns ``fit`` of ``schemas/watch.schema.json``.
     """
     trial, options, _ = as_decided(trial, options, study)
     quick = IdentifyOptions(fit=FitOptions(branches=1, stiffness_degree=0), segment=options)

@@ -26,47 +26,26 @@ Key = tuple[str, str | None]
 
 @dataclass(frozen=True, slots=True)
 class Happening:
-    """Something to tell the operator.
+    """Something to tell the operator."""
 
-    Attributes
-    ----------
-    kind : str
-        ``verdict``, ``replaced`` (a verdict on a file that was judged before), ``fitted`` (the verdict with
-        its fit), ``renamed``, ``copy``, ``gone``, ``unreachable`` or ``back``.
-    text : str
-        In words, but for a verdict.
-    verdict : dict or None
-    """
-
+    #: ``verdict``, ``replaced`` (a verdict on a file that was judged before), ``fitted`` (the verdict with
+    #: its fit), ``renamed``, ``copy``, ``gone``, ``unreachable`` or ``back``.
     kind: str
-    text: str = ""
+    text: str = ""  # in words, but for a verdict
     verdict: Verdict | None = None
 
 
 @dataclass(slots=True)
 class WatchSession:
-    """Verdicts on the recordings of a folder, as they come.
-
-    Attributes
-    ----------
-    watch : FolderWatch
-    read : callable
-        Trials and refusals of one file.
-    judge : callable
-        ``judge(trial, earlier) -> verdict``.
-    fit : callable or None
-        ``fit(trial) -> numbers``, after the verdict is told.
-    log : Path or None
-        Where verdicts are kept, rewritten whole after each.
-    verdicts : list of dict
-        In the order of testing; those of files that are gone stay, and are not compared with.
-    """
+    """Verdicts on the recordings of a folder, as they come."""
 
     watch: FolderWatch
-    read: Callable[[Path], Iterable[Trial | InputError]]
-    judge: Callable[[Trial, Iterable[Verdict]], Verdict]
-    log: Path | None = None
+    read: Callable[[Path], Iterable[Trial | InputError]]  # trials and refusals of one file
+    judge: Callable[[Trial, Iterable[Verdict]], Verdict]  # ``judge(trial, earlier) -> verdict``
+    log: Path | None = None  # where verdicts are kept, rewritten whole after each
+    #: In the order of testing; those of files that are gone stay, and are not compared with.
     verdicts: list[Verdict] = field(default_factory=list)
+    #: ``fit(trial) -> numbers``, after the verdict is told.
     fit: Callable[[Trial], dict[str, Any] | None] | None = None
     _gone: set[str] = field(default_factory=set)
     _reachable: bool = True
@@ -167,10 +146,7 @@ def _interrupted(error: BaseException | None) -> bool:
 def load_log(path: Path) -> list[Verdict]:
     """Verdicts of an earlier session; lines that are none are left out.
 
-    Parameters
-    ----------
-    path : Path
-        It need not exist.
+    ``path``: it need not exist.
     """
     if not path.is_file():
         return []

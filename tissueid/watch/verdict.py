@@ -61,21 +61,9 @@ def judge(
 ) -> Verdict:
     """Judge one test.
 
-    Parameters
-    ----------
-    trial : Trial
-        As read.
-    earlier : iterable of mapping
-        Verdicts on earlier tests, in their order; those of the same specimen are compared, but for excluded
-        ones.
-    options : SegmentOptions, optional
-    study : Study, optional
-        Followed.
-
-    Returns
-    -------
-    dict
-        The object of ``schemas/watch.schema.json``.
+    ``trial``: as read; ``earlier``: verdicts on earlier tests, in their order; those of the same specimen are
+    compared, but for excluded ones; ``study``: followed.  Returns the object of
+    ``schemas/watch.schema.json``.
     """
     trial, options, excluded = as_decided(trial, options, study)
     divided = segmented(trial, options=options)

@@ -63,43 +63,20 @@ HEADER = (
 
 @dataclass(frozen=True)
 class Calibration:
-    """Numbers of one Falcon; the defaults are assumptions.
+    """Numbers of one Falcon; the defaults are assumptions."""
 
-    Attributes
-    ----------
-    geometry : str
-        Key of :data:`~tissueid.haptics.falcon.constants.GEOMETRIES`.
-    zero_angle_deg : float
-        Leg angle at count zero.
-    units_per_Nm : float
-        Motor units for one N m of arm torque.
-    force_calibrated : bool
-        Whether ``units_per_Nm`` was weighed on this device.
-    damping_N_s_per_m : float
-        Viscous damping of the device itself, which bounds the stiffness it can render.
-    damping_measured : bool
-    delay_ticks : float
-        From a command to its effect on the next position, in ticks of the servo.
-    delay_measured : bool
-    weight_N : tuple of float
-        Force that holds the grip in the middle of the workspace.
-    weight_slope_N_per_m : tuple of float
-        Its change with the position, nine numbers, row by row of the force's components.
-    weight_measured : bool
-    confirmed : bool
-        Whether the hardware checklist was passed on this machine.
-    """
-
-    geometry: str = "stamper"
-    zero_angle_deg: float = 35.0
-    units_per_Nm: float = UNITS_PER_NM
-    force_calibrated: bool = False
+    geometry: str = "stamper"  # key of :data:`~tissueid.haptics.falcon.constants.GEOMETRIES`
+    zero_angle_deg: float = 35.0  # leg angle at count zero
+    units_per_Nm: float = UNITS_PER_NM  # motor units for one N m of arm torque
+    force_calibrated: bool = False  # whether ``units_per_Nm`` was weighed on this device
+    #: Viscous damping of the device itself, which bounds the stiffness it can render.
     damping_N_s_per_m: float = 0.5
     damping_measured: bool = False
-    delay_ticks: float = 1.5
+    delay_ticks: float = 1.5  # from a command to its effect on the next position, in ticks of the servo
     delay_measured: bool = False
-    confirmed: bool = False
-    weight_N: tuple[float, ...] = (0.0, 0.0, 0.0)
+    confirmed: bool = False  # whether the hardware checklist was passed on this machine
+    weight_N: tuple[float, ...] = (0.0, 0.0, 0.0)  # force that holds the grip in the middle of the workspace
+    #: Its change with the position, nine numbers, row by row of the force's components.
     weight_slope_N_per_m: tuple[float, ...] = (0.0,) * 9
     weight_measured: bool = False
 
@@ -141,11 +118,8 @@ def calibration_path() -> Path:
 def load_calibration(path: Path | None = None) -> Calibration:
     """The calibration of this user, or the assumptions where there is no file.
 
-    Raises
-    ------
-    DeviceError
-        For a file that can't be read, an unknown key, a wrong type or a number out of range: it is never
-        replaced by the assumptions, since forces depend on it.
+    Raises DeviceError: for a file that can't be read, an unknown key, a wrong type or a number out of range:
+    it is never replaced by the assumptions, since forces depend on it.
     """
     path = calibration_path() if path is None else path
     try:
@@ -169,15 +143,8 @@ def load_calibration(path: Path | None = None) -> Calibration:
 def save_calibration(calibration: Calibration, path: Path | None = None) -> Path:
     """Write the file whole or not at all.
 
-    Returns
-    -------
-    Path
-        Where it is.
-
-    Raises
-    ------
-    DeviceError
-        If it can't be written, or holds what :func:`load_calibration` would refuse.
+    Returns where it is.  Raises DeviceError: if it can't be written, or holds what :func:`load_calibration`
+    would refuse.
     """
     from tissueid.store.files import write_file
 

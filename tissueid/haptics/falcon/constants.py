@@ -20,22 +20,10 @@ COUNTS_PER_TURN = 320 * 4
 
 @dataclass(frozen=True)
 class Geometry:
-    """Lengths and angles of the legs, in the letters of Stamper (1997).
-
-    Attributes
-    ----------
-    name : str
-    thigh_m, shin_m, c_m, pins_m, f_m, r_m, s_m : float
-        a, b, c, d + e, f, r and s [m].
-    gear : float
-        Turns of the encoder wheel for one turn of the arm.
-    zero_angle_deg : float
-        Leg angle at count zero.  35, 40 and 50 have been reported: calibrate.
-    source : str
-        Where the numbers are from.
-    """
+    """Lengths and angles of the legs, in the letters of Stamper (1997)."""
 
     name: str
+    #: a, b, c, d + e, f, r and s [m].
     thigh_m: float
     shin_m: float
     c_m: float
@@ -43,9 +31,10 @@ class Geometry:
     f_m: float
     r_m: float
     s_m: float
-    gear: float
+    gear: float  # turns of the encoder wheel for one turn of the arm
+    #: Leg angle at count zero.  35, 40 and 50 have been reported: calibrate.
     zero_angle_deg: float
-    source: str = field(repr=False)
+    source: str = field(repr=False)  # where the numbers are from
 
     @property
     def radians_per_count(self) -> float:

@@ -63,21 +63,12 @@ AT_STOP_S = 5.0
 class FalconDevice(HapticDevice):
     """A Novint Falcon over USB, a serial port, or the emulator's descriptor.
 
-    Parameters
-    ----------
-    limits : GuardLimits, optional
-        By default those of the calibration: at most 2 N until the hardware checklist was passed, with the
-        dead-man button.
-    port : str or int, optional
-        Path of a serial port or pseudo-terminal, or a descriptor of which a copy is used; USB by default.
-    firmware : path, optional
-        Firmware file; by default the environment names it, and only where the device has none.
-    calibration : Calibration, optional
-        By default the user's file.
-    tell : callable, optional
-        Told what happens during a long opening, and what the user has to do: ``tell(sentence)``.
-    homing_timeout_s : float
-        For each of the two movements of homing.
+    ``limits``: by default those of the calibration: at most 2 N until the hardware checklist was passed, with
+    the dead-man button; ``port``: path of a serial port or pseudo-terminal, or a descriptor of which a copy
+    is used; USB by default; ``firmware``: firmware file; by default the environment names it, and only where
+    the device has none; ``calibration``: by default the user's file; ``tell``: told what happens during a
+    long opening, and what the user has to do: ``tell(sentence)``; ``homing_timeout_s``: for each of the two
+    movements of homing.
     """
 
     name = "falcon"
@@ -176,10 +167,7 @@ class FalconDevice(HapticDevice):
         Tells what to do.  Afterwards the guard is in ARMED.  To be called between ``open`` and the first
         force; a device that is homed already needs the pulling out only.
 
-        Raises
-        ------
-        DeviceError
-            After the time-out, or when the device is lost.
+        Raises DeviceError: after the time-out, or when the device is lost.
         """
         self.tell(HOMING_STEPS[0])
         await_homed(self, self._homing_timeout_s, self._not_homed)
@@ -337,12 +325,8 @@ class FalconDevice(HapticDevice):
 def limits_of(calibration: Calibration, *, hands_off: bool = False) -> GuardLimits:
     """Limits of the guard that a calibration allows.
 
-    Parameters
-    ----------
-    calibration : Calibration
-    hands_off : bool
-        For measurements of the free grip: no dead-man button, and a grip that lies at its stop is given
-        :data:`AT_STOP_S` to leave it, though it looks like a frozen encoder.
+    ``hands_off``: for measurements of the free grip: no dead-man button, and a grip that lies at its stop is
+    given :data:`AT_STOP_S` to leave it, though it looks like a frozen encoder.
     """
     clamp = calibration.clamp_N
     limits = GuardLimits(

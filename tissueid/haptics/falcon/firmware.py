@@ -76,19 +76,11 @@ class NoLoaderError(UploadError):
 
 @dataclass(frozen=True)
 class Firmware:
-    """A firmware file.
-
-    Attributes
-    ----------
-    path : Path
-    content : bytes
-    known_as : str or None
-        Name under which the very file is known to work; None is worth a warning.
-    """
+    """A firmware file."""
 
     path: Path
     content: bytes
-    known_as: str | None
+    known_as: str | None  # name under which the very file is known to work; None is worth a warning
 
     @property
     def warning(self) -> str | None:
@@ -105,15 +97,8 @@ class Firmware:
 def find_firmware(path: str | os.PathLike[str] | None = None) -> Firmware:
     """The file the user named, by option or environment.
 
-    Parameters
-    ----------
-    path : path, optional
-        Takes precedence over the environment variable :data:`VARIABLE`.
-
-    Raises
-    ------
-    DeviceError
-        If none is named, or it is missing, empty, unreadable or too long.
+    ``path``: takes precedence over the environment variable :data:`VARIABLE`.  Raises DeviceError: if none is
+    named, or it is missing, empty, unreadable or too long.
     """
     named = os.fspath(path) if path is not None else os.environ.get(VARIABLE)
     if not named:
@@ -149,9 +134,7 @@ def is_running(transport: ByteTransport) -> bool:
 
     Sends zero torque in homing mode: a device that was homed stays so.
 
-    Raises
-    ------
-    TransportLost
+    Raises TransportLost.
     """
     parser = PacketParser()
     command = encode_command((0, 0, 0), leds=0, homing=True)
@@ -168,19 +151,9 @@ def is_running(transport: ByteTransport) -> bool:
 def upload(transport: ByteTransport, content: bytes, progress: Progress | None = None) -> None:
     """One try to load firmware.
 
-    Parameters
-    ----------
-    transport : ByteTransport
-        Without modem lines (an emulator on a pseudo-terminal) the line and latency steps are left out.
-    content : bytes
-    progress : callable, optional
-        ``progress(message, bytes done, bytes in all)``.
-
-    Raises
-    ------
-    UploadError
-        No answer, or an echo that differs; the device must be opened anew.
-    TransportLost
+    ``transport``: without modem lines (an emulator on a pseudo-terminal) the line and latency steps are left
+    out; ``progress``: ``progress(message, bytes done, bytes in all)``.  Raises UploadError: no answer, or an
+    echo that differs; the device must be opened anew; TransportLost.
     """
     _say_hello(transport)
     _get_ready(transport)
@@ -209,26 +182,11 @@ def ensure_running(
 ) -> ByteTransport:
     """A transport to a device whose firmware runs, loaded where it did not.
 
-    Parameters
-    ----------
-    open_transport : callable
-        Opens the device; called anew after each failed upload.
-    firmware : callable
-        Finds the file; called only where one is needed.
-    progress : callable, optional
-        As of :func:`upload`; told of every failed try.
-    tries : int
-        Fewer where the device stays silent for :data:`SILENT_S`.
-
-    Returns
-    -------
-    ByteTransport
-        The caller closes it.
-
-    Raises
-    ------
-    DeviceError
-        After ``tries`` failed uploads, with the reason of the last, after silence, or what opening raised.
+    ``open_transport``: opens the device; called anew after each failed upload; ``firmware``: finds the file;
+    called only where one is needed; ``progress``: as of :func:`upload`; told of every failed try; ``tries``:
+    fewer where the device stays silent for :data:`SILENT_S`.  Returns the caller closes it.  Raises
+    DeviceError: after ``tries`` failed uploads, with the reason of the last, after silence, or what opening
+    raised.
     """
     transport = open_transport()
     try:

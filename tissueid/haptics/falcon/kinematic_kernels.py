@@ -157,18 +157,8 @@ def inverse_kernel(position: FloatArray, geometry: FloatArray, out: FloatArray) 
 
     Of the two angles that satisfy a leg's constraint the one with the knee outward is the Falcon's.
 
-    Parameters
-    ----------
-    position : ndarray, shape (3,)
-        [m].
-    geometry : ndarray, shape (GEOMETRY_SIZE,)
-    out : ndarray, shape (3,)
-        Angles [rad]; meaningless where the answer is False.
-
-    Returns
-    -------
-    bool
-        False where a leg does not reach the position.
+    ``position`` (3,): [m]; ``geometry`` (GEOMETRY_SIZE,); ``out`` (3,): angles [rad]; meaningless where the
+    answer is False.  Returns false where a leg does not reach the position.
     """
     p = (position[0], position[1], position[2])
     for i in range(3):
@@ -262,18 +252,9 @@ def _knees_outward(p: Vector, angles: FloatArray, geometry: FloatArray) -> bool:
 def forward_kernel(angles: FloatArray, geometry: FloatArray, position: FloatArray) -> int:
     """Grip position of three leg angles, by Newton's method from a guess, then from fixed starts.
 
-    Parameters
-    ----------
-    angles : ndarray, shape (3,)
-        [rad].
-    geometry : ndarray, shape (GEOMETRY_SIZE,)
-    position : ndarray, shape (3,)
-        Guess [m], replaced by the answer; kept where there is none.
-
-    Returns
-    -------
-    int
-        Newton steps taken, or -1 where no position in front of the base has these angles.
+    ``angles`` (3,): [rad]; ``geometry`` (GEOMETRY_SIZE,); ``position`` (3,): guess [m], replaced by the
+    answer; kept where there is none.  Returns Newton steps taken, or -1 where no position in front of the
+    base has these angles.
     """
     start = (position[0], position[1], position[2])
     for k in range(len(STARTS_M) + 1):
@@ -305,18 +286,8 @@ def _rates(p: Vector, geometry: FloatArray) -> tuple[bool, Vector, Vector, Vecto
 def jacobian_kernel(position: FloatArray, geometry: FloatArray, out: FloatArray) -> bool:
     """``D = dp/dtheta`` at a grip position.
 
-    Parameters
-    ----------
-    position : ndarray, shape (3,)
-        [m].
-    geometry : ndarray, shape (GEOMETRY_SIZE,)
-    out : ndarray, shape (3, 3)
-        Row: coordinate; column: leg [m/rad].
-
-    Returns
-    -------
-    bool
-        False outside the workspace and where a leg is stretched or folded.
+    ``position`` (3,): [m]; ``geometry`` (GEOMETRY_SIZE,); ``out`` (3, 3): row: coordinate; column: leg
+    [m/rad].  Returns false outside the workspace and where a leg is stretched or folded.
     """
     regular, first, second, third = _rates((position[0], position[1], position[2]), geometry)
     if regular:
@@ -347,22 +318,10 @@ def motor_units(
 
     ``motor = -units_per_Nm D^T F``; the sign is that of recorded packets of the vendor's driver.
 
-    Parameters
-    ----------
-    force, position : ndarray, shape (3,)
-        [N], [m].
-    geometry : ndarray, shape (GEOMETRY_SIZE,)
-    units_per_Nm : float
-        Motor units of one N m of arm torque.
-    clamp_units : float
-        Largest root of the sum of squares of the three commands, at most 4095.
-    out : ndarray of int64, shape (3,)
-        Filled; zeros where the position has no Jacobian or a number is not finite.
-
-    Returns
-    -------
-    bool
-        Whether the command is not what was asked for.
+    ``force``, ``position`` (3,): [N], [m]; ``geometry`` (GEOMETRY_SIZE,); ``units_per_Nm``: motor units of
+    one N m of arm torque; ``clamp_units``: largest root of the sum of squares of the three commands, at most
+    4095; ``out`` (3,): filled; zeros where the position has no Jacobian or a number is not finite.  Returns
+    whether the command is not what was asked for.
     """
     out[0] = out[1] = out[2] = 0
     regular, first, second, third = _rates((position[0], position[1], position[2]), geometry)

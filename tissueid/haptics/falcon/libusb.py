@@ -138,10 +138,7 @@ class UsbNode:
 class LibUsb:
     """The loaded library with one context.
 
-    Raises
-    ------
-    DeviceError
-        If the library is not installed, or is not libusb.
+    Raises DeviceError: if the library is not installed, or is not libusb.
     """
 
     def __init__(self) -> None:
@@ -160,15 +157,8 @@ class LibUsb:
     def open(self, node: UsbNode | None = None) -> UsbTransport:
         """Open a Falcon, claim its interface, and set it to the speed of running firmware.
 
-        Parameters
-        ----------
-        node : UsbNode, optional
-            Which; the first by default.
-
-        Raises
-        ------
-        DeviceError
-            Not found, no permission (with the node and the udev line), or in use.
+        ``node``: which; the first by default.  Raises DeviceError: not found, no permission (with the node
+        and the udev line), or in use.
         """
         with self._devices() as found:
             matching = [(where, device) for where, device in found if node in (None, where)]

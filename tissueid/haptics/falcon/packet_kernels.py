@@ -95,17 +95,10 @@ def leds_of_state(state: int) -> int:
 def encode_into(motor: IntArray, leds: int, homing: bool, out: ByteArray) -> None:
     """Write one command.
 
-    Parameters
-    ----------
-    motor : ndarray of int64, shape (3,)
-        Motor commands within +-4095.  One outside is the caller's bug, which must not become a force: then
-        all three are sent as zero.
-    leds : int
-        LED bits of the wire, 0x02 | 0x04 | 0x08; others are left out.
-    homing : bool
-        Whether the device shall be in homing mode, which it leaves with the first command without it.
-    out : ndarray of uint8, shape (16,)
-        Filled.
+    ``motor`` (3,): motor commands within +-4095.  One outside is the caller's bug, which must not become a
+    force: then all three are sent as zero; ``leds``: LED bits of the wire, 0x02 | 0x04 | 0x08; others are
+    left out; ``homing``: whether the device shall be in homing mode, which it leaves with the first command
+    without it; ``out`` (16,): filled.
     """
     inside = True
     for i in range(3):
@@ -151,18 +144,9 @@ def _decode(memory: IntArray) -> None:
 def parse_byte(memory: IntArray, byte: int) -> int:
     """Take one byte of the device's stream.
 
-    Parameters
-    ----------
-    memory : ndarray of int64, shape (PARSER_SIZE,)
-        State of the automaton, zeros at the start; changed.
-    byte : int
-        0 to 255.
-
-    Returns
-    -------
-    int
-        1 if this byte completed a reply, whose fields are then at ``ENCODERS``, ``HOMED`` and
-        ``BUTTONS``; else 0.
+    ``memory`` (PARSER_SIZE,): state of the automaton, zeros at the start; changed; ``byte``: 0 to 255.
+    Returns 1 if this byte completed a reply, whose fields are then at ``ENCODERS``, ``HOMED`` and
+    ``BUTTONS``; else 0.
     """
     filled = memory[FILLED]
     if byte == START:
@@ -192,18 +176,9 @@ def parse_byte(memory: IntArray, byte: int) -> int:
 def parse_bytes(memory: IntArray, data: ByteArray, replies: IntArray) -> int:
     """Take many bytes.
 
-    Parameters
-    ----------
-    memory : ndarray of int64, shape (PARSER_SIZE,)
-        As :func:`parse_byte`.
-    data : ndarray of uint8, shape (n,)
-    replies : ndarray of int64, shape (n // 16 + 1, 5)
-        Filled from the start: three encoders, homed flags, buttons of each reply.
-
-    Returns
-    -------
-    int
-        Replies that these bytes completed.
+    ``memory`` (PARSER_SIZE,): as :func:`parse_byte`; ``data`` (n,); ``replies`` (n // 16 + 1, 5): filled from
+    the start: three encoders, homed flags, buttons of each reply.  Returns replies that these bytes
+    completed.
     """
     count = 0
     for byte in data:

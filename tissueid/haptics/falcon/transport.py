@@ -95,17 +95,13 @@ class ByteTransport(Protocol):
     def write(self, data: bytes) -> None:
         """Send all bytes.
 
-        Raises
-        ------
-        TransportLost
+        Raises TransportLost.
         """
 
     def read(self, timeout_s: float) -> bytes:
         """Bytes that have arrived, waiting for the first; nothing after the time-out.
 
-        Raises
-        ------
-        TransportLost
+        Raises TransportLost.
         """
 
     def purge(self) -> None:
@@ -121,12 +117,7 @@ class ByteTransport(Protocol):
 class FileTransport:
     """A file descriptor: a pseudo-terminal, one end of a socket pair, or a serial port.
 
-    Parameters
-    ----------
-    descriptor : int
-        Taken over: closed by :meth:`close`.
-    where : str
-        What to call it in a message.
+    ``descriptor``: taken over: closed by :meth:`close`; ``where``: what to call it in a message.
     """
 
     def __init__(self, descriptor: int, where: str) -> None:
@@ -141,10 +132,8 @@ class FileTransport:
     def open(cls, path: str) -> FileTransport:
         """Open a terminal device by its path.
 
-        Raises
-        ------
-        DeviceError
-            If it is not there, is no terminal, is taken or forbidden, or the system has no terminals.
+        Raises DeviceError: if it is not there, is no terminal, is taken or forbidden, or the system has no
+        terminals.
         """
         if not HAS_TERMINALS:
             msg = f"{path}: this system has no terminal devices of POSIX; plug the device in by USB"

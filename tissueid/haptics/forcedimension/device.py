@@ -41,15 +41,8 @@ REACH_M = 0.040
 class ForceDimensionDevice(HapticDevice):
     """The first Falcon that the SDK opens.
 
-    Parameters
-    ----------
-    limits : GuardLimits, optional
-        By default at most 2 N with the dead-man button.
-    library : str, optional
-        Path of the SDK's library; searched for by default.
-    tell : callable, optional
-        Told what the user has to do, ``tell(sentence)``.
-    homing_timeout_s : float
+    ``limits``: by default at most 2 N with the dead-man button; ``library``: path of the SDK's library;
+    searched for by default; ``tell``: told what the user has to do, ``tell(sentence)``.
     """
 
     name = "forcedimension"
@@ -104,10 +97,7 @@ class ForceDimensionDevice(HapticDevice):
     def home(self) -> None:
         """Wait, with zero force, until the SDK knows the position.
 
-        Raises
-        ------
-        DeviceError
-            After the time-out.
+        Raises DeviceError: after the time-out.
         """
         self.tell("Homing: pull the grip all the way out, then push it all the way in.")
         await_homed(self, self._homing_timeout_s)

@@ -53,15 +53,8 @@ _PROTOTYPES: dict[str, tuple[Any, list[Any]]] = {
 class Sdk:
     """The loaded SDK with one open device.
 
-    Parameters
-    ----------
-    library : path, optional
-        Which library; searched for by default.
-
-    Raises
-    ------
-    DeviceError
-        If none is found, it lacks a function, or is older than :data:`OLDEST`.
+    ``library``: which library; searched for by default.  Raises DeviceError: if none is found, it lacks a
+    function, or is older than :data:`OLDEST`.
     """
 
     def __init__(self, library: str | None = None) -> None:
@@ -90,10 +83,7 @@ class Sdk:
     def open_falcon(self) -> None:
         """Open the first Falcon.
 
-        Raises
-        ------
-        DeviceError
-            With what the SDK says.
+        Raises DeviceError: with what the SDK says.
         """
         identity = self.library.dhdOpenType(FALCON_TYPE)
         if identity < 0:

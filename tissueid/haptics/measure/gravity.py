@@ -44,42 +44,22 @@ DIAGONAL = np.full(3, 3.0**-0.5)
 
 @dataclass(frozen=True)
 class GripWeight:
-    """Result of :func:`weigh_poses`.
+    """Result of :func:`weigh_poses`."""
 
-    Attributes
-    ----------
-    weight_N : tuple of float
-        Force that holds the grip in the middle of the workspace, nominal [N].
-    slope_N_per_m : tuple of tuple of float
-        Its change with the position: a row a component of the force.
-    residual_N : float
-        Root mean square of what the plane leaves.
-    stderr_N : float
-        Standard error of a component in the middle.
-    poses : int
-    """
-
+    #: Force that holds the grip in the middle of the workspace, nominal [N].
     weight_N: tuple[float, float, float]
+    #: Its change with the position: a row a component of the force.
     slope_N_per_m: tuple[tuple[float, float, float], ...]
-    residual_N: float
-    stderr_N: float
+    residual_N: float  # root mean square of what the plane leaves
+    stderr_N: float  # standard error of a component in the middle
     poses: int
 
 
 def weigh_poses(device: HapticDevice, pace: Pace = wait_for) -> GripWeight:
     """Hold the grip at every pose.
 
-    Parameters
-    ----------
-    device : HapticDevice
-        Homed; its dead-man button off, since no hand may hold the grip.
-    pace : callable
-        How to wait for the next tick.
-
-    Raises
-    ------
-    DeviceError
-        On a fault, or when the device is lost.
+    ``device``: homed; its dead-man button off, since no hand may hold the grip; ``pace``: how to wait for the
+    next tick.  Raises DeviceError: on a fault, or when the device is lost.
     """
     engage(device, pace)
     holder = _Holder(device.read().position_m)
@@ -98,10 +78,7 @@ def weigh_poses(device: HapticDevice, pace: Pace = wait_for) -> GripWeight:
 def fitted(places_m: FloatArray, forces_N: FloatArray) -> GripWeight:
     """The plane through holding forces, by least squares.
 
-    Parameters
-    ----------
-    places_m, forces_N : ndarray, shape (n, 3)
-        At least five poses that lie in no plane.
+    ``places_m``, ``forces_N`` (n, 3): at least five poses that lie in no plane.
     """
     count = places_m.shape[0]
     design = np.column_stack([np.ones(count), places_m - np.array(MIDDLE_M)])

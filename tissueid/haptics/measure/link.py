@@ -25,50 +25,25 @@ UNSEEN_TICKS = 0.5
 
 @dataclass(frozen=True)
 class LinkReport:
-    """Result of :func:`measure_link`.
-
-    Attributes
-    ----------
-    duration_s : float
-    commands, replies : int
-        Sent, and answered.
-    damaged : int
-        Replies that began and were none.
-    rate_hz : float
-        Replies a second when each command waits for its answer.
-    round_trip_ms : tuple of float
-        Median, 95 % and largest time from a command to its answer.
-    delay_ticks : float
-        From a position to the force it causes, in a loop of 1 kHz that reads at each tick what was answered
-        to the last: whole ticks until the answer, plus :data:`UNSEEN_TICKS`; the slowest 5 % are left out.
-    """
+    """Result of :func:`measure_link`."""
 
     duration_s: float
+    #: Sent, and answered.
     commands: int
     replies: int
-    damaged: int
-    rate_hz: float
-    round_trip_ms: tuple[float, float, float]
+    damaged: int  # replies that began and were none
+    rate_hz: float  # replies a second when each command waits for its answer
+    round_trip_ms: tuple[float, float, float]  # median, 95 % and largest time from a command to its answer
+    #: From a position to the force it causes, in a loop of 1 kHz that reads at each tick what was answered to
+    #: the last: whole ticks until the answer, plus :data:`UNSEEN_TICKS`; the slowest 5 % are left out.
     delay_ticks: float
 
 
 def measure_link(device: HapticDevice, duration_s: float = 5.0) -> LinkReport:
     """Send zero force and wait for the answer, over and over.
 
-    Parameters
-    ----------
-    device : HapticDevice
-        Open; it need not be homed.
-    duration_s : float
-
-    Returns
-    -------
-    LinkReport
-
-    Raises
-    ------
-    DeviceError
-        If the device is lost, or answers nothing at all.
+    ``device``: open; it need not be homed.  Raises DeviceError: if the device is lost, or answers nothing at
+    all.
     """
     zero = np.zeros(3)
     trips: list[float] = []

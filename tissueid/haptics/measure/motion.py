@@ -38,41 +38,19 @@ def wait_for(deadline_s: float) -> None:
 
 @dataclass(frozen=True)
 class Motion:
-    """Recorded ticks.
+    """Recorded ticks."""
 
-    Attributes
-    ----------
-    time_s : ndarray, shape (n,)
-        Since the start.
-    position_m, force_N : ndarray, shape (n, 3)
-        Where the grip was, and the force sent right after: what the guard let through.
-    """
-
-    time_s: FloatArray
+    time_s: FloatArray  # (n,), since the start
+    #: (n, 3): where the grip was, and the force sent right after: what the guard let through.
     position_m: FloatArray
-    force_N: FloatArray
+    force_N: FloatArray  # (n, 3)
 
 
 def record(device: HapticDevice, law: Law, duration_s: float, pace: Pace = wait_for) -> Motion:
     """Run a force law for some time.
 
-    Parameters
-    ----------
-    device : HapticDevice
-        Homed.
-    law : callable
-    duration_s : float
-    pace : callable
-        How to wait for the next tick.
-
-    Returns
-    -------
-    Motion
-
-    Raises
-    ------
-    DeviceError
-        On a fault, or when the device is lost.
+    ``device``: homed; ``pace``: how to wait for the next tick.  Raises DeviceError: on a fault, or when the
+    device is lost.
     """
     times: list[float] = []
     positions: list[FloatArray] = []
@@ -101,10 +79,7 @@ def record(device: HapticDevice, law: Law, duration_s: float, pace: Pace = wait_
 def engage(device: HapticDevice, pace: Pace = wait_for) -> None:
     """Ask for force and wait through the guard's start-up ramp, with a law that wants none.
 
-    Raises
-    ------
-    DeviceError
-        If the guard does not engage: not homed, or the dead-man button is not held.
+    Raises DeviceError: if the guard does not engage: not homed, or the dead-man button is not held.
     """
     zero = np.zeros(3)
     device.engage()

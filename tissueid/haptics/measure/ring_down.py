@@ -45,19 +45,12 @@ SLOW = 0.010
 
 @dataclass(frozen=True)
 class ArmEstimate:
-    """Mechanics of the arm along z.  Damping is known no better than the delay, see :data:`SYSTEMATIC`.
-
-    Attributes
-    ----------
-    mass_kg, damping_N_s_per_m, friction_N : float
-    damping_stderr : float
-        From the spread between the jumps.
-    """
+    """Mechanics of the arm along z.  Damping is known no better than the delay, see :data:`SYSTEMATIC`."""
 
     mass_kg: float
     damping_N_s_per_m: float
     friction_N: float
-    damping_stderr: float
+    damping_stderr: float  # from the spread between the jumps
 
     @property
     def safe_damping(self) -> float:
@@ -68,19 +61,9 @@ class ArmEstimate:
 def ring_down(device: HapticDevice, delay_s: float, pace: Pace = wait_for) -> ArmEstimate:
     """Let the free grip swing, and estimate its mechanics.
 
-    Parameters
-    ----------
-    device : HapticDevice
-        Homed; its dead-man button off, since a hand on the grip would be measured too.
-    delay_s : float
-        From a position to the force it causes [s].
-    pace : callable
-        How to wait for the next tick.
-
-    Raises
-    ------
-    DeviceError
-        The grip does not swing, or a fault.
+    ``device``: homed; its dead-man button off, since a hand on the grip would be measured too; ``delay_s``:
+    from a position to the force it causes [s]; ``pace``: how to wait for the next tick.  Raises DeviceError:
+    the grip does not swing, or a fault.
     """
     engage(device, pace)
     start = device.read().position_m
@@ -103,16 +86,7 @@ def ring_down(device: HapticDevice, delay_s: float, pace: Pace = wait_for) -> Ar
 def estimate_arm(motion: Motion, delay_s: float) -> ArmEstimate:
     """Mass, damping and friction from a recorded swing.
 
-    Parameters
-    ----------
-    motion : Motion
-    delay_s : float
-        As in :func:`ring_down`.
-
-    Raises
-    ------
-    DeviceError
-        If the grip did not move enough to tell.
+    ``delay_s``: as in :func:`ring_down`.  Raises DeviceError: if the grip did not move enough to tell.
     """
     balances = [_balance(motion, APPROACH_S + jump * REST_S, delay_s) for jump in range(JUMPS)]
     rows = np.concatenate([left for left, _ in balances])

@@ -43,48 +43,22 @@ NEARLY = 0.99
 
 @dataclass(frozen=True)
 class Weighing:
-    """Result of :func:`weigh`.
+    """Result of :func:`weigh`."""
 
-    Attributes
-    ----------
-    empty_N, loaded_N : float
-        Nominal force that held the grip alone, and with the mass.
-    weight_N : float
-        What the mass weighs.
-    ratio : float
-        Nominal force for one true newton.
-    stderr : float
-        Standard error of the ratio, from the spread of the periods.
-    """
-
+    #: Nominal force that held the grip alone, and with the mass.
     empty_N: float
     loaded_N: float
-    weight_N: float
-    ratio: float
-    stderr: float
+    weight_N: float  # what the mass weighs
+    ratio: float  # nominal force for one true newton
+    stderr: float  # standard error of the ratio, from the spread of the periods
 
 
 def weigh(device: HapticDevice, mass_kg: float, hang: Callable[[], None], pace: Pace = wait_for) -> Weighing:
     """Hold the grip, then the grip with a mass.
 
-    Parameters
-    ----------
-    device : HapticDevice
-        Homed; its dead-man button off, since no hand may hold the grip.
-    mass_kg : float
-    hang : callable
-        Returns when the user has hung the mass on the grip; the device sends no force meanwhile.
-    pace : callable
-        How to wait for the next tick.
-
-    Returns
-    -------
-    Weighing
-
-    Raises
-    ------
-    DeviceError
-        The clamp is reached, the mass is not felt, or a fault.
+    ``device``: homed; its dead-man button off, since no hand may hold the grip; ``hang``: returns when the
+    user has hung the mass on the grip; the device sends no force meanwhile; ``pace``: how to wait for the
+    next tick.  Raises DeviceError: the clamp is reached, the mass is not felt, or a fault.
     """
     empty = _held(device, pace)
     device.disengage()

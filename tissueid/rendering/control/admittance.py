@@ -63,12 +63,7 @@ SETTLED_S = 1.0
 def require_force_sensor(name: str) -> str:
     """The device that a name stands for, if it has a force sensor.
 
-    Raises
-    ------
-    DeviceError
-        It has none, with the reason and the way out.
-    UsageError
-        There is no such device.
+    Raises DeviceError: it has none, with the reason and the way out; UsageError: there is no such device.
     """
     found = choose_device(name).name
     if not hasattr(device_class(found), "sensed_force_N"):
@@ -82,26 +77,18 @@ def require_force_sensor(name: str) -> str:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DeviceRun:
-    """A session on a device, a row a tick.
-
-    Attributes
-    ----------
-    settings : ControlSettings
-    time_s : ndarray, shape (rows,)
-    position_m, tool_position_m : ndarray, shape (rows,)
-        True position of the grip, and of the virtual tool, into the tissue.
-    hand_force_N, control_force_N, sent_force_N, environment_force_N : ndarray, shape (rows,)
-        Sensed, wanted, after the guard (into the tissue), and of the tissue; at the device.
-    """
+    """A session on a device, a row a tick."""
 
     settings: ControlSettings
-    time_s: FloatArray
+    time_s: FloatArray  # (rows,)
+    #: (rows,): true position of the grip, and of the virtual tool, into the tissue.
     position_m: FloatArray
-    tool_position_m: FloatArray
+    tool_position_m: FloatArray  # (rows,)
+    #: (rows,): sensed, wanted, after the guard (into the tissue), and of the tissue; at the device.
     hand_force_N: FloatArray
-    control_force_N: FloatArray
-    sent_force_N: FloatArray
-    environment_force_N: FloatArray
+    control_force_N: FloatArray  # (rows,)
+    sent_force_N: FloatArray  # (rows,)
+    environment_force_N: FloatArray  # (rows,)
 
     def as_json(self) -> dict[str, float]:
         """Numbers of the time after the guard's fade-in."""
@@ -151,20 +138,8 @@ def device_settings(tissue: Tissue, device: SimulatedDevice, *, stiffness_scale:
 def render_on_simulated(tissue: Tissue, *, stiffness_scale: float = 1.0) -> DeviceRun:
     """Press a simulated hand into a tissue on the simulated device, in virtual time.
 
-    Parameters
-    ----------
-    tissue : Tissue
-    stiffness_scale : float
-        As in :class:`~tissueid.rendering.control.settings.ControlSettings`.
-
-    Returns
-    -------
-    DeviceRun
-
-    Raises
-    ------
-    DeviceError
-        The guard tripped.
+    ``stiffness_scale``: as in :class:`~tissueid.rendering.control.settings.ControlSettings`.  Raises
+    DeviceError: the guard tripped.
     """
     device = simulated_device()
     settings = device_settings(tissue, device, stiffness_scale=stiffness_scale)

@@ -36,34 +36,14 @@ def command(
 
     Held until the next tick, the command aims at where the tool will be then.
 
-    Parameters
-    ----------
-    block, law, state
-        Of the loop, of the tissue, and what the tissue remembers (**updated**).
-    time : float
-        Since the start [s]; sigma falls with it.
-    device : tuple of ndarray, shape (n,)
-        Measured position [m] and velocity [m/s].
-    hand : ndarray, shape (n,)
-        Measured force of the hand on the device [N].
-    touched : float
-        Force of the environment after the last period [N].
-    tool : tuple of ndarray, shape (n,)
-        Position, velocity, acceleration of the virtual tool; **updated**.
-    wanted : tuple of ndarray, shape (n,)
-        **Written**: vr, ar, rho.
-    robust : ndarray, shape (n,)
-        **Written**: u_r [N].
-    estimates : ndarray, shape (p,)
-    Y : ndarray, shape (n, p)
-        **Written**: the regressor, for :func:`tissueid.rendering.control.law.adapt`.
-    u : ndarray, shape (n,)
-        **Written**: control force [N], saturated.
-
-    Returns
-    -------
-    float
-        Force of the environment at the end of the period [N].
+    ``block``, ``law``, ``state``: of the loop, of the tissue, and what the tissue remembers (**updated**);
+    ``time``: since the start [s]; sigma falls with it; ``device`` (n,): measured position [m] and velocity
+    [m/s]; ``hand`` (n,): measured force of the hand on the device [N]; ``touched``: force of the environment
+    after the last period [N]; ``tool`` (n,): position, velocity, acceleration of the virtual tool;
+    **updated**; ``wanted`` (n,): **Written**: vr, ar, rho; ``robust`` (n,): **Written**: u_r [N];
+    ``estimates`` (p,); ``Y`` (n, p): **Written**: the regressor, for
+    :func:`tissueid.rendering.control.law.adapt`; ``u`` (n,): **Written**: control force [N], saturated.
+    Returns force of the environment at the end of the period [N].
     """
     if block[TOUCHED_BY_DEVICE] > 0.0:
         touched = environment_force(block, law, state, device[0], block[PERIOD])

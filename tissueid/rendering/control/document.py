@@ -117,14 +117,8 @@ def as_document(
 ) -> dict[str, Any]:
     """The document of ``schemas/control.schema.json``.
 
-    Parameters
-    ----------
-    runs : mapping
-        Name -> run of one axis; the first is what was asked for.
-    source : str
-        Where the tissue is from.
-    device : mapping, optional
-        What a device run said of itself.
+    ``runs``: name -> run of one axis; the first is what was asked for; ``source``: where the tissue is from;
+    ``device``: what a device run said of itself.
     """
     settings = next(iter(runs.values())).settings
     bound = virtual_mass_bound(settings)

@@ -63,17 +63,9 @@ def tool_acceleration(
 ) -> None:
     """Write the acceleration of the virtual tool: Mt ae = Fh - F_env - Bt ve.
 
-    Parameters
-    ----------
-    block : ndarray, shape (BLOCK_SIZE,)
-    v : ndarray, shape (n,)
-        Velocity of the tool [m/s].
-    hand : ndarray, shape (n,)
-        Measured force of the hand on the device [N].
-    touched : float
-        Force of the environment [N], along its outward normal.
-    out : ndarray, shape (n,)
-        [m/s^2].
+    ``block`` (BLOCK_SIZE,); ``v`` (n,): velocity of the tool [m/s]; ``hand`` (n,): measured force of the hand
+    on the device [N]; ``touched``: force of the environment [N], along its outward normal; ``out`` (n,):
+    [m/s^2].
     """
     for i in range(v.size):
         out[i] = (hand[i] - block[INWARD + i] * touched - block[TOOL_DAMPING] * v[i]) / block[TOOL_MASS]
@@ -93,19 +85,9 @@ def advance_tool(
     Symplectic sub-steps: stable while a sub-step times the tool's frequency on the tissue stays below 2.
     The tissue is stepped along, unless the device itself touches it: then its force is held as well.
 
-    Parameters
-    ----------
-    block, law, state
-        Of the loop, of the tissue, and what it remembers (**updated**).
-    tool : tuple of ndarray, shape (n,)
-        Position, velocity, acceleration; **updated**.
-    hand, touched
-        As in :func:`tool_acceleration`.
-
-    Returns
-    -------
-    float
-        Force of the environment at the end [N].
+    ``block``, ``law``, ``state``: of the loop, of the tissue, and what it remembers (**updated**); ``tool``
+    (n,): position, velocity, acceleration; **updated**; ``hand``, ``touched``: as in
+    :func:`tool_acceleration`.  Returns force of the environment at the end [N].
     """
     x, v, a = tool
     steps = int(block[SUBSTEPS])

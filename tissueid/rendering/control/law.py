@@ -57,15 +57,9 @@ def reference(
 ) -> None:
     """Reference of the device: equations (16) and (17).
 
-    Parameters
-    ----------
-    block : ndarray, shape (BLOCK_SIZE,)
-    device : tuple of ndarray, shape (n,)
-        Position [m] and velocity [m/s].
-    tool : tuple of ndarray, shape (n,)
-        Position, velocity and acceleration of the virtual tool.
-    wanted : tuple of ndarray, shape (n,)
-        **Written**: vr [m/s], ar [m/s^2], rho [m/s].
+    ``block`` (BLOCK_SIZE,); ``device`` (n,): position [m] and velocity [m/s]; ``tool`` (n,): position,
+    velocity and acceleration of the virtual tool; ``wanted`` (n,): **Written**: vr [m/s], ar [m/s^2], rho
+    [m/s].
     """
     x, v = device
     xe, ve, ae = tool
@@ -139,17 +133,8 @@ def adapt(
 ) -> None:
     """Move the estimates on by ``h`` seconds; with projection they stay within their bounds.
 
-    Parameters
-    ----------
-    block, Y, rho
-        As above.
-    gains : ndarray, shape (p,)
-        Diagonal of Gamma.
-    bounds : ndarray, shape (2, p)
-        Smallest and largest value of each parameter.
-    h : float
-    estimates : ndarray, shape (p,)
-        **Updated.**
+    ``block``, ``Y``, ``rho``: as above; ``gains`` (p,): diagonal of Gamma; ``bounds`` (2, p): smallest and
+    largest value of each parameter; ``estimates`` (p,): **Updated.**.
     """
     for k in range(estimates.size):
         slope = 0.0
@@ -179,21 +164,9 @@ def lyapunov(
 ) -> tuple[float, float]:
     """V of (I-1) and the right side of (I-4), which V' equals where nothing is sampled, late or saturated.
 
-    Parameters
-    ----------
-    block, x, estimates, gains
-        As above.
-    terms : tuple of ndarray, shape (n,)
-        rho, robust, and what is unknown of :func:`not_covered` [N].
-    truth : ndarray, shape (p,)
-        True parameters of what is estimated.
-    room : tuple of ndarray, shapes (2, n), (n, p) and (n, n)
-        To work in, and written.
-
-    Returns
-    -------
-    V, rate : float
-        [J] where the gains are in their units; [W].
+    ``block``, ``x``, ``estimates``, ``gains``: as above; ``terms`` (n,): rho, robust, and what is unknown of
+    :func:`not_covered` [N]; ``truth`` (p,): true parameters of what is estimated; ``room`` (2, n) and (n, p)
+    and (n, n): to work in, and written.  Returns ``V, rate``: [J] where the gains are in their units; [W].
     """
     rho, robust, unknown = terms
     spare, Y, M = room

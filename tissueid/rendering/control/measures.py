@@ -17,46 +17,25 @@ LAST_S = 5.0
 
 @dataclass(frozen=True, slots=True)
 class Measures:
-    """Measures of a run.
+    """Measures of a run."""
 
-    Attributes
-    ----------
-    diverged_s : float or None
-        When it diverged; everything else is then of the time before.
-    over_s : float
-        Length of the end of the run that the errors are taken over; half of a short run.
-    error_rms_mm, error_max_mm, velocity_error_rms_mm_s : float
-        Of the device behind the virtual tool, there.  An impedance-type controller leads by velocity alone:
-        its error of position means nothing.
-    deepest_mm : float
-        Deepest place of what touches, in the tissue's own mm, over the whole run.
-    outside_share : float
-        Share of ticks deeper than was identified.
-    environment_force_max_N, control_force_max_N : float
-    saturated_share : float
-        Share of ticks at the largest control force.
-    lyapunov_start, lyapunov_max, lyapunov_end : float
-    violated_share : float
-        Share of ticks after which V rose faster than (I-6) allows: -Kr rho^2 + sigma.
-    violation_max_W : float
-        By how much at most; 0 where it never did.
-    """
-
-    diverged_s: float | None
-    over_s: float
+    diverged_s: float | None  # when it diverged; everything else is then of the time before
+    over_s: float  # length of the end of the run that the errors are taken over; half of a short run
+    #: Of the device behind the virtual tool, there.  An impedance-type controller leads by velocity alone:
+    #: its error of position means nothing.
     error_rms_mm: float
     error_max_mm: float
     velocity_error_rms_mm_s: float
-    deepest_mm: float
-    outside_share: float
+    deepest_mm: float  # deepest place of what touches, in the tissue's own mm, over the whole run
+    outside_share: float  # share of ticks deeper than was identified
     environment_force_max_N: float
     control_force_max_N: float
-    saturated_share: float
+    saturated_share: float  # share of ticks at the largest control force
     lyapunov_start: float
     lyapunov_max: float
     lyapunov_end: float
-    violated_share: float
-    violation_max_W: float
+    violated_share: float  # share of ticks after which V rose faster than (I-6) allows: -Kr rho^2 + sigma
+    violation_max_W: float  # by how much at most; 0 where it never did
 
 
 def measured(run: ControlRun) -> Measures:

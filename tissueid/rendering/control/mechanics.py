@@ -24,20 +24,13 @@ FloatArray = NDArray[np.float64]
 class Mechanics:
     """Mass, damping and stiffness of a device or a hand.
 
-    Attributes
-    ----------
-    mass_kg, damping_N_s_per_m, stiffness_N_per_m : ndarray, shape (n, n)
-        Symmetric; a number is one axis.
-
-    Raises
-    ------
-    UsageError
-        They are not symmetric, of different sizes, negative, or not finite.
+    Raises UsageError: they are not symmetric, of different sizes, negative, or not finite.
     """
 
+    #: (n, n): symmetric; a number is one axis.
     mass_kg: FloatArray
-    damping_N_s_per_m: FloatArray
-    stiffness_N_per_m: FloatArray
+    damping_N_s_per_m: FloatArray  # (n, n)
+    stiffness_N_per_m: FloatArray  # (n, n)
 
     def __init__(
         self, mass_kg: ArrayLike, damping_N_s_per_m: ArrayLike, stiffness_N_per_m: ArrayLike
@@ -79,33 +72,18 @@ TABLE_3_DEVICE = Mechanics(1.158, 115.4, 31.46)
 
 @dataclass(frozen=True, slots=True)
 class PlanarArm:
-    """Two links in a horizontal plane, in addition to the device's own mechanics; for two axes.
+    """Two links in a horizontal plane, in addition to the device's own mechanics; for two axes."""
 
-    Attributes
-    ----------
-    links_m : tuple of float
-        Lengths.
-    inertia_kg_m2 : tuple of float
-        p1, p2, p3 of :mod:`tissueid.rendering.control.plant`.
-    base_m : tuple of float
-        Where the work begins (the surface of the tissue), from the base of the arm.
-    """
-
-    links_m: tuple[float, float]
-    inertia_kg_m2: tuple[float, float, float]
-    base_m: tuple[float, float]
+    links_m: tuple[float, float]  # lengths
+    inertia_kg_m2: tuple[float, float, float]  # p1, p2, p3 of :mod:`tissueid.rendering.control.plant`
+    base_m: tuple[float, float]  # where the work begins (the surface of the tissue), from the base of the arm
 
 
 @dataclass(frozen=True, slots=True)
 class Signal:
-    """An offset and a sine for each axis [N].
+    """An offset and a sine for each axis [N]."""
 
-    Attributes
-    ----------
-    offset_N, amplitude_N, frequency_Hz : tuple of float
-        As many as axes.
-    """
-
+    #: As many as axes.
     offset_N: tuple[float, ...]
     amplitude_N: tuple[float, ...]
     frequency_Hz: tuple[float, ...]

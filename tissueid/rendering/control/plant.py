@@ -66,16 +66,10 @@ def regress(
 ) -> None:
     """Write the regressor.
 
-    Parameters
-    ----------
-    block : ndarray, shape (BLOCK_SIZE,)
-        Of :mod:`tissueid.rendering.control.block`: the arm.
-    x, v : ndarray, shape (n,)
-        Position [m] and velocity [m/s] of the device.
-    vr, ar : ndarray, shape (n,)
-        Reference velocity and acceleration; the device's own give the force that it needs.
-    Y : ndarray, shape (n, p)
-        **Written**; p is 3 n (n + 1) / 2, and 3 more with an arm.
+    ``block`` (BLOCK_SIZE,): of :mod:`tissueid.rendering.control.block`: the arm; ``x``, ``v`` (n,): position
+    [m] and velocity [m/s] of the device; ``vr``, ``ar`` (n,): reference velocity and acceleration; the
+    device's own give the force that it needs; ``Y`` (n, p): **Written**; p is 3 n (n + 1) / 2, and 3 more
+    with an arm.
     """
     n, size = Y.shape
     for i in range(n):

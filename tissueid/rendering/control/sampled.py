@@ -94,27 +94,12 @@ def run_sampled(
 ) -> int:
     """Run a loop from rest at the surface of the tissue.
 
-    Parameters
-    ----------
-    block : ndarray, shape (BLOCK_SIZE,)
-    law : ndarray, shape (LAW_SIZE,)
-        Of the tissue, :func:`tissueid.model.kernels.pack_law`.
-    parameters : tuple of ndarray, shape (p,)
-        Of device and hand together, of the hand, and what the estimates should be.
-    adaptation : tuple of ndarray
-        Gains, shape (p,), and bounds, shape (2, p).
-    drive : ndarray, shape (DRIVE_ROWS, n)
-    noise : ndarray, shape (ticks, n)
-        Added to the force sensor [N].
-    room : tuple of ndarray
-        Of :func:`sampled_room`: zeros to work in, and the first estimates.
-    out : ndarray, shape (ticks, row_size(n, p))
-        **Written**, see :mod:`tissueid.rendering.control.row`: each row at its tick, before anything moves.
-
-    Returns
-    -------
-    int
-        Rows written; fewer than ticks where the loop diverged.
+    ``block`` (BLOCK_SIZE,); ``law`` (LAW_SIZE,): of the tissue, :func:`tissueid.model.kernels.pack_law`;
+    ``parameters`` (p,): of device and hand together, of the hand, and what the estimates should be;
+    ``adaptation``: gains, shape (p,), and bounds, shape (2, p); ``drive`` (DRIVE_ROWS, n); ``noise`` (ticks,
+    n): added to the force sensor [N]; ``room``: of :func:`sampled_room`: zeros to work in, and the first
+    estimates; ``out`` (ticks, row_size(n, p)): **Written**, see :mod:`tissueid.rendering.control.row`: each
+    row at its tick, before anything moves.  Returns rows written; fewer than ticks where the loop diverged.
     """
     n = drive.shape[1]
     rows, Y, Z, M, lists = room

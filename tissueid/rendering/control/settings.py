@@ -43,12 +43,7 @@ TANGENT_REACH = 1.5
 
 @dataclass(frozen=True, slots=True)
 class VirtualTool:
-    """Tool between hand and tissue.  2 kg is assumed; the paper's "has been selected to maintain stability".
-
-    Attributes
-    ----------
-    mass_kg, damping_N_s_per_m : float
-    """
+    """Tool between hand and tissue.; 2 kg is assumed ("has been selected to maintain stability")."""
 
     mass_kg: float = 2.0
     damping_N_s_per_m: float = 0.0
@@ -56,112 +51,62 @@ class VirtualTool:
 
 @dataclass(frozen=True, slots=True)
 class Gains:
-    """Gains of the controller, all assumed.
+    """Gains of the controller, all assumed."""
 
-    Attributes
-    ----------
-    reference_rate_per_s : float
-        Lambda of equation (17).
-    damping_N_s_per_m : float
-        K_r of equation (20).
-    disturbance_bound_N : float or None
-        delta of equation (21); None is 25 N in variant A and 3 N in B.
-    sigma_start, sigma_rate_per_s : float
-        sigma(0) [N m/s] and how fast it falls.
-    sigma_floor : float or None
-        None is three times the bound below which the robust term chatters, or 0 in a continuous loop.
-    adaptation : tuple of float
-        Gamma of masses, dampings and stiffnesses.
-    arm_adaptation : float
-        Gamma of an arm's p1, p2, p3.
-    projection : bool
-        Estimates stay within their bounds.
-    adaptation_sign : int
-        1; 0 is the frozen controller, -1 is wrong on purpose and must never pass for right.
-    saturation_N : float
-        Largest control force; infinite without one.
-    """
-
-    reference_rate_per_s: float = 50.0
-    damping_N_s_per_m: float = 100.0
-    disturbance_bound_N: float | None = None
+    reference_rate_per_s: float = 50.0  # lambda of equation (17)
+    damping_N_s_per_m: float = 100.0  # K_r of equation (20)
+    disturbance_bound_N: float | None = None  # delta of equation (21); None is 25 N in variant A and 3 N in B
+    #: sigma(0) [N m/s] and how fast it falls.
     sigma_start: float = 5.0
     sigma_rate_per_s: float = 0.5
+    #: None is three times the bound below which the robust term chatters, or 0 in a continuous loop.
     sigma_floor: float | None = None
-    adaptation: tuple[float, float, float] = (0.05, 5.0, 50.0)
-    arm_adaptation: float = 0.05
-    projection: bool = True
+    adaptation: tuple[float, float, float] = (0.05, 5.0, 50.0)  # gamma of masses, dampings and stiffnesses
+    arm_adaptation: float = 0.05  # gamma of an arm's p1, p2, p3
+    projection: bool = True  # estimates stay within their bounds
+    #: 1; 0 is the frozen controller, -1 is wrong on purpose and must never pass for right.
     adaptation_sign: int = 1
-    saturation_N: float = math.inf
+    saturation_N: float = math.inf  # largest control force; infinite without one
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ControlSettings:
     """A hand, a device, a controller, a virtual tool and a tissue.
 
-    Attributes
-    ----------
-    tissue : Tissue
-    stiffness_scale : float
-        Factor on F_s and K; the paper takes 100 "to check the system stability".
-    force_scale, motion_scale : float
-        Force and travel at the device over those of the tissue, as in rendering.
-    variant : str
-        "A": estimates device and hand, the robust term covers the push of the hand; "B": uses the measured
-        force, estimates the device alone.
-    environment : str
-        "admittance": the virtual tool touches the tissue; "impedance": the device itself does.
-    device, operator : Mechanics
-    arm : PlanarArm or None
-    tool : VirtualTool
-    gains : Gains
-    push, disturbance : Signal or None
-        F* and d; None is the task "sustained", and nothing.
-    push_rise_s : float
-        Time in which the push rises from 0.
-    seconds, rate_Hz : float
-        Length of the run, and the controller's rate; of a continuous loop, how often a row is kept.
-    continuous_step_s : float or None
-        Step of the loop without sampling and delay; None is the sampled loop.
-    substeps : int or None
-        Steps of the tool in a tick; None is as many as the stiffness asks for, 20 at least.
-    start_estimates : ndarray, shape (p,), or None
-        None is half of what is true, in every parameter (assumed).
-    sensor_noise_N : float
-        Standard deviation of the force sensor's white noise.
-    seed : int
-        Of that noise.
-    unchecked : bool
-        Run even below the bound of the virtual mass; for showing what happens there.
-
-    Raises
-    ------
-    UsageError
-        A number makes no sense, with the way out.
+    Raises UsageError: a number makes no sense, with the way out.
     """
 
     tissue: Tissue
-    stiffness_scale: float = 1.0
+    stiffness_scale: float = 1.0  # factor on F_s and K; the paper takes 100 "to check the system stability"
+    #: Force and travel at the device over those of the tissue, as in rendering.
     force_scale: float = 1.0
     motion_scale: float = 1.0
+    #: "A": estimates device and hand, the robust term covers the push of the hand; "B": uses the measured
+    #: force, estimates the device alone.
     variant: str = "B"
+    #: "admittance": the virtual tool touches the tissue; "impedance": the device itself does.
     environment: str = "admittance"
     device: Mechanics = TABLE_3_DEVICE
     operator: Mechanics = TABLE_3_OPERATOR
     arm: PlanarArm | None = None
     tool: VirtualTool = field(default_factory=VirtualTool)
     gains: Gains = field(default_factory=Gains)
+    #: F* and d; None is the task "sustained", and nothing.
     push: Signal | None = None
     disturbance: Signal | None = None
-    push_rise_s: float = 0.5
+    push_rise_s: float = 0.5  # time in which the push rises from 0
+    #: Length of the run, and the controller's rate; of a continuous loop, how often a row is kept.
     seconds: float = 12.0
     rate_Hz: float = 1000.0
+    #: Step of the loop without sampling and delay; None is the sampled loop.
     continuous_step_s: float | None = None
+    #: Steps of the tool in a tick; None is as many as the stiffness asks for, 20 at least.
     substeps: int | None = None
+    #: (p,): none is half of what is true, in every parameter (assumed).
     start_estimates: FloatArray | None = None
-    sensor_noise_N: float = 0.0
-    seed: int = 0
-    unchecked: bool = False
+    sensor_noise_N: float = 0.0  # standard deviation of the force sensor's white noise
+    seed: int = 0  # of that noise
+    unchecked: bool = False  # run even below the bound of the virtual mass; for showing what happens there
 
     def __post_init__(self) -> None:
         for message in _problems(self):
@@ -235,10 +180,7 @@ class ControlSettings:
         The smallest mass that the robust term may move is taken: of device and hand in variant A; of the
         device in B, whose hand is fed back one sample late.
 
-        Raises
-        ------
-        UsageError
-            K_r alone already overshoots in one sample.
+        Raises UsageError: K_r alone already overshoots in one sample.
         """
         device, hand = self.inertias()
         mass = device + hand if self.variant == "A" else device

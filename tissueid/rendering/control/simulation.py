@@ -25,45 +25,30 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ControlRun:
-    """Record of a loop, a row a tick; a continuous loop keeps rows at the controller's rate as well.
-
-    Attributes
-    ----------
-    settings : ControlSettings
-    time_s : ndarray, shape (rows,)
-    position_m, velocity_m_s : ndarray, shape (rows, n)
-        Of the device; 0 is the surface of the tissue, the first axis into it is positive.
-    tool_position_m, tool_velocity_m_s : ndarray, shape (rows, n)
-        Of the virtual tool.
-    hand_force_N : ndarray, shape (rows, n)
-        As the controller reads it.
-    control_force_N, rho_m_s, push_N, disturbance_N : ndarray, shape (rows, n)
-        u, rho, F* and d; in a sampled loop rho is of where the tool will be at the end of the period.
-    environment_force_N, sigma, lyapunov, lyapunov_rate : ndarray, shape (rows,)
-        Force of the tissue, sigma(t), V of (I-1) and the right side of (I-4).
-    estimates : ndarray, shape (rows, p)
-        Masses, dampings, stiffnesses; those of an arm in front.
-    diverged_s : float or None
-        When the device was 10 m away, or lost; None where the loop stayed bounded.
-    """
+    """Record of a loop, a row a tick; a continuous loop keeps rows at the controller's rate as well."""
 
     settings: ControlSettings
-    time_s: FloatArray
+    time_s: FloatArray  # (rows,)
+    #: (rows, n): of the device; 0 is the surface of the tissue, the first axis into it is positive.
     position_m: FloatArray
-    velocity_m_s: FloatArray
+    velocity_m_s: FloatArray  # (rows, n)
+    #: (rows, n): of the virtual tool.
     tool_position_m: FloatArray
-    tool_velocity_m_s: FloatArray
-    hand_force_N: FloatArray
+    tool_velocity_m_s: FloatArray  # (rows, n)
+    hand_force_N: FloatArray  # (rows, n), as the controller reads it
+    #: (rows, n): u, rho, F* and d; in a sampled loop rho is of where the tool will be at the end of the
+    #: period.
     control_force_N: FloatArray
-    rho_m_s: FloatArray
-    push_N: FloatArray
-    disturbance_N: FloatArray
+    rho_m_s: FloatArray  # (rows, n)
+    push_N: FloatArray  # (rows, n)
+    disturbance_N: FloatArray  # (rows, n)
+    #: (rows,): force of the tissue, sigma(t), V of (I-1) and the right side of (I-4).
     environment_force_N: FloatArray
-    sigma: FloatArray
-    lyapunov: FloatArray
-    lyapunov_rate: FloatArray
-    estimates: FloatArray
-    diverged_s: float | None
+    sigma: FloatArray  # (rows,)
+    lyapunov: FloatArray  # (rows,)
+    lyapunov_rate: FloatArray  # (rows,)
+    estimates: FloatArray  # (rows, p), masses, dampings, stiffnesses; those of an arm in front
+    diverged_s: float | None  # when the device was 10 m away, or lost; None where the loop stayed bounded
 
     @property
     def error_mm(self) -> FloatArray:
@@ -79,16 +64,7 @@ class ControlRun:
 def loop_block(settings: ControlSettings, *, period_s: float, substeps: int) -> FloatArray:
     """The flat block of :mod:`tissueid.rendering.control.block`.
 
-    Parameters
-    ----------
-    settings : ControlSettings
-    period_s : float
-        Of a tick, or the step of a continuous loop [s].
-    substeps : int
-
-    Returns
-    -------
-    ndarray, shape (BLOCK_SIZE,)
+    ``period_s``: of a tick, or the step of a continuous loop [s].  Returns (BLOCK_SIZE,).
     """
     gains = settings.gains
     touched_by_device = settings.environment == "impedance"
@@ -135,18 +111,7 @@ def _drive(settings: ControlSettings) -> FloatArray:
 def simulate(settings: ControlSettings) -> ControlRun:
     """Run a loop from rest at the surface of the tissue.
 
-    Parameters
-    ----------
-    settings : ControlSettings
-
-    Returns
-    -------
-    ControlRun
-
-    Raises
-    ------
-    UsageError
-        The virtual mass is below its bound, or the gains can't be sampled at this rate.
+    Raises UsageError: the virtual mass is below its bound, or the gains can't be sampled at this rate.
     """
     check_virtual_mass(settings)
     n = settings.axes

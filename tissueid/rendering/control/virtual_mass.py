@@ -43,17 +43,8 @@ def _turn(
 def turn_multiplier(settings: ControlSettings, virtual_mass_kg: float, *, estimate: float = 1.0) -> float:
     """Factor by which one turn of the loop through the force sensor grows: below 1 it dies out.
 
-    Parameters
-    ----------
-    settings : ControlSettings
-    virtual_mass_kg : float
-    estimate : float
-        Estimated inertia over the true one of what is estimated.
-
-    Returns
-    -------
-    float
-        Largest magnitude of an eigenvalue.
+    ``estimate``: estimated inertia over the true one of what is estimated.  Returns largest magnitude of an
+    eigenvalue.
     """
     return _turn(settings.variant, settings.inertias(), virtual_mass_kg, estimate)
 
@@ -61,11 +52,7 @@ def turn_multiplier(settings: ControlSettings, virtual_mass_kg: float, *, estima
 def virtual_mass_bound(settings: ControlSettings, *, estimate: float = 1.0) -> float:
     """Virtual mass [kg] at which that factor is 1; 0 for a hand without mass.
 
-    Parameters
-    ----------
-    settings : ControlSettings
-    estimate : float
-        As in :func:`turn_multiplier`.
+    ``estimate``: as in :func:`turn_multiplier`.
     """
     inertias = settings.inertias()
     device, hand = inertias
@@ -84,10 +71,7 @@ def virtual_mass_bound(settings: ControlSettings, *, estimate: float = 1.0) -> f
 def check_virtual_mass(settings: ControlSettings) -> float:
     """The bound [kg], or a refusal.
 
-    Raises
-    ------
-    UsageError
-        The virtual mass lies at or below it and the loop is sampled.
+    Raises UsageError: the virtual mass lies at or below it and the loop is sampled.
     """
     bound = virtual_mass_bound(settings)
     if settings.continuous_step_s is None and not settings.unchecked and settings.tool.mass_kg <= bound:

@@ -29,16 +29,9 @@ class _Stage(Enum):
 class BootLoader:
     """The upload protocol, without a clock.
 
-    Parameters
-    ----------
-    firmware_bytes : int or None
-        Length after which the upload is complete; None leaves that to the change of baud rate.
-    failing_tries : int
-        Uploads whose echo is spoilt before one succeeds.
-    silent_hellos : int
-        Greetings that get no answer.
-    long_greeting : bool
-        Put a zero byte before the greeting, as some stacks do.
+    ``firmware_bytes``: length after which the upload is complete; None leaves that to the change of baud
+    rate; ``failing_tries``: uploads whose echo is spoilt before one succeeds; ``silent_hellos``: greetings
+    that get no answer; ``long_greeting``: put a zero byte before the greeting, as some stacks do.
     """
 
     def __init__(
@@ -73,11 +66,7 @@ class BootLoader:
     def feed(self, data: bytes) -> tuple[bytes, bool]:
         """Answer bytes of the host.
 
-        Returns
-        -------
-        answer : bytes
-        complete : bool
-            The last byte of the firmware arrived.
+        Returns ``answer``; ``complete``: the last byte of the firmware arrived.
         """
         answer = b""
         for byte in data:

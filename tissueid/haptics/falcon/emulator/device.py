@@ -25,19 +25,11 @@ __all__ = ["EmulatorDevice"]
 class EmulatorDevice(FalconDevice):
     """A Falcon driver with its own emulated Falcon.
 
-    Parameters
-    ----------
-    limits, firmware, calibration, tell
-        As :class:`~tissueid.haptics.falcon.device.FalconDevice`; the user's calibration, of a real one,
-        is not read.
-    arguments : sequence of str
-        Of ``python -m tissueid.haptics.falcon.emulator``: hand, script and faults; a hand that moves through
-        the workspace where none are given.
-
-    Raises
-    ------
-    UsageError
-        A port was named: an emulator that runs already is a ``falcon`` at that port.
+    ``limits``, ``firmware``, ``calibration``, ``tell``: as
+    :class:`~tissueid.haptics.falcon.device.FalconDevice`; the user's calibration, of a real one, is not read;
+    ``arguments``: of ``python -m tissueid.haptics.falcon.emulator``: hand, script and faults; a hand that
+    moves through the workspace where none are given.  Raises UsageError: a port was named: an emulator that
+    runs already is a ``falcon`` at that port.
     """
 
     name = "emulator"

@@ -28,24 +28,13 @@ SINGLE = frozenset({"short", "garbled", "doubled", "stall"})
 
 @dataclass(frozen=True, slots=True)
 class ScriptedFault:
-    """One fault.
+    """One fault."""
 
-    Attributes
-    ----------
-    kind : str
-        One of :data:`FAULT_KINDS`.
-    at_s : float
-        When it begins [s after homing was first commanded].
-    duration_s : float or None
-        How long it lasts; None is for good, and one answer for "short", "garbled", "doubled" and "stall".
-    size : float
-        Counts of a jump, counts a second of a creep, milliseconds of a stall.
-    """
-
-    kind: str
-    at_s: float
+    kind: str  # one of :data:`FAULT_KINDS`
+    at_s: float  # when it begins [s after homing was first commanded]
+    #: How long it lasts; None is for good, and one answer for "short", "garbled", "doubled" and "stall".
     duration_s: float | None = None
-    size: float = 1000.0
+    size: float = 1000.0  # counts of a jump, counts a second of a creep, milliseconds of a stall
 
     def __post_init__(self) -> None:
         if self.kind not in FAULT_KINDS:
@@ -65,10 +54,7 @@ class ScriptedFault:
 def parse_fault(text: str) -> ScriptedFault:
     """Read ``KIND@SECONDS[:SIZE][/DURATION]``, e.g. ``jump@6:300`` or ``silence@5/0.5``.
 
-    Raises
-    ------
-    UsageError
-        It is no such text, or there is no such kind.
+    Raises UsageError: it is no such text, or there is no such kind.
     """
     kind, _, rest = text.partition("@")
     rest, _, duration = rest.partition("/")

@@ -49,19 +49,9 @@ def _shin_excess(lengths: FloatArray, angle: float, along: float, out: float, le
 def leg_angles(position: FloatArray, lengths: FloatArray, azimuths: FloatArray, angles: FloatArray) -> bool:
     """Angles of the three thighs at a position of the grip.
 
-    Parameters
-    ----------
-    position : ndarray, shape (3,)
-        [m]
-    lengths, azimuths : ndarray
-        As :data:`LENGTHS`, and the legs' azimuths [rad].
-    angles : ndarray, shape (3,)
-        **Written** [rad].
-
-    Returns
-    -------
-    bool
-        False where a leg does not reach; its angle is then left as it was.
+    ``position`` (3,): [m]; ``lengths``, ``azimuths``: as :data:`LENGTHS`, and the legs' azimuths [rad];
+    ``angles`` (3,): **Written** [rad].  Returns false where a leg does not reach; its angle is then left as
+    it was.
     """
     reached = True
     for leg in range(3):

@@ -53,13 +53,8 @@ def _asked_baud(descriptor: int) -> int | None:
 def serve(descriptor: int, falcon: EmulatedFalcon, stop: threading.Event) -> None:
     """Exchange bytes until the host leaves, the device is unplugged or ``stop`` is set.
 
-    Parameters
-    ----------
-    descriptor : int
-        The device's end.
-    falcon : EmulatedFalcon
-        Its time is the machine's, unless its settings give every command a period.
-    stop : threading.Event
+    ``descriptor``: the device's end; ``falcon``: its time is the machine's, unless its settings give every
+    command a period.
     """
     virtual = falcon.settings.period_s is not None
     last = time.monotonic()
@@ -96,11 +91,7 @@ def serve_once(descriptor: int, falcon: EmulatedFalcon) -> bool:
 class EmulatedLink:
     """An emulated Falcon served by a thread of this process.
 
-    Parameters
-    ----------
-    settings : EmulatorSettings
-    pty : bool
-        On a pseudo-terminal, which has a path; else on a socket pair.
+    ``pty``: on a pseudo-terminal, which has a path; else on a socket pair.
 
     Examples
     --------
@@ -176,15 +167,8 @@ class EmulatorProcess:
 
     The process ends with :meth:`close`, and by itself when the program that started it ends.
 
-    Parameters
-    ----------
-    arguments : sequence of str
-        Of ``python -m tissueid.haptics.falcon.emulator``.
-
-    Raises
-    ------
-    DeviceError
-        It did not come up; with what it said.
+    ``arguments``: of ``python -m tissueid.haptics.falcon.emulator``.  Raises DeviceError: it did not come up;
+    with what it said.
     """
 
     def __init__(self, arguments: Sequence[str] = ()) -> None:

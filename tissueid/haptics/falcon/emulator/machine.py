@@ -54,51 +54,26 @@ DIVISOR_BAUD = {0x4138: 9600, 0x0015: 142_857, 0x0002: 1_500_000}
 
 @dataclass(frozen=True, slots=True)
 class EmulatorSettings:
-    """Settings of an emulated Falcon.
-
-    Attributes
-    ----------
-    arm : Arm
-    hand : Hand or None
-        What holds the grip after homing; None rests it at the pulled-out end.
-    firmware_loaded : bool
-        Switched on with its firmware running.
-    firmware_bytes : int or None
-        As :class:`~tissueid.haptics.falcon.emulator.bootloader.BootLoader`.
-    failing_tries, silent_hellos : int
-    long_greeting : bool
-    homes : bool
-        False: the user never homes the device.
-    waits_for_blue : bool
-        After homing the user waits for the blue lamp, which a driver shows with force; time stands still
-        until then.
-    units_per_Nm : float
-        Motor units for one N m of arm torque.
-    motor_delay_s : float
-        Time from a command's arrival to its torque [s].
-    usb_latency_s : float
-        Time after which an answer reaches the host [s]; used by links that have a clock.
-    period_s : float or None
-        Time that goes by at each command (virtual time); None: only by ``advance``.
-    buttons : tuple of (float, int)
-        Times [s] and the button bits from each on.
-    faults : tuple of ScriptedFault
-    """
+    """Settings of an emulated Falcon."""
 
     arm: Arm = field(default_factory=Arm)
-    hand: Hand | None = None
-    firmware_loaded: bool = True
-    firmware_bytes: int | None = None
+    hand: Hand | None = None  # what holds the grip after homing; None rests it at the pulled-out end
+    firmware_loaded: bool = True  # switched on with its firmware running
+    firmware_bytes: int | None = None  # as :class:`~tissueid.haptics.falcon.emulator.bootloader.BootLoader`
     failing_tries: int = 0
     silent_hellos: int = 0
     long_greeting: bool = False
-    homes: bool = True
+    homes: bool = True  # false: the user never homes the device
+    #: After homing the user waits for the blue lamp, which a driver shows with force; time stands still until
+    #: then.
     waits_for_blue: bool = False
-    units_per_Nm: float = 6600.0
-    motor_delay_s: float = 5e-4
+    units_per_Nm: float = 6600.0  # motor units for one N m of arm torque
+    motor_delay_s: float = 5e-4  # time from a command's arrival to its torque [s]
+    #: Time after which an answer reaches the host [s]; used by links that have a clock.
     usb_latency_s: float = 0.0
+    #: Time that goes by at each command (virtual time); None: only by ``advance``.
     period_s: float | None = None
-    buttons: tuple[tuple[float, int], ...] = ((0.0, 0x04),)
+    buttons: tuple[tuple[float, int], ...] = ((0.0, 0x04),)  # times [s] and the button bits from each on
     faults: tuple[ScriptedFault, ...] = ()
 
 
@@ -107,10 +82,7 @@ def with_homing(hand: Hand | None, *, homes: bool = True) -> Hand:
 
     The grip is then pulled out again, and moved to where the hand starts.
 
-    Raises
-    ------
-    UsageError
-        Together they have more knots than an arm's block holds.
+    Raises UsageError: together they have more knots than an arm's block holds.
     """
     own = hand or Hand((0.0,), (PULLED_M,), (1.0,), stiffness_N_per_m=1000.0)
     if not homes:

@@ -35,17 +35,9 @@ LAMPS = {
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """Command of a host.
+    """Command of a host."""
 
-    Attributes
-    ----------
-    motors : tuple of int
-        Motor units of legs 1 to 3, as sent.
-    homing : bool
-    lamps : frozenset of str
-    """
-
-    motors: tuple[int, int, int]
+    motors: tuple[int, int, int]  # motor units of legs 1 to 3, as sent
     homing: bool
     lamps: frozenset[str]
 
@@ -93,14 +85,8 @@ def _command(packet: bytes) -> Command | None:
 def reply_bytes(encoders: tuple[int, int, int], *, buttons: int, homed: int) -> bytes:
     """Packet the device answers with.
 
-    Parameters
-    ----------
-    encoders : tuple of int
-        Counts of legs 1 to 3; they wrap at 16 bits, as counters do.
-    buttons : int
-        Bits 0 to 3.
-    homed : int
-        A bit for each leg.
+    ``encoders``: counts of legs 1 to 3; they wrap at 16 bits, as counters do; ``buttons``: bits 0 to 3;
+    ``homed``: a bit for each leg.
     """
     spelled = b"".join(SPELLING[(count + 32768) % 65536 - 32768] for count in encoders)
     return b"<" + spelled + bytes([0x41 + (buttons & 15) + ((homed & 7) << 4)]) + FILLER + b">"
