@@ -14,8 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import fftconvolve, lfilter
 
-__all__ = ["Drainage", "Log", "Machine", "Tissue", "recorded"]
-
 Array = NDArray[np.float64]
 
 FINE = 20

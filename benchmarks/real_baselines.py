@@ -26,34 +26,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares, nnls
 
-__all__ = [
-    "FittedLaw",
-    "FractionalPower",
-    "Law",
-    "Log",
-    "Paper",
-    "Proportional",
-    "QuasiLinear",
-    "Spectrum",
-    "Yardstick",
-    "bernstein",
-    "carried_to",
-    "cone_weights",
-    "counted_force",
-    "curve_rays",
-    "deepest",
-    "fit_law",
-    "fit_own",
-    "fractional_derivative",
-    "increasing",
-    "law_residual",
-    "nrmsd",
-    "ray_coefficients",
-    "resolvable",
-    "rest_states",
-    "rms",
-]
-
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 

@@ -9,8 +9,6 @@ import numpy as np
 from real_independent import independent_fit
 from real_recordings import Found, Recording, fit_of, grouped, tell, value_of
 
-__all__ = ["coherence", "combined_sds", "halves_of", "inside", "seed_distances"]
-
 #: Share of printed values inside both intervals, difference of seeds [total sd], share of parameters that the
 #: independent fit agrees on, and share of halves that differ by less than HALVES_SD.
 BARS = {"inside": 1.0, "seed_sd": 0.1, "independent": 0.90, "halves": 0.95}

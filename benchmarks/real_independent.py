@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from real_baselines import RAYS, Log, Paper, cone_weights, deepest, rms
 from real_pooled import GAIN, OFFSET_MM, SHAPE, PooledProblem
 
-__all__ = ["independent_fit", "named"]
-
 Array = NDArray[np.float64]
 
 #: Shortest and longest relaxation time of each start, as fractions of the logarithmic range of the samples.

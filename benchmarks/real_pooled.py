@@ -18,8 +18,6 @@ from real_baselines import (
 )
 from scipy.optimize import least_squares
 
-__all__ = ["GAIN", "OFFSET_MM", "PooledFit", "PooledProblem", "fit_pooled"]
-
 Array = NDArray[np.float64]
 
 #: Largest ln gain of a log, and largest contact offset [mm].

@@ -34,8 +34,6 @@ from real_recordings import Found, Recording, fit_of, grouped, tell
 
 from tissueid.model import ContactPath
 
-__all__ = ["foreign_force", "insample", "no_model", "prediction", "speed_laws"]
-
 Array = NDArray[np.float64]
 
 #: Order of the laws written apart where tissueid gives none.

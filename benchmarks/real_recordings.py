@@ -23,8 +23,6 @@ import tissueid
 from tissueid.model import ContactPath, KelvinVoigt
 from tissueid.pipeline import FitOptions, IdentifyOptions, PosteriorOptions, identify
 
-__all__ = ["Found", "Recording", "fit_of", "grouped", "recordings", "tell", "value_of", "workbooks"]
-
 MEAT = "zwick-meat-gpl3"
 #: What a fit may raise that is no fault of the benchmark: it is told and the rest goes on.
 FAULTS = (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError)

@@ -16,8 +16,6 @@ from real_recordings import tell, workbooks
 
 import tissueid
 
-__all__ = ["Cost", "cost_of", "speed"]
-
 IMPORTS = "import numpy, scipy.optimize, scipy.stats, pandas, lmfit, emcee, h5py, click"
 #: A synthetic log at 100 Hz.
 LOG = Path("datasets_synthetic") / "paper-a-hold-100Hz" / "hold-8-1.csv"

@@ -5,8 +5,6 @@ from __future__ import annotations
 import os
 import sys
 
-__all__ = ["start"]
-
 #: As :data:`tissueid.errors.EXIT_INTERRUPTED`, which is not imported yet where it is needed.
 _INTERRUPTED = 130
 

@@ -28,14 +28,6 @@ from tissueid.segment import SegmentOptions, segment
 from tissueid.signal_noise import quantum
 from tissueid.trial import Axes, Segmentation, Source, Trial
 
-__all__ = [
-    "Collected",
-    "Excluded",
-    "TrialCache",
-    "collect",
-    "display_names",
-]
-
 #: Samples kept in memory between the passes [bytes].
 CACHE_BYTES = 16 * 2**20
 #: Standard deviations of a contact behind air that its prior is wide: behind a start without slope (x^1.5

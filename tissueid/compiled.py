@@ -27,8 +27,6 @@ from tissueid.kernel_cache import cache_folder
 if installed("numba"):
     import numba as nb
 
-__all__ = ["kernel", "tick_kernel", "tick_part", "without_scipy"]
-
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 _TICK: dict[str, Any] = {"error_model": "numpy", "_nrt": False}

@@ -20,16 +20,6 @@ from tissueid.manifest import Study
 from tissueid.result import Estimate, Refusal, SpecimenFit
 from tissueid.store.schema import load_schema
 
-__all__ = [
-    "Refit",
-    "exclusion_rows",
-    "study_document",
-    "study_flags",
-    "study_record",
-    "unmatched_sheets",
-    "without_excluded",
-]
-
 
 @dataclass(frozen=True, slots=True)
 class Refit:

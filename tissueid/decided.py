@@ -13,8 +13,6 @@ from tissueid.result import Refusal
 from tissueid.segment import SegmentOptions
 from tissueid.trial import Trial
 
-__all__ = ["arithmetic_refusal", "decided_options", "decided_trial", "why_excluded"]
-
 #: Keys of [[override]] that the segmenter takes as they are, by the name of its option.
 _SEGMENT_KEYS = {
     "contact_mm": "contact_displacement_mm",

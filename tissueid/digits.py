@@ -10,17 +10,6 @@ import math
 import re
 from collections.abc import Sequence
 
-__all__ = [
-    "NOT_IDENTIFIED",
-    "number",
-    "plain_exponents",
-    "power_of_ten",
-    "rounded_to",
-    "together",
-    "typeset",
-    "with_error",
-]
-
 NOT_IDENTIFIED = "not identified"
 
 #: Digits of a standard error.

@@ -16,8 +16,6 @@ from tissueid import __version__
 from tissueid.extras import EXTRA_OF, installed
 from tissueid.own_process import own_process
 
-__all__ = ["Check", "examine", "warm"]
-
 #: Seconds that a probe in a process of its own may take.
 PATIENCE_S = 60.0
 #: Memory below which a large cohort is slow [GB].

@@ -17,21 +17,6 @@ from __future__ import annotations
 
 import unicodedata
 
-__all__ = [
-    "EXIT_INTERRUPTED",
-    "EXIT_OK",
-    "EXIT_PRECEDENCE",
-    "BundleError",
-    "DeviceError",
-    "IncompleteError",
-    "InputError",
-    "NotIdentifiedError",
-    "TissueidError",
-    "UsageError",
-    "exit_code",
-    "printable",
-]
-
 EXIT_OK = 0
 EXIT_INTERRUPTED = 130
 EXIT_PRECEDENCE = (1, 2, 3, 6, 5, 7, 4)

@@ -25,8 +25,6 @@ from numpy.typing import NDArray
 
 from tissueid.errors import UsageError
 
-__all__ = ["arviz_data", "netcdf_bytes"]
-
 FloatArray = NDArray[np.float64]
 
 #: What arviz compares needs more than one chain.

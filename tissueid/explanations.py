@@ -11,8 +11,6 @@ from tissueid.flags import FLAGS, flag_level
 from tissueid.model.grammar import described
 from tissueid.quantity_words import QUANTITIES, quantity_name
 
-__all__ = ["EXIT_MEANINGS", "Explanation", "explain", "explanations", "flags_page", "gravity"]
-
 #: Exit code -> what it means, and what to do.
 EXIT_MEANINGS: Mapping[str, tuple[str, str]] = {
     "0": ("it worked", "Nothing."),

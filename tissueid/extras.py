@@ -6,8 +6,6 @@ from importlib.util import find_spec
 
 from tissueid.errors import UsageError
 
-__all__ = ["EXTRA_OF", "installed", "missing_extra", "require"]
-
 #: Module -> extra of ``pip install 'tissueid[...]'``.
 EXTRA_OF = {
     "numba": "haptics",

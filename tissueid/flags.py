@@ -12,18 +12,6 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-__all__ = [
-    "FLAGS",
-    "HARM",
-    "MOST_WORDS",
-    "NOTHING",
-    "Flag",
-    "FlagKind",
-    "flag_level",
-    "harm_rank",
-    "warning_line",
-]
-
 #: Words of a warning, its way out included.
 MOST_WORDS = 25
 #: Remedy of a flag that asks for nothing.

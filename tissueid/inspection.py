@@ -22,8 +22,6 @@ from tissueid.result import Refusal
 from tissueid.segment import SegmentOptions, segment
 from tissueid.trial import Phase, Segmentation, Trial
 
-__all__ = ["as_decided", "describe_segmented", "describe_trial", "measured_of", "segmented"]
-
 
 def describe_trial(trial: Trial, *, options: SegmentOptions | None = None) -> dict[str, Any] | Refusal:
     """Description of a trial by ``tissueid inspect``, as recorded: before signs or zeros are changed.

@@ -18,8 +18,6 @@ from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
-__all__ = ["cache_folder", "kernel_sources", "sources_key"]
-
 _PACKAGE = Path(__file__).resolve().parent
 _PREFIX = "kernels-"
 #: A module of kernels says so by what it imports.

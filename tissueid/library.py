@@ -50,8 +50,6 @@ if TYPE_CHECKING:
     from tissueid.rendering.session import Outcome
     from tissueid.store.bundle_content import Bundle as BundleContent
 
-__all__ = ["Bundle", "Fit", "Marginal", "Plot", "Sampled", "Trials", "fit", "read", "render"]
-
 FloatArray = NDArray[np.float64]
 
 #: Relative standard deviation of a parameter that is fixed.

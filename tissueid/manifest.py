@@ -21,8 +21,6 @@ from tissueid.notebook import Shown
 from tissueid.priors import PopulationPriors, Priors
 from tissueid.trial import Protocol, frozen_array
 
-__all__ = ["Calibration", "Decision", "Entry", "FrameCurve", "Study"]
-
 FloatArray = NDArray[np.float64]
 
 

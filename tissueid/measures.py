@@ -12,22 +12,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-__all__ = [
-    "RAMP_TIMES",
-    "Base",
-    "Measured",
-    "MeasuredForce",
-    "MeasuredHold",
-    "MeasuredLoop",
-    "MeasuredModulus",
-    "MeasuredPeak",
-    "MeasuredPush",
-    "MeasuredTau",
-    "SpreadRow",
-    "beyond_ramp",
-    "spread_json",
-]
-
 #: A force earlier than so many ramp times after the stop still knows the ramp.
 RAMP_TIMES = 10.0
 #: Plain numbers of a push.

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from tissueid.trial import Trial
     from tissueid.uncertainty import ParameterUncertainty, Posterior
 
-__all__ = ["Shown", "drawing", "html_of", "svg_file", "table"]
-
 FloatArray = NDArray[np.float64]
 
 #: Size of a drawing, and the room for its numbers [px].

@@ -12,8 +12,6 @@ import threading
 from multiprocessing import connection, parent_process
 from pathlib import Path
 
-__all__ = ["end_with_parent", "own_process"]
-
 
 def own_process(module: str, *arguments: str) -> list[str]:
     """Command line of a new process of this interpreter that runs a module.

@@ -44,18 +44,6 @@ from tissueid.result import Exit, Identification, Refusal, SpecimenFit
 from tissueid.segment import SegmentOptions
 from tissueid.trial import Axes, Source, TipShape, Trial
 
-__all__ = [
-    "DEFAULT_REQUIRED",
-    "REQUIRABLE",
-    "IdentifyOptions",
-    "exit_of",
-    "identify",
-    "run_provenance",
-    "unmet",
-    "with_draws",
-    "with_model",
-]
-
 #: Libraries whose version may change a number.
 LIBRARIES = ("emcee", "lmfit", "numba", "numpy", "scipy")
 REQUIRABLE = ("viscosity", "static", "stiffness", "relaxation-time")

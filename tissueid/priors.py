@@ -17,15 +17,6 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
-__all__ = [
-    "CALIBRATION_DEFAULTS",
-    "WEAK_FACTOR",
-    "CalibrationPrior",
-    "PopulationPriors",
-    "Priors",
-    "SpreadPrior",
-]
-
 #: Standard deviation of a weak coefficient, in forces: so many times the largest measured one.
 WEAK_FACTOR = 2.0
 

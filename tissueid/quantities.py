@@ -13,18 +13,6 @@ from typing import Any
 
 from tissueid.flags import Flag
 
-__all__ = [
-    "DEPTH_TEST",
-    "CycleRow",
-    "DepthStiffness",
-    "Measure",
-    "Quantity",
-    "QuotedNumbers",
-    "RelaxationRow",
-    "RelaxationWindow",
-    "Spectrum",
-]
-
 
 @dataclass(frozen=True, slots=True)
 class Measure:

@@ -10,8 +10,6 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-__all__ = ["QUANTITIES", "QuantityWords", "quantity_name"]
-
 
 @dataclass(frozen=True, slots=True)
 class QuantityWords:

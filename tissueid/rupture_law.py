@@ -11,8 +11,6 @@ from dataclasses import asdict, dataclass
 from types import MappingProxyType
 from typing import Any
 
-__all__ = ["CRITERIA", "DEFAULT_WEIGHT", "THRESHOLD_UNITS", "RuptureLaw"]
-
 #: Unit of a threshold, by criterion.
 THRESHOLD_UNITS: Mapping[str, str] = MappingProxyType(
     {"work": "N mm", "weighted-force": "N", "stored-energy": "N mm", "depth": "mm"}

@@ -10,8 +10,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["quantum", "white_noise_sd"]
-
 FloatArray = NDArray[np.float64]
 
 #: Standard deviation of a normal variable over its median absolute value.

@@ -20,23 +20,6 @@ from numpy.typing import NDArray
 from tissueid.flags import Flag
 from tissueid.notebook import Shown
 
-__all__ = [
-    "MM_N",
-    "Axes",
-    "Contact",
-    "Corner",
-    "Event",
-    "Phase",
-    "PhaseKind",
-    "Protocol",
-    "Segmentation",
-    "Source",
-    "TipShape",
-    "Trial",
-    "contact_frame",
-    "frozen_array",
-]
-
 FloatArray = NDArray[np.float64]
 
 PhaseKind = str

@@ -18,18 +18,6 @@ from numpy.typing import NDArray
 
 from tissueid.notebook import Shown
 
-__all__ = [
-    "BudgetRow",
-    "ComparisonRow",
-    "MisfitAlarm",
-    "MisfitCheck",
-    "NoiseFit",
-    "ParameterUncertainty",
-    "Posterior",
-    "PriorRow",
-    "SamplerReport",
-]
-
 FloatArray = NDArray[np.float64]
 
 

@@ -13,16 +13,6 @@ from functools import cache
 from types import MappingProxyType
 from typing import Any, Literal, get_args
 
-__all__ = [
-    "INTERNAL_UNITS",
-    "KNOWN_UNITS",
-    "KNOWN_WORDS",
-    "Quantity",
-    "bare_unit",
-    "factor_to",
-    "quantity_of",
-]
-
 #: What can be converted: the three channels of a recording, the rate of a protocol, and the channels of a
 #: normalised recording.
 Quantity = Literal["time", "displacement", "force", "speed", "strain", "stress"]

@@ -11,8 +11,6 @@ from typing import Any
 
 import tissueid
 
-__all__ = ["RESULTS", "api_page"]
-
 #: What the functions give and raise, by the module it stands in.
 RESULTS = {
     "tissueid.trial": ("Trial",),

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from tissueid.selfcheck.tissue import TissueCheck
     from tissueid.selfcheck.verdicts import Verdict
 
-__all__ = ["command"]
-
 EPILOG = """\b
 Examples:
   tissueid calibrate paper-a-30-k1 --rate 100

@@ -9,9 +9,6 @@ import click
 from tissueid.cli.output import echo, echo_json, note, output_options, write_output
 from tissueid.cli.reading import read_in_order, read_options, reading_options
 
-__all__ = ["command"]
-
-
 EPILOG = """\b
 Examples:
   tissueid calibrate-frame rigid.csv

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from tissueid.selfcheck.protocol import Centre, Protocol
     from tissueid.store.bundle import Bundle
 
-__all__ = ["Found", "bundle_file", "found_source"]
-
 _Progress = Callable[[str, int, int], None]
 _BUNDLE_SUFFIXES = (".h5", ".hdf5")
 #: No test machine logs faster.

@@ -9,8 +9,6 @@ import click
 
 from tissueid.cli.output import echo_json, output_options, progress_bar
 
-__all__ = ["command"]
-
 EPILOG = """\b
 Examples:
   tissueid cohort out

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from tissueid.store.bundle_content import Bundle
     from tissueid.store.posteriors import StoredPosterior
 
-__all__ = ["command"]
-
 EPILOG = """\b
 Examples:
   tissueid compare out/bundle-kidney.h5 out/bundle-liver.h5

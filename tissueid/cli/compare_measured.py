@@ -13,8 +13,6 @@ from tissueid.errors import UsageError
 if TYPE_CHECKING:
     from tissueid.measures import SpreadRow
 
-__all__ = ["are_recordings", "compare_recordings", "measured_pair_lines"]
-
 #: Folders with one of these were written by a fit.
 _RESULT = "identification.json"
 

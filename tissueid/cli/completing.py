@@ -7,8 +7,6 @@ from collections.abc import Callable, Iterable
 import click
 from click.shell_completion import CompletionItem
 
-__all__ = ["dialects", "named", "presets", "readers", "recipes", "scenes", "subcommands"]
-
 _Completer = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]
 
 

@@ -11,8 +11,6 @@ import click
 from tissueid.cli.output import echo_bytes, echo_json, note, output_options, write_output
 from tissueid.errors import UsageError
 
-__all__ = ["command"]
-
 EPILOG = """\b
 Examples:
   tissueid completion bash --install

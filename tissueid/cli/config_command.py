@@ -10,8 +10,6 @@ from tissueid.cli.completing import subcommands
 from tissueid.cli.output import echo, echo_json, output_options
 from tissueid.errors import UsageError
 
-__all__ = ["command"]
-
 EPILOG = """\b
 Examples:
   tissueid config

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from tissueid.rendering.control.settings import ControlSettings
     from tissueid.rendering.tissue_block import Tissue
 
-__all__ = ["command"]
-
 EPILOG = """\b
 Examples:
   tissueid control bundle.h5

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from tissueid.design.tissues import Tissues
     from tissueid.synth import Recipe
 
-__all__ = ["command"]
-
 EPILOG = """\b
 Examples:
   tissueid design paper-a-30 --machine paper-a -o plan

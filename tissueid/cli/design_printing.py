@@ -7,8 +7,6 @@ from typing import Any
 
 from tissueid.cli.output import Column, echo, echo_table
 
-__all__ = ["print_plan", "time_words"]
-
 _SHORT = {"relaxation_time_s": "tau", "viscosity_N_s_per_mm": "eta", "stiffness_0_N_per_mm": "K"}
 MINUTE, HOUR = 60.0, 3600.0
 #: Limits that are printed; the page has them all.

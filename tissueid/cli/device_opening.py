@@ -19,18 +19,6 @@ from tissueid.errors import DeviceError, UsageError
 if TYPE_CHECKING:
     from tissueid.haptics.device import AskedDevice, HapticDevice
 
-__all__ = [
-    "ask_consent",
-    "asked_device",
-    "check_savable",
-    "device_options",
-    "hang_mass",
-    "made_device",
-    "made_for_calibration",
-    "opened",
-    "save",
-]
-
 HANDS_OFF = (
     "The motors will move the grip by themselves, with at most {clamp:.1f} N. Keep hands, hair and cables "
     "away from it. If anything goes wrong, pull the power plug."

@@ -24,8 +24,6 @@ from tissueid.digits import with_error
 if TYPE_CHECKING:
     from tissueid.haptics.device import HapticDevice
 
-__all__ = ["command"]
-
 EPILOG = """\b
 Examples:
   tissueid devices list

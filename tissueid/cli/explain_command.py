@@ -10,8 +10,6 @@ from click.shell_completion import CompletionItem
 
 from tissueid.cli.output import echo, echo_json, echo_lines, output_options
 
-__all__ = ["command"]
-
 #: Columns, and where texts begin.
 WIDTH, MARGIN = 98, 16
 

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from tissueid.store.bundle_content import Bundle
     from tissueid.store.posteriors import StoredPosterior
 
-__all__ = ["command"]
-
 EPILOG = """\b
 Examples:
   tissueid export out

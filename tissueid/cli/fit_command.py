@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from tissueid.manifest import Study
     from tissueid.pipeline import IdentifyOptions
 
-__all__ = ["command"]
-
 EPILOG = """\b
 Examples:
   tissueid fit lab_data/ -o out

@@ -14,8 +14,6 @@ from tissueid.report.warning_lines import shared_codes, shared_lines
 if TYPE_CHECKING:
     from tissueid.study.assembly import Assembled
 
-__all__ = ["print_reasons", "print_summary"]
-
 #: Specimens from which on each gets one line of what was measured.
 MANY = 4
 _COLOURS = {"alarm": "red", "serious": "red", "remark": "yellow"}

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from tissueid.result import Refusal
     from tissueid.study.inspected import Inspection
 
-__all__ = ["command", "inspected", "print_all"]
-
 EPILOG = """\b
 Examples:
   tissueid inspect Specimen_RawData_1.csv

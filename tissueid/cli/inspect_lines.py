@@ -11,8 +11,6 @@ from typing import Any
 
 from tissueid.flags import FLAGS, harm_rank
 
-__all__ = ["COLOURS", "names_of", "recording_lines", "recording_name", "summary_lines"]
-
 #: What a level asks for, and its colour.
 WORDS = {"good": "keep", "look": "look", "repeat": "push again"}
 COLOURS = {"good": None, "look": "yellow", "repeat": "red"}

@@ -8,8 +8,6 @@ from typing import Any
 from tissueid.cli.output import echo, note
 from tissueid.cli.reading import read_options
 
-__all__ = ["serve"]
-
 #: Flags that ask for another output than the page.
 _OTHERS = {"as_json": "--json", "html": "--html", "csv": "--csv", "xlsx": "--xlsx", "no_study": "--no-study"}
 

@@ -7,8 +7,6 @@ import io
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-__all__ = ["HEAD", "measured_csv", "measured_rows", "measured_xlsx"]
-
 TIMES_S = (0.1, 1.0, 10.0, 100.0)
 _PUSH = ("ramp_time_s", "speed_mm_s", "travel_mm", "depth_mm", "braking_s")
 _MODULUS = ("formula", "loading_kPa", "held_kPa", "refused")

@@ -22,8 +22,6 @@ from tissueid.errors import EXIT_INTERRUPTED, TissueidError
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
-__all__ = ["cli", "main", "with_verb"]
-
 #: Sub-command -> what it does; its module is ``tissueid.cli.<name>_command``.
 COMMANDS = {
     "fit": "Identify the tissue behind recordings: bundle, numbers, report.",

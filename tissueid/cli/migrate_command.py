@@ -8,8 +8,6 @@ import click
 
 from tissueid.cli.output import echo_json, note, output_options
 
-__all__ = ["command"]
-
 EPILOG = """\b
 Examples:
   tissueid migrate out

@@ -10,8 +10,6 @@ import click
 from tissueid.cli.output import echo, echo_json, echo_lines, output_options
 from tissueid.errors import UsageError
 
-__all__ = ["command"]
-
 WIDTH, MARGIN = 98, 16
 
 EPILOG = """\b

@@ -10,8 +10,6 @@ import click
 from tissueid.cli.main import cli
 from tissueid.cli.settings import TYPED_ONLY, option_name
 
-__all__ = ["every_command", "examples_of", "options_page"]
-
 #: Options that every command has; told once.
 COMMON = frozenset({"quiet", "verbose", "json"})
 

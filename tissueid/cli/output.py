@@ -15,22 +15,6 @@ import click
 from tissueid.digits import plain_exponents, typeset
 from tissueid.errors import printable
 
-__all__ = [
-    "Column",
-    "draw",
-    "echo",
-    "echo_bytes",
-    "echo_json",
-    "echo_json_text",
-    "echo_lines",
-    "echo_table",
-    "note",
-    "output_options",
-    "progress_bar",
-    "terminal_line",
-    "write_output",
-]
-
 
 @dataclass(frozen=True, slots=True)
 class Column:

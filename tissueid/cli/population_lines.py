@@ -11,8 +11,6 @@ from tissueid.flags import warning_line
 if TYPE_CHECKING:
     from tissueid.study.cohort import WrittenPopulation
 
-__all__ = ["print_population"]
-
 
 def print_population(written: WrittenPopulation, out: str, *, quiet: int) -> None:
     """Quantities with their spread, held-out specimens, remarks; specimens that take no part go to stderr.

@@ -12,8 +12,6 @@ from tissueid.errors import UsageError
 if TYPE_CHECKING:
     from tissueid.measured.geometry import Geometry
 
-__all__ = ["quoting_options", "quoting_values"]
-
 _OPTIONS = (
     click.option(
         "--unloading", is_flag=True,

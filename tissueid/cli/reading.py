@@ -25,18 +25,6 @@ if TYPE_CHECKING:
     from tissueid.study.partition import StudyParts
     from tissueid.trial import Trial
 
-__all__ = [
-    "READING",
-    "PatternCheck",
-    "inputs_in_order",
-    "read_all",
-    "read_in_order",
-    "read_options",
-    "reading_options",
-    "refuse_same_folder",
-    "segment_options",
-]
-
 #: Names shown where a pattern fits none.
 FEW_NAMES = 5
 #: No test machine travels ten metres.

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from tissueid.rendering.session_plan import SessionPlan
     from tissueid.viewer.serving import ServedViewer
 
-__all__ = ["command"]
-
 EPILOG = """\b
 Examples:
   tissueid render bundle.h5

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from tissueid.rendering.session_plan import SessionPlan
     from tissueid.rendering.summary import SessionSummary
 
-__all__ = ["Keyboard", "StatusLine", "ask_for_consent", "summary_lines"]
-
 #: Time between two status lines [s].
 SHOW_EVERY_S = 0.1
 #: Shares below this are not worth a word.

@@ -9,8 +9,6 @@ import click
 
 from tissueid.cli.output import echo_json, note, output_options, write_output
 
-__all__ = ["command"]
-
 EPILOG = """\b
 Examples:
   tissueid report out

@@ -12,8 +12,6 @@ import click
 from tissueid.cli.output import echo, echo_json, note, output_options, progress_bar
 from tissueid.errors import UsageError
 
-__all__ = ["command"]
-
 EPILOG = """\b
 Examples:
   tissueid reproduce all

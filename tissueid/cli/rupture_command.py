@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from tissueid.result import Refusal
     from tissueid.rupture.run import RuptureRun
 
-__all__ = ["command"]
-
 EPILOG = """\b
 Examples:
   tissueid rupture study.toml -o rupture

@@ -19,19 +19,6 @@ import click
 
 from tissueid.errors import UsageError
 
-__all__ = [
-    "GENERAL",
-    "TYPED_ONLY",
-    "Setting",
-    "SettingsFile",
-    "as_default_map",
-    "option_name",
-    "settable",
-    "settings_files",
-    "settings_of",
-    "user_file",
-]
-
 #: Options that stand for a consent, a secret or a check that is left out: they are typed each time.
 TYPED_ONLY = frozenset({"because", "force", "help", "no-control", "pseudonym", "token", "version", "yes"})
 #: Keys that may stand above all tables: they are options of every command.

@@ -11,8 +11,6 @@ import click
 
 from tissueid.cli.output import echo_json, echo_lines, output_options
 
-__all__ = ["command"]
-
 EPILOG = """\b
 Examples:
   tissueid status out

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from tissueid.result import Refusal
     from tissueid.trial import Trial
 
-__all__ = ["command"]
-
 #: Missing items printed without -v, after the essential ones.
 FEW_MISSING = 8
 EXIT_INCOMPLETE = 7

@@ -9,8 +9,6 @@ import click
 from tissueid.cli.completing import dialects, recipes
 from tissueid.cli.output import echo, echo_json, note, output_options
 
-__all__ = ["command"]
-
 EPILOG = """\b
 Examples:
   tissueid synth paper-a-30 -o synthetic --rate 100

@@ -15,8 +15,6 @@ from tissueid.cli.output import echo_json, echo_lines, note, output_options, wri
 if TYPE_CHECKING:
     from tissueid.training.measures import Attempt
 
-__all__ = ["command"]
-
 EPILOG = """\b
 Examples:
   tissueid training hip-*.h5

@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from tissueid.twin.program import Program
     from tissueid.twin.twin import Row, Twin
 
-__all__ = ["twin", "twin_lines"]
-
 #: Options that a twin has no use for.
 _FOREIGN = (
     "preset", "draw", "draw_specimen", "quantile", "against_draw", "against_quantile", "environment", "scene",

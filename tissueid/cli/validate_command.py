@@ -8,8 +8,6 @@ import click
 
 from tissueid.cli.output import echo, echo_json, output_options
 
-__all__ = ["command"]
-
 EPILOG = """\b
 Examples:
   tissueid validate out

@@ -10,8 +10,6 @@ import click
 from tissueid.cli.output import echo, note, output_options
 from tissueid.cli.viewer_serving import open_browser, served, viewer_options
 
-__all__ = ["command"]
-
 EPILOG = """\b
 Examples:
   tissueid view out.h5

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from tissueid.rendering.recorder import Recorder
     from tissueid.viewer.serving import ServedViewer
 
-__all__ = ["open_browser", "served", "telling_stop", "viewer_options"]
-
 _FILE = click.Path(dir_okay=False, path_type=Path)
 #: One of these is set where a browser has a screen.
 SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")

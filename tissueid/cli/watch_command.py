@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from tissueid.trial import Trial
     from tissueid.watch.session import Happening, WatchSession
 
-__all__ = ["command"]
-
 EPILOG = """\b
 Examples:
   tissueid watch "D:/session 3" -o verdicts

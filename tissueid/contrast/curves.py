@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from tissueid.contrast.numbers import MOST_DRAWS, Common, Compared
 from tissueid.model.channels import loading_force
 
-__all__ = ["force_curves"]
-
 FloatArray = NDArray[np.float64]
 
 #: Points of a drawn curve.

@@ -14,8 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-__all__ = ["LEVEL", "Difference", "Row", "difference", "rows"]
-
 FloatArray = NDArray[np.float64]
 
 #: Tissues are called different below this probability.

@@ -16,8 +16,6 @@ from tissueid.contrast.noticeable import noticed
 from tissueid.contrast.numbers import Compared, common_range, draws_of_numbers
 from tissueid.model.scaling import scaling_for
 
-__all__ = ["contrast_document"]
-
 
 def contrast_document(
     tissues: Sequence[Compared],

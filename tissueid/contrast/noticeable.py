@@ -12,8 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["LIMITS", "Limit", "Noticed", "noticed"]
-
 FloatArray = NDArray[np.float64]
 
 #: Below this force at a device the difference that is noticed no longer shrinks [N].

@@ -16,8 +16,6 @@ from tissueid.errors import UsageError
 from tissueid.model.channels import TissueModel, viscous
 from tissueid.model.functionals import force_after_ramp
 
-__all__ = ["Common", "Compared", "common_range", "draws_of_numbers"]
-
 FloatArray = NDArray[np.float64]
 
 #: Shares of the common depth at which forces are compared.

@@ -14,8 +14,6 @@ import numpy as np
 from tissueid.design.indentation import Indentation, ramp_of
 from tissueid.design.precision import Ledger
 
-__all__ = ["count_paths", "learned_candidates", "neighbours", "rounded"]
-
 #: Speeds and depths as shares of the greatest, holds in longest relaxation times.
 SPEED_SHARES = (1.0, 0.5, 0.2, 0.05, 0.01)
 DEPTH_SHARES = (1.0, 0.6, 0.3)

@@ -12,8 +12,6 @@ from tissueid.design.precision import Asked
 from tissueid.design.remarks import remarks_on
 from tissueid.design.tissues import Tissues
 
-__all__ = ["DESIGN_SCHEMA", "design_document"]
-
 DESIGN_SCHEMA = "tissueid/design/1"
 
 

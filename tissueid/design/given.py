@@ -15,8 +15,6 @@ from tissueid.store.bundle import load_bundle
 from tissueid.synth import RECIPES, Hold, Move, Recipe, load_recipe
 from tissueid.synth import recipe as built_in
 
-__all__ = ["given_protocol", "given_recipe", "of_bundle", "of_recipe_tissue", "plain_guesses"]
-
 #: Samples a second for a recipe of which only the tissue is taken: its path is not looked at.
 COARSE_HZ = 10.0
 

@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from tissueid.design.machine import Machine
 
-__all__ = ["Indentation", "Ramp", "ramp_of", "seconds_of"]
-
 FloatArray = NDArray[np.float64]
 
 SECONDS_PER_MINUTE = 60.0

@@ -26,8 +26,6 @@ from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
 from tissueid.model.kernels import branch_state
 from tissueid.selfcheck.recording import low_pass, tip_depth
 
-__all__ = ["Chain", "information", "peak_force"]
-
 FloatArray = NDArray[np.float64]
 
 #: After so many time constants a held tissue is at rest: further samples repeat the last.

@@ -9,8 +9,6 @@ from tissueid.design.machine import Machine, Setting
 from tissueid.design.precision import Asked, Ledger
 from tissueid.design.search import enumerated
 
-__all__ = ["Limit", "limits_of"]
-
 #: A change that betters the precision by less is not worth telling.
 WORTH_TELLING = 1.1
 TIMES = 10.0

@@ -28,8 +28,6 @@ from typing import Any
 from tissueid.errors import InputError, UsageError
 from tissueid.priors import CALIBRATION_DEFAULTS
 
-__all__ = ["CALIBRATION", "PRESETS", "Machine", "Setting", "found_machine"]
-
 SECONDS_PER_MINUTE = 60.0
 #: Calibration nuisances of a total precision, in the order of their columns.
 CALIBRATION = tuple(CALIBRATION_DEFAULTS)

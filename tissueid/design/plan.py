@@ -16,8 +16,6 @@ from tissueid.design.search import REFINED, Found, balanced, enumerated, refined
 from tissueid.design.tissues import Tissues, Want
 from tissueid.errors import UsageError
 
-__all__ = ["Against", "Judged", "Plan", "against", "judged", "matched_wants", "planned"]
-
 Progress = Callable[[str, int, int], None]
 
 #: Tissues that the search looks at; the result is judged on all.

@@ -12,8 +12,6 @@ from tissueid.design.indentation import Indentation, seconds_of
 from tissueid.design.information import Chain, information, peak_force
 from tissueid.design.tissues import Tissues, Want
 
-__all__ = ["Asked", "Ledger", "Precision", "Protocol", "relative_sd"]
-
 FloatArray = NDArray[np.float64]
 
 #: Depths at which the greatest allowed one is looked for.

@@ -7,8 +7,6 @@ from tissueid.design.plan import Judged
 from tissueid.design.precision import Asked
 from tissueid.design.tissues import Tissues
 
-__all__ = ["remarks_on"]
-
 #: Rest, in longest relaxation times, after which a tissue counts as recovered.
 RECOVERED = 5.0
 #: Relaxation times below so many samples are flagged by the fit.

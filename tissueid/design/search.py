@@ -19,8 +19,6 @@ from tissueid.design.candidates import learned_candidates, neighbours
 from tissueid.design.indentation import Indentation
 from tissueid.design.precision import Ledger, Protocol, relative_sd
 
-__all__ = ["Found", "balanced", "enumerated", "refined"]
-
 FloatArray = NDArray[np.float64]
 
 #: Repeats of the two indentations of a pair.

@@ -20,8 +20,6 @@ from tissueid.design.tissues import Tissues
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.synth import Branch, Hold, Log, Move, Recipe, dump_recipe
 
-__all__ = ["recipe_text", "session_order", "study_text", "test_sheet"]
-
 #: The study file's schema.
 STUDY_SCHEMA = "tissueid/study/1"
 COLUMNS = (

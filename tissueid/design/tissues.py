@@ -20,8 +20,6 @@ from tissueid.inference.reported import reported_draws
 from tissueid.model.base import branch_suffix
 from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
 
-__all__ = ["Guess", "Tissues", "Want", "of_draws", "of_guesses", "parsed_guess", "parsed_want"]
-
 FloatArray = NDArray[np.float64]
 
 #: Short names that are understood; ``_b2`` and ``_b3`` may follow.

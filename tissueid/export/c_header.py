@@ -17,8 +17,6 @@ from tissueid.model.kernels import OWN_SIZE
 from tissueid.model.servo_law import OWN, STATIC, ServoLaw
 from tissueid.store.bundle_content import Bundle
 
-__all__ = ["c_header"]
-
 FloatArray = NDArray[np.float64]
 
 _HEAD = """\

@@ -10,8 +10,6 @@ import numpy as np
 
 from tissueid.store.bundle_content import Bundle
 
-__all__ = ["mat_bytes"]
-
 
 def mat_bytes(bundles: Sequence[Bundle]) -> bytes:
     """Write specimens as ``tissueid``, a struct array of MATLAB's format 5.

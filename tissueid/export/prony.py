@@ -23,8 +23,6 @@ from tissueid.model.kernels import MOST_BRANCHES
 from tissueid.model.servo_law import SPEED, ServoLaw, servo_law
 from tissueid.store.bundle_content import Bundle
 
-__all__ = ["Prony", "abaqus_card", "carried_law", "febio_card", "linearised"]
-
 FloatArray = NDArray[np.float64]
 
 #: Terms that FEBio's material holds.

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from tissueid.compiled import kernel
 
-__all__ = ["load_acquire", "store_release"]
-
 IntArray = NDArray[np.int64]
 
 _WORD_BYTES = 8

@@ -8,15 +8,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "HANDLES_SIZE",
-    "AskedDevice",
-    "Capabilities",
-    "CompiledIO",
-    "DetectedDevice",
-    "DeviceSample",
-]
-
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 

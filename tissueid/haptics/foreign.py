@@ -15,8 +15,6 @@ from llvmlite import ir
 from numba import config, types
 from numba.extending import intrinsic
 
-__all__ = ["by_address", "libc_function"]
-
 _CTYPES: dict[Any, Any] = {
     types.int8: ctypes.c_int8,
     types.int32: ctypes.c_int32,

@@ -14,8 +14,6 @@ from tissueid.compiled import tick_kernel, tick_part
 from tissueid.haptics.limits import DEAD_MAN, RAMP_S, RECOVERY_S
 from tissueid.haptics.states import Fault, State
 
-__all__ = ["GUARD_SIZE", "fail", "new_guard", "pause", "transition"]
-
 FloatArray = NDArray[np.float64]
 
 #: Fields of the memory: state, fault and lamps as the numbers of :mod:`tissueid.haptics.states`.

@@ -33,8 +33,6 @@ from tissueid.haptics.simulated_layout import (
     TREMOR_PHASE,
 )
 
-__all__ = ["PRESETS", "Hand", "Stroke", "parse_script", "preset", "scripted_hand"]
-
 FloatArray = NDArray[np.float64]
 
 #: Names of :func:`preset`.

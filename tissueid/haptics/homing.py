@@ -11,8 +11,6 @@ from tissueid.errors import DeviceError
 from tissueid.haptics.device import HapticDevice
 from tissueid.haptics.states import FAULT_WORDS, State
 
-__all__ = ["HOMING_TIMEOUT_S", "await_homed", "wait_with_zero_force"]
-
 #: How long homing may take before it is given up [s].
 HOMING_TIMEOUT_S = 60.0
 #: Pause between two readings [s].

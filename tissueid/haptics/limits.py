@@ -11,8 +11,6 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["DEFAULT_DELAY_TICKS", "LIMITS_SIZE", "GuardLimits", "uncalibrated_clamp_N"]
-
 #: Indices into :meth:`GuardLimits.block`, in the order of the fields.
 (
     CLAMP_N,

@@ -13,8 +13,6 @@ import platform
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["read_ordered", "write_ordered"]
-
 IntArray = NDArray[np.int64]
 
 _KEEPS_ORDER = platform.machine().lower() in {"x86_64", "amd64"}

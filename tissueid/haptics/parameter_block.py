@@ -24,16 +24,6 @@ from tissueid.haptics.atomic import load_acquire, store_release
 from tissueid.haptics.ordered_words import read_ordered, write_ordered
 from tissueid.haptics.shared_memory import shared_memory
 
-__all__ = [
-    "COMMAND_DISENGAGE",
-    "COMMAND_ENGAGE",
-    "COMMAND_STOP",
-    "ParameterBlock",
-    "beats",
-    "command",
-    "take",
-]
-
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 

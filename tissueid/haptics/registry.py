@@ -15,24 +15,6 @@ from typing import Any, NamedTuple
 from tissueid.errors import DeviceError, UsageError
 from tissueid.haptics.device import AskedDevice, Capabilities, DetectedDevice, HapticDevice
 
-__all__ = [
-    "DEVICES",
-    "DEVICE_GROUP",
-    "ENVIRONMENT_GROUP",
-    "Choice",
-    "check_present",
-    "choose_device",
-    "configured",
-    "detect_all",
-    "device_class",
-    "device_names",
-    "environment_law",
-    "environment_names",
-    "open_device",
-    "owners_of",
-    "reported_devices",
-]
-
 #: Entry-point groups of other distributions.
 DEVICE_GROUP = "tissueid.devices"
 ENVIRONMENT_GROUP = "tissueid.environments"

@@ -27,8 +27,6 @@ from tissueid.haptics.device import Capabilities, DetectedDevice, DeviceSample, 
 from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.sim import CENTRE_M, DEFAULT_PERIOD_S, DEFAULT_QUANTUM_M, WORKING_RADIUS_M, carried
 
-__all__ = ["ReplayDevice"]
-
 FloatArray = NDArray[np.float64]
 
 

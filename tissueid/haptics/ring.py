@@ -22,8 +22,6 @@ from tissueid.errors import DeviceError
 from tissueid.haptics.ordered_words import read_ordered, write_ordered
 from tissueid.haptics.shared_memory import shared_memory
 
-__all__ = ["CAPACITY", "PUBLISHED_AT", "RECORD", "Ring", "RingReader"]
-
 IntArray = NDArray[np.int64]
 
 #: One tick.  ``time_s`` is CLOCK_MONOTONIC or virtual; ``dt_s`` what was measured; ``force_N`` what the guard

@@ -9,8 +9,6 @@ from tissueid.compiled import tick_part
 from tissueid.haptics.atomic import store_release
 from tissueid.haptics.ring import PUBLISHED_AT
 
-__all__ = ["publish"]
-
 
 @tick_part
 def publish(head: NDArray[np.int64], count: int) -> None:

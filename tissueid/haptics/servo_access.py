@@ -13,18 +13,6 @@ from typing import Any, NamedTuple
 from tissueid.errors import DeviceError
 from tissueid.haptics.device_facts import CompiledIO
 
-__all__ = [
-    "HOMED",
-    "PRESSED",
-    "REPLY",
-    "UNANSWERED",
-    "WORDS_SIZE",
-    "Access",
-    "access_of",
-    "compiled_io",
-    "register",
-]
-
 #: Words of a reading: what came (:mod:`tissueid.haptics.watchdogs`), whether homed, buttons, and commands
 #: without an answer where each is answered.
 REPLY, HOMED, PRESSED, UNANSWERED = 0, 1, 2, 3

@@ -21,8 +21,6 @@ from tissueid.errors import DeviceError
 from tissueid.haptics.shared_memory import shared_memory
 from tissueid.haptics.simulated_layout import LED_AT, POINTER, POINTER_ON, SIM_PARAMETERS
 
-__all__ = ["SharedHand"]
-
 BYTES = 8 * SIM_PARAMETERS
 
 

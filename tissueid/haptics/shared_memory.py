@@ -6,8 +6,6 @@ import os
 
 from tissueid.errors import DeviceError
 
-__all__ = ["shared_memory"]
-
 
 def shared_memory(name: str, size: int) -> int:
     """Descriptor of new memory, all zero; another process gets it only where it is handed over.

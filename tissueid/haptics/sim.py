@@ -68,8 +68,6 @@ from tissueid.haptics.simulated_layout import (
     SIM_PARAMETERS,
 )
 
-__all__ = ["CENTRE_M", "DEFAULT_QUANTUM_M", "SimulatedDevice"]
-
 FloatArray = NDArray[np.float64]
 
 #: One count of a Falcon's encoders is 38 to 48 um at the grip (falcon.md 4).

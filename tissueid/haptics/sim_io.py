@@ -15,8 +15,6 @@ from tissueid.haptics.sim_kernels import simulated_advance, simulated_command, s
 from tissueid.haptics.simulated_layout import BUTTONS
 from tissueid.haptics.watchdogs import REPLY_LOST, REPLY_NONE, REPLY_VALID
 
-__all__ = ["SIMULATED", "SimulatedIO"]
-
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 

@@ -21,14 +21,6 @@ from tissueid.compiled import tick_kernel, tick_part
 from tissueid.haptics.arm import ARM_MEMORY, POSITION, TIME, arm_step
 from tissueid.haptics.simulated_layout import DELAY, FAULT_AT, FAULT_KIND, FAULT_SIZE, PHASE, QUANTUM
 
-__all__ = [
-    "SIM_MEMORY",
-    "new_simulated",
-    "simulated_advance",
-    "simulated_command",
-    "simulated_sample",
-]
-
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 

@@ -7,36 +7,6 @@ it starts without loading numba.  SI units.
 
 from __future__ import annotations
 
-__all__ = [
-    "ARM_PARAMETERS",
-    "BUTTONS",
-    "DAMPING",
-    "DELAY",
-    "FAULT_AT",
-    "FAULT_KIND",
-    "FAULT_SIZE",
-    "FIRST_KNOT",
-    "FRICTION",
-    "HAND_DAMPING",
-    "HAND_STIFFNESS",
-    "KNOTS",
-    "KNOT_COLUMNS",
-    "LED_AT",
-    "MASS",
-    "MAX_KNOTS",
-    "PHASE",
-    "POINTER",
-    "POINTER_ON",
-    "QUANTUM",
-    "RIGID",
-    "SIM_PARAMETERS",
-    "SUBSTEP",
-    "TREMOR",
-    "TREMOR_AXIS",
-    "TREMOR_HZ",
-    "TREMOR_PHASE",
-]
-
 # --- the arm's
 MASS, DAMPING, FRICTION, SUBSTEP = 0, 1, 2, 3
 HAND_STIFFNESS, HAND_DAMPING, RIGID = 4, 5, 6

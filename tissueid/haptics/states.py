@@ -12,8 +12,6 @@ from __future__ import annotations
 
 from enum import IntEnum, IntFlag
 
-__all__ = ["FAULT_WORDS", "Fault", "Lamp", "State"]
-
 
 class State(IntEnum):
     """State of a device."""

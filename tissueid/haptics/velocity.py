@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from tissueid.compiled import tick_part
 
-__all__ = ["VELOCITY_FILTER_S", "velocity_step"]
-
 FloatArray = NDArray[np.float64]
 
 #: Time constant [s]: one 45 um count in a 1 ms tick, 45 mm/s unfiltered, is then 8 mm/s.

@@ -56,16 +56,6 @@ from tissueid.haptics.limits import (
 )
 from tissueid.haptics.states import Fault
 
-__all__ = [
-    "LATE_COMMANDS",
-    "REPLY_DAMAGED",
-    "REPLY_LOST",
-    "REPLY_NONE",
-    "REPLY_VALID",
-    "observe",
-    "observe_wire",
-]
-
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 

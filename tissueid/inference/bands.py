@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from tissueid.inference.target import SpecimenTarget
 from tissueid.result import SpecimenFit
 
-__all__ = ["predictive_bands"]
-
 FloatArray = NDArray[np.float64]
 
 #: Draws that a band is made of.

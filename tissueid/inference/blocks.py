@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 from tissueid.inference.window import LogData
 from tissueid.signal_noise import quantum, white_noise_sd
 
-__all__ = ["Blocks", "log_blocks"]
-
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from tissueid.inference.target import SpecimenTarget
 from tissueid.uncertainty import BudgetRow
 
-__all__ = ["uncertainty_budget"]
-
 FloatArray = NDArray[np.float64]
 
 TOTAL = "total"

@@ -16,8 +16,6 @@ from tissueid.manifest import Calibration, FrameCurve
 from tissueid.model.frame import deflection, deflection_sd
 from tissueid.priors import CALIBRATION_DEFAULTS, CalibrationPrior
 
-__all__ = ["calibration_priors"]
-
 #: A class in percent -> standard deviation of the gain.
 CLASS_SD = 0.01 / 2.0
 #: Of a stated filter without its sd: a corner frequency is set in steps, and the filter's order is not said.

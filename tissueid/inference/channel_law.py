@@ -22,8 +22,6 @@ from tissueid.model.grammar import known_laws
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.model.law import RelaxationLaw, Shape, StaticLaw
 
-__all__ = ["Block", "ChannelLaw", "kelvin_voigt_law"]
-
 FloatArray = NDArray[np.float64]
 
 #: Coefficients below this share of the largest of their polynomial are rounding.

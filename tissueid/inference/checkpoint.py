@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from tissueid.store.files import write_file
 
-__all__ = ["Checkpoint"]
-
 FloatArray = NDArray[np.float64]
 
 #: Seconds between two writes.

@@ -24,21 +24,6 @@ from tissueid.inference.window import FOLDS, FittedLog
 from tissueid.model.channels import TissueModel
 from tissueid.model.yardstick import YARDSTICK
 
-__all__ = [
-    "Choice",
-    "Groups",
-    "Rival",
-    "Tried",
-    "choice_of",
-    "chosen_among",
-    "groups_of",
-    "held_out",
-    "resolved",
-    "rival_of",
-    "table_of",
-    "without_bends",
-]
-
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 

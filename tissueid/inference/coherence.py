@@ -9,8 +9,6 @@ from tissueid.flags import Flag
 from tissueid.result import Estimate, SpecimenFit
 from tissueid.uncertainty import ParameterUncertainty
 
-__all__ = ["outside", "unsampled", "withheld"]
-
 #: Symbols named in one sentence.
 LONGEST_LIST = 4
 

@@ -17,8 +17,6 @@ from tissueid.inference.law import Path, Slopes
 from tissueid.model.channels import ChannelModel
 from tissueid.model.damped import DampedModel
 
-__all__ = ["DampedLaw", "law_of"]
-
 FloatArray = NDArray[np.float64]
 
 

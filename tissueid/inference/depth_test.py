@@ -18,8 +18,6 @@ from tissueid.measured.geometry import Geometry
 from tissueid.model.moduli import formulas_for
 from tissueid.quantities import DEPTH_TEST, Quantity
 
-__all__ = ["depth_test"]
-
 FloatArray = NDArray[np.float64]
 
 UNIT = "1"

@@ -14,8 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["WORST_R_HAT", "Diagnostics", "diagnose"]
-
 FloatArray = NDArray[np.float64]
 
 #: Chains that never moved have an infinite R-hat, which no document can hold: no larger one is said.

@@ -41,8 +41,6 @@ from tissueid.inference.yardstick_law import YardstickLaw, yardstick_law
 from tissueid.model.grammar import KELVIN_VOIGT, Candidates, Named, candidates
 from tissueid.priors import Priors
 
-__all__ = ["Identified", "Request", "identify_logs", "refit"]
-
 FloatArray = NDArray[np.float64]
 
 #: Rounds in which the scatter between logs is estimated.

@@ -20,16 +20,6 @@ from tissueid.model.channels import TissueModel, viscous
 from tissueid.model.damped import DampedModel
 from tissueid.result import Estimate
 
-__all__ = [
-    "FEWEST_SLOW",
-    "MAX_WIDTH",
-    "REFERENCE_DEPTH",
-    "TissueEstimate",
-    "estimate_tissue",
-    "slow_share",
-    "width_of",
-]
-
 FloatArray = NDArray[np.float64]
 
 #: Widest 95 % interval in the logarithm that counts as identified.

@@ -24,8 +24,6 @@ from tissueid.inference.window import FittedLog, chain_breaks
 from tissueid.signal_noise import quantum, white_noise_sd
 from tissueid.trial import Segmentation, Trial, contact_frame
 
-__all__ = ["LogEvidence", "NoiseVerdict", "log_evidence", "verdict_on_noise"]
-
 FloatArray = NDArray[np.float64]
 
 #: Part of a hold, from its end, that counts as quiet; degrees of what is taken off it and off the air.

@@ -23,8 +23,6 @@ from tissueid.model.grammar import rebuilt
 from tissueid.priors import CalibrationPrior
 from tissueid.result import SpecimenFit
 
-__all__ = ["ASSUMED_FRAME_N_PER_MM", "FrameEffect", "frame_effect", "frame_flags", "machine_flag"]
-
 FloatArray = NDArray[np.float64]
 
 #: Stiffness of a small table-top machine with fixture and load cell, where nobody says: 1,000 N/mm is

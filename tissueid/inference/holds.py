@@ -17,8 +17,6 @@ from scipy.optimize import minimize_scalar, nnls
 from tissueid.quantities import Spectrum
 from tissueid.trial import Segmentation, Trial, contact_frame
 
-__all__ = ["HoldNumbers", "drainage_time", "drained_share", "hold_numbers", "relaxation_spectrum"]
-
 FloatArray = NDArray[np.float64]
 
 MIN_SAMPLES = 12

@@ -15,17 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dtbtrs
 
-__all__ = [
-    "Law",
-    "Path",
-    "Slopes",
-    "driven",
-    "passive_rows",
-    "relaxation_states",
-    "sudden_shares",
-    "weighted",
-]
-
 FloatArray = NDArray[np.float64]
 
 #: Depths at which a polynomial has to be non-negative; it dips by 1e-4 of its curvature in between.

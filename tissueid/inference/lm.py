@@ -18,8 +18,6 @@ from tissueid.inference.optimum import prior_cost, whitener_of
 from tissueid.inference.prior import time_bounds
 from tissueid.inference.system import Point
 
-__all__ = ["both_optimisers"]
-
 FloatArray = NDArray[np.float64]
 
 #: Relative difference of sums of squares, and of ln tau in standard errors, within which optima agree.

@@ -16,8 +16,6 @@ from tissueid.inference.window import FittedLog, LogData, assign_folds, fitted_l
 from tissueid.model.grammar import Candidates
 from tissueid.trial import Segmentation, Trial
 
-__all__ = ["NO_CONTACT", "LogHandle", "blocks_of", "speed_handles"]
-
 FloatArray = NDArray[np.float64]
 
 #: Code of a log without a contact that its law could follow.

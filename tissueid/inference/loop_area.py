@@ -22,8 +22,6 @@ from tissueid.model.kernels import surface_path
 from tissueid.quantities import CycleRow, Measure
 from tissueid.trial import Segmentation, Trial, contact_frame
 
-__all__ = ["with_model_viscosity"]
-
 FloatArray = NDArray[np.float64]
 
 #: Factors of K that are tried: outside, the model has another kind of loop than the tissue.

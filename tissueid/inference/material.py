@@ -21,8 +21,6 @@ from tissueid.model.channels import TissueModel
 from tissueid.model.moduli import FORMULAS, Contact, formulas_for, poroelastic_band
 from tissueid.quantities import Quantity, QuotedNumbers
 
-__all__ = ["with_moduli"]
-
 FloatArray = NDArray[np.float64]
 
 #: Depths at which a modulus is given, as shares of the fitted depth.

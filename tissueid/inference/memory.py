@@ -17,8 +17,6 @@ from tissueid.inference.optimum import Noise, normal_equations, whitener_of
 from tissueid.inference.prior import PriorRows
 from tissueid.inference.system import Derivatives, Point, System
 
-__all__ = ["MemoryScan", "scan_memory"]
-
 FloatArray = NDArray[np.float64]
 
 #: Correlation times over the step, and white shares beside them, of a first look.

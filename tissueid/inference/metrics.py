@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from tissueid.result import Nrmsd
 
-__all__ = ["lag_one_correlation", "nrmsd"]
-
 FloatArray = NDArray[np.float64]
 
 

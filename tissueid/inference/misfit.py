@@ -28,8 +28,6 @@ from scipy.linalg import solve_triangular
 from tissueid.inference.residual_blocks import ResidualBlocks
 from tissueid.uncertainty import MisfitAlarm, MisfitCheck, NoiseFit
 
-__all__ = ["block_covariance", "misfit_alarm", "shared_structure"]
-
 FloatArray = NDArray[np.float64]
 
 #: Probability with which each check may be raised by noise.

@@ -15,8 +15,6 @@ from scipy.special import gammaln, logsumexp
 from tissueid.inference.proposal import CutNormal
 from tissueid.inference.target import Target
 
-__all__ = ["Mixture", "learn_mixture", "tempered"]
-
 FloatArray = NDArray[np.float64]
 
 #: Components at the most; degrees of freedom with the width of a component over the spread of the draws it

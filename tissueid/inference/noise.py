@@ -13,8 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dtbtrs
 
-__all__ = ["Memory", "Whitener", "whitener"]
-
 FloatArray = NDArray[np.float64]
 
 #: Change of the filter's variance below which it has settled.

@@ -18,8 +18,6 @@ from tissueid.inference.noise import Memory, Whitener, whitener
 from tissueid.inference.prior import PriorRows
 from tissueid.inference.system import Derivatives, Point, System
 
-__all__ = ["Noise", "Normal", "Optimum", "minimise", "nearest_in_cone", "normal_equations", "whitener_of"]
-
 FloatArray = NDArray[np.float64]
 
 #: Noise without memory.

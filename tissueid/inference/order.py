@@ -16,8 +16,6 @@ from scipy import stats
 from tissueid.flags import Flag
 from tissueid.result import TrialFit
 
-__all__ = ["gain_spread", "order_effect", "repeated_sites"]
-
 #: Standard deviation of ln gain beyond which logs differ much; repeats on one site stay below 5 %.
 MUCH_SPREAD = 0.10
 #: An order effect is said from so many logs, this chance of a slope that large without one, and this change.

@@ -39,8 +39,6 @@ from tissueid.priors import Priors
 from tissueid.result import Estimate, SpecimenFit
 from tissueid.uncertainty import ComparisonRow, ParameterUncertainty, Posterior, SamplerReport
 
-__all__ = ["SAMPLERS", "PosteriorOptions", "with_posterior"]
-
 FloatArray = NDArray[np.float64]
 
 SAMPLERS = ("emcee", "none")

@@ -17,8 +17,6 @@ from tissueid.inference.reported import reported_draws
 from tissueid.inference.system import Effects, Point, System
 from tissueid.measures import predicted
 
-__all__ = ["next_indentation"]
-
 FloatArray = NDArray[np.float64]
 
 #: Fewest logs, and steps of the fit of each.

@@ -18,8 +18,6 @@ from tissueid.inference.channel_law import ChannelLaw
 from tissueid.inference.system import MACHINE, SHAPE, Point, System
 from tissueid.priors import WEAK_FACTOR, Priors
 
-__all__ = ["PriorRows", "Scatter", "bernstein", "own_precision", "prior_rows", "time_bounds"]
-
 FloatArray = NDArray[np.float64]
 
 #: Relaxation times are sought between a fifth of the shortest step and ten times the longest log.

@@ -14,8 +14,6 @@ from tissueid.model.kelvin_voigt import STATIC_DEGREE
 from tissueid.priors import WEAK_FACTOR, CalibrationPrior, Priors
 from tissueid.uncertainty import PriorRow
 
-__all__ = ["log_theta_prior", "prior_table"]
-
 FloatArray = NDArray[np.float64]
 
 #: Standard deviation of a half-normal in its scale, and range of ln sigma.

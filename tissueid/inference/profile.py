@@ -11,8 +11,6 @@ from tissueid.inference.engine import Identified
 from tissueid.inference.optimum import Optimum, minimise
 from tissueid.inference.prior import prior_rows, time_bounds
 
-__all__ = ["LEVEL_95", "ProfileInterval", "profile"]
-
 FloatArray = NDArray[np.float64]
 
 #: 95 % point of chi-square with one degree of freedom, and the rise a curve is followed to.

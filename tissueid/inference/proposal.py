@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 from scipy.optimize import linprog
 from scipy.special import ndtr, ndtri
 
-__all__ = ["CutNormal", "cut_normal"]
-
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 

@@ -10,8 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Weighed", "smoothed"]
-
 FloatArray = NDArray[np.float64]
 
 #: Points of positive weight that are too few to weigh, and to fit a tail to.

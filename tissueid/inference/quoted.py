@@ -21,15 +21,6 @@ from tissueid.model import functionals
 from tissueid.model.channels import TissueModel
 from tissueid.quantities import Quantity, QuotedNumbers, Spectrum
 
-__all__ = [
-    "FREQUENCIES_HZ",
-    "Supported",
-    "model_numbers",
-    "quoted_numbers",
-    "unknown_parameters",
-    "with_form",
-]
-
 FloatArray = NDArray[np.float64]
 
 #: Frequencies at which moduli are quoted where the data support them [Hz].

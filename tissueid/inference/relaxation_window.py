@@ -23,8 +23,6 @@ from tissueid.inference.search import starting_points
 from tissueid.inference.system import Point, System
 from tissueid.quantities import RelaxationWindow
 
-__all__ = ["relaxation_window"]
-
 FloatArray = NDArray[np.float64]
 
 #: The hold is cut to these shares of its length.

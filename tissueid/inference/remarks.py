@@ -7,8 +7,6 @@ from collections.abc import Mapping
 from tissueid.flags import Flag
 from tissueid.uncertainty import MisfitAlarm, MisfitCheck, Posterior
 
-__all__ = ["not_linear", "posterior_flags", "without_posterior"]
-
 #: Widths of the total over the statistical interval of the viscosity from which the machine dominates.
 DOMINATES = 3.0
 #: Check of the residual -> where it looks.

@@ -11,8 +11,6 @@ from tissueid.inference.estimates import REFERENCE_DEPTH
 from tissueid.model.base import branch_suffix
 from tissueid.model.channels import TissueModel, viscous
 
-__all__ = ["interval95", "reported_draws"]
-
 FloatArray = NDArray[np.float64]
 
 #: Ends of the central 95 % interval, and the end of the one that begins at an active bound.

@@ -19,8 +19,6 @@ from tissueid.model.base import ContactPath
 from tissueid.model.channels import TissueModel
 from tissueid.trial import Segmentation
 
-__all__ = ["HOLD_BLOCKS_PER_DECADE", "MOVE_EDGES", "ResidualBlocks", "residual_blocks"]
-
 FloatArray = NDArray[np.float64]
 
 #: Ends of the blocks of a move, as fractions of its path; the first hold what a late contact leaves behind.

@@ -9,8 +9,6 @@ from tissueid.inference.residual_blocks import HOLD_BLOCKS_PER_DECADE, ResidualB
 from tissueid.inference.window import FittedLog
 from tissueid.residuals import ResidualSummary
 
-__all__ = ["BINS", "residual_summary"]
-
 FloatArray = NDArray[np.float64]
 
 #: Bins of the histogram, and half its width in standard deviations of the noise.

@@ -25,8 +25,6 @@ from tissueid.inference.window import FittedLog
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.model.kernels import surface_path
 
-__all__ = ["Followed", "follow_surfaces", "unloading_handles", "unloading_verdict"]
-
 FloatArray = NDArray[np.float64]
 
 #: Rounds, and the change of the parameters, in standard errors, that counts as none.

@@ -25,8 +25,6 @@ from tissueid.inference.proposal import cut_normal
 from tissueid.inference.psis import Weighed, smoothed
 from tissueid.inference.target import Target
 
-__all__ = ["Sampled", "sample"]
-
 FloatArray = NDArray[np.float64]
 
 #: Walkers, and steps of each from where importance sampling put it.

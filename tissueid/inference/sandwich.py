@@ -15,8 +15,6 @@ from scipy import stats
 from tissueid.inference.optimum import covariance_of
 from tissueid.inference.target import SpecimenTarget
 
-__all__ = ["sandwich_covariance"]
-
 FloatArray = NDArray[np.float64]
 
 #: Logs from which they are the clusters, and stretches of a log that are one cluster otherwise.

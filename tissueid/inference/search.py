@@ -17,8 +17,6 @@ from tissueid.inference.noise import Whitener
 from tissueid.inference.prior import bernstein, time_bounds
 from tissueid.inference.system import Point, System
 
-__all__ = ["observed_columns", "starting_points"]
-
 FloatArray = NDArray[np.float64]
 
 #: Nodes of ln tau, pairs from which triples are looked for, and starting points of each number of branches.

@@ -17,8 +17,6 @@ from tissueid.inference.window import FittedLog, LogData, chain_breaks
 from tissueid.signal_noise import white_noise_sd
 from tissueid.trial import Segmentation, Trial, contact_frame
 
-__all__ = ["with_speed_ratio"]
-
 FloatArray = NDArray[np.float64]
 
 #: Half of the stretch, in samples, and as a share of its phase: a line through at least eleven samples has an

@@ -29,8 +29,6 @@ from tissueid.result import Nrmsd, TrialFit
 from tissueid.trial import Segmentation, Trial
 from tissueid.uncertainty import NoiseFit
 
-__all__ = ["Summaries", "second_pass"]
-
 FloatArray = NDArray[np.float64]
 
 #: Threads that look at logs.

@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 from tissueid.inference.blocks import Blocks
 from tissueid.inference.law import TINY, Law, Path, Slopes, driven, weighted
 
-__all__ = ["MACHINE", "Derivatives", "Effects", "Point", "System"]
-
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 

@@ -29,8 +29,6 @@ from tissueid.inference.prior import own_precision, time_bounds
 from tissueid.inference.system import MACHINE, Point
 from tissueid.priors import CalibrationPrior
 
-__all__ = ["NormalTarget", "SpecimenTarget", "Target"]
-
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 

@@ -32,8 +32,6 @@ from tissueid.model.frame import deflection, deflection_sd, tangent_stiffness
 from tissueid.priors import Priors
 from tissueid.trial import Phase, Trial
 
-__all__ = ["beyond_calibration", "tip_handles"]
-
 FloatArray = NDArray[np.float64]
 
 #: Branches and degree of K of the law that smooths the force.

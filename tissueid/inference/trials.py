@@ -15,8 +15,6 @@ from tissueid.inference.window import FittedLog
 from tissueid.result import Curve, TrialFit
 from tissueid.trial import Segmentation, Trial
 
-__all__ = ["Adjustment", "ResidualTotals", "kept_samples", "summarise_trial"]
-
 FloatArray = NDArray[np.float64]
 
 #: Points a kept curve has at most: every sample of 100 s at 100 Hz, seven a pixel of a wide screen.  Of

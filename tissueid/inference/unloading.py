@@ -20,8 +20,6 @@ from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.model.kernels import surface_path
 from tissueid.trial import Segmentation
 
-__all__ = ["FreeSurface", "air_limit", "with_unloading"]
-
 FloatArray = NDArray[np.float64]
 
 #: Measured force, over the peak and in standard deviations of its noise, below which the tool is in air.

@@ -16,8 +16,6 @@ from tissueid.inference.window import FittedLog, one_program, one_speed
 from tissueid.result import Estimate, Nrmsd, TrialFit
 from tissueid.uncertainty import NoiseFit
 
-__all__ = ["discrepancy_flags", "specimen_flags", "unidentified"]
-
 #: Relaxation times below this are moved by unstated force filters and time skew [s].
 INSTRUMENT_TAU_S = 0.2
 CORRELATED = 0.5

@@ -21,20 +21,6 @@ from numpy.typing import NDArray
 from tissueid.measured.pushes import usable_until
 from tissueid.trial import RENDERED, Phase, Segmentation, Trial, contact_frame
 
-__all__ = [
-    "GUARD_SD",
-    "FittedLog",
-    "LogData",
-    "assign_folds",
-    "chain_breaks",
-    "first_turn",
-    "fitted_log",
-    "one_program",
-    "one_speed",
-    "with_contact",
-    "with_holds_cut",
-]
-
 FloatArray = NDArray[np.float64]
 
 #: Contact standard deviations below contact that stay out of the likelihood.

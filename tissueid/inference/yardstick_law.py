@@ -17,8 +17,6 @@ from tissueid.inference.system import Point, System
 from tissueid.model.kernels import MOST_BRANCHES
 from tissueid.model.yardstick import INSIDE, OUTSIDE, Yardstick, presents, yardstick_of
 
-__all__ = ["YardstickLaw", "yardstick_law"]
-
 FloatArray = NDArray[np.float64]
 
 #: Nodes of a decade among which the data choose, and share of the force of a node that is none.

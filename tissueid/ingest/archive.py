@@ -18,8 +18,6 @@ from tissueid.ingest.header import protocol_of
 from tissueid.ingest.recipe import Detection, InputFile, Match, Recipe, Table, is_archive, lay_out
 from tissueid.ingest.refusals import Place
 
-__all__ = ["archive_recipe", "recordings_in"]
-
 #: Largest member, and largest sum of all, unpacked [bytes]: 5 M rows of 40 characters are 200 MB.
 MEMBER_BYTES = 1 << 29
 ARCHIVE_BYTES = 1 << 30

@@ -16,8 +16,6 @@ from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.text import Text
 
-__all__ = ["Head", "block_layout", "block_text"]
-
 #: Rows looked at for the decimal mark, and for which columns hold numbers.
 _SAMPLED_BYTES = 1 << 14
 

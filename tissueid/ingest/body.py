@@ -32,8 +32,6 @@ from tissueid.ingest.vocabulary import CHANNELS
 from tissueid.processors import threads
 from tissueid.trial import FloatArray
 
-__all__ = ["Body", "read_body"]
-
 _PIECE_BYTES, _QUOTED_BYTES = 1 << 22, 1 << 19
 _MOST_THREADS = 6
 #: Of few pieces a second thread saves less than it costs the first.

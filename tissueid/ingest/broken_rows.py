@@ -18,8 +18,6 @@ from tissueid.ingest.refusals import Place
 from tissueid.ingest.vocabulary import CHANNELS
 from tissueid.trial import FloatArray
 
-__all__ = ["BrokenRow", "broken_row", "jump"]
-
 _Steps = tuple[FloatArray, FloatArray]
 
 #: Rows needed to know the usual step, and rows before a break that show it.

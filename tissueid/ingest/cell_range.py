@@ -16,8 +16,6 @@ from tissueid.flags import Flag
 from tissueid.ingest.header import stated
 from tissueid.trial import FloatArray
 
-__all__ = ["UNSTATED_RANGE", "below_cell_range", "capacity_in"]
-
 #: Share of its capacity from which a load cell is taken as verified where nobody says: certificates reach
 #: down to 1/100, some to 1/250 or 1/1000.
 UNSTATED_RANGE = 0.01

@@ -29,8 +29,6 @@ from tissueid.ingest.header import protocol_of
 from tissueid.ingest.recipe import Detection, InputFile, Recipe, Table
 from tissueid.ingest.vocabulary import plain_words
 
-__all__ = ["CHIARO"]
-
 _STEP = re.compile(r"([-+\d.,]+) t\[\d\] \(s\) ([-+\d.,]+)")
 _NM_TO_MM = 1e-6
 _COLUMNS = frozenset({"time", "load", "indentation", "cantilever", "piezo"})

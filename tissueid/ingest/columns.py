@@ -19,8 +19,6 @@ from tissueid.ingest.refusals import Place
 from tissueid.ingest.vocabulary import CHANNELS, SYMBOL_RANK, Channel, plain_words, rank_of
 from tissueid.units import INTERNAL_UNITS, Quantity, bare_unit, factor_to, quantity_of
 
-__all__ = ["ColumnChoice", "choose_columns", "has_channels", "split_name"]
-
 _BRACKETED = re.compile(r"(.*?)\s*[(\[]\s*([^()\[\]]*?)\s*[)\]]\s*", re.DOTALL)
 _AFTER_COMMA = re.compile(r"(.*\S)\s*[,/]\s*(\S+)\s*", re.DOTALL)
 _AFTER_GLUE = re.compile(r"(.*[^\s_-])\s?[_-]\s?([^\s_-]+)", re.DOTALL)

@@ -22,8 +22,6 @@ from tissueid.flags import Flag
 from tissueid.ingest.levels import is_noisy
 from tissueid.trial import FloatArray
 
-__all__ = ["commanded_displacement"]
-
 #: A crosshead takes 50 to 300 ms to stop [s].
 SHORTEST_STOP_S = 0.05
 #: Slower sampling does not see a stop [s].

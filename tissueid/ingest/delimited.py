@@ -27,8 +27,6 @@ from tissueid.ingest.remarks import flag_rows_above
 from tissueid.ingest.text import Text
 from tissueid.ingest.vocabulary import CHANNELS, is_comment_name, plain_words, specimen_key_rank
 
-__all__ = ["BLUEHILL_CSV", "COLUMNS_TEXT", "TESTXPERT_TRA", "read_delimited", "read_table"]
-
 _GROUPED_KEY = re.compile(r"[^:]{1,40} : \S.*")
 _BLUEHILL_PATH = re.compile(r"\.is_[a-z]+(?:_RawData|_Exports)?(?:[/\\.]|$)|RawData", re.IGNORECASE)
 _TESTXPERT_WORDS = re.compile(r"standard (?:force|travel)|(?:force|course) standard|standard(?:kraft|weg)")

@@ -21,8 +21,6 @@ from tissueid.ingest.refusals import Place
 from tissueid.ingest.remote import remote_bytes, remote_files, url_of
 from tissueid.ingest.text import HEAD_BYTES, decode_text
 
-__all__ = ["SUFFIXES", "each_input", "find_inputs", "natural_key"]
-
 #: Suffixes taken from a directory.
 SUFFIXES = (
     ".csv", ".tsv", ".tra", ".xls", ".xlsx", ".xlsm", ".xlsb", ".ods", ".zip",

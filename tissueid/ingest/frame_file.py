@@ -12,8 +12,6 @@ from tissueid.errors import InputError
 from tissueid.manifest import FrameCurve
 from tissueid.store.schema import first_problem
 
-__all__ = ["read_frame"]
-
 
 def read_frame(path: str | Path) -> FrameCurve:
     """Read a frame file.

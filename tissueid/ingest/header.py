@@ -21,8 +21,6 @@ from tissueid.ingest.vocabulary import specimen_key_rank
 from tissueid.trial import Protocol
 from tissueid.units import Quantity, factor_to, quantity_of
 
-__all__ = ["header_entries", "protocol_of", "specimen_in", "stated"]
-
 _NOTHING = re.compile(r"<.*>|-+|n/?a|none", re.IGNORECASE)
 #: Hours, minutes and seconds.
 _CLOCK = re.compile(r"(\d+):([0-5]?\d):([0-5]?\d(?:[.,]\d+)?)")

@@ -31,8 +31,6 @@ from tissueid.ingest.refusals import Place
 from tissueid.ingest.unpacking import BROKEN_ARCHIVE, UNPACKED_BYTES
 from tissueid.trial import FloatArray, Protocol
 
-__all__ = ["JPK_FORCE"]
-
 _TYPES = {
     "signedshort": ">i2", "unsignedshort": ">u2", "signedinteger": ">i4", "unsignedinteger": ">u4",
     "signedlong": ">i8", "float": ">f4", "double": ">f8",

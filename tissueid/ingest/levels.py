@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from tissueid.flags import Flag
 from tissueid.trial import FloatArray
 
-__all__ = ["below_resolution", "force_levels", "is_noisy", "no_decimals"]
-
 _FEW_LEVELS = 64
 _SAMPLES_PER_LEVEL = 10
 _REPEATED_SHARE = 0.8

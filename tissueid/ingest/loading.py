@@ -16,8 +16,6 @@ from tissueid.ingest.remote import remote_bytes, url_of
 from tissueid.ingest.text import HEAD_BYTES, foreign_kind
 from tissueid.store.session_log import HDF5_MAGIC, RAW_MAGIC
 
-__all__ = ["LARGEST_BYTES", "load_bytes"]
-
 #: No recording is larger: 50 million rows of 40 characters.
 LARGEST_BYTES = 1 << 31
 _PIECE_BYTES = 1 << 24

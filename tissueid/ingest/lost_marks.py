@@ -16,8 +16,6 @@ from tissueid.flags import Flag
 from tissueid.ingest.vocabulary import CHANNELS, Channel
 from tissueid.trial import FloatArray
 
-__all__ = ["lost_marks"]
-
 #: Rows from which a column of whole numbers is worth a remark.
 _WHOLE_FROM = 20
 #: A lost mark makes a number ten times larger or more; half of that stands out from a steep curve.

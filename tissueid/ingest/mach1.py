@@ -40,8 +40,6 @@ from tissueid.ingest.refusals import Place
 from tissueid.ingest.text import Text
 from tissueid.ingest.vocabulary import plain_words
 
-__all__ = ["MACH_1"]
-
 _FIRST = b"<Mach-1 File>"
 _MARK = re.compile(rb"^[ \t]*<([^<>\r\n]{1,80})>[ \t]*\r?$", re.MULTILINE)
 _DIVIDER = re.compile(rb"^[ \t]*<divider>[ \t]*(?=\r?$)", re.MULTILINE | re.IGNORECASE)

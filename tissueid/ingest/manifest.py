@@ -29,8 +29,6 @@ from tissueid.priors import Priors
 from tissueid.result import Refusal
 from tissueid.store.schema import first_problem, load_schema
 
-__all__ = ["MANIFEST", "SCHEMA", "read_study", "study_of", "unmatched_files"]
-
 #: Name of the manifest in the folder of its recordings.
 MANIFEST = "study.toml"
 SCHEMA = "tissueid/study/1"

@@ -34,8 +34,6 @@ from tissueid.ingest.refusals import Place
 from tissueid.ingest.results import is_units_row
 from tissueid.ingest.text import Text
 
-__all__ = ["MTS_793"]
-
 _FIRST = re.compile(rb"MTS793\|[^\r\n]*")
 _BLANK = re.compile(rb"\n[ \t]*\r?\n")
 _DECIMAL_FIELD = 5

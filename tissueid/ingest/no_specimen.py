@@ -12,8 +12,6 @@ from pathlib import PurePosixPath
 from tissueid.flags import Flag
 from tissueid.ingest.vocabulary import plain_words
 
-__all__ = ["no_specimen"]
-
 _MEANS = (
     r"(?:mean|averaged?|typical|median|representative)(?: (?:curve|specimen|sample|test|trace|values?))?"
     r"|mittelwert(?:e|s?kurve)?|mittelkurve|mittlere (?:kurve|probe)|durchschnitt(?:skurve|swerte?)?"

@@ -18,8 +18,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache, lru_cache
 
-__all__ = ["MARKS", "CellFault", "decimal_evidence", "grouping_mark", "looks_numeric", "parse_number"]
-
 #: Thousands separators seen inside cells, besides the mark that is not the decimal one.
 MARKS = "\u00a0\u202f '\u2019"
 _SAME_MARK = {"\u00a0": " ", "\u202f": " ", "\u2019": "'"}

@@ -13,8 +13,6 @@ from tissueid.ingest.vocabulary import CHANNELS, Channel
 from tissueid.trial import Axes
 from tissueid.units import Quantity, factor_to
 
-__all__ = ["AXES", "ReadOptions"]
-
 #: What a channel may be declared to hold, the usual first.
 AXES: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {"displacement": ("displacement", "strain"), "force": ("force", "stress")}

@@ -19,8 +19,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["make_plain"]
-
 Bytes = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 Words = NDArray[np.uint64]

@@ -16,8 +16,6 @@ from tissueid.ingest.refusals import Place
 from tissueid.ingest.vocabulary import CHANNELS
 from tissueid.trial import Trial
 
-__all__ = ["GROUP", "forget_readers", "installed_recipes", "reader_faults", "report_fault"]
-
 #: Entry-point group.
 GROUP = "tissueid.readers"
 

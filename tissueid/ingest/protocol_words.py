@@ -11,17 +11,6 @@ from functools import cache
 
 from tissueid.ingest.vocabulary import plain_words
 
-__all__ = [
-    "DEPTH",
-    "HOLD",
-    "LOAD_LIMIT",
-    "RATE",
-    "TIP_DIAMETER",
-    "TIP_RADIUS",
-    "is_protocol_key",
-    "last_part",
-]
-
 _NUMBER = r"(?: 1)?"
 RATE = re.compile(
     r"(?:test |crosshead |ramp |loading |indentation |piezo |displacement |machine )?(?:rate|speed|velocity)"

@@ -18,8 +18,6 @@ from tissueid.ingest.spikes import spike
 from tissueid.ingest.timestamps import event_rows, gap, zero_dt
 from tissueid.trial import FloatArray
 
-__all__ = ["quality_flags"]
-
 
 def quality_flags(
     time_s: FloatArray, displacement_mm: FloatArray, force_N: FloatArray, *, capacity_N: float | None = None

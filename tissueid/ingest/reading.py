@@ -27,8 +27,6 @@ from tissueid.trial import Axes, Source, Trial
 TRAVEL_LIMIT_MM = 5_000.0
 FORCE_LIMIT_N = 5e6
 
-__all__ = ["match_of", "read_each", "read_one", "read_trials"]
-
 
 def match_of(path: str | Path, options: ReadOptions | None = None) -> Match:
     """Recipe that reads a file, with its certainty and reason.

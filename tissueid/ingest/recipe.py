@@ -26,19 +26,6 @@ from tissueid.ingest.text import Text, decode_text
 from tissueid.ingest.vocabulary import Channel
 from tissueid.trial import FloatArray, Protocol
 
-__all__ = [
-    "Detection",
-    "InputFile",
-    "Match",
-    "Recipe",
-    "Table",
-    "is_archive",
-    "is_force_archive",
-    "is_workbook",
-    "lay_out",
-    "open_input",
-]
-
 _ZIP_MAGIC = b"PK\x03\x04"
 _WORKBOOK_MAGIC = (_ZIP_MAGIC, b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1")
 #: A zip archive with a member that begins so is an .xlsx, .xlsb or .ods.

@@ -14,8 +14,6 @@ from typing import NoReturn
 
 from tissueid.errors import InputError
 
-__all__ = ["REFUSAL_CODES", "REFUSAL_MEANINGS", "Place"]
-
 #: code -> what it means, for the documentation.
 REFUSAL_MEANINGS: Mapping[str, str] = MappingProxyType(
     {

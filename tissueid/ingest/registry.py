@@ -19,8 +19,6 @@ from tissueid.ingest.session import SESSION_LOG
 from tissueid.ingest.shimadzu import SHIMADZU
 from tissueid.ingest.workbook import TESTXPERT_WORKBOOK, WORKBOOK
 
-__all__ = ["RECIPES", "all_recipes", "match_recipe"]
-
 
 def match_recipe(file: InputFile) -> Match:
     """The surest recipe for a file, or the one the user asked for.

@@ -17,8 +17,6 @@ from tissueid.ingest.refusals import Place
 from tissueid.ingest.results import announced_results, results_flag, results_spans
 from tissueid.ingest.text import Text
 
-__all__ = ["begins_a_table", "flag_head", "flag_rows_above", "row_like", "skipped_flag"]
-
 _STARTS = re.compile(r"[\W_]*\d")
 _EXPONENT = re.compile(r"(?<=\d)[eE][+-]?\d+")
 #: Words with a letter: ``230403-FF1A`` is a specimen, not a number.

@@ -13,8 +13,6 @@ from typing import Any
 
 from tissueid.errors import UsageError, printable
 
-__all__ = ["remote_bytes", "remote_files", "url_of"]
-
 #: One letter would be a drive.
 _URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/+(.*)", re.DOTALL)
 #: What a place that can't be reached raises, whichever library reaches for it.

@@ -25,16 +25,6 @@ from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.vocabulary import plain_words
 from tissueid.units import quantity_of
 
-__all__ = [
-    "announced_results",
-    "is_statistics",
-    "is_title",
-    "is_units_row",
-    "results_below",
-    "results_flag",
-    "results_spans",
-]
-
 Row = Sequence[str]
 
 _BRACKETED = re.compile(r"\s*[(\[].*[)\]]\s*")

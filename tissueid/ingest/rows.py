@@ -29,8 +29,6 @@ from tissueid.ingest.remarks import begins_a_table, row_like, skipped_flag
 from tissueid.ingest.text import Text
 from tissueid.trial import FloatArray
 
-__all__ = ["RowReader", "strict_cells"]
-
 _CELL = r'"((?:[^"]|"")*)"|([^"{d}]*)'
 #: Lines before the last one that say whether a column has fixed decimals.
 _LOOK_BACK = 5

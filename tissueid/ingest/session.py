@@ -25,8 +25,6 @@ from tissueid.ingest.refusals import Place
 from tissueid.store.session_log import SessionLog, is_session_log, read_session_log
 from tissueid.trial import RENDERED, Protocol
 
-__all__ = ["SESSION_LOG"]
-
 FloatArray = NDArray[np.float64]
 Records = NDArray[Any]
 

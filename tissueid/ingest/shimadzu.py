@@ -28,8 +28,6 @@ from tissueid.ingest.side_by_side import SpecimenColumns, shifted, specimen_colu
 from tissueid.ingest.text import Text
 from tissueid.ingest.vocabulary import plain_words
 
-__all__ = ["SHIMADZU"]
-
 _STROKE = frozenset({"stroke", "ストローク", "hub"})
 
 

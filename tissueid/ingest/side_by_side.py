@@ -18,8 +18,6 @@ from tissueid.ingest.columns import has_channels, split_name
 from tissueid.ingest.options import ReadOptions
 from tissueid.ingest.vocabulary import Channel, rank_of
 
-__all__ = ["SpecimenColumns", "shifted", "specimen_columns"]
-
 
 @dataclass(frozen=True, slots=True)
 class SpecimenColumns:

@@ -11,8 +11,6 @@ import numpy as np
 from tissueid.flags import Flag
 from tissueid.trial import FloatArray
 
-__all__ = ["spike"]
-
 #: A spike is this many standard deviations of the noise around it off its neighbours: of 90,000 normal
 #: values none is beyond 5, and of noise with heavy tails few.
 FAR_SD = 10.0

@@ -13,8 +13,6 @@ from typing import Any
 
 from tissueid.units import factor_to
 
-__all__ = ["canonical_key", "in_unit", "unit_of", "without_unit"]
-
 _NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*$", re.DOTALL)
 _SECONDS_PER_HOUR = 3600.0
 #: Julian year: the age of an animal is not known to leap days.

@@ -16,8 +16,6 @@ from typing import Any
 from tissueid.ingest.stated import in_unit, unit_of, without_unit
 from tissueid.priors import PopulationPriors, Priors, SpreadPrior
 
-__all__ = ["PriorError", "plain_priors", "population_of", "priors_of"]
-
 #: Keys of a prior that are in the unit of its parameter.
 _IN_UNIT = ("mean", "sd", "median")
 #: What the names of a second and third branch end in.

@@ -18,8 +18,6 @@ from tissueid.ingest.protocol_words import is_protocol_key
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.vocabulary import CHANNELS, is_specimen_key, rank_of
 
-__all__ = ["HEAD_BYTES", "Text", "decode_text", "foreign_kind"]
-
 #: What is looked at to recognise a file: 48 header lines and several hundred rows.
 HEAD_BYTES = 1 << 16
 _PIECE_BYTES = 1 << 20

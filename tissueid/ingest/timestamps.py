@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from tissueid.flags import Flag
 from tissueid.trial import FloatArray
 
-__all__ = ["event_rows", "gap", "zero_dt"]
-
 #: An event row stands nearer to its neighbour than this part of the intervals around it.
 _EVENT_FRACTION = 0.25
 #: Event rows mark segment changes; were they more than this part of all rows they would be the sampling.

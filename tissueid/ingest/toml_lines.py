@@ -10,8 +10,6 @@ import re
 import tomllib
 from collections.abc import Iterator
 
-__all__ = ["TomlPath", "line_of", "lines_of_toml"]
-
 #: Keys and positions in arrays, from the root.
 TomlPath = tuple[str | int, ...]
 

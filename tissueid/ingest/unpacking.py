@@ -16,8 +16,6 @@ from collections.abc import Iterator
 from functools import lru_cache
 from typing import IO
 
-__all__ = ["BROKEN_ARCHIVE", "too_much"]
-
 #: What a damaged archive raises.
 BROKEN_ARCHIVE = (
     zipfile.BadZipFile,

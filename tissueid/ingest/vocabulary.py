@@ -34,17 +34,6 @@ import unicodedata
 from functools import cache
 from typing import Literal
 
-__all__ = [
-    "CHANNELS",
-    "SYMBOL_RANK",
-    "Channel",
-    "is_comment_name",
-    "is_specimen_key",
-    "plain_words",
-    "rank_of",
-    "specimen_key_rank",
-]
-
 #: The three channels every recording must have.
 Channel = Literal["time", "displacement", "force"]
 

@@ -37,8 +37,6 @@ from tissueid.ingest.unpacking import BROKEN_ARCHIVE, too_much
 from tissueid.ingest.vocabulary import CHANNELS
 from tissueid.trial import FloatArray
 
-__all__ = ["TESTXPERT_WORKBOOK", "WORKBOOK", "sheet_names"]
-
 #: Rows looked at for names and units.
 _HEAD_ROWS = 200
 #: ... and for a table of results below the samples.

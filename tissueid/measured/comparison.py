@@ -10,8 +10,6 @@ from tissueid.measured.programs import programs
 from tissueid.measured.spread import ramp_reason
 from tissueid.measures import SpreadRow
 
-__all__ = ["measured_pairs"]
-
 #: Numbers that say what was done to the tissue, whatever it answered.
 _OF_THE_PROGRAM = ("depth", "travel", "speed", "ramp_time")
 #: Depths within this share are equal.

@@ -26,8 +26,6 @@ from numpy.typing import NDArray
 from tissueid.quantities import CycleRow, DepthStiffness, Measure
 from tissueid.trial import Segmentation, Trial, contact_frame
 
-__all__ = ["Loop", "closed_area", "cycle_rows", "loops"]
-
 FloatArray = NDArray[np.float64]
 
 #: Shares of a loop's depth, up to its deepest point, over which loading is described by a quadratic: the

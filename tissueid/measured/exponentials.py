@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 
 from tissueid.measured.kernel_basis import TAU_ABOVE_LENGTH, TAU_BELOW_STEP, KernelBasis, kernel_basis
 
-__all__ = ["ExponentialSums", "exponential_ladder", "fit_exponentials"]
-
 FloatArray = NDArray[np.float64]
 
 #: Spacing of the scan in ln tau, for one exponential and for several.

@@ -11,8 +11,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ForceAt", "force_at"]
-
 FloatArray = NDArray[np.float64]
 
 #: Half width of the window over the time, and fewest samples of a parabola.

@@ -9,8 +9,6 @@ from typing import Any
 from tissueid.model.moduli import Contact, Indenter, contact_of
 from tissueid.trial import Trial
 
-__all__ = ["DEFAULT_POISSON", "NO_TIP", "Geometry", "TipOf", "stated_geometry"]
-
 #: Soft wet tissue hardly changes its volume in seconds.
 DEFAULT_POISSON = 0.5
 

@@ -27,8 +27,6 @@ from numpy.typing import NDArray
 from scipy.linalg import qr
 from scipy.linalg.blas import dtrsm
 
-__all__ = ["KernelBasis", "kernel_basis"]
-
 FloatArray = NDArray[np.float64]
 
 #: Relaxation times are sought between h / TAU_BELOW_STEP and TAU_ABOVE_LENGTH * T.

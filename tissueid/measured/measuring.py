@@ -26,8 +26,6 @@ from tissueid.measures import (
 )
 from tissueid.trial import Phase, Segmentation, Trial
 
-__all__ = ["TIMES_S", "measure"]
-
 FloatArray = NDArray[np.float64]
 
 #: Times after the stop at which the force of a hold is stated [s].

@@ -14,8 +14,6 @@ from tissueid.measures import MeasuredModulus
 from tissueid.model.moduli import FORMULAS, Contact, formulas_for
 from tissueid.trial import Segmentation, Trial, contact_frame
 
-__all__ = ["modulus_of"]
-
 FloatArray = NDArray[np.float64]
 
 KPA_PER_MPA = 1000.0

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-__all__ = ["SAME_SPEED", "clusters", "programs"]
-
 #: Speeds that differ by less than this factor are one setting of a machine.
 SAME_SPEED = 1.12
 #: Depths that differ by less than this factor are of one program: contact is found anew in every log.

@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from tissueid.trial import Phase, Segmentation
 
-__all__ = ["Move", "Peak", "braking_before", "move_before", "moves", "peak_of", "usable_until"]
-
 FloatArray = NDArray[np.float64]
 
 #: The peak is looked for from so long before the stop, at least, to so long after it [s].

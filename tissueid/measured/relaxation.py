@@ -20,8 +20,6 @@ from tissueid.measured.pushes import peak_of, usable_until
 from tissueid.quantities import RelaxationRow
 from tissueid.trial import Segmentation, Trial, contact_frame
 
-__all__ = ["Ladder", "hold_ladder", "relaxation_rows"]
-
 FloatArray = NDArray[np.float64]
 
 MIN_SAMPLES = 8

@@ -22,8 +22,6 @@ from tissueid.measures import (
     beyond_ramp,
 )
 
-__all__ = ["SAME_PROGRAM", "ramp_reason", "spread"]
-
 #: Ramp times within this factor belong to one program.
 SAME_PROGRAM = 2.0
 

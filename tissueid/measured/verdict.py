@@ -13,8 +13,6 @@ from tissueid.measured.spread import ramp_reason
 from tissueid.measures import Measured, MeasuredHold, MeasuredPush
 from tissueid.trial import Contact, Segmentation, Trial
 
-__all__ = ["LEVELS", "Verdict", "verdict_of"]
-
 #: From good to bad.
 LEVELS = ("good", "look", "repeat")
 #: Flags that spoil a recording, and those that ask for a look, the gravest first.

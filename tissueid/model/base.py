@@ -14,17 +14,6 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "ContactModel",
-    "ContactPath",
-    "ParameterSpec",
-    "Stepper",
-    "branch_suffix",
-    "scaled_theta",
-    "static_spec",
-    "stiffness_spec",
-]
-
 FloatArray = NDArray[np.float64]
 
 

@@ -24,8 +24,6 @@ from tissueid.model.kernels import branch_state
 from tissueid.model.law import RelaxationLaw, Shape, StaticLaw, StiffnessLaw
 from tissueid.model.polynomial import minimum_on_unit
 
-__all__ = ["ChannelModel", "Nodes", "Part", "TissueModel", "loading_force", "viscous"]
-
 FloatArray = NDArray[np.float64]
 
 #: Nodes of a decade, reach of the nodes below the resolution and beyond the window, and a time that is none.

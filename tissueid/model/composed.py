@@ -9,8 +9,6 @@ from typing import Any
 from tissueid.model.function_law import relaxation_of, static_of
 from tissueid.model.grammar import parsed, register
 
-__all__ = ["ContactModel", "Polynomial", "Prony"]
-
 STIFFNESSES = ("constant", "linear", "quadratic")
 
 

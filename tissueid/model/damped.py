@@ -15,8 +15,6 @@ from tissueid.model.base import ContactPath, ParameterSpec
 from tissueid.model.channels import ChannelModel, Part
 from tissueid.model.law import DampingLaw, Shape
 
-__all__ = ["DampedModel", "path_ratio"]
-
 FloatArray = NDArray[np.float64]
 
 #: Share of a bound within which a parameter lies on it.

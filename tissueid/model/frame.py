@@ -16,15 +16,6 @@ from numpy.typing import NDArray
 
 from tissueid.manifest import FrameCurve
 
-__all__ = [
-    "deflection",
-    "deflection_basis",
-    "deflection_sd",
-    "linear_frame",
-    "tangent_stiffness",
-    "tangent_stiffness_sd",
-]
-
 FloatArray = NDArray[np.float64]
 
 

@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 from tissueid.model.base import ParameterSpec
 from tissueid.model.law import About, Shape
 
-__all__ = ["FunctionRelaxation", "FunctionStatic", "relaxation_of", "static_of"]
-
 FloatArray = NDArray[np.float64]
 
 #: Bounds over and under a starting value, and that value where none is given.

@@ -23,16 +23,6 @@ from numpy.typing import NDArray
 
 from tissueid.model.channels import TissueModel
 
-__all__ = [
-    "complex_stiffness",
-    "delta_method",
-    "dissipated_per_cycle",
-    "equilibrium_stiffness",
-    "force_after_ramp",
-    "force_after_step",
-    "instantaneous_stiffness",
-]
-
 FloatArray = NDArray[np.float64]
 
 #: Relative step of the central differences: cube root of the rounding unit, the usual compromise.

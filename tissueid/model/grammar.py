@@ -23,20 +23,6 @@ from tissueid.model.law import About
 from tissueid.model.yardstick import YARDSTICK, yardstick_of
 from tissueid.result import ModelChoice
 
-__all__ = [
-    "KELVIN_VOIGT",
-    "Candidates",
-    "ModelNameError",
-    "Named",
-    "candidates",
-    "described",
-    "known_laws",
-    "parsed",
-    "rebuilt",
-    "register",
-    "whole_names",
-]
-
 KELVIN_VOIGT = "kelvin-voigt"
 #: Choice among the Kelvin-Voigt law and what it is held against anyway, beside the yardstick.
 AUTO = "auto"

@@ -30,18 +30,6 @@ from numpy.typing import NDArray
 
 from tissueid.compiled import tick_part
 
-__all__ = [
-    "IMPACT_SIZE",
-    "IMPACT_STATE",
-    "LEAST_RESTITUTION",
-    "Variant",
-    "damping_factor",
-    "damping_factors",
-    "impact_step",
-    "pack_impact",
-    "speed_ratio",
-]
-
 FloatArray = NDArray[np.float64]
 Variant = Literal["flores", "exact"]
 

@@ -38,8 +38,6 @@ from tissueid.model.kernels import (
 )
 from tissueid.model.polynomial import MAX_DEGREE, minimum_on_unit
 
-__all__ = ["KEY", "STATIC_DEGREE", "KelvinVoigt", "TissueStepper", "constant_speed_force", "ramp_hold_state"]
-
 FloatArray = NDArray[np.float64]
 
 KEY = "kelvin-voigt"

@@ -23,22 +23,6 @@ from numpy.typing import NDArray
 from tissueid.compiled import kernel, tick_kernel, tick_part
 from tissueid.model.impact import speed_ratio
 
-__all__ = [
-    "LAW_SIZE",
-    "MOST_BRANCHES",
-    "MOST_PIECES",
-    "OWN_SIZE",
-    "STATE_SIZE",
-    "branch_sensitivity",
-    "branch_state",
-    "pack_law",
-    "pack_pieces",
-    "step_weights",
-    "surface_path",
-    "tissue_step",
-    "tissue_step_in",
-]
-
 FloatArray = NDArray[np.float64]
 
 #: Magnitude below which a branch state counts as zero [mm]; far above the denormal range.

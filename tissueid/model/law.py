@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from tissueid.model.base import ParameterSpec
 from tissueid.model.impact import Variant
 
-__all__ = ["About", "DampingLaw", "RelaxationLaw", "Shape", "StaticLaw", "StiffnessLaw"]
-
 FloatArray = NDArray[np.float64]
 
 

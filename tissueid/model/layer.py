@@ -25,8 +25,6 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["compliance", "flat_factor", "layer_contact"]
-
 FloatArray = NDArray[np.float64]
 
 #: Nodes in u, and in x up to where M - 1 ~ exp(-2x) is below rounding.

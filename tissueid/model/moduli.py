@@ -21,8 +21,6 @@ from dataclasses import dataclass
 
 from tissueid.model.layer import MOST_A_OVER_H, flat_factor, layer_contact
 
-__all__ = ["FORMULAS", "SHAPES", "Contact", "Indenter", "contact_of", "formulas_for", "poroelastic_band"]
-
 SHAPES = ("sphere", "flat", "cone")
 #: formula -> DOI.
 FORMULAS = {

@@ -22,8 +22,6 @@ from tissueid.model.channels import TissueModel
 from tissueid.model.scaling import Scaling
 from tissueid.model.servo_law import servo_law
 
-__all__ = ["DEFAULT_DELAY_TICKS", "damping_bound", "required_damping"]
-
 FloatArray = NDArray[np.float64]
 
 #: Ticks between a position sample and its force at the motor, where the device was not measured.

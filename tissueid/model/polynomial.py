@@ -19,17 +19,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "MAX_DEGREE",
-    "coordinates",
-    "coordinates_jacobian",
-    "from_coordinates",
-    "generators",
-    "minimum_on_unit",
-    "n_bounded",
-    "shift_matrix",
-]
-
 FloatArray = NDArray[np.float64]
 
 MAX_DEGREE = 2

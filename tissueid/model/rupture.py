@@ -25,14 +25,6 @@ from tissueid.model.base import ContactPath
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.rupture_law import CRITERIA, DEFAULT_WEIGHT
 
-__all__ = [
-    "RupturePoint",
-    "hardening_ratio",
-    "peak_force_against_speed",
-    "rupture_at_speed",
-    "rupture_measures",
-]
-
 FloatArray = NDArray[np.float64]
 
 #: Depths at which a ramp is examined: the force at rupture is then good to 1e-5 of itself.

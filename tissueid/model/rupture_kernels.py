@@ -24,8 +24,6 @@ from tissueid.model.kernels import (
     _static,
 )
 
-__all__ = ["static_force_in", "stored_energy_in"]
-
 FloatArray = NDArray[np.float64]
 
 #: Two Gauss points on 0 to 1 integrate K_j(y) u exactly: degree 3 at the most.

@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 
 from tissueid.model.channels import TissueModel, loading_force
 
-__all__ = ["Scaling", "largest_tangent", "scaling_for"]
-
 FloatArray = NDArray[np.float64]
 
 #: Share of the clamp that the deepest static force may use.

@@ -19,8 +19,6 @@ from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.model.kernels import LAW_SIZE, MOST_BRANCHES, MOST_PIECES, OWN_SIZE, pack_law, pack_pieces
 from tissueid.model.yardstick import Yardstick
 
-__all__ = ["DEPTH", "OWN", "SPEED", "STATIC", "ServoLaw", "servo_law"]
-
 FloatArray = NDArray[np.float64]
 
 #: What branches follow; of a law without branches, the speed over that at contact.

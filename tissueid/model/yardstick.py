@@ -26,8 +26,6 @@ from tissueid.model.law import About, Shape
 from tissueid.model.laws.prony import Prony
 from tissueid.model.laws.quadratic import Quadratic
 
-__all__ = ["INSIDE", "OUTSIDE", "YARDSTICK", "Increasing", "Yardstick", "presents", "yardstick_of"]
-
 FloatArray = NDArray[np.float64]
 
 YARDSTICK = "yardstick"

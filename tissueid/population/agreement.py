@@ -25,8 +25,6 @@ from scipy import stats
 
 from tissueid.population.members import Member, TrialRow
 
-__all__ = ["Agreement", "OrderEffect", "Repeatability", "agreement", "order_effect", "repeatability"]
-
 FloatArray = NDArray[np.float64]
 
 #: Speeds and depths that differ by less are one protocol.

@@ -29,8 +29,6 @@ from tissueid.population.moves import (
 )
 from tissueid.population.scale_kernels import correlation_factor, draw_nu, draw_scales
 
-__all__ = ["Record", "sweeps"]
-
 FloatArray = NDArray[np.float64]
 
 

@@ -37,8 +37,6 @@ from tissueid.population.shared_instrument import shared_instrument
 from tissueid.population.stage_one import StageOne
 from tissueid.priors import PopulationPriors
 
-__all__ = ["CohortFit", "CohortOptions", "Population", "cohort"]
-
 #: Coordinate of the static force at the common depth.
 STATIC_AT_DEPTH = 2
 

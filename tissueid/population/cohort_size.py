@@ -15,8 +15,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["PRECISIONS", "SizeRow", "size_rows", "specimens_for_mean", "specimens_for_sd"]
-
 FloatArray = NDArray[np.float64]
 
 #: Wanted half widths, relative.

@@ -16,8 +16,6 @@ from tissueid.flags import Flag
 from tissueid.population.agreement import SAME_SHARE
 from tissueid.population.members import Member
 
-__all__ = ["Confounding", "confounding_of", "speed_confounding"]
-
 S_PER_MIN = 60.0
 
 

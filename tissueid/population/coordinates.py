@@ -22,8 +22,6 @@ from numpy.typing import NDArray
 from tissueid.model.base import branch_suffix
 from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
 
-__all__ = ["FLOOR_SHARE", "Coordinates"]
-
 FloatArray = NDArray[np.float64]
 
 #: Passive draws may vanish at a depth: a number below this share of its median over the specimen's draws is

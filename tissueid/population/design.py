@@ -13,8 +13,6 @@ from tissueid.errors import UsageError
 from tissueid.population.members import Member
 from tissueid.population.stage_one import Design
 
-__all__ = ["LEVELS", "Described", "design_of"]
-
 FloatArray = NDArray[np.float64]
 
 #: Keys of a study that make random effects where they gather specimens.

@@ -18,8 +18,6 @@ from tissueid.store.bundle import Bundle
 from tissueid.store.curves import TrialCurve
 from tissueid.store.posteriors import StoredPosterior
 
-__all__ = ["as_document", "members_of", "population_bundle", "population_priors"]
-
 #: Draws of mean and spread that a bundle keeps.
 KEPT_DRAWS = 4000
 #: Specimens whose curves are kept, to be predicted from the others; of more an even choice.

@@ -21,8 +21,6 @@ from tissueid.population.sampler import SamplerOptions, sample_population
 from tissueid.population.stage_one import Design, StageOne
 from tissueid.priors import PopulationPriors
 
-__all__ = ["PAPER_A_PERCENT", "HeldOut", "HeldOutRow", "held_out", "prediction_error"]
-
 FloatArray = NDArray[np.float64]
 
 #: Leave-one-out up to so many specimens, so many parts beyond.

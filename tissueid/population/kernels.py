@@ -16,17 +16,6 @@ from tissueid.compiled import kernel
 from tissueid.population.scale_kernels import draw_log_sd
 from tissueid.population.triangular import factor, inverse_factor, solved
 
-__all__ = [
-    "Cohort",
-    "Hyper",
-    "State",
-    "centre_of",
-    "draw_coefficients",
-    "draw_effects",
-    "squares",
-    "unit_factor",
-]
-
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 

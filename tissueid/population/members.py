@@ -14,18 +14,6 @@ from tissueid.population.coordinates import Coordinates
 from tissueid.population.stage_one import StageOne
 from tissueid.result import Curve, ModelChoice
 
-__all__ = [
-    "FEWEST_DRAWS",
-    "FEWEST_SPECIMENS",
-    "MOST_DRAWS_IN_ALL",
-    "LeftOut",
-    "Member",
-    "TrialRow",
-    "common_model",
-    "fit_for_cohort",
-    "stage_one",
-]
-
 FloatArray = NDArray[np.float64]
 
 #: Two specimens have one difference, and no spread to speak of.

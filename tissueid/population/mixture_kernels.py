@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from tissueid.compiled import kernel
 
-__all__ = ["log_mixture"]
-
 FloatArray = NDArray[np.float64]
 
 #: A quantity is never looked at beyond e to this, times its typical value.

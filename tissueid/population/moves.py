@@ -27,15 +27,6 @@ from tissueid.population.kernels import Cohort, Hyper, State, centre_of
 from tissueid.population.mixture_kernels import log_mixture
 from tissueid.population.triangular import factor, solved
 
-__all__ = [
-    "distance2",
-    "move_among_draws",
-    "move_smooth",
-    "move_together",
-    "open_together",
-    "smooth_likelihood",
-]
-
 FloatArray = NDArray[np.float64]
 
 #: Proposals of a sweep for a specimen among its draws: with the frozen weights, and among all draws alike.

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from tissueid.population.coordinates import Coordinates
 from tissueid.population.sampler import PopulationDraws
 
-__all__ = ["Predictive", "predictive_specimens"]
-
 FloatArray = NDArray[np.float64]
 
 #: Specimens that a bundle keeps, proposals tried for them at the most, and tried at a time.

@@ -10,8 +10,6 @@ from tissueid.population.predictive import Predictive
 from tissueid.population.rows import SpecimenRow
 from tissueid.population.sampler import ESS_A_CHAIN, R_HAT, PopulationDraws
 
-__all__ = ["population_flags"]
-
 #: Names in one sentence.
 LONGEST_LIST = 8
 #: Refused predictive draws that are worth a word.

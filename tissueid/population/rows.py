@@ -17,16 +17,6 @@ from tissueid.population.sampler import PopulationDraws
 from tissueid.population.shared_instrument import SharedInstrument
 from tissueid.population.stage_one import StageOne
 
-__all__ = [
-    "OUTLIER_PROBABILITY",
-    "EffectRow",
-    "QuantityRow",
-    "SpecimenRow",
-    "effect_rows",
-    "quantity_rows",
-    "specimen_rows",
-]
-
 FloatArray = NDArray[np.float64]
 Interval = tuple[float, float]
 

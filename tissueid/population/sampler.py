@@ -27,8 +27,6 @@ from tissueid.population.stage_one import (
 from tissueid.population.surrogate import Pilot
 from tissueid.priors import PopulationPriors
 
-__all__ = ["PopulationDraws", "SamplerOptions", "sample_population"]
-
 FloatArray = NDArray[np.float64]
 
 #: Specimens are far beyond this quantile of a normal population's squared distances.

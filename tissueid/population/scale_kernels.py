@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 
 from tissueid.compiled import kernel
 
-__all__ = ["correlation_factor", "draw_log_sd", "draw_nu", "draw_scales"]
-
 FloatArray = NDArray[np.float64]
 
 #: Steps out and shrinkings of a slice at the most; a slice is found long before.

@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 from tissueid.population.coordinates import Coordinates
 from tissueid.population.members import Member
 
-__all__ = ["SharedInstrument", "shared_instrument"]
-
 FloatArray = NDArray[np.float64]
 
 #: Share of the specimens that must have a total posterior.

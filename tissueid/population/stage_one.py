@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from tissueid.population.kernels import Cohort
 from tissueid.population.surrogate import Mixture, Pilot, mixture_of
 
-__all__ = ["LEAST_WORTH", "Design", "StageOne", "first_pilot", "packed", "worths"]
-
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 

@@ -14,8 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["MOST_COMPONENTS", "Mixture", "Pilot", "mixture_of"]
-
 FloatArray = NDArray[np.float64]
 
 #: Components of a mixture at the most, and draws each needs.

@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from tissueid.compiled import kernel
 
-__all__ = ["factor", "inverse_factor", "solved"]
-
 FloatArray = NDArray[np.float64]
 
 

@@ -20,8 +20,6 @@ import numpy as np
 
 from tissueid.errors import UsageError, printable
 
-__all__ = ["CONSENT_BLIND", "CONSENT_HARDWARE", "BlindOrder", "check_pseudonym", "draw_order", "write_key"]
-
 #: Read and agreed to before a motor moves.
 CONSENT_HARDWARE = """\
 This moves the grip of a haptic device with force. No real unit has confirmed this software.

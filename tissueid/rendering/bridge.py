@@ -33,8 +33,6 @@ from tissueid.errors import UsageError, printable
 from tissueid.haptics.states import Lamp, State
 from tissueid.rendering.tissue_block import Plane
 
-__all__ = ["BridgeRequest", "UdpBridge", "parse_address", "parse_request"]
-
 VERSION = 1
 LARGEST_DATAGRAM = 1200
 #: Datagrams heard a turn: a flood must not keep the session from its heartbeat.

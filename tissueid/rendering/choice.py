@@ -20,19 +20,6 @@ from tissueid.model.channels import TissueModel, loading_force
 from tissueid.rendering.tissue_block import Tissue
 from tissueid.store.bundle import Bundle
 
-__all__ = [
-    "DEFAULT_FUNCTIONAL",
-    "NEW_SPECIMEN",
-    "Functional",
-    "Picked",
-    "as_tissue",
-    "noticeable_ratio",
-    "parse_functional",
-    "pick_draw",
-    "pick_quantile",
-    "pick_specimen",
-]
-
 FloatArray = NDArray[np.float64]
 
 #: Just-noticeable difference of force, as a share of it.

@@ -15,8 +15,6 @@ from tissueid.errors import BundleError, UsageError, printable
 from tissueid.haptics.device import Capabilities
 from tissueid.rendering.tissue_block import Box, Plane, Sphere, Surface, Tissue
 
-__all__ = ["parse_surface", "place_surface", "surface_remarks", "travel_behind"]
-
 MM = 1e-3
 #: Tips that differ by less are the same [share].
 SAME_TIP = 0.01

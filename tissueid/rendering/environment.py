@@ -36,23 +36,6 @@ from tissueid.rendering.guidance import (
 )
 from tissueid.rendering.surface import touch
 
-__all__ = [
-    "BLOCK_VERSION",
-    "ENVIRONMENT_SIZE",
-    "FREE_AIR",
-    "GUIDANCE",
-    "GUIDED",
-    "INFO_SIZE",
-    "MEMORY_SIZE",
-    "OUTSIDE_DEPTH",
-    "OUTSIDE_SPEED",
-    "RUPTURED",
-    "TISSUE",
-    "environment_step",
-    "new_memory",
-    "put_at_rest",
-]
-
 FloatArray = NDArray[np.float64]
 
 #: Kinds of environment the compiled loop knows.

@@ -21,8 +21,6 @@ import numpy as np
 
 from tissueid.own_process import own_process
 
-__all__ = ["compile_loop", "first_start", "is_compiled"]
-
 #: Switches numba off in a process that is started with it.
 _SWITCH = "NUMBA_DISABLE_JIT"
 #: Compiling must not take time from the session that runs beside it.

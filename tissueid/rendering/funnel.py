@@ -25,8 +25,6 @@ from numpy.typing import NDArray
 
 from tissueid.compiled import tick_part
 
-__all__ = ["CONE", "FUNNEL_SIZE", "HYPERBOLOID", "PRINTED_ONE_M", "funnel_touch", "hyperboloid_constants"]
-
 FloatArray = NDArray[np.float64]
 
 HYPERBOLOID = 0

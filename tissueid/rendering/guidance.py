@@ -37,8 +37,6 @@ from tissueid.compiled import tick_kernel, tick_part
 from tissueid.model.impact import IMPACT_SIZE, IMPACT_STATE, impact_step
 from tissueid.rendering.funnel import FUNNEL_SIZE, funnel_touch
 
-__all__ = ["GUIDANCE_MEMORY", "GUIDANCE_SIZE", "SAID_SIZE", "axial_stiffness", "guidance_step"]
-
 FloatArray = NDArray[np.float64]
 
 # -- the block, from an index on ------------------------------------------------------------------

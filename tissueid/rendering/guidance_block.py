@@ -13,8 +13,6 @@ from tissueid.rendering import environment as env
 from tissueid.rendering import guidance as gd
 from tissueid.rendering.funnel import CONE, HYPERBOLOID, hyperboloid_constants
 
-__all__ = ["ASSUMED", "Bone", "Funnel", "Guidance", "Pull", "guidance_block"]
-
 FloatArray = NDArray[np.float64]
 
 Vector = tuple[float, float, float]

@@ -22,8 +22,6 @@ from tissueid.model.passivity import damping_bound
 from tissueid.rendering.guidance_block import Guidance
 from tissueid.rendering.precheck import DAMPING_SHARE, Demands
 
-__all__ = ["GuidanceCheck", "check_guidance", "needed_damping", "weaker"]
-
 FloatArray = NDArray[np.float64]
 
 #: Penetrations of the wall that are examined [m].

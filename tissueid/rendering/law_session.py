@@ -23,8 +23,6 @@ from tissueid.rendering.session_plan import SessionPlan, session_head
 from tissueid.rendering.surface import SURFACE_SIZE
 from tissueid.rendering.tissue_block import free_air_block
 
-__all__ = ["guided_session", "law_session"]
-
 #: Height above the entry point at which a simulated hand begins [m].
 BEGIN_M = 0.03
 

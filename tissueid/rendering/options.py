@@ -14,8 +14,6 @@ from tissueid.haptics.hand import Hand
 from tissueid.rendering.choice import DEFAULT_FUNCTIONAL
 from tissueid.rendering.scene import Scene
 
-__all__ = ["Carried", "RenderOptions"]
-
 
 class Carried(Protocol):
     """Motion of a carried grip, in tissue units."""

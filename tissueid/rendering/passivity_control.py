@@ -26,14 +26,6 @@ from numpy.typing import NDArray
 from tissueid.compiled import tick_kernel, tick_part
 from tissueid.haptics.velocity import velocity_step
 
-__all__ = [
-    "CONTROL_MEMORY_SIZE",
-    "CONTROL_SIZE",
-    "PassivityLimits",
-    "note_sent",
-    "passivity_step",
-]
-
 FloatArray = NDArray[np.float64]
 
 # -- parameters -----------------------------------------------------------------------------------

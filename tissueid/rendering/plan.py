@@ -50,8 +50,6 @@ from tissueid.rendering.tissue_block import (
 from tissueid.store.bundle import Bundle, load_bundle
 from tissueid.store.session_log import read_session_log
 
-__all__ = ["plan_session"]
-
 FloatArray = NDArray[np.float64]
 
 MM = 1e-3

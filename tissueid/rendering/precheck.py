@@ -21,8 +21,6 @@ from tissueid.model.scaling import DEFAULT_MOTION_SCALE, Scaling, largest_tangen
 from tissueid.model.servo_law import servo_law
 from tissueid.rendering.tissue_block import Tissue
 
-__all__ = ["MOST_DAMPING", "Demands", "Precheck", "check_before_force", "scaling_at"]
-
 FloatArray = NDArray[np.float64]
 
 #: A device's damping is a calibration value: only this share of it is counted on.

@@ -25,8 +25,6 @@ from tissueid.model.passivity import DEFAULT_DELAY_TICKS
 from tissueid.rendering.precheck import Demands, Precheck, check_before_force
 from tissueid.rendering.tissue_block import Tissue
 
-__all__ = ["ASSUMED_DEVICE", "PRESETS", "preset_check", "preset_tissue"]
-
 #: A device of which nothing was measured.
 ASSUMED_DEVICE = Demands(clamp_N=5.0, damping_N_s_per_m=0.5, delay_ticks=DEFAULT_DELAY_TICKS)
 

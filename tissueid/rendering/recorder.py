@@ -18,8 +18,6 @@ from tissueid.errors import UsageError
 from tissueid.haptics.ring import RECORD
 from tissueid.store.session_log import convert_session_log, raw_head
 
-__all__ = ["PART_SUFFIX", "Recorder"]
-
 #: Added to the log's name while the session runs.
 PART_SUFFIX = ".part"
 

@@ -20,8 +20,6 @@ from tissueid.rendering.tissue_block import WORKSPACE_CENTRE_M
 from tissueid.store.bundle import load_bundle
 from tissueid.store.schema import first_problem
 
-__all__ = ["Scene", "load_scene", "read_plan", "scene_names"]
-
 MM = 1e-3
 #: The one shape of a static law that a wall takes.
 EXPONENT = "static_exponent"

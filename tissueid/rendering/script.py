@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 from tissueid.errors import UsageError
 from tissueid.haptics.hand import Hand, Stroke, parse_script, scripted_hand
 
-__all__ = ["RAMP_S", "REST_S", "Script", "read_script"]
-
 FloatArray = NDArray[np.float64]
 
 SWITCH = "switch"

@@ -30,8 +30,6 @@ from tissueid.rendering.servo_statistics import PeriodStatistics
 from tissueid.rendering.servo_tick import BLOCK_SIZE, Servo, compiled_tick, new_servo
 from tissueid.rendering.tissue_block import Plane, tissue_block
 
-__all__ = ["Figure", "SelfTest", "TickTimes", "run_selftest", "time_ticks"]
-
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 

@@ -34,8 +34,6 @@ from tissueid.rendering.servo_plan import ServoEnd, ServoPlan, ServoReady, send_
 from tissueid.rendering.servo_spawn import REAP_S, SpawnedServo, spawn_servo
 from tissueid.rendering.servo_tick import BLOCK_SIZE
 
-__all__ = ["START_TIMEOUT_S", "ServoProcess"]
-
 #: Longest time to the first tick without homing [s]: compiling on a slow machine takes half of it.
 START_TIMEOUT_S = 60.0
 

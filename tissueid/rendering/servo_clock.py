@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 from tissueid.compiled import tick_kernel
 from tissueid.haptics.foreign import libc_function
 
-__all__ = ["CLOCK_SIZE", "monotonic_ns", "readable", "sleep_until"]
-
 IntArray = NDArray[np.int64]
 
 #: int64 words of room: a ``timespec``, then one ``pollfd``.

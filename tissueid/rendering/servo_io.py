@@ -22,8 +22,6 @@ from tissueid.haptics.device import HapticDevice
 from tissueid.haptics.servo_access import HOMED, PRESSED, REPLY, access_of
 from tissueid.haptics.watchdogs import REPLY_DAMAGED, REPLY_LOST, REPLY_NONE, REPLY_VALID
 
-__all__ = ["PythonIO", "command", "sense"]
-
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 

@@ -29,18 +29,6 @@ from tissueid.haptics.states import Lamp
 from tissueid.rendering.servo_clock import CLOCK_SIZE, monotonic_ns, readable, sleep_until
 from tissueid.rendering.servo_tick import MISSED, Servo, compiled_tick, tick
 
-__all__ = [
-    "BINS",
-    "ENDED_FAULT",
-    "ENDED_SIGNAL",
-    "ENDED_STOPPED",
-    "ENDED_TICKS",
-    "compiled_loop",
-    "new_watch",
-    "realtime_loop",
-    "virtual_loop",
-]
-
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 

@@ -19,8 +19,6 @@ from typing import Any
 from tissueid.haptics.states import FAULT_WORDS, Fault, State
 from tissueid.rendering.servo_statistics import PeriodStatistics
 
-__all__ = ["REASONS", "ServoEnd", "ServoPlan", "ServoReady", "receive_plan", "send_line", "send_plan"]
-
 #: Why a loop ended, by the numbers of :mod:`tissueid.rendering.servo_loop`.
 REASONS = ("fault", "stopped", "signal", "ticks")
 _LENGTH_BYTES = 8

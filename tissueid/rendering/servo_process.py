@@ -37,8 +37,6 @@ from tissueid.rendering.servo_schedule import make_punctual, settled
 from tissueid.rendering.servo_statistics import period_statistics
 from tissueid.rendering.servo_tick import CLIPPED, MISSED, OUTSIDE, TOUCHED, Servo, new_servo
 
-__all__ = ["main", "run_plan"]
-
 COMPILING = "compiling the servo's loop, 10 to 20 s, once on this machine"
 #: Signals that end a session with zero force.
 SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)

@@ -12,8 +12,6 @@ import os
 import sys
 from dataclasses import asdict, dataclass
 
-__all__ = ["Schedule", "make_punctual", "settled"]
-
 #: Priority under SCHED_FIFO: above every ordinary program, below the kernel's own threads.
 PRIORITY = 80
 #: mlockall(2): what is mapped now and later.

@@ -19,8 +19,6 @@ from dataclasses import dataclass
 from tissueid.extras import require
 from tissueid.own_process import own_process
 
-__all__ = ["REAP_S", "SpawnedServo", "spawn_servo"]
-
 #: How long the end of a process is waited for before it is killed [s]: ramp, zero commands, closing.
 REAP_S = 5.0
 

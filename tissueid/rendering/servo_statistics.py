@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from tissueid.rendering.servo_loop import BIN_NS, LATE_SHARE
 
-__all__ = ["DEGRADED_SHARE", "PeriodStatistics", "period_statistics"]
-
 IntArray = NDArray[np.int64]
 
 #: Share of late ticks above which a session is labelled (haptics.md 1).

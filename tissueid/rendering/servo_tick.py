@@ -54,8 +54,6 @@ from tissueid.rendering.passivity_control import (
 )
 from tissueid.rendering.servo_io import PythonIO, command, sense
 
-__all__ = ["BLOCK_SIZE", "Servo", "compiled_tick", "new_servo", "tick"]
-
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 

@@ -35,8 +35,6 @@ from tissueid.rendering.summary import SessionSummary
 from tissueid.rendering.surface import SURFACE_SIZE, TOOL_RADIUS
 from tissueid.rendering.tissue_block import Plane
 
-__all__ = ["Outcome", "Session", "Wish"]
-
 FloatArray = NDArray[np.float64]
 Records = NDArray[Any]
 

@@ -17,8 +17,6 @@ from tissueid.rendering.choice import Picked
 from tissueid.rendering.precheck import MOST_DAMPING, Precheck
 from tissueid.rendering.script import Script
 
-__all__ = ["PERIOD_S", "SessionPlan", "session_head"]
-
 FloatArray = NDArray[np.float64]
 
 #: The servo runs at 1 kHz.

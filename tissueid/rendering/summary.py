@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from tissueid.haptics.states import FAULT_WORDS, Fault, Lamp, State
 
-__all__ = ["SessionSummary", "period_statistics"]
-
 FloatArray = NDArray[np.float64]
 Records = NDArray[Any]
 

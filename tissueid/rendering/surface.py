@@ -21,8 +21,6 @@ from numpy.typing import NDArray
 
 from tissueid.compiled import tick_kernel, tick_part
 
-__all__ = ["BOX", "PLANE", "SPHERE", "SURFACE_SIZE", "TOUCH_SIZE", "touch"]
-
 FloatArray = NDArray[np.float64]
 
 PLANE = 0

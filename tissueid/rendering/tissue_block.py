@@ -14,8 +14,6 @@ from tissueid.rendering import surface as srf
 from tissueid.rupture_law import RuptureLaw
 from tissueid.trial import TipShape
 
-__all__ = ["Box", "Plane", "Sphere", "Surface", "Tissue", "free_air_block", "surface_from", "tissue_block"]
-
 FloatArray = NDArray[np.float64]
 
 Vector = tuple[float, float, float]

@@ -12,8 +12,6 @@ from tissueid.digits import number
 from tissueid.report.page import asset, page_environment, plotly_script
 from tissueid.report.wording import Verdict
 
-__all__ = ["contrast_verdict", "pair_verdict", "render_contrast"]
-
 #: A difference below this many just-noticeable ones is not felt.
 NOTICED = 1.0
 #: A probability below this is said to be below it.

@@ -12,8 +12,6 @@ from tissueid.digits import number
 from tissueid.report.page import asset, page_environment, plotly_script
 from tissueid.report.wording import Verdict, parameter_words
 
-__all__ = ["render_design"]
-
 MINUTE, HOUR = 60.0, 3600.0
 
 

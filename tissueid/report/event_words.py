@@ -8,8 +8,6 @@ from tissueid.digits import number
 from tissueid.report.wording import unit_words
 from tissueid.trial import Axes
 
-__all__ = ["event_words", "took"]
-
 #: Key -> words and unit; what is not listed is not shown.
 _WORDS: Mapping[str, tuple[str, str]] = {
     "force_before_N": ("force before", "N"),

@@ -20,8 +20,6 @@ from tissueid.result import Curve
 from tissueid.store.curves import TrialCurve
 from tissueid.store.posteriors import StoredPosterior
 
-__all__ = ["curve_bytes", "curve_payload", "curves_by_trial", "packed", "quantised", "thinned"]
-
 #: Bytes that the curves of a page may take in all, so that it stays below 7 MB: of one specimen, and of many,
 #: whose draws need room; a sample takes 23, and 33 with a band.
 _BYTES_OF_ONE, _BYTES_OF_MANY = 3_300_000, 900_000

@@ -14,8 +14,6 @@ from tissueid.report.tissue import brief, speed_unit
 from tissueid.result import Curve
 from tissueid.store.curves import TrialCurve
 
-__all__ = ["curve_groups", "hold_force", "loading_force", "program_words"]
-
 FloatArray = NDArray[np.float64]
 #: Trials with their curves, a list a specimen.
 Trials = Sequence[Sequence[tuple[Mapping[str, Any], TrialCurve]]]

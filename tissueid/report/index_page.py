@@ -9,8 +9,6 @@ from typing import Any
 from tissueid.report.page import asset, page_environment, plotly_script
 from tissueid.report.wording import misfit_raised, verdict
 
-__all__ = ["index_row", "render_index"]
-
 #: Parameters of the table.
 _SHOWN = ("static_1_N_per_mm", "relaxation_time_s", "viscosity_N_s_per_mm")
 #: Refused inputs that are listed; identification.json has them all.

@@ -13,8 +13,6 @@ from typing import Any
 
 from tissueid.digits import number, with_error
 
-__all__ = ["Decision", "decisions", "toml_string", "toml_value"]
-
 BECAUSE = "say why"
 #: Decimals of a displacement without a standard deviation in an entry: 0.1 um.
 _PLACES_MM = 4

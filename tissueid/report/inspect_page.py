@@ -21,8 +21,6 @@ from tissueid.report.remarks import LEVELS, remark_title, trial_label
 from tissueid.result import Refusal
 from tissueid.trial import Segmentation, Trial
 
-__all__ = ["InspectedRecording", "inspected_recording", "render_inspection"]
-
 #: Samples a page carries in all: 16 bytes each, beside 5 MB of script.
 MOST_SAMPLES = 150_000
 FEWEST_OF_ONE = 160

@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 
 from tissueid.trial import FloatArray, Segmentation, Trial
 
-__all__ = ["DrawnRecording", "drawn_recording", "kept_samples", "packed_recording"]
-
 #: Samples of one recording that are kept for drawing at the most.
 MOST_OF_ONE = 8_000
 _KEPT_A_BUCKET = 4

@@ -17,8 +17,6 @@ from tissueid.residuals import ResidualSummary
 from tissueid.store.curves import TrialCurve
 from tissueid.store.posteriors import StoredPosterior
 
-__all__ = ["law_payload"]
-
 FloatArray = NDArray[np.float64]
 Trials = Sequence[tuple[Mapping[str, Any], TrialCurve]]
 

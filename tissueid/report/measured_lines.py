@@ -7,8 +7,6 @@ from typing import Any
 
 from tissueid.digits import with_error
 
-__all__ = ["brief_measured_lines", "measured_lines"]
-
 Row = Mapping[str, Any]
 
 #: Programs and holds that get lines of their own.

@@ -10,8 +10,6 @@ from tissueid.digits import number, with_error
 from tissueid.report.groups import program_words
 from tissueid.report.wording import unit_words
 
-__all__ = ["measured_name", "measured_view"]
-
 #: Names of the first screen in its order; the others stand in the workbook.
 _WORDS: Mapping[str, str] = {
     "peak": "Peak force",

@@ -11,8 +11,6 @@ from markupsafe import Markup, escape
 from tissueid.digits import number
 from tissueid.report.sentences import tissue_sentence
 
-__all__ = ["AUTHORS", "TITLE", "citation", "methods_view", "subscripted"]
-
 #: As in CITATION.cff.
 AUTHORS = "The tissueid developers"
 TITLE = "tissueid: identification of soft-tissue contact models from test-machine recordings"

@@ -45,8 +45,6 @@ from tissueid.report.workbook import report_workbook
 from tissueid.store.curves import TrialCurve
 from tissueid.store.posteriors import StoredPosterior
 
-__all__ = ["asset", "page_environment", "plotly_script", "render_report"]
-
 #: Reasons of a verdict that are seen at once.
 MOST_REASONS = 5
 #: Remarks that are said above the others, in other words.

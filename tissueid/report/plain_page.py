@@ -11,8 +11,6 @@ from typing import Any
 
 from tissueid.report.page import asset, page_environment, plotly_script
 
-__all__ = ["Figure", "Section", "Table", "render_plain"]
-
 
 @dataclass(frozen=True, slots=True)
 class Table:

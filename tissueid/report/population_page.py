@@ -16,8 +16,6 @@ from tissueid.report.remarks import Remark, remark_title
 from tissueid.report.wording import Verdict
 from tissueid.store.bundle import Bundle
 
-__all__ = ["held_out_sentence", "render_population"]
-
 
 def _percent(value: float, digits: int = 3) -> str:
     return number(100.0 * value, digits)

@@ -10,8 +10,6 @@ import numpy as np
 from tissueid.model.kelvin_voigt import KelvinVoigt, constant_speed_force
 from tissueid.store.bundle import Bundle
 
-__all__ = ["MOST_DRAWN", "force_bands", "population_payload"]
-
 #: Specimens drawn one by one; of more, outliers and an even choice of the others.
 MOST_DRAWN = 200
 #: Depths of the bands, and specimens they are taken from.

@@ -13,8 +13,6 @@ from tissueid.report.uncertainty_words import reported_order
 from tissueid.report.wording import unit_words
 from tissueid.store.posteriors import StoredPosterior
 
-__all__ = ["posterior_payload"]
-
 FloatArray = NDArray[np.float64]
 
 #: Numbers of draws a page may carry in all, at 2.7 bytes each, and the fewest and most draws of a specimen.

@@ -8,8 +8,6 @@ from typing import Any
 from tissueid.digits import with_error
 from tissueid.quantities import DEPTH_TEST
 
-__all__ = ["quoted_lines"]
-
 
 def _said(one: Mapping[str, Any], words: str) -> str:
     unit = "" if one["unit"] == "1" else f" {one['unit']}"

@@ -13,8 +13,6 @@ from tissueid.digits import number, with_error
 from tissueid.quantities import DEPTH_TEST
 from tissueid.report.remarks import trial_label
 
-__all__ = ["Table", "cycle_table", "quoted_tables"]
-
 #: Rows of a table that are printed; the rest is in identification.json.
 MOST_ROWS = 12
 NONE = "–"

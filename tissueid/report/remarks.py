@@ -13,8 +13,6 @@ from typing import Any
 from tissueid.digits import typeset
 from tissueid.flags import FLAGS, flag_level, harm_rank
 
-__all__ = ["LEVELS", "Remark", "remark_title", "remarks", "trial_label"]
-
 #: From harmless to grave.
 LEVELS = ("ok", "note", "caution", "serious")
 

@@ -8,8 +8,6 @@ from typing import Any
 from tissueid.digits import number
 from tissueid.report.study_words import key_words
 
-__all__ = ["metadata_view", "rendering_view"]
-
 #: Missing items that are listed; the others are counted.
 _LISTED = 12
 _WEIGHTS = {3: "nothing can be compared without it", 2: "a reviewer asks for it", 1: "it helps"}

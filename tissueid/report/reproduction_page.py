@@ -13,8 +13,6 @@ from tissueid.digits import number
 from tissueid.report.page import asset, page_environment, plotly_script
 from tissueid.report.wording import Verdict
 
-__all__ = ["KINDS", "render_reproduction"]
-
 #: Kind -> class of its look, mark, and what it means.
 KINDS: Mapping[str, tuple[str, str, str]] = {
     "reproduced": ("reproduced", "✓", "printed, and computed without the number itself"),

@@ -14,8 +14,6 @@ from tissueid.report.page import asset, page_environment, plotly_script
 from tissueid.report.remarks import Remark, remark_title
 from tissueid.report.wording import Verdict
 
-__all__ = ["render_rupture"]
-
 S_PER_MIN = 60.0
 CRITERION_WORDS: Mapping[str, str] = {
     "work": "Total work",

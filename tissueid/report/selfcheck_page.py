@@ -12,8 +12,6 @@ from tissueid.digits import number
 from tissueid.report.page import asset, page_environment, plotly_script
 from tissueid.report.wording import Verdict, parameter_words
 
-__all__ = ["render_selfcheck"]
-
 _KINDS = {"recipe": "Recipe", "study": "Study", "bundle": "Bundle"}
 _NOISE = {"white": "white noise", "ar1": "AR(1) noise", "white+ar1": "white and AR(1) noise"}
 _OWN_WORDS = {

@@ -9,8 +9,6 @@ from typing import Any
 from tissueid.digits import number, together, with_error
 from tissueid.report.wording import misfit_raised, unit_words
 
-__all__ = ["overview_sentence", "tissue_sentence"]
-
 _S_PER_MIN = 60.0
 _WIDEST = (("ci95_total", "95 % total intervals"), ("ci95", "95 % statistical intervals"))
 

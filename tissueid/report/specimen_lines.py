@@ -12,8 +12,6 @@ from tissueid.report.quoted_lines import quoted_lines
 from tissueid.report.uncertainty_lines import alarm_lines, block_lines, parameter_lines, sampling_lines
 from tissueid.report.warning_lines import warning_lines
 
-__all__ = ["Line", "specimen_lines"]
-
 
 @dataclass(frozen=True, slots=True)
 class Line:

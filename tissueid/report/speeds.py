@@ -17,8 +17,6 @@ from tissueid.report.tissue import Tissue, brief, speed_unit
 from tissueid.result import Curve
 from tissueid.store.curves import TrialCurve
 
-__all__ = ["SpeedGroup", "peaks_payload", "speed_groups"]
-
 FloatArray = NDArray[np.float64]
 
 #: Depths that differ by less than this factor are one setting of a machine.

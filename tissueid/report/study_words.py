@@ -9,8 +9,6 @@ from tissueid.digits import NOT_IDENTIFIED, number, with_error
 from tissueid.report.remarks import trial_label
 from tissueid.report.wording import unit_words
 
-__all__ = ["key_words", "study_view"]
-
 #: Unit at the end of a key -> how it is printed.
 _UNITS = {"_N_per_mm": "N/mm", "_mm_s": "mm/s", "_mm": "mm", "_years": "years", "_Hz": "Hz", "_deg": "°"}
 _UNITS |= {"_C": "°C", "_N": "N", "_s": "s", "_h": "h"}

@@ -17,8 +17,6 @@ from tissueid.model.grammar import rebuilt
 from tissueid.result import ModelChoice
 from tissueid.store.posteriors import StoredPosterior
 
-__all__ = ["Tissue", "brief", "speed_unit", "tissue_of"]
-
 FloatArray = NDArray[np.float64]
 
 #: Draws that a band is taken over: its ends are then good to a tenth of the posterior's sd.

@@ -10,8 +10,6 @@ import numpy as np
 from tissueid.digits import number
 from tissueid.report.plain_page import Figure, Section, Table, render_plain
 
-__all__ = ["render_training"]
-
 #: Measures that practice is looked for in: words and unit.
 LEARNED = {
     "end_error_mm": ("End error", "mm"),

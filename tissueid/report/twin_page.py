@@ -13,8 +13,6 @@ from tissueid.report.plain_page import Figure, Section, Table, render_plain
 if TYPE_CHECKING:
     from tissueid.twin.twin import Row, Twin, TwinDevice
 
-__all__ = ["render_twin"]
-
 #: Points of a curve at the most.
 POINTS = 1_500
 #: Just-noticeable differences that are told at the least.

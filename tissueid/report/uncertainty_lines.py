@@ -13,8 +13,6 @@ from typing import Any
 
 from tissueid.digits import with_error
 
-__all__ = ["WIDTH", "alarm_lines", "block_lines", "parameter_lines", "sampling_lines"]
-
 #: Columns of a terminal that lines of numbers are wrapped to.
 WIDTH = 98
 #: Lines of the block: what they are of, and how the names of their parameters begin.

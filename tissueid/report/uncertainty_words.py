@@ -14,8 +14,6 @@ from tissueid.digits import NOT_IDENTIFIED, number, together, with_error
 from tissueid.quantities import EFFECTIVE_SD, EFFECTIVE_SLOPE
 from tissueid.report.wording import misfit_raised, parameter_words, unit_words
 
-__all__ = ["IntervalRow", "misfit_alarm", "model_words", "paper_view", "reported_order", "uncertainty_view"]
-
 #: Kinds of parameters in the order of the publication, and what they are called beside a symbol.
 _KINDS = {
     "relaxation_time": "Relaxation time",

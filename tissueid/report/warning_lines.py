@@ -11,8 +11,6 @@ from typing import Any
 
 from tissueid.flags import FLAGS, harm_rank, warning_line
 
-__all__ = ["MOST_WARNINGS", "shared_codes", "shared_lines", "warning_lines"]
-
 #: Warnings of a specimen, and of a batch as a whole, without ``-v``.
 MOST_WARNINGS = 5
 #: A flag of so many specimens, and of this share of a batch, is counted once.

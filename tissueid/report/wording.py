@@ -16,16 +16,6 @@ from tissueid.quantity_words import QUANTITIES
 from tissueid.report.remarks import LEVELS, remarks
 from tissueid.trial import Axes
 
-__all__ = [
-    "Verdict",
-    "in_units",
-    "misfit_raised",
-    "parameter_words",
-    "symbol_words",
-    "unit_words",
-    "verdict",
-]
-
 _GREEK: Mapping[str, str] = {"tau": "τ", "eta": "η"}
 
 

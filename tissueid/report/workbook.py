@@ -12,8 +12,6 @@ from tissueid.report.wording import parameter_words
 from tissueid.store.tidy import tidy_table
 from tissueid.store.xlsx import Cell, Sheet, xlsx_bytes
 
-__all__ = ["report_workbook"]
-
 _FORCES = {
     "after_stop_N": "F({}) [N]",
     "over_10s": "F({})/F(10 s)",

@@ -23,8 +23,6 @@ from tissueid.reproduce.readings import Readings
 from tissueid.reproduce.recordings import Effort
 from tissueid.reproduce.tissue import SPEEDS_MM_MIN, Tissue, cubic_through_peaks, read_branch
 
-__all__ = ["controlled_contact", "table_3"]
-
 VARIANTS = ("A", "B")
 TASKS = ("sustained", "free-contact")
 #: "100 times of estimated values", section III.B.

@@ -18,8 +18,6 @@ from tissueid.reproduce.relaxation import relaxation_tests
 from tissueid.reproduce.specimens import specimen_scatter
 from tissueid.reproduce.speeds import force_displacement, peak_against_speed
 
-__all__ = ["PAPERS", "PAPER_WORDS", "reproduction"]
-
 PAPERS = (SADEGHNEJAD, PIRES)
 PAPER_WORDS: Mapping[str, str] = {
     SADEGHNEJAD: "Sadeghnejad et al.: Phenomenological Contact Model Characterization and Haptic Simulation "

@@ -16,8 +16,6 @@ from tissueid.reproduce.items import Figure, Item, Kind, Trace, near
 from tissueid.reproduce.published import PIRES, PUBLISHED, Ledger, Published
 from tissueid.reproduce.readings import Readings
 
-__all__ = ["guidance_forces", "restitutions"]
-
 FloatArray = NDArray[np.float64]
 
 RESTITUTIONS = (0.3, 0.5, 0.7, 0.9)

@@ -15,8 +15,6 @@ from tissueid.reproduce.tissue import read_branch
 from tissueid.result import SpecimenFit
 from tissueid.synth.protocols import recipe
 
-__all__ = ["identified_table"]
-
 #: White noise of the load cell [N].
 SIGMA_N = 1.0
 

@@ -14,8 +14,6 @@ from tissueid.reproduce.published import Ledger
 from tissueid.reproduce.readings import Readings
 from tissueid.reproduce.tissue import HOLD_SPEED_MM_MIN, branch_force, cubic_through_peaks, read_branch
 
-__all__ = ["elastic_imitation", "hold_exponential", "settling_force"]
-
 FloatArray = NDArray[np.float64]
 
 #: Time constant of the load channel's filter [s]: common in test machines.

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
-__all__ = ["Figure", "Item", "Judgement", "Kind", "Trace", "near", "overlaps", "rounded", "within_interval"]
-
 Value = float | tuple[float, float]
 Interval = tuple[float, float] | None
 

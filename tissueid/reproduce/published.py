@@ -14,8 +14,6 @@ from typing import TypeVar
 
 from tissueid.reproduce.items import Item, Judgement, Kind
 
-__all__ = ["PIRES", "PUBLISHED", "SADEGHNEJAD", "Ledger", "Published"]
-
 #: Sadeghnejad et al., endoscopic sinus surgery: sheep orbital floor, indentation and relaxation.
 SADEGHNEJAD = "sadeghnejad"
 #: Pires et al., hip resurfacing: haptic guidance with a Novint Falcon.

@@ -8,8 +8,6 @@ from types import MappingProxyType
 
 from tissueid.errors import UsageError, printable
 
-__all__ = ["READINGS", "Readings", "readings_from"]
-
 #: Reading -> choice -> what it takes the paper to say; the first choice is the default.
 READINGS: Mapping[str, Mapping[str, str]] = MappingProxyType(
     {

@@ -21,8 +21,6 @@ from tissueid.synth.recipe import Recipe
 from tissueid.synth.simulate import SyntheticLog
 from tissueid.trial import Trial
 
-__all__ = ["Effort", "fitted", "interval_of", "read_back", "read_logs"]
-
 #: Tails of a 99 % interval.
 TAILS_99 = (0.005, 0.995)
 

@@ -15,8 +15,6 @@ from tissueid.reproduce.tissue import DEPTHS_MM, HOLD_SPEED_MM_MIN, branch_force
 from tissueid.synth.recipe import Hold, Log, Move, Recipe
 from tissueid.trial import Trial
 
-__all__ = ["relaxation_tests"]
-
 #: Shape of the static curve of a test, scaled to its peak: softening, then hardening [N/mm, N/mm2, N/mm3].
 SHAPE = (20.0, -1.2, 0.35)
 #: White noise of the load cell [N]: what a spread of 1.7 % over four tests needs at 1 kHz.

@@ -22,8 +22,6 @@ from tissueid.reproduce.tissue import read_branch
 from tissueid.result import Curve, SpecimenFit
 from tissueid.synth.protocols import recipe
 
-__all__ = ["held_out_errors", "specimen_scatter"]
-
 FloatArray = NDArray[np.float64]
 
 #: Coefficient of variation of a whole specimen, of neighbouring tests, and of contact [mm].

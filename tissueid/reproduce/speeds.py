@@ -13,8 +13,6 @@ from tissueid.reproduce.published import PUBLISHED, SADEGHNEJAD, Ledger, Publish
 from tissueid.reproduce.readings import Readings
 from tissueid.reproduce.tissue import DEPTHS_MM, SPEEDS_MM_MIN, Tissue, cubic_through_peaks, read_branch
 
-__all__ = ["force_displacement", "peak_against_speed", "rupture_force"]
-
 FloatArray = NDArray[np.float64]
 
 #: A static curve whose tangent exceeds its secant, in place of the lost coefficients [N/mm3].

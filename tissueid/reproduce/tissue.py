@@ -15,8 +15,6 @@ from tissueid.reproduce.published import Ledger
 from tissueid.reproduce.readings import Readings
 from tissueid.synth.recipe import Branch
 
-__all__ = ["DEPTHS_MM", "HOLD_SPEED_MM_MIN", "SPEEDS_MM_MIN", "Tissue", "cubic_through_peaks", "read_branch"]
-
 FloatArray = NDArray[np.float64]
 
 #: Depths of the relaxation tests and speeds of the indentations, section II.A of the paper.

@@ -13,8 +13,6 @@ import numpy as np
 
 from tissueid.rupture.evidence import Threshold
 
-__all__ = ["KINDS", "Decision", "decide"]
-
 #: Kinds that are weighed, with the criteria that count as one.
 KINDS: Mapping[str, tuple[str, ...]] = {
     "work": ("work",),

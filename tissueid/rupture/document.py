@@ -15,8 +15,6 @@ from tissueid.rupture.speeds import AtSpeed
 from tissueid.rupture.words import sentences
 from tissueid.rupture_law import THRESHOLD_UNITS
 
-__all__ = ["as_document"]
-
 
 def as_document(run: RuptureRun, bundles: Mapping[str, str]) -> dict[str, Any]:
     """Write the document.

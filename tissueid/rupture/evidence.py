@@ -20,8 +20,6 @@ from scipy.stats import f as f_distribution
 from tissueid.rupture.failures import Failure
 from tissueid.rupture.likelihood import Outcomes, given_ruptured, log_likelihood, specimen_means
 
-__all__ = ["Threshold", "standardised", "threshold_of"]
-
 FloatArray = NDArray[np.float64]
 
 #: Ends of the log-uniform prior of the sd from test to test, in ln depth.

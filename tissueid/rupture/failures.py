@@ -19,8 +19,6 @@ from tissueid.model.rupture import hardening_ratio, rupture_measures
 from tissueid.rupture.loading import LoadedTest
 from tissueid.rupture_law import CRITERIA, DEFAULT_WEIGHT
 
-__all__ = ["Failure", "Measure", "SpecimenLaw", "failures_of"]
-
 FloatArray = NDArray[np.float64]
 
 #: Draws of the law behind an uncertainty: it is then known to 11 %.

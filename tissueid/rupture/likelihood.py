@@ -13,8 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
-__all__ = ["Given", "Outcomes", "given_ruptured", "log_likelihood", "specimen_means"]
-
 FloatArray = NDArray[np.float64]
 
 #: Nodes of the quadrature over a specimen with censored tests.

@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from tissueid.trial import Segmentation, Trial, contact_frame
 
-__all__ = ["LoadedTest", "loaded_test"]
-
 FloatArray = NDArray[np.float64]
 
 #: Samples kept of a path: the branch state is exact for any number, its corners apart.

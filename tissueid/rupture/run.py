@@ -24,8 +24,6 @@ from tissueid.rupture_law import DEFAULT_WEIGHT
 from tissueid.segment import SegmentOptions, segment
 from tissueid.trial import Source, Trial
 
-__all__ = ["RuptureRun", "run_rupture"]
-
 #: Fewest samples below the contact point that show how a measure grows.
 FEWEST_BELOW = 3
 

@@ -16,8 +16,6 @@ from scipy.stats import t as t_distribution
 from tissueid.population.confounding import Confounding
 from tissueid.rupture.failures import Failure
 
-__all__ = ["AtSpeed", "Change", "Hardening", "change_with_speed", "hardening_of", "per_speed"]
-
 FloatArray = NDArray[np.float64]
 
 #: What is quoted of a rupture.

@@ -23,8 +23,6 @@ from tissueid.rupture.speeds import (
 )
 from tissueid.rupture_law import CRITERIA, RuptureLaw
 
-__all__ = ["ASKED", "RuptureStudy", "rupture_study"]
-
 #: What may be asked for: no law, the one that the evidence decides for, or a named one.
 ASKED = ("none", "auto", *CRITERIA)
 #: Fewest ruptures with a mean and two spreads.

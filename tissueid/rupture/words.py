@@ -5,8 +5,6 @@ from __future__ import annotations
 from tissueid.rupture.speeds import Change
 from tissueid.rupture.study import RuptureStudy
 
-__all__ = ["sentences"]
-
 _NAMES = {"force_N": "Force", "depth_mm": "Depth", "work_N_mm": "Work"}
 
 

@@ -18,8 +18,6 @@ from tissueid.store.names import IDENTIFICATION, bundle_names
 from tissueid.store.outputs import OutputSet
 from tissueid.store.schema import check
 
-__all__ = ["RUPTURE", "write_rupture"]
-
 RUPTURE = "rupture.json"
 PAGE = "rupture.html"
 

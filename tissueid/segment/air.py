@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from tissueid.flags import Flag
 from tissueid.trial import Contact, Phase
 
-__all__ = ["drift_in_air"]
-
 FloatArray = NDArray[np.float64]
 
 #: Fewest samples in air from which a drift is told, and blocks they are averaged in.

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Bins", "bin_samples"]
-
 FloatArray = NDArray[np.float64]
 
 #: Bins of equal width next to the centre, on each side, and the growth of those further out.

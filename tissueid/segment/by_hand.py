@@ -12,8 +12,6 @@ from tissueid.segment.options import SegmentOptions
 from tissueid.segment.stop import travel_line
 from tissueid.trial import Phase, Trial
 
-__all__ = ["by_hand", "held_from_here"]
-
 FloatArray = NDArray[np.float64]
 
 #: A hold may begin in these kinds of phase.

@@ -15,8 +15,6 @@ from tissueid.segment.own_air import left_air, rises, without_kick
 from tissueid.segment.spikes import without_spikes
 from tissueid.trial import Contact
 
-__all__ = ["find_contact"]
-
 FloatArray = NDArray[np.float64]
 
 #: Fewest samples in air, while moving, that show the tool in air; where the load cell reads more than

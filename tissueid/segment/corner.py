@@ -19,8 +19,6 @@ from tissueid.segment.edges import straight_line
 from tissueid.segment.stop import travel_line
 from tissueid.trial import Corner, Phase
 
-__all__ = ["corner_flags", "corners_of"]
-
 FloatArray = NDArray[np.float64]
 
 #: Overshoot beyond this share of the ramp is said.

@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from tissueid.flags import Flag
 from tissueid.trial import Phase
 
-__all__ = ["Loop", "cycle_flags", "loops_of"]
-
 FloatArray = NDArray[np.float64]
 
 #: Change from loop to loop below which tissue is preconditioned.

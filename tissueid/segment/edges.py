@@ -10,8 +10,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["corner_near", "leaves_line", "straight_line"]
-
 FloatArray = NDArray[np.float64]
 
 #: Samples on each side of a corner that place it.

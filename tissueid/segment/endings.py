@@ -19,8 +19,6 @@ from tissueid.segment.motion import Piece
 from tissueid.segment.spikes import running_median
 from tissueid.trial import Event, Phase, Protocol
 
-__all__ = ["aborts", "ending_flags", "held_from", "load_limits", "pull_off"]
-
 FloatArray = NDArray[np.float64]
 
 #: A ramp that ends this share short of the stated depth was aborted.

@@ -17,8 +17,6 @@ from tissueid.segment.bins import bin_samples
 from tissueid.segment.lattice import locate
 from tissueid.segment.ramp_shape import RampShape
 
-__all__ = ["HingeFit", "fit_contact"]
-
 FloatArray = NDArray[np.float64]
 
 #: Shortest branch length, in resolutions of the contact (no branch at all), and the longest as a share of

@@ -12,8 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Lattice", "locate"]
-
 FloatArray = NDArray[np.float64]
 Density = Callable[[FloatArray, FloatArray], FloatArray]
 Limits = tuple[float, float]

@@ -17,8 +17,6 @@ from tissueid.segment.edges import corner_near
 from tissueid.segment.polyline import corners
 from tissueid.signal_noise import quantum, white_noise_sd
 
-__all__ = ["SPEED_RATIO", "Piece", "displacement_tolerance", "path_noise", "pieces"]
-
 FloatArray = NDArray[np.float64]
 
 #: Longer recordings are averaged down to about so many blocks before their polyline is drawn.

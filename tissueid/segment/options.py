@@ -8,8 +8,6 @@ from pathlib import PurePath
 
 from tissueid.trial import Trial
 
-__all__ = ["SegmentOptions"]
-
 
 @dataclass(frozen=True, slots=True)
 class SegmentOptions:

@@ -10,8 +10,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["left_air", "rises", "without_kick"]
-
 FloatArray = NDArray[np.float64]
 
 #: Samples from which a reading in air and its scatter are told.

@@ -14,8 +14,6 @@ from tissueid.segment.options import SegmentOptions
 from tissueid.segment.stop import travel_line
 from tissueid.trial import Contact, Phase
 
-__all__ = ["Surface", "name_phases", "settled"]
-
 FloatArray = NDArray[np.float64]
 
 #: A hold has at least so many samples: fewer cannot show a decay beside its plateau.

@@ -9,8 +9,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["corners"]
-
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]
 

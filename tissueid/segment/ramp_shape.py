@@ -29,8 +29,6 @@ from numpy.typing import NDArray
 from tissueid.segment.bins import Bins
 from tissueid.segment.ramp_squares import ramp_squares
 
-__all__ = ["Posterior", "RampShape"]
-
 FloatArray = NDArray[np.float64]
 
 #: Prior standard deviation of the shape's coefficients, in force ranges of the window.

@@ -13,8 +13,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ramp_squares"]
-
 FloatArray = NDArray[np.float64]
 Bins = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 

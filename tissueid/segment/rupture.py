@@ -22,8 +22,6 @@ from tissueid.segment.motion import Piece
 from tissueid.segment.spikes import MEDIAN_SAMPLES, running_median
 from tissueid.trial import Event
 
-__all__ = ["rupture_flags", "ruptures"]
-
 FloatArray = NDArray[np.float64]
 
 #: A fall is at least this share of the force before it ...

@@ -27,8 +27,6 @@ from tissueid.segment.stop import placed_stops, settlings, speed_flags, with_bra
 from tissueid.signal_noise import white_noise_sd
 from tissueid.trial import RENDERED, Contact, Event, Phase, Protocol, Segmentation, Trial
 
-__all__ = ["segment"]
-
 FloatArray = NDArray[np.float64]
 
 #: Fewest samples with which there is anything to divide.

@@ -11,8 +11,6 @@ from tissueid.segment.spikes import without_spikes
 from tissueid.signal_noise import white_noise_sd
 from tissueid.trial import Trial
 
-__all__ = ["signs"]
-
 FloatArray = NDArray[np.float64]
 
 #: The other excursion reaches this share of the dominant one: the direction is doubtful.

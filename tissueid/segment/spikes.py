@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["MEDIAN_SAMPLES", "running_median", "without_spikes"]
-
 FloatArray = NDArray[np.float64]
 
 #: A spike stands off the line between its neighbours by so many noise sd ...

@@ -19,8 +19,6 @@ from tissueid.segment.edges import straight_line
 from tissueid.segment.motion import Piece, path_noise
 from tissueid.trial import Event, Phase
 
-__all__ = ["placed_stops", "settlings", "speed_flags", "travel_line", "with_braking"]
-
 FloatArray = NDArray[np.float64]
 
 #: Shares of the travel between which the line of a move is laid.

@@ -16,8 +16,6 @@ from tissueid.selfcheck.tissue import TissueCheck
 from tissueid.selfcheck.truth import prior_words
 from tissueid.selfcheck.verdicts import Verdict, verdict_of
 
-__all__ = ["Asked", "check_document"]
-
 
 @dataclass(frozen=True, slots=True)
 class Asked:

@@ -19,8 +19,6 @@ from tissueid.store.bundle import Bundle
 from tissueid.synth.path import crosshead_path
 from tissueid.synth.recipe import Hold, Log, Move, Recipe
 
-__all__ = ["Centre", "Protocol", "in_air_first", "of_bundle", "of_program", "of_recipe", "pooled"]
-
 FloatArray = NDArray[np.float64]
 
 #: Scatter of the contact points of a program without any [mm].

@@ -20,8 +20,6 @@ from numpy.typing import NDArray
 from scipy.special import gammaln
 from scipy.stats import binom
 
-__all__ = ["DRAWS", "POINTS", "EcdfBand", "binomial_interval", "ecdf_band", "ecdf_counts", "rank_of"]
-
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 

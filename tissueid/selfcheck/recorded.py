@@ -29,8 +29,6 @@ from tissueid.store.files import sha256_of
 from tissueid.trial import Contact, Segmentation, Source, Trial, contact_frame
 from tissueid.uncertainty import NoiseFit
 
-__all__ = ["inputs_there", "of_bundle_inputs", "of_fit", "of_recordings", "white_share"]
-
 #: A bundle's contact points were refined by its fit: depths may differ by a little.
 DEPTH_TOLERANCE = 0.02
 #: A known frame gives under a mean force of so many samples, without most of its noise.

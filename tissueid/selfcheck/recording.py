@@ -21,8 +21,6 @@ from tissueid.selfcheck.truth import Truth
 from tissueid.synth.path import Path, contact_path
 from tissueid.trial import Source, Trial
 
-__all__ = ["ProtocolLog", "low_pass", "noise", "recorded_force", "simulated_trials", "tip_depth"]
-
 FloatArray = NDArray[np.float64]
 
 #: Force is sampled so many times finer than recorded where filter, skew or frame act between samples.

@@ -24,8 +24,6 @@ from tissueid.errors import UsageError
 from tissueid.selfcheck.ranks import DRAWS, rank_of
 from tissueid.store.files import write_file
 
-__all__ = ["Checkpoint", "Record", "Replicate", "failures", "fingerprint", "record_of", "thinned"]
-
 FloatArray = NDArray[np.float64]
 
 FORMAT = "tissueid/selfcheck-records/1"

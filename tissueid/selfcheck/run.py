@@ -17,8 +17,6 @@ from threadpoolctl import threadpool_limits
 from tissueid.own_process import end_with_parent
 from tissueid.selfcheck.records import Checkpoint, Record, Replicate, record_of
 
-__all__ = ["Check", "one_record", "run_simulations"]
-
 #: Draws a truth, simulates data and infers it again; goes to workers by pickle.  An ArithmeticError or
 #: LinAlgError says that the inference failed on these data, which is counted.
 Check = Callable[[np.random.Generator], Replicate]

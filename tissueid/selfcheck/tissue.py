@@ -30,8 +30,6 @@ from tissueid.selfcheck.records import Replicate
 from tissueid.selfcheck.truth import Truth, Widths, centred_priors, draw_truth, force_points, numbers_of
 from tissueid.trial import Trial
 
-__all__ = ["KNOWN_MACHINE", "TissueCheck", "described", "tissue_check"]
-
 FloatArray = NDArray[np.float64]
 
 #: Effective draws that are asked for: those of a chain are correlated, and ranks want independent ones.

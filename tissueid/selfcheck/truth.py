@@ -19,16 +19,6 @@ from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
 from tissueid.model.polynomial import minimum_on_unit
 from tissueid.priors import CalibrationPrior, Priors, SpreadPrior
 
-__all__ = [
-    "Truth",
-    "Widths",
-    "centred_priors",
-    "draw_truth",
-    "force_points",
-    "numbers_of",
-    "prior_words",
-]
-
 FloatArray = NDArray[np.float64]
 
 #: Depths, as fractions of the fitted one, at which the force is checked, from fastest to slowest speed.

@@ -17,8 +17,6 @@ from tissueid.errors import NotIdentifiedError
 from tissueid.selfcheck.ranks import DRAWS, EcdfBand, binomial_interval, ecdf_band, ecdf_counts
 from tissueid.selfcheck.records import Record, failures
 
-__all__ = ["LEVELS", "Coverage", "ParameterCheck", "Verdict", "verdict_of"]
-
 IntArray = NDArray[np.int64]
 
 #: Relative difference below which truths are the same.

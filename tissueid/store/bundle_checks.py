@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from tissueid.store.bundle_content import Bundle
 
-__all__ = ["array_problem", "model_problem"]
-
 FloatArray = NDArray[np.float64]
 
 #: A covariance that went through a Cholesky factor and back is positive semi-definite to rounding only.

@@ -18,8 +18,6 @@ from tissueid.trial import Axes, TipShape
 if TYPE_CHECKING:
     from tissueid.model.channels import TissueModel
 
-__all__ = ["ARRAYS", "BUNDLE_FORMAT", "BUNDLE_SCHEMA_VERSION", "OPTIONAL", "UNITS", "Bundle"]
-
 FloatArray = NDArray[np.float64]
 
 BUNDLE_FORMAT = "tissueid/bundle"

@@ -22,8 +22,6 @@ from tissueid.result import Curve, SpecimenFit
 from tissueid.store.files import TEMPORARY_PREFIX, json_bytes, replace_file
 from tissueid.store.residuals import get_residuals, put_residuals
 
-__all__ = ["TrialCurve", "curves_of_fits", "get_curves", "load_curves", "put_curves", "write_curves"]
-
 _FORMAT = "tissueid/curves/1"
 _QUANTITIES = ("time_s", "depth_mm", "force_N", "model_N")
 

@@ -15,8 +15,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["TEMPORARY_PREFIX", "json_bytes", "plain_json", "replace_file", "sha256_of", "write_file"]
-
 #: Leftovers of killed writers start with this and may be deleted.
 TEMPORARY_PREFIX = ".tmp-"
 

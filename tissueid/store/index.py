@@ -27,8 +27,6 @@ from typing import Any, Self
 
 from tissueid.errors import BundleError
 
-__all__ = ["INDEX", "INDEX_SCHEMA_VERSION", "Index", "JobRow", "RecordingRow", "open_for_reading"]
-
 INDEX = "index.sqlite"
 INDEX_SCHEMA_VERSION = 1
 #: How long a statement waits for another one's transaction [s].

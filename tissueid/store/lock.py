@@ -19,8 +19,6 @@ from typing import IO, Self
 
 from tissueid.errors import BundleError
 
-__all__ = ["LOCK_NAME", "FolderLock"]
-
 LOCK_NAME = ".lock"
 
 # One byte far behind the text is locked: Windows forbids others to read a locked range

@@ -23,8 +23,6 @@ from tissueid.store.files import TEMPORARY_PREFIX, json_bytes, replace_file
 from tissueid.store.names import CURVES, ONLY_BUNDLE, POSTERIORS, bundle_names
 from tissueid.store.outputs import OutputSet
 
-__all__ = ["LISTED", "SPECIMENS", "ListedSpecimen", "list_specimens", "merge_files", "read_listed"]
-
 #: Folder of the files of specimens, in the output folder.
 SPECIMENS = "specimens"
 #: Which of them belong to the run: part of the set.

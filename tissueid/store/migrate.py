@@ -33,8 +33,6 @@ from tissueid.store.index import INDEX, INDEX_SCHEMA_VERSION
 from tissueid.store.lock import FolderLock
 from tissueid.store.outputs import OutputSet, current_run
 
-__all__ = ["BUNDLE_STEPS", "INDEX_STEPS", "Migrated", "migrate_bundle", "migrate_folder"]
-
 FloatArray = NDArray[np.float64]
 #: Document and arrays of one version -> those of the next.
 Step = Callable[[dict[str, Any], dict[str, FloatArray]], tuple[dict[str, Any], dict[str, FloatArray]]]

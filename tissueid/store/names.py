@@ -10,17 +10,6 @@ import hashlib
 import unicodedata
 from collections.abc import Iterable
 
-__all__ = [
-    "CURVES",
-    "IDENTIFICATION",
-    "ONLY_BUNDLE",
-    "POSTERIORS",
-    "REPORT",
-    "bundle_names",
-    "file_names",
-    "safe_name",
-]
-
 #: Public files of a run.
 IDENTIFICATION = "identification.json"
 CURVES = "curves.h5"

@@ -30,8 +30,6 @@ from tissueid.store.files import TEMPORARY_PREFIX, json_bytes, replace_file, sha
 from tissueid.store.lock import FolderLock
 from tissueid.store.schema import check
 
-__all__ = ["CommittedRun", "OutputSet", "complete_refresh", "current_run"]
-
 _RUNS = ".runs"
 _CURRENT = ".current"
 _SAMPLING = ".sampling"

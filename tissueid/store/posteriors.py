@@ -31,15 +31,6 @@ from tissueid.errors import BundleError
 from tissueid.result import SpecimenFit
 from tissueid.store.files import TEMPORARY_PREFIX, json_bytes, replace_file
 
-__all__ = [
-    "StoredPosterior",
-    "get_posteriors",
-    "load_posteriors",
-    "posteriors_of_fits",
-    "put_posteriors",
-    "write_posteriors",
-]
-
 FloatArray = NDArray[np.float64]
 
 _FORMAT = "tissueid/posteriors/1"

@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from tissueid.residuals import ResidualSummary
 
-__all__ = ["get_residuals", "put_residuals"]
-
 _GROUP = "residual"
 _TABLES = {"edges_N": "<f8", "counts": "<i8"}
 _SERIES = {

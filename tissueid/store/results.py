@@ -37,15 +37,6 @@ from tissueid.store.posteriors import (
 from tissueid.store.schema import check
 from tissueid.store.specimen_file import load_specimen
 
-__all__ = [
-    "each_result",
-    "output_problems",
-    "read_identification",
-    "read_results",
-    "validate_outputs",
-    "write_results",
-]
-
 _LONGEST_LIST = 8
 _WAY_OUT = "run `tissueid fit` again"
 

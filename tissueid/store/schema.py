@@ -22,8 +22,6 @@ from tissueid.errors import BundleError
 if TYPE_CHECKING:
     from jsonschema.protocols import Validator
 
-__all__ = ["SCHEMA_NAMES", "SchemaProblem", "check", "first_problem", "load_schema", "schema_folder"]
-
 #: Every schema, by the name :func:`load_schema` takes.
 SCHEMA_NAMES = (
     "bundle",

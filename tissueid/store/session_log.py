@@ -36,18 +36,6 @@ from tissueid.store.bundle import HDF5_ERRORS
 from tissueid.store.files import TEMPORARY_PREFIX, json_bytes, plain_json, replace_file
 from tissueid.store.schema import check
 
-__all__ = [
-    "HDF5_MAGIC",
-    "RAW_MAGIC",
-    "SESSION_FORMAT",
-    "SESSION_SCHEMA_VERSION",
-    "SessionLog",
-    "convert_session_log",
-    "is_session_log",
-    "raw_head",
-    "read_session_log",
-]
-
 Records = NDArray[Any]
 
 SESSION_FORMAT = "tissueid/session"

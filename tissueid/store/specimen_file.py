@@ -33,14 +33,6 @@ from tissueid.store.curves import TrialCurve, get_curves, put_curves
 from tissueid.store.files import json_bytes
 from tissueid.store.posteriors import StoredPosterior, get_posteriors, put_posteriors
 
-__all__ = [
-    "SPECIMEN_SCHEMA_VERSION",
-    "SpecimenResult",
-    "load_record",
-    "load_specimen",
-    "specimen_bytes",
-]
-
 SPECIMEN_SCHEMA_VERSION = 1
 _FORMAT = "tissueid/specimen"
 

@@ -18,8 +18,6 @@ from tissueid.errors import BundleError
 from tissueid.result import Refusal
 from tissueid.store.index import INDEX, open_for_reading
 
-__all__ = ["read_status"]
-
 #: Finished jobs that the rate is taken over.
 _RECENT = 50
 #: Failures, and refused inputs, that are listed.

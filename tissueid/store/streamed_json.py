@@ -15,8 +15,6 @@ from typing import IO, Any, Self
 
 from tissueid.store.files import plain_json
 
-__all__ = ["JsonList", "write_json"]
-
 _INDENT = 2
 #: A list stays in memory up to this size [bytes].
 _SPOOL_BYTES = 1 << 20

@@ -18,8 +18,6 @@ from typing import Any
 
 from tissueid.store.files import json_bytes
 
-__all__ = ["TABLES", "TidyTable", "csv_bytes", "tidy_table"]
-
 _PARAMETERS = (
     "static_1_N_per_mm",
     "static_2_N_per_mm2",

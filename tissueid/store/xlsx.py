@@ -16,8 +16,6 @@ from xml.sax.saxutils import escape
 
 from tissueid.errors import printable
 
-__all__ = ["Cell", "Sheet", "xlsx_bytes"]
-
 Cell = str | float | bool | None
 
 #: Longest name of a sheet, and signs that it must not have.

@@ -20,8 +20,6 @@ from tissueid.manifest import Study
 from tissueid.store.files import write_file
 from tissueid.trial import Trial
 
-__all__ = ["Anonymiser", "read_salt", "recording_text"]
-
 #: Name of the salt's file beside the manifest; it is never exported.
 SALT_FILE = ".study-salt"
 _SALT_BYTES = 32

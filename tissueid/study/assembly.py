@@ -34,8 +34,6 @@ from tissueid.store.schema import check
 from tissueid.store.specimen_file import load_record
 from tissueid.store.streamed_json import JsonList, write_json
 
-__all__ = ["LARGE", "Assembled", "assemble", "specimen_path"]
-
 #: Specimens from which on a set has no merged files and its report has pages.
 LARGE = 200
 

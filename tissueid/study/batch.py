@@ -37,8 +37,6 @@ from tissueid.study.specimen_job import FIT, RecentTrials, SpecimenJob, fit_here
 from tissueid.study.tasks import Fault, Outcome, Task, packed, perform, unpacked
 from tissueid.trial import Source
 
-__all__ = ["fit_cohort", "prune_specimens"]
-
 #: What a page is expected to cost [s].
 SECONDS_A_PAGE = 0.05
 _FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})

@@ -23,8 +23,6 @@ from tissueid.model.frame import deflection, deflection_basis, deflection_sd
 from tissueid.segment import segment
 from tissueid.trial import Phase, Segmentation, Trial
 
-__all__ = ["Loading", "calibrate_frame", "loadings_of"]
-
 FloatArray = NDArray[np.float64]
 
 #: Stretches of a loading whose means are fitted.

@@ -23,8 +23,6 @@ from tissueid.processors import one_processor
 from tissueid.study.processes import Started
 from tissueid.study.tasks import Fault, Outcome, Task, attempt, packed, unpacked, versions
 
-__all__ = ["DaskWorkers", "compute"]
-
 #: Tasks in hand for every worker: one is computed while the next waits beside it.
 IN_HAND = 2
 #: How long a scheduler may take to answer, and how often and how far apart it is asked again [s].

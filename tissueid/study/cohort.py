@@ -22,8 +22,6 @@ from tissueid.store.outputs import OutputSet
 from tissueid.store.results import each_result, read_identification
 from tissueid.store.schema import check
 
-__all__ = ["POPULATION_FILES", "PopulationRequest", "WrittenPopulation", "write_population"]
-
 _DOCUMENT, _BUNDLE, _PAGE = "population.json", "population.h5", "cohort.html"
 #: Covariates that tell thawed tissue from fresh, and specimens that a refusal names.
 STATES, MOST_NAMED = {"storage", "freeze_thaw_cycles"}, 5

@@ -24,8 +24,6 @@ from typing import Any
 from tissueid.manifest import Study
 from tissueid.result import Refusal
 
-__all__ = ["ITEMS", "Completeness", "Item", "Missing", "completeness", "completeness_of_result"]
-
 ESSENTIAL, ASKED, HELPS = 3, 2, 1
 #: Grade -> least share.
 GRADES: Mapping[str, float] = {"A": 0.95, "B": 0.80, "C": 0.60, "D": 0.40, "E": 0.20, "F": 0.0}

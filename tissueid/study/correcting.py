@@ -19,8 +19,6 @@ from tissueid.study.inspected import Inspection, relative_name
 from tissueid.study.recordings import read_decided_one
 from tissueid.trial import Trial
 
-__all__ = ["CorrectedInspection"]
-
 #: Decisions that are a switch, and what it is switched to.
 _SWITCHES = {"rupture": False, "exclude": True}
 

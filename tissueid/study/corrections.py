@@ -18,8 +18,6 @@ from tissueid.ingest.toml_lines import lines_of_toml
 from tissueid.manifest import Entry, Study
 from tissueid.report.inspect_decisions import toml_value
 
-__all__ = ["CORRECTED", "MARK", "Correction", "corrected_text", "standing", "stated_by_hand"]
-
 #: Comment behind the header of a table that was written here.
 MARK = "# by inspect --serve"
 #: What can be corrected, and the table it stands in.

@@ -25,8 +25,6 @@ from tissueid.store.files import json_bytes, write_file
 from tissueid.study.anonymise import Anonymiser, recording_text
 from tissueid.trial import Trial
 
-__all__ = ["METADATA", "crate_files", "crate_metadata", "write_crate"]
-
 METADATA = "ro-crate-metadata.json"
 _CONTEXT = "https://w3id.org/ro/crate/1.1/context"
 _PROFILE = "https://w3id.org/ro/crate/1.1"

@@ -20,8 +20,6 @@ from tissueid.store.schema import load_schema
 from tissueid.study.programs import programs_of
 from tissueid.trial import Trial
 
-__all__ = ["draft_study"]
-
 _PEOPLE = {
     "operator": re.compile(
         r"(?:.*\W)?(?:operator|pruefer|prüfer|tester|operateur|operador)(?: id| name)?", re.IGNORECASE

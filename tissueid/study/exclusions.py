@@ -15,8 +15,6 @@ from tissueid.ingest.manifest import MANIFEST, read_study
 from tissueid.manifest import Study
 from tissueid.store.files import write_file
 
-__all__ = ["exclude", "find_manifest", "include"]
-
 
 def find_manifest(trial: str, named: str | None = None) -> Path:
     """The study file of a recording: the named one, else the nearest above it, else that of this folder.

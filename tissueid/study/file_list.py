@@ -10,8 +10,6 @@ from typing import overload
 
 from tissueid.result import Refusal
 
-__all__ = ["FileList", "Named"]
-
 #: A file, and the sheet that the user named with it.
 Named = tuple[Path, str | None]
 

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     # pages load a compiler, which a line a recording doesn't need
     from tissueid.report.inspect_page import InspectedRecording
 
-__all__ = ["Inspection", "reader_words", "relative_name", "study_folder"]
-
 
 def study_folder(paths: Sequence[str]) -> Path:
     """Folder of study.toml, there or not: beside or above what was named."""

@@ -25,8 +25,6 @@ from tissueid.study.survey import (
 )
 from tissueid.study.tasks import Fault, Task, packed, unpacked
 
-__all__ = ["Inventory"]
-
 #: Files a task looks into: few of long recordings, more of short ones, as far as every worker has its share.
 FEW_FILES, MANY_FILES, TASKS = 8, 64, 100
 #: Bytes of the files of a task that looks into more than a few.

@@ -20,8 +20,6 @@ from tissueid.study.specimen_job import RecentTrials, chain_file
 from tissueid.study.survey import found_in, recording_rows
 from tissueid.trial import Source, Trial
 
-__all__ = ["SeveralSpecimensError", "fit_while_read"]
-
 
 class SeveralSpecimensError(Exception):
     """The recordings are of more than one specimen."""

@@ -30,19 +30,6 @@ from tissueid.study.rendering import rendering_of
 from tissueid.study.specimen_job import fit_specimen_job
 from tissueid.study.tasks import Task, attempt, packed
 
-__all__ = [
-    "FIT_WITH_PAGE",
-    "PAGES",
-    "begin_pages",
-    "fit_with_page",
-    "page_path",
-    "report_page",
-    "specimen_page",
-    "with_page",
-    "write_pages",
-    "write_report",
-]
-
 #: Folder of the pages, in the output folder.
 PAGES = "pages"
 #: The tasks of this module.

@@ -13,8 +13,6 @@ from typing import Any
 
 from tissueid.manifest import Entry, Study
 
-__all__ = ["StudyParts", "facts_of"]
-
 _TABLES = ("trials", "overrides", "exclusions")
 
 

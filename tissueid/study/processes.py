@@ -22,8 +22,6 @@ from tissueid.own_process import end_with_parent
 from tissueid.processors import one_processor
 from tissueid.study.tasks import Fault, Outcome, Task, attempt, packed, perform, unpacked
 
-__all__ = ["InThisProcess", "LocalProcesses", "Started", "Workforce"]
-
 #: Times a task may take its process with it.
 ATTEMPTS = 2
 #: How long a process may take to end by itself [s].

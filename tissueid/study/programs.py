@@ -14,8 +14,6 @@ from tissueid.measures import Measured, MeasuredPush
 from tissueid.result import Refusal
 from tissueid.trial import Segmentation, Trial
 
-__all__ = ["Program", "Step", "programs_of"]
-
 #: Speeds and holds within this share of each other are one program; machines keep them to a per cent or two.
 SAME = 0.05
 #: Depths that agree to this share are one commanded depth; others end by contact, force or hand.

@@ -19,8 +19,6 @@ from tissueid.ingest.manifest import MANIFEST, read_study
 from tissueid.manifest import Study
 from tissueid.trial import Trial
 
-__all__ = ["listed_files", "locate_study", "options_for", "picked_sheet", "read_decided", "read_decided_one"]
-
 _READING = ("columns", "units", "axes")
 
 

@@ -20,8 +20,6 @@ from tissueid.rendering.tissue_block import Tissue as RenderedTissue
 from tissueid.report.tissue import tissue_of
 from tissueid.store.posteriors import StoredPosterior
 
-__all__ = ["rendering_of"]
-
 #: A hand that explores moves a grip at some 0.1 m/s.
 EXPLORING_MM_S = 100.0
 MM_PER_M = 1000.0

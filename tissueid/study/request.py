@@ -16,8 +16,6 @@ from tissueid.pipeline import IdentifyOptions
 from tissueid.result import Refusal
 from tissueid.study.processes import InThisProcess, LocalProcesses, Workforce
 
-__all__ = ["LOCAL", "Progress", "Request", "Workplace", "expected_seconds"]
-
 #: The scheduler that is no scheduler.
 LOCAL = "local"
 #: Processes are worth their start from so much work on [s]: each imports for two seconds.

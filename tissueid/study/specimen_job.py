@@ -31,8 +31,6 @@ from tissueid.study.survey import refusal_of
 from tissueid.study.tasks import unpacked, versions
 from tissueid.trial import Trial
 
-__all__ = ["FIT", "RecentTrials", "SpecimenJob", "chain_file", "fit_here", "fit_specimen_job", "result_of"]
-
 #: Samples kept between a survey and the jobs of one process [bytes].
 RECENT_BYTES = 16 * 2**20
 #: The task of this module.

@@ -22,19 +22,6 @@ from tissueid.study.recordings import read_decided
 from tissueid.study.tasks import packed, unpacked, versions
 from tissueid.trial import Trial
 
-__all__ = [
-    "SURVEY",
-    "Found",
-    "NamedFile",
-    "found_again",
-    "found_in",
-    "look_into",
-    "reading_key",
-    "recording_rows",
-    "refusal_of",
-    "survey_files",
-]
-
 #: The task of this module.
 SURVEY = "tissueid.study.survey:survey_files"
 #: Keys of ``[[override]]`` that decide how a file is read.

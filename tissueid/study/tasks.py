@@ -23,8 +23,6 @@ from typing import Any
 from tissueid import __version__
 from tissueid.errors import InputError, TissueidError
 
-__all__ = ["Fault", "Outcome", "Task", "attempt", "packed", "perform", "unpacked", "versions"]
-
 #: Libraries whose version may change a number or a byte of a result.
 _LIBRARIES = ("emcee", "h5py", "lmfit", "numba", "numpy", "pandas", "scipy")
 

@@ -17,8 +17,6 @@ from tissueid.synth.dialects import Dialect
 from tissueid.synth.languages import LANGUAGES
 from tissueid.synth.simulate import SyntheticLog
 
-__all__ = ["bluehill_csv"]
-
 #: What fills a header up: results, GUIDs, nothing, a placeholder, keys with ellipses, a date.
 _FILLER = (
     ("General : Operator", "<Ninguno>", ""),

@@ -17,8 +17,6 @@ from tissueid.synth.path import Path, crosshead_path
 from tissueid.synth.recipe import Log, Recipe
 from tissueid.synth.simulate import SyntheticLog, _noise, _plan
 
-__all__ = ["simulate_contact_law"]
-
 FloatArray = NDArray[np.float64]
 
 #: Half of the step of the path's derivative [s]; its pieces are straight.

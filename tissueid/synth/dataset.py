@@ -23,8 +23,6 @@ from tissueid.synth.exports import EXPORTS
 from tissueid.synth.recipe import Recipe, dump_recipe
 from tissueid.synth.simulate import SyntheticLog, simulate
 
-__all__ = ["write_set"]
-
 #: Digits of a number in truth.json: more than any test can see, fewer than differ between machines.
 TRUTH_DIGITS = 12
 

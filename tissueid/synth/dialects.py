@@ -8,8 +8,6 @@ from types import MappingProxyType
 
 from tissueid.synth.languages import LANGUAGES
 
-__all__ = ["DIALECTS", "Dialect"]
-
 ENGLISH = LANGUAGES["en"].names
 
 

@@ -23,8 +23,6 @@ from tissueid.synth.machines import (
 from tissueid.synth.simulate import SyntheticLog
 from tissueid.synth.workbooks import bluehill_workbook, zwick_workbook
 
-__all__ = ["EXPORTS", "Export"]
-
 Decimals = tuple[int, int, int]
 
 

@@ -17,8 +17,6 @@ from tissueid.synth.path import Path, contact_path
 from tissueid.synth.recipe import Branch, Rupture
 from tissueid.synth.response import branch_extension, static_force
 
-__all__ = ["Broken", "after_rupture", "rupture_of"]
-
 FloatArray = NDArray[np.float64]
 
 #: Times at which the measure is looked at; the depth of rupture is then good to 1e-7 of the travel.

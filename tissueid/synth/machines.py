@@ -11,16 +11,6 @@ from collections.abc import Iterator, Sequence
 
 from tissueid.synth.simulate import SyntheticLog
 
-__all__ = [
-    "GRAM_FORCE_N",
-    "chiaro_text",
-    "chiaro_zip",
-    "mach1_text",
-    "mts793_text",
-    "shimadzu_text",
-    "tra_text",
-]
-
 Decimals = tuple[int, int, int]
 
 #: Standard gravity on a gram [N].

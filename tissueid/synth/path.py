@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from tissueid.synth.recipe import Log, Move
 
-__all__ = ["Path", "contact_path", "crosshead_path"]
-
 FloatArray = NDArray[np.float64]
 
 CHORDS = 200

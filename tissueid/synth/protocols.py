@@ -28,8 +28,6 @@ from types import MappingProxyType
 from tissueid.errors import UsageError
 from tissueid.synth.recipe import Branch, Hold, Log, Move, Recipe, Rupture
 
-__all__ = ["RECIPES", "recipe"]
-
 SPEEDS_MM_MIN = (10.0, 70.0, 100.0, 150.0, 250.0, 500.0)
 DEPTHS_MM = (2.0, 4.0, 6.0, 8.0)
 HOLD_SPEED_MM_MIN = 250.0

@@ -33,8 +33,6 @@ from typing import Any
 
 from tissueid.errors import InputError
 
-__all__ = ["RUPTURES", "Branch", "Hold", "Log", "Move", "Recipe", "Rupture", "dump_recipe", "load_recipe"]
-
 SECONDS_PER_MINUTE = 60.0
 NONNEGATIVE = (
     "sigma_N",

@@ -20,8 +20,6 @@ from numpy.typing import NDArray
 from tissueid.synth.path import Path, contact_path
 from tissueid.synth.recipe import Branch
 
-__all__ = ["branch_extension", "low_pass", "oversampled", "static_force", "tissue_force"]
-
 FloatArray = NDArray[np.float64]
 
 OVERSAMPLING = 16

@@ -21,8 +21,6 @@ from tissueid.synth.recipe import Hold, Log, Move, Recipe
 from tissueid.synth.response import low_pass, oversampled, tissue_force
 from tissueid.trial import Protocol, Source, Trial, frozen_array
 
-__all__ = ["SyntheticLog", "as_trials", "simulate"]
-
 FloatArray = NDArray[np.float64]
 
 

@@ -9,8 +9,6 @@ from xml.sax.saxutils import escape
 
 from tissueid.synth.simulate import SyntheticLog
 
-__all__ = ["bluehill_workbook", "xlsx", "zwick_workbook"]
-
 Decimals = tuple[int, int, int]
 Cell = float | str
 

@@ -13,8 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["FEWEST", "Learning", "learning_curve"]
-
 #: Attempts from which a slope has a standard error worth a word.
 FEWEST = 4
 

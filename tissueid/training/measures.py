@@ -19,8 +19,6 @@ from tissueid.haptics.states import State
 from tissueid.rendering import guidance as gd
 from tissueid.rendering.environment import GUIDED
 
-__all__ = ["CONE_ENTRY_MM", "Attempt", "measured", "track"]
-
 FloatArray = NDArray[np.float64]
 
 #: Height above the entry point of the bone at which the cone begins [mm] (assumed).

@@ -14,8 +14,6 @@ from tissueid.rendering.script import Script
 from tissueid.segment import segment
 from tissueid.trial import Trial, contact_frame
 
-__all__ = ["Program", "program_of_recording", "program_of_script"]
-
 FloatArray = NDArray[np.float64]
 
 #: Rest above the tissue before the motion [s]: longer than the ramp of a start; height and speed of the way

@@ -36,8 +36,6 @@ from tissueid.rendering.session_plan import SessionPlan
 from tissueid.rendering.tissue_block import Plane, Tissue, tissue_block
 from tissueid.twin.program import Program
 
-__all__ = ["LATE_S", "Felt", "emulated_falcon", "planned", "simulated"]
-
 FloatArray = NDArray[np.float64]
 
 TICK_S = 1e-3

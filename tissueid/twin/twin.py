@@ -31,8 +31,6 @@ from tissueid.trial import Source, Trial
 from tissueid.twin.program import Program, program_of_script
 from tissueid.twin.sessions import Felt, emulated_falcon, planned, simulated
 
-__all__ = ["Row", "Twin", "TwinDevice", "Unseen", "run_twin", "twin_drawing"]
-
 FloatArray = NDArray[np.float64]
 
 #: Delay that is stated is known to half a tick [s].

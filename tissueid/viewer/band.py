@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from tissueid.model.channels import loading_force
 from tissueid.rendering.tissue_block import Tissue
 
-__all__ = ["band_of"]
-
 FloatArray = NDArray[np.float64]
 
 #: Depths of a curve.

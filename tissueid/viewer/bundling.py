@@ -19,16 +19,6 @@ import sys
 import tempfile
 from pathlib import Path
 
-__all__ = [
-    "BUNDLE",
-    "SOURCES",
-    "BundlingError",
-    "build_bundle",
-    "is_built",
-    "missing_bundle_words",
-    "npm_command",
-]
-
 HERE = Path(__file__).resolve().parent
 SOURCES = HERE / "web"
 #: Where the bundle goes: never into version control.

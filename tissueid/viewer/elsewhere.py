@@ -8,8 +8,6 @@ import urllib.request
 
 from tissueid.errors import UsageError, printable
 
-__all__ = ["reach"]
-
 TIMEOUT_S = 5.0
 
 

@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 from tissueid.haptics.ring import Ring
 from tissueid.viewer.frames import SAMPLE, samples_of, write_frame
 
-__all__ = ["MOST_SAMPLES", "MOST_UNANSWERED", "Client", "LiveFeed", "Source"]
-
 Samples = NDArray[Any]
 
 #: Samples in one frame, and the furthest a client may lie behind: 2 s at 1 kHz, 144 kB.

@@ -22,8 +22,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ENDED", "HEAD", "SAMPLE", "VERSION", "Frame", "layout", "read_frame", "samples_of", "write_frame"]
-
 Samples = NDArray[Any]
 
 VERSION = 1

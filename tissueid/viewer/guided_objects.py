@@ -11,8 +11,6 @@ from tissueid.rendering import guidance as gd
 from tissueid.rendering.environment import GUIDED
 from tissueid.rendering.funnel import CONE, PRINTED_ONE_M
 
-__all__ = ["guided_objects"]
-
 #: Height above the entry point up to which axis and funnel are drawn [m].
 DRAWN_M = 0.04
 #: Points of the funnel's profile.

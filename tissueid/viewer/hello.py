@@ -34,8 +34,6 @@ from tissueid.trial import TipShape
 from tissueid.viewer.frames import SAMPLE, layout
 from tissueid.viewer.guided_objects import guided_objects
 
-__all__ = ["PROTOCOL", "Workspace", "hello"]
-
 PROTOCOL = 1
 Workspace = Sequence[tuple[float, float]]
 #: Kinds of surfaces by the number in their block.

@@ -16,8 +16,6 @@ import json
 import math
 from dataclasses import dataclass
 
-__all__ = ["LARGEST_MESSAGE", "REACH_M", "Answer", "Message", "Play", "Pointer", "parse_message"]
-
 VERSION = 1
 #: The longest of them takes half of this [bytes].
 LARGEST_MESSAGE = 256

@@ -25,8 +25,6 @@ from tissueid.viewer.security import LOOPBACK, Access, RefusalLog, new_token
 from tissueid.viewer.server import Guarded
 from tissueid.viewer.serving import ViewerOptions, listening_socket
 
-__all__ = ["DecidedPage", "PageServer", "page_app"]
-
 #: A decision is a number and a sentence.
 LARGEST_DECISION = 8_192
 MOST_CONNECTIONS = 16

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from tissueid.viewer.messages import Play
 
-__all__ = ["Playback"]
-
 Samples = NDArray[Any]
 
 

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from tissueid.haptics.shared_hand import SharedHand
 
-__all__ = ["HandPointer"]
-
 #: How far beyond the workspace a hand may be led [m]: 6 N of a 300 N/m hand.
 BEYOND_M = 0.02
 

@@ -13,8 +13,6 @@ import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
-__all__ = ["MOST_PINGS", "MOST_WAITING", "REQUEST_S", "PunctualHttp", "SparingWebSocket"]
-
 #: Time for a whole request [s], and connections that may wait for one at a time.
 REQUEST_S = 5.0
 MOST_WAITING = 24

@@ -21,8 +21,6 @@ from dataclasses import dataclass
 
 from tissueid.errors import printable
 
-__all__ = ["LOOPBACK", "Access", "RefusalLog", "is_loopback", "new_token"]
-
 LOOPBACK = "127.0.0.1"
 #: Names of this machine for itself.
 LOCAL_NAMES = ("localhost", "127.0.0.1", "::1")

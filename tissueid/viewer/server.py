@@ -32,8 +32,6 @@ from tissueid.viewer.stage import Stage
 if TYPE_CHECKING:
     from tissueid.viewer.feed import Client
 
-__all__ = ["MOST_CLIENTS", "Guarded", "TlsFiles", "ViewerServer", "viewer_app"]
-
 MOST_CLIENTS = 16
 #: Messages a client may send in a second: answers at 100 frames/s, and a pointer at twice a screen's rate.
 MOST_MESSAGES = 400

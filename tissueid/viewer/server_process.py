@@ -26,8 +26,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from tissueid.viewer.stage import Stage
 
-__all__ = ["main"]
-
 #: Below the servo and its owner, above nothing of the user's that waits.
 NICENESS = 5
 LARGEST_READ = 1 << 16

@@ -17,8 +17,6 @@ from tissueid.viewer.security import LOOPBACK, Access, is_loopback, new_token
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = ["DEFAULT_PORT", "ServedViewer", "ViewerOptions", "listening_socket"]
-
 #: Taken where it is free, so that a page finds a session that was started again.
 DEFAULT_PORT = 8765
 #: The server closes its connections in this time [s], or is killed.

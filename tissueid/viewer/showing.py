@@ -18,8 +18,6 @@ from tissueid.viewer.serving import ServedViewer
 if TYPE_CHECKING:
     from tissueid.rendering.servo import ServoProcess
 
-__all__ = ["check_log", "show_log", "show_session"]
-
 
 def show_session(viewer: ServedViewer, plan: SessionPlan, servo: ServoProcess, bundle: Path | None) -> None:
     """Show what a servo renders.

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from tissueid.viewer.feed import LiveFeed, Source
     from tissueid.viewer.pointer import HandPointer
 
-__all__ = ["Stage"]
-
 #: Between two looks at the ring [s]: half of it is the mean age it adds, its inverse the frames a second.
 TURN_S = 0.01
 #: A page that leads the hand answers a hundred frames a second; one that hangs, or whose machine is gone,

@@ -10,8 +10,6 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-__all__ = ["FolderWatch", "Look"]
-
 Fingerprint = tuple[int, int]
 
 

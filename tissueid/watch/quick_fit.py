@@ -11,8 +11,6 @@ from tissueid.pipeline import IdentifyOptions, identify
 from tissueid.segment import SegmentOptions
 from tissueid.trial import Trial
 
-__all__ = ["quick_fit"]
-
 
 def quick_fit(
     trial: Trial, options: SegmentOptions | None, study: Study | None = None

@@ -16,8 +16,6 @@ from tissueid.trial import Trial
 from tissueid.watch.folder import FolderWatch
 from tissueid.watch.verdict import Verdict, refused_verdict, samples_digest
 
-__all__ = ["LOG", "Happening", "WatchSession", "load_log"]
-
 #: Name of the log in the output folder.
 LOG = "watch.jsonl"
 

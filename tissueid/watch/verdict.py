@@ -19,8 +19,6 @@ from tissueid.result import Refusal
 from tissueid.segment import SegmentOptions
 from tissueid.trial import Trial
 
-__all__ = ["judge", "refused_verdict", "samples_digest"]
-
 Verdict = dict[str, Any]
 
 #: What a verdict keeps of ``inspect --json``.

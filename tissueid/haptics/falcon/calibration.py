@@ -34,8 +34,6 @@ from tissueid.haptics.falcon.constants import GEOMETRIES, Geometry
 from tissueid.haptics.falcon.packet_kernels import MOTOR_LIMIT
 from tissueid.haptics.limits import UNCALIBRATED_N, WORST_UNITS_PER_NM, uncalibrated_clamp_N
 
-__all__ = ["Calibration", "calibration_path", "load_calibration", "save_calibration"]
-
 #: Motor units per N m: this reproduces the vendor's "more than 8.9 N"; reports range from 3460 to 10 000.
 UNITS_PER_NM = 6600.0
 #: Largest force of a calibrated device [N], and of one whose checklist nobody has gone through.

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from tissueid.haptics.falcon.kinematic_kernels import COSINES, GEOMETRY_SIZE, SINES
 
-__all__ = ["DEFAULT_GEOMETRY", "GEOMETRIES", "Geometry"]
-
 #: Azimuths of legs 1 (top), 2 (right) and 3 (left), seen from the front [deg].
 AZIMUTHS_DEG = (105.0, -15.0, -135.0)
 #: Lines of the encoder wheel, each counted four times.

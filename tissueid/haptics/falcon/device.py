@@ -37,8 +37,6 @@ from tissueid.haptics.homing import HOMING_TIMEOUT_S, await_homed, wait_with_zer
 from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.measure.link import UNSEEN_TICKS
 
-__all__ = ["HOMING_STEPS", "PULLED_OUT_M", "FalconDevice", "limits_of"]
-
 Tell = Callable[[str], None]
 
 #: What a user does to home a Falcon, in order.

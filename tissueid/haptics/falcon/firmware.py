@@ -26,17 +26,6 @@ from tissueid.haptics.falcon.transport import (
     ByteTransport,
 )
 
-__all__ = [
-    "TRIES",
-    "VARIABLE",
-    "Firmware",
-    "UploadError",
-    "ensure_running",
-    "find_firmware",
-    "is_running",
-    "upload",
-]
-
 Progress = Callable[[str, int, int], None]
 
 #: Environment variable that names the file.

@@ -21,16 +21,6 @@ from numpy.typing import NDArray
 
 from tissueid.compiled import tick_kernel
 
-__all__ = [
-    "GEOMETRY_SIZE",
-    "angles_of_counts",
-    "forward_kernel",
-    "inverse_kernel",
-    "jacobian_kernel",
-    "motor_units",
-    "torque_kernel",
-]
-
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 #: Three numbers, and three rows of them.

@@ -21,8 +21,6 @@ from tissueid.haptics.falcon.kinematic_kernels import (
     torque_kernel,
 )
 
-__all__ = ["GUESS_M", "WorkspaceError", "forward", "inverse", "jacobian", "torque"]
-
 FloatArray = NDArray[np.float64]
 
 #: Where the forward solution starts without a guess: mid-workspace, on the axis [m].

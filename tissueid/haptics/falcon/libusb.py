@@ -27,20 +27,6 @@ from tissueid.haptics.falcon.transport import (
     TransportLost,
 )
 
-__all__ = [
-    "BULK_IN",
-    "BULK_OUT",
-    "BULK_TRANSFER",
-    "PRODUCT",
-    "STATUS_BYTES",
-    "UDEV_RULE",
-    "USB_PACKET_BYTES",
-    "VENDOR",
-    "LibUsb",
-    "UsbNode",
-    "UsbTransport",
-]
-
 VENDOR = 0x0403
 PRODUCT = 0xCB48
 UDEV_RULE = 'SUBSYSTEM=="usb", ATTR{idVendor}=="0403", ATTR{idProduct}=="cb48", MODE="0660", TAG+="uaccess"'

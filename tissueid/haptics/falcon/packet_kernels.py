@@ -21,26 +21,6 @@ from numpy.typing import NDArray
 from tissueid.compiled import tick_kernel
 from tissueid.haptics.states import State
 
-__all__ = [
-    "BUTTONS",
-    "DROPPED",
-    "ENCODERS",
-    "HOMED",
-    "INVALID",
-    "LED_BLUE",
-    "LED_GREEN",
-    "LED_RED",
-    "MOTOR_LIMIT",
-    "PACKETS",
-    "PACKET_BYTES",
-    "PARSER_SIZE",
-    "REPLY_FIELDS",
-    "encode_into",
-    "leds_of_state",
-    "parse_byte",
-    "parse_bytes",
-]
-
 IntArray = NDArray[np.int64]
 ByteArray = NDArray[np.uint8]
 

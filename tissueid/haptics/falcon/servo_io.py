@@ -34,8 +34,6 @@ from tissueid.haptics.servo_access import UNANSWERED as WITHOUT_ANSWER
 from tissueid.haptics.states import Lamp
 from tissueid.haptics.watchdogs import LATE_COMMANDS, REPLY_DAMAGED, REPLY_LOST, REPLY_NONE, REPLY_VALID
 
-__all__ = ["DESCRIPTOR", "USB", "DescriptorIO", "UsbIO"]
-
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 ByteArray = NDArray[np.uint8]

@@ -28,19 +28,6 @@ except ModuleNotFoundError:  # a system without terminals of POSIX
 else:
     HAS_TERMINALS = True
 
-__all__ = [
-    "BAUD_HELLO",
-    "BAUD_RUN",
-    "BAUD_UPLOAD",
-    "LATENCY_RUN_MS",
-    "LATENCY_UPLOAD_MS",
-    "READ_BYTES",
-    "ByteTransport",
-    "FileTransport",
-    "ModemLines",
-    "TransportLost",
-]
-
 #: Speeds of the chip's divisors 0x4138, 21 and 2 [baud]; the wire has the last while firmware runs.
 BAUD_HELLO = 9_600
 BAUD_UPLOAD = 142_857

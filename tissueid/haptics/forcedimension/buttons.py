@@ -9,8 +9,6 @@ from __future__ import annotations
 
 from tissueid.compiled import tick_part
 
-__all__ = ["wire_buttons"]
-
 #: Bits of the SDK's mask.
 _CENTRE, _LEFT, _UP, _RIGHT = 0x1, 0x2, 0x4, 0x8
 

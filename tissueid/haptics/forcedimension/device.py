@@ -28,8 +28,6 @@ from tissueid.haptics.forcedimension.sdk import Sdk
 from tissueid.haptics.homing import HOMING_TIMEOUT_S, await_homed
 from tissueid.haptics.limits import GuardLimits
 
-__all__ = ["ORIGIN_M", "ROTATION", "ForceDimensionDevice"]
-
 #: Rows: our axes in the SDK's frame, which has x toward the user, y to the right and z up.
 ROTATION = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
 #: The SDK's origin, the middle of the workspace, in our frame [m].

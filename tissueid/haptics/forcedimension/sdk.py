@@ -17,8 +17,6 @@ from typing import Any
 
 from tissueid.errors import DeviceError
 
-__all__ = ["FALCON_TYPE", "LIBRARY_VARIABLE", "OLDEST", "Sdk", "candidates"]
-
 LIBRARY_VARIABLE = "TISSUEID_FORCEDIM"
 SDK_VARIABLES = ("FDSDK", "FORCEDIM_SDK")
 LIBRARY_NAMES = ("libdrd.so", "libdhd.so")

@@ -20,8 +20,6 @@ from tissueid.haptics.foreign import by_address
 from tissueid.haptics.servo_access import HOMED, PRESSED, REPLY, Access, register
 from tissueid.haptics.watchdogs import REPLY_LOST, REPLY_VALID
 
-__all__ = ["SDK", "ForceDimensionIO"]
-
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 

@@ -19,8 +19,6 @@ from numpy.typing import NDArray
 from tissueid.haptics.device import HapticDevice
 from tissueid.haptics.measure.motion import Pace, engage, record, wait_for
 
-__all__ = ["MIDDLE_M", "POSES_M", "GripWeight", "weigh_poses"]
-
 FloatArray = NDArray[np.float64]
 
 #: Middle of the workspace, and the corners of a cube around it [m].

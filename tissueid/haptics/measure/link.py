@@ -11,8 +11,6 @@ import numpy as np
 from tissueid.errors import DeviceError
 from tissueid.haptics.device import HapticDevice
 
-__all__ = ["LinkReport", "measure_link"]
-
 #: Tick of the servo [s].
 TICK_S = 0.001
 #: After this time an answer is lost, not late [s].

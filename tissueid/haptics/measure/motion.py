@@ -14,8 +14,6 @@ from tissueid.haptics.device import HapticDevice
 from tissueid.haptics.states import FAULT_WORDS, State
 from tissueid.haptics.velocity import velocity_step
 
-__all__ = ["Law", "Motion", "engage", "record", "wait_for"]
-
 FloatArray = NDArray[np.float64]
 #: ``law(time since the start [s], position [m], velocity [m/s]) -> force [N]``.
 Law = Callable[[float, FloatArray, FloatArray], FloatArray]

@@ -23,8 +23,6 @@ from tissueid.errors import DeviceError
 from tissueid.haptics.device import HapticDevice
 from tissueid.haptics.measure.motion import Motion, Pace, engage, record, wait_for
 
-__all__ = ["ArmEstimate", "estimate_arm", "ring_down"]
-
 FloatArray = NDArray[np.float64]
 
 ALONG = 2

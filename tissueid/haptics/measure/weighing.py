@@ -19,8 +19,6 @@ from tissueid.haptics.device import HapticDevice
 from tissueid.haptics.measure.motion import Motion, Pace, engage, record, wait_for
 from tissueid.haptics.states import Fault
 
-__all__ = ["GRAVITY", "Weighing", "weigh"]
-
 FloatArray = NDArray[np.float64]
 
 #: Standard gravity [m/s^2]; it varies by 0.3 % over the globe, a kitchen scale by more.

@@ -7,8 +7,6 @@ from typing import ClassVar
 
 from tissueid.model.law import About
 
-__all__ = ["LAW", "Constant"]
-
 
 @dataclass(frozen=True, slots=True)
 class Constant:

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from tissueid.model.base import ParameterSpec
 from tissueid.model.law import About, Shape
 
-__all__ = ["LAW", "Flat"]
-
 FloatArray = NDArray[np.float64]
 
 POWER = 1.0

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from tissueid.model.base import ParameterSpec
 from tissueid.model.law import About, Shape
 
-__all__ = ["LAW", "Fractional"]
-
 FloatArray = NDArray[np.float64]
 
 #: Logarithms of rates times tau to the power alpha over which the spectrum is summed, and their number.

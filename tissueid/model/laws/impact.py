@@ -12,8 +12,6 @@ from tissueid.model.base import ParameterSpec
 from tissueid.model.impact import LEAST_RESTITUTION, Variant, damping_factors
 from tissueid.model.law import About, Shape
 
-__all__ = ["LAW", "Impact"]
-
 FloatArray = NDArray[np.float64]
 
 

@@ -9,8 +9,6 @@ from tissueid.model.impact import Variant
 from tissueid.model.law import About
 from tissueid.model.laws.impact import Impact
 
-__all__ = ["LAW", "ImpactExact"]
-
 
 class ImpactExact(Impact):
     """F = F_s (1 + chi r) whose chi gives the restitution e exactly."""

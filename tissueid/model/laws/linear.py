@@ -7,8 +7,6 @@ from typing import ClassVar
 
 from tissueid.model.law import About
 
-__all__ = ["LAW", "Linear"]
-
 
 @dataclass(frozen=True, slots=True)
 class Linear:

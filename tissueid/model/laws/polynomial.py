@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from tissueid.model.base import ParameterSpec, static_spec
 from tissueid.model.law import About, Shape
 
-__all__ = ["LAW", "Polynomial"]
-
 FloatArray = NDArray[np.float64]
 
 

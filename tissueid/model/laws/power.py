@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from tissueid.model.base import ParameterSpec
 from tissueid.model.law import About, Shape
 
-__all__ = ["LAW", "Power"]
-
 FloatArray = NDArray[np.float64]
 
 #: Depth at which the slope of a power below one is taken instead of at the surface.

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from tissueid.model.law import About, Shape
 
-__all__ = ["LAW", "Spectrum"]
-
 FloatArray = NDArray[np.float64]
 
 

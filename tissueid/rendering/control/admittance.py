@@ -32,14 +32,6 @@ from tissueid.rendering.precheck import check_before_force
 from tissueid.rendering.presets import ASSUMED_DEVICE
 from tissueid.rendering.tissue_block import Tissue
 
-__all__ = [
-    "DeviceRun",
-    "device_settings",
-    "render_on_simulated",
-    "require_force_sensor",
-    "simulated_device",
-]
-
 FloatArray = NDArray[np.float64]
 
 #: Into the tissue: away from the user.

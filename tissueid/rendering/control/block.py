@@ -6,8 +6,6 @@ own (:func:`tissueid.model.kernels.pack_law`).
 
 from __future__ import annotations
 
-__all__ = ["BLOCK_SIZE", "MOST_AXES", "VARIANT_B", "WITHOUT_ARM"]
-
 #: Axes that a loop may have.
 MOST_AXES = 3
 

@@ -11,8 +11,6 @@ from tissueid.rendering.control.drive import advance_tool, environment_force, to
 from tissueid.rendering.control.law import control_force, reference, robust_term, saturate, sigma_at
 from tissueid.rendering.control.plant import regress
 
-__all__ = ["command"]
-
 FloatArray = NDArray[np.float64]
 
 

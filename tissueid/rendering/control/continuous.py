@@ -38,8 +38,6 @@ from tissueid.rendering.control.plant import generalised_force, inertia, regress
 from tissueid.rendering.control.row import record_row
 from tissueid.rendering.control.sampled import LARGEST_M
 
-__all__ = ["continuous_room", "run_continuous"]
-
 FloatArray = NDArray[np.float64]
 Five = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
 #: Rows of the state of motion: position and velocity of the device, of the tool.

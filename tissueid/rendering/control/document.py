@@ -15,8 +15,6 @@ from tissueid.rendering.control.settings import ControlSettings
 from tissueid.rendering.control.simulation import ControlRun
 from tissueid.rendering.control.virtual_mass import MARGIN, virtual_mass_bound
 
-__all__ = ["SCHEMA", "as_document", "settings_table"]
-
 SCHEMA = "tissueid/control/1"
 
 TABLE_3 = "Sadeghnejad et al., Table 3; which number is which, and the units, are a reading"

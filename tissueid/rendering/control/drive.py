@@ -21,8 +21,6 @@ from tissueid.rendering.control.block import (
     TOUCHED_BY_DEVICE,
 )
 
-__all__ = ["DRIVE_ROWS", "advance_tool", "disturbance", "environment_force", "hand_push", "tool_acceleration"]
-
 FloatArray = NDArray[np.float64]
 
 #: Rows of a drive, a column an axis: offset, amplitude, frequency of the hand's push; then of what disturbs.

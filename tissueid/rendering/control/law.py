@@ -34,17 +34,6 @@ from tissueid.rendering.control.block import (
 )
 from tissueid.rendering.control.plant import damping_form, inertia
 
-__all__ = [
-    "adapt",
-    "control_force",
-    "lyapunov",
-    "not_covered",
-    "reference",
-    "robust_term",
-    "saturate",
-    "sigma_at",
-]
-
 FloatArray = NDArray[np.float64]
 
 

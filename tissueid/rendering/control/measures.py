@@ -9,8 +9,6 @@ import numpy as np
 
 from tissueid.rendering.control.simulation import ControlRun
 
-__all__ = ["Measures", "measured"]
-
 #: Errors are taken over the last seconds of a run, when the push has risen.
 LAST_S = 5.0
 

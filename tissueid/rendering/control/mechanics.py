@@ -15,8 +15,6 @@ from numpy.typing import ArrayLike, NDArray
 from tissueid.errors import UsageError
 from tissueid.rendering.control.block import MOST_AXES
 
-__all__ = ["TABLE_3_DEVICE", "TABLE_3_OPERATOR", "TASKS", "Mechanics", "PlanarArm", "Signal"]
-
 FloatArray = NDArray[np.float64]
 
 

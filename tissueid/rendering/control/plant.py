@@ -24,8 +24,6 @@ from numpy.typing import NDArray
 from tissueid.compiled import tick_kernel
 from tissueid.rendering.control.block import ARM_PARAMETERS, BASE_X, BASE_Y, LINK_1, LINK_2
 
-__all__ = ["damping_form", "generalised_force", "inertia", "regress", "solve"]
-
 FloatArray = NDArray[np.float64]
 
 

@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from tissueid.compiled import tick_kernel
 
-__all__ = ["SCALARS", "VECTORS", "record_row", "row_size"]
-
 FloatArray = NDArray[np.float64]
 
 #: A number each, in this order, after the vectors.

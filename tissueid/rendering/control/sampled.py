@@ -19,8 +19,6 @@ from tissueid.rendering.control.law import adapt, lyapunov, not_covered, sigma_a
 from tissueid.rendering.control.plant import generalised_force, inertia, solve
 from tissueid.rendering.control.row import record_row
 
-__all__ = ["LARGEST_M", "run_sampled", "sampled_room"]
-
 FloatArray = NDArray[np.float64]
 
 #: A device that is farther away than this has diverged [m].

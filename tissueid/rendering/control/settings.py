@@ -21,8 +21,6 @@ from tissueid.rendering.control.mechanics import (
 from tissueid.rendering.control.plant import inertia
 from tissueid.rendering.tissue_block import Tissue
 
-__all__ = ["ControlSettings", "Gains", "VirtualTool"]
-
 FloatArray = NDArray[np.float64]
 
 #: Robust bound where none is given [N]: in variant A it covers the whole push of the hand, in B friction.
@@ -43,7 +41,7 @@ TANGENT_REACH = 1.5
 
 @dataclass(frozen=True, slots=True)
 class VirtualTool:
-    """Tool between hand and tissue.; 2 kg is assumed ("has been selected to maintain stability")."""
+    """Tool between hand and tissue; 2 kg is assumed ("has been selected to maintain stability")."""
 
     mass_kg: float = 2.0
     damping_N_s_per_m: float = 0.0

@@ -18,8 +18,6 @@ from tissueid.rendering.control.sampled import run_sampled, sampled_room
 from tissueid.rendering.control.settings import ControlSettings
 from tissueid.rendering.control.virtual_mass import check_virtual_mass
 
-__all__ = ["ControlRun", "loop_block", "simulate", "tissue_law"]
-
 FloatArray = NDArray[np.float64]
 
 

@@ -19,8 +19,6 @@ from numpy.typing import NDArray
 from tissueid.errors import UsageError
 from tissueid.rendering.control.settings import ControlSettings
 
-__all__ = ["MARGIN", "check_virtual_mass", "turn_multiplier", "virtual_mass_bound"]
-
 FloatArray = NDArray[np.float64]
 
 #: Virtual mass over its bound that a loop should have.

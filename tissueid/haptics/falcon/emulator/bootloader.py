@@ -9,8 +9,6 @@ from __future__ import annotations
 
 from enum import Enum
 
-__all__ = ["BOOT_BAUD", "HELLO_BAUD", "RUN_BAUD", "BootLoader"]
-
 HELLO = bytes([0x0A, 0x43, 0x0D])
 GREETING = bytes([0x0A, 0x44, 0x2C, 0x0D])
 READY = b"A"

@@ -19,8 +19,6 @@ from tissueid.haptics.falcon.device import FalconDevice
 from tissueid.haptics.falcon.emulator.links import EmulatorProcess
 from tissueid.haptics.limits import GuardLimits
 
-__all__ = ["EmulatorDevice"]
-
 
 class EmulatorDevice(FalconDevice):
     """A Falcon driver with its own emulated Falcon.

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 from tissueid.errors import UsageError, printable
 
-__all__ = ["FAULT_KINDS", "ScriptedFault", "parse_fault"]
-
 #: Kinds, and what each does while it lasts.
 FAULT_KINDS = {
     "unplug": "the transport closes",

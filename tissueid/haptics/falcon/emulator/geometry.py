@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 
 from tissueid.compiled import kernel
 
-__all__ = ["COUNTS_PER_RAD", "LENGTHS", "ZERO_RAD", "grip_force", "leg_angles"]
-
 FloatArray = NDArray[np.float64]
 
 #: Thigh, shin, the two pins together, wrist from the platform's centre along and across the leg, pivot along

@@ -22,8 +22,6 @@ from tissueid.errors import DeviceError
 from tissueid.haptics.falcon.emulator.machine import EmulatedFalcon, EmulatorSettings
 from tissueid.own_process import own_process
 
-__all__ = ["READY_LINE", "EmulatedLink", "EmulatorProcess", "serve"]
-
 #: Beginning of the line with which an emulator's own process says where it is.
 READY_LINE = "emulated Falcon at "
 #: Longest wait for bytes before the clock and the stop sign are looked at [s].

@@ -33,8 +33,6 @@ from tissueid.haptics.falcon.emulator.geometry import (
 from tissueid.haptics.falcon.emulator.wire import Command, CommandReader, reply_bytes
 from tissueid.haptics.hand import Hand
 
-__all__ = ["HOME_S", "START_M", "EmulatedFalcon", "EmulatorSettings", "with_homing"]
-
 FloatArray = NDArray[np.float64]
 
 #: Counts beyond which a leg counts as pulled out or pushed in; the stops are near +-1600.

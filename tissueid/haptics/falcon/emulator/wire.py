@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["Command", "CommandReader", "reply_bytes"]
-
 START, END, FILLER = b"<"[0], b">"[0], b"A"
 LETTERS = b"ABCDEFGHIJKLMNOP"
 #: Worth of a letter at each of the four places; the last place carries the sign.
