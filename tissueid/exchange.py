@@ -21,11 +21,9 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.errors import UsageError
-
-FloatArray = NDArray[np.float64]
 
 #: What arviz compares needs more than one chain.
 _QUARTERS = 4

@@ -23,8 +23,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.collection import TrialCache, collect, display_names
 from tissueid.errors import BundleError, InputError, NotIdentifiedError, UsageError
 from tissueid.flags import Flag
@@ -49,8 +49,6 @@ from tissueid.uncertainty import ParameterUncertainty
 if TYPE_CHECKING:
     from tissueid.rendering.session import Outcome
     from tissueid.store.bundle_content import Bundle as BundleContent
-
-FloatArray = NDArray[np.float64]
 
 #: Relative standard deviation of a parameter that is fixed.
 FIXED = 1e-6

@@ -11,7 +11,8 @@ from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from tissueid.arrays import FloatArray
 
 if TYPE_CHECKING:
     from tissueid.manifest import Study
@@ -19,8 +20,6 @@ if TYPE_CHECKING:
     from tissueid.store.bundle_content import Bundle
     from tissueid.trial import Trial
     from tissueid.uncertainty import ParameterUncertainty, Posterior
-
-FloatArray = NDArray[np.float64]
 
 #: Size of a drawing, and the room for its numbers [px].
 WIDTH, HEIGHT, MARGIN = 420, 190, 44

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.errors import printable
 from tissueid.flags import Flag
 from tissueid.measures import Measured, SpreadRow, spread_json
@@ -31,8 +32,6 @@ __all__ = [
     "SpecimenFit",
     "TrialFit",
 ]
-
-FloatArray = NDArray[np.float64]
 
 #: What a parameter says of its uncertainty where nothing was sampled or nothing is identified.
 _NOT_SAMPLED = dict.fromkeys(

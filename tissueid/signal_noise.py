@@ -8,9 +8,8 @@ median makes corners, event rows and steps harmless; a quantised signal has at l
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from tissueid.arrays import FloatArray
 
 #: Standard deviation of a normal variable over its median absolute value.
 NORMAL_SD_OVER_MEDIAN = 1.482602218505602

@@ -15,12 +15,10 @@ from types import MappingProxyType
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
 from tissueid.notebook import Shown
-
-FloatArray = NDArray[np.float64]
 
 PhaseKind = str
 #: Kind of the protocol of a rendered session's log: its force followed its own travel.

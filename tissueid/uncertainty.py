@@ -13,12 +13,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from tissueid.arrays import FloatArray
 from tissueid.notebook import Shown
-
-FloatArray = NDArray[np.float64]
 
 
 def _finite(value: Any) -> Any:

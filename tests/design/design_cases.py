@@ -8,9 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tissueid import FitOptions, IdentifyOptions, identify
+from tissueid.arrays import FloatArray
 from tissueid.design.given import given_protocol
 from tissueid.design.indentation import Indentation, ramp_of
 from tissueid.design.information import Chain
@@ -27,8 +27,6 @@ from tissueid.selfcheck.recording import ProtocolLog
 from tissueid.selfcheck.tissue import KNOWN_MACHINE, TissueCheck, tissue_check
 from tissueid.selfcheck.truth import Truth, Widths, numbers_of
 from tissueid.synth import recipe
-
-FloatArray = NDArray[np.float64]
 
 TAU, ETA = "relaxation_time_s", "viscosity_N_s_per_mm"
 #: Priors so wide that they say nothing beside the data.

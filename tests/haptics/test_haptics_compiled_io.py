@@ -13,6 +13,7 @@ import pytest
 from c_library import compiled
 from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.haptics.falcon.calibration import Calibration
 from tissueid.haptics.falcon.device import FalconDevice
 from tissueid.haptics.falcon.kinematics import GUESS_M, forward
@@ -23,8 +24,6 @@ from tissueid.haptics.servo_access import HOMED, PRESSED, REPLY, WORDS_SIZE, com
 from tissueid.haptics.states import State
 from tissueid.haptics.watchdogs import REPLY_DAMAGED, REPLY_LOST, REPLY_VALID
 from tissueid.rendering.servo_io import command, sense
-
-FloatArray = NDArray[np.float64]
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")

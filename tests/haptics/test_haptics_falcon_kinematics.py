@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.errors import DeviceError
 from tissueid.haptics.falcon.constants import AZIMUTHS_DEG, DEFAULT_GEOMETRY, GEOMETRIES, Geometry
 from tissueid.haptics.falcon.kinematic_kernels import (
@@ -18,7 +19,6 @@ from tissueid.haptics.falcon.kinematic_kernels import (
 )
 from tissueid.haptics.falcon.kinematics import WorkspaceError, forward, inverse, jacobian, torque
 
-FloatArray = NDArray[np.float64]
 #: Counts of the legs' stops.
 STOP = 1600
 MIDDLE = np.array([0.0, 0.0, 0.130])

@@ -10,9 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from tissueid.arrays import FloatArray
 
 RATES_HZ = (10, 20, 50, 100, 200, 500, 1000)
 SPEEDS_MM_S = tuple(speed / 60.0 for speed in (10, 70, 100, 150, 250, 500))

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from tissueid.arrays import FloatArray
 
 STIFFNESS_N_PER_M, SENSITIVITY_M_PER_V = 0.05, 5e-8
 VOLTS_PER_COUNT, HEIGHT_PER_COUNT, HEIGHT_FACTOR, HEIGHT_ZERO_M = 1e-7, 1e-12, 2.0, 1e-6

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from rendered_tissues import (
     DEPTH_MM,
     HOLD_SPEED_MM_MIN,
@@ -20,13 +19,12 @@ from rendered_tissues import (
 )
 from scipy.integrate import solve_ivp
 
+from tissueid.arrays import FloatArray
 from tissueid.model.base import ContactPath
 from tissueid.model.rupture import rupture_measures
 from tissueid.rendering import environment as env
 from tissueid.rendering.tissue_block import Box, Plane, Sphere, Tissue, free_air_block, tissue_block
 from tissueid.rupture_law import RuptureLaw
-
-FloatArray = NDArray[np.float64]
 
 FORCE_SCALE = 0.0125
 MOTION_SCALE = 5.0

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.rendering import passivity_control as control
 from tissueid.rendering.passivity_control import PassivityLimits, note_sent, passivity_step
 
-FloatArray = NDArray[np.float64]
 PERIOD_S = 0.001
 COUNT_M = 45e-6
 

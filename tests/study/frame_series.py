@@ -15,13 +15,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from tissueid.arrays import FloatArray
 from tissueid.synth import Hold, Log, Move, Recipe
 from tissueid.trial import Protocol, Source, Trial
-
-FloatArray = NDArray[np.float64]
 
 #: Truth of the named protocols: F_s [N/mm, N/mm2, N/mm3], K [N/mm], tau [s].
 STATIC = (20.0, -1.2, 0.35)

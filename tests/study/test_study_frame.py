@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from frame_series import STIFFNESS_N_PER_MM, TAU_S, Frame, linear_frame, seating_frame, series_trials
-from numpy.typing import NDArray
 from scipy.integrate import quad
 
+from tissueid.arrays import FloatArray
 from tissueid.errors import InputError
 from tissueid.inference.specimen import FitOptions
 from tissueid.manifest import Calibration, FrameCurve, Study
@@ -26,7 +26,6 @@ ONE_BRANCH = IdentifyOptions(fit=FitOptions(branches=1, stiffness_degree=0))
 #: Seeds of everything random here, chosen before the first run.
 SEEDS = (11, 12, 13, 14)
 SLOW_SEEDS = range(100, 112)
-FloatArray = NDArray[np.float64]
 
 
 def curve(knots: list[float], compliance: list[float]) -> FrameCurve:

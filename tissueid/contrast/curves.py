@@ -5,12 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.contrast.numbers import MOST_DRAWS, Common, Compared
 from tissueid.model.channels import loading_force
-
-FloatArray = NDArray[np.float64]
 
 #: Points of a drawn curve.
 POINTS = 61

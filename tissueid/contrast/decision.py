@@ -11,10 +11,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
-FloatArray = NDArray[np.float64]
+from tissueid.arrays import FloatArray
 
 #: Tissues are called different below this probability.
 LEVEL = 0.02

@@ -10,9 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from tissueid.arrays import FloatArray
 
 #: Below this force at a device the difference that is noticed no longer shrinks [N].
 LEAST_FORCE_N = 0.5

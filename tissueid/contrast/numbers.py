@@ -10,13 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.errors import UsageError
 from tissueid.model.channels import TissueModel, viscous
 from tissueid.model.functionals import force_after_ramp
-
-FloatArray = NDArray[np.float64]
 
 #: Shares of the common depth at which forces are compared.
 DEPTH_SHARES = (0.25, 0.5, 1.0)

@@ -10,11 +10,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.design.machine import Machine
-
-FloatArray = NDArray[np.float64]
 
 SECONDS_PER_MINUTE = 60.0
 

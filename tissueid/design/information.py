@@ -16,8 +16,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.design.indentation import Indentation, ramp_of
 from tissueid.design.machine import CALIBRATION, Machine, Setting
 from tissueid.inference.window import GUARD_SD
@@ -25,8 +25,6 @@ from tissueid.model.base import ContactPath
 from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
 from tissueid.model.kernels import branch_state
 from tissueid.selfcheck.recording import low_pass, tip_depth
-
-FloatArray = NDArray[np.float64]
 
 #: After so many time constants a held tissue is at rest: further samples repeat the last.
 AT_REST = 20.0

@@ -6,13 +6,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.design.indentation import Indentation, seconds_of
 from tissueid.design.information import Chain, information, peak_force
 from tissueid.design.tissues import Tissues, Want
-
-FloatArray = NDArray[np.float64]
 
 #: Depths at which the greatest allowed one is looked for.
 DEPTH_GRID = 400

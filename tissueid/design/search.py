@@ -15,11 +15,10 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.design.candidates import learned_candidates, neighbours
 from tissueid.design.indentation import Indentation
 from tissueid.design.precision import Ledger, Protocol, relative_sd
-
-FloatArray = NDArray[np.float64]
 
 #: Repeats of the two indentations of a pair.
 PROPORTIONS = ((1, 1), (1, 2), (2, 1), (1, 4), (4, 1))

@@ -11,16 +11,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import norm, qmc
 
+from tissueid.arrays import FloatArray
 from tissueid.errors import UsageError
 from tissueid.inference.estimates import REFERENCE_DEPTH
 from tissueid.inference.reported import reported_draws
 from tissueid.model.base import branch_suffix
 from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
-
-FloatArray = NDArray[np.float64]
 
 #: Short names that are understood; ``_b2`` and ``_b3`` may follow.
 ALIASES = {

@@ -10,14 +10,12 @@ import re
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.export.prony import carried_law
 from tissueid.model.kernels import OWN_SIZE
 from tissueid.model.servo_law import OWN, STATIC, ServoLaw
 from tissueid.store.bundle_content import Bundle
-
-FloatArray = NDArray[np.float64]
 
 _HEAD = """\
 /* One identified soft tissue, for real-time use.  Not a medical device.

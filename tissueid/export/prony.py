@@ -16,14 +16,12 @@ from dataclasses import dataclass
 from xml.sax.saxutils import escape
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.errors import UsageError
 from tissueid.model.kernels import MOST_BRANCHES
 from tissueid.model.servo_law import SPEED, ServoLaw, servo_law
 from tissueid.store.bundle_content import Bundle
-
-FloatArray = NDArray[np.float64]
 
 #: Terms that FEBio's material holds.
 FEBIO_TERMS = 6

@@ -23,8 +23,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_kernel
 from tissueid.haptics.simulated_layout import (
     ARM_PARAMETERS,
@@ -48,8 +48,6 @@ from tissueid.haptics.simulated_layout import (
 )
 
 __all__ = ["ARM_MEMORY", "ARM_PARAMETERS", "MAX_KNOTS", "Arm", "arm_step", "new_arm", "port_energy"]
-
-FloatArray = NDArray[np.float64]
 
 # --- memory
 TIME, POSITION, VELOCITY = 0, 1, 4

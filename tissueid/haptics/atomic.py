@@ -8,14 +8,11 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 from numba import config, types
 from numba.extending import intrinsic
-from numpy.typing import NDArray
 
+from tissueid.arrays import IntArray
 from tissueid.compiled import kernel
-
-IntArray = NDArray[np.int64]
 
 _WORD_BYTES = 8
 _UNCOMPILED = bool(getattr(config, "DISABLE_JIT", False))

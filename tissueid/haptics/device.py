@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any, ClassVar, Self, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.errors import DeviceError
 from tissueid.haptics import guard_states as machine
 from tissueid.haptics.device_facts import (
@@ -45,9 +45,6 @@ __all__ = [
     "DeviceSample",
     "HapticDevice",
 ]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 #: Commands of zero force on every way out: one lost packet must not leave a torque commanded.
 ZERO_COMMANDS = 20

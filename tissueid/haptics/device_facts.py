@@ -6,10 +6,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from tissueid.arrays import FloatArray, IntArray
 
 #: Integers of :attr:`CompiledIO.handles`.
 HANDLES_SIZE = 8

@@ -24,9 +24,7 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_part
 from tissueid.haptics.guard_states import (
     ARMED,
@@ -97,8 +95,6 @@ __all__ = [
     "transition",
     "uncalibrated_clamp_N",
 ]
-
-FloatArray = NDArray[np.float64]
 
 #: The clamp begins to fold back at this share of the mean square that the motors bear.
 FOLD_FROM = 0.8

@@ -8,13 +8,11 @@ saw.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_kernel, tick_part
 from tissueid.haptics.limits import DEAD_MAN, RAMP_S, RECOVERY_S
 from tissueid.haptics.states import Fault, State
-
-FloatArray = NDArray[np.float64]
 
 #: Fields of the memory: state, fault and lamps as the numbers of :mod:`tissueid.haptics.states`.
 STATE, FAULT, LAMPS = 0, 1, 2

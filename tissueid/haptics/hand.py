@@ -16,8 +16,8 @@ import re
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.errors import UsageError, printable
 from tissueid.haptics.simulated_layout import (
     FIRST_KNOT,
@@ -32,8 +32,6 @@ from tissueid.haptics.simulated_layout import (
     TREMOR_HZ,
     TREMOR_PHASE,
 )
-
-FloatArray = NDArray[np.float64]
 
 #: Names of :func:`preset`.
 PRESETS = ("step", "slow press", "tap", "release", "tremor", "hold")

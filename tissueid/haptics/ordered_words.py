@@ -10,10 +10,7 @@ from __future__ import annotations
 
 import platform
 
-import numpy as np
-from numpy.typing import NDArray
-
-IntArray = NDArray[np.int64]
+from tissueid.arrays import IntArray
 
 _KEEPS_ORDER = platform.machine().lower() in {"x86_64", "amd64"}
 

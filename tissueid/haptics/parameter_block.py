@@ -16,16 +16,13 @@ import os
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray, IntArray
 from tissueid.compiled import tick_kernel, tick_part
 from tissueid.errors import DeviceError
 from tissueid.haptics.atomic import load_acquire, store_release
 from tissueid.haptics.ordered_words import read_ordered, write_ordered
 from tissueid.haptics.shared_memory import shared_memory
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 HEAD_WORDS = 8
 #: "tissparm" as a little-endian integer.

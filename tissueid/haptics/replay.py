@@ -20,14 +20,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.errors import DeviceError
 from tissueid.haptics.device import Capabilities, DetectedDevice, DeviceSample, HapticDevice
 from tissueid.haptics.limits import GuardLimits
 from tissueid.haptics.sim import CENTRE_M, DEFAULT_PERIOD_S, DEFAULT_QUANTUM_M, WORKING_RADIUS_M, carried
-
-FloatArray = NDArray[np.float64]
 
 
 class ReplayDevice(HapticDevice):

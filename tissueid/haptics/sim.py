@@ -26,8 +26,9 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from tissueid.arrays import FloatArray
 from tissueid.haptics.arm import (
     HAND_FORCE,
     POINTED,
@@ -67,8 +68,6 @@ from tissueid.haptics.simulated_layout import (
     RIGID,
     SIM_PARAMETERS,
 )
-
-FloatArray = NDArray[np.float64]
 
 #: One count of a Falcon's encoders is 38 to 48 um at the grip (falcon.md 4).
 DEFAULT_QUANTUM_M = 45e-6

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
+from tissueid.arrays import FloatArray, IntArray
 from tissueid.compiled import tick_kernel
 from tissueid.haptics.device_facts import CompiledIO
 from tissueid.haptics.servo_access import HOMED, PRESSED, REPLY, Access, register
@@ -14,9 +12,6 @@ from tissueid.haptics.sim_kernels import HOMED as SAID_HOMED
 from tissueid.haptics.sim_kernels import simulated_advance, simulated_command, simulated_sample
 from tissueid.haptics.simulated_layout import BUTTONS
 from tissueid.haptics.watchdogs import REPLY_LOST, REPLY_NONE, REPLY_VALID
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 class SimulatedIO(NamedTuple):

@@ -15,14 +15,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray, IntArray
 from tissueid.compiled import tick_kernel, tick_part
 from tissueid.haptics.arm import ARM_MEMORY, POSITION, TIME, arm_step
 from tissueid.haptics.simulated_layout import DELAY, FAULT_AT, FAULT_KIND, FAULT_SIZE, PHASE, QUANTUM
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 #: Kinds of scripted faults: none; the device is gone; it is silent; its encoders stand still; encoder 1 jumps
 #: by FAULT_SIZE counts; it is no longer homed.

@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_part
-
-FloatArray = NDArray[np.float64]
 
 #: Time constant [s]: one 45 um count in a 1 ms tick, 45 mm/s unfiltered, is then 8 mm/s.
 VELOCITY_FILTER_S = 0.005

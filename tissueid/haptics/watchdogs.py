@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from tissueid.arrays import FloatArray, IntArray
 from tissueid.compiled import tick_part
 from tissueid.haptics.guard_states import (
     ARMED,
@@ -55,9 +53,6 @@ from tissueid.haptics.limits import (
     STALL_S,
 )
 from tissueid.haptics.states import Fault
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 #: What came from the device since the last tick: a whole reply; nothing; only damaged bytes; an error.
 REPLY_VALID, REPLY_NONE, REPLY_DAMAGED, REPLY_LOST = 1, 0, -1, -2

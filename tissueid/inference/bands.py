@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.inference.target import SpecimenTarget
 from tissueid.result import SpecimenFit
-
-FloatArray = NDArray[np.float64]
 
 #: Draws that a band is made of.
 BAND_DRAWS = 120

@@ -14,11 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray, IntArray
 from tissueid.inference.window import LogData
 from tissueid.signal_noise import quantum, white_noise_sd
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 #: Samples up to which a log is kept sample by sample.
 SAMPLED = 420

@@ -10,12 +10,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.inference.target import SpecimenTarget
 from tissueid.uncertainty import BudgetRow
-
-FloatArray = NDArray[np.float64]
 
 TOTAL = "total"
 #: Names of the machine's coordinates as sources.

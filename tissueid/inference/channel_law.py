@@ -16,13 +16,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.inference.law import Path, Slopes, passive_rows, relaxation_states
 from tissueid.model.channels import ChannelModel
 from tissueid.model.grammar import known_laws
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.model.law import RelaxationLaw, Shape, StaticLaw
-
-FloatArray = NDArray[np.float64]
 
 #: Coefficients below this share of the largest of their polynomial are rounding.
 NONE = 1e-13

@@ -10,11 +10,9 @@ import zipfile
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.store.files import write_file
-
-FloatArray = NDArray[np.float64]
 
 #: Seconds between two writes.
 EVERY_S = 1.0

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t
 
+from tissueid.arrays import FloatArray, IntArray
 from tissueid.inference.blocks import Blocks
 from tissueid.inference.channel_law import ChannelLaw
 from tissueid.inference.optimum import Optimum, covariance_of, minimise, nearest_in_cone, whitener_of
@@ -23,9 +24,6 @@ from tissueid.inference.system import System
 from tissueid.inference.window import FOLDS, FittedLog
 from tissueid.model.channels import TissueModel
 from tissueid.model.yardstick import YARDSTICK
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 #: Speeds or depths within this factor are one; so many of them are needed to leave one out.
 ALIKE, FEWEST_GROUPS = 1.1, 3

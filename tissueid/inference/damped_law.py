@@ -10,14 +10,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.inference.channel_law import ChannelLaw
 from tissueid.inference.law import Path, Slopes
 from tissueid.model.channels import ChannelModel
 from tissueid.model.damped import DampedModel
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -10,15 +10,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import t
 
+from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
 from tissueid.measured.geometry import Geometry
 from tissueid.model.moduli import formulas_for
 from tissueid.quantities import DEPTH_TEST, Quantity
-
-FloatArray = NDArray[np.float64]
 
 UNIT = "1"
 #: Slopes of ln tau on ln contact radius of a viscous tissue and of one that drains.

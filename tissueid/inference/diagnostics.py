@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from tissueid.arrays import FloatArray
 
 #: Chains that never moved have an infinite R-hat, which no document can hold: no larger one is said.
 WORST_R_HAT = 1e3

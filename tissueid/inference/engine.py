@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.inference.blocks import Blocks
 from tissueid.inference.channel_law import ChannelLaw, kelvin_voigt_law
 from tissueid.inference.choice import (
@@ -40,8 +41,6 @@ from tissueid.inference.window import FittedLog, one_program
 from tissueid.inference.yardstick_law import YardstickLaw, yardstick_law
 from tissueid.model.grammar import KELVIN_VOIGT, Candidates, Named, candidates
 from tissueid.priors import Priors
-
-FloatArray = NDArray[np.float64]
 
 #: Rounds in which the scatter between logs is estimated.
 SCATTER_ROUNDS = 4

@@ -11,16 +11,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.inference.engine import Identified
 from tissueid.inference.profile import LEVEL_95, ProfileInterval, profile
 from tissueid.model.base import ParameterSpec, branch_suffix
 from tissueid.model.channels import TissueModel, viscous
 from tissueid.model.damped import DampedModel
 from tissueid.result import Estimate
-
-FloatArray = NDArray[np.float64]
 
 #: Widest 95 % interval in the logarithm that counts as identified.
 MAX_WIDTH = 1.0

@@ -18,13 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from tissueid.arrays import FloatArray
 from tissueid.inference.noise import Memory, whitener
 from tissueid.inference.optimum import Noise
 from tissueid.inference.window import FittedLog, chain_breaks
 from tissueid.signal_noise import quantum, white_noise_sd
 from tissueid.trial import Segmentation, Trial, contact_frame
-
-FloatArray = NDArray[np.float64]
 
 #: Part of a hold, from its end, that counts as quiet; degrees of what is taken off it and off the air.
 LATE_SHARE, HOLD_DEGREE, AIR_DEGREE = 0.5, 3, 1

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
 from tissueid.inference.system import MACHINE
 from tissueid.manifest import FrameCurve
@@ -22,8 +22,6 @@ from tissueid.model.frame import tangent_stiffness, tangent_stiffness_sd
 from tissueid.model.grammar import rebuilt
 from tissueid.priors import CalibrationPrior
 from tissueid.result import SpecimenFit
-
-FloatArray = NDArray[np.float64]
 
 #: Stiffness of a small table-top machine with fixture and load cell, where nobody says: 1,000 N/mm is
 #: towards the soft end of what makers print.

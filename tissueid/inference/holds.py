@@ -11,13 +11,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar, nnls
 
+from tissueid.arrays import FloatArray
 from tissueid.quantities import Spectrum
 from tissueid.trial import Segmentation, Trial, contact_frame
-
-FloatArray = NDArray[np.float64]
 
 MIN_SAMPLES = 12
 #: A force below so many standard deviations of its noise is none.

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dtbtrs
 
-FloatArray = NDArray[np.float64]
+from tissueid.arrays import FloatArray
 
 #: Depths at which a polynomial has to be non-negative; it dips by 1e-4 of its curvature in between.
 PASSIVE_POINTS = 41

@@ -11,14 +11,12 @@ from typing import Any
 
 import lmfit
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.inference.engine import Identified
 from tissueid.inference.optimum import prior_cost, whitener_of
 from tissueid.inference.prior import time_bounds
 from tissueid.inference.system import Point
-
-FloatArray = NDArray[np.float64]
 
 #: Relative difference of sums of squares, and of ln tau in standard errors, within which optima agree.
 AGREE_VALUE, AGREE_SD = 1e-6, 0.1

@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
 from tissueid.errors import InputError
 from tissueid.inference.blocks import Blocks, log_blocks
 from tissueid.inference.speed_ratio import with_speed_ratio
@@ -15,8 +12,6 @@ from tissueid.inference.unloading import FreeSurface, with_unloading
 from tissueid.inference.window import FittedLog, LogData, assign_folds, fitted_log, with_holds_cut
 from tissueid.model.grammar import Candidates
 from tissueid.trial import Segmentation, Trial
-
-FloatArray = NDArray[np.float64]
 
 #: Code of a log without a contact that its law could follow.
 NO_CONTACT = "no_contact"

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
+from tissueid.arrays import FloatArray
 from tissueid.inference.trials import Adjustment
 from tissueid.measured.cycles import closed_area
 from tissueid.model.channels import TissueModel
@@ -21,8 +21,6 @@ from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.model.kernels import surface_path
 from tissueid.quantities import CycleRow, Measure
 from tissueid.trial import Segmentation, Trial, contact_frame
-
-FloatArray = NDArray[np.float64]
 
 #: Factors of K that are tried: outside, the model has another kind of loop than the tissue.
 FACTORS = np.geomspace(0.1, 10.0, 13)

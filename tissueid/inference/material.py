@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
 from tissueid.inference.estimates import MAX_WIDTH, TissueEstimate, width_of
 from tissueid.inference.quoted import unknown_parameters
@@ -20,8 +20,6 @@ from tissueid.model import functionals
 from tissueid.model.channels import TissueModel
 from tissueid.model.moduli import FORMULAS, Contact, formulas_for, poroelastic_band
 from tissueid.quantities import Quantity, QuotedNumbers
-
-FloatArray = NDArray[np.float64]
 
 #: Depths at which a modulus is given, as shares of the fitted depth.
 SHARES = (0.5, 1.0)

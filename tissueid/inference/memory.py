@@ -10,14 +10,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tissueid.inference.noise import Memory
 from tissueid.inference.optimum import Noise, normal_equations, whitener_of
 from tissueid.inference.prior import PriorRows
 from tissueid.inference.system import Derivatives, Point, System
-
-FloatArray = NDArray[np.float64]
 
 #: Correlation times over the step, and white shares beside them, of a first look.
 TIMES, SHARES = np.geomspace(0.35, 400.0, 11), (0.0, 0.3, 0.7)

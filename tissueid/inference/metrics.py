@@ -7,11 +7,9 @@ ramp is about twice as large.  Papers seldom say which one they print (model.md 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.result import Nrmsd
-
-FloatArray = NDArray[np.float64]
 
 
 def nrmsd(force_N: FloatArray, model_N: FloatArray) -> Nrmsd:

@@ -9,13 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaln, logsumexp
 
+from tissueid.arrays import FloatArray
 from tissueid.inference.proposal import CutNormal
 from tissueid.inference.target import Target
-
-FloatArray = NDArray[np.float64]
 
 #: Components at the most; degrees of freedom with the width of a component over the spread of the draws it
 #: stands for, the widest first.

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dtbtrs
 
-FloatArray = NDArray[np.float64]
+from tissueid.arrays import FloatArray
 
 #: Change of the filter's variance below which it has settled.
 SETTLED = 1e-13

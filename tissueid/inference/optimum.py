@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import nnls
 
+from tissueid.arrays import FloatArray
 from tissueid.inference.noise import Memory, Whitener, whitener
 from tissueid.inference.prior import PriorRows
 from tissueid.inference.system import Derivatives, Point, System
-
-FloatArray = NDArray[np.float64]
 
 #: Noise without memory.
 WHITE = Memory()

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from tissueid.arrays import FloatArray
 from tissueid.inference.bands import predictive_bands
 from tissueid.inference.budget import uncertainty_budget
 from tissueid.inference.channel_law import ChannelLaw
@@ -38,8 +38,6 @@ from tissueid.model.base import scaled_theta
 from tissueid.priors import Priors
 from tissueid.result import Estimate, SpecimenFit
 from tissueid.uncertainty import ComparisonRow, ParameterUncertainty, Posterior, SamplerReport
-
-FloatArray = NDArray[np.float64]
 
 SAMPLERS = ("emcee", "none")
 #: Draws that a bundle and a report keep.

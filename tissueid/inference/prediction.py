@@ -8,16 +8,14 @@ sqrt(1 + 1/n), is the 95 % prediction interval of one more.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.inference.engine import Identified
 from tissueid.inference.optimum import minimise
 from tissueid.inference.prior import prior_rows
 from tissueid.inference.reported import reported_draws
 from tissueid.inference.system import Effects, Point, System
 from tissueid.measures import predicted
-
-FloatArray = NDArray[np.float64]
 
 #: Fewest logs, and steps of the fit of each.
 FEWEST, STEPS = 3, 12

@@ -11,14 +11,12 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import comb
 
+from tissueid.arrays import FloatArray
 from tissueid.inference.channel_law import ChannelLaw
 from tissueid.inference.system import MACHINE, SHAPE, Point, System
 from tissueid.priors import WEAK_FACTOR, Priors
-
-FloatArray = NDArray[np.float64]
 
 #: Relaxation times are sought between a fifth of the shortest step and ten times the longest log.
 BELOW_STEP, ABOVE_LENGTH = 0.2, 10.0

@@ -5,16 +5,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.inference.prior import bernstein, time_bounds
 from tissueid.inference.system import MACHINE
 from tissueid.inference.target import SpecimenTarget
 from tissueid.model.kelvin_voigt import STATIC_DEGREE
 from tissueid.priors import WEAK_FACTOR, CalibrationPrior, Priors
 from tissueid.uncertainty import PriorRow
-
-FloatArray = NDArray[np.float64]
 
 #: Standard deviation of a half-normal in its scale, and range of ln sigma.
 HALF_NORMAL_SD, LOG_SIGMA_RANGE = math.sqrt(1.0 - 2.0 / math.pi), 12.0 * math.log(10.0)

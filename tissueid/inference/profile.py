@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.inference.engine import Identified
 from tissueid.inference.optimum import Optimum, minimise
 from tissueid.inference.prior import prior_rows, time_bounds
-
-FloatArray = NDArray[np.float64]
 
 #: 95 % point of chi-square with one degree of freedom, and the rise a curve is followed to.
 LEVEL_95, LARGEST_RISE = 3.841458820694124, 15.0

@@ -10,12 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linprog
 from scipy.special import ndtr, ndtri
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from tissueid.arrays import FloatArray, IntArray
 
 #: Chains, steps of each for every coordinate, and width over that of the normal approximation.
 CHAINS, STEPS_EACH, WIDER = 1000, 40, 1.06

@@ -8,9 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from tissueid.arrays import FloatArray
 
 #: Points of positive weight that are too few to weigh, and to fit a tail to.
 FEWEST, FEWEST_TAIL = 50, 8

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.inference.choice import Rival
 from tissueid.inference.estimates import MAX_WIDTH, TissueEstimate, width_of
 from tissueid.inference.holds import HoldNumbers
@@ -20,8 +21,6 @@ from tissueid.measured import TIMES_S
 from tissueid.model import functionals
 from tissueid.model.channels import TissueModel
 from tissueid.quantities import Quantity, QuotedNumbers, Spectrum
-
-FloatArray = NDArray[np.float64]
 
 #: Frequencies at which moduli are quoted where the data support them [Hz].
 FREQUENCIES_HZ = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)

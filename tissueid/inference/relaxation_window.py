@@ -11,8 +11,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.inference.channel_law import kelvin_voigt_law
 from tissueid.inference.engine import Identified
 from tissueid.inference.logs import LogHandle, blocks_of
@@ -22,8 +22,6 @@ from tissueid.inference.prior import prior_rows, time_bounds
 from tissueid.inference.search import starting_points
 from tissueid.inference.system import Point, System
 from tissueid.quantities import RelaxationWindow
-
-FloatArray = NDArray[np.float64]
 
 #: The hold is cut to these shares of its length.
 SHARES = (1.0, 0.5, 0.25)

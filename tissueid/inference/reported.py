@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.inference.estimates import REFERENCE_DEPTH
 from tissueid.model.base import branch_suffix
 from tissueid.model.channels import TissueModel, viscous
-
-FloatArray = NDArray[np.float64]
 
 #: Ends of the central 95 % interval, and the end of the one that begins at an active bound.
 CENTRAL_95, FROM_BOUND_95 = (0.025, 0.975), 0.95

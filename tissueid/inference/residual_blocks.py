@@ -13,13 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.inference.trials import Adjustment
 from tissueid.inference.window import FittedLog
 from tissueid.model.base import ContactPath
 from tissueid.model.channels import TissueModel
 from tissueid.trial import Segmentation
-
-FloatArray = NDArray[np.float64]
 
 #: Ends of the blocks of a move, as fractions of its path; the first hold what a late contact leaves behind.
 MOVE_EDGES = np.array([0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9])

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.inference.residual_blocks import HOLD_BLOCKS_PER_DECADE, ResidualBlocks
 from tissueid.inference.window import FittedLog
 from tissueid.residuals import ResidualSummary
-
-FloatArray = NDArray[np.float64]
 
 #: Bins of the histogram, and half its width in standard deviations of the noise.
 BINS = 40

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
 from tissueid.inference.engine import Identified
 from tissueid.inference.estimates import TissueEstimate
@@ -24,8 +24,6 @@ from tissueid.inference.unloading import FreeSurface, air_limit
 from tissueid.inference.window import FittedLog
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.model.kernels import surface_path
-
-FloatArray = NDArray[np.float64]
 
 #: Rounds, and the change of the parameters, in standard errors, that counts as none.
 MAX_ROUNDS = 12

@@ -14,18 +14,16 @@ from typing import Any, Protocol
 
 import emcee
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri
 from scipy.stats.qmc import Sobol
 
+from tissueid.arrays import FloatArray
 from tissueid.inference.checkpoint import Checkpoint
 from tissueid.inference.diagnostics import diagnose
 from tissueid.inference.mixture import learn_mixture, tempered
 from tissueid.inference.proposal import cut_normal
 from tissueid.inference.psis import Weighed, smoothed
 from tissueid.inference.target import Target
-
-FloatArray = NDArray[np.float64]
 
 #: Walkers, and steps of each from where importance sampling put it.
 WALKERS, STEPS = 128, 30

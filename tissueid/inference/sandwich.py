@@ -12,10 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from tissueid.arrays import FloatArray
 from tissueid.inference.optimum import covariance_of
 from tissueid.inference.target import SpecimenTarget
-
-FloatArray = NDArray[np.float64]
 
 #: Logs from which they are the clusters, and stretches of a log that are one cluster otherwise.
 FEWEST_LOGS, TOGETHER = 4, 2

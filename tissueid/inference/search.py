@@ -9,15 +9,13 @@ from collections.abc import Iterator
 from itertools import combinations, product
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
+from tissueid.arrays import FloatArray
 from tissueid.inference.channel_law import ChannelLaw
 from tissueid.inference.noise import Whitener
 from tissueid.inference.prior import bernstein, time_bounds
 from tissueid.inference.system import Point, System
-
-FloatArray = NDArray[np.float64]
 
 #: Nodes of ln tau, pairs from which triples are looked for, and starting points of each number of branches.
 NODES, PAIRS_EXTENDED, STARTS = 27, 8, {1: 3, 2: 2, 3: 2}

@@ -8,9 +8,9 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
 from tissueid.inference.depth_test import depth_test
 from tissueid.inference.engine import Identified, Request, identify_logs
@@ -42,8 +42,6 @@ from tissueid.result import ModelChoice, SpecimenFit
 from tissueid.uncertainty import NoiseFit
 
 __all__ = ["POOLINGS", "FitOptions", "FittedSpecimen", "LogHandle", "fit_specimen", "fit_with_state"]
-
-FloatArray = NDArray[np.float64]
 
 #: Share of the travel that frame and contact may take before less than the travel is claimed.
 TAKEN = 0.1

@@ -11,13 +11,11 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.inference.window import FittedLog, LogData, chain_breaks
 from tissueid.signal_noise import white_noise_sd
 from tissueid.trial import Segmentation, Trial, contact_frame
-
-FloatArray = NDArray[np.float64]
 
 #: Half of the stretch, in samples, and as a share of its phase: a line through at least eleven samples has an
 #: eighth of the error of a difference.

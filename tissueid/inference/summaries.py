@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.inference.estimates import TissueEstimate
 from tissueid.inference.holds import HoldNumbers, hold_numbers
 from tissueid.inference.logs import LogHandle
@@ -28,8 +28,6 @@ from tissueid.quantities import CycleRow, RelaxationRow
 from tissueid.result import Nrmsd, TrialFit
 from tissueid.trial import Segmentation, Trial
 from tissueid.uncertainty import NoiseFit
-
-FloatArray = NDArray[np.float64]
 
 #: Threads that look at logs.
 MAX_WORKERS = 4

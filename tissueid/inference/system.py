@@ -12,13 +12,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.inference.blocks import Blocks
 from tissueid.inference.law import TINY, Law, Path, Slopes, driven, weighted
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 #: Coordinates of the machine, in their order in a point.
 MACHINE = ("frame_compliance_mm_per_N", "skew_s", "force_filter_s")

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 from scipy.special import ndtr, ndtri
 
+from tissueid.arrays import FloatArray, IntArray
 from tissueid.inference.engine import Identified
 from tissueid.inference.law import relaxation_states
 from tissueid.inference.noise import Memory, Whitener
@@ -28,9 +29,6 @@ from tissueid.inference.optimum import covariance_of, whitener_of
 from tissueid.inference.prior import own_precision, time_bounds
 from tissueid.inference.system import MACHINE, Point
 from tissueid.priors import CalibrationPrior
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 #: Points of ln tau at which the largest state is tabulated, and step of ln memory at which noise is whitened.
 TAU_GRID, MEMORY_GRID = 48, 0.05

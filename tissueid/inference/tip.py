@@ -15,9 +15,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
 from tissueid.inference.channel_law import kelvin_voigt_law
 from tissueid.inference.logs import LogHandle, blocks_of
@@ -31,8 +31,6 @@ from tissueid.manifest import FrameCurve
 from tissueid.model.frame import deflection, deflection_sd, tangent_stiffness
 from tissueid.priors import Priors
 from tissueid.trial import Phase, Trial
-
-FloatArray = NDArray[np.float64]
 
 #: Branches and degree of K of the law that smooths the force.
 SMOOTHING_BRANCHES, SMOOTHING_DEGREE = 2, 2

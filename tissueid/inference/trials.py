@@ -9,13 +9,12 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
 from tissueid.inference.metrics import lag_one_correlation, nrmsd
 from tissueid.inference.window import FittedLog
 from tissueid.result import Curve, TrialFit
 from tissueid.trial import Segmentation, Trial
-
-FloatArray = NDArray[np.float64]
 
 #: Points a kept curve has at most: every sample of 100 s at 100 Hz, seven a pixel of a wide screen.  Of
 #: longer logs the extremes of every bin are kept, so peaks and corners stay.

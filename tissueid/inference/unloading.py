@@ -15,12 +15,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.inference.window import FittedLog, first_turn
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.model.kernels import surface_path
 from tissueid.trial import Segmentation
-
-FloatArray = NDArray[np.float64]
 
 #: Measured force, over the peak and in standard deviations of its noise, below which the tool is in air.
 AIR_SHARE = 0.01

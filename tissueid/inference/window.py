@@ -18,10 +18,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.measured.pushes import usable_until
 from tissueid.trial import RENDERED, Phase, Segmentation, Trial, contact_frame
-
-FloatArray = NDArray[np.float64]
 
 #: Contact standard deviations below contact that stay out of the likelihood.
 GUARD_SD = 3.0

@@ -5,9 +5,9 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
+from tissueid.arrays import FloatArray
 from tissueid.inference.channel_law import Block, ChannelLaw
 from tissueid.inference.law import Path, Slopes, relaxation_states
 from tissueid.inference.noise import Whitener
@@ -16,8 +16,6 @@ from tissueid.inference.search import observed_columns
 from tissueid.inference.system import Point, System
 from tissueid.model.kernels import MOST_BRANCHES
 from tissueid.model.yardstick import INSIDE, OUTSIDE, Yardstick, presents, yardstick_of
-
-FloatArray = NDArray[np.float64]
 
 #: Nodes of a decade among which the data choose, and share of the force of a node that is none.
 PER_DECADE, NONE = 12.0, 1e-6

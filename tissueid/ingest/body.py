@@ -19,6 +19,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
 from tissueid.ingest.broken_rows import broken_row
 from tissueid.ingest.columns import ColumnChoice
@@ -30,7 +31,6 @@ from tissueid.ingest.rows import RowReader
 from tissueid.ingest.text import Text
 from tissueid.ingest.vocabulary import CHANNELS
 from tissueid.processors import threads
-from tissueid.trial import FloatArray
 
 _PIECE_BYTES, _QUOTED_BYTES = 1 << 22, 1 << 19
 _MOST_THREADS = 6

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.vocabulary import CHANNELS
-from tissueid.trial import FloatArray
 
 _Steps = tuple[FloatArray, FloatArray]
 

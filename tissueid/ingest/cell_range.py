@@ -12,9 +12,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
 from tissueid.ingest.header import stated
-from tissueid.trial import FloatArray
 
 #: Share of its capacity from which a load cell is taken as verified where nobody says: certificates reach
 #: down to 1/100, some to 1/250 or 1/1000.

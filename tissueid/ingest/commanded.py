@@ -18,9 +18,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
 from tissueid.ingest.levels import is_noisy
-from tissueid.trial import FloatArray
 
 #: A crosshead takes 50 to 300 ms to stop [s].
 SHORTEST_STOP_S = 0.05

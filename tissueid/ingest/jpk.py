@@ -24,12 +24,13 @@ from typing import NoReturn
 
 import numpy as np
 
+from tissueid.arrays import FloatArray
 from tissueid.errors import InputError
 from tissueid.flags import Flag
 from tissueid.ingest.recipe import Detection, InputFile, Recipe, Table, is_force_archive
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.unpacking import BROKEN_ARCHIVE, UNPACKED_BYTES
-from tissueid.trial import FloatArray, Protocol
+from tissueid.trial import Protocol
 
 _TYPES = {
     "signedshort": ">i2", "unsignedshort": ">u2", "signedinteger": ">i4", "unsignedinteger": ">u4",

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
-from tissueid.trial import FloatArray
 
 _FEW_LEVELS = 64
 _SAMPLES_PER_LEVEL = 10

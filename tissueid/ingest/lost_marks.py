@@ -12,9 +12,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
 from tissueid.ingest.vocabulary import CHANNELS, Channel
-from tissueid.trial import FloatArray
 
 #: Rows from which a column of whole numbers is worth a remark.
 _WHOLE_FROM = 20

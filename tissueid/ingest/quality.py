@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
 from tissueid.ingest.broken_rows import jump
 from tissueid.ingest.cell_range import below_cell_range
@@ -16,7 +17,6 @@ from tissueid.ingest.commanded import commanded_displacement
 from tissueid.ingest.levels import below_resolution, force_levels, no_decimals
 from tissueid.ingest.spikes import spike
 from tissueid.ingest.timestamps import event_rows, gap, zero_dt
-from tissueid.trial import FloatArray
 
 
 def quality_flags(

@@ -15,6 +15,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from tissueid.arrays import FloatArray
 from tissueid.errors import InputError
 from tissueid.flags import Flag
 from tissueid.ingest.layout import Layout, find_layout
@@ -24,7 +25,7 @@ from tissueid.ingest.refusals import Place
 from tissueid.ingest.results import results_flag
 from tissueid.ingest.text import Text, decode_text
 from tissueid.ingest.vocabulary import Channel
-from tissueid.trial import FloatArray, Protocol
+from tissueid.trial import Protocol
 
 _ZIP_MAGIC = b"PK\x03\x04"
 _WORKBOOK_MAGIC = (_ZIP_MAGIC, b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1")

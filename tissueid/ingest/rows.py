@@ -21,13 +21,13 @@ from typing import Literal
 
 import numpy as np
 
+from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
 from tissueid.ingest.layout import Layout
 from tissueid.ingest.numbers import CellFault, grouping_mark, looks_numeric, parse_number
 from tissueid.ingest.refusals import Place
 from tissueid.ingest.remarks import begins_a_table, row_like, skipped_flag
 from tissueid.ingest.text import Text
-from tissueid.trial import FloatArray
 
 _CELL = r'"((?:[^"]|"")*)"|([^"{d}]*)'
 #: Lines before the last one that say whether a column has fixed decimals.

@@ -16,17 +16,14 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray, RecordArray
 from tissueid.errors import BundleError, InputError
 from tissueid.flags import Flag
 from tissueid.ingest.recipe import Detection, InputFile, Recipe, Table
 from tissueid.ingest.refusals import Place
 from tissueid.store.session_log import SessionLog, is_session_log, read_session_log
 from tissueid.trial import RENDERED, Protocol
-
-FloatArray = NDArray[np.float64]
-Records = NDArray[Any]
 
 #: Engaged: the only state in which a force is felt (haptics/states.py, which ingest does not import).
 _ENGAGED = 5
@@ -83,7 +80,7 @@ def read_session(file: InputFile) -> Iterator[Table | InputError]:
             yield error
 
 
-def _stretches(records: Records) -> Iterator[Records]:
+def _stretches(records: RecordArray) -> Iterator[RecordArray]:
     """Runs of engaged ticks with one tissue, without the ramps of force at their ends."""
     engaged = records[records["state"] == _ENGAGED]
     breaks = np.flatnonzero(np.diff(engaged["label"].astype(np.int64))) + 1
@@ -95,7 +92,7 @@ def _stretches(records: Records) -> Iterator[Records]:
             yield part[felt[0] : felt[-1] + 1]
 
 
-def _table(log: SessionLog, records: Records, place: Place) -> Table:
+def _table(log: SessionLog, records: RecordArray, place: Place) -> Table:
     scale = log.head["scale"]
     if scale is None:
         place.refuse(
@@ -131,7 +128,7 @@ def _depth(surface: list[float], position: FloatArray, motion_scale: float) -> F
     return np.asarray((radius - distance) / motion_scale * _M_TO_MM)
 
 
-def _agree(records: Records, force: FloatArray, depth: FloatArray | None, place: Place) -> None:
+def _agree(records: RecordArray, force: FloatArray, depth: FloatArray | None, place: Place) -> None:
     """Refuse a log whose device side and tissue side do not belong to one scale."""
     free = (records["lamps"] & _INTERFERED) == 0
     wanted = records["tissue_force_N"]
@@ -164,7 +161,7 @@ def _metadata(head: Mapping[str, Any]) -> dict[str, str]:
     }
 
 
-def _rendered(records: Records, name: str) -> Flag:
+def _rendered(records: RecordArray, name: str) -> Flag:
     shares = {word: float(np.mean((records["lamps"] & bit) != 0)) for bit, word in _LAMP_WORDS.items()}
     return Flag(
         "rendered",

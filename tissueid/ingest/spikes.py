@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
-from tissueid.trial import FloatArray
 
 #: A spike is this many standard deviations of the noise around it off its neighbours: of 90,000 normal
 #: values none is beyond 5, and of noise with heavy tails few.

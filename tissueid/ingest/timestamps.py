@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
-from tissueid.trial import FloatArray
 
 #: An event row stands nearer to its neighbour than this part of the intervals around it.
 _EVENT_FRACTION = 0.25

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 import python_calamine
 
+from tissueid.arrays import FloatArray
 from tissueid.errors import InputError
 from tissueid.flags import Flag
 from tissueid.ingest.broken_rows import broken_row
@@ -35,7 +36,6 @@ from tissueid.ingest.results import results_below, results_flag
 from tissueid.ingest.side_by_side import shifted, specimen_columns
 from tissueid.ingest.unpacking import BROKEN_ARCHIVE, too_much
 from tissueid.ingest.vocabulary import CHANNELS
-from tissueid.trial import FloatArray
 
 #: Rows looked at for names and units.
 _HEAD_ROWS = 200

@@ -21,12 +21,10 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.quantities import CycleRow, DepthStiffness, Measure
 from tissueid.trial import Segmentation, Trial, contact_frame
-
-FloatArray = NDArray[np.float64]
 
 #: Shares of a loop's depth, up to its deepest point, over which loading is described by a quadratic: the
 #: first whose slope is known to this fraction by enough samples, because a narrow window has less bias.

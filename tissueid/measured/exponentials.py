@@ -12,11 +12,9 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.measured.kernel_basis import TAU_ABOVE_LENGTH, TAU_BELOW_STEP, KernelBasis, kernel_basis
-
-FloatArray = NDArray[np.float64]
 
 #: Spacing of the scan in ln tau, for one exponential and for several.
 SCAN_SINGLE, SCAN_SEVERAL = 0.25, 0.6

@@ -23,11 +23,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import qr
 from scipy.linalg.blas import dtrsm
 
-FloatArray = NDArray[np.float64]
+from tissueid.arrays import FloatArray
 
 #: Relaxation times are sought between h / TAU_BELOW_STEP and TAU_ABOVE_LENGTH * T.
 TAU_BELOW_STEP = 5.0

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.measured.cycles import cycle_rows
 from tissueid.measured.force_at import force_at
 from tissueid.measured.geometry import Geometry
@@ -25,8 +25,6 @@ from tissueid.measures import (
     beyond_ramp,
 )
 from tissueid.trial import Phase, Segmentation, Trial
-
-FloatArray = NDArray[np.float64]
 
 #: Times after the stop at which the force of a hold is stated [s].
 TIMES_S = (0.1, 1.0, 10.0, 100.0)

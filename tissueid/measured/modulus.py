@@ -7,14 +7,12 @@ and of the layer (:mod:`tissueid.model.moduli`).  Beyond them the modulus is ref
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.measured.geometry import Geometry
 from tissueid.measures import MeasuredModulus
 from tissueid.model.moduli import FORMULAS, Contact, formulas_for
 from tissueid.trial import Segmentation, Trial, contact_frame
-
-FloatArray = NDArray[np.float64]
 
 KPA_PER_MPA = 1000.0
 #: Contact radius over that of a sphere, in every law.

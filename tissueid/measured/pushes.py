@@ -10,11 +10,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.trial import Phase, Segmentation
-
-FloatArray = NDArray[np.float64]
 
 #: The peak is looked for from so long before the stop, at least, to so long after it [s].
 BEFORE_S, AFTER_S = 0.5, 0.1

@@ -12,15 +12,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
 from tissueid.measured.exponentials import ExponentialSums, curve_of
 from tissueid.measured.pushes import peak_of, usable_until
 from tissueid.quantities import RelaxationRow
 from tissueid.trial import Segmentation, Trial, contact_frame
-
-FloatArray = NDArray[np.float64]
 
 MIN_SAMPLES = 8
 MAX_EXPONENTIALS = 3

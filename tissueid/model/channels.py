@@ -18,13 +18,12 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.model.base import ContactPath, ParameterSpec, branch_suffix, stiffness_spec
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.model.kernels import branch_state
 from tissueid.model.law import RelaxationLaw, Shape, StaticLaw, StiffnessLaw
 from tissueid.model.polynomial import minimum_on_unit
-
-FloatArray = NDArray[np.float64]
 
 #: Nodes of a decade, reach of the nodes below the resolution and beyond the window, and a time that is none.
 PER_DECADE, BELOW, BEYOND, FOREVER = 4, 30.0, 30.0, 1e6

@@ -9,13 +9,11 @@ from functools import cached_property
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.model.base import ContactPath, ParameterSpec
 from tissueid.model.channels import ChannelModel, Part
 from tissueid.model.law import DampingLaw, Shape
-
-FloatArray = NDArray[np.float64]
 
 #: Share of a bound within which a parameter lies on it.
 ROUNDING = 1e-9

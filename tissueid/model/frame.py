@@ -12,11 +12,9 @@ force (noise in air) it is c(0).
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.manifest import FrameCurve
-
-FloatArray = NDArray[np.float64]
 
 
 def deflection_basis(knots_N: FloatArray, force_N: FloatArray) -> FloatArray:

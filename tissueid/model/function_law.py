@@ -12,12 +12,10 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.model.base import ParameterSpec
 from tissueid.model.law import About, Shape
-
-FloatArray = NDArray[np.float64]
 
 #: Bounds over and under a starting value, and that value where none is given.
 WIDE, START = 1e3, 1.0

@@ -21,9 +21,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.model.channels import TissueModel
-
-FloatArray = NDArray[np.float64]
 
 #: Relative step of the central differences: cube root of the rounding unit, the usual compromise.
 STEP = 6e-6

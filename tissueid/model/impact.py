@@ -26,11 +26,10 @@ import math
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_part
 
-FloatArray = NDArray[np.float64]
 Variant = Literal["flores", "exact"]
 
 LEAST_RESTITUTION = 0.05

@@ -18,8 +18,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.model.base import (
     ContactPath,
     ParameterSpec,
@@ -37,8 +37,6 @@ from tissueid.model.kernels import (
     tissue_step_in,
 )
 from tissueid.model.polynomial import MAX_DEGREE, minimum_on_unit
-
-FloatArray = NDArray[np.float64]
 
 KEY = "kelvin-voigt"
 STATIC_DEGREE = 3

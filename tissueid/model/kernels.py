@@ -18,12 +18,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.compiled import kernel, tick_kernel, tick_part
 from tissueid.model.impact import speed_ratio
-
-FloatArray = NDArray[np.float64]
 
 #: Magnitude below which a branch state counts as zero [mm]; far above the denormal range.
 FLUSH_MM = 1e-200

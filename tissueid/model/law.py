@@ -9,13 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from tissueid.arrays import FloatArray
 from tissueid.model.base import ParameterSpec
 from tissueid.model.impact import Variant
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,9 +23,8 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from tissueid.arrays import FloatArray
 
 #: Nodes in u, and in x up to where M - 1 ~ exp(-2x) is below rounding.
 NODES_U = 32

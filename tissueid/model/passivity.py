@@ -16,13 +16,11 @@ mean ``(1 - f) z^-m + f z^-(m+1)``, and the worst motion is uneven inside the pe
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.model.channels import TissueModel
 from tissueid.model.scaling import Scaling
 from tissueid.model.servo_law import servo_law
-
-FloatArray = NDArray[np.float64]
 
 #: Ticks between a position sample and its force at the motor, where the device was not measured.
 DEFAULT_DELAY_TICKS = 1.5

@@ -19,13 +19,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.model.base import ContactPath
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.rupture_law import CRITERIA, DEFAULT_WEIGHT
-
-FloatArray = NDArray[np.float64]
 
 #: Depths at which a ramp is examined: the force at rupture is then good to 1e-5 of itself.
 RAMP_DEPTHS = 4001

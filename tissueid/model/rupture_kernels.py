@@ -6,9 +6,7 @@ The same measures as :func:`tissueid.model.rupture.rupture_measures`, of the law
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_part
 from tissueid.model.kernels import (
     _BRANCHES,
@@ -23,8 +21,6 @@ from tissueid.model.kernels import (
     _continued,
     _static,
 )
-
-FloatArray = NDArray[np.float64]
 
 #: Two Gauss points on 0 to 1 integrate K_j(y) u exactly: degree 3 at the most.
 NEAR, FAR = (1.0 - 3.0**-0.5) / 2.0, (1.0 + 3.0**-0.5) / 2.0

@@ -9,11 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.model.channels import TissueModel, loading_force
-
-FloatArray = NDArray[np.float64]
 
 #: Share of the clamp that the deepest static force may use.
 CLAMP_SHARE = 0.9

@@ -11,15 +11,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.polynomial.polynomial import polyder, polyval
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.model.channels import ChannelModel, Part, TissueModel
 from tissueid.model.damped import DampedModel
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.model.kernels import LAW_SIZE, MOST_BRANCHES, MOST_PIECES, OWN_SIZE, pack_law, pack_pieces
 from tissueid.model.yardstick import Yardstick
-
-FloatArray = NDArray[np.float64]
 
 #: What branches follow; of a law without branches, the speed over that at contact.
 DEPTH, STATIC, OWN, SPEED = 0, 1, 2, 3

@@ -18,15 +18,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numpy.polynomial.polynomial import polyder, polyval
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.model.base import ContactPath, ParameterSpec, branch_suffix
 from tissueid.model.channels import ChannelModel, Part, branch_states
 from tissueid.model.law import About, Shape
 from tissueid.model.laws.prony import Prony
 from tissueid.model.laws.quadratic import Quadratic
-
-FloatArray = NDArray[np.float64]
 
 YARDSTICK = "yardstick"
 #: Increasing curves inside the convolution, and Bernstein polynomials of the present depth outside it.

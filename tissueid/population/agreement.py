@@ -20,12 +20,10 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
+from tissueid.arrays import FloatArray
 from tissueid.population.members import Member, TrialRow
-
-FloatArray = NDArray[np.float64]
 
 #: Speeds and depths that differ by less are one protocol.
 SAME_SHARE = 0.05

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.compiled import kernel
 from tissueid.population.kernels import (
     Cohort,
@@ -28,8 +29,6 @@ from tissueid.population.moves import (
     smooth_likelihood,
 )
 from tissueid.population.scale_kernels import correlation_factor, draw_nu, draw_scales
-
-FloatArray = NDArray[np.float64]
 
 
 class Record(NamedTuple):

@@ -19,10 +19,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.model.base import branch_suffix
 from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
-
-FloatArray = NDArray[np.float64]
 
 #: Passive draws may vanish at a depth: a number below this share of its median over the specimen's draws is
 #: set to it. At e^-14 of the typical value it has no weight in any population.

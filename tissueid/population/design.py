@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.errors import UsageError
 from tissueid.population.members import Member
 from tissueid.population.stage_one import Design
-
-FloatArray = NDArray[np.float64]
 
 #: Keys of a study that make random effects where they gather specimens.
 LEVELS = ("donor", "site", "operator")

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.model.base import ContactPath
 from tissueid.population.coordinates import Coordinates
 from tissueid.population.design import Described
@@ -20,8 +21,6 @@ from tissueid.population.members import Member, TrialRow
 from tissueid.population.sampler import SamplerOptions, sample_population
 from tissueid.population.stage_one import Design, StageOne
 from tissueid.priors import PopulationPriors
-
-FloatArray = NDArray[np.float64]
 
 #: Leave-one-out up to so many specimens, so many parts beyond.
 MOST_SINGLE = 20

@@ -12,12 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray, IntArray
 from tissueid.compiled import kernel
 from tissueid.population.scale_kernels import draw_log_sd
 from tissueid.population.triangular import factor, inverse_factor, solved
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 class Cohort(NamedTuple):

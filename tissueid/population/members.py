@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.population.coordinates import Coordinates
 from tissueid.population.stage_one import StageOne
 from tissueid.result import Curve, ModelChoice
-
-FloatArray = NDArray[np.float64]
 
 #: Two specimens have one difference, and no spread to speak of.
 FEWEST_SPECIMENS = 3

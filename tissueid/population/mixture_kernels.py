@@ -7,9 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.compiled import kernel
-
-FloatArray = NDArray[np.float64]
 
 #: A quantity is never looked at beyond e to this, times its typical value.
 LARGEST = 50.0

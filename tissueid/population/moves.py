@@ -20,14 +20,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.compiled import kernel
 from tissueid.population.kernels import Cohort, Hyper, State, centre_of
 from tissueid.population.mixture_kernels import log_mixture
 from tissueid.population.triangular import factor, solved
-
-FloatArray = NDArray[np.float64]
 
 #: Proposals of a sweep for a specimen among its draws: with the frozen weights, and among all draws alike.
 WEIGHTED_TRIES = 2

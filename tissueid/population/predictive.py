@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.population.coordinates import Coordinates
 from tissueid.population.sampler import PopulationDraws
-
-FloatArray = NDArray[np.float64]
 
 #: Specimens that a bundle keeps, proposals tried for them at the most, and tried at a time.
 SPECIMENS = 2000

@@ -8,8 +8,8 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.population.coordinates import Coordinates
 from tissueid.population.design import Described
 from tissueid.population.members import Member
@@ -17,7 +17,6 @@ from tissueid.population.sampler import PopulationDraws
 from tissueid.population.shared_instrument import SharedInstrument
 from tissueid.population.stage_one import StageOne
 
-FloatArray = NDArray[np.float64]
 Interval = tuple[float, float]
 
 #: A specimen is named as an outlier where it is more likely than not beyond the 99 % of a normal core.

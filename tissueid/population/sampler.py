@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.extras import require
 from tissueid.inference.diagnostics import Diagnostics, diagnose
 from tissueid.population.chain import Record, sweeps
@@ -26,8 +27,6 @@ from tissueid.population.stage_one import (
 )
 from tissueid.population.surrogate import Pilot
 from tissueid.priors import PopulationPriors
-
-FloatArray = NDArray[np.float64]
 
 #: Specimens are far beyond this quantile of a normal population's squared distances.
 FAR_QUANTILE = 0.99

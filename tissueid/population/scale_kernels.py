@@ -13,11 +13,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.compiled import kernel
-
-FloatArray = NDArray[np.float64]
 
 #: Steps out and shrinkings of a slice at the most; a slice is found long before.
 MOST_STEPS = 40

@@ -12,12 +12,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.population.coordinates import Coordinates
 from tissueid.population.members import Member
-
-FloatArray = NDArray[np.float64]
 
 #: Share of the specimens that must have a total posterior.
 FEWEST_SHARE = 0.5

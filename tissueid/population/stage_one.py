@@ -8,11 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray, IntArray
 from tissueid.population.kernels import Cohort
 from tissueid.population.surrogate import Mixture, Pilot, mixture_of
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 #: Effective draws under the pilot that a specimen needs, and of all its draws the share; with fewer its
 #: likelihood is smoothed.

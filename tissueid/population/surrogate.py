@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from tissueid.arrays import FloatArray
 
 #: Components of a mixture at the most, and draws each needs.
 MOST_COMPONENTS = 12

@@ -13,14 +13,12 @@ import re
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.errors import UsageError, printable
 from tissueid.model.channels import TissueModel, loading_force
 from tissueid.rendering.tissue_block import Tissue
 from tissueid.store.bundle import Bundle
-
-FloatArray = NDArray[np.float64]
 
 #: Just-noticeable difference of force, as a share of it.
 WEBER_SHARE = 0.07

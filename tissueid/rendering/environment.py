@@ -21,8 +21,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_kernel, tick_part
 from tissueid.haptics.states import Lamp
 from tissueid.model.kernels import tissue_step_in
@@ -35,8 +35,6 @@ from tissueid.rendering.guidance import (
     guidance_step,
 )
 from tissueid.rendering.surface import touch
-
-FloatArray = NDArray[np.float64]
 
 #: Kinds of environment the compiled loop knows.
 FREE_AIR = 0

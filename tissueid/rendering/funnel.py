@@ -20,12 +20,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_part
-
-FloatArray = NDArray[np.float64]
 
 HYPERBOLOID = 0
 CONE = 1

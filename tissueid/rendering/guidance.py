@@ -30,14 +30,10 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_kernel, tick_part
 from tissueid.model.impact import IMPACT_SIZE, IMPACT_STATE, impact_step
 from tissueid.rendering.funnel import FUNNEL_SIZE, funnel_touch
-
-FloatArray = NDArray[np.float64]
 
 # -- the block, from an index on ------------------------------------------------------------------
 #: Entry point [m], and unit vector of the axis out of the bone.

@@ -6,14 +6,12 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.model.impact import Variant, damping_factor, pack_impact
 from tissueid.rendering import environment as env
 from tissueid.rendering import guidance as gd
 from tissueid.rendering.funnel import CONE, HYPERBOLOID, hyperboloid_constants
-
-FloatArray = NDArray[np.float64]
 
 Vector = tuple[float, float, float]
 

@@ -14,15 +14,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tissueid.errors import DeviceError
 from tissueid.model.impact import damping_factor
 from tissueid.model.passivity import damping_bound
 from tissueid.rendering.guidance_block import Guidance
 from tissueid.rendering.precheck import DAMPING_SHARE, Demands
-
-FloatArray = NDArray[np.float64]
 
 #: Penetrations of the wall that are examined [m].
 DEEPEST_M = 0.010

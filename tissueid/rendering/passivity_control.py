@@ -21,12 +21,10 @@ import math
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_kernel, tick_part
 from tissueid.haptics.velocity import velocity_step
-
-FloatArray = NDArray[np.float64]
 
 # -- parameters -----------------------------------------------------------------------------------
 CONTROL_SIZE = 6

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.errors import UsageError
 from tissueid.haptics.device import HapticDevice
 from tissueid.haptics.hand import Hand
@@ -49,8 +49,6 @@ from tissueid.rendering.tissue_block import (
 )
 from tissueid.store.bundle import Bundle, load_bundle
 from tissueid.store.session_log import read_session_log
-
-FloatArray = NDArray[np.float64]
 
 MM = 1e-3
 DEFAULT_COUNT_M = 45e-6

@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tissueid.errors import DeviceError, UsageError
 from tissueid.haptics.device_facts import Capabilities
@@ -20,8 +19,6 @@ from tissueid.model.passivity import required_damping
 from tissueid.model.scaling import DEFAULT_MOTION_SCALE, Scaling, largest_tangent, scaling_for
 from tissueid.model.servo_law import servo_law
 from tissueid.rendering.tissue_block import Tissue
-
-FloatArray = NDArray[np.float64]
 
 #: A device's damping is a calibration value: only this share of it is counted on.
 DAMPING_SHARE = 0.95

@@ -13,12 +13,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.errors import UsageError
 from tissueid.haptics.hand import Hand, Stroke, parse_script, scripted_hand
-
-FloatArray = NDArray[np.float64]
 
 SWITCH = "switch"
 #: Start-up ramp of the simulated device under a script [s]: the shortest that the guard knows.

@@ -10,8 +10,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray, IntArray
 from tissueid.compiled import tick_kernel
 from tissueid.haptics.guard import guard
 from tissueid.haptics.parameter_block import COMMAND_ENGAGE, ParameterBlock
@@ -29,9 +29,6 @@ from tissueid.rendering.servo_plan import ServoPlan
 from tissueid.rendering.servo_statistics import PeriodStatistics
 from tissueid.rendering.servo_tick import BLOCK_SIZE, Servo, compiled_tick, new_servo
 from tissueid.rendering.tissue_block import Plane, tissue_block
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 #: Bars (haptics.md 6): of the servo's own process at 1 kHz under SCHED_FIFO, of one force step, of a tick.
 P99_US, P999_US, FORCE_STEP_NS, TICK_US = 100.0, 1000.0, 100.0, 5.0

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
 from numba import types
-from numpy.typing import NDArray
 
+from tissueid.arrays import IntArray
 from tissueid.compiled import tick_kernel
 from tissueid.haptics.foreign import libc_function
-
-IntArray = NDArray[np.int64]
 
 #: int64 words of room: a ``timespec``, then one ``pollfd``.
 CLOCK_SIZE = 4

@@ -13,17 +13,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import numpy as np
 from numba.extending import overload
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray, IntArray
 from tissueid.errors import DeviceError
 from tissueid.haptics.device import HapticDevice
 from tissueid.haptics.servo_access import HOMED, PRESSED, REPLY, access_of
 from tissueid.haptics.watchdogs import REPLY_DAMAGED, REPLY_LOST, REPLY_NONE, REPLY_VALID
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 class PythonIO(NamedTuple):

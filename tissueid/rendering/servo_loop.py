@@ -10,8 +10,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray, IntArray
 from tissueid.compiled import tick_kernel, tick_part
 from tissueid.haptics.device import ZERO_COMMANDS
 from tissueid.haptics.guard import transition
@@ -28,9 +28,6 @@ from tissueid.haptics.parameter_block import command as ordered
 from tissueid.haptics.states import Lamp
 from tissueid.rendering.servo_clock import CLOCK_SIZE, monotonic_ns, readable, sleep_until
 from tissueid.rendering.servo_tick import MISSED, Servo, compiled_tick, tick
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 #: Why a loop ended: a fault; the owner's wish; a signal; all ticks asked for are done.
 ENDED_FAULT, ENDED_STOPPED, ENDED_SIGNAL, ENDED_TICKS = 0, 1, 2, 3

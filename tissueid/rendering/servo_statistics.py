@@ -6,11 +6,9 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import IntArray
 from tissueid.rendering.servo_loop import BIN_NS, LATE_SHARE
-
-IntArray = NDArray[np.int64]
 
 #: Share of late ticks above which a session is labelled (haptics.md 1).
 DEGRADED_SHARE = 0.01

@@ -16,6 +16,7 @@ import numpy as np
 from numba.extending import overload
 from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray, IntArray
 from tissueid.compiled import tick_kernel, tick_part
 from tissueid.errors import DeviceError
 from tissueid.haptics.device import HapticDevice
@@ -53,9 +54,6 @@ from tissueid.rendering.passivity_control import (
     passivity_step,
 )
 from tissueid.rendering.servo_io import PythonIO, command, sense
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 #: Parameters of one version: the environment's, then the passivity controller's.
 BLOCK_SIZE = ENVIRONMENT_SIZE + CONTROL_SIZE

@@ -18,7 +18,6 @@ from types import FrameType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tissueid.haptics.ring import RingReader
 from tissueid.haptics.states import Fault
@@ -34,9 +33,6 @@ from tissueid.rendering.session_plan import PERIOD_S, SessionPlan
 from tissueid.rendering.summary import SessionSummary
 from tissueid.rendering.surface import SURFACE_SIZE, TOOL_RADIUS
 from tissueid.rendering.tissue_block import Plane
-
-FloatArray = NDArray[np.float64]
-Records = NDArray[Any]
 
 #: Pause between two turns of the owner's loop [s]: a twentieth of the heartbeat's limit.
 TURN_S = 0.02

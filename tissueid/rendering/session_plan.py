@@ -7,17 +7,13 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from tissueid import __version__
+from tissueid.arrays import FloatArray
 from tissueid.haptics.device import Capabilities
 from tissueid.rendering.blind import BlindOrder
 from tissueid.rendering.choice import Picked
 from tissueid.rendering.precheck import MOST_DAMPING, Precheck
 from tissueid.rendering.script import Script
-
-FloatArray = NDArray[np.float64]
 
 #: The servo runs at 1 kHz.
 PERIOD_S = 0.001

@@ -7,10 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray, RecordArray
 from tissueid.haptics.states import FAULT_WORDS, Fault, Lamp, State
-
-FloatArray = NDArray[np.float64]
-Records = NDArray[Any]
 
 #: A tick off by more than this share of the period is off ...
 OFF_SHARE = 0.10
@@ -61,7 +59,7 @@ class SessionSummary:
         """Time from the first record to the newest [s]."""
         return self._last_s - self._first_s
 
-    def add(self, records: Records, lost: int = 0) -> None:
+    def add(self, records: RecordArray, lost: int = 0) -> None:
         """Count new records.
 
         ``records`` (n,); ``lost``: records that were overwritten before they could be read.

@@ -17,11 +17,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_kernel, tick_part
-
-FloatArray = NDArray[np.float64]
 
 PLANE = 0
 SPHERE = 1

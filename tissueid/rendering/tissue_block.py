@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.model.channels import TissueModel
 from tissueid.model.servo_law import servo_law
 from tissueid.rendering import environment as env
 from tissueid.rendering import surface as srf
 from tissueid.rupture_law import RuptureLaw
 from tissueid.trial import TipShape
-
-FloatArray = NDArray[np.float64]
 
 Vector = tuple[float, float, float]
 

@@ -6,15 +6,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.digits import number
 from tissueid.measured.programs import programs
 from tissueid.report.tissue import brief, speed_unit
 from tissueid.result import Curve
 from tissueid.store.curves import TrialCurve
 
-FloatArray = NDArray[np.float64]
 #: Trials with their curves, a list a specimen.
 Trials = Sequence[Sequence[tuple[Mapping[str, Any], TrialCurve]]]
 

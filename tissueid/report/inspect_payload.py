@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.trial import FloatArray, Segmentation, Trial
+from tissueid.arrays import FloatArray
+from tissueid.trial import Segmentation, Trial
 
 #: Samples of one recording that are kept for drawing at the most.
 MOST_OF_ONE = 8_000

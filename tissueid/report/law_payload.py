@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.report.figures import curves_by_trial
 from tissueid.report.groups import curve_groups
 from tissueid.report.remarks import trial_label
@@ -17,7 +17,6 @@ from tissueid.residuals import ResidualSummary
 from tissueid.store.curves import TrialCurve
 from tissueid.store.posteriors import StoredPosterior
 
-FloatArray = NDArray[np.float64]
 Trials = Sequence[tuple[Mapping[str, Any], TrialCurve]]
 
 #: Depths at which the parts are drawn.

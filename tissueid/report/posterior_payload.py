@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.report.figures import quantised
 from tissueid.report.uncertainty_words import reported_order
 from tissueid.report.wording import unit_words
 from tissueid.store.posteriors import StoredPosterior
-
-FloatArray = NDArray[np.float64]
 
 #: Numbers of draws a page may carry in all, at 2.7 bytes each, and the fewest and most draws of a specimen.
 MOST_NUMBERS = 180_000

@@ -8,16 +8,14 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.digits import number
 from tissueid.measured.programs import SAME_SPEED, clusters
 from tissueid.report.remarks import trial_label
 from tissueid.report.tissue import Tissue, brief, speed_unit
 from tissueid.result import Curve
 from tissueid.store.curves import TrialCurve
-
-FloatArray = NDArray[np.float64]
 
 #: Depths that differ by less than this factor are one setting of a machine.
 SAME_DEPTH = 1.04

@@ -10,14 +10,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.model.channels import TissueModel
 from tissueid.model.grammar import rebuilt
 from tissueid.result import ModelChoice
 from tissueid.store.posteriors import StoredPosterior
-
-FloatArray = NDArray[np.float64]
 
 #: Draws that a band is taken over: its ends are then good to a tenth of the posterior's sd.
 BAND_DRAWS = 500

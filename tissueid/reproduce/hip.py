@@ -8,6 +8,7 @@ from typing import Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.model.impact import IMPACT_SIZE, IMPACT_STATE, damping_factor, impact_step, pack_impact
 from tissueid.rendering import guidance as gd
 from tissueid.rendering.funnel import hyperboloid_constants
@@ -15,8 +16,6 @@ from tissueid.rendering.guidance_block import Bone, Funnel, Guidance, Pull
 from tissueid.reproduce.items import Figure, Item, Kind, Trace, near
 from tissueid.reproduce.published import PIRES, PUBLISHED, Ledger, Published
 from tissueid.reproduce.readings import Readings
-
-FloatArray = NDArray[np.float64]
 
 RESTITUTIONS = (0.3, 0.5, 0.7, 0.9)
 #: A free mass [kg] at this speed [mm/s] on a Hertz contact [N/mm^1.5], in steps [s] that converge to 1 %.

@@ -7,14 +7,12 @@ tissue relaxed, or the crosshead settled and the load channel followed with its 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq, least_squares
 
+from tissueid.arrays import FloatArray
 from tissueid.reproduce.published import Ledger
 from tissueid.reproduce.readings import Readings
 from tissueid.reproduce.tissue import HOLD_SPEED_MM_MIN, branch_force, cubic_through_peaks, read_branch
-
-FloatArray = NDArray[np.float64]
 
 #: Time constant of the load channel's filter [s]: common in test machines.
 FILTER_S = 0.005

@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.model.base import ContactPath
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.reproduce.items import Figure, Item, Kind, Trace, overlaps
@@ -21,8 +21,6 @@ from tissueid.reproduce.recordings import Effort, fitted, read_back
 from tissueid.reproduce.tissue import read_branch
 from tissueid.result import Curve, SpecimenFit
 from tissueid.synth.protocols import recipe
-
-FloatArray = NDArray[np.float64]
 
 #: Coefficient of variation of a whole specimen, of neighbouring tests, and of contact [mm].
 CV_SPECIMEN, CV_REPEAT, CONTACT_SD_MM = 0.15, 0.05, 0.05

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.model.rupture import hardening_ratio, peak_force_against_speed
 from tissueid.reproduce.items import Figure, Item, Kind, Trace
 from tissueid.reproduce.published import PUBLISHED, SADEGHNEJAD, Ledger, Published
 from tissueid.reproduce.readings import Readings
 from tissueid.reproduce.tissue import DEPTHS_MM, SPEEDS_MM_MIN, Tissue, cubic_through_peaks, read_branch
-
-FloatArray = NDArray[np.float64]
 
 #: A static curve whose tangent exceeds its secant, in place of the lost coefficients [N/mm3].
 HARDENING = (0.0, 0.0, 0.43)

@@ -8,14 +8,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.model.kelvin_voigt import KelvinVoigt, constant_speed_force
 from tissueid.reproduce.published import Ledger
 from tissueid.reproduce.readings import Readings
 from tissueid.synth.recipe import Branch
-
-FloatArray = NDArray[np.float64]
 
 #: Depths of the relaxation tests and speeds of the indentations, section II.A of the paper.
 DEPTHS_MM = (2, 4, 6, 8)

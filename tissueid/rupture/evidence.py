@@ -13,14 +13,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.stats import f as f_distribution
 
+from tissueid.arrays import FloatArray
 from tissueid.rupture.failures import Failure
 from tissueid.rupture.likelihood import Outcomes, given_ruptured, log_likelihood, specimen_means
-
-FloatArray = NDArray[np.float64]
 
 #: Ends of the log-uniform prior of the sd from test to test, in ln depth.
 TEST_SD = (0.002, 1.0)

@@ -11,15 +11,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.model.base import ContactPath
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.model.rupture import hardening_ratio, rupture_measures
 from tissueid.rupture.loading import LoadedTest
 from tissueid.rupture_law import CRITERIA, DEFAULT_WEIGHT
-
-FloatArray = NDArray[np.float64]
 
 #: Draws of the law behind an uncertainty: it is then known to 11 %.
 LAW_DRAWS = 40

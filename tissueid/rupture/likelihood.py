@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
-FloatArray = NDArray[np.float64]
+from tissueid.arrays import FloatArray
 
 #: Nodes of the quadrature over a specimen with censored tests.
 QUADRATURE = 24

@@ -10,11 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.trial import Segmentation, Trial, contact_frame
-
-FloatArray = NDArray[np.float64]
 
 #: Samples kept of a path: the branch state is exact for any number, its corners apart.
 PATH_SAMPLES = 1500

@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as t_distribution
 
+from tissueid.arrays import FloatArray
 from tissueid.population.confounding import Confounding
 from tissueid.rupture.failures import Failure
-
-FloatArray = NDArray[np.float64]
 
 #: What is quoted of a rupture.
 QUOTED: Mapping[str, Callable[[Failure], float]] = {

@@ -8,12 +8,10 @@ shows in the first half alone as well.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
 from tissueid.trial import Contact, Phase
-
-FloatArray = NDArray[np.float64]
 
 #: Fewest samples in air from which a drift is told, and blocks they are averaged in.
 FEWEST_SAMPLES = 48

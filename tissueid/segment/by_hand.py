@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
 from tissueid.segment.options import SegmentOptions
 from tissueid.segment.stop import travel_line
 from tissueid.trial import Phase, Trial
-
-FloatArray = NDArray[np.float64]
 
 #: A hold may begin in these kinds of phase.
 HOLDABLE = ("ramp", "hold", "creep", "rest")

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
 from tissueid.segment.hinge import HingeFit, fit_contact
 from tissueid.segment.motion import Piece
@@ -14,8 +14,6 @@ from tissueid.segment.options import SegmentOptions
 from tissueid.segment.own_air import left_air, rises, without_kick
 from tissueid.segment.spikes import without_spikes
 from tissueid.trial import Contact
-
-FloatArray = NDArray[np.float64]
 
 #: Fewest samples in air, while moving, that show the tool in air; where the load cell reads more than
 #: nothing there, and they may be a preload, and where it does not.

@@ -12,14 +12,12 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
 from tissueid.segment.edges import straight_line
 from tissueid.segment.stop import travel_line
 from tissueid.trial import Corner, Phase
-
-FloatArray = NDArray[np.float64]
 
 #: Overshoot beyond this share of the ramp is said.
 OVERSHOOT_SAID = 0.002

@@ -11,12 +11,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
 from tissueid.trial import Phase
-
-FloatArray = NDArray[np.float64]
 
 #: Change from loop to loop below which tissue is preconditioned.
 PRECONDITIONED_CHANGE = 0.02

@@ -8,9 +8,8 @@ first meeting; a rounded or ringing stop ends where the plateau is reached for g
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from tissueid.arrays import FloatArray
 
 #: Samples on each side of a corner that place it.
 CORNER_SAMPLES = 200

@@ -10,16 +10,14 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
 from tissueid.segment.cycles import Loop
 from tissueid.segment.edges import corner_near
 from tissueid.segment.motion import Piece
 from tissueid.segment.spikes import running_median
 from tissueid.trial import Event, Phase, Protocol
-
-FloatArray = NDArray[np.float64]
 
 #: A ramp that ends this share short of the stated depth was aborted.
 ABORT_SHARE = 0.05

@@ -11,13 +11,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.segment.bins import bin_samples
 from tissueid.segment.lattice import locate
 from tissueid.segment.ramp_shape import RampShape
-
-FloatArray = NDArray[np.float64]
 
 #: Shortest branch length, in resolutions of the contact (no branch at all), and the longest as a share of
 #: the window.

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from tissueid.arrays import FloatArray
+
 Density = Callable[[FloatArray, FloatArray], FloatArray]
 Limits = tuple[float, float]
 

@@ -13,11 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.segment.edges import corner_near
 from tissueid.segment.polyline import corners
 from tissueid.signal_noise import quantum, white_noise_sd
-
-FloatArray = NDArray[np.float64]
 
 #: Longer recordings are averaged down to about so many blocks before their polyline is drawn.
 BLOCKS = 10_000

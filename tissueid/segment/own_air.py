@@ -8,9 +8,8 @@ it is back, so it is no contact.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from tissueid.arrays import FloatArray
 
 #: Samples from which a reading in air and its scatter are told.
 FEWEST_SAMPLES = 5

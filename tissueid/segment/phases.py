@@ -6,15 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.segment.edges import corner_near, leaves_line
 from tissueid.segment.motion import SPEED_RATIO, Piece
 from tissueid.segment.options import SegmentOptions
 from tissueid.segment.stop import travel_line
 from tissueid.trial import Contact, Phase
-
-FloatArray = NDArray[np.float64]
 
 #: A hold has at least so many samples: fewer cannot show a decay beside its plateau.
 HOLD_SAMPLES = 8

@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from tissueid.arrays import FloatArray
+
 IndexArray = NDArray[np.intp]
 
 

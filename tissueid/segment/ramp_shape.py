@@ -24,12 +24,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.segment.bins import Bins
 from tissueid.segment.ramp_squares import ramp_squares
-
-FloatArray = NDArray[np.float64]
 
 #: Prior standard deviation of the shape's coefficients, in force ranges of the window.
 SHAPE_PRIOR = 10.0

@@ -11,9 +11,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from tissueid.arrays import FloatArray
+
 Bins = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
 #: Largest change of force with contact, in noise sd: its square is a number.

@@ -14,15 +14,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
 from tissueid.segment.edges import leaves_line, straight_line
 from tissueid.segment.motion import Piece
 from tissueid.segment.spikes import MEDIAN_SAMPLES, running_median
 from tissueid.trial import Event
-
-FloatArray = NDArray[np.float64]
 
 #: A fall is at least this share of the force before it ...
 DROP_SHARE = 0.1

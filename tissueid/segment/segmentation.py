@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
 from tissueid.segment.air import drift_in_air
 from tissueid.segment.by_hand import by_hand, held_from_here
@@ -26,8 +26,6 @@ from tissueid.segment.spikes import without_spikes
 from tissueid.segment.stop import placed_stops, settlings, speed_flags, with_braking
 from tissueid.signal_noise import white_noise_sd
 from tissueid.trial import RENDERED, Contact, Event, Phase, Protocol, Segmentation, Trial
-
-FloatArray = NDArray[np.float64]
 
 #: Fewest samples with which there is anything to divide.
 FEWEST_SAMPLES = 5

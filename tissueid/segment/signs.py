@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tissueid.flags import Flag
 from tissueid.segment.options import SegmentOptions
 from tissueid.segment.spikes import without_spikes
 from tissueid.signal_noise import white_noise_sd
 from tissueid.trial import Trial
-
-FloatArray = NDArray[np.float64]
 
 #: The other excursion reaches this share of the dominant one: the direction is doubtful.
 DOUBTFUL_EXCURSION = 0.5

@@ -12,14 +12,12 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.flags import Flag
 from tissueid.segment.edges import straight_line
 from tissueid.segment.motion import Piece, path_noise
 from tissueid.trial import Event, Phase
-
-FloatArray = NDArray[np.float64]
 
 #: Shares of the travel between which the line of a move is laid.
 FROM_SHARE, TO_SHARE = 0.2, 0.8

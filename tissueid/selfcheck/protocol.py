@@ -10,16 +10,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.errors import BundleError, InputError
 from tissueid.model.kelvin_voigt import KEY, KelvinVoigt
 from tissueid.selfcheck.recording import ProtocolLog
 from tissueid.store.bundle import Bundle
 from tissueid.synth.path import crosshead_path
 from tissueid.synth.recipe import Hold, Log, Move, Recipe
-
-FloatArray = NDArray[np.float64]
 
 #: Scatter of the contact points of a program without any [mm].
 CONTACT_SD_MM = 0.01

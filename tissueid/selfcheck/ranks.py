@@ -16,12 +16,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaln
 from scipy.stats import binom
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from tissueid.arrays import FloatArray, IntArray
 
 #: Draws a truth is ranked among: 400 equally likely ranks hold 80, 90 and 95 % without rounding.
 DRAWS = 399

@@ -12,16 +12,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter, lfiltic
 
+from tissueid.arrays import FloatArray
 from tissueid.model.base import ContactPath
 from tissueid.model.kelvin_voigt import KelvinVoigt
 from tissueid.selfcheck.truth import Truth
 from tissueid.synth.path import Path, contact_path
 from tissueid.trial import Source, Trial
-
-FloatArray = NDArray[np.float64]
 
 #: Force is sampled so many times finer than recorded where filter, skew or frame act between samples.
 OVERSAMPLED = 8

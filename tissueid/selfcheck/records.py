@@ -18,13 +18,11 @@ from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.errors import UsageError
 from tissueid.selfcheck.ranks import DRAWS, rank_of
 from tissueid.store.files import write_file
-
-FloatArray = NDArray[np.float64]
 
 FORMAT = "tissueid/selfcheck-records/1"
 

@@ -13,9 +13,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tissueid import FitOptions, IdentifyOptions, PosteriorOptions, __version__, identify
+from tissueid.arrays import FloatArray
 from tissueid.manifest import Calibration, Study
 from tissueid.model.base import branch_suffix
 from tissueid.model.frame import linear_frame
@@ -29,8 +29,6 @@ from tissueid.selfcheck.recording import ProtocolLog, simulated_trials
 from tissueid.selfcheck.records import Replicate
 from tissueid.selfcheck.truth import Truth, Widths, centred_priors, draw_truth, force_points, numbers_of
 from tissueid.trial import Trial
-
-FloatArray = NDArray[np.float64]
 
 #: Effective draws that are asked for: those of a chain are correlated, and ranks want independent ones.
 SAMPLED = 2 * DRAWS

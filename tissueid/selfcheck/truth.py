@@ -11,15 +11,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.errors import InputError
 from tissueid.model.base import branch_suffix
 from tissueid.model.kelvin_voigt import STATIC_DEGREE, KelvinVoigt
 from tissueid.model.polynomial import minimum_on_unit
 from tissueid.priors import CalibrationPrior, Priors, SpreadPrior
-
-FloatArray = NDArray[np.float64]
 
 #: Depths, as fractions of the fitted one, at which the force is checked, from fastest to slowest speed.
 FORCE_DEPTHS = (0.25, 0.5, 1.0)

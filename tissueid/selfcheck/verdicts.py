@@ -11,13 +11,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import IntArray
 from tissueid.errors import NotIdentifiedError
 from tissueid.selfcheck.ranks import DRAWS, EcdfBand, binomial_interval, ecdf_band, ecdf_counts
 from tissueid.selfcheck.records import Record, failures
-
-IntArray = NDArray[np.int64]
 
 #: Relative difference below which truths are the same.
 SAME = 1e-12

@@ -27,8 +27,8 @@ from typing import Any
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.errors import BundleError
 from tissueid.result import Estimate, ModelChoice, SpecimenFit
 from tissueid.rupture_law import RuptureLaw
@@ -54,8 +54,6 @@ __all__ = [
     "put_bundle",
     "write_bundle",
 ]
-
-FloatArray = NDArray[np.float64]
 
 _DOCUMENT = "document"
 SPECIMEN_GROUP = "specimen"

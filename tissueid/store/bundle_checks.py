@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.store.bundle_content import Bundle
-
-FloatArray = NDArray[np.float64]
 
 #: A covariance that went through a Cholesky factor and back is positive semi-definite to rounding only.
 _COVARIANCE_ROUNDING = 1e-9

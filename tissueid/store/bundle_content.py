@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.errors import BundleError
 from tissueid.notebook import Shown
 from tissueid.result import Estimate, ModelChoice
@@ -17,8 +17,6 @@ from tissueid.trial import Axes, TipShape
 
 if TYPE_CHECKING:
     from tissueid.model.channels import TissueModel
-
-FloatArray = NDArray[np.float64]
 
 BUNDLE_FORMAT = "tissueid/bundle"
 BUNDLE_SCHEMA_VERSION = 1

@@ -17,8 +17,8 @@ from typing import Any
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.errors import BundleError
 from tissueid.store.bundle import (
     BUNDLE_SCHEMA_VERSION,
@@ -33,7 +33,6 @@ from tissueid.store.index import INDEX, INDEX_SCHEMA_VERSION
 from tissueid.store.lock import FolderLock
 from tissueid.store.outputs import OutputSet, current_run
 
-FloatArray = NDArray[np.float64]
 #: Document and arrays of one version -> those of the next.
 Step = Callable[[dict[str, Any], dict[str, FloatArray]], tuple[dict[str, Any], dict[str, FloatArray]]]
 

@@ -27,11 +27,10 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.errors import BundleError
 from tissueid.result import SpecimenFit
 from tissueid.store.files import TEMPORARY_PREFIX, json_bytes, replace_file
-
-FloatArray = NDArray[np.float64]
 
 _FORMAT = "tissueid/posteriors/1"
 _BAND_ROWS = 3

@@ -29,14 +29,12 @@ from typing import Any
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import RecordArray
 from tissueid.errors import BundleError
 from tissueid.store.bundle import HDF5_ERRORS
 from tissueid.store.files import TEMPORARY_PREFIX, json_bytes, plain_json, replace_file
 from tissueid.store.schema import check
-
-Records = NDArray[Any]
 
 SESSION_FORMAT = "tissueid/session"
 SESSION_SCHEMA_VERSION = 1
@@ -47,9 +45,9 @@ _LENGTH_BYTES = 8
 _HEAD_ALIGNMENT = 128
 #: A head is a few kilobytes; a larger one is no head.
 _LARGEST_HEAD = 1 << 22
-#: Records a chunk of the HDF5 file holds: half a megabyte.
+#: RecordArray a chunk of the HDF5 file holds: half a megabyte.
 _CHUNK = 4096
-#: Records converted at a time.
+#: RecordArray converted at a time.
 _PIECE = 1 << 16
 #: What a log must have to be read as a recording.
 _NEEDED = ("time_s", "position_m", "force_N", "depth_mm", "tissue_force_N", "lamps", "state", "label")
@@ -60,7 +58,7 @@ class SessionLog:
     """One session."""
 
     head: Mapping[str, Any]  # device, scale, surface, tissues: see ``schemas/session.schema.json``
-    records: Records  # (n,), one a tick, fields as the head's ``record`` says
+    records: RecordArray  # (n,), one a tick, fields as the head's ``record`` says
     summary: Mapping[str, Any] | None  # of the session; None where it was killed before it could be written
 
 
@@ -182,7 +180,7 @@ def _seal(text: bytes, record: np.dtype[Any], count: int) -> bytes:
     return about + len(text).to_bytes(_LENGTH_BYTES, "little") + text
 
 
-def _content_hash(text: bytes, records: Records) -> Any:
+def _content_hash(text: bytes, records: RecordArray) -> Any:
     digest = hashlib.sha256(_seal(text, records.dtype, records.size))
     digest.update(np.ascontiguousarray(records).tobytes())
     return digest
@@ -196,7 +194,7 @@ def _bytes(path: Path) -> bytes:
         raise BundleError(msg) from error
 
 
-def _read_hdf5(data: bytes) -> tuple[bytes, Records, dict[str, Any]]:
+def _read_hdf5(data: bytes) -> tuple[bytes, RecordArray, dict[str, Any]]:
     with h5py.File(io.BytesIO(data), "r") as file:
         attributes = dict(file.attrs)
         if attributes.get("format") != SESSION_FORMAT:

@@ -13,17 +13,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from tissueid import __version__
+from tissueid.arrays import FloatArray
 from tissueid.errors import InputError
 from tissueid.manifest import FrameCurve
 from tissueid.model.frame import deflection, deflection_basis, deflection_sd
 from tissueid.segment import segment
 from tissueid.trial import Phase, Segmentation, Trial
-
-FloatArray = NDArray[np.float64]
 
 #: Stretches of a loading whose means are fitted.
 BINS = 60

@@ -11,13 +11,11 @@ sampling, contact offset and noise do.  Nothing here is shared with :mod:`tissue
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.synth.path import Path, crosshead_path
 from tissueid.synth.recipe import Log, Recipe
 from tissueid.synth.simulate import SyntheticLog, _noise, _plan
-
-FloatArray = NDArray[np.float64]
 
 #: Half of the step of the path's derivative [s]; its pieces are straight.
 STEP_S = 1e-6

@@ -11,13 +11,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.synth.path import Path, contact_path
 from tissueid.synth.recipe import Branch, Rupture
 from tissueid.synth.response import branch_extension, static_force
-
-FloatArray = NDArray[np.float64]
 
 #: Times at which the measure is looked at; the depth of rupture is then good to 1e-7 of the travel.
 GRID = 20_001

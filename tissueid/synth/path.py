@@ -11,11 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.synth.recipe import Log, Move
-
-FloatArray = NDArray[np.float64]
 
 CHORDS = 200
 

@@ -15,12 +15,10 @@ from itertools import accumulate
 from math import exp, expm1
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.synth.path import Path, contact_path
 from tissueid.synth.recipe import Branch
-
-FloatArray = NDArray[np.float64]
 
 OVERSAMPLING = 16
 

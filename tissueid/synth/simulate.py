@@ -13,15 +13,13 @@ from math import log1p, sqrt
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.synth.failure import after_rupture, rupture_of
 from tissueid.synth.path import Path, crosshead_path
 from tissueid.synth.recipe import Hold, Log, Move, Recipe
 from tissueid.synth.response import low_pass, oversampled, tissue_force
 from tissueid.trial import Protocol, Source, Trial, frozen_array
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,11 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.haptics.states import State
 from tissueid.rendering import guidance as gd
 from tissueid.rendering.environment import GUIDED
-
-FloatArray = NDArray[np.float64]
 
 #: Height above the entry point of the bone at which the cone begins [mm] (assumed).
 CONE_ENTRY_MM = 40.0

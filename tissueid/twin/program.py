@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.errors import UsageError
 from tissueid.haptics.hand import Hand
 from tissueid.haptics.simulated_layout import MAX_KNOTS
 from tissueid.rendering.script import Script
 from tissueid.segment import segment
 from tissueid.trial import Trial, contact_frame
-
-FloatArray = NDArray[np.float64]
 
 #: Rest above the tissue before the motion [s]: longer than the ramp of a start; height and speed of the way
 #: to it [mm, mm/s].

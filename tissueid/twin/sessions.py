@@ -12,8 +12,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.errors import DeviceError
 from tissueid.haptics.falcon.calibration import Calibration
 from tissueid.haptics.falcon.device import FalconDevice
@@ -35,8 +35,6 @@ from tissueid.rendering.session import Session
 from tissueid.rendering.session_plan import SessionPlan
 from tissueid.rendering.tissue_block import Plane, Tissue, tissue_block
 from tissueid.twin.program import Program
-
-FloatArray = NDArray[np.float64]
 
 TICK_S = 1e-3
 #: From a position to the middle of the force it causes: what a session states of its device [s].

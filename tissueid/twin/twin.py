@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.contrast.noticeable import LEAST_FORCE_N, LIMITS
 from tissueid.errors import DeviceError
 from tissueid.inference.posterior import PosteriorOptions
@@ -30,8 +31,6 @@ from tissueid.store.bundle_content import Bundle
 from tissueid.trial import Source, Trial
 from tissueid.twin.program import Program, program_of_script
 from tissueid.twin.sessions import Felt, emulated_falcon, planned, simulated
-
-FloatArray = NDArray[np.float64]
 
 #: Delay that is stated is known to half a tick [s].
 HALF_TICK_S = 5e-4

@@ -5,12 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.model.channels import loading_force
 from tissueid.rendering.tissue_block import Tissue
-
-FloatArray = NDArray[np.float64]
 
 #: Depths of a curve.
 POINTS = 41

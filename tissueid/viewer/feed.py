@@ -10,21 +10,19 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import RecordArray
 from tissueid.haptics.ring import Ring
 from tissueid.viewer.frames import SAMPLE, samples_of, write_frame
 
-Samples = NDArray[Any]
-
-#: Samples in one frame, and the furthest a client may lie behind: 2 s at 1 kHz, 144 kB.
+#: RecordArray in one frame, and the furthest a client may lie behind: 2 s at 1 kHz, 144 kB.
 MOST_SAMPLES = 2000
 #: Frames on their way to a client that has not answered: a picture of 60 ms at 100 frames/s, and a network.
 MOST_UNANSWERED = 12
-#: Samples kept: some more than any client may ask for.
+#: RecordArray kept: some more than any client may ask for.
 KEPT = 4096
 
 
@@ -42,7 +40,7 @@ class Source(Protocol):
     def now_s(self) -> float:
         """The clock of the samples' times [s]."""
 
-    def between(self, first: int, end: int) -> Samples:
+    def between(self, first: int, end: int) -> RecordArray:
         """Samples ``first`` to ``end``, which lie among the last :data:`MOST_SAMPLES`."""
 
 
@@ -86,7 +84,7 @@ class LiveFeed:
         self._kept[slots] = new
         return int(records.size)
 
-    def between(self, first: int, end: int) -> Samples:
+    def between(self, first: int, end: int) -> RecordArray:
         """Samples ``first`` to ``end``."""
         return self._kept[np.arange(first, end) % KEPT]
 
@@ -100,7 +98,7 @@ class Client:
     def __init__(self, source: Source, name: str) -> None:
         self.source = source
         self.name = name
-        #: Samples this client was too slow for.
+        #: RecordArray this client was too slow for.
         self.dropped = 0
         self.sent = self.answered = 0
         self._cursor = max(source.published - MOST_SAMPLES, 0)

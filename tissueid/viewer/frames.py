@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Samples = NDArray[Any]
+from tissueid.arrays import RecordArray
 
 VERSION = 1
 MAGIC = b"TF"
@@ -70,7 +70,7 @@ class Frame:
     """A frame that was read."""
 
     first: int  # number of the first sample since the session began
-    samples: Samples  # (n,)
+    samples: RecordArray  # (n,)
     dropped: int  # samples this client was too slow for, so far
     round_trip_us: int
     now_s: float  # the source's clock when the frame was made [s]
@@ -85,7 +85,7 @@ def layout() -> list[list[Any]]:
     ]
 
 
-def samples_of(records: NDArray[Any]) -> Samples:
+def samples_of(records: NDArray[Any]) -> RecordArray:
     """Records of a ring or a log as samples.
 
     ``records`` (n,): fields by name; what it lacks is 0.
@@ -97,7 +97,7 @@ def samples_of(records: NDArray[Any]) -> Samples:
 
 
 def write_frame(
-    samples: Samples,
+    samples: RecordArray,
     *,
     first: int,
     now_s: float,

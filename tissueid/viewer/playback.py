@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import RecordArray
 from tissueid.viewer.messages import Play
-
-Samples = NDArray[Any]
 
 
 class Playback:
@@ -20,7 +17,7 @@ class Playback:
     ``samples`` (n,): times rising; ``clock``: seconds, never falling.
     """
 
-    def __init__(self, samples: Samples, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, samples: RecordArray, clock: Callable[[], float] = time.monotonic) -> None:
         self._samples = samples
         self._begin_s, self._end_s = float(samples["time_s"][0]), float(samples["time_s"][-1])
         self._clock = clock
@@ -43,7 +40,7 @@ class Playback:
         passed = 0.0 if self._paused else self._clock() - self._since_s
         return min(self._at_s + passed, self._end_s)
 
-    def between(self, first: int, end: int) -> Samples:
+    def between(self, first: int, end: int) -> RecordArray:
         """Samples ``first`` to ``end``."""
         return self._samples[first:end]
 

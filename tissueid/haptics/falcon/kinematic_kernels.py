@@ -16,13 +16,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from tissueid.arrays import FloatArray, IntArray
 from tissueid.compiled import tick_kernel
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 #: Three numbers, and three rows of them.
 Vector = tuple[float, float, float]
 Rows = tuple[Vector, Vector, Vector]

@@ -10,8 +10,9 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from tissueid.arrays import FloatArray
 from tissueid.errors import DeviceError
 from tissueid.haptics.falcon.constants import DEFAULT_GEOMETRY, Geometry
 from tissueid.haptics.falcon.kinematic_kernels import (
@@ -20,8 +21,6 @@ from tissueid.haptics.falcon.kinematic_kernels import (
     jacobian_kernel,
     torque_kernel,
 )
-
-FloatArray = NDArray[np.float64]
 
 #: Where the forward solution starts without a guess: mid-workspace, on the axis [m].
 GUESS_M = (0.0, 0.0, 0.12)

@@ -15,14 +15,9 @@ every intact reply in any garbage, and is in step again with the first ``<`` tha
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from tissueid.arrays import ByteArray, IntArray
 from tissueid.compiled import tick_kernel
 from tissueid.haptics.states import State
-
-IntArray = NDArray[np.int64]
-ByteArray = NDArray[np.uint8]
 
 PACKET_BYTES = 16
 #: Largest motor command [motor units].

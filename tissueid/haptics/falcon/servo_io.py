@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import types
-from numpy.typing import NDArray
 
+from tissueid.arrays import ByteArray, FloatArray, IntArray
 from tissueid.compiled import tick_kernel
 from tissueid.haptics.device_facts import CompiledIO
 from tissueid.haptics.falcon.kinematic_kernels import angles_of_counts, forward_kernel, motor_units
@@ -33,10 +33,6 @@ from tissueid.haptics.servo_access import PRESSED, REPLY, Access, register
 from tissueid.haptics.servo_access import UNANSWERED as WITHOUT_ANSWER
 from tissueid.haptics.states import Lamp
 from tissueid.haptics.watchdogs import LATE_COMMANDS, REPLY_DAMAGED, REPLY_LOST, REPLY_NONE, REPLY_VALID
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-ByteArray = NDArray[np.uint8]
 
 #: Constants: motor units for one newton metre, then the geometry block.
 UNITS_PER_NM, GEOMETRY = 0, 1

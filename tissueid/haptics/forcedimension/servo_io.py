@@ -11,17 +11,14 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import types
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray, IntArray
 from tissueid.compiled import tick_kernel
 from tissueid.haptics.device_facts import CompiledIO
 from tissueid.haptics.forcedimension.buttons import wire_buttons
 from tissueid.haptics.foreign import by_address
 from tissueid.haptics.servo_access import HOMED, PRESSED, REPLY, Access, register
 from tissueid.haptics.watchdogs import REPLY_LOST, REPLY_VALID
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 #: Step that stands for one encoder count [m].
 COUNT_M = 45e-6

@@ -14,12 +14,10 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.haptics.device import HapticDevice
 from tissueid.haptics.measure.motion import Pace, engage, record, wait_for
-
-FloatArray = NDArray[np.float64]
 
 #: Middle of the workspace, and the corners of a cube around it [m].
 MIDDLE_M = (0.0, 0.0, 0.130)

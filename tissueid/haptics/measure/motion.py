@@ -7,14 +7,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.errors import DeviceError
 from tissueid.haptics.device import HapticDevice
 from tissueid.haptics.states import FAULT_WORDS, State
 from tissueid.haptics.velocity import velocity_step
 
-FloatArray = NDArray[np.float64]
 #: ``law(time since the start [s], position [m], velocity [m/s]) -> force [N]``.
 Law = Callable[[float, FloatArray, FloatArray], FloatArray]
 #: Waits until a time of the device's clock; a device in virtual time needs none.

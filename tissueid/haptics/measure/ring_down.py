@@ -17,13 +17,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.errors import DeviceError
 from tissueid.haptics.device import HapticDevice
 from tissueid.haptics.measure.motion import Motion, Pace, engage, record, wait_for
-
-FloatArray = NDArray[np.float64]
 
 ALONG = 2
 MIDDLE_M = np.array([0.0, 0.0, 0.130])

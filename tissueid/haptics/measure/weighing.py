@@ -12,14 +12,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.errors import DeviceError
 from tissueid.haptics.device import HapticDevice
 from tissueid.haptics.measure.motion import Motion, Pace, engage, record, wait_for
 from tissueid.haptics.states import Fault
-
-FloatArray = NDArray[np.float64]
 
 #: Standard gravity [m/s^2]; it varies by 0.3 % over the globe, a kitchen scale by more.
 GRAVITY = 9.80665

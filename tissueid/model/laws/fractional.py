@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.model.base import ParameterSpec
 from tissueid.model.law import About, Shape
-
-FloatArray = NDArray[np.float64]
 
 #: Logarithms of rates times tau to the power alpha over which the spectrum is summed, and their number.
 REACH, POINTS = 16.0, 401

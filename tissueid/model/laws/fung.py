@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.model.base import ParameterSpec
 from tissueid.model.law import About, Shape
-
-FloatArray = NDArray[np.float64]
 
 #: Gauss-Legendre points over the logarithm of the box.
 POINTS = 48

@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.model.base import ParameterSpec, static_spec
 from tissueid.model.law import About, Shape
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

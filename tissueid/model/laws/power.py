@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.model.base import ParameterSpec
 from tissueid.model.law import About, Shape
-
-FloatArray = NDArray[np.float64]
 
 #: Depth at which the slope of a power below one is taken instead of at the surface.
 LEAST_MM = 1e-9

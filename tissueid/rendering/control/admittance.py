@@ -13,8 +13,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.errors import DeviceError
 from tissueid.haptics.hand import Hand
 from tissueid.haptics.limits import GuardLimits
@@ -31,8 +31,6 @@ from tissueid.rendering.control.simulation import loop_block, tissue_law
 from tissueid.rendering.precheck import check_before_force
 from tissueid.rendering.presets import ASSUMED_DEVICE
 from tissueid.rendering.tissue_block import Tissue
-
-FloatArray = NDArray[np.float64]
 
 #: Into the tissue: away from the user.
 INWARD = np.array([0.0, 0.0, -1.0])

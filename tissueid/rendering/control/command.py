@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_kernel
 from tissueid.rendering.control.block import PERIOD, TOUCHED_BY_DEVICE
 from tissueid.rendering.control.drive import advance_tool, environment_force, tool_acceleration
 from tissueid.rendering.control.law import control_force, reference, robust_term, saturate, sigma_at
 from tissueid.rendering.control.plant import regress
-
-FloatArray = NDArray[np.float64]
 
 
 @tick_kernel

@@ -13,8 +13,8 @@ exactly along each.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_kernel
 from tissueid.model.kernels import STATE_SIZE
 from tissueid.rendering.control.block import (
@@ -38,7 +38,6 @@ from tissueid.rendering.control.plant import generalised_force, inertia, regress
 from tissueid.rendering.control.row import record_row
 from tissueid.rendering.control.sampled import LARGEST_M
 
-FloatArray = NDArray[np.float64]
 Five = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
 #: Rows of the state of motion: position and velocity of the device, of the tool.
 MOTION_ROWS = 4

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_kernel
 from tissueid.model.kernels import tissue_step_in
 from tissueid.rendering.control.block import (
@@ -20,8 +18,6 @@ from tissueid.rendering.control.block import (
     TOOL_MASS,
     TOUCHED_BY_DEVICE,
 )
-
-FloatArray = NDArray[np.float64]
 
 #: Rows of a drive, a column an axis: offset, amplitude, frequency of the hand's push; then of what disturbs.
 DRIVE_ROWS = 6

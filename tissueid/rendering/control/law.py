@@ -15,9 +15,7 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_kernel
 from tissueid.rendering.control.block import (
     ADAPTATION_SIGN,
@@ -33,8 +31,6 @@ from tissueid.rendering.control.block import (
     VARIANT_B,
 )
 from tissueid.rendering.control.plant import damping_form, inertia
-
-FloatArray = NDArray[np.float64]
 
 
 @tick_kernel

@@ -18,13 +18,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_kernel
 from tissueid.rendering.control.block import ARM_PARAMETERS, BASE_X, BASE_Y, LINK_1, LINK_2
-
-FloatArray = NDArray[np.float64]
 
 
 @tick_kernel

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_kernel
-
-FloatArray = NDArray[np.float64]
 
 #: A number each, in this order, after the vectors.
 SCALARS = ("environment_force_N", "sigma", "lyapunov", "lyapunov_rate")

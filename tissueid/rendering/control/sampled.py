@@ -8,8 +8,8 @@ next tick, while device and hand move on, finer as well.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.compiled import tick_kernel
 from tissueid.model.kernels import STATE_SIZE
 from tissueid.rendering.control.block import PERIOD, SUBSTEPS
@@ -18,8 +18,6 @@ from tissueid.rendering.control.drive import disturbance, hand_push
 from tissueid.rendering.control.law import adapt, lyapunov, not_covered, sigma_at
 from tissueid.rendering.control.plant import generalised_force, inertia, solve
 from tissueid.rendering.control.row import record_row
-
-FloatArray = NDArray[np.float64]
 
 #: A device that is farther away than this has diverged [m].
 LARGEST_M = 10.0

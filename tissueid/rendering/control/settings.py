@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.errors import UsageError
 from tissueid.rendering.control.block import ARM_PARAMETERS, BASE_X, BASE_Y, BLOCK_SIZE, LINK_1, LINK_2
 from tissueid.rendering.control.mechanics import (
@@ -20,8 +20,6 @@ from tissueid.rendering.control.mechanics import (
 )
 from tissueid.rendering.control.plant import inertia
 from tissueid.rendering.tissue_block import Tissue
-
-FloatArray = NDArray[np.float64]
 
 #: Robust bound where none is given [N]: in variant A it covers the whole push of the hand, in B friction.
 BOUND_A_N = 25.0

@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.model.servo_law import servo_law
 from tissueid.rendering.control import block as at
 from tissueid.rendering.control.continuous import continuous_room, run_continuous
@@ -17,8 +17,6 @@ from tissueid.rendering.control.row import SCALARS, VECTORS, row_size
 from tissueid.rendering.control.sampled import run_sampled, sampled_room
 from tissueid.rendering.control.settings import ControlSettings
 from tissueid.rendering.control.virtual_mass import check_virtual_mass
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

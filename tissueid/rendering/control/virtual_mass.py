@@ -14,12 +14,10 @@ bound is asked for by :data:`MARGIN`.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.errors import UsageError
 from tissueid.rendering.control.settings import ControlSettings
-
-FloatArray = NDArray[np.float64]
 
 #: Virtual mass over its bound that a loop should have.
 MARGIN = 1.5

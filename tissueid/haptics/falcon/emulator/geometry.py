@@ -14,11 +14,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.compiled import kernel
-
-FloatArray = NDArray[np.float64]
 
 #: Thigh, shin, the two pins together, wrist from the platform's centre along and across the leg, pivot along
 #: and across the leg [m].

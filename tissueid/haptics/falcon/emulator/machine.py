@@ -16,8 +16,8 @@ from collections import deque
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissueid.arrays import FloatArray
 from tissueid.errors import UsageError
 from tissueid.haptics.arm import MAX_KNOTS, POSITION, TIME, Arm, arm_step, new_arm
 from tissueid.haptics.falcon.emulator.bootloader import BootLoader
@@ -32,8 +32,6 @@ from tissueid.haptics.falcon.emulator.geometry import (
 )
 from tissueid.haptics.falcon.emulator.wire import Command, CommandReader, reply_bytes
 from tissueid.haptics.hand import Hand
-
-FloatArray = NDArray[np.float64]
 
 #: Counts beyond which a leg counts as pulled out or pushed in; the stops are near +-1600.
 OUT_COUNTS, IN_COUNTS = 1000.0, -1000.0
